@@ -1,0 +1,57 @@
+//! How good an estimate is.
+
+use nalgebra::Vector3;
+
+/// One row of an accuracy table: errors at the target over a set of poses, in the base frame, m.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AccuracyRow {
+    /// Largest absolute error per axis, as published.
+    pub max: Vector3<f64>,
+    /// Mean absolute error per axis, as published.
+    pub mean: Vector3<f64>,
+    /// Mean signed error per axis.
+    pub bias: Vector3<f64>,
+    /// Root mean square of the 3-D error.
+    pub rms_3d: f64,
+    /// Largest 3-D error.
+    pub max_3d: f64,
+    /// Number of observations.
+    pub count: usize,
+}
+
+/// The row of `errors` (measured minus predicted, m); `None` without any.
+pub fn accuracy(errors: &[Vector3<f64>]) -> Option<AccuracyRow> {
+    if errors.is_empty() {
+        return None;
+    }
+    let n = errors.len() as f64;
+    let mut max = Vector3::zeros();
+    for error in errors {
+        max = error.abs().sup(&max);
+    }
+    Some(AccuracyRow {
+        max,
+        mean: errors.iter().map(Vector3::abs).sum::<Vector3<f64>>() / n,
+        bias: errors.iter().sum::<Vector3<f64>>() / n,
+        rms_3d: (errors.iter().map(Vector3::norm_squared).sum::<f64>() / n).sqrt(),
+        max_3d: errors.iter().map(Vector3::norm).fold(0.0, f64::max),
+        count: errors.len(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_by_hand() {
+        let errors = [Vector3::new(3.0, -4.0, 0.0), Vector3::new(-1.0, 0.0, 2.0)];
+        let row = accuracy(&errors).expect("two errors");
+        assert_eq!(row.max, Vector3::new(3.0, 4.0, 2.0));
+        assert_eq!(row.mean, Vector3::new(2.0, 2.0, 1.0));
+        assert_eq!(row.bias, Vector3::new(1.0, -2.0, 1.0));
+        assert!((row.rms_3d - (15.0_f64).sqrt()).abs() < 1e-15);
+        assert!((row.max_3d - 5.0).abs() < 1e-15);
+        assert!(accuracy(&[]).is_none());
+    }
+}

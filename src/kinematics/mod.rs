@@ -1,0 +1,181 @@
+//! Forward kinematics and the analytic identification Jacobian of any open chain of revolute and prismatic joints.
+
+use nalgebra::{DMatrix, Matrix3, Matrix3xX, Rotation3, Vector3};
+
+use crate::geometry::Transform;
+use crate::model::{JointKind, KinematicModel, LinkTerm, ParameterId};
+
+/// `base_from_flange` at the joint variables `q` (rad or m, one a joint).
+pub fn forward_kinematics(model: &KinematicModel, q: &[f64]) -> Transform {
+    let mut base_from_link = Transform::identity();
+    for (link, &q) in model.links.iter().zip(q) {
+        base_from_link *= link.transform(q);
+    }
+    base_from_link * model.last_from_flange
+}
+
+/// `base_from_link` of every link at the joint variables `q`.
+pub fn link_frames(model: &KinematicModel, q: &[f64]) -> Vec<Transform> {
+    let mut base_from_link = Transform::identity();
+    model
+        .links
+        .iter()
+        .zip(q)
+        .map(|(link, &q)| {
+            base_from_link *= link.transform(q);
+            base_from_link
+        })
+        .collect()
+}
+
+/// Position in the base frame of a target at `in_flange`, m.
+pub fn target_in_base(model: &KinematicModel, q: &[f64], in_flange: &Vector3<f64>) -> Vector3<f64> {
+    let base_from_flange = forward_kinematics(model, q);
+    base_from_flange.rotation * in_flange + base_from_flange.translation.vector
+}
+
+/// What one link does to a point that it carries, per unit of each of its parameters: an axis in the base frame and, for angles,
+/// the point on it.
+#[derive(Debug, Clone, Copy)]
+struct LinkMotions {
+    /// x before the joint: a moves along it, alpha turns about it.
+    x: Vector3<f64>,
+    /// Origin of the previous link.
+    previous_origin: Vector3<f64>,
+    /// y behind alpha and a: beta turns about it.
+    y: Vector3<f64>,
+    /// z behind beta: d moves along it, theta turns about it.
+    z: Vector3<f64>,
+    /// Origin behind a: on the axes of beta and theta.
+    origin: Vector3<f64>,
+}
+
+/// The places and axes of a chain at one pose, from which every column of the Jacobian follows without another product.
+///
+/// It is made once and [`placed`](Self::place) at every pose, so that nothing is allocated in the loop over poses.
+#[derive(Debug, Clone)]
+pub struct PlacedChain {
+    motions: Vec<LinkMotions>,
+    base_from_flange: Transform,
+}
+
+impl PlacedChain {
+    /// Room for a chain of `joints` joints.
+    pub fn new(joints: usize) -> Self {
+        Self { motions: Vec::with_capacity(joints), base_from_flange: Transform::identity() }
+    }
+
+    /// Puts the chain at the joint variables `q`.
+    pub fn place(&mut self, model: &KinematicModel, q: &[f64]) {
+        self.motions.clear();
+        let mut rotation = Matrix3::identity();
+        let mut origin = Vector3::zeros();
+        for (link, &q) in model.links.iter().zip(q) {
+            let (theta, d) = match link.kind {
+                JointKind::Revolute => (link.theta + q, link.d),
+                JointKind::Prismatic => (link.theta, link.d + q),
+            };
+            let previous_origin = origin;
+            let x = rotation.column(0).into_owned();
+            // Rx(alpha): y and z turn about x.
+            let (sin, cos) = link.alpha.sin_cos();
+            let y = cos * rotation.column(1) + sin * rotation.column(2);
+            let z = cos * rotation.column(2) - sin * rotation.column(1);
+            origin += link.a * x;
+            // Ry(beta): z and x turn about y.
+            let (sin, cos) = link.beta.sin_cos();
+            let x_beta = cos * x - sin * z;
+            let z = cos * z + sin * x;
+            // Rz(theta), then d along z.
+            let (sin, cos) = theta.sin_cos();
+            rotation.set_column(0, &(cos * x_beta + sin * y));
+            rotation.set_column(1, &(cos * y - sin * x_beta));
+            rotation.set_column(2, &z);
+            self.motions.push(LinkMotions { x, previous_origin, y, z, origin });
+            origin += d * z;
+        }
+        let base_from_last = Transform::from_parts(origin.into(), Rotation3::from_matrix_unchecked(rotation));
+        self.base_from_flange = base_from_last * model.last_from_flange;
+    }
+
+    /// `base_from_flange`.
+    pub fn base_from_flange(&self) -> &Transform {
+        &self.base_from_flange
+    }
+
+    /// Position in the base frame of a target at `in_flange`, m.
+    pub fn target(&self, in_flange: &Vector3<f64>) -> Vector3<f64> {
+        self.base_from_flange.rotation * in_flange + self.base_from_flange.translation.vector
+    }
+
+    /// Change of the target's position in the base frame per unit of a link parameter, where `target` is [`Self::target`].
+    pub fn link_column(&self, link: usize, term: LinkTerm, target: &Vector3<f64>) -> Vector3<f64> {
+        let m = &self.motions[link];
+        match term {
+            LinkTerm::A => m.x,
+            LinkTerm::Alpha => m.x.cross(&(target - m.previous_origin)),
+            LinkTerm::Beta => m.y.cross(&(target - m.origin)),
+            LinkTerm::D => m.z,
+            LinkTerm::Theta => m.z.cross(&(target - m.origin)),
+        }
+    }
+
+    /// Change of the target's position in the base frame per unit of a joint variable.
+    pub fn joint_column(&self, kind: JointKind, link: usize, target: &Vector3<f64>) -> Vector3<f64> {
+        let term = match kind {
+            JointKind::Revolute => LinkTerm::Theta,
+            JointKind::Prismatic => LinkTerm::D,
+        };
+        self.link_column(link, term, target)
+    }
+
+    /// Change of the target's position as the tracker sees it, in base axes, per unit of any parameter.
+    ///
+    /// Frame parameters displace the base: `tracker_from_base · exp(xi)`.
+    pub fn column(&self, id: ParameterId, target: &Vector3<f64>) -> Vector3<f64> {
+        match id {
+            ParameterId::Link { link, term } => self.link_column(link, term, target),
+            ParameterId::Frame { component, .. } => {
+                let mut axis = Vector3::zeros();
+                axis[component % 3] = 1.0;
+                if component < 3 { axis } else { axis.cross(target) }
+            }
+            ParameterId::Target { axis, .. } => {
+                self.base_from_flange.rotation.matrix().column(axis).into_owned()
+            }
+        }
+    }
+}
+
+/// The 3 x n Jacobian of the target's position in the base frame (m) with respect to `parameters` (m or rad), at `q`.
+pub fn identification_jacobian(
+    model: &KinematicModel,
+    q: &[f64],
+    in_flange: &Vector3<f64>,
+    parameters: &[ParameterId],
+) -> Matrix3xX<f64> {
+    let mut chain = PlacedChain::new(model.joint_count());
+    chain.place(model, q);
+    let target = chain.target(in_flange);
+    let columns: Vec<_> = parameters.iter().map(|id| chain.column(*id, &target)).collect();
+    Matrix3xX::from_columns(&columns)
+}
+
+/// The Jacobians of many poses, stacked: 3 poses x n.
+pub fn stacked_jacobian(
+    model: &KinematicModel,
+    poses: &[Vec<f64>],
+    in_flange: &Vector3<f64>,
+    parameters: &[ParameterId],
+) -> DMatrix<f64> {
+    let mut chain = PlacedChain::new(model.joint_count());
+    let mut jacobian = DMatrix::zeros(3 * poses.len(), parameters.len());
+    for (row, q) in poses.iter().enumerate() {
+        chain.place(model, q);
+        let target = chain.target(in_flange);
+        for (column, id) in parameters.iter().enumerate() {
+            jacobian.fixed_view_mut::<3, 1>(3 * row, column).copy_from(&chain.column(*id, &target));
+        }
+    }
+    jacobian
+}

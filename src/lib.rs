@@ -1,0 +1,19 @@
+//! Calibration of large robots with a laser tracker, on a virtual testbed and on real measurements.
+pub mod cli;
+pub mod elastostatics;
+pub mod evaluation;
+pub mod experiment;
+pub mod geometry;
+pub mod identification;
+pub mod input;
+pub mod kinematics;
+pub mod measurement;
+pub mod model;
+pub mod pipeline;
+pub mod plant;
+pub mod random;
+pub mod recording;
+pub mod replay;
+pub mod report;
+pub mod scenario;
+pub mod tracker;

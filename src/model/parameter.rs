@@ -1,0 +1,182 @@
+//! The names of what can be identified.
+
+use std::fmt;
+
+/// One of the five parameters of a Craig/Hayati link.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum LinkTerm {
+    /// Link length a(i-1).
+    A,
+    /// Link twist alpha(i-1).
+    Alpha,
+    /// Hayati's beta.
+    Beta,
+    /// Link offset d.
+    D,
+    /// Joint angle theta.
+    Theta,
+}
+
+impl LinkTerm {
+    /// All five, in the order of the published table with beta last.
+    pub const ALL: [Self; 5] = [Self::A, Self::Alpha, Self::D, Self::Theta, Self::Beta];
+
+    /// Whether the parameter is a length (m) or an angle (rad).
+    pub fn unit(self) -> Unit {
+        match self {
+            Self::A | Self::D => Unit::Metre,
+            Self::Alpha | Self::Beta | Self::Theta => Unit::Radian,
+        }
+    }
+}
+
+/// The SI unit of a parameter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Unit {
+    /// m
+    Metre,
+    /// rad
+    Radian,
+}
+
+impl fmt::Display for Unit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Metre => "m",
+            Self::Radian => "rad",
+        })
+    }
+}
+
+/// A scalar that identification may change. Links, stations and targets count from zero here and from one in print.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum ParameterId {
+    /// Deviation of a link parameter from its nominal value.
+    Link {
+        /// Index of the link.
+        link: usize,
+        /// Which of its five parameters.
+        term: LinkTerm,
+    },
+    /// Displacement of the base in the tracker's frame: components 0..3 along, 3..6 about the base's x, y, z.
+    Frame {
+        /// Index of the tracker station.
+        station: usize,
+        /// 0..6
+        component: usize,
+    },
+    /// Deviation of the target's position in the flange frame from its measured or nominal value.
+    Target {
+        /// Index of the target.
+        target: usize,
+        /// 0..3 for x, y, z
+        axis: usize,
+    },
+}
+
+impl ParameterId {
+    /// A link parameter by zero-based link index.
+    pub const fn link(link: usize, term: LinkTerm) -> Self {
+        Self::Link { link, term }
+    }
+
+    /// The SI unit.
+    pub fn unit(self) -> Unit {
+        match self {
+            Self::Link { term, .. } => term.unit(),
+            Self::Frame { component, .. } if component >= 3 => Unit::Radian,
+            Self::Frame { .. } | Self::Target { .. } => Unit::Metre,
+        }
+    }
+
+    /// The five parameters of every link, in table order.
+    pub fn all_of_links(links: usize) -> Vec<Self> {
+        (0..links).flat_map(|link| LinkTerm::ALL.map(|term| Self::Link { link, term })).collect()
+    }
+
+    /// The six components of a station's frame.
+    pub fn all_of_frame(station: usize) -> Vec<Self> {
+        (0..6).map(|component| Self::Frame { station, component }).collect()
+    }
+
+    /// The three components of a target's offset.
+    pub fn all_of_target(target: usize) -> Vec<Self> {
+        (0..3).map(|axis| Self::Target { target, axis }).collect()
+    }
+
+    /// Reads the name that `Display` prints.
+    pub fn parse(name: &str) -> Option<Self> {
+        let number = |text: &str| text.parse::<usize>().ok().and_then(|n| n.checked_sub(1));
+        if let Some(rest) = name.strip_prefix("delta_") {
+            for (prefix, term) in [
+                ("alpha", LinkTerm::Alpha),
+                ("beta", LinkTerm::Beta),
+                ("theta", LinkTerm::Theta),
+                ("a", LinkTerm::A),
+                ("d", LinkTerm::D),
+            ] {
+                if let Some(index) = rest.strip_prefix(prefix) {
+                    return number(index).map(|link| Self::Link { link, term });
+                }
+            }
+            return None;
+        }
+        let (group, component) = name.split_once('_')?;
+        if let Some(index) = group.strip_prefix("frame") {
+            let station = if index.is_empty() { 0 } else { number(index)? };
+            let component = FRAME_NAMES.iter().position(|n| *n == component)?;
+            return Some(Self::Frame { station, component });
+        }
+        let index = group.strip_prefix("target")?;
+        let target = if index.is_empty() { 0 } else { number(index)? };
+        let axis = FRAME_NAMES[..3].iter().position(|n| *n == component)?;
+        Some(Self::Target { target, axis })
+    }
+}
+
+const FRAME_NAMES: [&str; 6] = ["x", "y", "z", "rx", "ry", "rz"];
+
+impl fmt::Display for ParameterId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let counted = |index: usize| if index == 0 { String::new() } else { (index + 1).to_string() };
+        let name = match *self {
+            Self::Link { link, term } => {
+                let term = match term {
+                    LinkTerm::A => "a",
+                    LinkTerm::Alpha => "alpha",
+                    LinkTerm::Beta => "beta",
+                    LinkTerm::D => "d",
+                    LinkTerm::Theta => "theta",
+                };
+                format!("delta_{term}{}", link + 1)
+            }
+            Self::Frame { station, component } => {
+                format!("frame{}_{}", counted(station), FRAME_NAMES[component])
+            }
+            Self::Target { target, axis } => {
+                format!("target{}_{}", counted(target), FRAME_NAMES[axis])
+            }
+        };
+        f.pad(&name)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_read_back() {
+        let mut all = ParameterId::all_of_links(12);
+        all.extend(ParameterId::all_of_frame(0));
+        all.extend(ParameterId::all_of_frame(2));
+        all.extend(ParameterId::all_of_target(0));
+        all.extend(ParameterId::all_of_target(1));
+        for id in all {
+            assert_eq!(ParameterId::parse(&id.to_string()), Some(id), "{id}");
+        }
+        for wrong in ["delta_a0", "delta_x1", "frame_q", "target_rx", "", "delta_", "beta4"] {
+            assert_eq!(ParameterId::parse(wrong), None, "{wrong}");
+        }
+    }
+}
