@@ -189,7 +189,7 @@ pub enum Warning {
     },
     /// The residuals are larger than the stated noise explains.
     #[error(
-        "the residuals are {ratio:.3g} times what the stated noise explains: the model lacks something, and the standard deviations do not include it"
+        "the residuals are {ratio:.1} times what the stated noise explains: the model lacks something, and the standard deviations do not include it"
     )]
     Inconsistent {
         /// Square root of chi-square per degree of freedom.

@@ -70,3 +70,26 @@ pub fn neighbour_axis_rules(model: &KinematicModel) -> (Vec<ParameterId>, Vec<De
     let _ = model;
     unimplemented!()
 }
+
+/// R.
+pub fn analyse_r(r: &DMatrix<f64>, parameters: &[ParameterId]) -> Spectrum {
+    analyse_columns(r, parameters)
+}
+
+/// Complete.
+pub fn complete_set(model: &KinematicModel, frame_free: bool, target_free: bool) -> IdentifiabilityReport {
+    let _ = (model, frame_free, target_free);
+    unimplemented!()
+}
+
+impl std::fmt::Display for DependentGroup {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}", self.redundant)
+    }
+}
+
+impl std::fmt::Display for WeakDirection {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}", self.singular_value)
+    }
+}

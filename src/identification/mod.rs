@@ -13,7 +13,7 @@ pub use estimate::{
     Warning,
 };
 pub use identifiability::{
-    DependentGroup, IdentifiabilityReport, Spectrum, WeakDirection, analyse_columns, neighbour_axis_rules,
+    DependentGroup, IdentifiabilityReport, Spectrum, WeakDirection, analyse_columns, analyse_r, complete_set, neighbour_axis_rules,
     select_independent,
 };
 pub use identify::{
