@@ -341,11 +341,7 @@ fn errors(model: &CalibrationModel, robot: &CalibratedRobot, set: &MeasurementSe
 }
 
 /// Simulates, identifies and evaluates a scenario.
-pub fn run(
-    scenario: &Scenario,
-    seed: u64,
-    progress: impl FnMut(u32, u32),
-) -> Result<Outcome, PipelineError> {
+pub fn run(scenario: &Scenario, seed: u64, progress: impl FnMut(u32, u32)) -> Result<Outcome, PipelineError> {
     let simulation = simulate(scenario, seed, 0, progress)?;
     let model = &scenario.robot.model;
     let (registration, modes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;

@@ -125,7 +125,12 @@ pub fn replay(path: &Path) -> Result<Replayed, ReplayError> {
     Ok(Replayed { outcome, compared, differences })
 }
 
-fn compare(mode: &'static str, recorded: &RecordedEstimate, replayed: &Estimate, differences: &mut Vec<Difference>) {
+fn compare(
+    mode: &'static str,
+    recorded: &RecordedEstimate,
+    replayed: &Estimate,
+    differences: &mut Vec<Difference>,
+) {
     let names: Vec<_> = replayed.parameters.iter().map(|p| p.id.to_string()).collect();
     if recorded.parameters.len() != names.len()
         || recorded.parameters.iter().zip(&names).any(|(recorded, name)| &recorded.name != name)
@@ -134,10 +139,7 @@ fn compare(mode: &'static str, recorded: &RecordedEstimate, replayed: &Estimate,
         return;
     }
     for (recorded, replayed) in recorded.parameters.iter().zip(&replayed.parameters) {
-        let pairs = [
-            (Some(recorded.value), Some(replayed.value)),
-            (recorded.sigma, replayed.sigma),
-        ];
+        let pairs = [(Some(recorded.value), Some(replayed.value)), (recorded.sigma, replayed.sigma)];
         for (a, b) in pairs {
             if a.map(f64::to_bits) != b.map(f64::to_bits) {
                 differences.push(Difference::Parameter {

@@ -78,7 +78,8 @@ fn outcome(args: &Args) -> Result<Outcome, CliError> {
     };
     let mut sources = robot.sources.clone();
     let mut sets = Vec::new();
-    for (kind, path) in [(SetKind::Identification, Some(&args.measurements)), (SetKind::Verification, args.verify.as_ref())]
+    for (kind, path) in
+        [(SetKind::Identification, Some(&args.measurements)), (SetKind::Verification, args.verify.as_ref())]
     {
         let Some(path) = path else { continue };
         let file = read_measurements(path, &columns, &robot)?;

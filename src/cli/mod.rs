@@ -68,10 +68,7 @@ enum CliError {
     #[error(transparent)]
     Report(#[from] ReportError),
     #[error("{what}: {source}")]
-    Output {
-        what: String,
-        source: io::Error,
-    },
+    Output { what: String, source: io::Error },
 }
 
 /// Parses the arguments, runs the command and turns its end into an exit code.
@@ -88,7 +85,9 @@ pub fn main() -> ExitCode {
         Ok(Verdict::Done) => ExitCode::SUCCESS,
         Ok(Verdict::Doubtful) => ExitCode::from(3),
         // The reader of a pipe went away: nobody is left to tell.
-        Err(CliError::Output { source, .. }) if source.kind() == io::ErrorKind::BrokenPipe => ExitCode::SUCCESS,
+        Err(CliError::Output { source, .. }) if source.kind() == io::ErrorKind::BrokenPipe => {
+            ExitCode::SUCCESS
+        }
         Err(error) => {
             complain(&error);
             ExitCode::FAILURE
@@ -98,7 +97,8 @@ pub fn main() -> ExitCode {
 
 /// Prints an error to stderr, with the place in the file where there is one.
 fn complain(error: &CliError) {
-    let theme = if colours(&io::stderr()) { GraphicalTheme::unicode() } else { GraphicalTheme::unicode_nocolor() };
+    let theme =
+        if colours(&io::stderr()) { GraphicalTheme::unicode() } else { GraphicalTheme::unicode_nocolor() };
     let mut text = String::new();
     let handler = GraphicalReportHandler::new_themed(theme).with_width(110).with_context_lines(2);
     if handler.render_report(&mut text, error).is_err() {

@@ -18,8 +18,10 @@ pub(super) fn folder(asked: Option<&Path>, name: &str) -> Result<PathBuf, CliErr
     }
     let runs = Path::new("runs");
     std::fs::create_dir_all(runs).map_err(failed(runs))?;
-    let safe: String =
-        name.chars().map(|c| if c.is_ascii_alphanumeric() || c == '-' || c == '_' { c } else { '_' }).collect();
+    let safe: String = name
+        .chars()
+        .map(|c| if c.is_ascii_alphanumeric() || c == '-' || c == '_' { c } else { '_' })
+        .collect();
     for number in 1_u32.. {
         let path = runs.join(if number == 1 { safe.clone() } else { format!("{safe}-{number}") });
         match std::fs::create_dir(&path) {
@@ -53,7 +55,9 @@ pub(super) fn write(outcome: &Outcome, folder: &Path, files: Files) -> Result<()
             names.push("recording.rrd");
         }
         #[cfg(not(feature = "rerun"))]
-        say("recording.rrd is not written: this build has no Rerun (build with `--features rerun`); recording.mcap opens in Rerun and Foxglove");
+        say(
+            "recording.rrd is not written: this build has no Rerun (build with `--features rerun`); recording.mcap opens in Rerun and Foxglove",
+        );
     }
     say(&format!("wrote {} to {}", names.join(", "), folder.display()));
     Ok(())

@@ -28,7 +28,10 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     }
     if replayed.differences.is_empty() {
         if !args.json {
-            print(&format!("Replay: {} recorded estimates, all identical bit for bit.\n", replayed.compared))?;
+            print(&format!(
+                "Replay: {} recorded estimates, all identical bit for bit.\n",
+                replayed.compared
+            ))?;
         }
         Ok(output::verdict(&replayed.outcome))
     } else {
@@ -38,11 +41,15 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
 
 fn describe(difference: &Difference) -> String {
     match difference {
-        Difference::Missing { mode } => format!("replay differs: the recording holds no estimate of mode {mode}"),
+        Difference::Missing { mode } => {
+            format!("replay differs: the recording holds no estimate of mode {mode}")
+        }
         Difference::Parameter { mode, name, recorded, replayed } => {
             format!("replay differs: {mode}, {name}: recorded {recorded:e}, replayed {replayed:e}")
         }
-        Difference::Set { mode } => format!("replay differs: {mode} has other parameters than the recorded estimate"),
+        Difference::Set { mode } => {
+            format!("replay differs: {mode} has other parameters than the recorded estimate")
+        }
         Difference::ChiSquare { mode, recorded, replayed } => {
             format!("replay differs: {mode}, chi-square: recorded {recorded:e}, replayed {replayed:e}")
         }

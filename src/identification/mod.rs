@@ -13,8 +13,8 @@ pub use estimate::{
     Warning,
 };
 pub use identifiability::{
-    DependentGroup, IdentifiabilityReport, Spectrum, WeakDirection, analyse_columns, analyse_r, complete_set, neighbour_axis_rules,
-    select_independent,
+    DependentGroup, IdentifiabilityReport, Spectrum, WeakDirection, analyse_columns, analyse_r, complete_set,
+    neighbour_axis_rules, select_independent,
 };
 pub use identify::{
     FrameChoice, IdentificationOptions, IdentifyError, ParameterChoice, TargetChoice, identify,

@@ -283,7 +283,12 @@ fn joint_index(source: &Source, name: &Spanned<String>, model: &KinematicModel) 
     })
 }
 
-fn refuse_twice(source: &Source, seen: &mut [bool], index: usize, name: &Spanned<String>) -> Result<(), InputError> {
+fn refuse_twice(
+    source: &Source,
+    seen: &mut [bool],
+    index: usize,
+    name: &Spanned<String>,
+) -> Result<(), InputError> {
     if std::mem::replace(&mut seen[index], true) {
         return Err(source.error(
             name.span(),
@@ -302,11 +307,12 @@ fn as_built(source: &Source, file: &ScenarioFile, robot: &Robot) -> Result<AsBui
             Some(format!("a simulation needs {where_}")),
         )
     };
-    let mut statics = robot
-        .model
-        .statics
-        .clone()
-        .ok_or_else(|| missing("masses, drive stiffnesses and gravity", "a URDF with inertials, stiffness_* of every joint and [gravity]"))?;
+    let mut statics = robot.model.statics.clone().ok_or_else(|| {
+        missing(
+            "masses, drive stiffnesses and gravity",
+            "a URDF with inertials, stiffness_* of every joint and [gravity]",
+        )
+    })?;
     let target = robot.target.ok_or_else(|| missing("target offset", "[target] in the robot's file"))?;
     let mut kinematics = robot.model.kinematics.clone();
     let mut seen = vec![false; kinematics.joint_count()];
@@ -342,8 +348,7 @@ fn as_built(source: &Source, file: &ScenarioFile, robot: &Robot) -> Result<AsBui
 
 fn region(source: &Source, poses: &PosesFile, model: &KinematicModel) -> Result<WorkingRegion, InputError> {
     let mut seen = vec![false; model.joint_count()];
-    let mut region =
-        WorkingRegion { centre: vec![0.0; seen.len()], half_width: vec![0.0; seen.len()] };
+    let mut region = WorkingRegion { centre: vec![0.0; seen.len()], half_width: vec![0.0; seen.len()] };
     for entry in poses.region.get_ref() {
         let file = entry.get_ref();
         let index = joint_index(source, &file.joint, model)?;
@@ -360,8 +365,14 @@ fn region(source: &Source, poses: &PosesFile, model: &KinematicModel) -> Result<
         let (Some(centre), Some(half_width), None, None) = (own.0, own.1, foreign.0, foreign.1) else {
             return Err(source.error(
                 entry.span(),
-                format!("joint \"{}\" needs centre_{unit} and half_width_{unit}, and no other unit", link.name),
-                Some(format!("the unit is part of the key; a {:?} joint is given in {unit}", link.kind).to_lowercase()),
+                format!(
+                    "joint \"{}\" needs centre_{unit} and half_width_{unit}, and no other unit",
+                    link.name
+                ),
+                Some(
+                    format!("the unit is part of the key; a {:?} joint is given in {unit}", link.kind)
+                        .to_lowercase(),
+                ),
             ));
         };
         let (low, high) = {
@@ -374,8 +385,17 @@ fn region(source: &Source, poses: &PosesFile, model: &KinematicModel) -> Result<
         if low < link.limits[0] || high > link.limits[1] {
             return Err(source.error(
                 entry.span(),
-                format!("joint \"{}\" is asked to move from {} to {} {unit}", link.name, low / scale, high / scale),
-                Some(format!("its limits are {} to {} {unit}", link.limits[0] / scale, link.limits[1] / scale)),
+                format!(
+                    "joint \"{}\" is asked to move from {} to {} {unit}",
+                    link.name,
+                    low / scale,
+                    high / scale
+                ),
+                Some(format!(
+                    "its limits are {} to {} {unit}",
+                    link.limits[0] / scale,
+                    link.limits[1] / scale
+                )),
             ));
         }
     }
@@ -402,7 +422,8 @@ fn tracker(source: &Source, file: &TrackerFile, as_built: &AsBuilt) -> Result<La
     let instrument = Instrument {
         transverse: ErrorLine {
             offset: 1e-6 * source.positive("tracker.transverse_um", &file.transverse_um)?,
-            per_metre: 1e-6 * source.not_negative("tracker.transverse_um_per_m", &file.transverse_um_per_m)?,
+            per_metre: 1e-6
+                * source.not_negative("tracker.transverse_um_per_m", &file.transverse_um_per_m)?,
         },
         range: ErrorLine {
             offset: 1e-6 * source.positive("tracker.range_um", &file.range_um)?,
@@ -436,7 +457,11 @@ fn nests(source: &Source, file: &TrackerFile) -> Result<Vec<(String, Vector3<f64
     Ok(nests)
 }
 
-fn options(source: &Source, file: &IdentificationFile, robot: &Robot) -> Result<IdentificationOptions, InputError> {
+fn options(
+    source: &Source,
+    file: &IdentificationFile,
+    robot: &Robot,
+) -> Result<IdentificationOptions, InputError> {
     let mut options = IdentificationOptions::default();
     match &file.parameters {
         None => {}
@@ -455,13 +480,15 @@ fn options(source: &Source, file: &IdentificationFile, robot: &Robot) -> Result<
         }
         Some(ParametersFile::Listed(names)) => {
             let links = robot.model.kinematics.joint_count();
-            let read = |name: &Spanned<String>| match ParameterId::parse(name.get_ref()) {
+            let read = |name: &Spanned<String>| {
+                match ParameterId::parse(name.get_ref()) {
                 Some(id @ ParameterId::Link { link, .. }) if link < links => Ok(id),
                 _ => Err(source.error(
                     name.span(),
                     format!("\"{}\" is not a link parameter of this robot", name.get_ref()),
                     Some(format!("expected delta_a, delta_alpha, delta_beta, delta_d or delta_theta with a joint number from 1 to {links}")),
                 )),
+            }
             };
             options.parameters = ParameterChoice::Listed(names.iter().map(read).collect::<Result<_, _>>()?);
         }

@@ -82,8 +82,7 @@ impl LaserTracker {
         in_base: &Vector3<f64>,
         rng: &mut impl Rng,
     ) -> Result<SphericalReading, TrackerError> {
-        let point =
-            self.tracker_from_base.rotation * in_base + self.tracker_from_base.translation.vector;
+        let point = self.tracker_from_base.rotation * in_base + self.tracker_from_base.translation.vector;
         let range = point.norm();
         if !(WORKING_RANGE[0]..=WORKING_RANGE[1]).contains(&range) {
             return Err(TrackerError::Range { range });
@@ -128,8 +127,7 @@ mod tests {
         let point = Vector3::new(-0.5, 1.7, 1.0);
         let mut rng = stream(3, 0, Source::IdentificationNoise);
         let n = 4000;
-        let truth = tracker.tracker_from_base.rotation * point
-            + tracker.tracker_from_base.translation.vector;
+        let truth = tracker.tracker_from_base.rotation * point + tracker.tracker_from_base.translation.vector;
         let mut chi2 = 0.0;
         for _ in 0..n {
             let reading = tracker.measure(&point, &mut rng).expect("4 m");
