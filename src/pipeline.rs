@@ -310,7 +310,12 @@ pub fn calibrate(
         .map_err(|source| PipelineError::Identify { mode: Mode::WithoutCalibration, source })?;
     let rms = accuracy(&errors(model, &registered, fitted)).map_or(0.0, |row| row.rms_3d);
     let registration = RegistrationSummary {
-        how: "best fit of the nominal robot to the identification set".to_owned(),
+        how: if fitted.targets.iter().any(|t| t.covariance.is_none()) {
+            "best fit of the nominal robot to the identification set, tracker frame and target offset free"
+        } else {
+            "best fit of the nominal robot to the identification set, tracker frame free"
+        }
+        .to_owned(),
         poses: fitted.observations.len(),
         rms,
     };

@@ -172,11 +172,24 @@ pub fn identify(
     Ok(summarise(problem, solution, rows, stated, options.mode))
 }
 
-/// The nominal robot, laid over the measurements by the rigid transform that fits best (one a station, equal weights).
+/// The nominal robot, laid over the measurements.
+///
+/// Where the target's offset was measured, by the rigid transform that fits best (one a station, equal weights); where it is unknown,
+/// the offset is fitted together with the tracker's place.
 pub fn without_calibration(
     model: &CalibrationModel,
     set: &MeasurementSet,
 ) -> Result<CalibratedRobot, IdentifyError> {
+    if set.targets.iter().any(|target| target.covariance.is_none()) {
+        let options = IdentificationOptions {
+            mode: Mode::WithoutCalibration,
+            parameters: ParameterChoice::Listed(Vec::new()),
+            frame: FrameChoice::Free,
+            target: TargetChoice::Identified,
+            ..IdentificationOptions::default()
+        };
+        return Ok(identify(model, set, &options)?.robot);
+    }
     check(model, set)?;
     Ok(CalibratedRobot {
         mode: Mode::WithoutCalibration,
@@ -235,7 +248,7 @@ fn build(
     set: &MeasurementSet,
     options: &IdentificationOptions,
 ) -> Result<CalibrationProblem, IdentifyError> {
-    let mut parameters = link_parameters(model, set, options)?;
+    let mut parameters = link_parameters(model, options)?;
     let mut priors = Vec::new();
     let stations = match options.frame {
         FrameChoice::Free => {
@@ -298,7 +311,6 @@ fn build(
 
 fn link_parameters(
     model: &CalibrationModel,
-    set: &MeasurementSet,
     options: &IdentificationOptions,
 ) -> Result<Vec<ParameterId>, IdentifyError> {
     let joints = model.kinematics.joint_count();
@@ -326,7 +338,6 @@ fn link_parameters(
     };
     chosen.sort_by_key(order);
     chosen.dedup();
-    let _ = set;
     Ok(chosen)
 }
 
