@@ -132,7 +132,9 @@ pub enum IdentifyError {
         what: String,
     },
     /// A mode that needs what the model does not have.
-    #[error("calibration considering gravity needs masses and drive stiffnesses, and the robot's files give none")]
+    #[error(
+        "calibration considering gravity needs masses and drive stiffnesses, and the robot's files give none"
+    )]
     NoStatics,
     /// A listed parameter that the robot does not have.
     #[error("{name} is not a parameter of this robot's links")]
@@ -250,8 +252,7 @@ fn build(
                     source,
                 })?;
                 if options.frame == FrameChoice::Nests {
-                    let covariance =
-                        DMatrix::from_iterator(6, 6, registration.covariance.iter().copied());
+                    let covariance = DMatrix::from_iterator(6, 6, registration.covariance.iter().copied());
                     priors.push(prior(&format!("station {}", station.name), parameters.len(), covariance)?);
                     parameters.extend(ParameterId::all_of_frame(index));
                 }
@@ -435,10 +436,12 @@ fn warnings(
             groups: spectrum.dependent.iter().map(ToString::to_string).collect(),
         });
     }
-    warnings.extend(spectrum.weak.iter().map(|weak| Warning::Weak {
-        singular_value: weak.singular_value,
-        direction: weak.to_string(),
-    }));
+    warnings.extend(
+        spectrum
+            .weak
+            .iter()
+            .map(|weak| Warning::Weak { singular_value: weak.singular_value, direction: weak.to_string() }),
+    );
     let per_dof = solution.cost / degrees_of_freedom.max(1) as f64;
     // 99.9 % point of chi-square per degree of freedom, by Wilson and Hilferty (1931).
     let spread = 2.0 / (9.0 * degrees_of_freedom.max(1) as f64);
