@@ -5,9 +5,9 @@ use std::path::Path;
 use thiserror::Error;
 
 use crate::identification::Estimate;
-use crate::input::{InputError, Source};
+use crate::input::InputError;
 use crate::model::parse_robot;
-use crate::pipeline::{InputSummary, Outcome, PipelineError, SetOutcome, calibrate};
+use crate::pipeline::{InputSummary, Outcome, PipelineError, calibrate};
 use crate::recording::{RecordedEstimate, RecordingError, read_recording};
 use crate::scenario::parse_scenario;
 
@@ -86,11 +86,7 @@ pub fn replay(path: &Path) -> Result<Replayed, ReplayError> {
     let required = |role: &'static str| attachment(role).ok_or(ReplayError::Missing { role });
     let robot = parse_robot(required("robot")?, attachment("urdf"), attachment("columns"))?;
     let scenario = parse_scenario(required("scenario")?, robot)?;
-    let sets: Vec<_> = recording
-        .sets
-        .into_iter()
-        .map(|(kind, measurements, dropped)| SetOutcome { kind, measurements, dropped })
-        .collect();
+    let sets = recording.sets;
     let model = scenario.robot.model;
     let (registration, modes) = calibrate(&model, &sets, &scenario.modes, &scenario.options)?;
     let mut differences = Vec::new();
@@ -98,8 +94,8 @@ pub fn replay(path: &Path) -> Result<Replayed, ReplayError> {
     for outcome in &modes {
         let Some(estimate) = &outcome.estimate else { continue };
         let mode = outcome.mode.key();
-        match recording.estimates.iter().find(|(key, _)| key == mode) {
-            Some((_, recorded)) => {
+        match recording.estimates.iter().find(|recorded| recorded.mode == mode) {
+            Some(recorded) => {
                 compared += 1;
                 compare(mode, recorded, estimate, &mut differences);
             }
@@ -110,7 +106,7 @@ pub fn replay(path: &Path) -> Result<Replayed, ReplayError> {
         input: InputSummary {
             kind: "recording",
             name: scenario.name,
-            sha256: recording.provenance.sha256,
+            sha256: recording.provenance.input_sha256,
             seed: recording.provenance.seed,
         },
         sources: recording.sources,
@@ -151,7 +147,8 @@ fn compare(
             }
         }
     }
-    if recorded.chi2.to_bits() != replayed.chi2.to_bits() {
-        differences.push(Difference::ChiSquare { mode, recorded: recorded.chi2, replayed: replayed.chi2 });
+    if recorded.chi2.map(f64::to_bits) != Some(replayed.chi2.to_bits()) {
+        let recorded = recorded.chi2.unwrap_or(f64::NAN);
+        differences.push(Difference::ChiSquare { mode, recorded, replayed: replayed.chi2 });
     }
 }

@@ -7,8 +7,9 @@ use clap::ValueEnum;
 use super::output::{self, Files};
 use super::{CliError, Verdict};
 use crate::identification::{FrameChoice, IdentificationOptions, Mode, ParameterChoice, TargetChoice};
-use crate::measurement::{ColumnMap, load_column_map, read_measurements};
-use crate::model::load_robot;
+use crate::input::Source;
+use crate::measurement::{ColumnMap, load_column_map, parse_column_map, parse_measurements};
+use crate::model::{JointKind, load_robot};
 use crate::pipeline::{InputSummary, Outcome, SetKind, SetOutcome, calibrate, hash_sources};
 
 /// Calibrate a robot from measured positions in a file, and verify on another file
@@ -74,16 +75,21 @@ fn outcome(args: &Args) -> Result<Outcome, CliError> {
             robot.sources.push(("columns".to_owned(), source));
             map
         }
-        None => robot.columns.take().unwrap_or_else(ColumnMap::default),
+        None => match robot.sources.iter().find(|(role, _)| role == "columns") {
+            Some((_, source)) => parse_column_map(source)?,
+            None => ColumnMap::default(),
+        },
     };
+    let joints: Vec<JointKind> = robot.model.kinematics.links.iter().map(|link| link.kind).collect();
     let mut sources = robot.sources.clone();
     let mut sets = Vec::new();
     for (kind, path) in
         [(SetKind::Identification, Some(&args.measurements)), (SetKind::Verification, args.verify.as_ref())]
     {
         let Some(path) = path else { continue };
-        let file = read_measurements(path, &columns, &robot)?;
-        sources.push((kind.key().to_owned(), file.source));
+        let source = Source::read(path)?;
+        let file = parse_measurements(&source, &columns, &joints)?;
+        sources.push((kind.key().to_owned(), source));
         sets.push(SetOutcome { kind, measurements: file.set, dropped: file.dropped });
     }
     let mut modes = vec![Mode::WithoutCalibration, Mode::OnlyCalibration];

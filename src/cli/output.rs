@@ -66,9 +66,9 @@ pub(super) fn write(outcome: &Outcome, folder: &Path, files: Files) -> Result<()
 /// Prints the tables, or the JSON document.
 pub(super) fn show(outcome: &Outcome, json: bool) -> Result<(), CliError> {
     let text = if json {
-        report::json(outcome)?
+        report::json_text(outcome)?
     } else {
-        report::tables(outcome, report::Style { colours: colours(&std::io::stdout()) })
+        report::render_tables(outcome, if colours(&std::io::stdout()) { report::Style::Colour } else { report::Style::Plain })
     };
     print(&text)
 }

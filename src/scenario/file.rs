@@ -119,7 +119,7 @@ struct NestFile {
 #[serde(deny_unknown_fields)]
 struct IdentificationFile {
     modes: Option<Vec<ModeFile>>,
-    parameters: Option<ParametersFile>,
+    parameters: Option<Spanned<toml::Value>>,
     frame: Option<FrameFile>,
     target: Option<TargetFile>,
     unmodelled_sigma_um: Option<Spanned<f64>>,
@@ -142,13 +142,6 @@ impl From<ModeFile> for Mode {
             ModeFile::WithGravity => Self::WithGravity,
         }
     }
-}
-
-#[derive(Deserialize)]
-#[serde(untagged)]
-enum ParametersFile {
-    Named(Spanned<String>),
-    Listed(Vec<Spanned<String>>),
 }
 
 #[derive(Deserialize, Clone, Copy)]
@@ -463,35 +456,8 @@ fn options(
     robot: &Robot,
 ) -> Result<IdentificationOptions, InputError> {
     let mut options = IdentificationOptions::default();
-    match &file.parameters {
-        None => {}
-        Some(ParametersFile::Named(name)) => {
-            options.parameters = match name.get_ref().as_str() {
-                "neighbour_axis_rules" => ParameterChoice::NeighbourAxisRules,
-                "complete" => ParameterChoice::Complete,
-                other => {
-                    return Err(source.error(
-                        name.span(),
-                        format!("identification.parameters is \"{other}\""),
-                        Some("expected \"neighbour_axis_rules\", \"complete\" or a list such as [\"delta_a2\", \"delta_theta4\"]".to_owned()),
-                    ));
-                }
-            };
-        }
-        Some(ParametersFile::Listed(names)) => {
-            let links = robot.model.kinematics.joint_count();
-            let read = |name: &Spanned<String>| {
-                match ParameterId::parse(name.get_ref()) {
-                Some(id @ ParameterId::Link { link, .. }) if link < links => Ok(id),
-                _ => Err(source.error(
-                    name.span(),
-                    format!("\"{}\" is not a link parameter of this robot", name.get_ref()),
-                    Some(format!("expected delta_a, delta_alpha, delta_beta, delta_d or delta_theta with a joint number from 1 to {links}")),
-                )),
-            }
-            };
-            options.parameters = ParameterChoice::Listed(names.iter().map(read).collect::<Result<_, _>>()?);
-        }
+    if let Some(parameters) = &file.parameters {
+        options.parameters = parameter_choice(source, parameters, robot.model.kinematics.joint_count())?;
     }
     if let Some(frame) = file.frame {
         options.frame = match frame {
@@ -514,4 +480,34 @@ fn options(
         options.solver = SolverOptions { max_iterations, ..options.solver };
     }
     Ok(options)
+}
+
+fn parameter_choice(
+    source: &Source,
+    value: &Spanned<toml::Value>,
+    links: usize,
+) -> Result<ParameterChoice, InputError> {
+    let refused = |what: String| {
+        source.error(
+            value.span(),
+            format!("identification.parameters: {what}"),
+            Some(format!(
+                "expected \"neighbour_axis_rules\", \"complete\", or a list of delta_a, delta_alpha, delta_beta, delta_d, \
+                 delta_theta with a joint number from 1 to {links}, such as [\"delta_a2\", \"delta_theta4\"]"
+            )),
+        )
+    };
+    let listed = |name: &toml::Value| {
+        let known = name.as_str().and_then(ParameterId::parse);
+        match known {
+            Some(id @ ParameterId::Link { link, .. }) if link < links => Ok(id),
+            _ => Err(refused(format!("{name} is not a link parameter of this robot"))),
+        }
+    };
+    match value.get_ref() {
+        toml::Value::String(name) if name == "neighbour_axis_rules" => Ok(ParameterChoice::NeighbourAxisRules),
+        toml::Value::String(name) if name == "complete" => Ok(ParameterChoice::Complete),
+        toml::Value::Array(names) => Ok(ParameterChoice::Listed(names.iter().map(listed).collect::<Result<_, _>>()?)),
+        other => Err(refused(format!("{other} is no choice"))),
+    }
 }
