@@ -35,7 +35,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("kinematics", &["geometry", "model"]),
     ("main", &["cli"]),
     ("measurement", &["geometry", "input", "model"]),
-    ("model", &["geometry", "input", "measurement"]),
+    ("model", &["geometry", "input"]),
     (
         "pipeline",
         &[
@@ -55,10 +55,20 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("random", &[]),
     (
         "recording",
-        &["geometry", "identification", "input", "kinematics", "measurement", "model", "pipeline", "plant"],
+        &[
+            "evaluation",
+            "geometry",
+            "identification",
+            "input",
+            "kinematics",
+            "measurement",
+            "model",
+            "pipeline",
+            "plant",
+        ],
     ),
     ("replay", &["identification", "input", "model", "pipeline", "recording", "scenario"]),
-    ("report", &["evaluation", "identification", "model", "pipeline"]),
+    ("report", &["evaluation", "geometry", "identification", "model", "pipeline"]),
     ("scenario", &["experiment", "identification", "input", "model", "pipeline", "plant", "tracker"]),
     ("tracker", &["geometry", "measurement"]),
 ];
