@@ -1,1 +1,45 @@
-fn main() {}
+//! `identify` on 100 poses with 24 + 6 parameters, beside five QR factorisations of that size.
+//!
+//! `cargo bench --bench identify`
+
+#![allow(clippy::expect_used, missing_docs)]
+
+use std::hint::black_box;
+use std::path::Path;
+
+use calibrig::identification::{FrameChoice, Mode, TargetChoice, identify};
+use calibrig::pipeline::simulate;
+use calibrig::scenario::load_scenario;
+use criterion::{Criterion, criterion_group, criterion_main};
+use nalgebra::DMatrix;
+
+fn benches(c: &mut Criterion) {
+    let mut scenario = load_scenario(Path::new("scenarios/paper.toml")).expect("the shipped scenario");
+    scenario.identification_poses = 100;
+    scenario.verification_poses = 0;
+    let simulation = simulate(&scenario, scenario.seed, 0, |_, _| {}).expect("a simulation");
+    let set = &simulation.sets[0].measurements;
+    let mut options = scenario.options.clone();
+    options.frame = FrameChoice::Nests;
+    options.target = TargetChoice::Fixed;
+
+    let mut group = c.benchmark_group("100 poses, 24 + 6 parameters");
+    for mode in [Mode::OnlyCalibration, Mode::WithGravity] {
+        options.mode = mode;
+        group.bench_function(mode.key(), |b| {
+            b.iter(|| identify(black_box(&scenario.robot.model), black_box(set), &options).expect("an estimate"));
+        });
+    }
+    let system = DMatrix::from_fn(306, 30, |i, j| ((i * 31 + j * 17) as f64).sin());
+    group.bench_function("5 QR of 306 x 30 (nalgebra)", |b| {
+        b.iter(|| {
+            for _ in 0..5 {
+                black_box(black_box(&system).clone().qr());
+            }
+        });
+    });
+    group.finish();
+}
+
+criterion_group!(all, benches);
+criterion_main!(all);

@@ -132,7 +132,9 @@ pub enum IdentifyError {
         what: String,
     },
     /// A mode that needs what the model does not have.
-    #[error("calibration considering gravity needs masses and drive stiffnesses, and the robot's files give none")]
+    #[error(
+        "calibration considering gravity needs masses and drive stiffnesses, and the robot's files give none"
+    )]
     NoStatics,
     /// A listed parameter that the robot does not have.
     #[error("{name} is not a parameter of this robot's links")]
@@ -170,11 +172,24 @@ pub fn identify(
     Ok(summarise(problem, solution, rows, stated, options.mode))
 }
 
-/// The nominal robot, laid over the measurements by the rigid transform that fits best (one a station, equal weights).
+/// The nominal robot, laid over the measurements.
+///
+/// Where the target's offset was measured, by the rigid transform that fits best (one a station, equal weights); where it is unknown,
+/// the offset is fitted together with the tracker's place.
 pub fn without_calibration(
     model: &CalibrationModel,
     set: &MeasurementSet,
 ) -> Result<CalibratedRobot, IdentifyError> {
+    if set.targets.iter().any(|target| target.covariance.is_none()) {
+        let options = IdentificationOptions {
+            mode: Mode::WithoutCalibration,
+            parameters: ParameterChoice::Listed(Vec::new()),
+            frame: FrameChoice::Free,
+            target: TargetChoice::Identified,
+            ..IdentificationOptions::default()
+        };
+        return Ok(identify(model, set, &options)?.robot);
+    }
     check(model, set)?;
     Ok(CalibratedRobot {
         mode: Mode::WithoutCalibration,
@@ -233,7 +248,7 @@ fn build(
     set: &MeasurementSet,
     options: &IdentificationOptions,
 ) -> Result<CalibrationProblem, IdentifyError> {
-    let mut parameters = link_parameters(model, set, options)?;
+    let mut parameters = link_parameters(model, options)?;
     let mut priors = Vec::new();
     let stations = match options.frame {
         FrameChoice::Free => {
@@ -250,8 +265,7 @@ fn build(
                     source,
                 })?;
                 if options.frame == FrameChoice::Nests {
-                    let covariance =
-                        DMatrix::from_iterator(6, 6, registration.covariance.iter().copied());
+                    let covariance = DMatrix::from_iterator(6, 6, registration.covariance.iter().copied());
                     priors.push(prior(&format!("station {}", station.name), parameters.len(), covariance)?);
                     parameters.extend(ParameterId::all_of_frame(index));
                 }
@@ -297,7 +311,6 @@ fn build(
 
 fn link_parameters(
     model: &CalibrationModel,
-    set: &MeasurementSet,
     options: &IdentificationOptions,
 ) -> Result<Vec<ParameterId>, IdentifyError> {
     let joints = model.kinematics.joint_count();
@@ -325,7 +338,6 @@ fn link_parameters(
     };
     chosen.sort_by_key(order);
     chosen.dedup();
-    let _ = set;
     Ok(chosen)
 }
 
@@ -435,10 +447,12 @@ fn warnings(
             groups: spectrum.dependent.iter().map(ToString::to_string).collect(),
         });
     }
-    warnings.extend(spectrum.weak.iter().map(|weak| Warning::Weak {
-        singular_value: weak.singular_value,
-        direction: weak.to_string(),
-    }));
+    warnings.extend(
+        spectrum
+            .weak
+            .iter()
+            .map(|weak| Warning::Weak { singular_value: weak.singular_value, direction: weak.to_string() }),
+    );
     let per_dof = solution.cost / degrees_of_freedom.max(1) as f64;
     // 99.9 % point of chi-square per degree of freedom, by Wilson and Hilferty (1931).
     let spread = 2.0 / (9.0 * degrees_of_freedom.max(1) as f64);

@@ -13,8 +13,9 @@ pub use estimate::{
     Warning,
 };
 pub use identifiability::{
-    DependentGroup, IdentifiabilityReport, Spectrum, WeakDirection, analyse_columns, analyse_r, complete_set, neighbour_axis_rules,
-    select_independent,
+    DependentGroup, Explanation, Finding, IdentifiabilityReport, RANK_TOLERANCE, Remedy, Spectrum,
+    WEAK_TOLERANCE, WeakDirection, analyse_columns, analyse_r, complete_set, explain, identifiability,
+    neighbour_axis_rules, select_independent, structural_poses,
 };
 pub use identify::{
     FrameChoice, IdentificationOptions, IdentifyError, ParameterChoice, TargetChoice, identify,

@@ -174,3 +174,92 @@ fn left_jacobian(r: &Vector3<f64>) -> Matrix3<f64> {
     };
     Matrix3::identity() + a * cross + b * cross * cross
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{rotation_x, rotation_y, translation};
+    use crate::model::{CraigLink, JointKind};
+
+    fn problem() -> CalibrationProblem {
+        let link = |kind, a, alpha, d| CraigLink {
+            name: String::new(),
+            kind,
+            a,
+            alpha,
+            beta: 0.0,
+            d,
+            theta: 0.0,
+            limits: [-3.0, 3.0],
+        };
+        let nominal = KinematicModel {
+            links: vec![
+                link(JointKind::Prismatic, 0.0, 0.0, 0.0),
+                link(JointKind::Revolute, 0.3, -1.57, 0.6),
+                link(JointKind::Revolute, 1.3, 0.0, 0.1),
+            ],
+            last_from_flange: Transform::identity(),
+        };
+        let mut parameters = ParameterId::all_of_links(3);
+        parameters.extend(ParameterId::all_of_frame(0));
+        parameters.extend(ParameterId::all_of_frame(1));
+        parameters.extend(ParameterId::all_of_target(0));
+        let stations =
+            vec![translation(1.0, 2.0, 3.0) * rotation_x(0.3), translation(-2.0, 0.0, 1.0) * rotation_y(2.0)];
+        let targets = vec![Vector3::new(0.1, 0.2, 0.3)];
+        let row = |station, seen: Vector3<f64>| Row {
+            seen,
+            whitening: Matrix3::new(3.0, 0.0, 0.0, 1.0, 2.0, 0.0, -0.5, 0.3, 4.0),
+            station,
+            target: 0,
+        };
+        CalibrationProblem {
+            joints: vec![0.4, -0.3, 1.2, 1.1, 0.8, -0.9],
+            rows: vec![row(0, Vector3::new(1.0, 1.0, 1.0)), row(1, Vector3::new(0.0, -1.0, 2.0))],
+            priors: vec![Prior {
+                column: 15,
+                whitening: DMatrix::from_fn(6, 6, |i, j| if i < j { 0.0 } else { 1.0 + i as f64 - j as f64 }),
+            }],
+            current: Current::new(&nominal, &stations, &targets),
+            nominal,
+            parameters,
+            stations,
+            targets,
+        }
+    }
+
+    /// At displaced frames too, where a rotation vector's components do not act one after the other.
+    #[test]
+    fn the_jacobian_is_the_central_difference_far_from_zero() {
+        let mut problem = problem();
+        let n = problem.parameters.len();
+        let x: Vec<f64> = (0..n).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
+        let m = LeastSquares::rows(&problem);
+        let mut residuals = DVector::zeros(m);
+        let mut jacobian = DMatrix::from_element(m, n, f64::NAN);
+        problem.evaluate(&x, &mut residuals, Some(&mut jacobian));
+        let step = 1e-6;
+        for column in 0..n {
+            let mut at = |sign: f64| {
+                let mut moved = x.clone();
+                moved[column] += sign * step;
+                let mut r = DVector::zeros(m);
+                problem.evaluate(&moved, &mut r, None);
+                r
+            };
+            let difference = (at(1.0) - at(-1.0)) / (2.0 * step);
+            let error = (jacobian.column(column) - difference).amax();
+            assert!(error < 1e-7 * jacobian.amax(), "{}: {error}", problem.parameters[column]);
+        }
+    }
+
+    #[test]
+    fn evaluation_takes_no_memory() {
+        let mut problem = problem();
+        let x = vec![0.01; problem.parameters.len()];
+        let mut residuals = DVector::zeros(LeastSquares::rows(&problem));
+        let mut jacobian = DMatrix::zeros(residuals.len(), x.len());
+        let info = allocation_counter::measure(|| problem.evaluate(&x, &mut residuals, Some(&mut jacobian)));
+        assert_eq!(info.count_total, 0);
+    }
+}

@@ -52,7 +52,11 @@ const LEAST_DAMPING: f64 = 1e-18;
 const MOST_DAMPING: f64 = 1e12;
 
 /// Minimises from `x`.
-pub(super) fn minimise(problem: &mut impl LeastSquares, mut x: Vec<f64>, options: &SolverOptions) -> Solution {
+pub(super) fn minimise(
+    problem: &mut impl LeastSquares,
+    mut x: Vec<f64>,
+    options: &SolverOptions,
+) -> Solution {
     let (m, n) = (problem.rows(), problem.parameters());
     let mut residuals = DVector::zeros(m);
     let mut trial_residuals = DVector::zeros(m);
@@ -90,8 +94,8 @@ pub(super) fn minimise(problem: &mut impl LeastSquares, mut x: Vec<f64>, options
             gain,
             accepted,
         });
-        let negligible =
-            linear_change <= options.absolute_decrease || linear_change <= options.relative_decrease * cost.sqrt();
+        let negligible = linear_change <= options.absolute_decrease
+            || linear_change <= options.relative_decrease * cost.sqrt();
         if accepted {
             x = trial;
             cost = trial_cost;
@@ -209,7 +213,12 @@ mod tests {
         fn rows(&self) -> usize {
             20
         }
-        fn evaluate(&mut self, x: &[f64], residuals: &mut DVector<f64>, mut jacobian: Option<&mut DMatrix<f64>>) {
+        fn evaluate(
+            &mut self,
+            x: &[f64],
+            residuals: &mut DVector<f64>,
+            mut jacobian: Option<&mut DMatrix<f64>>,
+        ) {
             for i in 0..20 {
                 let t = i as f64 * 0.1;
                 residuals[i] = x[0] * (-x[1] * t).exp() - 3.0 * (-1.7 * t).exp();

@@ -179,3 +179,110 @@ pub fn stacked_jacobian(
     }
     jacobian
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::model::CraigLink;
+
+    fn link() -> impl Strategy<Value = CraigLink> {
+        let angle = || -3.0..3.0_f64;
+        let length = || -1.5..1.5_f64;
+        (any::<bool>(), length(), angle(), -0.5..0.5_f64, length(), angle()).prop_map(
+            |(revolute, a, alpha, beta, d, theta)| CraigLink {
+                name: String::new(),
+                kind: if revolute { JointKind::Revolute } else { JointKind::Prismatic },
+                a,
+                alpha,
+                beta,
+                d,
+                theta,
+                limits: [-3.0, 3.0],
+            },
+        )
+    }
+
+    fn robot_and_pose() -> impl Strategy<Value = (KinematicModel, Vec<f64>, Vector3<f64>)> {
+        let tip = (-1.0..1.0_f64, -3.0..3.0_f64).prop_map(|(a, alpha)| {
+            crate::geometry::translation(a, 0.0, 0.0) * crate::geometry::rotation_x(alpha)
+        });
+        let target = prop::array::uniform3(-0.5..0.5_f64).prop_map(Vector3::from);
+        (prop::collection::vec((link(), -3.0..3.0_f64), 1..9), tip, target).prop_map(
+            |(joints, last_from_flange, target)| {
+                let (links, q) = joints.into_iter().unzip();
+                (KinematicModel { links, last_from_flange }, q, target)
+            },
+        )
+    }
+
+    /// Position seen by a tracker whose frame is the nominal base frame, with `id` changed by `delta`.
+    fn moved(
+        model: &KinematicModel,
+        q: &[f64],
+        target: &Vector3<f64>,
+        id: ParameterId,
+        delta: f64,
+    ) -> Vector3<f64> {
+        let mut model = model.clone();
+        let mut target = *target;
+        let mut frame = nalgebra::Vector6::zeros();
+        match id {
+            ParameterId::Link { .. } => model.add(id, delta),
+            ParameterId::Frame { component, .. } => frame[component] = delta,
+            ParameterId::Target { axis, .. } => target[axis] += delta,
+        }
+        let displaced = crate::geometry::small_displacement(&frame);
+        let point = target_in_base(&model, q, &target);
+        displaced.rotation * point + displaced.translation.vector
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
+
+        #[test]
+        fn the_jacobian_is_the_central_difference((model, q, target) in robot_and_pose()) {
+            let mut ids = ParameterId::all_of_links(model.joint_count());
+            ids.extend(ParameterId::all_of_frame(0));
+            ids.extend(ParameterId::all_of_target(0));
+            let jacobian = identification_jacobian(&model, &q, &target, &ids);
+            let step = 1e-5;
+            for (column, id) in ids.iter().enumerate() {
+                let difference =
+                    (moved(&model, &q, &target, *id, step) - moved(&model, &q, &target, *id, -step)) / (2.0 * step);
+                let analytic = jacobian.column(column);
+                let scale = jacobian.norm();
+                prop_assert!((analytic - difference).norm() <= 1e-7 * scale.max(1.0), "{id}: {analytic} {difference}");
+            }
+        }
+
+        #[test]
+        fn the_placed_chain_is_the_product_of_the_link_transforms((model, q, target) in robot_and_pose()) {
+            let mut chain = PlacedChain::new(model.joint_count());
+            chain.place(&model, &q);
+            let product = forward_kinematics(&model, &q);
+            prop_assert!((chain.base_from_flange().to_homogeneous() - product.to_homogeneous()).norm() < 1e-12);
+            prop_assert!((chain.target(&target) - target_in_base(&model, &q, &target)).norm() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_planar_arm_by_hand() {
+        let link = |a: f64| CraigLink {
+            name: String::new(),
+            kind: JointKind::Revolute,
+            a,
+            alpha: 0.0,
+            beta: 0.0,
+            d: 0.0,
+            theta: 0.0,
+            limits: [-3.0, 3.0],
+        };
+        let model =
+            KinematicModel { links: vec![link(0.0), link(2.0)], last_from_flange: Transform::identity() };
+        let quarter = std::f64::consts::FRAC_PI_2;
+        let tip = target_in_base(&model, &[quarter, -quarter], &Vector3::new(1.0, 0.0, 0.0));
+        assert!((tip - Vector3::new(1.0, 2.0, 0.0)).norm() < 1e-15);
+    }
+}

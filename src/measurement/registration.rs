@@ -22,7 +22,9 @@ pub struct Registration {
 #[non_exhaustive]
 pub enum RegistrationError {
     /// Too few.
-    #[error("{found} base nests were measured, at least 3 that are not on one line are needed to place the tracker")]
+    #[error(
+        "{found} base nests were measured, at least 3 that are not on one line are needed to place the tracker"
+    )]
     TooFewNests {
         /// Their number.
         found: usize,
@@ -49,8 +51,7 @@ pub fn register(station: &Station) -> Result<Registration, RegistrationError> {
     }
     let seen: Vec<_> = nests.iter().map(|n| n.reading.position()).collect();
     let certified: Vec<_> = nests.iter().map(|n| n.in_base).collect();
-    let mut tracker_from_base =
-        best_fit_transform(&seen, &certified).ok_or(RegistrationError::OnOneLine)?;
+    let mut tracker_from_base = best_fit_transform(&seen, &certified).ok_or(RegistrationError::OnOneLine)?;
     for pass in 0.. {
         let mut information = Matrix6::zeros();
         let mut gradient = Vector6::zeros();

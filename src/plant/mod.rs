@@ -1,8 +1,14 @@
 //! The machine as built: the truth, and its rapier multibody. Only the pipeline, the evaluation and the recorder may look.
 
+mod chain;
 mod multibody;
+mod validation;
 
-pub use multibody::{Plant, PlantError, SettleOptions};
+#[cfg(test)]
+mod tests;
+
+pub use multibody::{Plant, SettleOptions};
+pub use validation::PlantError;
 
 use nalgebra::Vector3;
 

@@ -1,1 +1,34 @@
-//! recording
+//! Recordings of a run: for viewers, and as the only thing that a replay needs.
+//!
+//! [`record`] tells an [`Outcome`](crate::pipeline::Outcome) to a [`Recorder`], pose by pose, so that every sink holds the same story.
+//! There are two: MCAP ([`write_mcap`]), which Foxglove and Rerun open and [`read_recording`] reads back without loss, and, with the
+//! feature `rerun`, Rerun's own format with a layout of its views (`write_rrd`).
+//!
+//! Times are simulated: the observations' own where they increase, else one second a pose. The same outcome gives the same bytes of MCAP.
+
+mod error;
+mod file;
+mod mcap_reader;
+mod mcap_writer;
+mod provenance;
+#[cfg(feature = "rerun")]
+mod rerun_sink;
+mod scene;
+pub mod schema;
+mod story;
+#[cfg(test)]
+mod synthetic;
+#[cfg(feature = "rerun")]
+mod tables;
+
+pub use error::RecordingError;
+pub use mcap_reader::{RecordedEstimate, RecordedParameter, Recording, read_recording};
+pub use mcap_writer::{McapRecorder, write_mcap};
+pub use provenance::{Provenance, SCHEMA};
+#[cfg(feature = "rerun")]
+pub use rerun_sink::{RerunRecorder, write_rrd};
+pub use scene::{Chain, ChainKind, Sighting};
+pub use story::{LogEntry, LogLevel, PoseStep, Recorder, Residuals, record};
+
+/// How much longer than life residual arrows are drawn.
+pub const RESIDUAL_SCALE: f64 = 100.0;

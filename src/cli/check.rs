@@ -1,0 +1,114 @@
+//! `calibrig check`.
+
+use std::fmt::Write;
+use std::path::PathBuf;
+
+use serde_json::json;
+
+use super::{CliError, Verdict, print};
+use crate::identification::{FrameChoice, ParameterChoice, TargetChoice};
+use crate::model::JointKind;
+use crate::pipeline::hash_sources;
+use crate::scenario::{Scenario, load_scenario};
+
+/// Validate a scenario and the files it names, and say what would run
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  calibrig check scenarios/paper.toml
+  calibrig check scenarios/paper.toml --json")]
+pub(super) struct Args {
+    /// The scenario file
+    scenario: PathBuf,
+    /// Print as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
+    let scenario = load_scenario(&args.scenario)?;
+    let text = if args.json { as_json(&scenario) } else { as_text(&scenario) };
+    print(&text)?;
+    Ok(Verdict::Done)
+}
+
+fn as_json(scenario: &Scenario) -> String {
+    let value = json!({
+        "schema": "calibrig.check/1",
+        "name": scenario.name,
+        "seed": scenario.seed,
+        "sha256": hash_sources(&scenario.sources),
+        "robot": scenario.robot.name,
+        "joints": scenario.robot.model.kinematics.links.iter().map(|l| &l.name).collect::<Vec<_>>(),
+        "identification_poses": scenario.identification_poses,
+        "verification_poses": scenario.verification_poses,
+        "modes": scenario.modes.iter().map(|m| m.key()).collect::<Vec<_>>(),
+    });
+    format!("{value:#}\n")
+}
+
+fn as_text(scenario: &Scenario) -> String {
+    let mut text = String::new();
+    // Writing to a String cannot fail.
+    let _ = write_text(scenario, &mut text);
+    text
+}
+
+fn write_text(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
+    let model = &scenario.robot.model;
+    writeln!(text, "{}: valid", scenario.name)?;
+    writeln!(text, "  robot        {}, {} joints", scenario.robot.name, model.kinematics.joint_count())?;
+    for (index, link) in model.kinematics.links.iter().enumerate() {
+        let (kind, unit, scale) = match link.kind {
+            JointKind::Prismatic => ("P", "mm", 1e3),
+            JointKind::Revolute => ("R", "deg", 180.0 / std::f64::consts::PI),
+        };
+        let (centre, half) = (scenario.region.centre[index], scenario.region.half_width[index]);
+        writeln!(
+            text,
+            "    {} {kind} {:<10} measured {:9.2} to {:9.2} {unit}, limits {:9.2} to {:9.2} {unit}",
+            index + 1,
+            link.name,
+            (centre - half) * scale,
+            (centre + half) * scale,
+            link.limits[0] * scale,
+            link.limits[1] * scale,
+        )?;
+    }
+    writeln!(
+        text,
+        "  poses        {} for identification, {} for verification, seed {}",
+        scenario.identification_poses, scenario.verification_poses, scenario.seed
+    )?;
+    let instrument = &scenario.tracker.instrument;
+    writeln!(
+        text,
+        "  tracker      MPE transverse {:.1} um + {:.1} um/m, range {:.1} um + {:.1} um/m, noise {}",
+        instrument.transverse.offset * 1e6,
+        instrument.transverse.per_metre * 1e6,
+        instrument.range.offset * 1e6,
+        instrument.range.per_metre * 1e6,
+        if instrument.noise { "on" } else { "off" },
+    )?;
+    writeln!(text, "  base nests   {}", scenario.nests.len())?;
+    let options = &scenario.options;
+    let parameters = match &options.parameters {
+        ParameterChoice::NeighbourAxisRules => "by the published rules on neighbouring axes".to_owned(),
+        ParameterChoice::Complete => "a complete independent set, by rank".to_owned(),
+        ParameterChoice::Listed(list) => format!("{} listed", list.len()),
+    };
+    writeln!(text, "  parameters   {parameters}")?;
+    let frame = match options.frame {
+        FrameChoice::Nests => "the base nests, with their uncertainty as a prior",
+        FrameChoice::Free => "free",
+        FrameChoice::Fixed => "the base nests, taken as exact",
+    };
+    writeln!(text, "  tracker from {frame}")?;
+    let target = match options.target {
+        TargetChoice::Measured => "measured, with its uncertainty as a prior",
+        TargetChoice::Identified => "identified",
+        TargetChoice::Fixed => "taken as exact",
+    };
+    writeln!(text, "  target       {target}")?;
+    let modes: Vec<_> = scenario.modes.iter().map(|m| m.title()).collect();
+    writeln!(text, "  rows         {}", modes.join(", "))
+}

@@ -1,0 +1,247 @@
+//! `calibrig identifiability`.
+
+use std::fmt::Write;
+use std::path::PathBuf;
+
+use nalgebra::Vector3;
+use serde_json::json;
+
+use super::{CliError, Verdict, print};
+use crate::identification::{
+    Explanation, Finding, FrameChoice, IdentifiabilityReport, TargetChoice, analyse_columns, explain,
+    identifiability, neighbour_axis_rules, structural_poses,
+};
+use crate::kinematics::stacked_jacobian;
+use crate::model::{KinematicModel, ParameterId, load_robot};
+use crate::random::{Source, stream};
+use crate::scenario::load_scenario;
+
+/// Say which parameters position measurements can tell: rank, dependent groups, weak directions, and what would help
+///
+/// The nominal robot alone is looked at; nothing is measured.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  calibrig identifiability scenarios/paper.toml                 at the scenario's poses, target and choices
+  calibrig identifiability --model models/ur5/robot.toml        base and target free, poses spread over the joint limits")]
+pub(super) struct Args {
+    /// The scenario file
+    #[arg(required_unless_present = "model", conflicts_with = "model")]
+    scenario: Option<PathBuf>,
+    /// The robot's file, instead of a scenario
+    #[arg(long, value_name = "ROBOT.toml")]
+    model: Option<PathBuf>,
+    /// Print as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+struct Question {
+    name: String,
+    model: KinematicModel,
+    poses: Vec<Vec<f64>>,
+    poses_from: String,
+    target: Vector3<f64>,
+    frame_free: bool,
+    target_free: bool,
+}
+
+pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
+    let question = question(args)?;
+    let report = identifiability(
+        &question.model,
+        &question.poses,
+        &question.target,
+        question.frame_free,
+        question.target_free,
+    );
+    let findings = explain(&report, &question.model, &question.poses, &question.target);
+    let sets = candidate_sets(&question);
+    print(&if args.json {
+        as_json(&question, &sets, &report, &findings)
+    } else {
+        as_text(&question, &sets, &report, &findings)
+    })?;
+    let complete = report.spectrum.rank == report.selected.len();
+    Ok(if complete { Verdict::Done } else { Verdict::Doubtful })
+}
+
+fn question(args: &Args) -> Result<Question, CliError> {
+    if let Some(path) = &args.model {
+        let robot = load_robot(path)?;
+        let model = robot.model.kinematics;
+        let count = 200;
+        return Ok(Question {
+            name: robot.name,
+            poses: structural_poses(&model, count),
+            poses_from: format!("{count} poses spread over the joint limits"),
+            // A target that is not known yet is looked at off every axis, where it can be mounted.
+            target: robot.target.unwrap_or_else(|| Vector3::new(0.1, 0.15, 0.2)),
+            model,
+            frame_free: true,
+            target_free: true,
+        });
+    }
+    let path = args.scenario.as_deref().unwrap_or(std::path::Path::new(""));
+    let scenario = load_scenario(path)?;
+    let mut rng = stream(scenario.seed, 0, Source::IdentificationPoses);
+    let poses = (0..scenario.identification_poses).map(|_| scenario.region.draw(&mut rng)).collect();
+    Ok(Question {
+        name: scenario.name,
+        poses,
+        poses_from: format!("the scenario's {} identification poses", scenario.identification_poses),
+        target: scenario.robot.target.unwrap_or_else(Vector3::zeros),
+        model: scenario.robot.model.kinematics,
+        frame_free: scenario.options.frame == FrameChoice::Free,
+        target_free: scenario.options.target == TargetChoice::Identified,
+    })
+}
+
+/// Candidate sets by name with their number of columns, rank and condition at the question's poses.
+struct CandidateSet {
+    name: &'static str,
+    columns: usize,
+    rank: usize,
+    condition: f64,
+}
+
+fn candidate_sets(question: &Question) -> Vec<CandidateSet> {
+    let model = &question.model;
+    let (kept, groups) = neighbour_axis_rules(model);
+    let mut table = kept.clone();
+    table.extend(groups.iter().map(|g| g.redundant));
+    let all = ParameterId::all_of_links(model.joint_count());
+    let mut with_frame = all.clone();
+    with_frame.extend(ParameterId::all_of_frame(0));
+    with_frame.extend(ParameterId::all_of_target(0));
+    [
+        ("kept by the neighbour-axis rules", kept),
+        ("a, alpha, d, theta, beta of parallel axes", table),
+        ("all five of every link", all),
+        ("the same, frame and target free", with_frame),
+    ]
+    .into_iter()
+    .map(|(name, ids)| {
+        let spectrum =
+            analyse_columns(&stacked_jacobian(model, &question.poses, &question.target, &ids), &ids);
+        CandidateSet { name, columns: ids.len(), rank: spectrum.rank, condition: spectrum.condition }
+    })
+    .collect()
+}
+
+fn list(ids: &[ParameterId]) -> String {
+    ids.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
+}
+
+fn as_json(
+    question: &Question,
+    sets: &[CandidateSet],
+    report: &IdentifiabilityReport,
+    findings: &[Explanation],
+) -> String {
+    let finite = |v: f64| v.is_finite().then_some(v);
+    let (kept, groups) = neighbour_axis_rules(&question.model);
+    let value = json!({
+        "schema": "calibrig.identifiability/1",
+        "name": question.name,
+        "poses": question.poses_from,
+        "frame_free": question.frame_free,
+        "target_free": question.target_free,
+        "candidate_sets": sets.iter().map(|s| json!({
+            "name": s.name, "columns": s.columns, "rank": s.rank, "condition": finite(s.condition),
+        })).collect::<Vec<_>>(),
+        "neighbour_axis_rules": {
+            "kept": kept.iter().map(ToString::to_string).collect::<Vec<_>>(),
+            "eliminated": groups.iter().map(ToString::to_string).collect::<Vec<_>>(),
+        },
+        "complete_set": {
+            "parameters": report.selected.iter().map(ToString::to_string).collect::<Vec<_>>(),
+            "structural_rank": report.selected.len(),
+            "rank": report.spectrum.rank,
+            "condition": finite(report.spectrum.condition),
+            "scaled_singular_values": report.spectrum.singular_values.iter().map(|v| finite(*v)).collect::<Vec<_>>(),
+        },
+        "findings": findings.iter().map(|f| json!({
+            "kind": match f.finding {
+                Finding::Structure => "structure",
+                Finding::Measurements => "measurements",
+                Finding::Weak => "weak",
+            },
+            "names": f.names,
+            "scaled_singular_value": finite(f.singular_value),
+            "advice": f.advice,
+        })).collect::<Vec<_>>(),
+    });
+    format!("{value:#}\n")
+}
+
+fn as_text(
+    question: &Question,
+    sets: &[CandidateSet],
+    report: &IdentifiabilityReport,
+    findings: &[Explanation],
+) -> String {
+    let mut text = String::new();
+    // Writing to a String cannot fail.
+    let _ = write_text(question, sets, report, findings, &mut text);
+    text
+}
+
+fn write_text(
+    question: &Question,
+    sets: &[CandidateSet],
+    report: &IdentifiabilityReport,
+    findings: &[Explanation],
+    text: &mut String,
+) -> std::fmt::Result {
+    let known = |free: bool, name: &str| format!("{name} {}", if free { "free" } else { "known" });
+    writeln!(
+        text,
+        "{}: position measurements at {}, {}, {}\n",
+        question.name,
+        question.poses_from,
+        known(question.frame_free, "tracker frame"),
+        known(question.target_free, "target offset"),
+    )?;
+    writeln!(text, "{:<44} {:>9} {:>6} {:>11}", "candidate parameters", "number", "rank", "condition")?;
+    for set in sets {
+        let condition =
+            if set.condition.is_finite() { format!("{:.0}", set.condition) } else { "singular".to_owned() };
+        writeln!(text, "{:<44} {:>9} {:>6} {condition:>11}", set.name, set.columns, set.rank)?;
+    }
+    let links = |ids: &[ParameterId]| {
+        ids.iter().copied().filter(|id| matches!(id, ParameterId::Link { .. })).collect::<Vec<_>>()
+    };
+    let (kept, groups) = neighbour_axis_rules(&question.model);
+    writeln!(text, "\nNeighbour-axis rules keep {}: {}", kept.len(), list(&kept))?;
+    for group in groups {
+        writeln!(text, "  eliminated  {group}")?;
+    }
+    writeln!(
+        text,
+        "\nComplete set by rank: {} parameters, structural rank {}, rank {} at these poses",
+        report.selected.len(),
+        report.selected.len(),
+        report.spectrum.rank
+    )?;
+    writeln!(text, "  links       {}", list(&links(&report.selected)))?;
+    if question.frame_free || question.target_free {
+        let others: Vec<_> =
+            report.selected.iter().copied().filter(|id| !matches!(id, ParameterId::Link { .. })).collect();
+        writeln!(text, "  others      {}", list(&others))?;
+    }
+    for (finding, title) in [
+        (Finding::Structure, "Dependent by structure (left out of the set)"),
+        (Finding::Measurements, "Not determined by these poses and this target"),
+        (Finding::Weak, "Weak directions (determined, but poorly)"),
+    ] {
+        let of_kind: Vec<_> = findings.iter().filter(|f| f.finding == finding).collect();
+        if of_kind.is_empty() {
+            continue;
+        }
+        writeln!(text, "\n{title}; scaled singular value in brackets:")?;
+        for f in of_kind {
+            writeln!(text, "  {} [{:.1e}]\n      {}", f.names, f.singular_value, f.advice)?;
+        }
+    }
+    Ok(())
+}

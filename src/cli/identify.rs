@@ -1,0 +1,120 @@
+//! `calibrig identify`.
+
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+
+use super::output::{self, Files};
+use super::{CliError, Verdict};
+use crate::identification::{FrameChoice, IdentificationOptions, Mode, ParameterChoice, TargetChoice};
+use crate::input::Source;
+use crate::measurement::{ColumnMap, load_column_map, parse_column_map, parse_measurements};
+use crate::model::{JointKind, load_robot};
+use crate::pipeline::{InputSummary, Outcome, SetKind, SetOutcome, calibrate, hash_sources};
+
+/// Calibrate a robot from measured positions in a file, and verify on another file
+///
+/// Tracker frame and target offset are identified with the links: a file of positions says nothing of either. The parameters are a
+/// complete independent set, chosen by rank from the robot's table.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  calibrig identify --model models/ur5/robot.toml --measurements grid.csv --verify random.csv
+  calibrig identify --model models/ur5/robot.toml --measurements grid.csv --out ur5 --json
+  calibrig identify --model robot.toml --measurements m.txt --columns map.toml --parameters rules
+
+What the columns of the file mean is told by --columns MAP.toml, else by the map that the robot's file names, else it is
+calibrig's own layout (see docs/formats.md).")]
+pub(super) struct Args {
+    /// The robot's file
+    #[arg(long, value_name = "ROBOT.toml")]
+    model: PathBuf,
+    /// Positions to fit
+    #[arg(long, value_name = "FILE")]
+    measurements: PathBuf,
+    /// Positions to verify on
+    #[arg(long, value_name = "FILE")]
+    verify: Option<PathBuf>,
+    /// Column map of the files, instead of the one that the robot's file names
+    #[arg(long, value_name = "MAP.toml")]
+    columns: Option<PathBuf>,
+    /// Which link parameters
+    #[arg(long, value_enum, default_value_t = Parameters::Complete)]
+    parameters: Parameters,
+    /// Folder for report.html and report.json, which are written over [default: no files]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print the report as JSON (schema calibrig.report/1) instead of the tables
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Parameters {
+    /// A complete independent set, by rank
+    Complete,
+    /// What the published rules on neighbouring axes keep
+    Rules,
+}
+
+pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
+    let outcome = outcome(args)?;
+    output::show(&outcome, args.json)?;
+    if let Some(out) = &args.out {
+        let folder = output::folder(Some(out), &outcome.input.name)?;
+        output::write(&outcome, &folder, Files::Reports)?;
+    }
+    Ok(output::verdict(&outcome))
+}
+
+fn outcome(args: &Args) -> Result<Outcome, CliError> {
+    let mut robot = load_robot(&args.model)?;
+    let columns = match &args.columns {
+        Some(path) => {
+            let (map, source) = load_column_map(path)?;
+            robot.sources.retain(|(role, _)| role != "columns");
+            robot.sources.push(("columns".to_owned(), source));
+            map
+        }
+        None => match robot.sources.iter().find(|(role, _)| role == "columns") {
+            Some((_, source)) => parse_column_map(source)?,
+            None => ColumnMap::default(),
+        },
+    };
+    let joints: Vec<JointKind> = robot.model.kinematics.links.iter().map(|link| link.kind).collect();
+    let mut sources = robot.sources.clone();
+    let mut sets = Vec::new();
+    for (kind, path) in
+        [(SetKind::Identification, Some(&args.measurements)), (SetKind::Verification, args.verify.as_ref())]
+    {
+        let Some(path) = path else { continue };
+        let source = Source::read(path)?;
+        let file = parse_measurements(&source, &columns, &joints)?;
+        sources.push((kind.key().to_owned(), source));
+        sets.push(SetOutcome { kind, measurements: file.set, dropped: file.dropped });
+    }
+    let mut modes = vec![Mode::WithoutCalibration, Mode::OnlyCalibration];
+    if robot.model.statics.is_some() {
+        modes.push(Mode::WithGravity);
+    }
+    let options = IdentificationOptions {
+        parameters: match args.parameters {
+            Parameters::Complete => ParameterChoice::Complete,
+            Parameters::Rules => ParameterChoice::NeighbourAxisRules,
+        },
+        frame: FrameChoice::Free,
+        target: TargetChoice::Identified,
+        ..IdentificationOptions::default()
+    };
+    let (registration, modes) = calibrate(&robot.model, &sets, &modes, &options)?;
+    Ok(Outcome {
+        input: InputSummary { kind: "files", name: robot.name, sha256: hash_sources(&sources), seed: None },
+        sources,
+        model: robot.model,
+        visuals: robot.visuals,
+        registration,
+        sets,
+        modes,
+        truth: None,
+        published: Vec::new(),
+    })
+}

@@ -1,0 +1,86 @@
+//! The seven-joint spray robot of the tests and of the bench, with plausible bodies and drives.
+
+use nalgebra::{Matrix3, Vector3};
+use rand::RngExt;
+
+use super::{
+    ActuatorMap, AsBuilt, Body, CraigLink, JointKind, KinematicModel, LinkTerm, StaticProperties, Transform,
+};
+
+const CENTRE: [f64; 7] = [2.0, 0.19, -1.71, 0.12, 2.0, -0.16, -0.77];
+const HALF_WIDTH: [f64; 7] = [1.92, 0.39, 0.31, 0.20, 0.30, 1.18, 0.57];
+
+/// Name, kind, a mm, alpha deg, d mm.
+type Row = (&'static str, JointKind, f64, f64, f64);
+
+const ROWS: [Row; 7] = [
+    ("rail", JointKind::Prismatic, 0.0, 0.0, 0.0),
+    ("waist", JointKind::Revolute, 0.0, -90.0, 626.0),
+    ("shoulder", JointKind::Revolute, 250.0, -90.0, 0.0),
+    ("elbow", JointKind::Revolute, 1350.0, 0.0, 0.0),
+    ("telescope", JointKind::Prismatic, 246.0, -90.0, 0.0),
+    ("roll", JointKind::Revolute, 0.0, 0.0, 0.0),
+    ("wrist", JointKind::Revolute, 0.0, 90.0, 0.0),
+];
+
+/// Mass kg, centre of mass m, moments of inertia about the link's axes kg m² (Ixx, Iyy, Izz), product Ixy.
+const BODIES: [(f64, [f64; 3], [f64; 3], f64); 7] = [
+    (800.0, [0.02, 0.28, 0.06], [90.0, 120.0, 80.0], 4.0),
+    (400.0, [0.10, 0.02, -0.15], [30.0, 34.0, 28.0], 2.0),
+    (250.0, [0.62, 0.03, 0.10], [6.0, 48.0, 50.0], -1.5),
+    (150.0, [0.21, 0.55, 0.02], [28.0, 5.0, 29.0], 1.0),
+    (80.0, [0.01, 0.02, -0.85], [24.0, 24.0, 1.2], 0.1),
+    (25.0, [0.01, 0.0, -0.06], [0.30, 0.28, 0.20], 0.01),
+    (15.0, [0.05, 0.07, 0.10], [0.25, 0.22, 0.16], -0.02),
+];
+
+/// N/m for the rail and the telescope, N m/rad for the rest: the tool droops by 10 to 15 mm.
+const STIFFNESS: [f64; 7] = [2e8, 6e6, 4e6, 3e6, 2e7, 1e6, 5e5];
+
+/// The robot without errors.
+pub(super) fn spray_robot() -> AsBuilt {
+    let links = ROWS.iter().map(|&(name, kind, a_mm, alpha_deg, d_mm)| CraigLink {
+        name: name.to_owned(),
+        kind,
+        a: a_mm * 1e-3,
+        alpha: alpha_deg.to_radians(),
+        beta: 0.0,
+        d: d_mm * 1e-3,
+        theta: 0.0,
+        limits: [-10.0, 10.0],
+    });
+    let bodies = BODIES.iter().map(|&(mass, centre, moments, product)| {
+        let mut inertia = Matrix3::from_diagonal(&Vector3::from(moments));
+        inertia[(0, 1)] = product;
+        inertia[(1, 0)] = product;
+        Body { mass, centre_of_mass: Vector3::from(centre), inertia }
+    });
+    AsBuilt {
+        kinematics: KinematicModel { links: links.collect(), last_from_flange: Transform::identity() },
+        actuators: ActuatorMap::Direct,
+        statics: StaticProperties {
+            bodies: bodies.collect(),
+            drive_stiffness: STIFFNESS.to_vec(),
+            gravity: Vector3::new(0.0, -9.80665, 0.0),
+        },
+        target: Vector3::new(0.10, 0.15, 0.20),
+    }
+}
+
+/// Adds errors of up to 20 mm and 0.02 rad to every link parameter.
+pub(super) fn add_errors(robot: &mut AsBuilt, rng: &mut impl RngExt) {
+    for link in &mut robot.kinematics.links {
+        for term in [LinkTerm::A, LinkTerm::Alpha, LinkTerm::Beta, LinkTerm::D, LinkTerm::Theta] {
+            *link.term_mut(term) += rng.random_range(-0.02..0.02);
+        }
+    }
+}
+
+/// A command in the working region.
+pub(super) fn working_pose(rng: &mut impl RngExt) -> Vec<f64> {
+    CENTRE
+        .iter()
+        .zip(HALF_WIDTH)
+        .map(|(centre, width)| centre + width * rng.random_range(-1.0..1.0))
+        .collect()
+}

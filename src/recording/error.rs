@@ -1,0 +1,154 @@
+//! What can go wrong with a recording.
+
+use std::path::PathBuf;
+
+use mcap::McapError;
+use miette::Diagnostic;
+use thiserror::Error;
+
+use super::provenance::SCHEMA;
+
+const WRITTEN_BY: &str = "expected a recording.mcap written by `calibrig run`";
+
+/// A recording that cannot be written or read.
+#[derive(Debug, Error, Diagnostic)]
+#[non_exhaustive]
+pub enum RecordingError {
+    /// The file cannot be written.
+    #[error("cannot write {}", path.display())]
+    Unwritable {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A sink refused a message.
+    #[error("cannot write the recording: {reason}")]
+    Unrecordable {
+        /// The sink's words.
+        reason: String,
+    },
+    /// An input file is too long to be attached.
+    #[error("the input {name} is {bytes} bytes long: a recording holds at most {limit} bytes of one input")]
+    AttachmentTooLong {
+        /// Role and name.
+        name: String,
+        /// Its length.
+        bytes: usize,
+        /// The longest that is read back.
+        limit: usize,
+    },
+    /// The file cannot be opened or read.
+    #[error("cannot read {}", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The first bytes are not those of an MCAP file.
+    #[error("not an MCAP file: it does not begin with MCAP's magic bytes")]
+    #[diagnostic(help("{WRITTEN_BY}"))]
+    NotMcap,
+    /// The file ends too early.
+    #[error("the recording breaks off before its end: it was not finished, or is damaged")]
+    #[diagnostic(help("expected the footer of a finished recording; copy it again or record the run again"))]
+    Truncated,
+    /// A checksum or a length is wrong.
+    #[error("the recording is damaged")]
+    #[diagnostic(help("expected checksums that fit the contents; copy it again or record the run again"))]
+    Corrupt {
+        /// What does not fit.
+        source: McapError,
+    },
+    /// The bytes are sound, but not as calibrig writes them.
+    #[error("the MCAP file was not written by calibrig: {found}")]
+    #[diagnostic(help("expected {expected}"))]
+    Unprotected {
+        /// What is there.
+        found: String,
+        /// What was expected.
+        expected: &'static str,
+    },
+    /// An MCAP file of another program.
+    #[error("the MCAP file is not a calibrig recording: it has no metadata record `calibrig`")]
+    #[diagnostic(help("{WRITTEN_BY}"))]
+    Foreign,
+    /// The recording was written by a later version.
+    #[error("the recording has schema {found}, this version reads up to {SCHEMA}")]
+    #[diagnostic(help("use the version of calibrig that wrote it: {software}"))]
+    NewerSchema {
+        /// The recording's schema.
+        found: String,
+        /// The software that wrote it.
+        software: String,
+    },
+    /// A metadata key is missing or makes no sense.
+    #[error("the recording's metadata lack a valid `{key}`: found {found}")]
+    #[diagnostic(help("expected {expected}"))]
+    BadProvenance {
+        /// The key.
+        key: String,
+        /// Its value, or `nothing`.
+        found: String,
+        /// What was expected.
+        expected: &'static str,
+    },
+    /// Input files are missing.
+    #[error("the recording lacks the input files {}", missing.join(", "))]
+    #[diagnostic(help("expected the attachments {}", expected.join(", ")))]
+    MissingAttachments {
+        /// Names of the attachments that are not there.
+        missing: Vec<String>,
+        /// All that should be.
+        expected: Vec<String>,
+    },
+    /// Metadata or input files were changed after the run.
+    #[error("the recording's provenance was altered: its hash is {found}")]
+    #[diagnostic(help(
+        "expected {expected}, the hash that the recording states of its metadata and input files"
+    ))]
+    AlteredProvenance {
+        /// Hash that the recording states, hexadecimal.
+        expected: String,
+        /// Hash of what is there, hexadecimal.
+        found: String,
+    },
+    /// Nothing was measured.
+    #[error(
+        "the recording holds no measurements: {sets} sets on /session, none with an observation on /measurement"
+    )]
+    #[diagnostic(help("expected at least one calibrig.v1.Observation on /measurement"))]
+    NoMeasurements {
+        /// Number of sets that are described.
+        sets: usize,
+    },
+    /// Some measurements are missing.
+    #[error("the recording holds {found} observations of the {set} set")]
+    #[diagnostic(help("expected {expected}, as its session states"))]
+    MissingMeasurements {
+        /// Key of the set.
+        set: &'static str,
+        /// As stated.
+        expected: usize,
+        /// As found.
+        found: usize,
+    },
+    /// A message of ours that makes no sense.
+    #[error("message {sequence} on {topic}: {reason}")]
+    #[diagnostic(help("expected a message as described in calibrig.proto, package calibrig.v1"))]
+    InvalidMessage {
+        /// The topic.
+        topic: String,
+        /// Number of the message on its topic, from 0.
+        sequence: u32,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+impl RecordingError {
+    pub(super) fn unrecordable(reason: impl ToString) -> Self {
+        Self::Unrecordable { reason: reason.to_string() }
+    }
+}

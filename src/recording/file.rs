@@ -1,0 +1,72 @@
+//! Files that are whole or not there.
+
+use std::fs::{File, Permissions};
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use super::RecordingError;
+
+/// Writes `path` through `fill`: into a temporary file in the same folder, which takes the name of `path` once it is complete and on disk.
+pub(super) fn write_whole<T>(
+    path: &Path,
+    fill: impl FnOnce(BufWriter<&File>) -> Result<T, RecordingError>,
+) -> Result<T, RecordingError> {
+    let unwritable = |source| RecordingError::Unwritable { path: path.to_path_buf(), source };
+    let folder =
+        path.parent().filter(|p| !p.as_os_str().is_empty()).map_or(PathBuf::from("."), Path::to_path_buf);
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".calibrig-").suffix(".part");
+    if let Some(permissions) = ordinary_permissions() {
+        builder.permissions(permissions);
+    }
+    let temporary = builder.tempfile_in(&folder).map_err(unwritable)?;
+    let value = fill(BufWriter::new(temporary.as_file()))?;
+    temporary.as_file().sync_all().map_err(unwritable)?;
+    temporary.persist(path).map_err(|e| unwritable(e.error))?;
+    Ok(value)
+}
+
+/// What any new file would get, instead of the owner-only permissions of temporary files; the process's mask still applies.
+#[cfg(unix)]
+fn ordinary_permissions() -> Option<Permissions> {
+    use std::os::unix::fs::PermissionsExt;
+    Some(Permissions::from_mode(0o666))
+}
+
+#[cfg(not(unix))]
+fn ordinary_permissions() -> Option<Permissions> {
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+
+    #[test]
+    fn a_failed_write_leaves_the_old_file_and_nothing_else() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("recording.mcap");
+        std::fs::write(&path, "old").expect("written");
+        let failed: Result<(), _> = write_whole(&path, |mut file| {
+            file.write_all(b"half").expect("written");
+            Err(RecordingError::NotMcap)
+        });
+        assert!(matches!(failed, Err(RecordingError::NotMcap)));
+        assert_eq!(std::fs::read_to_string(&path).expect("read"), "old");
+        assert_eq!(std::fs::read_dir(folder.path()).expect("listed").count(), 1);
+
+        write_whole(&path, |mut file| file.write_all(b"new").map_err(RecordingError::unrecordable))
+            .expect("written");
+        assert_eq!(std::fs::read_to_string(&path).expect("read"), "new");
+        assert_eq!(std::fs::read_dir(folder.path()).expect("listed").count(), 1);
+    }
+
+    #[test]
+    fn a_folder_that_is_not_there_is_named() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("missing").join("recording.mcap");
+        let error = write_whole(&path, |_| Ok(())).expect_err("no folder");
+        assert!(error.to_string().contains("recording.mcap"), "{error}");
+    }
+}

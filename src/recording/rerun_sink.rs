@@ -1,0 +1,346 @@
+//! Rerun's own format, with a layout of its views: for looking at, not for replay.
+
+use std::io::Write;
+use std::path::Path;
+
+use nalgebra::{UnitQuaternion, Vector3};
+use rerun::archetypes::{
+    Arrows3D, Boxes3D, Cylinders3D, Ellipsoids3D, LineStrips3D, Points3D, Scalars, SeriesLines, TextDocument,
+    TextLog, Transform3D, ViewCoordinates,
+};
+use rerun::blueprint::{
+    Blueprint, BlueprintPanel, ContainerLike, Horizontal, SelectionPanel, Spatial3DView, Tabs,
+    TextDocumentView, TextLogView, TimePanel, TimeSeriesView, Vertical,
+};
+use rerun::components::{Color, FillMode, Radius, TextLogLevel};
+use rerun::sink::MemorySinkStorage;
+use rerun::{AsComponents, Quaternion, RecordingStream, RecordingStreamBuilder};
+
+use super::file::write_whole;
+use super::scene::{self, Arrow, Colour};
+use super::{Chain, LogEntry, LogLevel, PoseStep, Recorder, RecordingError, record, tables};
+use crate::geometry::Transform;
+use crate::model::{Visual, VisualShape};
+use crate::pipeline::{ModeOutcome, Outcome};
+
+const APPLICATION: &str = "calibrig";
+/// Root of all that is drawn in the base frame.
+const SCENE: &str = "scene";
+/// Residual arrows; the scale is [`super::RESIDUAL_SCALE`].
+const ARROWS: &str = "scene/residual_x100";
+const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// Writes a Rerun recording of `outcome`. The file is whole or not there.
+pub fn write_rrd(outcome: &Outcome, path: &Path) -> Result<(), RecordingError> {
+    write_whole(path, |mut file| {
+        let mut recorder = RerunRecorder::new(outcome)?;
+        record(outcome, &mut recorder)?;
+        // Through memory, because Rerun's own file sink only logs that a disk is full.
+        file.write_all(&recorder.finish()?).and_then(|()| file.flush()).map_err(RecordingError::unrecordable)
+    })
+}
+
+/// Gathers a Rerun recording in memory.
+pub struct RerunRecorder {
+    stream: RecordingStream,
+    storage: MemorySinkStorage,
+}
+
+impl RerunRecorder {
+    /// Begins a recording whose views suit `outcome`.
+    pub fn new(outcome: &Outcome) -> Result<Self, RecordingError> {
+        let (stream, storage) = RecordingStreamBuilder::new(APPLICATION)
+            // Whatever the environment says: the user asked for the file.
+            .enabled(true)
+            .recording_name(outcome.input.name.as_str())
+            .with_default_blueprint(blueprint(outcome))
+            .memory()
+            .map_err(RecordingError::unrecordable)?;
+        stream.set_log_time_enabled(false);
+        stream.set_log_tick_enabled(false);
+        Ok(Self { stream, storage })
+    }
+
+    /// The bytes of the file.
+    pub fn finish(self) -> Result<Vec<u8>, RecordingError> {
+        self.storage.drain_as_bytes().map_err(RecordingError::unrecordable)
+    }
+
+    fn fixed(&self, path: &str, shape: &impl AsComponents) -> Result<(), RecordingError> {
+        self.stream.log_static(path, shape).map_err(RecordingError::unrecordable)
+    }
+
+    fn put(&self, path: &str, shape: &impl AsComponents) -> Result<(), RecordingError> {
+        self.stream.log(path, shape).map_err(RecordingError::unrecordable)
+    }
+
+    fn robot(&self, outcome: &Outcome) -> Result<(), RecordingError> {
+        let shown = scene::chains(outcome, 0, 0);
+        let Some(chain) = shown.iter().find(|c| !c.kind.is_ghost()) else { return Ok(()) };
+        for (i, visuals) in outcome.visuals.iter().enumerate() {
+            let link = if i == 0 { format!("{SCENE}/base") } else { link_path(chain, i - 1) };
+            self.shapes(&link, visuals)?;
+        }
+        Ok(())
+    }
+
+    fn shapes(&self, link: &str, visuals: &[Visual]) -> Result<(), RecordingError> {
+        let grey = color(scene::STEEL);
+        for (i, visual) in visuals.iter().enumerate() {
+            let path = format!("{link}/shape{}", i + 1);
+            let centre = [xyz(&visual.link_from_shape.translation.vector)];
+            let turn = [quaternion(&visual.link_from_shape)];
+            match visual.shape {
+                VisualShape::Box(edges) => self.fixed(
+                    &path,
+                    &Boxes3D::from_centers_and_sizes(centre, [xyz(&edges.into())])
+                        .with_quaternions(turn)
+                        .with_colors([grey])
+                        .with_fill_mode(FillMode::Solid),
+                )?,
+                VisualShape::Cylinder { radius, length } => self.fixed(
+                    &path,
+                    &Cylinders3D::from_lengths_and_radii([single(length)], [single(radius)])
+                        .with_centers(centre)
+                        .with_quaternions(turn)
+                        .with_colors([grey])
+                        .with_fill_mode(FillMode::Solid),
+                )?,
+                VisualShape::Sphere(radius) => self.fixed(
+                    &path,
+                    &Ellipsoids3D::from_centers_and_radii(centre, [single(radius)])
+                        .with_colors([grey])
+                        .with_fill_mode(FillMode::Solid),
+                )?,
+            }
+        }
+        Ok(())
+    }
+
+    fn instruments(&self, outcome: &Outcome) -> Result<(), RecordingError> {
+        let places: Vec<_> = scene::trackers(outcome).iter().map(|t| xyz(&t.translation.vector)).collect();
+        let names = (1..=places.len()).map(|number| format!("tracker, station {number}"));
+        let trackers = Points3D::new(places.clone())
+            .with_labels(names)
+            .with_show_labels(true)
+            .with_colors([color(scene::TRACKER)])
+            .with_radii([0.12]);
+        self.fixed(&format!("{SCENE}/trackers"), &trackers)?;
+        let (names, places): (Vec<_>, Vec<_>) = scene::nests(outcome).into_iter().unzip();
+        let nests = Points3D::new(places.iter().map(xyz))
+            .with_labels(names)
+            .with_show_labels(false)
+            .with_colors([color(scene::NEST)])
+            .with_radii([0.04]);
+        self.fixed(&format!("{SCENE}/nests"), &nests)
+    }
+
+    /// All measured points and all arrows: they do not change with the pose.
+    fn measured(&self, outcome: &Outcome) -> Result<(), RecordingError> {
+        for (index, set) in outcome.sets.iter().enumerate() {
+            let key = set.kind.key();
+            let points = scene::measured_points(outcome, &set.measurements);
+            let points = Points3D::new(points.iter().map(xyz))
+                .with_colors([color(scene::POINT)])
+                .with_radii([Radius::new_ui_points(2.0)]);
+            self.fixed(&format!("{SCENE}/measured/{key}"), &points)?;
+            for mode in &outcome.modes {
+                let observations = &set.measurements.observations;
+                let errors = mode.errors.get(index).map_or(&[][..], Vec::as_slice);
+                let arrows: Vec<_> =
+                    observations.iter().zip(errors).filter_map(|(o, e)| scene::arrow(mode, o, e)).collect();
+                let path = format!("{ARROWS}/{}/{key}", mode.mode.key());
+                self.fixed(&path, &arrows3d(&arrows, scene::mode_colour(mode.mode), 1.0))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Names and colours of the curves.
+    fn curves(&self, outcome: &Outcome) -> Result<(), RecordingError> {
+        for mode in &outcome.modes {
+            let (key, title) = (mode.mode.key(), mode.mode.title());
+            let curve = SeriesLines::new()
+                .with_names([title])
+                .with_colors([color(scene::mode_colour(mode.mode))])
+                .with_widths([1.5]);
+            for axis in AXES.into_iter().chain(["norm"]) {
+                self.fixed(&format!("residual_mm/{axis}/{key}"), &curve)?;
+            }
+            if mode.estimate.is_some() {
+                self.fixed(&format!("cost/{key}"), &curve)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn document(&self, path: &str, markdown: String) -> Result<(), RecordingError> {
+        self.fixed(path, &TextDocument::from_markdown(markdown))
+    }
+
+    fn chain(&self, chain: &Chain) -> Result<(), RecordingError> {
+        let ghost = chain.kind.is_ghost();
+        for (i, link) in chain.links.iter().enumerate().filter(|_| !ghost) {
+            let place =
+                Transform3D::from_translation_rotation(xyz(&link.translation.vector), quaternion(link));
+            self.put(&link_path(chain, i), &place)?;
+        }
+        let (rgba, radius) = if ghost { (scene::GHOST, 1.0) } else { (scene::STEEL, 2.5) };
+        let line = LineStrips3D::new([chain.polyline().iter().map(xyz).collect::<Vec<_>>()])
+            .with_colors([color(rgba)])
+            .with_radii([Radius::new_ui_points(radius)]);
+        self.put(&format!("{SCENE}/{}/chain", chain.kind.key()), &line)
+    }
+
+    fn sightings(&self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
+        let lines = step.sightings.iter().map(|s| vec![xyz(&s.tracker), xyz(&s.point)]);
+        let beams = LineStrips3D::new(lines.collect::<Vec<_>>())
+            .with_colors([color(scene::BEAM)])
+            .with_radii([Radius::new_ui_points(1.0)]);
+        self.put(&format!("{SCENE}/line_of_sight"), &beams)?;
+        let targets = Points3D::new(step.sightings.iter().map(|s| xyz(&s.point)))
+            .with_colors([color(scene::BEAM)])
+            .with_radii([0.05]);
+        self.put(&format!("{SCENE}/target"), &targets)
+    }
+
+    fn residuals(&self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
+        for residuals in &step.residuals {
+            let key = residuals.mode.key();
+            let arrows = arrows3d(&residuals.arrows, scene::mode_colour(residuals.mode), 3.0);
+            self.put(&format!("{ARROWS}/{key}/at_this_pose"), &arrows)?;
+            let Some(error) = residuals.errors.first() else { continue };
+            for (axis, value) in AXES.iter().zip(error.iter()) {
+                self.put(&format!("residual_mm/{axis}/{key}"), &Scalars::single(1e3 * value))?;
+            }
+            self.put(&format!("residual_mm/norm/{key}"), &Scalars::single(1e3 * error.norm()))?;
+        }
+        Ok(())
+    }
+}
+
+impl Recorder for RerunRecorder {
+    fn begin(&mut self, outcome: &Outcome) -> Result<(), RecordingError> {
+        self.fixed(SCENE, &coordinates(&scene::up(outcome)))?;
+        self.robot(outcome)?;
+        self.instruments(outcome)?;
+        self.measured(outcome)?;
+        self.curves(outcome)?;
+        self.document("tables/accuracy", tables::about(outcome) + &tables::accuracy(outcome))?;
+        self.document("tables/parameters", tables::parameters(outcome))?;
+        self.document("tables/identification", tables::estimates(outcome))
+    }
+
+    fn pose(&mut self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
+        self.stream.set_time_sequence("pose", i64::from(step.number));
+        self.stream.set_duration_secs("sim_time", step.time() as f64 * 1e-9);
+        for chain in &step.chains {
+            self.chain(chain)?;
+        }
+        self.sightings(step)?;
+        self.residuals(step)?;
+        let text =
+            format!("{} pose {}", step.set.kind.key(), step.observations.first().map_or(0, |o| o.pose));
+        self.put("log", &TextLog::new(text).with_level(TextLogLevel::TRACE))
+    }
+
+    fn estimate(&mut self, _: u64, _: &Outcome, mode: &ModeOutcome) -> Result<(), RecordingError> {
+        self.stream.reset_time();
+        for (number, iteration) in (1_i64..).zip(mode.estimate.iter().flat_map(|e| &e.iterations)) {
+            self.stream.set_time_sequence("iteration", number);
+            self.put(&format!("cost/{}", mode.mode.key()), &Scalars::single(iteration.cost))?;
+        }
+        self.stream.reset_time();
+        Ok(())
+    }
+
+    fn log(&mut self, entry: &LogEntry) -> Result<(), RecordingError> {
+        let level = match entry.level {
+            LogLevel::Info => TextLogLevel::INFO,
+            LogLevel::Warning => TextLogLevel::WARN,
+        };
+        self.stream.set_duration_secs("sim_time", entry.time as f64 * 1e-9);
+        self.put("log", &TextLog::new(entry.message.as_str()).with_level(level))
+    }
+}
+
+fn link_path(chain: &Chain, index: usize) -> String {
+    format!("{SCENE}/{}", chain.frame(index))
+}
+
+fn arrows3d(arrows: &[Arrow], rgba: Colour, thickness: f32) -> Arrows3D {
+    Arrows3D::from_vectors(arrows.iter().map(|a| xyz(&a.vector)))
+        .with_origins(arrows.iter().map(|a| xyz(&a.origin)))
+        .with_colors([color(rgba)])
+        .with_radii([Radius::new_ui_points(thickness)])
+}
+
+/// Pictures are in single precision: 0.2 µm at 4 m.
+#[allow(clippy::cast_possible_truncation)]
+fn single(value: f64) -> f32 {
+    value as f32
+}
+
+fn xyz(v: &Vector3<f64>) -> [f32; 3] {
+    [single(v.x), single(v.y), single(v.z)]
+}
+
+fn quaternion(transform: &Transform) -> Quaternion {
+    let q = UnitQuaternion::from_rotation_matrix(&transform.rotation);
+    Quaternion::from_xyzw([q.i, q.j, q.k, q.w].map(single))
+}
+
+fn color([r, g, b, a]: Colour) -> Color {
+    Color::from_unmultiplied_rgba(r, g, b, a)
+}
+
+fn coordinates(up: &Vector3<f64>) -> ViewCoordinates {
+    match (up.iamax(), up.sum() > 0.0) {
+        (0, true) => ViewCoordinates::RIGHT_HAND_X_UP(),
+        (0, false) => ViewCoordinates::RIGHT_HAND_X_DOWN(),
+        (1, true) => ViewCoordinates::RIGHT_HAND_Y_UP(),
+        (1, false) => ViewCoordinates::RIGHT_HAND_Y_DOWN(),
+        (_, true) => ViewCoordinates::RIGHT_HAND_Z_UP(),
+        (_, false) => ViewCoordinates::RIGHT_HAND_Z_DOWN(),
+    }
+}
+
+/// The robot on the left, residuals over poses and tables on the right.
+fn blueprint(outcome: &Outcome) -> Blueprint {
+    let uncalibrated: Vec<&str> =
+        outcome.modes.iter().filter(|m| m.estimate.is_none()).map(|m| m.mode.key()).collect();
+    // Where something was identified, the errors before it would hide what is left.
+    let hidden = if uncalibrated.len() < outcome.modes.len() { uncalibrated } else { Vec::new() };
+    let without = |root: &str| -> Vec<String> {
+        let all = std::iter::once(format!("+ /{root}/**"));
+        all.chain(hidden.iter().map(|key| format!("- /{root}/{key}/**"))).collect()
+    };
+    let mut drawn = without(ARROWS);
+    drawn[0] = format!("+ /{SCENE}/**");
+    let picture: ContainerLike =
+        Spatial3DView::new("Robot, residual arrows x100").with_origin(SCENE).with_contents(drawn).into();
+    let log: ContainerLike = TextLogView::new("Log").with_origin("log").into();
+
+    let plot = |title: String, root: String| -> ContainerLike {
+        TimeSeriesView::new(title).with_contents(without(&root)).with_origin(root).into()
+    };
+    let axes = AXES.map(|axis| plot(format!("Residual {axis}, mm"), format!("residual_mm/{axis}")));
+    let all: ContainerLike =
+        TimeSeriesView::new("3-D error of all modes, mm").with_origin("residual_mm/norm").into();
+    let cost: ContainerLike = TimeSeriesView::new("Cost (timeline: iteration)").with_origin("cost").into();
+    let plots = Tabs::new([Vertical::new(axes).with_name("Residuals").into(), all, cost]);
+    let page =
+        |title: &str, path: &str| -> ContainerLike { TextDocumentView::new(title).with_origin(path).into() };
+    let tables = Tabs::new([
+        page("Accuracy", "tables/accuracy"),
+        page("Parameters", "tables/parameters"),
+        page("Identification", "tables/identification"),
+    ]);
+    let left = Vertical::new([picture, log]).with_row_shares([4.0, 1.0]);
+    let right = Vertical::new([plots.into(), tables.into()]).with_row_shares([3.0, 2.0]);
+    Blueprint::new(Horizontal::new([left.into(), right.into()]).with_column_shares([3.0, 2.0]))
+        .with_auto_views(false)
+        .with_blueprint_panel(BlueprintPanel::from_state(rerun::blueprint::components::PanelState::Collapsed))
+        .with_selection_panel(SelectionPanel::from_state(rerun::blueprint::components::PanelState::Collapsed))
+        .with_time_panel(TimePanel::new().with_timeline("pose"))
+}

@@ -1,0 +1,305 @@
+//! What is seen of a run, in the base frame and free of any viewer.
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::RESIDUAL_SCALE;
+use crate::geometry::Transform;
+use crate::identification::{CalibratedRobot, Mode};
+use crate::kinematics::link_frames;
+use crate::measurement::{MeasurementSet, Observation};
+use crate::model::{KinematicModel, LinkTerm, ParameterId};
+use crate::pipeline::{ModeOutcome, Outcome, Truth};
+
+/// Which robot a chain shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ChainKind {
+    /// The machine at rest, as simulated.
+    True,
+    /// The model before calibration.
+    Nominal,
+    /// The last mode's robot, where there is no truth to show.
+    Calibrated,
+}
+
+impl ChainKind {
+    /// The key in frame and entity names.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::True => "true",
+            Self::Nominal => "nominal",
+            Self::Calibrated => "calibrated",
+        }
+    }
+
+    /// Whether the links' shapes are drawn on it; a ghost is a line alone.
+    pub fn is_ghost(self) -> bool {
+        self == Self::Nominal
+    }
+}
+
+/// A robot at one pose.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Chain {
+    /// Which robot.
+    pub kind: ChainKind,
+    /// `base_from_link` of every link.
+    pub links: Vec<Transform>,
+    /// `base_from_flange`.
+    pub flange: Transform,
+    /// The target in the base frame, m.
+    pub target: Vector3<f64>,
+}
+
+impl Chain {
+    /// Origins from the base through the links and the flange to the target, m.
+    pub fn polyline(&self) -> Vec<Vector3<f64>> {
+        let links = self.links.iter().map(|link| link.translation.vector);
+        std::iter::once(Vector3::zeros())
+            .chain(links)
+            .chain([self.flange.translation.vector, self.target])
+            .collect()
+    }
+
+    /// Name of the frame of link `index` (from 0), as in the parameters' names.
+    pub fn frame(&self, index: usize) -> String {
+        format!("{}/link{}", self.kind.key(), index + 1)
+    }
+}
+
+/// The chains to show at one pose: truth and nominal, or else the calibrated one.
+pub(super) fn chains(outcome: &Outcome, set: usize, index: usize) -> Vec<Chain> {
+    let Some(measurements) = outcome.sets.get(set).map(|s| &s.measurements) else { return Vec::new() };
+    let Some(observation) = measurements.observations.get(index) else { return Vec::new() };
+    let settled = outcome.truth.as_ref().and_then(|truth| true_chain(truth, set, index));
+    match settled {
+        Some(chain) => {
+            std::iter::once(chain).chain(nominal_chain(outcome, measurements, observation)).collect()
+        }
+        None => calibrated_chain(outcome, observation).into_iter().collect(),
+    }
+}
+
+fn true_chain(truth: &Truth, set: usize, index: usize) -> Option<Chain> {
+    let pose = truth.poses.get(set)?.get(index)?;
+    let flange = pose.links.last()? * truth.as_built.kinematics.last_from_flange;
+    Some(Chain { kind: ChainKind::True, links: pose.links.clone(), flange, target: pose.target })
+}
+
+fn nominal_chain(
+    outcome: &Outcome,
+    measurements: &MeasurementSet,
+    observation: &Observation,
+) -> Option<Chain> {
+    let target = measurements.targets.get(observation.target)?.in_flange;
+    let model = &outcome.model;
+    if observation.command.len() != model.kinematics.joint_count() {
+        return None;
+    }
+    let mut joints = vec![0.0; observation.command.len()];
+    model.actuators.joints_from_command(&observation.command, &mut joints);
+    chain_at(ChainKind::Nominal, &model.kinematics, &joints, &target)
+}
+
+fn calibrated_chain(outcome: &Outcome, observation: &Observation) -> Option<Chain> {
+    let robot = observer(outcome)?;
+    let target = robot.targets.get(observation.target)?;
+    if observation.command.len() != robot.kinematics.joint_count() {
+        return None;
+    }
+    let joints = robot.joints(&outcome.model, &observation.command);
+    chain_at(ChainKind::Calibrated, &robot.kinematics, &joints, target)
+}
+
+fn chain_at(kind: ChainKind, model: &KinematicModel, joints: &[f64], target: &Vector3<f64>) -> Option<Chain> {
+    let links = link_frames(model, joints);
+    let flange = links.last()? * model.last_from_flange;
+    let target = flange.rotation * target + flange.translation.vector;
+    Some(Chain { kind, links, flange, target })
+}
+
+/// The robot whose stations place the measurements in the base frame: the last mode's.
+pub(super) fn observer(outcome: &Outcome) -> Option<&CalibratedRobot> {
+    outcome.modes.last().map(|mode| &mode.robot)
+}
+
+/// A reading in the base frame, m.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sighting {
+    /// Where the tracker stands.
+    pub tracker: Vector3<f64>,
+    /// Where it saw the target.
+    pub point: Vector3<f64>,
+}
+
+/// Where `robot` holds the observation's tracker and target to be.
+pub(super) fn sighting(robot: &CalibratedRobot, observation: &Observation) -> Option<Sighting> {
+    let base_from_tracker = robot.stations.get(observation.station)?.inverse();
+    let tracker = base_from_tracker.translation.vector;
+    Some(Sighting { tracker, point: base_from_tracker.rotation * observation.reading.position() + tracker })
+}
+
+/// All points of a set in the base frame, m.
+pub(super) fn measured_points(outcome: &Outcome, measurements: &MeasurementSet) -> Vec<Vector3<f64>> {
+    let Some(robot) = observer(outcome) else { return Vec::new() };
+    measurements.observations.iter().filter_map(|o| sighting(robot, o)).map(|s| s.point).collect()
+}
+
+/// `base_from_tracker` of every station.
+pub(super) fn trackers(outcome: &Outcome) -> Vec<Transform> {
+    observer(outcome).map(|r| r.stations.iter().map(Transform::inverse).collect()).unwrap_or_default()
+}
+
+/// The certified base nests of all stations, each once, m.
+pub(super) fn nests(outcome: &Outcome) -> Vec<(String, Vector3<f64>)> {
+    let mut nests: Vec<(String, Vector3<f64>)> = Vec::new();
+    let stations = outcome.sets.iter().flat_map(|set| &set.measurements.stations);
+    for nest in stations.flat_map(|station| &station.nests) {
+        if !nests.iter().any(|(name, _)| *name == nest.name) {
+            nests.push((nest.name.clone(), nest.in_base));
+        }
+    }
+    nests
+}
+
+/// A residual from the predicted towards the measured point, [`RESIDUAL_SCALE`] times as long as it is, m.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Arrow {
+    pub origin: Vector3<f64>,
+    pub vector: Vector3<f64>,
+}
+
+/// The arrow of one observation in one mode.
+pub(super) fn arrow(mode: &ModeOutcome, observation: &Observation, error: &Vector3<f64>) -> Option<Arrow> {
+    let measured = sighting(&mode.robot, observation)?.point;
+    Some(Arrow { origin: measured - error, vector: RESIDUAL_SCALE * error })
+}
+
+/// The base axis that points up, against gravity; z where gravity is not known.
+pub(super) fn up(outcome: &Outcome) -> Vector3<f64> {
+    let as_built = outcome.truth.as_ref().map(|truth| truth.as_built.statics.gravity);
+    let gravity = outcome.model.statics.as_ref().map(|statics| statics.gravity).or(as_built);
+    let Some(gravity) = gravity.filter(|g| g.norm() > 0.0) else { return Vector3::z() };
+    let axis = gravity.iamax();
+    let mut up = Vector3::zeros();
+    up[axis] = -gravity[axis].signum();
+    up
+}
+
+/// The rotation of a world whose z points up: viewers without a choice of axis take z for up.
+pub(super) fn world_from_base(outcome: &Outcome) -> UnitQuaternion<f64> {
+    turn(&Vector3::z(), &up(outcome))
+}
+
+/// The shortest rotation that takes `from` to `to`.
+pub(super) fn turn(to: &Vector3<f64>, from: &Vector3<f64>) -> UnitQuaternion<f64> {
+    UnitQuaternion::rotation_between(from, to)
+        // Opposite vectors: half a turn about any axis across them.
+        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&across(from), std::f64::consts::PI))
+}
+
+fn across(v: &Vector3<f64>) -> nalgebra::Unit<Vector3<f64>> {
+    let mut least = Vector3::zeros();
+    least[v.iamin()] = 1.0;
+    nalgebra::Unit::new_normalize(v.cross(&least))
+}
+
+/// True minus nominal value of every link parameter that differs.
+pub(super) fn deviations(nominal: &KinematicModel, as_built: &KinematicModel) -> Vec<(ParameterId, f64)> {
+    let links = nominal.links.iter().zip(&as_built.links).enumerate();
+    links
+        .flat_map(|(link, (nominal, real))| {
+            LinkTerm::ALL.map(|term| (ParameterId::link(link, term), real.term(term) - nominal.term(term)))
+        })
+        .filter(|(_, deviation)| *deviation != 0.0)
+        .collect()
+}
+
+/// Red, green, blue, opacity.
+pub(super) type Colour = [u8; 4];
+
+/// Colours that can be told apart on dark ground with any colour vision (after Okabe and Ito, 2008).
+pub(super) fn mode_colour(mode: Mode) -> Colour {
+    const PALETTE: [Colour; 5] = [
+        [204, 121, 167, 255],
+        [230, 159, 0, 255],
+        [0, 158, 115, 255],
+        [86, 180, 233, 255],
+        [240, 228, 66, 255],
+    ];
+    let place = Mode::ALL.iter().position(|m| *m == mode).unwrap_or(0);
+    PALETTE[place % PALETTE.len()]
+}
+
+pub(super) const STEEL: Colour = [150, 165, 185, 255];
+pub(super) const GHOST: Colour = [120, 120, 130, 255];
+pub(super) const BEAM: Colour = [255, 64, 64, 255];
+pub(super) const TRACKER: Colour = [255, 140, 60, 255];
+pub(super) const POINT: Colour = [235, 235, 235, 255];
+pub(super) const NEST: Colour = [86, 180, 233, 255];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::synthetic;
+
+    #[test]
+    fn the_chain_ends_at_the_settled_or_predicted_target() {
+        let simulated = synthetic::outcome(4, 3, true);
+        let chains_of = |outcome, index| chains(outcome, 0, index);
+        for index in 0..4 {
+            let shown = chains_of(&simulated, index);
+            assert_eq!(
+                shown.iter().map(|c| c.kind).collect::<Vec<_>>(),
+                [ChainKind::True, ChainKind::Nominal]
+            );
+            let settled = &simulated.truth.as_ref().expect("simulated").poses[0][index];
+            let end = *shown[0].polyline().last().expect("a line");
+            assert!((end - settled.target).norm() < 1e-12);
+        }
+        let measured = Outcome { truth: None, ..simulated };
+        let shown = chains_of(&measured, 1);
+        assert_eq!(shown.iter().map(|c| c.kind).collect::<Vec<_>>(), [ChainKind::Calibrated]);
+        let observation = &measured.sets[0].measurements.observations[1];
+        let robot = observer(&measured).expect("a mode");
+        let predicted = robot.predict_in_base(&measured.model, observation);
+        assert!((shown[0].target - predicted).norm() < 1e-12);
+    }
+
+    #[test]
+    fn an_arrow_divided_by_its_scale_leads_from_prediction_to_measurement() {
+        let outcome = synthetic::outcome(5, 2, false);
+        for mode in &outcome.modes {
+            for (observation, error) in outcome.sets[0].measurements.observations.iter().zip(&mode.errors[0])
+            {
+                let arrow = arrow(mode, observation, error).expect("a station");
+                let predicted = mode.robot.predict_in_base(&outcome.model, observation);
+                assert!((arrow.origin - predicted).norm() < 1e-9);
+                let measured = sighting(&mode.robot, observation).expect("a station").point;
+                assert!((arrow.origin + arrow.vector / RESIDUAL_SCALE - measured).norm() < 1e-9);
+            }
+        }
+    }
+
+    #[test]
+    fn up_is_against_gravity_and_becomes_the_worlds_z() {
+        let mut outcome = synthetic::outcome(2, 1, true);
+        assert_eq!(up(&outcome), Vector3::y());
+        assert!((world_from_base(&outcome) * Vector3::y() - Vector3::z()).norm() < 1e-15);
+        if let Some(statics) = &mut outcome.model.statics {
+            statics.gravity = Vector3::new(0.0, 0.0, 9.81);
+        }
+        assert_eq!(up(&outcome), -Vector3::z());
+        assert!((world_from_base(&outcome) * -Vector3::z() - Vector3::z()).norm() < 1e-15);
+    }
+
+    #[test]
+    fn a_malformed_observation_is_not_drawn_and_does_no_harm() {
+        let mut outcome = synthetic::outcome(2, 1, false);
+        let observation = &mut outcome.sets[0].measurements.observations[0];
+        observation.command.truncate(1);
+        assert!(chains(&outcome, 0, 0).is_empty());
+        assert!(chains(&outcome, 5, 0).is_empty());
+        outcome.sets[0].measurements.observations[0].station = 4;
+        assert_eq!(measured_points(&outcome, &outcome.sets[0].measurements).len(), 1);
+    }
+}

@@ -1,0 +1,283 @@
+//! The messages of package `calibrig.v1` (see `calibrig.proto`), and the way between them and the library's own types.
+
+use nalgebra::{Matrix3, Rotation3, Vector3};
+
+use crate::geometry::Transform;
+use crate::measurement::{NestObservation, Observation, Reading, SphericalReading, Station, Target};
+use crate::pipeline::{SetKind, SetOutcome};
+
+/// The generated types.
+#[allow(missing_docs, clippy::all, clippy::pedantic)]
+pub mod v1 {
+    include!(concat!(env!("OUT_DIR"), "/calibrig.v1.rs"));
+}
+
+/// The `google.protobuf.FileDescriptorSet` of the package: the schema that every recording carries.
+pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/calibrig.v1.descriptors"));
+
+/// The set of a key.
+pub(super) fn set_kind(key: &str) -> Result<SetKind, String> {
+    SetKind::ALL
+        .into_iter()
+        .find(|kind| kind.key() == key)
+        .ok_or_else(|| format!("set {key:?} is not one of {}", SetKind::ALL.map(SetKind::key).join(", ")))
+}
+
+pub(super) fn vector(v: &Vector3<f64>) -> Vec<f64> {
+    v.iter().copied().collect()
+}
+
+pub(super) fn matrix(m: &Matrix3<f64>) -> Vec<f64> {
+    m.transpose().iter().copied().collect()
+}
+
+pub(super) fn pose(transform: &Transform) -> v1::Pose {
+    v1::Pose {
+        rotation: matrix(transform.rotation.matrix()),
+        translation: vector(&transform.translation.vector),
+    }
+}
+
+/// A message's number: there, and finite.
+fn number(value: Option<f64>, name: &str) -> Result<f64, String> {
+    let value = value.ok_or_else(|| format!("{name} is missing"))?;
+    if value.is_finite() {
+        Ok(value)
+    } else {
+        Err(format!("{name} is {value}, a finite number was expected"))
+    }
+}
+
+fn numbers<const N: usize>(values: &[f64], name: &str) -> Result<[f64; N], String> {
+    if let Some(value) = values.iter().find(|v| !v.is_finite()) {
+        return Err(format!("{name} holds {value}, finite numbers were expected"));
+    }
+    values.try_into().map_err(|_| format!("{name} has {} numbers, {N} were expected", values.len()))
+}
+
+fn to_vector(values: &[f64], name: &str) -> Result<Vector3<f64>, String> {
+    numbers::<3>(values, name).map(Vector3::from)
+}
+
+fn to_matrix(values: &[f64], name: &str) -> Result<Matrix3<f64>, String> {
+    numbers::<9>(values, name).map(|v| Matrix3::from_row_slice(&v))
+}
+
+fn to_optional_matrix(values: &[f64], name: &str) -> Result<Option<Matrix3<f64>>, String> {
+    if values.is_empty() { Ok(None) } else { to_matrix(values, name).map(Some) }
+}
+
+pub(super) fn to_pose(message: &v1::Pose) -> Result<Transform, String> {
+    let rotation = to_matrix(&message.rotation, "rotation")?;
+    let translation = to_vector(&message.translation, "translation")?;
+    Ok(Transform::from_parts(translation.into(), Rotation3::from_matrix_unchecked(rotation)))
+}
+
+pub(super) fn to_point(message: &v1::Point) -> Result<Vector3<f64>, String> {
+    to_vector(&message.position, "position")
+}
+
+impl From<&Reading> for v1::Reading {
+    fn from(reading: &Reading) -> Self {
+        let kind = match reading {
+            Reading::Spherical(reading) => v1::reading::Kind::Spherical(v1::SphericalReading {
+                range: Some(reading.range),
+                azimuth: Some(reading.azimuth),
+                elevation: Some(reading.elevation),
+                covariance: matrix(&reading.covariance),
+            }),
+            Reading::Cartesian { position, covariance } => {
+                v1::reading::Kind::Cartesian(v1::CartesianReading {
+                    position: vector(position),
+                    covariance: covariance.as_ref().map(matrix).unwrap_or_default(),
+                })
+            }
+        };
+        Self { kind: Some(kind) }
+    }
+}
+
+fn to_reading(message: Option<&v1::Reading>) -> Result<Reading, String> {
+    match message.and_then(|m| m.kind.as_ref()).ok_or("the reading is missing")? {
+        v1::reading::Kind::Spherical(reading) => Ok(Reading::Spherical(SphericalReading {
+            range: number(reading.range, "range")?,
+            azimuth: number(reading.azimuth, "azimuth")?,
+            elevation: number(reading.elevation, "elevation")?,
+            covariance: to_matrix(&reading.covariance, "covariance of the reading")?,
+        })),
+        v1::reading::Kind::Cartesian(reading) => Ok(Reading::Cartesian {
+            position: to_vector(&reading.position, "position")?,
+            covariance: to_optional_matrix(&reading.covariance, "covariance of the reading")?,
+        }),
+    }
+}
+
+impl From<&SetOutcome> for v1::Session {
+    fn from(set: &SetOutcome) -> Self {
+        let measurements = &set.measurements;
+        let nest = |nest: &NestObservation| v1::Nest {
+            name: nest.name.clone(),
+            in_base: vector(&nest.in_base),
+            in_base_covariance: matrix(&nest.in_base_covariance),
+            reading: Some((&nest.reading).into()),
+        };
+        let station = |station: &Station| v1::Station {
+            name: station.name.clone(),
+            nests: station.nests.iter().map(nest).collect(),
+        };
+        let target = |target: &Target| v1::Target {
+            name: target.name.clone(),
+            in_flange: vector(&target.in_flange),
+            covariance: target.covariance.as_ref().map(matrix).unwrap_or_default(),
+        };
+        let dropped =
+            |(pose, reason): &(u32, String)| v1::DroppedPose { pose: *pose, reason: reason.clone() };
+        Self {
+            set: set.kind.key().to_owned(),
+            stations: measurements.stations.iter().map(station).collect(),
+            targets: measurements.targets.iter().map(target).collect(),
+            dropped: set.dropped.iter().map(dropped).collect(),
+            observation_count: saturating(measurements.observations.len()),
+        }
+    }
+}
+
+/// Counts of a recording are far below 2^32.
+pub(super) fn saturating(count: usize) -> u32 {
+    u32::try_from(count).unwrap_or(u32::MAX)
+}
+
+impl TryFrom<&v1::Session> for SetOutcome {
+    type Error = String;
+
+    fn try_from(message: &v1::Session) -> Result<Self, String> {
+        let nest = |nest: &v1::Nest| {
+            Ok::<_, String>(NestObservation {
+                name: nest.name.clone(),
+                in_base: to_vector(&nest.in_base, "in_base")?,
+                in_base_covariance: to_matrix(&nest.in_base_covariance, "in_base_covariance")?,
+                reading: to_reading(nest.reading.as_ref())?,
+            })
+        };
+        let station = |station: &v1::Station| {
+            let nests = station.nests.iter().map(nest).collect::<Result<_, _>>()?;
+            Ok::<_, String>(Station { name: station.name.clone(), nests })
+        };
+        let target = |target: &v1::Target| {
+            Ok::<_, String>(Target {
+                name: target.name.clone(),
+                in_flange: to_vector(&target.in_flange, "in_flange")?,
+                covariance: to_optional_matrix(&target.covariance, "covariance of the target")?,
+            })
+        };
+        Ok(Self {
+            kind: set_kind(&message.set)?,
+            measurements: crate::measurement::MeasurementSet {
+                stations: message.stations.iter().map(station).collect::<Result<_, _>>()?,
+                targets: message.targets.iter().map(target).collect::<Result<_, _>>()?,
+                observations: Vec::new(),
+            },
+            dropped: message.dropped.iter().map(|d| (d.pose, d.reason.clone())).collect(),
+        })
+    }
+}
+
+/// The message of an observation at `index` of the set `kind`.
+pub(super) fn observation(kind: SetKind, index: usize, observation: &Observation) -> v1::Observation {
+    v1::Observation {
+        set: kind.key().to_owned(),
+        index: saturating(index),
+        pose: observation.pose,
+        command: observation.command.clone(),
+        approach: observation.approach.iter().map(|&sign| i32::from(sign)).collect(),
+        temperature: observation.temperature,
+        time: Some(observation.time),
+        station: saturating(observation.station),
+        target: saturating(observation.target),
+        reading: Some((&observation.reading).into()),
+    }
+}
+
+/// The observation of a message, with its station and target in range of `set`.
+pub(super) fn to_observation(message: &v1::Observation, set: &SetOutcome) -> Result<Observation, String> {
+    let index = |value: u32, count: usize, name: &str| match usize::try_from(value) {
+        Ok(index) if index < count => Ok(index),
+        _ => Err(format!("{name} {value} does not exist: the session has {count}")),
+    };
+    let sign = |&sign: &i32| match sign {
+        -1 => Ok(-1),
+        0 => Ok(0),
+        1 => Ok(1),
+        _ => Err(format!("approach {sign} is not -1, 0 or 1")),
+    };
+    if let Some(value) = message.command.iter().find(|c| !c.is_finite()) {
+        return Err(format!("command holds {value}, finite numbers were expected"));
+    }
+    Ok(Observation {
+        pose: message.pose,
+        command: message.command.clone(),
+        approach: message.approach.iter().map(sign).collect::<Result<_, _>>()?,
+        temperature: message.temperature.map(|t| number(Some(t), "temperature")).transpose()?,
+        time: number(message.time, "time")?,
+        station: index(message.station, set.measurements.stations.len(), "station")?,
+        target: index(message.target, set.measurements.targets.len(), "target")?,
+        reading: to_reading(message.reading.as_ref())?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::synthetic;
+    use prost::Message;
+
+    #[test]
+    fn observations_come_back_bit_for_bit() {
+        let outcome = synthetic::outcome(6, 2, false);
+        for set in &outcome.sets {
+            let empty = SetOutcome::try_from(&v1::Session::from(set)).expect("sound");
+            for (i, o) in set.measurements.observations.iter().enumerate() {
+                let mut o = o.clone();
+                o.command[0] = -0.0;
+                o.time = -0.0;
+                o.temperature = Some(f64::MIN_POSITIVE / 3.0);
+                let bytes = observation(set.kind, i, &o).encode_to_vec();
+                let message = v1::Observation::decode(bytes.as_slice()).expect("decoded");
+                let back = to_observation(&message, &empty).expect("sound");
+                // `{:?}` tells -0.0 from 0.0 and prints enough digits for every bit.
+                assert_eq!(format!("{back:?}"), format!("{o:?}"));
+            }
+        }
+    }
+
+    #[test]
+    fn observations_that_make_no_sense_are_refused_with_the_field() {
+        let outcome = synthetic::outcome(2, 1, false);
+        let set = &outcome.sets[0];
+        let good = observation(set.kind, 0, &set.measurements.observations[0]);
+        assert!(to_observation(&good, set).is_ok());
+        type Change = fn(&mut v1::Observation);
+        let cases: [(Change, &str); 8] = [
+            (|o| o.station = 9, "station 9"),
+            (|o| o.target = u32::MAX, "target 4294967295"),
+            (|o| o.time = None, "time is missing"),
+            (|o| o.command[0] = f64::NAN, "command holds NaN"),
+            (|o| o.approach[0] = 2, "approach 2"),
+            (|o| o.temperature = Some(f64::INFINITY), "temperature is inf"),
+            (|o| o.reading = None, "reading is missing"),
+            (
+                |o| {
+                    let reading = v1::CartesianReading { position: vec![1.0, 2.0], covariance: vec![] };
+                    o.reading = Some(v1::Reading { kind: Some(v1::reading::Kind::Cartesian(reading)) });
+                },
+                "position has 2 numbers, 3 were expected",
+            ),
+        ];
+        for (change, expected) in cases {
+            let mut bad = good.clone();
+            change(&mut bad);
+            let error = to_observation(&bad, set).expect_err(expected);
+            assert!(error.contains(expected), "{error}");
+        }
+    }
+}

@@ -1,0 +1,170 @@
+//! Tables for people, in Markdown.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+use super::{Provenance, scene};
+use crate::evaluation::AccuracyRow;
+use crate::identification::{Estimate, Mode};
+use crate::model::{ParameterId, Unit};
+use crate::pipeline::{Outcome, SetKind};
+
+// Writing to a String does not fail: its results are dropped below.
+
+/// Accuracy of every mode on every set, with the published figures.
+pub(super) fn accuracy(outcome: &Outcome) -> String {
+    let mut text = String::new();
+    for (index, set) in outcome.sets.iter().enumerate() {
+        let _ = writeln!(text, "## {} set: error at the target, mm\n", capitalised(set.kind.key()));
+        let _ = writeln!(text, "| | max x | mean x | max y | mean y | max z | mean z | RMS 3-D | max 3-D |");
+        let _ = writeln!(text, "|---|--:|--:|--:|--:|--:|--:|--:|--:|");
+        for mode in &outcome.modes {
+            if let Some(Some(row)) = mode.rows.get(index) {
+                let _ = writeln!(text, "| {} |{}|", mode.mode.title(), cells(row));
+            }
+            if let Some(figures) = published(outcome, set.kind, mode.mode) {
+                let cells: Vec<_> = figures.iter().map(|m| format!(" *{:.1}* ", 1e3 * m)).collect();
+                let _ = writeln!(text, "| *published* |{}| | |", cells.join("|"));
+            }
+        }
+        text.push('\n');
+    }
+    let registration = &outcome.registration;
+    let _ = writeln!(
+        text,
+        "Registration of the first row: {}, {} poses, RMS {:.3} mm.",
+        registration.how,
+        registration.poses,
+        1e3 * registration.rms
+    );
+    text
+}
+
+fn capitalised(word: &str) -> String {
+    let mut letters = word.chars();
+    letters.next().map(|first| first.to_uppercase().chain(letters).collect()).unwrap_or_default()
+}
+
+fn cells(row: &AccuracyRow) -> String {
+    let axes = (0..3).flat_map(|axis| [row.max[axis], row.mean[axis]]);
+    axes.chain([row.rms_3d, row.max_3d]).map(|m| format!(" {:.3} ", 1e3 * m)).collect::<Vec<_>>().join("|")
+}
+
+fn published(outcome: &Outcome, kind: SetKind, mode: Mode) -> Option<[f64; 6]> {
+    outcome.published.iter().find(|(k, m, _)| (*k, *m) == (kind, mode)).map(|(_, _, figures)| *figures)
+}
+
+/// How every identification went.
+pub(super) fn estimates(outcome: &Outcome) -> String {
+    let mut text = String::from("## Identification\n\n");
+    text.push_str(
+        "| mode | ended with | iterations | rank | condition | chi² / dof |\n|---|---|--:|--:|--:|--:|\n",
+    );
+    for mode in &outcome.modes {
+        let Some(estimate) = &mode.estimate else { continue };
+        let ratio = estimate.chi2_per_dof().map_or_else(|| "–".to_owned(), |r| format!("{r:.3}"));
+        let _ = writeln!(
+            text,
+            "| {} | {} | {} | {} of {} | {:.1} | {ratio} |",
+            mode.mode.title(),
+            estimate.termination.key().replace('_', " "),
+            estimate.iterations.len(),
+            estimate.spectrum.rank,
+            estimate.parameters.len(),
+            estimate.spectrum.condition,
+        );
+    }
+    let estimates = outcome.modes.iter().filter_map(|m| Some((m.mode, m.estimate.as_ref()?)));
+    let warnings: Vec<_> = estimates
+        .flat_map(|(mode, e)| e.warnings.iter().map(move |w| format!("- {}: {w}", mode.title())))
+        .collect();
+    if !warnings.is_empty() {
+        let _ = writeln!(text, "\n**Warnings**\n\n{}", warnings.join("\n"));
+    }
+    text
+}
+
+/// Every parameter with its standard deviation per mode, beside the truth where it is known. Lengths in mm, angles in mrad.
+pub(super) fn parameters(outcome: &Outcome) -> String {
+    let estimates: Vec<(Mode, &Estimate)> =
+        outcome.modes.iter().filter_map(|m| Some((m.mode, m.estimate.as_ref()?))).collect();
+    let truth: Option<BTreeMap<ParameterId, f64>> = outcome.truth.as_ref().map(|truth| {
+        scene::deviations(&outcome.model.kinematics, &truth.as_built.kinematics).into_iter().collect()
+    });
+    let mut ids: Vec<ParameterId> =
+        estimates.iter().flat_map(|(_, e)| e.parameters.iter().map(|p| p.id)).collect();
+    ids.extend(truth.iter().flatten().map(|(id, _)| *id));
+    ids.sort();
+    ids.dedup();
+
+    let titles = estimates.iter().map(|(mode, _)| format!(" {} |", mode.title())).collect::<String>();
+    let mut text =
+        format!("## Parameters: value ± standard deviation\n\n| | unit | truth |{titles}\n|---|---|--:|");
+    text.push_str(&"--:|".repeat(estimates.len()));
+    text.push('\n');
+    for id in ids {
+        let unit = match id.unit() {
+            Unit::Metre => "mm",
+            Unit::Radian => "mrad",
+        };
+        // The truth of stations and targets is not a deviation from a nominal value.
+        let known = truth.as_ref().filter(|_| matches!(id, ParameterId::Link { .. }));
+        let real =
+            known.map_or_else(String::new, |t| format!("{:.4}", 1e3 * t.get(&id).copied().unwrap_or(0.0)));
+        let _ = write!(text, "| {id} | {unit} | {real} |");
+        for (_, estimate) in &estimates {
+            let found = estimate.parameters.iter().find(|p| p.id == id);
+            let cell = found.map_or_else(String::new, |p| match p.sigma {
+                Some(sigma) => format!("{:.4} ± {:.4}", 1e3 * p.value, 1e3 * sigma),
+                None => format!("{:.4}", 1e3 * p.value),
+            });
+            let _ = write!(text, " {cell} |");
+        }
+        text.push('\n');
+    }
+    text
+}
+
+/// What the recording is of.
+pub(super) fn about(outcome: &Outcome) -> String {
+    let input = &outcome.input;
+    let seed = input.seed.map_or_else(|| "–".to_owned(), |seed| seed.to_string());
+    format!(
+        "# {}\n\n{} · {} · seed {seed} · sha256 `{}`\n\n",
+        input.name,
+        Provenance::software(),
+        input.kind,
+        input.sha256.chars().take(12).collect::<String>()
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::synthetic;
+
+    #[test]
+    fn figures_are_in_millimetres_beside_the_published_ones() {
+        let outcome = synthetic::outcome(6, 2, true);
+        let text = accuracy(&outcome);
+        let row = outcome.modes[1].rows[0].expect("a row");
+        assert!(text.contains(&format!("| only calibration | {:.3} |", 1e3 * row.max.x)), "{text}");
+        assert!(
+            text.contains("| *published* | *2.4* | *0.9* | *2.0* | *0.6* | *2.4* | *0.8* | | |"),
+            "{text}"
+        );
+        // Two published rows, both of the identification set.
+        assert_eq!(text.matches("published").count(), 2);
+        assert_eq!(text.matches("RMS 3-D").count(), 2);
+    }
+
+    #[test]
+    fn parameters_stand_beside_their_truth_where_there_is_one() {
+        let mut outcome = synthetic::outcome(3, 1, true);
+        let text = parameters(&outcome);
+        assert!(text.contains("| delta_theta4 | mrad | -17.1000 | -16.2450 ± 0.0162 |"), "{text}");
+        outcome.truth = None;
+        let text = parameters(&outcome);
+        assert!(text.contains("| delta_theta4 | mrad |  | -16.2450 ± 0.0162 |"), "{text}");
+    }
+}

@@ -1,0 +1,6 @@
+//! Tests of the whole: what a user does, and what keeps the code in shape.
+
+// Helpers of tests stand outside `#[test]` functions, where clippy's leave for tests does not reach.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod layers;
