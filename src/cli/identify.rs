@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 
 use super::output::{self, Files};
-use super::{CliError, Verdict};
-use crate::identification::{FrameChoice, IdentificationOptions, Mode, ParameterChoice, TargetChoice};
+use super::{CliError, Verdict, say};
+use crate::identification::{FrameChoice, IdentificationOptions, Mode, ParameterChoice, TargetChoice, Tolerance};
 use crate::input::Source;
 use crate::measurement::{ColumnMap, load_column_map, parse_column_map, parse_measurements};
 use crate::model::{JointKind, load_robot};
@@ -15,7 +15,8 @@ use crate::pipeline::{InputSummary, Outcome, SetKind, SetOutcome, calibrate, has
 /// Calibrate a robot from measured positions in a file, and verify on another file
 ///
 /// Tracker frame and target offset are identified with the links: a file of positions says nothing of either. The parameters are a
-/// complete independent set, chosen by rank from the robot's table.
+/// complete independent set, chosen by rank from the robot's table. A prior of the robot's making tolerance holds the directions that the
+/// measurements hardly show; rank and weak directions are reported without it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig identify --model models/ur5/robot.toml --measurements grid.csv --verify random.csv
@@ -40,6 +41,12 @@ pub(super) struct Args {
     /// Which link parameters
     #[arg(long, value_enum, default_value_t = Parameters::Complete)]
     parameters: Parameters,
+    /// How well the links' lengths are known beforehand: standard deviation of a prior, mm; 0 for none
+    #[arg(long, value_name = "MM", default_value_t = 10.0, value_parser = not_negative)]
+    tolerance_mm: f64,
+    /// How well the links' angles are known beforehand: standard deviation of a prior, mrad; 0 for none
+    #[arg(long, value_name = "MRAD", default_value_t = 20.0, value_parser = not_negative)]
+    tolerance_mrad: f64,
     /// Folder for report.html and report.json, which are written over [default: no files]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -59,11 +66,29 @@ enum Parameters {
 pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     let outcome = outcome(args)?;
     output::show(&outcome, args.json)?;
+    if tolerance(args).is_some() {
+        say(&format!(
+            "prior on the link parameters: 0 +- {} mm, 0 +- {} mrad (--tolerance-mm, --tolerance-mrad; 0 for none)",
+            args.tolerance_mm, args.tolerance_mrad
+        ));
+    }
     if let Some(out) = &args.out {
         let folder = output::folder(Some(out), &outcome.input.name)?;
         output::write(&outcome, &folder, Files::Reports)?;
     }
     Ok(output::verdict(&outcome))
+}
+
+fn not_negative(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(number) if number.is_finite() && number >= 0.0 => Ok(number),
+        _ => Err("expected a number of zero or more".to_owned()),
+    }
+}
+
+fn tolerance(args: &Args) -> Option<Tolerance> {
+    (args.tolerance_mm > 0.0 && args.tolerance_mrad > 0.0)
+        .then_some(Tolerance { length: 1e-3 * args.tolerance_mm, angle: 1e-3 * args.tolerance_mrad })
 }
 
 fn outcome(args: &Args) -> Result<Outcome, CliError> {
@@ -103,6 +128,7 @@ fn outcome(args: &Args) -> Result<Outcome, CliError> {
         },
         frame: FrameChoice::Free,
         target: TargetChoice::Identified,
+        tolerance: tolerance(args),
         ..IdentificationOptions::default()
     };
     let (registration, modes) = calibrate(&robot.model, &sets, &modes, &options)?;

@@ -7,12 +7,12 @@ use super::problem::{CalibrationProblem, Current, Prior, Row};
 use super::solver::{Solution, minimise};
 use super::{
     CalibratedRobot, Estimate, Mode, NoiseScale, ParameterEstimate, SolverOptions, Spectrum, Warning,
-    analyse_r, complete_set, neighbour_axis_rules,
+    analyse_columns, analyse_r, complete_set, neighbour_axis_rules,
 };
 use crate::geometry::{Transform, best_fit_transform};
 use crate::kinematics::target_in_base;
 use crate::measurement::{MeasurementSet, RegistrationError, register};
-use crate::model::{CalibrationModel, LinkTerm, ParameterId};
+use crate::model::{CalibrationModel, LinkTerm, ParameterId, Unit};
 
 /// What is known of the tracker's place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -60,8 +60,20 @@ pub struct IdentificationOptions {
     pub target: TargetChoice,
     /// Standard deviation of what the model leaves out, per axis, m; added to the readings' covariance. A stated choice.
     pub unmodelled_sigma: f64,
+    /// A prior on every link parameter, where stated.
+    pub tolerance: Option<Tolerance>,
     /// When the solver stops.
     pub solver: SolverOptions,
+}
+
+/// Standard deviation of a zero-mean normal prior on the link parameters' deviations: how well the robot was made. It holds directions
+/// that the measurements hardly show at values that a machine can have; rank and weak directions are those of the data without it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tolerance {
+    /// Of lengths, m.
+    pub length: f64,
+    /// Of angles, rad.
+    pub angle: f64,
 }
 
 impl Default for IdentificationOptions {
@@ -72,6 +84,7 @@ impl Default for IdentificationOptions {
             frame: FrameChoice::Nests,
             target: TargetChoice::Measured,
             unmodelled_sigma: 0.0,
+            tolerance: None,
             solver: SolverOptions::default(),
         }
     }
@@ -167,9 +180,22 @@ pub fn identify(
         return Err(IdentifyError::TooFewRows { rows, parameters });
     }
     let solution = minimise(&mut problem, vec![0.0; parameters], &options.solver);
-    problem.set(&solution.x);
     let stated = set.observations.iter().all(|o| o.reading.position_covariance().is_some());
-    Ok(summarise(problem, solution, rows, stated, options.mode))
+    if stated || rows == parameters {
+        return Ok(summarise(problem, solution, NoiseScale::Stated, options.mode));
+    }
+    // The first pass tells the noise that the readings do not state; the second weighs the priors against it.
+    let sigma = UNSTATED_SIGMA * (solution.cost / (rows - parameters) as f64).sqrt();
+    if !(sigma.is_finite() && sigma > 0.0) {
+        return Ok(summarise(problem, solution, NoiseScale::Residuals(sigma), options.mode));
+    }
+    for row in &mut problem.rows {
+        row.whitening *= UNSTATED_SIGMA / sigma;
+    }
+    let first = solution.iterations;
+    let mut solution = minimise(&mut problem, solution.x, &options.solver);
+    solution.iterations.splice(0..0, first);
+    Ok(summarise(problem, solution, NoiseScale::Residuals(sigma), options.mode))
 }
 
 /// The nominal robot, laid over the measurements.
@@ -249,6 +275,7 @@ fn build(
     options: &IdentificationOptions,
 ) -> Result<CalibrationProblem, IdentifyError> {
     let mut parameters = link_parameters(model, options)?;
+    let tolerances = tolerances(&parameters, options.tolerance)?;
     let mut priors = Vec::new();
     let stations = match options.frame {
         FrameChoice::Free => {
@@ -304,6 +331,7 @@ fn build(
         current: Current::new(&model.kinematics, &stations, &targets),
         parameters,
         priors,
+        tolerances,
         stations,
         targets,
     })
@@ -341,6 +369,22 @@ fn link_parameters(
     Ok(chosen)
 }
 
+/// One over the prior standard deviation of every link parameter, in the order of the columns; empty without a prior.
+fn tolerances(links: &[ParameterId], tolerance: Option<Tolerance>) -> Result<Vec<f64>, IdentifyError> {
+    let Some(tolerance) = tolerance else { return Ok(Vec::new()) };
+    let positive = |sigma: f64| sigma.is_finite() && sigma > 0.0;
+    if !(positive(tolerance.length) && positive(tolerance.angle)) {
+        return Err(IdentifyError::Covariance { what: "the tolerance of the link parameters".to_owned() });
+    }
+    Ok(links
+        .iter()
+        .map(|id| match id.unit() {
+            Unit::Metre => 1.0 / tolerance.length,
+            Unit::Radian => 1.0 / tolerance.angle,
+        })
+        .collect())
+}
+
 fn weighted_rows(set: &MeasurementSet, unmodelled_sigma: f64) -> Result<Vec<Row>, IdentifyError> {
     let stated = set.observations.iter().all(|o| o.reading.position_covariance().is_some());
     set.observations
@@ -370,29 +414,20 @@ fn prior(what: &str, column: usize, covariance: DMatrix<f64>) -> Result<Prior, I
     Ok(Prior { column, whitening })
 }
 
-fn summarise(
-    problem: CalibrationProblem,
-    solution: Solution,
-    rows: usize,
-    stated: bool,
-    mode: Mode,
-) -> Estimate {
-    let parameters = problem.parameters;
-    let degrees_of_freedom = rows - parameters.len();
-    let spectrum = analyse_r(&solution.r, &parameters);
-    let noise = if stated || degrees_of_freedom == 0 {
-        NoiseScale::Stated
+fn summarise(mut problem: CalibrationProblem, solution: Solution, noise: NoiseScale, mode: Mode) -> Estimate {
+    let rows = super::LeastSquares::rows(&problem);
+    let degrees_of_freedom = rows - problem.parameters.len();
+    let spectrum = if problem.tolerances.is_empty() {
+        analyse_r(&solution.r, &problem.parameters)
     } else {
-        NoiseScale::Residuals(UNSTATED_SIGMA * (solution.cost / degrees_of_freedom as f64).sqrt())
+        analyse_columns(&problem.measured_jacobian(&solution.x), &problem.parameters)
     };
-    let scale = match noise {
-        NoiseScale::Stated => 1.0,
-        NoiseScale::Residuals(sigma) => (sigma / UNSTATED_SIGMA).powi(2),
-    };
-    let covariance = covariance(&solution.r, &spectrum).map(|c| c * scale);
-    let warnings = warnings(&solution, &spectrum, parameters.len(), degrees_of_freedom, noise);
+    let covariance = covariance(&solution.r, &spectrum);
+    problem.set(&solution.x);
+    let warnings = warnings(&solution, &spectrum, problem.parameters.len(), degrees_of_freedom, noise);
     Estimate {
-        parameters: parameters
+        parameters: problem
+            .parameters
             .iter()
             .zip(&solution.x)
             .enumerate()

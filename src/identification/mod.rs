@@ -18,7 +18,7 @@ pub use identifiability::{
     neighbour_axis_rules, select_independent, structural_poses,
 };
 pub use identify::{
-    FrameChoice, IdentificationOptions, IdentifyError, ParameterChoice, TargetChoice, identify,
+    FrameChoice, IdentificationOptions, IdentifyError, ParameterChoice, TargetChoice, Tolerance, identify,
     without_calibration,
 };
 pub use solver::{LeastSquares, SolverOptions};

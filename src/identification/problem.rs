@@ -37,6 +37,8 @@ pub(super) struct CalibrationProblem {
     pub joints: Vec<f64>,
     pub rows: Vec<Row>,
     pub priors: Vec<Prior>,
+    /// One over the standard deviation of the first parameters' own priors.
+    pub tolerances: Vec<f64>,
     /// `tracker_from_base` that the frame parameters displace.
     pub stations: Vec<Transform>,
     /// Offsets that the target parameters change.
@@ -141,6 +143,22 @@ impl CalibrationProblem {
             }
             first += n;
         }
+        for (column, weight) in self.tolerances.iter().enumerate() {
+            residuals[first + column] = weight * x[column];
+            if let Some(jacobian) = jacobian.as_deref_mut() {
+                jacobian.row_mut(first + column).fill(0.0);
+                jacobian[(first + column, column)] = *weight;
+            }
+        }
+    }
+
+    /// The weighted Jacobian at `x` without the tolerances: what was measured.
+    pub fn measured_jacobian(&mut self, x: &[f64]) -> DMatrix<f64> {
+        let rows = LeastSquares::rows(self);
+        let mut residuals = DVector::zeros(rows);
+        let mut jacobian = DMatrix::zeros(rows, self.parameters.len());
+        self.evaluate(x, &mut residuals, Some(&mut jacobian));
+        jacobian.resize_vertically(rows - self.tolerances.len(), 0.0)
     }
 }
 
@@ -150,7 +168,8 @@ impl LeastSquares for CalibrationProblem {
     }
 
     fn rows(&self) -> usize {
-        3 * self.rows.len() + self.priors.iter().map(|p| p.whitening.nrows()).sum::<usize>()
+        let priors: usize = self.priors.iter().map(|p| p.whitening.nrows()).sum();
+        3 * self.rows.len() + priors + self.tolerances.len()
     }
 
     fn evaluate(&mut self, x: &[f64], residuals: &mut DVector<f64>, mut jacobian: Option<&mut DMatrix<f64>>) {
@@ -220,6 +239,7 @@ mod tests {
                 column: 15,
                 whitening: DMatrix::from_fn(6, 6, |i, j| if i < j { 0.0 } else { 1.0 + i as f64 - j as f64 }),
             }],
+            tolerances: vec![2.0, 3.0, 4.0],
             current: Current::new(&nominal, &stations, &targets),
             nominal,
             parameters,

@@ -73,7 +73,6 @@ impl Chain {
 
     /// Sets every drive to its joint variable and puts the chain there.
     pub(super) fn drive_to(&mut self, joints: &[f64]) {
-        self.reset();
         let (axes, stiffness) = (&self.axes, &self.stiffness);
         let multibody = multibody_of(&mut self.world.multibody_joints, self.multibody);
         for (joint, link) in multibody.links_mut().skip(1).enumerate() {
@@ -81,21 +80,18 @@ impl Chain {
                 link.joint.set_spring(axes[joint], stiffness[joint], joints[joint]);
             }
         }
-        self.displace(joints);
+        self.place(joints);
     }
 
-    /// Back to zero, exactly: coordinates can only be displaced, and `c + (q - c)` need not be `q`.
-    fn reset(&mut self) {
-        for joint in 0..self.axes.len() {
+    /// Puts the chain at the joint variables, to the bit, wherever it was.
+    pub(super) fn place(&mut self, joints: &[f64]) {
+        // By way of zero: coordinates can only be displaced, and `c + (q - c)` need not be `q`.
+        for joint in 0..joints.len() {
             self.displacement[joint] = -self.coordinate(joint);
         }
-        multibody_of(&mut self.world.multibody_joints, self.multibody)
-            .apply_displacements(&self.displacement);
-    }
-
-    /// Moves the joints by `by`.
-    pub(super) fn displace(&mut self, by: &[f64]) {
-        self.multibody_mut().apply_displacements(by);
+        let multibody = multibody_of(&mut self.world.multibody_joints, self.multibody);
+        multibody.apply_displacements(&self.displacement);
+        multibody.apply_displacements(joints);
         self.update();
     }
 

@@ -122,7 +122,7 @@ pub(super) fn check_robot(robot: &AsBuilt) -> Result<(), PlantError> {
     }
     for (joint, &stiffness) in robot.statics.drive_stiffness.iter().enumerate() {
         // Infinity passes: it is a rigid drive.
-        if !(stiffness > 0.0) {
+        if stiffness.is_nan() || stiffness <= 0.0 {
             return Err(PlantError::Stiffness { joint, stiffness });
         }
     }
@@ -132,17 +132,16 @@ pub(super) fn check_robot(robot: &AsBuilt) -> Result<(), PlantError> {
 
 /// Refuses options with which nothing would settle.
 pub(super) fn check_options(options: &SettleOptions) -> Result<(), PlantError> {
-    for (option, value) in [
+    let positive = [
         ("dt", options.dt),
         ("max_steps", f64::from(options.max_steps)),
         ("tip_tolerance", options.tip_tolerance),
         ("residual_tolerance", options.residual_tolerance),
-    ] {
-        if !(value > 0.0 && value.is_finite()) {
-            return Err(PlantError::Option { option, value });
-        }
+    ];
+    match positive.into_iter().find(|(_, value)| !value.is_finite() || *value <= 0.0) {
+        Some((option, value)) => Err(PlantError::Option { option, value }),
+        None => Ok(()),
     }
-    Ok(())
 }
 
 /// Refuses a command that is not one finite number an actuator.

@@ -35,7 +35,7 @@ const BODIES: [(f64, [f64; 3], [f64; 3], f64); 7] = [
 ];
 
 /// N/m for the rail and the telescope, N m/rad for the rest: the tool droops by 10 to 15 mm.
-const STIFFNESS: [f64; 7] = [2e8, 6e6, 4e6, 3e6, 2e7, 1e6, 5e5];
+const STIFFNESS: [f64; 7] = [5e7, 1.5e6, 8e5, 7e5, 5e6, 2.5e5, 1.2e5];
 
 /// The robot without errors.
 pub(super) fn spray_robot() -> AsBuilt {
