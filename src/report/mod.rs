@@ -1,1 +1,195 @@
-//! report
+//! What a run tells people and programs: tables on the terminal, `report.json` and `report.html`. A sink: nothing upstream imports it.
+
+mod html;
+mod json;
+mod parameters;
+mod plots;
+#[cfg(test)]
+mod sample;
+mod summary;
+mod tables;
+
+pub use html::html_report;
+pub use json::{
+    JsonDropped, JsonEstimate, JsonInput, JsonParameter, JsonRegistration, JsonReport, JsonRow, JsonSet,
+    JsonSoftware, SCHEMA, json_report,
+};
+pub use tables::{Style, render_tables};
+
+use std::collections::BTreeSet;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use tempfile::NamedTempFile;
+use thiserror::Error;
+
+use crate::identification::{Estimate, Mode, TerminationReason};
+use crate::pipeline::{Outcome, SetKind, SetOutcome};
+
+/// A report that could not be made or written.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum ReportError {
+    /// A file could not be written; nothing is left behind under its name.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A value has no JSON form.
+    #[error("cannot express the report as JSON: {0}")]
+    Json(#[from] serde_json::Error),
+    /// A figure could not be drawn.
+    #[error("cannot draw the figure of {figure}: {reason}")]
+    Plot {
+        /// What it shows.
+        figure: &'static str,
+        /// Why.
+        reason: String,
+    },
+}
+
+/// Writes `report.json` and `report.html` to `folder`, which exists.
+///
+/// Both are written in full beside their final names before either is renamed, so that a failed run leaves no half-written report.
+pub fn write_reports(outcome: &Outcome, folder: &Path) -> Result<(), ReportError> {
+    let mut json = serde_json::to_string_pretty(&json_report(outcome))?;
+    json.push('\n');
+    let html = html_report(outcome)?;
+    let staged = [stage(folder, "report.json", &json)?, stage(folder, "report.html", &html)?];
+    for (file, path) in staged {
+        file.persist(&path).map_err(|e| ReportError::Write { path, source: e.error })?;
+    }
+    Ok(())
+}
+
+fn stage(folder: &Path, name: &str, text: &str) -> Result<(NamedTempFile, PathBuf), ReportError> {
+    let path = folder.join(name);
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".report-");
+    // A temporary file is private by default; a report is as readable as the user's umask allows.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let written = builder.tempfile_in(folder).and_then(|mut file| {
+        file.write_all(text.as_bytes())?;
+        file.as_file().sync_all()?;
+        Ok(file)
+    });
+    match written {
+        Ok(file) => Ok((file, path)),
+        Err(source) => Err(ReportError::Write { path, source }),
+    }
+}
+
+/// The published figures beside a row, m: max x, mean x, max y, mean y, max z, mean z.
+fn published(outcome: &Outcome, set: SetKind, mode: Mode) -> Option<&[f64; 6]> {
+    outcome.published.iter().find(|(s, m, _)| (*s, *m) == (set, mode)).map(|(_, _, figures)| figures)
+}
+
+/// Number of distinct poses of a set.
+fn pose_count(set: &SetOutcome) -> usize {
+    set.measurements.observations.iter().map(|o| o.pose).collect::<BTreeSet<_>>().len()
+}
+
+/// "60 poses", or "60 poses (120 observations)" where several targets or stations are seen at a pose.
+fn pose_words(set: &SetOutcome) -> String {
+    let (poses, observations) = (pose_count(set), set.measurements.observations.len());
+    if poses == observations {
+        counted(poses, "pose")
+    } else {
+        format!("{} ({})", counted(poses, "pose"), counted(observations, "observation"))
+    }
+}
+
+/// "1 pose", "2 poses".
+fn counted(n: usize, noun: &str) -> String {
+    if n == 1 { format!("1 {noun}") } else { format!("{n} {noun}s") }
+}
+
+fn set_title(kind: SetKind) -> &'static str {
+    match kind {
+        SetKind::Identification => "Identification set",
+        SetKind::Verification => "Verification set",
+    }
+}
+
+fn termination_words(reason: TerminationReason) -> &'static str {
+    match reason {
+        TerminationReason::SmallGradient => "the gradient vanished",
+        TerminationReason::SmallStep => "the step became negligible",
+        TerminationReason::SmallDecrease => "the decrease became negligible",
+        TerminationReason::IterationLimit => "the iteration limit was reached",
+        TerminationReason::NoDecrease => "no step led downhill",
+        TerminationReason::NotFinite => "the cost stopped being finite",
+    }
+}
+
+/// A condition number for people.
+fn condition_words(condition: f64) -> String {
+    if !condition.is_finite() {
+        "infinite".to_owned()
+    } else if condition < 1e5 {
+        format!("{condition:.0}")
+    } else {
+        format!("{condition:.1e}")
+    }
+}
+
+/// `sqrt(chi2 / dof)` where the readings state their noise; from residual-scaled noise it would say nothing.
+fn consistency_ratio(estimate: &Estimate) -> Option<f64> {
+    match estimate.noise {
+        crate::identification::NoiseScale::Stated => estimate.chi2_per_dof().map(f64::sqrt),
+        crate::identification::NoiseScale::Residuals(_) => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_files_are_written_and_no_other() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        write_reports(&sample::simulated(), folder.path()).expect("a report");
+        write_reports(&sample::simulated(), folder.path()).expect("a report over an older one");
+        let mut names: Vec<_> = std::fs::read_dir(folder.path())
+            .expect("the folder")
+            .map(|entry| entry.expect("an entry").file_name().into_string().expect("UTF-8"))
+            .collect();
+        names.sort();
+        assert_eq!(names, ["report.html", "report.json"]);
+        let read = |name| std::fs::read_to_string(folder.path().join(name)).expect("readable");
+        assert!(read("report.html").ends_with("</html>"));
+        let json: JsonReport = serde_json::from_str(&read("report.json")).expect("the schema");
+        assert_eq!(json.schema, SCHEMA);
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_written_to_keeps_nothing() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let missing = folder.path().join("missing");
+        let error = write_reports(&sample::measured(), &missing).expect_err("there is no folder");
+        assert!(error.to_string().contains("report.json"), "{error}");
+        // A folder stands in the way of the second file: the first may be there, but no temporary file is.
+        std::fs::create_dir(folder.path().join("report.html")).expect("a folder");
+        assert!(write_reports(&sample::measured(), folder.path()).is_err());
+        for entry in std::fs::read_dir(folder.path()).expect("the folder") {
+            let name = entry.expect("an entry").file_name().into_string().expect("UTF-8");
+            assert!(["report.html", "report.json"].contains(&name.as_str()), "{name} is left behind");
+        }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn others_may_read_what_the_umask_allows() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let plain = folder.path().join("plain");
+        std::fs::write(&plain, "").expect("a file");
+        write_reports(&sample::measured(), folder.path()).expect("a report");
+        let mode = |path: &Path| std::fs::metadata(path).expect("a file").permissions().mode();
+        assert_eq!(mode(&folder.path().join("report.json")), mode(&plain));
+    }
+}

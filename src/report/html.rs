@@ -1,0 +1,726 @@
+//! `report.html`: one file that opens anywhere, without scripts and without anything fetched.
+
+use std::fmt::Write;
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+use super::parameters::{
+    NORMAL_95, ParameterCell, ParameterRow, fitted, parameter_rows, parameter_words, printed_unit,
+};
+use super::plots::{self, GRID, INK, LOOKS, Look, Marker, hex, look};
+use super::summary::{factor_words, judged_set, length_words, row, significant, summarise};
+use super::{
+    ReportError, condition_words, consistency_ratio, counted, pose_words, published, set_title,
+    termination_words,
+};
+use crate::identification::{DependentGroup, Estimate, Mode, NoiseScale, Warning, WeakDirection};
+use crate::model::{ParameterId, Unit};
+use crate::pipeline::{Outcome, SetKind};
+
+const CSS: &str = include_str!("report.css");
+
+/// The page of a run.
+pub fn html_report(outcome: &Outcome) -> Result<String, ReportError> {
+    let errors = errors_section(outcome)?;
+    let parameters = parameters_section(outcome)?;
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta name="color-scheme" content="light dark";
+                meta name="generator" content={ "calibrig " (env!("CARGO_PKG_VERSION")) };
+                title { "Calibration of " (outcome.input.name) }
+                style { (PreEscaped(CSS)) (PreEscaped(figure_css())) }
+            }
+            body {
+                (header(outcome))
+                main {
+                    (doubts(outcome))
+                    (summary_section(outcome))
+                    (accuracy_section(outcome))
+                    (errors)
+                    (parameters)
+                    (trust_section(outcome))
+                    (reproduce_section(outcome))
+                }
+            }
+        }
+    };
+    Ok(page.into_string())
+}
+
+/// The figures' colours on a dark page; on a light one their own attributes hold.
+fn figure_css() -> String {
+    let (ink, grid) = (hex(INK), hex(GRID));
+    let mut css = format!(
+        "figure svg [fill=\"{ink}\"]{{fill:currentColor}}figure svg [stroke=\"{ink}\"]{{stroke:currentColor}}\
+         figure svg [stroke=\"{grid}\"]{{stroke:var(--grid)}}\n@media screen and (prefers-color-scheme:dark){{"
+    );
+    for look in LOOKS {
+        let (light, dark) = (hex(look.light), hex(look.dark));
+        let _ = write!(css, "svg [fill=\"{light}\"]{{fill:{dark}}}svg [stroke=\"{light}\"]{{stroke:{dark}}}");
+    }
+    css.push('}');
+    css
+}
+
+fn header(outcome: &Outcome) -> Markup {
+    let input = &outcome.input;
+    let registration = &outcome.registration;
+    html! {
+        header {
+            p.eyebrow { "Calibration report" }
+            h1 { (input.name) }
+            dl.facts {
+                div { dt { "Input" } dd { (input.kind) } }
+                @if let Some(seed) = input.seed { div { dt { "Seed" } dd { (seed) } } }
+                @for set in &outcome.sets {
+                    div { dt { (set_title(set.kind)) } dd { (pose_words(set)) } }
+                }
+                div { dt { "Robot" } dd { (counted(outcome.model.kinematics.joint_count(), "joint")) } }
+                div { dt { "Software" } dd { "calibrig " (env!("CARGO_PKG_VERSION")) } }
+                div.wide {
+                    dt { "Registration of \u{201c}" (Mode::WithoutCalibration.title()) "\u{201d}" }
+                    dd {
+                        (registration.how) ", " (counted(registration.poses, "pose"))
+                        ", RMS " (length_words(registration.rms))
+                    }
+                }
+                div.wide { dt { "SHA-256 of the input" } dd.hash { (input.sha256) } }
+            }
+            nav {
+                a href="#summary" { "Summary" } " "
+                a href="#accuracy" { "Accuracy" } " "
+                a href="#errors" { "Errors" } " "
+                a href="#parameters" { "Parameters" } " "
+                a href="#trust" { "Trust" } " "
+                a href="#reproduce" { "Reproduce" }
+            }
+        }
+    }
+}
+
+/// What forbids using the numbers without a second look, in front of them.
+fn doubts(outcome: &Outcome) -> Markup {
+    let unsound: Vec<_> = fitted(outcome).into_iter().filter(|(_, e)| !e.is_sound()).collect();
+    html! {
+        @if !unsound.is_empty() {
+            aside.doubt role="note" {
+                strong { "Doubtful. " }
+                @for (mode, estimate) in unsound {
+                    "\u{201c}" (mode.title()) "\u{201d}: "
+                    @if !estimate.termination.converged() {
+                        "not converged (" (termination_words(estimate.termination)) "). "
+                    }
+                    @if estimate.spectrum.rank < estimate.parameters.len() {
+                        "rank " (estimate.spectrum.rank) " of " (estimate.parameters.len())
+                        ": not every parameter is determined by itself; positions predicted near the measured poses are. "
+                    }
+                }
+                a href="#trust" { "Details" }
+            }
+        }
+    }
+}
+
+fn summary_section(outcome: &Outcome) -> Markup {
+    let summary = summarise(outcome);
+    html! {
+        section #summary {
+            h2 { "Summary" }
+            (tiles(outcome))
+            div.columns {
+                div { h3 { "What improved" } ul { @for line in &summary.improved { li { (line) } } } }
+                div { h3 { "What remains" } ul { @for line in &summary.remains { li { (line) } } } }
+            }
+        }
+    }
+}
+
+fn tiles(outcome: &Outcome) -> Markup {
+    let Some(set) = judged_set(outcome) else { return html! {} };
+    let before = outcome
+        .modes
+        .iter()
+        .find(|m| m.mode == Mode::WithoutCalibration)
+        .and_then(|m| row(m, set))
+        .map(|r| r.rms_3d);
+    html! {
+        div.tiles {
+            @for mode in &outcome.modes {
+                @if let Some(row) = row(mode, set) {
+                    div.tile {
+                        div.name { (key(&look(mode.mode))) (mode.mode.title()) }
+                        div.figure { (length_words(row.rms_3d)) }
+                        div.note {
+                            "RMS of the 3-D error, at worst " (length_words(row.max_3d))
+                            @if let (Some(before), true) = (before, mode.estimate.is_some()) {
+                                br; (factor_words(before, row.rms_3d, "without calibration"))
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        p.note { (set_title(outcome.sets[set].kind)) ", " (pose_words(&outcome.sets[set])) "." }
+    }
+}
+
+fn accuracy_section(outcome: &Outcome) -> Markup {
+    html! {
+        section #accuracy {
+            h2 { "Accuracy" }
+            p {
+                "Absolute error of the target position in the base frame, measured minus predicted, in mm."
+                @if !outcome.published.is_empty() { " Below each row, the published figures for comparison." }
+            }
+            @for (index, set) in outcome.sets.iter().enumerate() {
+                (accuracy_table(outcome, index, set.kind, &pose_words(set)))
+            }
+        }
+    }
+}
+
+fn accuracy_table(outcome: &Outcome, index: usize, kind: SetKind, poses: &str) -> Markup {
+    let mm = |metres: f64| number(1e3 * metres, 3);
+    html! {
+        div.scroll {
+            table.accuracy {
+                caption { (set_title(kind)) ", " (poses) ", mm" }
+                thead {
+                    tr {
+                        th rowspan="2" {}
+                        @for axis in ["x", "y", "z", "3-D"] { th.group colspan="2" { (axis) } }
+                    }
+                    tr {
+                        @for _ in 0..3 { th.first { "max" } th { "mean" } }
+                        th.first { "RMS" } th { "max" }
+                    }
+                }
+                tbody {
+                    @for mode in &outcome.modes {
+                        @if let Some(row) = row(mode, index) {
+                            tr {
+                                th scope="row" { (key(&look(mode.mode))) (mode.mode.title()) }
+                                @for axis in 0..3 { td.first { (mm(row.max[axis])) } td { (mm(row.mean[axis])) } }
+                                td.first { (mm(row.rms_3d)) } td { (mm(row.max_3d)) }
+                            }
+                            @if let Some(figures) = published(outcome, kind, mode.mode) {
+                                tr.published {
+                                    th scope="row" { "published" }
+                                    @for pair in figures.chunks(2) {
+                                        @for (i, metres) in pair.iter().enumerate() {
+                                            td.first[i == 0] { (number(1e3 * metres, 1)) }
+                                        }
+                                    }
+                                    td.first {} td {}
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn errors_section(outcome: &Outcome) -> Result<Markup, ReportError> {
+    let all: Vec<_> = outcome.modes.iter().collect();
+    let after: Vec<_> = outcome.modes.iter().filter(|m| m.estimate.is_some()).collect();
+    let titles = |modes: &[&crate::pipeline::ModeOutcome]| modes.iter().map(|m| m.mode).collect::<Vec<_>>();
+    let before_and_after = plots::residuals(outcome, &all)?;
+    let zoomed = if after.is_empty() || after.len() == all.len() {
+        None
+    } else {
+        Some(plots::residuals(outcome, &after)?)
+    };
+    let distribution = plots::distribution(outcome)?;
+    Ok(html! {
+        section #errors {
+            h2 { "Errors" }
+            (figure(&titles(&all), &before_and_after, &html! {
+                "Measured minus predicted position of every pose, per axis, before and after calibration."
+            }, false))
+            @if let Some(zoomed) = zoomed {
+                (figure(&titles(&after), &zoomed, &html! {
+                    "The same after calibration only, on a scale of its own. A pattern over the poses is something that the "
+                    "model lacks; measurement noise alone would look like noise."
+                }, false))
+            }
+            (figure(&titles(&all), &distribution, &html! {
+                "Share of the observations whose 3-D error is at most the given one. Curves further to the left are better."
+            }, true))
+            (percentile_table(outcome))
+        }
+    })
+}
+
+fn percentile_table(outcome: &Outcome) -> Markup {
+    html! {
+        div.scroll {
+            table {
+                caption { "3-D error that a share of the observations stays below, mm" }
+                thead {
+                    tr { th rowspan="2" {} @for set in &outcome.sets { th.group colspan="3" { (set_title(set.kind)) } } }
+                    tr { @for _ in &outcome.sets { th.first { "50 %" } th { "95 %" } th { "all" } } }
+                }
+                tbody {
+                    @for mode in &outcome.modes {
+                        tr {
+                            th scope="row" { (key(&look(mode.mode))) (mode.mode.title()) }
+                            @for errors in &mode.errors {
+                                @let sorted = sorted_norms(errors);
+                                @for (i, share) in [0.5, 0.95, 1.0].into_iter().enumerate() {
+                                    td.first[i == 0] {
+                                        @if let Some(value) = quantile(&sorted, share) { (number(1e3 * value, 3)) }
+                                    }
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn sorted_norms(errors: &[nalgebra::Vector3<f64>]) -> Vec<f64> {
+    let mut norms: Vec<_> = errors.iter().map(nalgebra::Vector3::norm).collect();
+    norms.sort_by(f64::total_cmp);
+    norms
+}
+
+/// The smallest value that at least `share` of the sorted values do not exceed.
+fn quantile(sorted: &[f64], share: f64) -> Option<f64> {
+    let n = sorted.len() as f64;
+    sorted.iter().enumerate().find(|(i, _)| (*i as f64 + 1.0) >= share * n - 1e-9).map(|(_, v)| *v)
+}
+
+fn parameters_section(outcome: &Outcome) -> Result<Markup, ReportError> {
+    let rows = parameter_rows(outcome);
+    let modes: Vec<_> = fitted(outcome).iter().map(|(mode, _)| *mode).collect();
+    let truth_known = rows.iter().any(|row| row.truth().is_some());
+    let mut parts = Vec::new();
+    for (unit, name) in [(Unit::Metre, "Lengths"), (Unit::Radian, "Angles")] {
+        if let Some(plot) = plots::parameters(&rows, &modes, unit)? {
+            let selected: Vec<_> = rows.iter().filter(|row| row.id.unit() == unit).collect();
+            parts.push((unit, name, plot, selected));
+        }
+    }
+    Ok(html! {
+        section #parameters {
+            h2 { "Parameters" }
+            @if parts.is_empty() {
+                p { "No parameter was identified." }
+            } @else {
+                p {
+                    "Link parameters are deviations from the nominal robot; frame parameters displace the base in the tracker's "
+                    "frame from where its registration puts it; target parameters are deviations from the stated offset."
+                }
+            }
+            @for (unit, name, plot, selected) in &parts {
+                h3 { (name) }
+                (figure(&modes, plot, &html! {
+                    (name) " in " (printed_unit(*unit).0) "."
+                    @if selected.iter().any(|row| row.cells.iter().flatten().any(|c| c.sigma.is_some())) {
+                        " Horizontal bars are 95 % intervals from the covariance of the fit."
+                    } @else {
+                        " A singular system has no standard deviations."
+                    }
+                    @if truth_known {
+                        " On the left, a vertical bar in each row is the truth of the simulated robot; on the right, zero is."
+                    }
+                }, false))
+                (parameter_table(selected, &modes, *unit, truth_known))
+            }
+        }
+    })
+}
+
+fn parameter_table(rows: &[&ParameterRow], modes: &[Mode], unit: Unit, truth_known: bool) -> Markup {
+    let (unit, factor) = printed_unit(unit);
+    let scaled = |value: Option<f64>| value.map_or("\u{2013}".to_owned(), |v| number(factor * v, 4));
+    let far = |cell: &ParameterCell| cell.error_over_sigma().filter(|r| r.abs() > NORMAL_95).is_some();
+    let columns = if truth_known { "3" } else { "2" };
+    html! {
+        div.scroll {
+            table.parameters {
+                thead {
+                    tr {
+                        th rowspan="2" { "parameter" }
+                        @if truth_known { th rowspan="2" { "truth" br; (unit) } }
+                        @for mode in modes { th.group colspan=(columns) { (key(&look(*mode))) (mode.title()) } }
+                    }
+                    tr {
+                        @for _ in modes {
+                            th.first { "estimate" br; (unit) }
+                            th { "sigma" br; (unit) }
+                            @if truth_known { th { "error" br; "/ sigma" } }
+                        }
+                    }
+                }
+                tbody {
+                    @for row in rows {
+                        tr {
+                            th scope="row" { code { (row.id) } " " span.note { (parameter_words(row.id)) } }
+                            @if truth_known { td { (scaled(row.truth())) } }
+                            @for cell in &row.cells {
+                                td.first { (scaled(cell.map(|c| c.value))) }
+                                td { (scaled(cell.and_then(|c| c.sigma))) }
+                                @if truth_known {
+                                    td.far[cell.as_ref().is_some_and(far)] {
+                                        @if let Some(ratio) = cell.and_then(|c| c.error_over_sigma()) { (number(ratio, 1)) }
+                                    }
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        @if truth_known {
+            p.note { "Bold: the truth lies outside the 95 % interval." }
+        }
+    }
+}
+
+fn trust_section(outcome: &Outcome) -> Markup {
+    let fitted = fitted(outcome);
+    html! {
+        section #trust {
+            h2 { "Can the numbers be trusted?" }
+            @if fitted.is_empty() {
+                p { "No model was fitted." }
+            } @else {
+                (estimate_table(&fitted))
+                p.note {
+                    "The condition number is that of the system with scaled columns. \u{221a}(\u{3c7}\u{b2}/dof) compares the residuals with the stated noise: "
+                    "1 where model and noise are right; dof are the degrees of freedom."
+                }
+            }
+            @for (mode, estimate) in &fitted {
+                (mode_trust(*mode, estimate))
+            }
+            @for set in outcome.sets.iter().filter(|s| !s.dropped.is_empty()) {
+                h3 { (set_title(set.kind)) ": " (counted(set.dropped.len(), "pose")) " not measured" }
+                ul { @for (pose, why) in &set.dropped { li { "pose " (pose) ": " (why) } } }
+            }
+        }
+    }
+}
+
+fn estimate_table(fitted: &[(Mode, &Estimate)]) -> Markup {
+    html! {
+        div.scroll {
+            table {
+                thead {
+                    tr {
+                        th {} th.words { "state" } th { "iterations" } th { "rank" } th { "condition" }
+                        th { "\u{3c7}\u{b2}" } th { "dof" } th { "\u{221a}(\u{3c7}\u{b2}/dof)" }
+                    }
+                }
+                tbody {
+                    @for (mode, estimate) in fitted {
+                        tr {
+                            th scope="row" { (key(&look(*mode))) (mode.title()) }
+                            td.words {
+                                @if estimate.termination.converged() { "converged: " } @else { strong { "not converged: " } }
+                                (termination_words(estimate.termination))
+                            }
+                            td { (estimate.iterations.len()) }
+                            td { (estimate.spectrum.rank) " of " (estimate.parameters.len()) }
+                            td { (condition_words(estimate.spectrum.condition)) }
+                            @match estimate.noise {
+                                NoiseScale::Stated => td { (significant(estimate.chi2)) },
+                                NoiseScale::Residuals(_) => td { "\u{2013}" },
+                            }
+                            td { (estimate.degrees_of_freedom) }
+                            td {
+                                @if let Some(ratio) = consistency_ratio(estimate) { (significant(ratio)) } @else { "\u{2013}" }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn mode_trust(mode: Mode, estimate: &Estimate) -> Markup {
+    let spectrum = &estimate.spectrum;
+    // Weak directions have a list of their own below.
+    let warnings: Vec<_> = estimate.warnings.iter().filter(|w| !matches!(w, Warning::Weak { .. })).collect();
+    html! {
+        h3 { (key(&look(mode))) (mode.title()) }
+        @if warnings.is_empty() && spectrum.weak.is_empty() && spectrum.dependent.is_empty() {
+            p { "No warning; every parameter is determined." }
+        }
+        @if !warnings.is_empty() {
+            ul.warnings { @for warning in &warnings { li { (warning) } } }
+        }
+        @if let NoiseScale::Residuals(sigma) = estimate.noise {
+            p { "The readings state no uncertainty; from the residuals, one coordinate has a standard deviation of " (length_words(sigma)) "." }
+        }
+        @if !spectrum.dependent.is_empty() {
+            p { "Not identifiable from these measurements:" }
+            ul { @for group in &spectrum.dependent { li { (dependent_words(group)) } } }
+        }
+        @if !spectrum.weak.is_empty() {
+            p { "Poorly determined:" }
+            ul { @for weak in &spectrum.weak { li { (weak_words(weak)) } } }
+        }
+    }
+}
+
+fn dependent_words(group: &DependentGroup) -> String {
+    if group.with.is_empty() {
+        return format!(
+            "{} ({}) changes nothing that was measured.",
+            group.redundant,
+            parameter_words(group.redundant)
+        );
+    }
+    format!(
+        "{} ({}) does the same as {} (m and rad): only the combination is determined. Fix one of them, or measure what tells them apart.",
+        group.redundant,
+        parameter_words(group.redundant),
+        combination(&group.with)
+    )
+}
+
+fn weak_words(weak: &WeakDirection) -> String {
+    let factor = 1.0 / weak.singular_value;
+    format!(
+        "{} (scaled weights): changed together in these proportions, they show {} times less in the measurements than the best determined \
+         combination does. Poses that move the neighbouring joints further would help.",
+        combination(&weak.members),
+        significant(factor)
+    )
+}
+
+fn combination(members: &[(ParameterId, f64)]) -> String {
+    let mut text = String::new();
+    for (i, (id, weight)) in members.iter().enumerate() {
+        let sign = match (i, *weight < 0.0) {
+            (0, false) => "",
+            (0, true) => "\u{2212}",
+            (_, false) => " + ",
+            (_, true) => " \u{2212} ",
+        };
+        let weight = weight.abs();
+        if (weight - 1.0).abs() < 5e-4 {
+            let _ = write!(text, "{sign}{id}");
+        } else {
+            let _ = write!(text, "{sign}{} {id}", significant(weight));
+        }
+    }
+    text
+}
+
+fn reproduce_section(outcome: &Outcome) -> Markup {
+    html! {
+        section #reproduce {
+            h2 { "How to reproduce" }
+            pre { code { (command(outcome)) } }
+            p {
+                "With calibrig " (env!("CARGO_PKG_VERSION")) " and the same input"
+                @if let Some(seed) = outcome.input.seed { ", seed " (seed) }
+                ", the numbers are the same on the same machine, bit by bit. "
+                "The numbers of this page in full precision, in metres and radians, are in " code { "report.json" }
+                " beside it (schema " code { (super::SCHEMA) } ")."
+            }
+            @if !outcome.sources.is_empty() {
+                table.files {
+                    thead { tr { th { "role" } th { "file" } } }
+                    tbody { @for (role, source) in &outcome.sources { tr { td { (role) } td { code { (source.name) } } } } }
+                }
+            }
+        }
+    }
+}
+
+/// The command line of this run, for a POSIX shell.
+fn command(outcome: &Outcome) -> String {
+    let source = |roles: &[&str]| {
+        outcome.sources.iter().find(|(role, _)| roles.contains(&role.as_str())).map(|(_, s)| quoted(&s.name))
+    };
+    let name = || quoted(&outcome.input.name);
+    match outcome.input.kind {
+        "scenario" => {
+            format!("calibrig run {} --out DIR", source(&["scenario"]).unwrap_or_else(name))
+        }
+        "recording" => format!("calibrig replay {}", source(&["recording"]).unwrap_or_else(name)),
+        _ => {
+            let mut words = "calibrig identify".to_owned();
+            for (flag, roles) in [
+                ("--model", &["robot", "model"][..]),
+                ("--measurements", &["measurements", "identification"]),
+                ("--verify", &["verification", "verify"]),
+            ] {
+                if let Some(path) = source(roles) {
+                    let _ = write!(words, " {flag} {path}");
+                }
+            }
+            words
+        }
+    }
+}
+
+fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:@%".contains(c);
+    if !word.is_empty() && word.chars().all(plain) {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', "'\\''"))
+    }
+}
+
+fn figure(modes: &[Mode], plot: &str, caption: &Markup, lines: bool) -> Markup {
+    html! {
+        figure {
+            div.legend {
+                @for mode in modes {
+                    span {
+                        @if lines { (line_key(&look(*mode))) } @else { (key(&look(*mode))) }
+                        (mode.title())
+                    }
+                }
+            }
+            div.scroll { (PreEscaped(plot)) }
+            figcaption { (caption) }
+        }
+    }
+}
+
+/// The marker of a mode, to stand beside its title.
+fn key(look: &Look) -> Markup {
+    let colour = hex(look.light);
+    html! {
+        svg.key width="14" height="14" viewBox="-7 -7 14 14" aria-hidden="true" {
+            @match look.marker {
+                Marker::Circle => circle r="4" fill="none" stroke=(colour) stroke-width="2" {},
+                Marker::Triangle => polygon points="0,-5 5,4 -5,4" fill=(colour) {},
+                Marker::Square => rect x="-4" y="-4" width="8" height="8" fill=(colour) {},
+                Marker::Cross => path d="M-4-4 4 4M-4 4 4-4" stroke=(colour) stroke-width="2" {},
+                Marker::Diamond => polygon points="0,-5 5,0 0,5 -5,0" fill=(colour) {},
+            }
+        }
+    }
+}
+
+/// The line of a mode.
+fn line_key(look: &Look) -> Markup {
+    let dashes = look.dash.map(|(dash, gap)| format!("{dash} {gap}"));
+    html! {
+        svg.key width="34" height="14" viewBox="0 -7 34 14" aria-hidden="true" {
+            line x1="0" y1="0" x2="34" y2="0" stroke=(hex(look.light)) stroke-width="2" stroke-dasharray=[dashes] {}
+        }
+    }
+}
+
+/// A number for a table.
+fn number(value: f64, decimals: usize) -> String {
+    if !value.is_finite() {
+        return "\u{2013}".to_owned();
+    }
+    if value.abs() >= 1e6 {
+        return format!("{value:.1e}").replace('-', "\u{2212}");
+    }
+    format!("{value:.decimals$}").replace('-', "\u{2212}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::sample;
+
+    /// Every element that is opened is closed, in order.
+    fn assert_balanced(page: &str) {
+        const VOID: [&str; 3] = ["meta", "br", "!DOCTYPE"];
+        let mut open: Vec<&str> = Vec::new();
+        let mut rest = page;
+        while let Some(start) = rest.find('<') {
+            rest = &rest[start + 1..];
+            let end = rest.find('>').expect("a closed tag");
+            let tag = &rest[..end];
+            let name = tag.trim_start_matches('/').split([' ', '/']).next().expect("a name");
+            if name == "style" && !tag.starts_with('/') {
+                rest = &rest[rest.find("</style>").expect("the end of the style sheet") + 8..];
+                continue;
+            }
+            if tag.starts_with('/') {
+                assert_eq!(open.pop(), Some(name), "before {}", &rest[..rest.len().min(80)]);
+            } else if !tag.ends_with('/') && !VOID.contains(&name) {
+                open.push(name);
+            }
+            rest = &rest[end + 1..];
+        }
+        assert!(open.is_empty(), "{open:?} stay open");
+    }
+
+    #[test]
+    fn pages_are_well_formed_and_fetch_nothing() {
+        for outcome in [sample::simulated(), sample::measured()] {
+            let page = html_report(&outcome).expect("a page");
+            assert_balanced(&page);
+            for wrong in ["<script", "<link", "<img", "src=", "@import", "url(", "NaN", ">inf<", ">-inf<"] {
+                assert!(!page.contains(wrong), "{wrong}");
+            }
+            let addresses = page.matches("http").count();
+            assert_eq!(addresses, page.matches("http://www.w3.org/2000/svg").count(), "only the name of SVG");
+            for (at, _) in page.match_indices("href=\"#") {
+                let id = page[at + 7..].split('"').next().expect("an anchor");
+                assert!(page.contains(&format!("id=\"{id}\"")), "{id}");
+            }
+        }
+    }
+
+    #[test]
+    fn no_string_of_a_user_reaches_the_page_as_it_is() {
+        let page = html_report(&sample::measured()).expect("a page");
+        assert!(!page.contains("alert(\"1\")"));
+        let escaped = "&lt;script&gt;alert(&quot;1&quot;)&lt;/script&gt; &amp; 'co'";
+        // Title, heading, registration, dropped pose, warning, file, and the command with its quotes quoted.
+        assert!(page.matches(escaped).count() >= 6, "{}", page.matches(escaped).count());
+        assert!(page.contains("calibrig identify --model '&lt;script&gt;"));
+        assert!(page.contains("--measurements grid.csv"));
+    }
+
+    #[test]
+    fn the_tables_hold_the_numbers_in_mm_and_mrad() {
+        let outcome = sample::simulated();
+        let page = html_report(&outcome).expect("a page");
+        for mode in &outcome.modes {
+            for row in mode.rows.iter().flatten() {
+                for metres in [row.max.x, row.mean.y, row.max.z, row.rms_3d, row.max_3d] {
+                    let cell = format!("{:.3}</td>", 1e3 * metres);
+                    assert!(page.contains(&cell), "{cell}");
+                }
+            }
+        }
+        assert!(page.contains(">26.2</td>"), "published");
+        assert!(page.contains("\u{2212}17.1000</td>"), "true delta_theta4 in mrad");
+        assert!(page.contains("calibrig run 'scenarios/spray painting.toml' --out DIR"));
+    }
+
+    #[test]
+    fn quantiles_by_hand() {
+        let values = [1.0, 2.0, 3.0, 4.0];
+        assert_eq!(
+            [0.25, 0.5, 0.51, 0.95, 1.0].map(|s| quantile(&values, s)),
+            [1.0, 2.0, 3.0, 4.0, 4.0].map(Some)
+        );
+        assert_eq!(quantile(&[], 0.5), None);
+    }
+
+    #[test]
+    fn doubts_stand_in_front() {
+        let page = html_report(&sample::measured()).expect("a page");
+        let (doubt, summary) = (page.find("Doubtful."), page.find("id=\"summary\""));
+        assert!(doubt.expect("a doubt") < summary.expect("a summary"));
+        assert!(page.contains("delta_d6 (link 6, offset d) does the same as delta_d5"));
+        assert!(!html_report(&sample::simulated()).expect("a page").contains("Doubtful."));
+    }
+}

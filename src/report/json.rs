@@ -1,0 +1,343 @@
+//! `report.json`, schema `calibrig.report/1`. It only grows: keys are added, never renamed, removed or given another meaning.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use super::parameters::{fitted, truth_of};
+use super::pose_count;
+use crate::evaluation::AccuracyRow;
+use crate::identification::{Estimate, NoiseScale};
+use crate::pipeline::{Outcome, SetOutcome};
+
+/// The schema's name.
+pub const SCHEMA: &str = "calibrig.report/1";
+
+/// The whole document. Numbers that are not finite are `null`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonReport {
+    /// [`SCHEMA`].
+    pub schema: String,
+    /// What wrote it.
+    pub software: JsonSoftware,
+    /// Where the measurements came from.
+    pub input: JsonInput,
+    /// How the row "without calibration" was registered.
+    pub registration: JsonRegistration,
+    /// By the key of the set.
+    pub sets: BTreeMap<String, JsonSet>,
+    /// By the key of the mode; the modes that were fitted.
+    pub estimates: BTreeMap<String, JsonEstimate>,
+    /// One entry a mode and parameter.
+    pub parameters: Vec<JsonParameter>,
+}
+
+/// What wrote the report.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonSoftware {
+    /// Version of calibrig.
+    pub version: String,
+}
+
+/// Where the measurements came from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonInput {
+    /// `scenario`, `files` or `recording`.
+    pub kind: String,
+    /// Its name for people.
+    pub name: String,
+    /// Hash over every input file, hexadecimal.
+    pub sha256: String,
+    /// The seed of a simulation, else null.
+    pub seed: Option<u64>,
+}
+
+/// How the tracker's frame was tied to the robot's.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonRegistration {
+    /// In words.
+    pub how: String,
+    /// Poses used.
+    pub poses: usize,
+    /// RMS of the 3-D residual, m.
+    pub rms_m: Option<f64>,
+}
+
+/// A set of poses.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonSet {
+    /// Distinct poses measured.
+    pub poses: usize,
+    /// Poses planned but not measured.
+    pub dropped: Vec<JsonDropped>,
+    /// By the key of the mode; rows that do not apply are absent.
+    pub rows: BTreeMap<String, JsonRow>,
+}
+
+/// A pose that was not measured.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonDropped {
+    /// Its number.
+    pub pose: u32,
+    /// Why.
+    pub why: String,
+}
+
+/// A row of the accuracy table, m, in the base frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonRow {
+    /// Largest absolute error per axis.
+    pub max_m: [Option<f64>; 3],
+    /// Mean absolute error per axis.
+    pub mean_m: [Option<f64>; 3],
+    /// Mean signed error per axis.
+    pub bias_m: [Option<f64>; 3],
+    /// RMS of the 3-D error.
+    pub rms_3d_m: Option<f64>,
+    /// Largest 3-D error.
+    pub max_3d_m: Option<f64>,
+    /// Number of observations.
+    pub n: usize,
+}
+
+/// How an identification ended.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonEstimate {
+    /// `ok`, `not_converged` or `rank_deficient`.
+    pub status: String,
+    /// Why the solver stopped.
+    pub termination: String,
+    /// Iterations, rejected steps included.
+    pub iterations: usize,
+    /// Numerical rank.
+    pub rank: usize,
+    /// Number of parameters.
+    pub parameter_count: usize,
+    /// Chi-square per degree of freedom; null without degrees of freedom, and where the readings state no noise.
+    pub chi2_per_dof: Option<f64>,
+    /// Condition number of the scaled system; null where infinite.
+    pub condition: Option<f64>,
+    /// Standard deviation of one coordinate from the residuals, m; absent where the readings state their noise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub residual_sigma_m: Option<f64>,
+    /// What a user must know, in words.
+    pub warnings: Vec<String>,
+}
+
+/// A parameter of a mode, in the unit of `unit`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonParameter {
+    /// As in every file.
+    pub name: String,
+    /// `m` or `rad`.
+    pub unit: String,
+    /// Key of the mode.
+    pub mode: String,
+    /// What it really is; null where not known.
+    pub truth: Option<f64>,
+    /// The estimate.
+    pub estimate: Option<f64>,
+    /// Standard deviation; null from a singular system.
+    pub sigma: Option<f64>,
+}
+
+/// The document of a run.
+pub fn json_report(outcome: &Outcome) -> JsonReport {
+    let fitted = fitted(outcome);
+    JsonReport {
+        schema: SCHEMA.to_owned(),
+        software: JsonSoftware { version: env!("CARGO_PKG_VERSION").to_owned() },
+        input: JsonInput {
+            kind: outcome.input.kind.to_owned(),
+            name: outcome.input.name.clone(),
+            sha256: outcome.input.sha256.clone(),
+            seed: outcome.input.seed,
+        },
+        registration: JsonRegistration {
+            how: outcome.registration.how.clone(),
+            poses: outcome.registration.poses,
+            rms_m: finite(outcome.registration.rms),
+        },
+        sets: outcome
+            .sets
+            .iter()
+            .enumerate()
+            .map(|(index, set)| (set.kind.key().to_owned(), json_set(outcome, index, set)))
+            .collect(),
+        estimates: fitted
+            .iter()
+            .map(|(mode, estimate)| (mode.key().to_owned(), json_estimate(estimate)))
+            .collect(),
+        parameters: fitted
+            .iter()
+            .flat_map(|(mode, estimate)| {
+                estimate.parameters.iter().map(|p| JsonParameter {
+                    name: p.id.to_string(),
+                    unit: p.id.unit().to_string(),
+                    mode: mode.key().to_owned(),
+                    truth: truth_of(outcome, estimate, p.id),
+                    estimate: finite(p.value),
+                    sigma: p.sigma.and_then(finite),
+                })
+            })
+            .collect(),
+    }
+}
+
+fn json_set(outcome: &Outcome, index: usize, set: &SetOutcome) -> JsonSet {
+    let row = |rows: &[Option<AccuracyRow>]| rows.get(index).copied().flatten();
+    JsonSet {
+        poses: pose_count(set),
+        dropped: set
+            .dropped
+            .iter()
+            .map(|(pose, why)| JsonDropped { pose: *pose, why: why.clone() })
+            .collect(),
+        rows: outcome
+            .modes
+            .iter()
+            .filter_map(|m| row(&m.rows).map(|r| (m.mode.key().to_owned(), json_row(&r))))
+            .collect(),
+    }
+}
+
+fn json_row(row: &AccuracyRow) -> JsonRow {
+    let axes = |v: &Vector3<f64>| [finite(v.x), finite(v.y), finite(v.z)];
+    JsonRow {
+        max_m: axes(&row.max),
+        mean_m: axes(&row.mean),
+        bias_m: axes(&row.bias),
+        rms_3d_m: finite(row.rms_3d),
+        max_3d_m: finite(row.max_3d),
+        n: row.count,
+    }
+}
+
+fn json_estimate(estimate: &Estimate) -> JsonEstimate {
+    let status = if !estimate.termination.converged() {
+        "not_converged"
+    } else if estimate.is_sound() {
+        "ok"
+    } else {
+        "rank_deficient"
+    };
+    let (chi2_per_dof, residual_sigma) = match estimate.noise {
+        NoiseScale::Stated => (estimate.chi2_per_dof().and_then(finite), None),
+        NoiseScale::Residuals(sigma) => (None, finite(sigma)),
+    };
+    JsonEstimate {
+        status: status.to_owned(),
+        termination: estimate.termination.key().to_owned(),
+        iterations: estimate.iterations.len(),
+        rank: estimate.spectrum.rank,
+        parameter_count: estimate.parameters.len(),
+        chi2_per_dof,
+        condition: finite(estimate.spectrum.condition),
+        residual_sigma_m: residual_sigma,
+        warnings: estimate.warnings.iter().map(ToString::to_string).collect(),
+    }
+}
+
+fn finite(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::sample;
+    use serde_json::Value;
+
+    fn document(outcome: &Outcome) -> Value {
+        serde_json::to_value(json_report(outcome)).expect("JSON")
+    }
+
+    fn keys(value: &Value) -> Vec<&str> {
+        let mut keys: Vec<_> = value.as_object().expect("an object").keys().map(String::as_str).collect();
+        keys.sort_unstable();
+        keys
+    }
+
+    #[test]
+    fn the_keys_are_those_of_the_schema() {
+        let json = document(&sample::simulated());
+        assert_eq!(
+            keys(&json),
+            ["estimates", "input", "parameters", "registration", "schema", "sets", "software"]
+        );
+        assert_eq!(json["schema"], "calibrig.report/1");
+        assert_eq!(keys(&json["software"]), ["version"]);
+        assert_eq!(keys(&json["input"]), ["kind", "name", "seed", "sha256"]);
+        assert_eq!(keys(&json["registration"]), ["how", "poses", "rms_m"]);
+        assert_eq!(keys(&json["sets"]), ["identification", "verification"]);
+        let set = &json["sets"]["verification"];
+        assert_eq!(keys(set), ["dropped", "poses", "rows"]);
+        assert_eq!(set["poses"], 38);
+        assert_eq!(keys(&set["dropped"][0]), ["pose", "why"]);
+        assert_eq!(keys(&set["rows"]), ["only_calibration", "with_gravity", "without_calibration"]);
+        let row = &set["rows"]["with_gravity"];
+        assert_eq!(keys(row), ["bias_m", "max_3d_m", "max_m", "mean_m", "n", "rms_3d_m"]);
+        assert_eq!(row["max_m"].as_array().expect("three axes").len(), 3);
+        assert_eq!(row["n"], 38);
+        assert_eq!(keys(&json["estimates"]), ["only_calibration", "with_gravity"]);
+        assert_eq!(
+            keys(&json["estimates"]["with_gravity"]),
+            [
+                "chi2_per_dof",
+                "condition",
+                "iterations",
+                "parameter_count",
+                "rank",
+                "status",
+                "termination",
+                "warnings"
+            ]
+        );
+        assert_eq!(json["estimates"]["with_gravity"]["status"], "ok");
+        let parameters = json["parameters"].as_array().expect("a list");
+        assert_eq!(parameters.len(), 2 * 33);
+        for parameter in parameters {
+            assert_eq!(keys(parameter), ["estimate", "mode", "name", "sigma", "truth", "unit"]);
+        }
+    }
+
+    #[test]
+    fn values_are_in_metres_and_radians_and_as_in_the_outcome() {
+        let outcome = sample::simulated();
+        let json = json_report(&outcome);
+        let row = outcome.modes[2].rows[1].expect("a verification row");
+        let written = &json.sets["verification"].rows["with_gravity"];
+        assert_eq!(written.max_m, [row.max.x, row.max.y, row.max.z].map(Some));
+        assert_eq!(written.rms_3d_m, Some(row.rms_3d));
+        let theta4 = json.parameters.iter().find(|p| p.name == "delta_theta4").expect("delta_theta4");
+        assert_eq!(theta4.unit, "rad");
+        assert!((theta4.truth.expect("a simulated truth") + 0.0171).abs() < 1e-12);
+    }
+
+    #[test]
+    fn rows_that_do_not_apply_are_absent_and_numbers_that_are_not_finite_are_null() {
+        let outcome = sample::measured();
+        let text = serde_json::to_string(&json_report(&outcome)).expect("JSON");
+        for word in ["NaN", "inf", "Infinity"] {
+            assert!(!text.contains(word), "{word} in {text}");
+        }
+        let json = document(&outcome);
+        assert_eq!(keys(&json["sets"]), ["identification"]);
+        assert_eq!(
+            keys(&json["sets"]["identification"]["rows"]),
+            ["only_calibration", "without_calibration"]
+        );
+        let estimate = &json["estimates"]["only_calibration"];
+        assert_eq!(estimate["status"], "rank_deficient");
+        assert!(estimate["condition"].is_null() && estimate["chi2_per_dof"].is_null());
+        assert!(estimate["residual_sigma_m"].as_f64().expect("from the residuals") > 0.0);
+        assert!(json["input"]["seed"].is_null());
+        for parameter in json["parameters"].as_array().expect("a list") {
+            assert!(parameter["truth"].is_null() && parameter["sigma"].is_null());
+        }
+        assert!(json["registration"]["rms_m"].is_null(), "the sample's RMS is NaN");
+        let read: JsonReport = serde_json::from_str(&text).expect("what is written can be read back");
+        assert_eq!(read.estimates["only_calibration"].condition, None);
+    }
+}

@@ -1,0 +1,594 @@
+//! The figures, as SVG text without a background. Colours are presentation attributes, so that the page's style sheet can replace
+//! them in the dark; modes differ by marker and dash too.
+
+use std::ops::Range;
+
+use plotters::coord::Shift;
+use plotters::coord::types::RangedCoordf64;
+use plotters::element::{DashedPathElement, DynElement, IntoDynElement};
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+
+use super::ReportError;
+use super::parameters::{ParameterCell, ParameterRow, printed_unit};
+use crate::identification::Mode;
+use crate::model::Unit;
+use crate::pipeline::{ModeOutcome, Outcome, SetKind};
+
+type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+type Chart<'a, 'b> = ChartContext<'b, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+type Drawn<T = ()> = Result<T, DrawingAreaErrorKind<std::io::Error>>;
+
+/// Text and axes; the page replaces it by the colour of its text.
+pub(super) const INK: RGBColor = RGBColor(0x5A, 0x5A, 0x5A);
+/// Grid lines.
+pub(super) const GRID: RGBColor = RGBColor(0xD5, 0xD5, 0xD5);
+
+/// plotters draws on whole pixels: figures are drawn twice as large as they are shown.
+const SCALE: i32 = 2;
+const WIDTH: i32 = 960;
+
+/// The shape that stands for a mode.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Marker {
+    Circle,
+    Triangle,
+    Square,
+    Cross,
+    Diamond,
+}
+
+/// How a mode is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Look {
+    /// On white: Okabe and Ito's colours and neighbours of theirs, told apart with any colour vision.
+    pub light: RGBColor,
+    /// On a dark page.
+    pub dark: RGBColor,
+    pub marker: Marker,
+    /// Lengths of dash and gap; `None` for a full line.
+    pub dash: Option<(u32, u32)>,
+}
+
+pub(super) const LOOKS: [Look; 5] = [
+    Look {
+        light: RGBColor(0xC9, 0x55, 0x00),
+        dark: RGBColor(0xFF, 0x9A, 0x57),
+        marker: Marker::Circle,
+        dash: Some((2, 4)),
+    },
+    Look {
+        light: RGBColor(0x00, 0x72, 0xB2),
+        dark: RGBColor(0x5C, 0xB8, 0xF2),
+        marker: Marker::Triangle,
+        dash: Some((8, 4)),
+    },
+    Look {
+        light: RGBColor(0x00, 0x8A, 0x65),
+        dark: RGBColor(0x3F, 0xD6, 0xA5),
+        marker: Marker::Square,
+        dash: None,
+    },
+    Look {
+        light: RGBColor(0xAA, 0x44, 0x99),
+        dark: RGBColor(0xE5, 0x9A, 0xCB),
+        marker: Marker::Cross,
+        dash: Some((12, 6)),
+    },
+    Look {
+        light: RGBColor(0x7A, 0x6A, 0x00),
+        dark: RGBColor(0xD9, 0xC7, 0x4A),
+        marker: Marker::Diamond,
+        dash: Some((4, 8)),
+    },
+];
+
+pub(super) fn look(mode: Mode) -> Look {
+    let index = Mode::ALL.iter().position(|m| *m == mode).unwrap_or(0);
+    LOOKS[index % LOOKS.len()]
+}
+
+/// `#RRGGBB`, as plotters writes it.
+pub(super) fn hex(RGBColor(r, g, b): RGBColor) -> String {
+    format!("#{r:02X}{g:02X}{b:02X}")
+}
+
+/// Signed errors per axis against the pose number, a column of panels a set; mm.
+pub(super) fn residuals(outcome: &Outcome, modes: &[&ModeOutcome]) -> Result<String, ReportError> {
+    const TITLE: i32 = 22;
+    const PANEL: i32 = 140;
+    const FOOT: i32 = 20;
+    let size = (WIDTH, TITLE + 3 * PANEL + FOOT);
+    svg("residuals", "Errors per axis against the pose number", size, |area| {
+        for (column, (set, cell)) in set_columns(outcome, area).into_iter().enumerate() {
+            let (title, rest) = cell.split_vertically(px(TITLE));
+            column_title(&title, outcome.sets[set].kind)?;
+            let poses =
+                finite_range(outcome.sets[set].measurements.observations.iter().map(|o| f64::from(o.pose)));
+            let poses = poses.start - 1.0..poses.end + 1.0;
+            let (panels, _) = rest.split_vertically(px(3 * PANEL));
+            for (axis, panel) in panels.split_evenly((3, 1)).iter().enumerate() {
+                let all = modes.iter().flat_map(|m| m.errors.iter().flatten());
+                let reach = 1.08 * largest(all.map(|e| 1e3 * e[axis]));
+                let mut chart = frame(panel, poses.clone(), -reach..reach, 26)?;
+                let name = format!("{} error, mm", ["x", "y", "z"][axis]);
+                mesh(&mut chart, "", if column == 0 { &name } else { "" }, true)?;
+                chart.draw_series(LineSeries::new([(poses.start, 0.0), (poses.end, 0.0)], ink(1)))?;
+                for mode in modes {
+                    let observations = &outcome.sets[set].measurements.observations;
+                    let errors = mode.errors.get(set).map_or(&[][..], Vec::as_slice);
+                    let size = if observations.len() > 300 { 4 } else { 6 };
+                    let points = observations.iter().zip(errors).filter(|(_, e)| drawable(1e3 * e[axis]));
+                    let look = look(mode.mode);
+                    for (o, e) in points {
+                        let at = (f64::from(o.pose), 1e3 * e[axis]);
+                        chart.plotting_area().draw(&marker(&look, at, size))?;
+                    }
+                }
+            }
+            foot(&rest, "pose")?;
+        }
+        Ok(())
+    })
+}
+
+/// Share of observations whose 3-D error is at most so large, a panel a set; logarithmic in mm.
+pub(super) fn distribution(outcome: &Outcome) -> Result<String, ReportError> {
+    const TITLE: i32 = 22;
+    const PANEL: i32 = 280;
+    const FOOT: i32 = 20;
+    svg("error magnitudes", "Cumulative share of 3-D errors", (WIDTH, TITLE + PANEL + FOOT), |area| {
+        let magnitudes = |mode: &ModeOutcome, set: usize| -> Vec<f64> {
+            let mut values: Vec<_> = mode
+                .errors
+                .get(set)
+                .into_iter()
+                .flatten()
+                .map(|e| 1e3 * e.norm())
+                .filter(|v| drawable(*v))
+                .collect();
+            values.sort_by(f64::total_cmp);
+            values
+        };
+        let everything: Vec<Vec<f64>> = outcome
+            .modes
+            .iter()
+            .flat_map(|m| (0..outcome.sets.len()).map(move |set| magnitudes(m, set)))
+            .filter(|v| !v.is_empty())
+            .collect();
+        // The lowest twentieth of the best curve may run off the page: it would stretch the axis over decades.
+        let low = everything.iter().map(|v| v[v.len() / 20]).fold(f64::INFINITY, f64::min);
+        let high = everything.iter().filter_map(|v| v.last()).fold(0.0, |a: f64, b| a.max(*b));
+        let ticks = one_two_five(low, high);
+        let (Some(first), Some(last)) = (ticks.first(), ticks.last()) else { return Ok(()) };
+        let x = first.log10()..last.log10();
+        for (column, (set, cell)) in set_columns(outcome, area).into_iter().enumerate() {
+            let (title, rest) = cell.split_vertically(px(TITLE));
+            column_title(&title, outcome.sets[set].kind)?;
+            let (panel, _) = rest.split_vertically(px(PANEL));
+            let mut chart = frame(&panel, x.clone(), 0.0..102.0, 26)?;
+            mesh(&mut chart, "", if column == 0 { "share of observations, %" } else { "" }, false)?;
+            vertical_ticks(&panel, &chart, &ticks, &(0.0..102.0))?;
+            for mode in &outcome.modes {
+                let values = magnitudes(mode, set);
+                let share = |i: usize| 100.0 * i as f64 / values.len() as f64;
+                let steps: Vec<_> = values
+                    .iter()
+                    .enumerate()
+                    .flat_map(|(i, v)| {
+                        let at = v.log10().max(x.start);
+                        [(at, share(i)), (at, share(i + 1))]
+                    })
+                    .chain(values.last().map(|_| (x.end, 100.0)))
+                    .collect();
+                curve(&chart, &look(mode.mode), steps)?;
+            }
+            foot(&rest, "3-D error, mm (logarithmic)")?;
+        }
+        Ok(())
+    })
+}
+
+/// Estimates with their 95 % intervals, and the truth where known with a second panel of the errors against it.
+pub(super) fn parameters(
+    rows: &[ParameterRow],
+    modes: &[Mode],
+    unit: Unit,
+) -> Result<Option<String>, ReportError> {
+    const ROW: i32 = 22;
+    const NAMES: i32 = 112;
+    const TITLE: i32 = 22;
+    const FOOT: i32 = 28;
+    let rows: Vec<_> = rows.iter().filter(|row| row.id.unit() == unit).collect();
+    if rows.is_empty() {
+        return Ok(None);
+    }
+    let (unit_name, factor) = printed_unit(unit);
+    let truth_known = rows.iter().any(|row| row.truth().is_some());
+    let height = ROW * i32::try_from(rows.len()).unwrap_or(i32::MAX / (4 * ROW)) + 8;
+    let label = "Identified parameters with 95 % intervals";
+    let figure = svg("parameters", label, (WIDTH, TITLE + height + FOOT), |area| {
+        let (_, plots) = area.split_horizontally(px(NAMES));
+        let (left, right) = if truth_known {
+            let (left, right) = plots.split_horizontally(px((WIDTH - NAMES) / 2));
+            (left, Some(right))
+        } else {
+            (plots, None)
+        };
+        let value = |cell: &ParameterCell| Some(cell.value);
+        let panels = [
+            (Some(left), "deviation from nominal", &value as &dyn Fn(&ParameterCell) -> Option<f64>),
+            (right, "estimate minus truth", &ParameterCell::error),
+        ];
+        for (panel, title, centre) in panels {
+            let Some(panel) = panel else { continue };
+            let against_truth = title != "deviation from nominal";
+            let (head, rest) = panel.split_vertically(px(TITLE));
+            centred(&head, &format!("{title}, {unit_name}"))?;
+            let (body, _) = rest.split_vertically(px(height + 26));
+            forest(area, &body, &rows, modes, factor, centre, against_truth)?;
+        }
+        Ok(())
+    })?;
+    Ok(Some(figure))
+}
+
+fn forest(
+    root: &Area,
+    body: &Area,
+    rows: &[&ParameterRow],
+    modes: &[Mode],
+    factor: f64,
+    centre: &dyn Fn(&ParameterCell) -> Option<f64>,
+    against_truth: bool,
+) -> Drawn {
+    let cells = || rows.iter().flat_map(|row| row.cells.iter().flatten());
+    let ends = cells().filter_map(|cell| {
+        let half = cell.half_width().unwrap_or(0.0);
+        centre(cell).map(|c| [factor * (c - half), factor * (c + half)])
+    });
+    let truths = cells().filter_map(|cell| cell.truth).filter(|_| !against_truth).map(|t| factor * t);
+    let x = padded(&finite_range(ends.flatten().chain(truths).chain([0.0])));
+    let bottom = rows.len() as f64 - 0.5;
+    let mut chart = ChartBuilder::on(body)
+        .margin_left(px(8))
+        .margin_right(px(14))
+        .x_label_area_size(px(26))
+        .build_cartesian_2d(x.clone(), bottom..-0.5)?;
+    chart
+        .configure_mesh()
+        .disable_y_mesh()
+        .disable_y_axis()
+        .x_labels(7)
+        .bold_line_style(GRID.stroke_width(2))
+        .light_line_style(TRANSPARENT)
+        .axis_style(INK.mix(0.6).stroke_width(2))
+        .label_style(text_style())
+        .x_label_formatter(&|v| tick(*v))
+        .draw()?;
+    let plot = chart.plotting_area();
+    for row in 1..rows.len() {
+        let y = row as f64 - 0.5;
+        plot.draw(&PathElement::new(vec![(x.start, y), (x.end, y)], GRID.mix(0.5).stroke_width(1)))?;
+    }
+    plot.draw(&PathElement::new(vec![(0.0, bottom), (0.0, -0.5)], ink(2)))?;
+    for (index, row) in rows.iter().enumerate() {
+        let y = index as f64;
+        if !against_truth {
+            let (_, at) = plot.map_coordinate(&(x.start, y));
+            let style = text_style().pos(Pos::new(HPos::Right, VPos::Center));
+            root.draw(&Text::new(row.id.to_string(), (px(108), at), style))?;
+            if let Some(truth) = row.truth().map(|t| factor * t).filter(|t| drawable(*t)) {
+                plot.draw(&PathElement::new(vec![(truth, y - 0.42), (truth, y + 0.42)], ink(5)))?;
+            }
+        }
+        for ((slot, cell), mode) in row.cells.iter().enumerate().zip(modes) {
+            let Some((cell, middle)) = cell.as_ref().and_then(|c| Some((c, factor * centre(c)?))) else {
+                continue;
+            };
+            if !drawable(middle) {
+                continue;
+            }
+            let y = y + 0.34 * (slot as f64 - 0.5 * (modes.len() as f64 - 1.0));
+            let look = look(*mode);
+            if let Some(half) = cell.half_width().map(|h| factor * h).filter(|h| drawable(*h)) {
+                interval(plot, &look, [middle - half, middle + half], y)?;
+            }
+            plot.draw(&marker(&look, (middle, y), 7))?;
+        }
+    }
+    Ok(())
+}
+
+type Plot<'a> = DrawingArea<SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+
+fn interval(plot: &Plot, look: &Look, [from, to]: [f64; 2], y: f64) -> Drawn {
+    let style = look.light.stroke_width(3);
+    plot.draw(&PathElement::new(vec![(from, y), (to, y)], style))?;
+    for end in [from, to] {
+        plot.draw(&(EmptyElement::at((end, y)) + PathElement::new(vec![(0, -5), (0, 5)], style)))?;
+    }
+    Ok(())
+}
+
+fn svg(
+    figure: &'static str,
+    label: &str,
+    (width, height): (i32, i32),
+    draw: impl for<'a, 'b> FnOnce(&'b Area<'a>) -> Drawn,
+) -> Result<String, ReportError> {
+    let size = (px(width).unsigned_abs(), px(height).unsigned_abs());
+    let mut text = String::new();
+    {
+        let area = SVGBackend::with_string(&mut text, size).into_drawing_area();
+        draw(&area)
+            .and_then(|()| area.present())
+            .map_err(|e| ReportError::Plot { figure, reason: e.to_string() })?;
+    }
+    Ok(text.replacen("<svg ", &format!("<svg role=\"img\" aria-label=\"{label}\" "), 1))
+}
+
+/// A column a measured set, as wide as its share of the observations allows.
+fn set_columns<'a>(outcome: &Outcome, area: &Area<'a>) -> Vec<(usize, Area<'a>)> {
+    let counts: Vec<_> = outcome
+        .sets
+        .iter()
+        .enumerate()
+        .map(|(index, set)| (index, set.measurements.observations.len()))
+        .filter(|(_, count)| *count > 0)
+        .collect();
+    if let [(first, a), (second, b)] = counts.as_slice() {
+        let share = (*a as f64 / (a + b) as f64).clamp(0.4, 0.6);
+        let (left, right) = area.split_horizontally((100.0 * share).percent_width());
+        return vec![(*first, left), (*second, right)];
+    }
+    let columns = area.split_evenly((1, counts.len().max(1)));
+    counts.iter().map(|(set, _)| *set).zip(columns).collect()
+}
+
+fn frame<'a, 'b>(area: &Area<'a>, x: Range<f64>, y: Range<f64>, labels: i32) -> Drawn<Chart<'a, 'b>> {
+    ChartBuilder::on(area)
+        .margin_top(px(4))
+        .margin_right(px(10))
+        .x_label_area_size(px(labels))
+        .y_label_area_size(px(62))
+        .build_cartesian_2d(x, y)
+}
+
+fn mesh(chart: &mut Chart, x_title: &str, y_title: &str, x_labels: bool) -> Drawn {
+    chart
+        .configure_mesh()
+        .disable_x_mesh()
+        .x_labels(if x_labels { 10 } else { 0 })
+        .y_labels(6)
+        .bold_line_style(GRID.stroke_width(2))
+        .light_line_style(TRANSPARENT)
+        .axis_style(INK.mix(0.6).stroke_width(2))
+        .label_style(text_style())
+        .axis_desc_style(text_style())
+        .x_desc(x_title)
+        .y_desc(y_title)
+        .x_label_formatter(&|v| tick(*v))
+        .y_label_formatter(&|v| tick(*v))
+        .draw()
+}
+
+/// Grid lines and labels at values of a logarithmic axis that plotters takes for a linear one.
+fn vertical_ticks(area: &Area, chart: &Chart, ticks: &[f64], y: &Range<f64>) -> Drawn {
+    let plot = chart.plotting_area();
+    let style = text_style().pos(Pos::new(HPos::Center, VPos::Top));
+    let (left, top) = area.get_base_pixel();
+    for value in ticks {
+        let at = value.log10();
+        plot.draw(&PathElement::new(vec![(at, y.start), (at, y.end)], GRID.stroke_width(2)))?;
+        let (column, row) = plot.map_coordinate(&(at, y.start));
+        area.draw(&Text::new(tick(*value), (column - left, row - top + px(6)), style.clone()))?;
+    }
+    Ok(())
+}
+
+fn curve(chart: &Chart, look: &Look, points: Vec<(f64, f64)>) -> Drawn {
+    let style = look.light.stroke_width(4);
+    if points.is_empty() {
+        return Ok(());
+    }
+    match look.dash {
+        None => chart.plotting_area().draw(&PathElement::new(points, style)),
+        Some((dash, gap)) => {
+            let scale = SCALE.unsigned_abs();
+            let element = DashedPathElement::new(points.into_iter(), dash * scale, gap * scale, style);
+            chart.plotting_area().draw(&element)
+        }
+    }
+}
+
+fn marker<'a, DB: DrawingBackend + 'a>(
+    look: &Look,
+    at: (f64, f64),
+    size: i32,
+) -> DynElement<'a, DB, (f64, f64)> {
+    let hollow = look.light.stroke_width(3);
+    let full = look.light.filled();
+    match look.marker {
+        Marker::Circle => Circle::new(at, size, hollow).into_dyn(),
+        Marker::Triangle => TriangleMarker::new(at, size + 2, full).into_dyn(),
+        Marker::Square => {
+            let half = size - 1;
+            (EmptyElement::at(at) + Rectangle::new([(-half, -half), (half, half)], full)).into_dyn()
+        }
+        Marker::Cross => Cross::new(at, size, hollow).into_dyn(),
+        Marker::Diamond => {
+            let corners = vec![(0, -size), (size, 0), (0, size), (-size, 0)];
+            (EmptyElement::at(at) + Polygon::new(corners, full)).into_dyn()
+        }
+    }
+}
+
+fn column_title(area: &Area, kind: SetKind) -> Drawn {
+    centred(area, super::set_title(kind))
+}
+
+fn centred(area: &Area, text: &str) -> Drawn {
+    let (width, height) = area.dim_in_pixel();
+    let at = (i32::try_from(width / 2).unwrap_or(0), i32::try_from(height / 2).unwrap_or(0));
+    let font = ("sans-serif", font_size(), FontStyle::Bold).into_font();
+    area.draw(&Text::new(text.to_owned(), at, font.color(&INK).pos(Pos::new(HPos::Center, VPos::Center))))
+}
+
+/// The title of the horizontal axis, at the lower edge.
+fn foot(area: &Area, text: &str) -> Drawn {
+    let (width, height) = area.dim_in_pixel();
+    let at = (i32::try_from(width / 2).unwrap_or(0), i32::try_from(height).unwrap_or(0) - px(6));
+    let style = text_style().pos(Pos::new(HPos::Center, VPos::Bottom));
+    area.draw(&Text::new(text.to_owned(), at, style))
+}
+
+fn text_style() -> TextStyle<'static> {
+    ("sans-serif", font_size()).into_font().color(&INK)
+}
+
+/// plotters divides by 1.24 on its way to SVG.
+fn font_size() -> f64 {
+    12.0 * 1.24 * f64::from(SCALE)
+}
+
+fn ink(width: u32) -> ShapeStyle {
+    INK.stroke_width(width)
+}
+
+fn px(length: i32) -> i32 {
+    length * SCALE
+}
+
+/// A number on an axis: no more digits than it has.
+fn tick(value: f64) -> String {
+    if value != 0.0 && !(1e-3..1e5).contains(&value.abs()) {
+        // plotters' ticks near zero carry rounding errors of the range.
+        return if value.abs() < 1e-9 { "0".to_owned() } else { format!("{value:.0e}") };
+    }
+    let text = format!("{value:.4}");
+    let text = text.trim_end_matches('0').trim_end_matches('.');
+    text.replace('-', "\u{2212}")
+}
+
+/// Whether plotters can place it: its ticks do not end for numbers out of all proportion.
+fn drawable(value: f64) -> bool {
+    value.abs() < 1e10
+}
+
+/// From the least to the largest of the drawable values; never empty.
+fn finite_range(values: impl Iterator<Item = f64>) -> Range<f64> {
+    let (low, high) = values
+        .filter(|v| drawable(*v))
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
+    if low < high {
+        low..high
+    } else if low.is_finite() {
+        low - 0.5..low + 0.5
+    } else {
+        -0.5..0.5
+    }
+}
+
+fn padded(range: &Range<f64>) -> Range<f64> {
+    let pad = (0.04 * (range.end - range.start)).max(1e-6);
+    range.start - pad..range.end + pad
+}
+
+/// Largest magnitude of the drawable values, at least a nanometre in mm.
+fn largest(values: impl Iterator<Item = f64>) -> f64 {
+    values.map(f64::abs).filter(|v| drawable(*v)).fold(1e-6, f64::max)
+}
+
+/// The values 1, 2, 5 times powers of ten from just below `low` to just above `high`; decades alone over a long range.
+fn one_two_five(low: f64, high: f64) -> Vec<f64> {
+    let low = low.max(1e-6);
+    if low > high {
+        return Vec::new();
+    }
+    let decades = (high / low).log10();
+    let steps: &[f64] = if decades > 4.0 { &[1.0] } else { &[1.0, 2.0, 5.0] };
+    // What can be drawn lies between these decades.
+    let all: Vec<f64> = (-6..=9).flat_map(|e| steps.iter().map(move |s| s * 10.0_f64.powi(e))).collect();
+    let below = all.iter().rposition(|t| *t <= low).unwrap_or(0);
+    let above = all.iter().position(|t| *t >= high && *t > low).map_or(all.len(), |i| i + 1);
+    all[below..above.max(below + 1)].to_vec()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::parameters::{fitted, parameter_rows};
+    use crate::report::sample;
+    use nalgebra::Vector3;
+
+    #[test]
+    fn logarithmic_ticks_enclose_the_data() {
+        for (low, high) in [(0.013, 31.0), (0.9, 1.1), (1.0, 1.0), (1e-5, 1e3), (2.0, 5.0)] {
+            let ticks = one_two_five(low, high);
+            assert!(ticks.len() >= 2, "{low} {high}: {ticks:?}");
+            assert!(ticks[0] <= low && ticks[ticks.len() - 1] >= high, "{low} {high}: {ticks:?}");
+        }
+        assert!(one_two_five(f64::INFINITY, 0.0).is_empty());
+    }
+
+    #[test]
+    fn axis_numbers_have_no_idle_digits() {
+        assert_eq!(
+            [0.0, 1e-14, 20.0, -0.5, 0.125, 1e6].map(tick),
+            ["0", "0", "20", "\u{2212}0.5", "0.125", "1e6"]
+        );
+    }
+
+    #[test]
+    fn every_pose_and_every_parameter_is_drawn_in_the_colour_of_its_mode() {
+        let outcome = sample::simulated();
+        let modes: Vec<_> = outcome.modes.iter().collect();
+        let figure = residuals(&outcome, &modes).expect("a figure");
+        let circles = figure.matches("<circle").count();
+        assert_eq!(circles, 3 * 98, "one a pose and axis");
+        let blue = format!("<polygon opacity=\"1\" fill=\"{}\"", hex(LOOKS[1].light));
+        assert_eq!(figure.matches(&blue).count(), 3 * 98);
+        assert!(!figure.contains("#FFFFFF"), "no background");
+
+        let rows = parameter_rows(&outcome);
+        let modes: Vec<_> = fitted(&outcome).iter().map(|(mode, _)| *mode).collect();
+        for (unit, other) in [(Unit::Metre, "delta_alpha2"), (Unit::Radian, "delta_d2")] {
+            let figure = parameters(&rows, &modes, unit).expect("a figure").expect("parameters");
+            for row in rows.iter().filter(|row| row.id.unit() == unit) {
+                assert!(
+                    figure.contains(&format!(">\n{}\n<", row.id))
+                        || figure.contains(&format!("{}\n", row.id))
+                );
+            }
+            assert!(!figure.contains(other));
+        }
+    }
+
+    #[test]
+    fn nothing_that_a_run_can_hold_stops_a_figure() {
+        for bad in [0.0, 1e-300, 1e12, f64::NAN, f64::INFINITY] {
+            let mut outcome = sample::simulated();
+            for mode in &mut outcome.modes {
+                for error in mode.errors.iter_mut().flatten() {
+                    *error = Vector3::repeat(bad);
+                }
+                if let Some(estimate) = &mut mode.estimate {
+                    for parameter in &mut estimate.parameters {
+                        parameter.value = bad;
+                        parameter.sigma = Some(bad);
+                    }
+                }
+            }
+            let modes: Vec<_> = outcome.modes.iter().collect();
+            for figure in [residuals(&outcome, &modes), distribution(&outcome)] {
+                assert!(figure.expect("a figure").ends_with("</svg>\n"), "{bad}");
+            }
+            let rows = parameter_rows(&outcome);
+            let figure = parameters(&rows, &[Mode::OnlyCalibration, Mode::WithGravity], Unit::Metre);
+            assert!(figure.expect("a figure").is_some(), "{bad}");
+            outcome.sets.clear();
+            assert!(residuals(&outcome, &[]).is_ok() && distribution(&outcome).is_ok());
+        }
+    }
+}

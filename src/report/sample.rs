@@ -1,0 +1,373 @@
+//! Outcomes made up for the tests of the report: plausible numbers, no solver behind them.
+
+use nalgebra::{DMatrix, Matrix3, Vector3, Vector6};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+use crate::evaluation::accuracy;
+use crate::geometry::{
+    Transform, best_fit_transform, rotation_x, rotation_z, small_displacement, translation,
+};
+use crate::identification::{
+    CalibratedRobot, DependentGroup, Estimate, IterationRecord, Mode, NoiseScale, ParameterEstimate,
+    Spectrum, TerminationReason, Warning, WeakDirection,
+};
+use crate::input::Source as InputText;
+use crate::kinematics::target_in_base;
+use crate::measurement::{MeasurementSet, Observation, Reading, Station, Target};
+use crate::model::{
+    ActuatorMap, Body, CalibrationModel, CraigLink, JointKind, KinematicModel, LinkTerm, ParameterId,
+    StaticProperties, Unit,
+};
+use crate::pipeline::{InputSummary, ModeOutcome, Outcome, RegistrationSummary, SetKind, SetOutcome, Truth};
+use crate::plant::AsBuilt;
+use crate::random::{Source, stream};
+
+/// Displacement of the base from where the nests place it, m and rad.
+pub(super) const TRUE_FRAME: [f64; 6] = [4e-5, -6e-5, 2e-5, 1.5e-5, -0.8e-5, 2.2e-5];
+/// As-built minus stated offset of the target, m.
+pub(super) const TARGET_ERROR: [f64; 3] = [2e-5, -1e-5, 3e-5];
+/// A name that must never reach a page as it is.
+pub(super) const HOSTILE: &str = "<script>alert(\"1\")</script> & 'co'";
+
+const STATED_TARGET: [f64; 3] = [0.10, 0.15, 0.20];
+/// Wang et al., Machines 2023, 11, 20, section on identified errors: a, alpha, d, theta, beta per link, m and rad.
+const DEVIATIONS: [[f64; 5]; 7] = [
+    [0.0, -0.0002, -0.0151, 0.0056, 0.0],
+    [-0.0138, -0.0009, 0.0128, 0.0012, 0.0],
+    [-0.0011, 0.0015, 0.0, 0.0002, 0.0],
+    [0.0009, 0.0020, 0.0076, -0.0171, 0.0148],
+    [-0.0116, -0.0106, 0.0, 0.0148, 0.0],
+    [0.0, -0.0019, 0.0182, 0.0, 0.0],
+    [-0.0107, 0.0035, -0.0208, -0.0001, 0.0],
+];
+const PUBLISHED: [(SetKind, Mode, [f64; 6]); 6] = [
+    (SetKind::Identification, Mode::WithoutCalibration, [0.0147, 0.0057, 0.0262, 0.0144, 0.0195, 0.0063]),
+    (SetKind::Identification, Mode::OnlyCalibration, [0.0024, 0.0009, 0.0020, 0.0006, 0.0024, 0.0008]),
+    (SetKind::Identification, Mode::WithGravity, [0.0017, 0.0007, 0.0015, 0.0004, 0.0023, 0.0007]),
+    (SetKind::Verification, Mode::WithoutCalibration, [0.0158, 0.0059, 0.0271, 0.0139, 0.0182, 0.0067]),
+    (SetKind::Verification, Mode::OnlyCalibration, [0.0027, 0.0010, 0.0019, 0.0006, 0.0030, 0.0011]),
+    (SetKind::Verification, Mode::WithGravity, [0.0021, 0.0008, 0.0015, 0.0005, 0.0029, 0.0011]),
+];
+
+/// A simulated run with truth, 60 and 38 poses, two of the verification set dropped.
+pub(super) fn simulated() -> Outcome {
+    let nominal = nominal();
+    let mut as_built = nominal.clone();
+    for (link, row) in DEVIATIONS.iter().enumerate() {
+        for (term, value) in LinkTerm::ALL.into_iter().zip(row) {
+            as_built.add(ParameterId::link(link, term), *value);
+        }
+    }
+    // One real deviation that no mode fits.
+    as_built.add(ParameterId::link(5, LinkTerm::Beta), 0.005);
+    let prior = translation(3.0, -6.0, 1.2) * rotation_z(0.4) * rotation_x(-1.5);
+    let tracker_from_base = prior * small_displacement(&Vector6::from(TRUE_FRAME));
+    let target = Vector3::from(STATED_TARGET) + Vector3::from(TARGET_ERROR);
+
+    let mut rng = stream(7, 0, Source::AsBuilt);
+    let mut sets = Vec::new();
+    let mut unmodelled: Vec<Vec<Vector3<f64>>> = Vec::new();
+    for (kind, first, count) in [(SetKind::Identification, 0, 60), (SetKind::Verification, 60, 38)] {
+        let mut observations = Vec::new();
+        let mut effects = Vec::new();
+        for pose in first..first + count {
+            let command = draw_command(&mut rng);
+            let effect = sag(&command) + 0.25e-3 * normal3(&mut rng);
+            let in_base = target_in_base(&as_built, &command, &target) + effect;
+            effects.push(effect);
+            observations.push(observation(pose, command, transformed(&tracker_from_base, &in_base)));
+        }
+        unmodelled.push(effects);
+        let dropped = match kind {
+            SetKind::Identification => Vec::new(),
+            SetKind::Verification => {
+                vec![(98, "the target faces away from the tracker".to_owned()), (99, "no reach".to_owned())]
+            }
+        };
+        sets.push(SetOutcome { kind, measurements: measurements(observations, "SMR 1"), dropped });
+    }
+
+    let (uncalibrated, rms) = registered(&nominal, &sets[0].measurements);
+    let model =
+        CalibrationModel { kinematics: nominal, actuators: ActuatorMap::Direct, statics: Some(statics()) };
+    let before = sets
+        .iter()
+        .map(|set| {
+            set.measurements.observations.iter().map(|o| uncalibrated.error_in_base(&model, o)).collect()
+        })
+        .collect();
+    let mut modes = vec![mode_outcome(Mode::WithoutCalibration, uncalibrated, None, before)];
+    for (mode, share, ratio) in [(Mode::OnlyCalibration, 1.0, 13.1), (Mode::WithGravity, 0.62, 9.4)] {
+        let estimate = simulated_estimate(&mut rng, mode, &prior, ratio);
+        let errors = unmodelled
+            .iter()
+            .map(|set| set.iter().map(|e| share * e + 0.15e-3 * normal3(&mut rng)).collect())
+            .collect();
+        modes.push(mode_outcome(mode, estimate.robot.clone(), Some(estimate), errors));
+    }
+    Outcome {
+        input: InputSummary {
+            kind: "scenario",
+            name: "spray painting robot".to_owned(),
+            sha256: "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08".to_owned(),
+            seed: Some(42),
+        },
+        sources: vec![("scenario".to_owned(), InputText::new("scenarios/spray painting.toml", ""))],
+        model,
+        visuals: Vec::new(),
+        registration: RegistrationSummary {
+            how: "best fit of the nominal robot to the identification poses".to_owned(),
+            poses: 60,
+            rms,
+        },
+        sets,
+        modes,
+        truth: Some(Truth {
+            as_built: AsBuilt {
+                kinematics: as_built,
+                actuators: ActuatorMap::Direct,
+                statics: statics(),
+                target,
+            },
+            tracker_from_base,
+            poses: Vec::new(),
+        }),
+        published: PUBLISHED.to_vec(),
+    }
+}
+
+/// A real robot: no truth, no verification set, no gravity mode, rank-deficient, readings without stated noise, hostile names, and
+/// numbers that are not finite where they may occur.
+pub(super) fn measured() -> Outcome {
+    let mut outcome = simulated();
+    outcome.truth = None;
+    outcome.published.clear();
+    outcome.input =
+        InputSummary { kind: "files", name: HOSTILE.to_owned(), sha256: "00".repeat(32), seed: None };
+    outcome.sources = vec![
+        ("robot".to_owned(), InputText::new(format!("{HOSTILE}.toml"), "")),
+        ("measurements".to_owned(), InputText::new("grid.csv", "")),
+    ];
+    outcome.registration.how = format!("best fit {HOSTILE}");
+    outcome.registration.rms = f64::NAN;
+    outcome.sets.truncate(1);
+    outcome.sets[0].dropped = vec![(7, HOSTILE.to_owned())];
+    outcome.sets[0].measurements.targets[0].name = HOSTILE.to_owned();
+    outcome.modes.truncate(2);
+    for mode in &mut outcome.modes {
+        mode.errors.truncate(1);
+        mode.rows.truncate(1);
+    }
+    if let Some(estimate) = &mut outcome.modes[1].estimate {
+        for parameter in &mut estimate.parameters {
+            parameter.sigma = None;
+        }
+        let group = DependentGroup {
+            redundant: ParameterId::link(5, LinkTerm::D),
+            with: vec![(ParameterId::link(4, LinkTerm::D), 1.0)],
+        };
+        estimate.covariance = None;
+        estimate.noise = NoiseScale::Residuals(0.31e-3);
+        estimate.spectrum.rank -= 1;
+        estimate.spectrum.condition = f64::INFINITY;
+        estimate.spectrum.dependent = vec![group];
+        estimate.warnings = vec![Warning::RankDeficient {
+            rank: estimate.spectrum.rank,
+            parameters: estimate.parameters.len(),
+            groups: vec![format!("delta_d6 and delta_d5 {HOSTILE}")],
+        }];
+    }
+    outcome
+}
+
+fn nominal() -> KinematicModel {
+    use JointKind::{Prismatic, Revolute};
+    let right = std::f64::consts::FRAC_PI_2;
+    let link = |name: &str, kind, a, alpha, d| CraigLink {
+        name: name.to_owned(),
+        kind,
+        a,
+        alpha,
+        beta: 0.0,
+        d,
+        theta: 0.0,
+        limits: [-3.0, 4.0],
+    };
+    KinematicModel {
+        links: vec![
+            link("rail", Prismatic, 0.0, 0.0, 0.0),
+            link("waist", Revolute, 0.0, -right, 0.626),
+            link("shoulder", Revolute, 0.25, -right, 0.0),
+            link("elbow", Revolute, 1.35, 0.0, 0.0),
+            link("forearm", Prismatic, 0.246, -right, 0.0),
+            link("roll", Revolute, 0.0, 0.0, 0.0),
+            link("wrist", Revolute, 0.0, right, 0.0),
+        ],
+        last_from_flange: Transform::identity(),
+    }
+}
+
+fn statics() -> StaticProperties {
+    let body = Body { mass: 100.0, centre_of_mass: Vector3::zeros(), inertia: Matrix3::identity() };
+    StaticProperties {
+        bodies: vec![body; 7],
+        drive_stiffness: vec![1e6; 7],
+        gravity: Vector3::new(0.0, -9.81, 0.0),
+    }
+}
+
+fn draw_command(rng: &mut ChaCha8Rng) -> Vec<f64> {
+    const CENTRE: [f64; 7] = [2.0, 0.19, -1.71, 0.12, 2.0, -0.16, -0.77];
+    const HALF_WIDTH: [f64; 7] = [1.92, 0.39, 0.31, 0.20, 0.30, 1.18, 0.57];
+    CENTRE.iter().zip(HALF_WIDTH).map(|(c, w)| c + w * rng.random_range(-1.0..1.0)).collect()
+}
+
+/// What stands for everything that the models leave out, m.
+fn sag(command: &[f64]) -> Vector3<f64> {
+    let (lean, reach) = (command[2] + 1.57, command[4] - 2.0);
+    Vector3::new(
+        1.4e-3 * (3.0 * lean).sin(),
+        0.7e-3 * (lean + 2.0 * reach).cos() - 0.5e-3,
+        0.9e-3 * (1.3 * command[5]).sin(),
+    )
+}
+
+fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    rng.sample(StandardNormal)
+}
+
+fn normal3(rng: &mut ChaCha8Rng) -> Vector3<f64> {
+    Vector3::from_fn(|_, _| normal(rng))
+}
+
+fn transformed(a_from_b: &Transform, point: &Vector3<f64>) -> Vector3<f64> {
+    a_from_b.rotation * point + a_from_b.translation.vector
+}
+
+fn observation(pose: u32, command: Vec<f64>, position: Vector3<f64>) -> Observation {
+    Observation {
+        pose,
+        approach: vec![1; command.len()],
+        command,
+        temperature: Some(20.0),
+        time: f64::from(pose) * 12.0,
+        station: 0,
+        target: 0,
+        reading: Reading::Cartesian { position, covariance: Some(Matrix3::identity() * 9e-10) },
+    }
+}
+
+fn measurements(observations: Vec<Observation>, target: &str) -> MeasurementSet {
+    MeasurementSet {
+        stations: vec![Station { name: "T1".to_owned(), nests: Vec::new() }],
+        targets: vec![Target {
+            name: target.to_owned(),
+            in_flange: Vector3::from(STATED_TARGET),
+            covariance: None,
+        }],
+        observations,
+    }
+}
+
+/// The nominal robot under the best-fit station, and the RMS of the fit.
+fn registered(nominal: &KinematicModel, set: &MeasurementSet) -> (CalibratedRobot, f64) {
+    let target = Vector3::from(STATED_TARGET);
+    let seen: Vec<_> = set.observations.iter().map(|o| o.reading.position()).collect();
+    let predicted: Vec<_> =
+        set.observations.iter().map(|o| target_in_base(nominal, &o.command, &target)).collect();
+    let station = best_fit_transform(&seen, &predicted).expect("poses in general position");
+    let squares: f64 =
+        seen.iter().zip(&predicted).map(|(s, p)| (s - transformed(&station, p)).norm_squared()).sum();
+    let robot = CalibratedRobot {
+        mode: Mode::WithoutCalibration,
+        kinematics: nominal.clone(),
+        stations: vec![station],
+        targets: vec![target],
+    };
+    (robot, (squares / seen.len() as f64).sqrt())
+}
+
+fn mode_outcome(
+    mode: Mode,
+    robot: CalibratedRobot,
+    estimate: Option<Estimate>,
+    errors: Vec<Vec<Vector3<f64>>>,
+) -> ModeOutcome {
+    let rows = errors.iter().map(|e| accuracy(e)).collect();
+    ModeOutcome { mode, robot, estimate, errors, rows }
+}
+
+fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio: f64) -> Estimate {
+    let mut truths: Vec<(ParameterId, f64)> = Vec::new();
+    for (link, row) in DEVIATIONS.iter().enumerate() {
+        let terms = LinkTerm::ALL.into_iter().zip(row).filter(|(_, value)| **value != 0.0);
+        truths.extend(terms.map(|(term, value)| (ParameterId::link(link, term), *value)));
+    }
+    truths.extend(ParameterId::all_of_frame(0).into_iter().zip(TRUE_FRAME));
+    truths.extend(ParameterId::all_of_target(0).into_iter().zip(TARGET_ERROR));
+    let parameters: Vec<_> = truths
+        .iter()
+        .map(|(id, truth)| {
+            let scale = rng.random_range(0.3..2.0);
+            let sigma = scale
+                * match id.unit() {
+                    Unit::Metre => 4e-5,
+                    Unit::Radian => 2.5e-5,
+                };
+            // Unmodelled effects pull the estimates further than the stated noise does.
+            ParameterEstimate { id: *id, value: truth + 1.6 * sigma * normal(rng), sigma: Some(sigma) }
+        })
+        .collect();
+    let value = |id| parameters.iter().find(|p| p.id == id).map_or(0.0, |p| p.value);
+    let xi = Vector6::from_iterator(ParameterId::all_of_frame(0).into_iter().map(value));
+    let mut kinematics = nominal();
+    for parameter in &parameters {
+        kinematics.add(parameter.id, parameter.value);
+    }
+    let n = parameters.len();
+    let degrees_of_freedom = 3 * 60 + 9 - n;
+    let weak = WeakDirection {
+        singular_value: 1.9e-3,
+        members: vec![
+            (ParameterId::link(1, LinkTerm::D), 0.71),
+            (ParameterId::link(2, LinkTerm::Alpha), -0.58),
+            (ParameterId::link(3, LinkTerm::D), 0.31),
+        ],
+    };
+    let warnings = vec![
+        Warning::Weak {
+            singular_value: weak.singular_value,
+            direction: "0.71 delta_d2 - 0.58 delta_alpha3 + 0.31 delta_d4".to_owned(),
+        },
+        Warning::Inconsistent { ratio },
+    ];
+    let iteration = IterationRecord { cost: 1.0, damping: 1e-3, step: 1e-6, gain: 1.0, accepted: true };
+    Estimate {
+        robot: CalibratedRobot {
+            mode,
+            kinematics,
+            stations: vec![prior * small_displacement(&xi)],
+            targets: vec![
+                Vector3::from(STATED_TARGET)
+                    + Vector3::from_iterator(ParameterId::all_of_target(0).into_iter().map(value)),
+            ],
+        },
+        covariance: Some(DMatrix::identity(n, n)),
+        noise: NoiseScale::Stated,
+        chi2: ratio * ratio * degrees_of_freedom as f64,
+        degrees_of_freedom,
+        termination: TerminationReason::SmallStep,
+        iterations: vec![iteration; 5],
+        spectrum: Spectrum {
+            rank: n,
+            condition: 526.3,
+            singular_values: (0..n).map(|i| 526.3_f64.powf(-(i as f64) / (n - 1) as f64)).collect(),
+            weak: vec![weak],
+            dependent: Vec::new(),
+        },
+        warnings,
+        parameters,
+    }
+}

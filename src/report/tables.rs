@@ -1,0 +1,286 @@
+//! The report on the terminal: the published tables, with what ours says and what the publication says one below the other.
+
+use std::fmt::Write;
+
+use super::{
+    condition_words, consistency_ratio, counted, pose_words, published, set_title, termination_words,
+};
+use crate::evaluation::AccuracyRow;
+use crate::identification::{Estimate, NoiseScale, Warning};
+use crate::pipeline::{Outcome, SetOutcome};
+
+/// Whether escape sequences may be used. The caller decides, from the terminal and `NO_COLOR`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Style {
+    /// Text alone: for files, pipes and `NO_COLOR`.
+    #[default]
+    Plain,
+    /// ANSI escape sequences.
+    Colour,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Ink {
+    Heading,
+    Dim,
+    Good,
+    Warning,
+}
+
+impl Style {
+    fn paint(self, ink: Ink, text: &str) -> String {
+        let code = match ink {
+            Ink::Heading => "1",
+            Ink::Dim => "2",
+            Ink::Good => "32",
+            Ink::Warning => "33",
+        };
+        match self {
+            Self::Plain => text.to_owned(),
+            Self::Colour => format!("\x1b[{code}m{text}\x1b[0m"),
+        }
+    }
+}
+
+/// Columns of a table: as wide as a plain terminal with some room.
+const WIDTH: usize = 100;
+const TITLE: usize = 34;
+const NUMBER: usize = 8;
+const COLUMNS: [&str; 8] = ["max x", "mean x", "max y", "mean y", "max z", "mean z", "RMS 3D", "max 3D"];
+
+/// The tables of a run in mm, the published figures below each row, and how every estimate ended. At most 100 columns wide.
+pub fn render_tables(outcome: &Outcome, style: Style) -> String {
+    let mut text = String::new();
+    let mut line = |line: &str| {
+        text.push_str(line);
+        text.push('\n');
+    };
+    for (index, set) in outcome.sets.iter().enumerate() {
+        table(outcome, index, set, style).iter().for_each(|l| line(l));
+        line("");
+    }
+    for mode in &outcome.modes {
+        line(&style.paint(Ink::Heading, mode.mode.title()));
+        match &mode.estimate {
+            Some(estimate) => state(estimate, style).iter().for_each(|l| line(l)),
+            None => wrap(&registration_words(outcome), "    ").iter().for_each(|l| line(l)),
+        }
+    }
+    text
+}
+
+fn table(outcome: &Outcome, index: usize, set: &SetOutcome, style: Style) -> Vec<String> {
+    let mut lines = vec![style.paint(
+        Ink::Heading,
+        &format!("{}, {}: absolute errors in mm", set_title(set.kind), pose_words(set)),
+    )];
+    let mut header = " ".repeat(TITLE);
+    for column in COLUMNS {
+        let _ = write!(header, "{column:>NUMBER$}");
+    }
+    let rule = style.paint(Ink::Dim, &"─".repeat(header.len()));
+    lines.push(header);
+    lines.push(rule.clone());
+    for mode in &outcome.modes {
+        let Some(row) = mode.rows.get(index).copied().flatten() else { continue };
+        let numbers = row_values(&row).map(millimetres);
+        lines.push(aligned(mode.mode.title(), &numbers));
+        if let Some(figures) = published(outcome, set.kind, mode.mode) {
+            let numbers = figures.map(as_published);
+            lines.push(style.paint(Ink::Dim, aligned("  published", &numbers).trim_end()));
+        }
+    }
+    lines.push(rule);
+    if !set.dropped.is_empty() {
+        let poses: Vec<_> =
+            set.dropped.iter().map(|(pose, why)| format!("{pose} ({})", printable(why))).collect();
+        let words = format!("{} not measured: {}", counted(set.dropped.len(), "pose"), poses.join(", "));
+        lines.extend(wrap(&words, "    ").iter().map(|l| style.paint(Ink::Warning, l)));
+    }
+    lines
+}
+
+/// Maximum and mean by axis, then RMS and maximum of the 3-D error, m.
+fn row_values(row: &AccuracyRow) -> [f64; 8] {
+    [row.max.x, row.mean.x, row.max.y, row.mean.y, row.max.z, row.mean.z, row.rms_3d, row.max_3d]
+}
+
+fn aligned(title: &str, numbers: &[String]) -> String {
+    let mut line = format!("{title:<TITLE$}");
+    for number in numbers {
+        let _ = write!(line, "{number:>NUMBER$}");
+    }
+    line
+}
+
+/// Millimetres to the micrometre; large numbers, which only a failed fit has, in fewer digits.
+fn millimetres(metres: f64) -> String {
+    let mm = 1e3 * metres;
+    if mm.abs() >= 1e6 {
+        format!("{mm:.0e}")
+    } else if mm.abs() >= 999.9995 {
+        format!("{mm:.0}")
+    } else {
+        format!("{mm:.3}")
+    }
+}
+
+/// Millimetres without the digits that were not published, aligned on the point.
+fn as_published(metres: f64) -> String {
+    let text = millimetres(metres);
+    let Some(point) = text.find('.') else { return text };
+    let kept = text.trim_end_matches('0').len().max(point + 2);
+    format!("{:<width$}", &text[..kept], width = text.len())
+}
+
+fn registration_words(outcome: &Outcome) -> String {
+    let registration = &outcome.registration;
+    format!(
+        "  tracker registered by {}, {}, RMS {} mm",
+        printable(&registration.how),
+        counted(registration.poses, "pose"),
+        millimetres(registration.rms)
+    )
+}
+
+/// How an estimate ended, and what a user must know of it.
+fn state(estimate: &Estimate, style: Style) -> Vec<String> {
+    let mut lines = Vec::new();
+    let mut say = |ink, words: &str, indent: &str| {
+        lines.extend(wrap(words, indent).iter().map(|l| style.paint(ink, l)));
+    };
+    let words = format!(
+        "  {} after {} ({})",
+        if estimate.termination.converged() { "converged" } else { "NOT converged" },
+        counted(estimate.iterations.len(), "iteration"),
+        termination_words(estimate.termination),
+    );
+    say(if estimate.termination.converged() { Ink::Good } else { Ink::Warning }, &words, "    ");
+    let spectrum = &estimate.spectrum;
+    let noise = match (consistency_ratio(estimate), estimate.noise) {
+        (_, NoiseScale::Residuals(sigma)) => format!("noise {} mm from the residuals", millimetres(sigma)),
+        (Some(ratio), _) => format!("sqrt(chi2/dof) {ratio:.2}"),
+        (None, _) => "no degree of freedom".to_owned(),
+    };
+    let words = format!(
+        "  rank {} of {}, condition {}, {noise}",
+        spectrum.rank,
+        estimate.parameters.len(),
+        condition_words(spectrum.condition)
+    );
+    say(if spectrum.rank < estimate.parameters.len() { Ink::Warning } else { Ink::Good }, &words, "    ");
+    for warning in estimate.warnings.iter().map(Warning::to_string) {
+        say(Ink::Warning, &format!("  warning: {}", printable(&warning)), "           ");
+    }
+    lines
+}
+
+/// Control characters from names in files must not reach the terminal.
+fn printable(text: &str) -> String {
+    text.chars().map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect()
+}
+
+/// Breaks `text` at spaces into lines of at most [`WIDTH`] columns, the later ones behind `indent`. Longer words stand alone.
+fn wrap(text: &str, indent: &str) -> Vec<String> {
+    let start = text.len() - text.trim_start().len();
+    let mut lines = Vec::new();
+    let mut line = text[..start].to_owned();
+    let mut empty = true;
+    for word in text.split_whitespace() {
+        if !empty && line.chars().count() + 1 + word.chars().count() > WIDTH {
+            lines.push(std::mem::replace(&mut line, indent.to_owned()));
+            empty = true;
+        }
+        if !empty {
+            line.push(' ');
+        }
+        line.push_str(word);
+        empty = false;
+    }
+    lines.push(line);
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::sample;
+
+    fn numbers(line: &str) -> Vec<f64> {
+        line[TITLE..].split_whitespace().map(|n| n.parse().expect("a number")).collect()
+    }
+
+    #[test]
+    fn the_numbers_are_those_of_the_outcome_in_mm_with_the_published_below() {
+        let outcome = sample::simulated();
+        let text = render_tables(&outcome, Style::Plain);
+        let lines: Vec<_> = text.lines().collect();
+        let start =
+            lines.iter().position(|l| l.starts_with("Verification set, 38 poses")).expect("a heading");
+        let at = start + lines[start..].iter().position(|l| l.starts_with("only cal")).expect("a row");
+        let row = outcome.modes[1].rows[1].expect("a row");
+        let expected =
+            [row.max.x, row.mean.x, row.max.y, row.mean.y, row.max.z, row.mean.z, row.rms_3d, row.max_3d];
+        for (found, metres) in numbers(lines[at]).iter().zip(expected) {
+            assert!((found - 1e3 * metres).abs() <= 0.5e-3 + 1e-12, "{found} mm against {metres} m");
+        }
+        assert_eq!(numbers(lines[at]).len(), 8);
+        assert!(lines[at + 1].starts_with("  published"));
+        assert_eq!(numbers(lines[at + 1]), [2.7, 1.0, 1.9, 0.6, 3.0, 1.1]);
+    }
+
+    #[test]
+    fn published_figures_align_on_the_point_without_invented_digits() {
+        assert_eq!(millimetres(0.0147), "14.700");
+        assert_eq!(as_published(0.0147), "14.7  ");
+        assert_eq!(as_published(0.0020), "2.0  ");
+        assert_eq!(as_published(0.000_123), "0.123");
+    }
+
+    #[test]
+    fn a_plain_report_has_no_escapes_and_no_report_is_wider_than_100_columns() {
+        for outcome in [sample::simulated(), sample::measured()] {
+            let plain = render_tables(&outcome, Style::Plain);
+            assert!(!plain.contains('\x1b'));
+            for line in plain.lines() {
+                assert!(line.chars().count() <= WIDTH, "{line}");
+            }
+            let coloured = render_tables(&outcome, Style::Colour);
+            assert!(coloured.contains("\x1b["));
+            let mut bare = coloured;
+            for code in ["1", "2", "32", "33", "0"] {
+                bare = bare.replace(&format!("\x1b[{code}m"), "");
+            }
+            assert_eq!(bare, plain);
+        }
+    }
+
+    #[test]
+    fn states_warnings_and_dropped_poses_are_told() {
+        let text = render_tables(&sample::simulated(), Style::Plain);
+        for part in
+            ["rank 33 of 33", "condition 526", "sqrt(chi2/dof) 13.10", "warning: weak direction", "98 ("]
+        {
+            assert!(text.contains(part), "{part} in\n{text}");
+        }
+        let text = render_tables(&sample::measured(), Style::Plain);
+        for part in ["rank 32 of 33", "condition infinite", "noise 0.310 mm", "warning: rank 32 of 33"] {
+            assert!(text.contains(part), "{part} in\n{text}");
+        }
+        assert!(!text.contains("Verification") && !text.contains("published"));
+    }
+
+    #[test]
+    fn escape_sequences_in_names_do_not_reach_the_terminal() {
+        let mut outcome = sample::measured();
+        outcome.registration.how = "\x1b]0;title\x07".to_owned();
+        assert!(!render_tables(&outcome, Style::Plain).contains(['\x1b', '\x07']));
+    }
+
+    #[test]
+    fn columns_stay_apart_whatever_the_numbers() {
+        for metres in [0.0, 9.9e-7, 0.999_999_9, 12.3, 4.5e5, 1e300, f64::INFINITY, f64::NAN] {
+            assert!(millimetres(metres).len() < NUMBER, "{}", millimetres(metres));
+        }
+    }
+}
