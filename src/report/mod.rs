@@ -12,7 +12,7 @@ mod tables;
 pub use html::html_report;
 pub use json::{
     JsonDropped, JsonEstimate, JsonInput, JsonParameter, JsonRegistration, JsonReport, JsonRow, JsonSet,
-    JsonSoftware, SCHEMA, json_report,
+    JsonSoftware, SCHEMA, json_report, json_text,
 };
 pub use tables::{Style, render_tables};
 
@@ -55,8 +55,7 @@ pub enum ReportError {
 ///
 /// Both are written in full beside their final names before either is renamed, so that a failed run leaves no half-written report.
 pub fn write_reports(outcome: &Outcome, folder: &Path) -> Result<(), ReportError> {
-    let mut json = serde_json::to_string_pretty(&json_report(outcome))?;
-    json.push('\n');
+    let json = json_text(outcome)?;
     let html = html_report(outcome)?;
     let staged = [stage(folder, "report.json", &json)?, stage(folder, "report.html", &html)?];
     for (file, path) in staged {
