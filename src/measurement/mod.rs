@@ -2,10 +2,13 @@
 
 mod columns;
 mod csv;
+mod csv_text;
 mod registration;
 
-pub use self::columns::{ColumnMap, load_column_map};
-pub use self::csv::{CsvError, read_measurements, write_measurements};
+pub use self::columns::{ColumnMap, load_column_map, parse_column_map};
+pub use self::csv::{
+    CsvError, LoadedMeasurements, parse_measurements, read_measurements, write_measurements,
+};
 pub use registration::{Registration, RegistrationError, register};
 
 use nalgebra::{Matrix3, Vector3};

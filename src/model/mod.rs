@@ -5,12 +5,12 @@ mod bodies;
 mod file;
 mod parameter;
 mod urdf;
+mod urdf_text;
 
 pub use actuators::ActuatorMap;
 pub use bodies::{Body, StaticProperties, Visual, VisualShape};
 pub use file::{Robot, load_robot, parse_robot};
 pub use parameter::{LinkTerm, ParameterId, Unit};
-pub use urdf::{UrdfError, UrdfRobot};
 
 use crate::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
 

@@ -3,4 +3,7 @@
 // Helpers of tests stand outside `#[test]` functions, where clippy's leave for tests does not reach.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod a_user_calibrates_a_real_robot;
+mod a_user_reproduces_the_paper;
+mod a_user_trusts_the_uncertainty;
 mod layers;
