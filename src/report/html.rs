@@ -471,6 +471,9 @@ fn mode_trust(mode: Mode, estimate: &Estimate) -> Markup {
             p { "Poorly determined:" }
             ul { @for weak in &spectrum.weak { li { (weak_words(weak)) } } }
         }
+        @if !(spectrum.dependent.is_empty() && spectrum.weak.is_empty()) {
+            p.note { code { "calibrig identifiability" } " says what to fix or to measure." }
+        }
     }
 }
 
@@ -483,7 +486,7 @@ fn dependent_words(group: &DependentGroup) -> String {
         );
     }
     format!(
-        "{} ({}) does the same as {} (m and rad): only the combination is determined. Fix one of them, or measure what tells them apart.",
+        "{} ({}) does the same as {} (m and rad): only the combination is determined.",
         group.redundant,
         parameter_words(group.redundant),
         combination(&group.with)
@@ -494,7 +497,7 @@ fn weak_words(weak: &WeakDirection) -> String {
     let factor = 1.0 / weak.singular_value;
     format!(
         "{} (scaled weights): changed together in these proportions, they show {} times less in the measurements than the best determined \
-         combination does. Poses that move the neighbouring joints further would help.",
+         combination does.",
         combination(&weak.members),
         significant(factor)
     )
@@ -525,9 +528,7 @@ fn reproduce_section(outcome: &Outcome) -> Markup {
             h2 { "How to reproduce" }
             pre { code { (command(outcome)) } }
             p {
-                "With calibrig " (env!("CARGO_PKG_VERSION")) " and the same input"
-                @if let Some(seed) = outcome.input.seed { ", seed " (seed) }
-                ", the numbers are the same on the same machine, bit by bit. "
+                "With calibrig " (env!("CARGO_PKG_VERSION")) ", the same input and the same options, the numbers are the same on the same machine, bit by bit. "
                 "The numbers of this page in full precision, in metres and radians, are in " code { "report.json" }
                 " beside it (schema " code { (super::SCHEMA) } ")."
             }
@@ -543,23 +544,26 @@ fn reproduce_section(outcome: &Outcome) -> Markup {
 
 /// The command line of this run, for a POSIX shell.
 fn command(outcome: &Outcome) -> String {
-    let source = |roles: &[&str]| {
-        outcome.sources.iter().find(|(role, _)| roles.contains(&role.as_str())).map(|(_, s)| quoted(&s.name))
-    };
-    let name = || quoted(&outcome.input.name);
+    let source =
+        |wanted: &str| outcome.sources.iter().find(|(role, _)| role == wanted).map(|(_, s)| quoted(&s.name));
     match outcome.input.kind {
         "scenario" => {
-            format!("calibrig run {} --out DIR", source(&["scenario"]).unwrap_or_else(name))
+            let seed = outcome.input.seed.map_or_else(String::new, |seed| format!(" --seed {seed}"));
+            let scenario = source("scenario").unwrap_or_else(|| "SCENARIO.toml".to_owned());
+            format!("calibrig run {scenario}{seed} --out DIR")
         }
-        "recording" => format!("calibrig replay {}", source(&["recording"]).unwrap_or_else(name)),
+        "recording" => {
+            format!("calibrig replay {}", source("recording").unwrap_or_else(|| "RECORDING.mcap".to_owned()))
+        }
         _ => {
             let mut words = "calibrig identify".to_owned();
-            for (flag, roles) in [
-                ("--model", &["robot", "model"][..]),
-                ("--measurements", &["measurements", "identification"]),
-                ("--verify", &["verification", "verify"]),
+            for (flag, role) in [
+                ("--model", "robot"),
+                ("--measurements", SetKind::Identification.key()),
+                ("--verify", SetKind::Verification.key()),
+                ("--columns", "columns"),
             ] {
-                if let Some(path) = source(roles) {
+                if let Some(path) = source(role) {
                     let _ = write!(words, " {flag} {path}");
                 }
             }
@@ -702,7 +706,7 @@ mod tests {
         }
         assert!(page.contains(">26.2</td>"), "published");
         assert!(page.contains("\u{2212}17.1000</td>"), "true delta_theta4 in mrad");
-        assert!(page.contains("calibrig run 'scenarios/spray painting.toml' --out DIR"));
+        assert!(page.contains("calibrig run 'scenarios/spray painting.toml' --seed 42 --out DIR"));
     }
 
     #[test]

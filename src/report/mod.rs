@@ -12,7 +12,7 @@ mod tables;
 pub use html::html_report;
 pub use json::{
     JsonDropped, JsonEstimate, JsonInput, JsonParameter, JsonRegistration, JsonReport, JsonRow, JsonSet,
-    JsonSoftware, SCHEMA, json_report,
+    JsonSoftware, SCHEMA, json_report, json_text,
 };
 pub use tables::{Style, render_tables};
 

@@ -148,7 +148,7 @@ pub(super) fn measured() -> Outcome {
         InputSummary { kind: "files", name: HOSTILE.to_owned(), sha256: "00".repeat(32), seed: None };
     outcome.sources = vec![
         ("robot".to_owned(), InputText::new(format!("{HOSTILE}.toml"), "")),
-        ("measurements".to_owned(), InputText::new("grid.csv", "")),
+        ("identification".to_owned(), InputText::new("grid.csv", "")),
     ];
     outcome.registration.how = format!("best fit {HOSTILE}");
     outcome.registration.rms = f64::NAN;
@@ -167,6 +167,7 @@ pub(super) fn measured() -> Outcome {
         let group = DependentGroup {
             redundant: ParameterId::link(5, LinkTerm::D),
             with: vec![(ParameterId::link(4, LinkTerm::D), 1.0)],
+            singular_value: 0.0,
         };
         estimate.covariance = None;
         estimate.noise = NoiseScale::Residuals(0.31e-3);

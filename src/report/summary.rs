@@ -159,7 +159,11 @@ fn remaining(outcome: &Outcome, mode: &ModeOutcome, set: usize, say: &mut Vec<St
         length_words(rest.bias[axis])
     ));
     if let Some((pose, error)) = worst_pose(outcome, mode, set) {
-        say.push(format!("The largest 3-D error, {}, is at pose {pose}.", length_words(error.norm())));
+        say.push(format!(
+            "The largest 3-D error, {}, is at pose {pose} of the {} set.",
+            length_words(error.norm()),
+            outcome.sets[set].kind.key()
+        ));
     }
     let fitted_row = outcome
         .sets
