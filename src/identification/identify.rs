@@ -417,12 +417,14 @@ fn prior(what: &str, column: usize, covariance: DMatrix<f64>) -> Result<Prior, I
 fn summarise(mut problem: CalibrationProblem, solution: Solution, noise: NoiseScale, mode: Mode) -> Estimate {
     let rows = super::LeastSquares::rows(&problem);
     let degrees_of_freedom = rows - problem.parameters.len();
-    let spectrum = if problem.tolerances.is_empty() {
-        analyse_r(&solution.r, &problem.parameters)
+    let r = solution.jacobian.clone().qr().unpack_r();
+    let measured_rows = rows - problem.tolerances.len();
+    let spectrum = if measured_rows == rows {
+        analyse_r(&r, &problem.parameters)
     } else {
-        analyse_columns(&problem.measured_jacobian(&solution.x), &problem.parameters)
+        analyse_columns(&solution.jacobian.rows(0, measured_rows).into_owned(), &problem.parameters)
     };
-    let covariance = covariance(&solution.r, &spectrum);
+    let covariance = covariance(&r, &spectrum);
     problem.set(&solution.x);
     let warnings = warnings(&solution, &spectrum, problem.parameters.len(), degrees_of_freedom, noise);
     Estimate {

@@ -151,15 +151,6 @@ impl CalibrationProblem {
             }
         }
     }
-
-    /// The weighted Jacobian at `x` without the tolerances: what was measured.
-    pub fn measured_jacobian(&mut self, x: &[f64]) -> DMatrix<f64> {
-        let rows = LeastSquares::rows(self);
-        let mut residuals = DVector::zeros(rows);
-        let mut jacobian = DMatrix::zeros(rows, self.parameters.len());
-        self.evaluate(x, &mut residuals, Some(&mut jacobian));
-        jacobian.resize_vertically(rows - self.tolerances.len(), 0.0)
-    }
 }
 
 impl LeastSquares for CalibrationProblem {

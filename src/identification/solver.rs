@@ -1,9 +1,9 @@
 //! Levenberg-Marquardt on a weighted problem, with column scaling and the gain ratio taken on the true cost.
 //!
-//! Source of the method: J. J. Moré, "The Levenberg-Marquardt algorithm: implementation and theory" (1978), for the scaling and the
-//! damped system solved by QR; the damping follows the gain ratio.
+//! Source of the method: J. J. Moré, "The Levenberg-Marquardt algorithm: implementation and theory" (1978), for the scaling; the damping
+//! follows the gain ratio.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{Cholesky, DMatrix, DVector};
 
 use super::{IterationRecord, TerminationReason};
 
@@ -32,7 +32,7 @@ pub struct SolverOptions {
 
 impl Default for SolverOptions {
     fn default() -> Self {
-        Self { max_iterations: 100, relative_decrease: 1e-7, absolute_decrease: 1e-7 }
+        Self { max_iterations: 100, relative_decrease: 1e-6, absolute_decrease: 1e-7 }
     }
 }
 
@@ -41,69 +41,66 @@ impl Default for SolverOptions {
 pub(super) struct Solution {
     pub x: Vec<f64>,
     pub cost: f64,
-    /// Upper-triangular n x n factor of the Jacobian at `x`.
-    pub r: DMatrix<f64>,
+    /// The weighted m x n Jacobian at `x`.
+    pub jacobian: DMatrix<f64>,
     pub termination: TerminationReason,
     pub iterations: Vec<IterationRecord>,
 }
 
 const FIRST_DAMPING: f64 = 1e-6;
-const LEAST_DAMPING: f64 = 1e-18;
+/// Below this the damping is lost in the rounding of the scaled normal matrix, whose diagonal is one.
+const LEAST_DAMPING: f64 = 1e-15;
 const MOST_DAMPING: f64 = 1e12;
 
 /// Minimises from `x`.
-pub(super) fn minimise(
-    problem: &mut impl LeastSquares,
-    mut x: Vec<f64>,
-    options: &SolverOptions,
-) -> Solution {
+pub(super) fn minimise(problem: &mut impl LeastSquares, mut x: Vec<f64>, options: &SolverOptions) -> Solution {
     let (m, n) = (problem.rows(), problem.parameters());
-    let mut residuals = DVector::zeros(m);
-    let mut trial_residuals = DVector::zeros(m);
-    let mut jacobian = DMatrix::zeros(m, n);
+    let mut now = Point::new(m, n);
+    let mut trial = Point::new(m, n);
     let mut scale = DVector::zeros(n);
     let mut iterations = Vec::new();
     let mut damping = FIRST_DAMPING;
 
-    problem.evaluate(&x, &mut residuals, Some(&mut jacobian));
-    let mut cost = residuals.norm_squared();
-    let (mut r, mut q_residuals) = factorise(&jacobian, &residuals);
+    now.place(problem, &x);
+    let mut normal = NormalEquations::new(&now, &mut scale);
     let termination = loop {
-        if !(cost.is_finite() && r.iter().all(|v| v.is_finite())) {
+        if !(now.cost.is_finite() && normal.is_finite()) {
             break TerminationReason::NotFinite;
         }
-        grow_scale(&mut scale, &r);
         if iterations.len() >= options.max_iterations {
             break TerminationReason::IterationLimit;
         }
-        let Some(step) = damped_step(&r, &q_residuals, &scale, damping) else {
-            break TerminationReason::NotFinite;
+        let Some(step) = normal.damped_step(damping) else {
+            damping *= 10.0;
+            if damping > MOST_DAMPING {
+                break TerminationReason::NoDecrease;
+            }
+            continue;
         };
-        let linear_change = (&r * &step).norm();
-        let predicted = predicted_decrease(&r, &q_residuals, &step);
-        let trial: Vec<f64> = x.iter().zip(step.iter()).map(|(x, p)| x + p).collect();
-        problem.evaluate(&trial, &mut trial_residuals, None);
-        let trial_cost = trial_residuals.norm_squared();
+        let moved: Vec<f64> =
+            x.iter().zip(step.iter().zip(&scale)).map(|(x, (step, scale))| x + step / scale).collect();
+        trial.place(problem, &moved);
         // A cost that is not a number compares as no decrease.
-        let accepted = trial_cost <= cost;
-        let gain = if predicted > 0.0 { (cost - trial_cost) / predicted } else { 0.0 };
+        let accepted = trial.cost <= now.cost;
+        let predicted = normal.predicted_decrease(&step);
+        let gain = if predicted > 0.0 { (now.cost - trial.cost) / predicted } else { 0.0 };
+        let linear_change = normal.linear_change(&step);
+        let negligible = linear_change <= options.absolute_decrease
+            || linear_change <= options.relative_decrease * now.cost.sqrt();
         iterations.push(IterationRecord {
-            cost: if accepted { trial_cost } else { cost },
+            cost: if accepted { trial.cost } else { now.cost },
             damping,
-            step: step.component_mul(&scale).norm(),
+            step: step.norm(),
             gain,
             accepted,
         });
-        let negligible = linear_change <= options.absolute_decrease
-            || linear_change <= options.relative_decrease * cost.sqrt();
         if accepted {
-            x = trial;
-            cost = trial_cost;
-            problem.evaluate(&x, &mut residuals, Some(&mut jacobian));
-            (r, q_residuals) = factorise(&jacobian, &residuals);
+            x = moved;
+            std::mem::swap(&mut now, &mut trial);
             if negligible {
                 break TerminationReason::SmallDecrease;
             }
+            normal = NormalEquations::new(&now, &mut scale);
             damping = next_damping(damping, gain);
         } else if negligible {
             // The cost is at the floor of its rounding errors.
@@ -115,7 +112,7 @@ pub(super) fn minimise(
             }
         }
     };
-    Solution { x, cost, r, termination, iterations }
+    Solution { x, cost: now.cost, jacobian: now.jacobian, termination, iterations }
 }
 
 fn next_damping(damping: f64, gain: f64) -> f64 {
@@ -128,48 +125,76 @@ fn next_damping(damping: f64, gain: f64) -> f64 {
     }
 }
 
-/// R and the first n entries of Qᵀ r.
-fn factorise(jacobian: &DMatrix<f64>, residuals: &DVector<f64>) -> (DMatrix<f64>, DVector<f64>) {
-    let n = jacobian.ncols();
-    let qr = jacobian.clone().qr();
-    let mut projected = residuals.clone();
-    qr.q_tr_mul(&mut projected);
-    (qr.r(), projected.rows(0, n).into_owned())
+/// The problem evaluated at one place.
+struct Point {
+    residuals: DVector<f64>,
+    jacobian: DMatrix<f64>,
+    cost: f64,
 }
 
-/// Column norms, never shrinking (Moré's scaling); a column of zeros keeps a scale of one.
-fn grow_scale(scale: &mut DVector<f64>, r: &DMatrix<f64>) {
-    for (s, column) in scale.iter_mut().zip(r.column_iter()) {
-        *s = s.max(column.norm());
-        if *s == 0.0 {
-            *s = 1.0;
+impl Point {
+    fn new(m: usize, n: usize) -> Self {
+        Self { residuals: DVector::zeros(m), jacobian: DMatrix::zeros(m, n), cost: f64::NAN }
+    }
+
+    fn place(&mut self, problem: &mut impl LeastSquares, x: &[f64]) {
+        problem.evaluate(x, &mut self.residuals, Some(&mut self.jacobian));
+        self.cost = self.residuals.norm_squared();
+    }
+}
+
+/// `Jᵀ J` and `Jᵀ r` of the system with scaled columns.
+///
+/// They cost half of a QR factorisation. Their squared condition costs digits of a step, not of the minimum: the next step starts from
+/// residuals that are computed anew. Rank and covariance are taken from the Jacobian itself.
+struct NormalEquations {
+    matrix: DMatrix<f64>,
+    gradient: DVector<f64>,
+}
+
+impl NormalEquations {
+    /// Lets `scale` grow to the column norms, never shrink (Moré); a column of zeros keeps a scale of one.
+    fn new(point: &Point, scale: &mut DVector<f64>) -> Self {
+        let mut matrix = point.jacobian.tr_mul(&point.jacobian);
+        let mut gradient = point.jacobian.tr_mul(&point.residuals);
+        for (j, s) in scale.iter_mut().enumerate() {
+            *s = s.max(matrix[(j, j)].sqrt());
+            if *s == 0.0 {
+                *s = 1.0;
+            }
         }
+        gradient.component_div_assign(scale);
+        for (j, mut column) in matrix.column_iter_mut().enumerate() {
+            for (i, entry) in column.iter_mut().enumerate() {
+                *entry /= scale[i] * scale[j];
+            }
+        }
+        Self { matrix, gradient }
     }
-}
 
-/// The step p that minimises ‖R p + Qᵀr‖² + damping ‖D p‖².
-fn damped_step(
-    r: &DMatrix<f64>,
-    q_residuals: &DVector<f64>,
-    scale: &DVector<f64>,
-    damping: f64,
-) -> Option<DVector<f64>> {
-    let n = r.ncols();
-    let mut system = DMatrix::zeros(2 * n, n);
-    system.rows_mut(0, n).copy_from(r);
-    for (j, s) in scale.iter().enumerate() {
-        system[(n + j, j)] = damping.sqrt() * s;
+    fn is_finite(&self) -> bool {
+        self.gradient.iter().all(|v| v.is_finite()) && self.matrix.iter().all(|v| v.is_finite())
     }
-    let qr = system.qr();
-    let mut right = DVector::zeros(2 * n);
-    right.rows_mut(0, n).copy_from(&(-q_residuals));
-    qr.q_tr_mul(&mut right);
-    let mut step = right.rows(0, n).into_owned();
-    qr.r().solve_upper_triangular_mut(&mut step).then_some(step).filter(|p| p.iter().all(|v| v.is_finite()))
-}
 
-fn predicted_decrease(r: &DMatrix<f64>, q_residuals: &DVector<f64>, step: &DVector<f64>) -> f64 {
-    q_residuals.norm_squared() - (q_residuals + r * step).norm_squared()
+    /// The scaled step p of `(JᵀJ + damping) p = -Jᵀr`; `None` where rounding leaves the matrix indefinite.
+    fn damped_step(&self, damping: f64) -> Option<DVector<f64>> {
+        let mut damped = self.matrix.clone();
+        for j in 0..damped.nrows() {
+            damped[(j, j)] += damping;
+        }
+        let step = -Cholesky::new(damped)?.solve(&self.gradient);
+        step.iter().all(|v| v.is_finite()).then_some(step)
+    }
+
+    /// Decrease of the cost if the problem were linear.
+    fn predicted_decrease(&self, step: &DVector<f64>) -> f64 {
+        -2.0 * self.gradient.dot(step) - step.dot(&(&self.matrix * step))
+    }
+
+    /// Norm of the change of the residuals if the problem were linear.
+    fn linear_change(&self, step: &DVector<f64>) -> f64 {
+        step.dot(&(&self.matrix * step)).max(0.0).sqrt()
+    }
 }
 
 #[cfg(test)]
