@@ -17,8 +17,7 @@ use super::schema::{self, v1};
 use super::{Provenance, RecordingError};
 use crate::geometry::Transform;
 use crate::input::Source;
-use crate::measurement::MeasurementSet;
-use crate::pipeline::{SetKind, SetOutcome};
+use crate::pipeline::SetOutcome;
 
 /// A recording, as far as a replay needs it.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,24 +27,23 @@ pub struct Recording {
     /// The input files by role, named without their folder.
     pub sources: Vec<(String, Source)>,
     /// What was measured, in the order recorded.
-    pub sets: Vec<RecordedSet>,
-    /// What was identified then, by the key of its mode.
-    pub estimates: Vec<(String, RecordedEstimate)>,
+    pub sets: Vec<SetOutcome>,
+    /// What was made of it then, by mode.
+    pub estimates: Vec<RecordedEstimate>,
 }
 
-/// A set: which, what was measured, and the poses that were dropped with the reason.
-pub type RecordedSet = (SetKind, MeasurementSet, Vec<(u32, String)>);
-
-/// The recorded result of a mode that identifies something.
+/// The recorded result of a mode.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordedEstimate {
+    /// Key of the mode.
+    pub mode: String,
     /// What was identified.
     pub parameters: Vec<RecordedParameter>,
-    /// Weighted sum of squares at the minimum.
-    pub chi2: f64,
+    /// Weighted sum of squares at the minimum; `None` where nothing was identified.
+    pub chi2: Option<f64>,
     /// Rows minus parameters.
-    pub degrees_of_freedom: u64,
-    /// Key of the termination reason.
+    pub degrees_of_freedom: Option<u64>,
+    /// Key of the termination reason; empty where nothing was identified.
     pub termination: String,
     /// Number of iterations.
     pub iterations: usize,
@@ -225,7 +223,7 @@ struct Contents {
     /// Topic and schema by number.
     channels: HashMap<u16, (String, u16)>,
     sets: Vec<SetInProgress>,
-    estimates: Vec<(String, RecordedEstimate)>,
+    estimates: Vec<RecordedEstimate>,
     /// Behind the data section the summary repeats schemas and channels.
     ended: bool,
 }
@@ -304,27 +302,23 @@ impl Contents {
     }
 
     fn estimate(&mut self, message: v1::Estimate) -> Result<(), String> {
-        if self.estimates.iter().any(|(mode, _)| *mode == message.mode) {
+        if self.estimates.iter().any(|known| known.mode == message.mode) {
             return Err(format!("mode {} has two estimates", message.mode));
-        }
-        // A mode that identifies nothing.
-        if message.termination.is_empty() {
-            return Ok(());
         }
         let parameter = |p: v1::Parameter| {
             let value = p.value.ok_or_else(|| format!("parameter {} has no value", p.name))?;
             Ok::<_, String>(RecordedParameter { name: p.name, value, sigma: p.sigma })
         };
-        let estimate = RecordedEstimate {
+        self.estimates.push(RecordedEstimate {
+            mode: message.mode,
             parameters: message.parameters.into_iter().map(parameter).collect::<Result<_, _>>()?,
-            chi2: message.chi2.ok_or("chi2 is missing")?,
-            degrees_of_freedom: message.degrees_of_freedom.ok_or("degrees_of_freedom is missing")?,
+            chi2: message.chi2,
+            degrees_of_freedom: message.degrees_of_freedom,
             termination: message.termination,
             iterations: message.iterations.len(),
             stations: message.stations.iter().map(schema::to_pose).collect::<Result<_, _>>()?,
             targets: message.targets.iter().map(schema::to_point).collect::<Result<_, _>>()?,
-        };
-        self.estimates.push((message.mode, estimate));
+        });
         Ok(())
     }
 
@@ -344,11 +338,7 @@ impl Contents {
         Ok(Recording {
             provenance,
             sources: self.inputs.into_iter().map(source_of).collect(),
-            sets: self
-                .sets
-                .into_iter()
-                .map(|known| (known.set.kind, known.set.measurements, known.set.dropped))
-                .collect(),
+            sets: self.sets.into_iter().map(|known| known.set).collect(),
             estimates: self.estimates,
         })
     }
@@ -455,28 +445,27 @@ mod tests {
             let path = folder.path().join("recording.mcap");
             write_mcap(&outcome, &path).expect("written");
             let recording = read_recording(&path).expect("read");
-            assert_eq!(recording.sets.len(), outcome.sets.len());
-            for ((kind, measurements, dropped), set) in recording.sets.iter().zip(&outcome.sets) {
-                assert_eq!((kind, dropped), (&set.kind, &set.dropped));
-                // `{:?}` tells -0.0 from 0.0 and prints enough digits for every bit.
-                assert_eq!(format!("{measurements:?}"), format!("{:?}", set.measurements));
-            }
+            // `{:?}` tells -0.0 from 0.0 and prints enough digits for every bit.
+            assert_eq!(format!("{:?}", recording.sets), format!("{:?}", outcome.sets));
             assert_eq!(recording.provenance.seed, outcome.input.seed);
-            assert_eq!(recording.provenance.sha256, outcome.input.sha256);
+            assert_eq!(recording.provenance.input_sha256, outcome.input.sha256);
             assert_eq!(recording.sources.len(), outcome.sources.len());
             for ((role, source), (recorded_role, recorded)) in outcome.sources.iter().zip(&recording.sources)
             {
                 assert_eq!((role, &source.text), (recorded_role, &recorded.text));
                 assert!(source.name.ends_with(&recorded.name), "{}", recorded.name);
             }
-            let identified: Vec<_> =
-                outcome.modes.iter().filter_map(|m| Some((m.mode, m.estimate.as_ref()?))).collect();
-            assert_eq!(recording.estimates.len(), identified.len());
-            for ((key, recorded), (mode, estimate)) in recording.estimates.iter().zip(identified) {
-                assert_eq!(key, mode.key());
-                assert_eq!(recorded.stations, estimate.robot.stations);
-                assert_eq!(recorded.targets, estimate.robot.targets);
-                assert_eq!(recorded.chi2.to_bits(), estimate.chi2.to_bits());
+            assert_eq!(recording.estimates.len(), outcome.modes.len());
+            for (recorded, mode) in recording.estimates.iter().zip(&outcome.modes) {
+                assert_eq!(recorded.mode, mode.mode.key());
+                assert_eq!(recorded.stations, mode.robot.stations);
+                assert_eq!(recorded.targets, mode.robot.targets);
+                let Some(estimate) = &mode.estimate else {
+                    assert!(recorded.parameters.is_empty() && recorded.termination.is_empty());
+                    assert_eq!((recorded.chi2, recorded.degrees_of_freedom), (None, None));
+                    continue;
+                };
+                assert_eq!(recorded.chi2.map(f64::to_bits), Some(estimate.chi2.to_bits()));
                 assert_eq!(recorded.termination, estimate.termination.key());
                 assert_eq!(recorded.parameters.len(), estimate.parameters.len());
                 for (r, p) in recorded.parameters.iter().zip(&estimate.parameters) {

@@ -24,7 +24,7 @@ mod synthetic;
 mod tables;
 
 pub use error::RecordingError;
-pub use mcap_reader::{RecordedEstimate, RecordedParameter, RecordedSet, Recording, read_recording};
+pub use mcap_reader::{RecordedEstimate, RecordedParameter, Recording, read_recording};
 pub use mcap_writer::{McapRecorder, write_mcap};
 pub use provenance::{Provenance, SCHEMA};
 #[cfg(feature = "rerun")]

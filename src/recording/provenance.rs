@@ -26,7 +26,7 @@ pub struct Provenance {
     /// Name of the input for people.
     pub input_name: String,
     /// Hash over every input file, hexadecimal.
-    pub sha256: String,
+    pub input_sha256: String,
     /// The seed of a simulation.
     pub seed: Option<u64>,
     /// Hash over the recording's metadata and attachments, hexadecimal.
@@ -120,7 +120,7 @@ impl Provenance {
             software: text(metadata, "software")?,
             input_kind: text(metadata, "input_kind")?,
             input_name: text(metadata, "input_name")?,
-            sha256: text(metadata, "input_sha256")?,
+            input_sha256: text(metadata, "input_sha256")?,
             seed: seed.transpose()?,
             provenance_sha256: expected,
         })
