@@ -257,7 +257,7 @@ mod tests {
             let end = *shown[0].polyline().last().expect("a line");
             assert!((end - settled.target).norm() < 1e-12);
         }
-        let measured = Outcome { truth: None, ..simulated };
+        let measured = Outcome { truth: None, ..simulated.clone() };
         let shown = chains_of(&measured, 1);
         assert_eq!(shown.iter().map(|c| c.kind).collect::<Vec<_>>(), [ChainKind::Calibrated]);
         let observation = &measured.sets[0].measurements.observations[1];

@@ -52,6 +52,13 @@ pub enum ReportError {
     },
 }
 
+/// The text of `report.json`.
+pub fn json_text(outcome: &Outcome) -> Result<String, ReportError> {
+    let mut json = serde_json::to_string_pretty(&json_report(outcome))?;
+    json.push('\n');
+    Ok(json)
+}
+
 /// Writes `report.json` and `report.html` to `folder`, which exists.
 ///
 /// Both are written in full beside their final names before either is renamed, so that a failed run leaves no half-written report.
