@@ -2,6 +2,7 @@
 
 use std::io::Write;
 use std::path::Path;
+use std::time::Duration;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use rerun::archetypes::{
@@ -9,6 +10,7 @@ use rerun::archetypes::{
     TextLog, Transform3D, ViewCoordinates,
 };
 use rerun::components::{Color, FillMode, Radius, TextLogLevel};
+use rerun::log::ChunkBatcherConfig;
 use rerun::sink::MemorySinkStorage;
 use rerun::{AsComponents, Quaternion, RecordingStream, RecordingStreamBuilder};
 
@@ -50,6 +52,8 @@ impl RerunRecorder {
         let (stream, storage) = RecordingStreamBuilder::new(APPLICATION)
             // Whatever the environment says: the user asked for the file.
             .enabled(true)
+            // Cut into chunks by their size alone, not by the clock.
+            .batcher_config(ChunkBatcherConfig { flush_tick: Duration::MAX, ..ChunkBatcherConfig::DEFAULT })
             .recording_name(outcome.input.name.as_str())
             .memory()
             .map_err(RecordingError::unrecordable)?;
