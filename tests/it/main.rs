@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod a_user_calibrates_a_real_robot;
+mod a_user_replays_a_recording;
 mod a_user_reproduces_the_paper;
 mod a_user_trusts_the_uncertainty;
 mod layers;
