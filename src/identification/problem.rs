@@ -63,7 +63,7 @@ impl Current {
             stations: stations.to_vec(),
             targets: targets.to_vec(),
             displacements: vec![Vector6::zeros(); stations.len()],
-            chain: PlacedChain::new(nominal.joint_count()),
+            chain: PlacedChain::new(nominal),
         }
     }
 }
@@ -86,6 +86,7 @@ impl CalibrationProblem {
                 ParameterId::Target { target, axis } => now.targets[target][axis] += value,
             }
         }
+        now.chain.set_model(&now.kinematics);
         for ((station, origin), xi) in now.stations.iter_mut().zip(&self.stations).zip(&now.displacements) {
             *station = origin * small_displacement(xi);
         }
@@ -100,7 +101,7 @@ impl CalibrationProblem {
         let row = &self.rows[index];
         let now = &mut self.current;
         let joints = self.nominal.joint_count();
-        now.chain.place(&now.kinematics, &self.joints[index * joints..(index + 1) * joints]);
+        now.chain.place(&self.joints[index * joints..(index + 1) * joints]);
         let in_base = now.chain.target(&now.targets[row.target]);
         let tracker_from_base = &now.stations[row.station];
         let predicted = tracker_from_base.rotation * in_base + tracker_from_base.translation.vector;

@@ -32,7 +32,7 @@ pub struct SolverOptions {
 
 impl Default for SolverOptions {
     fn default() -> Self {
-        Self { max_iterations: 100, relative_decrease: 1e-6, absolute_decrease: 1e-7 }
+        Self { max_iterations: 100, relative_decrease: 1e-5, absolute_decrease: 1e-7 }
     }
 }
 
@@ -155,8 +155,10 @@ struct NormalEquations {
 impl NormalEquations {
     /// Lets `scale` grow to the column norms, never shrink (Moré); a column of zeros keeps a scale of one.
     fn new(point: &Point, scale: &mut DVector<f64>) -> Self {
-        let mut matrix = point.jacobian.tr_mul(&point.jacobian);
-        let mut gradient = point.jacobian.tr_mul(&point.residuals);
+        // nalgebra multiplies in blocks only where nothing is transposed on the fly.
+        let transposed = point.jacobian.transpose();
+        let mut matrix = &transposed * &point.jacobian;
+        let mut gradient = &transposed * &point.residuals;
         for (j, s) in scale.iter_mut().enumerate() {
             *s = s.max(matrix[(j, j)].sqrt());
             if *s == 0.0 {

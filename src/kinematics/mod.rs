@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, Matrix3, Matrix3xX, Rotation3, Vector3};
 
 use crate::geometry::Transform;
-use crate::model::{JointKind, KinematicModel, LinkTerm, ParameterId};
+use crate::model::{CraigLink, JointKind, KinematicModel, LinkTerm, ParameterId};
 
 /// `base_from_flange` at the joint variables `q` (rad or m, one a joint).
 pub fn forward_kinematics(model: &KinematicModel, q: &[f64]) -> Transform {
@@ -50,52 +50,91 @@ struct LinkMotions {
     origin: Vector3<f64>,
 }
 
+/// The part of a link's transform that is the same in every pose.
+#[derive(Debug, Clone, Copy)]
+struct LinkConstants {
+    kind: JointKind,
+    a: f64,
+    d: f64,
+    theta: f64,
+    sin_cos_alpha: (f64, f64),
+    sin_cos_beta: (f64, f64),
+    sin_cos_theta: (f64, f64),
+}
+
+impl LinkConstants {
+    fn new(link: &CraigLink) -> Self {
+        Self {
+            kind: link.kind,
+            a: link.a,
+            d: link.d,
+            theta: link.theta,
+            sin_cos_alpha: link.alpha.sin_cos(),
+            sin_cos_beta: link.beta.sin_cos(),
+            sin_cos_theta: link.theta.sin_cos(),
+        }
+    }
+}
+
 /// The places and axes of a chain at one pose, from which every column of the Jacobian follows without another product.
 ///
-/// It is made once and [`placed`](Self::place) at every pose, so that nothing is allocated in the loop over poses.
+/// It is made once, given a [model](Self::set_model) and [placed](Self::place) at every pose, so that nothing is allocated in the loop
+/// over poses.
 #[derive(Debug, Clone)]
 pub struct PlacedChain {
+    links: Vec<LinkConstants>,
     motions: Vec<LinkMotions>,
+    last_from_flange: Transform,
     base_from_flange: Transform,
 }
 
 impl PlacedChain {
-    /// Room for a chain of `joints` joints.
-    pub fn new(joints: usize) -> Self {
-        Self { motions: Vec::with_capacity(joints), base_from_flange: Transform::identity() }
+    /// The chain of `model`, not yet at a pose.
+    pub fn new(model: &KinematicModel) -> Self {
+        let mut chain = Self {
+            links: Vec::with_capacity(model.joint_count()),
+            motions: Vec::with_capacity(model.joint_count()),
+            last_from_flange: Transform::identity(),
+            base_from_flange: Transform::identity(),
+        };
+        chain.set_model(model);
+        chain
+    }
+
+    /// Takes the parameters of a model with as many joints.
+    pub fn set_model(&mut self, model: &KinematicModel) {
+        self.links.clear();
+        self.links.extend(model.links.iter().map(LinkConstants::new));
+        self.last_from_flange = model.last_from_flange;
     }
 
     /// Puts the chain at the joint variables `q`.
-    pub fn place(&mut self, model: &KinematicModel, q: &[f64]) {
+    pub fn place(&mut self, q: &[f64]) {
         self.motions.clear();
-        let mut rotation = Matrix3::identity();
+        let [mut x, mut y, mut z] = [Vector3::x(), Vector3::y(), Vector3::z()];
         let mut origin = Vector3::zeros();
-        for (link, &q) in model.links.iter().zip(q) {
-            let (theta, d) = match link.kind {
-                JointKind::Revolute => (link.theta + q, link.d),
-                JointKind::Prismatic => (link.theta, link.d + q),
+        for (link, &q) in self.links.iter().zip(q) {
+            let (sin_cos_theta, d) = match link.kind {
+                JointKind::Revolute => ((link.theta + q).sin_cos(), link.d),
+                JointKind::Prismatic => (link.sin_cos_theta, link.d + q),
             };
             let previous_origin = origin;
-            let x = rotation.column(0).into_owned();
-            // Rx(alpha): y and z turn about x.
-            let (sin, cos) = link.alpha.sin_cos();
-            let y = cos * rotation.column(1) + sin * rotation.column(2);
-            let z = cos * rotation.column(2) - sin * rotation.column(1);
+            let before = x;
+            // Rx(alpha), Tx(a): y and z turn about x.
+            let (sin, cos) = link.sin_cos_alpha;
+            (y, z) = (cos * y + sin * z, cos * z - sin * y);
             origin += link.a * x;
             // Ry(beta): z and x turn about y.
-            let (sin, cos) = link.beta.sin_cos();
-            let x_beta = cos * x - sin * z;
-            let z = cos * z + sin * x;
-            // Rz(theta), then d along z.
-            let (sin, cos) = theta.sin_cos();
-            rotation.set_column(0, &(cos * x_beta + sin * y));
-            rotation.set_column(1, &(cos * y - sin * x_beta));
-            rotation.set_column(2, &z);
-            self.motions.push(LinkMotions { x, previous_origin, y, z, origin });
+            let (sin, cos) = link.sin_cos_beta;
+            (z, x) = (cos * z + sin * x, cos * x - sin * z);
+            self.motions.push(LinkMotions { x: before, previous_origin, y, z, origin });
+            // Rz(theta), Tz(d): x and y turn about z.
+            let (sin, cos) = sin_cos_theta;
+            (x, y) = (cos * x + sin * y, cos * y - sin * x);
             origin += d * z;
         }
-        let base_from_last = Transform::from_parts(origin.into(), Rotation3::from_matrix_unchecked(rotation));
-        self.base_from_flange = base_from_last * model.last_from_flange;
+        let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, y, z]));
+        self.base_from_flange = Transform::from_parts(origin.into(), rotation) * self.last_from_flange;
     }
 
     /// `base_from_flange`.
@@ -154,8 +193,8 @@ pub fn identification_jacobian(
     in_flange: &Vector3<f64>,
     parameters: &[ParameterId],
 ) -> Matrix3xX<f64> {
-    let mut chain = PlacedChain::new(model.joint_count());
-    chain.place(model, q);
+    let mut chain = PlacedChain::new(model);
+    chain.place(q);
     let target = chain.target(in_flange);
     let columns: Vec<_> = parameters.iter().map(|id| chain.column(*id, &target)).collect();
     Matrix3xX::from_columns(&columns)
@@ -168,10 +207,10 @@ pub fn stacked_jacobian(
     in_flange: &Vector3<f64>,
     parameters: &[ParameterId],
 ) -> DMatrix<f64> {
-    let mut chain = PlacedChain::new(model.joint_count());
+    let mut chain = PlacedChain::new(model);
     let mut jacobian = DMatrix::zeros(3 * poses.len(), parameters.len());
     for (row, q) in poses.iter().enumerate() {
-        chain.place(model, q);
+        chain.place(q);
         let target = chain.target(in_flange);
         for (column, id) in parameters.iter().enumerate() {
             jacobian.fixed_view_mut::<3, 1>(3 * row, column).copy_from(&chain.column(*id, &target));
@@ -185,7 +224,6 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::model::CraigLink;
 
     fn link() -> impl Strategy<Value = CraigLink> {
         let angle = || -3.0..3.0_f64;
@@ -259,8 +297,8 @@ mod tests {
 
         #[test]
         fn the_placed_chain_is_the_product_of_the_link_transforms((model, q, target) in robot_and_pose()) {
-            let mut chain = PlacedChain::new(model.joint_count());
-            chain.place(&model, &q);
+            let mut chain = PlacedChain::new(&model);
+            chain.place(&q);
             let product = forward_kinematics(&model, &q);
             prop_assert!((chain.base_from_flange().to_homogeneous() - product.to_homogeneous()).norm() < 1e-12);
             prop_assert!((chain.target(&target) - target_in_base(&model, &q, &target)).norm() < 1e-12);

@@ -149,6 +149,8 @@ pub enum RecordingError {
 }
 
 impl RecordingError {
+    // By value, to be named in `map_err`.
+    #[allow(clippy::needless_pass_by_value)]
     pub(super) fn unrecordable(reason: impl ToString) -> Self {
         Self::Unrecordable { reason: reason.to_string() }
     }

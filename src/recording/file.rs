@@ -1,6 +1,6 @@
 //! Files that are whole or not there.
 
-use std::fs::{File, Permissions};
+use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
@@ -16,9 +16,7 @@ pub(super) fn write_whole<T>(
         path.parent().filter(|p| !p.as_os_str().is_empty()).map_or(PathBuf::from("."), Path::to_path_buf);
     let mut builder = tempfile::Builder::new();
     builder.prefix(".calibrig-").suffix(".part");
-    if let Some(permissions) = ordinary_permissions() {
-        builder.permissions(permissions);
-    }
+    give_ordinary_permissions(&mut builder);
     let temporary = builder.tempfile_in(&folder).map_err(unwritable)?;
     let value = fill(BufWriter::new(temporary.as_file()))?;
     temporary.as_file().sync_all().map_err(unwritable)?;
@@ -26,17 +24,15 @@ pub(super) fn write_whole<T>(
     Ok(value)
 }
 
-/// What any new file would get, instead of the owner-only permissions of temporary files; the process's mask still applies.
+/// Permissions that any new file would get, instead of the owner-only ones of temporary files; the process's mask still applies.
 #[cfg(unix)]
-fn ordinary_permissions() -> Option<Permissions> {
+fn give_ordinary_permissions(builder: &mut tempfile::Builder<'_, '_>) {
     use std::os::unix::fs::PermissionsExt;
-    Some(Permissions::from_mode(0o666))
+    builder.permissions(std::fs::Permissions::from_mode(0o666));
 }
 
 #[cfg(not(unix))]
-fn ordinary_permissions() -> Option<Permissions> {
-    None
-}
+fn give_ordinary_permissions(_: &mut tempfile::Builder<'_, '_>) {}
 
 #[cfg(test)]
 mod tests {
@@ -60,6 +56,18 @@ mod tests {
             .expect("written");
         assert_eq!(std::fs::read_to_string(&path).expect("read"), "new");
         assert_eq!(std::fs::read_dir(folder.path()).expect("listed").count(), 1);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_recording_has_the_permissions_of_any_new_file() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().expect("a folder");
+        let (ordinary, whole) = (folder.path().join("ordinary"), folder.path().join("whole"));
+        std::fs::write(&ordinary, "").expect("written");
+        write_whole(&whole, |_| Ok(())).expect("written");
+        let mode = |path: &Path| std::fs::metadata(path).expect("there").permissions().mode();
+        assert_eq!(mode(&whole), mode(&ordinary));
     }
 
     #[test]

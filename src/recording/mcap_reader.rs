@@ -120,12 +120,11 @@ fn check_magic(file: &mut (impl Read + Seek)) -> Result<(), ReadError> {
     if start == MAGIC { Ok(()) } else { Err(RecordingError::NotMcap.into()) }
 }
 
+/// Is given every record: its opcode and its body.
+type Visitor<'a> = dyn FnMut(u8, &[u8]) -> Result<(), ReadError> + 'a;
+
 /// Passes every record of the file to `visit`, with all checksums validated; chunks whole or by their records.
-fn scan(
-    file: &mut (impl Read + Seek),
-    whole_chunks: bool,
-    visit: &mut dyn FnMut(u8, &[u8]) -> Result<(), ReadError>,
-) -> Result<(), ReadError> {
+fn scan(file: &mut (impl Read + Seek), whole_chunks: bool, visit: &mut Visitor<'_>) -> Result<(), ReadError> {
     file.seek(SeekFrom::Start(0))?;
     let options = LinearReaderOptions::default()
         .with_check_finishes_after_end_magic(true)
@@ -463,6 +462,7 @@ mod tests {
                 assert_eq!(recorded.targets, mode.robot.targets);
                 let Some(estimate) = &mode.estimate else {
                     assert!(recorded.parameters.is_empty() && recorded.termination.is_empty());
+                    assert_eq!((recorded.chi2, recorded.degrees_of_freedom), (None, None));
                     continue;
                 };
                 assert_eq!(recorded.chi2.map(f64::to_bits), Some(estimate.chi2.to_bits()));

@@ -344,13 +344,13 @@ fn quaternion(q: &UnitQuaternion<f64>) -> Quaternion {
     Quaternion { x: q.i, y: q.j, z: q.k, w: q.w }
 }
 
-fn colour([r, g, b, a]: Colour) -> Option<Color> {
+fn colour([r, g, b, a]: Colour) -> Color {
     let part = |byte: u8| f64::from(byte) / 255.0;
-    Some(Color { r: part(r), g: part(g), b: part(b), a: part(a) })
+    Color { r: part(r), g: part(g), b: part(b), a: part(a) }
 }
 
-fn pose(position: &Vector3<f64>, orientation: &UnitQuaternion<f64>) -> Option<Pose> {
-    Some(Pose { position: Some(xyz(position)), orientation: Some(quaternion(orientation)) })
+fn pose(position: &Vector3<f64>, orientation: &UnitQuaternion<f64>) -> Pose {
+    Pose { position: Some(xyz(position)), orientation: Some(quaternion(orientation)) }
 }
 
 fn orientation(transform: &Transform) -> UnitQuaternion<f64> {
@@ -409,28 +409,28 @@ fn entity(time: u64, frame: &str, id: impl Into<String>) -> SceneEntity {
 fn line(points: &[Vector3<f64>], thickness: f64, rgba: Colour) -> LinePrimitive {
     LinePrimitive {
         r#type: line_primitive::Type::LineStrip as i32,
-        pose: pose(&Vector3::zeros(), &UnitQuaternion::identity()),
+        pose: Some(pose(&Vector3::zeros(), &UnitQuaternion::identity())),
         thickness,
         points: points.iter().map(point).collect(),
-        color: colour(rgba),
+        color: Some(colour(rgba)),
         ..LinePrimitive::default()
     }
 }
 
 fn ball(centre: &Vector3<f64>, diameter: f64, rgba: Colour) -> SpherePrimitive {
     SpherePrimitive {
-        pose: pose(centre, &UnitQuaternion::identity()),
+        pose: Some(pose(centre, &UnitQuaternion::identity())),
         size: Some(xyz(&Vector3::repeat(diameter))),
-        color: colour(rgba),
+        color: Some(colour(rgba)),
     }
 }
 
 fn label(place: &Vector3<f64>, text: &str) -> TextPrimitive {
     TextPrimitive {
-        pose: pose(place, &UnitQuaternion::identity()),
+        pose: Some(pose(place, &UnitQuaternion::identity())),
         billboard: true,
         font_size: 0.15,
-        color: colour(scene::POINT),
+        color: Some(colour(scene::POINT)),
         text: text.to_owned(),
         ..TextPrimitive::default()
     }
@@ -444,7 +444,9 @@ fn shapes(outcome: &Outcome) -> SceneUpdate {
         for (i, visuals) in outcome.visuals.iter().enumerate() {
             let frame = if i == 0 { BASE.to_owned() } else { chain.frame(i - 1) };
             let mut body = entity(0, &frame, format!("{frame} shape"));
-            visuals.iter().for_each(|visual| add_shape(&mut body, visual));
+            for visual in visuals {
+                add_shape(&mut body, visual);
+            }
             entities.push(body);
         }
     }
@@ -464,8 +466,8 @@ fn shapes(outcome: &Outcome) -> SceneUpdate {
 }
 
 fn add_shape(body: &mut SceneEntity, visual: &Visual) {
-    let place = pose(&visual.link_from_shape.translation.vector, &orientation(&visual.link_from_shape));
-    let color = colour(scene::STEEL);
+    let place = Some(pose(&visual.link_from_shape.translation.vector, &orientation(&visual.link_from_shape)));
+    let color = Some(colour(scene::STEEL));
     match visual.shape {
         VisualShape::Box(edges) => {
             body.cubes.push(CubePrimitive { pose: place, size: Some(xyz(&edges.into())), color });
@@ -507,12 +509,12 @@ fn arrows(time: u64, name: String, arrows: &[Arrow], rgba: Colour) -> SceneUpdat
         // A primitive points along x.
         let orientation = scene::turn(&arrow.vector, &Vector3::x());
         ArrowPrimitive {
-            pose: pose(&arrow.origin, &orientation),
+            pose: Some(pose(&arrow.origin, &orientation)),
             shaft_length: 0.75 * length,
             shaft_diameter: 0.02,
             head_length: 0.25 * length,
             head_diameter: 0.05,
-            color: colour(rgba),
+            color: Some(colour(rgba)),
         }
     };
     let mut shown = entity(time, BASE, name);
@@ -534,9 +536,137 @@ fn cloud(time: u64, points: &[Vector3<f64>]) -> PointCloud {
     PointCloud {
         timestamp: Some(timestamp(time)),
         frame_id: BASE.to_owned(),
-        pose: pose(&Vector3::zeros(), &UnitQuaternion::identity()),
+        pose: Some(pose(&Vector3::zeros(), &UnitQuaternion::identity())),
         point_stride: 12,
         fields: vec![field("x", 0), field("y", 4), field("z", 8)],
         data: data.into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Cursor;
+
+    use mcap::MessageStream;
+    use nalgebra::Translation3;
+
+    use crate::recording::{RESIDUAL_SCALE, synthetic};
+
+    fn bytes_of(outcome: &Outcome) -> Vec<u8> {
+        let mut file = Cursor::new(Vec::new());
+        let mut recorder = McapRecorder::new(&mut file).expect("begun");
+        record(outcome, &mut recorder).expect("recorded");
+        recorder.finish().expect("finished");
+        file.into_inner()
+    }
+
+    fn messages<M: Message + Default>(bytes: &[u8], topic: &str) -> Vec<(u64, M)> {
+        let all = MessageStream::new(bytes).expect("a file").map(|m| m.expect("sound"));
+        all.filter(|m| m.channel.topic == topic)
+            .map(|m| (m.log_time, M::decode(m.data.as_ref()).expect("decoded")))
+            .collect()
+    }
+
+    fn transform(frame: &FrameTransform) -> Transform {
+        let (t, q) = (frame.translation.expect("given"), frame.rotation.expect("given"));
+        let q = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(q.w, q.x, q.y, q.z));
+        Transform::from_parts(Translation3::new(t.x, t.y, t.z), q.to_rotation_matrix())
+    }
+
+    #[test]
+    fn frames_lead_from_the_base_to_the_settled_links() {
+        let outcome = synthetic::outcome(4, 2, true);
+        let frames: Vec<(u64, FrameTransforms)> = messages(&bytes_of(&outcome), "/tf");
+        assert_eq!(frames.len(), 6);
+        let settled = outcome.truth.iter().flat_map(|truth| truth.poses.iter().flatten());
+        for ((_, frames), settled) in frames.iter().zip(settled) {
+            let mut places = BTreeMap::from([(BASE.to_owned(), Transform::identity())]);
+            for frame in &frames.transforms {
+                let place = places[&frame.parent_frame_id] * transform(frame);
+                places.insert(frame.child_frame_id.clone(), place);
+            }
+            for (link, number) in settled.links.iter().zip(1..) {
+                let found = places[&format!("true/link{number}")];
+                assert!((found.to_homogeneous() - link.to_homogeneous()).norm() < 1e-12);
+            }
+            let target = Vector3::new(0.10, 0.15, 0.20);
+            let flange = places["true/flange"];
+            assert!((flange.rotation * target + flange.translation.vector - settled.target).norm() < 1e-12);
+            assert!(places.contains_key("nominal/flange"));
+        }
+    }
+
+    #[test]
+    fn arrows_are_the_residuals_a_hundred_times() {
+        let outcome = synthetic::outcome(4, 0, false);
+        let bytes = bytes_of(&outcome);
+        for mode in &outcome.modes {
+            let key = mode.mode.key();
+            let updates: Vec<(u64, SceneUpdate)> = messages(&bytes, &format!("/scene/residual_x100/{key}"));
+            let residuals: Vec<(u64, v1::Residual)> = messages(&bytes, &format!("/residual/{key}"));
+            assert_eq!((updates.len(), residuals.len()), (4, 4));
+            for (((_, update), (_, residual)), error) in updates.iter().zip(&residuals).zip(&mode.errors[0]) {
+                assert_eq!([residual.x, residual.y, residual.z], <[f64; 3]>::from(*error));
+                let arrow = &update.entities[0].arrows[0];
+                let q = arrow.pose.expect("given").orientation.expect("given");
+                let q = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(q.w, q.x, q.y, q.z));
+                let drawn = q * Vector3::x() * (arrow.shaft_length + arrow.head_length);
+                assert!((drawn - RESIDUAL_SCALE * error).norm() < 1e-9 * drawn.norm());
+            }
+        }
+    }
+
+    #[test]
+    fn points_lie_where_the_tracker_saw_them() {
+        let outcome = synthetic::outcome(3, 1, true);
+        let bytes = bytes_of(&outcome);
+        let clouds: Vec<(u64, PointCloud)> = messages(&bytes, "/targets");
+        let observer = scene::observer(&outcome).expect("a mode");
+        let observations = outcome.sets.iter().flat_map(|set| &set.measurements.observations);
+        assert_eq!(clouds.len(), 4);
+        for ((_, cloud), observation) in clouds.iter().zip(observations) {
+            let seen = scene::sighting(observer, observation).expect("a station").point;
+            let read = cloud.data.chunks(4).map(|b| f32::from_le_bytes(b.try_into().expect("four bytes")));
+            for (read, seen) in read.zip(seen.iter()) {
+                assert!((f64::from(read) - seen).abs() < 1e-6);
+            }
+            let identity = cloud.pose.and_then(|p| p.orientation).expect("a pose");
+            assert_eq!([identity.x, identity.y, identity.z, identity.w], [0.0, 0.0, 0.0, 1.0]);
+        }
+        let all: Vec<(u64, PointCloud)> = messages(&bytes, "/targets/identification");
+        assert_eq!(all[0].1.data.len(), 3 * 12);
+    }
+
+    #[test]
+    fn provenance_comes_before_the_first_message_and_time_never_runs_back() {
+        let outcome = synthetic::outcome(25, 10, true);
+        let bytes = bytes_of(&outcome);
+        let find = |text: &[u8]| bytes.windows(text.len()).position(|w| w == text).expect("in the file");
+        // zstd's magic number: the first chunk.
+        let first_chunk = find(&[0x28, 0xb5, 0x2f, 0xfd]);
+        assert!(find(b"provenance_sha256") < first_chunk);
+        for (_, source) in &outcome.sources {
+            assert!(find(source.text.as_bytes()) < first_chunk);
+        }
+        let mut last = 0;
+        let mut counts = BTreeMap::new();
+        for message in MessageStream::new(&bytes).expect("a file").map(|m| m.expect("sound")) {
+            assert!(message.log_time >= last, "{}", message.channel.topic);
+            last = message.log_time;
+            let count = counts.entry(message.channel.topic.clone()).or_insert(0);
+            assert_eq!(message.sequence, *count);
+            *count += 1;
+        }
+    }
+
+    #[test]
+    fn an_input_that_could_not_be_read_back_is_refused() {
+        let mut outcome = synthetic::outcome(1, 0, false);
+        outcome.sources[0].1.text = " ".repeat(RECORD_LIMIT);
+        let mut recorder = McapRecorder::new(Cursor::new(Vec::new())).expect("begun");
+        let error = record(&outcome, &mut recorder).expect_err("too long");
+        assert!(matches!(error, RecordingError::AttachmentTooLong { .. }));
+        assert!(error.to_string().contains("scenario/synthetic.toml"), "{error}");
     }
 }

@@ -12,6 +12,8 @@ mod mcap_reader;
 mod mcap_writer;
 mod provenance;
 #[cfg(feature = "rerun")]
+mod rerun_layout;
+#[cfg(feature = "rerun")]
 mod rerun_sink;
 mod scene;
 pub mod schema;

@@ -29,8 +29,8 @@ pub struct Provenance {
     pub input_sha256: String,
     /// The seed of a simulation.
     pub seed: Option<u64>,
-    /// Hash over these metadata and the attached input files, hexadecimal.
-    pub sha256: String,
+    /// Hash over the recording's metadata and attachments, hexadecimal.
+    pub provenance_sha256: String,
 }
 
 /// An input file as it lies in the recording: `role/file name` and its text.
@@ -73,18 +73,18 @@ pub(super) fn metadata_of(outcome: &Outcome, inputs: &[AttachedInput]) -> BTreeM
         metadata.insert("seed".to_owned(), seed.to_string());
     }
     let hash = hash(&metadata, inputs);
-    metadata.insert("sha256".to_owned(), hash);
+    metadata.insert("provenance_sha256".to_owned(), hash);
     metadata
 }
 
-/// SHA-256 over metadata (without `sha256`) and input files, each part preceded by its length, hexadecimal.
+/// SHA-256 over metadata (without that hash itself) and input files, each part preceded by its length, hexadecimal.
 fn hash(metadata: &BTreeMap<String, String>, inputs: &[AttachedInput]) -> String {
     let mut digest = Sha256::new();
     let mut part = |text: &str| {
         digest.update((text.len() as u64).to_le_bytes());
         digest.update(text);
     };
-    for (key, value) in metadata.iter().filter(|(key, _)| *key != "sha256") {
+    for (key, value) in metadata.iter().filter(|(key, _)| *key != "provenance_sha256") {
         part(key);
         part(value);
     }
@@ -92,7 +92,7 @@ fn hash(metadata: &BTreeMap<String, String>, inputs: &[AttachedInput]) -> String
         part(name);
         part(text);
     }
-    digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    digest.finalize().iter().fold(String::new(), |hex, byte| format!("{hex}{byte:02x}"))
 }
 
 impl Provenance {
@@ -108,7 +108,7 @@ impl Provenance {
     ) -> Result<Self, RecordingError> {
         check_schema(metadata)?;
         check_attachments(&text(metadata, "attachments")?, inputs)?;
-        let expected = text(metadata, "sha256")?;
+        let expected = text(metadata, "provenance_sha256")?;
         let found = hash(metadata, inputs);
         if found != expected {
             return Err(RecordingError::AlteredProvenance { expected, found });
@@ -122,7 +122,7 @@ impl Provenance {
             input_name: text(metadata, "input_name")?,
             input_sha256: text(metadata, "input_sha256")?,
             seed: seed.transpose()?,
-            sha256: expected,
+            provenance_sha256: expected,
         })
     }
 }
@@ -173,7 +173,7 @@ mod tests {
         let provenance = Provenance::check(&metadata, &inputs).expect("sound");
         assert_eq!(provenance.seed, Some(7));
         assert_eq!(provenance.input_kind, "scenario");
-        assert_eq!(provenance.sha256.len(), 64);
+        assert_eq!(provenance.provenance_sha256.len(), 64);
         let (role, source) = source_of(inputs[0].clone());
         assert_eq!((role.as_str(), source.name.as_str()), ("scenario", "synthetic.toml"));
     }
@@ -181,7 +181,7 @@ mod tests {
     #[test]
     fn every_change_of_metadata_or_inputs_is_noticed() {
         let (metadata, inputs) = parts();
-        for key in ["software", "input_name", "input_sha256", "seed", "sha256"] {
+        for key in ["software", "input_name", "input_sha256", "seed", "provenance_sha256"] {
             let mut altered = metadata.clone();
             altered.insert(key.to_owned(), "8".to_owned());
             assert!(
@@ -227,7 +227,7 @@ mod tests {
             let refused = Provenance::check(&altered, &inputs);
             assert!(matches!(refused, Err(RecordingError::BadProvenance { .. })), "{nonsense}");
         }
-        for key in ["schema", "attachments", "sha256"] {
+        for key in ["schema", "attachments", "provenance_sha256"] {
             let mut altered = metadata.clone();
             altered.remove(key);
             let error = Provenance::check(&altered, &inputs).expect_err("a key is missing");

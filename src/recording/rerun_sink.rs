@@ -2,33 +2,31 @@
 
 use std::io::Write;
 use std::path::Path;
+use std::time::Duration;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use rerun::archetypes::{
     Arrows3D, Boxes3D, Cylinders3D, Ellipsoids3D, LineStrips3D, Points3D, Scalars, SeriesLines, TextDocument,
     TextLog, Transform3D, ViewCoordinates,
 };
-use rerun::blueprint::{
-    Blueprint, BlueprintPanel, ContainerLike, Horizontal, SelectionPanel, Spatial3DView, Tabs,
-    TextDocumentView, TextLogView, TimePanel, TimeSeriesView, Vertical,
-};
 use rerun::components::{Color, FillMode, Radius, TextLogLevel};
+use rerun::log::ChunkBatcherConfig;
 use rerun::sink::MemorySinkStorage;
 use rerun::{AsComponents, Quaternion, RecordingStream, RecordingStreamBuilder};
 
 use super::file::write_whole;
 use super::scene::{self, Arrow, Colour};
-use super::{Chain, LogEntry, LogLevel, PoseStep, Recorder, RecordingError, record, tables};
+use super::{Chain, LogEntry, LogLevel, PoseStep, Recorder, RecordingError, record, rerun_layout, tables};
 use crate::geometry::Transform;
 use crate::model::{Visual, VisualShape};
 use crate::pipeline::{ModeOutcome, Outcome};
 
-const APPLICATION: &str = "calibrig";
+pub(super) const APPLICATION: &str = "calibrig";
 /// Root of all that is drawn in the base frame.
-const SCENE: &str = "scene";
+pub(super) const SCENE: &str = "scene";
 /// Residual arrows; the scale is [`super::RESIDUAL_SCALE`].
-const ARROWS: &str = "scene/residual_x100";
-const AXES: [&str; 3] = ["x", "y", "z"];
+pub(super) const ARROWS: &str = "scene/residual_x100";
+pub(super) const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// Writes a Rerun recording of `outcome`. The file is whole or not there.
 pub fn write_rrd(outcome: &Outcome, path: &Path) -> Result<(), RecordingError> {
@@ -44,6 +42,8 @@ pub fn write_rrd(outcome: &Outcome, path: &Path) -> Result<(), RecordingError> {
 pub struct RerunRecorder {
     stream: RecordingStream,
     storage: MemorySinkStorage,
+    /// Running number of the pose last told.
+    pose: i64,
 }
 
 impl RerunRecorder {
@@ -52,13 +52,15 @@ impl RerunRecorder {
         let (stream, storage) = RecordingStreamBuilder::new(APPLICATION)
             // Whatever the environment says: the user asked for the file.
             .enabled(true)
+            // Cut into chunks by their size alone, not by the clock.
+            .batcher_config(ChunkBatcherConfig { flush_tick: Duration::MAX, ..ChunkBatcherConfig::DEFAULT })
             .recording_name(outcome.input.name.as_str())
-            .with_default_blueprint(blueprint(outcome))
             .memory()
             .map_err(RecordingError::unrecordable)?;
+        rerun_layout::send(outcome, &stream)?;
         stream.set_log_time_enabled(false);
         stream.set_log_tick_enabled(false);
-        Ok(Self { stream, storage })
+        Ok(Self { stream, storage, pose: 0 })
     }
 
     /// The bytes of the file.
@@ -168,7 +170,7 @@ impl RerunRecorder {
                 self.fixed(&format!("residual_mm/{axis}/{key}"), &curve)?;
             }
             if mode.estimate.is_some() {
-                self.fixed(&format!("cost/{key}"), &curve)?;
+                self.fixed(&format!("cost_log10/{key}"), &curve)?;
             }
         }
         Ok(())
@@ -232,23 +234,26 @@ impl Recorder for RerunRecorder {
     }
 
     fn pose(&mut self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
-        self.stream.set_time_sequence("pose", i64::from(step.number));
+        self.pose = i64::from(step.number);
+        self.stream.set_time_sequence("pose", self.pose);
         self.stream.set_duration_secs("sim_time", step.time() as f64 * 1e-9);
         for chain in &step.chains {
             self.chain(chain)?;
         }
         self.sightings(step)?;
         self.residuals(step)?;
-        let text =
-            format!("{} pose {}", step.set.kind.key(), step.observations.first().map_or(0, |o| o.pose));
-        self.put("log", &TextLog::new(text).with_level(TextLogLevel::TRACE))
+        self.put("tables/pose", &TextDocument::from_markdown(tables::pose(step)))
     }
 
     fn estimate(&mut self, _: u64, _: &Outcome, mode: &ModeOutcome) -> Result<(), RecordingError> {
         self.stream.reset_time();
         for (number, iteration) in (1_i64..).zip(mode.estimate.iter().flat_map(|e| &e.iterations)) {
             self.stream.set_time_sequence("iteration", number);
-            self.put(&format!("cost/{}", mode.mode.key()), &Scalars::single(iteration.cost))?;
+            // Costs fall by many powers of ten; an exact fit has none.
+            let exponent = iteration.cost.log10();
+            if exponent.is_finite() {
+                self.put(&format!("cost_log10/{}", mode.mode.key()), &Scalars::single(exponent))?;
+            }
         }
         self.stream.reset_time();
         Ok(())
@@ -259,6 +264,7 @@ impl Recorder for RerunRecorder {
             LogLevel::Info => TextLogLevel::INFO,
             LogLevel::Warning => TextLogLevel::WARN,
         };
+        self.stream.set_time_sequence("pose", self.pose);
         self.stream.set_duration_secs("sim_time", entry.time as f64 * 1e-9);
         self.put("log", &TextLog::new(entry.message.as_str()).with_level(level))
     }
@@ -281,7 +287,7 @@ fn single(value: f64) -> f32 {
     value as f32
 }
 
-fn xyz(v: &Vector3<f64>) -> [f32; 3] {
+pub(super) fn xyz(v: &Vector3<f64>) -> [f32; 3] {
     [single(v.x), single(v.y), single(v.z)]
 }
 
@@ -305,42 +311,99 @@ fn coordinates(up: &Vector3<f64>) -> ViewCoordinates {
     }
 }
 
-/// The robot on the left, residuals over poses and tables on the right.
-fn blueprint(outcome: &Outcome) -> Blueprint {
-    let uncalibrated: Vec<&str> =
-        outcome.modes.iter().filter(|m| m.estimate.is_none()).map(|m| m.mode.key()).collect();
-    // Where something was identified, the errors before it would hide what is left.
-    let hidden = if uncalibrated.len() < outcome.modes.len() { uncalibrated } else { Vec::new() };
-    let without = |root: &str| -> Vec<String> {
-        let all = std::iter::once(format!("+ /{root}/**"));
-        all.chain(hidden.iter().map(|key| format!("- /{root}/{key}/**"))).collect()
-    };
-    let mut drawn = without(ARROWS);
-    drawn[0] = format!("+ /{SCENE}/**");
-    let picture: ContainerLike =
-        Spatial3DView::new("Robot, residual arrows x100").with_origin(SCENE).with_contents(drawn).into();
-    let log: ContainerLike = TextLogView::new("Log").with_origin("log").into();
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::{BTreeMap, BTreeSet};
 
-    let plot = |title: String, root: String| -> ContainerLike {
-        TimeSeriesView::new(title).with_contents(without(&root)).with_origin(root).into()
-    };
-    let axes = AXES.map(|axis| plot(format!("Residual {axis}, mm"), format!("residual_mm/{axis}")));
-    let all: ContainerLike =
-        TimeSeriesView::new("3-D error of all modes, mm").with_origin("residual_mm/norm").into();
-    let cost: ContainerLike = TimeSeriesView::new("Cost (timeline: iteration)").with_origin("cost").into();
-    let plots = Tabs::new([Vertical::new(axes).with_name("Residuals").into(), all, cost]);
-    let page =
-        |title: &str, path: &str| -> ContainerLike { TextDocumentView::new(title).with_origin(path).into() };
-    let tables = Tabs::new([
-        page("Accuracy", "tables/accuracy"),
-        page("Parameters", "tables/parameters"),
-        page("Identification", "tables/identification"),
-    ]);
-    let left = Vertical::new([picture, log]).with_row_shares([4.0, 1.0]);
-    let right = Vertical::new([plots.into(), tables.into()]).with_row_shares([3.0, 2.0]);
-    Blueprint::new(Horizontal::new([left.into(), right.into()]).with_column_shares([3.0, 2.0]))
-        .with_auto_views(false)
-        .with_blueprint_panel(BlueprintPanel::from_state(rerun::blueprint::components::PanelState::Collapsed))
-        .with_selection_panel(SelectionPanel::from_state(rerun::blueprint::components::PanelState::Collapsed))
-        .with_time_panel(TimePanel::new().with_timeline("pose"))
+    use rerun::log::{Chunk, LogMsg};
+
+    use crate::recording::synthetic;
+
+    /// Rows by entity, over all times, and the names of all timelines.
+    struct Contents {
+        rows: BTreeMap<String, usize>,
+        layout: BTreeSet<String>,
+        timelines: BTreeSet<String>,
+        activated: bool,
+    }
+
+    fn contents(outcome: &Outcome) -> Contents {
+        let mut recorder = RerunRecorder::new(outcome).expect("begun");
+        record(outcome, &mut recorder).expect("recorded");
+        let mut contents = Contents {
+            rows: BTreeMap::new(),
+            layout: BTreeSet::new(),
+            timelines: BTreeSet::new(),
+            activated: false,
+        };
+        for message in recorder.storage.take() {
+            match message {
+                LogMsg::ArrowMsg(store, message) => {
+                    let chunk = Chunk::from_arrow_msg(&message).expect("sound");
+                    let path = chunk.entity_path().to_string();
+                    if store.is_blueprint() {
+                        contents.layout.insert(path);
+                        continue;
+                    }
+                    *contents.rows.entry(path).or_default() += chunk.num_rows();
+                    contents.timelines.extend(chunk.timelines().keys().map(ToString::to_string));
+                }
+                LogMsg::BlueprintActivationCommand(_) => contents.activated = true,
+                LogMsg::SetStoreInfo(_) => {}
+            }
+        }
+        contents
+    }
+
+    #[test]
+    fn every_pose_is_there_with_and_without_truth() {
+        for (truth, chain, other) in [(true, "true", "calibrated"), (false, "calibrated", "true")] {
+            let outcome = synthetic::outcome(6, 3, truth);
+            let Contents { rows, timelines, .. } = contents(&outcome);
+            assert_eq!(
+                timelines.iter().map(String::as_str).collect::<Vec<_>>(),
+                ["iteration", "pose", "sim_time"]
+            );
+            for path in [
+                &format!("/scene/{chain}/chain"),
+                &format!("/scene/{chain}/link7"),
+                "/scene/line_of_sight",
+                "/scene/residual_x100/with_gravity/at_this_pose",
+                "/tables/pose",
+            ] {
+                assert_eq!(rows.get(path), Some(&9), "{path}");
+            }
+            // One more row holds the curve's name and colour.
+            assert_eq!(rows.get("/residual_mm/z/only_calibration"), Some(&10));
+            assert_eq!(rows.get("/cost_log10/only_calibration"), Some(&6));
+            assert!(!rows.contains_key("/cost_log10/without_calibration"));
+            assert_eq!(rows.contains_key("/scene/nominal/chain"), truth);
+            assert!(!rows.keys().any(|path| path.starts_with(&format!("/scene/{other}"))));
+        }
+    }
+
+    #[test]
+    fn the_layout_lies_in_the_recording_with_its_eye() {
+        let Contents { layout, activated, .. } = contents(&synthetic::outcome(3, 1, true));
+        assert!(activated);
+        assert!(layout.contains("/viewport"));
+        assert_eq!(layout.iter().filter(|path| path.ends_with("/EyeControls3D")).count(), 1);
+        assert_eq!(layout.iter().filter(|path| path.ends_with("/PlotLegend")).count(), 2);
+    }
+
+    #[test]
+    fn a_file_is_written_even_of_nothing_but_a_model() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("recording.rrd");
+        let mut outcome = synthetic::outcome(0, 0, false);
+        write_rrd(&outcome, &path).expect("written");
+        outcome.sets.clear();
+        outcome.modes.clear();
+        outcome.visuals.clear();
+        outcome.model.statics = None;
+        write_rrd(&outcome, &path).expect("written");
+        assert!(std::fs::read(&path).expect("read").starts_with(b"RRF"));
+        assert_eq!(std::fs::read_dir(folder.path()).expect("listed").count(), 1);
+    }
 }

@@ -197,7 +197,8 @@ pub(super) fn turn(to: &Vector3<f64>, from: &Vector3<f64>) -> UnitQuaternion<f64
         .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&across(from), std::f64::consts::PI))
 }
 
-fn across(v: &Vector3<f64>) -> nalgebra::Unit<Vector3<f64>> {
+/// A direction at right angles to `v`.
+pub(super) fn across(v: &Vector3<f64>) -> nalgebra::Unit<Vector3<f64>> {
     let mut least = Vector3::zeros();
     least[v.iamin()] = 1.0;
     nalgebra::Unit::new_normalize(v.cross(&least))
@@ -245,7 +246,7 @@ mod tests {
     #[test]
     fn the_chain_ends_at_the_settled_or_predicted_target() {
         let simulated = synthetic::outcome(4, 3, true);
-        let chains_of = |outcome, index| chains(outcome, 0, index);
+        let chains_of = |outcome: &Outcome, index| chains(outcome, 0, index);
         for index in 0..4 {
             let shown = chains_of(&simulated, index);
             assert_eq!(
@@ -256,7 +257,7 @@ mod tests {
             let end = *shown[0].polyline().last().expect("a line");
             assert!((end - settled.target).norm() < 1e-12);
         }
-        let measured = Outcome { truth: None, ..simulated };
+        let measured = Outcome { truth: None, ..simulated.clone() };
         let shown = chains_of(&measured, 1);
         assert_eq!(shown.iter().map(|c| c.kind).collect::<Vec<_>>(), [ChainKind::Calibrated]);
         let observation = &measured.sets[0].measurements.observations[1];

@@ -1,5 +1,6 @@
 //! The one story that every recorder is told.
 
+use std::cmp::Ordering;
 use std::fmt::Write;
 use std::ops::Range;
 
@@ -160,14 +161,17 @@ const PAUSE: u64 = 10 * SECOND;
 
 /// Simulated time of every observation, ns, increasing over the sets.
 fn times(sets: &[SetOutcome]) -> Vec<Vec<u64>> {
-    let mut next_start = 0;
+    let mut end: Option<u64> = None;
     sets.iter()
         .map(|set| {
             let observations = &set.measurements.observations;
             let own = own_times(observations).unwrap_or_else(|| one_second_a_pose(observations));
             let (Some(&first), Some(&last)) = (own.first(), own.last()) else { return own };
-            let shift = if first >= next_start { 0 } else { next_start - first };
-            next_start = last.saturating_add(shift).saturating_add(PAUSE);
+            let shift = match end {
+                Some(end) if first <= end => end.saturating_add(PAUSE) - first,
+                _ => 0,
+            };
+            end = Some(last.saturating_add(shift));
             own.iter().map(|t| t.saturating_add(shift)).collect()
         })
         .collect()
@@ -177,8 +181,10 @@ fn times(sets: &[SetOutcome]) -> Vec<Vec<u64>> {
 fn own_times(observations: &[Observation]) -> Option<Vec<u64>> {
     // Viewers hold whole seconds in 32 bits.
     let usable = |o: &Observation| (0.0..4e9).contains(&o.time);
-    let increase = observations.windows(2).all(|pair| {
-        pair[0].time < pair[1].time || (pair[0].time == pair[1].time && pair[0].pose == pair[1].pose)
+    let increase = observations.windows(2).all(|pair| match pair[0].time.partial_cmp(&pair[1].time) {
+        Some(Ordering::Less) => true,
+        Some(Ordering::Equal) => pair[0].pose == pair[1].pose,
+        _ => false,
     });
     if !increase || !observations.iter().all(usable) {
         return None;
@@ -211,7 +217,7 @@ fn opening(outcome: &Outcome) -> Vec<String> {
     for set in &outcome.sets {
         let measurements = &set.measurements;
         lines.push(format!(
-            "{} set: {} observations, {} stations, {} targets, {} poses dropped",
+            "{} set: observations {}, stations {}, targets {}, dropped poses {}",
             set.kind.key(),
             measurements.observations.len(),
             measurements.stations.len(),

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-use super::{Provenance, scene};
+use super::{PoseStep, Provenance, scene};
 use crate::evaluation::AccuracyRow;
 use crate::identification::{Estimate, Mode};
 use crate::model::{ParameterId, Unit};
@@ -54,6 +54,31 @@ fn published(outcome: &Outcome, kind: SetKind, mode: Mode) -> Option<[f64; 6]> {
     outcome.published.iter().find(|(k, m, _)| (*k, *m) == (kind, mode)).map(|(_, _, figures)| *figures)
 }
 
+/// One pose: what was commanded, and what each mode left over.
+pub(super) fn pose(step: &PoseStep<'_>) -> String {
+    let mut text = String::new();
+    for (i, observation) in step.observations.iter().enumerate() {
+        let _ = writeln!(
+            text,
+            "## {} set, pose {}\n\nstation {}, target {}, {:.1} s\n",
+            capitalised(step.set.kind.key()),
+            observation.pose,
+            observation.station + 1,
+            observation.target + 1,
+            observation.time
+        );
+        text.push_str("| residual, mm | x | y | z | 3-D |\n|---|--:|--:|--:|--:|\n");
+        for residuals in &step.residuals {
+            let Some(error) = residuals.errors.get(i) else { continue };
+            let cells = error.iter().copied().chain([error.norm()]).map(|m| format!(" {:.3} ", 1e3 * m));
+            let _ = writeln!(text, "| {} |{}|", residuals.mode.title(), cells.collect::<Vec<_>>().join("|"));
+        }
+        let command: Vec<_> = observation.command.iter().map(|c| format!("{c:.4}")).collect();
+        let _ = writeln!(text, "\nCommand (m, rad): {}\n", command.join(", "));
+    }
+    text
+}
+
 /// How every identification went.
 pub(super) fn estimates(outcome: &Outcome) -> String {
     let mut text = String::from("## Identification\n\n");
@@ -73,6 +98,11 @@ pub(super) fn estimates(outcome: &Outcome) -> String {
             estimate.parameters.len(),
             estimate.spectrum.condition,
         );
+    }
+    for mode in &outcome.modes {
+        let Some(estimate) = &mode.estimate else { continue };
+        let costs: Vec<_> = estimate.iterations.iter().map(|i| format!("{:.6e}", i.cost)).collect();
+        let _ = writeln!(text, "\nCost per iteration, {}: {}", mode.mode.title(), costs.join(", "));
     }
     let estimates = outcome.modes.iter().filter_map(|m| Some((m.mode, m.estimate.as_ref()?)));
     let warnings: Vec<_> = estimates
@@ -97,7 +127,8 @@ pub(super) fn parameters(outcome: &Outcome) -> String {
     ids.sort();
     ids.dedup();
 
-    let titles = estimates.iter().map(|(mode, _)| format!(" {} |", mode.title())).collect::<String>();
+    let titles =
+        estimates.iter().map(|(mode, _)| format!(" {} |", mode.title())).collect::<Vec<_>>().concat();
     let mut text =
         format!("## Parameters: value ± standard deviation\n\n| | unit | truth |{titles}\n|---|---|--:|");
     text.push_str(&"--:|".repeat(estimates.len()));

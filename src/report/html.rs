@@ -10,7 +10,7 @@ use super::parameters::{
 use super::plots::{self, GRID, INK, LOOKS, Look, Marker, hex, look};
 use super::summary::{factor_words, judged_set, length_words, row, significant, summarise};
 use super::{
-    ReportError, condition_words, consistency_ratio, counted, pose_words, published, set_title,
+    ReportError, condition_words, consistency_ratio, counted, forest, pose_words, published, set_title,
     termination_words,
 };
 use crate::identification::{DependentGroup, Estimate, Mode, NoiseScale, Warning, WeakDirection};
@@ -304,7 +304,7 @@ fn parameters_section(outcome: &Outcome) -> Result<Markup, ReportError> {
     let truth_known = rows.iter().any(|row| row.truth().is_some());
     let mut parts = Vec::new();
     for (unit, name) in [(Unit::Metre, "Lengths"), (Unit::Radian, "Angles")] {
-        if let Some(plot) = plots::parameters(&rows, &modes, unit)? {
+        if let Some(plot) = forest::parameters(&rows, &modes, unit)? {
             let selected: Vec<_> = rows.iter().filter(|row| row.id.unit() == unit).collect();
             parts.push((unit, name, plot, selected));
         }
@@ -330,7 +330,7 @@ fn parameters_section(outcome: &Outcome) -> Result<Markup, ReportError> {
                         " A singular system has no standard deviations."
                     }
                     @if truth_known {
-                        " On the left, a vertical bar in each row is the truth of the simulated robot; on the right, zero is."
+                        " On the left, a vertical bar in each row is the truth of the simulated robot. On the right, the error is estimate minus truth, each model on its own scale."
                     }
                 }, false))
                 (parameter_table(selected, &modes, *unit, truth_known))
@@ -494,13 +494,23 @@ fn dependent_words(group: &DependentGroup) -> String {
 }
 
 fn weak_words(weak: &WeakDirection) -> String {
-    let factor = 1.0 / weak.singular_value;
     format!(
-        "{} (scaled weights): changed together in these proportions, they show {} times less in the measurements than the best determined \
-         combination does.",
+        "{} (scaled weights): changed together in these proportions, they show {} of what the best determined combination shows in the \
+         measurements.",
         combination(&weak.members),
-        significant(factor)
+        fraction_words(weak.singular_value)
     )
+}
+
+/// "1/530" with two significant digits; "1/1.7e5" beyond ten thousand.
+fn fraction_words(share: f64) -> String {
+    let factor = 1.0 / share;
+    if factor < 1e4 {
+        let unit = 10.0_f64.powf(factor.log10().floor() - 1.0);
+        format!("1/{:.0}", (factor / unit).round() * unit)
+    } else {
+        format!("1/{factor:.1e}")
+    }
 }
 
 fn combination(members: &[(ParameterId, f64)]) -> String {
@@ -632,7 +642,13 @@ fn number(value: f64, decimals: usize) -> String {
     if value.abs() >= 1e6 {
         return format!("{value:.1e}").replace('-', "\u{2212}");
     }
-    format!("{value:.decimals$}").replace('-', "\u{2212}")
+    let text = format!("{value:.decimals$}");
+    // What rounds to zero has no sign.
+    match text.strip_prefix('-') {
+        Some(digits) if digits.contains(|c| ('1'..='9').contains(&c)) => format!("\u{2212}{digits}"),
+        Some(digits) => digits.to_owned(),
+        None => text,
+    }
 }
 
 #[cfg(test)]
@@ -707,6 +723,19 @@ mod tests {
         assert!(page.contains(">26.2</td>"), "published");
         assert!(page.contains("\u{2212}17.1000</td>"), "true delta_theta4 in mrad");
         assert!(page.contains("calibrig run 'scenarios/spray painting.toml' --seed 42 --out DIR"));
+    }
+
+    #[test]
+    fn zero_has_no_sign_and_what_is_no_number_is_a_dash() {
+        assert_eq!(
+            [-4e-5, -6e-5, 0.0, f64::NAN].map(|v| number(v, 4)),
+            ["0.0000", "\u{2212}0.0001", "0.0000", "\u{2013}"]
+        );
+    }
+
+    #[test]
+    fn fractions_have_two_digits() {
+        assert_eq!([1.9e-3, 0.01, 5.9e-6].map(fraction_words), ["1/530", "1/100", "1/1.7e5"]);
     }
 
     #[test]

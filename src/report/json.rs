@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::parameters::{fitted, truth_of};
-use super::{ReportError, pose_count};
+use super::pose_count;
 use crate::evaluation::AccuracyRow;
 use crate::identification::{Estimate, NoiseScale};
 use crate::pipeline::{Outcome, SetOutcome};
@@ -185,13 +185,6 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
     }
 }
 
-/// The document as text, indented, with a line end.
-pub fn json_text(outcome: &Outcome) -> Result<String, ReportError> {
-    let mut text = serde_json::to_string_pretty(&json_report(outcome))?;
-    text.push('\n');
-    Ok(text)
-}
-
 fn json_set(outcome: &Outcome, index: usize, set: &SetOutcome) -> JsonSet {
     let row = |rows: &[Option<AccuracyRow>]| rows.get(index).copied().flatten();
     JsonSet {
@@ -325,7 +318,7 @@ mod tests {
     #[test]
     fn rows_that_do_not_apply_are_absent_and_numbers_that_are_not_finite_are_null() {
         let outcome = sample::measured();
-        let text = json_text(&outcome).expect("JSON");
+        let text = crate::report::json_text(&outcome).expect("JSON");
         for word in ["NaN", "inf", "Infinity"] {
             assert!(!text.contains(word), "{word} in {text}");
         }

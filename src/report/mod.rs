@@ -1,5 +1,6 @@
 //! What a run tells people and programs: tables on the terminal, `report.json` and `report.html`. A sink: nothing upstream imports it.
 
+mod forest;
 mod html;
 mod json;
 mod parameters;
@@ -12,7 +13,7 @@ mod tables;
 pub use html::html_report;
 pub use json::{
     JsonDropped, JsonEstimate, JsonInput, JsonParameter, JsonRegistration, JsonReport, JsonRow, JsonSet,
-    JsonSoftware, SCHEMA, json_report, json_text,
+    JsonSoftware, SCHEMA, json_report,
 };
 pub use tables::{Style, render_tables};
 
@@ -49,6 +50,13 @@ pub enum ReportError {
         /// Why.
         reason: String,
     },
+}
+
+/// The text of `report.json`.
+pub fn json_text(outcome: &Outcome) -> Result<String, ReportError> {
+    let mut json = serde_json::to_string_pretty(&json_report(outcome))?;
+    json.push('\n');
+    Ok(json)
 }
 
 /// Writes `report.json` and `report.html` to `folder`, which exists.

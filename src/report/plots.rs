@@ -10,14 +10,12 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::ReportError;
-use super::parameters::{ParameterCell, ParameterRow, printed_unit};
 use crate::identification::Mode;
-use crate::model::Unit;
 use crate::pipeline::{ModeOutcome, Outcome, SetKind};
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type Chart<'a, 'b> = ChartContext<'b, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
-type Drawn<T = ()> = Result<T, DrawingAreaErrorKind<std::io::Error>>;
+pub(super) type Drawn<T = ()> = Result<T, DrawingAreaErrorKind<std::io::Error>>;
 
 /// Text and axes; the page replaces it by the colour of its text.
 pub(super) const INK: RGBColor = RGBColor(0x5A, 0x5A, 0x5A);
@@ -25,8 +23,8 @@ pub(super) const INK: RGBColor = RGBColor(0x5A, 0x5A, 0x5A);
 pub(super) const GRID: RGBColor = RGBColor(0xD5, 0xD5, 0xD5);
 
 /// plotters draws on whole pixels: figures are drawn twice as large as they are shown.
-const SCALE: i32 = 2;
-const WIDTH: i32 = 960;
+pub(super) const SCALE: i32 = 2;
+pub(super) const WIDTH: i32 = 960;
 
 /// The shape that stands for a mode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -189,129 +187,7 @@ pub(super) fn distribution(outcome: &Outcome) -> Result<String, ReportError> {
     })
 }
 
-/// Estimates with their 95 % intervals, and the truth where known with a second panel of the errors against it.
-pub(super) fn parameters(
-    rows: &[ParameterRow],
-    modes: &[Mode],
-    unit: Unit,
-) -> Result<Option<String>, ReportError> {
-    const ROW: i32 = 22;
-    const NAMES: i32 = 112;
-    const TITLE: i32 = 22;
-    const FOOT: i32 = 28;
-    let rows: Vec<_> = rows.iter().filter(|row| row.id.unit() == unit).collect();
-    if rows.is_empty() {
-        return Ok(None);
-    }
-    let (unit_name, factor) = printed_unit(unit);
-    let truth_known = rows.iter().any(|row| row.truth().is_some());
-    let height = ROW * i32::try_from(rows.len()).unwrap_or(i32::MAX / (4 * ROW)) + 8;
-    let label = "Identified parameters with 95 % intervals";
-    let figure = svg("parameters", label, (WIDTH, TITLE + height + FOOT), |area| {
-        let (_, plots) = area.split_horizontally(px(NAMES));
-        let (left, right) = if truth_known {
-            let (left, right) = plots.split_horizontally(px((WIDTH - NAMES) / 2));
-            (left, Some(right))
-        } else {
-            (plots, None)
-        };
-        let value = |cell: &ParameterCell| Some(cell.value);
-        let panels = [
-            (Some(left), "deviation from nominal", &value as &dyn Fn(&ParameterCell) -> Option<f64>),
-            (right, "estimate minus truth", &ParameterCell::error),
-        ];
-        for (panel, title, centre) in panels {
-            let Some(panel) = panel else { continue };
-            let against_truth = title != "deviation from nominal";
-            let (head, rest) = panel.split_vertically(px(TITLE));
-            centred(&head, &format!("{title}, {unit_name}"))?;
-            let (body, _) = rest.split_vertically(px(height + 26));
-            forest(area, &body, &rows, modes, factor, centre, against_truth)?;
-        }
-        Ok(())
-    })?;
-    Ok(Some(figure))
-}
-
-fn forest(
-    root: &Area,
-    body: &Area,
-    rows: &[&ParameterRow],
-    modes: &[Mode],
-    factor: f64,
-    centre: &dyn Fn(&ParameterCell) -> Option<f64>,
-    against_truth: bool,
-) -> Drawn {
-    let cells = || rows.iter().flat_map(|row| row.cells.iter().flatten());
-    let ends = cells().filter_map(|cell| {
-        let half = cell.half_width().unwrap_or(0.0);
-        centre(cell).map(|c| [factor * (c - half), factor * (c + half)])
-    });
-    let truths = cells().filter_map(|cell| cell.truth).filter(|_| !against_truth).map(|t| factor * t);
-    let x = padded(&finite_range(ends.flatten().chain(truths).chain([0.0])));
-    let bottom = rows.len() as f64 - 0.5;
-    let mut chart = ChartBuilder::on(body)
-        .margin_left(px(8))
-        .margin_right(px(14))
-        .x_label_area_size(px(26))
-        .build_cartesian_2d(x.clone(), bottom..-0.5)?;
-    chart
-        .configure_mesh()
-        .disable_y_mesh()
-        .disable_y_axis()
-        .x_labels(7)
-        .bold_line_style(GRID.stroke_width(2))
-        .light_line_style(TRANSPARENT)
-        .axis_style(INK.mix(0.6).stroke_width(2))
-        .label_style(text_style())
-        .x_label_formatter(&|v| tick(*v))
-        .draw()?;
-    let plot = chart.plotting_area();
-    for row in 1..rows.len() {
-        let y = row as f64 - 0.5;
-        plot.draw(&PathElement::new(vec![(x.start, y), (x.end, y)], GRID.mix(0.5).stroke_width(1)))?;
-    }
-    plot.draw(&PathElement::new(vec![(0.0, bottom), (0.0, -0.5)], ink(2)))?;
-    for (index, row) in rows.iter().enumerate() {
-        let y = index as f64;
-        if !against_truth {
-            let (_, at) = plot.map_coordinate(&(x.start, y));
-            let style = text_style().pos(Pos::new(HPos::Right, VPos::Center));
-            root.draw(&Text::new(row.id.to_string(), (px(108), at), style))?;
-            if let Some(truth) = row.truth().map(|t| factor * t).filter(|t| drawable(*t)) {
-                plot.draw(&PathElement::new(vec![(truth, y - 0.42), (truth, y + 0.42)], ink(5)))?;
-            }
-        }
-        for ((slot, cell), mode) in row.cells.iter().enumerate().zip(modes) {
-            let Some((cell, middle)) = cell.as_ref().and_then(|c| Some((c, factor * centre(c)?))) else {
-                continue;
-            };
-            if !drawable(middle) {
-                continue;
-            }
-            let y = y + 0.34 * (slot as f64 - 0.5 * (modes.len() as f64 - 1.0));
-            let look = look(*mode);
-            if let Some(half) = cell.half_width().map(|h| factor * h).filter(|h| drawable(*h)) {
-                interval(plot, &look, [middle - half, middle + half], y)?;
-            }
-            plot.draw(&marker(&look, (middle, y), 7))?;
-        }
-    }
-    Ok(())
-}
-
-type Plot<'a> = DrawingArea<SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
-
-fn interval(plot: &Plot, look: &Look, [from, to]: [f64; 2], y: f64) -> Drawn {
-    let style = look.light.stroke_width(3);
-    plot.draw(&PathElement::new(vec![(from, y), (to, y)], style))?;
-    for end in [from, to] {
-        plot.draw(&(EmptyElement::at((end, y)) + PathElement::new(vec![(0, -5), (0, 5)], style)))?;
-    }
-    Ok(())
-}
-
-fn svg(
+pub(super) fn svg(
     figure: &'static str,
     label: &str,
     (width, height): (i32, i32),
@@ -378,9 +254,15 @@ fn vertical_ticks(area: &Area, chart: &Chart, ticks: &[f64], y: &Range<f64>) -> 
     let plot = chart.plotting_area();
     let style = text_style().pos(Pos::new(HPos::Center, VPos::Top));
     let (left, top) = area.get_base_pixel();
+    // Labels of 40 pixels stand beside each other, else only those of the decades.
+    let room = area.dim_in_pixel().0 / (40 * SCALE.unsigned_abs());
+    let all = ticks.len() <= usize::try_from(room).unwrap_or(usize::MAX);
     for value in ticks {
         let at = value.log10();
         plot.draw(&PathElement::new(vec![(at, y.start), (at, y.end)], GRID.stroke_width(2)))?;
+        if !all && (at - at.round()).abs() > 1e-6 {
+            continue;
+        }
         let (column, row) = plot.map_coordinate(&(at, y.start));
         area.draw(&Text::new(tick(*value), (column - left, row - top + px(6)), style.clone()))?;
     }
@@ -402,7 +284,7 @@ fn curve(chart: &Chart, look: &Look, points: Vec<(f64, f64)>) -> Drawn {
     }
 }
 
-fn marker<'a, DB: DrawingBackend + 'a>(
+pub(super) fn marker<'a, DB: DrawingBackend + 'a>(
     look: &Look,
     at: (f64, f64),
     size: i32,
@@ -428,7 +310,7 @@ fn column_title(area: &Area, kind: SetKind) -> Drawn {
     centred(area, super::set_title(kind))
 }
 
-fn centred(area: &Area, text: &str) -> Drawn {
+pub(super) fn centred(area: &Area, text: &str) -> Drawn {
     let (width, height) = area.dim_in_pixel();
     let at = (i32::try_from(width / 2).unwrap_or(0), i32::try_from(height / 2).unwrap_or(0));
     let font = ("sans-serif", font_size(), FontStyle::Bold).into_font();
@@ -443,7 +325,7 @@ fn foot(area: &Area, text: &str) -> Drawn {
     area.draw(&Text::new(text.to_owned(), at, style))
 }
 
-fn text_style() -> TextStyle<'static> {
+pub(super) fn text_style() -> TextStyle<'static> {
     ("sans-serif", font_size()).into_font().color(&INK)
 }
 
@@ -452,16 +334,16 @@ fn font_size() -> f64 {
     12.0 * 1.24 * f64::from(SCALE)
 }
 
-fn ink(width: u32) -> ShapeStyle {
+pub(super) fn ink(width: u32) -> ShapeStyle {
     INK.stroke_width(width)
 }
 
-fn px(length: i32) -> i32 {
+pub(super) fn px(length: i32) -> i32 {
     length * SCALE
 }
 
 /// A number on an axis: no more digits than it has.
-fn tick(value: f64) -> String {
+pub(super) fn tick(value: f64) -> String {
     if value != 0.0 && !(1e-3..1e5).contains(&value.abs()) {
         // plotters' ticks near zero carry rounding errors of the range.
         return if value.abs() < 1e-9 { "0".to_owned() } else { format!("{value:.0e}") };
@@ -472,12 +354,12 @@ fn tick(value: f64) -> String {
 }
 
 /// Whether plotters can place it: its ticks do not end for numbers out of all proportion.
-fn drawable(value: f64) -> bool {
+pub(super) fn drawable(value: f64) -> bool {
     value.abs() < 1e10
 }
 
 /// From the least to the largest of the drawable values; never empty.
-fn finite_range(values: impl Iterator<Item = f64>) -> Range<f64> {
+pub(super) fn finite_range(values: impl Iterator<Item = f64>) -> Range<f64> {
     let (low, high) = values
         .filter(|v| drawable(*v))
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
@@ -490,7 +372,7 @@ fn finite_range(values: impl Iterator<Item = f64>) -> Range<f64> {
     }
 }
 
-fn padded(range: &Range<f64>) -> Range<f64> {
+pub(super) fn padded(range: &Range<f64>) -> Range<f64> {
     let pad = (0.04 * (range.end - range.start)).max(1e-6);
     range.start - pad..range.end + pad
 }
@@ -518,7 +400,6 @@ fn one_two_five(low: f64, high: f64) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::parameters::{fitted, parameter_rows};
     use crate::report::sample;
     use nalgebra::Vector3;
 
@@ -541,7 +422,7 @@ mod tests {
     }
 
     #[test]
-    fn every_pose_and_every_parameter_is_drawn_in_the_colour_of_its_mode() {
+    fn every_pose_is_drawn_in_the_colour_of_its_mode() {
         let outcome = sample::simulated();
         let modes: Vec<_> = outcome.modes.iter().collect();
         let figure = residuals(&outcome, &modes).expect("a figure");
@@ -550,19 +431,6 @@ mod tests {
         let blue = format!("<polygon opacity=\"1\" fill=\"{}\"", hex(LOOKS[1].light));
         assert_eq!(figure.matches(&blue).count(), 3 * 98);
         assert!(!figure.contains("#FFFFFF"), "no background");
-
-        let rows = parameter_rows(&outcome);
-        let modes: Vec<_> = fitted(&outcome).iter().map(|(mode, _)| *mode).collect();
-        for (unit, other) in [(Unit::Metre, "delta_alpha2"), (Unit::Radian, "delta_d2")] {
-            let figure = parameters(&rows, &modes, unit).expect("a figure").expect("parameters");
-            for row in rows.iter().filter(|row| row.id.unit() == unit) {
-                assert!(
-                    figure.contains(&format!(">\n{}\n<", row.id))
-                        || figure.contains(&format!("{}\n", row.id))
-                );
-            }
-            assert!(!figure.contains(other));
-        }
     }
 
     #[test]
@@ -573,20 +441,11 @@ mod tests {
                 for error in mode.errors.iter_mut().flatten() {
                     *error = Vector3::repeat(bad);
                 }
-                if let Some(estimate) = &mut mode.estimate {
-                    for parameter in &mut estimate.parameters {
-                        parameter.value = bad;
-                        parameter.sigma = Some(bad);
-                    }
-                }
             }
             let modes: Vec<_> = outcome.modes.iter().collect();
             for figure in [residuals(&outcome, &modes), distribution(&outcome)] {
                 assert!(figure.expect("a figure").ends_with("</svg>\n"), "{bad}");
             }
-            let rows = parameter_rows(&outcome);
-            let figure = parameters(&rows, &[Mode::OnlyCalibration, Mode::WithGravity], Unit::Metre);
-            assert!(figure.expect("a figure").is_some(), "{bad}");
             outcome.sets.clear();
             assert!(residuals(&outcome, &[]).is_ok() && distribution(&outcome).is_ok());
         }

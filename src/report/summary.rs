@@ -28,12 +28,12 @@ pub(super) fn row(mode: &ModeOutcome, set: usize) -> Option<AccuracyRow> {
     mode.rows.get(set).copied().flatten()
 }
 
-/// A length with three significant digits in mm, or in µm below 0.1 mm.
+/// A length with three significant digits in mm, at most three decimals; in µm below 0.01 mm.
 pub(super) fn length_words(metres: f64) -> String {
     if !metres.is_finite() {
         return "unknown".to_owned();
     }
-    let (value, unit) = if metres.abs() < 1e-4 { (1e6 * metres, "µm") } else { (1e3 * metres, "mm") };
+    let (value, unit) = if metres.abs() < 1e-5 { (1e6 * metres, "µm") } else { (1e3 * metres, "mm") };
     // The unit stays on the line of its number.
     format!("{}\u{a0}{unit}", significant(value))
 }
@@ -214,7 +214,7 @@ fn consistency(mode: &ModeOutcome, say: &mut Vec<String>) {
         )
     } else if ratio < 1.0 - tolerance {
         format!(
-            "The residuals are only {} times the stated noise: the measurements are better than they state.",
+            "The residuals are only {} times what the fit allowed for: the stated noise, or the allowance for what the model leaves out, is too large, and so are the standard deviations.",
             significant(ratio)
         )
     } else {
