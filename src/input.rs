@@ -1,8 +1,11 @@
 //! Reading of text files: every refusal names the file, the line and the key, and says what was expected.
 
+mod toml_text;
+
 use std::fmt;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use miette::{Diagnostic, NamedSource, SourceSpan};
 use serde::de::DeserializeOwned;
@@ -23,6 +26,7 @@ pub struct Source {
 pub enum InputError {
     /// It cannot be opened or read.
     #[error("cannot read {}: {reason}", path.display())]
+    #[diagnostic(help("expected a file of UTF-8 text"))]
     Unreadable {
         /// The file.
         path: PathBuf,
@@ -36,9 +40,9 @@ pub enum InputError {
         message: String,
         /// Line, from 1.
         line: usize,
-        /// The text.
+        /// The text; shared, so that the error stays small.
         #[source_code]
-        source_code: NamedSource<String>,
+        source_code: Arc<NamedSource<String>>,
         /// Where in the text.
         #[label("here")]
         span: SourceSpan,
@@ -74,80 +78,66 @@ impl Source {
         InputError::Invalid {
             message: message.to_string(),
             line,
-            source_code: NamedSource::new(&self.name, self.text.clone()),
+            source_code: Arc::new(NamedSource::new(&self.name, self.text.clone())),
             span: (start, end - start).into(),
             help,
         }
     }
 
+    /// Bytes of the value of a TOML key, such as `poses.identification`; the text's begin where there is none.
+    pub fn place_of(&self, key: &str) -> Range<usize> {
+        toml_text::place_of(&self.text, key)
+    }
+
     /// Reads the text as TOML; unknown keys, missing keys and wrong types are errors at their place.
     pub fn toml<T: DeserializeOwned>(&self) -> Result<T, InputError> {
-        toml::from_str(&self.text).map_err(|error| {
-            let span = error.span().unwrap_or(0..0);
-            let mut message = error.message().trim().replace('\n', ": ");
-            let mut help = None;
-            if let Some(at) = message.find(", expected") {
-                let expected = message.split_off(at + 2);
-                help = Some(with_units(&expected));
-            } else if message.starts_with("missing field") {
-                help = Some("units are part of the key, such as `_mm`, `_deg` or `_nm_per_rad`".to_owned());
-            }
-            self.error(span, message, help)
-        })
+        toml::from_str(&self.text).map_err(|error| toml_text::refusal(self, &error))
     }
 }
 
-fn with_units(expected: &str) -> String {
-    if expected.contains("_mm") || expected.contains("_deg") {
-        format!("{expected}; the unit is part of the key")
-    } else {
-        expected.to_owned()
-    }
-}
-
-/// A finite number from a TOML value with its place.
+/// A value from a TOML text with its place.
 pub(crate) type Spanned<T> = toml::Spanned<T>;
 
+/// Sizes of the numbers that are taken: no quantity of a robot is larger or, above zero, smaller, in any unit, and the squares of these
+/// stay finite and above zero.
+const SIZES: [f64; 2] = [1e-15, 1e15];
+
 impl Source {
-    /// The value if it is a finite number, else an error that names `key`.
+    fn refuse_number(&self, key: &str, value: &Spanned<f64>, expected: &str) -> InputError {
+        let literal = self.text.get(value.span()).unwrap_or_default();
+        self.error(value.span(), format!("{key} is {literal}"), Some(format!("expected {expected}")))
+    }
+
+    /// The value if it is a finite number of a sensible size, else an error that names `key`.
     pub(crate) fn finite(&self, key: &str, value: &Spanned<f64>) -> Result<f64, InputError> {
         let number = *value.get_ref();
-        if number.is_finite() {
-            Ok(number)
-        } else {
-            Err(self.error(
-                value.span(),
-                format!("{key} is {number}"),
-                Some("expected a finite number".to_owned()),
-            ))
+        if !number.is_finite() {
+            return Err(self.refuse_number(key, value, "a finite number"));
         }
+        if number.abs() > SIZES[1] {
+            return Err(self.refuse_number(key, value, &format!("a number of at most {:e}", SIZES[1])));
+        }
+        Ok(number)
     }
 
     /// The value if it is a finite number above zero, else an error that names `key`.
     pub(crate) fn positive(&self, key: &str, value: &Spanned<f64>) -> Result<f64, InputError> {
         let number = self.finite(key, value)?;
-        if number > 0.0 {
-            Ok(number)
-        } else {
-            Err(self.error(
-                value.span(),
-                format!("{key} is {number}"),
-                Some("expected a number above zero".to_owned()),
-            ))
+        if number <= 0.0 {
+            return Err(self.refuse_number(key, value, "a number above zero"));
         }
+        if number < SIZES[0] {
+            return Err(self.refuse_number(key, value, &format!("a number of at least {:e}", SIZES[0])));
+        }
+        Ok(number)
     }
 
     /// The value if it is a finite number of zero or more, else an error that names `key`.
     pub(crate) fn not_negative(&self, key: &str, value: &Spanned<f64>) -> Result<f64, InputError> {
         let number = self.finite(key, value)?;
-        if number >= 0.0 {
-            Ok(number)
-        } else {
-            Err(self.error(
-                value.span(),
-                format!("{key} is {number}"),
-                Some("expected zero or more".to_owned()),
-            ))
+        if number < 0.0 {
+            return Err(self.refuse_number(key, value, "zero or more"));
         }
+        Ok(number)
     }
 }

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use miette::Diagnostic;
 use thiserror::Error;
 
 use crate::identification::Estimate;
@@ -12,17 +13,20 @@ use crate::recording::{RecordedEstimate, RecordingError, read_recording};
 use crate::scenario::parse_scenario;
 
 /// A recording that cannot be replayed.
-#[derive(Debug, Error)]
+#[derive(Debug, Error, Diagnostic)]
 #[non_exhaustive]
 pub enum ReplayError {
     /// The file.
     #[error(transparent)]
+    #[diagnostic(transparent)]
     Recording(#[from] RecordingError),
     /// An attached scenario or model.
     #[error("an attachment of the recording: {0}")]
+    #[diagnostic(transparent)]
     Attachment(#[from] InputError),
     /// One is missing.
     #[error("the recording holds no attachment \"{role}\", which replay needs")]
+    #[diagnostic(help("expected a recording written by `calibrig run`"))]
     Missing {
         /// Its role.
         role: &'static str,

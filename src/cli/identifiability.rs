@@ -3,6 +3,7 @@
 use std::fmt::Write;
 use std::path::PathBuf;
 
+use clap::ArgGroup;
 use nalgebra::Vector3;
 use serde_json::json;
 
@@ -20,12 +21,11 @@ use crate::scenario::load_scenario;
 ///
 /// The nominal robot alone is looked at; nothing is measured.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:
-  calibrig identifiability scenarios/paper.toml                 at the scenario's poses, target and choices
-  calibrig identifiability --model models/ur5/robot.toml        base and target free, poses spread over the joint limits")]
+#[command(group(ArgGroup::new("subject").required(true).args(["scenario", "model"])), after_help = "Examples:
+  calibrig identifiability scenarios/paper.toml            at the scenario's poses and target
+  calibrig identifiability --model models/ur5/robot.toml   anywhere, base and target unknown")]
 pub(super) struct Args {
     /// The scenario file
-    #[arg(required_unless_present = "model", conflicts_with = "model")]
     scenario: Option<PathBuf>,
     /// The robot's file, instead of a scenario
     #[arg(long, value_name = "ROBOT.toml")]

@@ -1,12 +1,16 @@
 //! `calibrig identify`.
 
+use std::ops::Range;
 use std::path::PathBuf;
 
-use clap::ValueEnum;
+use clap::error::ErrorKind;
+use clap::{CommandFactory, ValueEnum};
 
-use super::output::{self, Files};
-use super::{CliError, Verdict, say};
-use crate::identification::{FrameChoice, IdentificationOptions, Mode, ParameterChoice, TargetChoice, Tolerance};
+use super::output::{self, Destination, Files};
+use super::{Cli, CliError, Verdict, not_identified, say};
+use crate::identification::{
+    FrameChoice, IdentificationOptions, Mode, ParameterChoice, TargetChoice, Tolerance,
+};
 use crate::input::Source;
 use crate::measurement::{ColumnMap, load_column_map, parse_column_map, parse_measurements};
 use crate::model::{JointKind, load_robot};
@@ -41,11 +45,11 @@ pub(super) struct Args {
     /// Which link parameters
     #[arg(long, value_enum, default_value_t = Parameters::Complete)]
     parameters: Parameters,
-    /// How well the links' lengths are known beforehand: standard deviation of a prior, mm; 0 for none
-    #[arg(long, value_name = "MM", default_value_t = 10.0, value_parser = not_negative)]
+    /// How well the links' lengths are known beforehand: standard deviation of a prior, mm; 0 in both for none
+    #[arg(long, value_name = "MM", default_value_t = 10.0, allow_negative_numbers = true, value_parser = tolerance_value)]
     tolerance_mm: f64,
-    /// How well the links' angles are known beforehand: standard deviation of a prior, mrad; 0 for none
-    #[arg(long, value_name = "MRAD", default_value_t = 20.0, value_parser = not_negative)]
+    /// How well the links' angles are known beforehand: standard deviation of a prior, mrad; 0 in both for none
+    #[arg(long, value_name = "MRAD", default_value_t = 20.0, allow_negative_numbers = true, value_parser = tolerance_value)]
     tolerance_mrad: f64,
     /// Folder for report.html and report.json, which are written over [default: no files]
     #[arg(long, value_name = "DIR")]
@@ -64,25 +68,35 @@ enum Parameters {
 }
 
 pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
+    if (args.tolerance_mm > 0.0) != (args.tolerance_mrad > 0.0) {
+        let message = format!(
+            "--tolerance-mm {} with --tolerance-mrad {}: expected 0 for both, or both above zero",
+            args.tolerance_mm, args.tolerance_mrad
+        );
+        Cli::command().error(ErrorKind::ArgumentConflict, message).exit();
+    }
+    let destination = args.out.as_deref().map(Destination::Asked);
+    if let Some(destination) = destination {
+        destination.check(Files::Reports)?;
+    }
     let outcome = outcome(args)?;
+    if let Some(destination) = destination {
+        output::write(&outcome, destination, Files::Reports)?;
+    }
     output::show(&outcome, args.json)?;
     if tolerance(args).is_some() {
         say(&format!(
-            "prior on the link parameters: 0 +- {} mm, 0 +- {} mrad (--tolerance-mm, --tolerance-mrad; 0 for none)",
+            "prior on the link parameters: 0 +- {} mm, 0 +- {} mrad (--tolerance-mm, --tolerance-mrad; 0 in both for none)",
             args.tolerance_mm, args.tolerance_mrad
         ));
-    }
-    if let Some(out) = &args.out {
-        let folder = output::folder(Some(out), &outcome.input.name)?;
-        output::write(&outcome, &folder, Files::Reports)?;
     }
     Ok(output::verdict(&outcome))
 }
 
-fn not_negative(text: &str) -> Result<f64, String> {
+fn tolerance_value(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
-        Ok(number) if number.is_finite() && number >= 0.0 => Ok(number),
-        _ => Err("expected a number of zero or more".to_owned()),
+        Ok(number) if number == 0.0 || (1e-6..=1e6).contains(&number) => Ok(number),
+        _ => Err("expected a number from 0.000001 to 1000000, or 0".to_owned()),
     }
 }
 
@@ -93,19 +107,24 @@ fn tolerance(args: &Args) -> Option<Tolerance> {
 
 fn outcome(args: &Args) -> Result<Outcome, CliError> {
     let mut robot = load_robot(&args.model)?;
+    let joints: Vec<JointKind> = robot.model.kinematics.links.iter().map(|link| link.kind).collect();
     let columns = match &args.columns {
         Some(path) => {
             let (map, source) = load_column_map(path)?;
+            map.check_joints(&source, &joints)?;
             robot.sources.retain(|(role, _)| role != "columns");
             robot.sources.push(("columns".to_owned(), source));
             map
         }
         None => match robot.sources.iter().find(|(role, _)| role == "columns") {
-            Some((_, source)) => parse_column_map(source)?,
+            Some((_, source)) => {
+                let map = parse_column_map(source)?;
+                map.check_joints(source, &joints)?;
+                map
+            }
             None => ColumnMap::default(),
         },
     };
-    let joints: Vec<JointKind> = robot.model.kinematics.links.iter().map(|link| link.kind).collect();
     let mut sources = robot.sources.clone();
     let mut sets = Vec::new();
     for (kind, path) in
@@ -131,7 +150,13 @@ fn outcome(args: &Args) -> Result<Outcome, CliError> {
         tolerance: tolerance(args),
         ..IdentificationOptions::default()
     };
-    let (registration, modes) = calibrate(&robot.model, &sets, &modes, &options)?;
+    let (registration, modes) = calibrate(&robot.model, &sets, &modes, &options).map_err(|error| {
+        let fitted = sources.iter().find(|(role, _)| role == SetKind::Identification.key());
+        match fitted {
+            Some((_, source)) => not_identified(error, &args.measurements, source, last_line(&source.text)),
+            None => CliError::Pipeline { file: args.measurements.clone(), source: error },
+        }
+    })?;
     Ok(Outcome {
         input: InputSummary { kind: "files", name: robot.name, sha256: hash_sources(&sources), seed: None },
         sources,
@@ -143,4 +168,11 @@ fn outcome(args: &Args) -> Result<Outcome, CliError> {
         truth: None,
         published: Vec::new(),
     })
+}
+
+/// Bytes of the last line with content.
+fn last_line(text: &str) -> Range<usize> {
+    let end = text.trim_end().len();
+    let start = text[..end].rfind('\n').map_or(0, |at| at + 1);
+    start..end
 }

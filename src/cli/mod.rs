@@ -7,15 +7,19 @@ mod output;
 mod replay;
 mod run;
 
+use std::error::Error as _;
+use std::fmt;
 use std::io::{self, IsTerminal, Write};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme};
+use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, SourceCode};
 use thiserror::Error;
 
-use crate::input::InputError;
-use crate::measurement::CsvError;
+use crate::identification::IdentifyError;
+use crate::input::{InputError, Source};
 use crate::pipeline::PipelineError;
 use crate::recording::RecordingError;
 use crate::replay::ReplayError;
@@ -56,19 +60,38 @@ enum CliError {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Input(#[from] InputError),
+    #[error("{}: {source}", file.display())]
+    Pipeline { file: PathBuf, source: PipelineError },
     #[error(transparent)]
     #[diagnostic(transparent)]
-    Csv(#[from] CsvError),
-    #[error(transparent)]
-    Pipeline(#[from] PipelineError),
-    #[error(transparent)]
     Recording(#[from] RecordingError),
-    #[error(transparent)]
-    Replay(#[from] ReplayError),
+    #[error("{}: {source}", file.display())]
+    Replay { file: PathBuf, source: ReplayError },
     #[error(transparent)]
     Report(#[from] ReportError),
-    #[error("{what}: {source}")]
+    #[error("cannot write {what}: {source}")]
     Output { what: String, source: io::Error },
+    #[error("cannot write to the folder {}: {} is {what}", folder.display(), at.display())]
+    #[diagnostic(help("expected {expected}"))]
+    InTheWay { folder: PathBuf, at: PathBuf, what: &'static str, expected: &'static str },
+}
+
+/// The failure of an identification from `source`; at `place` in it where more or other poses are what it needs.
+fn not_identified(error: PipelineError, file: &Path, source: &Source, place: Range<usize>) -> CliError {
+    let PipelineError::Identify { source: ref cause, .. } = error else {
+        return CliError::Pipeline { file: file.to_path_buf(), source: error };
+    };
+    let help = match *cause {
+        IdentifyError::TooFewRows { rows, parameters } => {
+            let more = (parameters - rows.min(parameters)).div_ceil(3);
+            format!("expected at least {more} more poses: each gives three coordinates")
+        }
+        IdentifyError::BestFit | IdentifyError::Empty => {
+            "expected at least three poses whose measured points are not on one line".to_owned()
+        }
+        _ => return CliError::Pipeline { file: file.to_path_buf(), source: error },
+    };
+    source.error(place, error, Some(help)).into()
 }
 
 /// Parses the arguments, runs the command and turns its end into an exit code.
@@ -84,10 +107,6 @@ pub fn main() -> ExitCode {
     match result {
         Ok(Verdict::Done) => ExitCode::SUCCESS,
         Ok(Verdict::Doubtful) => ExitCode::from(3),
-        // The reader of a pipe went away: nobody is left to tell.
-        Err(CliError::Output { source, .. }) if source.kind() == io::ErrorKind::BrokenPipe => {
-            ExitCode::SUCCESS
-        }
         Err(error) => {
             complain(&error);
             ExitCode::FAILURE
@@ -97,15 +116,72 @@ pub fn main() -> ExitCode {
 
 /// Prints an error to stderr, with the place in the file where there is one.
 fn complain(error: &CliError) {
-    let theme =
+    let mut theme =
         if colours(&io::stderr()) { GraphicalTheme::unicode() } else { GraphicalTheme::unicode_nocolor() };
+    // The line begins with "error: " instead.
+    theme.characters.error = String::new();
     let mut text = String::new();
-    let handler = GraphicalReportHandler::new_themed(theme).with_width(110).with_context_lines(2);
-    if handler.render_report(&mut text, error).is_err() {
-        text = format!("{error}\n");
+    // Not wrapped: a file's name is copied whole, and terminals wrap by themselves.
+    let handler = GraphicalReportHandler::new_themed(theme).with_context_lines(2).with_wrap_lines(false);
+    let told = Told { text: with_causes(error), error };
+    if handler.render_report(&mut text, &told).is_err() {
+        text = format!("{told}\n");
     }
     // stderr is the last resort: there is nowhere to report its failure.
     let _ = write!(io::stderr(), "error: {}", text.trim_start());
+}
+
+/// The error's message and those of its causes that it does not hold already.
+fn with_causes(error: &CliError) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(inner) = cause {
+        let more = inner.to_string();
+        if !text.contains(&more) {
+            text = format!("{text}: {more}");
+        }
+        cause = inner.source();
+    }
+    text
+}
+
+/// An error in one message.
+#[derive(Debug)]
+struct Told<'a> {
+    text: String,
+    error: &'a CliError,
+}
+
+impl fmt::Display for Told<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.text)
+    }
+}
+
+impl std::error::Error for Told<'_> {}
+
+impl Told<'_> {
+    /// Where help and place are to be had.
+    fn place(&self) -> &dyn Diagnostic {
+        match self.error {
+            CliError::Replay { source, .. } => source,
+            error => error,
+        }
+    }
+}
+
+impl Diagnostic for Told<'_> {
+    fn help<'a>(&'a self) -> Option<Box<dyn fmt::Display + 'a>> {
+        self.place().help()
+    }
+
+    fn source_code(&self) -> Option<&dyn SourceCode> {
+        self.place().source_code()
+    }
+
+    fn labels(&self) -> Option<Box<dyn Iterator<Item = LabeledSpan> + '_>> {
+        self.place().labels()
+    }
 }
 
 /// Whether to write colours: to a terminal, unless `NO_COLOR` is set to something.
@@ -116,10 +192,12 @@ fn colours(stream: &impl IsTerminal) -> bool {
 /// Writes a result to stdout.
 fn print(text: &str) -> Result<(), CliError> {
     let mut stdout = io::stdout().lock();
-    stdout
-        .write_all(text.as_bytes())
-        .and_then(|()| stdout.flush())
-        .map_err(|source| CliError::Output { what: "standard output".to_owned(), source })
+    match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
+        // The reader of a pipe went away with what it wanted.
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        Err(source) => Err(CliError::Output { what: "standard output".to_owned(), source }),
+        Ok(()) => Ok(()),
+    }
 }
 
 /// Says something to the person at the terminal, beside the result.

@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use super::{CliError, Verdict, output, print, say};
-use crate::replay::{Difference, replay};
+use crate::recording::RecordingError;
+use crate::replay::{Difference, ReplayError, replay};
 
 /// Identify again from a recording alone, and compare with the recorded estimates bit for bit
 #[derive(Debug, clap::Args)]
@@ -21,7 +22,11 @@ pub(super) struct Args {
 }
 
 pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
-    let replayed = replay(&args.recording)?;
+    let replayed = replay(&args.recording).map_err(|error| match error {
+        // It names the file already.
+        ReplayError::Recording(error @ RecordingError::Unreadable { .. }) => CliError::Recording(error),
+        source => CliError::Replay { file: args.recording.clone(), source },
+    })?;
     output::show(&replayed.outcome, args.json)?;
     for difference in &replayed.differences {
         say(&describe(difference));

@@ -4,17 +4,17 @@ use std::path::PathBuf;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::output::{self, Files};
-use super::{CliError, Verdict};
+use super::output::{self, Destination, Files};
+use super::{CliError, Verdict, not_identified};
 use crate::pipeline;
 use crate::scenario::load_scenario;
 
 /// Simulate a measuring session, identify in every mode, evaluate, record and report
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  calibrig run scenarios/paper.toml                 tables on the screen, files in a new folder under runs/
-  calibrig run scenarios/paper.toml --out out       the same, files in out/ (written over if they exist)
-  calibrig run scenarios/paper.toml --seed 7 --json  another draw of poses and noise, the report as JSON")]
+  calibrig run scenarios/paper.toml                   tables here, files in a new folder under runs/
+  calibrig run scenarios/paper.toml --out out         the same, files in out/, written over
+  calibrig run scenarios/paper.toml --seed 7 --json   other poses and noise, the report as JSON")]
 pub(super) struct Args {
     /// The scenario file
     scenario: PathBuf,
@@ -22,7 +22,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Seed of the random draws, instead of the scenario's
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = whole_number)]
     seed: Option<u64>,
     /// Print the report as JSON (schema calibrig.report/1) instead of the tables
     #[arg(long)]
@@ -31,6 +31,8 @@ pub(super) struct Args {
 
 pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     let scenario = load_scenario(&args.scenario)?;
+    let destination = args.out.as_deref().map_or(Destination::New(&scenario.name), Destination::Asked);
+    destination.check(Files::ReportsAndRecordings)?;
     let seed = args.seed.unwrap_or(scenario.seed);
     let bar = ProgressBar::new(0);
     if let Ok(style) = ProgressStyle::with_template("simulating pose {pos}/{len} {bar:40} {elapsed}") {
@@ -41,9 +43,16 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         bar.set_position(done.into());
     });
     bar.finish_and_clear();
-    let outcome = outcome?;
+    let outcome = outcome.map_err(|error| {
+        let source = &scenario.sources[0].1;
+        not_identified(error, &args.scenario, source, source.place_of("poses.identification"))
+    })?;
+    // Before the tables: whoever reads only their first lines gets the files.
+    output::write(&outcome, destination, Files::ReportsAndRecordings)?;
     output::show(&outcome, args.json)?;
-    let folder = output::folder(args.out.as_deref(), &scenario.name)?;
-    output::write(&outcome, &folder, Files::ReportsAndRecordings)?;
     Ok(output::verdict(&outcome))
+}
+
+fn whole_number(text: &str) -> Result<u64, String> {
+    text.parse().map_err(|_| format!("expected a whole number from 0 to {}", u64::MAX))
 }

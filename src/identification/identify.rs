@@ -176,8 +176,10 @@ pub fn identify(
     let mut problem = build(model, set, options)?;
     let rows = super::LeastSquares::rows(&problem);
     let parameters = problem.parameters.len();
-    if rows < parameters {
-        return Err(IdentifyError::TooFewRows { rows, parameters });
+    // A tolerance holds weak directions; it does not stand for poses that are not there.
+    let measured = rows - problem.tolerances.len();
+    if measured < parameters {
+        return Err(IdentifyError::TooFewRows { rows: measured, parameters });
     }
     let solution = minimise(&mut problem, vec![0.0; parameters], &options.solver);
     let stated = set.observations.iter().all(|o| o.reading.position_covariance().is_some());

@@ -325,7 +325,9 @@ impl Reader<'_> {
         key: &str,
         value: Option<&'t Spanned<T>>,
     ) -> Result<&'t Spanned<T>, InputError> {
-        value.ok_or_else(|| self.error(table.1.clone(), format!("[{}] has no {key}", table.0), key))
+        value.ok_or_else(|| {
+            self.error(table.1.clone(), format!("[{}] has no {key}", table.0), &format!("the key {key}"))
+        })
     }
 
     /// Refuses keys of the other coordinate system.
@@ -487,6 +489,29 @@ pub(super) mod own {
 }
 
 impl ColumnMap {
+    /// Refuses a map that does not fit the robot's joints; `source` is the text that it was read from.
+    pub fn check_joints(&self, source: &Source, joints: &[JointKind]) -> Result<(), InputError> {
+        let Some(mapping) = &self.mapping else { return Ok(()) };
+        let refused = |key: &str, message: String, expected: String| {
+            Err(source.error(source.place_of(key), message, Some(format!("expected {expected}"))))
+        };
+        let (found, expected) = (mapping.joints.len(), joints.len());
+        if found != expected {
+            let message = format!("joints.columns names {found} columns, the robot has {expected} joints");
+            return refused("joints.columns", message, "one column a joint".to_owned());
+        }
+        for (kind, name, missing, units) in [
+            (JointKind::Revolute, "revolute", mapping.revolute.is_none(), "deg, rad or arcsec"),
+            (JointKind::Prismatic, "prismatic", mapping.prismatic.is_none(), "mm, m or um"),
+        ] {
+            if missing && joints.contains(&kind) {
+                let message = format!("missing key `{name}_unit` in [joints]: the robot has {name} joints");
+                return refused("joints", message, format!("{name}_unit = {units}"));
+            }
+        }
+        Ok(())
+    }
+
     /// The columns to look for in a header line, whatever of them it holds.
     pub(super) fn candidates(&self, joints: &[JointKind]) -> Vec<String> {
         match &self.mapping {
@@ -658,14 +683,14 @@ angle_unit = "arcsec"
             (CARTESIAN, "[\"j1\", \"j2\"]", "[]", "names no columns", 2, "one column a joint"),
             (CARTESIAN, "\"j2\"", "\"j1\"", "\"j1\" is named twice", 3, "each"),
             (CARTESIAN, "\"j2\"", "\" \"", "is empty", 3, "header"),
-            (CARTESIAN, "\"deg\"", "\"grad\"", "unknown variant `grad`", 4, "`deg`"),
-            (CARTESIAN, "revolute_unit", "unit", "unknown field `unit`", 4, "`revolute_unit`"),
+            (CARTESIAN, "\"deg\"", "\"grad\"", "joints.revolute_unit is \"grad\"", 4, "`deg`"),
+            (CARTESIAN, "revolute_unit", "unit", "unknown key `unit`", 4, "`revolute_unit`"),
             (CARTESIAN, "unit = \"mm\"\n", "", "[position] has no unit", 5, "unit"),
             (CARTESIAN, "system = \"cartesian\"\n", "", "[position] has no system", 5, "system"),
             (CARTESIAN, "z = [\"zt\"]\n", "", "[position] has no z", 5, "z"),
             (CARTESIAN, "[\"zt\"]", "[]", "a sum of no columns", 10, "one column or more"),
             (CARTESIAN, "[\"zt\"]", "[\"-\"]", "a sign without a column", 10, "header"),
-            (CARTESIAN, "[\"zt\"]", "\"zt\"", "invalid type: string", 10, "sequence"),
+            (CARTESIAN, "[\"zt\"]", "\"zt\"", "position.z is \"zt\"", 10, "a list"),
             (
                 CARTESIAN,
                 "z = [\"zt\"]",
@@ -691,7 +716,7 @@ angle_unit = "arcsec"
                 18,
                 "actuator",
             ),
-            (CARTESIAN, "pose", "number", "unknown field `number`", 17, "`pose`"),
+            (CARTESIAN, "pose", "number", "unknown key `number`", 17, "`pose`"),
             (SPHERICAL, "\"spherical\"", "\"cartesian\"", "range does not belong", 7, "alone"),
             (SPHERICAL, "zenith = \"Ze\"", "", "neither elevation nor zenith", 5, "one of"),
             (
@@ -719,7 +744,7 @@ angle_unit = "arcsec"
                 "alone",
             ),
             (SPHERICAL, "angle_unit = \"deg\"", "", "[position] has no angle_unit", 5, "angle_unit"),
-            (SPHERICAL, "\"arcsec\"", "\"min\"", "unknown variant `min`", 17, "`arcsec`"),
+            (SPHERICAL, "\"arcsec\"", "\"min\"", "sigma.angle_unit is \"min\"", 17, "`arcsec`"),
         ] {
             assert!(text.contains(from), "{from}");
             match parse(&text.replacen(from, to, 1)) {

@@ -22,8 +22,13 @@ pub(super) struct Element<'a> {
 enum Content {
     Text,
     Numbers(usize),
+    /// The type of a joint.
+    Type,
 }
-use Content::{Numbers, Text};
+use Content::{Numbers, Text, Type};
+
+/// Types of joints that URDF has.
+const TYPES: [&str; 6] = ["revolute", "continuous", "prismatic", "fixed", "floating", "planar"];
 
 /// Element, the elements it may stand in, its attributes.
 type Rule = (&'static str, &'static [&'static str], &'static [(&'static str, Content)]);
@@ -31,7 +36,7 @@ type Rule = (&'static str, &'static [&'static str], &'static [(&'static str, Con
 const RULES: &[Rule] = &[
     ("robot", &[""], &[("name", Text), ("version", Text)]),
     ("link", &["robot"], &[("name", Text)]),
-    ("joint", &["robot"], &[("name", Text), ("type", Text)]),
+    ("joint", &["robot"], &[("name", Text), ("type", Type)]),
     ("material", &["robot", "visual"], &[("name", Text)]),
     ("color", &["material"], &[("rgba", Numbers(4))]),
     ("inertial", &["link"], &[]),
@@ -66,6 +71,30 @@ const RULES: &[Rule] = &[
     ("dynamics", &["joint"], &[("damping", Numbers(1)), ("friction", Numbers(1))]),
 ];
 
+/// Element, attributes that it must have, and elements that must stand in it.
+const REQUIRED: &[(&str, &[&str], &[&str])] = &[
+    ("robot", &["name"], &[]),
+    ("link", &["name"], &[]),
+    ("joint", &["name", "type"], &["parent", "child"]),
+    ("material", &["name"], &[]),
+    ("color", &["rgba"], &[]),
+    ("inertial", &[], &["mass", "inertia"]),
+    ("mass", &["value"], &[]),
+    ("inertia", &["ixx", "ixy", "ixz", "iyy", "iyz", "izz"], &[]),
+    ("visual", &[], &["geometry"]),
+    ("collision", &[], &["geometry"]),
+    ("box", &["size"], &[]),
+    ("cylinder", &["radius", "length"], &[]),
+    ("sphere", &["radius"], &[]),
+    ("parent", &["link"], &[]),
+    ("child", &["link"], &[]),
+    ("axis", &["xyz"], &[]),
+    ("limit", &["lower", "upper", "velocity"], &[]),
+];
+
+/// Elements that may stand more than once in the same one.
+const REPEATED: &[&str] = &["link", "joint", "material", "visual", "collision"];
+
 /// The elements in the order of their start tags; an error for anything that is not understood.
 pub(super) fn scan(source: &Source) -> Result<Vec<Element<'_>>, InputError> {
     let mut scanner = Scanner { source, at: 0, elements: Vec::new(), open: Vec::new() };
@@ -77,6 +106,7 @@ pub(super) fn scan(source: &Source) -> Result<Vec<Element<'_>>, InputError> {
     if scanner.elements.is_empty() {
         return Err(scanner.error(0..0, "there is no <robot> element"));
     }
+    scanner.check_complete()?;
     Ok(scanner.elements)
 }
 
@@ -173,12 +203,51 @@ impl<'a> Scanner<'a> {
                 self.at += 1;
                 break false;
             }
-            attributes.push(self.attribute(name, allowed)?);
+            attributes.push(self.attribute(name, allowed, &attributes)?);
         };
         if !closed {
             self.open.push(self.elements.len());
         }
         self.elements.push(Element { name, parent, attributes, span: start..self.at });
+        Ok(())
+    }
+
+    /// What must be there is there, and once. The URDF parser would complain without a place.
+    fn check_complete(&self) -> Result<(), InputError> {
+        for (index, element) in self.elements.iter().enumerate() {
+            let name = element.name;
+            let refused = |span: &Range<usize>, message: String, expected: String| {
+                Err(self.source.error(span.clone(), message, Some(format!("expected {expected}"))))
+            };
+            let is_same = |other: &Element<'_>| other.parent == element.parent && other.name == name;
+            if element.parent.is_some()
+                && !REPEATED.contains(&name)
+                && self.elements[..index].iter().any(is_same)
+            {
+                return refused(&element.span, format!("a second <{name}>"), "one of them".to_owned());
+            }
+            let Some((_, attributes, children)) = REQUIRED.iter().find(|(required, ..)| *required == name)
+            else {
+                continue;
+            };
+            if let Some(missing) = attributes.iter().find(|a| element.attributes.iter().all(|(b, _)| b != *a))
+            {
+                return refused(
+                    &element.span,
+                    format!("<{name}> has no {missing}"),
+                    format!("{missing}=\"...\""),
+                );
+            }
+            let has =
+                |child: &&&str| self.elements.iter().any(|e| e.parent == Some(index) && e.name == **child);
+            if let Some(missing) = children.iter().find(|child| !has(child)) {
+                return refused(
+                    &element.span,
+                    format!("<{name}> has no <{missing}>"),
+                    format!("<{missing} .../>"),
+                );
+            }
+        }
         Ok(())
     }
 
@@ -201,6 +270,7 @@ impl<'a> Scanner<'a> {
         &mut self,
         element: &str,
         allowed: &[(&str, Content)],
+        attributes: &[(&str, &str)],
     ) -> Result<(&'a str, &'a str), InputError> {
         let start = self.at;
         let name = self.word();
@@ -224,6 +294,10 @@ impl<'a> Scanner<'a> {
         let value = &self.rest()[..length];
         self.at += length + 1;
         let span = value_start..value_start + length;
+        if attributes.iter().any(|(known, _)| *known == name) {
+            let message = format!("a second {name} of <{element}>");
+            return Err(self.source.error(start..self.at, message, Some("expected one of them".to_owned())));
+        }
         let Some((_, content)) = allowed.iter().find(|(allowed, _)| *allowed == name) else {
             let names: Vec<_> = allowed.iter().map(|(name, _)| *name).collect();
             let expected = if names.is_empty() { "no attribute".to_owned() } else { names.join(", ") };
@@ -243,6 +317,11 @@ impl<'a> Scanner<'a> {
                 };
                 Err(self.source.error(span, format!("{name} of <{element}> is {value:?}"), Some(expected)))
             }
+            Type if !TYPES.contains(&value) => Err(self.source.error(
+                span,
+                format!("{name} of <{element}> is {value:?}"),
+                Some("expected revolute, prismatic or fixed".to_owned()),
+            )),
             _ => Ok((name, value)),
         }
     }

@@ -90,8 +90,8 @@ pub enum PlantError {
     },
     /// The pose did not come to rest.
     #[error(
-        "not at rest after {steps} steps: the target still moves {tip_motion:e} m a step and the forces left over would move \
-         a drive by {residual:e} (rad or m)"
+        "not at rest after {steps} steps: the target still moves {tip_motion:.1e} m a step and the forces left over would move \
+         a drive by {residual:.1e} (rad or m)"
     )]
     NotSettled {
         /// Steps taken.

@@ -40,6 +40,7 @@ pub enum RecordingError {
     },
     /// The file cannot be opened or read.
     #[error("cannot read {}", path.display())]
+    #[diagnostic(help("{WRITTEN_BY}"))]
     Unreadable {
         /// The file.
         path: PathBuf,

@@ -14,7 +14,7 @@ use crate::input::{InputError, Source, Spanned};
 use crate::model::{JointKind, KinematicModel, ParameterId, Robot, load_robot};
 use crate::pipeline::SetKind;
 use crate::plant::AsBuilt;
-use crate::tracker::{ErrorLine, Instrument, LaserTracker};
+use crate::tracker::{ErrorLine, Instrument, LaserTracker, WORKING_RANGE};
 
 const SCHEMA: &str = "calibrig.scenario/1";
 
@@ -22,7 +22,7 @@ const SCHEMA: &str = "calibrig.scenario/1";
 #[serde(deny_unknown_fields)]
 struct ScenarioFile {
     schema: Spanned<String>,
-    name: String,
+    name: Spanned<String>,
     seed: u64,
     robot: Spanned<String>,
     #[serde(default)]
@@ -99,7 +99,7 @@ struct TrackerFile {
     yaw_deg: Spanned<f64>,
     nest_sigma_um: Spanned<f64>,
     target_sigma_um: Spanned<f64>,
-    nest: Spanned<Vec<NestFile>>,
+    nest: Spanned<Vec<Spanned<NestFile>>>,
 }
 
 fn yes() -> bool {
@@ -109,7 +109,7 @@ fn yes() -> bool {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct NestFile {
-    name: String,
+    name: Spanned<String>,
     x_mm: Spanned<f64>,
     y_mm: Spanned<f64>,
     z_mm: Spanned<f64>,
@@ -118,12 +118,12 @@ struct NestFile {
 #[derive(Deserialize, Default)]
 #[serde(deny_unknown_fields)]
 struct IdentificationFile {
-    modes: Option<Vec<ModeFile>>,
+    modes: Option<Spanned<Vec<ModeFile>>>,
     parameters: Option<Spanned<toml::Value>>,
     frame: Option<FrameFile>,
     target: Option<TargetFile>,
     unmodelled_sigma_um: Option<Spanned<f64>>,
-    max_iterations: Option<usize>,
+    max_iterations: Option<Spanned<usize>>,
 }
 
 #[derive(Deserialize, Clone, Copy)]
@@ -172,8 +172,8 @@ enum SetFile {
 struct PublishedFile {
     set: SetFile,
     mode: ModeFile,
-    max_mm: [f64; 3],
-    mean_mm: [f64; 3],
+    max_mm: [Spanned<f64>; 3],
+    mean_mm: [Spanned<f64>; 3],
 }
 
 /// Reads a scenario and the robot that it names, whose path is relative to the scenario's folder.
@@ -213,47 +213,56 @@ fn check_schema(source: &Source, file: &ScenarioFile) -> Result<(), InputError> 
 }
 
 fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario, InputError> {
+    if file.name.get_ref().trim().is_empty() {
+        let help = Some("expected a name for people".to_owned());
+        return Err(source.error(file.name.span(), "name is empty", help));
+    }
     let as_built = as_built(&source, &file, &robot)?;
     let region = region(&source, &file.poses, &robot.model.kinematics)?;
-    if *file.poses.identification.get_ref() == 0 {
-        return Err(source.error(
-            file.poses.identification.span(),
-            "poses.identification is 0",
-            Some("expected at least one pose".to_owned()),
-        ));
-    }
+    let identification_poses = pose_count(&source, "poses.identification", &file.poses.identification, 1)?;
+    let verification_poses = pose_count(&source, "poses.verification", &file.poses.verification, 0)?;
     let tracker = tracker(&source, &file.tracker, &as_built)?;
-    let nests = nests(&source, &file.tracker)?;
     let nest_sigma = 1e-6 * source.positive("tracker.nest_sigma_um", &file.tracker.nest_sigma_um)?;
+    let nests = nests(&source, &file.tracker, &tracker, nest_sigma)?;
     let target_sigma = 1e-6 * source.positive("tracker.target_sigma_um", &file.tracker.target_sigma_um)?;
     let options = options(&source, &file.identification, &robot)?;
     let modes = match &file.identification.modes {
-        Some(modes) => Mode::ALL.into_iter().filter(|m| modes.iter().any(|f| Mode::from(*f) == *m)).collect(),
+        Some(modes) if modes.get_ref().is_empty() => {
+            let help = Some("expected at least one mode, or no key modes for all of them".to_owned());
+            return Err(source.error(modes.span(), "identification.modes is empty", help));
+        }
+        Some(modes) => {
+            let wanted = |mode: &Mode| modes.get_ref().iter().any(|f| Mode::from(*f) == *mode);
+            Mode::ALL.into_iter().filter(wanted).collect()
+        }
         None => Mode::ALL.to_vec(),
     };
     let published = file
         .published
         .iter()
         .map(|p| {
-            let (max, mean) = (p.max_mm, p.mean_mm);
-            let row = [max[0], mean[0], max[1], mean[1], max[2], mean[2]].map(|mm| mm * 1e-3);
+            let mut row = [0.0; 6];
+            for (axis, (max, mean)) in p.max_mm.iter().zip(&p.mean_mm).enumerate() {
+                row[2 * axis] = 1e-3 * source.not_negative("published.max_mm", max)?;
+                row[2 * axis + 1] = 1e-3 * source.not_negative("published.mean_mm", mean)?;
+            }
             let set = match p.set {
                 SetFile::Identification => SetKind::Identification,
                 SetFile::Verification => SetKind::Verification,
             };
-            (set, p.mode.into(), row)
+            Ok((set, p.mode.into(), row))
         })
-        .collect();
+        .collect::<Result<_, InputError>>()?;
     let mut sources = vec![("scenario".to_owned(), source)];
     sources.extend(robot.sources.iter().cloned());
     Ok(Scenario {
-        name: file.name,
+        name: file.name.into_inner(),
         seed: file.seed,
         robot,
         as_built,
         region,
-        identification_poses: *file.poses.identification.get_ref(),
-        verification_poses: *file.poses.verification.get_ref(),
+        identification_poses,
+        verification_poses,
         tracker,
         nests,
         nest_sigma,
@@ -263,6 +272,18 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
         published,
         sources,
     })
+}
+
+/// Poses a set, at 10 s a pose eleven days of measuring.
+const MOST_POSES: u32 = 100_000;
+
+fn pose_count(source: &Source, key: &str, count: &Spanned<u32>, least: u32) -> Result<u32, InputError> {
+    let number = *count.get_ref();
+    if (least..=MOST_POSES).contains(&number) {
+        return Ok(number);
+    }
+    let help = Some(format!("expected {least} to {MOST_POSES} poses"));
+    Err(source.error(count.span(), format!("{key} is {number}"), help))
 }
 
 fn joint_index(source: &Source, name: &Spanned<String>, model: &KinematicModel) -> Result<usize, InputError> {
@@ -379,13 +400,13 @@ fn region(source: &Source, poses: &PosesFile, model: &KinematicModel) -> Result<
             return Err(source.error(
                 entry.span(),
                 format!(
-                    "joint \"{}\" is asked to move from {} to {} {unit}",
+                    "centre_{unit} and half_width_{unit} let joint \"{}\" move from {:.4} to {:.4} {unit}",
                     link.name,
                     low / scale,
                     high / scale
                 ),
                 Some(format!(
-                    "its limits are {} to {} {unit}",
+                    "expected a region within its limits, {:.4} to {:.4} {unit}",
                     link.limits[0] / scale,
                     link.limits[1] / scale
                 )),
@@ -431,15 +452,31 @@ fn tracker(source: &Source, file: &TrackerFile, as_built: &AsBuilt) -> Result<La
     Ok(LaserTracker::levelled(instrument, position, yaw, &up))
 }
 
-fn nests(source: &Source, file: &TrackerFile) -> Result<Vec<(String, Vector3<f64>)>, InputError> {
-    let nests = file
-        .nest
-        .get_ref()
-        .iter()
-        .map(|nest| {
-            Ok((nest.name.clone(), point(source, "tracker.nest.", [&nest.x_mm, &nest.y_mm, &nest.z_mm])?))
-        })
-        .collect::<Result<Vec<_>, InputError>>()?;
+fn nests(
+    source: &Source,
+    file: &TrackerFile,
+    tracker: &LaserTracker,
+    sigma: f64,
+) -> Result<Vec<(String, Vector3<f64>)>, InputError> {
+    let mut nests: Vec<(String, Vector3<f64>)> = Vec::new();
+    for entry in file.nest.get_ref() {
+        let nest = entry.get_ref();
+        let name = nest.name.get_ref();
+        let place = point(source, "tracker.nest.", [&nest.x_mm, &nest.y_mm, &nest.z_mm])?;
+        if nests.iter().any(|(other, _)| other == name) {
+            let help = Some("expected a name of its own".to_owned());
+            return Err(source.error(nest.name.span(), format!("a second nest \"{name}\""), help));
+        }
+        let range = (tracker.tracker_from_base * nalgebra::Point3::from(place)).coords.norm();
+        if !(WORKING_RANGE[0]..=WORKING_RANGE[1]).contains(&range) {
+            return Err(source.error(
+                entry.span(),
+                format!("nest \"{name}\" is {range:.3} m from the tracker (x_mm, y_mm, z_mm of both)"),
+                Some(format!("expected {} to {} m, the tracker's range", WORKING_RANGE[0], WORKING_RANGE[1])),
+            ));
+        }
+        nests.push((name.clone(), place));
+    }
     if nests.len() < 3 {
         return Err(source.error(
             file.nest.span(),
@@ -447,7 +484,29 @@ fn nests(source: &Source, file: &TrackerFile) -> Result<Vec<(String, Vector3<f64
             Some("expected at least three [[tracker.nest]], not on one line".to_owned()),
         ));
     }
+    let off_line = distance_off_line(&nests);
+    // Nearer, the turn about the line is uncertain by 0.1 rad and more.
+    if off_line < 10.0 * sigma {
+        return Err(source.error(
+            file.nest.span(),
+            format!("the base nests lie on one line, within {:.3} mm", 1e3 * off_line),
+            Some(format!(
+                "expected a [[tracker.nest]] at least {:.3} mm off the line of the others, ten times nest_sigma_um",
+                1e4 * sigma
+            )),
+        ));
+    }
     Ok(nests)
+}
+
+/// Largest distance of a nest from the line through the two that are farthest apart, m.
+fn distance_off_line(nests: &[(String, Vector3<f64>)]) -> f64 {
+    let pairs = nests.iter().flat_map(|(_, a)| nests.iter().map(move |(_, b)| (*a, b - a)));
+    let Some((start, along)) = pairs.max_by(|(_, a), (_, b)| a.norm().total_cmp(&b.norm())) else {
+        return 0.0;
+    };
+    let Some(direction) = along.try_normalize(0.0) else { return 0.0 };
+    nests.iter().map(|(_, place)| (place - start).cross(&direction).norm()).fold(0.0, f64::max)
 }
 
 fn options(
@@ -476,7 +535,12 @@ fn options(
     if let Some(sigma) = &file.unmodelled_sigma_um {
         options.unmodelled_sigma = 1e-6 * source.not_negative("identification.unmodelled_sigma_um", sigma)?;
     }
-    if let Some(max_iterations) = file.max_iterations {
+    if let Some(limit) = &file.max_iterations {
+        let max_iterations = *limit.get_ref();
+        if max_iterations == 0 {
+            let help = Some("expected at least one iteration".to_owned());
+            return Err(source.error(limit.span(), "identification.max_iterations is 0", help));
+        }
         options.solver = SolverOptions { max_iterations, ..options.solver };
     }
     Ok(options)
@@ -505,9 +569,13 @@ fn parameter_choice(
         }
     };
     match value.get_ref() {
-        toml::Value::String(name) if name == "neighbour_axis_rules" => Ok(ParameterChoice::NeighbourAxisRules),
+        toml::Value::String(name) if name == "neighbour_axis_rules" => {
+            Ok(ParameterChoice::NeighbourAxisRules)
+        }
         toml::Value::String(name) if name == "complete" => Ok(ParameterChoice::Complete),
-        toml::Value::Array(names) => Ok(ParameterChoice::Listed(names.iter().map(listed).collect::<Result<_, _>>()?)),
+        toml::Value::Array(names) => {
+            Ok(ParameterChoice::Listed(names.iter().map(listed).collect::<Result<_, _>>()?))
+        }
         other => Err(refused(format!("{other} is no choice"))),
     }
 }

@@ -1,0 +1,228 @@
+//! Keys and places in a TOML text, and the parser's errors in the words of the file.
+
+use std::ops::Range;
+
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+use super::{InputError, Source};
+
+/// A value of a TOML text.
+struct Value {
+    /// Its key behind those of the tables around it.
+    key: String,
+    span: Range<usize>,
+}
+
+/// Bytes of the value of `key`; the text's begin where there is none.
+pub(super) fn place_of(text: &str, key: &str) -> Range<usize> {
+    values(text).into_iter().find(|value| value.key == key).map_or(0..0, |value| value.span)
+}
+
+/// The parser's error: which key, what it is, what was expected.
+pub(super) fn refusal(source: &Source, error: &toml::de::Error) -> InputError {
+    let span = error.span().unwrap_or(0..0);
+    let parsed = error.message().trim().replace('\n', ", ");
+    let (found, expected) = parsed.split_once(", expected ").unwrap_or((&parsed, ""));
+    let mistake = Mistake {
+        found,
+        expected: in_words(expected),
+        key: key_at(&source.text, &span),
+        literal: source.text.get(span.clone()).unwrap_or_default(),
+        behind_digit: source.text[..span.start].ends_with(|c: char| c.is_ascii_digit()),
+        rest: &source.text[span.start..],
+    };
+    let (message, expected) = mistake.in_words();
+    source.error(span, message, Some(format!("expected {expected}")))
+}
+
+struct Mistake<'a> {
+    /// The parser's words.
+    found: &'a str,
+    expected: String,
+    /// Empty at the top of the file.
+    key: String,
+    literal: &'a str,
+    behind_digit: bool,
+    /// The text from the mistake on.
+    rest: &'a str,
+}
+
+impl Mistake<'_> {
+    /// What is wrong, and what was expected.
+    fn in_words(self) -> (String, String) {
+        let Self { found, expected, key, literal, .. } = self;
+        if let Some(name) = found.strip_prefix("unknown field ") {
+            return (format!("unknown key {name}"), known_keys(name, &expected));
+        }
+        if let Some(name) = found.strip_prefix("missing field ") {
+            let table = if key.is_empty() { String::new() } else { format!(" in [{key}]") };
+            let has_unit = UNITS.iter().any(|unit| name.ends_with(&format!("_{unit}`")));
+            let unit = if has_unit { "; the unit is part of the key" } else { "" };
+            return (format!("missing key {name}{table}"), format!("{name} with a value{unit}"));
+        }
+        if found == "duplicate key" {
+            return (format!("duplicate key `{literal}`"), "every key once".to_owned());
+        }
+        if self.behind_digit && self.rest.starts_with(',') && !key.is_empty() {
+            return (format!("{key} has a decimal comma"), "a decimal point".to_owned());
+        }
+        let is_literal = !key.is_empty() && !literal.is_empty();
+        let value = || format!("{key} is {}", shortened(literal));
+        match found {
+            "string values must be quoted" if is_literal => {
+                (value(), "a number, true, false, or a text in quotes".to_owned())
+            }
+            "string values must be quoted" if !key.is_empty() => {
+                (format!("{key} has no value"), "a value behind the `=`".to_owned())
+            }
+            "wanted string or table" if is_literal => (value(), "a text in quotes".to_owned()),
+            _ if is_literal && found.ends_with("overflowed") => (value(), "a finite number".to_owned()),
+            _ if is_literal && WRONG_VALUE.iter().any(|start| found.starts_with(start)) => {
+                (value(), expected)
+            }
+            _ => {
+                let subject = if key.is_empty() { String::new() } else { format!("{key}: ") };
+                let expected = if expected.is_empty() { "valid TOML".to_owned() } else { expected };
+                (format!("{subject}{found}"), expected)
+            }
+        }
+    }
+}
+
+/// How messages on a value of the wrong kind begin.
+const WRONG_VALUE: [&str; 4] = ["invalid type", "invalid value", "invalid length", "unknown variant"];
+
+/// What keys of quantities end with.
+const UNITS: [&str; 11] =
+    ["m", "mm", "um", "um_per_m", "rad", "deg", "arcsec", "n_per_m", "nm_per_rad", "m_per_s2", "s"];
+
+/// What serde calls types, in the words of a TOML file.
+fn in_words(expected: &str) -> String {
+    match expected {
+        "f64" => "a number".to_owned(),
+        "u32" => format!("a whole number from 0 to {}", u32::MAX),
+        "u64" | "usize" => format!("a whole number from 0 to {}", u64::MAX),
+        "a boolean" => "true or false".to_owned(),
+        "a string" => "a text in quotes".to_owned(),
+        "a sequence" => "a list in brackets, [ ]".to_owned(),
+        "an array of length 3" => "a list of 3 numbers, [ , , ]".to_owned(),
+        _ if expected.starts_with("struct ") => "a table".to_owned(),
+        _ => expected.to_owned(),
+    }
+}
+
+/// The known keys; where a unit was forgotten, those that are meant.
+fn known_keys(unknown: &str, expected: &str) -> String {
+    let start = format!("{}_", unknown.trim_end_matches('`'));
+    let words = expected.split(", ").flat_map(str::split_whitespace);
+    let meant: Vec<_> = words.filter(|key| key.starts_with(&start)).collect();
+    if meant.is_empty() {
+        expected.to_owned()
+    } else {
+        format!("{}: the unit is part of the key", meant.join(" or "))
+    }
+}
+
+/// A value as it stands in the file, cut where it is long.
+fn shortened(literal: &str) -> String {
+    let line = literal.lines().next().unwrap_or_default();
+    if line.len() == literal.len() && line.chars().count() <= 40 {
+        return line.to_owned();
+    }
+    format!("{}...", line.chars().take(40).collect::<String>())
+}
+
+/// The key whose value lies closest around `span`; empty at the top of the file.
+fn key_at(text: &str, span: &Range<usize>) -> String {
+    let around = |value: &Value| value.span.start <= span.start && span.end <= value.span.end;
+    // Of equals the last: the keys in a table come behind it.
+    let candidates = values(text).into_iter().filter(around).rev();
+    candidates.min_by_key(|value| value.span.len()).map_or_else(String::new, |value| value.key)
+}
+
+/// All values, a table before what is in it, as far as the text can be parsed.
+fn values(text: &str) -> Vec<Value> {
+    let (table, _) = DeTable::parse_recoverable(text);
+    let mut values = Vec::new();
+    collect_table("", table.get_ref(), &mut values);
+    values
+}
+
+fn collect_table(path: &str, table: &DeTable<'_>, values: &mut Vec<Value>) {
+    for (name, value) in table {
+        let name = name.get_ref();
+        let key = if path.is_empty() { name.to_string() } else { format!("{path}.{name}") };
+        collect(&key, value, values);
+    }
+}
+
+fn collect(key: &str, value: &Spanned<DeValue<'_>>, values: &mut Vec<Value>) {
+    values.push(Value { key: key.to_owned(), span: value.span() });
+    match value.get_ref() {
+        DeValue::Table(table) => collect_table(key, table, values),
+        DeValue::Array(array) => array.iter().for_each(|item| collect(key, item, values)),
+        _ => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[derive(serde::Deserialize, Debug)]
+    #[serde(deny_unknown_fields)]
+    #[expect(dead_code, reason = "read by serde alone")]
+    struct File {
+        a_mm: f64,
+        list: Vec<u32>,
+        table: Option<Table>,
+    }
+
+    #[derive(serde::Deserialize, Debug)]
+    #[serde(deny_unknown_fields)]
+    #[expect(dead_code, reason = "read by serde alone")]
+    struct Table {
+        b_rad: f64,
+    }
+
+    #[test]
+    fn keys_are_found_by_name() {
+        let text = "a_mm = 1\nlist = [2, 3]\n[table]\nb_rad = 4.5\n";
+        assert_eq!(&text[place_of(text, "table.b_rad")], "4.5");
+        assert_eq!(&text[place_of(text, "list")], "[2, 3]");
+        assert_eq!(place_of(text, "table.c"), 0..0);
+    }
+
+    #[test]
+    fn mistakes_deep_in_a_file_are_called_by_their_keys() {
+        for (text, message, line, expected) in [
+            ("a_mm = 1\nlist = [2, -3]", "list is -3", 2, "a whole number from 0 to 4294967295"),
+            ("a_mm = 1\nlist = [2, \n'x']", "list is 'x'", 3, "a whole number"),
+            ("a_mm = 1\nlist = []\ntable = { b_rad = true }", "table.b_rad is true", 3, "a number"),
+            ("a_mm = 1\nlist = []\ntable = { }", "missing key `b_rad` in [table]", 3, "part of the key"),
+            ("a_mm = 1\nlist = []\ntable = 3", "table is 3", 3, "a table"),
+            ("a_mm = 1,5\nlist = []", "a_mm has a decimal comma", 1, "a decimal point"),
+            ("a_mm = 1\nlist = [", "list: unclosed array", 2, "`]`"),
+            ("a_mm = ''\nlist = []", "a_mm is ''", 1, "a number"),
+        ] {
+            match Source::new("file.toml", text).toml::<File>() {
+                Err(InputError::Invalid { message: found, line: at, help, .. }) => {
+                    assert_eq!((found.as_str(), at), (message, line), "{text}");
+                    assert!(help.as_deref().is_some_and(|help| help.contains(expected)), "{text}: {help:?}");
+                }
+                other => panic!("{text}: {other:?}"),
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn no_text_panics(text in "([ab_m=\\[\\]{},.\"'\n #]|\\PC|table|list|1e9){0,30}") {
+            if let Err(error) = Source::new("file.toml", text).toml::<File>() {
+                prop_assert!(!format!("{:?}", miette::Report::new(error)).is_empty());
+            }
+        }
+    }
+}
