@@ -1,5 +1,7 @@
 //! The short story of a run: simulate, identify, evaluate.
 
+use std::fmt::Write;
+
 use nalgebra::{Matrix3, Vector3};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -377,5 +379,9 @@ pub fn hash_sources(sources: &[(String, Source)]) -> String {
             hash.update(part);
         }
     }
-    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    hash.finalize().iter().fold(String::new(), |mut text, byte| {
+        // Writing to a String cannot fail.
+        let _ = write!(text, "{byte:02x}");
+        text
+    })
 }

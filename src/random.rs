@@ -23,7 +23,7 @@ pub enum Source {
     AsBuilt = 7,
 }
 
-/// The stream of `(seed, trial, source)`. ChaCha8 with the seed as key and (trial, source) as stream number.
+/// The stream of `(seed, trial, source)`. `ChaCha8` with the seed as key and (trial, source) as stream number.
 pub fn stream(seed: u64, trial: u32, source: Source) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream((u64::from(trial) << 16) | source as u64);

@@ -405,7 +405,7 @@ impl Columns {
             }
             PositionIndices::Spherical { range, azimuth, polar, units: (length, angle), polar_angle } => {
                 let raw = [row.number(*range)?, row.number(*azimuth)?, row.number(*polar)?];
-                if raw == [0.0; 3] {
+                if raw.iter().all(|v| *v == 0.0) {
                     return Ok(None);
                 }
                 if raw[0] <= 0.0 {

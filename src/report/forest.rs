@@ -55,7 +55,7 @@ pub(super) fn parameters(
     let known: Vec<_> = slots
         .iter()
         .copied()
-        .filter(|(slot, _)| rows.iter().any(|row| cell(row, *slot).and_then(|c| c.error()).is_some()))
+        .filter(|(slot, _)| rows.iter().any(|row| cell(row, *slot).and_then(ParameterCell::error).is_some()))
         .collect();
     let height = ROW * i32::try_from(rows.len()).unwrap_or(i32::MAX / (4 * ROW)) + 8;
     let size = (WIDTH, TITLE + height + AXIS + 2);

@@ -342,7 +342,7 @@ fn parameters_section(outcome: &Outcome) -> Result<Markup, ReportError> {
 fn parameter_table(rows: &[&ParameterRow], modes: &[Mode], unit: Unit, truth_known: bool) -> Markup {
     let (unit, factor) = printed_unit(unit);
     let scaled = |value: Option<f64>| value.map_or("\u{2013}".to_owned(), |v| number(factor * v, 4));
-    let far = |cell: &ParameterCell| cell.error_over_sigma().filter(|r| r.abs() > NORMAL_95).is_some();
+    let far = |cell: &ParameterCell| cell.error_over_sigma().is_some_and(|r| r.abs() > NORMAL_95);
     let columns = if truth_known { "3" } else { "2" };
     html! {
         div.scroll {

@@ -278,7 +278,7 @@ fn curve(chart: &Chart, look: &Look, points: Vec<(f64, f64)>) -> Drawn {
         None => chart.plotting_area().draw(&PathElement::new(points, style)),
         Some((dash, gap)) => {
             let scale = SCALE.unsigned_abs();
-            let element = DashedPathElement::new(points.into_iter(), dash * scale, gap * scale, style);
+            let element = DashedPathElement::new(points, dash * scale, gap * scale, style);
             chart.plotting_area().draw(&element)
         }
     }

@@ -56,7 +56,9 @@ pub fn render_tables(outcome: &Outcome, style: Style) -> String {
         text.push('\n');
     };
     for (index, set) in outcome.sets.iter().enumerate() {
-        table(outcome, index, set, style).iter().for_each(|l| line(l));
+        for row in table(outcome, index, set, style) {
+            line(&row);
+        }
         line("");
     }
     for mode in &outcome.modes {
