@@ -1,0 +1,75 @@
+//! A recording alone gives the same estimate, and the estimate depends on nothing but the measurements.
+
+use calibrig::identification::{Mode, Warning};
+use calibrig::pipeline::{self, calibrate};
+use calibrig::recording::write_mcap;
+use calibrig::replay::replay;
+
+use crate::a_user_reproduces_the_paper::paper;
+
+#[test]
+fn replay_finds_the_same_bits_for_20_seeds() {
+    let scenario = paper();
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    for seed in 0..20 {
+        let outcome = pipeline::run(&scenario, seed, |_, _| {}).expect("a run");
+        let path = folder.path().join(format!("{seed}.mcap"));
+        write_mcap(&outcome, &path).expect("a recording");
+        let replayed = replay(&path).expect("a replay");
+        assert_eq!(replayed.compared, 2);
+        assert!(replayed.differences.is_empty(), "{:?}", replayed.differences);
+        assert!(replayed.outcome.truth.is_none());
+        for (recorded, again) in outcome.modes.iter().zip(&replayed.outcome.modes) {
+            assert_eq!(recorded.errors, again.errors, "{:?}", recorded.mode);
+        }
+    }
+}
+
+#[test]
+fn one_seed_gives_one_recording() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let write = |name: &str| {
+        let path = folder.path().join(name);
+        let outcome = pipeline::run(&paper(), 3, |_, _| {}).expect("a run");
+        write_mcap(&outcome, &path).expect("a recording");
+        std::fs::read(path).expect("the recording")
+    };
+    assert!(write("a.mcap") == write("b.mcap"), "the bytes differ");
+}
+
+/// The hypocrisy check: with the measurements held fixed, another truth must not move one bit of any estimate.
+#[test]
+fn the_truth_does_not_reach_the_estimate() {
+    let scenario = paper();
+    let told = pipeline::simulate(&scenario, 5, 0, |_, _| {}).expect("a simulation");
+    let estimates = |scenario: &calibrig::scenario::Scenario| {
+        calibrate(&scenario.robot.model, &told.sets, &scenario.modes, &scenario.options).expect("estimates").1
+    };
+    let mut other = paper();
+    for link in &mut other.as_built.kinematics.links {
+        link.a += 0.1;
+        link.theta += 0.1;
+    }
+    other.as_built.statics.drive_stiffness.fill(1e4);
+    other.tracker.instrument.noise = false;
+    let (a, b) = (estimates(&scenario), estimates(&other));
+    assert_eq!(a, b);
+}
+
+/// A machine with something that the model lacks must be found out.
+#[test]
+fn an_effect_that_the_model_lacks_fails_the_consistency_test() {
+    let scenario = paper();
+    let outcome = pipeline::run(&scenario, scenario.seed, |_, _| {}).expect("a run");
+    let warned = |mode: Mode| {
+        let estimate = outcome.modes.iter().find(|m| m.mode == mode).and_then(|m| m.estimate.as_ref());
+        estimate.expect("an estimate").warnings.iter().any(|w| matches!(w, Warning::Inconsistent { .. }))
+    };
+    assert!(warned(Mode::OnlyCalibration), "gravity is not in the model");
+
+    let mut rigid = paper();
+    rigid.as_built.statics.drive_stiffness.fill(f64::INFINITY);
+    let outcome = pipeline::run(&rigid, rigid.seed, |_, _| {}).expect("a run");
+    let estimate = outcome.modes[1].estimate.as_ref().expect("an estimate");
+    assert!(!estimate.warnings.iter().any(|w| matches!(w, Warning::Inconsistent { .. })), "{:?}", estimate.warnings);
+}
