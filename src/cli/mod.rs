@@ -118,17 +118,16 @@ pub fn main() -> ExitCode {
 fn complain(error: &CliError) {
     let mut theme =
         if colours(&io::stderr()) { GraphicalTheme::unicode() } else { GraphicalTheme::unicode_nocolor() };
-    // The line begins with "error: " instead.
-    theme.characters.error = String::new();
+    theme.characters.error = "error:".to_owned();
     let mut text = String::new();
     // Not wrapped: a file's name is copied whole, and terminals wrap by themselves.
     let handler = GraphicalReportHandler::new_themed(theme).with_context_lines(2).with_wrap_lines(false);
     let told = Told { text: with_causes(error), error };
     if handler.render_report(&mut text, &told).is_err() {
-        text = format!("{told}\n");
+        text = format!("error: {told}\n");
     }
     // stderr is the last resort: there is nowhere to report its failure.
-    let _ = write!(io::stderr(), "error: {}", text.trim_start());
+    let _ = io::stderr().write_all(text.trim_start().as_bytes());
 }
 
 /// The error's message and those of its causes that it does not hold already.

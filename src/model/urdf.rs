@@ -493,8 +493,8 @@ mod tests {
             ("value=\"2\"", "value=\"-2\"", "the mass of link arm is -2 kg", 6, "above zero"),
             ("value=\"2\"", "value=\"NaN\"", "value of <mass> is \"NaN\"", 6, "finite"),
             ("value=\"2\"", "value=\"1e400\"", "value of <mass> is \"1e400\"", 6, "finite"),
-            ("value=\"2\"", "", "value", 1, "URDF"),
-            ("<mass value=\"2\"/>", "", "mass", 1, "URDF"),
+            ("value=\"2\"", "", "<mass> has no value", 6, "value="),
+            ("<mass value=\"2\"/>", "", "<inertial> has no <mass>", 4, "<mass"),
             ("ixx=\"1\"", "ixx=\"-1\"", "not positive definite", 7, "above zero"),
             ("ixy=\"0\"", "ixy=\"1.5\"", "not positive definite", 7, "above zero"),
             ("izz=\"2.5\"", "izz=\"3.5\"", "no body has the inertia of link arm", 7, "sum"),
@@ -527,7 +527,13 @@ mod tests {
                 14,
                 "revolute",
             ),
-            ("type=\"revolute\"", "type=\"hinge\"", "hinge", 1, "URDF"),
+            (
+                "type=\"revolute\"",
+                "type=\"hinge\"",
+                "type of <joint> is \"hinge\"",
+                14,
+                "revolute, prismatic or fixed",
+            ),
             ("<child link=\"arm\"/>", "<child link=\"leg\"/>", "a link leg that is not there", 14, "link"),
             ("<child link=\"arm\"/>", "<child link=\"base\"/>", "joined in a loop", 1, "open chain"),
             (
@@ -547,7 +553,13 @@ mod tests {
             ("<link name=\"base\"/>", "<link name=base/>", "not in quotes", 2, "URDF"),
             ("<link name=\"base\"/>", "<link name/>", "no value", 2, "URDF"),
             ("<link name=\"base\"/>", "<link name=\"\"/>", "name of <link> is \"\"", 2, "name"),
-            ("</link>", "<inertial><mass value=\"1\"/></inertial></link>", "inertial", 1, "URDF"),
+            (
+                "</link>",
+                "<inertial><mass value=\"1\"/></inertial></link>",
+                "a second <inertial>",
+                13,
+                "one of them",
+            ),
         ] {
             let (found, at, expected) = refusal(from, to);
             assert!(found.contains(message), "{to}: {found}");

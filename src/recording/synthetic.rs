@@ -147,7 +147,9 @@ fn errors(share: f64) -> Vec<(ParameterId, f64)> {
 
 fn with_errors(nominal: &KinematicModel, share: f64) -> KinematicModel {
     let mut real = nominal.clone();
-    errors(share).into_iter().for_each(|(id, delta)| real.add(id, delta));
+    for (id, delta) in errors(share) {
+        real.add(id, delta);
+    }
     real
 }
 

@@ -533,7 +533,7 @@ fn a_user_places_the_nests_badly() {
         sandbox.write(SCENARIO, format!("{head}{nests}{rest}"));
         sandbox
     };
-    let place = format!("{SCENARIO}:{}: ", near);
+    let place = format!("{SCENARIO}:{near}: ");
     let message = "the base nests lie on one line, within 0.090 mm";
     assert_refused(&on_a_line(0.09), &["run", SCENARIO], &place, message, "0.100 mm off the line");
     assert_eq!(on_a_line(0.11).run(["check", SCENARIO]).code, Some(0));
@@ -803,7 +803,7 @@ fn a_user_has_a_mistake_in_a_measurement_file() {
         (
             |rows| {
                 for i in 2..61 {
-                    rows[i] = rows[1].clone()
+                    rows[i] = rows[1].clone();
                 }
             },
             61,
@@ -852,7 +852,7 @@ fn a_user_has_no_measurement_file() {
 fn a_user_has_a_mistake_in_a_column_map() {
     const MAP: &str = "models/ur5/columns.toml";
     let header = "step_order,joint_1,joint_2,joint_3,joint_4,joint_5,joint_6,x_t,y_t,z_t,x_dif,y_dif,z_dif";
-    let rows: String = (0..40)
+    let rows = (0..40)
         .map(|i| {
             let s = |k: u32| f64::from(i * k % 37);
             format!(
@@ -868,7 +868,8 @@ fn a_user_has_a_mistake_in_a_column_map() {
                 s(23)
             )
         })
-        .collect();
+        .collect::<Vec<_>>()
+        .concat();
     let five = "columns = [\"joint_1\", \"joint_2\", \"joint_3\", \"joint_4\", \"joint_5\"]";
     let twice = "columns = [\"joint_1\", \"joint_2\", \"joint_3\", \"joint_4\", \"joint_5\", \"joint_5\"]";
     let mistakes: &[Mistake] = &[

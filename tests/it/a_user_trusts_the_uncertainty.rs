@@ -56,7 +56,7 @@ fn noise_gives_the_stated_chi_square_and_coverage() {
     let scenario = matched();
     let trials = 1000;
     let (mut chi2, mut dof) = (0.0, 0);
-    let mut covered = vec![0; 24];
+    let mut covered = [0_u32; 24];
     for trial in 0..trials {
         let simulation = simulate(&scenario, 2024, trial, |_, _| {}).expect("a simulation");
         let estimate = identify(&scenario.robot.model, &simulation.sets[0].measurements, &scenario.options)
