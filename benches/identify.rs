@@ -27,7 +27,9 @@ fn benches(c: &mut Criterion) {
     for mode in [Mode::OnlyCalibration, Mode::WithGravity] {
         options.mode = mode;
         group.bench_function(mode.key(), |b| {
-            b.iter(|| identify(black_box(&scenario.robot.model), black_box(set), &options).expect("an estimate"));
+            b.iter(|| {
+                identify(black_box(&scenario.robot.model), black_box(set), &options).expect("an estimate")
+            });
         });
     }
     let system = DMatrix::from_fn(306, 30, |i, j| ((i * 31 + j * 17) as f64).sin());

@@ -118,7 +118,7 @@ pub fn main() -> ExitCode {
 fn complain(error: &CliError) {
     let mut theme =
         if colours(&io::stderr()) { GraphicalTheme::unicode() } else { GraphicalTheme::unicode_nocolor() };
-    theme.characters.error = "error:".to_owned();
+    "error:".clone_into(&mut theme.characters.error);
     let mut text = String::new();
     // Not wrapped: a file's name is copied whole, and terminals wrap by themselves.
     let handler = GraphicalReportHandler::new_themed(theme).with_context_lines(2).with_wrap_lines(false);

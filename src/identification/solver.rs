@@ -53,7 +53,11 @@ const LEAST_DAMPING: f64 = 1e-15;
 const MOST_DAMPING: f64 = 1e12;
 
 /// Minimises from `x`.
-pub(super) fn minimise(problem: &mut impl LeastSquares, mut x: Vec<f64>, options: &SolverOptions) -> Solution {
+pub(super) fn minimise(
+    problem: &mut impl LeastSquares,
+    mut x: Vec<f64>,
+    options: &SolverOptions,
+) -> Solution {
     let (m, n) = (problem.rows(), problem.parameters());
     let mut now = Point::new(m, n);
     let mut trial = Point::new(m, n);

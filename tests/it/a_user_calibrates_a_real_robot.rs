@@ -60,7 +60,11 @@ fn wam_from_216_poses_to_20() {
     };
     let report = identify("models/wam/robot.toml", fit, verify);
     let rms = |mode: &str| report.sets["verification"].rows[mode].rms_3d_m.expect("a number");
-    println!("WAM, 20 poses: nominal {:.3} mm, geometric {:.3} mm", rms("without_calibration") * 1e3, rms("only_calibration") * 1e3);
+    println!(
+        "WAM, 20 poses: nominal {:.3} mm, geometric {:.3} mm",
+        rms("without_calibration") * 1e3,
+        rms("only_calibration") * 1e3
+    );
     assert!(rms("only_calibration") <= 3.3e-3);
     assert_eq!(report.estimates["only_calibration"].rank, 31);
 }

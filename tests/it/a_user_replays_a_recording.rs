@@ -71,5 +71,9 @@ fn an_effect_that_the_model_lacks_fails_the_consistency_test() {
     rigid.as_built.statics.drive_stiffness.fill(f64::INFINITY);
     let outcome = pipeline::run(&rigid, rigid.seed, |_, _| {}).expect("a run");
     let estimate = outcome.modes[1].estimate.as_ref().expect("an estimate");
-    assert!(!estimate.warnings.iter().any(|w| matches!(w, Warning::Inconsistent { .. })), "{:?}", estimate.warnings);
+    assert!(
+        !estimate.warnings.iter().any(|w| matches!(w, Warning::Inconsistent { .. })),
+        "{:?}",
+        estimate.warnings
+    );
 }

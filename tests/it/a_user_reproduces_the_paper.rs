@@ -49,7 +49,11 @@ fn the_rows_over_50_pose_draws() {
             .2;
         for entry in 0..6 {
             let (ratio, tolerance) = (rows[0][entry] / published[entry], [0.25, 0.15][entry % 2]);
-            assert!((ratio - 1.0).abs() <= tolerance, "{} figure {entry}: {ratio:.3} of the published", kind.key());
+            assert!(
+                (ratio - 1.0).abs() <= tolerance,
+                "{} figure {entry}: {ratio:.3} of the published",
+                kind.key()
+            );
         }
         for axis in [1, 3, 5] {
             let [without, only, gravity] = [rows[0][axis], rows[1][axis], rows[2][axis]];
