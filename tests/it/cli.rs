@@ -407,7 +407,7 @@ fn assert_whole(sandbox: &Sandbox, new: &Sandbox, when: &str) {
         let found = fs::read(sandbox.path("out").join(file)).expect("the old file at least");
         let whole = fs::read(new.path("out").join(file)).expect("the new file");
         // Rerun's recordings hold times and random numbers; their lengths differ by some hundred bytes.
-        let is_new = found == whole || (file == "recording.rrd" && found.len().abs_diff(whole.len()) < 1000);
+        let is_new = found == whole || (*file == "recording.rrd" && found.len().abs_diff(whole.len()) < 1000);
         assert!(found == b"old" || is_new, "{file} is neither old nor whole {when}: {} bytes", found.len());
     }
 }
