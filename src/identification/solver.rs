@@ -32,7 +32,7 @@ pub struct SolverOptions {
 
 impl Default for SolverOptions {
     fn default() -> Self {
-        Self { max_iterations: 100, relative_decrease: 1e-5, absolute_decrease: 1e-7 }
+        Self { max_iterations: 100, relative_decrease: 1e-4, absolute_decrease: 1e-7 }
     }
 }
 
