@@ -412,6 +412,15 @@ fn assert_whole(sandbox: &Sandbox, new: &Sandbox, when: &str) {
     }
 }
 
+/// The signal of Ctrl-C; SIGTERM where SIGINT is ignored, as it is in a shell's background job and in all that it starts.
+#[cfg(unix)]
+fn interrupt() -> &'static str {
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let ignored = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
+    if ignored & 0b10 == 0 { "-INT" } else { "-TERM" }
+}
+
 #[cfg(unix)]
 #[test]
 fn an_interrupt_leaves_no_half_file() {
@@ -425,8 +434,10 @@ fn an_interrupt_leaves_no_half_file() {
         let mut run = sandbox.command(["run", SCENARIO, "--out", "out"]);
         let mut child = run.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the binary starts");
         std::thread::sleep(after);
-        let killed =
-            Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("a `kill` command");
+        let killed = Command::new("kill")
+            .args([interrupt(), &child.id().to_string()])
+            .status()
+            .expect("a `kill` command");
         let code = child.wait().expect("ended").code();
         (killed.success(), code)
     };
