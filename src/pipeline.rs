@@ -13,34 +13,13 @@ use crate::identification::{
     CalibratedRobot, Estimate, IdentificationOptions, IdentifyError, Mode, identify, without_calibration,
 };
 use crate::input::Source;
+pub use crate::measurement::SetKind;
 use crate::measurement::{MeasurementSet, NestObservation, Observation, Reading, Station, Target};
 use crate::model::{CalibrationModel, Visual};
 use crate::plant::{AsBuilt, Plant, PlantError, SettleOptions, SettledPose};
 use crate::random;
 use crate::scenario::Scenario;
 use crate::tracker::TrackerError;
-
-/// Which of the two sets of poses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum SetKind {
-    /// The parameters are fitted to it.
-    Identification,
-    /// Held out.
-    Verification,
-}
-
-impl SetKind {
-    /// Both.
-    pub const ALL: [Self; 2] = [Self::Identification, Self::Verification];
-
-    /// The key in JSON and recordings.
-    pub fn key(self) -> &'static str {
-        match self {
-            Self::Identification => "identification",
-            Self::Verification => "verification",
-        }
-    }
-}
 
 /// Where the measurements came from.
 #[derive(Debug, Clone, PartialEq)]

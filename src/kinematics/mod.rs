@@ -159,15 +159,6 @@ impl PlacedChain {
         }
     }
 
-    /// Change of the target's position in the base frame per unit of a joint variable.
-    pub fn joint_column(&self, kind: JointKind, link: usize, target: &Vector3<f64>) -> Vector3<f64> {
-        let term = match kind {
-            JointKind::Revolute => LinkTerm::Theta,
-            JointKind::Prismatic => LinkTerm::D,
-        };
-        self.link_column(link, term, target)
-    }
-
     /// Change of the target's position as the tracker sees it, in base axes, per unit of any parameter.
     ///
     /// Frame parameters displace the base: `tracker_from_base · exp(xi)`.

@@ -13,6 +13,28 @@ pub use registration::{Registration, RegistrationError, register};
 
 use nalgebra::{Matrix3, Vector3};
 
+/// Which of the two sets of poses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum SetKind {
+    /// The parameters are fitted to it.
+    Identification,
+    /// Held out.
+    Verification,
+}
+
+impl SetKind {
+    /// Both.
+    pub const ALL: [Self; 2] = [Self::Identification, Self::Verification];
+
+    /// The key in JSON and recordings.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Identification => "identification",
+            Self::Verification => "verification",
+        }
+    }
+}
+
 /// A tracker session: the stations, the targets and the observations taken between them.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct MeasurementSet {

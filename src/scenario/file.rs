@@ -11,8 +11,8 @@ use crate::identification::{
     FrameChoice, IdentificationOptions, Mode, ParameterChoice, SolverOptions, TargetChoice,
 };
 use crate::input::{InputError, Source, Spanned};
+use crate::measurement::SetKind;
 use crate::model::{JointKind, KinematicModel, ParameterId, Robot, load_robot};
-use crate::pipeline::SetKind;
 use crate::plant::AsBuilt;
 use crate::tracker::{ErrorLine, Instrument, LaserTracker, WORKING_RANGE};
 

@@ -9,8 +9,8 @@ use nalgebra::{Matrix3, Vector3};
 use crate::experiment::WorkingRegion;
 use crate::identification::{IdentificationOptions, Mode};
 use crate::input::Source;
+use crate::measurement::SetKind;
 use crate::model::Robot;
-use crate::pipeline::SetKind;
 use crate::plant::AsBuilt;
 use crate::tracker::LaserTracker;
 

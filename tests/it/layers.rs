@@ -69,7 +69,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ),
     ("replay", &["identification", "input", "model", "pipeline", "recording", "scenario"]),
     ("report", &["evaluation", "geometry", "identification", "model", "pipeline"]),
-    ("scenario", &["experiment", "identification", "input", "model", "pipeline", "plant", "tracker"]),
+    ("scenario", &["experiment", "identification", "input", "measurement", "model", "plant", "tracker"]),
     ("tracker", &["geometry", "measurement"]),
 ];
 
