@@ -173,6 +173,10 @@ impl PlacedChain {
             ParameterId::Target { axis, .. } => {
                 self.base_from_flange.rotation.matrix().column(axis).into_owned()
             }
+            ParameterId::Compliance(_)
+            | ParameterId::Mass { .. }
+            | ParameterId::Linkage(_)
+            | ParameterId::Term(_) => Vector3::zeros(),
         }
     }
 }
@@ -261,6 +265,7 @@ mod tests {
             ParameterId::Link { .. } => model.add(id, delta),
             ParameterId::Frame { component, .. } => frame[component] = delta,
             ParameterId::Target { axis, .. } => target[axis] += delta,
+            _ => {}
         }
         let displaced = crate::geometry::small_displacement(&frame);
         let point = target_in_base(&model, q, &target);

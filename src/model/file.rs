@@ -168,7 +168,12 @@ pub fn parse_robot(
     sources.extend(
         companions.into_iter().filter_map(|(role, source)| source.map(|source| (role.to_owned(), source))),
     );
-    let model = CalibrationModel { kinematics, actuators, statics };
+    let model = CalibrationModel {
+        motor_turns: vec![None; kinematics.joint_count()],
+        kinematics,
+        actuators,
+        statics,
+    };
     Ok(Robot { name, model, visuals, target, sources })
 }
 
@@ -366,7 +371,12 @@ impl Reader<'_> {
         let Some(offset) = &table.offset_deg else {
             return self.error(self.file.actuators.span(), "[actuators] has no offset_deg", "offset_deg");
         };
-        Ok(ActuatorMap::Parallelogram { shoulder, elbow, offset: self.degrees("offset_deg", offset)? })
+        Ok(ActuatorMap::Parallelogram {
+            shoulder,
+            elbow,
+            offset: self.degrees("offset_deg", offset)?,
+            linkage: None,
+        })
     }
 
     /// Index of the revolute joint that the parallelogram names.
@@ -452,7 +462,7 @@ impl Reader<'_> {
                 }
             })
             .collect();
-        Ok(Some(StaticProperties { bodies: bodies?, drive_stiffness, gravity }))
+        Ok(Some(StaticProperties::of_drives(bodies?, drive_stiffness, gravity)))
     }
 }
 
@@ -695,7 +705,10 @@ kind = "direct"
             assert!(link.limits[0] <= CENTRE[index] - HALF_WIDTH[index] + 1e-12, "{index}");
             assert!(link.limits[1] >= CENTRE[index] + HALF_WIDTH[index] - 1e-12, "{index}");
         }
-        assert_eq!(robot.model.actuators, ActuatorMap::Parallelogram { shoulder: 2, elbow: 3, offset: 0.0 });
+        assert_eq!(
+            robot.model.actuators,
+            ActuatorMap::Parallelogram { shoulder: 2, elbow: 3, offset: 0.0, linkage: None }
+        );
         assert_eq!(robot.target, Some(Vector3::new(0.10, 0.15, 0.20)));
         let statics = robot.model.statics.expect("masses, stiffnesses and gravity");
         let masses: Vec<f64> = statics.bodies.iter().map(|body| body.mass).collect();

@@ -58,11 +58,11 @@ pub(super) fn spray_robot() -> AsBuilt {
     AsBuilt {
         kinematics: KinematicModel { links: links.collect(), last_from_flange: Transform::identity() },
         actuators: ActuatorMap::Direct,
-        statics: StaticProperties {
-            bodies: bodies.collect(),
-            drive_stiffness: STIFFNESS.to_vec(),
-            gravity: Vector3::new(0.0, -9.80665, 0.0),
-        },
+        statics: StaticProperties::of_drives(
+            bodies.collect(),
+            STIFFNESS.to_vec(),
+            Vector3::new(0.0, -9.80665, 0.0),
+        ),
         target: Vector3::new(0.10, 0.15, 0.20),
     }
 }
