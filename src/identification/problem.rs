@@ -3,13 +3,15 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3, Vector6};
 
 use super::LeastSquares;
+use super::machine::{Machine, Prepared};
 use crate::geometry::{Transform, cross_matrix, small_displacement};
-use crate::kinematics::PlacedChain;
-use crate::model::{KinematicModel, ParameterId};
+use crate::model::{CalibrationModel, ParameterId};
 
 /// One observation, ready for the fit.
 #[derive(Debug, Clone)]
 pub(super) struct Row {
+    /// What the robot was told.
+    pub told: Prepared,
     /// Measured position in the tracker's frame, m.
     pub seen: Vector3<f64>,
     /// Inverse Cholesky factor of its covariance: turns a difference in metres into standard deviations.
@@ -28,17 +30,19 @@ pub(super) struct Prior {
 }
 
 /// Observations, priors and the model that joins them. All memory is taken when it is made; [`evaluate`](LeastSquares::evaluate)
-/// takes none.
+/// takes none. Where the robot cannot take a pose, its residual is not a number.
 #[derive(Debug, Clone)]
 pub(super) struct CalibrationProblem {
-    pub nominal: KinematicModel,
+    pub nominal: CalibrationModel,
     pub parameters: Vec<ParameterId>,
-    /// Joint variables of every observation, deflection included, one after the other.
-    pub joints: Vec<f64>,
+    /// In blocks of three coordinates, the first rows of the system.
     pub rows: Vec<Row>,
+    /// The next rows: nests and targets.
     pub priors: Vec<Prior>,
-    /// One over the standard deviation of the first parameters' own priors.
-    pub tolerances: Vec<f64>,
+    /// The next rows: (column, one over the standard deviation) of parameters with a prior of their own that is not the links' tolerance.
+    pub own_priors: Vec<(usize, f64)>,
+    /// The last rows: the same of the links' making tolerance.
+    pub tolerances: Vec<(usize, f64)>,
     /// `tracker_from_base` that the frame parameters displace.
     pub stations: Vec<Transform>,
     /// Offsets that the target parameters change.
@@ -49,21 +53,29 @@ pub(super) struct CalibrationProblem {
 /// The model at the parameters of one evaluation.
 #[derive(Debug, Clone)]
 pub(super) struct Current {
-    pub kinematics: KinematicModel,
+    pub model: CalibrationModel,
     pub stations: Vec<Transform>,
     pub targets: Vec<Vector3<f64>>,
     displacements: Vec<Vector6<f64>>,
-    chain: PlacedChain,
+    amplitudes: Vec<f64>,
+    machine: Machine,
 }
 
 impl Current {
-    pub fn new(nominal: &KinematicModel, stations: &[Transform], targets: &[Vector3<f64>]) -> Self {
+    /// `machine` knows the terms, in the order of their parameters.
+    pub fn new(
+        nominal: &CalibrationModel,
+        machine: Machine,
+        stations: &[Transform],
+        targets: &[Vector3<f64>],
+    ) -> Self {
         Self {
-            kinematics: nominal.clone(),
+            model: nominal.clone(),
             stations: stations.to_vec(),
             targets: targets.to_vec(),
             displacements: vec![Vector6::zeros(); stations.len()],
-            chain: PlacedChain::new(nominal),
+            amplitudes: Vec::new(),
+            machine,
         }
     }
 }
@@ -72,28 +84,30 @@ impl CalibrationProblem {
     /// Puts the current model at `x`.
     pub fn set(&mut self, x: &[f64]) {
         let now = &mut self.current;
-        for (link, nominal) in now.kinematics.links.iter_mut().zip(&self.nominal.links) {
-            for term in crate::model::LinkTerm::ALL {
-                *link.term_mut(term) = nominal.term(term);
-            }
-        }
         now.targets.copy_from_slice(&self.targets);
         now.displacements.fill(Vector6::zeros());
+        now.amplitudes.clear();
         for (id, &value) in self.parameters.iter().zip(x) {
             match *id {
-                ParameterId::Link { .. } => now.kinematics.add(*id, value),
                 ParameterId::Frame { station, component } => now.displacements[station][component] = value,
                 ParameterId::Target { target, axis } => now.targets[target][axis] += value,
-                ParameterId::Compliance(_)
+                ParameterId::Term(_) => now.amplitudes.push(value),
+                ParameterId::Link { .. }
+                | ParameterId::Compliance(_)
                 | ParameterId::Mass { .. }
-                | ParameterId::Linkage(_)
-                | ParameterId::Term(_) => {}
+                | ParameterId::Linkage(_) => now.model.set_deviation(&self.nominal, *id, value),
             }
         }
-        now.chain.set_model(&now.kinematics);
+        now.machine.set_model(&now.model, now.amplitudes.iter().copied());
         for ((station, origin), xi) in now.stations.iter_mut().zip(&self.stations).zip(&now.displacements) {
             *station = origin * small_displacement(xi);
         }
+    }
+
+    /// Rows of observations, nests and targets.
+    pub fn measured_rows(&self) -> usize {
+        let priors: usize = self.priors.iter().map(|p| p.whitening.nrows()).sum();
+        3 * self.rows.len() + priors
     }
 
     fn fill_observation(
@@ -104,21 +118,25 @@ impl CalibrationProblem {
     ) {
         let row = &self.rows[index];
         let now = &mut self.current;
-        let joints = self.nominal.joint_count();
-        now.chain.place(&self.joints[index * joints..(index + 1) * joints]);
-        let in_base = now.chain.target(&now.targets[row.target]);
+        let target = &now.targets[row.target];
+        if now.machine.place(&row.told).is_err() {
+            residuals.fixed_rows_mut::<3>(3 * index).fill(f64::NAN);
+            return;
+        }
+        let in_base = now.machine.target(target);
         let tracker_from_base = &now.stations[row.station];
         let predicted = tracker_from_base.rotation * in_base + tracker_from_base.translation.vector;
         residuals.fixed_rows_mut::<3>(3 * index).copy_from(&(row.whitening * (predicted - row.seen)));
         let Some(jacobian) = jacobian else { return };
+        now.machine.differentiate(target, &row.told);
         let from_base = row.whitening * tracker_from_base.rotation.matrix();
         let from_origin = row.whitening * self.stations[row.station].rotation.matrix();
         let rotation_vector: Vector3<f64> = now.displacements[row.station].fixed_rows::<3>(3).into_owned();
         let turned = Rotation3::new(rotation_vector) * in_base;
         let left = left_jacobian(&rotation_vector);
+        let mut term = 0;
         for (column, id) in self.parameters.iter().enumerate() {
             let derivative = match *id {
-                ParameterId::Link { .. } => from_base * now.chain.column(*id, &in_base),
                 ParameterId::Frame { station, component } if station == row.station => {
                     if component < 3 {
                         from_origin.column(component).into_owned()
@@ -127,9 +145,17 @@ impl CalibrationProblem {
                     }
                 }
                 ParameterId::Target { target, .. } if target == row.target => {
-                    from_base * now.chain.column(*id, &in_base)
+                    from_base * now.machine.column(*id, &in_base)
                 }
-                _ => Vector3::zeros(),
+                ParameterId::Frame { .. } | ParameterId::Target { .. } => Vector3::zeros(),
+                ParameterId::Term(_) => {
+                    term += 1;
+                    from_base * now.machine.term_column(term - 1)
+                }
+                ParameterId::Link { .. }
+                | ParameterId::Compliance(_)
+                | ParameterId::Mass { .. }
+                | ParameterId::Linkage(_) => from_base * now.machine.column(*id, &in_base),
             };
             jacobian.fixed_view_mut::<3, 1>(3 * index, column).copy_from(&derivative);
         }
@@ -148,11 +174,11 @@ impl CalibrationProblem {
             }
             first += n;
         }
-        for (column, weight) in self.tolerances.iter().enumerate() {
-            residuals[first + column] = weight * x[column];
+        for (row, (column, weight)) in (first..).zip(self.own_priors.iter().chain(&self.tolerances)) {
+            residuals[row] = weight * x[*column];
             if let Some(jacobian) = jacobian.as_deref_mut() {
-                jacobian.row_mut(first + column).fill(0.0);
-                jacobian[(first + column, column)] = *weight;
+                jacobian.row_mut(row).fill(0.0);
+                jacobian[(row, *column)] = *weight;
             }
         }
     }
@@ -164,8 +190,7 @@ impl LeastSquares for CalibrationProblem {
     }
 
     fn rows(&self) -> usize {
-        let priors: usize = self.priors.iter().map(|p| p.whitening.nrows()).sum();
-        3 * self.rows.len() + priors + self.tolerances.len()
+        self.measured_rows() + self.own_priors.len() + self.tolerances.len()
     }
 
     fn evaluate(&mut self, x: &[f64], residuals: &mut DVector<f64>, mut jacobian: Option<&mut DMatrix<f64>>) {

@@ -172,6 +172,24 @@ impl Section {
         bending: [f64::INFINITY; 2],
         mass_per_length: 0.0,
     };
+
+    /// Whether it yields in no direction.
+    pub fn is_rigid(&self) -> bool {
+        let all = [self.axial, self.torsion].into_iter().chain(self.shear).chain(self.bending);
+        all.into_iter().all(f64::is_infinite)
+    }
+
+    /// The section with every compliance multiplied by `factor`.
+    #[must_use]
+    pub fn with_compliance(&self, factor: f64) -> Self {
+        Self {
+            axial: self.axial / factor,
+            shear: self.shear.map(|s| s / factor),
+            torsion: self.torsion / factor,
+            bending: self.bending.map(|b| b / factor),
+            mass_per_length: self.mass_per_length,
+        }
+    }
 }
 
 /// Statics of the elbow's four-bar. The crank's drive is the elbow's entry of [`StaticProperties::drive_stiffness`].

@@ -2,6 +2,7 @@
 
 mod actuators;
 mod bodies;
+mod deviations;
 mod file;
 mod parameter;
 mod terms;

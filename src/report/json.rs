@@ -123,6 +123,12 @@ pub struct JsonEstimate {
     pub residual_sigma_m: Option<f64>,
     /// What a user must know, in words.
     pub warnings: Vec<String>,
+    /// Parameters that the measurements alone cannot tell from others and that rest on their priors, in words; absent where none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub held: Vec<String>,
+    /// Parameters that were left out of the fit for the same reason, in words; absent where none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub fixed: Vec<String>,
 }
 
 /// A parameter of a mode, in the unit of `unit`.
@@ -130,7 +136,7 @@ pub struct JsonEstimate {
 pub struct JsonParameter {
     /// As in every file.
     pub name: String,
-    /// `m` or `rad`.
+    /// `m`, `rad` or `1`.
     pub unit: String,
     /// Key of the mode.
     pub mode: String,
@@ -140,6 +146,9 @@ pub struct JsonParameter {
     pub estimate: Option<f64>,
     /// Standard deviation; null from a singular system.
     pub sigma: Option<f64>,
+    /// Standard deviation of its own zero-mean prior; absent where it has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub prior_sigma: Option<f64>,
 }
 
 /// The document of a run.
@@ -179,6 +188,7 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
                     truth: truth_of(outcome, estimate, p.id),
                     estimate: finite(p.value),
                     sigma: p.sigma.and_then(finite),
+                    prior_sigma: p.prior_sigma,
                 })
             })
             .collect(),
@@ -236,6 +246,8 @@ fn json_estimate(estimate: &Estimate) -> JsonEstimate {
         condition: finite(estimate.spectrum.condition),
         residual_sigma_m: residual_sigma,
         warnings: estimate.warnings.iter().map(ToString::to_string).collect(),
+        held: estimate.held.iter().map(ToString::to_string).collect(),
+        fixed: estimate.fixed.iter().map(ToString::to_string).collect(),
     }
 }
 

@@ -1,6 +1,7 @@
 //! What is simulated and how it is identified: the scenario file and its validated, SI form.
 
 mod file;
+mod identification;
 
 pub use file::{load_scenario, parse_scenario};
 
