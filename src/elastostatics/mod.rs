@@ -1,4 +1,11 @@
-//! How far gravity bends the robot. In its first form: the drives' springs, to first order.
+//! How far gravity bends the robot. In its first form: the drives' springs, to first order; and its flexible links.
+
+mod beam;
+
+pub use beam::{
+    CondensedFrame, EndCompliance, EndStiffness, Frame, FrameError, FrameSolution, Lump, SegmentGroup,
+    end_compliance, end_stiffness, segment_groups,
+};
 
 use nalgebra::Vector3;
 
