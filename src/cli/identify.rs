@@ -9,7 +9,8 @@ use clap::{CommandFactory, ValueEnum};
 use super::output::{self, Destination, Files};
 use super::{Cli, CliError, Verdict, not_identified, say};
 use crate::identification::{
-    ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Mode, ParameterChoice, TargetChoice, Tolerance,
+    ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Mode, ParameterChoice, TargetChoice,
+    Tolerance,
 };
 use crate::input::Source;
 use crate::measurement::{ColumnMap, load_column_map, parse_column_map, parse_measurements};

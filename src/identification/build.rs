@@ -6,8 +6,8 @@ use super::machine::Machine;
 use super::parameters::{Column, columns};
 use super::problem::{CalibrationProblem, Current, Prior, Row};
 use super::{
-    DependentGroup, FrameChoice, IdentificationOptions, IdentifyError, LeastSquares, Redundancy, TargetChoice,
-    select_independent,
+    DependentGroup, FrameChoice, IdentificationOptions, IdentifyError, LeastSquares, Redundancy,
+    TargetChoice, select_independent,
 };
 use crate::geometry::{Transform, best_fit_transform};
 use crate::kinematics::target_in_base;
@@ -44,7 +44,8 @@ pub(super) fn build(
         return Ok(built);
     }
     let jacobian = starting_jacobian(&mut built.problem)?;
-    let effect = |column: usize| jacobian.column(column).norm() * columns[column].sigma.unwrap_or(f64::INFINITY);
+    let effect =
+        |column: usize| jacobian.column(column).norm() * columns[column].sigma.unwrap_or(f64::INFINITY);
     let unexcited: Vec<bool> = columns
         .iter()
         .enumerate()
@@ -69,6 +70,18 @@ pub(super) fn build(
         built = assemble(model, set, options, &columns)?;
     }
     Ok(Built { unexcited: named, fixed, ..built })
+}
+
+/// The problem with those of the robot's parameters that are among `kept`: what [`build`] made of the same options before.
+pub(super) fn rebuild(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    kept: &[ParameterId],
+) -> Result<CalibrationProblem, IdentifyError> {
+    let mut columns = columns(model, options)?;
+    columns.retain(|column| kept.contains(&column.id));
+    Ok(assemble(model, set, options, &columns)?.problem)
 }
 
 /// The robot's parameters that the observations, nests and targets alone cannot tell from the others; of two that do the same, the one
@@ -96,7 +109,11 @@ fn starting_jacobian(problem: &mut CalibrationProblem) -> Result<DMatrix<f64>, I
     let mut residuals = DVector::zeros(m);
     let mut jacobian = DMatrix::zeros(m, n);
     problem.evaluate(&vec![0.0; n], &mut residuals, Some(&mut jacobian));
-    Ok(jacobian)
+    let failed = (0..problem.rows.len()).find(|row| !residuals[3 * row].is_finite());
+    match failed.and_then(|row| problem.failure(row)) {
+        Some((pose, source)) => Err(IdentifyError::Machine { pose, source }),
+        None => Ok(jacobian),
+    }
 }
 
 fn assemble(
@@ -228,7 +245,10 @@ fn weighted_rows(
                 .filter(|w| w.iter().all(|v| v.is_finite()))
                 .ok_or_else(|| IdentifyError::Covariance { what: format!("pose {pose}") })?;
             Ok(Row {
-                told: machine.prepare(observation).map_err(|source| IdentifyError::Machine { pose, source })?,
+                pose,
+                told: machine
+                    .prepare(observation)
+                    .map_err(|source| IdentifyError::Machine { pose, source })?,
                 seen: observation.reading.position(),
                 whitening,
                 station: observation.station,

@@ -127,6 +127,25 @@ pub enum Warning {
         /// Name of the parameter.
         name: String,
     },
+    /// A parameter that is as far as it may go.
+    #[error(
+        "{name} ended at its bound {bound}: the measurements ask for more than it can be, so that the model lacks something or its prediction is off"
+    )]
+    AtBound {
+        /// Name of the parameter.
+        name: String,
+        /// Its limit, SI.
+        bound: f64,
+    },
+    /// Observations far off the others.
+    #[error("far off the others: {}", poses_in_words(.0))]
+    Outliers(Vec<Outlier>),
+    /// The starts led to several minima.
+    #[error("{minima} minima were found, and the lowest is given: another start could find a lower one")]
+    SeveralMinima {
+        /// Their number.
+        minima: u32,
+    },
     /// The residuals are larger than the stated noise explains.
     #[error(
         "the residuals are {ratio:.1} times what the stated noise explains: the model lacks something, and the standard deviations do not include it"
@@ -135,6 +154,24 @@ pub enum Warning {
         /// Square root of chi-square per degree of freedom.
         ratio: f64,
     },
+}
+
+fn poses_in_words(outliers: &[Outlier]) -> String {
+    let words = |o: &Outlier| format!("pose {} ({:.1} sigma, weight {:.2})", o.pose, o.size, o.weight);
+    outliers.iter().map(words).collect::<Vec<_>>().join(", ")
+}
+
+/// An observation that a robust loss found to be far off the others.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Outlier {
+    /// Number of its pose.
+    pub pose: u32,
+    /// Index of the observation in its set.
+    pub observation: usize,
+    /// Length of its residual, in standard deviations of a coordinate.
+    pub size: f64,
+    /// What it still counts for, from 1 down to 0.
+    pub weight: f64,
 }
 
 /// The result of an identification. Non-convergence and rank deficiency are in here as data, not errors.
@@ -162,6 +199,10 @@ pub struct Estimate {
     pub held: Vec<DependentGroup>,
     /// Parameters that were left out of the fit for the same reason.
     pub fixed: Vec<DependentGroup>,
+    /// Parameters that ended at a bound.
+    pub at_bound: Vec<ParameterId>,
+    /// Observations beyond five standard deviations; known where a robust loss was asked for.
+    pub outliers: Vec<Outlier>,
     /// What a user must know.
     pub warnings: Vec<Warning>,
 }
@@ -172,9 +213,11 @@ impl Estimate {
         (self.degrees_of_freedom > 0).then(|| self.chi2 / self.degrees_of_freedom as f64)
     }
 
-    /// Whether it may be used without a second look: converged and of full rank.
+    /// Whether it may be used without a second look: converged, of full rank, and at no bound.
     pub fn is_sound(&self) -> bool {
-        self.termination.converged() && self.spectrum.rank == self.parameters.len()
+        self.termination.converged()
+            && self.spectrum.rank == self.parameters.len()
+            && self.at_bound.is_empty()
     }
 
     /// The value of a parameter, if it was identified.

@@ -2,16 +2,15 @@
 
 use thiserror::Error;
 
-use super::build::{UNSTATED_SIGMA, best_fit_stations, build};
+use super::build::{Built, UNSTATED_SIGMA, best_fit_stations, build};
 use super::machine::MachineError;
-use super::solver::minimise;
 use super::summary::summarise;
 use super::{
-    CalibratedRobot, Estimate, FrameChoice, IdentificationOptions, LeastSquares, Mode, NoiseScale,
-    ParameterChoice, TargetChoice,
+    Bounds, BoundsError, CalibratedRobot, Estimate, FrameChoice, IdentificationOptions, LeastSquares, Mode,
+    NoiseScale, ParameterChoice, Solution, TargetChoice, minimise, minimise_within,
 };
 use crate::measurement::{MeasurementSet, RegistrationError};
-use crate::model::CalibrationModel;
+use crate::model::{CalibrationModel, ParameterId, Unit};
 
 /// Measurements that cannot be used with these options.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -79,6 +78,13 @@ pub enum IdentifyError {
         /// Its name.
         name: String,
     },
+    /// Limits that leave no start.
+    #[error(transparent)]
+    Bounds {
+        /// Why.
+        #[from]
+        source: BoundsError,
+    },
     /// A family of terms that there is not.
     #[error("there are no terms \"{key}\"")]
     UnknownTerms {
@@ -122,23 +128,56 @@ pub fn identify(
     if measured < parameters {
         return Err(IdentifyError::TooFewRows { rows: measured, parameters });
     }
-    let solution = minimise(&mut built.problem, vec![0.0; parameters], &options.solver);
+    let solution = solve(&mut built, vec![0.0; parameters], options)?;
     let stated = set.observations.iter().all(|o| o.reading.position_covariance().is_some());
     if stated || rows == parameters {
-        return Ok(summarise(built, solution, NoiseScale::Stated, options));
+        return Ok(summarise(built, solution, NoiseScale::Stated, set, options));
     }
     // The first pass tells the noise that the readings do not state; the second weighs the priors against it.
-    let sigma = UNSTATED_SIGMA * (solution.cost / (rows - parameters) as f64).sqrt();
+    let sigma = UNSTATED_SIGMA
+        * if solution.weights.is_empty() {
+            (solution.cost / (rows - parameters) as f64).sqrt()
+        } else {
+            solution.scale
+        };
     if !(sigma.is_finite() && sigma > 0.0) {
-        return Ok(summarise(built, solution, NoiseScale::Residuals(sigma), options));
+        return Ok(summarise(built, solution, NoiseScale::Residuals(sigma), set, options));
     }
     for row in &mut built.problem.rows {
         row.whitening *= UNSTATED_SIGMA / sigma;
     }
     let first = solution.iterations;
-    let mut solution = minimise(&mut built.problem, solution.x, &options.solver);
+    let mut solution = solve(&mut built, solution.x, options)?;
     solution.iterations.splice(0..0, first);
-    Ok(summarise(built, solution, NoiseScale::Residuals(sigma), options))
+    Ok(summarise(built, solution, NoiseScale::Residuals(sigma), set, options))
+}
+
+fn solve(built: &mut Built, x: Vec<f64>, options: &IdentificationOptions) -> Result<Solution, IdentifyError> {
+    if !options.mode.is_coupled() && options.solver.starts <= 1 {
+        return Ok(minimise(&mut built.problem, x, &options.solver));
+    }
+    let bounds = bounds(&built.problem.parameters);
+    let spread: Vec<f64> = built.problem.parameters.iter().zip(&built.sigmas).map(spread).collect();
+    let bounds = Bounds::new(bounds, vec![f64::INFINITY; x.len()])?;
+    Ok(minimise_within(&mut built.problem, x, &options.solver, &bounds, &spread)?)
+}
+
+/// No compliance and no mass is below zero.
+fn bounds(parameters: &[ParameterId]) -> Vec<f64> {
+    let lowest = |id: &ParameterId| match id {
+        ParameterId::Compliance(_) | ParameterId::Mass { .. } => -1.0,
+        _ => f64::NEG_INFINITY,
+    };
+    parameters.iter().map(lowest).collect()
+}
+
+/// How far about the start other starts are drawn: two standard deviations of the parameter's own prior, else what a machine can be off.
+fn spread((id, sigma): (&ParameterId, &Option<f64>)) -> f64 {
+    match (sigma, id.unit()) {
+        (Some(sigma), _) => 2.0 * sigma,
+        (None, Unit::Metre | Unit::Radian) => 0.02,
+        (None, Unit::One) => 0.5,
+    }
 }
 
 /// The nominal robot, laid over the measurements.

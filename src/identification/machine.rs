@@ -7,7 +7,9 @@ use crate::elastostatics::{Deflection, ElasticChain, ElasticError};
 use crate::geometry::Transform;
 use crate::kinematics::{PlacedChain, link_frames};
 use crate::measurement::Observation;
-use crate::model::{ActuatorMap, CalibrationModel, KinematicModel, ParameterId, TermId, TermInput, TermPlace};
+use crate::model::{
+    ActuatorMap, CalibrationModel, KinematicModel, ParameterId, TermId, TermInput, TermPlace,
+};
 
 /// Why a robot cannot take a pose.
 pub type MachineError = ElasticError;
@@ -62,8 +64,8 @@ impl Machine {
         let kind = if mode.is_coupled() {
             Kind::Elastic { chain: ElasticChain::new(nominal) }
         } else {
-            let predicted = (mode == Mode::WithGravity && nominal.statics.is_some())
-                .then(|| ElasticChain::new(nominal));
+            let predicted =
+                (mode == Mode::WithGravity && nominal.statics.is_some()).then(|| ElasticChain::new(nominal));
             match predicted {
                 Some(predicted) if !is_elastic_in_drives_alone(nominal) => {
                     Kind::Frozen { chain: ElasticChain::new(&with_ideal_map(nominal)), predicted }
@@ -165,15 +167,16 @@ impl Machine {
     }
 
     /// Makes the columns of that target ready.
-    pub fn differentiate(&mut self, in_flange: &Vector3<f64>, told: &Prepared) {
+    pub fn differentiate(&mut self, in_flange: &Vector3<f64>, told: &Prepared) -> Result<(), MachineError> {
         match &mut self.kind {
             Kind::Joints { .. } => {}
-            Kind::Frozen { chain, .. } => chain.prepare(in_flange),
+            Kind::Frozen { chain, .. } => chain.prepare(in_flange)?,
             Kind::Elastic { chain } => {
-                chain.prepare(in_flange);
+                chain.prepare(in_flange)?;
                 self.terms.differentiate(chain, &told.basis);
             }
         }
+        Ok(())
     }
 
     /// Change of the target at `in_base` per unit of a parameter of links, target, compliances, masses or linkage, in the base frame.

@@ -6,6 +6,7 @@ mod build;
 mod estimate;
 mod identifiability;
 mod identify;
+mod linearisation;
 mod machine;
 mod mode;
 mod options;
@@ -14,14 +15,18 @@ mod problem;
 mod robot;
 mod solver;
 mod summary;
+mod uncertainty;
 
-pub use estimate::{Estimate, IterationRecord, NoiseScale, ParameterEstimate, TerminationReason, Warning};
+pub use estimate::{
+    Estimate, IterationRecord, NoiseScale, Outlier, ParameterEstimate, TerminationReason, Warning,
+};
 pub use identifiability::{
     DependentGroup, Explanation, Finding, IdentifiabilityReport, RANK_TOLERANCE, Remedy, Spectrum,
     WEAK_TOLERANCE, WeakDirection, analyse_columns, analyse_r, complete_set, explain, identifiability,
     neighbour_axis_rules, select_independent, structural_poses,
 };
 pub use identify::{IdentifyError, identify, without_calibration};
+pub use linearisation::{Linearisation, linearise};
 pub use machine::MachineError;
 pub use mode::Mode;
 pub use options::{
@@ -29,4 +34,11 @@ pub use options::{
     TermPrior, Tolerance,
 };
 pub use robot::{CalibratedRobot, PredictionError, Predictor};
-pub use solver::{LeastSquares, SolverOptions};
+pub use solver::{
+    AtBound, Bounds, BoundsError, LeastSquares, Loss, LossScale, Side, Solution, SolverOptions, minimise,
+    minimise_within,
+};
+pub use uncertainty::{
+    ParameterSupport, PoseInfluence, PositionJacobian, Uncertainty, bayesian_cramer_rao_bound,
+    cramer_rao_bound,
+};

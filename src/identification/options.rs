@@ -129,7 +129,7 @@ pub struct IdentificationOptions {
     pub unmodelled_sigma: f64,
     /// A prior on every link parameter, where stated.
     pub tolerance: Option<Tolerance>,
-    /// When the solver stops.
+    /// What the solver minimises, and when it stops.
     pub solver: SolverOptions,
 }
 

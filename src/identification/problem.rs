@@ -3,13 +3,16 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3, Vector6};
 
 use super::LeastSquares;
-use super::machine::{Machine, Prepared};
+use super::machine::{Machine, MachineError, Prepared};
+use crate::elastostatics::apply;
 use crate::geometry::{Transform, cross_matrix, small_displacement};
 use crate::model::{CalibrationModel, ParameterId};
 
 /// One observation, ready for the fit.
 #[derive(Debug, Clone)]
 pub(super) struct Row {
+    /// Number of the pose.
+    pub pose: u32,
     /// What the robot was told.
     pub told: Prepared,
     /// Measured position in the tracker's frame, m.
@@ -95,13 +98,22 @@ impl CalibrationProblem {
                 ParameterId::Link { .. }
                 | ParameterId::Compliance(_)
                 | ParameterId::Mass { .. }
-                | ParameterId::Linkage(_) => now.model.set_deviation(&self.nominal, *id, value),
+                | ParameterId::Linkage(_) => apply(&mut now.model, &self.nominal, *id, value),
             }
         }
         now.machine.set_model(&now.model, now.amplitudes.iter().copied());
         for ((station, origin), xi) in now.stations.iter_mut().zip(&self.stations).zip(&now.displacements) {
             *station = origin * small_displacement(xi);
         }
+    }
+
+    /// Why the robot at the current parameters cannot take the pose of an observation: the pose's number, and the reason.
+    pub fn failure(&mut self, index: usize) -> Option<(u32, MachineError)> {
+        let row = &self.rows[index];
+        let now = &mut self.current;
+        let placed = now.machine.place(&row.told);
+        let ready = placed.and_then(|()| now.machine.differentiate(&now.targets[row.target], &row.told));
+        ready.err().map(|error| (row.pose, error))
     }
 
     /// Rows of observations, nests and targets.
@@ -119,7 +131,11 @@ impl CalibrationProblem {
         let row = &self.rows[index];
         let now = &mut self.current;
         let target = &now.targets[row.target];
-        if now.machine.place(&row.told).is_err() {
+        let ready = now.machine.place(&row.told).and_then(|()| match jacobian {
+            Some(_) => now.machine.differentiate(target, &row.told),
+            None => Ok(()),
+        });
+        if ready.is_err() {
             residuals.fixed_rows_mut::<3>(3 * index).fill(f64::NAN);
             return;
         }
@@ -128,7 +144,6 @@ impl CalibrationProblem {
         let predicted = tracker_from_base.rotation * in_base + tracker_from_base.translation.vector;
         residuals.fixed_rows_mut::<3>(3 * index).copy_from(&(row.whitening * (predicted - row.seen)));
         let Some(jacobian) = jacobian else { return };
-        now.machine.differentiate(target, &row.told);
         let from_base = row.whitening * tracker_from_base.rotation.matrix();
         let from_origin = row.whitening * self.stations[row.station].rotation.matrix();
         let rotation_vector: Vector3<f64> = now.displacements[row.station].fixed_rows::<3>(3).into_owned();
@@ -193,6 +208,10 @@ impl LeastSquares for CalibrationProblem {
         self.measured_rows() + self.own_priors.len() + self.tolerances.len()
     }
 
+    fn blocks(&self) -> usize {
+        self.rows.len()
+    }
+
     fn evaluate(&mut self, x: &[f64], residuals: &mut DVector<f64>, mut jacobian: Option<&mut DMatrix<f64>>) {
         self.set(x);
         for index in 0..self.rows.len() {
@@ -216,91 +235,4 @@ fn left_jacobian(r: &Vector3<f64>) -> Matrix3<f64> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::geometry::{rotation_x, rotation_y, translation};
-    use crate::model::{CraigLink, JointKind};
-
-    fn problem() -> CalibrationProblem {
-        let link = |kind, a, alpha, d| CraigLink {
-            name: String::new(),
-            kind,
-            a,
-            alpha,
-            beta: 0.0,
-            d,
-            theta: 0.0,
-            limits: [-3.0, 3.0],
-        };
-        let nominal = KinematicModel {
-            links: vec![
-                link(JointKind::Prismatic, 0.0, 0.0, 0.0),
-                link(JointKind::Revolute, 0.3, -1.57, 0.6),
-                link(JointKind::Revolute, 1.3, 0.0, 0.1),
-            ],
-            last_from_flange: Transform::identity(),
-        };
-        let mut parameters = ParameterId::all_of_links(3);
-        parameters.extend(ParameterId::all_of_frame(0));
-        parameters.extend(ParameterId::all_of_frame(1));
-        parameters.extend(ParameterId::all_of_target(0));
-        let stations =
-            vec![translation(1.0, 2.0, 3.0) * rotation_x(0.3), translation(-2.0, 0.0, 1.0) * rotation_y(2.0)];
-        let targets = vec![Vector3::new(0.1, 0.2, 0.3)];
-        let row = |station, seen: Vector3<f64>| Row {
-            seen,
-            whitening: Matrix3::new(3.0, 0.0, 0.0, 1.0, 2.0, 0.0, -0.5, 0.3, 4.0),
-            station,
-            target: 0,
-        };
-        CalibrationProblem {
-            joints: vec![0.4, -0.3, 1.2, 1.1, 0.8, -0.9],
-            rows: vec![row(0, Vector3::new(1.0, 1.0, 1.0)), row(1, Vector3::new(0.0, -1.0, 2.0))],
-            priors: vec![Prior {
-                column: 15,
-                whitening: DMatrix::from_fn(6, 6, |i, j| if i < j { 0.0 } else { 1.0 + i as f64 - j as f64 }),
-            }],
-            tolerances: vec![2.0, 3.0, 4.0],
-            current: Current::new(&nominal, &stations, &targets),
-            nominal,
-            parameters,
-            stations,
-            targets,
-        }
-    }
-
-    /// At displaced frames too, where a rotation vector's components do not act one after the other.
-    #[test]
-    fn the_jacobian_is_the_central_difference_far_from_zero() {
-        let mut problem = problem();
-        let n = problem.parameters.len();
-        let x: Vec<f64> = (0..n).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
-        let m = LeastSquares::rows(&problem);
-        let mut residuals = DVector::zeros(m);
-        let mut jacobian = DMatrix::from_element(m, n, f64::NAN);
-        problem.evaluate(&x, &mut residuals, Some(&mut jacobian));
-        let step = 1e-6;
-        for column in 0..n {
-            let mut at = |sign: f64| {
-                let mut moved = x.clone();
-                moved[column] += sign * step;
-                let mut r = DVector::zeros(m);
-                problem.evaluate(&moved, &mut r, None);
-                r
-            };
-            let difference = (at(1.0) - at(-1.0)) / (2.0 * step);
-            let error = (jacobian.column(column) - difference).amax();
-            assert!(error < 1e-7 * jacobian.amax(), "{}: {error}", problem.parameters[column]);
-        }
-    }
-
-    #[test]
-    fn evaluation_takes_no_memory() {
-        let mut problem = problem();
-        let x = vec![0.01; problem.parameters.len()];
-        let mut residuals = DVector::zeros(LeastSquares::rows(&problem));
-        let mut jacobian = DMatrix::zeros(residuals.len(), x.len());
-        let info = allocation_counter::measure(|| problem.evaluate(&x, &mut residuals, Some(&mut jacobian)));
-        assert_eq!(info.count_total, 0);
-    }
-}
+mod tests;

@@ -5,15 +5,17 @@ use nalgebra::DMatrix;
 use super::build::{Built, redundant};
 use super::solver::Solution;
 use super::{
-    CalibratedRobot, DependentGroup, Estimate, IdentificationOptions, LeastSquares, NoiseScale,
+    CalibratedRobot, DependentGroup, Estimate, IdentificationOptions, LeastSquares, NoiseScale, Outlier,
     ParameterEstimate, Redundancy, Spectrum, Warning, analyse_columns, analyse_r,
 };
+use crate::measurement::MeasurementSet;
 use crate::model::ParameterId;
 
 pub(super) fn summarise(
     built: Built,
     solution: Solution,
     noise: NoiseScale,
+    set: &MeasurementSet,
     options: &IdentificationOptions,
 ) -> Estimate {
     let Built { mut problem, sigmas, unexcited, fixed } = built;
@@ -41,6 +43,18 @@ pub(super) fn summarise(
     let covariance = covariance(&r, &spectrum);
     problem.set(&solution.x);
     let mut warnings = warnings(&solution, &spectrum, n, degrees_of_freedom, noise);
+    let at_bound: Vec<_> = solution.at_bound.iter().map(|at| problem.parameters[at.parameter]).collect();
+    warnings.extend(solution.at_bound.iter().map(|at| Warning::AtBound {
+        name: problem.parameters[at.parameter].to_string(),
+        bound: solution.x[at.parameter],
+    }));
+    let outliers = outliers(&solution, set);
+    if !outliers.is_empty() {
+        warnings.push(Warning::Outliers(outliers.clone()));
+    }
+    if solution.minima > 1 {
+        warnings.push(Warning::SeveralMinima { minima: solution.minima });
+    }
     let names = |groups: &[DependentGroup]| groups.iter().map(ToString::to_string).collect::<Vec<_>>();
     if !held.is_empty() {
         warnings.push(Warning::HeldByPrior { groups: names(&held) });
@@ -84,8 +98,23 @@ pub(super) fn summarise(
         spectrum,
         held,
         fixed,
+        at_bound,
+        outliers,
         warnings,
     }
+}
+
+/// Residuals longer than this many standard deviations of a coordinate are named: one in 65,000 is where the noise is normal.
+const OUTLIER: f64 = 5.0;
+
+fn outliers(solution: &Solution, set: &MeasurementSet) -> Vec<Outlier> {
+    let outlier = |observation: usize| Outlier {
+        pose: set.observations[observation].pose,
+        observation,
+        size: solution.residuals.fixed_rows::<3>(3 * observation).norm() / solution.scale,
+        weight: solution.weights[observation],
+    };
+    solution.outliers(OUTLIER).into_iter().map(outlier).collect()
 }
 
 /// `(Rᵀ R)⁻¹`, only from a system of full rank.
@@ -122,7 +151,12 @@ fn warnings(
             .iter()
             .map(|weak| Warning::Weak { singular_value: weak.singular_value, direction: weak.to_string() }),
     );
-    let per_dof = solution.cost / degrees_of_freedom.max(1) as f64;
+    // A loss tells the noise of the good observations by its scale.
+    let per_dof = if solution.weights.is_empty() {
+        solution.cost / degrees_of_freedom.max(1) as f64
+    } else {
+        solution.scale * solution.scale
+    };
     // 99.9 % point of chi-square per degree of freedom, by Wilson and Hilferty (1931).
     let spread = 2.0 / (9.0 * degrees_of_freedom.max(1) as f64);
     let limit = (1.0 - spread + 3.09 * spread.sqrt()).powi(3);

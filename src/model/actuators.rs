@@ -87,16 +87,6 @@ impl ActuatorMap {
         })
     }
 
-    /// The same, to change it.
-    pub fn length_mut(&mut self, which: LinkageLength) -> Option<&mut f64> {
-        let Self::Parallelogram { linkage: Some(linkage), .. } = self else { return None };
-        Some(match which {
-            LinkageLength::Crank => &mut linkage.crank.length,
-            LinkageLength::Lever => &mut linkage.lever.length,
-            LinkageLength::Rod => &mut linkage.rod,
-        })
-    }
-
     /// The command that takes an ideal machine to `joints`.
     pub fn command_from_joints(&self, joints: &[f64]) -> Vec<f64> {
         let mut command = joints.to_vec();

@@ -119,6 +119,13 @@ pub struct Beam {
     pub segments: Vec<BeamSegment>,
 }
 
+impl Beam {
+    /// kg, at the joint variable `q` of its link.
+    pub fn mass(&self, q: f64) -> f64 {
+        self.segments.iter().map(|segment| segment.section.mass_per_length * segment.length.at(q)).sum()
+    }
+}
+
 /// One uniform piece of a beam.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BeamSegment {
@@ -177,18 +184,6 @@ impl Section {
     pub fn is_rigid(&self) -> bool {
         let all = [self.axial, self.torsion].into_iter().chain(self.shear).chain(self.bending);
         all.into_iter().all(f64::is_infinite)
-    }
-
-    /// The section with every compliance multiplied by `factor`.
-    #[must_use]
-    pub fn with_compliance(&self, factor: f64) -> Self {
-        Self {
-            axial: self.axial / factor,
-            shear: self.shear.map(|s| s / factor),
-            torsion: self.torsion / factor,
-            bending: self.bending.map(|b| b / factor),
-            mass_per_length: self.mass_per_length,
-        }
     }
 }
 

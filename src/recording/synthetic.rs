@@ -20,6 +20,7 @@ use crate::model::{
     StaticProperties, Visual, VisualShape,
 };
 use crate::pipeline::{InputSummary, ModeOutcome, Outcome, RegistrationSummary, SetKind, SetOutcome, Truth};
+use crate::plant::effects::Effects;
 use crate::plant::{AsBuilt, SettledPose};
 
 const IN_FLANGE: [f64; 3] = [0.10, 0.15, 0.20];
@@ -70,9 +71,11 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
             actuators: ActuatorMap::Direct,
             statics,
             target: IN_FLANGE.into(),
+            effects: Effects::default(),
         },
         tracker_from_base,
         poses: settled,
+        effects: Vec::new(),
     };
     Outcome {
         input: InputSummary {
@@ -242,7 +245,12 @@ fn mode_outcome(
 fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
     let parameters: Vec<_> = errors(share)
         .into_iter()
-        .map(|(id, value)| ParameterEstimate { id, value, sigma: Some(1e-3 * value.abs()), prior_sigma: None })
+        .map(|(id, value)| ParameterEstimate {
+            id,
+            value,
+            sigma: Some(1e-3 * value.abs()),
+            prior_sigma: None,
+        })
         .collect();
     let n = parameters.len();
     let iterations = (0..5)
@@ -266,6 +274,8 @@ fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
         spectrum: Spectrum { rank: n, condition: 41.5, ..Spectrum::default() },
         held: Vec::new(),
         fixed: Vec::new(),
+        at_bound: Vec::new(),
+        outliers: Vec::new(),
         warnings: vec![Warning::Inconsistent { ratio: 1.12 }],
     }
 }

@@ -104,7 +104,7 @@ pub struct JsonRow {
 /// How an identification ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct JsonEstimate {
-    /// `ok`, `not_converged` or `rank_deficient`.
+    /// `ok`, `not_converged`, `rank_deficient` or `at_bound`.
     pub status: String,
     /// Why the solver stopped.
     pub termination: String,
@@ -129,6 +129,20 @@ pub struct JsonEstimate {
     /// Parameters that were left out of the fit for the same reason, in words; absent where none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub fixed: Vec<String>,
+    /// Observations that a robust loss found far off the others; absent where none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub outliers: Vec<JsonOutlier>,
+}
+
+/// An observation far off the others.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonOutlier {
+    /// Number of its pose.
+    pub pose: u32,
+    /// Length of its residual in standard deviations of a coordinate.
+    pub size: Option<f64>,
+    /// What it still counts for, from 1 down to 0.
+    pub weight: Option<f64>,
 }
 
 /// A parameter of a mode, in the unit of `unit`.
@@ -227,10 +241,12 @@ fn json_row(row: &AccuracyRow) -> JsonRow {
 fn json_estimate(estimate: &Estimate) -> JsonEstimate {
     let status = if !estimate.termination.converged() {
         "not_converged"
-    } else if estimate.is_sound() {
+    } else if estimate.spectrum.rank < estimate.parameters.len() {
+        "rank_deficient"
+    } else if estimate.at_bound.is_empty() {
         "ok"
     } else {
-        "rank_deficient"
+        "at_bound"
     };
     let (chi2_per_dof, residual_sigma) = match estimate.noise {
         NoiseScale::Stated => (estimate.chi2_per_dof().and_then(finite), None),
@@ -248,6 +264,11 @@ fn json_estimate(estimate: &Estimate) -> JsonEstimate {
         warnings: estimate.warnings.iter().map(ToString::to_string).collect(),
         held: estimate.held.iter().map(ToString::to_string).collect(),
         fixed: estimate.fixed.iter().map(ToString::to_string).collect(),
+        outliers: estimate
+            .outliers
+            .iter()
+            .map(|o| JsonOutlier { pose: o.pose, size: finite(o.size), weight: finite(o.weight) })
+            .collect(),
     }
 }
 

@@ -10,8 +10,8 @@ use crate::geometry::{
     Transform, best_fit_transform, rotation_x, rotation_z, small_displacement, translation,
 };
 use crate::identification::{
-    CalibratedRobot, DependentGroup, Estimate, IterationRecord, Mode, NoiseScale, ParameterEstimate, Predictor,
-    Spectrum, TerminationReason, Warning, WeakDirection,
+    CalibratedRobot, DependentGroup, Estimate, IterationRecord, Mode, NoiseScale, ParameterEstimate,
+    Predictor, Spectrum, TerminationReason, Warning, WeakDirection,
 };
 use crate::input::Source as InputText;
 use crate::kinematics::target_in_base;
@@ -22,6 +22,7 @@ use crate::model::{
 };
 use crate::pipeline::{InputSummary, ModeOutcome, Outcome, RegistrationSummary, SetKind, SetOutcome, Truth};
 use crate::plant::AsBuilt;
+use crate::plant::effects::Effects;
 use crate::random::{Source, stream};
 
 /// Displacement of the base from where the nests place it, m and rad.
@@ -93,9 +94,7 @@ pub(super) fn simulated() -> Outcome {
     let (uncalibrated, rms) = registered(&model, &sets[0].measurements);
     let before = sets
         .iter()
-        .map(|set| {
-            Predictor::new(&model, &uncalibrated).errors(&set.measurements).expect("a rigid robot")
-        })
+        .map(|set| Predictor::new(&model, &uncalibrated).errors(&set.measurements).expect("a rigid robot"))
         .collect();
     let mut modes = vec![mode_outcome(Mode::WithoutCalibration, uncalibrated, None, before)];
     for (mode, share, ratio) in [(Mode::OnlyCalibration, 1.0, 13.1), (Mode::WithGravity, 0.62, 9.4)] {
@@ -129,9 +128,11 @@ pub(super) fn simulated() -> Outcome {
                 actuators: ActuatorMap::Direct,
                 statics: statics(),
                 target,
+                effects: Effects::default(),
             },
             tracker_from_base,
             poses: Vec::new(),
+            effects: Vec::new(),
         }),
         published: PUBLISHED.to_vec(),
     }
@@ -382,6 +383,8 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
         },
         held: Vec::new(),
         fixed: Vec::new(),
+        at_bound: Vec::new(),
+        outliers: Vec::new(),
         warnings,
         parameters,
     }

@@ -247,8 +247,7 @@ fn masses(
 
 /// The key of a family that there is.
 fn family(source: &Source, key: &str, name: &Spanned<String>) -> Result<String, InputError> {
-    let known: Vec<_> =
-        std::iter::once(LINKAGE).chain(FAMILIES.iter().map(|family| family.key())).collect();
+    let known: Vec<_> = std::iter::once(LINKAGE).chain(FAMILIES.iter().map(|family| family.key())).collect();
     if known.contains(&name.get_ref().as_str()) {
         return Ok(name.get_ref().clone());
     }

@@ -247,8 +247,12 @@ mod tests {
     #[test]
     fn the_basis_functions_by_hand() {
         let model = model();
-        let input =
-            TermInput { command: &[3.0, -0.5, 0.3, 0.1], approach: &[1, -1, 0, 1], temperature: None, time: 0.0 };
+        let input = TermInput {
+            command: &[3.0, -0.5, 0.3, 0.1],
+            approach: &[1, -1, 0, 1],
+            temperature: None,
+            time: 0.0,
+        };
         let turn = std::f64::consts::TAU * 16.0 * 0.3;
         for (name, basis, place) in [
             ("hysteresis_theta2", -1.0, TermPlace::Actuator(1)),

@@ -41,7 +41,8 @@ impl TermFamily for Rail {
     fn terms(&self, model: &CalibrationModel) -> Vec<(usize, usize, bool)> {
         let links = &model.kinematics.links;
         let rails = links.iter().take_while(|link| link.kind == JointKind::Prismatic).count();
-        let all = (0..rails).flat_map(|joint| TERMS.iter().enumerate().map(move |(i, term)| (joint, i, term.1)));
+        let all =
+            (0..rails).flat_map(|joint| TERMS.iter().enumerate().map(move |(i, term)| (joint, i, term.1)));
         all.map(|(joint, index, component)| (joint, index, component < 3)).collect()
     }
 
