@@ -21,4 +21,7 @@ pub use identify::{
     FrameChoice, IdentificationOptions, IdentifyError, ParameterChoice, TargetChoice, Tolerance, identify,
     without_calibration,
 };
-pub use solver::{LeastSquares, SolverOptions};
+pub use solver::{
+    AtBound, Bounds, BoundsError, LeastSquares, Loss, LossScale, Side, Solution, SolverOptions, minimise,
+    minimise_within,
+};
