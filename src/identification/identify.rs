@@ -382,7 +382,7 @@ fn tolerances(links: &[ParameterId], tolerance: Option<Tolerance>) -> Result<Vec
         .iter()
         .map(|id| match id.unit() {
             Unit::Metre => 1.0 / tolerance.length,
-            Unit::Radian => 1.0 / tolerance.angle,
+            Unit::Radian | Unit::One => 1.0 / tolerance.angle,
         })
         .collect())
 }

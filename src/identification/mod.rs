@@ -7,6 +7,7 @@ mod identifiability;
 mod identify;
 mod problem;
 mod solver;
+mod uncertainty;
 
 pub use estimate::{
     CalibratedRobot, Estimate, IterationRecord, Mode, NoiseScale, ParameterEstimate, TerminationReason,
@@ -24,4 +25,8 @@ pub use identify::{
 pub use solver::{
     AtBound, Bounds, BoundsError, LeastSquares, Loss, LossScale, Side, Solution, SolverOptions, minimise,
     minimise_within,
+};
+pub use uncertainty::{
+    ParameterSupport, PoseInfluence, PositionJacobian, Uncertainty, bayesian_cramer_rao_bound,
+    cramer_rao_bound,
 };

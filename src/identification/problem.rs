@@ -84,6 +84,10 @@ impl CalibrationProblem {
                 ParameterId::Link { .. } => now.kinematics.add(*id, value),
                 ParameterId::Frame { station, component } => now.displacements[station][component] = value,
                 ParameterId::Target { target, axis } => now.targets[target][axis] += value,
+                ParameterId::Compliance(_)
+                | ParameterId::Mass { .. }
+                | ParameterId::Linkage(_)
+                | ParameterId::Term(_) => {}
             }
         }
         now.chain.set_model(&now.kinematics);
@@ -125,7 +129,7 @@ impl CalibrationProblem {
                 ParameterId::Target { target, .. } if target == row.target => {
                     from_base * now.chain.column(*id, &in_base)
                 }
-                ParameterId::Frame { .. } | ParameterId::Target { .. } => Vector3::zeros(),
+                _ => Vector3::zeros(),
             };
             jacobian.fixed_view_mut::<3, 1>(3 * index, column).copy_from(&derivative);
         }

@@ -1,4 +1,12 @@
-//! Forward kinematics and the analytic identification Jacobian of any open chain of revolute and prismatic joints.
+//! Forward kinematics and the analytic identification Jacobian of any open chain of revolute and prismatic joints, and the closed four-bar
+//! that may drive its elbow.
+
+mod four_bar;
+
+pub use four_bar::{
+    Closure, ClosureError, ElbowClosure, LEAST_TRANSMISSION_ANGLE, command_from_joints, elbow_closure,
+    joints_from_command, swing_to,
+};
 
 use nalgebra::{DMatrix, Matrix3, Matrix3xX, Rotation3, Vector3};
 
@@ -173,6 +181,10 @@ impl PlacedChain {
             ParameterId::Target { axis, .. } => {
                 self.base_from_flange.rotation.matrix().column(axis).into_owned()
             }
+            ParameterId::Compliance(_)
+            | ParameterId::Mass { .. }
+            | ParameterId::Linkage(_)
+            | ParameterId::Term(_) => Vector3::zeros(),
         }
     }
 }
@@ -261,6 +273,7 @@ mod tests {
             ParameterId::Link { .. } => model.add(id, delta),
             ParameterId::Frame { component, .. } => frame[component] = delta,
             ParameterId::Target { axis, .. } => target[axis] += delta,
+            _ => {}
         }
         let displaced = crate::geometry::small_displacement(&frame);
         let point = target_in_base(&model, q, &target);

@@ -1,16 +1,27 @@
 //! What is known of a robot: its kinematics, its bodies, its drives, and the names of the parameters that calibration may change.
 
 mod actuators;
+mod beam;
 mod bodies;
+mod closure;
 mod file;
 mod parameter;
+mod section;
+mod terms;
 mod urdf;
 mod urdf_text;
 
-pub use actuators::ActuatorMap;
-pub use bodies::{Body, StaticProperties, Visual, VisualShape};
+pub use actuators::{ActuatorMap, FourBar, LinkageArm};
+pub use beam::BeamError;
+pub use bodies::{
+    Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, LinkageStatics, PointLoad, RIGID, Section,
+    SegmentLength, SixStiffness, StaticProperties, Visual, VisualShape,
+};
+pub use closure::{LEAST_TRANSMISSION_DEG, LinkageFault, linkage_fault};
+pub(crate) use file::{LoadTable, read_loads};
 pub use file::{Robot, load_robot, parse_robot};
-pub use parameter::{LinkTerm, ParameterId, Unit};
+pub use parameter::{Compliance, LinkTerm, LinkageLength, ParameterId, Unit};
+pub use terms::{FAMILIES, TermFamily, TermId, TermInput, TermPlace};
 
 use crate::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
 
@@ -135,6 +146,8 @@ pub struct CalibrationModel {
     pub kinematics: KinematicModel,
     /// From commands to joint variables.
     pub actuators: ActuatorMap,
-    /// Masses, drive stiffnesses and gravity, where known; without them no deflection can be predicted.
+    /// Masses, stiffnesses and gravity, where known; without them no deflection can be predicted.
     pub statics: Option<StaticProperties>,
+    /// Motor turns per metre or per radian of every actuator, where known: the period of its transmission's errors.
+    pub motor_turns: Vec<Option<f64>>,
 }

@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use super::terms::TermId;
+
 /// One of the five parameters of a Craig/Hayati link.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum LinkTerm {
@@ -37,6 +39,8 @@ pub enum Unit {
     Metre,
     /// rad
     Radian,
+    /// A fraction, such as the relative deviation of a compliance.
+    One,
 }
 
 impl fmt::Display for Unit {
@@ -44,7 +48,56 @@ impl fmt::Display for Unit {
         f.pad(match self {
             Self::Metre => "m",
             Self::Radian => "rad",
+            Self::One => "1",
         })
+    }
+}
+
+/// Which compliance of the robot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Compliance {
+    /// Of a joint's drive, along or about its axis (the elbow's turns the crank where there is a four-bar).
+    Drive {
+        /// Index of the joint.
+        joint: usize,
+    },
+    /// Of a joint's bearing.
+    Bearing {
+        /// Index of the joint.
+        joint: usize,
+        /// 0..3 along, 3..6 about x, y, z of the bearing's frame.
+        axis: usize,
+    },
+    /// Of a whole flexible link.
+    Beam {
+        /// Index of the link.
+        link: usize,
+    },
+    /// Of the four-bar's rod.
+    Rod,
+}
+
+/// A length of the elbow's four-bar.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum LinkageLength {
+    /// From the shoulder's axis to the rod.
+    Crank,
+    /// From the elbow's axis to the rod.
+    Lever,
+    /// Of the coupler rod.
+    Rod,
+}
+
+impl LinkageLength {
+    /// All three.
+    pub const ALL: [Self; 3] = [Self::Crank, Self::Lever, Self::Rod];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Crank => "crank",
+            Self::Lever => "lever",
+            Self::Rod => "rod",
+        }
     }
 }
 
@@ -72,6 +125,17 @@ pub enum ParameterId {
         /// 0..3 for x, y, z
         axis: usize,
     },
+    /// Relative deviation x of a compliance from its predicted value c: it is c (1 + x), and x is at least -1.
+    Compliance(Compliance),
+    /// Relative deviation of the mass of a link's body from its stated value.
+    Mass {
+        /// Index of the link.
+        link: usize,
+    },
+    /// Deviation of a length of the four-bar.
+    Linkage(LinkageLength),
+    /// Amplitude of a correction that depends on the pose, its approach or its time.
+    Term(TermId),
 }
 
 impl ParameterId {
@@ -85,7 +149,9 @@ impl ParameterId {
         match self {
             Self::Link { term, .. } => term.unit(),
             Self::Frame { component, .. } if component >= 3 => Unit::Radian,
-            Self::Frame { .. } | Self::Target { .. } => Unit::Metre,
+            Self::Frame { .. } | Self::Target { .. } | Self::Linkage(_) => Unit::Metre,
+            Self::Compliance(_) | Self::Mass { .. } => Unit::One,
+            Self::Term(term) => term.unit(),
         }
     }
 
@@ -121,6 +187,18 @@ impl ParameterId {
             }
             return None;
         }
+        if let Some(term) = TermId::parse(name) {
+            return Some(Self::Term(term));
+        }
+        if let Some(rest) = name.strip_prefix("compliance_") {
+            return parse_compliance(rest).map(Self::Compliance);
+        }
+        if let Some(rest) = name.strip_prefix("mass") {
+            return number(rest).map(|link| Self::Mass { link });
+        }
+        if let Some(rest) = name.strip_prefix("linkage_") {
+            return LinkageLength::ALL.into_iter().find(|l| l.name() == rest).map(Self::Linkage);
+        }
         let (group, component) = name.split_once('_')?;
         if let Some(index) = group.strip_prefix("frame") {
             let station = if index.is_empty() { 0 } else { number(index)? };
@@ -132,6 +210,23 @@ impl ParameterId {
         let axis = FRAME_NAMES[..3].iter().position(|n| *n == component)?;
         Some(Self::Target { target, axis })
     }
+}
+
+/// Reads what follows `compliance_`.
+fn parse_compliance(name: &str) -> Option<Compliance> {
+    let number = |text: &str| text.parse::<usize>().ok().and_then(|n| n.checked_sub(1));
+    if name == "rod" {
+        return Some(Compliance::Rod);
+    }
+    if let Some(joint) = name.strip_prefix("drive") {
+        return number(joint).map(|joint| Compliance::Drive { joint });
+    }
+    if let Some(link) = name.strip_prefix("beam") {
+        return number(link).map(|link| Compliance::Beam { link });
+    }
+    let (joint, axis) = name.strip_prefix("bearing")?.split_once('_')?;
+    let axis = FRAME_NAMES.iter().position(|n| *n == axis)?;
+    number(joint).map(|joint| Compliance::Bearing { joint, axis })
 }
 
 const FRAME_NAMES: [&str; 6] = ["x", "y", "z", "rx", "ry", "rz"];
@@ -156,6 +251,15 @@ impl fmt::Display for ParameterId {
             Self::Target { target, axis } => {
                 format!("target{}_{}", counted(target), FRAME_NAMES[axis])
             }
+            Self::Compliance(Compliance::Drive { joint }) => format!("compliance_drive{}", joint + 1),
+            Self::Compliance(Compliance::Bearing { joint, axis }) => {
+                format!("compliance_bearing{}_{}", joint + 1, FRAME_NAMES[axis])
+            }
+            Self::Compliance(Compliance::Beam { link }) => format!("compliance_beam{}", link + 1),
+            Self::Compliance(Compliance::Rod) => "compliance_rod".to_owned(),
+            Self::Mass { link } => format!("mass{}", link + 1),
+            Self::Linkage(length) => format!("linkage_{}", length.name()),
+            Self::Term(term) => term.to_string(),
         };
         f.pad(&name)
     }
@@ -172,10 +276,30 @@ mod tests {
         all.extend(ParameterId::all_of_frame(2));
         all.extend(ParameterId::all_of_target(0));
         all.extend(ParameterId::all_of_target(1));
+        all.extend([
+            ParameterId::Compliance(Compliance::Drive { joint: 2 }),
+            ParameterId::Compliance(Compliance::Bearing { joint: 11, axis: 4 }),
+            ParameterId::Compliance(Compliance::Beam { link: 4 }),
+            ParameterId::Compliance(Compliance::Rod),
+            ParameterId::Mass { link: 6 },
+        ]);
+        all.extend(LinkageLength::ALL.map(ParameterId::Linkage));
         for id in all {
             assert_eq!(ParameterId::parse(&id.to_string()), Some(id), "{id}");
         }
-        for wrong in ["delta_a0", "delta_x1", "frame_q", "target_rx", "", "delta_", "beta4"] {
+        for wrong in [
+            "delta_a0",
+            "delta_x1",
+            "frame_q",
+            "target_rx",
+            "",
+            "delta_",
+            "beta4",
+            "mass0",
+            "linkage_x",
+            "compliance_drive",
+            "compliance_bearing2_q",
+        ] {
             assert_eq!(ParameterId::parse(wrong), None, "{wrong}");
         }
     }

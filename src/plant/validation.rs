@@ -173,7 +173,7 @@ fn check_kinematics(model: &KinematicModel) -> Result<(), PlantError> {
 }
 
 fn check_actuators(map: &ActuatorMap, joints: usize) -> Result<(), PlantError> {
-    if let ActuatorMap::Parallelogram { shoulder, elbow, offset } = *map {
+    if let ActuatorMap::Parallelogram { shoulder, elbow, offset, .. } = *map {
         if shoulder >= joints || elbow >= joints || shoulder == elbow {
             return Err(PlantError::Transmission { shoulder, elbow, joints });
         }

@@ -20,6 +20,7 @@ use crate::model::{
     StaticProperties, Visual, VisualShape,
 };
 use crate::pipeline::{InputSummary, ModeOutcome, Outcome, RegistrationSummary, SetKind, SetOutcome, Truth};
+use crate::plant::effects::Effects;
 use crate::plant::{AsBuilt, SettledPose};
 
 const IN_FLANGE: [f64; 3] = [0.10, 0.15, 0.20];
@@ -28,17 +29,17 @@ const IN_FLANGE: [f64; 3] = [0.10, 0.15, 0.20];
 pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) -> Outcome {
     let nominal = robot();
     let real = with_errors(&nominal, 1.0);
-    let statics = StaticProperties {
-        bodies: (0..7)
+    let statics = StaticProperties::of_drives(
+        (0..7)
             .map(|i| Body {
                 mass: 400.0 / f64::from(i + 1),
                 centre_of_mass: Vector3::new(0.1, 0.0, 0.05),
                 inertia: Matrix3::identity(),
             })
             .collect(),
-        drive_stiffness: vec![5e7, 5e7, 2e7, 2e7, 5e7, 1e7, 1e7],
-        gravity: Vector3::new(0.0, -9.81, 0.0),
-    };
+        vec![5e7, 5e7, 2e7, 2e7, 5e7, 1e7, 1e7],
+        Vector3::new(0.0, -9.81, 0.0),
+    );
     let tracker_from_base = (translation(2.0, 0.5, 5.5) * rotation_y(-0.4) * rotation_x(-1.57)).inverse();
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let mut settled = Vec::new();
@@ -55,6 +56,7 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
         kinematics: nominal.clone(),
         actuators: ActuatorMap::Direct,
         statics: Some(statics.clone()),
+        motor_turns: vec![None; 7],
     };
     let modes = Mode::ALL
         .into_iter()
@@ -69,9 +71,11 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
             actuators: ActuatorMap::Direct,
             statics,
             target: IN_FLANGE.into(),
+            effects: Effects::default(),
         },
         tracker_from_base,
         poses: settled,
+        effects: Vec::new(),
     };
     Outcome {
         input: InputSummary {

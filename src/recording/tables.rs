@@ -137,6 +137,7 @@ pub(super) fn parameters(outcome: &Outcome) -> String {
         let unit = match id.unit() {
             Unit::Metre => "mm",
             Unit::Radian => "mrad",
+            Unit::One => "1e-3",
         };
         // The truth of stations and targets is not a deviation from a nominal value.
         let known = truth.as_ref().filter(|_| matches!(id, ParameterId::Link { .. }));

@@ -105,7 +105,7 @@ pub(super) fn truth_of(outcome: &Outcome, estimate: &Estimate, id: ParameterId) 
             let [stated] = set.measurements.targets.as_slice() else { return None };
             Some(truth.as_built.target.get(axis)? - stated.in_flange.get(axis)?)
         }
-        ParameterId::Frame { .. } | ParameterId::Target { .. } => None,
+        _ => None,
     };
     value.filter(|v| v.is_finite())
 }
@@ -142,12 +142,13 @@ pub(super) fn printed_unit(unit: Unit) -> (&'static str, f64) {
     match unit {
         Unit::Metre => ("mm", 1e3),
         Unit::Radian => ("mrad", 1e3),
+        Unit::One => ("%", 1e2),
     }
 }
 
 /// What a parameter is, in words; numbers count from one.
 pub(super) fn parameter_words(id: ParameterId) -> String {
-    use crate::model::LinkTerm;
+    use crate::model::{Compliance, LinkTerm, LinkageLength};
     const AXES: [&str; 3] = ["x", "y", "z"];
     match id {
         ParameterId::Link { link, term } => {
@@ -167,6 +168,18 @@ pub(super) fn parameter_words(id: ParameterId) -> String {
         ParameterId::Target { target, axis } => {
             format!("target {} on the flange, {}", target + 1, AXES[axis % 3])
         }
+        ParameterId::Compliance(Compliance::Drive { joint }) => format!("compliance of drive {}", joint + 1),
+        ParameterId::Compliance(Compliance::Bearing { joint, axis }) => {
+            let how = if axis < 3 { "along" } else { "about" };
+            format!("compliance of bearing {}, {how} {}", joint + 1, AXES[axis % 3])
+        }
+        ParameterId::Compliance(Compliance::Beam { link }) => format!("compliance of link {}", link + 1),
+        ParameterId::Compliance(Compliance::Rod) => "compliance of the coupler rod".to_owned(),
+        ParameterId::Mass { link } => format!("mass of link {}", link + 1),
+        ParameterId::Linkage(LinkageLength::Crank) => "length of the crank".to_owned(),
+        ParameterId::Linkage(LinkageLength::Lever) => "length of the lever".to_owned(),
+        ParameterId::Linkage(LinkageLength::Rod) => "length of the coupler rod".to_owned(),
+        ParameterId::Term(term) => format!("{}: {term}", term.family().about()),
     }
 }
 

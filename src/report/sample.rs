@@ -22,6 +22,7 @@ use crate::model::{
 };
 use crate::pipeline::{InputSummary, ModeOutcome, Outcome, RegistrationSummary, SetKind, SetOutcome, Truth};
 use crate::plant::AsBuilt;
+use crate::plant::effects::Effects;
 use crate::random::{Source, stream};
 
 /// Displacement of the base from where the nests place it, m and rad.
@@ -90,8 +91,12 @@ pub(super) fn simulated() -> Outcome {
     }
 
     let (uncalibrated, rms) = registered(&nominal, &sets[0].measurements);
-    let model =
-        CalibrationModel { kinematics: nominal, actuators: ActuatorMap::Direct, statics: Some(statics()) };
+    let model = CalibrationModel {
+        kinematics: nominal,
+        actuators: ActuatorMap::Direct,
+        statics: Some(statics()),
+        motor_turns: vec![None; 7],
+    };
     let before = sets
         .iter()
         .map(|set| {
@@ -130,9 +135,11 @@ pub(super) fn simulated() -> Outcome {
                 actuators: ActuatorMap::Direct,
                 statics: statics(),
                 target,
+                effects: Effects::default(),
             },
             tracker_from_base,
             poses: Vec::new(),
+            effects: Vec::new(),
         }),
         published: PUBLISHED.to_vec(),
     }
@@ -212,11 +219,7 @@ fn nominal() -> KinematicModel {
 
 fn statics() -> StaticProperties {
     let body = Body { mass: 100.0, centre_of_mass: Vector3::zeros(), inertia: Matrix3::identity() };
-    StaticProperties {
-        bodies: vec![body; 7],
-        drive_stiffness: vec![1e6; 7],
-        gravity: Vector3::new(0.0, -9.81, 0.0),
-    }
+    StaticProperties::of_drives(vec![body; 7], vec![1e6; 7], Vector3::new(0.0, -9.81, 0.0))
 }
 
 fn draw_command(rng: &mut ChaCha8Rng) -> Vec<f64> {
@@ -316,6 +319,7 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
                 * match id.unit() {
                     Unit::Metre => 4e-5,
                     Unit::Radian => 2.5e-5,
+                    Unit::One => 1e-2,
                 };
             // Unmodelled effects pull the estimates further than the stated noise does.
             ParameterEstimate { id: *id, value: truth + 1.6 * sigma * normal(rng), sigma: Some(sigma) }

@@ -6,6 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::chain::Chain;
+use super::effects::Effects;
 use super::{AsBuilt, Plant, PlantError, SettleOptions, SettledPose};
 use crate::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
 use crate::kinematics::{link_frames, target_in_base};
@@ -56,12 +57,13 @@ fn random_robot(rng: &mut ChaCha8Rng, stiffness: f64) -> AsBuilt {
     AsBuilt {
         kinematics: KinematicModel { links, last_from_flange },
         actuators: ActuatorMap::Direct,
-        statics: StaticProperties {
-            bodies: (0..joints).map(|_| random_body(rng)).collect(),
-            drive_stiffness: vec![stiffness; joints],
-            gravity: Vector3::new(3.0, -8.0, 5.0),
-        },
+        statics: StaticProperties::of_drives(
+            (0..joints).map(|_| random_body(rng)).collect(),
+            vec![stiffness; joints],
+            Vector3::new(3.0, -8.0, 5.0),
+        ),
         target: Vector3::new(0.3, -0.1, 0.2),
+        effects: Effects::default(),
     }
 }
 
@@ -220,7 +222,7 @@ fn the_transmission_decides_where_the_drives_rest() {
     let mut rng = ChaCha8Rng::seed_from_u64(6);
     let direct = spray_robot_with_errors(&mut rng);
     let mut coupled = direct.clone();
-    coupled.actuators = ActuatorMap::Parallelogram { shoulder: 2, elbow: 3, offset: 0.25 };
+    coupled.actuators = ActuatorMap::Parallelogram { shoulder: 2, elbow: 3, offset: 0.25, linkage: None };
     let command = working_pose(&mut rng);
     let mut joints = [0.0; 7];
     coupled.actuators.joints_from_command(&command, &mut joints);
@@ -247,16 +249,17 @@ fn soft_pendulum() -> AsBuilt {
             last_from_flange: Transform::identity(),
         },
         actuators: ActuatorMap::Direct,
-        statics: StaticProperties {
-            bodies: vec![Body {
+        statics: StaticProperties::of_drives(
+            vec![Body {
                 mass: 10.0,
                 centre_of_mass: Vector3::x(),
                 inertia: Matrix3::from_diagonal_element(0.1),
             }],
-            drive_stiffness: vec![50.0],
-            gravity: Vector3::new(9.80665, 0.0, 0.0),
-        },
+            vec![50.0],
+            Vector3::new(9.80665, 0.0, 0.0),
+        ),
         target: Vector3::x(),
+        effects: Effects::default(),
     }
 }
 
@@ -371,11 +374,16 @@ fn a_robot_that_makes_no_machine_is_refused() {
         (|r| r.statics.gravity.z = f64::NAN, |e| is_not_finite(e, "gravity", None)),
         (|r| r.target.x = f64::INFINITY, |e| is_not_finite(e, "target", None)),
         (
-            |r| r.actuators = ActuatorMap::Parallelogram { shoulder: 2, elbow: 7, offset: 0.0 },
+            |r| {
+                r.actuators = ActuatorMap::Parallelogram { shoulder: 2, elbow: 7, offset: 0.0, linkage: None }
+            },
             |e| *e == PlantError::Transmission { shoulder: 2, elbow: 7, joints: 7 },
         ),
         (
-            |r| r.actuators = ActuatorMap::Parallelogram { shoulder: 2, elbow: 3, offset: f64::NAN },
+            |r| {
+                r.actuators =
+                    ActuatorMap::Parallelogram { shoulder: 2, elbow: 3, offset: f64::NAN, linkage: None }
+            },
             |e| is_not_finite(e, "parallelogram offset", None),
         ),
     ];

@@ -4,7 +4,8 @@ use nalgebra::{Matrix3, Vector3};
 use rand::RngExt;
 
 use super::{
-    ActuatorMap, AsBuilt, Body, CraigLink, JointKind, KinematicModel, LinkTerm, StaticProperties, Transform,
+    ActuatorMap, AsBuilt, Body, CraigLink, Effects, JointKind, KinematicModel, LinkTerm, StaticProperties,
+    Transform,
 };
 
 const CENTRE: [f64; 7] = [2.0, 0.19, -1.71, 0.12, 2.0, -0.16, -0.77];
@@ -58,12 +59,13 @@ pub(super) fn spray_robot() -> AsBuilt {
     AsBuilt {
         kinematics: KinematicModel { links: links.collect(), last_from_flange: Transform::identity() },
         actuators: ActuatorMap::Direct,
-        statics: StaticProperties {
-            bodies: bodies.collect(),
-            drive_stiffness: STIFFNESS.to_vec(),
-            gravity: Vector3::new(0.0, -9.80665, 0.0),
-        },
+        statics: StaticProperties::of_drives(
+            bodies.collect(),
+            STIFFNESS.to_vec(),
+            Vector3::new(0.0, -9.80665, 0.0),
+        ),
         target: Vector3::new(0.10, 0.15, 0.20),
+        effects: Effects::default(),
     }
 }
 
