@@ -22,7 +22,10 @@ pub use identify::{
     FrameChoice, IdentificationOptions, IdentifyError, ParameterChoice, TargetChoice, Tolerance, identify,
     without_calibration,
 };
-pub use solver::{LeastSquares, SolverOptions};
+pub use solver::{
+    AtBound, Bounds, BoundsError, LeastSquares, Loss, LossScale, Side, Solution, SolverOptions, minimise,
+    minimise_within,
+};
 pub use uncertainty::{
     ParameterSupport, PoseInfluence, PositionJacobian, Uncertainty, bayesian_cramer_rao_bound,
     cramer_rao_bound,
