@@ -72,6 +72,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("scenario", &["experiment", "identification", "input", "measurement", "model", "plant", "tracker"]),
     ("statistics", &[]),
     ("tracker", &["geometry", "measurement"]),
+    ("validation", &["evaluation", "measurement"]),
 ];
 
 /// Modules that estimate, and the ones that they see through.
