@@ -1,5 +1,7 @@
+mod constrained;
 mod equilibrium;
 mod spray_robot;
+mod whole;
 
 use nalgebra::{DVector, Matrix3, Rotation3, Vector3};
 use rand::{RngExt, SeedableRng};
