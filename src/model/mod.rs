@@ -1,6 +1,7 @@
 //! What is known of a robot: its kinematics, its bodies, its drives, and the names of the parameters that calibration may change.
 
 mod actuators;
+mod beam;
 mod bodies;
 mod closure;
 mod file;
@@ -11,6 +12,7 @@ mod urdf;
 mod urdf_text;
 
 pub use actuators::{ActuatorMap, FourBar, LinkageArm};
+pub use beam::BeamError;
 pub use bodies::{
     Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, LinkageStatics, PointLoad, RIGID, Section,
     SegmentLength, SixStiffness, StaticProperties, Visual, VisualShape,

@@ -44,18 +44,3 @@ impl AsBuilt {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::plant::tests::spray_robot::spray_robot;
-
-    #[test]
-    fn a_base_that_leans_sees_gravity_lean_the_other_way() {
-        let mut machine = spray_robot();
-        // About z by 2 mrad: the base's x axis rises, so that weights pull towards -x.
-        machine.tilt(&Vector3::new(0.0, 0.0, 2e-3));
-        let gravity = machine.statics.gravity;
-        assert!((gravity - 9.80665 * Vector3::new(-2e-3_f64.sin(), -2e-3_f64.cos(), 0.0)).norm() < 1e-12);
-    }
-}

@@ -27,7 +27,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         ],
     ),
     ("elastostatics", &["geometry", "kinematics", "model"]),
-    ("evaluation", &[]),
+    ("evaluation", &["statistics"]),
     ("experiment", &[]),
     ("geometry", &[]),
     ("identification", &["elastostatics", "geometry", "kinematics", "measurement", "model"]),
@@ -73,6 +73,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         "scenario",
         &["experiment", "identification", "input", "measurement", "model", "plant", "random", "tracker"],
     ),
+    ("statistics", &[]),
     ("tracker", &["geometry", "measurement"]),
 ];
 

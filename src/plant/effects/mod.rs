@@ -14,6 +14,9 @@ mod ratio;
 mod repeatability;
 mod thermal;
 
+#[cfg(test)]
+mod tests;
+
 pub use apply::{Commanded, DriveState, PoseEffects};
 pub use backlash::Backlash;
 pub use encoder::Encoder;

@@ -4,6 +4,9 @@
 mod entries;
 mod thermal;
 
+#[cfg(test)]
+mod tests;
+
 use std::f64::consts::TAU;
 use std::ops::Range;
 
