@@ -1,6 +1,8 @@
 //! The machine as built: the truth, and its rapier multibody. Only the pipeline, the evaluation and the recorder may look.
 
 mod chain;
+mod deviations;
+mod distribution;
 pub mod effects;
 mod error;
 mod linkage;
@@ -12,6 +14,7 @@ mod validation;
 #[cfg(test)]
 mod tests;
 
+pub use distribution::{AsBuiltDistribution, Spread};
 pub use error::PlantError;
 pub use multibody::{Plant, SettleOptions};
 
