@@ -142,6 +142,7 @@ pub(super) fn simulated() -> Outcome {
             effects: Vec::new(),
         }),
         published: PUBLISHED.to_vec(),
+        ablation: None,
     }
 }
 
