@@ -229,3 +229,136 @@ fn rows_of(scenario: &Scenario, seed: u64) -> Result<AblationRows, PipelineError
     let (_, modes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;
     Ok(modes.into_iter().map(|mode| mode.rows).collect())
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::model::{ActuatorMap, PointLoad};
+    use crate::pipeline::run;
+    use crate::plant::effects::{Backlash, Effects, Ratio};
+    use crate::scenario::load_scenario;
+    use nalgebra::Vector3;
+
+    /// The shipped machine, with every part that can be removed but for the other effects.
+    fn machine() -> Scenario {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/paper.toml");
+        let mut scenario = load_scenario(&path).expect("the shipped scenario");
+        (scenario.identification_poses, scenario.verification_poses) = (20, 5);
+        let machine = &mut scenario.as_built;
+        machine.effects = Effects {
+            backlash: Some(Backlash { gap: vec![2e-4; 7] }),
+            ratio: Some(Ratio { relative: vec![1e-4; 7] }),
+            ..Effects::default()
+        };
+        machine.kinematics.links[1].beta += 1e-3;
+        machine.statics.gravity.x += 0.05;
+        let hose = PointLoad {
+            name: "hose".to_owned(),
+            link: 5,
+            at: Vector3::zeros(),
+            mass: 3.0,
+            force: Vector3::zeros(),
+        };
+        machine.statics.loads.push(hose);
+        if let ActuatorMap::Parallelogram { linkage: Some(linkage), .. } = &mut machine.actuators {
+            linkage.rod += 1e-3;
+        }
+        scenario
+    }
+
+    fn identified() -> Vec<ParameterId> {
+        vec![ParameterId::link(3, LinkTerm::Theta)]
+    }
+
+    #[test]
+    fn removing_a_part_changes_what_it_says_and_nothing_else() {
+        let full = machine();
+        let nominal = full.robot.model.statics.clone().expect("statics");
+        for part in Part::all() {
+            let without = part.removed(&full, &identified());
+            assert_eq!(part.removed(&without, &identified()), without, "{part:?} twice");
+            let (mut real, mut model) = (without.as_built.clone(), without.robot.model.clone());
+            match part {
+                Part::Effect(kind) => {
+                    assert!(!real.effects.has(kind));
+                    real.effects = full.as_built.effects.clone();
+                }
+                Part::Linkage => {
+                    assert_eq!(real.actuators, model.actuators);
+                    assert_ne!(real.actuators, full.as_built.actuators);
+                    real.actuators = full.as_built.actuators;
+                }
+                Part::Geometry => {
+                    assert_eq!(real.kinematics.links[1].beta, 0.0);
+                    assert_eq!(real.kinematics.links[3].theta, full.as_built.kinematics.links[3].theta);
+                    assert_ne!(real.kinematics.links[3].theta, model.kinematics.links[3].theta);
+                    real.kinematics = full.as_built.kinematics.clone();
+                }
+                Part::Drives | Part::Bearings | Part::Links => {
+                    let statics = model.statics.take().expect("statics");
+                    assert_eq!(statics.drive_stiffness[2].is_infinite(), part == Part::Drives);
+                    assert_eq!(statics.bearings[2].stiffness[3].is_infinite(), part == Part::Bearings);
+                    let beam = real.statics.beams[2].as_ref().expect("the upper arm's");
+                    assert_eq!(beam.segments[0].section.torsion.is_infinite(), part == Part::Links);
+                    assert!(beam.segments[0].section.mass_per_length > 0.0);
+                    assert_eq!(real.statics.bodies, full.as_built.statics.bodies);
+                    real.statics = full.as_built.statics.clone();
+                    model.statics = Some(nominal.clone());
+                }
+                Part::Statics => {
+                    assert_eq!(real.statics.drive_stiffness, nominal.drive_stiffness);
+                    assert_eq!(real.statics.bodies, nominal.bodies);
+                    assert_eq!(real.statics.loads, full.as_built.statics.loads);
+                    assert_eq!(real.statics.gravity, full.as_built.statics.gravity);
+                    real.statics = full.as_built.statics.clone();
+                }
+                Part::Tilt => {
+                    assert_eq!(real.statics.gravity, nominal.gravity);
+                    real.statics.gravity = full.as_built.statics.gravity;
+                }
+                Part::Loads => {
+                    assert_eq!(real.statics.loads, nominal.loads);
+                    real.statics.loads.clone_from(&full.as_built.statics.loads);
+                }
+            }
+            assert_eq!((real, model), (full.as_built.clone(), full.robot.model.clone()), "{part:?}");
+        }
+    }
+
+    #[test]
+    fn the_rows_without_an_effect_are_those_of_a_machine_that_never_had_it() {
+        let mut scenario = machine();
+        let outcome = run(&scenario, 3, |_, _| {}).expect("a run");
+        let mut told = Vec::new();
+        let ablation = ablate(&scenario, 3, &outcome, |done, all, part| told.push((done, all, part)));
+        let removed: Vec<_> = ablation.parts.iter().map(|part| part.part).collect();
+        assert!(!removed.contains(&Part::Effect(EffectKind::Thermal)), "it has none");
+        assert_eq!(told.iter().map(|t| t.2).collect::<Vec<_>>(), removed);
+        assert_eq!(told[1].0, 1);
+        for (rows, mode) in ablation.complete.iter().zip(&outcome.modes) {
+            assert_eq!(*rows, mode.rows);
+        }
+        scenario.as_built.effects.backlash = None;
+        let never = run(&scenario, 3, |_, _| {}).expect("a run");
+        let part = ablation.parts.iter().find(|part| part.part == Part::Effect(EffectKind::Backlash));
+        let rows = part.expect("it has backlash").rows.clone().expect("rows");
+        for (mode, rows) in rows.iter().enumerate() {
+            assert_eq!(*rows, never.modes[mode].rows);
+            assert_ne!(*rows, outcome.modes[mode].rows);
+        }
+    }
+
+    #[test]
+    fn a_run_that_fails_is_told_with_its_reason() {
+        let scenario = machine();
+        let mut outcome = run(&scenario, 3, |_, _| {}).expect("a run");
+        outcome.modes.truncate(1);
+        let mut few = scenario.clone();
+        few.identification_poses = 2;
+        let ablation = ablate(&few, 3, &outcome, |_, _, _| {});
+        assert!(ablation.parts.iter().all(|part| part.rows.as_ref().is_err_and(|why| !why.is_empty())));
+        assert!(ablation.pair(&ablation.parts[0], 0, 0).is_none());
+    }
+}

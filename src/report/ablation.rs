@@ -26,44 +26,55 @@ fn failures(ablation: &Ablation) -> impl Iterator<Item = (&'static str, &str)> {
     ablation.parts.iter().filter_map(|part| Some((part.part.title(), part.rows.as_ref().err()?.as_str())))
 }
 
-/// Mean per axis and RMS of the 3-D error without each part, and their changes, in mm: a table a set and mode.
+/// What removing means, with the parts of which it is true.
+fn removals(ablation: &Ablation) -> Vec<(String, &'static str)> {
+    let mut removals: Vec<(String, &str)> = Vec::new();
+    for part in ablation.parts.iter().map(|part| part.part) {
+        match removals.last_mut() {
+            Some((titles, removal)) if *removal == part.removal() => {
+                titles.push_str(", ");
+                titles.push_str(part.title());
+            }
+            _ => removals.push((part.title().to_owned(), part.removal())),
+        }
+    }
+    removals
+}
+
+/// Mean per axis and RMS of the 3-D error without each part, and their changes, in mm: a table a mode, of the judged set. The other is in
+/// the files.
 pub(super) fn ablation_lines(ablation: &Ablation, style: Style) -> Vec<String> {
     const COLUMNS: [&str; 8] =
         ["mean x", "mean y", "mean z", "RMS 3D", "\u{394} x", "\u{394} y", "\u{394} z", "\u{394} RMS"];
     let mut lines =
         vec![String::new(), style.paint(Ink::Heading, "What each part of the machine contributes")];
     lines.extend(wrap(EXPLANATION, ""));
-    for (set, kind) in ablation.sets.iter().enumerate() {
-        for (mode, name) in ablation.modes.iter().enumerate() {
-            let Some(complete) =
-                ablation.complete.get(mode).and_then(|rows| rows.get(set).copied().flatten())
-            else {
-                continue;
-            };
-            lines.push(String::new());
-            let title = format!("{}, {}: absolute errors in mm", set_title(*kind), name.title());
-            lines.push(style.paint(Ink::Heading, &title));
-            let header: String = COLUMNS.iter().map(|column| format!("{column:>NUMBER$}")).collect();
-            lines.push(format!("{:<TITLE$}{header}", "without"));
-            let rule = style.paint(Ink::Dim, &"\u{2500}".repeat(TITLE + COLUMNS.len() * NUMBER));
-            lines.push(rule.clone());
-            let numbers =
-                [complete.mean.x, complete.mean.y, complete.mean.z, complete.rms_3d].map(millimetres);
-            lines.push(aligned("(nothing)", &numbers));
-            for part in &ablation.parts {
-                let Some((without, complete)) = ablation.pair(part, mode, set) else { continue };
-                let change = without.mean - complete.mean;
-                let numbers =
-                    [without.mean.x, without.mean.y, without.mean.z, without.rms_3d].map(millimetres);
-                let changes = [change.x, change.y, change.z, without.rms_3d - complete.rms_3d].map(signed);
-                lines.push(aligned(part.part.title(), &[numbers, changes].concat()));
-            }
-            lines.push(rule);
+    let set = judged(ablation);
+    let kind = ablation.sets.get(set).copied().unwrap_or(SetKind::Identification);
+    for (mode, name) in ablation.modes.iter().enumerate() {
+        let complete = ablation.complete.get(mode).and_then(|rows| rows.get(set).copied().flatten());
+        let Some(complete) = complete else { continue };
+        lines.push(String::new());
+        let title = format!("{}, {}: absolute errors in mm", set_title(kind), name.title());
+        lines.push(style.paint(Ink::Heading, &title));
+        let header: String = COLUMNS.iter().map(|column| format!("{column:>NUMBER$}")).collect();
+        lines.push(format!("{:<TITLE$}{header}", "without"));
+        let rule = style.paint(Ink::Dim, &"\u{2500}".repeat(TITLE + COLUMNS.len() * NUMBER));
+        lines.push(rule.clone());
+        let numbers = [complete.mean.x, complete.mean.y, complete.mean.z, complete.rms_3d].map(millimetres);
+        lines.push(aligned("(nothing)", &numbers));
+        for part in &ablation.parts {
+            let Some((without, complete)) = ablation.pair(part, mode, set) else { continue };
+            let change = without.mean - complete.mean;
+            let numbers = [without.mean.x, without.mean.y, without.mean.z, without.rms_3d].map(millimetres);
+            let changes = [change.x, change.y, change.z, without.rms_3d - complete.rms_3d].map(signed);
+            lines.push(aligned(part.part.title(), &[numbers, changes].concat()));
         }
+        lines.push(rule);
     }
     lines.push(String::new());
-    for part in &ablation.parts {
-        lines.extend(wrap(&format!("  {}: {}", part.part.title(), part.part.removal()), "    "));
+    for (titles, removal) in removals(ablation) {
+        lines.extend(wrap(&format!("  without {titles}: {removal}"), "    "));
     }
     for (title, why) in failures(ablation) {
         let words = format!("  no run without {title}: {}", printable(why));
@@ -97,7 +108,7 @@ pub(super) fn ablation_section(ablation: &Ablation) -> Result<Markup, ReportErro
             @for (set, kind) in ablation.sets.iter().enumerate() { (table(ablation, set, *kind)) }
             h3 { "What removing means" }
             ul {
-                @for part in &ablation.parts { li { (part.part.title()) ": " (part.part.removal()) "." } }
+                @for (titles, removal) in removals(ablation) { li { "without " (titles) ": " (removal) "." } }
             }
             @for (title, why) in failures(ablation) { p.note { "No run without " (title) ": " (why) } }
         }
@@ -209,4 +220,74 @@ fn draw_changes(ablation: &Ablation, set: usize, names: &Area, body: &Area, axis
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::{html_report, json_report, render_tables, sample};
+
+    #[test]
+    fn every_part_is_told_with_its_change_in_every_mode() {
+        let outcome = sample::ablated();
+        let ablation = outcome.ablation.as_ref().expect("an ablation");
+        let text = render_tables(&outcome, Style::Plain);
+        assert!(text.lines().all(|line| line.chars().count() <= 100), "{text}");
+        // Half of every error is gone without the rail's: -50 % of the RMS.
+        let rms = outcome.modes[1].rows[1].expect("a verification row").rms_3d;
+        let lines: Vec<_> = text.lines().filter(|line| line.starts_with("rail straightness ")).collect();
+        assert_eq!(lines.len(), ablation.modes.len());
+        let last: f64 = lines[1].split_whitespace().last().expect("a number").parse().expect("a number");
+        assert!((last + 0.5e3 * rms).abs() <= 0.5e-3 + 1e-12, "{last} against {rms}");
+        assert!(text.contains("no run without backlash: not at rest\u{fffd}"), "{text}");
+        assert!(text.contains("bearings rigid in the machine"));
+    }
+
+    #[test]
+    fn the_page_shows_a_bar_a_part_and_mode_and_the_numbers_of_both_sets() {
+        let page = html_report(&sample::ablated()).expect("a page");
+        let section = page.split("<section id=\"ablation\">").nth(1).expect("the section");
+        let section = section.split("</section>").next().expect("its end");
+        for part in ["rail straightness", "bearing compliance", "without backlash: not at rest"] {
+            assert!(section.contains(part), "{part}");
+        }
+        // Markers tell the modes apart without colour: two triangles in the figure, one in its key, for the mode with triangles.
+        let colour = crate::report::plots::hex(crate::report::plots::LOOKS[1].light);
+        let triangles = section.matches("<polygon").count();
+        assert!(triangles >= 3 && section.contains(&colour), "{triangles}");
+        assert_eq!(section.matches("<table>").count(), 2);
+        assert!(!html_report(&sample::simulated()).expect("a page").contains("ablation"));
+    }
+
+    #[test]
+    fn json_holds_rows_and_changes_in_metres_and_the_failures() {
+        let outcome = sample::ablated();
+        let json = json_report(&outcome).ablation.expect("an ablation");
+        let keys: Vec<_> = json.parts.iter().map(|part| part.key.as_str()).collect();
+        assert_eq!(keys, ["bearing_compliance", "rail", "backlash"]);
+        let row = &json.parts[1].rows["identification"]["with_gravity"];
+        let complete = outcome.modes[2].rows[0].expect("a row");
+        assert_eq!(
+            row.mean_m,
+            [0.5 * complete.mean.x, 0.5 * complete.mean.y, 0.5 * complete.mean.z].map(Some)
+        );
+        assert_eq!(row.rms_3d_change_m, Some(0.5 * complete.rms_3d - complete.rms_3d));
+        assert!(json.parts[2].failure.is_some() && json.parts[2].rows["verification"].is_empty());
+        let text = serde_json::to_string(&json_report(&sample::simulated())).expect("JSON");
+        assert!(!text.contains("ablation"));
+    }
+
+    #[test]
+    fn no_row_stops_the_figure() {
+        for bad in [0.0, -1e300, f64::NAN, f64::INFINITY] {
+            let mut outcome = sample::ablated();
+            let ablation = outcome.ablation.as_mut().expect("an ablation");
+            for row in ablation.complete.iter_mut().flatten().flatten() {
+                row.rms_3d = bad;
+            }
+            assert!(changes(ablation, 1).expect("a figure").ends_with("</svg>\n"), "{bad}");
+            ablation.parts.clear();
+            assert!(changes(ablation, 1).expect("a figure").ends_with("</svg>\n"), "{bad}");
+        }
+    }
 }
