@@ -1,7 +1,9 @@
 //! The short story of a run: simulate, identify, evaluate.
 
+mod ablation;
 mod simulate;
 
+pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
 pub use simulate::simulate;
 
 use std::fmt::Write;
@@ -107,6 +109,8 @@ pub struct Outcome {
     pub truth: Option<Truth>,
     /// Published figures to print beside, metres: (set, mode, [max x, mean x, max y, mean y, max z, mean z]).
     pub published: Vec<(SetKind, Mode, [f64; 6])>,
+    /// What each part of the simulated machine contributes, where that was asked for.
+    pub ablation: Option<Ablation>,
 }
 
 /// A simulated session: what the tracker saw, and the truth beside it.
@@ -216,6 +220,7 @@ pub fn run(scenario: &Scenario, seed: u64, progress: impl FnMut(u32, u32)) -> Re
         modes,
         truth: Some(simulation.truth),
         published: scenario.published.clone(),
+        ablation: None,
     })
 }
 
