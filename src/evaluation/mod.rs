@@ -1,5 +1,9 @@
 //! How good an estimate is.
 
+mod truth;
+
+pub use truth::KnownTruth;
+
 use nalgebra::Vector3;
 
 /// One row of an accuracy table: errors at the target over a set of poses, in the base frame, m.

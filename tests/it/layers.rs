@@ -27,7 +27,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         ],
     ),
     ("elastostatics", &["geometry", "kinematics", "model"]),
-    ("evaluation", &[]),
+    ("evaluation", &["geometry", "identification", "measurement", "model", "plant"]),
     ("experiment", &[]),
     ("geometry", &[]),
     ("identification", &["elastostatics", "geometry", "kinematics", "measurement", "model"]),
@@ -68,7 +68,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         ],
     ),
     ("replay", &["identification", "input", "model", "pipeline", "recording", "scenario"]),
-    ("report", &["evaluation", "geometry", "identification", "model", "pipeline"]),
+    ("report", &["evaluation", "identification", "measurement", "model", "pipeline"]),
     ("scenario", &["experiment", "identification", "input", "measurement", "model", "plant", "tracker"]),
     ("tracker", &["geometry", "measurement"]),
 ];
