@@ -277,6 +277,7 @@ fn outcome(args: &Args) -> Result<Outcome, CliError> {
         modes,
         truth: None,
         published: Vec::new(),
+        ablation: None,
     })
 }
 

@@ -107,6 +107,7 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
             ),
             (SetKind::Identification, Mode::WithGravity, [0.0017, 0.0007, 0.0015, 0.0004, 0.0023, 0.0007]),
         ],
+        ablation: None,
     }
 }
 
@@ -168,7 +169,17 @@ fn settle(real: &KinematicModel, q: &[f64]) -> SettledPose {
     let joints: Vec<f64> = q.iter().zip(&deflection).map(|(q, dq)| q + dq).collect();
     let flange = forward_kinematics(real, &joints);
     let target = flange.rotation * Vector3::from(IN_FLANGE) + flange.translation.vector;
-    SettledPose { target, links: link_frames(real, &joints), deflection, residual: 1e-10, steps: 321 }
+    SettledPose {
+        target,
+        links: link_frames(real, &joints),
+        deflection,
+        elastic: Vec::new(),
+        linkage: None,
+        rod_force: None,
+        residual: 1e-10,
+        closure: 0.0,
+        steps: 321,
+    }
 }
 
 fn measure(

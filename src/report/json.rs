@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 use super::parameters::{fitted, truth_of};
 use super::pose_count;
 use crate::evaluation::AccuracyRow;
-use crate::identification::{Estimate, NoiseScale};
-use crate::pipeline::{Outcome, SetOutcome};
+use crate::identification::{Estimate, Mode, NoiseScale};
+use crate::pipeline::{AblatedPart, Ablation, Outcome, SetOutcome};
 
 /// The schema's name.
 pub const SCHEMA: &str = "calibrig.report/1";
@@ -31,6 +31,44 @@ pub struct JsonReport {
     pub estimates: BTreeMap<String, JsonEstimate>,
     /// One entry a mode and parameter.
     pub parameters: Vec<JsonParameter>,
+    /// What the parts of a simulated machine contribute; absent unless asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ablation: Option<JsonAblation>,
+}
+
+/// What the parts of a simulated machine contribute.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonAblation {
+    /// One entry a part.
+    pub parts: Vec<JsonAblated>,
+}
+
+/// A run without one part of the machine.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonAblated {
+    /// Of the part.
+    pub key: String,
+    /// Its name for people.
+    pub title: String,
+    /// What removing it means.
+    pub removal: String,
+    /// Why there are no rows, else null.
+    pub failure: Option<String>,
+    /// By the key of the set, then of the mode.
+    pub rows: BTreeMap<String, BTreeMap<String, JsonAblationRow>>,
+}
+
+/// A row without a part, and its change against the complete machine's, m. A negative change is what the part contributed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonAblationRow {
+    /// Mean absolute error per axis.
+    pub mean_m: [Option<f64>; 3],
+    /// RMS of the 3-D error.
+    pub rms_3d_m: Option<f64>,
+    /// Change of the mean.
+    pub mean_change_m: [Option<f64>; 3],
+    /// Change of the RMS.
+    pub rms_3d_change_m: Option<f64>,
 }
 
 /// What wrote the report.
@@ -206,7 +244,38 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
                 })
             })
             .collect(),
+        ablation: outcome.ablation.as_ref().map(json_ablation),
     }
+}
+
+fn json_ablation(ablation: &Ablation) -> JsonAblation {
+    let axes = |v: Vector3<f64>| [finite(v.x), finite(v.y), finite(v.z)];
+    let rows = |part: &AblatedPart, set: usize| {
+        let row = |(place, mode): (usize, &Mode)| {
+            let (without, complete) = ablation.pair(part, place, set)?;
+            let row = JsonAblationRow {
+                mean_m: axes(without.mean),
+                rms_3d_m: finite(without.rms_3d),
+                mean_change_m: axes(without.mean - complete.mean),
+                rms_3d_change_m: finite(without.rms_3d - complete.rms_3d),
+            };
+            Some((mode.key().to_owned(), row))
+        };
+        ablation.modes.iter().enumerate().filter_map(row).collect()
+    };
+    let part = |part: &AblatedPart| JsonAblated {
+        key: part.part.key().to_owned(),
+        title: part.part.title().to_owned(),
+        removal: part.part.removal().to_owned(),
+        failure: part.rows.as_ref().err().cloned(),
+        rows: ablation
+            .sets
+            .iter()
+            .enumerate()
+            .map(|(i, set)| (set.key().to_owned(), rows(part, i)))
+            .collect(),
+    };
+    JsonAblation { parts: ablation.parts.iter().map(part).collect() }
 }
 
 fn json_set(outcome: &Outcome, index: usize, set: &SetOutcome) -> JsonSet {

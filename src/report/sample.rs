@@ -20,9 +20,12 @@ use crate::model::{
     ActuatorMap, Body, CalibrationModel, CraigLink, JointKind, KinematicModel, LinkTerm, ParameterId,
     StaticProperties, Unit,
 };
-use crate::pipeline::{InputSummary, ModeOutcome, Outcome, RegistrationSummary, SetKind, SetOutcome, Truth};
+use crate::pipeline::{
+    AblatedPart, Ablation, AblationRows, InputSummary, ModeOutcome, Outcome, Part, RegistrationSummary,
+    SetKind, SetOutcome, Truth,
+};
 use crate::plant::AsBuilt;
-use crate::plant::effects::Effects;
+use crate::plant::effects::{EffectKind, Effects};
 use crate::random::{Source, stream};
 
 /// Displacement of the base from where the nests place it, m and rad.
@@ -135,7 +138,31 @@ pub(super) fn simulated() -> Outcome {
             effects: Vec::new(),
         }),
         published: PUBLISHED.to_vec(),
+        ablation: None,
     }
+}
+
+/// A simulated robot with the contributions of three parts: one without which every error is half as large, one that changes nothing, one
+/// without which the run fails.
+pub(super) fn ablated() -> Outcome {
+    let mut outcome = simulated();
+    let complete: AblationRows = outcome.modes.iter().map(|mode| mode.rows.clone()).collect();
+    let mut halved = complete.clone();
+    for row in halved.iter_mut().flatten().flatten() {
+        row.mean *= 0.5;
+        row.rms_3d *= 0.5;
+    }
+    outcome.ablation = Some(Ablation {
+        modes: outcome.modes.iter().map(|mode| mode.mode).collect(),
+        sets: outcome.sets.iter().map(|set| set.kind).collect(),
+        parts: vec![
+            AblatedPart { part: Part::Bearings, rows: Ok(complete.clone()) },
+            AblatedPart { part: Part::Effect(EffectKind::Rail), rows: Ok(halved) },
+            AblatedPart { part: Part::Effect(EffectKind::Backlash), rows: Err("not at rest\x07".to_owned()) },
+        ],
+        complete,
+    });
+    outcome
 }
 
 /// A real robot: no truth, no verification set, no gravity mode, rank-deficient, readings without stated noise, hostile names, and

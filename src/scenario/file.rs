@@ -6,6 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
 
 use super::Scenario;
+use super::as_built::{AsBuiltFile, as_built};
 use super::effects::{EffectsFile, effects};
 use super::identification::{IdentificationFile, ModeFile};
 use crate::experiment::WorkingRegion;
@@ -34,36 +35,6 @@ struct ScenarioFile {
     identification: IdentificationFile,
     #[serde(default)]
     published: Vec<PublishedFile>,
-}
-
-#[derive(Deserialize, Default)]
-#[serde(deny_unknown_fields)]
-struct AsBuiltFile {
-    #[serde(default)]
-    drives: Drives,
-    #[serde(default)]
-    joint: Vec<JointErrorsFile>,
-}
-
-#[derive(Deserialize, Default, Clone, Copy, PartialEq)]
-#[serde(rename_all = "snake_case")]
-enum Drives {
-    #[default]
-    Elastic,
-    Rigid,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct JointErrorsFile {
-    joint: Spanned<String>,
-    delta_a_mm: Option<Spanned<f64>>,
-    delta_alpha_rad: Option<Spanned<f64>>,
-    delta_beta_rad: Option<Spanned<f64>>,
-    delta_d_mm: Option<Spanned<f64>>,
-    delta_theta_rad: Option<Spanned<f64>>,
-    stiffness_factor: Option<Spanned<f64>>,
-    mass_factor: Option<Spanned<f64>>,
 }
 
 #[derive(Deserialize)]
@@ -173,7 +144,8 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
         let help = Some("expected a name for people".to_owned());
         return Err(source.error(file.name.span(), "name is empty", help));
     }
-    let as_built = as_built(&source, &file, &robot)?;
+    let effects = effects(&source, &file.effects, &robot)?;
+    let (as_built, drawn) = as_built(&source, &file.as_built, &file.robot, &robot, effects)?;
     let region = region(&source, &file.poses, &robot.model.kinematics)?;
     let identification_poses = pose_count(&source, "poses.identification", &file.poses.identification, 1)?;
     let verification_poses = pose_count(&source, "poses.verification", &file.poses.verification, 0)?;
@@ -206,6 +178,7 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
         seed: file.seed,
         robot,
         as_built,
+        drawn,
         region,
         identification_poses,
         verification_poses,
@@ -261,54 +234,6 @@ pub(super) fn refuse_twice(
         ));
     }
     Ok(())
-}
-
-fn as_built(source: &Source, file: &ScenarioFile, robot: &Robot) -> Result<AsBuilt, InputError> {
-    let missing = |what: &str, where_: &str| {
-        source.error(
-            file.robot.span(),
-            format!("the robot's files give no {what}"),
-            Some(format!("a simulation needs {where_}")),
-        )
-    };
-    let mut statics = robot.model.statics.clone().ok_or_else(|| {
-        missing(
-            "masses, drive stiffnesses and gravity",
-            "a URDF with inertials, stiffness_* of every joint and [gravity]",
-        )
-    })?;
-    let target = robot.target.ok_or_else(|| missing("target offset", "[target] in the robot's file"))?;
-    let mut kinematics = robot.model.kinematics.clone();
-    let mut seen = vec![false; kinematics.joint_count()];
-    for entry in &file.as_built.joint {
-        let index = joint_index(source, &entry.joint, &kinematics)?;
-        refuse_twice(source, &mut seen, index, &entry.joint)?;
-        let link = &mut kinematics.links[index];
-        for (key, delta, unit, value) in [
-            ("delta_a_mm", &entry.delta_a_mm, 1e-3, &mut link.a),
-            ("delta_alpha_rad", &entry.delta_alpha_rad, 1.0, &mut link.alpha),
-            ("delta_beta_rad", &entry.delta_beta_rad, 1.0, &mut link.beta),
-            ("delta_d_mm", &entry.delta_d_mm, 1e-3, &mut link.d),
-            ("delta_theta_rad", &entry.delta_theta_rad, 1.0, &mut link.theta),
-        ] {
-            if let Some(delta) = delta {
-                *value += unit * source.finite(key, delta)?;
-            }
-        }
-        if let Some(factor) = &entry.stiffness_factor {
-            statics.drive_stiffness[index] *= source.positive("stiffness_factor", factor)?;
-        }
-        if let Some(factor) = &entry.mass_factor {
-            let factor = source.positive("mass_factor", factor)?;
-            statics.bodies[index].mass *= factor;
-            statics.bodies[index].inertia *= factor;
-        }
-    }
-    if file.as_built.drives == Drives::Rigid {
-        statics.drive_stiffness.fill(f64::INFINITY);
-    }
-    let effects = effects(source, &file.effects, robot)?;
-    Ok(AsBuilt { kinematics, actuators: robot.model.actuators, statics, target, effects })
 }
 
 fn region(source: &Source, poses: &PosesFile, model: &KinematicModel) -> Result<WorkingRegion, InputError> {
