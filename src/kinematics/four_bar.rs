@@ -153,7 +153,7 @@ struct RigidFourBar<'a> {
 
 impl RigidFourBar<'_> {
     fn crank(&self, psi: f64) -> Transform {
-        rotation_z(psi + self.offset)
+        rotation_z(psi + self.offset + self.elbow.theta)
     }
 
     fn pivot(&self, q_shoulder: f64) -> Transform {
@@ -169,10 +169,10 @@ impl RigidFourBar<'_> {
     fn psi(&self, q_shoulder: f64, q_elbow: f64) -> Result<f64, ClosureError> {
         let lever = self.linkage.lever.end();
         let anchor = (self.pivot(q_shoulder) * rotation_z(q_elbow)).transform_point(&lever.into()).coords;
-        let ideal = q_shoulder + q_elbow;
+        let ideal = q_shoulder + q_elbow + self.elbow.theta;
         let crank = self.linkage.crank.end();
         let turned = swing_to(&Transform::identity(), &crank, &anchor, self.linkage.rod, ideal)?;
-        let psi = turned.angle - self.offset;
+        let psi = turned.angle - self.offset - self.elbow.theta;
         let nearest = self.elbow(psi, q_shoulder)?.angle;
         // Away from the singularity the two closures are far apart, and rounding is far below this.
         if (nearest - q_elbow).abs() > 1e-6 {
@@ -270,8 +270,8 @@ pub fn elbow_closure(
             LinkTerm::Alpha => by_end(x.cross(&end)),
             LinkTerm::Beta => by_end(y.cross(&(end - link.a * x))),
             LinkTerm::D => by_end(axis),
-            // Theta and the joint turn about the same axis.
-            LinkTerm::Theta => -1.0,
+            // Theta turns the lever about the joint's axis, and the crank with it.
+            LinkTerm::Theta => by_anchor(Vector3::z().cross(&crank_end)) - 1.0,
         }),
     }))
 }

@@ -85,7 +85,7 @@ pub(super) struct Loop {
     pub(super) linkage: FourBar,
     /// N/m; infinite where the rod does not yield.
     pub(super) rod_stiffness: f64,
-    /// Turns by `psi + offset`.
+    /// Turns by `psi + offset + theta`, with theta that of the elbow's link.
     pub(super) crank: usize,
     /// The rod turns about the crank's z, then about its own y; its x axis points to the lever.
     pub(super) rod: [usize; 2],
