@@ -321,7 +321,7 @@ impl ElasticChain {
     }
 
     /// The slot of an actuator's drive.
-    fn driven(&self, joint: usize) -> usize {
+    pub(super) fn driven(&self, joint: usize) -> usize {
         match &self.four_bar {
             Some(four_bar) if four_bar.elbow == joint => four_bar.crank,
             _ => self.parts[joint].drive,
