@@ -14,7 +14,8 @@ use thiserror::Error;
 
 use crate::evaluation::{AccuracyRow, accuracy};
 use crate::identification::{
-    CalibratedRobot, Estimate, IdentificationOptions, IdentifyError, Mode, identify, without_calibration,
+    CalibratedRobot, Estimate, IdentificationOptions, IdentifyError, Mode, PredictionError, Predictor,
+    identify, without_calibration,
 };
 use crate::input::Source;
 use crate::measurement::MeasurementSet;
@@ -140,6 +141,14 @@ pub enum PipelineError {
         /// Why.
         source: TrackerError,
     },
+    /// An identified robot cannot take a measured pose.
+    #[error("{}: {source}", mode.title())]
+    Predict {
+        /// The mode.
+        mode: Mode,
+        /// Why.
+        source: PredictionError,
+    },
     /// A mode cannot be identified.
     #[error("{}: {source}", mode.title())]
     Identify {
@@ -163,7 +172,7 @@ pub fn calibrate(
     let fitted = sets.first().map_or(&empty, |set| &set.measurements);
     let registered = without_calibration(model, fitted)
         .map_err(|source| PipelineError::Identify { mode: Mode::WithoutCalibration, source })?;
-    let rms = accuracy(&errors(model, &registered, fitted)).map_or(0.0, |row| row.rms_3d);
+    let rms = accuracy(&errors(model, &registered, fitted)?).map_or(0.0, |row| row.rms_3d);
     let registration = RegistrationSummary {
         how: if fitted.targets.iter().any(|t| t.covariance.is_none()) {
             "best fit of the nominal robot to the identification set, tracker frame and target offset free"
@@ -179,7 +188,7 @@ pub fn calibrate(
         .map(|&mode| {
             let estimate = match mode {
                 Mode::WithoutCalibration => None,
-                Mode::OnlyCalibration | Mode::WithGravity => {
+                _ => {
                     let options = IdentificationOptions { mode, ..options.clone() };
                     Some(
                         identify(model, fitted, &options)
@@ -188,7 +197,10 @@ pub fn calibrate(
                 }
             };
             let robot = estimate.as_ref().map_or_else(|| registered.clone(), |e| e.robot.clone());
-            let errors: Vec<_> = sets.iter().map(|set| errors(model, &robot, &set.measurements)).collect();
+            let errors: Vec<_> = sets
+                .iter()
+                .map(|set| errors(model, &robot, &set.measurements))
+                .collect::<Result<_, PipelineError>>()?;
             let rows = errors.iter().map(|e| accuracy(e)).collect();
             Ok(ModeOutcome { mode, robot, estimate, errors, rows })
         })
@@ -196,8 +208,14 @@ pub fn calibrate(
     Ok((registration, outcomes))
 }
 
-fn errors(model: &CalibrationModel, robot: &CalibratedRobot, set: &MeasurementSet) -> Vec<Vector3<f64>> {
-    set.observations.iter().map(|o| robot.error_in_base(model, o)).collect()
+fn errors(
+    model: &CalibrationModel,
+    robot: &CalibratedRobot,
+    set: &MeasurementSet,
+) -> Result<Vec<Vector3<f64>>, PipelineError> {
+    Predictor::new(model, robot)
+        .errors(set)
+        .map_err(|source| PipelineError::Predict { mode: robot.mode, source })
 }
 
 /// Simulates, identifies and evaluates a scenario.

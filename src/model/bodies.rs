@@ -119,13 +119,6 @@ pub struct Beam {
     pub segments: Vec<BeamSegment>,
 }
 
-impl Beam {
-    /// kg, at the joint variable `q` of its link.
-    pub fn mass(&self, q: f64) -> f64 {
-        self.segments.iter().map(|segment| segment.section.mass_per_length * segment.length.at(q)).sum()
-    }
-}
-
 /// One uniform piece of a beam.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BeamSegment {
@@ -179,6 +172,12 @@ impl Section {
         bending: [f64::INFINITY; 2],
         mass_per_length: 0.0,
     };
+
+    /// Whether it yields in no direction.
+    pub fn is_rigid(&self) -> bool {
+        let all = [self.axial, self.torsion].into_iter().chain(self.shear).chain(self.bending);
+        all.into_iter().all(f64::is_infinite)
+    }
 }
 
 /// Statics of the elbow's four-bar. The crank's drive is the elbow's entry of [`StaticProperties::drive_stiffness`].

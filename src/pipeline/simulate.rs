@@ -24,6 +24,7 @@ pub fn simulate(
     trial: u32,
     mut progress: impl FnMut(u32, u32),
 ) -> Result<Simulation, PipelineError> {
+    let scenario = &*scenario.of_trial(seed, trial);
     let total = scenario.identification_poses + scenario.verification_poses;
     scenario.as_built.check_effects(SECONDS_PER_POSE * f64::from(total))?;
     let mut plant = Plant::new(&scenario.as_built, SettleOptions::default())?;

@@ -142,7 +142,7 @@ pub struct JsonRow {
 /// How an identification ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct JsonEstimate {
-    /// `ok`, `not_converged` or `rank_deficient`.
+    /// `ok`, `not_converged`, `rank_deficient` or `at_bound`.
     pub status: String,
     /// Why the solver stopped.
     pub termination: String,
@@ -161,6 +161,26 @@ pub struct JsonEstimate {
     pub residual_sigma_m: Option<f64>,
     /// What a user must know, in words.
     pub warnings: Vec<String>,
+    /// Parameters that the measurements alone cannot tell from others and that rest on their priors, in words; absent where none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub held: Vec<String>,
+    /// Parameters that were left out of the fit for the same reason, in words; absent where none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub fixed: Vec<String>,
+    /// Observations that a robust loss found far off the others; absent where none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub outliers: Vec<JsonOutlier>,
+}
+
+/// An observation far off the others.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonOutlier {
+    /// Number of its pose.
+    pub pose: u32,
+    /// Length of its residual in standard deviations of a coordinate.
+    pub size: Option<f64>,
+    /// What it still counts for, from 1 down to 0.
+    pub weight: Option<f64>,
 }
 
 /// A parameter of a mode, in the unit of `unit`.
@@ -168,7 +188,7 @@ pub struct JsonEstimate {
 pub struct JsonParameter {
     /// As in every file.
     pub name: String,
-    /// `m` or `rad`.
+    /// `m`, `rad` or `1`.
     pub unit: String,
     /// Key of the mode.
     pub mode: String,
@@ -178,6 +198,9 @@ pub struct JsonParameter {
     pub estimate: Option<f64>,
     /// Standard deviation; null from a singular system.
     pub sigma: Option<f64>,
+    /// Standard deviation of its own zero-mean prior; absent where it has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub prior_sigma: Option<f64>,
 }
 
 /// The document of a run.
@@ -217,6 +240,7 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
                     truth: truth_of(outcome, estimate, p.id),
                     estimate: finite(p.value),
                     sigma: p.sigma.and_then(finite),
+                    prior_sigma: p.prior_sigma,
                 })
             })
             .collect(),
@@ -286,10 +310,12 @@ fn json_row(row: &AccuracyRow) -> JsonRow {
 fn json_estimate(estimate: &Estimate) -> JsonEstimate {
     let status = if !estimate.termination.converged() {
         "not_converged"
-    } else if estimate.is_sound() {
+    } else if estimate.spectrum.rank < estimate.parameters.len() {
+        "rank_deficient"
+    } else if estimate.at_bound.is_empty() {
         "ok"
     } else {
-        "rank_deficient"
+        "at_bound"
     };
     let (chi2_per_dof, residual_sigma) = match estimate.noise {
         NoiseScale::Stated => (estimate.chi2_per_dof().and_then(finite), None),
@@ -305,6 +331,13 @@ fn json_estimate(estimate: &Estimate) -> JsonEstimate {
         condition: finite(estimate.spectrum.condition),
         residual_sigma_m: residual_sigma,
         warnings: estimate.warnings.iter().map(ToString::to_string).collect(),
+        held: estimate.held.iter().map(ToString::to_string).collect(),
+        fixed: estimate.fixed.iter().map(ToString::to_string).collect(),
+        outliers: estimate
+            .outliers
+            .iter()
+            .map(|o| JsonOutlier { pose: o.pose, size: finite(o.size), weight: finite(o.weight) })
+            .collect(),
     }
 }
 
