@@ -1,7 +1,7 @@
 //! What each part of the machine contributes to what the modes leave behind: the same poses and random numbers with one part removed at
 //! a time.
 
-use super::{Outcome, PipelineError, SetKind, calibrate, simulate};
+use super::{Outcome, PipelineError, PlantKind, SetKind, calibrate, simulate};
 use crate::evaluation::AccuracyRow;
 use crate::identification::Mode;
 use crate::model::{Bearing, LinkTerm, ParameterId, Section, StaticProperties};
@@ -83,7 +83,9 @@ impl Part {
             Self::Effect(_) => "the machine without this effect",
             Self::Linkage => "the four-bar has the lengths of the model",
             Self::Geometry => "link parameters that are not identified have the values of the model",
-            Self::Drives => "drives rigid in the machine, and nothing predicted for them",
+            Self::Drives => {
+                "drives rigid in the machine, so that friction leaves nothing, and nothing predicted for them"
+            }
             Self::Bearings => "bearings rigid in the machine, and nothing predicted for them",
             Self::Links => "links and rod rigid in the machine, and nothing predicted for them",
             Self::Statics => "stiffnesses and masses of the machine as in the model",
@@ -199,6 +201,7 @@ pub fn ablate(
     complete: &Outcome,
     mut progress: impl FnMut(usize, usize, Part),
 ) -> Ablation {
+    let scenario = &*scenario.of_trial(seed, 0);
     let identified: Vec<_> = complete
         .modes
         .iter()
@@ -224,7 +227,7 @@ pub fn ablate(
 }
 
 fn rows_of(scenario: &Scenario, seed: u64) -> Result<AblationRows, PipelineError> {
-    let simulation = simulate(scenario, seed, 0, |_, _| {})?;
+    let simulation = simulate(scenario, seed, 0, PlantKind::Rapier, |_, _| {})?;
     let model = &scenario.robot.model;
     let (_, modes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;
     Ok(modes.into_iter().map(|mode| mode.rows).collect())

@@ -2,7 +2,7 @@
 
 use calibrig::identification::{FrameChoice, IdentificationOptions, Mode, TargetChoice, Warning, identify};
 use calibrig::model::ParameterId;
-use calibrig::pipeline::simulate;
+use calibrig::pipeline::{PlantKind, simulate};
 use calibrig::plant::effects::{
     Ambient, Backlash, Effects, Encoder, GrowingPart, Growth, Harmonic, Harmonics, Rail, RailProfile, Ratio,
     Repeatability, Thermal,
@@ -11,10 +11,10 @@ use calibrig::scenario::Scenario;
 
 use crate::a_user_reproduces_the_paper::paper;
 
-/// The paper's robot with rigid drives: nothing in the machine that the model does not contain.
+/// The paper's robot without elasticity: nothing in the machine that the model does not contain.
 fn matched() -> Scenario {
     let mut scenario = paper();
-    scenario.as_built.statics.drive_stiffness.fill(f64::INFINITY);
+    scenario.as_built.statics.make_rigid();
     scenario.options.mode = Mode::OnlyCalibration;
     scenario.options.unmodelled_sigma = 0.0;
     scenario.verification_poses = 0;
@@ -40,7 +40,8 @@ fn exact_measurements_give_the_24_parameters() {
         target: TargetChoice::Fixed,
         ..scenario.options.clone()
     };
-    let simulation = simulate(&scenario, scenario.seed, 0, |_, _| {}).expect("a simulation");
+    let simulation =
+        simulate(&scenario, scenario.seed, 0, PlantKind::Rapier, |_, _| {}).expect("a simulation");
     let estimate =
         identify(&scenario.robot.model, &simulation.sets[0].measurements, &options).expect("an estimate");
     assert!(estimate.is_sound());
@@ -62,7 +63,8 @@ fn noise_gives_the_stated_chi_square_and_coverage() {
     let (mut chi2, mut dof) = (0.0, 0);
     let mut covered = [0_u32; 24];
     for trial in 0..trials {
-        let simulation = simulate(&scenario, 2024, trial, |_, _| {}).expect("a simulation");
+        let simulation =
+            simulate(&scenario, 2024, trial, PlantKind::Rapier, |_, _| {}).expect("a simulation");
         let estimate = identify(&scenario.robot.model, &simulation.sets[0].measurements, &scenario.options)
             .expect("an estimate");
         assert!(estimate.is_sound(), "trial {trial}: {:?}", estimate.warnings);
@@ -94,7 +96,8 @@ fn every_effect_that_the_model_lacks_fails_the_consistency_test() {
     let doubted = |effects: Effects| {
         let mut scenario = scenario.clone();
         scenario.as_built.effects = effects;
-        let simulation = simulate(&scenario, scenario.seed, 0, |_, _| {}).expect("a simulation");
+        let simulation =
+            simulate(&scenario, scenario.seed, 0, PlantKind::Rapier, |_, _| {}).expect("a simulation");
         let model = &scenario.robot.model;
         let measured = &simulation.sets[0].measurements;
         let estimate = identify(model, measured, &scenario.options).expect("an estimate");
