@@ -162,7 +162,9 @@ pub(super) fn verdict(outcome: &Outcome) -> Verdict {
                         names.join(", ")
                     ));
                 }
-                Warning::RankDeficient { .. } => say(&format!("doubtful: {title}: {warning}")),
+                Warning::RankDeficient { .. } | Warning::AtBound { .. } => {
+                    say(&format!("doubtful: {title}: {warning}"))
+                }
                 _ => {}
             }
         }

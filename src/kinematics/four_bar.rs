@@ -174,7 +174,7 @@ impl RigidFourBar<'_> {
         let turned = swing_to(&Transform::identity(), &crank, &anchor, self.linkage.rod, ideal)?;
         let psi = turned.angle - self.offset;
         let nearest = self.elbow(psi, q_shoulder)?.angle;
-        // The two closures are twice a transmission angle apart or more; rounding is far below.
+        // Away from the singularity the two closures are far apart, and rounding is far below this.
         if (nearest - q_elbow).abs() > 1e-6 {
             return Err(ClosureError::OtherClosure { q_elbow, nearest });
         }

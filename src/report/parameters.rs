@@ -4,7 +4,7 @@ use nalgebra::{Rotation3, Vector3, Vector6};
 
 use crate::geometry::small_displacement;
 use crate::identification::{Estimate, Mode};
-use crate::model::{ParameterId, Unit};
+use crate::model::{ActuatorMap, CalibrationModel, ParameterId, StaticProperties, Unit};
 use crate::pipeline::{Outcome, SetKind, Truth};
 
 /// Half-width of a 95 % interval in standard deviations of a normal distribution.
@@ -105,9 +105,34 @@ pub(super) fn truth_of(outcome: &Outcome, estimate: &Estimate, id: ParameterId) 
             let [stated] = set.measurements.targets.as_slice() else { return None };
             Some(truth.as_built.target.get(axis)? - stated.in_flange.get(axis)?)
         }
-        _ => None,
+        ParameterId::Compliance(_) | ParameterId::Mass { .. } | ParameterId::Linkage(_) => {
+            let stated = &outcome.model;
+            deviation(&truth.as_built.actuators, &truth.as_built.statics, stated, id)
+        }
+        // A term's amplitude has no single counterpart: what a machine really does is of no such shape.
+        ParameterId::Term(_) | ParameterId::Frame { .. } | ParameterId::Target { .. } => None,
     };
     value.filter(|v| v.is_finite())
+}
+
+/// What really differs from the stated robot beside its links: relative for compliances and masses, m for lengths.
+fn deviation(
+    actuators: &ActuatorMap,
+    statics: &StaticProperties,
+    stated: &CalibrationModel,
+    id: ParameterId,
+) -> Option<f64> {
+    match id {
+        ParameterId::Linkage(length) => Some(actuators.length(length)? - stated.actuators.length(length)?),
+        ParameterId::Mass { link } => {
+            Some(statics.bodies.get(link)?.mass / stated.statics.as_ref()?.bodies.get(link)?.mass - 1.0)
+        }
+        ParameterId::Compliance(compliance) => {
+            let stated = stated.statics.as_ref()?.stiffness(compliance)?;
+            Some(stated / statics.stiffness(compliance)? - 1.0)
+        }
+        _ => None,
+    }
 }
 
 fn link_truth(outcome: &Outcome, truth: &Truth, id: ParameterId) -> Option<f64> {

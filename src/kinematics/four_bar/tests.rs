@@ -275,6 +275,15 @@ fn a_rod_that_does_not_reach_is_refused_with_the_gap() {
 }
 
 #[test]
+fn joints_that_no_command_sets_are_refused() {
+    let mut machine = Machine::exact(0.0, 0.0, 0.0);
+    (machine.linkage.crank.length, machine.linkage.lever.length) = (0.5, 0.3);
+    let refused = machine.command(&[0.0, -3.1]).unwrap_err();
+    let ClosureError::OtherClosure { q_elbow, nearest } = refused else { panic!("{refused:?}") };
+    assert!(q_elbow == -3.1 && (nearest + 2.634).abs() < 1e-3, "{nearest}");
+}
+
+#[test]
 fn an_arm_or_rod_that_is_none_is_refused() {
     let mut machine = Machine::exact(0.0, 0.0, 0.0);
     machine.linkage.lever = LinkageArm { length: 0.0, angle: 0.0, along: 0.1 };
