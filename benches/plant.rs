@@ -13,6 +13,7 @@ use std::hint::black_box;
 
 use calibrig::geometry::Transform;
 use calibrig::model::{ActuatorMap, Body, CraigLink, JointKind, KinematicModel, LinkTerm, StaticProperties};
+use calibrig::plant::effects::Effects;
 use calibrig::plant::{AsBuilt, Plant, SettleOptions};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use rand::SeedableRng;

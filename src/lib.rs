@@ -70,4 +70,5 @@ pub mod recording;
 pub mod replay;
 pub mod report;
 pub mod scenario;
+pub mod statistics;
 pub mod tracker;

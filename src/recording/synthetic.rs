@@ -20,6 +20,7 @@ use crate::model::{
     StaticProperties, Visual, VisualShape,
 };
 use crate::pipeline::{InputSummary, ModeOutcome, Outcome, RegistrationSummary, SetKind, SetOutcome, Truth};
+use crate::plant::effects::Effects;
 use crate::plant::{AsBuilt, SettledPose};
 
 const IN_FLANGE: [f64; 3] = [0.10, 0.15, 0.20];
@@ -70,9 +71,11 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
             actuators: ActuatorMap::Direct,
             statics,
             target: IN_FLANGE.into(),
+            effects: Effects::default(),
         },
         tracker_from_base,
         poses: settled,
+        effects: Vec::new(),
     };
     Outcome {
         input: InputSummary {

@@ -22,6 +22,7 @@ use crate::model::{
 };
 use crate::pipeline::{InputSummary, ModeOutcome, Outcome, RegistrationSummary, SetKind, SetOutcome, Truth};
 use crate::plant::AsBuilt;
+use crate::plant::effects::Effects;
 use crate::random::{Source, stream};
 
 /// Displacement of the base from where the nests place it, m and rad.
@@ -134,9 +135,11 @@ pub(super) fn simulated() -> Outcome {
                 actuators: ActuatorMap::Direct,
                 statics: statics(),
                 target,
+                effects: Effects::default(),
             },
             tracker_from_base,
             poses: Vec::new(),
+            effects: Vec::new(),
         }),
         published: PUBLISHED.to_vec(),
     }

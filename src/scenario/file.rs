@@ -6,6 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
 
 use super::Scenario;
+use super::effects::{EffectsFile, effects};
 use crate::experiment::WorkingRegion;
 use crate::identification::{
     FrameChoice, IdentificationOptions, Mode, ParameterChoice, SolverOptions, TargetChoice,
@@ -27,6 +28,8 @@ struct ScenarioFile {
     robot: Spanned<String>,
     #[serde(default)]
     as_built: AsBuiltFile,
+    #[serde(default)]
+    effects: EffectsFile,
     poses: PosesFile,
     tracker: TrackerFile,
     #[serde(default)]
@@ -286,7 +289,11 @@ fn pose_count(source: &Source, key: &str, count: &Spanned<u32>, least: u32) -> R
     Err(source.error(count.span(), format!("{key} is {number}"), help))
 }
 
-fn joint_index(source: &Source, name: &Spanned<String>, model: &KinematicModel) -> Result<usize, InputError> {
+pub(super) fn joint_index(
+    source: &Source,
+    name: &Spanned<String>,
+    model: &KinematicModel,
+) -> Result<usize, InputError> {
     model.links.iter().position(|l| &l.name == name.get_ref()).ok_or_else(|| {
         let known: Vec<_> = model.links.iter().map(|l| l.name.as_str()).collect();
         source.error(
@@ -297,7 +304,7 @@ fn joint_index(source: &Source, name: &Spanned<String>, model: &KinematicModel) 
     })
 }
 
-fn refuse_twice(
+pub(super) fn refuse_twice(
     source: &Source,
     seen: &mut [bool],
     index: usize,
@@ -357,7 +364,8 @@ fn as_built(source: &Source, file: &ScenarioFile, robot: &Robot) -> Result<AsBui
     if file.as_built.drives == Drives::Rigid {
         statics.drive_stiffness.fill(f64::INFINITY);
     }
-    Ok(AsBuilt { kinematics, actuators: robot.model.actuators, statics, target })
+    let effects = effects(source, &file.effects, robot)?;
+    Ok(AsBuilt { kinematics, actuators: robot.model.actuators, statics, target, effects })
 }
 
 fn region(source: &Source, poses: &PosesFile, model: &KinematicModel) -> Result<WorkingRegion, InputError> {

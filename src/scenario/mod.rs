@@ -1,5 +1,6 @@
 //! What is simulated and how it is identified: the scenario file and its validated, SI form.
 
+mod effects;
 mod file;
 
 pub use file::{load_scenario, parse_scenario};

@@ -27,7 +27,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         ],
     ),
     ("elastostatics", &["geometry", "kinematics", "model"]),
-    ("evaluation", &[]),
+    ("evaluation", &["statistics"]),
     ("experiment", &[]),
     ("geometry", &[]),
     ("identification", &["elastostatics", "geometry", "kinematics", "measurement", "model"]),
@@ -70,6 +70,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("replay", &["identification", "input", "model", "pipeline", "recording", "scenario"]),
     ("report", &["evaluation", "geometry", "identification", "model", "pipeline"]),
     ("scenario", &["experiment", "identification", "input", "measurement", "model", "plant", "tracker"]),
+    ("statistics", &[]),
     ("tracker", &["geometry", "measurement"]),
 ];
 

@@ -4,7 +4,8 @@ use nalgebra::{Matrix3, Vector3};
 use rand::RngExt;
 
 use super::{
-    ActuatorMap, AsBuilt, Body, CraigLink, JointKind, KinematicModel, LinkTerm, StaticProperties, Transform,
+    ActuatorMap, AsBuilt, Body, CraigLink, Effects, JointKind, KinematicModel, LinkTerm, StaticProperties,
+    Transform,
 };
 
 const CENTRE: [f64; 7] = [2.0, 0.19, -1.71, 0.12, 2.0, -0.16, -0.77];
@@ -64,6 +65,7 @@ pub(super) fn spray_robot() -> AsBuilt {
             Vector3::new(0.0, -9.80665, 0.0),
         ),
         target: Vector3::new(0.10, 0.15, 0.20),
+        effects: Effects::default(),
     }
 }
 
