@@ -14,8 +14,8 @@ use super::screw::{Loads, Screw};
 use super::{Deflection, ElasticChain, ElasticError, MOST_ITERATIONS};
 use crate::model::{ActuatorMap, Compliance, LinkTerm, LinkageLength, ParameterId, TermPlace};
 
-/// Change of a sweep, relative to the largest entry, below which the adjoint has converged.
-const ADJOINT_CONVERGED: f64 = 1e-12;
+/// Change of a sweep, relative to the largest entry, below which the adjoint has converged: what is left is a hundredth of it.
+const ADJOINT_CONVERGED: f64 = 1e-10;
 
 /// Sums along the chain inboard of a slot.
 #[derive(Debug, Clone, Copy)]

@@ -24,7 +24,7 @@ use nalgebra::Vector3;
 use thiserror::Error;
 
 use self::adjoint::Adjoint;
-use self::parts::{FixedPart, Loop, Part, Slot, Structure, body_of, segment_compliance};
+use self::parts::{FixedPart, Loop, Part, Slot, Structure, body_of};
 use self::place::{LoopPlace, TermsPlace};
 use self::screw::{Lump, Screw};
 use crate::geometry::Transform;
