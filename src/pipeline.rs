@@ -1,10 +1,14 @@
 //! The short story of a run: simulate, identify, evaluate.
 
 mod ablation;
+mod machine;
 mod simulate;
+mod truth;
 
 pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
+pub use machine::PlantKind;
 pub use simulate::simulate;
+pub use truth::KnownTruth;
 
 use std::fmt::Write;
 
@@ -133,6 +137,9 @@ pub enum PipelineError {
     /// The machine's effects are none that a machine has.
     #[error("the machine's effects: {0}")]
     Effects(#[from] EffectError),
+    /// The analytic machine does not come to rest.
+    #[error("the analytic plant: {0}")]
+    Analytic(#[from] crate::elastostatics::ElasticError),
     /// A nest is out of the tracker's reach.
     #[error("base nest {nest}: {source}")]
     Nest {
@@ -220,7 +227,7 @@ fn errors(
 
 /// Simulates, identifies and evaluates a scenario.
 pub fn run(scenario: &Scenario, seed: u64, progress: impl FnMut(u32, u32)) -> Result<Outcome, PipelineError> {
-    let simulation = simulate(scenario, seed, 0, progress)?;
+    let simulation = simulate(scenario, seed, 0, PlantKind::Rapier, progress)?;
     let model = &scenario.robot.model;
     let (registration, modes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;
     Ok(Outcome {

@@ -1,7 +1,7 @@
 //! What each part of the machine contributes to what the modes leave behind: the same poses and random numbers with one part removed at
 //! a time.
 
-use super::{Outcome, PipelineError, SetKind, calibrate, simulate};
+use super::{Outcome, PipelineError, PlantKind, SetKind, calibrate, simulate};
 use crate::evaluation::AccuracyRow;
 use crate::identification::Mode;
 use crate::model::{Bearing, LinkTerm, ParameterId, Section, StaticProperties};
@@ -224,7 +224,7 @@ pub fn ablate(
 }
 
 fn rows_of(scenario: &Scenario, seed: u64) -> Result<AblationRows, PipelineError> {
-    let simulation = simulate(scenario, seed, 0, |_, _| {})?;
+    let simulation = simulate(scenario, seed, 0, PlantKind::Rapier, |_, _| {})?;
     let model = &scenario.robot.model;
     let (_, modes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;
     Ok(modes.into_iter().map(|mode| mode.rows).collect())

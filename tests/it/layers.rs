@@ -68,7 +68,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         ],
     ),
     ("replay", &["identification", "input", "model", "pipeline", "recording", "scenario"]),
-    ("report", &["evaluation", "geometry", "identification", "model", "pipeline"]),
+    ("report", &["evaluation", "identification", "measurement", "model", "pipeline"]),
     (
         "scenario",
         &["experiment", "identification", "input", "measurement", "model", "plant", "random", "tracker"],
