@@ -307,6 +307,14 @@ impl ElasticChain {
         }
     }
 
+    /// The slot of an actuator's drive.
+    fn driven(&self, joint: usize) -> usize {
+        match &self.four_bar {
+            Some(four_bar) if four_bar.elbow == joint => four_bar.crank,
+            _ => self.parts[joint].drive,
+        }
+    }
+
     /// Deflection of a joint's drive, m or rad; with a four-bar, the elbow's drive is the crank's.
     pub fn drive_deflection(&self, joint: usize) -> f64 {
         self.u[self.driven(joint)]

@@ -187,16 +187,12 @@ impl Part {
         screws: &mut [Screw],
         lumps: &mut [Lump],
     ) {
-        for component in 0..6 {
-            terms.frame[component] =
-                Screw { about: component >= 3, axis: walk.axes[component % 3], origin: walk.origin };
-            if self.correction[component] != 0.0 {
-                walk.step(component, self.correction[component]);
-            }
+        for (component, (screw, by)) in terms.frame.iter_mut().zip(self.correction).enumerate() {
+            *screw = if by == 0.0 { walk.screw(component) } else { walk.step(component, by) };
         }
         // Rotations are about the place behind all translations.
-        for component in 3..6 {
-            terms.frame[component].origin = walk.origin;
+        for screw in &mut terms.frame[3..] {
+            screw.origin = walk.origin;
         }
         if self.side == BearingSide::Moving {
             through(walk, &self.bearing, &self.bearing_point(), u, screws);
