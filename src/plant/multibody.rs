@@ -10,6 +10,7 @@ use super::tree::{Role, Tree};
 use super::validation::{check_at_command, check_command, check_displacements, check_options, check_robot};
 use super::{AsBuilt, ElasticDeflection, PlantError, SettledPose};
 use crate::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
+use crate::model::{BeamSegment, SegmentLength};
 
 /// Newton steps that look for a start; a few of the size of the deflections bring it to the last digits.
 const PREDICTIONS: u32 = 8;
@@ -87,7 +88,7 @@ impl Plant {
         check_robot(robot)?;
         let joints = robot.kinematics.joint_count();
         let target_in_last = robot.kinematics.last_from_flange * Point3::from(robot.target);
-        let tree = Tree::new(robot, &vec![0.0; joints]);
+        let tree = Tree::new(robot, &extended(robot));
         let chain = Chain::new(&tree, &robot.statics.gravity, options.dt);
         let coordinates = chain.coordinate_count();
         Ok(Self {
@@ -332,6 +333,18 @@ impl Plant {
         let rod = closure.lever - self.crank_end();
         Some(-closure.reaction.dot(&rod) / rod.norm())
     }
+}
+
+/// Joint variables at which every telescope is out of its housing, to build the tree before the first command.
+fn extended(robot: &AsBuilt) -> Vec<f64> {
+    let housed = |segment: &BeamSegment| match segment.length {
+        SegmentLength::Constant(_) => 0.0,
+        SegmentLength::Extension(housed) => housed,
+    };
+    let beams = robot.statics.beams.iter();
+    beams
+        .map(|beam| beam.iter().flat_map(|beam| &beam.segments).map(housed).fold(0.0, f64::max) + 1.0)
+        .collect()
 }
 
 fn shift(by: &[f64; 6]) -> Transform {

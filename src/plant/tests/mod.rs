@@ -19,7 +19,7 @@ use crate::model::{
     StaticProperties,
 };
 use equilibrium::Equilibrium;
-use spray_robot::{add_errors, full_robot, spray_robot, working_command, working_pose};
+use spray_robot::{add_errors, full_robot, spray_robot, working_pose};
 
 fn plant(robot: &AsBuilt) -> Plant {
     Plant::new(robot, SettleOptions::default()).expect("a sound robot")
@@ -215,7 +215,7 @@ fn a_pose_depends_on_no_bit_of_the_poses_before() {
 fn a_chain_is_put_exactly_at_the_coordinates_wherever_it_was() {
     let mut rng = ChaCha8Rng::seed_from_u64(9);
     let robot = full_robot();
-    let tree = Tree::new(&robot, &[0.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0]);
+    let tree = Tree::new(&robot, &[2.0; 7]);
     let mut chain = Chain::new(&tree, &robot.statics.gravity, 1.0);
     for _ in 0..20 {
         let mut coordinates = vec![0.0; chain.coordinate_count()];

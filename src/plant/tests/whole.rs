@@ -43,6 +43,9 @@ fn random_full_robot(rng: &mut ChaCha8Rng) -> AsBuilt {
         piece.section.bending[0] *= rng.random_range(0.7..1.3);
         piece.section.shear[1] *= if rng.random() { f64::INFINITY } else { 1.3 };
         beam.segments[0] = piece;
+        if let SegmentLength::Extension(housed) = &mut beam.segments[0].length {
+            *housed = if rng.random() { 0.0 } else { 1.2 };
+        }
         for _ in 0..rng.random_range(0..3) {
             let length = SegmentLength::Constant(rng.random_range(0.1..0.4));
             let mut section = piece.section;
