@@ -18,6 +18,7 @@ use calibrig::model::{
     KinematicModel, LinkTerm, LinkageArm, LinkageStatics, PointLoad, Section, SegmentLength,
     StaticProperties,
 };
+use calibrig::plant::effects::Effects;
 use calibrig::plant::{AsBuilt, Plant, SettleOptions};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use rand::SeedableRng;

@@ -1,23 +1,32 @@
 //! The short story of a run: simulate, identify, evaluate.
 
+mod ablation;
+mod machine;
+mod simulate;
+mod truth;
+
+pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
+pub use machine::PlantKind;
+pub use simulate::simulate;
+pub use truth::KnownTruth;
+
 use std::fmt::Write;
 
-use nalgebra::{Matrix3, Vector3};
-use rand::Rng;
-use rand_distr::{Distribution, StandardNormal};
+use nalgebra::Vector3;
 use sha2::{Digest, Sha256};
 use thiserror::Error;
 
 use crate::evaluation::{AccuracyRow, accuracy};
 use crate::identification::{
-    CalibratedRobot, Estimate, IdentificationOptions, IdentifyError, Mode, identify, without_calibration,
+    CalibratedRobot, Estimate, IdentificationOptions, IdentifyError, Mode, PredictionError, Predictor,
+    identify, without_calibration,
 };
 use crate::input::Source;
+use crate::measurement::MeasurementSet;
 pub use crate::measurement::SetKind;
-use crate::measurement::{MeasurementSet, NestObservation, Observation, Reading, Station, Target};
 use crate::model::{CalibrationModel, Visual};
-use crate::plant::{AsBuilt, Plant, PlantError, SettleOptions, SettledPose};
-use crate::random;
+use crate::plant::effects::{EffectError, PoseEffects};
+use crate::plant::{AsBuilt, PlantError, SettledPose};
 use crate::scenario::Scenario;
 use crate::tracker::TrackerError;
 
@@ -80,6 +89,8 @@ pub struct Truth {
     pub tracker_from_base: crate::geometry::Transform,
     /// The settled poses, one vector a set, one entry an observation.
     pub poses: Vec<Vec<SettledPose>>,
+    /// What the machine's effects made of every pose, in the order of `poses`.
+    pub effects: Vec<Vec<PoseEffects>>,
 }
 
 /// Everything that a run leaves behind.
@@ -103,6 +114,8 @@ pub struct Outcome {
     pub truth: Option<Truth>,
     /// Published figures to print beside, metres: (set, mode, [max x, mean x, max y, mean y, max z, mean z]).
     pub published: Vec<(SetKind, Mode, [f64; 6])>,
+    /// What each part of the simulated machine contributes, where that was asked for.
+    pub ablation: Option<Ablation>,
 }
 
 /// A simulated session: what the tracker saw, and the truth beside it.
@@ -121,6 +134,12 @@ pub enum PipelineError {
     /// The plant cannot be built, or a pose does not come to rest.
     #[error("the plant: {0}")]
     Plant(#[from] PlantError),
+    /// The machine's effects are none that a machine has.
+    #[error("the machine's effects: {0}")]
+    Effects(#[from] EffectError),
+    /// The analytic machine does not come to rest.
+    #[error("the analytic plant: {0}")]
+    Analytic(#[from] crate::elastostatics::ElasticError),
     /// A nest is out of the tracker's reach.
     #[error("base nest {nest}: {source}")]
     Nest {
@@ -128,6 +147,14 @@ pub enum PipelineError {
         nest: String,
         /// Why.
         source: TrackerError,
+    },
+    /// An identified robot cannot take a measured pose.
+    #[error("{}: {source}", mode.title())]
+    Predict {
+        /// The mode.
+        mode: Mode,
+        /// Why.
+        source: PredictionError,
     },
     /// A mode cannot be identified.
     #[error("{}: {source}", mode.title())]
@@ -137,143 +164,6 @@ pub enum PipelineError {
         /// Why.
         source: IdentifyError,
     },
-}
-
-/// Time from one pose to the next, s: motion, settling and about 1 s of averaging.
-const SECONDS_PER_POSE: f64 = 10.0;
-
-/// Simulates the session of `scenario`: a pure function of (scenario, seed, trial).
-///
-/// `progress` is told the number of poses done and of all poses.
-pub fn simulate(
-    scenario: &Scenario,
-    seed: u64,
-    trial: u32,
-    mut progress: impl FnMut(u32, u32),
-) -> Result<Simulation, PipelineError> {
-    let mut plant = Plant::new(&scenario.as_built, SettleOptions::default())?;
-    let station = measure_nests(scenario, seed, trial)?;
-    let target = measure_target(scenario, seed, trial);
-    let total = scenario.identification_poses + scenario.verification_poses;
-    let mut done = 0;
-    let mut sets = Vec::new();
-    let mut poses = Vec::new();
-    for (kind, count, pose_source, noise_source) in [
-        (
-            SetKind::Identification,
-            scenario.identification_poses,
-            random::Source::IdentificationPoses,
-            random::Source::IdentificationNoise,
-        ),
-        (
-            SetKind::Verification,
-            scenario.verification_poses,
-            random::Source::VerificationPoses,
-            random::Source::VerificationNoise,
-        ),
-    ] {
-        if count == 0 {
-            continue;
-        }
-        let mut pose_stream = random::stream(seed, trial, pose_source);
-        let mut noise = random::stream(seed, trial, noise_source);
-        let mut settled_poses = Vec::new();
-        let mut set = SetOutcome {
-            kind,
-            measurements: MeasurementSet {
-                stations: vec![station.clone()],
-                targets: vec![target.clone()],
-                observations: Vec::new(),
-            },
-            dropped: Vec::new(),
-        };
-        let mut previous: Option<Vec<f64>> = None;
-        for pose in 0..count {
-            let joints = scenario.region.draw(&mut pose_stream);
-            let command = scenario.robot.model.actuators.command_from_joints(&joints);
-            let settled = plant.settle(&command)?;
-            let approach = approach(previous.as_deref(), &command);
-            previous = Some(command.clone());
-            match scenario.tracker.measure(&settled.target, &mut noise) {
-                Ok(reading) => {
-                    set.measurements.observations.push(Observation {
-                        pose,
-                        command,
-                        approach,
-                        temperature: None,
-                        time: SECONDS_PER_POSE * f64::from(done),
-                        station: 0,
-                        target: 0,
-                        reading: Reading::Spherical(reading),
-                    });
-                    settled_poses.push(settled);
-                }
-                Err(error) => set.dropped.push((pose, error.to_string())),
-            }
-            done += 1;
-            progress(done, total);
-        }
-        sets.push(set);
-        poses.push(settled_poses);
-    }
-    let truth = Truth {
-        as_built: scenario.as_built.clone(),
-        tracker_from_base: scenario.tracker.tracker_from_base,
-        poses,
-    };
-    Ok(Simulation { sets, truth })
-}
-
-/// The sign of each actuator's last motion; unknown (0) before the first pose.
-fn approach(previous: Option<&[f64]>, command: &[f64]) -> Vec<i8> {
-    let sign = |(now, before): (&f64, &f64)| match now.total_cmp(before) {
-        std::cmp::Ordering::Less => -1,
-        std::cmp::Ordering::Equal => 0,
-        std::cmp::Ordering::Greater => 1,
-    };
-    match previous {
-        Some(previous) => command.iter().zip(previous).map(sign).collect(),
-        None => vec![0; command.len()],
-    }
-}
-
-/// A vector of independent normal errors, or zero where the noise is off.
-fn error_vector(scenario: &Scenario, sigma: f64, rng: &mut impl Rng) -> Vector3<f64> {
-    let drawn = Vector3::from_fn(|_, _| -> f64 { StandardNormal.sample(rng) });
-    if scenario.tracker.instrument.noise { sigma * drawn } else { Vector3::zeros() }
-}
-
-fn measure_nests(scenario: &Scenario, seed: u64, trial: u32) -> Result<Station, PipelineError> {
-    let mut rng = random::stream(seed, trial, random::Source::NestNoise);
-    let sigma = scenario.nest_sigma;
-    let nests = scenario
-        .nests
-        .iter()
-        .map(|(name, place)| {
-            let certified = place + error_vector(scenario, sigma, &mut rng);
-            let reading = scenario
-                .tracker
-                .measure(place, &mut rng)
-                .map_err(|source| PipelineError::Nest { nest: name.clone(), source })?;
-            Ok(NestObservation {
-                name: name.clone(),
-                in_base: certified,
-                in_base_covariance: Matrix3::identity() * sigma * sigma,
-                reading: Reading::Spherical(reading),
-            })
-        })
-        .collect::<Result<_, PipelineError>>()?;
-    Ok(Station { name: "1".to_owned(), nests })
-}
-
-fn measure_target(scenario: &Scenario, seed: u64, trial: u32) -> Target {
-    let mut rng = random::stream(seed, trial, random::Source::TargetOffset);
-    let sigma = scenario.target_covariance[(0, 0)].sqrt();
-    Target {
-        name: "SMR".to_owned(),
-        in_flange: scenario.as_built.target + error_vector(scenario, sigma, &mut rng),
-        covariance: Some(scenario.target_covariance),
-    }
 }
 
 /// Identifies in every mode and evaluates on every set. The first set is the one that is fitted.
@@ -289,7 +179,7 @@ pub fn calibrate(
     let fitted = sets.first().map_or(&empty, |set| &set.measurements);
     let registered = without_calibration(model, fitted)
         .map_err(|source| PipelineError::Identify { mode: Mode::WithoutCalibration, source })?;
-    let rms = accuracy(&errors(model, &registered, fitted)).map_or(0.0, |row| row.rms_3d);
+    let rms = accuracy(&errors(model, &registered, fitted)?).map_or(0.0, |row| row.rms_3d);
     let registration = RegistrationSummary {
         how: if fitted.targets.iter().any(|t| t.covariance.is_none()) {
             "best fit of the nominal robot to the identification set, tracker frame and target offset free"
@@ -305,7 +195,7 @@ pub fn calibrate(
         .map(|&mode| {
             let estimate = match mode {
                 Mode::WithoutCalibration => None,
-                Mode::OnlyCalibration | Mode::WithGravity => {
+                _ => {
                     let options = IdentificationOptions { mode, ..options.clone() };
                     Some(
                         identify(model, fitted, &options)
@@ -314,7 +204,10 @@ pub fn calibrate(
                 }
             };
             let robot = estimate.as_ref().map_or_else(|| registered.clone(), |e| e.robot.clone());
-            let errors: Vec<_> = sets.iter().map(|set| errors(model, &robot, &set.measurements)).collect();
+            let errors: Vec<_> = sets
+                .iter()
+                .map(|set| errors(model, &robot, &set.measurements))
+                .collect::<Result<_, PipelineError>>()?;
             let rows = errors.iter().map(|e| accuracy(e)).collect();
             Ok(ModeOutcome { mode, robot, estimate, errors, rows })
         })
@@ -322,13 +215,19 @@ pub fn calibrate(
     Ok((registration, outcomes))
 }
 
-fn errors(model: &CalibrationModel, robot: &CalibratedRobot, set: &MeasurementSet) -> Vec<Vector3<f64>> {
-    set.observations.iter().map(|o| robot.error_in_base(model, o)).collect()
+fn errors(
+    model: &CalibrationModel,
+    robot: &CalibratedRobot,
+    set: &MeasurementSet,
+) -> Result<Vec<Vector3<f64>>, PipelineError> {
+    Predictor::new(model, robot)
+        .errors(set)
+        .map_err(|source| PipelineError::Predict { mode: robot.mode, source })
 }
 
 /// Simulates, identifies and evaluates a scenario.
 pub fn run(scenario: &Scenario, seed: u64, progress: impl FnMut(u32, u32)) -> Result<Outcome, PipelineError> {
-    let simulation = simulate(scenario, seed, 0, progress)?;
+    let simulation = simulate(scenario, seed, 0, PlantKind::Rapier, progress)?;
     let model = &scenario.robot.model;
     let (registration, modes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;
     Ok(Outcome {
@@ -346,6 +245,7 @@ pub fn run(scenario: &Scenario, seed: u64, progress: impl FnMut(u32, u32)) -> Re
         modes,
         truth: Some(simulation.truth),
         published: scenario.published.clone(),
+        ablation: None,
     })
 }
 

@@ -21,12 +21,22 @@ pub enum Source {
     TargetOffset = 6,
     /// The as-built robot, where it is drawn.
     AsBuilt = 7,
+    /// What differs when the machine approaches a pose again; its place in the stream is the pose's.
+    Repeatability = 8,
 }
 
 /// The stream of `(seed, trial, source)`. `ChaCha8` with the seed as key and (trial, source) as stream number.
 pub fn stream(seed: u64, trial: u32, source: Source) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream((u64::from(trial) << 16) | source as u64);
+    rng
+}
+
+/// The stream at the place of entry `index`, such as a pose: what is drawn there does not depend on what was drawn before. An entry has 2^20
+/// words.
+pub fn stream_at(seed: u64, trial: u32, source: Source, index: u64) -> ChaCha8Rng {
+    let mut rng = stream(seed, trial, source);
+    rng.set_word_pos(u128::from(index) << 20);
     rng
 }
 
@@ -43,5 +53,13 @@ mod tests {
         assert_ne!(reference, first(2, 0, Source::NestNoise));
         assert_ne!(reference, first(1, 1, Source::NestNoise));
         assert_ne!(reference, first(1, 0, Source::TargetOffset));
+    }
+
+    #[test]
+    fn entries_of_a_stream_are_places_in_it() {
+        let at = |index| stream_at(1, 0, Source::Repeatability, index).random::<u64>();
+        assert_eq!(at(0), stream(1, 0, Source::Repeatability).random::<u64>());
+        assert_eq!(at(5), at(5));
+        assert_ne!(at(5), at(6));
     }
 }

@@ -1,4 +1,15 @@
-//! How far gravity bends the robot. In its first form: the drives' springs, to first order.
+//! How far loads bend the robot, and how the target moves with what is known of its springs and masses.
+
+mod apply;
+mod beam;
+mod chain;
+
+pub use apply::apply;
+pub use beam::{
+    CondensedFrame, EndCompliance, EndStiffness, Frame, FrameError, FrameSolution, Lump, SegmentGroup,
+    end_compliance, end_stiffness, segment_groups,
+};
+pub use chain::{Deflection, ElasticChain, ElasticError, Settled};
 
 use nalgebra::Vector3;
 

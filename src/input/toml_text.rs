@@ -94,8 +94,24 @@ impl Mistake<'_> {
 const WRONG_VALUE: [&str; 4] = ["invalid type", "invalid value", "invalid length", "unknown variant"];
 
 /// What keys of quantities end with.
-const UNITS: [&str; 11] =
-    ["m", "mm", "um", "um_per_m", "rad", "deg", "arcsec", "n_per_m", "nm_per_rad", "m_per_s2", "s"];
+const UNITS: [&str; 16] = [
+    "m",
+    "mm",
+    "um",
+    "um_per_m",
+    "rad",
+    "mrad",
+    "deg",
+    "arcsec",
+    "n",
+    "kg",
+    "kg_per_m3",
+    "gpa",
+    "n_per_m",
+    "nm_per_rad",
+    "m_per_s2",
+    "s",
+];
 
 /// What serde calls types, in the words of a TOML file.
 fn in_words(expected: &str) -> String {

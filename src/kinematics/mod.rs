@@ -1,4 +1,12 @@
-//! Forward kinematics and the analytic identification Jacobian of any open chain of revolute and prismatic joints.
+//! Forward kinematics and the analytic identification Jacobian of any open chain of revolute and prismatic joints, and the closed four-bar
+//! that may drive its elbow.
+
+mod four_bar;
+
+pub use four_bar::{
+    Closure, ClosureError, ElbowClosure, LEAST_TRANSMISSION_ANGLE, command_from_joints, elbow_closure,
+    joints_from_command, swing_to,
+};
 
 use nalgebra::{DMatrix, Matrix3, Matrix3xX, Rotation3, Vector3};
 

@@ -1,18 +1,25 @@
 //! What is known of a robot: its kinematics, its bodies, its drives, and the names of the parameters that calibration may change.
 
 mod actuators;
+mod beam;
 mod bodies;
+mod closure;
+mod compliances;
 mod file;
 mod parameter;
+mod section;
 mod terms;
 mod urdf;
 mod urdf_text;
 
 pub use actuators::{ActuatorMap, FourBar, LinkageArm};
+pub use beam::BeamError;
 pub use bodies::{
     Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, LinkageStatics, PointLoad, RIGID, Section,
     SegmentLength, SixStiffness, StaticProperties, Visual, VisualShape,
 };
+pub use closure::{LEAST_TRANSMISSION_DEG, LinkageFault, linkage_fault};
+pub(crate) use file::{LoadTable, read_loads};
 pub use file::{Robot, load_robot, parse_robot};
 pub use parameter::{Compliance, LinkTerm, LinkageLength, ParameterId, Unit};
 pub use terms::{FAMILIES, TermFamily, TermId, TermInput, TermPlace};

@@ -1,6 +1,9 @@
 //! The machine as built: the truth, and its rapier multibody. Only the pipeline, the evaluation and the recorder may look.
 
 mod chain;
+mod deviations;
+mod distribution;
+pub mod effects;
 mod error;
 mod linkage;
 mod multibody;
@@ -11,9 +14,11 @@ mod validation;
 #[cfg(test)]
 mod tests;
 
+pub use distribution::{AsBuiltDistribution, Spread};
 pub use error::PlantError;
 pub use multibody::{Plant, SettleOptions};
 
+use effects::Effects;
 use nalgebra::Vector3;
 
 use crate::geometry::Transform;
@@ -30,6 +35,8 @@ pub struct AsBuilt {
     pub statics: StaticProperties,
     /// Real offset of the target in the flange frame, m.
     pub target: Vector3<f64>,
+    /// What it does beside its geometry and its elasticity.
+    pub effects: Effects,
 }
 
 /// A pose at rest.

@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::evaluation::accuracy;
 use crate::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
 use crate::identification::{
-    CalibratedRobot, Estimate, IterationRecord, Mode, NoiseScale, ParameterEstimate, Spectrum,
+    CalibratedRobot, Estimate, IterationRecord, Mode, NoiseScale, ParameterEstimate, Predictor, Spectrum,
     TerminationReason, Warning,
 };
 use crate::input::Source;
@@ -20,6 +20,7 @@ use crate::model::{
     StaticProperties, Visual, VisualShape,
 };
 use crate::pipeline::{InputSummary, ModeOutcome, Outcome, RegistrationSummary, SetKind, SetOutcome, Truth};
+use crate::plant::effects::Effects;
 use crate::plant::{AsBuilt, SettledPose};
 
 const IN_FLANGE: [f64; 3] = [0.10, 0.15, 0.20];
@@ -70,9 +71,11 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
             actuators: ActuatorMap::Direct,
             statics,
             target: IN_FLANGE.into(),
+            effects: Effects::default(),
         },
         tracker_from_base,
         poses: settled,
+        effects: Vec::new(),
     };
     Outcome {
         input: InputSummary {
@@ -104,6 +107,7 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
             ),
             (SetKind::Identification, Mode::WithGravity, [0.0017, 0.0007, 0.0015, 0.0004, 0.0023, 0.0007]),
         ],
+        ablation: None,
     }
 }
 
@@ -235,13 +239,14 @@ fn mode_outcome(
 ) -> ModeOutcome {
     let robot = CalibratedRobot {
         mode,
-        kinematics: with_errors(&model.kinematics, share),
+        model: CalibrationModel { kinematics: with_errors(&model.kinematics, share), ..model.clone() },
+        terms: Vec::new(),
         stations: vec![tracker_from_base * rotation_z(1e-5 * share)],
         targets: vec![IN_FLANGE.into()],
     };
     let errors: Vec<Vec<_>> = sets
         .iter()
-        .map(|set| set.measurements.observations.iter().map(|o| robot.error_in_base(model, o)).collect())
+        .map(|set| Predictor::new(model, &robot).errors(&set.measurements).expect("a robot that stands"))
         .collect();
     let rows = errors.iter().map(|e| accuracy(e)).collect();
     let estimate = (share > 0.0).then(|| estimate(robot.clone(), share));
@@ -251,7 +256,12 @@ fn mode_outcome(
 fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
     let parameters: Vec<_> = errors(share)
         .into_iter()
-        .map(|(id, value)| ParameterEstimate { id, value, sigma: Some(1e-3 * value.abs()) })
+        .map(|(id, value)| ParameterEstimate {
+            id,
+            value,
+            sigma: Some(1e-3 * value.abs()),
+            prior_sigma: None,
+        })
         .collect();
     let n = parameters.len();
     let iterations = (0..5)
@@ -273,6 +283,10 @@ fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
         termination: TerminationReason::SmallStep,
         iterations,
         spectrum: Spectrum { rank: n, condition: 41.5, ..Spectrum::default() },
+        held: Vec::new(),
+        fixed: Vec::new(),
+        at_bound: Vec::new(),
+        outliers: Vec::new(),
         warnings: vec![Warning::Inconsistent { ratio: 1.12 }],
     }
 }

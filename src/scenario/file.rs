@@ -6,13 +6,13 @@ use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
 
 use super::Scenario;
+use super::as_built::{AsBuiltFile, as_built};
+use super::effects::{EffectsFile, effects};
+use super::identification::{IdentificationFile, ModeFile};
 use crate::experiment::WorkingRegion;
-use crate::identification::{
-    FrameChoice, IdentificationOptions, Mode, ParameterChoice, SolverOptions, TargetChoice,
-};
 use crate::input::{InputError, Source, Spanned};
 use crate::measurement::SetKind;
-use crate::model::{JointKind, KinematicModel, ParameterId, Robot, load_robot};
+use crate::model::{JointKind, KinematicModel, Robot, load_robot};
 use crate::plant::AsBuilt;
 use crate::tracker::{ErrorLine, Instrument, LaserTracker, WORKING_RANGE};
 
@@ -27,42 +27,14 @@ struct ScenarioFile {
     robot: Spanned<String>,
     #[serde(default)]
     as_built: AsBuiltFile,
+    #[serde(default)]
+    effects: EffectsFile,
     poses: PosesFile,
     tracker: TrackerFile,
     #[serde(default)]
     identification: IdentificationFile,
     #[serde(default)]
     published: Vec<PublishedFile>,
-}
-
-#[derive(Deserialize, Default)]
-#[serde(deny_unknown_fields)]
-struct AsBuiltFile {
-    #[serde(default)]
-    drives: Drives,
-    #[serde(default)]
-    joint: Vec<JointErrorsFile>,
-}
-
-#[derive(Deserialize, Default, Clone, Copy, PartialEq)]
-#[serde(rename_all = "snake_case")]
-enum Drives {
-    #[default]
-    Elastic,
-    Rigid,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct JointErrorsFile {
-    joint: Spanned<String>,
-    delta_a_mm: Option<Spanned<f64>>,
-    delta_alpha_rad: Option<Spanned<f64>>,
-    delta_beta_rad: Option<Spanned<f64>>,
-    delta_d_mm: Option<Spanned<f64>>,
-    delta_theta_rad: Option<Spanned<f64>>,
-    stiffness_factor: Option<Spanned<f64>>,
-    mass_factor: Option<Spanned<f64>>,
 }
 
 #[derive(Deserialize)]
@@ -113,51 +85,6 @@ struct NestFile {
     x_mm: Spanned<f64>,
     y_mm: Spanned<f64>,
     z_mm: Spanned<f64>,
-}
-
-#[derive(Deserialize, Default)]
-#[serde(deny_unknown_fields)]
-struct IdentificationFile {
-    modes: Option<Spanned<Vec<ModeFile>>>,
-    parameters: Option<Spanned<toml::Value>>,
-    frame: Option<FrameFile>,
-    target: Option<TargetFile>,
-    unmodelled_sigma_um: Option<Spanned<f64>>,
-    max_iterations: Option<Spanned<usize>>,
-}
-
-#[derive(Deserialize, Clone, Copy)]
-#[serde(rename_all = "snake_case")]
-enum ModeFile {
-    WithoutCalibration,
-    OnlyCalibration,
-    WithGravity,
-}
-
-impl From<ModeFile> for Mode {
-    fn from(mode: ModeFile) -> Self {
-        match mode {
-            ModeFile::WithoutCalibration => Self::WithoutCalibration,
-            ModeFile::OnlyCalibration => Self::OnlyCalibration,
-            ModeFile::WithGravity => Self::WithGravity,
-        }
-    }
-}
-
-#[derive(Deserialize, Clone, Copy)]
-#[serde(rename_all = "snake_case")]
-enum FrameFile {
-    Nests,
-    Free,
-    Fixed,
-}
-
-#[derive(Deserialize, Clone, Copy)]
-#[serde(rename_all = "snake_case")]
-enum TargetFile {
-    Measured,
-    Identified,
-    Fixed,
 }
 
 #[derive(Deserialize, Clone, Copy)]
@@ -217,7 +144,8 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
         let help = Some("expected a name for people".to_owned());
         return Err(source.error(file.name.span(), "name is empty", help));
     }
-    let as_built = as_built(&source, &file, &robot)?;
+    let effects = effects(&source, &file.effects, &robot)?;
+    let (as_built, drawn) = as_built(&source, &file.as_built, &file.robot, &robot, effects)?;
     let region = region(&source, &file.poses, &robot.model.kinematics)?;
     let identification_poses = pose_count(&source, "poses.identification", &file.poses.identification, 1)?;
     let verification_poses = pose_count(&source, "poses.verification", &file.poses.verification, 0)?;
@@ -225,18 +153,8 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
     let nest_sigma = 1e-6 * source.positive("tracker.nest_sigma_um", &file.tracker.nest_sigma_um)?;
     let nests = nests(&source, &file.tracker, &tracker, nest_sigma)?;
     let target_sigma = 1e-6 * source.positive("tracker.target_sigma_um", &file.tracker.target_sigma_um)?;
-    let options = options(&source, &file.identification, &robot)?;
-    let modes = match &file.identification.modes {
-        Some(modes) if modes.get_ref().is_empty() => {
-            let help = Some("expected at least one mode, or no key modes for all of them".to_owned());
-            return Err(source.error(modes.span(), "identification.modes is empty", help));
-        }
-        Some(modes) => {
-            let wanted = |mode: &Mode| modes.get_ref().iter().any(|f| Mode::from(*f) == *mode);
-            Mode::ALL.into_iter().filter(wanted).collect()
-        }
-        None => Mode::ALL.to_vec(),
-    };
+    let options = file.identification.options(&source, &robot.model)?;
+    let modes = file.identification.modes(&source)?;
     let published = file
         .published
         .iter()
@@ -260,6 +178,7 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
         seed: file.seed,
         robot,
         as_built,
+        drawn,
         region,
         identification_poses,
         verification_poses,
@@ -286,7 +205,11 @@ fn pose_count(source: &Source, key: &str, count: &Spanned<u32>, least: u32) -> R
     Err(source.error(count.span(), format!("{key} is {number}"), help))
 }
 
-fn joint_index(source: &Source, name: &Spanned<String>, model: &KinematicModel) -> Result<usize, InputError> {
+pub(super) fn joint_index(
+    source: &Source,
+    name: &Spanned<String>,
+    model: &KinematicModel,
+) -> Result<usize, InputError> {
     model.links.iter().position(|l| &l.name == name.get_ref()).ok_or_else(|| {
         let known: Vec<_> = model.links.iter().map(|l| l.name.as_str()).collect();
         source.error(
@@ -297,7 +220,7 @@ fn joint_index(source: &Source, name: &Spanned<String>, model: &KinematicModel) 
     })
 }
 
-fn refuse_twice(
+pub(super) fn refuse_twice(
     source: &Source,
     seen: &mut [bool],
     index: usize,
@@ -311,53 +234,6 @@ fn refuse_twice(
         ));
     }
     Ok(())
-}
-
-fn as_built(source: &Source, file: &ScenarioFile, robot: &Robot) -> Result<AsBuilt, InputError> {
-    let missing = |what: &str, where_: &str| {
-        source.error(
-            file.robot.span(),
-            format!("the robot's files give no {what}"),
-            Some(format!("a simulation needs {where_}")),
-        )
-    };
-    let mut statics = robot.model.statics.clone().ok_or_else(|| {
-        missing(
-            "masses, drive stiffnesses and gravity",
-            "a URDF with inertials, stiffness_* of every joint and [gravity]",
-        )
-    })?;
-    let target = robot.target.ok_or_else(|| missing("target offset", "[target] in the robot's file"))?;
-    let mut kinematics = robot.model.kinematics.clone();
-    let mut seen = vec![false; kinematics.joint_count()];
-    for entry in &file.as_built.joint {
-        let index = joint_index(source, &entry.joint, &kinematics)?;
-        refuse_twice(source, &mut seen, index, &entry.joint)?;
-        let link = &mut kinematics.links[index];
-        for (key, delta, unit, value) in [
-            ("delta_a_mm", &entry.delta_a_mm, 1e-3, &mut link.a),
-            ("delta_alpha_rad", &entry.delta_alpha_rad, 1.0, &mut link.alpha),
-            ("delta_beta_rad", &entry.delta_beta_rad, 1.0, &mut link.beta),
-            ("delta_d_mm", &entry.delta_d_mm, 1e-3, &mut link.d),
-            ("delta_theta_rad", &entry.delta_theta_rad, 1.0, &mut link.theta),
-        ] {
-            if let Some(delta) = delta {
-                *value += unit * source.finite(key, delta)?;
-            }
-        }
-        if let Some(factor) = &entry.stiffness_factor {
-            statics.drive_stiffness[index] *= source.positive("stiffness_factor", factor)?;
-        }
-        if let Some(factor) = &entry.mass_factor {
-            let factor = source.positive("mass_factor", factor)?;
-            statics.bodies[index].mass *= factor;
-            statics.bodies[index].inertia *= factor;
-        }
-    }
-    if file.as_built.drives == Drives::Rigid {
-        statics.drive_stiffness.fill(f64::INFINITY);
-    }
-    Ok(AsBuilt { kinematics, actuators: robot.model.actuators, statics, target })
 }
 
 fn region(source: &Source, poses: &PosesFile, model: &KinematicModel) -> Result<WorkingRegion, InputError> {
@@ -507,75 +383,4 @@ fn distance_off_line(nests: &[(String, Vector3<f64>)]) -> f64 {
     };
     let Some(direction) = along.try_normalize(0.0) else { return 0.0 };
     nests.iter().map(|(_, place)| (place - start).cross(&direction).norm()).fold(0.0, f64::max)
-}
-
-fn options(
-    source: &Source,
-    file: &IdentificationFile,
-    robot: &Robot,
-) -> Result<IdentificationOptions, InputError> {
-    let mut options = IdentificationOptions::default();
-    if let Some(parameters) = &file.parameters {
-        options.parameters = parameter_choice(source, parameters, robot.model.kinematics.joint_count())?;
-    }
-    if let Some(frame) = file.frame {
-        options.frame = match frame {
-            FrameFile::Nests => FrameChoice::Nests,
-            FrameFile::Free => FrameChoice::Free,
-            FrameFile::Fixed => FrameChoice::Fixed,
-        };
-    }
-    if let Some(target) = file.target {
-        options.target = match target {
-            TargetFile::Measured => TargetChoice::Measured,
-            TargetFile::Identified => TargetChoice::Identified,
-            TargetFile::Fixed => TargetChoice::Fixed,
-        };
-    }
-    if let Some(sigma) = &file.unmodelled_sigma_um {
-        options.unmodelled_sigma = 1e-6 * source.not_negative("identification.unmodelled_sigma_um", sigma)?;
-    }
-    if let Some(limit) = &file.max_iterations {
-        let max_iterations = *limit.get_ref();
-        if max_iterations == 0 {
-            let help = Some("expected at least one iteration".to_owned());
-            return Err(source.error(limit.span(), "identification.max_iterations is 0", help));
-        }
-        options.solver = SolverOptions { max_iterations, ..options.solver };
-    }
-    Ok(options)
-}
-
-fn parameter_choice(
-    source: &Source,
-    value: &Spanned<toml::Value>,
-    links: usize,
-) -> Result<ParameterChoice, InputError> {
-    let refused = |what: String| {
-        source.error(
-            value.span(),
-            format!("identification.parameters: {what}"),
-            Some(format!(
-                "expected \"neighbour_axis_rules\", \"complete\", or a list of delta_a, delta_alpha, delta_beta, delta_d, \
-                 delta_theta with a joint number from 1 to {links}, such as [\"delta_a2\", \"delta_theta4\"]"
-            )),
-        )
-    };
-    let listed = |name: &toml::Value| {
-        let known = name.as_str().and_then(ParameterId::parse);
-        match known {
-            Some(id @ ParameterId::Link { link, .. }) if link < links => Ok(id),
-            _ => Err(refused(format!("{name} is not a link parameter of this robot"))),
-        }
-    };
-    match value.get_ref() {
-        toml::Value::String(name) if name == "neighbour_axis_rules" => {
-            Ok(ParameterChoice::NeighbourAxisRules)
-        }
-        toml::Value::String(name) if name == "complete" => Ok(ParameterChoice::Complete),
-        toml::Value::Array(names) => {
-            Ok(ParameterChoice::Listed(names.iter().map(listed).collect::<Result<_, _>>()?))
-        }
-        other => Err(refused(format!("{other} is no choice"))),
-    }
 }

@@ -1,8 +1,13 @@
 //! What is simulated and how it is identified: the scenario file and its validated, SI form.
 
+mod as_built;
+mod effects;
 mod file;
+mod identification;
 
 pub use file::{load_scenario, parse_scenario};
+
+use std::borrow::Cow;
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -11,7 +16,8 @@ use crate::identification::{IdentificationOptions, Mode};
 use crate::input::Source;
 use crate::measurement::SetKind;
 use crate::model::Robot;
-use crate::plant::AsBuilt;
+use crate::plant::{AsBuilt, AsBuiltDistribution};
+use crate::random;
 use crate::tracker::LaserTracker;
 
 /// A validated scenario, SI.
@@ -25,6 +31,8 @@ pub struct Scenario {
     pub robot: Robot,
     /// The robot as it really is.
     pub as_built: AsBuilt,
+    /// From which every trial draws its own machine on top of that one, where it does.
+    pub drawn: Option<AsBuiltDistribution>,
     /// Where poses are drawn.
     pub region: WorkingRegion,
     /// Poses of the identification set.
@@ -47,4 +55,24 @@ pub struct Scenario {
     pub published: Vec<(SetKind, Mode, [f64; 6])>,
     /// The files read, by role.
     pub sources: Vec<(String, Source)>,
+}
+
+impl Scenario {
+    /// The machine of a trial: the given one, or one drawn from (seed, trial) alone.
+    pub fn as_built_for(&self, seed: u64, trial: u32) -> AsBuilt {
+        self.drawn.as_ref().map_or_else(
+            || self.as_built.clone(),
+            |drawn| drawn.draw(&self.as_built, &mut random::stream(seed, trial, random::Source::AsBuilt)),
+        )
+    }
+
+    /// The scenario with the machine of a trial as the given one.
+    pub fn of_trial(&self, seed: u64, trial: u32) -> Cow<'_, Self> {
+        match self.drawn {
+            None => Cow::Borrowed(self),
+            Some(_) => {
+                Cow::Owned(Self { as_built: self.as_built_for(seed, trial), drawn: None, ..self.clone() })
+            }
+        }
+    }
 }

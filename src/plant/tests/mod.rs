@@ -9,6 +9,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::chain::Chain;
+use super::effects::Effects;
 use super::tree::Tree;
 use super::{AsBuilt, ElasticPlace, Plant, PlantError, SettleOptions, SettledPose};
 use crate::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
@@ -70,6 +71,7 @@ fn random_robot(rng: &mut ChaCha8Rng, stiffness: f64) -> AsBuilt {
             Vector3::new(3.0, -8.0, 5.0),
         ),
         target: Vector3::new(0.3, -0.1, 0.2),
+        effects: Effects::default(),
     }
 }
 
@@ -272,6 +274,7 @@ fn soft_pendulum() -> AsBuilt {
             Vector3::new(9.80665, 0.0, 0.0),
         ),
         target: Vector3::x(),
+        effects: Effects::default(),
     }
 }
 

@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 use rand::RngExt;
 
 use super::{
-    ActuatorMap, AsBuilt, Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, CraigLink, FourBar,
+    ActuatorMap, AsBuilt, Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, CraigLink, Effects, FourBar,
     JointKind, KinematicModel, LinkTerm, LinkageArm, LinkageStatics, PointLoad, Section, SegmentLength,
     StaticProperties, Transform,
 };
@@ -66,6 +66,7 @@ pub(super) fn spray_robot() -> AsBuilt {
             Vector3::new(0.0, -9.80665, 0.0),
         ),
         target: Vector3::new(0.10, 0.15, 0.20),
+        effects: Effects::default(),
     }
 }
 

@@ -1,0 +1,5 @@
+mod columns;
+mod equilibrium;
+mod robots;
+
+use super::*;

@@ -1,0 +1,209 @@
+//! The iteration: damping by the gain ratio, inside bounds, on the true cost of a loss at a fixed scale.
+
+use nalgebra::DVector;
+
+use super::bounds::{AtBound, Bounds, Side};
+use super::point::{NormalEquations, Point, Robust};
+use super::{IterationRecord, LeastSquares, SolverOptions, TerminationReason};
+
+const FIRST_DAMPING: f64 = 1e-6;
+/// Below this the damping is lost in the rounding of the scaled normal matrix, whose diagonal is one.
+const LEAST_DAMPING: f64 = 1e-15;
+const MOST_DAMPING: f64 = 1e12;
+/// Above this a step may be short for its damping alone, which says nothing about the minimum.
+const SHORTENING_DAMPING: f64 = 1e-3;
+
+/// A search from one start. One object serves all passes of a robust fit, so that they share their memory.
+pub(super) struct Descent<'a, P> {
+    problem: &'a mut P,
+    options: &'a SolverOptions,
+    bounds: Option<&'a Bounds>,
+    pub x: Vec<f64>,
+    pub now: Point,
+    trial: Point,
+    scale: DVector<f64>,
+    pub iterations: Vec<IterationRecord>,
+}
+
+/// A scaled step, and what it holds at bounds.
+struct Step {
+    scaled: DVector<f64>,
+    held: Vec<Option<Side>>,
+}
+
+impl<'a, P: LeastSquares> Descent<'a, P> {
+    /// Evaluates the problem at `x`, which lies inside the bounds.
+    pub fn new(
+        problem: &'a mut P,
+        x: Vec<f64>,
+        options: &'a SolverOptions,
+        bounds: Option<&'a Bounds>,
+    ) -> Self {
+        let (m, n) = (problem.rows(), problem.parameters());
+        let mut now = Point::new(m, n);
+        now.place(problem, &x, None);
+        Self {
+            trial: Point::new(m, n),
+            scale: DVector::zeros(n),
+            iterations: Vec::new(),
+            problem,
+            options,
+            bounds,
+            x,
+            now,
+        }
+    }
+
+    /// Goes on to the minimum of one cost.
+    pub fn run(&mut self, robust: Option<Robust>) -> TerminationReason {
+        self.now.weigh(robust);
+        self.scale.fill(0.0);
+        let mut damping = FIRST_DAMPING;
+        let Some(mut normal) = self.now.cost.is_finite().then(|| self.normal_equations()).flatten() else {
+            return TerminationReason::NotFinite;
+        };
+        loop {
+            if self.steepest(&normal) <= self.options.gradient * self.now.cost.sqrt() {
+                return TerminationReason::SmallGradient;
+            }
+            if self.iterations.len() >= self.options.max_iterations {
+                return TerminationReason::IterationLimit;
+            }
+            let Some(step) = self.step(&normal, damping) else {
+                damping *= 10.0;
+                if damping > MOST_DAMPING {
+                    return TerminationReason::NoDecrease;
+                }
+                continue;
+            };
+            let moved = self.moved(&step);
+            self.trial.place(self.problem, &moved, robust);
+            let curvature = normal.curvature(&step.scaled);
+            let predicted = normal.predicted_decrease(&step.scaled, curvature);
+            let gain = if predicted > 0.0 { (self.now.cost - self.trial.cost) / predicted } else { 0.0 };
+            let negligible = self.is_negligible(&normal, curvature, damping);
+            // A cost that is not a number compares as no decrease.
+            let accepted = self.trial.cost <= self.now.cost && self.go_on(&mut normal, negligible);
+            self.iterations.push(IterationRecord {
+                cost: self.now.cost,
+                damping,
+                step: step.scaled.norm(),
+                gain,
+                accepted,
+            });
+            if accepted {
+                self.x = moved;
+                if negligible {
+                    return TerminationReason::SmallDecrease;
+                }
+                damping = next_damping(damping, gain);
+            } else if negligible {
+                // The cost is at the floor of its rounding errors.
+                return TerminationReason::SmallStep;
+            } else {
+                damping *= 10.0;
+                if damping > MOST_DAMPING {
+                    return TerminationReason::NoDecrease;
+                }
+            }
+        }
+    }
+
+    /// Makes the trial the present point. Where its derivatives are not finite nothing changes, and the answer is no. The last point needs
+    /// no equations.
+    fn go_on(&mut self, normal: &mut NormalEquations, last: bool) -> bool {
+        std::mem::swap(&mut self.now, &mut self.trial);
+        let finite = if last {
+            self.now.is_finite()
+        } else if let Some(next) = self.normal_equations() {
+            *normal = next;
+            true
+        } else {
+            false
+        };
+        if !finite {
+            std::mem::swap(&mut self.now, &mut self.trial);
+        }
+        finite
+    }
+
+    /// Parameters at their bounds.
+    pub fn at_bound(&self) -> Vec<AtBound> {
+        let Some(bounds) = self.bounds else { return Vec::new() };
+        (0..self.x.len())
+            .filter_map(|parameter| {
+                let gradient = self.now.gradient(parameter);
+                let side = bounds.side(parameter, self.x[parameter], gradient)?;
+                Some(AtBound { parameter, side, gradient })
+            })
+            .collect()
+    }
+
+    fn normal_equations(&mut self) -> Option<NormalEquations> {
+        let mut normal = NormalEquations::new(&self.now)?;
+        normal.rescale(&mut self.scale);
+        Some(normal)
+    }
+
+    /// Largest derivative that is not held by a bound, as cosine of the angle between residuals and column times the residuals' norm.
+    fn steepest(&self, normal: &NormalEquations) -> f64 {
+        let gradient = normal.gradient();
+        let held = |j: usize| {
+            self.bounds
+                .and_then(|bounds| bounds.side(j, self.x[j], gradient[j]))
+                .is_some_and(|side| side.holds(gradient[j]))
+        };
+        (0..gradient.len()).filter(|&j| !held(j)).map(|j| gradient[j].abs()).fold(0.0, f64::max)
+    }
+
+    fn step(&self, normal: &NormalEquations, damping: f64) -> Option<Step> {
+        let Some(bounds) = self.bounds else {
+            return Some(Step { scaled: normal.damped_step(damping)?, held: Vec::new() });
+        };
+        let inside = bounds.of_step(&self.x, &self.scale);
+        let bounded = inside.minimise(&normal.damped(damping), normal.gradient())?;
+        Some(Step { scaled: bounded.step, held: bounded.held })
+    }
+
+    fn moved(&self, step: &Step) -> Vec<f64> {
+        let mut moved: Vec<f64> = self
+            .x
+            .iter()
+            .zip(step.scaled.iter().zip(&self.scale))
+            .map(|(x, (step, scale))| x + step / scale)
+            .collect();
+        if let Some(bounds) = self.bounds {
+            // To the bit, so that a parameter is at its bound or is not.
+            for (j, value) in moved.iter_mut().enumerate() {
+                *value = match step.held[j] {
+                    Some(side) => bounds.at(j, side),
+                    None => bounds.nearest(j, *value),
+                };
+            }
+        }
+        moved
+    }
+
+    /// Whether the step, or the one with little damping in its place where it was shortened, changes nothing worth having.
+    fn is_negligible(&self, normal: &NormalEquations, curvature: f64, damping: f64) -> bool {
+        let curvature = if damping <= SHORTENING_DAMPING {
+            Some(curvature)
+        } else {
+            self.step(normal, FIRST_DAMPING).map(|step| normal.curvature(&step.scaled))
+        };
+        let Some(square) = curvature else { return false };
+        // Where the cost cannot tell the step from rounding, trying on would follow its last digit.
+        let floor = (4.0 * f64::EPSILON).max(self.options.relative_decrease.powi(2));
+        square <= self.options.absolute_decrease.powi(2) || square <= floor * self.now.cost
+    }
+}
+
+fn next_damping(damping: f64, gain: f64) -> f64 {
+    if gain > 0.75 {
+        (damping * 1e-3).max(LEAST_DAMPING)
+    } else if gain < 0.25 {
+        damping * 4.0
+    } else {
+        damping
+    }
+}

@@ -1,0 +1,90 @@
+//! Several starts: for problems that may have more than one minimum.
+
+use nalgebra::DVector;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::bounds::{Bounds, BoundsError};
+use super::robust::solve;
+use super::{LeastSquares, Solution, SolverOptions};
+
+/// Two ends are one minimum where the residuals between them change, to first order, by less than this many times what the solver stops at.
+const SAME: f64 = 100.0;
+
+pub(super) fn check(spread: &[f64], n: usize) -> Result<(), BoundsError> {
+    if spread.len() != n {
+        return Err(BoundsError::Length { what: "widths of the starts", found: spread.len(), expected: n });
+    }
+    match spread.iter().position(|s| !(s.is_finite() && *s >= 0.0)) {
+        Some(parameter) => Err(BoundsError::Spread { parameter, spread: spread[parameter] }),
+        None => Ok(()),
+    }
+}
+
+/// The lowest of the minima that all starts lead to; where none converged, the lowest cost that was reached.
+pub(super) fn best_of_many(
+    problem: &mut impl LeastSquares,
+    x: &[f64],
+    options: &SolverOptions,
+    bounds: &Bounds,
+    spread: &[f64],
+) -> Solution {
+    let first = solve(problem, x.to_vec(), options, Some(bounds));
+    let mut minima: Vec<Solution> = Vec::new();
+    let mut unfinished: Option<Solution> = None;
+    let others = (1..options.starts).map(|k| draw(x, spread, bounds, options.seed, k));
+    let mut keep = |found: Solution| {
+        if !found.termination.converged() {
+            // A cost that is not a number is the worst.
+            if unfinished.as_ref().is_none_or(|best| found.cost < best.cost || !best.cost.is_finite()) {
+                unfinished = Some(found);
+            }
+        } else if let Some(known) = minima.iter_mut().find(|known| is_same(known, &found, options)) {
+            if found.cost < known.cost {
+                *known = found;
+            }
+        } else {
+            minima.push(found);
+        }
+    };
+    keep(first);
+    for start in others {
+        keep(solve(problem, start, options, Some(bounds)));
+    }
+    let count = u32::try_from(minima.len()).unwrap_or(u32::MAX);
+    // Costs at different scales of a loss cannot be compared: all are taken at the smallest.
+    let scale = minima.iter().map(|s| s.scale).fold(f64::INFINITY, f64::min);
+    let lowest = minima
+        .into_iter()
+        .min_by(|a, b| cost_at(a, scale, options).total_cmp(&cost_at(b, scale, options)))
+        .or(unfinished);
+    match lowest {
+        Some(solution) => Solution { minima: count, ..solution },
+        None => solve(problem, x.to_vec(), options, Some(bounds)),
+    }
+}
+
+/// Start number k, the same for any number of starts.
+fn draw(x: &[f64], spread: &[f64], bounds: &Bounds, seed: u64, k: u32) -> Vec<f64> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    random.set_stream(u64::from(k));
+    x.iter()
+        .zip(spread)
+        .enumerate()
+        .map(|(j, (x, spread))| bounds.nearest(j, x + spread * random.random_range(-1.0..=1.0)))
+        .collect()
+}
+
+fn is_same(a: &Solution, b: &Solution, options: &SolverOptions) -> bool {
+    let between = DVector::from_iterator(a.x.len(), a.x.iter().zip(&b.x).map(|(a, b)| b - a));
+    let least = options.absolute_decrease + options.relative_decrease * a.cost.sqrt();
+    (&a.jacobian * between).norm() <= SAME * least
+}
+
+fn cost_at(solution: &Solution, scale: f64, options: &SolverOptions) -> f64 {
+    let blocks = solution.weights.len();
+    let robust: f64 = (0..blocks)
+        .map(|i| options.loss.rho(solution.residuals.fixed_rows::<3>(3 * i).norm_squared() / (scale * scale)))
+        .sum();
+    scale * scale * robust + solution.residuals.rows_range(3 * blocks..).norm_squared()
+}

@@ -1,0 +1,111 @@
+//! Refusals of effects whose numbers make no machine.
+
+use thiserror::Error;
+
+use super::EffectKind;
+
+/// An effect that cannot be.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum EffectError {
+    /// Not one entry an actuator.
+    #[error("{}: {found} entries for {expected} actuators", effect.key())]
+    Length {
+        /// Which.
+        effect: EffectKind,
+        /// Actuators.
+        expected: usize,
+        /// Entries.
+        found: usize,
+    },
+    /// A number out of its range.
+    #[error("{}: {quantity} of index {index} is {value}, {expected} was expected", effect.key())]
+    Value {
+        /// Which.
+        effect: EffectKind,
+        /// Which field.
+        quantity: &'static str,
+        /// Of which joint or entry.
+        index: usize,
+        /// What it is.
+        value: f64,
+        /// What it should be.
+        expected: &'static str,
+    },
+    /// A part that the robot does not have.
+    #[error("{}: the robot has no {part}", effect.key())]
+    NoSuchPart {
+        /// Which.
+        effect: EffectKind,
+        /// What it lacks.
+        part: &'static str,
+    },
+    /// The air gets out of range during the session.
+    #[error(
+        "thermal: the ambient temperature leaves {} to {} degC within {duration} s ({value:.1} degC)",
+        super::AMBIENT_RANGE[0], super::AMBIENT_RANGE[1]
+    )]
+    Temperature {
+        /// Length of the session, s.
+        duration: f64,
+        /// Its extreme temperature, °C.
+        value: f64,
+    },
+}
+
+/// A range that a number must be in.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Range {
+    Finite,
+    NotNegative,
+    Positive,
+}
+
+impl Range {
+    fn holds(self, value: f64) -> bool {
+        value.is_finite()
+            && match self {
+                Self::Finite => true,
+                Self::NotNegative => value >= 0.0,
+                Self::Positive => value > 0.0,
+            }
+    }
+
+    fn words(self) -> &'static str {
+        match self {
+            Self::Finite => "a finite number",
+            Self::NotNegative => "a finite number of zero or more",
+            Self::Positive => "a finite number above zero",
+        }
+    }
+}
+
+/// Refuses a value outside `range`.
+pub(super) fn check(
+    effect: EffectKind,
+    (quantity, index): (&'static str, usize),
+    value: f64,
+    range: Range,
+) -> Result<(), EffectError> {
+    if range.holds(value) {
+        return Ok(());
+    }
+    Err(EffectError::Value { effect, quantity, index, value, expected: range.words() })
+}
+
+/// Refuses a list that is not one value in `range` an actuator.
+pub(super) fn check_all(
+    effect: EffectKind,
+    quantity: &'static str,
+    values: &[f64],
+    actuators: usize,
+    range: Range,
+) -> Result<(), EffectError> {
+    check_length(effect, values.len(), actuators)?;
+    values.iter().enumerate().try_for_each(|(index, &value)| check(effect, (quantity, index), value, range))
+}
+
+/// Refuses a list that is not one entry an actuator.
+pub(super) fn check_length(effect: EffectKind, found: usize, expected: usize) -> Result<(), EffectError> {
+    if found == expected { Ok(()) } else { Err(EffectError::Length { effect, expected, found }) }
+}

@@ -1,0 +1,94 @@
+//! Friction behind elastic drives: where the machine comes to rest depends on how it came.
+
+use super::error::{Range, check_all};
+use super::{EffectError, EffectKind};
+
+/// Coulomb friction of every joint with a presliding range.
+///
+/// The friction force follows P. R. Dahl, A Solid Friction Model, Aerospace Corporation TOR-0158(3107-18)-1 (1968), with exponent 1.
+/// As it grows with the load, and after a short motion is not yet at its limit, no multiple of the approach's sign contains it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Friction {
+    /// Part that does not depend on the load, one entry an actuator, N or N m.
+    pub constant: Vec<f64>,
+    /// Share of the drive's load.
+    pub per_load: Vec<f64>,
+    /// Motion in which 1 - 1/e of the force builds up, m or rad; zero for a force that is there at once.
+    pub presliding: Vec<f64>,
+}
+
+impl Friction {
+    pub(super) fn check(&self, actuators: usize) -> Result<(), EffectError> {
+        for (quantity, values) in [
+            ("friction", &self.constant),
+            ("friction per load", &self.per_load),
+            ("presliding length", &self.presliding),
+        ] {
+            check_all(EffectKind::Friction, quantity, values, actuators, Range::NotNegative)?;
+        }
+        Ok(())
+    }
+
+    /// Whether the loads of the drives matter.
+    pub fn needs_load(&self) -> bool {
+        self.per_load.iter().any(|share| *share > 0.0)
+    }
+
+    /// Friction force as a share of its limit, -1 to 1, after a motion (m or rad), from that before it.
+    pub fn share_after(&self, actuator: usize, share: f64, motion: f64) -> f64 {
+        if motion == 0.0 {
+            return share;
+        }
+        let limit = motion.signum();
+        let length = self.presliding[actuator];
+        if length == 0.0 { limit } else { limit + (share - limit) * (-motion.abs() / length).exp() }
+    }
+
+    /// What the drive of `stiffness` (N/m or N m/rad) lacks on its way under `load` (N or N m), m or rad: it stays behind the motion.
+    pub fn deflection(&self, actuator: usize, share: f64, load: f64, stiffness: f64) -> f64 {
+        let limit = self.constant[actuator] + self.per_load[actuator] * load.abs();
+        -share * limit / stiffness
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shoulder() -> Friction {
+        Friction { constant: vec![100.0], per_load: vec![0.02], presliding: vec![0.05] }
+    }
+
+    #[test]
+    fn after_a_long_way_the_joint_stays_behind_by_friction_over_stiffness() {
+        let friction = shoulder();
+        let share = friction.share_after(0, 0.3, 5.0);
+        assert!((share - 1.0).abs() < 1e-15);
+        // (100 + 0.02 * 4000) N m on 6e5 N m/rad = 300 urad, whatever the sign of the load.
+        for load in [4000.0, -4000.0] {
+            assert!((friction.deflection(0, share, load, 6e5) + 3e-4).abs() < 1e-18);
+            assert!((friction.deflection(0, -share, load, 6e5) - 3e-4).abs() < 1e-18);
+        }
+        assert_eq!(friction.deflection(0, share, 4000.0, f64::INFINITY), 0.0);
+    }
+
+    #[test]
+    fn short_motions_build_the_force_up_by_dahls_law() {
+        let friction = shoulder();
+        // dF/dx = (1 - F)/length from rest, in steps.
+        let mut force = 0.0;
+        for _ in 0..100_000 {
+            force += (0.03 / 100_000.0) * (1.0 - force) / 0.05;
+        }
+        let share = friction.share_after(0, 0.0, 0.03);
+        assert!((share - force).abs() < 1e-5, "{share} against {force}");
+        // Two motions one way are one motion; no motion changes nothing.
+        let halves = friction.share_after(0, friction.share_after(0, 0.0, 0.015), 0.015);
+        assert!((share - halves).abs() < 1e-15);
+        assert_eq!(friction.share_after(0, share, 0.0), share);
+        // The way back is odd.
+        assert_eq!(friction.share_after(0, -0.4, -0.01), -friction.share_after(0, 0.4, 0.01));
+        let rigid = Friction { presliding: vec![0.0], ..friction };
+        assert_eq!(rigid.share_after(0, 0.7, -1e-9), -1.0);
+    }
+}

@@ -1,0 +1,193 @@
+//! What a real machine does beside its geometry and its elasticity, one file an effect. Each is off by default.
+//!
+//! All effects are pure functions. What depends on the way to a pose takes the [`DriveState`] that was left behind and returns the new
+//! one; what is drawn comes from the stream that is given.
+
+mod apply;
+mod backlash;
+mod encoder;
+mod error;
+mod friction;
+mod harmonics;
+mod rail;
+mod ratio;
+mod repeatability;
+mod thermal;
+
+#[cfg(test)]
+mod tests;
+
+pub use apply::{Commanded, DriveState, PoseEffects};
+pub use backlash::Backlash;
+pub use encoder::Encoder;
+pub use error::EffectError;
+pub use friction::Friction;
+pub use harmonics::{Harmonic, Harmonics};
+pub use rail::{Rail, RailProfile};
+pub use ratio::Ratio;
+pub use repeatability::Repeatability;
+pub use thermal::{AMBIENT_RANGE, Ambient, GrowingPart, Growth, Thermal};
+
+/// The kinds of non-geometric errors.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum EffectKind {
+    /// [`Harmonics`]
+    Harmonics,
+    /// [`Ratio`]
+    Ratio,
+    /// [`Rail`]
+    Rail,
+    /// [`Backlash`]
+    Backlash,
+    /// [`Friction`]
+    Friction,
+    /// [`Encoder`]
+    Encoder,
+    /// [`Thermal`]
+    Thermal,
+    /// [`Repeatability`]
+    Repeatability,
+}
+
+impl EffectKind {
+    /// All, in the order in which they act.
+    pub const ALL: [Self; 8] = [
+        Self::Encoder,
+        Self::Ratio,
+        Self::Harmonics,
+        Self::Backlash,
+        Self::Friction,
+        Self::Repeatability,
+        Self::Rail,
+        Self::Thermal,
+    ];
+
+    /// Its section of a scenario is `[effects.KEY]`.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Harmonics => "harmonics",
+            Self::Ratio => "ratio",
+            Self::Rail => "rail",
+            Self::Backlash => "backlash",
+            Self::Friction => "friction",
+            Self::Encoder => "encoder",
+            Self::Thermal => "thermal",
+            Self::Repeatability => "repeatability",
+        }
+    }
+
+    /// Name for people.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::Harmonics => "transmission harmonics",
+            Self::Ratio => "gear ratio and rail pitch",
+            Self::Rail => "rail straightness",
+            Self::Backlash => "backlash",
+            Self::Friction => "friction",
+            Self::Encoder => "encoders",
+            Self::Thermal => "thermal growth",
+            Self::Repeatability => "repeatability",
+        }
+    }
+
+    /// What it is, in one line.
+    pub fn about(self) -> &'static str {
+        match self {
+            Self::Harmonics => "errors of the transmissions once and twice per motor turn",
+            Self::Ratio => "relative errors of gear ratios and of the rail's pitch",
+            Self::Rail => "straightness and angular errors along the rail, with a wave",
+            Self::Backlash => "play of the transmissions: half the gap, by the approach",
+            Self::Friction => {
+                "hysteresis from friction that grows with the load and builds up over a presliding length"
+            }
+            Self::Encoder => "quantisation and offset of the encoders",
+            Self::Thermal => "growth of the links as they follow the air's temperature",
+            Self::Repeatability => "random errors that every approach draws anew",
+        }
+    }
+}
+
+/// The non-geometric errors of a machine; `None` where there are none of a kind.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Effects {
+    /// Once and twice per motor turn.
+    pub harmonics: Option<Harmonics>,
+    /// Gear ratios and pitch.
+    pub ratio: Option<Ratio>,
+    /// Straightness and angular errors of a rail.
+    pub rail: Option<Rail>,
+    /// Play.
+    pub backlash: Option<Backlash>,
+    /// Hysteresis.
+    pub friction: Option<Friction>,
+    /// Quantisation and offset.
+    pub encoder: Option<Encoder>,
+    /// Growth.
+    pub thermal: Option<Thermal>,
+    /// Random errors.
+    pub repeatability: Option<Repeatability>,
+}
+
+impl Effects {
+    /// Whether an effect is there.
+    pub fn has(&self, kind: EffectKind) -> bool {
+        match kind {
+            EffectKind::Harmonics => self.harmonics.is_some(),
+            EffectKind::Ratio => self.ratio.is_some(),
+            EffectKind::Rail => self.rail.is_some(),
+            EffectKind::Backlash => self.backlash.is_some(),
+            EffectKind::Friction => self.friction.is_some(),
+            EffectKind::Encoder => self.encoder.is_some(),
+            EffectKind::Thermal => self.thermal.is_some(),
+            EffectKind::Repeatability => self.repeatability.is_some(),
+        }
+    }
+
+    /// The effects that are there, in the order in which they act.
+    pub fn active(&self) -> Vec<EffectKind> {
+        EffectKind::ALL.into_iter().filter(|kind| self.has(*kind)).collect()
+    }
+
+    /// The same machine without one effect.
+    #[must_use]
+    pub fn without(&self, kind: EffectKind) -> Self {
+        let mut rest = self.clone();
+        match kind {
+            EffectKind::Harmonics => rest.harmonics = None,
+            EffectKind::Ratio => rest.ratio = None,
+            EffectKind::Rail => rest.rail = None,
+            EffectKind::Backlash => rest.backlash = None,
+            EffectKind::Friction => rest.friction = None,
+            EffectKind::Encoder => rest.encoder = None,
+            EffectKind::Thermal => rest.thermal = None,
+            EffectKind::Repeatability => rest.repeatability = None,
+        }
+        rest
+    }
+
+    /// Refuses numbers that make no machine of `actuators` actuators.
+    pub fn check(&self, actuators: usize, has_rod: bool) -> Result<(), EffectError> {
+        if let Some(effect) = &self.harmonics {
+            effect.check(actuators)?;
+        }
+        if let Some(effect) = &self.ratio {
+            effect.check(actuators)?;
+        }
+        if let Some(effect) = &self.rail {
+            effect.check(actuators)?;
+        }
+        if let Some(effect) = &self.backlash {
+            effect.check(actuators)?;
+        }
+        if let Some(effect) = &self.friction {
+            effect.check(actuators)?;
+        }
+        if let Some(effect) = &self.encoder {
+            effect.check(actuators)?;
+        }
+        if let Some(effect) = &self.repeatability {
+            effect.check(actuators)?;
+        }
+        self.thermal.as_ref().map_or(Ok(()), |effect| effect.check(actuators, has_rod))
+    }
+}

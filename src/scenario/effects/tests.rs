@@ -1,0 +1,217 @@
+//! The sections of the file in SI.
+
+use std::path::Path;
+
+use super::*;
+use crate::model::load_robot;
+use crate::plant::effects::{EffectKind, GrowingPart};
+use crate::scenario::{Scenario, parse_scenario};
+
+const ALL: &str = r#"
+[effects.harmonics]
+[[effects.harmonics.joint]]
+joint = "waist"
+motor_turns_per_rev = 120
+once_arcsec = 20
+once_phase_deg = 90
+twice_arcsec = 5
+
+[[effects.harmonics.joint]]
+joint = "rail"
+motor_turns_per_m = 40
+twice_um = 15
+twice_phase_deg = 180
+
+[effects.ratio]
+[[effects.ratio.joint]]
+joint = "rail"
+relative_ppm = -35
+
+[effects.rail]
+joint = "rail"
+wavelength_mm = 750
+horizontal = { polynomial_um = [0, 0, 80], wave_um = 20, phase_deg = 45 }
+yaw = { polynomial_arcsec = [0, 10], wave_arcsec = 4 }
+
+[effects.backlash]
+[[effects.backlash.joint]]
+joint = "shoulder"
+gap_arcsec = 30
+
+[effects.friction]
+[[effects.friction.joint]]
+joint = "telescope"
+friction_n = 150
+percent_of_load = 3
+presliding_mm = 5
+
+[effects.encoder]
+[[effects.encoder.joint]]
+joint = "roll"
+step_arcsec = 1
+offset_arcsec = -40
+
+[effects.thermal]
+reference_c = 20
+start_c = 21
+drift_c_per_h = 1.8
+swing_c = 0.5
+swing_period_s = 600
+
+[[effects.thermal.link]]
+joint = "telescope"
+axis = "z"
+length_mm = 100
+with_travel = true
+expansion_ppm_per_k = 12
+lag_s = 1800
+
+[effects.repeatability]
+[[effects.repeatability.joint]]
+joint = "wrist"
+sigma_arcsec = 3
+"#;
+
+const ROOT: &str = env!("CARGO_MANIFEST_DIR");
+
+fn robot() -> Robot {
+    load_robot(&Path::new(ROOT).join("models/spray_painter/robot.toml")).expect("the shipped robot")
+}
+
+fn parse(sections: &str) -> Result<Scenario, InputError> {
+    parse_with(sections, robot())
+}
+
+fn parse_with(sections: &str, robot: Robot) -> Result<Scenario, InputError> {
+    let root = Path::new(ROOT);
+    let shipped = std::fs::read_to_string(root.join("scenarios/paper.toml")).expect("the shipped scenario");
+    let parsed: toml::Table = shipped.parse().expect("TOML");
+    let text = match parsed.contains_key("effects") {
+        // The shipped sections would be keys given twice.
+        true => {
+            let mut rest = parsed;
+            rest.remove("effects");
+            toml::to_string(&rest).expect("TOML")
+        }
+        false => shipped,
+    };
+    parse_scenario(Source::new("scenario.toml", format!("{text}\n{sections}")), robot)
+}
+
+fn effects_of(sections: &str) -> Effects {
+    parse(sections).expect("a sound scenario").as_built.effects
+}
+
+const ARCSEC: f64 = std::f64::consts::PI / 648_000.0;
+
+fn close(found: f64, expected: f64) {
+    assert!((found - expected).abs() <= 1e-14 * expected.abs().max(1e-12), "{found} against {expected}");
+}
+
+#[test]
+fn sections_are_read_in_si_in_the_units_of_each_joint() {
+    let effects = effects_of(ALL);
+    assert_eq!(effects.active(), EffectKind::ALL);
+    let harmonics = effects.harmonics.expect("harmonics").actuators;
+    let (rail, waist) = (harmonics[0].expect("the rail's"), harmonics[1].expect("the waist's"));
+    assert!(harmonics[2..].iter().all(Option::is_none));
+    close(rail.turns, 40.0);
+    close(rail.amplitude[1], 15e-6);
+    close(rail.phase[1], std::f64::consts::PI);
+    close(waist.turns, 120.0 / TAU);
+    close(waist.amplitude[0], 20.0 * ARCSEC);
+    close(waist.phase[0], std::f64::consts::FRAC_PI_2);
+    close(waist.amplitude[1], 5.0 * ARCSEC);
+    close(effects.ratio.expect("ratio").relative[0], -35e-6);
+    let rail = effects.rail.expect("rail");
+    // The base's y is up and the rail is its z.
+    assert!((rail.vertical - nalgebra::Vector3::y()).norm() < 1e-15);
+    assert_eq!(rail.range, [0.0, 4.0]);
+    close(rail.wavelength, 0.75);
+    close(rail.horizontal_error.polynomial[2], 80e-6);
+    close(rail.horizontal_error.wave, 20e-6);
+    close(rail.yaw.polynomial[1], 10.0 * ARCSEC);
+    close(rail.yaw.wave, 4.0 * ARCSEC);
+    assert_eq!(rail.vertical_error, RailProfile::default());
+    close(effects.backlash.expect("backlash").gap[2], 30.0 * ARCSEC);
+    let friction = effects.friction.expect("friction");
+    assert_eq!((friction.constant[4], friction.constant[2]), (150.0, 0.0));
+    close(friction.per_load[4], 0.03);
+    close(friction.presliding[4], 5e-3);
+    let encoder = effects.encoder.expect("encoder");
+    close(encoder.step[5], ARCSEC);
+    close(encoder.offset[5], -40.0 * ARCSEC);
+    let thermal = effects.thermal.expect("thermal");
+    close(thermal.ambient.drift, 1.8 / 3600.0);
+    assert_eq!(thermal.growths[0].part, GrowingPart::Link { joint: 4, axis: 2 });
+    assert!(thermal.growths[0].with_travel);
+    close(thermal.growths[0].expansion, 12e-6);
+    close(effects.repeatability.expect("repeatability").sigma[6], 3.0 * ARCSEC);
+}
+
+#[test]
+fn motor_turns_are_those_of_the_robots_file_unless_the_machines_differ() {
+    let own = effects_of(&ALL.replace("motor_turns_per_m = 40\n", ""));
+    let nominal = robot().model.motor_turns[0].expect("the shipped robot's");
+    close(own.harmonics.expect("harmonics").actuators[0].expect("the rail's").turns, nominal);
+}
+
+#[test]
+fn a_rod_grows_where_there_is_one() {
+    let rod = "\n[effects.thermal.rod]\nexpansion_ppm_per_k = 12\nlag_s = 60\n";
+    let text = ALL.replace("\n[effects.repeatability]\n", &format!("{rod}\n[effects.repeatability]\n"));
+    let thermal = effects_of(&text).thermal.expect("thermal");
+    assert_eq!(thermal.growths[1].part, GrowingPart::Rod);
+    let mut direct = robot();
+    direct.model.actuators = crate::model::ActuatorMap::Direct;
+    direct.model.statics.as_mut().expect("statics").linkage = None;
+    let error = parse_with(&text, direct).expect_err("no rod").to_string();
+    assert!(error.contains("[effects.thermal.rod]"), "{error}");
+}
+
+#[test]
+fn a_section_is_off_where_it_is_not_there_or_says_so() {
+    assert_eq!(effects_of(""), Effects::default());
+    for kind in EffectKind::ALL {
+        let header = format!("[effects.{}]\n", kind.key());
+        let off = ALL.replacen(&header, &format!("{header}enabled = false\n"), 1);
+        assert_eq!(effects_of(&off), effects_of(ALL).without(kind), "{}", kind.key());
+    }
+}
+
+#[test]
+fn what_is_wrong_in_a_section_that_is_off_is_told_too() {
+    let off = ALL.replacen("[effects.backlash]\n", "[effects.backlash]\nenabled = false\n", 1);
+    let error = parse(&off.replace("gap_arcsec = 30", "gap_arcsec = -30")).expect_err("a negative gap");
+    assert!(error.to_string().contains("gap_arcsec is -30"), "{error}");
+}
+
+#[test]
+fn refusals_name_the_key_the_joint_and_what_was_expected() {
+    for (from, to, message) in [
+        ("gap_arcsec = 30", "gap_um = 30", "gap_um of joint \"shoulder\", which is revolute"),
+        ("gap_arcsec = 30", "", "joint \"shoulder\" has no gap_arcsec"),
+        ("relative_ppm = -35", "relative_ppm = 2e4", "relative_ppm is 20000"),
+        ("motor_turns_per_m = 40\n", "motor_turns_per_m = 0\n", "how often the motor of \"rail\" turns"),
+        ("start_c = 21", "start_c = 80", "effects.thermal.start_c is 80"),
+        ("swing_c = 0.5", "swing_c = 45", "leave -20 to 60"),
+        ("swing_period_s = 600\n", "", "swing_c without its period"),
+        ("expansion_ppm_per_k = 12", "expansion_ppm_per_k = 12000", "expansion_ppm_per_k is 12000"),
+        ("wavelength_mm = 750", "wavelength_mm = 0", "effects.rail.wavelength_mm is 0"),
+        (
+            "joint = \"rail\"\nwavelength",
+            "joint = \"telescope\"\nwavelength",
+            "no rail that the robot rides on",
+        ),
+        ("wave_arcsec = 4", "wave_um = 4", "effects.rail.yaw is given in um"),
+        ("presliding_mm = 5", "presliding_mm = -5", "presliding_mm is -5"),
+        ("joint = \"wrist\"\nsigma", "joint = \"hand\"\nsigma", "the robot has no joint \"hand\""),
+    ] {
+        let error = parse(&ALL.replacen(from, to, 1)).expect_err(to).to_string();
+        assert!(error.contains(message), "{message:?} in {error}");
+    }
+    let none = "[effects.backlash]\n";
+    assert!(parse(none).expect_err("no entry").to_string().contains("[effects.backlash] has no entry"));
+    let twice = format!("{ALL}\n[[effects.repeatability.joint]]\njoint = \"wrist\"\nsigma_arcsec = 3\n");
+    assert!(parse(&twice).expect_err("two entries").to_string().contains("\"wrist\" is given twice"));
+}

@@ -1,0 +1,161 @@
+//! `[effects.thermal]`.
+
+use serde::Deserialize;
+
+use super::Reader;
+use super::entries::yes;
+use crate::input::{InputError, Spanned};
+use crate::model::JointKind;
+use crate::plant::effects::{AMBIENT_RANGE, Ambient, GrowingPart, Growth, Thermal};
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(in crate::scenario) struct ThermalFile {
+    #[serde(default = "yes")]
+    enabled: bool,
+    reference_c: Spanned<f64>,
+    start_c: Spanned<f64>,
+    drift_c_per_h: Option<Spanned<f64>>,
+    swing_c: Option<Spanned<f64>>,
+    swing_period_s: Option<Spanned<f64>>,
+    swing_phase_deg: Option<Spanned<f64>>,
+    #[serde(default)]
+    link: Vec<Spanned<GrowthFile>>,
+    rod: Option<RodFile>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct GrowthFile {
+    joint: Spanned<String>,
+    axis: Axis,
+    length_mm: Spanned<f64>,
+    #[serde(default)]
+    with_travel: Option<Spanned<bool>>,
+    expansion_ppm_per_k: Spanned<f64>,
+    lag_s: Spanned<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RodFile {
+    expansion_ppm_per_k: Spanned<f64>,
+    lag_s: Spanned<f64>,
+}
+
+#[derive(Deserialize, Clone, Copy)]
+#[serde(rename_all = "snake_case")]
+enum Axis {
+    X,
+    Y,
+    Z,
+}
+
+pub(super) fn thermal(
+    reader: &Reader<'_>,
+    section: Option<&Spanned<ThermalFile>>,
+) -> Result<Option<Thermal>, InputError> {
+    let Some(section) = section else { return Ok(None) };
+    let file = section.get_ref();
+    let ambient = ambient(reader, file)?;
+    let mut growths = file.link.iter().map(|entry| growth(reader, entry)).collect::<Result<Vec<_>, _>>()?;
+    if let Some(rod) = &file.rod {
+        growths.push(rod_growth(reader, rod)?);
+    }
+    if growths.is_empty() {
+        let message = "[effects.thermal] lets nothing grow".to_owned();
+        return Err(reader.refuse(
+            section.span(),
+            message,
+            "[[effects.thermal.link]] or [effects.thermal.rod]",
+        ));
+    }
+    let reference = temperature(reader, "reference_c", &file.reference_c)?;
+    Ok(file.enabled.then_some(Thermal { ambient, reference, growths }))
+}
+
+/// A temperature of a place where robots are measured, °C.
+fn temperature(reader: &Reader<'_>, key: &str, value: &Spanned<f64>) -> Result<f64, InputError> {
+    let number = reader.source.finite(&format!("effects.thermal.{key}"), value)?;
+    let [low, high] = AMBIENT_RANGE;
+    if (low..=high).contains(&number) {
+        return Ok(number);
+    }
+    let message = format!("effects.thermal.{key} is {number}");
+    Err(reader.refuse(value.span(), message, &format!("{low} to {high} degrees Celsius")))
+}
+
+fn ambient(reader: &Reader<'_>, file: &ThermalFile) -> Result<Ambient, InputError> {
+    let source = reader.source;
+    let swing = match &file.swing_c {
+        Some(swing) => source.not_negative("effects.thermal.swing_c", swing)?,
+        None => 0.0,
+    };
+    let period = match (&file.swing_period_s, &file.swing_c) {
+        (Some(period), _) => source.positive("effects.thermal.swing_period_s", period)?,
+        (None, None) => 1.0,
+        (None, Some(swing)) => {
+            let message = "effects.thermal.swing_c without its period".to_owned();
+            return Err(reader.refuse(swing.span(), message, "swing_period_s beside it"));
+        }
+    };
+    let drift = match &file.drift_c_per_h {
+        Some(drift) => source.finite("effects.thermal.drift_c_per_h", drift)? / 3600.0,
+        None => 0.0,
+    };
+    let start = temperature(reader, "start_c", &file.start_c)?;
+    let phase = reader.phase("effects.thermal.swing_phase_deg", file.swing_phase_deg.as_ref())?;
+    let [low, high] = AMBIENT_RANGE;
+    if start - swing < low || start + swing > high {
+        let message = format!("start_c {start} and swing_c {swing} leave {low} to {high} degrees Celsius");
+        return Err(reader.refuse(file.start_c.span(), message, "a smaller swing_c"));
+    }
+    Ok(Ambient { start, drift, swing, period, phase })
+}
+
+/// The greatest coefficient of a metal, zinc's, is below.
+const MOST_EXPANSION: f64 = 50.0;
+
+/// (expansion per kelvin, time constant in s)
+fn expansion(reader: &Reader<'_>, ppm: &Spanned<f64>, lag: &Spanned<f64>) -> Result<(f64, f64), InputError> {
+    let number = reader.source.not_negative("expansion_ppm_per_k", ppm)?;
+    if number > MOST_EXPANSION {
+        let message = format!("expansion_ppm_per_k is {number}");
+        return Err(reader.refuse(
+            ppm.span(),
+            message,
+            &format!("0 to {MOST_EXPANSION}, steel has about 12"),
+        ));
+    }
+    Ok((1e-6 * number, reader.source.not_negative("lag_s", lag)?))
+}
+
+fn growth(reader: &Reader<'_>, entry: &Spanned<GrowthFile>) -> Result<Growth, InputError> {
+    let file = entry.get_ref();
+    let joint = super::joint_index(reader.source, &file.joint, reader.chain())?;
+    let axis = match file.axis {
+        Axis::X => 0,
+        Axis::Y => 1,
+        Axis::Z => 2,
+    };
+    let with_travel = file.with_travel.as_ref().is_some_and(|travels| *travels.get_ref());
+    if let (true, JointKind::Revolute, Some(travels)) =
+        (with_travel, reader.chain().links[joint].kind, &file.with_travel)
+    {
+        let message = format!("with_travel of joint \"{}\", which is revolute", file.joint.get_ref());
+        return Err(reader.refuse(travels.span(), message, "it on a prismatic joint alone"));
+    }
+    let length = 1e-3 * reader.source.not_negative("length_mm", &file.length_mm)?;
+    let (expansion, lag) = expansion(reader, &file.expansion_ppm_per_k, &file.lag_s)?;
+    Ok(Growth { part: GrowingPart::Link { joint, axis }, length, with_travel, expansion, lag })
+}
+
+fn rod_growth(reader: &Reader<'_>, file: &RodFile) -> Result<Growth, InputError> {
+    if reader.robot.model.actuators.four_bar().is_none() {
+        let message = "[effects.thermal.rod], but the robot's file gives no lengths of a four-bar".to_owned();
+        let span = file.expansion_ppm_per_k.span();
+        return Err(reader.refuse(span, message, "a robot whose elbow is driven through a coupler rod"));
+    }
+    let (expansion, lag) = expansion(reader, &file.expansion_ppm_per_k, &file.lag_s)?;
+    Ok(Growth { part: GrowingPart::Rod, length: 0.0, with_travel: false, expansion, lag })
+}
