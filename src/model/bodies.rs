@@ -119,13 +119,6 @@ pub struct Beam {
     pub segments: Vec<BeamSegment>,
 }
 
-impl Beam {
-    /// kg, at the joint variable `q` of its link.
-    pub fn mass(&self, q: f64) -> f64 {
-        self.segments.iter().map(|segment| segment.section.mass_per_length * segment.length.at(q)).sum()
-    }
-}
-
 /// One uniform piece of a beam.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BeamSegment {
