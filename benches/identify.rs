@@ -8,7 +8,7 @@ use std::hint::black_box;
 use std::path::Path;
 
 use calibrig::identification::{FrameChoice, Mode, TargetChoice, identify};
-use calibrig::pipeline::simulate;
+use calibrig::pipeline::{PlantKind, simulate};
 use calibrig::scenario::load_scenario;
 use criterion::{Criterion, criterion_group, criterion_main};
 use nalgebra::DMatrix;
@@ -17,7 +17,7 @@ fn benches(c: &mut Criterion) {
     let mut scenario = load_scenario(Path::new("scenarios/paper.toml")).expect("the shipped scenario");
     scenario.identification_poses = 100;
     scenario.verification_poses = 0;
-    let simulation = simulate(&scenario, scenario.seed, 0, |_, _| {}).expect("a simulation");
+    let simulation = simulate(&scenario, scenario.seed, 0, PlantKind::Rapier, |_, _| {}).expect("a simulation");
     let set = &simulation.sets[0].measurements;
     let mut options = scenario.options.clone();
     options.frame = FrameChoice::Nests;

@@ -69,6 +69,15 @@ pub fn best_fit_transform(points_a: &[Vector3<f64>], points_b: &[Vector3<f64>]) 
     Some(Transform::from_parts(Translation3::from(centre_a - rotation * centre_b), rotation))
 }
 
+/// The logarithm of a rotation of less than half a turn, rad. nalgebra's goes by the arc cosine, which keeps half the digits near zero.
+pub fn rotation_vector(rotation: &Rotation3<f64>) -> Vector3<f64> {
+    let r = rotation.matrix();
+    let sine_axis = 0.5 * Vector3::new(r.m32 - r.m23, r.m13 - r.m31, r.m21 - r.m12);
+    let sine = sine_axis.norm();
+    let angle = sine.atan2(0.5 * (r.trace() - 1.0));
+    if sine > 0.0 { sine_axis * (angle / sine) } else { sine_axis }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -87,5 +96,17 @@ mod tests {
         assert!((found.to_homogeneous() - truth.to_homogeneous()).norm() < 1e-13);
         let line: Vec<_> = (0..6).map(|i| Vector3::new(f64::from(i), 0.0, 0.0)).collect();
         assert!(best_fit_transform(&line, &line).is_none());
+    }
+
+    #[test]
+    fn the_rotation_vector_undoes_the_exponential_from_tiny_to_large_angles() {
+        for angle in [0.0, 1e-12, 1e-6, 0.1, 3.0] {
+            let expected = angle * Vector3::new(2.0, -1.0, 2.0) / 3.0;
+            let found = rotation_vector(&Rotation3::new(expected));
+            assert!(
+                (found - expected).norm() <= 1e-14 * (1.0 + 1.0 / (std::f64::consts::PI - angle)),
+                "{angle}"
+            );
+        }
     }
 }

@@ -72,3 +72,4 @@ pub mod report;
 pub mod scenario;
 pub mod statistics;
 pub mod tracker;
+pub mod validation;

@@ -1,8 +1,14 @@
 //! The short story of a run: simulate, identify, evaluate.
 
+mod ablation;
+mod machine;
 mod simulate;
+mod truth;
 
+pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
+pub use machine::PlantKind;
 pub use simulate::simulate;
+pub use truth::KnownTruth;
 
 use std::fmt::Write;
 
@@ -12,7 +18,8 @@ use thiserror::Error;
 
 use crate::evaluation::{AccuracyRow, accuracy};
 use crate::identification::{
-    CalibratedRobot, Estimate, IdentificationOptions, IdentifyError, Mode, identify, without_calibration,
+    CalibratedRobot, Estimate, IdentificationOptions, IdentifyError, Mode, PredictionError, Predictor,
+    identify, without_calibration,
 };
 use crate::input::Source;
 use crate::measurement::MeasurementSet;
@@ -107,6 +114,8 @@ pub struct Outcome {
     pub truth: Option<Truth>,
     /// Published figures to print beside, metres: (set, mode, [max x, mean x, max y, mean y, max z, mean z]).
     pub published: Vec<(SetKind, Mode, [f64; 6])>,
+    /// What each part of the simulated machine contributes, where that was asked for.
+    pub ablation: Option<Ablation>,
 }
 
 /// A simulated session: what the tracker saw, and the truth beside it.
@@ -128,6 +137,9 @@ pub enum PipelineError {
     /// The machine's effects are none that a machine has.
     #[error("the machine's effects: {0}")]
     Effects(#[from] EffectError),
+    /// The analytic machine does not come to rest.
+    #[error("the analytic plant: {0}")]
+    Analytic(#[from] crate::elastostatics::ElasticError),
     /// A nest is out of the tracker's reach.
     #[error("base nest {nest}: {source}")]
     Nest {
@@ -135,6 +147,14 @@ pub enum PipelineError {
         nest: String,
         /// Why.
         source: TrackerError,
+    },
+    /// An identified robot cannot take a measured pose.
+    #[error("{}: {source}", mode.title())]
+    Predict {
+        /// The mode.
+        mode: Mode,
+        /// Why.
+        source: PredictionError,
     },
     /// A mode cannot be identified.
     #[error("{}: {source}", mode.title())]
@@ -159,7 +179,7 @@ pub fn calibrate(
     let fitted = sets.first().map_or(&empty, |set| &set.measurements);
     let registered = without_calibration(model, fitted)
         .map_err(|source| PipelineError::Identify { mode: Mode::WithoutCalibration, source })?;
-    let rms = accuracy(&errors(model, &registered, fitted)).map_or(0.0, |row| row.rms_3d);
+    let rms = accuracy(&errors(model, &registered, fitted)?).map_or(0.0, |row| row.rms_3d);
     let registration = RegistrationSummary {
         how: if fitted.targets.iter().any(|t| t.covariance.is_none()) {
             "best fit of the nominal robot to the identification set, tracker frame and target offset free"
@@ -175,7 +195,7 @@ pub fn calibrate(
         .map(|&mode| {
             let estimate = match mode {
                 Mode::WithoutCalibration => None,
-                Mode::OnlyCalibration | Mode::WithGravity => {
+                _ => {
                     let options = IdentificationOptions { mode, ..options.clone() };
                     Some(
                         identify(model, fitted, &options)
@@ -184,7 +204,10 @@ pub fn calibrate(
                 }
             };
             let robot = estimate.as_ref().map_or_else(|| registered.clone(), |e| e.robot.clone());
-            let errors: Vec<_> = sets.iter().map(|set| errors(model, &robot, &set.measurements)).collect();
+            let errors: Vec<_> = sets
+                .iter()
+                .map(|set| errors(model, &robot, &set.measurements))
+                .collect::<Result<_, PipelineError>>()?;
             let rows = errors.iter().map(|e| accuracy(e)).collect();
             Ok(ModeOutcome { mode, robot, estimate, errors, rows })
         })
@@ -192,13 +215,19 @@ pub fn calibrate(
     Ok((registration, outcomes))
 }
 
-fn errors(model: &CalibrationModel, robot: &CalibratedRobot, set: &MeasurementSet) -> Vec<Vector3<f64>> {
-    set.observations.iter().map(|o| robot.error_in_base(model, o)).collect()
+fn errors(
+    model: &CalibrationModel,
+    robot: &CalibratedRobot,
+    set: &MeasurementSet,
+) -> Result<Vec<Vector3<f64>>, PipelineError> {
+    Predictor::new(model, robot)
+        .errors(set)
+        .map_err(|source| PipelineError::Predict { mode: robot.mode, source })
 }
 
 /// Simulates, identifies and evaluates a scenario.
 pub fn run(scenario: &Scenario, seed: u64, progress: impl FnMut(u32, u32)) -> Result<Outcome, PipelineError> {
-    let simulation = simulate(scenario, seed, 0, progress)?;
+    let simulation = simulate(scenario, seed, 0, PlantKind::Rapier, progress)?;
     let model = &scenario.robot.model;
     let (registration, modes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;
     Ok(Outcome {
@@ -216,6 +245,7 @@ pub fn run(scenario: &Scenario, seed: u64, progress: impl FnMut(u32, u32)) -> Re
         modes,
         truth: Some(simulation.truth),
         published: scenario.published.clone(),
+        ablation: None,
     })
 }
 

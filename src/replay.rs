@@ -121,6 +121,7 @@ pub fn replay(path: &Path) -> Result<Replayed, ReplayError> {
         modes,
         truth: None,
         published: scenario.published,
+        ablation: None,
     };
     Ok(Replayed { outcome, compared, differences })
 }

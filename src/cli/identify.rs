@@ -9,11 +9,12 @@ use clap::{CommandFactory, ValueEnum};
 use super::output::{self, Destination, Files};
 use super::{Cli, CliError, Verdict, not_identified, say};
 use crate::identification::{
-    FrameChoice, IdentificationOptions, Mode, ParameterChoice, TargetChoice, Tolerance,
+    ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Mode, ParameterChoice, TargetChoice,
+    Tolerance,
 };
 use crate::input::Source;
 use crate::measurement::{ColumnMap, load_column_map, parse_column_map, parse_measurements};
-use crate::model::{JointKind, load_robot};
+use crate::model::{CalibrationModel, FAMILIES, JointKind, ParameterId, load_robot};
 use crate::pipeline::{InputSummary, Outcome, SetKind, SetOutcome, calibrate, hash_sources};
 
 /// Calibrate a robot from measured positions in a file, and verify on another file
@@ -26,6 +27,9 @@ use crate::pipeline::{InputSummary, Outcome, SetKind, SetOutcome, calibrate, has
   calibrig identify --model models/ur5/robot.toml --measurements grid.csv --verify random.csv
   calibrig identify --model models/ur5/robot.toml --measurements grid.csv --out ur5 --json
   calibrig identify --model robot.toml --measurements m.txt --columns map.toml --parameters rules
+  calibrig identify --model robot.toml --measurements m.csv --mode only_calibration --mode elasto_geometric
+  calibrig identify --model robot.toml --measurements m.csv --mode elasto_geometric --compliances compliance_drive2,compliance_drive3
+  calibrig identify --model robot.toml --measurements m.csv --mode extended --terms hysteresis,harmonic
 
 What the columns of the file mean is told by --columns MAP.toml, else by the map that the robot's file names, else it is
 calibrig's own layout (see docs/formats.md).")]
@@ -45,6 +49,19 @@ pub(super) struct Args {
     /// Which link parameters
     #[arg(long, value_enum, default_value_t = Parameters::Complete)]
     parameters: Parameters,
+    /// Which models are fitted, beside the robot without calibration; may be repeated [default: only_calibration, and with_gravity where
+    /// the robot's files give masses and stiffnesses]
+    #[arg(long, value_name = "MODE", value_parser = fitted_mode)]
+    mode: Vec<Mode>,
+    /// Terms of the mode `extended`, by family; "none" for none [default: all that the robot can have]
+    #[arg(long, value_name = "FAMILY,..", value_delimiter = ',', value_parser = family)]
+    terms: Option<Vec<String>>,
+    /// Compliances of the modes `elasto_geometric` and `extended`: drives, all, or names
+    #[arg(long, value_name = "WHICH,..", value_delimiter = ',', default_value = "drives")]
+    compliances: Vec<String>,
+    /// How well the compliances are known beforehand: standard deviation of a prior, per cent of the predicted value
+    #[arg(long, value_name = "PERCENT", default_value_t = 10.0, value_parser = percent)]
+    compliance_percent: f64,
     /// How well the links' lengths are known beforehand: standard deviation of a prior, mm; 0 in both for none
     #[arg(long, value_name = "MM", default_value_t = 10.0, allow_negative_numbers = true, value_parser = tolerance_value)]
     tolerance_mm: f64,
@@ -90,7 +107,63 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
             args.tolerance_mm, args.tolerance_mrad
         ));
     }
+    if args.mode.iter().any(|mode| mode.is_coupled()) {
+        say(&format!(
+            "prior on the compliances: predicted value +- {} % (--compliance-percent)",
+            args.compliance_percent
+        ));
+    }
     Ok(output::verdict(&outcome))
+}
+
+fn fitted_mode(text: &str) -> Result<Mode, String> {
+    Mode::parse(text).filter(|mode| *mode != Mode::WithoutCalibration).ok_or_else(|| {
+        let modes = Mode::ALL.iter().filter(|mode| **mode != Mode::WithoutCalibration).map(|mode| mode.key());
+        format!("expected one of: {}", modes.collect::<Vec<_>>().join(", "))
+    })
+}
+
+const NO_TERMS: &str = "none";
+
+fn family(text: &str) -> Result<String, String> {
+    let known: Vec<_> =
+        [NO_TERMS, LINKAGE].into_iter().chain(FAMILIES.iter().map(|family| family.key())).collect();
+    if known.contains(&text) {
+        return Ok(text.to_owned());
+    }
+    Err(format!("expected some of: {}", known.join(", ")))
+}
+
+fn percent(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(number) if (1e-6..=1e6).contains(&number) => Ok(number),
+        _ => Err("expected a number from 0.000001 to 1000000".to_owned()),
+    }
+}
+
+/// What `--compliances` asks for. A wrong name is a wrong use of the command line.
+fn compliances(args: &Args, model: &CalibrationModel) -> ComplianceChoice {
+    match args.compliances.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
+        ["drives"] => return ComplianceChoice::Drives,
+        ["all"] => return ComplianceChoice::All,
+        _ => {}
+    }
+    let known = model.compliances();
+    let listed = args.compliances.iter().map(|name| match ParameterId::parse(name) {
+        Some(ParameterId::Compliance(compliance)) if known.contains(&compliance) => compliance,
+        _ => {
+            let names = known.iter().map(|compliance| ParameterId::Compliance(*compliance).to_string());
+            let names: Vec<_> = names.collect();
+            let expected = if names.is_empty() {
+                "no such flag: the robot's files give no finite stiffness".to_owned()
+            } else {
+                format!("drives, all, or some of: {}", names.join(", "))
+            };
+            let message = format!("--compliances {name}: expected {expected}");
+            Cli::command().error(ErrorKind::InvalidValue, message).exit()
+        }
+    });
+    ComplianceChoice::Listed(listed.collect())
 }
 
 fn tolerance_value(text: &str) -> Result<f64, String> {
@@ -136,10 +209,16 @@ fn outcome(args: &Args) -> Result<Outcome, CliError> {
         sources.push((kind.key().to_owned(), source));
         sets.push(SetOutcome { kind, measurements: file.set, dropped: file.dropped });
     }
-    let mut modes = vec![Mode::WithoutCalibration, Mode::OnlyCalibration];
-    if robot.model.statics.is_some() {
-        modes.push(Mode::WithGravity);
-    }
+    let modes: Vec<_> = Mode::ALL
+        .into_iter()
+        .filter(|mode| match mode {
+            Mode::WithoutCalibration => true,
+            _ if !args.mode.is_empty() => args.mode.contains(mode),
+            Mode::OnlyCalibration => true,
+            Mode::WithGravity => robot.model.statics.is_some(),
+            Mode::ElastoGeometric | Mode::Extended => false,
+        })
+        .collect();
     let options = IdentificationOptions {
         parameters: match args.parameters {
             Parameters::Complete => ParameterChoice::Complete,
@@ -148,6 +227,9 @@ fn outcome(args: &Args) -> Result<Outcome, CliError> {
         frame: FrameChoice::Free,
         target: TargetChoice::Identified,
         tolerance: tolerance(args),
+        compliances: compliances(args, &robot.model),
+        compliance_sigma: 1e-2 * args.compliance_percent,
+        terms: args.terms.as_ref().map(|keys| keys.iter().filter(|k| *k != NO_TERMS).cloned().collect()),
         ..IdentificationOptions::default()
     };
     let (registration, modes) = calibrate(&robot.model, &sets, &modes, &options).map_err(|error| {
@@ -167,6 +249,7 @@ fn outcome(args: &Args) -> Result<Outcome, CliError> {
         modes,
         truth: None,
         published: Vec::new(),
+        ablation: None,
     })
 }
 

@@ -3,6 +3,7 @@
 mod check;
 mod identifiability;
 mod identify;
+mod montecarlo;
 mod output;
 mod replay;
 mod run;
@@ -42,6 +43,7 @@ enum Command {
     Check(check::Args),
     Identify(identify::Args),
     Identifiability(identifiability::Args),
+    Montecarlo(montecarlo::Args),
     Replay(replay::Args),
 }
 
@@ -71,6 +73,8 @@ enum CliError {
     Report(#[from] ReportError),
     #[error("cannot write {what}: {source}")]
     Output { what: String, source: io::Error },
+    #[error("cannot start the threads: {reason}")]
+    Threads { reason: String },
     #[error("cannot write to the folder {}: {} is {what}", folder.display(), at.display())]
     #[diagnostic(help("expected {expected}"))]
     InTheWay { folder: PathBuf, at: PathBuf, what: &'static str, expected: &'static str },
@@ -101,6 +105,7 @@ pub fn main() -> ExitCode {
         Command::Run(args) => run::execute(args),
         Command::Check(args) => check::execute(args),
         Command::Identify(args) => identify::execute(args),
+        Command::Montecarlo(args) => montecarlo::execute(args),
         Command::Identifiability(args) => identifiability::execute(args),
         Command::Replay(args) => replay::execute(args),
     };

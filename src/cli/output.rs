@@ -14,12 +14,15 @@ pub(super) enum Files {
     Reports,
     /// Reports and recordings.
     ReportsAndRecordings,
+    /// What a campaign leaves.
+    Campaign,
 }
 
 impl Files {
     fn names(self) -> &'static [&'static str] {
         match self {
             Self::Reports => &["report.html", "report.json"],
+            Self::Campaign => &["trials.csv", "summary.json"],
             #[cfg(feature = "rerun")]
             Self::ReportsAndRecordings => &["report.html", "report.json", "recording.mcap", "recording.rrd"],
             #[cfg(not(feature = "rerun"))]
@@ -62,7 +65,7 @@ impl Destination<'_> {
     }
 
     /// The folder, made if it is not there, and whether it was made.
-    fn make(self) -> Result<(PathBuf, bool), CliError> {
+    pub(super) fn make(self) -> Result<(PathBuf, bool), CliError> {
         let failed = |path: &Path| {
             let what = path.display().to_string();
             move |source| CliError::Output { what, source }
@@ -162,7 +165,9 @@ pub(super) fn verdict(outcome: &Outcome) -> Verdict {
                         names.join(", ")
                     ));
                 }
-                Warning::RankDeficient { .. } => say(&format!("doubtful: {title}: {warning}")),
+                Warning::RankDeficient { .. } | Warning::AtBound { .. } => {
+                    say(&format!("doubtful: {title}: {warning}"))
+                }
                 _ => {}
             }
         }

@@ -1,7 +1,10 @@
 //! Whether errors and residuals are as large as stated: chi-square, NEES, coverage.
 
+use std::fmt;
+
 use nalgebra::{Cholesky, DMatrix, DVector};
 
+use super::{NoiseLevel, PatternReport, ResidualSet, find_patterns};
 use crate::statistics::{binomial_cdf, chi2_quantile, chi2_survival, clopper_pearson};
 
 /// A chi-square with the probability of a larger one.
@@ -24,6 +27,60 @@ impl ChiSquareTest {
     /// Actual over stated standard deviation.
     pub fn ratio(&self) -> f64 {
         (self.chi2 / self.dof).sqrt()
+    }
+}
+
+/// Whether residuals are what the stated noise leaves, in size and in shape.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ConsistencyReport {
+    /// Their size; `None` where the noise was taken from the residuals themselves, or without a degree of freedom.
+    pub size: Option<ChiSquareTest>,
+    /// Their shape; `None` without a degree of freedom.
+    pub shape: Option<PatternReport>,
+    /// Probability of a false alarm, in either.
+    pub level: f64,
+}
+
+/// Tests size and shape of the residuals of a fit at the false-alarm rate `level` (such as 0.001) each.
+pub fn check_consistency(set: &ResidualSet<'_>, noise: NoiseLevel, level: f64) -> ConsistencyReport {
+    let dof = set.residuals.len() as f64 - set.jacobian.ncols() as f64;
+    let size = match noise {
+        NoiseLevel::Known => ChiSquareTest::new(set.residuals.norm_squared(), dof),
+        NoiseLevel::Estimated => None,
+    };
+    ConsistencyReport { size, shape: find_patterns(set, level), level }
+}
+
+impl ConsistencyReport {
+    /// Whether the residuals are larger than stated.
+    pub fn too_large(&self) -> bool {
+        self.size.is_some_and(|test| test.p_value < self.level)
+    }
+
+    /// Whether nothing speaks against the model and the stated noise.
+    pub fn is_consistent(&self) -> bool {
+        !self.too_large() && self.shape.as_ref().is_none_or(|shape| shape.patterns.is_empty())
+    }
+}
+
+impl fmt::Display for ConsistencyReport {
+    /// A sentence a line.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(size) = self.size.filter(|_| self.too_large()) {
+            write!(f, "the residuals are {:.1} times what the stated noise explains", size.ratio())?;
+        } else {
+            f.write_str(match self.size {
+                Some(_) => "the residuals are as large as the stated noise explains",
+                None => "the size of the residuals is not tested: no noise was stated",
+            })?;
+        }
+        match &self.shape {
+            None => f.write_str("\ntheir shape is not tested: they leave no degree of freedom"),
+            Some(shape) if shape.patterns.is_empty() => {
+                f.write_str("\nthey have no pattern against joints, approach, time or sequence")
+            }
+            Some(shape) => shape.patterns.iter().try_for_each(|pattern| write!(f, "\n{pattern}")),
+        }
     }
 }
 

@@ -3,14 +3,20 @@
 mod comparison;
 mod consistency;
 mod criteria;
+mod model_choice;
 mod patterns;
 mod splits;
 
 pub use comparison::{Interval, paired_rms_difference, resampled_difference};
-pub use consistency::{ChiSquareTest, Coverage, chi2_band, mean_nees_band, nees};
+pub use consistency::{
+    ChiSquareTest, ConsistencyReport, Coverage, check_consistency, chi2_band, mean_nees_band, nees,
+};
 pub use criteria::{Criteria, Fit, NoiseLevel};
+pub use model_choice::{Variant, VariantRow, Verdict, compare_variants};
 pub use patterns::{Cause, PatternReport, PoseConditions, ResidualPattern, ResidualSet, find_patterns};
 pub use splits::{Split, k_fold, leave_one_out, repeated_splits};
+
+
 
 use nalgebra::Vector3;
 

@@ -1,104 +1,22 @@
 //! What an identification returns.
 
-use nalgebra::{DMatrix, Vector3};
+use nalgebra::DMatrix;
 use thiserror::Error;
 
-use super::Spectrum;
-use crate::elastostatics::joint_deflections;
-use crate::geometry::Transform;
-use crate::kinematics::target_in_base;
-use crate::measurement::Observation;
-use crate::model::{CalibrationModel, KinematicModel, ParameterId};
-
-/// Which model is fitted: the rows of the published comparison.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum Mode {
-    /// The nominal robot after registration of the tracker.
-    WithoutCalibration,
-    /// Geometric parameters.
-    OnlyCalibration,
-    /// Geometric parameters on top of the deflection that gravity is predicted to cause.
-    WithGravity,
-}
-
-impl Mode {
-    /// All modes, in the order of the published tables.
-    pub const ALL: [Self; 3] = [Self::WithoutCalibration, Self::OnlyCalibration, Self::WithGravity];
-
-    /// The key in JSON and in topic names.
-    pub fn key(self) -> &'static str {
-        match self {
-            Self::WithoutCalibration => "without_calibration",
-            Self::OnlyCalibration => "only_calibration",
-            Self::WithGravity => "with_gravity",
-        }
-    }
-
-    /// The row's title as published.
-    pub fn title(self) -> &'static str {
-        match self {
-            Self::WithoutCalibration => "without calibration",
-            Self::OnlyCalibration => "only calibration",
-            Self::WithGravity => "calibration considering gravity",
-        }
-    }
-
-    /// The mode of a [`key`](Self::key).
-    pub fn parse(key: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|mode| mode.key() == key)
-    }
-}
-
-/// A robot as a mode believes it to be: enough to predict where a target is seen.
-#[derive(Debug, Clone, PartialEq)]
-pub struct CalibratedRobot {
-    /// Which mode it comes from; decides whether the predicted deflection is added.
-    pub mode: Mode,
-    /// The identified (or nominal) chain.
-    pub kinematics: KinematicModel,
-    /// `tracker_from_base`, one a station.
-    pub stations: Vec<Transform>,
-    /// Offsets in the flange frame, m, one a target.
-    pub targets: Vec<Vector3<f64>>,
-}
-
-impl CalibratedRobot {
-    /// Joint variables at a command: the actuator map, and the predicted deflection where the mode has one. SI.
-    pub fn joints(&self, model: &CalibrationModel, command: &[f64]) -> Vec<f64> {
-        let mut joints = vec![0.0; command.len()];
-        model.actuators.joints_from_command(command, &mut joints);
-        if let (Mode::WithGravity, Some(statics)) = (self.mode, &model.statics) {
-            let deflection = joint_deflections(&model.kinematics, statics, &joints);
-            for (q, dq) in joints.iter_mut().zip(deflection) {
-                *q += dq;
-            }
-        }
-        joints
-    }
-
-    /// Where the observation's target is predicted to be, in the base frame, m.
-    pub fn predict_in_base(&self, model: &CalibrationModel, observation: &Observation) -> Vector3<f64> {
-        let joints = self.joints(model, &observation.command);
-        target_in_base(&self.kinematics, &joints, &self.targets[observation.target])
-    }
-
-    /// Measured minus predicted position, in the base frame, m: the error that the tables are made of.
-    pub fn error_in_base(&self, model: &CalibrationModel, observation: &Observation) -> Vector3<f64> {
-        let tracker_from_base = &self.stations[observation.station];
-        let seen = observation.reading.position() - tracker_from_base.translation.vector;
-        tracker_from_base.rotation.inverse() * seen - self.predict_in_base(model, observation)
-    }
-}
+use super::{CalibratedRobot, DependentGroup, Spectrum};
+use crate::model::ParameterId;
 
 /// One identified parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ParameterEstimate {
     /// Which.
     pub id: ParameterId,
-    /// Deviation from the nominal (links), prior (frame) or stated (target) value, m or rad.
+    /// Deviation from the nominal (links), prior (frame), stated (target) or predicted (compliances) value, SI.
     pub value: f64,
-    /// Standard deviation, m or rad; `None` where the system is singular.
+    /// Standard deviation, SI; `None` where the system is singular.
     pub sigma: Option<f64>,
+    /// Standard deviation of its own zero-mean prior, SI; `None` where it has none. Frame and target share theirs with others.
+    pub prior_sigma: Option<f64>,
 }
 
 /// Why the solver stopped.
@@ -187,6 +105,47 @@ pub enum Warning {
         /// The combination in words.
         direction: String,
     },
+    /// Parameters that are left to their priors.
+    #[error(
+        "the measurements alone cannot tell {} from others: what is printed of them is their prior's", .groups.join("; ")
+    )]
+    HeldByPrior {
+        /// Dependent groups by name.
+        groups: Vec<String>,
+    },
+    /// Parameters that are left out.
+    #[error("left at the nominal value, because the measurements cannot tell them from others: {}", .groups.join("; "))]
+    Fixed {
+        /// Dependent groups by name.
+        groups: Vec<String>,
+    },
+    /// A compliance that was asked for.
+    #[error(
+        "gravity hardly loads {name} in these poses: its value is its prior's. Leave it out, or measure poses or payloads that load it"
+    )]
+    Unexcited {
+        /// Name of the parameter.
+        name: String,
+    },
+    /// A parameter that is as far as it may go.
+    #[error(
+        "{name} ended at its bound {bound}: the measurements ask for more than it can be, so that the model lacks something or its prediction is off"
+    )]
+    AtBound {
+        /// Name of the parameter.
+        name: String,
+        /// Its limit, SI.
+        bound: f64,
+    },
+    /// Observations far off the others.
+    #[error("far off the others: {}", poses_in_words(.0))]
+    Outliers(Vec<Outlier>),
+    /// The starts led to several minima.
+    #[error("{minima} minima were found, and the lowest is given: another start could find a lower one")]
+    SeveralMinima {
+        /// Their number.
+        minima: u32,
+    },
     /// The residuals are larger than the stated noise explains.
     #[error(
         "the residuals are {ratio:.1} times what the stated noise explains: the model lacks something, and the standard deviations do not include it"
@@ -195,6 +154,24 @@ pub enum Warning {
         /// Square root of chi-square per degree of freedom.
         ratio: f64,
     },
+}
+
+fn poses_in_words(outliers: &[Outlier]) -> String {
+    let words = |o: &Outlier| format!("pose {} ({:.1} sigma, weight {:.2})", o.pose, o.size, o.weight);
+    outliers.iter().map(words).collect::<Vec<_>>().join(", ")
+}
+
+/// An observation that a robust loss found to be far off the others.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Outlier {
+    /// Number of its pose.
+    pub pose: u32,
+    /// Index of the observation in its set.
+    pub observation: usize,
+    /// Length of its residual, in standard deviations of a coordinate.
+    pub size: f64,
+    /// What it still counts for, from 1 down to 0.
+    pub weight: f64,
 }
 
 /// The result of an identification. Non-convergence and rank deficiency are in here as data, not errors.
@@ -216,8 +193,16 @@ pub struct Estimate {
     pub termination: TerminationReason,
     /// Its history.
     pub iterations: Vec<IterationRecord>,
-    /// Rank, condition and weak directions of the scaled system.
+    /// Rank, condition and weak directions of the scaled system, without the links' making tolerance.
     pub spectrum: Spectrum,
+    /// Parameters that the measurements alone, with nests and target, cannot tell from others, and that rest on their priors.
+    pub held: Vec<DependentGroup>,
+    /// Parameters that were left out of the fit for the same reason.
+    pub fixed: Vec<DependentGroup>,
+    /// Parameters that ended at a bound.
+    pub at_bound: Vec<ParameterId>,
+    /// Observations beyond five standard deviations; known where a robust loss was asked for.
+    pub outliers: Vec<Outlier>,
     /// What a user must know.
     pub warnings: Vec<Warning>,
 }
@@ -228,9 +213,11 @@ impl Estimate {
         (self.degrees_of_freedom > 0).then(|| self.chi2 / self.degrees_of_freedom as f64)
     }
 
-    /// Whether it may be used without a second look: converged and of full rank.
+    /// Whether it may be used without a second look: converged, of full rank, and at no bound.
     pub fn is_sound(&self) -> bool {
-        self.termination.converged() && self.spectrum.rank == self.parameters.len()
+        self.termination.converged()
+            && self.spectrum.rank == self.parameters.len()
+            && self.at_bound.is_empty()
     }
 
     /// The value of a parameter, if it was identified.

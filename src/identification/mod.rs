@@ -2,27 +2,42 @@
 //!
 //! Nothing here may see the plant, the tracker's inside or the truth (see `tests/it/layers.rs`).
 
+mod build;
 mod estimate;
 mod identifiability;
 mod identify;
+mod linearisation;
+mod machine;
+mod mode;
+mod options;
+mod parameters;
 mod problem;
+mod robot;
 mod solver;
+mod summary;
 mod uncertainty;
 
 pub use estimate::{
-    CalibratedRobot, Estimate, IterationRecord, Mode, NoiseScale, ParameterEstimate, TerminationReason,
-    Warning,
+    Estimate, IterationRecord, NoiseScale, Outlier, ParameterEstimate, TerminationReason, Warning,
 };
 pub use identifiability::{
     DependentGroup, Explanation, Finding, IdentifiabilityReport, RANK_TOLERANCE, Remedy, Spectrum,
     WEAK_TOLERANCE, WeakDirection, analyse_columns, analyse_r, complete_set, explain, identifiability,
     neighbour_axis_rules, select_independent, structural_poses,
 };
-pub use identify::{
-    FrameChoice, IdentificationOptions, IdentifyError, ParameterChoice, TargetChoice, Tolerance, identify,
-    without_calibration,
+pub use identify::{IdentifyError, identify, without_calibration};
+pub use linearisation::{Linearisation, linearise};
+pub use machine::MachineError;
+pub use mode::Mode;
+pub use options::{
+    ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, ParameterChoice, Redundancy, TargetChoice,
+    TermPrior, Tolerance,
 };
-pub use solver::{LeastSquares, SolverOptions};
+pub use robot::{CalibratedRobot, PredictionError, Predictor};
+pub use solver::{
+    AtBound, Bounds, BoundsError, LeastSquares, Loss, LossScale, Side, Solution, SolverOptions, minimise,
+    minimise_within,
+};
 pub use uncertainty::{
     ParameterSupport, PoseInfluence, PositionJacobian, Uncertainty, bayesian_cramer_rao_bound,
     cramer_rao_bound,

@@ -3,13 +3,18 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3, Vector6};
 
 use super::LeastSquares;
+use super::machine::{Machine, MachineError, Prepared};
+use crate::elastostatics::apply;
 use crate::geometry::{Transform, cross_matrix, small_displacement};
-use crate::kinematics::PlacedChain;
-use crate::model::{KinematicModel, ParameterId};
+use crate::model::{CalibrationModel, ParameterId};
 
 /// One observation, ready for the fit.
 #[derive(Debug, Clone)]
 pub(super) struct Row {
+    /// Number of the pose.
+    pub pose: u32,
+    /// What the robot was told.
+    pub told: Prepared,
     /// Measured position in the tracker's frame, m.
     pub seen: Vector3<f64>,
     /// Inverse Cholesky factor of its covariance: turns a difference in metres into standard deviations.
@@ -28,17 +33,19 @@ pub(super) struct Prior {
 }
 
 /// Observations, priors and the model that joins them. All memory is taken when it is made; [`evaluate`](LeastSquares::evaluate)
-/// takes none.
+/// takes none. Where the robot cannot take a pose, its residual is not a number.
 #[derive(Debug, Clone)]
 pub(super) struct CalibrationProblem {
-    pub nominal: KinematicModel,
+    pub nominal: CalibrationModel,
     pub parameters: Vec<ParameterId>,
-    /// Joint variables of every observation, deflection included, one after the other.
-    pub joints: Vec<f64>,
+    /// In blocks of three coordinates, the first rows of the system.
     pub rows: Vec<Row>,
+    /// The next rows: nests and targets.
     pub priors: Vec<Prior>,
-    /// One over the standard deviation of the first parameters' own priors.
-    pub tolerances: Vec<f64>,
+    /// The next rows: (column, one over the standard deviation) of parameters with a prior of their own that is not the links' tolerance.
+    pub own_priors: Vec<(usize, f64)>,
+    /// The last rows: the same of the links' making tolerance.
+    pub tolerances: Vec<(usize, f64)>,
     /// `tracker_from_base` that the frame parameters displace.
     pub stations: Vec<Transform>,
     /// Offsets that the target parameters change.
@@ -49,21 +56,29 @@ pub(super) struct CalibrationProblem {
 /// The model at the parameters of one evaluation.
 #[derive(Debug, Clone)]
 pub(super) struct Current {
-    pub kinematics: KinematicModel,
+    pub model: CalibrationModel,
     pub stations: Vec<Transform>,
     pub targets: Vec<Vector3<f64>>,
     displacements: Vec<Vector6<f64>>,
-    chain: PlacedChain,
+    amplitudes: Vec<f64>,
+    machine: Machine,
 }
 
 impl Current {
-    pub fn new(nominal: &KinematicModel, stations: &[Transform], targets: &[Vector3<f64>]) -> Self {
+    /// `machine` knows the terms, in the order of their parameters.
+    pub fn new(
+        nominal: &CalibrationModel,
+        machine: Machine,
+        stations: &[Transform],
+        targets: &[Vector3<f64>],
+    ) -> Self {
         Self {
-            kinematics: nominal.clone(),
+            model: nominal.clone(),
             stations: stations.to_vec(),
             targets: targets.to_vec(),
             displacements: vec![Vector6::zeros(); stations.len()],
-            chain: PlacedChain::new(nominal),
+            amplitudes: Vec::new(),
+            machine,
         }
     }
 }
@@ -72,28 +87,39 @@ impl CalibrationProblem {
     /// Puts the current model at `x`.
     pub fn set(&mut self, x: &[f64]) {
         let now = &mut self.current;
-        for (link, nominal) in now.kinematics.links.iter_mut().zip(&self.nominal.links) {
-            for term in crate::model::LinkTerm::ALL {
-                *link.term_mut(term) = nominal.term(term);
-            }
-        }
         now.targets.copy_from_slice(&self.targets);
         now.displacements.fill(Vector6::zeros());
+        now.amplitudes.clear();
         for (id, &value) in self.parameters.iter().zip(x) {
             match *id {
-                ParameterId::Link { .. } => now.kinematics.add(*id, value),
                 ParameterId::Frame { station, component } => now.displacements[station][component] = value,
                 ParameterId::Target { target, axis } => now.targets[target][axis] += value,
-                ParameterId::Compliance(_)
+                ParameterId::Term(_) => now.amplitudes.push(value),
+                ParameterId::Link { .. }
+                | ParameterId::Compliance(_)
                 | ParameterId::Mass { .. }
-                | ParameterId::Linkage(_)
-                | ParameterId::Term(_) => {}
+                | ParameterId::Linkage(_) => apply(&mut now.model, &self.nominal, *id, value),
             }
         }
-        now.chain.set_model(&now.kinematics);
+        now.machine.set_model(&now.model, now.amplitudes.iter().copied());
         for ((station, origin), xi) in now.stations.iter_mut().zip(&self.stations).zip(&now.displacements) {
             *station = origin * small_displacement(xi);
         }
+    }
+
+    /// Why the robot at the current parameters cannot take the pose of an observation: the pose's number, and the reason.
+    pub fn failure(&mut self, index: usize) -> Option<(u32, MachineError)> {
+        let row = &self.rows[index];
+        let now = &mut self.current;
+        let placed = now.machine.place(&row.told);
+        let ready = placed.and_then(|()| now.machine.differentiate(&now.targets[row.target], &row.told));
+        ready.err().map(|error| (row.pose, error))
+    }
+
+    /// Rows of observations, nests and targets.
+    pub fn measured_rows(&self) -> usize {
+        let priors: usize = self.priors.iter().map(|p| p.whitening.nrows()).sum();
+        3 * self.rows.len() + priors
     }
 
     fn fill_observation(
@@ -104,9 +130,16 @@ impl CalibrationProblem {
     ) {
         let row = &self.rows[index];
         let now = &mut self.current;
-        let joints = self.nominal.joint_count();
-        now.chain.place(&self.joints[index * joints..(index + 1) * joints]);
-        let in_base = now.chain.target(&now.targets[row.target]);
+        let target = &now.targets[row.target];
+        let ready = now.machine.place(&row.told).and_then(|()| match jacobian {
+            Some(_) => now.machine.differentiate(target, &row.told),
+            None => Ok(()),
+        });
+        if ready.is_err() {
+            residuals.fixed_rows_mut::<3>(3 * index).fill(f64::NAN);
+            return;
+        }
+        let in_base = now.machine.target(target);
         let tracker_from_base = &now.stations[row.station];
         let predicted = tracker_from_base.rotation * in_base + tracker_from_base.translation.vector;
         residuals.fixed_rows_mut::<3>(3 * index).copy_from(&(row.whitening * (predicted - row.seen)));
@@ -116,9 +149,9 @@ impl CalibrationProblem {
         let rotation_vector: Vector3<f64> = now.displacements[row.station].fixed_rows::<3>(3).into_owned();
         let turned = Rotation3::new(rotation_vector) * in_base;
         let left = left_jacobian(&rotation_vector);
+        let mut term = 0;
         for (column, id) in self.parameters.iter().enumerate() {
             let derivative = match *id {
-                ParameterId::Link { .. } => from_base * now.chain.column(*id, &in_base),
                 ParameterId::Frame { station, component } if station == row.station => {
                     if component < 3 {
                         from_origin.column(component).into_owned()
@@ -127,9 +160,17 @@ impl CalibrationProblem {
                     }
                 }
                 ParameterId::Target { target, .. } if target == row.target => {
-                    from_base * now.chain.column(*id, &in_base)
+                    from_base * now.machine.column(*id, &in_base)
                 }
-                _ => Vector3::zeros(),
+                ParameterId::Frame { .. } | ParameterId::Target { .. } => Vector3::zeros(),
+                ParameterId::Term(_) => {
+                    term += 1;
+                    from_base * now.machine.term_column(term - 1)
+                }
+                ParameterId::Link { .. }
+                | ParameterId::Compliance(_)
+                | ParameterId::Mass { .. }
+                | ParameterId::Linkage(_) => from_base * now.machine.column(*id, &in_base),
             };
             jacobian.fixed_view_mut::<3, 1>(3 * index, column).copy_from(&derivative);
         }
@@ -148,11 +189,11 @@ impl CalibrationProblem {
             }
             first += n;
         }
-        for (column, weight) in self.tolerances.iter().enumerate() {
-            residuals[first + column] = weight * x[column];
+        for (row, (column, weight)) in (first..).zip(self.own_priors.iter().chain(&self.tolerances)) {
+            residuals[row] = weight * x[*column];
             if let Some(jacobian) = jacobian.as_deref_mut() {
-                jacobian.row_mut(first + column).fill(0.0);
-                jacobian[(first + column, column)] = *weight;
+                jacobian.row_mut(row).fill(0.0);
+                jacobian[(row, *column)] = *weight;
             }
         }
     }
@@ -164,8 +205,11 @@ impl LeastSquares for CalibrationProblem {
     }
 
     fn rows(&self) -> usize {
-        let priors: usize = self.priors.iter().map(|p| p.whitening.nrows()).sum();
-        3 * self.rows.len() + priors + self.tolerances.len()
+        self.measured_rows() + self.own_priors.len() + self.tolerances.len()
+    }
+
+    fn blocks(&self) -> usize {
+        self.rows.len()
     }
 
     fn evaluate(&mut self, x: &[f64], residuals: &mut DVector<f64>, mut jacobian: Option<&mut DMatrix<f64>>) {
@@ -191,91 +235,4 @@ fn left_jacobian(r: &Vector3<f64>) -> Matrix3<f64> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::geometry::{rotation_x, rotation_y, translation};
-    use crate::model::{CraigLink, JointKind};
-
-    fn problem() -> CalibrationProblem {
-        let link = |kind, a, alpha, d| CraigLink {
-            name: String::new(),
-            kind,
-            a,
-            alpha,
-            beta: 0.0,
-            d,
-            theta: 0.0,
-            limits: [-3.0, 3.0],
-        };
-        let nominal = KinematicModel {
-            links: vec![
-                link(JointKind::Prismatic, 0.0, 0.0, 0.0),
-                link(JointKind::Revolute, 0.3, -1.57, 0.6),
-                link(JointKind::Revolute, 1.3, 0.0, 0.1),
-            ],
-            last_from_flange: Transform::identity(),
-        };
-        let mut parameters = ParameterId::all_of_links(3);
-        parameters.extend(ParameterId::all_of_frame(0));
-        parameters.extend(ParameterId::all_of_frame(1));
-        parameters.extend(ParameterId::all_of_target(0));
-        let stations =
-            vec![translation(1.0, 2.0, 3.0) * rotation_x(0.3), translation(-2.0, 0.0, 1.0) * rotation_y(2.0)];
-        let targets = vec![Vector3::new(0.1, 0.2, 0.3)];
-        let row = |station, seen: Vector3<f64>| Row {
-            seen,
-            whitening: Matrix3::new(3.0, 0.0, 0.0, 1.0, 2.0, 0.0, -0.5, 0.3, 4.0),
-            station,
-            target: 0,
-        };
-        CalibrationProblem {
-            joints: vec![0.4, -0.3, 1.2, 1.1, 0.8, -0.9],
-            rows: vec![row(0, Vector3::new(1.0, 1.0, 1.0)), row(1, Vector3::new(0.0, -1.0, 2.0))],
-            priors: vec![Prior {
-                column: 15,
-                whitening: DMatrix::from_fn(6, 6, |i, j| if i < j { 0.0 } else { 1.0 + i as f64 - j as f64 }),
-            }],
-            tolerances: vec![2.0, 3.0, 4.0],
-            current: Current::new(&nominal, &stations, &targets),
-            nominal,
-            parameters,
-            stations,
-            targets,
-        }
-    }
-
-    /// At displaced frames too, where a rotation vector's components do not act one after the other.
-    #[test]
-    fn the_jacobian_is_the_central_difference_far_from_zero() {
-        let mut problem = problem();
-        let n = problem.parameters.len();
-        let x: Vec<f64> = (0..n).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
-        let m = LeastSquares::rows(&problem);
-        let mut residuals = DVector::zeros(m);
-        let mut jacobian = DMatrix::from_element(m, n, f64::NAN);
-        problem.evaluate(&x, &mut residuals, Some(&mut jacobian));
-        let step = 1e-6;
-        for column in 0..n {
-            let mut at = |sign: f64| {
-                let mut moved = x.clone();
-                moved[column] += sign * step;
-                let mut r = DVector::zeros(m);
-                problem.evaluate(&moved, &mut r, None);
-                r
-            };
-            let difference = (at(1.0) - at(-1.0)) / (2.0 * step);
-            let error = (jacobian.column(column) - difference).amax();
-            assert!(error < 1e-7 * jacobian.amax(), "{}: {error}", problem.parameters[column]);
-        }
-    }
-
-    #[test]
-    fn evaluation_takes_no_memory() {
-        let mut problem = problem();
-        let x = vec![0.01; problem.parameters.len()];
-        let mut residuals = DVector::zeros(LeastSquares::rows(&problem));
-        let mut jacobian = DMatrix::zeros(residuals.len(), x.len());
-        let info = allocation_counter::measure(|| problem.evaluate(&x, &mut residuals, Some(&mut jacobian)));
-        assert_eq!(info.count_total, 0);
-    }
-}
+mod tests;

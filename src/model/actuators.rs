@@ -2,6 +2,8 @@
 
 use nalgebra::Vector3;
 
+use super::LinkageLength;
+
 /// The map from actuator commands to joint variables (SI, one actuator a joint).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum ActuatorMap {
@@ -73,6 +75,16 @@ impl ActuatorMap {
             }
             _ => None,
         }
+    }
+
+    /// A length of the four-bar, m, where it is known.
+    pub fn length(&self, which: LinkageLength) -> Option<f64> {
+        let (_, _, _, linkage) = self.four_bar()?;
+        Some(match which {
+            LinkageLength::Crank => linkage.crank.length,
+            LinkageLength::Lever => linkage.lever.length,
+            LinkageLength::Rod => linkage.rod,
+        })
     }
 
     /// The command that takes an ideal machine to `joints`.

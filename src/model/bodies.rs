@@ -172,6 +172,12 @@ impl Section {
         bending: [f64::INFINITY; 2],
         mass_per_length: 0.0,
     };
+
+    /// Whether it yields in no direction.
+    pub fn is_rigid(&self) -> bool {
+        let all = [self.axial, self.torsion].into_iter().chain(self.shear).chain(self.bending);
+        all.into_iter().all(f64::is_infinite)
+    }
 }
 
 /// Statics of the elbow's four-bar. The crank's drive is the elbow's entry of [`StaticProperties::drive_stiffness`].

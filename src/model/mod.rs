@@ -4,6 +4,7 @@ mod actuators;
 mod beam;
 mod bodies;
 mod closure;
+mod compliances;
 mod file;
 mod parameter;
 mod section;

@@ -4,17 +4,18 @@ use nalgebra::{Matrix3, Vector3};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::{PipelineError, SetKind, SetOutcome, Simulation, Truth};
+use super::machine::Rest;
+use super::{PipelineError, PlantKind, SetKind, SetOutcome, Simulation, Truth};
 use crate::measurement::{MeasurementSet, NestObservation, Observation, Reading, Station, Target};
 use crate::plant::effects::{Commanded, DriveState, PoseEffects};
-use crate::plant::{AsBuilt, Plant, SettleOptions, SettledPose};
+use crate::plant::{AsBuilt, SettledPose};
 use crate::random;
 use crate::scenario::Scenario;
 
 /// Time from one pose to the next, s: motion, settling and about 1 s of averaging.
 const SECONDS_PER_POSE: f64 = 10.0;
 
-/// Simulates the session of `scenario`: a pure function of (scenario, seed, trial).
+/// Simulates the session of `scenario`: a pure function of (scenario, seed, trial, plant).
 ///
 /// The machine comes to the first pose of a set from its home pose, the middle of the working region, where it has been referenced.
 /// `progress` is told the number of poses done and of all poses.
@@ -22,12 +23,13 @@ pub fn simulate(
     scenario: &Scenario,
     seed: u64,
     trial: u32,
+    plant: PlantKind,
     mut progress: impl FnMut(u32, u32),
 ) -> Result<Simulation, PipelineError> {
     let scenario = &*scenario.of_trial(seed, trial);
     let total = scenario.identification_poses + scenario.verification_poses;
     scenario.as_built.check_effects(SECONDS_PER_POSE * f64::from(total))?;
-    let mut plant = Plant::new(&scenario.as_built, SettleOptions::default())?;
+    let mut plant = Rest::new(&scenario.as_built, plant)?;
     let station = measure_nests(scenario, seed, trial)?;
     let target = measure_target(scenario, seed, trial);
     let mut done = 0;
@@ -129,7 +131,7 @@ impl<'a> Machine<'a> {
     /// Approaches a command and comes to rest.
     fn go_to(
         &mut self,
-        plant: &mut Plant,
+        plant: &mut Rest,
         command: &[f64],
         time: f64,
         rng: &mut impl Rng,
@@ -144,11 +146,11 @@ impl<'a> Machine<'a> {
         self.command.copy_from_slice(command);
         let needs_load = self.as_built.effects.friction.as_ref().is_some_and(|f| f.needs_load());
         // Friction is too small to change the load that it depends on.
-        let load = if needs_load { self.drive_loads(&plant.settle(command)?) } else { Vec::new() };
+        let load = if needs_load { self.drive_loads(&plant.settle(command, &[])?) } else { Vec::new() };
         let pose = Commanded { command, time, load: &load };
         let (effects, drives) = self.as_built.pose_effects(&self.drives, &pose, rng);
         self.drives = drives;
-        let settled = plant.settle_displaced(&effects.command, &effects.displacements)?;
+        let settled = plant.settle(&effects.command, &effects.displacements)?;
         Ok((settled, effects))
     }
 

@@ -4,15 +4,19 @@ mod chain;
 mod deviations;
 mod distribution;
 pub mod effects;
+mod error;
+mod linkage;
 mod multibody;
+mod statics;
+mod tree;
 mod validation;
 
 #[cfg(test)]
 mod tests;
 
 pub use distribution::{AsBuiltDistribution, Spread};
+pub use error::PlantError;
 pub use multibody::{Plant, SettleOptions};
-pub use validation::PlantError;
 
 use effects::Effects;
 use nalgebra::Vector3;
@@ -40,12 +44,50 @@ pub struct AsBuilt {
 pub struct SettledPose {
     /// The target in the base frame, m.
     pub target: Vector3<f64>,
-    /// `base_from_link` of every link.
+    /// `base_from_link` of every link, behind its bearing and its beam.
     pub links: Vec<Transform>,
-    /// Deflection of every drive, rad or m.
+    /// Deflection of every drive, rad or m. With a four-bar, the elbow's drive is the crank's.
     pub deflection: Vec<f64>,
-    /// Largest generalised force left over, as the displacement (rad or m) that it would cause on its drive.
+    /// Deflection of all that yields beside the drives, in the order of the chain, then the rod.
+    pub elastic: Vec<ElasticDeflection>,
+    /// Shoulder, crank end, lever end and elbow of the four-bar in the base frame, m.
+    pub linkage: Option<[Vector3<f64>; 4]>,
+    /// Tension of the four-bar's rod, N.
+    pub rod_force: Option<f64>,
+    /// Largest generalised force left over, as the displacement (rad or m) that it would cause on its spring.
     pub residual: f64,
+    /// Distance left between the ends of the four-bar's rod and lever, m; zero without one.
+    pub closure: f64,
     /// Steps of the simulation.
     pub steps: u32,
+}
+
+/// What yields beside the drives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ElasticPlace {
+    /// The bearing of a joint.
+    Bearing {
+        /// Index of the joint.
+        joint: usize,
+    },
+    /// A segment of a flexible link.
+    Beam {
+        /// Index of the link.
+        link: usize,
+        /// Index of the segment, from the root.
+        segment: usize,
+    },
+    /// The rod of the four-bar.
+    Rod,
+}
+
+/// The deflection of one elementary spring.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ElasticDeflection {
+    /// Where it is.
+    pub place: ElasticPlace,
+    /// Along (0..3) or about (3..6) x, y, z of its group's frame; the rod's is along x.
+    pub axis: usize,
+    /// rad or m
+    pub value: f64,
 }

@@ -1,111 +1,15 @@
 //! What a plant refuses.
 
 use nalgebra::{Matrix3, Vector3};
-use thiserror::Error;
 
-use super::{AsBuilt, SettleOptions};
-use crate::model::{ActuatorMap, Body, KinematicModel};
+use super::tree::{axis, beam_mass};
+use super::{AsBuilt, PlantError, SettleOptions};
+use crate::model::{ActuatorMap, Body, FourBar, JointKind, KinematicModel, LinkageArm, StaticProperties};
 
 /// Relative slack of the triangle inequality, for a lamina or a rod whose inertia was rounded.
 const TRIANGLE_SLACK: f64 = 1e-6;
 /// Relative slack of the symmetry of an inertia.
 const SYMMETRY_SLACK: f64 = 1e-9;
-
-/// A plant that cannot be built or does not settle. Joints count from 0, as in [`KinematicModel::links`].
-#[derive(Debug, Clone, PartialEq, Error)]
-#[non_exhaustive]
-pub enum PlantError {
-    /// The chain is empty.
-    #[error("the robot has no joints")]
-    NoJoints,
-    /// There is not one entry a joint.
-    #[error("{quantity}: {found} entries, one for each of {expected} joints was expected")]
-    Length {
-        /// What is listed.
-        quantity: &'static str,
-        /// Number of joints.
-        expected: usize,
-        /// Number of entries.
-        found: usize,
-    },
-    /// A number is infinite or not a number.
-    #[error("{quantity}{} is {value}, a finite number was expected", of_joint(*joint))]
-    NotFinite {
-        /// What it is.
-        quantity: &'static str,
-        /// Of which joint, where it is of one.
-        joint: Option<usize>,
-        /// The number.
-        value: f64,
-    },
-    /// A body without mass.
-    #[error("the mass of the body on joint index {joint} is {mass} kg, more than zero was expected")]
-    Mass {
-        /// Index of the joint that carries the body.
-        joint: usize,
-        /// kg
-        mass: f64,
-    },
-    /// An inertia matrix that is not symmetric.
-    #[error("the inertia of the body on joint index {joint} is asymmetric by {asymmetry} kg m²")]
-    AsymmetricInertia {
-        /// Index of the joint that carries the body.
-        joint: usize,
-        /// Largest difference of two mirrored entries, kg m².
-        asymmetry: f64,
-    },
-    /// Principal moments that no body has: one is not positive, or one exceeds the sum of the other two.
-    #[error("no body has the principal moments of inertia {principal:?} kg m² (joint index {joint})")]
-    Inertia {
-        /// Index of the joint that carries the body.
-        joint: usize,
-        /// In ascending order, kg m².
-        principal: [f64; 3],
-    },
-    /// A drive that does not hold.
-    #[error("the drive stiffness of joint index {joint} is {stiffness}, more than zero was expected")]
-    Stiffness {
-        /// Index of the joint.
-        joint: usize,
-        /// N/m or N m/rad
-        stiffness: f64,
-    },
-    /// A transmission between joints that the chain does not have.
-    #[error("a parallelogram between joint indices {shoulder} and {elbow} of {joints} joints")]
-    Transmission {
-        /// Index of the shoulder.
-        shoulder: usize,
-        /// Index of the elbow.
-        elbow: usize,
-        /// Number of joints.
-        joints: usize,
-    },
-    /// A setting that is not a finite number above zero.
-    #[error("{option} is {value}, a finite number above zero was expected")]
-    Option {
-        /// Field of [`SettleOptions`].
-        option: &'static str,
-        /// Its value.
-        value: f64,
-    },
-    /// The pose did not come to rest.
-    #[error(
-        "not at rest after {steps} steps: the target still moves {tip_motion:.1e} m a step and the forces left over would move \
-         a drive by {residual:.1e} (rad or m)"
-    )]
-    NotSettled {
-        /// Steps taken.
-        steps: u32,
-        /// Motion of the target in the last step, m.
-        tip_motion: f64,
-        /// As in [`super::SettledPose::residual`].
-        residual: f64,
-    },
-}
-
-fn of_joint(joint: Option<usize>) -> String {
-    joint.map_or_else(String::new, |joint| format!(" of joint index {joint}"))
-}
 
 /// Refuses a robot whose numbers make no machine.
 pub(super) fn check_robot(robot: &AsBuilt) -> Result<(), PlantError> {
@@ -115,8 +19,10 @@ pub(super) fn check_robot(robot: &AsBuilt) -> Result<(), PlantError> {
     }
     check_length("bodies", joints, robot.statics.bodies.len())?;
     check_length("drive stiffnesses", joints, robot.statics.drive_stiffness.len())?;
+    check_length("bearings", joints, robot.statics.bearings.len())?;
+    check_length("beams", joints, robot.statics.beams.len())?;
     check_kinematics(&robot.kinematics)?;
-    check_actuators(&robot.actuators, joints)?;
+    check_actuators(&robot.actuators, &robot.kinematics)?;
     for (joint, body) in robot.statics.bodies.iter().enumerate() {
         check_body(joint, body)?;
     }
@@ -126,6 +32,10 @@ pub(super) fn check_robot(robot: &AsBuilt) -> Result<(), PlantError> {
             return Err(PlantError::Stiffness { joint, stiffness });
         }
     }
+    check_bearings(robot)?;
+    check_beams(&robot.statics)?;
+    check_linkage(robot)?;
+    check_loads(&robot.statics, joints)?;
     check_finite("gravity", None, robot.statics.gravity.as_slice())?;
     check_finite("target", None, robot.target.as_slice())
 }
@@ -137,6 +47,7 @@ pub(super) fn check_options(options: &SettleOptions) -> Result<(), PlantError> {
         ("max_steps", f64::from(options.max_steps)),
         ("tip_tolerance", options.tip_tolerance),
         ("residual_tolerance", options.residual_tolerance),
+        ("closure_tolerance", options.closure_tolerance),
     ];
     match positive.into_iter().find(|(_, value)| !value.is_finite() || *value <= 0.0) {
         Some((option, value)) => Err(PlantError::Option { option, value }),
@@ -148,6 +59,34 @@ pub(super) fn check_options(options: &SettleOptions) -> Result<(), PlantError> {
 pub(super) fn check_command(joints: usize, command: &[f64]) -> Result<(), PlantError> {
     check_length("command", joints, command.len())?;
     command.iter().enumerate().try_for_each(|(joint, &value)| check_finite("command", Some(joint), &[value]))
+}
+
+/// Refuses displacements that are neither absent nor finite numbers, six a joint.
+pub(super) fn check_displacements(joints: usize, displacements: &[[f64; 6]]) -> Result<(), PlantError> {
+    if displacements.is_empty() {
+        return Ok(());
+    }
+    check_length("displacements", joints, displacements.len())?;
+    let mut all = displacements.iter().enumerate();
+    all.try_for_each(|(joint, values)| check_finite("displacement", Some(joint), values))
+}
+
+/// Refuses a command at which a beam has no length or outweighs its body.
+pub(super) fn check_at_command(robot: &AsBuilt, joints: &[f64]) -> Result<(), PlantError> {
+    for (joint, q) in joints.iter().enumerate() {
+        let Some(beam) = &robot.statics.beams[joint] else { continue };
+        for (segment, piece) in beam.segments.iter().enumerate() {
+            let length = piece.length.at(*q);
+            if !(length > 0.0) {
+                return Err(PlantError::BeamLength { joint, segment, length });
+            }
+        }
+        let (beam, body) = (beam_mass(beam, *q).0, robot.statics.bodies[joint].mass);
+        if beam > 0.0 && !(beam < body) {
+            return Err(PlantError::HeavyBeam { joint, beam, body });
+        }
+    }
+    Ok(())
 }
 
 fn check_length(quantity: &'static str, expected: usize, found: usize) -> Result<(), PlantError> {
@@ -172,12 +111,92 @@ fn check_kinematics(model: &KinematicModel) -> Result<(), PlantError> {
     check_finite("last_from_flange", None, model.last_from_flange.to_homogeneous().as_slice())
 }
 
-fn check_actuators(map: &ActuatorMap, joints: usize) -> Result<(), PlantError> {
-    if let ActuatorMap::Parallelogram { shoulder, elbow, offset, .. } = *map {
-        if shoulder >= joints || elbow >= joints || shoulder == elbow {
-            return Err(PlantError::Transmission { shoulder, elbow, joints });
+fn check_actuators(map: &ActuatorMap, model: &KinematicModel) -> Result<(), PlantError> {
+    let ActuatorMap::Parallelogram { shoulder, elbow, offset, linkage } = *map else { return Ok(()) };
+    let joints = model.joint_count();
+    let is_revolute = |joint: usize| model.links[joint].kind == JointKind::Revolute;
+    if shoulder >= joints || elbow >= joints || shoulder == elbow {
+        return Err(PlantError::Transmission { shoulder, elbow, joints });
+    }
+    if linkage.is_some() && !(shoulder < elbow && is_revolute(shoulder) && is_revolute(elbow)) {
+        return Err(PlantError::Transmission { shoulder, elbow, joints });
+    }
+    check_finite("parallelogram offset", None, &[offset])
+}
+
+fn check_positive(joint: usize, field: &'static str, values: &[f64]) -> Result<(), PlantError> {
+    // Infinity passes: it is rigid.
+    match values.iter().find(|value| !(**value > 0.0)) {
+        Some(&value) => Err(PlantError::NotPositive { joint, field, value }),
+        None => Ok(()),
+    }
+}
+
+fn check_bearings(robot: &AsBuilt) -> Result<(), PlantError> {
+    let bearings = robot.statics.bearings.iter().zip(&robot.kinematics.links).enumerate();
+    for (joint, (bearing, link)) in bearings {
+        let mut stiffness = bearing.stiffness;
+        stiffness[axis(link.kind)] = f64::INFINITY;
+        check_positive(joint, "a bearing stiffness", &stiffness)?;
+        check_finite("place of the bearing", Some(joint), &[bearing.at])?;
+    }
+    Ok(())
+}
+
+fn check_beams(statics: &StaticProperties) -> Result<(), PlantError> {
+    for (joint, beam) in statics.beams.iter().enumerate() {
+        for piece in beam.iter().flat_map(|beam| &beam.segments) {
+            let section = &piece.section;
+            check_positive(joint, "the axial rigidity of a beam segment", &[section.axial])?;
+            check_positive(joint, "a shear rigidity of a beam segment", &section.shear)?;
+            check_positive(joint, "the torsional rigidity of a beam segment", &[section.torsion])?;
+            check_positive(joint, "a bending rigidity of a beam segment", &section.bending)?;
+            let weight = section.mass_per_length;
+            check_finite("mass per length of a beam segment", Some(joint), &[weight])?;
+            if weight < 0.0 {
+                let field = "the mass per length of a beam segment";
+                return Err(PlantError::NotPositive { joint, field, value: weight });
+            }
         }
-        check_finite("parallelogram offset", None, &[offset])?;
+    }
+    Ok(())
+}
+
+fn check_linkage(robot: &AsBuilt) -> Result<(), PlantError> {
+    let Some((_, elbow, _, FourBar { crank, lever, rod })) = robot.actuators.four_bar() else {
+        return Ok(());
+    };
+    for (field, value) in [
+        ("the crank's length", crank.length),
+        ("the lever's length", lever.length),
+        ("the rod's length", *rod),
+    ] {
+        check_positive(elbow, field, &[value])?;
+        check_finite(field, Some(elbow), &[value])?;
+    }
+    for LinkageArm { angle, along, .. } in [crank, lever] {
+        check_finite("place of a four-bar's end", Some(elbow), &[*angle, *along])?;
+    }
+    let Some(statics) = &robot.statics.linkage else { return Ok(()) };
+    check_positive(elbow, "the rod's stiffness", &[statics.rod_stiffness])?;
+    check_finite("mass of the rod", Some(elbow), &[statics.rod_mass])?;
+    if statics.rod_mass < 0.0 {
+        return Err(PlantError::Mass { joint: elbow, mass: statics.rod_mass });
+    }
+    check_body(elbow, &statics.crank)
+}
+
+fn check_loads(statics: &StaticProperties, joints: usize) -> Result<(), PlantError> {
+    for (index, load) in statics.loads.iter().enumerate() {
+        if load.link >= joints {
+            return Err(PlantError::Load { load: index, link: load.link, joints });
+        }
+        check_finite("place of a load", Some(load.link), load.at.as_slice())?;
+        check_finite("force of a load", Some(load.link), load.force.as_slice())?;
+        check_finite("mass of a load", Some(load.link), &[load.mass])?;
+        if load.mass < 0.0 {
+            return Err(PlantError::Mass { joint: load.link, mass: load.mass });
+        }
     }
     Ok(())
 }
@@ -186,10 +205,10 @@ fn check_body(joint: usize, body: &Body) -> Result<(), PlantError> {
     check_finite("mass", Some(joint), &[body.mass])?;
     check_finite("centre of mass", Some(joint), body.centre_of_mass.as_slice())?;
     check_finite("inertia", Some(joint), body.inertia.as_slice())?;
-    if body.mass <= 0.0 {
+    if body.mass < 0.0 {
         return Err(PlantError::Mass { joint, mass: body.mass });
     }
-    check_inertia(joint, &body.inertia)
+    if body.mass == 0.0 { Ok(()) } else { check_inertia(joint, &body.inertia) }
 }
 
 fn check_inertia(joint: usize, inertia: &Matrix3<f64>) -> Result<(), PlantError> {

@@ -263,6 +263,7 @@ fn with_identification(robot: v1::Estimate, estimate: &Estimate) -> v1::Estimate
         unit: p.id.unit().to_string(),
         value: Some(p.value),
         sigma: p.sigma,
+        prior_sigma: p.prior_sigma,
     };
     let iteration = |i: &crate::identification::IterationRecord| v1::Iteration {
         cost: i.cost,
@@ -285,6 +286,8 @@ fn with_identification(robot: v1::Estimate, estimate: &Estimate) -> v1::Estimate
         rank: Some(estimate.spectrum.rank as u64),
         condition: Some(estimate.spectrum.condition),
         warnings: estimate.warnings.iter().map(ToString::to_string).collect(),
+        held: estimate.held.iter().map(ToString::to_string).collect(),
+        fixed: estimate.fixed.iter().map(ToString::to_string).collect(),
         noise_from_residuals: match estimate.noise {
             NoiseScale::Stated => None,
             NoiseScale::Residuals(sigma) => Some(sigma),
@@ -314,6 +317,7 @@ fn as_built(outcome: &Outcome, truth: &Truth) -> v1::AsBuilt {
                 unit: id.unit().to_string(),
                 value: Some(*value),
                 sigma: None,
+                prior_sigma: None,
             })
             .collect(),
         target: schema::vector(&machine.target),

@@ -4,7 +4,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use super::RESIDUAL_SCALE;
 use crate::geometry::Transform;
-use crate::identification::{CalibratedRobot, Mode};
+use crate::identification::{CalibratedRobot, Mode, Predictor};
 use crate::kinematics::link_frames;
 use crate::measurement::{MeasurementSet, Observation};
 use crate::model::{KinematicModel, LinkTerm, ParameterId};
@@ -103,15 +103,20 @@ fn nominal_chain(
 fn calibrated_chain(outcome: &Outcome, observation: &Observation) -> Option<Chain> {
     let robot = observer(outcome)?;
     let target = robot.targets.get(observation.target)?;
-    if observation.command.len() != robot.kinematics.joint_count() {
-        return None;
-    }
-    let joints = robot.joints(&outcome.model, &observation.command);
-    chain_at(ChainKind::Calibrated, &robot.kinematics, &joints, target)
+    let links = Predictor::new(&outcome.model, robot).links(observation).ok()?;
+    Some(chain_of(ChainKind::Calibrated, &robot.model.kinematics, links, target)?)
 }
 
 fn chain_at(kind: ChainKind, model: &KinematicModel, joints: &[f64], target: &Vector3<f64>) -> Option<Chain> {
-    let links = link_frames(model, joints);
+    chain_of(kind, model, link_frames(model, joints), target)
+}
+
+fn chain_of(
+    kind: ChainKind,
+    model: &KinematicModel,
+    links: Vec<Transform>,
+    target: &Vector3<f64>,
+) -> Option<Chain> {
     let flange = links.last()? * model.last_from_flange;
     let target = flange.rotation * target + flange.translation.vector;
     Some(Chain { kind, links, flange, target })
@@ -262,7 +267,7 @@ mod tests {
         assert_eq!(shown.iter().map(|c| c.kind).collect::<Vec<_>>(), [ChainKind::Calibrated]);
         let observation = &measured.sets[0].measurements.observations[1];
         let robot = observer(&measured).expect("a mode");
-        let predicted = robot.predict_in_base(&measured.model, observation);
+        let predicted = Predictor::new(&measured.model, robot).in_base(observation).expect("a pose");
         assert!((shown[0].target - predicted).norm() < 1e-12);
     }
 
@@ -273,7 +278,8 @@ mod tests {
             for (observation, error) in outcome.sets[0].measurements.observations.iter().zip(&mode.errors[0])
             {
                 let arrow = arrow(mode, observation, error).expect("a station");
-                let predicted = mode.robot.predict_in_base(&outcome.model, observation);
+                let predicted =
+                    Predictor::new(&outcome.model, &mode.robot).in_base(observation).expect("a pose");
                 assert!((arrow.origin - predicted).norm() < 1e-9);
                 let measured = sighting(&mode.robot, observation).expect("a station").point;
                 assert!((arrow.origin + arrow.vector / RESIDUAL_SCALE - measured).norm() < 1e-9);

@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::evaluation::accuracy;
 use crate::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
 use crate::identification::{
-    CalibratedRobot, Estimate, IterationRecord, Mode, NoiseScale, ParameterEstimate, Spectrum,
+    CalibratedRobot, Estimate, IterationRecord, Mode, NoiseScale, ParameterEstimate, Predictor, Spectrum,
     TerminationReason, Warning,
 };
 use crate::input::Source;
@@ -107,6 +107,7 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
             ),
             (SetKind::Identification, Mode::WithGravity, [0.0017, 0.0007, 0.0015, 0.0004, 0.0023, 0.0007]),
         ],
+        ablation: None,
     }
 }
 
@@ -168,7 +169,17 @@ fn settle(real: &KinematicModel, q: &[f64]) -> SettledPose {
     let joints: Vec<f64> = q.iter().zip(&deflection).map(|(q, dq)| q + dq).collect();
     let flange = forward_kinematics(real, &joints);
     let target = flange.rotation * Vector3::from(IN_FLANGE) + flange.translation.vector;
-    SettledPose { target, links: link_frames(real, &joints), deflection, residual: 1e-10, steps: 321 }
+    SettledPose {
+        target,
+        links: link_frames(real, &joints),
+        deflection,
+        elastic: Vec::new(),
+        linkage: None,
+        rod_force: None,
+        residual: 1e-10,
+        closure: 0.0,
+        steps: 321,
+    }
 }
 
 fn measure(
@@ -228,13 +239,14 @@ fn mode_outcome(
 ) -> ModeOutcome {
     let robot = CalibratedRobot {
         mode,
-        kinematics: with_errors(&model.kinematics, share),
+        model: CalibrationModel { kinematics: with_errors(&model.kinematics, share), ..model.clone() },
+        terms: Vec::new(),
         stations: vec![tracker_from_base * rotation_z(1e-5 * share)],
         targets: vec![IN_FLANGE.into()],
     };
     let errors: Vec<Vec<_>> = sets
         .iter()
-        .map(|set| set.measurements.observations.iter().map(|o| robot.error_in_base(model, o)).collect())
+        .map(|set| Predictor::new(model, &robot).errors(&set.measurements).expect("a robot that stands"))
         .collect();
     let rows = errors.iter().map(|e| accuracy(e)).collect();
     let estimate = (share > 0.0).then(|| estimate(robot.clone(), share));
@@ -244,7 +256,12 @@ fn mode_outcome(
 fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
     let parameters: Vec<_> = errors(share)
         .into_iter()
-        .map(|(id, value)| ParameterEstimate { id, value, sigma: Some(1e-3 * value.abs()) })
+        .map(|(id, value)| ParameterEstimate {
+            id,
+            value,
+            sigma: Some(1e-3 * value.abs()),
+            prior_sigma: None,
+        })
         .collect();
     let n = parameters.len();
     let iterations = (0..5)
@@ -266,6 +283,10 @@ fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
         termination: TerminationReason::SmallStep,
         iterations,
         spectrum: Spectrum { rank: n, condition: 41.5, ..Spectrum::default() },
+        held: Vec::new(),
+        fixed: Vec::new(),
+        at_bound: Vec::new(),
+        outliers: Vec::new(),
         warnings: vec![Warning::Inconsistent { ratio: 1.12 }],
     }
 }

@@ -4,6 +4,7 @@ use std::fmt::Write;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
+use super::ablation::ablation_section;
 use super::parameters::{
     NORMAL_95, ParameterCell, ParameterRow, fitted, parameter_rows, parameter_words, printed_unit,
 };
@@ -23,6 +24,7 @@ const CSS: &str = include_str!("report.css");
 pub fn html_report(outcome: &Outcome) -> Result<String, ReportError> {
     let errors = errors_section(outcome)?;
     let parameters = parameters_section(outcome)?;
+    let ablation = outcome.ablation.as_ref().map(ablation_section).transpose()?;
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -42,6 +44,7 @@ pub fn html_report(outcome: &Outcome) -> Result<String, ReportError> {
                     (accuracy_section(outcome))
                     (errors)
                     (parameters)
+                    @if let Some(ablation) = ablation { (ablation) }
                     (trust_section(outcome))
                     (reproduce_section(outcome))
                 }
@@ -95,6 +98,7 @@ fn header(outcome: &Outcome) -> Markup {
                 a href="#accuracy" { "Accuracy" } " "
                 a href="#errors" { "Errors" } " "
                 a href="#parameters" { "Parameters" } " "
+                @if outcome.ablation.is_some() { a href="#ablation" { "Contributions" } " " }
                 a href="#trust" { "Trust" } " "
                 a href="#reproduce" { "Reproduce" }
             }
@@ -591,7 +595,7 @@ fn quoted(word: &str) -> String {
     }
 }
 
-fn figure(modes: &[Mode], plot: &str, caption: &Markup, lines: bool) -> Markup {
+pub(super) fn figure(modes: &[Mode], plot: &str, caption: &Markup, lines: bool) -> Markup {
     html! {
         figure {
             div.legend {
@@ -635,7 +639,7 @@ fn line_key(look: &Look) -> Markup {
 }
 
 /// A number for a table.
-fn number(value: f64, decimals: usize) -> String {
+pub(super) fn number(value: f64, decimals: usize) -> String {
     if !value.is_finite() {
         return "\u{2013}".to_owned();
     }

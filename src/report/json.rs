@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 use super::parameters::{fitted, truth_of};
 use super::pose_count;
 use crate::evaluation::AccuracyRow;
-use crate::identification::{Estimate, NoiseScale};
-use crate::pipeline::{Outcome, SetOutcome};
+use crate::identification::{Estimate, Mode, NoiseScale};
+use crate::pipeline::{AblatedPart, Ablation, Outcome, SetOutcome};
 
 /// The schema's name.
 pub const SCHEMA: &str = "calibrig.report/1";
@@ -31,6 +31,44 @@ pub struct JsonReport {
     pub estimates: BTreeMap<String, JsonEstimate>,
     /// One entry a mode and parameter.
     pub parameters: Vec<JsonParameter>,
+    /// What the parts of a simulated machine contribute; absent unless asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ablation: Option<JsonAblation>,
+}
+
+/// What the parts of a simulated machine contribute.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonAblation {
+    /// One entry a part.
+    pub parts: Vec<JsonAblated>,
+}
+
+/// A run without one part of the machine.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonAblated {
+    /// Of the part.
+    pub key: String,
+    /// Its name for people.
+    pub title: String,
+    /// What removing it means.
+    pub removal: String,
+    /// Why there are no rows, else null.
+    pub failure: Option<String>,
+    /// By the key of the set, then of the mode.
+    pub rows: BTreeMap<String, BTreeMap<String, JsonAblationRow>>,
+}
+
+/// A row without a part, and its change against the complete machine's, m. A negative change is what the part contributed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonAblationRow {
+    /// Mean absolute error per axis.
+    pub mean_m: [Option<f64>; 3],
+    /// RMS of the 3-D error.
+    pub rms_3d_m: Option<f64>,
+    /// Change of the mean.
+    pub mean_change_m: [Option<f64>; 3],
+    /// Change of the RMS.
+    pub rms_3d_change_m: Option<f64>,
 }
 
 /// What wrote the report.
@@ -104,7 +142,7 @@ pub struct JsonRow {
 /// How an identification ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct JsonEstimate {
-    /// `ok`, `not_converged` or `rank_deficient`.
+    /// `ok`, `not_converged`, `rank_deficient` or `at_bound`.
     pub status: String,
     /// Why the solver stopped.
     pub termination: String,
@@ -123,6 +161,26 @@ pub struct JsonEstimate {
     pub residual_sigma_m: Option<f64>,
     /// What a user must know, in words.
     pub warnings: Vec<String>,
+    /// Parameters that the measurements alone cannot tell from others and that rest on their priors, in words; absent where none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub held: Vec<String>,
+    /// Parameters that were left out of the fit for the same reason, in words; absent where none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub fixed: Vec<String>,
+    /// Observations that a robust loss found far off the others; absent where none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub outliers: Vec<JsonOutlier>,
+}
+
+/// An observation far off the others.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonOutlier {
+    /// Number of its pose.
+    pub pose: u32,
+    /// Length of its residual in standard deviations of a coordinate.
+    pub size: Option<f64>,
+    /// What it still counts for, from 1 down to 0.
+    pub weight: Option<f64>,
 }
 
 /// A parameter of a mode, in the unit of `unit`.
@@ -130,7 +188,7 @@ pub struct JsonEstimate {
 pub struct JsonParameter {
     /// As in every file.
     pub name: String,
-    /// `m` or `rad`.
+    /// `m`, `rad` or `1`.
     pub unit: String,
     /// Key of the mode.
     pub mode: String,
@@ -140,6 +198,9 @@ pub struct JsonParameter {
     pub estimate: Option<f64>,
     /// Standard deviation; null from a singular system.
     pub sigma: Option<f64>,
+    /// Standard deviation of its own zero-mean prior; absent where it has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub prior_sigma: Option<f64>,
 }
 
 /// The document of a run.
@@ -179,10 +240,42 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
                     truth: truth_of(outcome, estimate, p.id),
                     estimate: finite(p.value),
                     sigma: p.sigma.and_then(finite),
+                    prior_sigma: p.prior_sigma,
                 })
             })
             .collect(),
+        ablation: outcome.ablation.as_ref().map(json_ablation),
     }
+}
+
+fn json_ablation(ablation: &Ablation) -> JsonAblation {
+    let axes = |v: Vector3<f64>| [finite(v.x), finite(v.y), finite(v.z)];
+    let rows = |part: &AblatedPart, set: usize| {
+        let row = |(place, mode): (usize, &Mode)| {
+            let (without, complete) = ablation.pair(part, place, set)?;
+            let row = JsonAblationRow {
+                mean_m: axes(without.mean),
+                rms_3d_m: finite(without.rms_3d),
+                mean_change_m: axes(without.mean - complete.mean),
+                rms_3d_change_m: finite(without.rms_3d - complete.rms_3d),
+            };
+            Some((mode.key().to_owned(), row))
+        };
+        ablation.modes.iter().enumerate().filter_map(row).collect()
+    };
+    let part = |part: &AblatedPart| JsonAblated {
+        key: part.part.key().to_owned(),
+        title: part.part.title().to_owned(),
+        removal: part.part.removal().to_owned(),
+        failure: part.rows.as_ref().err().cloned(),
+        rows: ablation
+            .sets
+            .iter()
+            .enumerate()
+            .map(|(i, set)| (set.key().to_owned(), rows(part, i)))
+            .collect(),
+    };
+    JsonAblation { parts: ablation.parts.iter().map(part).collect() }
 }
 
 fn json_set(outcome: &Outcome, index: usize, set: &SetOutcome) -> JsonSet {
@@ -217,10 +310,12 @@ fn json_row(row: &AccuracyRow) -> JsonRow {
 fn json_estimate(estimate: &Estimate) -> JsonEstimate {
     let status = if !estimate.termination.converged() {
         "not_converged"
-    } else if estimate.is_sound() {
+    } else if estimate.spectrum.rank < estimate.parameters.len() {
+        "rank_deficient"
+    } else if estimate.at_bound.is_empty() {
         "ok"
     } else {
-        "rank_deficient"
+        "at_bound"
     };
     let (chi2_per_dof, residual_sigma) = match estimate.noise {
         NoiseScale::Stated => (estimate.chi2_per_dof().and_then(finite), None),
@@ -236,6 +331,13 @@ fn json_estimate(estimate: &Estimate) -> JsonEstimate {
         condition: finite(estimate.spectrum.condition),
         residual_sigma_m: residual_sigma,
         warnings: estimate.warnings.iter().map(ToString::to_string).collect(),
+        held: estimate.held.iter().map(ToString::to_string).collect(),
+        fixed: estimate.fixed.iter().map(ToString::to_string).collect(),
+        outliers: estimate
+            .outliers
+            .iter()
+            .map(|o| JsonOutlier { pose: o.pose, size: finite(o.size), weight: finite(o.weight) })
+            .collect(),
     }
 }
 

@@ -1,5 +1,6 @@
 //! What a run tells people and programs: tables on the terminal, `report.json` and `report.html`. A sink: nothing upstream imports it.
 
+mod ablation;
 mod forest;
 mod html;
 mod json;
@@ -12,8 +13,8 @@ mod tables;
 
 pub use html::html_report;
 pub use json::{
-    JsonDropped, JsonEstimate, JsonInput, JsonParameter, JsonRegistration, JsonReport, JsonRow, JsonSet,
-    JsonSoftware, SCHEMA, json_report,
+    JsonAblated, JsonAblation, JsonAblationRow, JsonDropped, JsonEstimate, JsonInput, JsonParameter,
+    JsonRegistration, JsonReport, JsonRow, JsonSet, JsonSoftware, SCHEMA, json_report,
 };
 pub use tables::{Style, render_tables};
 

@@ -1,11 +1,9 @@
 //! Estimates beside the truth, where it is known.
 
-use nalgebra::{Rotation3, Vector3, Vector6};
-
-use crate::geometry::small_displacement;
 use crate::identification::{Estimate, Mode};
+use crate::measurement::Target;
 use crate::model::{ParameterId, Unit};
-use crate::pipeline::{Outcome, SetKind, Truth};
+use crate::pipeline::{KnownTruth, Outcome, SetKind, Truth};
 
 /// Half-width of a 95 % interval in standard deviations of a normal distribution.
 pub(super) const NORMAL_95: f64 = 1.959_963_984_540_054;
@@ -83,58 +81,25 @@ pub(super) fn unfitted_deviations(outcome: &Outcome) -> Vec<(ParameterId, f64)> 
     ParameterId::all_of_links(outcome.model.kinematics.joint_count())
         .into_iter()
         .filter(|id| fitted.iter().all(|(_, estimate)| estimate.value(*id).is_none()))
-        .filter_map(|id| link_truth(outcome, truth, id).map(|deviation| (id, deviation)))
+        .filter_map(|id| known_truth(outcome, truth, &[]).link(id).map(|deviation| (id, deviation)))
         // Below a nanometre or nanoradian it is the rounding of as-built minus nominal.
         .filter(|(_, deviation)| deviation.abs() > 1e-9)
         .collect()
 }
 
-/// What the parameter really is, m or rad; `None` where the truth is not known or has no counterpart.
-///
-/// - link: as-built minus nominal;
-/// - frame: the estimate holds `station = prior · exp(value)` for the station's six components (absent ones are zero), so the prior
-///   is recovered exactly and the truth is the `xi` of `prior · exp(xi) = tracker_from_base`. Known for a single station only;
-/// - target: as-built minus stated offset. Known for a single target only.
+/// What the parameter really is, SI; `None` where the truth is not known or has no counterpart.
 pub(super) fn truth_of(outcome: &Outcome, estimate: &Estimate, id: ParameterId) -> Option<f64> {
-    let truth = outcome.truth.as_ref()?;
-    let value = match id {
-        ParameterId::Link { .. } => link_truth(outcome, truth, id),
-        ParameterId::Frame { station: 0, component } => frame_truth(truth, estimate)?.get(component).copied(),
-        ParameterId::Target { target: 0, axis } => {
-            let set = outcome.sets.iter().find(|s| s.kind == SetKind::Identification)?;
-            let [stated] = set.measurements.targets.as_slice() else { return None };
-            Some(truth.as_built.target.get(axis)? - stated.in_flange.get(axis)?)
-        }
-        _ => None,
-    };
-    value.filter(|v| v.is_finite())
+    let set = outcome.sets.iter().find(|s| s.kind == SetKind::Identification)?;
+    known_truth(outcome, outcome.truth.as_ref()?, &set.measurements.targets).of(estimate, id)
 }
 
-fn link_truth(outcome: &Outcome, truth: &Truth, id: ParameterId) -> Option<f64> {
-    let ParameterId::Link { link, term } = id else { return None };
-    let as_built = truth.as_built.kinematics.links.get(link)?;
-    let nominal = outcome.model.kinematics.links.get(link)?;
-    Some(as_built.term(term) - nominal.term(term))
-}
-
-fn frame_truth(truth: &Truth, estimate: &Estimate) -> Option<Vector6<f64>> {
-    let [station] = estimate.robot.stations.as_slice() else { return None };
-    let xi = Vector6::from_iterator(
-        (0..6).map(|component| estimate.value(ParameterId::Frame { station: 0, component }).unwrap_or(0.0)),
-    );
-    let prior = station * small_displacement(&xi).inverse();
-    let displacement = prior.inverse() * truth.tracker_from_base;
-    let (along, about) = (displacement.translation.vector, rotation_vector(&displacement.rotation));
-    Some(Vector6::new(along.x, along.y, along.z, about.x, about.y, about.z))
-}
-
-/// The logarithm of a rotation of less than half a turn. nalgebra's goes by the arc cosine, which keeps half the digits near zero.
-fn rotation_vector(rotation: &Rotation3<f64>) -> Vector3<f64> {
-    let r = rotation.matrix();
-    let sine_axis = 0.5 * Vector3::new(r.m32 - r.m23, r.m13 - r.m31, r.m21 - r.m12);
-    let sine = sine_axis.norm();
-    let angle = sine.atan2(0.5 * (r.trace() - 1.0));
-    if sine > 0.0 { sine_axis * (angle / sine) } else { sine_axis }
+fn known_truth<'a>(outcome: &'a Outcome, truth: &'a Truth, targets: &'a [Target]) -> KnownTruth<'a> {
+    KnownTruth {
+        as_built: &truth.as_built,
+        nominal: &outcome.model,
+        tracker_from_base: &truth.tracker_from_base,
+        targets,
+    }
 }
 
 /// The unit that a parameter is printed in, and what an SI value is multiplied with.
@@ -213,18 +178,6 @@ mod tests {
             let id = ParameterId::Target { target: 0, axis };
             let row = rows.iter().find(|row| row.id == id).expect("a target parameter");
             assert!((row.truth().expect("one target") - expected).abs() < 1e-12);
-        }
-    }
-
-    #[test]
-    fn the_rotation_vector_undoes_the_exponential_from_tiny_to_large_angles() {
-        for angle in [0.0, 1e-12, 1e-6, 0.1, 3.0] {
-            let expected = angle * Vector3::new(2.0, -1.0, 2.0) / 3.0;
-            let found = rotation_vector(&Rotation3::new(expected));
-            assert!(
-                (found - expected).norm() <= 1e-14 * (1.0 + 1.0 / (std::f64::consts::PI - angle)),
-                "{angle}"
-            );
         }
     }
 

@@ -11,7 +11,7 @@ use crate::geometry::{
 };
 use crate::identification::{
     CalibratedRobot, DependentGroup, Estimate, IterationRecord, Mode, NoiseScale, ParameterEstimate,
-    Spectrum, TerminationReason, Warning, WeakDirection,
+    Predictor, Spectrum, TerminationReason, Warning, WeakDirection,
 };
 use crate::input::Source as InputText;
 use crate::kinematics::target_in_base;
@@ -20,9 +20,12 @@ use crate::model::{
     ActuatorMap, Body, CalibrationModel, CraigLink, JointKind, KinematicModel, LinkTerm, ParameterId,
     StaticProperties, Unit,
 };
-use crate::pipeline::{InputSummary, ModeOutcome, Outcome, RegistrationSummary, SetKind, SetOutcome, Truth};
+use crate::pipeline::{
+    AblatedPart, Ablation, AblationRows, InputSummary, ModeOutcome, Outcome, Part, RegistrationSummary,
+    SetKind, SetOutcome, Truth,
+};
 use crate::plant::AsBuilt;
-use crate::plant::effects::Effects;
+use crate::plant::effects::{EffectKind, Effects};
 use crate::random::{Source, stream};
 
 /// Displacement of the base from where the nests place it, m and rad.
@@ -90,18 +93,11 @@ pub(super) fn simulated() -> Outcome {
         sets.push(SetOutcome { kind, measurements: measurements(observations, "SMR 1"), dropped });
     }
 
-    let (uncalibrated, rms) = registered(&nominal, &sets[0].measurements);
-    let model = CalibrationModel {
-        kinematics: nominal,
-        actuators: ActuatorMap::Direct,
-        statics: Some(statics()),
-        motor_turns: vec![None; 7],
-    };
+    let model = model_of(nominal);
+    let (uncalibrated, rms) = registered(&model, &sets[0].measurements);
     let before = sets
         .iter()
-        .map(|set| {
-            set.measurements.observations.iter().map(|o| uncalibrated.error_in_base(&model, o)).collect()
-        })
+        .map(|set| Predictor::new(&model, &uncalibrated).errors(&set.measurements).expect("a rigid robot"))
         .collect();
     let mut modes = vec![mode_outcome(Mode::WithoutCalibration, uncalibrated, None, before)];
     for (mode, share, ratio) in [(Mode::OnlyCalibration, 1.0, 13.1), (Mode::WithGravity, 0.62, 9.4)] {
@@ -142,7 +138,31 @@ pub(super) fn simulated() -> Outcome {
             effects: Vec::new(),
         }),
         published: PUBLISHED.to_vec(),
+        ablation: None,
     }
+}
+
+/// A simulated robot with the contributions of three parts: one without which every error is half as large, one that changes nothing, one
+/// without which the run fails.
+pub(super) fn ablated() -> Outcome {
+    let mut outcome = simulated();
+    let complete: AblationRows = outcome.modes.iter().map(|mode| mode.rows.clone()).collect();
+    let mut halved = complete.clone();
+    for row in halved.iter_mut().flatten().flatten() {
+        row.mean *= 0.5;
+        row.rms_3d *= 0.5;
+    }
+    outcome.ablation = Some(Ablation {
+        modes: outcome.modes.iter().map(|mode| mode.mode).collect(),
+        sets: outcome.sets.iter().map(|set| set.kind).collect(),
+        parts: vec![
+            AblatedPart { part: Part::Bearings, rows: Ok(complete.clone()) },
+            AblatedPart { part: Part::Effect(EffectKind::Rail), rows: Ok(halved) },
+            AblatedPart { part: Part::Effect(EffectKind::Backlash), rows: Err("not at rest\x07".to_owned()) },
+        ],
+        complete,
+    });
+    outcome
 }
 
 /// A real robot: no truth, no verification set, no gravity mode, rank-deficient, readings without stated noise, hostile names, and
@@ -275,18 +295,28 @@ fn measurements(observations: Vec<Observation>, target: &str) -> MeasurementSet 
     }
 }
 
+fn model_of(kinematics: KinematicModel) -> CalibrationModel {
+    CalibrationModel {
+        kinematics,
+        actuators: ActuatorMap::Direct,
+        statics: Some(statics()),
+        motor_turns: vec![None; 7],
+    }
+}
+
 /// The nominal robot under the best-fit station, and the RMS of the fit.
-fn registered(nominal: &KinematicModel, set: &MeasurementSet) -> (CalibratedRobot, f64) {
+fn registered(model: &CalibrationModel, set: &MeasurementSet) -> (CalibratedRobot, f64) {
     let target = Vector3::from(STATED_TARGET);
     let seen: Vec<_> = set.observations.iter().map(|o| o.reading.position()).collect();
     let predicted: Vec<_> =
-        set.observations.iter().map(|o| target_in_base(nominal, &o.command, &target)).collect();
+        set.observations.iter().map(|o| target_in_base(&model.kinematics, &o.command, &target)).collect();
     let station = best_fit_transform(&seen, &predicted).expect("poses in general position");
     let squares: f64 =
         seen.iter().zip(&predicted).map(|(s, p)| (s - transformed(&station, p)).norm_squared()).sum();
     let robot = CalibratedRobot {
         mode: Mode::WithoutCalibration,
-        kinematics: nominal.clone(),
+        model: model.clone(),
+        terms: Vec::new(),
         stations: vec![station],
         targets: vec![target],
     };
@@ -322,7 +352,12 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
                     Unit::One => 1e-2,
                 };
             // Unmodelled effects pull the estimates further than the stated noise does.
-            ParameterEstimate { id: *id, value: truth + 1.6 * sigma * normal(rng), sigma: Some(sigma) }
+            ParameterEstimate {
+                id: *id,
+                value: truth + 1.6 * sigma * normal(rng),
+                sigma: Some(sigma),
+                prior_sigma: None,
+            }
         })
         .collect();
     let value = |id| parameters.iter().find(|p| p.id == id).map_or(0.0, |p| p.value);
@@ -352,7 +387,8 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
     Estimate {
         robot: CalibratedRobot {
             mode,
-            kinematics,
+            model: model_of(kinematics),
+            terms: Vec::new(),
             stations: vec![prior * small_displacement(&xi)],
             targets: vec![
                 Vector3::from(STATED_TARGET)
@@ -372,6 +408,10 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
             weak: vec![weak],
             dependent: Vec::new(),
         },
+        held: Vec::new(),
+        fixed: Vec::new(),
+        at_bound: Vec::new(),
+        outliers: Vec::new(),
         warnings,
         parameters,
     }

@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use super::ablation::ablation_lines;
 use super::{
     condition_words, consistency_ratio, counted, pose_words, published, set_title, termination_words,
 };
@@ -20,7 +21,7 @@ pub enum Style {
 }
 
 #[derive(Debug, Clone, Copy)]
-enum Ink {
+pub(super) enum Ink {
     Heading,
     Dim,
     Good,
@@ -28,7 +29,7 @@ enum Ink {
 }
 
 impl Style {
-    fn paint(self, ink: Ink, text: &str) -> String {
+    pub(super) fn paint(self, ink: Ink, text: &str) -> String {
         let code = match ink {
             Ink::Heading => "1",
             Ink::Dim => "2",
@@ -44,8 +45,8 @@ impl Style {
 
 /// Columns of a table: as wide as a plain terminal with some room.
 const WIDTH: usize = 100;
-const TITLE: usize = 34;
-const NUMBER: usize = 8;
+pub(super) const TITLE: usize = 34;
+pub(super) const NUMBER: usize = 8;
 const COLUMNS: [&str; 8] = ["max x", "mean x", "max y", "mean y", "max z", "mean z", "RMS 3D", "max 3D"];
 
 /// The tables of a run in mm, the published figures below each row, and how every estimate ended. At most 100 columns wide.
@@ -67,6 +68,9 @@ pub fn render_tables(outcome: &Outcome, style: Style) -> String {
             Some(estimate) => state(estimate, style).iter().for_each(|l| line(l)),
             None => wrap(&registration_words(outcome), "    ").iter().for_each(|l| line(l)),
         }
+    }
+    if let Some(ablation) = &outcome.ablation {
+        ablation_lines(ablation, style).iter().for_each(|l| line(l));
     }
     text
 }
@@ -107,7 +111,7 @@ fn row_values(row: &AccuracyRow) -> [f64; 8] {
     [row.max.x, row.mean.x, row.max.y, row.mean.y, row.max.z, row.mean.z, row.rms_3d, row.max_3d]
 }
 
-fn aligned(title: &str, numbers: &[String]) -> String {
+pub(super) fn aligned(title: &str, numbers: &[String]) -> String {
     let mut line = format!("{title:<TITLE$}");
     for number in numbers {
         let _ = write!(line, "{number:>NUMBER$}");
@@ -116,7 +120,7 @@ fn aligned(title: &str, numbers: &[String]) -> String {
 }
 
 /// Millimetres to the micrometre; large numbers, which only a failed fit has, in fewer digits.
-fn millimetres(metres: f64) -> String {
+pub(super) fn millimetres(metres: f64) -> String {
     let mm = 1e3 * metres;
     if mm.abs() >= 1e6 {
         format!("{mm:.0e}")
@@ -178,12 +182,12 @@ fn state(estimate: &Estimate, style: Style) -> Vec<String> {
 }
 
 /// Control characters from names in files must not reach the terminal.
-fn printable(text: &str) -> String {
+pub(super) fn printable(text: &str) -> String {
     text.chars().map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect()
 }
 
 /// Breaks `text` at spaces into lines of at most [`WIDTH`] columns, the later ones behind `indent`. Longer words stand alone.
-fn wrap(text: &str, indent: &str) -> Vec<String> {
+pub(super) fn wrap(text: &str, indent: &str) -> Vec<String> {
     let start = text.len() - text.trim_start().len();
     let mut lines = Vec::new();
     let mut line = text[..start].to_owned();

@@ -8,13 +8,11 @@ use serde::Deserialize;
 use super::Scenario;
 use super::as_built::{AsBuiltFile, as_built};
 use super::effects::{EffectsFile, effects};
+use super::identification::{IdentificationFile, ModeFile};
 use crate::experiment::WorkingRegion;
-use crate::identification::{
-    FrameChoice, IdentificationOptions, Mode, ParameterChoice, SolverOptions, TargetChoice,
-};
 use crate::input::{InputError, Source, Spanned};
 use crate::measurement::SetKind;
-use crate::model::{JointKind, KinematicModel, ParameterId, Robot, load_robot};
+use crate::model::{JointKind, KinematicModel, Robot, load_robot};
 use crate::plant::AsBuilt;
 use crate::tracker::{ErrorLine, Instrument, LaserTracker, WORKING_RANGE};
 
@@ -89,51 +87,6 @@ struct NestFile {
     z_mm: Spanned<f64>,
 }
 
-#[derive(Deserialize, Default)]
-#[serde(deny_unknown_fields)]
-struct IdentificationFile {
-    modes: Option<Spanned<Vec<ModeFile>>>,
-    parameters: Option<Spanned<toml::Value>>,
-    frame: Option<FrameFile>,
-    target: Option<TargetFile>,
-    unmodelled_sigma_um: Option<Spanned<f64>>,
-    max_iterations: Option<Spanned<usize>>,
-}
-
-#[derive(Deserialize, Clone, Copy)]
-#[serde(rename_all = "snake_case")]
-enum ModeFile {
-    WithoutCalibration,
-    OnlyCalibration,
-    WithGravity,
-}
-
-impl From<ModeFile> for Mode {
-    fn from(mode: ModeFile) -> Self {
-        match mode {
-            ModeFile::WithoutCalibration => Self::WithoutCalibration,
-            ModeFile::OnlyCalibration => Self::OnlyCalibration,
-            ModeFile::WithGravity => Self::WithGravity,
-        }
-    }
-}
-
-#[derive(Deserialize, Clone, Copy)]
-#[serde(rename_all = "snake_case")]
-enum FrameFile {
-    Nests,
-    Free,
-    Fixed,
-}
-
-#[derive(Deserialize, Clone, Copy)]
-#[serde(rename_all = "snake_case")]
-enum TargetFile {
-    Measured,
-    Identified,
-    Fixed,
-}
-
 #[derive(Deserialize, Clone, Copy)]
 #[serde(rename_all = "snake_case")]
 enum SetFile {
@@ -200,18 +153,8 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
     let nest_sigma = 1e-6 * source.positive("tracker.nest_sigma_um", &file.tracker.nest_sigma_um)?;
     let nests = nests(&source, &file.tracker, &tracker, nest_sigma)?;
     let target_sigma = 1e-6 * source.positive("tracker.target_sigma_um", &file.tracker.target_sigma_um)?;
-    let options = options(&source, &file.identification, &robot)?;
-    let modes = match &file.identification.modes {
-        Some(modes) if modes.get_ref().is_empty() => {
-            let help = Some("expected at least one mode, or no key modes for all of them".to_owned());
-            return Err(source.error(modes.span(), "identification.modes is empty", help));
-        }
-        Some(modes) => {
-            let wanted = |mode: &Mode| modes.get_ref().iter().any(|f| Mode::from(*f) == *mode);
-            Mode::ALL.into_iter().filter(wanted).collect()
-        }
-        None => Mode::ALL.to_vec(),
-    };
+    let options = file.identification.options(&source, &robot.model)?;
+    let modes = file.identification.modes(&source)?;
     let published = file
         .published
         .iter()
@@ -440,75 +383,4 @@ fn distance_off_line(nests: &[(String, Vector3<f64>)]) -> f64 {
     };
     let Some(direction) = along.try_normalize(0.0) else { return 0.0 };
     nests.iter().map(|(_, place)| (place - start).cross(&direction).norm()).fold(0.0, f64::max)
-}
-
-fn options(
-    source: &Source,
-    file: &IdentificationFile,
-    robot: &Robot,
-) -> Result<IdentificationOptions, InputError> {
-    let mut options = IdentificationOptions::default();
-    if let Some(parameters) = &file.parameters {
-        options.parameters = parameter_choice(source, parameters, robot.model.kinematics.joint_count())?;
-    }
-    if let Some(frame) = file.frame {
-        options.frame = match frame {
-            FrameFile::Nests => FrameChoice::Nests,
-            FrameFile::Free => FrameChoice::Free,
-            FrameFile::Fixed => FrameChoice::Fixed,
-        };
-    }
-    if let Some(target) = file.target {
-        options.target = match target {
-            TargetFile::Measured => TargetChoice::Measured,
-            TargetFile::Identified => TargetChoice::Identified,
-            TargetFile::Fixed => TargetChoice::Fixed,
-        };
-    }
-    if let Some(sigma) = &file.unmodelled_sigma_um {
-        options.unmodelled_sigma = 1e-6 * source.not_negative("identification.unmodelled_sigma_um", sigma)?;
-    }
-    if let Some(limit) = &file.max_iterations {
-        let max_iterations = *limit.get_ref();
-        if max_iterations == 0 {
-            let help = Some("expected at least one iteration".to_owned());
-            return Err(source.error(limit.span(), "identification.max_iterations is 0", help));
-        }
-        options.solver = SolverOptions { max_iterations, ..options.solver };
-    }
-    Ok(options)
-}
-
-fn parameter_choice(
-    source: &Source,
-    value: &Spanned<toml::Value>,
-    links: usize,
-) -> Result<ParameterChoice, InputError> {
-    let refused = |what: String| {
-        source.error(
-            value.span(),
-            format!("identification.parameters: {what}"),
-            Some(format!(
-                "expected \"neighbour_axis_rules\", \"complete\", or a list of delta_a, delta_alpha, delta_beta, delta_d, \
-                 delta_theta with a joint number from 1 to {links}, such as [\"delta_a2\", \"delta_theta4\"]"
-            )),
-        )
-    };
-    let listed = |name: &toml::Value| {
-        let known = name.as_str().and_then(ParameterId::parse);
-        match known {
-            Some(id @ ParameterId::Link { link, .. }) if link < links => Ok(id),
-            _ => Err(refused(format!("{name} is not a link parameter of this robot"))),
-        }
-    };
-    match value.get_ref() {
-        toml::Value::String(name) if name == "neighbour_axis_rules" => {
-            Ok(ParameterChoice::NeighbourAxisRules)
-        }
-        toml::Value::String(name) if name == "complete" => Ok(ParameterChoice::Complete),
-        toml::Value::Array(names) => {
-            Ok(ParameterChoice::Listed(names.iter().map(listed).collect::<Result<_, _>>()?))
-        }
-        other => Err(refused(format!("{other} is no choice"))),
-    }
 }

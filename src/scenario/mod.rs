@@ -3,6 +3,7 @@
 mod as_built;
 mod effects;
 mod file;
+mod identification;
 
 pub use file::{load_scenario, parse_scenario};
 

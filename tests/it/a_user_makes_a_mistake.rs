@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 use calibrig::input::InputError;
 use calibrig::measurement::write_measurements;
 use calibrig::model::{JointKind, load_robot};
-use calibrig::pipeline::simulate;
+use calibrig::pipeline::{PlantKind, simulate};
 use calibrig::scenario::load_scenario;
 
 use crate::sandbox::{ROBOT, SCENARIO, Sandbox, URDF, assert_refused};
@@ -749,7 +749,7 @@ fn measured() -> Vec<Vec<String>> {
     let text = TEXT.get_or_init(|| {
         let sandbox = Sandbox::new();
         let scenario = load_scenario(&sandbox.path(SCENARIO)).expect("the shipped scenario");
-        let simulation = simulate(&scenario, 1, 0, |_, _| {}).expect("a session");
+        let simulation = simulate(&scenario, 1, 0, PlantKind::Rapier, |_, _| {}).expect("a session");
         let joints: Vec<JointKind> =
             scenario.robot.model.kinematics.links.iter().map(|link| link.kind).collect();
         let set = &simulation.sets[0].measurements;

@@ -2,7 +2,7 @@
 
 use calibrig::identification::{FrameChoice, IdentificationOptions, Mode, TargetChoice, identify};
 use calibrig::model::ParameterId;
-use calibrig::pipeline::simulate;
+use calibrig::pipeline::{PlantKind, simulate};
 use calibrig::scenario::Scenario;
 
 use crate::a_user_reproduces_the_paper::paper;
@@ -36,7 +36,7 @@ fn exact_measurements_give_the_24_parameters() {
         target: TargetChoice::Fixed,
         ..scenario.options.clone()
     };
-    let simulation = simulate(&scenario, scenario.seed, 0, |_, _| {}).expect("a simulation");
+    let simulation = simulate(&scenario, scenario.seed, 0, PlantKind::Rapier, |_, _| {}).expect("a simulation");
     let estimate =
         identify(&scenario.robot.model, &simulation.sets[0].measurements, &options).expect("an estimate");
     assert!(estimate.is_sound());
@@ -58,7 +58,7 @@ fn noise_gives_the_stated_chi_square_and_coverage() {
     let (mut chi2, mut dof) = (0.0, 0);
     let mut covered = [0_u32; 24];
     for trial in 0..trials {
-        let simulation = simulate(&scenario, 2024, trial, |_, _| {}).expect("a simulation");
+        let simulation = simulate(&scenario, 2024, trial, PlantKind::Rapier, |_, _| {}).expect("a simulation");
         let estimate = identify(&scenario.robot.model, &simulation.sets[0].measurements, &scenario.options)
             .expect("an estimate");
         assert!(estimate.is_sound(), "trial {trial}: {:?}", estimate.warnings);

@@ -68,13 +68,14 @@ const ALLOWED: &[(&str, &[&str])] = &[
         ],
     ),
     ("replay", &["identification", "input", "model", "pipeline", "recording", "scenario"]),
-    ("report", &["evaluation", "geometry", "identification", "model", "pipeline"]),
+    ("report", &["evaluation", "identification", "measurement", "model", "pipeline"]),
     (
         "scenario",
         &["experiment", "identification", "input", "measurement", "model", "plant", "random", "tracker"],
     ),
     ("statistics", &[]),
     ("tracker", &["geometry", "measurement"]),
+    ("validation", &["evaluation", "measurement"]),
 ];
 
 /// Modules that estimate, and the ones that they see through.

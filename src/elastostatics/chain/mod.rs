@@ -307,6 +307,11 @@ impl ElasticChain {
         }
     }
 
+    /// Deflection of a joint's drive, m or rad; with a four-bar, the elbow's drive is the crank's.
+    pub fn drive_deflection(&self, joint: usize) -> f64 {
+        self.u[self.driven(joint)]
+    }
+
     /// `base_from_flange`.
     pub fn base_from_flange(&self) -> &Transform {
         &self.base_from_flange

@@ -6,6 +6,7 @@ use rand_distr::{Distribution, StandardNormal};
 use super::basis::regressors;
 use super::regression::ProjectedResidual;
 use super::*;
+use crate::evaluation::{NoiseLevel, check_consistency};
 use crate::statistics::binomial_cdf;
 
 const JOINTS: usize = 4;
@@ -179,6 +180,13 @@ fn noise_has_no_pattern() {
         let report = session.find(&residuals, 0.05);
         found += u64::from(!report.patterns.is_empty());
         if report.patterns.is_empty() {
+            // Chi-square with all rows less the parameters: the fit is linear, and the model right.
+            let poses = session.poses();
+            let check = check_consistency(&session.set(&residuals, &poses), NoiseLevel::Known, 1e-6);
+            assert!(check.is_consistent(), "{check}");
+            assert!(check.to_string().ends_with("no pattern against joints, approach, time or sequence"));
+            let unstated = check_consistency(&session.set(&residuals, &poses), NoiseLevel::Estimated, 1e-6);
+            assert_eq!(unstated.size, None);
             assert!(report.tested.iter().any(|(cause, _)| *cause == Cause::Sequence));
         }
         for (cause, ln_p) in report.tested.iter().filter(|(cause, _)| *cause != Cause::Sequence) {
@@ -247,7 +255,11 @@ fn one_effect_is_named() {
         assert!(first.peak > 0.3 * largest && first.peak < 2.0 * largest, "{} {largest}", first.peak);
         assert!(first.share > 0.05 && first.share < 1.0);
         assert_eq!(report.patterns.len(), 1, "{:#?}", report.patterns);
-        println!("{first}");
+        let poses = session.poses();
+        let check = check_consistency(&session.set(&residuals, &poses), NoiseLevel::Known, 0.001);
+        // Also where the size of the residuals alone does not tell yet.
+        assert!(!check.is_consistent(), "{check}");
+        assert!(check.to_string().contains(&format!("\nthe residual {words} (p = ")), "{check}");
     }
 }
 

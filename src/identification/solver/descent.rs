@@ -114,7 +114,7 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
     fn go_on(&mut self, normal: &mut NormalEquations, last: bool) -> bool {
         std::mem::swap(&mut self.now, &mut self.trial);
         let finite = if last {
-            self.now.jacobian.sum().is_finite()
+            self.now.is_finite()
         } else if let Some(next) = self.normal_equations() {
             *normal = next;
             true
@@ -191,9 +191,10 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
         } else {
             self.step(normal, FIRST_DAMPING).map(|step| normal.curvature(&step.scaled))
         };
-        let Some(change) = curvature.map(|c| c.max(0.0).sqrt()) else { return false };
-        change <= self.options.absolute_decrease
-            || change <= self.options.relative_decrease * self.now.cost.sqrt()
+        let Some(square) = curvature else { return false };
+        // Where the cost cannot tell the step from rounding, trying on would follow its last digit.
+        let floor = (4.0 * f64::EPSILON).max(self.options.relative_decrease.powi(2));
+        square <= self.options.absolute_decrease.powi(2) || square <= floor * self.now.cost
     }
 }
 

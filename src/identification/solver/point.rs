@@ -54,6 +54,10 @@ impl Point {
         self.cost = scale * scale * cost + self.residuals.rows_range(3 * blocks..).norm_squared();
     }
 
+    pub fn is_finite(&self) -> bool {
+        self.cost.is_finite() && are_finite(self.jacobian.as_slice())
+    }
+
     pub fn block(&self, i: usize) -> Vector3<f64> {
         self.residuals.fixed_rows::<3>(3 * i).into_owned()
     }
@@ -107,8 +111,8 @@ impl NormalEquations {
         }
         let matrix = &transposed * &point.jacobian;
         let gradient = transposed * &point.residuals;
-        let finite = gradient.iter().chain(matrix.iter()).all(|v| v.is_finite());
-        finite.then_some(Self { matrix, gradient })
+        (are_finite(gradient.as_slice()) && are_finite(matrix.as_slice()))
+            .then_some(Self { matrix, gradient })
     }
 
     /// Lets `scale` grow to the column norms, never shrink (Moré), and divides by it; a column of zeros keeps a scale of one.
@@ -154,4 +158,9 @@ impl NormalEquations {
     pub fn curvature(&self, step: &DVector<f64>) -> f64 {
         step.dot(&(&self.matrix * step))
     }
+}
+
+/// Without an early end, so that it is done several numbers at a time.
+fn are_finite(values: &[f64]) -> bool {
+    values.iter().fold(true, |all, v| all & v.is_finite())
 }

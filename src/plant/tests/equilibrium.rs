@@ -14,7 +14,7 @@ pub(super) struct Equilibrium<'a> {
     pub(super) rest: &'a [f64],
 }
 
-fn turn(axis: usize, angle: f64) -> Matrix4<f64> {
+pub(super) fn turn(axis: usize, angle: f64) -> Matrix4<f64> {
     let (sin, cos) = angle.sin_cos();
     let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
     let mut matrix = Matrix4::identity();
@@ -25,7 +25,7 @@ fn turn(axis: usize, angle: f64) -> Matrix4<f64> {
     matrix
 }
 
-fn shift(axis: usize, by: f64) -> Matrix4<f64> {
+pub(super) fn shift(axis: usize, by: f64) -> Matrix4<f64> {
     let mut matrix = Matrix4::identity();
     matrix[(axis, 3)] = by;
     matrix
@@ -43,7 +43,7 @@ fn generator(kind: JointKind) -> Matrix4<f64> {
     matrix
 }
 
-fn point(v: &Vector3<f64>) -> Vector4<f64> {
+pub(super) fn point(v: &Vector3<f64>) -> Vector4<f64> {
     Vector4::new(v.x, v.y, v.z, 1.0)
 }
 

@@ -1,5 +1,7 @@
+mod constrained;
 mod equilibrium;
 mod spray_robot;
+mod whole;
 
 use nalgebra::{DVector, Matrix3, Rotation3, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -7,12 +9,17 @@ use rand_chacha::ChaCha8Rng;
 
 use super::chain::Chain;
 use super::effects::Effects;
+use super::tree::Tree;
 use super::{AsBuilt, Plant, PlantError, SettleOptions, SettledPose};
 use crate::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
 use crate::kinematics::{link_frames, target_in_base};
-use crate::model::{ActuatorMap, Body, CraigLink, JointKind, KinematicModel, LinkTerm, StaticProperties};
+use crate::model::{
+    ActuatorMap, Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, CraigLink, FourBar, JointKind,
+    KinematicModel, LinkTerm, LinkageArm, LinkageStatics, PointLoad, Section, SegmentLength,
+    StaticProperties,
+};
 use equilibrium::Equilibrium;
-use spray_robot::{add_errors, spray_robot, working_pose};
+use spray_robot::{add_errors, full_robot, spray_robot, working_command, working_pose};
 
 fn plant(robot: &AsBuilt) -> Plant {
     Plant::new(robot, SettleOptions::default()).expect("a sound robot")
@@ -76,7 +83,10 @@ fn bits(pose: &SettledPose) -> Vec<u64> {
     let mut numbers: Vec<f64> = pose.target.iter().copied().collect();
     numbers.extend(pose.links.iter().flat_map(|link| link.to_homogeneous().as_slice().to_vec()));
     numbers.extend(&pose.deflection);
-    numbers.push(pose.residual);
+    numbers.extend(pose.elastic.iter().map(|spring| spring.value));
+    numbers.extend(pose.linkage.iter().flatten().flatten());
+    numbers.extend(pose.rod_force);
+    numbers.extend([pose.residual, pose.closure]);
     numbers.iter().map(|x| x.to_bits()).chain([u64::from(pose.steps)]).collect()
 }
 
@@ -203,16 +213,20 @@ fn a_pose_depends_on_no_bit_of_the_poses_before() {
 }
 
 #[test]
-fn a_chain_is_put_exactly_at_the_joint_variables_wherever_it_was() {
+fn a_chain_is_put_exactly_at_the_coordinates_wherever_it_was() {
     let mut rng = ChaCha8Rng::seed_from_u64(9);
-    let mut chain = Chain::new(&spray_robot(), 1.0);
-    for _ in 0..100 {
-        chain.drive_to(&[0.0; 7].map(|_: f64| rng.random_range(-1e3..1e3)));
+    let robot = full_robot();
+    let tree = Tree::new(&robot, &[0.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0]);
+    let mut chain = Chain::new(&tree, &robot.statics.gravity, 1.0);
+    for _ in 0..20 {
+        let mut coordinates = vec![0.0; chain.coordinate_count()];
+        coordinates.fill_with(|| rng.random_range(-1e3..1e3));
+        chain.place(&coordinates);
         chain.step_from_rest();
-        let joints = working_pose(&mut rng);
-        chain.place(&joints);
-        for (joint, q) in joints.iter().enumerate() {
-            assert_eq!(chain.coordinate(joint).to_bits(), q.to_bits());
+        coordinates.fill_with(|| rng.random_range(-3.0..3.0));
+        chain.place(&coordinates);
+        for (i, q) in coordinates.iter().enumerate() {
+            assert_eq!(chain.coordinate(i).to_bits(), q.to_bits());
         }
     }
 }
@@ -264,29 +278,26 @@ fn soft_pendulum() -> AsBuilt {
 }
 
 #[test]
-fn what_overshoots_with_long_steps_is_refused_and_settles_with_short_ones() {
+fn a_drive_that_gravity_overpowers_still_finds_its_rest() {
     let robot = soft_pendulum();
-    let error = plant(&robot).settle(&[1.0]).expect_err("each step overshoots");
-    let PlantError::NotSettled { steps, tip_motion, residual } = error else { panic!("{error}") };
-    assert_eq!(steps, SettleOptions::default().max_steps);
-    assert!(tip_motion > 1e-3 && residual > 1e-3, "{error}");
-
-    let options = SettleOptions { dt: 0.05, max_steps: 2000, ..SettleOptions::default() };
-    let pose = Plant::new(&robot, options).expect("a sound robot").settle(&[1.0]).expect("short steps");
-    let reference = Equilibrium { robot: &robot, rest: &[1.0] };
-    assert!((pose.target - reference.target(&reference.solve())).norm() < 1e-9);
+    let short = SettleOptions { dt: 0.05, max_steps: 2000, ..SettleOptions::default() };
+    for options in [SettleOptions::default(), short] {
+        let pose = Plant::new(&robot, options).expect("a sound robot").settle(&[1.0]).expect("a stable pose");
+        let reference = Equilibrium { robot: &robot, rest: &[1.0] };
+        assert!((pose.target - reference.target(&reference.solve())).norm() < 1e-9);
+    }
 }
 
 #[test]
-fn a_pose_that_is_cut_short_is_an_error_with_its_numbers() {
+fn a_pose_that_is_not_at_rest_in_time_is_an_error_with_its_numbers() {
     let robot = spray_robot();
     let command = working_pose(&mut ChaCha8Rng::seed_from_u64(7));
-    let options = SettleOptions { max_steps: 1, ..SettleOptions::default() };
+    let options = SettleOptions { max_steps: 3, residual_tolerance: 1e-25, ..SettleOptions::default() };
     let mut plant = Plant::new(&robot, options).expect("a sound robot");
-    let error = plant.settle(&command).expect_err("one step is not enough");
-    let PlantError::NotSettled { steps, tip_motion, residual } = error else { panic!("{error}") };
-    assert_eq!(steps, 1);
-    assert!(tip_motion > 1e-9 && tip_motion < 1e-3 && residual > 0.0 && residual < 1e-3, "{error}");
+    let error = plant.settle(&command).expect_err("numbers are not that good");
+    let PlantError::NotSettled { steps, tip_motion, residual, closure } = error else { panic!("{error}") };
+    assert_eq!(steps, 3);
+    assert!(tip_motion < 1e-9 && residual > 0.0 && residual < 1e-12 && closure == 0.0, "{error}");
 }
 
 #[test]
@@ -320,7 +331,7 @@ fn places_beyond_the_numbers_are_refused() {
 #[test]
 fn a_robot_that_makes_no_machine_is_refused() {
     type Case = (fn(&mut AsBuilt), fn(&PlantError) -> bool);
-    let cases: [Case; 24] = [
+    let cases: [Case; 23] = [
         (|r| r.kinematics.links.clear(), |e| *e == PlantError::NoJoints),
         (
             |r| r.statics.bodies.truncate(6),
@@ -340,7 +351,6 @@ fn a_robot_that_makes_no_machine_is_refused() {
             |e| is_not_finite(e, "last_from_flange", None),
         ),
         (|r| r.statics.bodies[4].mass = f64::NAN, |e| is_not_finite(e, "mass", Some(4))),
-        (|r| r.statics.bodies[4].mass = 0.0, |e| *e == PlantError::Mass { joint: 4, mass: 0.0 }),
         (|r| r.statics.bodies[4].mass = -2.0, |e| *e == PlantError::Mass { joint: 4, mass: -2.0 }),
         (
             |r| r.statics.bodies[5].centre_of_mass.y = f64::NAN,
@@ -419,4 +429,28 @@ fn a_command_and_options_of_the_wrong_form_are_refused() {
         let error = Plant::new(&robot, options).err().expect("a refusal");
         assert!(matches!(error, PlantError::Option { option: found, .. } if found == option), "{error}");
     }
+}
+
+#[test]
+fn scratch() {
+    let mut rng = ChaCha8Rng::seed_from_u64(20);
+    let mut robot = full_robot();
+    add_errors(&mut robot, &mut rng);
+    let mut plant = plant(&robot);
+    let start = std::time::Instant::now();
+    for i in 0..1000 {
+        let command = working_command(&robot, &mut rng);
+        match plant.settle(&command) {
+            Ok(pose) => {
+                if i % 100 == 0 {
+                    eprintln!(
+                        "{} {:e} {:e} {:?} {:?}",
+                        pose.steps, pose.residual, pose.closure, pose.rod_force, pose.deflection
+                    );
+                }
+            }
+            Err(error) => eprintln!("{i}: {error}"),
+        }
+    }
+    eprintln!("{:?} a pose", start.elapsed() / 1000);
 }

@@ -72,9 +72,18 @@ joint = "wrist"
 sigma_arcsec = 3
 "#;
 
+const ROOT: &str = env!("CARGO_MANIFEST_DIR");
+
+fn robot() -> Robot {
+    load_robot(&Path::new(ROOT).join("models/spray_painter/robot.toml")).expect("the shipped robot")
+}
+
 fn parse(sections: &str) -> Result<Scenario, InputError> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let robot = load_robot(&root.join("models/spray_painter/robot.toml")).expect("the shipped robot");
+    parse_with(sections, robot())
+}
+
+fn parse_with(sections: &str, robot: Robot) -> Result<Scenario, InputError> {
+    let root = Path::new(ROOT);
     let shipped = std::fs::read_to_string(root.join("scenarios/paper.toml")).expect("the shipped scenario");
     let parsed: toml::Table = shipped.parse().expect("TOML");
     let text = match parsed.contains_key("effects") {
@@ -141,6 +150,26 @@ fn sections_are_read_in_si_in_the_units_of_each_joint() {
 }
 
 #[test]
+fn motor_turns_are_those_of_the_robots_file_unless_the_machines_differ() {
+    let own = effects_of(&ALL.replace("motor_turns_per_m = 40\n", ""));
+    let nominal = robot().model.motor_turns[0].expect("the shipped robot's");
+    close(own.harmonics.expect("harmonics").actuators[0].expect("the rail's").turns, nominal);
+}
+
+#[test]
+fn a_rod_grows_where_there_is_one() {
+    let rod = "\n[effects.thermal.rod]\nexpansion_ppm_per_k = 12\nlag_s = 60\n";
+    let text = ALL.replace("\n[effects.repeatability]\n", &format!("{rod}\n[effects.repeatability]\n"));
+    let thermal = effects_of(&text).thermal.expect("thermal");
+    assert_eq!(thermal.growths[1].part, GrowingPart::Rod);
+    let mut direct = robot();
+    direct.model.actuators = crate::model::ActuatorMap::Direct;
+    direct.model.statics.as_mut().expect("statics").linkage = None;
+    let error = parse_with(&text, direct).expect_err("no rod").to_string();
+    assert!(error.contains("[effects.thermal.rod]"), "{error}");
+}
+
+#[test]
 fn a_section_is_off_where_it_is_not_there_or_says_so() {
     assert_eq!(effects_of(""), Effects::default());
     for kind in EffectKind::ALL {
@@ -163,7 +192,7 @@ fn refusals_name_the_key_the_joint_and_what_was_expected() {
         ("gap_arcsec = 30", "gap_um = 30", "gap_um of joint \"shoulder\", which is revolute"),
         ("gap_arcsec = 30", "", "joint \"shoulder\" has no gap_arcsec"),
         ("relative_ppm = -35", "relative_ppm = 2e4", "relative_ppm is 20000"),
-        ("motor_turns_per_m = 40\n", "", "how often the motor of \"rail\" turns"),
+        ("motor_turns_per_m = 40\n", "motor_turns_per_m = 0\n", "how often the motor of \"rail\" turns"),
         ("start_c = 21", "start_c = 80", "effects.thermal.start_c is 80"),
         ("swing_c = 0.5", "swing_c = 45", "leave -20 to 60"),
         ("swing_period_s = 600\n", "", "swing_c without its period"),

@@ -1,0 +1,107 @@
+use super::*;
+
+/// One parameter.
+fn scalar(
+    f: impl Fn(f64) -> Vec<(f64, f64)>,
+    m: usize,
+) -> Formula<impl FnMut(&[f64]) -> Vec<(f64, Vec<f64>)>> {
+    Formula {
+        n: 1,
+        m,
+        blocks: 0,
+        f: move |x: &[f64]| f(x[0]).into_iter().map(|(r, d)| (r, vec![d])).collect(),
+    }
+}
+
+#[test]
+fn rosenbrock_is_solved_and_the_cost_never_rises() {
+    let solution = minimise(&mut rosenbrock(), vec![-1.2, 1.0], &SolverOptions::default());
+    assert_eq!(solution.termination, TerminationReason::SmallDecrease);
+    assert!((solution.x[0] - 1.0).abs() < 1e-7 && (solution.x[1] - 1.0).abs() < 1e-7);
+    assert!(solution.iterations.windows(2).all(|w| w[1].cost <= w[0].cost));
+    assert_eq!((solution.minima, solution.scale, solution.variance_factor), (1, 1.0, 1.0));
+}
+
+#[test]
+fn a_useless_parameter_does_not_stop_the_others() {
+    let mut decay = Formula {
+        n: 3,
+        m: 20,
+        blocks: 0,
+        f: |x: &[f64]| {
+            (0..20)
+                .map(|i| {
+                    let t = f64::from(i) * 0.1;
+                    let e = (-x[1] * t).exp();
+                    (x[0] * e - 3.0 * (-1.7 * t).exp(), vec![e, -t * x[0] * e, 0.0])
+                })
+                .collect()
+        },
+    };
+    let solution = minimise(&mut decay, vec![1.0, 0.1, 5.0], &SolverOptions::default());
+    assert!(solution.termination.converged());
+    assert!((solution.x[0] - 3.0).abs() < 1e-9 && (solution.x[1] - 1.7).abs() < 1e-9);
+    assert!((solution.x[2] - 5.0).abs() < 1e-12);
+}
+
+#[test]
+fn a_start_at_the_minimum_ends_with_its_gradient() {
+    let mut line = scalar(|x| vec![(x - 1.0, 1.0), (x + 1.0, 1.0)], 2);
+    let solution = minimise(&mut line, vec![0.0], &SolverOptions::default());
+    assert_eq!(solution.termination, TerminationReason::SmallGradient);
+    assert!(solution.iterations.is_empty());
+    assert_eq!(solution.cost, 2.0);
+}
+
+#[test]
+fn the_iteration_limit_is_kept() {
+    let options = SolverOptions { max_iterations: 3, ..SolverOptions::default() };
+    let solution = minimise(&mut rosenbrock(), vec![-1.2, 1.0], &options);
+    assert_eq!(solution.termination, TerminationReason::IterationLimit);
+    assert_eq!((solution.iterations.len(), solution.minima), (3, 0));
+}
+
+/// Derivatives of the wrong sign: every step goes up, however short. Near the minimum the same is only the limit of the accuracy.
+#[test]
+fn wrong_derivatives_are_no_convergence_unless_the_whole_step_is_small() {
+    let mut uphill = scalar(|x| vec![(1.0, 0.0), (x, -1.0)], 2);
+    let far = minimise(&mut uphill, vec![1.0], &SolverOptions::default());
+    assert_eq!(far.termination, TerminationReason::NoDecrease);
+    assert_eq!(far.x[0], 1.0);
+    let near = minimise(&mut uphill, vec![1e-5], &SolverOptions::default());
+    assert_eq!(near.termination, TerminationReason::SmallStep);
+    assert_eq!(near.x[0], 1e-5);
+}
+
+#[test]
+fn numbers_that_are_not_end_the_search_with_their_reason() {
+    for bad in [f64::NAN, f64::INFINITY] {
+        let mut residual = scalar(|_| vec![(bad, 1.0)], 1);
+        let solution = minimise(&mut residual, vec![1.0], &SolverOptions::default());
+        assert_eq!(solution.termination, TerminationReason::NotFinite);
+        let mut derivative = scalar(|_| vec![(1.0, bad)], 1);
+        let solution = minimise(&mut derivative, vec![1.0], &SolverOptions::default());
+        assert_eq!(solution.termination, TerminationReason::NotFinite);
+    }
+}
+
+/// The first full step of a logarithm from 10 lands where it has no value, of the second function where it has no derivative.
+#[test]
+fn a_step_into_what_is_not_a_number_is_rejected() {
+    let mut logarithm = scalar(|x| vec![(x.ln(), 1.0 / x)], 1);
+    let mut derivative = scalar(|x| if x > 0.0 { vec![(x.ln(), 1.0 / x)] } else { vec![(0.5, f64::NAN)] }, 1);
+    for solution in [
+        minimise(&mut logarithm, vec![10.0], &SolverOptions::default()),
+        minimise(&mut derivative, vec![10.0], &SolverOptions::default()),
+    ] {
+        assert!(!solution.iterations[0].accepted);
+        assert!(solution.termination.converged());
+        assert!((solution.x[0] - 1.0).abs() < 1e-7);
+    }
+}
+
+#[test]
+fn a_plain_fit_takes_no_memory_for_what_is_not_asked() {
+    let solution = minimise(&mut rosenbrock(), vec![-1.2, 1.0], &SolverOptions::default());
+    assert_eq!((solution.weights.capacity(), solution.at_bound.capacity()), (0, 0));
+}

@@ -1,0 +1,167 @@
+//! What a solution tells: parameters, covariance, what is determined and what is not.
+
+use nalgebra::DMatrix;
+
+use super::build::{Built, redundant};
+use super::solver::Solution;
+use super::{
+    CalibratedRobot, DependentGroup, Estimate, IdentificationOptions, LeastSquares, NoiseScale, Outlier,
+    ParameterEstimate, Redundancy, Spectrum, Warning, analyse_columns, analyse_r,
+};
+use crate::measurement::MeasurementSet;
+use crate::model::ParameterId;
+
+pub(super) fn summarise(
+    built: Built,
+    solution: Solution,
+    noise: NoiseScale,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+) -> Estimate {
+    let Built { mut problem, sigmas, unexcited, fixed } = built;
+    let rows = problem.rows();
+    let n = problem.parameters.len();
+    let degrees_of_freedom = rows - n;
+    let r = solution.jacobian.clone().qr().unpack_r();
+    let judged = match options.redundant {
+        Redundancy::Keep => problem.measured_rows(),
+        Redundancy::Fix | Redundancy::Prior => rows - problem.tolerances.len(),
+    };
+    let spectrum = if judged == rows {
+        analyse_r(&r, &problem.parameters)
+    } else {
+        analyse_columns(&solution.jacobian.rows(0, judged).into_owned(), &problem.parameters)
+    };
+    let held = if problem.own_priors.is_empty() || options.redundant != Redundancy::Prior {
+        Vec::new()
+    } else {
+        let has_prior = |group: &DependentGroup| {
+            problem.own_priors.iter().any(|(column, _)| problem.parameters[*column] == group.redundant)
+        };
+        redundant(&problem, &solution.jacobian).into_iter().filter(has_prior).collect()
+    };
+    let covariance = covariance(&r, &spectrum);
+    problem.set(&solution.x);
+    let mut warnings = warnings(&solution, &spectrum, n, degrees_of_freedom, noise);
+    let at_bound: Vec<_> = solution.at_bound.iter().map(|at| problem.parameters[at.parameter]).collect();
+    warnings.extend(solution.at_bound.iter().map(|at| Warning::AtBound {
+        name: problem.parameters[at.parameter].to_string(),
+        bound: solution.x[at.parameter],
+    }));
+    let outliers = outliers(&solution, set);
+    if !outliers.is_empty() {
+        warnings.push(Warning::Outliers(outliers.clone()));
+    }
+    if solution.minima > 1 {
+        warnings.push(Warning::SeveralMinima { minima: solution.minima });
+    }
+    let names = |groups: &[DependentGroup]| groups.iter().map(ToString::to_string).collect::<Vec<_>>();
+    if !held.is_empty() {
+        warnings.push(Warning::HeldByPrior { groups: names(&held) });
+    }
+    if !fixed.is_empty() {
+        warnings.push(Warning::Fixed { groups: names(&fixed) });
+    }
+    warnings.extend(unexcited.iter().map(|id| Warning::Unexcited { name: id.to_string() }));
+    let values = problem.parameters.iter().zip(&solution.x);
+    let terms = values.filter_map(|(id, value)| match id {
+        ParameterId::Term(term) => Some((*term, *value)),
+        _ => None,
+    });
+    let terms = terms.collect();
+    Estimate {
+        parameters: problem
+            .parameters
+            .iter()
+            .zip(&solution.x)
+            .enumerate()
+            .map(|(i, (id, value))| ParameterEstimate {
+                id: *id,
+                value: *value,
+                sigma: covariance.as_ref().map(|c| c[(i, i)].sqrt()),
+                prior_sigma: sigmas[i],
+            })
+            .collect(),
+        robot: CalibratedRobot {
+            mode: options.mode,
+            model: problem.current.model,
+            terms,
+            stations: problem.current.stations,
+            targets: problem.current.targets,
+        },
+        covariance,
+        noise,
+        chi2: solution.cost,
+        degrees_of_freedom,
+        termination: solution.termination,
+        iterations: solution.iterations,
+        spectrum,
+        held,
+        fixed,
+        at_bound,
+        outliers,
+        warnings,
+    }
+}
+
+/// Residuals longer than this many standard deviations of a coordinate are named: one in 65,000 is where the noise is normal.
+const OUTLIER: f64 = 5.0;
+
+fn outliers(solution: &Solution, set: &MeasurementSet) -> Vec<Outlier> {
+    let outlier = |observation: usize| Outlier {
+        pose: set.observations[observation].pose,
+        observation,
+        size: solution.residuals.fixed_rows::<3>(3 * observation).norm() / solution.scale,
+        weight: solution.weights[observation],
+    };
+    solution.outliers(OUTLIER).into_iter().map(outlier).collect()
+}
+
+/// `(Rᵀ R)⁻¹`, only from a system of full rank.
+fn covariance(r: &DMatrix<f64>, spectrum: &Spectrum) -> Option<DMatrix<f64>> {
+    let n = r.ncols();
+    if spectrum.rank < n {
+        return None;
+    }
+    let inverse = r.solve_upper_triangular(&DMatrix::identity(n, n))?;
+    Some(&inverse * inverse.transpose())
+}
+
+fn warnings(
+    solution: &Solution,
+    spectrum: &Spectrum,
+    parameters: usize,
+    degrees_of_freedom: usize,
+    noise: NoiseScale,
+) -> Vec<Warning> {
+    let mut warnings = Vec::new();
+    if !solution.termination.converged() {
+        warnings.push(Warning::NotConverged(solution.termination));
+    }
+    if spectrum.rank < parameters {
+        warnings.push(Warning::RankDeficient {
+            rank: spectrum.rank,
+            parameters,
+            groups: spectrum.dependent.iter().map(ToString::to_string).collect(),
+        });
+    }
+    warnings.extend(
+        spectrum
+            .weak
+            .iter()
+            .map(|weak| Warning::Weak { singular_value: weak.singular_value, direction: weak.to_string() }),
+    );
+    // A loss tells the noise of the good observations by its scale.
+    let per_dof = if solution.weights.is_empty() {
+        solution.cost / degrees_of_freedom.max(1) as f64
+    } else {
+        solution.scale * solution.scale
+    };
+    // 99.9 % point of chi-square per degree of freedom, by Wilson and Hilferty (1931).
+    let spread = 2.0 / (9.0 * degrees_of_freedom.max(1) as f64);
+    let limit = (1.0 - spread + 3.09 * spread.sqrt()).powi(3);
+    if noise == NoiseScale::Stated && degrees_of_freedom > 0 && per_dof > limit {
+        warnings.push(Warning::Inconsistent { ratio: per_dof.sqrt() });
+    }
+    warnings
+}

@@ -1,0 +1,54 @@
+//! Which parts of a robot yield.
+
+use super::{CalibrationModel, Compliance, JointKind, KinematicModel, LinkageLength, StaticProperties};
+
+impl CalibrationModel {
+    /// Every compliance that yields: joint by joint the drive, the bearing, the beam; at last the rod.
+    pub fn compliances(&self) -> Vec<Compliance> {
+        self.statics.as_ref().map_or_else(Vec::new, |statics| statics.compliances(&self.kinematics))
+    }
+
+    /// The lengths of the four-bar, where it is known.
+    pub fn linkage_lengths(&self) -> Vec<LinkageLength> {
+        if self.actuators.four_bar().is_some() { LinkageLength::ALL.to_vec() } else { Vec::new() }
+    }
+}
+
+impl StaticProperties {
+    fn compliances(&self, kinematics: &KinematicModel) -> Vec<Compliance> {
+        let mut all = Vec::new();
+        for (joint, link) in kinematics.links.iter().enumerate() {
+            if self.drive_stiffness[joint].is_finite() {
+                all.push(Compliance::Drive { joint });
+            }
+            let own = match link.kind {
+                JointKind::Prismatic => 2,
+                JointKind::Revolute => 5,
+            };
+            let yields = |axis: &usize| *axis != own && self.bearings[joint].stiffness[*axis].is_finite();
+            all.extend((0..6).filter(yields).map(|axis| Compliance::Bearing { joint, axis }));
+            let beam = self.beams[joint].iter().flat_map(|beam| &beam.segments);
+            if beam.map(|segment| segment.section).any(|section| !section.is_rigid()) {
+                all.push(Compliance::Beam { link: joint });
+            }
+        }
+        if self.linkage.as_ref().is_some_and(|linkage| linkage.rod_stiffness.is_finite()) {
+            all.push(Compliance::Rod);
+        }
+        all
+    }
+
+    /// The stiffness behind a compliance: of the drive, the bearing's axis or the rod; of a beam, the bending stiffness EI of its first
+    /// segment that yields, N m². `None` where the robot has no such part.
+    pub fn stiffness(&self, compliance: Compliance) -> Option<f64> {
+        match compliance {
+            Compliance::Drive { joint } => self.drive_stiffness.get(joint).copied(),
+            Compliance::Bearing { joint, axis } => self.bearings.get(joint)?.stiffness.get(axis).copied(),
+            Compliance::Beam { link } => {
+                let segments = &self.beams.get(link)?.as_ref()?.segments;
+                segments.iter().map(|segment| segment.section.bending[0]).find(|ei| ei.is_finite())
+            }
+            Compliance::Rod => self.linkage.as_ref().map(|linkage| linkage.rod_stiffness),
+        }
+    }
+}

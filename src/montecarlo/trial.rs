@@ -1,0 +1,145 @@
+//! One trial: a machine is drawn, measured, identified and judged.
+
+use nalgebra::{DVector, Matrix3};
+
+use super::Campaign;
+use super::summary::NORMAL_95;
+use crate::evaluation::{AccuracyRow, nees};
+use crate::identification::{Estimate, IdentificationOptions, Mode, TerminationReason, linearise};
+use crate::measurement::{MeasurementSet, Reading, SetKind};
+use crate::model::ParameterId;
+use crate::pipeline::{KnownTruth, PipelineError, Simulation, calibrate, simulate};
+
+/// What came of one trial.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Trial {
+    /// Its number in the campaign.
+    pub index: u32,
+    /// What it showed, or why it failed.
+    pub outcome: Result<TrialOutcome, String>,
+}
+
+/// What a trial showed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrialOutcome {
+    /// One a mode of the scenario.
+    pub modes: Vec<ModeResult>,
+    /// Planned poses that were not measured.
+    pub dropped: usize,
+}
+
+/// What one mode made of a trial.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ModeResult {
+    /// Which.
+    pub mode: Mode,
+    /// The accuracy on every set.
+    pub rows: Vec<(SetKind, AccuracyRow)>,
+    /// How the identification went; `None` for "without calibration".
+    pub fit: Option<Fit>,
+}
+
+/// How an identification went.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fit {
+    /// Why the solver stopped.
+    pub termination: TerminationReason,
+    /// Converged and of full rank.
+    pub sound: bool,
+    /// Of the solver.
+    pub iterations: usize,
+    /// Chi-square per degree of freedom.
+    pub chi2_per_dof: Option<f64>,
+    /// Normalised estimation error squared over all parameters, where the truth of every one is known.
+    pub nees: Option<f64>,
+    /// The parameters beside their truth.
+    pub parameters: Vec<ParameterResult>,
+    /// True positions of the verification poses inside the stated 95 % intervals (per coordinate), and their number.
+    pub predictions: (u64, u64),
+}
+
+/// A parameter beside its truth, SI.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ParameterResult {
+    /// Which.
+    pub id: ParameterId,
+    /// The truth, where it has a counterpart.
+    pub truth: Option<f64>,
+    /// The estimate.
+    pub value: f64,
+    /// Its stated standard deviation.
+    pub sigma: Option<f64>,
+}
+
+pub(super) fn carry_out(campaign: &Campaign<'_>, index: u32) -> Result<TrialOutcome, PipelineError> {
+    let scenario = campaign.scenario;
+    let simulation = simulate(scenario, campaign.seed, index, campaign.plant, |_, _| {})?;
+    let model = &scenario.robot.model;
+    let (_, outcomes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;
+    let kinds: Vec<SetKind> = simulation.sets.iter().map(|set| set.kind).collect();
+    let modes = outcomes
+        .into_iter()
+        .map(|outcome| ModeResult {
+            mode: outcome.mode,
+            rows: kinds.iter().zip(&outcome.rows).filter_map(|(kind, row)| Some((*kind, (*row)?))).collect(),
+            fit: outcome.estimate.as_ref().map(|estimate| fit(campaign, &simulation, estimate)),
+        })
+        .collect();
+    Ok(TrialOutcome { modes, dropped: simulation.sets.iter().map(|set| set.dropped.len()).sum() })
+}
+
+fn fit(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Estimate) -> Fit {
+    let known = KnownTruth {
+        as_built: &simulation.truth.as_built,
+        nominal: &campaign.scenario.robot.model,
+        tracker_from_base: &simulation.truth.tracker_from_base,
+        targets: simulation.sets.first().map_or(&[], |set| &set.measurements.targets),
+    };
+    let parameters: Vec<_> = estimate
+        .parameters
+        .iter()
+        .map(|p| ParameterResult { id: p.id, truth: known.of(estimate, p.id), value: p.value, sigma: p.sigma })
+        .collect();
+    Fit {
+        termination: estimate.termination,
+        sound: estimate.is_sound(),
+        iterations: estimate.iterations.len(),
+        chi2_per_dof: estimate.chi2_per_dof(),
+        nees: nees_of(estimate, &parameters),
+        predictions: predictions(campaign, simulation, estimate),
+        parameters,
+    }
+}
+
+fn nees_of(estimate: &Estimate, parameters: &[ParameterResult]) -> Option<f64> {
+    let error: Option<Vec<f64>> = parameters.iter().map(|p| Some(p.value - p.truth?)).collect();
+    nees(&DVector::from_vec(error?), estimate.covariance.as_ref()?)
+}
+
+/// How many true coordinates of the held-out poses lie inside the 95 % intervals that the covariance of the parameters predicts, and of how
+/// many. In the tracker's frame, so that the uncertainty of its place counts as well.
+fn predictions(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Estimate) -> (u64, u64) {
+    let held_out = simulation.sets.iter().zip(&simulation.truth.poses).find(|(set, _)| set.kind == SetKind::Verification);
+    let (Some(covariance), Some((set, settled))) = (&estimate.covariance, held_out) else { return (0, 0) };
+    let tracker_from_base = simulation.truth.tracker_from_base;
+    let mut truth: MeasurementSet = set.measurements.clone();
+    for (observation, pose) in truth.observations.iter_mut().zip(settled) {
+        let position = tracker_from_base.rotation * pose.target + tracker_from_base.translation.vector;
+        // Weighted with one, residuals and Jacobian are in metres.
+        observation.reading = Reading::Cartesian { position, covariance: Some(Matrix3::identity()) };
+    }
+    let options = IdentificationOptions {
+        mode: estimate.robot.mode,
+        unmodelled_sigma: 0.0,
+        ..campaign.scenario.options.clone()
+    };
+    let Ok(told) = linearise(&campaign.scenario.robot.model, &truth, &options, estimate) else { return (0, 0) };
+    let (mut inside, mut all) = (0, 0);
+    for row in 0..told.data_rows {
+        let jacobian = told.jacobian.row(row);
+        let variance = (jacobian * covariance).dot(&jacobian);
+        inside += u64::from(told.residuals[row].abs() <= NORMAL_95 * variance.sqrt());
+        all += 1;
+    }
+    (inside, all)
+}

@@ -1,0 +1,323 @@
+//! Forces, closure and tangent stiffness of a chain in its present pose, from rapier's body Jacobians.
+//!
+//! A coordinate j moves a point p that it carries with velocity `v + w × p`. Let F and `S = Σ p fᵀ` be force and first moment of all that
+//! j carries. Then the generalised force is `v·F + Σ w·(p × f)`, and a coordinate i in front of j on the same branch changes it by
+//! `wᵢ · h`, `h = v × F + (S - tr S) w`: forces are constant in the base, and so are v and w but for the rotation of i.
+
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix3, Matrix3xX, Vector3};
+
+use super::chain::{Chain, point, vector};
+use super::tree::Tree;
+
+/// Of the loop in [`Statics::tangent`], N/m: so stiff that only motion that keeps it closed can be unstable, so soft that the springs
+/// beside it keep their digits.
+const LOOP_STIFFNESS: f64 = 1e9;
+
+/// What does not change with the pose.
+struct Branches {
+    parents: Vec<Option<usize>>,
+    forces: Vec<(usize, Vector3<f64>)>,
+    gravity: Vector3<f64>,
+    nodes: Vec<usize>,
+    /// Of every coordinate, those in front of it that turn what follows.
+    turning: Vec<Vec<usize>>,
+    loop_ends: Option<LoopEnds>,
+}
+
+struct LoopEnds {
+    /// Node and point in its frame.
+    tip: (usize, Vector3<f64>),
+    lever: (usize, Vector3<f64>),
+    /// Of every coordinate, whether it carries either.
+    carries: Vec<(bool, bool)>,
+    /// The coordinates that only the loop holds.
+    passive: Vec<usize>,
+}
+
+/// The loop in the present pose.
+#[derive(Debug, Clone)]
+pub(super) struct Closure {
+    /// The rod's end, in the base frame.
+    pub(super) tip: Vector3<f64>,
+    /// The lever's end, in the base frame.
+    pub(super) lever: Vector3<f64>,
+    /// How the coordinates move the lever's end against the rod's, 3 x n.
+    pub(super) jacobian: Matrix3xX<f64>,
+    /// On the lever's end, N; its opposite acts on the rod's.
+    pub(super) reaction: Vector3<f64>,
+}
+
+impl Closure {
+    /// From the rod's end to the lever's.
+    pub(super) fn gap(&self) -> Vector3<f64> {
+        self.lever - self.tip
+    }
+}
+
+/// The forces on a chain, and what it makes of them.
+pub(super) struct Statics {
+    branches: Branches,
+    /// Zero for rigid drives, which `is_rigid` tells from passive coordinates.
+    stiffness: Vec<f64>,
+    is_rigid: Vec<bool>,
+    /// Velocity at the base's origin and rotation, of every coordinate.
+    twists: Vec<(Vector3<f64>, Vector3<f64>)>,
+    /// F and S of all that a node carries.
+    carried: Vec<(Vector3<f64>, Matrix3<f64>)>,
+    /// Generalised force of weights, constant forces and the loop's reaction.
+    load: DVector<f64>,
+    closure: Option<Closure>,
+}
+
+impl Statics {
+    pub(super) fn new(tree: &Tree, gravity: &Vector3<f64>) -> Self {
+        let coordinates: Vec<_> = tree.coordinates().collect();
+        let count = coordinates.len();
+        let is_rigid: Vec<bool> =
+            coordinates.iter().map(|(_, entry)| entry.stiffness.is_infinite()).collect();
+        let mut statics = Self {
+            branches: Branches::new(tree, gravity),
+            stiffness: Vec::new(),
+            is_rigid,
+            twists: vec![(Vector3::zeros(), Vector3::zeros()); count],
+            carried: vec![(Vector3::zeros(), Matrix3::zeros()); tree.nodes.len()],
+            load: DVector::zeros(count),
+            closure: tree.closure.as_ref().map(|_| Closure {
+                tip: Vector3::zeros(),
+                lever: Vector3::zeros(),
+                jacobian: Matrix3xX::zeros(count),
+                reaction: Vector3::zeros(),
+            }),
+        };
+        statics.restiffen(tree);
+        statics
+    }
+
+    /// Takes the stiffnesses of a tree of the same form.
+    pub(super) fn restiffen(&mut self, tree: &Tree) {
+        self.stiffness.clear();
+        let stiffness = tree.coordinates().map(|(_, entry)| entry.stiffness);
+        self.stiffness.extend(stiffness.map(|k| if k.is_finite() { k } else { 0.0 }));
+    }
+
+    /// The loop in the pose that was last evaluated.
+    pub(super) fn closure(&self) -> Option<&Closure> {
+        self.closure.as_ref()
+    }
+
+    /// Forces in the present pose. The loop's reaction is the one that holds the passive coordinates.
+    pub(super) fn evaluate(&mut self, chain: &Chain) {
+        for (coordinate, twist) in self.twists.iter_mut().enumerate() {
+            *twist = chain.twist(coordinate);
+        }
+        for (node, carried) in self.carried.iter_mut().enumerate() {
+            let (mass, centre) = chain.mass(node);
+            let weight = mass * self.branches.gravity;
+            *carried = (weight, centre * weight.transpose());
+        }
+        for (node, force) in &self.branches.forces {
+            act(&mut self.carried[*node], &point(&chain.pose(*node).translation), force);
+        }
+        self.collect();
+        self.load_coordinates();
+        if let (Some(closure), Some(ends)) = (&mut self.closure, &self.branches.loop_ends) {
+            let at = |(node, p): (usize, Vector3<f64>)| point(&chain.pose(node).transform_point(vector(&p)));
+            (closure.tip, closure.lever) = (at(ends.tip), at(ends.lever));
+            for (coordinate, (velocity, rotation)) in self.twists.iter().enumerate() {
+                let (carries_tip, carries_lever) = ends.carries[coordinate];
+                let mut column = Vector3::zeros();
+                if carries_lever {
+                    column += velocity + rotation.cross(&closure.lever);
+                }
+                if carries_tip {
+                    column -= velocity + rotation.cross(&closure.tip);
+                }
+                closure.jacobian.set_column(coordinate, &column);
+            }
+            closure.reaction = holding(&closure.jacobian, &self.load, &ends.passive);
+            self.load += closure.jacobian.tr_mul(&closure.reaction);
+            self.carry_reaction();
+        }
+    }
+
+    /// Adds up what every node carries, from the tips to the base.
+    fn collect(&mut self) {
+        for node in (0..self.carried.len()).rev() {
+            if let Some(parent) = self.branches.parents[node] {
+                let (force, moment) = self.carried[node];
+                self.carried[parent].0 += force;
+                self.carried[parent].1 += moment;
+            }
+        }
+    }
+
+    /// Adds the loop's reaction to what every node carries.
+    fn carry_reaction(&mut self) {
+        let (Some(closure), Some(ends)) = (&self.closure, &self.branches.loop_ends) else { return };
+        let reaction = closure.reaction;
+        for (start, at, force) in
+            [(ends.tip.0, closure.tip, -reaction), (ends.lever.0, closure.lever, reaction)]
+        {
+            let mut node = Some(start);
+            while let Some(here) = node {
+                act(&mut self.carried[here], &at, &force);
+                node = self.branches.parents[here];
+            }
+        }
+    }
+
+    fn load_coordinates(&mut self) {
+        for (coordinate, (velocity, rotation)) in self.twists.iter().enumerate() {
+            let (force, s) = &self.carried[self.branches.nodes[coordinate]];
+            let moment = Vector3::new(s[(1, 2)] - s[(2, 1)], s[(2, 0)] - s[(0, 2)], s[(0, 1)] - s[(1, 0)]);
+            self.load[coordinate] = velocity.dot(force) + rotation.dot(&moment);
+        }
+    }
+
+    /// Force left over on every coordinate at these deflections, N or N m; none on rigid drives.
+    pub(super) fn left_over(&self, deflection: &[f64], out: &mut DVector<f64>) {
+        for (coordinate, out) in out.iter_mut().enumerate() {
+            *out = if self.is_rigid[coordinate] {
+                0.0
+            } else {
+                self.load[coordinate] - self.stiffness[coordinate] * deflection[coordinate]
+            };
+        }
+    }
+
+    /// The largest difference between a deflection and what the load would cause on its spring.
+    pub(super) fn residual(&self, deflection: &[f64]) -> f64 {
+        let mut largest: f64 = 0.0;
+        for (coordinate, deflection) in deflection.iter().enumerate() {
+            let stiffness = self.stiffness[coordinate];
+            if stiffness == 0.0 {
+                continue;
+            }
+            let left_over = (self.load[coordinate] / stiffness - deflection).abs();
+            // Unlike `f64::max`, this keeps a NaN.
+            if left_over > largest || left_over.is_nan() {
+                largest = left_over;
+            }
+        }
+        largest
+    }
+
+    /// Second derivative of the potential energy under the present loads, with the loop as a stiff spring; the identity for rigid drives.
+    pub(super) fn tangent(&self) -> DMatrix<f64> {
+        let count = self.stiffness.len();
+        let mut tangent = DMatrix::zeros(count, count);
+        for (j, (velocity, rotation)) in self.twists.iter().enumerate() {
+            if self.is_rigid[j] {
+                tangent[(j, j)] = 1.0;
+                continue;
+            }
+            let (force, s) = &self.carried[self.branches.nodes[j]];
+            let turned = velocity.cross(force) + s * rotation - s.trace() * rotation;
+            for &i in &self.branches.turning[j] {
+                if !self.is_rigid[i] {
+                    let value = -self.twists[i].1.dot(&turned);
+                    tangent[(i, j)] = value;
+                    tangent[(j, i)] = value;
+                }
+            }
+            tangent[(j, j)] += self.stiffness[j];
+        }
+        if let Some(closure) = &self.closure {
+            let jacobian = self.movable(&closure.jacobian);
+            tangent.gemm_tr(LOOP_STIFFNESS, &jacobian, &jacobian, 1.0);
+        }
+        tangent
+    }
+
+    /// The columns of what can move; zero for rigid drives.
+    fn movable(&self, jacobian: &Matrix3xX<f64>) -> Matrix3xX<f64> {
+        let mut movable = jacobian.clone();
+        for (coordinate, is_rigid) in self.is_rigid.iter().enumerate() {
+            if *is_rigid {
+                movable.column_mut(coordinate).fill(0.0);
+            }
+        }
+        movable
+    }
+
+    /// The displacement of Newton's method to where nothing is left over and the loop is closed.
+    pub(super) fn newton(
+        &self,
+        tangent: &Cholesky<f64, Dyn>,
+        left_over: &DVector<f64>,
+    ) -> Option<DVector<f64>> {
+        let Some(closure) = &self.closure else { return Some(tangent.solve(left_over)) };
+        let jacobian = self.movable(&closure.jacobian);
+        let gap = closure.gap();
+        let mut step = left_over - jacobian.tr_mul(&(LOOP_STIFFNESS * gap));
+        tangent.solve_mut(&mut step);
+        let yielding = tangent.solve(&jacobian.transpose());
+        let reaction = (&jacobian * &yielding).try_inverse()? * (-gap - &jacobian * &step);
+        step += yielding * reaction;
+        Some(step)
+    }
+
+    /// The smallest eigenvalue of the tangent stiffness, each coordinate scaled by its own spring (and the loop): one without a load, zero
+    /// where the pose gives way.
+    pub(super) fn margin(&self) -> f64 {
+        let tangent = self.tangent();
+        let scale = DVector::from_fn(tangent.nrows(), |i, _| {
+            let loop_stiffness = self
+                .closure
+                .as_ref()
+                .map_or(0.0, |closure| LOOP_STIFFNESS * closure.jacobian.column(i).norm_squared());
+            let own = if self.is_rigid[i] { 1.0 } else { self.stiffness[i] + loop_stiffness };
+            1.0 / own.sqrt()
+        });
+        let scaled =
+            DMatrix::from_fn(tangent.nrows(), tangent.ncols(), |i, j| tangent[(i, j)] * scale[i] * scale[j]);
+        scaled.symmetric_eigenvalues().min()
+    }
+}
+
+fn act(carried: &mut (Vector3<f64>, Matrix3<f64>), at: &Vector3<f64>, force: &Vector3<f64>) {
+    carried.0 += force;
+    carried.1 += at * force.transpose();
+}
+
+/// The reaction that leaves no force on the passive coordinates; none where they cannot be held.
+fn holding(jacobian: &Matrix3xX<f64>, load: &DVector<f64>, passive: &[usize]) -> Vector3<f64> {
+    let [a, b, c] = *passive else { return Vector3::zeros() };
+    let columns = [a, b, c].map(|i| jacobian.column(i).into_owned());
+    let on_passive = Vector3::new(load[a], load[b], load[c]);
+    let held = Matrix3::from_columns(&columns).transpose().try_inverse();
+    held.map_or_else(Vector3::zeros, |held| held * -on_passive)
+}
+
+impl Branches {
+    fn new(tree: &Tree, gravity: &Vector3<f64>) -> Self {
+        let parents: Vec<_> = tree.nodes.iter().map(|node| node.parent).collect();
+        let coordinates: Vec<_> = tree.coordinates().collect();
+        let nodes: Vec<_> = coordinates.iter().map(|(node, _)| *node).collect();
+        let is_carried = |mut node: usize, by: usize| loop {
+            if node == by {
+                return true;
+            }
+            match parents[node] {
+                Some(parent) => node = parent,
+                None => return false,
+            }
+        };
+        let turning = (0..nodes.len()).map(|j| {
+            let in_front = (0..=j).filter(|&i| coordinates[i].1.axis >= 3 && is_carried(nodes[j], nodes[i]));
+            // Within a node, the rotation comes behind the translations.
+            in_front.filter(|&i| i == j || nodes[i] != nodes[j]).collect()
+        });
+        let turning = turning.collect();
+        let loop_ends = tree.closure.as_ref().map(|closure| LoopEnds {
+            tip: (closure.tip, closure.tip_at),
+            lever: (closure.lever, closure.lever_at),
+            carries: nodes
+                .iter()
+                .map(|&node| (is_carried(closure.tip, node), is_carried(closure.lever, node)))
+                .collect(),
+            passive: (0..nodes.len()).filter(|&i| coordinates[i].1.stiffness == 0.0).collect(),
+        });
+        Self { parents, forces: tree.forces.clone(), gravity: *gravity, nodes, turning, loop_ends }
+    }
+}

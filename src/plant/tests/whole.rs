@@ -1,0 +1,169 @@
+//! The whole robot: six-axis bearings, beams, loads and the closed loop.
+
+use nalgebra::{DVector, Matrix4, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::constrained::Constrained;
+use super::spray_robot::{add_errors, full_robot, working_command};
+use super::{
+    ActuatorMap, AsBuilt, BeamSegment, BearingSide, Plant, PlantError, PointLoad, SegmentLength,
+    SettleOptions, bits, plant,
+};
+
+fn linkage(robot: &mut AsBuilt) -> &mut super::FourBar {
+    match &mut robot.actuators {
+        ActuatorMap::Parallelogram { linkage: Some(linkage), .. } => linkage,
+        _ => panic!("the full robot has a four-bar"),
+    }
+}
+
+/// Any robot with errors, springs and loads around those of the full one, some of them rigid.
+fn random_full_robot(rng: &mut ChaCha8Rng) -> AsBuilt {
+    let mut robot = full_robot();
+    add_errors(&mut robot, rng);
+    let mut spread = |value: &mut f64, by: f64| *value *= 1.0 + rng.random_range(-by..by);
+    for stiffness in &mut robot.statics.drive_stiffness {
+        spread(stiffness, 0.3);
+    }
+    for bearing in &mut robot.statics.bearings {
+        bearing.stiffness.iter_mut().for_each(|k| spread(k, 0.3));
+    }
+    if let Some(linkage) = &mut robot.statics.linkage {
+        spread(&mut linkage.rod_stiffness, 0.3);
+        spread(&mut linkage.rod_mass, 0.3);
+    }
+    for bearing in &mut robot.statics.bearings {
+        bearing.side = if rng.random() { BearingSide::Fixed } else { BearingSide::Moving };
+        bearing.at = rng.random_range(-0.5..0.5);
+        for stiffness in &mut bearing.stiffness {
+            if rng.random_range(0..6) == 0 {
+                *stiffness = f64::INFINITY;
+            }
+        }
+    }
+    for stiffness in &mut robot.statics.drive_stiffness {
+        if rng.random_range(0..6) == 0 {
+            *stiffness = f64::INFINITY;
+        }
+    }
+    for beam in robot.statics.beams.iter_mut().flatten() {
+        let mut piece = beam.segments[0];
+        piece.section.bending[0] *= rng.random_range(0.7..1.3);
+        piece.section.shear[1] *= if rng.random() { f64::INFINITY } else { 1.3 };
+        beam.segments[0] = piece;
+        for _ in 0..rng.random_range(0..3) {
+            let length = SegmentLength::Constant(rng.random_range(0.1..0.4));
+            let mut section = piece.section;
+            section.mass_per_length *= rng.random_range(0.0..1.0);
+            beam.segments.insert(rng.random_range(0..=beam.segments.len()), BeamSegment { length, section });
+        }
+    }
+    let arms = linkage(&mut robot);
+    for arm in [&mut arms.crank, &mut arms.lever] {
+        arm.length += rng.random_range(-0.005..0.005);
+        arm.angle += rng.random_range(-0.02..0.02);
+        arm.along += rng.random_range(-0.02..0.02);
+    }
+    arms.rod += rng.random_range(-0.005..0.005);
+    if let Some(linkage) = &mut robot.statics.linkage
+        && rng.random_range(0..4) == 0
+    {
+        linkage.rod_stiffness = f64::INFINITY;
+    }
+    if rng.random_range(0..8) == 0 {
+        robot.statics.linkage = None;
+    }
+    let mut within = |by: f64| Vector3::from([(); 3].map(|()| rng.random_range(-by..by)));
+    robot.statics.gravity += within(0.5);
+    let (at, force) = (within(0.4), within(200.0));
+    robot.statics.loads.push(PointLoad { name: "cable".to_owned(), link: 3, at, mass: 12.0, force });
+    robot
+}
+
+fn random_shifts(rng: &mut ChaCha8Rng) -> Vec<[f64; 6]> {
+    (0..7).map(|_| [(); 6].map(|()| rng.random_range(-2e-3..2e-3))).collect()
+}
+
+#[test]
+fn the_derivatives_of_the_constrained_reference_are_those_of_its_energy() {
+    let mut rng = ChaCha8Rng::seed_from_u64(30);
+    let robot = random_full_robot(&mut rng);
+    let command = working_command(&robot, &mut rng);
+    let reference = Constrained::new(&robot, &command, &[]);
+    let mut q = reference.unloaded();
+    q.iter_mut().for_each(|q| *q += rng.random_range(-0.01..0.01));
+    let ((_, gradient, hessian), gap) = reference.energy_and_gap(&q);
+    let (_, slope, curvature) = gap.expect("a loop");
+    let h = 1e-6;
+    for i in 0..reference.unknowns() {
+        let mut side = [q.clone(), q.clone()];
+        side[0][i] += h;
+        side[1][i] -= h;
+        let [(up, up_gap), (down, down_gap)] = side.map(|q| reference.energy_and_gap(&q));
+        let (up_gap, down_gap) = (up_gap.expect("a loop"), down_gap.expect("a loop"));
+        let near = |a: f64, b: f64, scale: f64| assert!((a - b).abs() <= 1e-6 * scale, "{i}: {a} {b}");
+        near((up.0 - down.0) / (2.0 * h), gradient[i], gradient.amax());
+        near((up_gap.0 - down_gap.0) / (2.0 * h), slope[i], 1.0);
+        let columns =
+            [((up.1 - down.1) / (2.0 * h), &hessian), ((up_gap.1 - down_gap.1) / (2.0 * h), &curvature)];
+        for (difference, exact) in columns {
+            let exact: DVector<f64> = exact.column(i).into_owned();
+            assert!((&difference - &exact).amax() <= 1e-6 * exact.amax().max(1.0), "column {i}");
+        }
+    }
+}
+
+#[test]
+fn the_whole_robot_rests_where_an_independent_solution_does() {
+    let mut rng = ChaCha8Rng::seed_from_u64(31);
+    let (mut tip, mut frame, mut closure, mut force, mut steps) = (0.0_f64, 0.0_f64, 0.0_f64, 0.0_f64, 0);
+    let mut droop = 0.0;
+    for case in 0..200 {
+        let robot = random_full_robot(&mut rng);
+        let command = working_command(&robot, &mut rng);
+        let shifts = if case % 2 == 0 { Vec::new() } else { random_shifts(&mut rng) };
+        let pose = plant(&robot).settle_displaced(&command, &shifts).expect("a stiff robot");
+        let reference = Constrained::new(&robot, &command, &shifts);
+        let (q, rod_force) = reference.solve();
+        tip = tip.max((pose.target - reference.target(&q)).norm());
+        for (link, expected) in pose.links.iter().zip(reference.link_frames(&q)) {
+            frame = frame.max((link.to_homogeneous() - expected).amax());
+        }
+        closure = closure.max(pose.closure);
+        let (found, expected) = (pose.rod_force.expect("a rod"), rod_force.expect("a rod"));
+        force = force.max((found - expected).abs() / expected.abs().max(100.0));
+        steps = steps.max(pose.steps);
+        droop += (reference.target(&q) - reference.target(&reference.unloaded())).norm() / 200.0;
+    }
+    eprintln!(
+        "tip: at most {tip:e} m off, frames {frame:e}, rod force {force:e}, closure {closure:e} m, {steps} steps; droop {droop:.4} m"
+    );
+    assert!(
+        tip <= 1e-9 && frame <= 1e-9 && closure <= 1e-9 && force <= 1e-7,
+        "{tip:e} {frame:e} {closure:e} {force:e}"
+    );
+    assert!(droop > 0.003, "{droop}");
+}
+
+#[test]
+fn without_compliance_the_whole_robot_is_the_craig_product_with_the_closed_form_of_the_loop() {
+    let mut rng = ChaCha8Rng::seed_from_u64(32);
+    let mut largest: f64 = 0.0;
+    for _ in 0..100 {
+        let mut robot = random_full_robot(&mut rng);
+        robot.statics.make_rigid();
+        let command = working_command(&robot, &mut rng);
+        let pose = plant(&robot).settle(&command).expect("it cannot move");
+        let reference = Constrained::new(&robot, &command, &[]);
+        assert_eq!(reference.unknowns(), 1);
+        for (link, expected) in pose.links.iter().zip(reference.link_frames(&reference.unloaded())) {
+            let difference: Matrix4<f64> = link.to_homogeneous() - expected;
+            largest = largest.max(difference.amax());
+        }
+        assert!(pose.closure <= 1e-9);
+        assert!(pose.deflection.iter().all(|deflection| *deflection == 0.0) && pose.elastic.is_empty());
+    }
+    eprintln!("largest difference of a frame: {largest:e}");
+    assert!(largest <= 1e-9, "{largest:e}");
+}
