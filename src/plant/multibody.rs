@@ -171,7 +171,8 @@ impl Plant {
             let rest = match (entry.role, closure, closed) {
                 (Role::Elastic(_), ..) => 0.0,
                 (Role::Drive(joint), Some(closure), _) if joint == closure.elbow => {
-                    self.commanded[closure.shoulder] + self.commanded[joint]
+                    let theta = self.robot.kinematics.links[joint].theta;
+                    self.commanded[closure.shoulder] + self.commanded[joint] + theta
                 }
                 (Role::Drive(joint), ..) => self.commanded[joint],
                 (Role::Passive, Some(closure), Some(closed)) => {

@@ -82,7 +82,7 @@ pub(super) struct Loop {
     pub(super) shoulder: usize,
     pub(super) elbow: usize,
     pub(super) linkage: FourBar,
-    /// Turns by `psi + offset`.
+    /// Turns by `psi + offset + theta`, with theta that of the elbow's link.
     pub(super) crank: usize,
     /// The rod turns about the crank's z, then about its own y; its x axis points to the lever.
     pub(super) rod: [usize; 2],
