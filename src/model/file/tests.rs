@@ -6,7 +6,8 @@ use crate::geometry::rotation_z;
 use crate::geometry::{Transform, rotation_x, translation};
 use crate::kinematics::forward_kinematics;
 use crate::model::{
-    ActuatorMap, BeamRun, Bearing, BearingSide, FourBar, JointKind, LinkageArm, Section, SegmentLength, StaticProperties,
+    ActuatorMap, BeamRun, Bearing, BearingSide, FourBar, JointKind, LinkageArm, Section, SegmentLength,
+    StaticProperties,
 };
 use crate::random::{Source as Stream, stream};
 use proptest::prelude::*;
@@ -254,9 +255,8 @@ fn lowered(robot: &Robot, q: &[f64], change: impl Fn(&mut StaticProperties)) -> 
 fn gravity_lowers_the_spray_painters_target_as_its_file_says() {
     let robot = spray_painter();
     let all = lowered(&robot, &CENTRE, |_| {});
-    let drive = |joint: usize| {
-        move |statics: &mut StaticProperties| statics.drive_stiffness[joint] = f64::INFINITY
-    };
+    let drive =
+        |joint: usize| move |statics: &mut StaticProperties| statics.drive_stiffness[joint] = f64::INFINITY;
     let share_of = |rigid: &dyn Fn(&mut StaticProperties)| all - lowered(&robot, &CENTRE, rigid);
     // From robot.toml, which has it from the minimum of the potential energy, written down apart from this program.
     for (what, found, stated) in [
@@ -359,7 +359,12 @@ fn every_mistake_in_what_yields_is_named() {
     for (from, to, message, help) in [
         ("stiffness_x_n_per_m = 1.0e9", "stiffness_x_n_per_m = 0", "stiffness_x_n_per_m is 0", "above zero"),
         ("stiffness_ry_nm_per_rad = 2.0e8", "stiffness_z_n_per_m = 1", "axis of joint \"rail\"", "drive"),
-        ("stiffness_rx_nm_per_rad = 6.0e7", "stiffness_rz_nm_per_rad = 1", "axis of joint \"waist\"", "drive"),
+        (
+            "stiffness_rx_nm_per_rad = 6.0e7",
+            "stiffness_rz_nm_per_rad = 1",
+            "axis of joint \"waist\"",
+            "drive",
+        ),
         (rail, "", "[joint.bearing] of joint \"rail\" has no stiffness", "at least one"),
         ("side = \"fixed\"", "side = \"left\"", "joint.bearing.side is \"left\"", "`moving`"),
         ("at_mm = 1250", "at_mm = nan", "at_mm is nan", "finite"),
@@ -371,11 +376,26 @@ fn every_mistake_in_what_yields_is_named() {
         ("housed_mm = 1250", "housed_mm = 1700", "leaves nothing of the segment at min_mm", "below min_mm"),
         ("wall_mm = 8", "wall_mm = 90", "leaves nothing hollow", "half"),
         ("box_height_mm = 240\n", "", "not one tube or one box", "tube_diameter_mm"),
-        ("tube_diameter_mm = 180\n", "tube_diameter_mm = 1\nbox_width_mm = 1\n", "not one tube or one box", "box"),
-        ("youngs_modulus_gpa = 210\n", "", "missing key `youngs_modulus_gpa` in [joint.beam.segment]", "unit"),
+        (
+            "tube_diameter_mm = 180\n",
+            "tube_diameter_mm = 1\nbox_width_mm = 1\n",
+            "not one tube or one box",
+            "box",
+        ),
+        (
+            "youngs_modulus_gpa = 210\n",
+            "",
+            "missing key `youngs_modulus_gpa` in [joint.beam.segment]",
+            "unit",
+        ),
         ("shear_modulus_gpa = 81", "shear_modulus_gpa = 120", "Poisson's ratio of -0.12", "half"),
         ("density_kg_per_m3 = 7850", "", "a segment of no weight", "mass_per_length_kg_per_m"),
-        ("density_kg_per_m3 = 7850", "density_kg_per_m3 = 1\nmass_per_length_kg_per_m = 1", "both density", "one"),
+        (
+            "density_kg_per_m3 = 7850",
+            "density_kg_per_m3 = 1\nmass_per_length_kg_per_m = 1",
+            "both density",
+            "one",
+        ),
         ("density_kg_per_m3 = 7850", "density_kg_per_m3 = -1", "density_kg_per_m3 is -1", "zero or more"),
         (
             "density_kg_per_m3 = 7850",
@@ -383,7 +403,12 @@ fn every_mistake_in_what_yields_is_named() {
             "beam of joint \"shoulder\" has 270.000 kg, the whole link 250 kg",
             "lighter",
         ),
-        ("motor_turns_per_m = 100", "motor_turns_per_rev = 1", "motor_turns_per_rev of joint \"rail\"", "per_m"),
+        (
+            "motor_turns_per_m = 100",
+            "motor_turns_per_rev = 1",
+            "motor_turns_per_rev of joint \"rail\"",
+            "per_m",
+        ),
         ("motor_turns_per_m = 100", "motor_turns_per_m = 0", "motor_turns_per_m is 0", "above zero"),
         ("crank_mm = 350\n", "", "missing key `crank_mm` in [actuators.linkage]", "unit"),
         ("rod_mm = 1350", "rod_mm = -1", "rod_mm is -1", "above zero"),
@@ -394,7 +419,12 @@ fn every_mistake_in_what_yields_is_named() {
         ("along_mm = 250", "along_mm = inf", "along_mm is inf", "finite"),
         ("rod_stiffness_n_per_m = 8", "rod_stiffness_n_per_m = 0", "rod_stiffness_n_per_m is 0", "above"),
         ("rod_mass_kg = 12", "rod_mass_kg = -1", "rod_mass_kg is -1", "zero or more"),
-        ("elbow = \"elbow\"", "elbow = \"roll\"", "spans more than shoulder and elbow", "behind the shoulder"),
+        (
+            "elbow = \"elbow\"",
+            "elbow = \"roll\"",
+            "spans more than shoulder and elbow",
+            "behind the shoulder",
+        ),
         ("[gravity]", &load("joint = \"wrist\""), "load \"hose\" has neither mass nor force", "mass_kg"),
         ("[gravity]", &load("joint = \"hand\"\nmass_kg = 1"), "no joint \"hand\"", "wrist"),
         ("[gravity]", &load("joint = \"wrist\"\nmass_kg = -1"), "mass_kg is -1", "zero or more"),
@@ -425,7 +455,10 @@ fn every_mistake_in_what_yields_is_named() {
 fn what_yields_needs_drives_and_gravity() {
     for (addition, what) in [
         ("[joint.bearing]\nstiffness_x_n_per_m = 1\n[actuators]", "[joint.bearing]"),
-        ("[[load]]\nname = \"a\"\njoint = \"swing\"\nx_mm = 0\ny_mm = 0\nz_mm = 0\nmass_kg = 1\n[actuators]", "[[load]]"),
+        (
+            "[[load]]\nname = \"a\"\njoint = \"swing\"\nx_mm = 0\ny_mm = 0\nz_mm = 0\nmass_kg = 1\n[actuators]",
+            "[[load]]",
+        ),
     ] {
         let (found, line, help) = refusal("[actuators]", addition);
         assert!(found.contains(what) && found.contains("no drive has a stiffness"), "{found}");
