@@ -17,7 +17,8 @@ fn benches(c: &mut Criterion) {
     let mut scenario = load_scenario(Path::new("scenarios/paper.toml")).expect("the shipped scenario");
     scenario.identification_poses = 100;
     scenario.verification_poses = 0;
-    let simulation = simulate(&scenario, scenario.seed, 0, PlantKind::Rapier, |_, _| {}).expect("a simulation");
+    let simulation =
+        simulate(&scenario, scenario.seed, 0, PlantKind::Rapier, |_, _| {}).expect("a simulation");
     let set = &simulation.sets[0].measurements;
     let mut options = scenario.options.clone();
     options.frame = FrameChoice::Nests;

@@ -63,6 +63,7 @@ pub mod input;
 pub mod kinematics;
 pub mod measurement;
 pub mod model;
+pub mod montecarlo;
 pub mod pipeline;
 pub mod plant;
 pub mod random;

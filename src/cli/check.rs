@@ -41,6 +41,7 @@ fn as_json(scenario: &Scenario) -> String {
         "joints": scenario.robot.model.kinematics.links.iter().map(|l| &l.name).collect::<Vec<_>>(),
         "identification_poses": scenario.identification_poses,
         "verification_poses": scenario.verification_poses,
+        "effects": scenario.as_built.effects.active().iter().map(|e| e.key()).collect::<Vec<_>>(),
         "modes": scenario.modes.iter().map(|m| m.key()).collect::<Vec<_>>(),
     });
     format!("{value:#}\n")
@@ -90,6 +91,10 @@ fn write_text(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
         if instrument.noise { "on" } else { "off" },
     )?;
     writeln!(text, "  base nests   {}", scenario.nests.len())?;
+    for (index, effect) in scenario.as_built.effects.active().iter().enumerate() {
+        let title = if index == 0 { "effects" } else { "" };
+        writeln!(text, "  {title:<12} {}: {}", effect.title(), effect.about())?;
+    }
     let options = &scenario.options;
     let parameters = match &options.parameters {
         ParameterChoice::NeighbourAxisRules => "by the published rules on neighbouring axes".to_owned(),

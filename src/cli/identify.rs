@@ -9,8 +9,8 @@ use clap::{CommandFactory, ValueEnum};
 use super::output::{self, Destination, Files};
 use super::{Cli, CliError, Verdict, not_identified, say};
 use crate::identification::{
-    ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Mode, ParameterChoice, TargetChoice,
-    Tolerance,
+    ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Loss, Mode, ParameterChoice,
+    SolverOptions, TargetChoice, Tolerance,
 };
 use crate::input::Source;
 use crate::measurement::{ColumnMap, load_column_map, parse_column_map, parse_measurements};
@@ -30,6 +30,7 @@ use crate::pipeline::{InputSummary, Outcome, SetKind, SetOutcome, calibrate, has
   calibrig identify --model robot.toml --measurements m.csv --mode only_calibration --mode elasto_geometric
   calibrig identify --model robot.toml --measurements m.csv --mode elasto_geometric --compliances compliance_drive2,compliance_drive3
   calibrig identify --model robot.toml --measurements m.csv --mode extended --terms hysteresis,harmonic
+  calibrig identify --model robot.toml --measurements m.csv --loss tukey      names measurements far off the others
 
 What the columns of the file mean is told by --columns MAP.toml, else by the map that the robot's file names, else it is
 calibrig's own layout (see docs/formats.md).")]
@@ -59,6 +60,9 @@ pub(super) struct Args {
     /// Compliances of the modes `elasto_geometric` and `extended`: drives, all, or names
     #[arg(long, value_name = "WHICH,..", value_delimiter = ',', default_value = "drives")]
     compliances: Vec<String>,
+    /// What a measurement far off the others costs: its square, or less
+    #[arg(long, value_enum, default_value_t = LossArg::Squared)]
+    loss: LossArg,
     /// How well the compliances are known beforehand: standard deviation of a prior, per cent of the predicted value
     #[arg(long, value_name = "PERCENT", default_value_t = 10.0, value_parser = percent)]
     compliance_percent: f64,
@@ -82,6 +86,29 @@ enum Parameters {
     Complete,
     /// What the published rules on neighbouring axes keep
     Rules,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum LossArg {
+    /// Least squares
+    Squared,
+    /// Linear beyond 1.6 standard deviations
+    Huber,
+    /// Logarithmic
+    Cauchy,
+    /// No influence at all beyond 5.5 standard deviations
+    Tukey,
+}
+
+impl From<LossArg> for Loss {
+    fn from(loss: LossArg) -> Self {
+        match loss {
+            LossArg::Squared => Self::Squared,
+            LossArg::Huber => Self::huber(),
+            LossArg::Cauchy => Self::cauchy(),
+            LossArg::Tukey => Self::tukey(),
+        }
+    }
 }
 
 pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
@@ -229,6 +256,7 @@ fn outcome(args: &Args) -> Result<Outcome, CliError> {
         tolerance: tolerance(args),
         compliances: compliances(args, &robot.model),
         compliance_sigma: 1e-2 * args.compliance_percent,
+        solver: SolverOptions { loss: args.loss.into(), ..SolverOptions::default() },
         terms: args.terms.as_ref().map(|keys| keys.iter().filter(|k| *k != NO_TERMS).cloned().collect()),
         ..IdentificationOptions::default()
     };

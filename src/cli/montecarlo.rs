@@ -1,7 +1,6 @@
 //! `calibrig montecarlo`.
 
 use std::fs::File;
-use std::io::Write as _;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;

@@ -16,8 +16,6 @@ pub use model_choice::{Variant, VariantRow, Verdict, compare_variants};
 pub use patterns::{Cause, PatternReport, PoseConditions, ResidualPattern, ResidualSet, find_patterns};
 pub use splits::{Split, k_fold, leave_one_out, repeated_splits};
 
-
-
 use nalgebra::Vector3;
 
 /// One row of an accuracy table: errors at the target over a set of poses, in the base frame, m.

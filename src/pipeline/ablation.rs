@@ -83,7 +83,9 @@ impl Part {
             Self::Effect(_) => "the machine without this effect",
             Self::Linkage => "the four-bar has the lengths of the model",
             Self::Geometry => "link parameters that are not identified have the values of the model",
-            Self::Drives => "drives rigid in the machine, and nothing predicted for them",
+            Self::Drives => {
+                "drives rigid in the machine, so that friction leaves nothing, and nothing predicted for them"
+            }
             Self::Bearings => "bearings rigid in the machine, and nothing predicted for them",
             Self::Links => "links and rod rigid in the machine, and nothing predicted for them",
             Self::Statics => "stiffnesses and masses of the machine as in the model",
@@ -199,6 +201,7 @@ pub fn ablate(
     complete: &Outcome,
     mut progress: impl FnMut(usize, usize, Part),
 ) -> Ablation {
+    let scenario = &*scenario.of_trial(seed, 0);
     let identified: Vec<_> = complete
         .modes
         .iter()

@@ -62,9 +62,10 @@ impl Rest {
                     .iter()
                     .enumerate()
                     .flat_map(|(joint, shift)| {
-                        shift.iter().enumerate().map(move |(component, value)| {
-                            (TermPlace::Frame { joint, component }, *value)
-                        })
+                        shift
+                            .iter()
+                            .enumerate()
+                            .map(move |(component, value)| (TermPlace::Frame { joint, component }, *value))
                     })
                     .filter(|(_, value)| *value != 0.0)
                     .collect();

@@ -3,7 +3,7 @@
 use serde::Deserialize;
 
 use crate::identification::{
-    ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Mode, ParameterChoice, Redundancy,
+    ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Loss, Mode, ParameterChoice, Redundancy,
     SolverOptions, TargetChoice, TermPrior,
 };
 use crate::input::{InputError, Source, Spanned};
@@ -27,7 +27,21 @@ pub(super) struct IdentificationFile {
     target: Option<TargetFile>,
     unmodelled_sigma_um: Option<Spanned<f64>>,
     max_iterations: Option<Spanned<usize>>,
+    loss: Option<LossFile>,
+    starts: Option<Spanned<u32>>,
 }
+
+#[derive(Deserialize, Clone, Copy)]
+#[serde(rename_all = "snake_case")]
+enum LossFile {
+    Squared,
+    Huber,
+    Cauchy,
+    Tukey,
+}
+
+/// Starts of one fit: a minute or so of searching.
+const MOST_STARTS: u32 = 1000;
 
 #[derive(Deserialize, Clone, Copy)]
 #[serde(rename_all = "snake_case")]
@@ -160,6 +174,22 @@ impl IdentificationFile {
                 return Err(source.error(limit.span(), "identification.max_iterations is 0", help));
             }
             options.solver = SolverOptions { max_iterations, ..options.solver };
+        }
+        if let Some(loss) = self.loss {
+            options.solver.loss = match loss {
+                LossFile::Squared => Loss::Squared,
+                LossFile::Huber => Loss::huber(),
+                LossFile::Cauchy => Loss::cauchy(),
+                LossFile::Tukey => Loss::tukey(),
+            };
+        }
+        if let Some(starts) = &self.starts {
+            if !(1..=MOST_STARTS).contains(starts.get_ref()) {
+                let help = Some(format!("expected 1 to {MOST_STARTS} starts"));
+                let what = format!("identification.starts is {}", starts.get_ref());
+                return Err(source.error(starts.span(), what, help));
+            }
+            options.solver.starts = *starts.get_ref();
         }
         Ok(options)
     }

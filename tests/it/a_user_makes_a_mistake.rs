@@ -1012,6 +1012,75 @@ fn a_user_has_a_mistake_in_a_column_map() {
     );
 }
 
+/// Sections of effects, each with one thing wrong: the line of the error in the section, its message, and what was expected.
+#[test]
+fn a_user_gives_an_effect_that_no_machine_has() {
+    const THERMAL: &str = "[effects.thermal]\nreference_c = 20\nstart_c = 21\n";
+    const GROWTH: &str =
+        "[[effects.thermal.link]]\njoint = \"shoulder\"\naxis = \"x\"\nlength_mm = 1350\nlag_s = 900\n";
+    let hot = THERMAL.replace("21", "210");
+    let drifting = format!("{THERMAL}drift_c_per_h = 2000\n{GROWTH}expansion_ppm_per_k = 12");
+    let metres = format!("{THERMAL}{GROWTH}expansion_per_k = 12e-6");
+    for (section, line, message, expected) in [
+        ("[effects.slip]", 1, "unknown key `slip`", "`backlash`"),
+        (
+            "[effects.backlash]\nenabled = true",
+            1,
+            "[effects.backlash] has no entry",
+            "[[effects.backlash.joint]]",
+        ),
+        ("[effects.backlash]\nenabled = 1", 2, "effects.backlash.enabled is 1", "true or false"),
+        (
+            "[[effects.backlash.joint]]\njoint = \"waist\"\ngap_arcsec = -1",
+            3,
+            "gap_arcsec is -1",
+            "zero or more",
+        ),
+        ("[[effects.backlash.joint]]\njoint = \"waist\"\ngap_um = 1", 3, "which is revolute", "gap_arcsec"),
+        (
+            "[[effects.backlash.joint]]\njoint = \"waist\"\ngap = 1",
+            3,
+            "unknown key `gap`",
+            "`gap_um` or `gap_arcsec`: the unit",
+        ),
+        (
+            "[[effects.backlash.joint]]\njoint = \"wrist 2\"\ngap_arcsec = 1",
+            2,
+            "no joint \"wrist 2\"",
+            "rail, waist",
+        ),
+        (
+            "[[effects.ratio.joint]]\njoint = \"rail\"\nrelative_ppm = 1e5",
+            3,
+            "relative_ppm is 100000",
+            "at most 10000 ppm",
+        ),
+        (
+            "[[effects.repeatability.joint]]\njoint = \"rail\"\nsigma_um = nan",
+            3,
+            "sigma_um is nan",
+            "a finite number",
+        ),
+        ("[effects.rail]\njoint = \"waist\"\nwavelength_mm = 800", 2, "no rail", "the first joint"),
+        ("[effects.rail]\njoint = \"rail\"\nwavelength_mm = -800", 3, "wavelength_mm is -800", "above zero"),
+        (hot.as_str(), 3, "effects.thermal.start_c is 210", "-20 to 60 degrees"),
+        (THERMAL, 1, "lets nothing grow", "[[effects.thermal.link]]"),
+        (metres.as_str(), 9, "unknown key `expansion_per_k`", "`expansion_ppm_per_k`"),
+    ] {
+        let sandbox = Sandbox::new();
+        let text = sandbox.read(SCENARIO);
+        sandbox.write(SCENARIO, format!("{text}\n{section}\n"));
+        let place = format!("{SCENARIO}:{}: ", text.lines().count() + 1 + line);
+        assert_refused(&sandbox, &["check", SCENARIO], &place, message, expected);
+    }
+    // What shows in the course of the session alone: 100 poses of 10 s at 2000 K/h.
+    let sandbox = Sandbox::new();
+    sandbox.write(SCENARIO, format!("{}\n{drifting}\n", sandbox.read(SCENARIO)));
+    let ended = sandbox.run(["run", SCENARIO, "--out", "out"]);
+    assert_eq!((ended.code, ended.stdout.as_str()), (Some(1), ""), "{ended:?}");
+    assert!(ended.stderr.contains("the ambient temperature leaves -20 to 60 degC"), "{ended:?}");
+}
+
 #[test]
 fn the_numbers_are_of_no_machine() {
     for (marker, key, value) in [

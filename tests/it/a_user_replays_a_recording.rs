@@ -41,7 +41,8 @@ fn one_seed_gives_one_recording() {
 #[test]
 fn the_truth_does_not_reach_the_estimate() {
     let scenario = paper();
-    let told = pipeline::simulate(&scenario, 5, 0, pipeline::PlantKind::Rapier, |_, _| {}).expect("a simulation");
+    let told =
+        pipeline::simulate(&scenario, 5, 0, pipeline::PlantKind::Rapier, |_, _| {}).expect("a simulation");
     let estimates = |scenario: &calibrig::scenario::Scenario| {
         calibrate(&scenario.robot.model, &told.sets, &scenario.modes, &scenario.options).expect("estimates").1
     };

@@ -37,8 +37,9 @@ fn the_rows_over_50_pose_draws() {
     let outcomes: Vec<_> =
         draws.iter().map(|seed| pipeline::run(&scenario, *seed, |_, _| {}).expect("a run")).collect();
     for (set, kind) in SetKind::ALL.into_iter().enumerate() {
-        let rows = Mode::ALL.map(|mode| average(&outcomes, set, mode));
-        for (mode, row) in Mode::ALL.iter().zip(rows) {
+        let published = [Mode::WithoutCalibration, Mode::OnlyCalibration, Mode::WithGravity];
+        let rows = published.map(|mode| average(&outcomes, set, mode));
+        for (mode, row) in published.iter().zip(rows) {
             println!("{} {}: {:?} mm", kind.key(), mode.key(), row.map(|v| (v * 1e5).round() / 100.0));
         }
         let published = scenario

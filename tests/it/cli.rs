@@ -454,3 +454,25 @@ fn an_interrupt_leaves_no_half_file() {
         assert_whole(&sandbox, &reference, &format!("after {} ms", 15 * step));
     }
 }
+
+#[test]
+fn run_tells_what_each_part_of_the_machine_contributes() {
+    let sandbox = Sandbox::new();
+    sandbox.set("[poses]", "identification", "20");
+    sandbox.set("[poses]", "verification", "5");
+    let backlash = "[[effects.backlash.joint]]\njoint = \"shoulder\"\ngap_arcsec = 60\n";
+    sandbox.write("scenarios/backlash.toml", format!("{}\n{backlash}", sandbox.read(SCENARIO)));
+    let run = ["run", "scenarios/backlash.toml", "--out", "out", "--ablate", "--json"];
+    let ended = sandbox.run(run);
+    assert!(matches!(ended.code, Some(0 | 3)), "{ended:?}");
+    let json = ended.json();
+    let parts = json["ablation"]["parts"].as_array().expect("a list");
+    let part = parts.iter().find(|part| part["key"] == "backlash").expect("the machine has it");
+    let change = &part["rows"]["verification"]["with_gravity"]["rms_3d_change_m"];
+    assert!(change.as_f64().is_some_and(|change| change != 0.0), "{part}");
+    assert!(sandbox.read("out/report.html").contains("id=\"ablation\""));
+    // Without the flag there is nothing of it.
+    let plain = sandbox.run(["run", "scenarios/backlash.toml", "--out", "plain", "--json"]).json();
+    assert!(plain.get("ablation").is_none());
+    assert_eq!(plain["sets"], json["sets"]);
+}

@@ -4,9 +4,9 @@ use nalgebra::{Matrix3, Vector3};
 use rand::RngExt;
 
 use super::{
-    ActuatorMap, AsBuilt, Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, CraigLink, Effects, FourBar,
-    JointKind, KinematicModel, LinkTerm, LinkageArm, LinkageStatics, PointLoad, Section, SegmentLength,
-    StaticProperties, Transform,
+    ActuatorMap, AsBuilt, Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, CraigLink, Effects,
+    FourBar, JointKind, KinematicModel, LinkTerm, LinkageArm, LinkageStatics, PointLoad, Section,
+    SegmentLength, StaticProperties, Transform,
 };
 
 const CENTRE: [f64; 7] = [2.0, 0.19, -1.71, 0.12, 2.0, -0.16, -0.77];
