@@ -4,9 +4,7 @@ use nalgebra::Vector3;
 use thiserror::Error;
 
 use crate::geometry::{Transform, rotation_x, rotation_z};
-use crate::model::{
-    ActuatorMap, CraigLink, FourBar, KinematicModel, LinkTerm, LinkageArm, LinkageLength, ParameterId,
-};
+use crate::model::{ActuatorMap, KinematicModel, LinkTerm, LinkageArm, LinkageLength, ParameterId};
 
 /// Where rod and arm come closer to one line than this, rad, the elbow's angle is hardly determined and is refused.
 pub const LEAST_TRANSMISSION_ANGLE: f64 = 10.0 * std::f64::consts::PI / 180.0;
@@ -92,18 +90,19 @@ pub fn swing_to(
     rod: f64,
     ideal: f64,
 ) -> Result<Closure, ClosureError> {
-    let turn = |angle: f64, point: &Vector3<f64>| pivot.rotation * (rotation_z(angle).rotation * point);
-    let from_anchor = |angle: f64| turn(angle, end) + pivot.translation.vector - anchor;
-    let radius = Vector3::new(end.x, end.y, 0.0);
-    let axis: Vector3<f64> = pivot.rotation.matrix().column(2).into_owned();
-
-    let outward = turn(ideal, &radius);
-    let ideal_rod = from_anchor(ideal);
+    // In the pivot's axes, where the arm's end has the height of its own z and turns in x and y.
+    let to_anchor = pivot.rotation.inverse() * (anchor - pivot.translation.vector);
+    let turned = |angle: f64| {
+        let (sin, cos) = angle.sin_cos();
+        Vector3::new(cos * end.x - sin * end.y, sin * end.x + cos * end.y, end.z)
+    };
+    let at_ideal = turned(ideal);
+    let ideal_rod = at_ideal - to_anchor;
     // distance²(deviation) - rod² = misfit + 2 tangential sin(deviation) + 2 radial (1 - cos(deviation))
     let ideal_length = ideal_rod.norm();
     let misfit = (ideal_length - rod) * (ideal_length + rod);
-    let tangential = ideal_rod.dot(&axis.cross(&outward));
-    let radial = outward.norm_squared() - ideal_rod.dot(&outward);
+    let tangential = at_ideal.x * ideal_rod.y - at_ideal.y * ideal_rod.x;
+    let radial = at_ideal.x * to_anchor.x + at_ideal.y * to_anchor.y;
 
     // The square of half the derivative of distance² at either closure.
     let discriminant = tangential * tangential - misfit * (misfit / 4.0 + radial);
@@ -111,21 +110,20 @@ pub fn swing_to(
         return Err(out_of_reach(rod, misfit + 2.0 * radial, 2.0 * tangential.hypot(radial)));
     }
     let slope = discriminant.sqrt();
-    let arm = radius.norm();
-    let transmission_angle = (slope / (rod * arm)).clamp(0.0, 1.0).asin();
+    let transmission_angle = (slope / (rod * end.x.hypot(end.y))).clamp(0.0, 1.0).asin();
     if !(transmission_angle >= LEAST_TRANSMISSION_ANGLE) {
         return Err(ClosureError::NearSingular { transmission_angle });
     }
     let half_angle_tangent = -misfit / (2.0 * (tangential + slope.copysign(tangential)));
     let angle = ideal + 2.0 * half_angle_tangent.atan();
 
-    let along_rod = from_anchor(angle);
-    let rod_direction = along_rod.normalize();
+    let closed = turned(angle);
+    let rod_direction = (closed - to_anchor).normalize();
     Ok(Closure {
         angle,
-        end: along_rod + anchor,
-        rod_direction,
-        rate: rod_direction.dot(&axis.cross(&turn(angle, &radius))),
+        end: pivot.rotation * closed + pivot.translation.vector,
+        rod_direction: pivot.rotation * rod_direction,
+        rate: closed.x * rod_direction.y - closed.y * rod_direction.x,
         transmission_angle,
     })
 }
@@ -141,45 +139,24 @@ fn out_of_reach(rod: f64, middle: f64, range: f64) -> ClosureError {
     ClosureError::CannotClose { gap }
 }
 
-/// The elbow's four-bar without deflections, in the frame behind the shoulder's fixed part and in front of its motion.
+/// The elbow's four-bar without deflections, made once a robot and closed at every command.
 ///
-/// Crank and upper arm turn in that frame alike, so the shoulder's own link parameters have no influence on the elbow's angle.
+/// Crank and upper arm turn alike behind the shoulder's fixed part, so the shoulder's own link parameters have no influence on the elbow's
+/// angle, and all is computed there.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct RigidFourBar<'a> {
-    elbow: &'a CraigLink,
-    linkage: &'a FourBar,
+pub struct ElbowLinkage {
+    shoulder: usize,
+    elbow: usize,
     offset: f64,
-}
-
-impl RigidFourBar<'_> {
-    fn crank(&self, psi: f64) -> Transform {
-        rotation_z(psi + self.offset)
-    }
-
-    fn pivot(&self, q_shoulder: f64) -> Transform {
-        rotation_z(q_shoulder) * self.elbow.fixed_part()
-    }
-
-    fn elbow(&self, psi: f64, q_shoulder: f64) -> Result<Closure, ClosureError> {
-        let anchor = self.crank(psi).rotation * self.linkage.crank.end();
-        let ideal = psi + self.offset - q_shoulder;
-        swing_to(&self.pivot(q_shoulder), &self.linkage.lever.end(), &anchor, self.linkage.rod, ideal)
-    }
-
-    fn psi(&self, q_shoulder: f64, q_elbow: f64) -> Result<f64, ClosureError> {
-        let lever = self.linkage.lever.end();
-        let anchor = (self.pivot(q_shoulder) * rotation_z(q_elbow)).transform_point(&lever.into()).coords;
-        let ideal = q_shoulder + q_elbow;
-        let crank = self.linkage.crank.end();
-        let turned = swing_to(&Transform::identity(), &crank, &anchor, self.linkage.rod, ideal)?;
-        let psi = turned.angle - self.offset;
-        let nearest = self.elbow(psi, q_shoulder)?.angle;
-        // Away from the singularity the two closures are far apart, and rounding is far below this.
-        if (nearest - q_elbow).abs() > 1e-6 {
-            return Err(ClosureError::OtherClosure { q_elbow, nearest });
-        }
-        Ok(psi)
-    }
+    rod: f64,
+    crank: LinkageArm,
+    lever: LinkageArm,
+    crank_end: Vector3<f64>,
+    lever_end: Vector3<f64>,
+    /// Of the elbow's link.
+    fixed_part: Transform,
+    elbow_a: f64,
+    elbow_alpha: f64,
 }
 
 /// The elbow's angle and its change per unit of all that it depends on; the links are rigid.
@@ -225,70 +202,117 @@ fn growth(arm: &LinkageArm) -> Vector3<f64> {
     Vector3::new(cos, sin, 0.0)
 }
 
-/// Closes the elbow's four-bar at a command, with derivatives; `None` where the elbow has none whose lengths are known.
-///
-/// # Errors
-///
-/// [`ClosureError`].
-pub fn elbow_closure(
-    kinematics: &KinematicModel,
-    actuators: &ActuatorMap,
-    command: &[f64],
-) -> Result<Option<ElbowClosure>, ClosureError> {
-    let Some((shoulder, elbow, four_bar)) = rigid_four_bar(kinematics, actuators)? else {
-        return Ok(None);
-    };
-    let (psi, q_shoulder) = (command[elbow], command[shoulder]);
-    let closure = four_bar.elbow(psi, q_shoulder)?;
+impl ElbowLinkage {
+    /// The four-bar of a robot, or `None` where the elbow has none whose lengths are known.
+    ///
+    /// # Errors
+    ///
+    /// [`ClosureError::NotNeighbours`].
+    pub fn new(kinematics: &KinematicModel, actuators: &ActuatorMap) -> Result<Option<Self>, ClosureError> {
+        let Some((shoulder, elbow, offset, linkage)) = actuators.four_bar() else {
+            return Ok(None);
+        };
+        let link = match kinematics.links.get(elbow) {
+            Some(link) if elbow == shoulder + 1 => link,
+            _ => return Err(ClosureError::NotNeighbours { shoulder, elbow }),
+        };
+        Ok(Some(Self {
+            shoulder,
+            elbow,
+            offset,
+            rod: linkage.rod,
+            crank: linkage.crank,
+            lever: linkage.lever,
+            crank_end: linkage.crank.end(),
+            lever_end: linkage.lever.end(),
+            fixed_part: link.fixed_part(),
+            elbow_a: link.a,
+            elbow_alpha: link.alpha,
+        }))
+    }
 
-    let (link, linkage) = (four_bar.elbow, four_bar.linkage);
-    let (crank, pivot) = (four_bar.crank(psi), four_bar.pivot(q_shoulder));
-    let crank_end = crank.rotation * linkage.crank.end();
-    let end = closure.end;
-    let upper_arm = rotation_z(q_shoulder);
-    let x = upper_arm.rotation * Vector3::x();
-    let y = upper_arm.rotation * (rotation_x(link.alpha).rotation * Vector3::y());
-    let axis: Vector3<f64> = pivot.rotation.matrix().column(2).into_owned();
-    let lever_growth = pivot.rotation * (rotation_z(closure.angle).rotation * growth(&linkage.lever));
+    fn crank(&self, psi: f64) -> Transform {
+        rotation_z(psi + self.offset)
+    }
 
-    let still = Vector3::zeros();
-    let by_end = |motion: Vector3<f64>| closure.angle_change(&motion, &still, 0.0);
-    let by_anchor = |motion: Vector3<f64>| closure.angle_change(&still, &motion, 0.0);
-    Ok(Some(ElbowClosure {
-        elbow,
-        q_elbow: closure.angle,
-        transmission_angle: closure.transmission_angle,
-        by_psi: by_anchor(Vector3::z().cross(&crank_end)),
-        by_shoulder: by_end(Vector3::z().cross(&end)),
-        by_lengths: LinkageLength::ALL.map(|length| match length {
-            LinkageLength::Crank => by_anchor(crank.rotation * growth(&linkage.crank)),
-            LinkageLength::Lever => by_end(lever_growth),
-            LinkageLength::Rod => closure.angle_change(&still, &still, 1.0),
-        }),
-        by_link: LinkTerm::ALL.map(|term| match term {
-            LinkTerm::A => by_end(x),
-            LinkTerm::Alpha => by_end(x.cross(&end)),
-            LinkTerm::Beta => by_end(y.cross(&(end - link.a * x))),
-            LinkTerm::D => by_end(axis),
-            // Theta and the joint turn about the same axis.
-            LinkTerm::Theta => -1.0,
-        }),
-    }))
-}
+    fn pivot(&self, q_shoulder: f64) -> Transform {
+        rotation_z(q_shoulder) * self.fixed_part
+    }
 
-/// The indices of shoulder and elbow, and what joins them.
-fn rigid_four_bar<'a>(
-    kinematics: &'a KinematicModel,
-    actuators: &'a ActuatorMap,
-) -> Result<Option<(usize, usize, RigidFourBar<'a>)>, ClosureError> {
-    let Some((shoulder, elbow, offset, linkage)) = actuators.four_bar() else {
-        return Ok(None);
-    };
-    match kinematics.links.get(elbow) {
-        Some(link) if elbow == shoulder + 1 => {
-            Ok(Some((shoulder, elbow, RigidFourBar { elbow: link, linkage, offset })))
+    fn close(&self, psi: f64, q_shoulder: f64) -> Result<Closure, ClosureError> {
+        let anchor = self.crank(psi).rotation * self.crank_end;
+        let ideal = psi + self.offset - q_shoulder;
+        swing_to(&self.pivot(q_shoulder), &self.lever_end, &anchor, self.rod, ideal)
+    }
+
+    /// The elbow's joint variable at a command (as long as the chain), rad.
+    ///
+    /// # Errors
+    ///
+    /// [`ClosureError`].
+    pub fn q_elbow(&self, command: &[f64]) -> Result<f64, ClosureError> {
+        Ok(self.close(command[self.elbow], command[self.shoulder])?.angle)
+    }
+
+    /// The elbow's command psi that sets the joint variables (as long as the chain), rad.
+    ///
+    /// # Errors
+    ///
+    /// [`ClosureError`].
+    pub fn psi(&self, joints: &[f64]) -> Result<f64, ClosureError> {
+        let (q_shoulder, q_elbow) = (joints[self.shoulder], joints[self.elbow]);
+        let anchor =
+            (self.pivot(q_shoulder) * rotation_z(q_elbow)).transform_point(&self.lever_end.into()).coords;
+        let ideal = q_shoulder + q_elbow;
+        let turned = swing_to(&Transform::identity(), &self.crank_end, &anchor, self.rod, ideal)?;
+        let psi = turned.angle - self.offset;
+        let nearest = self.close(psi, q_shoulder)?.angle;
+        // Away from the singularity the two closures are far apart, and rounding is far below this.
+        if (nearest - q_elbow).abs() > 1e-6 {
+            return Err(ClosureError::OtherClosure { q_elbow, nearest });
         }
-        _ => Err(ClosureError::NotNeighbours { shoulder, elbow }),
+        Ok(psi)
+    }
+
+    /// The elbow's angle at a command (as long as the chain), with its derivatives.
+    ///
+    /// # Errors
+    ///
+    /// [`ClosureError`].
+    pub fn closure(&self, command: &[f64]) -> Result<ElbowClosure, ClosureError> {
+        let (psi, q_shoulder) = (command[self.elbow], command[self.shoulder]);
+        let closure = self.close(psi, q_shoulder)?;
+        let (crank, pivot) = (self.crank(psi), self.pivot(q_shoulder));
+        let end = closure.end;
+        let upper_arm = rotation_z(q_shoulder);
+        let x = upper_arm.rotation * Vector3::x();
+        let y = upper_arm.rotation * (rotation_x(self.elbow_alpha).rotation * Vector3::y());
+        let axis: Vector3<f64> = pivot.rotation.matrix().column(2).into_owned();
+        let lever_growth = pivot.rotation * (rotation_z(closure.angle).rotation * growth(&self.lever));
+
+        let still = Vector3::zeros();
+        let by_end = |motion: Vector3<f64>| closure.angle_change(&motion, &still, 0.0);
+        let by_anchor = |motion: Vector3<f64>| closure.angle_change(&still, &motion, 0.0);
+        Ok(ElbowClosure {
+            elbow: self.elbow,
+            q_elbow: closure.angle,
+            transmission_angle: closure.transmission_angle,
+            by_psi: by_anchor(Vector3::z().cross(&(crank.rotation * self.crank_end))),
+            by_shoulder: by_end(Vector3::z().cross(&end)),
+            by_lengths: LinkageLength::ALL.map(|length| match length {
+                LinkageLength::Crank => by_anchor(crank.rotation * growth(&self.crank)),
+                LinkageLength::Lever => by_end(lever_growth),
+                LinkageLength::Rod => closure.angle_change(&still, &still, 1.0),
+            }),
+            by_link: LinkTerm::ALL.map(|term| match term {
+                LinkTerm::A => by_end(x),
+                LinkTerm::Alpha => by_end(x.cross(&end)),
+                LinkTerm::Beta => by_end(y.cross(&(end - self.elbow_a * x))),
+                LinkTerm::D => by_end(axis),
+                // Theta and the joint turn about the same axis.
+                LinkTerm::Theta => -1.0,
+            }),
+        })
     }
 }
 
@@ -305,8 +329,8 @@ pub fn joints_from_command(
     joints: &mut [f64],
 ) -> Result<(), ClosureError> {
     actuators.joints_from_command(command, joints);
-    if let Some((shoulder, elbow, four_bar)) = rigid_four_bar(kinematics, actuators)? {
-        joints[elbow] = four_bar.elbow(command[elbow], command[shoulder])?.angle;
+    if let Some(linkage) = ElbowLinkage::new(kinematics, actuators)? {
+        joints[linkage.elbow] = linkage.q_elbow(command)?;
     }
     Ok(())
 }
@@ -322,8 +346,8 @@ pub fn command_from_joints(
     joints: &[f64],
 ) -> Result<Vec<f64>, ClosureError> {
     let mut command = actuators.command_from_joints(joints);
-    if let Some((shoulder, elbow, four_bar)) = rigid_four_bar(kinematics, actuators)? {
-        command[elbow] = four_bar.psi(joints[shoulder], joints[elbow])?;
+    if let Some(linkage) = ElbowLinkage::new(kinematics, actuators)? {
+        command[linkage.elbow] = linkage.psi(joints)?;
     }
     Ok(command)
 }

@@ -4,7 +4,7 @@
 mod four_bar;
 
 pub use four_bar::{
-    Closure, ClosureError, ElbowClosure, LEAST_TRANSMISSION_ANGLE, command_from_joints, elbow_closure,
+    Closure, ClosureError, ElbowClosure, ElbowLinkage, LEAST_TRANSMISSION_ANGLE, command_from_joints,
     joints_from_command, swing_to,
 };
 

@@ -10,9 +10,10 @@ use super::tree::{Role, Tree};
 use super::validation::{check_at_command, check_command, check_displacements, check_options, check_robot};
 use super::{AsBuilt, ElasticDeflection, PlantError, SettledPose};
 use crate::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
+use crate::model::{BeamSegment, SegmentLength};
 
 /// Newton steps that look for a start; a few of the size of the deflections bring it to the last digits.
-const PREDICTIONS: usize = 8;
+const PREDICTIONS: u32 = 8;
 /// A predicted step so small (rad or m) that the next start is at rest.
 const PREDICTED: f64 = 1e-6;
 /// A step so small (rad or m) that the tangent stiffness stays as it is.
@@ -76,6 +77,8 @@ pub struct Plant {
     displaced: bool,
     /// Whether the tree depends on the pose.
     varies: bool,
+    /// At most so many predicted steps.
+    pub(super) predictions: u32,
 }
 
 impl Plant {
@@ -85,7 +88,7 @@ impl Plant {
         check_robot(robot)?;
         let joints = robot.kinematics.joint_count();
         let target_in_last = robot.kinematics.last_from_flange * Point3::from(robot.target);
-        let tree = Tree::new(robot, &vec![0.0; joints]);
+        let tree = Tree::new(robot, &extended(robot));
         let chain = Chain::new(&tree, &robot.statics.gravity, options.dt);
         let coordinates = chain.coordinate_count();
         Ok(Self {
@@ -101,6 +104,7 @@ impl Plant {
             left_over: DVector::zeros(coordinates),
             displaced: false,
             varies: tree.varies(),
+            predictions: PREDICTIONS,
             tree,
             robot: robot.clone(),
         })
@@ -188,7 +192,7 @@ impl Plant {
 
     /// Steps, from the predicted pose, until nothing moves any more.
     fn relax(&mut self) -> Result<SettledPose, PlantError> {
-        let is_stable = self.predict();
+        let is_stable = self.predict()?;
         self.chain.place(&self.start);
         let mut tip = self.tip();
         let (mut steps, mut tip_motion, mut residual) = (0, f64::INFINITY, f64::INFINITY);
@@ -228,17 +232,21 @@ impl Plant {
     }
 
     /// Looks for the pose at rest by Newton's method, to start there; from the unloaded pose where that fails. Returns whether the
-    /// tangent stiffness was found positive definite next to the start.
-    fn predict(&mut self) -> bool {
+    /// tangent stiffness was found positive definite next to the start; where it is not even in the unloaded pose, the loads overpower
+    /// the springs.
+    fn predict(&mut self) -> Result<bool, PlantError> {
         self.start.copy_from_slice(&self.rest);
         let mut tangent: Option<Cholesky<f64, Dyn>> = None;
         let mut last = f64::INFINITY;
-        for _ in 0..PREDICTIONS {
+        for prediction in 0..self.predictions {
             self.chain.place(&self.start);
             self.evaluate();
             self.statics.left_over(&self.deflection, &mut self.left_over);
             if last > SAME_TANGENT {
                 tangent = Cholesky::new(self.statics.tangent());
+                if tangent.is_none() && prediction == 0 {
+                    self.check_stability(0)?;
+                }
             }
             let step = tangent.as_ref().and_then(|tangent| self.statics.newton(tangent, &self.left_over));
             let Some(step) = step.filter(|step| step.amax() < ASTRAY) else { break };
@@ -247,11 +255,11 @@ impl Plant {
             }
             last = step.amax();
             if last < PREDICTED {
-                return true;
+                return Ok(true);
             }
         }
         self.start.copy_from_slice(&self.rest);
-        false
+        Ok(false)
     }
 
     /// Refuses a pose at rest that is unstable or next to the four-bar's singularity.
@@ -325,6 +333,18 @@ impl Plant {
         let rod = closure.lever - self.crank_end();
         Some(-closure.reaction.dot(&rod) / rod.norm())
     }
+}
+
+/// Joint variables at which every telescope is out of its housing, to build the tree before the first command.
+fn extended(robot: &AsBuilt) -> Vec<f64> {
+    let housed = |segment: &BeamSegment| match segment.length {
+        SegmentLength::Constant(_) => 0.0,
+        SegmentLength::Extension(housed) => housed,
+    };
+    let beams = robot.statics.beams.iter();
+    beams
+        .map(|beam| beam.iter().flat_map(|beam| &beam.segments).map(housed).fold(0.0, f64::max) + 1.0)
+        .collect()
 }
 
 fn shift(by: &[f64; 6]) -> Transform {

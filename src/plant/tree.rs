@@ -81,10 +81,7 @@ impl Node {
 pub(super) struct Loop {
     pub(super) shoulder: usize,
     pub(super) elbow: usize,
-    pub(super) offset: f64,
     pub(super) linkage: FourBar,
-    /// N/m; infinite where the rod does not yield.
-    pub(super) rod_stiffness: f64,
     /// Turns by `psi + offset`.
     pub(super) crank: usize,
     /// The rod turns about the crank's z, then about its own y; its x axis points to the lever.
@@ -129,8 +126,8 @@ impl Tree {
             links.push(link);
             mount = Mount::at(link);
         }
-        let closure = four_bar.zip(crank_mount).map(|((shoulder, elbow, offset, linkage), mount)| {
-            builder.four_bar(mount, shoulder, elbow, offset, linkage, links[elbow])
+        let closure = four_bar.zip(crank_mount).map(|((shoulder, elbow, _, linkage), mount)| {
+            builder.four_bar(mount, shoulder, elbow, linkage, links[elbow])
         });
         let forces = builder.loads(&links);
         Self { nodes: builder.nodes, links, motions, forces, closure }
@@ -285,7 +282,6 @@ impl Builder<'_> {
         mount: Mount,
         shoulder: usize,
         elbow: usize,
-        offset: f64,
         linkage: &FourBar,
         lever: usize,
     ) -> Loop {
@@ -316,19 +312,7 @@ impl Builder<'_> {
         } else {
             (pitch, along_rod)
         };
-        Loop {
-            shoulder,
-            elbow,
-            offset,
-            linkage: *linkage,
-            rod_stiffness,
-            crank,
-            rod: [yaw, pitch],
-            tip,
-            tip_at,
-            lever,
-            lever_at,
-        }
+        Loop { shoulder, elbow, linkage: *linkage, crank, rod: [yaw, pitch], tip, tip_at, lever, lever_at }
     }
 
     /// Masses become part of their link; a force gets a node of its own, at whose origin it acts in every pose.
@@ -402,13 +386,20 @@ fn without_beam(body: &Body, beam: &Beam, q: f64) -> Body {
 
 /// The group of a uniform Timoshenko segment. Bending about the second axis goes with shear along the third, and vice versa.
 fn segment_stiffness(section: &Section, length: f64, run: BeamRun) -> SixStiffness {
-    let transverse = |shear: f64, bending: f64| 1.0 / (length / shear + length.powi(3) / (12.0 * bending));
+    // What yields at one length yields at every length: the tree keeps its form.
+    let spring =
+        |is_elastic: bool, stiffness: f64| if is_elastic { stiffness.min(f64::MAX) } else { stiffness };
+    let transverse = |shear: f64, bending: f64| {
+        let stiffness = 1.0 / (length / shear + length.powi(3) / (12.0 * bending));
+        spring(shear.is_finite() || bending.is_finite(), stiffness)
+    };
     let linear = [
-        section.axial / length,
+        spring(section.axial.is_finite(), section.axial / length),
         transverse(section.shear[0], section.bending[1]),
         transverse(section.shear[1], section.bending[0]),
     ];
-    let angular = [section.torsion, section.bending[0], section.bending[1]].map(|rigidity| rigidity / length);
+    let angular = [section.torsion, section.bending[0], section.bending[1]]
+        .map(|rigidity| spring(rigidity.is_finite(), rigidity / length));
     // The section's axes (first, second, third) are the link's (x, y, z) or (z, x, y).
     let first = match run {
         BeamRun::AlongX => 0,

@@ -77,7 +77,7 @@ pub(super) fn check_at_command(robot: &AsBuilt, joints: &[f64]) -> Result<(), Pl
         let Some(beam) = &robot.statics.beams[joint] else { continue };
         for (segment, piece) in beam.segments.iter().enumerate() {
             let length = piece.length.at(*q);
-            if !(length > 0.0) {
+            if !(length > 0.0 && length.is_finite()) {
                 return Err(PlantError::BeamLength { joint, segment, length });
             }
         }

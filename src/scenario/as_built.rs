@@ -1,5 +1,8 @@
 //! `[as_built]`: the truth, as deviations from the robot's file.
 
+#[cfg(test)]
+mod tests;
+
 use std::ops::Range;
 
 use nalgebra::Vector3;
@@ -350,7 +353,8 @@ impl Reader<'_> {
             Spread::Uniform => 1.0,
         };
         let (length, angle) = (extreme * distribution.linkage_length, extreme * distribution.linkage_angle);
-        for corner in 0..32_u32 {
+        // The lever's angle turns the elbow alone.
+        for corner in 0..16_u32 {
             let sign = |bit: u32| if corner >> bit & 1 == 1 { 1.0 } else { -1.0 };
             let mut other = machine.clone();
             let Some(linkage) = other.linkage_mut() else { return Ok(()) };
@@ -358,7 +362,6 @@ impl Reader<'_> {
             linkage.lever.length += sign(1) * length;
             linkage.rod += sign(2) * length;
             linkage.crank.angle += sign(3) * angle;
-            linkage.lever.angle += sign(4) * angle;
             let positive = linkage.crank.length.min(linkage.lever.length).min(linkage.rod) > 0.0;
             let place = || {
                 let keys = [&table.get_ref().linkage_mm, &table.get_ref().linkage_angles_mrad];

@@ -271,6 +271,82 @@ fn a_user_gives_the_wrong_type() {
 }
 
 #[test]
+fn a_user_describes_a_structure_that_cannot_be() {
+    in_robot(
+        ROBOT,
+        &[
+            (
+                "name = \"rail\"",
+                "stiffness_x_n_per_m",
+                "stiffness_x = 1e9",
+                Same,
+                "unknown key `stiffness_x`",
+                "`stiffness_x_n_per_m`: the unit",
+            ),
+            (
+                "name = \"rail\"",
+                "stiffness_ry",
+                "stiffness_z_n_per_m = 1e9",
+                Same,
+                "along or about the axis of joint \"rail\"",
+                "stiffness_n_per_m of the joint itself",
+            ),
+            ("[joint.beam]", "wall_mm", "wall_mm = -10", Same, "wall_mm is -10", "above zero"),
+            (
+                "run = \"ends_at_origin\"",
+                "housed_mm",
+                "housed_mm = 1750",
+                Same,
+                "leaves nothing of the segment",
+                "min_mm",
+            ),
+            (
+                "[actuators.linkage]",
+                "rod_mm",
+                "rod_mm = 1800",
+                Header,
+                "does not close with the elbow at -45.0 deg",
+                "rod_mm",
+            ),
+            (
+                "",
+                "[target]",
+                "[[load]]\nname = \"hose\"\njoint = \"hand\"\nx_mm = 0\ny_mm = 0\nz_mm = 0\nmass_kg = 1\n[target]",
+                Below(2),
+                "load \"hose\": no joint \"hand\"",
+                "one of rail, waist",
+            ),
+        ],
+    );
+    in_scenario(&[
+        (
+            "",
+            "[poses]",
+            "[[as_built.load]]\nname = \"hose\"\njoint = \"wrist\"\nx_mm = 0\ny_mm = 0\nz_mm = 0\n[poses]",
+            Same,
+            "load \"hose\" has neither mass nor force",
+            "mass_kg",
+        ),
+        (
+            "",
+            "[poses]",
+            "[as_built.drawn]\ndistribution = \"normal\"\nmass_fraction = 0.5\n[poses]",
+            Below(2),
+            "mass_fraction is 0.5",
+            "at most 0.2",
+        ),
+        (
+            "joint = \"rail\"",
+            "joint",
+            "joint = \"rail\"\nbeam_factor = 1.1",
+            Below(1),
+            "beam_factor: joint \"rail\" has no [joint.beam]",
+            "[joint.beam]",
+        ),
+    ]);
+}
+
+#[test]
 fn a_user_gives_a_key_or_a_joint_twice() {
     in_robot(
         ROBOT,

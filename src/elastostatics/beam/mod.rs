@@ -53,7 +53,8 @@ pub fn segment_groups(beam: &Beam, q: f64) -> Result<Vec<SegmentGroup>, BeamErro
     Ok(groups.collect())
 }
 
-fn segment_group(segment: &BeamSegment, length: f64, root: f64, axes: [usize; 3]) -> SegmentGroup {
+/// The group of one segment whose root is at `root`, by the [axes](crate::model::BeamRun::axes) of the beam's run.
+pub(super) fn segment_group(segment: &BeamSegment, length: f64, root: f64, axes: [usize; 3]) -> SegmentGroup {
     let section = &segment.section;
     // Shear along one of the section's axes goes with bending about the other.
     let transverse = |shear: f64, bending: f64| 1.0 / (length / shear + length.powi(3) / (12.0 * bending));

@@ -135,7 +135,8 @@ fn a_stepped_cantilever_follows_castigliano() {
         if s < l2 { 0.5 * w2 * s * s } else { w2 * l2 * (s - 0.5 * l2) + 0.5 * w1 * (s - l2).powi(2) }
     };
     let load = 250.0;
-    let cases: [([f64; 6], [f64; 3], &dyn Fn(f64) -> f64, &dyn Fn(f64) -> f64); 3] = [
+    type Along<'a> = &'a dyn Fn(f64) -> f64;
+    let cases: [([f64; 6], [f64; 3], Along, Along); 3] = [
         ([0.0, load, 0.0, 0.0, 0.0, 0.0], [0.0; 3], &|s| load * s, &|_| load),
         ([0.0, 0.0, 0.0, 0.0, 0.0, load], [0.0; 3], &|_| load, &|_| 0.0),
         ([0.0; 6], [0.0, 9.81, 0.0], &weight_moment, &weight_shear),

@@ -14,8 +14,8 @@ use super::screw::{Loads, Screw};
 use super::{Deflection, ElasticChain, ElasticError, MOST_ITERATIONS};
 use crate::model::{ActuatorMap, Compliance, LinkTerm, LinkageLength, ParameterId, TermPlace};
 
-/// Change of a sweep, relative to the largest entry, below which the adjoint has converged.
-const ADJOINT_CONVERGED: f64 = 1e-12;
+/// Change of a sweep, relative to the largest entry, below which the adjoint has converged: what is left is a hundredth of it.
+const ADJOINT_CONVERGED: f64 = 1e-10;
 
 /// Sums along the chain inboard of a slot.
 #[derive(Debug, Clone, Copy)]
@@ -141,8 +141,7 @@ impl ElasticChain {
         }
         let Some(four_bar) = &self.four_bar else { return };
         let ends = &self.closed;
-        for slot in 0..four_bar.reach {
-            let screw = &self.screws[slot];
+        for (slot, screw) in self.screws[..four_bar.reach].iter().enumerate() {
             let moves = match self.slots[slot] {
                 Slot::Mark => continue,
                 Slot::Crank => -screw.moves(&ends.crank_end),
@@ -161,18 +160,18 @@ impl ElasticChain {
         let a = &mut self.adjoint;
         let mut outboard = Loads::none();
         let mut lumps = self.lumps.iter().rev().peekable();
-        for slot in (0..self.slots.len()).rev() {
+        for (slot, kind) in self.slots.iter().enumerate().rev() {
             while let Some(lump) = lumps.next_if(|l| l.inboard > slot) {
                 outboard.add(lump);
             }
-            if self.slots[slot] == Slot::Crank {
+            if *kind == Slot::Crank {
                 let crank = self.closed.crank_loads();
                 a.outboard[slot] = crank;
                 outboard.add_all(&crank);
             } else {
                 a.outboard[slot] = outboard;
             }
-            if self.slots[slot] != Slot::Mark {
+            if *kind != Slot::Mark {
                 a.turned[slot] = a.outboard[slot].turned_by(&self.screws[slot]);
             }
         }
@@ -226,8 +225,8 @@ impl ElasticChain {
         // The rod's force turns with the rod.
         let along = (lever - crank) * closed.rod;
         a.rod = (closed.force / closed.length) * (lever - crank - along * closed.rod.transpose());
-        for slot in 0..reach {
-            a.next[slot] -= a.rod * a.rod_moves[slot];
+        for (next, moves) in a.next.iter_mut().zip(&a.rod_moves[..reach]) {
+            *next -= a.rod * moves;
         }
     }
 
@@ -237,23 +236,21 @@ impl ElasticChain {
         let elbow = self.four_bar.as_ref().map(|f| self.parts[f.elbow].drive);
         a.rho = elbow.map_or_else(Vector3::zeros, |slot| a.next[slot] / self.closed.rate);
         let (mut change, mut largest) = (0.0_f64, 0.0_f64);
-        for slot in 0..self.slots.len() {
-            let mu = a.next[slot] - a.rho * a.rod_stretch[slot];
-            change = change.max((mu - a.mu[slot]).amax());
-            largest = largest.max(mu.amax());
-            a.mu[slot] = mu;
-            if a.coupled {
-                a.lambda[slot] = self.compliance[slot] * mu;
+        for ((next, stretch), mu) in a.next.iter().zip(&a.rod_stretch).zip(&mut a.mu) {
+            let now = next - a.rho * *stretch;
+            change = change.max((now - *mu).amax());
+            largest = largest.max(now.amax());
+            *mu = now;
+        }
+        if a.coupled {
+            for ((lambda, compliance), mu) in a.lambda.iter_mut().zip(&self.compliance).zip(&a.mu) {
+                *lambda = *compliance * mu;
             }
         }
-        if let (Some(four_bar), Some(elbow)) = (&self.four_bar, elbow) {
-            if a.coupled {
-                let mut stretch = four_bar.compliance * a.rho;
-                for slot in (0..four_bar.reach).filter(|s| *s != elbow) {
-                    stretch -= a.lambda[slot] * a.rod_stretch[slot];
-                }
-                a.lambda[elbow] = stretch / self.closed.rate;
-            }
+        if let (true, Some(four_bar), Some(elbow)) = (a.coupled, &self.four_bar, elbow) {
+            // The elbow's own compliance is zero: its λ is not in the sum.
+            let stretch: Vector3<f64> = a.lambda.iter().zip(&a.rod_stretch).map(|(l, s)| l * *s).sum();
+            a.lambda[elbow] = (four_bar.compliance * a.rho - stretch) / self.closed.rate;
         }
         change / largest.max(f64::MIN_POSITIVE)
     }
@@ -317,14 +314,6 @@ impl ElasticChain {
                     _ => mu(joint),
                 }
             }
-        }
-    }
-
-    /// The slot of an actuator's drive.
-    pub(super) fn driven(&self, joint: usize) -> usize {
-        match &self.four_bar {
-            Some(four_bar) if four_bar.elbow == joint => four_bar.crank,
-            _ => self.parts[joint].drive,
         }
     }
 

@@ -11,11 +11,11 @@ impl ElasticChain {
         self.balance_elbow();
         let mut outboard = Loads::none();
         let mut lumps = self.lumps.iter().rev().peekable();
-        for slot in (0..self.slots.len()).rev() {
+        for (slot, kind) in self.slots.iter().enumerate().rev() {
             while let Some(lump) = lumps.next_if(|l| l.inboard > slot) {
                 outboard.add(lump);
             }
-            match self.slots[slot] {
+            match kind {
                 Slot::Elastic => self.load[slot] = outboard.on(&self.screws[slot]),
                 Slot::Crank => {
                     let crank = self.closed.crank_loads();

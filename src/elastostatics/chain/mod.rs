@@ -24,7 +24,7 @@ use nalgebra::Vector3;
 use thiserror::Error;
 
 use self::adjoint::Adjoint;
-use self::parts::{FixedPart, Loop, Part, Slot, Structure, body_of, segment_compliance};
+use self::parts::{FixedPart, Loop, Part, Slot, Structure, body_of};
 use self::place::{LoopPlace, TermsPlace};
 use self::screw::{Lump, Screw};
 use crate::geometry::Transform;
@@ -304,6 +304,14 @@ impl ElasticChain {
             let n = self.deflections.len();
             self.deflections[n - 2] = self.u[four_bar.crank];
             self.deflections[n - 1] = self.closed.extension;
+        }
+    }
+
+    /// The slot of an actuator's drive.
+    fn driven(&self, joint: usize) -> usize {
+        match &self.four_bar {
+            Some(four_bar) if four_bar.elbow == joint => four_bar.crank,
+            _ => self.parts[joint].drive,
         }
     }
 

@@ -5,9 +5,10 @@ use std::ops::Range;
 use nalgebra::Vector3;
 
 use super::screw::Lump;
+use crate::elastostatics::beam::{SegmentGroup, segment_group};
 use crate::model::{
-    BeamRun, BeamSegment, BearingSide, CalibrationModel, CraigLink, FourBar, JointKind, Section,
-    SixStiffness, StaticProperties,
+    BeamRun, BeamSegment, BearingSide, CalibrationModel, CraigLink, FourBar, JointKind, SixStiffness,
+    StaticProperties,
 };
 
 /// A place in the order of the chain.
@@ -67,8 +68,9 @@ pub(super) struct Segment {
     pub group: Group,
     pub now: BeamSegment,
     pub reference: BeamSegment,
-    /// At the pose, m.
-    pub length: f64,
+    /// Springs and lumps at the pose, and those of the reference model.
+    pub springs: SegmentGroup,
+    pub reference_springs: SegmentGroup,
 }
 
 /// One link with its joint.
@@ -89,6 +91,8 @@ pub(super) struct Part {
     pub correction: [f64; 6],
     pub run: BeamRun,
     pub segments: Vec<Segment>,
+    /// Of the beam at the pose, m.
+    pub length: f64,
     /// kg, and mass times centre of mass, kg m.
     pub body: (f64, Vector3<f64>),
     pub reference_body: (f64, Vector3<f64>),
@@ -221,10 +225,10 @@ impl Structure {
         let run = beam.map_or(BeamRun::AlongX, |b| b.run);
         let segments = beam.map_or(&[][..], |b| &b.segments).iter().map(|segment| {
             self.lump();
-            let unit = segment_compliance(&segment.section, run, 1.0);
-            let group = self.group((0..6).filter(|c| unit[*c] > 0.0).collect());
+            let springs = segment_group(segment, 1.0, 0.0, run.axes());
+            let group = self.group((0..6).filter(|c| springs.stiffness[*c].is_finite()).collect());
             self.lump();
-            Segment { group, now: *segment, reference: *segment, length: 0.0 }
+            Segment { group, now: *segment, reference: *segment, springs, reference_springs: springs }
         });
         let segments = segments.collect();
         let all_loads = statics.map_or(&[][..], |s| &s.loads);
@@ -249,6 +253,7 @@ impl Structure {
             correction: [0.0; 6],
             run,
             segments,
+            length: 0.0,
             body,
             reference_body: body,
             rigid: body,
@@ -305,23 +310,4 @@ pub(super) fn body_of(statics: Option<&StaticProperties>, index: usize) -> (f64,
         let body = &s.bodies[index];
         (body.mass, body.mass * body.centre_of_mass)
     })
-}
-
-/// Compliances of a segment's group along and about the axes of its link's frame, at the length `l`, m/N and rad/(N m).
-pub(super) fn segment_compliance(section: &Section, run: BeamRun, l: f64) -> [f64; 6] {
-    let cubic = l * l * l / 12.0;
-    let first = match run {
-        BeamRun::AlongX => 0,
-        BeamRun::EndsAtOrigin => 2,
-    };
-    let (second, third) = ((first + 1) % 3, (first + 2) % 3);
-    let mut c = [0.0; 6];
-    c[first] = l / section.axial;
-    // A force along the second axis bends about the third.
-    c[second] = l / section.shear[0] + cubic / section.bending[1];
-    c[third] = l / section.shear[1] + cubic / section.bending[0];
-    c[3 + first] = l / section.torsion;
-    c[3 + second] = l / section.bending[0];
-    c[3 + third] = l / section.bending[1];
-    c
 }

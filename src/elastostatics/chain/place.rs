@@ -2,11 +2,12 @@
 
 use nalgebra::Vector3;
 
-use super::parts::{Group, Part};
+use super::parts::{Group, Part, Segment};
 use super::screw::{Loads, Lump, Screw, Walk, stepped};
-use super::{ElasticChain, ElasticError, segment_compliance};
+use super::{ElasticChain, ElasticError};
+use crate::elastostatics::beam::segment_group;
 use crate::kinematics::swing_to;
-use crate::model::{BeamRun, BearingSide, TermPlace};
+use crate::model::{BeamRun, BeamSegment, BearingSide, TermPlace};
 
 /// The axes of a link's parameters and of the corrections of its frame, in the base frame.
 #[derive(Debug, Clone, Copy)]
@@ -94,17 +95,22 @@ fn in_front(point: &mut Vector3<f64>, group: &Group, at: &Vector3<f64>, u: &[f64
     *point += at;
 }
 
+impl Segment {
+    /// Puts one of the segment's lumps at a point.
+    fn weigh(&self, index: usize, point: &Vector3<f64>, lump: &mut Lump) {
+        let [now, reference] = [&self.springs, &self.reference_springs].map(|s| s.lumps[index].mass);
+        (lump.scale, lump.arm) = (now, now * point);
+        lump.reference = (reference, reference * point);
+    }
+}
+
 impl Part {
-    /// Where along the beam's axis a place at `from_root` is, in the link's frame, m.
-    fn on_beam(&self, total: f64, from_root: f64) -> Vector3<f64> {
+    /// The point at `from_root` along the undeflected beam, in the link's frame, m.
+    fn on_beam(&self, from_root: f64) -> Vector3<f64> {
         match self.run {
             BeamRun::AlongX => Vector3::new(from_root, 0.0, 0.0),
-            BeamRun::EndsAtOrigin => Vector3::new(0.0, 0.0, from_root - total),
+            BeamRun::EndsAtOrigin => Vector3::new(0.0, 0.0, from_root - self.length),
         }
-    }
-
-    fn total_length(&self) -> f64 {
-        self.segments.iter().map(|s| s.length).sum()
     }
 
     fn bearing_point(&self) -> Vector3<f64> {
@@ -113,43 +119,40 @@ impl Part {
 
     /// Sets the lengths of the segments at a joint variable, and the compliances and weights that follow from them.
     fn extend(&mut self, variable: f64, compliance: &mut [f64], reference: &mut [f64]) -> Result<(), f64> {
+        self.length = 0.0;
         for segment in &mut self.segments {
-            segment.length = segment.now.length.at(variable);
-            if !(segment.length >= 0.0) {
-                return Err(segment.length);
+            let length = segment.now.length.at(variable);
+            if !(length > 0.0) {
+                return Err(length);
             }
-            let now = segment_compliance(&segment.now.section, self.run, segment.length);
-            let then = segment_compliance(&segment.reference.section, self.run, segment.length);
+            let springs = |of: &BeamSegment| segment_group(of, length, self.length, self.run.axes());
+            segment.springs = springs(&segment.now);
+            segment.reference_springs = springs(&segment.reference);
             for (slot, component) in segment.group.slots().zip(&segment.group.components) {
-                compliance[slot] = now[*component];
-                reference[slot] = then[*component];
+                compliance[slot] = 1.0 / segment.springs.stiffness[*component];
+                reference[slot] = 1.0 / segment.reference_springs.stiffness[*component];
             }
+            self.length += length;
         }
-        (self.rigid, self.reference_rigid) = (self.body, self.reference_body);
-        let total = self.total_length();
-        let mut root = 0.0;
+        let (mut rigid, mut reference_rigid) = (self.body, self.reference_body);
         for segment in &self.segments {
-            let middle = self.on_beam(total, root + 0.5 * segment.length);
-            for (rest, of) in
-                [(&mut self.rigid, &segment.now), (&mut self.reference_rigid, &segment.reference)]
+            for (rest, springs) in
+                [(&mut rigid, &segment.springs), (&mut reference_rigid, &segment.reference_springs)]
             {
-                let mass = of.section.mass_per_length * segment.length;
-                rest.0 -= mass;
-                rest.1 -= mass * middle;
+                for lump in &springs.lumps {
+                    rest.0 -= lump.mass;
+                    rest.1 -= lump.mass * self.on_beam(lump.from_root);
+                }
             }
-            root += segment.length;
         }
+        (self.rigid, self.reference_rigid) = (rigid, reference_rigid);
         Ok(())
     }
 
     /// A point that the link carries, as seen from behind the joint's motion.
     fn behind_motion(&self, mut point: Vector3<f64>, u: &[f64]) -> Vector3<f64> {
-        let total = self.total_length();
-        let mut tip = total;
         for segment in self.segments.iter().rev() {
-            let middle = self.on_beam(total, tip - 0.5 * segment.length);
-            in_front(&mut point, &segment.group, &middle, u);
-            tip -= segment.length;
+            in_front(&mut point, &segment.group, &self.on_beam(segment.springs.centre), u);
         }
         if self.side == BearingSide::Moving {
             in_front(&mut point, &self.bearing, &self.bearing_point(), u);
@@ -184,40 +187,33 @@ impl Part {
         screws: &mut [Screw],
         lumps: &mut [Lump],
     ) {
-        for component in 0..6 {
-            terms.frame[component] =
-                Screw { about: component >= 3, axis: walk.axes[component % 3], origin: walk.origin };
-            if self.correction[component] != 0.0 {
-                walk.step(component, self.correction[component]);
-            }
+        for (component, (screw, by)) in terms.frame.iter_mut().zip(self.correction).enumerate() {
+            *screw = if by == 0.0 { walk.screw(component) } else { walk.step(component, by) };
         }
         // Rotations are about the place behind all translations.
-        for component in 3..6 {
-            terms.frame[component].origin = walk.origin;
+        for screw in &mut terms.frame[3..] {
+            screw.origin = walk.origin;
         }
         if self.side == BearingSide::Moving {
             through(walk, &self.bearing, &self.bearing_point(), u, screws);
         }
-        let total = self.total_length();
         let in_base = |(mass, moment): (f64, Vector3<f64>)| (mass, mass * walk.origin + walk.turned(&moment));
         let rigid = &mut lumps[self.first_lump];
         (rigid.scale, rigid.arm) = in_base(self.rigid);
         rigid.reference = in_base(self.reference_rigid);
-        let mut root = 0.0;
-        let mut lump = self.first_lump + 1;
-        for segment in &self.segments {
-            let l = segment.length;
-            let masses = [&segment.now, &segment.reference].map(|s| 0.5 * s.section.mass_per_length * l);
-            let put = |walk: &Walk, from_root: f64, lump: &mut Lump| {
-                let point = walk.point(&self.on_beam(total, from_root));
-                (lump.scale, lump.arm) = (masses[0], masses[0] * point);
-                lump.reference = (masses[1], masses[1] * point);
-            };
-            put(walk, root + l / 6.0, &mut lumps[lump]);
-            through(walk, &segment.group, &self.on_beam(total, root + 0.5 * l), u, screws);
-            put(walk, root + 5.0 * l / 6.0, &mut lumps[lump + 1]);
-            root += l;
-            lump += 2;
+        for (index, segment) in self.segments.iter().enumerate() {
+            let first = self.first_lump + 1 + 2 * index;
+            segment.weigh(
+                0,
+                &walk.point(&self.on_beam(segment.springs.lumps[0].from_root)),
+                &mut lumps[first],
+            );
+            through(walk, &segment.group, &self.on_beam(segment.springs.centre), u, screws);
+            segment.weigh(
+                1,
+                &walk.point(&self.on_beam(segment.springs.lumps[1].from_root)),
+                &mut lumps[first + 1],
+            );
         }
         for (lump, at) in &self.loads {
             lumps[*lump].arm = walk.point(at);

@@ -131,12 +131,16 @@ impl Walk {
         self.origin + self.turned(v)
     }
 
+    /// The screw along (0..3) or about (3..6) an own axis.
+    pub fn screw(&self, component: usize) -> Screw {
+        Screw { about: component >= 3, axis: self.axes[component % 3], origin: self.origin }
+    }
+
     /// Moves along (0..3) or about (3..6) an own axis, and tells the screw.
     pub fn step(&mut self, component: usize, by: f64) -> Screw {
-        let axis = self.axes[component % 3];
-        let screw = Screw { about: component >= 3, axis, origin: self.origin };
+        let screw = self.screw(component);
         if component < 3 {
-            self.origin += by * axis;
+            self.origin += by * screw.axis;
         } else {
             self.turn(component % 3, by.sin_cos());
         }

@@ -5,18 +5,9 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::constrained::Constrained;
+use super::refusals::four_bar;
 use super::spray_robot::{add_errors, full_robot, working_command};
-use super::{
-    ActuatorMap, AsBuilt, BeamSegment, BearingSide, Plant, PlantError, PointLoad, SegmentLength,
-    SettleOptions, bits, plant,
-};
-
-fn linkage(robot: &mut AsBuilt) -> &mut super::FourBar {
-    match &mut robot.actuators {
-        ActuatorMap::Parallelogram { linkage: Some(linkage), .. } => linkage,
-        _ => panic!("the full robot has a four-bar"),
-    }
-}
+use super::{AsBuilt, BeamSegment, BearingSide, ElasticPlace, PointLoad, SegmentLength, bits, plant};
 
 /// Any robot with errors, springs and loads around those of the full one, some of them rigid.
 fn random_full_robot(rng: &mut ChaCha8Rng) -> AsBuilt {
@@ -52,6 +43,9 @@ fn random_full_robot(rng: &mut ChaCha8Rng) -> AsBuilt {
         piece.section.bending[0] *= rng.random_range(0.7..1.3);
         piece.section.shear[1] *= if rng.random() { f64::INFINITY } else { 1.3 };
         beam.segments[0] = piece;
+        if let SegmentLength::Extension(housed) = &mut beam.segments[0].length {
+            *housed = if rng.random() { 0.0 } else { 1.2 };
+        }
         for _ in 0..rng.random_range(0..3) {
             let length = SegmentLength::Constant(rng.random_range(0.1..0.4));
             let mut section = piece.section;
@@ -59,7 +53,7 @@ fn random_full_robot(rng: &mut ChaCha8Rng) -> AsBuilt {
             beam.segments.insert(rng.random_range(0..=beam.segments.len()), BeamSegment { length, section });
         }
     }
-    let arms = linkage(&mut robot);
+    let arms = four_bar(&mut robot);
     for arm in [&mut arms.crank, &mut arms.lever] {
         arm.length += rng.random_range(-0.005..0.005);
         arm.angle += rng.random_range(-0.02..0.02);
@@ -166,4 +160,91 @@ fn without_compliance_the_whole_robot_is_the_craig_product_with_the_closed_form_
     }
     eprintln!("largest difference of a frame: {largest:e}");
     assert!(largest <= 1e-9, "{largest:e}");
+}
+
+#[test]
+fn rapier_alone_finds_the_same_rest() {
+    let mut rng = ChaCha8Rng::seed_from_u64(33);
+    let (mut largest, mut steps) = (0.0_f64, 0);
+    for _ in 0..20 {
+        let robot = random_full_robot(&mut rng);
+        let command = working_command(&robot, &mut rng);
+        let mut unaided = plant(&robot);
+        unaided.predictions = 0;
+        let pose = unaided.settle(&command).expect("a stiff robot");
+        let expected = plant(&robot).settle(&command).expect("a stiff robot");
+        largest = largest.max((pose.target - expected.target).norm());
+        steps = steps.max(pose.steps);
+        assert!(pose.steps > 2, "the droop takes more than one step");
+    }
+    eprintln!("at most {largest:e} m apart, {steps} steps");
+    assert!(largest < 1e-9, "{largest:e}");
+}
+
+#[test]
+fn a_pose_of_the_whole_robot_depends_on_no_bit_of_the_poses_before() {
+    let mut rng = ChaCha8Rng::seed_from_u64(34);
+    let robot = random_full_robot(&mut rng);
+    let cases: Vec<_> = (0..40)
+        .map(|case| {
+            let command = working_command(&robot, &mut rng);
+            (command, if case % 3 == 0 { random_shifts(&mut rng) } else { Vec::new() })
+        })
+        .collect();
+    let mut in_order = plant(&robot);
+    let mut settle = |(command, shifts): &(Vec<f64>, Vec<[f64; 6]>)| {
+        bits(&in_order.settle_displaced(command, shifts).expect("a stiff robot"))
+    };
+    let poses: Vec<_> = cases.iter().map(&mut settle).collect();
+    let mut again = plant(&robot);
+    for (count, (command, shifts)) in cases.iter().enumerate().rev() {
+        if count % 7 == 0 {
+            again.settle(&[1e308; 7]).expect_err("no such place");
+        }
+        let pose = again.settle_displaced(command, shifts).expect("a stiff robot");
+        assert_eq!(bits(&pose), poses[count], "pose {count}");
+        let fresh = plant(&robot).settle_displaced(command, shifts).expect("a stiff robot");
+        assert_eq!(bits(&fresh), poses[count], "pose {count}");
+    }
+}
+
+#[test]
+fn no_displacement_changes_no_bit_and_one_along_the_drive_is_like_its_command() {
+    let mut rng = ChaCha8Rng::seed_from_u64(35);
+    let robot = random_full_robot(&mut rng);
+    let command = working_command(&robot, &mut rng);
+    let mut plant = plant(&robot);
+    let expected = plant.settle(&command).expect("a stiff robot");
+    let zero = plant.settle_displaced(&command, &[[0.0; 6]; 7]).expect("a stiff robot");
+    assert_eq!(bits(&zero), bits(&expected));
+
+    // The waist turns by its command or behind it: all that follows is the same.
+    let mut shifts = [[0.0; 6]; 7];
+    shifts[1][5] = 2e-3;
+    let shifted = plant.settle_displaced(&command, &shifts).expect("a stiff robot");
+    let mut turned = command.clone();
+    turned[1] += 2e-3;
+    let turned = plant.settle(&turned).expect("a stiff robot");
+    assert!((shifted.target - turned.target).norm() < 1e-12);
+    assert!((shifted.target - expected.target).norm() > 1e-3);
+}
+
+#[test]
+fn the_pose_tells_what_yields_and_where_the_loop_is() {
+    let robot = full_robot();
+    let mut rng = ChaCha8Rng::seed_from_u64(36);
+    let pose = plant(&robot).settle(&working_command(&robot, &mut rng)).expect("a stiff robot");
+    let count = |found: fn(&ElasticPlace) -> bool| pose.elastic.iter().filter(|e| found(&e.place)).count();
+    assert_eq!(count(|place| matches!(place, ElasticPlace::Bearing { .. })), 35);
+    assert_eq!(count(|place| matches!(place, ElasticPlace::Beam { link: 2 | 4, segment: 0 })), 12);
+    assert_eq!(count(|place| *place == ElasticPlace::Rod), 1);
+    let rod = pose.elastic.last().expect("the rod");
+    let [shoulder, crank, lever, elbow] = pose.linkage.expect("a loop");
+    let force = pose.rod_force.expect("a rod");
+    assert!(force < -1e3, "the forearm pushes the rod");
+    assert!((6e7 * rod.value - force).abs() < 1e-6 * force.abs());
+    assert!(((lever - crank).norm() - 1.35 - rod.value).abs() < 1e-12);
+    assert!(((crank - shoulder).norm() - 0.35).abs() < 1e-12);
+    assert!(((lever - elbow).norm() - 0.35).abs() < 1e-12);
+    assert!((pose.links[3].translation.vector - elbow).norm() < 1e-15);
 }

@@ -109,8 +109,8 @@ impl Settler {
 
 fn compare(what: &str, column: &Vector3<f64>, difference: &Vector3<f64>) {
     let error = (column - difference).amax();
-    // The settled position is known to 1e-15 m.
-    assert!(error <= 1e-6 * column.amax() + 1e-11, "{what}: {column:?} {difference:?}");
+    // Positions are rounded to 1e-15 m, the difference by a step of 1e-4 to 1e-11.
+    assert!(error <= 1e-6 * column.amax() + 1e-10, "{what}: {column:?} {difference:?}");
 }
 
 fn settler(case: Case, deflection: Deflection) -> (Settler, Vec<ParameterId>) {

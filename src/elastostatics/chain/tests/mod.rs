@@ -1,5 +1,5 @@
+mod closed_form;
 mod columns;
 mod equilibrium;
 mod robots;
-
-use super::*;
+mod states;

@@ -105,9 +105,9 @@ impl Draw {
 }
 
 /// A serial robot with bearings, beams and loads of all kinds; every third has the ideal parallelogram.
-pub(super) fn serial(seed: u64) -> Case {
-    let mut draw = Draw::new(seed);
-    let joints = 3 + (seed % 4) as usize;
+pub(super) fn serial(seed: u8) -> Case {
+    let mut draw = Draw::new(u64::from(seed));
+    let joints = 3 + usize::from(seed % 4);
     let parallelogram = seed % 3 == 1;
     let kinds: Vec<_> = (0..joints)
         .map(|i| {
@@ -186,8 +186,8 @@ const CENTRES: [[f64; 3]; 7] = [
 const DRIVES: [f64; 7] = [2.0e7, 1.5e6, 6.5e5, 4.6e5, 1.0e7, 1.0e5, 5.0e4];
 
 /// A robot like the spray painter, elastic everywhere, with an imperfect four-bar and perturbed links.
-pub(super) fn painter(seed: u64) -> Case {
-    let mut draw = Draw::new(1000 + seed);
+pub(super) fn painter(seed: u8) -> Case {
+    let mut draw = Draw::new(1000 + u64::from(seed));
     let links: Vec<_> = ROWS
         .iter()
         .map(|&(kind, a, alpha, d)| CraigLink {
