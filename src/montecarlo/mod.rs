@@ -70,11 +70,7 @@ impl Campaign<'_> {
 }
 
 /// Receives trials in any order; tells of them, and returns them, by index.
-fn in_order(
-    first: u32,
-    results: mpsc::Receiver<Trial>,
-    mut observe: impl FnMut(&Trial),
-) -> Vec<Trial> {
+fn in_order(first: u32, results: mpsc::Receiver<Trial>, mut observe: impl FnMut(&Trial)) -> Vec<Trial> {
     let mut waiting = std::collections::BTreeMap::new();
     let mut trials = Vec::new();
     let mut next = first;

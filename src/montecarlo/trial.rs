@@ -98,7 +98,12 @@ fn fit(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Estimate) ->
     let parameters: Vec<_> = estimate
         .parameters
         .iter()
-        .map(|p| ParameterResult { id: p.id, truth: known.of(estimate, p.id), value: p.value, sigma: p.sigma })
+        .map(|p| ParameterResult {
+            id: p.id,
+            truth: known.of(estimate, p.id),
+            value: p.value,
+            sigma: p.sigma,
+        })
         .collect();
     Fit {
         termination: estimate.termination,
@@ -119,7 +124,11 @@ fn nees_of(estimate: &Estimate, parameters: &[ParameterResult]) -> Option<f64> {
 /// How many true coordinates of the held-out poses lie inside the 95 % intervals that the covariance of the parameters predicts, and of how
 /// many. In the tracker's frame, so that the uncertainty of its place counts as well.
 fn predictions(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Estimate) -> (u64, u64) {
-    let held_out = simulation.sets.iter().zip(&simulation.truth.poses).find(|(set, _)| set.kind == SetKind::Verification);
+    let held_out = simulation
+        .sets
+        .iter()
+        .zip(&simulation.truth.poses)
+        .find(|(set, _)| set.kind == SetKind::Verification);
     let (Some(covariance), Some((set, settled))) = (&estimate.covariance, held_out) else { return (0, 0) };
     let tracker_from_base = simulation.truth.tracker_from_base;
     let mut truth: MeasurementSet = set.measurements.clone();
@@ -133,7 +142,9 @@ fn predictions(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Esti
         unmodelled_sigma: 0.0,
         ..campaign.scenario.options.clone()
     };
-    let Ok(told) = linearise(&campaign.scenario.robot.model, &truth, &options, estimate) else { return (0, 0) };
+    let Ok(told) = linearise(&campaign.scenario.robot.model, &truth, &options, estimate) else {
+        return (0, 0);
+    };
     let (mut inside, mut all) = (0, 0);
     for row in 0..told.data_rows {
         let jacobian = told.jacobian.row(row);

@@ -8,7 +8,7 @@ use calibrig::identification::{
     Estimate, IdentificationOptions, Mode, ParameterChoice, Predictor, Redundancy, Tolerance, identify,
 };
 use calibrig::model::{ActuatorMap, LinkTerm, ParameterId};
-use calibrig::pipeline::simulate;
+use calibrig::pipeline::{PlantKind, simulate};
 use calibrig::scenario::Scenario;
 
 use crate::a_user_reproduces_the_paper::paper;
@@ -61,7 +61,8 @@ fn row(scenario: &Scenario, name: &'static str, options: &IdentificationOptions,
     let (mut iterations, mut verification) = (0.0, 0.0);
     for trial in 0..draws {
         // The same poses, another noise: trial 0 holds the poses of all.
-        let simulation = simulate(scenario, scenario.seed, trial, |_, _| {}).expect("a simulation");
+        let simulation =
+            simulate(scenario, scenario.seed, trial, PlantKind::Rapier, |_, _| {}).expect("a simulation");
         let estimate = identify(model, &simulation.sets[0].measurements, options).expect("an estimate");
         let errors = Predictor::new(model, &estimate.robot).errors(&simulation.sets[1].measurements);
         verification += accuracy(&errors.expect("a rigid robot")).expect("poses").rms_3d / f64::from(draws);
