@@ -1,4 +1,5 @@
-//! `identify` on 100 poses with 24 + 6 parameters, beside five QR factorisations of that size.
+//! `identify` on 100 poses with 24 + 6 parameters, beside five QR factorisations of that size; and with stiffness, at the robot's own
+//! equilibrium.
 //!
 //! `cargo bench --bench identify`
 
@@ -7,7 +8,7 @@
 use std::hint::black_box;
 use std::path::Path;
 
-use calibrig::identification::{FrameChoice, Mode, TargetChoice, identify};
+use calibrig::identification::{ComplianceChoice, FrameChoice, Mode, TargetChoice, identify};
 use calibrig::pipeline::{PlantKind, simulate};
 use calibrig::scenario::load_scenario;
 use criterion::{Criterion, criterion_group, criterion_main};
@@ -42,6 +43,19 @@ fn benches(c: &mut Criterion) {
         });
     });
     group.finish();
+
+    options.mode = Mode::ElastoGeometric;
+    options.target = TargetChoice::Measured;
+    for compliances in [ComplianceChoice::Drives, ComplianceChoice::All] {
+        options.compliances = compliances;
+        let estimate = identify(&scenario.robot.model, set, &options).expect("an estimate");
+        let name = format!("100 poses, {} parameters with stiffness", estimate.parameters.len());
+        c.bench_function(&name, |b| {
+            b.iter(|| {
+                identify(black_box(&scenario.robot.model), black_box(set), &options).expect("an estimate")
+            });
+        });
+    }
 }
 
 criterion_group!(all, benches);

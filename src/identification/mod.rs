@@ -15,6 +15,8 @@ mod problem;
 mod robot;
 mod solver;
 mod summary;
+#[cfg(test)]
+mod tests;
 mod uncertainty;
 
 pub use estimate::{

@@ -157,6 +157,7 @@ pub struct ElbowLinkage {
     fixed_part: Transform,
     elbow_a: f64,
     elbow_alpha: f64,
+    theta: f64,
 }
 
 /// The elbow's angle and its change per unit of all that it depends on; the links are rigid.
@@ -228,11 +229,12 @@ impl ElbowLinkage {
             fixed_part: link.fixed_part(),
             elbow_a: link.a,
             elbow_alpha: link.alpha,
+            theta: link.theta,
         }))
     }
 
     fn crank(&self, psi: f64) -> Transform {
-        rotation_z(psi + self.offset)
+        rotation_z(psi + self.offset + self.theta)
     }
 
     fn pivot(&self, q_shoulder: f64) -> Transform {
@@ -263,9 +265,9 @@ impl ElbowLinkage {
         let (q_shoulder, q_elbow) = (joints[self.shoulder], joints[self.elbow]);
         let anchor =
             (self.pivot(q_shoulder) * rotation_z(q_elbow)).transform_point(&self.lever_end.into()).coords;
-        let ideal = q_shoulder + q_elbow;
+        let ideal = q_shoulder + q_elbow + self.theta;
         let turned = swing_to(&Transform::identity(), &self.crank_end, &anchor, self.rod, ideal)?;
-        let psi = turned.angle - self.offset;
+        let psi = turned.angle - self.offset - self.theta;
         let nearest = self.close(psi, q_shoulder)?.angle;
         // Away from the singularity the two closures are far apart, and rounding is far below this.
         if (nearest - q_elbow).abs() > 1e-6 {
@@ -293,11 +295,12 @@ impl ElbowLinkage {
         let still = Vector3::zeros();
         let by_end = |motion: Vector3<f64>| closure.angle_change(&motion, &still, 0.0);
         let by_anchor = |motion: Vector3<f64>| closure.angle_change(&still, &motion, 0.0);
+        let by_psi = by_anchor(Vector3::z().cross(&(crank.rotation * self.crank_end)));
         Ok(ElbowClosure {
             elbow: self.elbow,
             q_elbow: closure.angle,
             transmission_angle: closure.transmission_angle,
-            by_psi: by_anchor(Vector3::z().cross(&(crank.rotation * self.crank_end))),
+            by_psi,
             by_shoulder: by_end(Vector3::z().cross(&end)),
             by_lengths: LinkageLength::ALL.map(|length| match length {
                 LinkageLength::Crank => by_anchor(crank.rotation * growth(&self.crank)),
@@ -309,8 +312,8 @@ impl ElbowLinkage {
                 LinkTerm::Alpha => by_end(x.cross(&end)),
                 LinkTerm::Beta => by_end(y.cross(&(end - self.elbow_a * x))),
                 LinkTerm::D => by_end(axis),
-                // Theta and the joint turn about the same axis.
-                LinkTerm::Theta => -1.0,
+                // Theta turns the lever about the joint's axis, and the crank with it.
+                LinkTerm::Theta => by_psi - 1.0,
             }),
         })
     }

@@ -27,8 +27,9 @@ pub enum ActuatorMap {
 /// The spatial four-bar that drives the elbow: the crank turns about the shoulder's axis on the waist, the lever is part of the forearm,
 /// and the coupler rod, on spherical joints, keeps their ends at its length.
 ///
-/// The crank's frame is the shoulder's link frame as it would be at the joint variable `psi + offset` and without the shoulder's bearing;
-/// the lever's frame is the elbow's link frame.
+/// The crank's frame is the shoulder's link frame as it would be at the joint variable `psi + offset + theta`, with theta that of the elbow's
+/// link, and without the shoulder's bearing; the lever's frame is the elbow's link frame. So crank and lever are parallel in an exact
+/// parallelogram, and an error of theta is one of the motor's zero, with a four-bar as without.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FourBar {
     /// The end of the crank in its frame.

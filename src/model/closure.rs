@@ -56,10 +56,11 @@ impl FourBar {
     /// Transmission angle, 0 to pi/2: its sine times the rod's force times the lever is the moment about the elbow's axis. `None` where the
     /// linkage does not close.
     ///
-    /// `elbow` is the crank's angle against the upper arm, `psi + offset - q_shoulder`. It is the same for both ways to close.
+    /// `elbow` is the joint variable of the exact parallelogram, `psi + offset - q_shoulder`. It is the same for both ways to close.
     fn transmission(&self, elbow_link: &CraigLink, elbow: f64) -> Option<f64> {
         // In front of the elbow's motion the lever's end runs on a circle about z, and the crank's end stands still.
-        let crank = elbow_link.fixed_part().inverse() * (rotation_z(elbow) * Point3::from(self.crank.end()));
+        let crank = elbow_link.fixed_part().inverse()
+            * (rotation_z(elbow + elbow_link.theta) * Point3::from(self.crank.end()));
         let (reach, lever) = (crank.x.hypot(crank.y), self.lever.length);
         let apart = crank.z - self.lever.along;
         let cosine =

@@ -29,7 +29,7 @@ pub(super) fn close(robot: &AsBuilt, joints: &[f64], closure: &Loop) -> Result<C
     let upper_arm = (shoulder + 1..elbow)
         .fold(rotation_z(joints[shoulder]), |arm, link| arm * links[link].transform(joints[link]));
     let shoulder_from_elbow: Transform = upper_arm * links[elbow].fixed_part();
-    let crank_angle = joints[shoulder] + joints[elbow];
+    let crank_angle = joints[shoulder] + joints[elbow] + links[elbow].theta;
     let crank_in_elbow =
         shoulder_from_elbow.inverse_transform_point(&Point3::from(rotation_z(crank_angle) * crank));
 

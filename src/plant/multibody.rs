@@ -55,7 +55,8 @@ impl Default for SettleOptions {
 ///
 /// Every elastic direction is a reduced coordinate on a spring that rapier integrates implicitly; the drives' rest at the command. A
 /// drive of infinite stiffness is a kinematic joint: the solver leaves it exactly where it was put. The four-bar of the elbow is closed by
-/// an impulse joint between its rod and its lever.
+/// an impulse joint between its rod and its lever. A four-bar without statics has a rigid rod and no mass; statics of one whose lengths
+/// are not known have no effect.
 pub struct Plant {
     robot: AsBuilt,
     options: SettleOptions,
@@ -171,7 +172,8 @@ impl Plant {
             let rest = match (entry.role, closure, closed) {
                 (Role::Elastic(_), ..) => 0.0,
                 (Role::Drive(joint), Some(closure), _) if joint == closure.elbow => {
-                    self.commanded[closure.shoulder] + self.commanded[joint]
+                    let theta = self.robot.kinematics.links[joint].theta;
+                    self.commanded[closure.shoulder] + self.commanded[joint] + theta
                 }
                 (Role::Drive(joint), ..) => self.commanded[joint],
                 (Role::Passive, Some(closure), Some(closed)) => {

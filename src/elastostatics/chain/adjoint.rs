@@ -326,7 +326,14 @@ impl ElasticChain {
             LinkTerm::D => (false, terms.z, terms.origin),
             LinkTerm::Theta => (true, terms.z, terms.origin),
         };
-        self.moved_at(self.parts[link].terms, &Screw { about, axis, origin })
+        let moved = self.moved_at(self.parts[link].terms, &Screw { about, axis, origin });
+        match &self.four_bar {
+            // The elbow's zero is the crank's.
+            Some(four_bar) if four_bar.elbow == link && term == LinkTerm::Theta => {
+                moved + self.adjoint.mu[four_bar.crank]
+            }
+            _ => moved,
+        }
     }
 
     /// What a unit of a motion at a mark does to the target.

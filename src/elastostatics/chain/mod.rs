@@ -177,7 +177,7 @@ impl ElasticChain {
         if let (Some(four_bar), Some((_, elbow, offset, lengths))) =
             (&mut self.four_bar, model.actuators.four_bar())
         {
-            four_bar.set(lengths, offset, statics);
+            four_bar.set(lengths, offset + model.kinematics.links[elbow].theta, statics);
             // The drive turns the crank; the elbow is free.
             let free = self.parts[elbow].drive;
             self.compliance[four_bar.crank] = self.compliance[free];

@@ -37,7 +37,7 @@ impl Machine {
         let arm = |angle: f64| LinkageArm { length: 0.35, angle, along: 0.1 };
         Self {
             kinematics: KinematicModel { links, last_from_flange: Transform::identity() },
-            linkage: FourBar { crank: arm(lever_angle + elbow_theta), lever: arm(lever_angle), rod: 1.35 },
+            linkage: FourBar { crank: arm(lever_angle), lever: arm(lever_angle), rod: 1.35 },
             offset,
         }
     }
@@ -69,8 +69,8 @@ impl Machine {
     fn gap(&self, command: &[f64], joints: &[f64]) -> f64 {
         let waist_from_shoulder = self.kinematics.links[SHOULDER].transform(joints[SHOULDER]);
         let waist_from_elbow = waist_from_shoulder * self.kinematics.links[ELBOW].transform(joints[ELBOW]);
-        let waist_from_crank =
-            self.kinematics.links[SHOULDER].fixed_part() * rotation_z(command[ELBOW] + self.offset);
+        let waist_from_crank = self.kinematics.links[SHOULDER].fixed_part()
+            * rotation_z(command[ELBOW] + self.offset + self.kinematics.links[ELBOW].theta);
         let crank = waist_from_crank * nalgebra::Point3::from(self.linkage.crank.end());
         let lever = waist_from_elbow * nalgebra::Point3::from(self.linkage.lever.end());
         (crank - lever).norm() - self.linkage.rod

@@ -143,7 +143,8 @@ impl AsBuilt {
     fn grow_rod(&self, strain: f64, command: &mut [f64]) {
         let Some((shoulder, elbow, offset, linkage)) = self.actuators.four_bar() else { return };
         let crank_angle = command[elbow] + offset;
-        let end = rotation_z(crank_angle) * Point3::from(linkage.crank.end());
+        let theta = self.kinematics.links[elbow].theta;
+        let end = rotation_z(crank_angle + theta) * Point3::from(linkage.crank.end());
         let upper_arm = rotation_z(command[shoulder]) * self.kinematics.links[elbow].fixed_part();
         let lever =
             upper_arm * rotation_z(crank_angle - command[shoulder]) * Point3::from(linkage.lever.end());

@@ -185,7 +185,8 @@ fn a_rod_that_grows_turns_the_crank_by_what_the_closure_needs() {
             * robot.kinematics.links[2].fixed_part()
             * rotation_z(q_elbow)
             * Point3::from(linkage.lever.end());
-        let span = |psi: f64| (rotation_z(psi + offset) * Point3::from(linkage.crank.end()) - lever).norm();
+        let zero = offset + robot.kinematics.links[2].theta;
+        let span = |psi: f64| (rotation_z(psi + zero) * Point3::from(linkage.crank.end()) - lever).norm();
         let growth = 12e-6 * 10.0 * 1.351;
         let nearer = span(command[2]) - span(turned);
         assert!((nearer / growth - 1.0).abs() < 1e-3, "{nearer} against {growth}");

@@ -97,7 +97,8 @@ impl<'a> Constrained<'a> {
             let (main, springs) = (std::mem::take(&mut this.chains[0]), this.springs.len());
             // The same way of adding factors, to the crank's chain.
             this.chains.swap(0, 1);
-            this.motion(5, robot.statics.drive_stiffness[elbow], command[elbow] + offset);
+            let zero = offset + robot.kinematics.links[elbow].theta;
+            this.motion(5, robot.statics.drive_stiffness[elbow], command[elbow] + zero);
             assert!(this.springs.len() <= springs + 1);
             this.chains.swap(0, 1);
             this.chains[0] = main;
