@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use serde_json::json;
 
 use super::{CliError, Verdict, print};
-use crate::identification::{FrameChoice, ParameterChoice, TargetChoice};
+use crate::identification::{ComplianceChoice, FrameChoice, Mode, ParameterChoice, TargetChoice};
 use crate::model::JointKind;
 use crate::pipeline::hash_sources;
 use crate::scenario::{Scenario, load_scenario};
@@ -114,6 +114,20 @@ fn write_text(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
         TargetChoice::Fixed => "taken as exact",
     };
     writeln!(text, "  target       {target}")?;
+    if scenario.modes.iter().any(|mode| mode.is_coupled()) {
+        let compliances = match &options.compliances {
+            ComplianceChoice::Drives => "of drives and rod that gravity loads".to_owned(),
+            ComplianceChoice::All => "all that gravity loads".to_owned(),
+            ComplianceChoice::Listed(list) => format!("{} listed", list.len()),
+        };
+        let percent = 100.0 * options.compliance_sigma;
+        writeln!(text, "  compliances  {compliances}, prior 0 +- {percent} %")?;
+    }
+    if scenario.modes.contains(&Mode::Extended) {
+        let terms =
+            options.terms.as_ref().map_or_else(|| "all that the robot can have".to_owned(), |t| t.join(", "));
+        writeln!(text, "  terms        {terms}")?;
+    }
     let modes: Vec<_> = scenario.modes.iter().map(|m| m.title()).collect();
     writeln!(text, "  rows         {}", modes.join(", "))
 }

@@ -17,8 +17,9 @@ use crate::model::{CalibrationModel, ParameterId};
 /// Standard deviation that readings without a stated one are given before the residuals tell, m: only ratios matter then.
 pub(super) const UNSTATED_SIGMA: f64 = 1e-4;
 
-/// A prior whose standard deviation moves the whitened measurements by less than this in all is not changed by them: to half a per cent.
-const UNEXCITED: f64 = 0.1;
+/// A parameter whose prior's standard deviation moves the whitened measurements by less than this in all is not told by them: its own
+/// standard deviation stays above 0.89 of its prior's.
+const UNEXCITED: f64 = 0.5;
 
 /// A problem, and what was decided on the way to it.
 #[derive(Debug, Clone)]

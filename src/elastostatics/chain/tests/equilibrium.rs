@@ -97,7 +97,7 @@ fn bend(case: &Case, u: &[f64]) -> Bent {
             (model.actuators.four_bar(), &statics.linkage)
         {
             if i == shoulder {
-                let psi = case.command[elbow] + offset;
+                let psi = case.command[elbow] + offset + case.model.kinematics.links[elbow].theta;
                 let crank = frame * rotation_z(psi + bender.take(statics.drive_stiffness[elbow]));
                 crank_end = place(&crank, bar.crank.end());
                 bender.weigh(linkage.crank.mass, place(&crank, linkage.crank.centre_of_mass));
