@@ -1,7 +1,7 @@
 //! What each part of the machine contributes to what the modes leave behind: the same poses and random numbers with one part removed at
 //! a time.
 
-use super::{Outcome, PipelineError, PlantKind, SetKind, calibrate, simulate};
+use super::{ModeOutcome, Outcome, PipelineError, PlantKind, SetKind, calibrate, simulate};
 use crate::evaluation::AccuracyRow;
 use crate::identification::Mode;
 use crate::model::{Bearing, LinkTerm, ParameterId, Section, StaticProperties};
@@ -168,6 +168,8 @@ pub struct AblatedPart {
     pub part: Part,
     /// Its rows, or why there are none.
     pub rows: Result<AblationRows, String>,
+    /// The modes whose estimate did not converge or lacks rank: their rows must not be used without a second look.
+    pub doubtful: Vec<Mode>,
 }
 
 /// What the parts of a machine contribute.
@@ -216,7 +218,14 @@ pub fn ablate(
     let all = runs.len();
     let parts = runs.into_iter().enumerate().map(|(done, (part, changed))| {
         progress(done, all, part);
-        AblatedPart { part, rows: rows_of(&changed, seed).map_err(|error| error.to_string()) }
+        match modes_of(&changed, seed) {
+            Ok(modes) => {
+                let unsound = |mode: &&ModeOutcome| mode.estimate.as_ref().is_some_and(|e| !e.is_sound());
+                let doubtful = modes.iter().filter(unsound).map(|mode| mode.mode).collect();
+                AblatedPart { part, rows: Ok(modes.into_iter().map(|mode| mode.rows).collect()), doubtful }
+            }
+            Err(error) => AblatedPart { part, rows: Err(error.to_string()), doubtful: Vec::new() },
+        }
     });
     Ablation {
         modes: complete.modes.iter().map(|mode| mode.mode).collect(),
@@ -226,11 +235,11 @@ pub fn ablate(
     }
 }
 
-fn rows_of(scenario: &Scenario, seed: u64) -> Result<AblationRows, PipelineError> {
+fn modes_of(scenario: &Scenario, seed: u64) -> Result<Vec<ModeOutcome>, PipelineError> {
     let simulation = simulate(scenario, seed, 0, PlantKind::Rapier, |_, _| {})?;
     let model = &scenario.robot.model;
     let (_, modes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;
-    Ok(modes.into_iter().map(|mode| mode.rows).collect())
+    Ok(modes)
 }
 
 #[cfg(test)]
@@ -346,7 +355,12 @@ mod tests {
         scenario.as_built.effects.backlash = None;
         let never = run(&scenario, 3, |_, _| {}).expect("a run");
         let part = ablation.parts.iter().find(|part| part.part == Part::Effect(EffectKind::Backlash));
-        let rows = part.expect("it has backlash").rows.clone().expect("rows");
+        let part = part.expect("it has backlash");
+        let rows = part.rows.clone().expect("rows");
+        for mode in &never.modes {
+            let sound = mode.estimate.as_ref().is_none_or(crate::identification::Estimate::is_sound);
+            assert_eq!(part.doubtful.contains(&mode.mode), !sound);
+        }
         for (mode, rows) in rows.iter().enumerate() {
             assert_eq!(*rows, never.modes[mode].rows);
             assert_ne!(*rows, outcome.modes[mode].rows);

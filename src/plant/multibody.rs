@@ -55,7 +55,8 @@ impl Default for SettleOptions {
 ///
 /// Every elastic direction is a reduced coordinate on a spring that rapier integrates implicitly; the drives' rest at the command. A
 /// drive of infinite stiffness is a kinematic joint: the solver leaves it exactly where it was put. The four-bar of the elbow is closed by
-/// an impulse joint between its rod and its lever.
+/// an impulse joint between its rod and its lever. A four-bar without statics has a rigid rod and no mass; statics of one whose lengths
+/// are not known have no effect.
 pub struct Plant {
     robot: AsBuilt,
     options: SettleOptions,

@@ -406,9 +406,9 @@ fn segment_stiffness(section: &Section, length: f64, run: BeamRun) -> SixStiffne
         BeamRun::EndsAtOrigin => 2,
     };
     let mut stiffness = RIGID;
-    for i in 0..3 {
-        stiffness[(first + i) % 3] = linear[i];
-        stiffness[3 + (first + i) % 3] = angular[i];
+    for (i, (along, about)) in linear.into_iter().zip(angular).enumerate() {
+        stiffness[(first + i) % 3] = along;
+        stiffness[3 + (first + i) % 3] = about;
     }
     stiffness
 }

@@ -26,6 +26,14 @@ fn failures(ablation: &Ablation) -> impl Iterator<Item = (&'static str, &str)> {
     ablation.parts.iter().filter_map(|part| Some((part.part.title(), part.rows.as_ref().err()?.as_str())))
 }
 
+/// The modes that are doubtful without a part, in words.
+fn doubts(ablation: &Ablation) -> impl Iterator<Item = String> {
+    ablation.parts.iter().filter(|part| !part.doubtful.is_empty()).map(|part| {
+        let modes: Vec<_> = part.doubtful.iter().map(|mode| mode.title()).collect();
+        format!("without {}: not converged, or not of full rank: {}", part.part.title(), modes.join(", "))
+    })
+}
+
 /// What removing means, with the parts of which it is true.
 fn removals(ablation: &Ablation) -> Vec<(String, &'static str)> {
     let mut removals: Vec<(String, &str)> = Vec::new();
@@ -76,6 +84,11 @@ pub(super) fn ablation_lines(ablation: &Ablation, style: Style) -> Vec<String> {
     for (titles, removal) in removals(ablation) {
         lines.extend(wrap(&format!("  without {titles}: {removal}"), "    "));
     }
+    for words in doubts(ablation) {
+        lines.extend(
+            wrap(&format!("  doubtful {words}"), "    ").iter().map(|l| style.paint(Ink::Warning, l)),
+        );
+    }
     for (title, why) in failures(ablation) {
         let words = format!("  no run without {title}: {}", printable(why));
         lines.extend(wrap(&words, "    ").iter().map(|l| style.paint(Ink::Warning, l)));
@@ -85,6 +98,10 @@ pub(super) fn ablation_lines(ablation: &Ablation, style: Style) -> Vec<String> {
 
 /// Millimetres with their sign; what rounds to zero has none.
 fn signed(metres: f64) -> String {
+    if (99.9995e-3..1.0).contains(&metres.abs()) {
+        // With its sign it would touch its neighbour.
+        return format!("{:+.1}", 1e3 * metres);
+    }
     let text = millimetres(metres);
     match text.trim_start_matches('-') {
         "0.000" => "0.000".to_owned(),
@@ -103,13 +120,15 @@ pub(super) fn ablation_section(ablation: &Ablation) -> Result<Markup, ReportErro
             h2 { "What each part of the machine contributes" }
             p { (EXPLANATION) }
             (figure(&ablation.modes, &plot, &html! {
-                "Change of the RMS of the 3-D error when a part is removed, " (set_title(kind)) ", mm. The further left, the more it contributes."
+                "Change of the RMS of the 3-D error when a part is removed, " (set_title(kind)) ", mm, a panel a mode on its own scale. The further left, the more the part contributes. "
+                "Runs that are doubtful are left out."
             }, false))
             @for (set, kind) in ablation.sets.iter().enumerate() { (table(ablation, set, *kind)) }
             h3 { "What removing means" }
             ul {
                 @for (titles, removal) in removals(ablation) { li { "without " (titles) ": " (removal) "." } }
             }
+            @for words in doubts(ablation) { p.note { "Doubtful " (words) "." } }
             @for (title, why) in failures(ablation) { p.note { "No run without " (title) ": " (why) } }
         }
     })
@@ -159,39 +178,49 @@ fn table(ablation: &Ablation, set: usize, kind: SetKind) -> Markup {
     }
 }
 
-/// A bar a part and mode from zero to the change of the RMS, with the mode's marker at its end.
+/// A panel a mode, each on its own scale: a bar a part from zero to the change of the RMS, with the mode's marker at its end. What is doubtful
+/// is left out.
 fn changes(ablation: &Ablation, set: usize) -> Result<String, ReportError> {
-    const NAMES: i32 = 190;
+    const NAMES: i32 = 180;
+    const ROW: i32 = 22;
     const AXIS: i32 = 26;
-    let modes = i32::try_from(ablation.modes.len()).unwrap_or(1);
-    let row = 10 + 9 * modes;
     let rows = i32::try_from(ablation.parts.len()).unwrap_or(1).max(1);
-    let size = (WIDTH, row * rows + AXIS + 8);
+    let size = (WIDTH, ROW * rows + AXIS + 8);
     svg("contributions", "Change of the RMS error without each part", size, |area| {
         let (names, body) = area.split_horizontally(px(NAMES));
-        draw_changes(ablation, set, &names, &body, px(AXIS))
+        for (mode, panel) in body.split_evenly((1, ablation.modes.len().max(1))).iter().enumerate() {
+            let names = (mode == 0).then_some(&names);
+            draw_changes(ablation, (mode, set), names, panel, px(AXIS))?;
+        }
+        Ok(())
     })
 }
 
-fn draw_changes(ablation: &Ablation, set: usize, names: &Area, body: &Area, axis: i32) -> Drawn {
-    let change = |part: &AblatedPart, mode: usize| {
-        let (without, complete) = ablation.pair(part, mode, set)?;
+fn draw_changes(
+    ablation: &Ablation,
+    (mode, set): (usize, usize),
+    names: Option<&Area>,
+    panel: &Area,
+    axis: i32,
+) -> Drawn {
+    let Some(kind) = ablation.modes.get(mode) else { return Ok(()) };
+    let change = |part: &AblatedPart| {
+        let (without, complete) = ablation.pair(part, mode, set).filter(|_| !part.doubtful.contains(kind))?;
         Some(1e3 * (without.rms_3d - complete.rms_3d)).filter(|change| drawable(*change))
     };
-    let modes = 0..ablation.modes.len();
-    let all = ablation.parts.iter().flat_map(|part| modes.clone().filter_map(move |mode| change(part, mode)));
-    let x = padded(&finite_range(all.chain([0.0])));
+    let x = padded(&finite_range(ablation.parts.iter().filter_map(change).chain([0.0])));
     let bottom = ablation.parts.len().max(1) as f64 - 0.5;
-    let mut chart = ChartBuilder::on(body)
+    let mut chart = ChartBuilder::on(panel)
         .margin_left(px(8))
         .margin_right(px(14))
         .x_label_area_size(axis)
         .build_cartesian_2d(x.clone(), bottom..-0.5)?;
+    let labels = panel.dim_in_pixel().0 / (55 * SCALE.unsigned_abs());
     chart
         .configure_mesh()
         .disable_y_mesh()
         .disable_y_axis()
-        .x_labels(8)
+        .x_labels(usize::try_from(labels).unwrap_or(2).clamp(2, 8))
         .bold_line_style(GRID.stroke_width(2))
         .light_line_style(TRANSPARENT)
         .axis_style(INK.mix(0.6).stroke_width(2))
@@ -200,21 +229,19 @@ fn draw_changes(ablation: &Ablation, set: usize, names: &Area, body: &Area, axis
         .draw()?;
     let plot = chart.plotting_area();
     plot.draw(&PathElement::new(vec![(0.0, bottom), (0.0, -0.5)], ink(2)))?;
-    let (_, top) = names.get_base_pixel();
-    let (width, _) = names.dim_in_pixel();
-    let right = i32::try_from(width).unwrap_or(0) - 4 * SCALE;
+    let look = look(*kind);
     for (index, part) in ablation.parts.iter().enumerate() {
-        let middle = index as f64;
-        let edge = middle + 0.5;
-        plot.draw(&PathElement::new(vec![(x.start, edge), (x.end, edge)], GRID.mix(0.5).stroke_width(1)))?;
-        let (_, at) = plot.map_coordinate(&(x.start, middle));
-        let style = text_style().pos(Pos::new(HPos::Right, VPos::Center));
-        names.draw(&Text::new(part.part.title().to_owned(), (right, at - top), style))?;
-        for (place, mode) in ablation.modes.iter().enumerate() {
-            let Some(change) = change(part, place) else { continue };
-            let count = ablation.modes.len() as f64;
-            let y = middle + 0.7 * ((place as f64 + 0.5) / count - 0.5);
-            let look = look(*mode);
+        let y = index as f64;
+        let edge = vec![(x.start, y + 0.5), (x.end, y + 0.5)];
+        plot.draw(&PathElement::new(edge, GRID.mix(0.5).stroke_width(1)))?;
+        if let Some(names) = names {
+            let right = i32::try_from(names.dim_in_pixel().0).unwrap_or(0) - 4 * SCALE;
+            let (_, at) = plot.map_coordinate(&(x.start, y));
+            let style = text_style().pos(Pos::new(HPos::Right, VPos::Center));
+            let row = at - names.get_base_pixel().1;
+            names.draw(&Text::new(part.part.title().to_owned(), (right, row), style))?;
+        }
+        if let Some(change) = change(part) {
             plot.draw(&PathElement::new(vec![(0.0, y), (change, y)], look.light.stroke_width(6)))?;
             plot.draw(&marker(&look, (change, y), 7))?;
         }
@@ -241,6 +268,7 @@ mod tests {
         assert!((last + 0.5e3 * rms).abs() <= 0.5e-3 + 1e-12, "{last} against {rms}");
         assert!(text.contains("no run without backlash: not at rest\u{fffd}"), "{text}");
         assert!(text.contains("bearings rigid in the machine"));
+        assert!(text.contains("doubtful without bearing compliance"), "{text}");
     }
 
     #[test]
@@ -272,9 +300,19 @@ mod tests {
             [0.5 * complete.mean.x, 0.5 * complete.mean.y, 0.5 * complete.mean.z].map(Some)
         );
         assert_eq!(row.rms_3d_change_m, Some(0.5 * complete.rms_3d - complete.rms_3d));
+        assert_eq!(json.parts[0].doubtful, ["with_gravity"]);
         assert!(json.parts[2].failure.is_some() && json.parts[2].rows["verification"].is_empty());
         let text = serde_json::to_string(&json_report(&sample::simulated())).expect("JSON");
         assert!(!text.contains("ablation"));
+    }
+
+    #[test]
+    fn changes_keep_their_sign_and_their_distance() {
+        assert_eq!(signed(-0.4e-6), "0.000");
+        assert_eq!([signed(1.5e-3), signed(-1.5e-3)], ["+1.500", "-1.500"]);
+        for metres in [-99.9994e-3, 99.9996e-3, -0.16, 0.9, -12.3, 4.5e5, -1e300, f64::NAN] {
+            assert!(signed(metres).len() < NUMBER, "{}", signed(metres));
+        }
     }
 
     #[test]

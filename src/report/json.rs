@@ -54,6 +54,8 @@ pub struct JsonAblated {
     pub removal: String,
     /// Why there are no rows, else null.
     pub failure: Option<String>,
+    /// Keys of the modes whose estimate did not converge or lacks rank.
+    pub doubtful: Vec<String>,
     /// By the key of the set, then of the mode.
     pub rows: BTreeMap<String, BTreeMap<String, JsonAblationRow>>,
 }
@@ -268,6 +270,7 @@ fn json_ablation(ablation: &Ablation) -> JsonAblation {
         title: part.part.title().to_owned(),
         removal: part.part.removal().to_owned(),
         failure: part.rows.as_ref().err().cloned(),
+        doubtful: part.doubtful.iter().map(|mode| mode.key().to_owned()).collect(),
         rows: ablation
             .sets
             .iter()

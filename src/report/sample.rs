@@ -156,9 +156,17 @@ pub(super) fn ablated() -> Outcome {
         modes: outcome.modes.iter().map(|mode| mode.mode).collect(),
         sets: outcome.sets.iter().map(|set| set.kind).collect(),
         parts: vec![
-            AblatedPart { part: Part::Bearings, rows: Ok(complete.clone()) },
-            AblatedPart { part: Part::Effect(EffectKind::Rail), rows: Ok(halved) },
-            AblatedPart { part: Part::Effect(EffectKind::Backlash), rows: Err("not at rest\x07".to_owned()) },
+            AblatedPart {
+                part: Part::Bearings,
+                rows: Ok(complete.clone()),
+                doubtful: vec![Mode::WithGravity],
+            },
+            AblatedPart { part: Part::Effect(EffectKind::Rail), rows: Ok(halved), doubtful: Vec::new() },
+            AblatedPart {
+                part: Part::Effect(EffectKind::Backlash),
+                rows: Err("not at rest\x07".to_owned()),
+                doubtful: Vec::new(),
+            },
         ],
         complete,
     });

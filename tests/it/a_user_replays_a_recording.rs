@@ -5,7 +5,7 @@ use calibrig::pipeline::{self, calibrate};
 use calibrig::recording::write_mcap;
 use calibrig::replay::replay;
 
-use crate::a_user_reproduces_the_paper::paper;
+use crate::a_user_reproduces_the_paper::{paper, rigid_paper};
 
 #[test]
 fn replay_finds_the_same_bits_for_20_seeds() {
@@ -68,8 +68,7 @@ fn an_effect_that_the_model_lacks_fails_the_consistency_test() {
     };
     assert!(warned(Mode::OnlyCalibration), "gravity is not in the model");
 
-    let mut rigid = paper();
-    rigid.as_built.statics.drive_stiffness.fill(f64::INFINITY);
+    let rigid = rigid_paper();
     let outcome = pipeline::run(&rigid, rigid.seed, |_, _| {}).expect("a run");
     let estimate = outcome.modes[1].estimate.as_ref().expect("an estimate");
     assert!(

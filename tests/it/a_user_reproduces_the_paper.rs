@@ -4,11 +4,24 @@ use std::path::Path;
 
 use calibrig::evaluation::AccuracyRow;
 use calibrig::identification::Mode;
+use calibrig::model::ActuatorMap;
 use calibrig::pipeline::{self, Outcome, SetKind};
 use calibrig::scenario::{Scenario, load_scenario};
 
 pub fn paper() -> Scenario {
     load_scenario(Path::new("scenarios/paper.toml")).expect("the shipped scenario")
+}
+
+/// The paper's robot as "only calibration" takes it to be: rigid, its elbow driven by an exact parallelogram.
+pub fn rigid_paper() -> Scenario {
+    let mut scenario = paper();
+    let machine = &mut scenario.as_built;
+    machine.statics.make_rigid();
+    machine.statics.linkage = None;
+    if let ActuatorMap::Parallelogram { linkage, .. } = &mut machine.actuators {
+        *linkage = None;
+    }
+    scenario
 }
 
 fn row(outcome: &Outcome, set: usize, mode: Mode) -> AccuracyRow {

@@ -4,17 +4,16 @@ use calibrig::identification::{FrameChoice, IdentificationOptions, Mode, TargetC
 use calibrig::model::ParameterId;
 use calibrig::pipeline::{PlantKind, simulate};
 use calibrig::plant::effects::{
-    Ambient, Backlash, Effects, Encoder, GrowingPart, Growth, Harmonic, Harmonics, Rail, RailProfile, Ratio,
-    Repeatability, Thermal,
+    Ambient, Backlash, Effects, Encoder, Friction, GrowingPart, Growth, Harmonic, Harmonics, Rail,
+    RailProfile, Ratio, Repeatability, Thermal,
 };
 use calibrig::scenario::Scenario;
 
-use crate::a_user_reproduces_the_paper::paper;
+use crate::a_user_reproduces_the_paper::{paper, rigid_paper};
 
-/// The paper's robot without elasticity: nothing in the machine that the model does not contain.
+/// Nothing in the machine that the model does not contain.
 fn matched() -> Scenario {
-    let mut scenario = paper();
-    scenario.as_built.statics.make_rigid();
+    let mut scenario = rigid_paper();
     scenario.options.mode = Mode::OnlyCalibration;
     scenario.options.unmodelled_sigma = 0.0;
     scenario.verification_poses = 0;
@@ -92,8 +91,7 @@ fn noise_gives_the_stated_chi_square_and_coverage() {
 #[test]
 fn every_effect_that_the_model_lacks_fails_the_consistency_test() {
     const SECONDS: f64 = std::f64::consts::PI / 648_000.0;
-    let scenario = matched();
-    let doubted = |effects: Effects| {
+    let doubted_in = |scenario: &Scenario, effects: Effects| {
         let mut scenario = scenario.clone();
         scenario.as_built.effects = effects;
         let simulation =
@@ -103,6 +101,8 @@ fn every_effect_that_the_model_lacks_fails_the_consistency_test() {
         let estimate = identify(model, measured, &scenario.options).expect("an estimate");
         estimate.warnings.iter().any(|w| matches!(w, Warning::Inconsistent { .. }))
     };
+    let rigid = matched();
+    let doubted = |effects| doubted_in(&rigid, effects);
     assert!(!doubted(Effects::default()), "a machine as the model");
 
     let at =
@@ -151,4 +151,15 @@ fn every_effect_that_the_model_lacks_fails_the_consistency_test() {
     ] {
         assert!(doubted(effects), "{name}");
     }
+
+    // Friction leaves something in elastic drives alone: the whole machine, as the model that closes its linkage and bends.
+    let mut elastic = Scenario { verification_poses: 0, ..paper() };
+    let nominal = &elastic.robot.model;
+    elastic.as_built.statics = nominal.statics.clone().expect("the shipped robot's statics");
+    elastic.as_built.actuators = nominal.actuators;
+    elastic.options.mode = Mode::ElastoGeometric;
+    elastic.options.unmodelled_sigma = 0.0;
+    assert!(!doubted_in(&elastic, Effects::default()), "an elastic machine as the model");
+    let friction = Friction { constant: at(2, 60.0), per_load: at(2, 0.01), presliding: at(2, 0.05) };
+    assert!(doubted_in(&elastic, Effects { friction: Some(friction), ..none() }), "friction");
 }

@@ -1,5 +1,6 @@
 mod constrained;
 mod equilibrium;
+mod prediction;
 mod refusals;
 mod spray_robot;
 mod whole;

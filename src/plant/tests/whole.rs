@@ -10,7 +10,7 @@ use super::spray_robot::{add_errors, full_robot, working_command};
 use super::{AsBuilt, BeamSegment, BearingSide, ElasticPlace, PointLoad, SegmentLength, bits, plant};
 
 /// Any robot with errors, springs and loads around those of the full one, some of them rigid.
-fn random_full_robot(rng: &mut ChaCha8Rng) -> AsBuilt {
+pub(super) fn random_full_robot(rng: &mut ChaCha8Rng) -> AsBuilt {
     let mut robot = full_robot();
     add_errors(&mut robot, rng);
     let mut spread = |value: &mut f64, by: f64| *value *= 1.0 + rng.random_range(-by..by);
@@ -75,7 +75,7 @@ fn random_full_robot(rng: &mut ChaCha8Rng) -> AsBuilt {
     robot
 }
 
-fn random_shifts(rng: &mut ChaCha8Rng) -> Vec<[f64; 6]> {
+pub(super) fn random_shifts(rng: &mut ChaCha8Rng) -> Vec<[f64; 6]> {
     (0..7).map(|_| [(); 6].map(|()| rng.random_range(-2e-3..2e-3))).collect()
 }
 

@@ -110,8 +110,8 @@ fn every_mistake_is_named() {
             "errors",
         ),
         (
-            "[as_built.linkage]\ndelta_crank_mm = -350".to_owned(),
-            "delta_crank_mm leaves a length of 0.000 mm",
+            "[as_built.linkage]\ndelta_crank_mm = -360".to_owned(),
+            "delta_crank_mm leaves a length of -10.000 mm",
             "above",
         ),
         ("[as_built.linkage]\ndelta_crank = 1".to_owned(), "unknown key `delta_crank`", "`delta_crank_mm`"),
