@@ -17,8 +17,8 @@ use crate::model::{CalibrationModel, ParameterId};
 /// Standard deviation that readings without a stated one are given before the residuals tell, m: only ratios matter then.
 pub(super) const UNSTATED_SIGMA: f64 = 1e-4;
 
-/// A parameter whose prior's standard deviation moves the whitened measurements by less than this in all is not told by them: its own
-/// standard deviation stays above 0.89 of its prior's.
+/// A compliance whose prior's standard deviation moves the whitened measurements by less than this in all, beside what the geometry can
+/// do as well, is not told by them: its own standard deviation stays above 0.89 of its prior's.
 const UNEXCITED: f64 = 0.5;
 
 /// A problem, and what was decided on the way to it.
@@ -45,13 +45,11 @@ pub(super) fn build(
         return Ok(built);
     }
     let jacobian = starting_jacobian(&mut built.problem)?;
-    let effect =
-        |column: usize| jacobian.column(column).norm() * columns[column].sigma.unwrap_or(f64::INFINITY);
-    let unexcited: Vec<bool> = columns
-        .iter()
-        .enumerate()
-        .map(|(place, column)| matches!(column.id, ParameterId::Compliance(_)) && effect(place) < UNEXCITED)
-        .collect();
+    let effects = effects_beyond_geometry(&built.problem, &jacobian);
+    let is_unexcited = |(column, effect): (&Column, &f64)| {
+        matches!(column.id, ParameterId::Compliance(_)) && effect * column.sigma.unwrap_or(1.0) < UNEXCITED
+    };
+    let unexcited: Vec<bool> = columns.iter().zip(&effects).map(is_unexcited).collect();
     let named = columns.iter().zip(&unexcited).filter(|(column, unexcited)| column.named && **unexcited);
     let named: Vec<_> = named.map(|(column, _)| column.id).collect();
     let mut fixed = Vec::new();
@@ -71,6 +69,23 @@ pub(super) fn build(
         built = assemble(model, set, options, &columns)?;
     }
     Ok(Built { unexcited: named, fixed, ..built })
+}
+
+/// What a unit of every parameter does to the whitened measurements that links, frame and target cannot do as well; zero for those.
+fn effects_beyond_geometry(problem: &CalibrationProblem, jacobian: &DMatrix<f64>) -> Vec<f64> {
+    let geometric = |column: &usize| {
+        let id = problem.parameters[*column];
+        matches!(id, ParameterId::Link { .. } | ParameterId::Frame { .. } | ParameterId::Target { .. })
+    };
+    let (mut order, others): (Vec<usize>, Vec<usize>) = (0..problem.parameters.len()).partition(geometric);
+    let first = order.len();
+    order.extend(others);
+    let r = jacobian.rows(0, problem.measured_rows()).select_columns(&order).qr().unpack_r();
+    let mut effects = vec![0.0; order.len()];
+    for (place, column) in order.iter().enumerate().skip(first) {
+        effects[*column] = r.column(place).rows_range(first.min(r.nrows())..).norm();
+    }
+    effects
 }
 
 /// The problem with those of the robot's parameters that are among `kept`: what [`build`] made of the same options before.

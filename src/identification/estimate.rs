@@ -121,7 +121,7 @@ pub enum Warning {
     },
     /// A compliance that was asked for.
     #[error(
-        "gravity hardly loads {name} in these poses: its value is its prior's. Leave it out, or measure poses or payloads that load it"
+        "gravity hardly loads {name} in these poses, or loads it always alike: its value is its prior's. Leave it out, or measure poses or payloads that load it differently"
     )]
     Unexcited {
         /// Name of the parameter.
