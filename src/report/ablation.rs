@@ -65,7 +65,7 @@ pub(super) fn ablation_lines(ablation: &Ablation, style: Style) -> Vec<String> {
         lines.push(String::new());
         let title = format!("{}, {}: absolute errors in mm", set_title(kind), name.title());
         lines.push(style.paint(Ink::Heading, &title));
-        let header: String = COLUMNS.iter().map(|column| format!("{column:>NUMBER$}")).collect();
+        let header = COLUMNS.map(|column| format!("{column:>NUMBER$}")).concat();
         lines.push(format!("{:<TITLE$}{header}", "without"));
         let rule = style.paint(Ink::Dim, &"\u{2500}".repeat(TITLE + COLUMNS.len() * NUMBER));
         lines.push(rule.clone());

@@ -307,7 +307,7 @@ impl<'a> Constrained<'a> {
             };
             let quarter = std::f64::consts::FRAC_PI_2;
             let (zero, left, opposite) = (squared(0.0), squared(quarter), squared(2.0 * quarter));
-            let mean = (zero + opposite) / 2.0;
+            let mean = f64::midpoint(zero, opposite);
             let (a, b, c) = (zero - mean, left - mean, rod * rod - mean);
             let root = (a * a + b * b - c * c).sqrt();
             let angles = [root, -root].map(|root| 2.0 * ((b + root) / (a + c)).atan());
