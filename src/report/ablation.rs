@@ -220,7 +220,7 @@ fn draw_changes(
         .configure_mesh()
         .disable_y_mesh()
         .disable_y_axis()
-        .x_labels(usize::try_from(labels).unwrap_or(2).clamp(2, 8))
+        .x_labels(usize::try_from(labels).unwrap_or(3).clamp(3, 8))
         .bold_line_style(GRID.stroke_width(2))
         .light_line_style(TRANSPARENT)
         .axis_style(INK.mix(0.6).stroke_width(2))
