@@ -8,7 +8,7 @@ use calibrig::identification::{
     Estimate, IdentificationOptions, Mode, ParameterChoice, Predictor, Redundancy, Tolerance, identify,
 };
 use calibrig::model::{ActuatorMap, LinkTerm, ParameterId};
-use calibrig::pipeline::{PlantKind, simulate};
+use calibrig::pipeline::{PlantKind, Simulation, simulate};
 use calibrig::plant::effects::Effects;
 use calibrig::scenario::Scenario;
 
@@ -56,18 +56,21 @@ struct Row {
     verification: f64,
 }
 
-fn row(scenario: &Scenario, name: &'static str, options: &IdentificationOptions, draws: u32) -> Row {
+fn row(
+    scenario: &Scenario,
+    sessions: &[Simulation],
+    name: &'static str,
+    options: &IdentificationOptions,
+) -> Row {
+    let draws = sessions.len() as f64;
     let model = &scenario.robot.model;
     let mut estimates: Vec<Estimate> = Vec::new();
     let (mut iterations, mut verification) = (0.0, 0.0);
-    for trial in 0..draws {
-        // The same poses, another noise: trial 0 holds the poses of all.
-        let simulation =
-            simulate(scenario, scenario.seed, trial, PlantKind::Rapier, |_, _| {}).expect("a simulation");
-        let estimate = identify(model, &simulation.sets[0].measurements, options).expect("an estimate");
-        let errors = Predictor::new(model, &estimate.robot).errors(&simulation.sets[1].measurements);
-        verification += accuracy(&errors.expect("a rigid robot")).expect("poses").rms_3d / f64::from(draws);
-        iterations += estimate.iterations.len() as f64 / f64::from(draws);
+    for session in sessions {
+        let estimate = identify(model, &session.sets[0].measurements, options).expect("an estimate");
+        let errors = Predictor::new(model, &estimate.robot).errors(&session.sets[1].measurements);
+        verification += accuracy(&errors.expect("a rigid robot")).expect("poses").rms_3d / draws;
+        iterations += estimate.iterations.len() as f64 / draws;
         estimates.push(estimate);
     }
     let links: Vec<ParameterId> = estimates[0].parameters.iter().map(|p| p.id).collect();
@@ -103,6 +106,9 @@ fn table(scenario: &Scenario, draws: u32) -> [Row; 4] {
         tolerance,
         ..scenario.options.clone()
     };
+    let session =
+        |trial| simulate(scenario, scenario.seed, trial, PlantKind::Rapier, |_, _| {}).expect("a simulation");
+    let sessions: Vec<_> = (0..draws).map(session).collect();
     let listed = || ParameterChoice::Listed(all_29());
     let tolerance = Some(Tolerance { length: 0.01, angle: 0.02 });
     [
@@ -111,7 +117,7 @@ fn table(scenario: &Scenario, draws: u32) -> [Row; 4] {
         ("all 29, redundant = \"fix\"", with(listed(), Redundancy::Fix, None)),
         ("the 24", with(ParameterChoice::NeighbourAxisRules, Redundancy::Keep, None)),
     ]
-    .map(|(name, options)| row(scenario, name, &options, draws))
+    .map(|(name, options)| row(scenario, &sessions, name, &options))
 }
 
 fn print(title: &str, rows: &[Row]) {
