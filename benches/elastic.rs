@@ -30,6 +30,7 @@ const ROWS: [(JointKind, f64, f64, f64, f64, f64); 7] = [
 ];
 const JOINTS: [f64; 7] = [2.0, 0.19, -1.71, 0.12, 2.0, -0.16, -0.77];
 
+#[allow(clippy::unnecessary_wraps, reason = "as the model holds it")]
 fn beam(run: BeamRun, lengths: &[SegmentLength]) -> Option<Beam> {
     let section = Section {
         axial: 5e8,

@@ -50,7 +50,7 @@ pub(super) struct Args {
     /// Which link parameters
     #[arg(long, value_enum, default_value_t = Parameters::Complete)]
     parameters: Parameters,
-    /// Which models are fitted, beside the robot without calibration; may be repeated [default: only_calibration, and with_gravity where
+    /// Which models are fitted, beside the robot without calibration; may be repeated [default: geometry alone, and with gravity where
     /// the robot's files give masses and stiffnesses]
     #[arg(long, value_name = "MODE", value_parser = fitted_mode)]
     mode: Vec<Mode>,

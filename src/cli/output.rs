@@ -166,7 +166,7 @@ pub(super) fn verdict(outcome: &Outcome) -> Verdict {
                     ));
                 }
                 Warning::RankDeficient { .. } | Warning::AtBound { .. } => {
-                    say(&format!("doubtful: {title}: {warning}"))
+                    say(&format!("doubtful: {title}: {warning}"));
                 }
                 _ => {}
             }

@@ -28,9 +28,9 @@ pub enum Verdict {
     Reference,
     /// It predicts held-out poses better, beyond chance.
     Pays,
-    /// It fits better than chance explains (AICc), but held-out poses do not show it yet: more poses may.
+    /// It fits better than chance explains (`AICc`), but held-out poses do not show it yet: more poses may.
     Undecided,
-    /// Neither held-out poses nor AICc speak for it.
+    /// Neither held-out poses nor `AICc` speak for it.
     DoesNotPay,
     /// It predicts held-out poses worse, beyond chance.
     Hurts,

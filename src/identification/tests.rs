@@ -204,7 +204,7 @@ fn a_compliance_that_was_asked_for_and_is_not_loaded_is_handled_as_chosen() {
     let keep = identify(&nominal, &set, &with(Redundancy::Keep)).expect("an estimate");
     assert!(said(&keep));
     let fix = identify(&nominal, &set, &with(Redundancy::Fix)).expect("an estimate");
-    assert_eq!(fix.value(ParameterId::Compliance(SHOULDER)).is_some(), true);
+    assert!(fix.value(ParameterId::Compliance(SHOULDER)).is_some());
 }
 
 #[test]

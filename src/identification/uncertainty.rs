@@ -104,7 +104,7 @@ impl Uncertainty {
 
     /// How many parameters the data determine: the trace of their share of the information, n without priors.
     ///
-    /// Source: D. J. C. MacKay, "Bayesian interpolation", Neural Computation 4 (1992), 415-447, section 4.
+    /// Source: D. J. C. `MacKay`, "Bayesian interpolation", Neural Computation 4 (1992), 415-447, section 4.
     pub fn effective_parameters(&self) -> f64 {
         self.effective_parameters
     }

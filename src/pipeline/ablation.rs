@@ -114,21 +114,21 @@ impl Part {
                 }
             }
             Self::Drives => {
-                stiffen(&mut machine.statics, predicted, |s| s.drive_stiffness.fill(f64::INFINITY))
+                stiffen(&mut machine.statics, predicted, |s| s.drive_stiffness.fill(f64::INFINITY));
             }
             Self::Bearings => {
-                stiffen(&mut machine.statics, predicted, |s| s.bearings.fill(Bearing::default()))
+                stiffen(&mut machine.statics, predicted, |s| s.bearings.fill(Bearing::default()));
             }
             Self::Links => stiffen(&mut machine.statics, predicted, stiffen_links),
             Self::Statics => {
                 if let Some(nominal) = predicted {
                     let real = &mut machine.statics;
                     let (gravity, loads) = (real.gravity, std::mem::take(&mut real.loads));
-                    *real = StaticProperties { gravity, loads, ..nominal.clone() };
+                    *real = StaticProperties { loads, gravity, ..nominal.clone() };
                 }
             }
             Self::Tilt => {
-                machine.statics.gravity = predicted.as_ref().map_or(machine.statics.gravity, |s| s.gravity)
+                machine.statics.gravity = predicted.as_ref().map_or(machine.statics.gravity, |s| s.gravity);
             }
             Self::Loads => {
                 machine.statics.loads = predicted.as_ref().map_or_else(Vec::new, |s| s.loads.clone());

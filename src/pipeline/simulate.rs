@@ -7,7 +7,7 @@ use rand_distr::{Distribution, StandardNormal};
 use super::machine::Rest;
 use super::{PipelineError, PlantKind, SetKind, SetOutcome, Simulation, Truth};
 use crate::measurement::{MeasurementSet, NestObservation, Observation, Reading, Station, Target};
-use crate::plant::effects::{Commanded, DriveState, PoseEffects};
+use crate::plant::effects::{Commanded, DriveState, Friction, PoseEffects};
 use crate::plant::{AsBuilt, SettledPose};
 use crate::random;
 use crate::scenario::Scenario;
@@ -144,7 +144,7 @@ impl<'a> Machine<'a> {
             }
         }
         self.command.copy_from_slice(command);
-        let needs_load = self.as_built.effects.friction.as_ref().is_some_and(|f| f.needs_load());
+        let needs_load = self.as_built.effects.friction.as_ref().is_some_and(Friction::needs_load);
         // Friction is too small to change the load that it depends on.
         let load = if needs_load { self.drive_loads(&plant.settle(command, &[])?) } else { Vec::new() };
         let pose = Commanded { command, time, load: &load };

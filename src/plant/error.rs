@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-/// A plant that cannot be built or does not settle. Joints count from 0, as in [`KinematicModel::links`].
+/// A plant that cannot be built or does not settle. Joints count from 0, as in [`KinematicModel::links`](crate::model::KinematicModel::links).
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum PlantError {
@@ -140,7 +140,7 @@ pub enum PlantError {
     /// A setting that is not a finite number above zero.
     #[error("{option} is {value}, a finite number above zero was expected")]
     Option {
-        /// Field of [`SettleOptions`].
+        /// Field of [`SettleOptions`](super::SettleOptions).
         option: &'static str,
         /// Its value.
         value: f64,

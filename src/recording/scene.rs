@@ -104,7 +104,7 @@ fn calibrated_chain(outcome: &Outcome, observation: &Observation) -> Option<Chai
     let robot = observer(outcome)?;
     let target = robot.targets.get(observation.target)?;
     let links = Predictor::new(&outcome.model, robot).links(observation).ok()?;
-    Some(chain_of(ChainKind::Calibrated, &robot.model.kinematics, links, target)?)
+    chain_of(ChainKind::Calibrated, &robot.model.kinematics, links, target)
 }
 
 fn chain_at(kind: ChainKind, model: &KinematicModel, joints: &[f64], target: &Vector3<f64>) -> Option<Chain> {

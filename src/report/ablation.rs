@@ -65,7 +65,7 @@ pub(super) fn ablation_lines(ablation: &Ablation, style: Style) -> Vec<String> {
         lines.push(String::new());
         let title = format!("{}, {}: absolute errors in mm", set_title(kind), name.title());
         lines.push(style.paint(Ink::Heading, &title));
-        let header: String = COLUMNS.iter().map(|column| format!("{column:>NUMBER$}")).collect();
+        let header = COLUMNS.map(|column| format!("{column:>NUMBER$}")).concat();
         lines.push(format!("{:<TITLE$}{header}", "without"));
         let rule = style.paint(Ink::Dim, &"\u{2500}".repeat(TITLE + COLUMNS.len() * NUMBER));
         lines.push(rule.clone());
@@ -220,7 +220,7 @@ fn draw_changes(
         .configure_mesh()
         .disable_y_mesh()
         .disable_y_axis()
-        .x_labels(usize::try_from(labels).unwrap_or(2).clamp(2, 8))
+        .x_labels(usize::try_from(labels).unwrap_or(3).clamp(3, 8))
         .bold_line_style(GRID.stroke_width(2))
         .light_line_style(TRANSPARENT)
         .axis_style(INK.mix(0.6).stroke_width(2))

@@ -70,7 +70,9 @@ pub fn render_tables(outcome: &Outcome, style: Style) -> String {
         }
     }
     if let Some(ablation) = &outcome.ablation {
-        ablation_lines(ablation, style).iter().for_each(|l| line(l));
+        for l in &ablation_lines(ablation, style) {
+            line(l);
+        }
     }
     text
 }

@@ -160,8 +160,8 @@ impl Reader<'_> {
     }
 
     /// Zero where the key is not there.
-    fn number(&self, key: &str, unit: f64, value: &Option<Spanned<f64>>) -> Result<f64, InputError> {
-        value.as_ref().map_or(Ok(0.0), |value| Ok(unit * self.source.finite(key, value)?))
+    fn number(&self, key: &str, unit: f64, value: Option<&Spanned<f64>>) -> Result<f64, InputError> {
+        value.map_or(Ok(0.0), |value| Ok(unit * self.source.finite(key, value)?))
     }
 
     fn joint(&self, entry: &JointErrorsFile, index: usize, machine: &mut AsBuilt) -> Result<(), InputError> {
@@ -172,7 +172,7 @@ impl Reader<'_> {
             ("delta_d_mm", &entry.delta_d_mm, 1e-3, LinkTerm::D),
             ("delta_theta_rad", &entry.delta_theta_rad, 1.0, LinkTerm::Theta),
         ] {
-            *machine.kinematics.links[index].term_mut(term) += self.number(key, unit, delta)?;
+            *machine.kinematics.links[index].term_mut(term) += self.number(key, unit, delta.as_ref())?;
         }
         if let Some(factor) = &entry.stiffness_factor {
             machine.statics.drive_stiffness[index] *= self.source.positive("stiffness_factor", factor)?;
@@ -224,15 +224,15 @@ impl Reader<'_> {
             ("delta_lever_mm", &file.delta_lever_mm, &mut linkage.lever.length),
             ("delta_rod_mm", &file.delta_rod_mm, &mut linkage.rod),
         ] {
-            *length += self.number(key, 1e-3, delta)?;
+            *length += self.number(key, 1e-3, delta.as_ref())?;
             if let Some(delta) = delta.as_ref().filter(|_| *length <= 0.0) {
                 let message = format!("{key} leaves a length of {:.3} mm", *length * 1e3);
                 return Err(self.error(delta.span(), message, "a length above zero"));
             }
         }
         let angle = |key, delta| self.number(key, 1e-3, delta);
-        linkage.crank.angle += angle("delta_crank_angle_mrad", &file.delta_crank_angle_mrad)?;
-        linkage.lever.angle += angle("delta_lever_angle_mrad", &file.delta_lever_angle_mrad)?;
+        linkage.crank.angle += angle("delta_crank_angle_mrad", file.delta_crank_angle_mrad.as_ref())?;
+        linkage.lever.angle += angle("delta_lever_angle_mrad", file.delta_lever_angle_mrad.as_ref())?;
         if let (Some(factor), Some(statics)) = (&file.rod_stiffness_factor, &mut machine.statics.linkage) {
             statics.rod_stiffness *= self.source.positive("rod_stiffness_factor", factor)?;
         }
@@ -242,17 +242,17 @@ impl Reader<'_> {
     fn base_and_target(&self, file: &AsBuiltFile, machine: &mut AsBuilt) -> Result<(), InputError> {
         if let Some(base) = &file.base {
             let turn = Vector3::new(
-                self.number("tilt_x_mrad", 1e-3, &base.tilt_x_mrad)?,
-                self.number("tilt_y_mrad", 1e-3, &base.tilt_y_mrad)?,
-                self.number("tilt_z_mrad", 1e-3, &base.tilt_z_mrad)?,
+                self.number("tilt_x_mrad", 1e-3, base.tilt_x_mrad.as_ref())?,
+                self.number("tilt_y_mrad", 1e-3, base.tilt_y_mrad.as_ref())?,
+                self.number("tilt_z_mrad", 1e-3, base.tilt_z_mrad.as_ref())?,
             );
             machine.tilt(&turn);
         }
         if let Some(target) = &file.target {
             machine.target += Vector3::new(
-                self.number("delta_x_mm", 1e-3, &target.delta_x_mm)?,
-                self.number("delta_y_mm", 1e-3, &target.delta_y_mm)?,
-                self.number("delta_z_mm", 1e-3, &target.delta_z_mm)?,
+                self.number("delta_x_mm", 1e-3, target.delta_x_mm.as_ref())?,
+                self.number("delta_y_mm", 1e-3, target.delta_y_mm.as_ref())?,
+                self.number("delta_z_mm", 1e-3, target.delta_z_mm.as_ref())?,
             );
         }
         Ok(())

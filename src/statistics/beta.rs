@@ -19,7 +19,7 @@ fn ln_beta_by_fraction(a: f64, b: f64, x: f64) -> f64 {
     ln_factor + fraction.ln()
 }
 
-/// Logarithm of the regularised incomplete beta function I_x(a, b); accurate where it is small.
+/// Logarithm of the regularised incomplete beta function `I_x(a, b)`; accurate where it is small.
 fn ln_beta_regularised(a: f64, b: f64, x: f64) -> f64 {
     if !(x > 0.0) {
         return if x.is_nan() { x } else { f64::NEG_INFINITY };
@@ -34,7 +34,7 @@ fn ln_beta_regularised(a: f64, b: f64, x: f64) -> f64 {
     }
 }
 
-/// The regularised incomplete beta function I_x(a, b), for a, b > 0 and x in 0..1.
+/// The regularised incomplete beta function `I_x(a, b)`, for a, b > 0 and x in 0..1.
 pub fn beta_regularised(a: f64, b: f64, x: f64) -> f64 {
     ln_beta_regularised(a, b, x).exp()
 }

@@ -21,7 +21,7 @@ fn invert(level: f64, mut low: f64, mut high: f64, function: impl Fn(f64) -> f64
     }
 }
 
-/// Sum of a continued fraction `1 / (b0 + a1 / (b1 + a2 / (b2 + ...)))` by Lentz's method. `term(i)` gives (a_i, b_i); a_0 is not used.
+/// Sum of a continued fraction `1 / (b0 + a1 / (b1 + a2 / (b2 + ...)))` by Lentz's method. `term(i)` gives `(a_i, b_i)`; `a_0` is not used.
 ///
 /// Source: I. J. Thompson, A. R. Barnett, "Coulomb and Bessel functions of complex arguments and order", J. Comput. Phys. 64 (1986), 490-509.
 fn continued_fraction(terms: usize, term: impl Fn(usize) -> (f64, f64)) -> f64 {

@@ -76,6 +76,7 @@ mod tests {
     }
 
     /// A robot that is always at the mean of the places where it was seen.
+    #[allow(clippy::unnecessary_wraps, reason = "stands for a fit that can fail")]
     fn errors_of_the_mean(
         fitted: &MeasurementSet,
         held_out: &MeasurementSet,

@@ -9,6 +9,7 @@ use calibrig::identification::{
 };
 use calibrig::model::{ActuatorMap, LinkTerm, ParameterId};
 use calibrig::pipeline::{PlantKind, Simulation, simulate};
+use calibrig::plant::effects::Effects;
 use calibrig::scenario::Scenario;
 
 use crate::a_user_reproduces_the_paper::paper;
@@ -24,7 +25,7 @@ fn geometric() -> Scenario {
             *linkage = None;
         }
     }
-    scenario.as_built.effects = Default::default();
+    scenario.as_built.effects = Effects::default();
     scenario.options.mode = Mode::OnlyCalibration;
     scenario.options.unmodelled_sigma = 0.0;
     scenario

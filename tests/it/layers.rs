@@ -18,6 +18,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "kinematics",
             "measurement",
             "model",
+            "montecarlo",
             "pipeline",
             "random",
             "recording",
@@ -37,8 +38,13 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("measurement", &["geometry", "input", "model"]),
     ("model", &["geometry", "input"]),
     (
+        "montecarlo",
+        &["evaluation", "identification", "measurement", "model", "pipeline", "scenario", "statistics"],
+    ),
+    (
         "pipeline",
         &[
+            "elastostatics",
             "evaluation",
             "geometry",
             "identification",

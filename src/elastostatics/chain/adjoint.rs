@@ -1,7 +1,7 @@
 //! How the target moves with every parameter, the change of the equilibrium included.
 //!
 //! The equilibrium is `u = C Q(u, θ)`; the target moves by `p_θ + p_u du`. With μ solving `μ = p_u + H λ`, `λ = C μ` (H the symmetric
-//! matrix `∂Q/∂u`) the total is `p_θ + Σ λ_k ∂Q_k/∂θ + Σ μ_k Q_k dc_k`: μ_k is what a displacement in series with spring k does to the target.
+//! matrix `∂Q/∂u`) the total is `p_θ + Σ λ_k ∂Q_k/∂θ + Σ μ_k Q_k dc_k`: `μ_k` is what a displacement in series with spring k does to the target.
 //! The iteration over λ converges as fast as the equilibrium does.
 //!
 //! A four-bar adds the elbow's angle with its balance, whose multiplier is λ of the elbow, and the rod's force with its condition, whose

@@ -4,9 +4,11 @@
 //! Link parameters, joints, springs and corrections are all elementary translations or rotations `j` with an axis; a load F at a point c
 //! outboard of one exerts the generalised force `Q_j = F · J_j c`. The chain rests where
 //!
-//!     u_k = c_k Q_k(u)                      for every spring
-//!     Q_elbow = f ∂l/∂q_elbow               for the free elbow of a four-bar, with f the force of its rod
-//!     l = rod + c_rod f                     with l the distance of crank's and lever's ends
+//! ```text
+//! u_k = c_k Q_k(u)                      for every spring
+//! Q_elbow = f ∂l/∂q_elbow               for the free elbow of a four-bar, with f the force of its rod
+//! l = rod + c_rod f                     with l the distance of crank's and lever's ends
+//! ```
 //!
 //! with compliances c = 1/k, so that a rigid spring is nothing special. The mixed derivative of the loads' potential with respect to an
 //! inboard rotation i and an outboard motion o is `a_i · Σ (J_o c) × F`, and zero for an inboard translation: all products with the matrix of

@@ -141,6 +141,7 @@ pub(super) struct Loop {
     /// The first lump that the elbow moves.
     pub first_outboard: usize,
     pub four_bar: FourBar,
+    /// Of the crank from psi: the map's offset and the elbow's theta, rad.
     pub offset: f64,
     /// m/N; and that of the reference.
     pub compliance: f64,
@@ -207,7 +208,14 @@ impl Structure {
             && shoulder == index
         {
             self.slots.push(Slot::Crank);
-            self.four_bar = Some(Loop::new(shoulder, elbow, offset, linkage, self.slots.len() - 1, statics));
+            self.four_bar = Some(Loop::new(
+                shoulder,
+                elbow,
+                offset + model.kinematics.links[elbow].theta,
+                linkage,
+                self.slots.len() - 1,
+                statics,
+            ));
         }
         self.slots.push(Slot::Elastic);
         let drive = self.slots.len() - 1;

@@ -134,9 +134,9 @@ impl fmt::Display for ResidualPattern {
         let p = self.ln_p.exp();
         write!(f, "the residual {} (p ", self.description)?;
         if p >= 1e-99 {
-            write!(f, "= {p:.1e}")?
+            write!(f, "= {p:.1e}")?;
         } else {
-            f.write_str("< 1e-99")?
+            f.write_str("< 1e-99")?;
         }
         if self.cause != Cause::Sequence {
             write!(f, ", {:.3} mm peak", self.peak * 1e3)?;

@@ -150,8 +150,12 @@ fn the_test_is_the_f_test_of_two_fits() {
     let columns = regressors(&set, Cause::Approach(1));
     assert_eq!(columns.len(), 4);
     let rest = |extra: &[DVector<f64>]| {
-        let all: Vec<_> =
-            session.jacobian.column_iter().map(|c| c.into_owned()).chain(extra.iter().cloned()).collect();
+        let all: Vec<_> = session
+            .jacobian
+            .column_iter()
+            .map(nalgebra::Matrix::into_owned)
+            .chain(extra.iter().cloned())
+            .collect();
         let a = DMatrix::from_columns(&all.iter().map(|c| c / c.norm()).collect::<Vec<_>>());
         let x = a.tr_mul(&a).cholesky().expect("full rank").solve(&a.tr_mul(&residuals));
         (&residuals - a * x).norm_squared()

@@ -30,7 +30,7 @@ impl Ambient {
     }
 
     /// Temperature at `time` s of a body that follows the air with a time constant of `lag` s, and at time zero is as warm as the air, °C:
-    /// the solution of lag dT/dt = T_air - T.
+    /// the solution of `lag dT/dt = T_air - T`.
     pub fn followed(&self, lag: f64, time: f64) -> f64 {
         if lag == 0.0 {
             return self.at(time);

@@ -210,7 +210,7 @@ impl<'a> Constrained<'a> {
     }
 
     /// A point with its first and second derivatives by its own unknowns.
-    fn moved(&self, load: &Load, frames: &[Matrix4<f64>], spatial: &[(usize, usize, Matrix4<f64>)]) -> Moved {
+    fn moved(load: &Load, frames: &[Matrix4<f64>], spatial: &[(usize, usize, Matrix4<f64>)]) -> Moved {
         let place = frames[load.behind] * point(&load.at);
         let motions: Vec<_> = spatial.iter().filter(|(factor, ..)| *factor < load.behind).collect();
         let first = motions.iter().map(|(_, i, s)| (*i, s * place)).collect::<Vec<_>>();
@@ -246,7 +246,7 @@ impl<'a> Constrained<'a> {
         let n = self.springs.len();
         let frames = [self.frames(0, q), self.frames(1, q)];
         let spatial = [self.spatial(0, &frames[0]), self.spatial(1, &frames[1])];
-        let moved = |load: &Load| self.moved(load, &frames[load.chain], &spatial[load.chain]);
+        let moved = |load: &Load| Self::moved(load, &frames[load.chain], &spatial[load.chain]);
         let (mut energy, mut gradient, mut hessian) = (0.0, DVector::zeros(n), DMatrix::zeros(n, n));
         for (i, spring) in self.springs.iter().enumerate() {
             let u = q[i] - spring.rest;
@@ -307,7 +307,7 @@ impl<'a> Constrained<'a> {
             };
             let quarter = std::f64::consts::FRAC_PI_2;
             let (zero, left, opposite) = (squared(0.0), squared(quarter), squared(2.0 * quarter));
-            let mean = (zero + opposite) / 2.0;
+            let mean = f64::midpoint(zero, opposite);
             let (a, b, c) = (zero - mean, left - mean, rod * rod - mean);
             let root = (a * a + b * b - c * c).sqrt();
             let angles = [root, -root].map(|root| 2.0 * ((b + root) / (a + c)).atan());

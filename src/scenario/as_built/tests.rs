@@ -233,7 +233,8 @@ fn the_drawn_machines_have_the_stated_spread() {
         let machines: Vec<_> = (0..trials).map(|trial| scenario.as_built_for(5, trial)).collect();
         let rod = |machine: &AsBuilt| machine.actuators.four_bar().map_or(0.0, |(.., linkage)| linkage.rod);
         let axial = |machine: &AsBuilt| first_beam(machine, 4).segments[0].section.axial;
-        let kinds: [(&str, f64, &dyn Fn(&AsBuilt) -> f64); 8] = [
+        type Deviation<'a> = &'a dyn Fn(&AsBuilt) -> f64;
+        let kinds: [(&str, f64, Deviation); 8] = [
             ("a", 0.5e-3, &|m| m.kinematics.links[3].a - base.kinematics.links[3].a),
             ("beta", 0.3e-3, &|m| m.kinematics.links[0].beta - base.kinematics.links[0].beta),
             ("drive", 0.1, &|m| base.statics.drive_stiffness[2] / m.statics.drive_stiffness[2] - 1.0),

@@ -86,15 +86,10 @@ fn parse_with(sections: &str, robot: Robot) -> Result<Scenario, InputError> {
     let root = Path::new(ROOT);
     let shipped = std::fs::read_to_string(root.join("scenarios/paper.toml")).expect("the shipped scenario");
     let parsed: toml::Table = shipped.parse().expect("TOML");
-    let text = match parsed.contains_key("effects") {
-        // The shipped sections would be keys given twice.
-        true => {
-            let mut rest = parsed;
-            rest.remove("effects");
-            toml::to_string(&rest).expect("TOML")
-        }
-        false => shipped,
-    };
+    // The shipped sections would be keys given twice.
+    let mut rest = parsed;
+    rest.remove("effects");
+    let text = toml::to_string(&rest).expect("TOML");
     parse_scenario(Source::new("scenario.toml", format!("{text}\n{sections}")), robot)
 }
 

@@ -208,7 +208,7 @@ pub(super) fn painter(seed: u8) -> Case {
     });
     let bearings = ROWS.iter().enumerate().map(|(i, (kind, ..))| Bearing {
         stiffness: [2e8, 3e8, 2.5e8, 8e6, 6e6, 7e6],
-        side: if *kind == JointKind::Prismatic || i == 2 && seed % 2 == 0 {
+        side: if *kind == JointKind::Prismatic || i == 2 && seed.is_multiple_of(2) {
             BearingSide::Fixed
         } else {
             BearingSide::Moving

@@ -1,4 +1,4 @@
-//! Tests of the solver: against SciPy's solutions, and against what a minimum has to be.
+//! Tests of the solver: against `SciPy`'s solutions, and against what a minimum has to be.
 
 mod bounded;
 mod reference;
@@ -18,7 +18,7 @@ pub(super) struct Formula<F> {
     pub f: F,
 }
 
-impl<F: FnMut(&[f64]) -> Vec<(f64, Vec<f64>)>> LeastSquares for Formula<F> {
+impl<F: FnMut(&[f64]) -> Rows> LeastSquares for Formula<F> {
     fn parameters(&self) -> usize {
         self.n
     }
@@ -40,7 +40,10 @@ impl<F: FnMut(&[f64]) -> Vec<(f64, Vec<f64>)>> LeastSquares for Formula<F> {
     }
 }
 
-pub(super) fn rosenbrock() -> Formula<impl FnMut(&[f64]) -> Vec<(f64, Vec<f64>)>> {
+/// A residual with its gradient, row after row.
+pub(super) type Rows = Vec<(f64, Vec<f64>)>;
+
+pub(super) fn rosenbrock() -> Formula<impl FnMut(&[f64]) -> Rows> {
     Formula {
         n: 2,
         m: 2,

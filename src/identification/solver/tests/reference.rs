@@ -1,4 +1,4 @@
-//! Against SciPy (MINPACK, TRF, BFGS) and NIST's certified values: tests/fixtures/solver.
+//! Against `SciPy` (MINPACK, TRF, BFGS) and NIST's certified values: tests/fixtures/solver.
 
 use serde::Deserialize;
 
@@ -146,7 +146,7 @@ fn problem<'a>(
     t: &'a [f64],
     y: &'a [f64],
     n: usize,
-) -> Formula<impl FnMut(&[f64]) -> Vec<(f64, Vec<f64>)> + 'a> {
+) -> Formula<impl FnMut(&[f64]) -> Rows + 'a> {
     let m = residuals(model, &vec![1.0; n], t, y).len();
     Formula { n, m, blocks: 0, f: move |x: &[f64]| residuals(model, x, t, y) }
 }
@@ -254,7 +254,7 @@ fn curve(name: &str, x: &[f64], t: f64) -> [(f64, Vec<f64>); 3] {
     }
 }
 
-fn robust_problem(case: &RobustCase) -> Formula<impl FnMut(&[f64]) -> Vec<(f64, Vec<f64>)> + '_> {
+fn robust_problem(case: &RobustCase) -> Formula<impl FnMut(&[f64]) -> Rows + '_> {
     let n = case.start.len();
     let rows = move |x: &[f64]| {
         let mut rows = Vec::new();

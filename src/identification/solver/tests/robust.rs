@@ -103,7 +103,7 @@ fn session(rng: &mut ChaCha8Rng, blocks: u32, bad: usize) -> Session {
     Session { t, y, bad: places, prior }
 }
 
-fn lines(session: &Session) -> Formula<impl FnMut(&[f64]) -> Vec<(f64, Vec<f64>)> + '_> {
+fn lines(session: &Session) -> Formula<impl FnMut(&[f64]) -> Rows + '_> {
     let f = move |x: &[f64]| {
         let mut rows = Vec::new();
         for (t, y) in session.t.iter().zip(&session.y) {

@@ -1,7 +1,7 @@
 use super::*;
 
 /// Four ends: (x² - 1)² + (y² - 4)².
-fn wells() -> Formula<impl FnMut(&[f64]) -> Vec<(f64, Vec<f64>)>> {
+fn wells() -> Formula<impl FnMut(&[f64]) -> Rows> {
     let f = |x: &[f64]| {
         vec![(x[0] * x[0] - 1.0, vec![2.0 * x[0], 0.0]), (x[1] * x[1] - 4.0, vec![0.0, 2.0 * x[1]])]
     };
@@ -9,7 +9,7 @@ fn wells() -> Formula<impl FnMut(&[f64]) -> Vec<(f64, Vec<f64>)>> {
 }
 
 /// A sine of unknown frequency, whose cost has a minimum about every fitting number of periods.
-fn sine() -> Formula<impl FnMut(&[f64]) -> Vec<(f64, Vec<f64>)>> {
+fn sine() -> Formula<impl FnMut(&[f64]) -> Rows> {
     let f = |x: &[f64]| {
         (0..60)
             .map(|i| {

@@ -1,10 +1,7 @@
 use super::*;
 
 /// One parameter.
-fn scalar(
-    f: impl Fn(f64) -> Vec<(f64, f64)>,
-    m: usize,
-) -> Formula<impl FnMut(&[f64]) -> Vec<(f64, Vec<f64>)>> {
+fn scalar(f: impl Fn(f64) -> Vec<(f64, f64)>, m: usize) -> Formula<impl FnMut(&[f64]) -> Rows> {
     Formula {
         n: 1,
         m,
