@@ -91,6 +91,8 @@ pub struct Truth {
     pub poses: Vec<Vec<SettledPose>>,
     /// What the machine's effects made of every pose, in the order of `poses`.
     pub effects: Vec<Vec<PoseEffects>>,
+    /// Poses whose reading is a gross error, and what it is off by in the base frame, m; one vector a set.
+    pub outliers: Vec<Vec<(u32, Vector3<f64>)>>,
 }
 
 /// Everything that a run leaves behind.
@@ -225,15 +227,29 @@ fn errors(
         .map_err(|source| PipelineError::Predict { mode: robot.mode, source })
 }
 
-/// Simulates, identifies and evaluates a scenario.
+/// Simulates, identifies and evaluates a scenario: trial 0 of its campaigns.
 pub fn run(scenario: &Scenario, seed: u64, progress: impl FnMut(u32, u32)) -> Result<Outcome, PipelineError> {
-    let simulation = simulate(scenario, seed, 0, PlantKind::Rapier, progress)?;
+    run_trial(scenario, seed, 0, PlantKind::Rapier, progress)
+}
+
+/// The same of any trial, with what stands for the machine in the campaign.
+pub fn run_trial(
+    scenario: &Scenario,
+    seed: u64,
+    trial: u32,
+    plant: PlantKind,
+    progress: impl FnMut(u32, u32),
+) -> Result<Outcome, PipelineError> {
+    let simulation = simulate(scenario, seed, trial, plant, progress)?;
     let model = &scenario.robot.model;
     let (registration, modes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;
     Ok(Outcome {
         input: InputSummary {
             kind: "scenario",
-            name: scenario.name.clone(),
+            name: match trial {
+                0 => scenario.name.clone(),
+                _ => format!("{}, trial {trial}", scenario.name),
+            },
             sha256: hash_sources(&scenario.sources),
             seed: Some(seed),
         },

@@ -31,7 +31,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     trials: u32,
     /// Number of the first trial
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = trial_number())]
     first: u32,
     /// What stands for the machine: the multibody simulation, or the identification's own elastostatics (a matched model: for tests of the estimator)
     #[arg(long, value_enum, default_value_t = Plant::Rapier)]
@@ -51,7 +51,7 @@ pub(super) struct Args {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Plant {
+pub(super) enum Plant {
     Rapier,
     Analytic,
 }
@@ -63,6 +63,11 @@ impl From<Plant> for PlantKind {
             Plant::Analytic => Self::Analytic,
         }
     }
+}
+
+/// Leaves room for the trials behind the first one.
+pub(super) fn trial_number() -> clap::builder::RangedI64ValueParser<u32> {
+    clap::value_parser!(u32).range(0..=4_000_000_000)
 }
 
 pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
@@ -80,7 +85,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         bar.set_style(style);
     }
     let stop = stop_on_interrupt();
-    let range = args.first..args.first.saturating_add(args.trials);
+    let range = args.first..args.first + args.trials;
     let trials = campaign
         .run(range, usize::from(args.threads), &stop, |trial| {
             table.write(&campaign, trial);
@@ -102,7 +107,11 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         say(&format!("doubtful: interrupted, {missing} of {} trials are not done", args.trials));
     }
     if !summary.failures.is_empty() {
-        say(&format!("doubtful: {} of {} trials failed", summary.failures.len(), trials.len()));
+        say(&format!(
+            "doubtful: {} of {} trials failed, see trials.csv",
+            summary.failures.len(),
+            trials.len()
+        ));
     }
     let sound = missing == 0 && summary.failures.is_empty();
     Ok(if sound { Verdict::Done } else { Verdict::Doubtful })

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::montecarlo::{Plant, trial_number};
 use super::output::{self, Destination, Files};
 use super::{CliError, Verdict, not_identified};
 use crate::pipeline::{self, Ablation, Outcome};
@@ -15,6 +16,7 @@ use crate::scenario::{Scenario, load_scenario};
   calibrig run scenarios/paper.toml                   tables here, files in a new folder under runs/
   calibrig run scenarios/paper.toml --out out         the same, files in out/, written over
   calibrig run scenarios/paper.toml --seed 7 --json   other poses and noise, the report as JSON
+  calibrig run scenarios/paper.toml --trial 42        trial 42 of `calibrig montecarlo` with the same scenario and seed
   calibrig run scenarios/paper.toml --ablate          and what each part of the machine contributes")]
 pub(super) struct Args {
     /// The scenario file
@@ -25,6 +27,12 @@ pub(super) struct Args {
     /// Seed of the random draws, instead of the scenario's
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = whole_number)]
     seed: Option<u64>,
+    /// Number of the trial of a campaign
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = trial_number(), conflicts_with = "ablate")]
+    trial: u32,
+    /// What stands for the machine: the multibody simulation, or the identification's own elastostatics (a matched model: for tests of the estimator)
+    #[arg(long, value_enum, default_value_t = Plant::Rapier, conflicts_with = "ablate")]
+    plant: Plant,
     /// Repeat the run without one part of the machine at a time, and tell what each contributes
     #[arg(long)]
     ablate: bool,
@@ -42,7 +50,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     if let Ok(style) = ProgressStyle::with_template("simulating pose {pos}/{len} {bar:40} {elapsed}") {
         bar.set_style(style);
     }
-    let outcome = pipeline::run(&scenario, seed, |done, total| {
+    let outcome = pipeline::run_trial(&scenario, seed, args.trial, args.plant.into(), |done, total| {
         bar.set_length(total.into());
         bar.set_position(done.into());
     });

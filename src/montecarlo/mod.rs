@@ -8,8 +8,8 @@ mod trial;
 
 pub use columns::{header, row};
 pub use summary::{
-    CampaignSummary, MeanWithInterval, ModeSummary, ParameterSummary, SetSummary, summarise, summary_json,
-    summary_text,
+    CampaignSummary, MeanWithInterval, ModeSummary, ParameterSummary, PredictionCoverage, SetSummary,
+    summarise, summary_json, summary_text,
 };
 pub use trial::{ModeResult, ParameterResult, Trial, TrialOutcome};
 

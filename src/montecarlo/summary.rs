@@ -103,7 +103,39 @@ pub struct ModeSummary {
     /// Parameter by parameter.
     pub parameters: Vec<ParameterSummary>,
     /// How often the stated 95 % interval of a predicted coordinate held the true one.
-    pub predictions: Coverage,
+    pub predictions: Option<PredictionCoverage>,
+}
+
+/// How often stated intervals of predicted coordinates held the true ones. Coordinates of one trial depend on the same estimate, so that
+/// trials are what counts: its uncertainty comes from the scatter between them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PredictionCoverage {
+    /// Over all coordinates of all trials.
+    pub coverage: Coverage,
+    /// Half the width of the 99.9 % interval of its fraction (Student's t over the trials); `None` from one trial.
+    pub half_width: Option<f64>,
+}
+
+impl PredictionCoverage {
+    /// From (hits, intervals) of every trial; `None` without any interval. The variance is that of a ratio of means.
+    fn of(trials: &[(u64, u64)]) -> Option<Self> {
+        let mut coverage = Coverage::default();
+        for (hits, all) in trials {
+            coverage.hits += hits;
+            coverage.trials += all;
+        }
+        if coverage.trials == 0 {
+            return None;
+        }
+        let (n, fraction) = (trials.len() as f64, coverage.fraction());
+        let half_width = (trials.len() > 1).then(|| {
+            let off = |(hits, all): &(u64, u64)| (*hits as f64 - fraction * *all as f64).powi(2);
+            let variance =
+                trials.iter().map(off).sum::<f64>() * n / (n - 1.0) / (coverage.trials as f64).powi(2);
+            student_t_quantile(0.5 + 0.5 * BAND, n - 1.0) * variance.sqrt()
+        });
+        Some(Self { coverage, half_width })
+    }
 }
 
 /// The mean normalised estimation error squared.
@@ -153,11 +185,7 @@ pub fn summarise(campaign: &Campaign<'_>, trials: &[Trial]) -> CampaignSummary {
 
 fn summarise_mode(mode: Mode, results: &[&ModeResult]) -> ModeSummary {
     let fits: Vec<&Fit> = results.iter().filter_map(|r| r.fit.as_ref()).collect();
-    let mut predictions = Coverage::default();
-    for fit in &fits {
-        predictions.hits += fit.predictions.0;
-        predictions.trials += fit.predictions.1;
-    }
+    let predictions: Vec<(u64, u64)> = fits.iter().map(|f| f.predictions).collect();
     let iterations: Vec<f64> = fits.iter().map(|f| f.iterations as f64).collect();
     let chi2: Vec<f64> = fits.iter().filter_map(|f| f.chi2_per_dof).collect();
     ModeSummary {
@@ -168,7 +196,7 @@ fn summarise_mode(mode: Mode, results: &[&ModeResult]) -> ModeSummary {
         chi2_per_dof: MeanWithInterval::of(&chi2),
         nees: summarise_nees(&fits),
         parameters: summarise_parameters(&fits),
-        predictions,
+        predictions: PredictionCoverage::of(&predictions),
     }
 }
 
@@ -269,6 +297,14 @@ fn coverage_json(coverage: Coverage) -> Value {
     })
 }
 
+fn predictions_json(predictions: &PredictionCoverage) -> Value {
+    let fraction = predictions.coverage.fraction();
+    json!({
+        "fraction": fraction, "intervals": predictions.coverage.trials,
+        "interval_99_9": predictions.half_width.map(|half| [fraction - half, fraction + half]),
+    })
+}
+
 fn mode_json(mode: &ModeSummary) -> Value {
     let sets: serde_json::Map<String, Value> = mode
         .sets
@@ -297,7 +333,7 @@ fn mode_json(mode: &ModeSummary) -> Value {
         "chi2_per_dof": mode.chi2_per_dof.as_ref().map(mean_json),
         "nees": mode.nees.map(|n| json!({ "mean": n.mean, "parameters": n.parameters, "trials": n.trials, "band_99_9": [n.band.0, n.band.1] })),
         "parameters": parameters,
-        "prediction_coverage": coverage_json(mode.predictions),
+        "prediction_coverage": mode.predictions.as_ref().map(predictions_json),
     })
 }
 
@@ -392,12 +428,13 @@ fn consistency_text(text: &mut String, summary: &CampaignSummary) {
                 nees.band.1 / n
             );
         }
-        if mode.predictions.trials > 0 {
-            let _ = write!(
-                text,
-                "; {:.1} % of the true positions inside their stated 95 % intervals",
-                100.0 * mode.predictions.fraction()
-            );
+        if let Some(predictions) = mode.predictions {
+            let share = 100.0 * predictions.coverage.fraction();
+            let _ = write!(text, "; {share:.2} %");
+            if let Some(half) = predictions.half_width {
+                let _ = write!(text, " ± {:.2}", 100.0 * half);
+            }
+            text.push_str(" of the true coordinates inside their stated 95 % intervals");
         }
         if mode.doubtful > 0 {
             let _ = write!(text, "; {} doubtful", mode.doubtful);
@@ -451,6 +488,16 @@ mod tests {
         assert_eq!(m.quantiles, [1.2, 3.0, 4.8]);
         assert_eq!(MeanWithInterval::of(&[7.0]).expect("one").half_width, None);
         assert_eq!(MeanWithInterval::of(&[]), None);
+    }
+
+    #[test]
+    fn coverage_of_predictions_by_hand() {
+        let two = PredictionCoverage::of(&[(10, 10), (8, 10)]).expect("two trials");
+        assert_eq!(two.coverage, Coverage { hits: 18, trials: 20 });
+        // Fractions 1 and 0.8: their mean has the standard error 0.1, and t(0.9995, 1) = 636.619.
+        assert!((two.half_width.expect("two") - 63.661_9).abs() < 1e-3);
+        assert_eq!(PredictionCoverage::of(&[(3, 3)]).expect("one").half_width, None);
+        assert_eq!(PredictionCoverage::of(&[(0, 0)]), None);
     }
 
     #[test]

@@ -33,7 +33,7 @@ pub fn simulate(
     let station = measure_nests(scenario, seed, trial)?;
     let target = measure_target(scenario, seed, trial);
     let mut done = 0;
-    let (mut sets, mut poses, mut effects) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut sets, mut poses, mut effects, mut outliers) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for (kind, count, pose_source, noise_source) in [
         (
             SetKind::Identification,
@@ -53,7 +53,7 @@ pub fn simulate(
         }
         let mut pose_stream = random::stream(seed, trial, pose_source);
         let mut noise = random::stream(seed, trial, noise_source);
-        let (mut settled_poses, mut pose_effects) = (Vec::new(), Vec::new());
+        let (mut settled_poses, mut pose_effects, mut set_outliers) = (Vec::new(), Vec::new(), Vec::new());
         let mut set = SetOutcome {
             kind,
             measurements: MeasurementSet {
@@ -70,8 +70,11 @@ pub fn simulate(
             let time = SECONDS_PER_POSE * f64::from(done);
             let mut own = random::stream_at(seed, trial, random::Source::Repeatability, entry(kind, pose));
             let (settled, effects) = machine.go_to(&mut plant, &command, time, &mut own)?;
-            match scenario.tracker.measure(&settled.target, &mut noise) {
+            let outlier = outlier(scenario, seed, trial, entry(kind, pose));
+            let seen = settled.target + outlier.unwrap_or_default();
+            match scenario.tracker.measure(&seen, &mut noise) {
                 Ok(reading) => {
+                    set_outliers.extend(outlier.map(|shift| (pose, shift)));
                     set.measurements.observations.push(Observation {
                         pose,
                         command,
@@ -93,12 +96,14 @@ pub fn simulate(
         sets.push(set);
         poses.push(settled_poses);
         effects.push(pose_effects);
+        outliers.push(set_outliers);
     }
     let truth = Truth {
         as_built: scenario.as_built.clone(),
         tracker_from_base: scenario.tracker.tracker_from_base,
         poses,
         effects,
+        outliers,
     };
     Ok(Simulation { sets, truth })
 }
@@ -110,6 +115,11 @@ fn entry(kind: SetKind, pose: u32) -> u64 {
         SetKind::Verification => 1,
     };
     set << 32 | u64::from(pose)
+}
+
+/// What the reading at that place of the streams is off by, if it is a gross error.
+fn outlier(scenario: &Scenario, seed: u64, trial: u32, place: u64) -> Option<Vector3<f64>> {
+    scenario.outliers?.draw(&mut random::stream_at(seed, trial, random::Source::Outliers, place))
 }
 
 /// The machine between two poses: what its controller and its drives remember.

@@ -5,7 +5,7 @@ use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 
 use super::AsBuilt;
-use crate::model::{FourBar, LinkTerm};
+use crate::model::{Compliance, FourBar, LinkTerm};
 
 /// How a deviation is distributed about zero.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,7 +37,9 @@ pub struct AsBuiltDistribution {
     pub length: f64,
     /// Of alpha, theta and beta, rad.
     pub angle: f64,
-    /// Of every compliance, relative: a stiffness k becomes k / (1 + x), as the compliance parameters of identification have it.
+    /// The compliances that deviate.
+    pub compliances: Vec<Compliance>,
+    /// Of those, relative: a stiffness k becomes k / (1 + x), as the compliance parameters of identification have it.
     pub compliance: f64,
     /// Of every link's mass, relative.
     pub mass: f64,
@@ -71,14 +73,16 @@ impl AsBuiltDistribution {
         }
         let mut factor = |size: f64| (1.0 + size * self.spread.draw(rng)).max(LEAST_FACTOR);
         for joint in 0..machine.statics.bodies.len() {
-            machine.statics.drive_stiffness[joint] /= factor(self.compliance);
-            for stiffness in &mut machine.statics.bearings[joint].stiffness {
-                *stiffness /= factor(self.compliance);
+            machine.statics.drive_stiffness[joint] /=
+                factor(self.size_of_compliance(Compliance::Drive { joint }));
+            for (axis, stiffness) in machine.statics.bearings[joint].stiffness.iter_mut().enumerate() {
+                *stiffness /= factor(self.size_of_compliance(Compliance::Bearing { joint, axis }));
             }
-            machine.scale_beam(joint, 1.0 / factor(self.compliance));
+            machine
+                .scale_beam(joint, 1.0 / factor(self.size_of_compliance(Compliance::Beam { link: joint })));
             machine.scale_mass(joint, factor(self.mass));
         }
-        let rod = factor(self.compliance);
+        let rod = factor(self.size_of_compliance(Compliance::Rod));
         if let Some(linkage) = &mut machine.statics.linkage {
             linkage.rod_stiffness /= rod;
         }
@@ -95,6 +99,10 @@ impl AsBuiltDistribution {
             LinkTerm::A | LinkTerm::D => self.length,
             LinkTerm::Alpha | LinkTerm::Beta | LinkTerm::Theta => self.angle,
         }
+    }
+
+    fn size_of_compliance(&self, compliance: Compliance) -> f64 {
+        if self.compliances.contains(&compliance) { self.compliance } else { 0.0 }
     }
 
     fn draw_linkage(&self, machine: &mut AsBuilt, rng: &mut impl Rng) {

@@ -12,7 +12,8 @@ use super::file::{joint_index, refuse_twice};
 use crate::identification::neighbour_axis_rules;
 use crate::input::{InputError, Source, Spanned};
 use crate::model::{
-    KinematicModel, LinkTerm, LoadTable, ParameterId, RIGID, Robot, linkage_fault, read_loads,
+    CalibrationModel, Compliance, KinematicModel, LinkTerm, LoadTable, ParameterId, RIGID, Robot,
+    linkage_fault, read_loads,
 };
 use crate::plant::effects::Effects;
 use crate::plant::{AsBuilt, AsBuiltDistribution, Spread};
@@ -89,6 +90,7 @@ struct DrawnFile {
     parameters: Option<Spanned<toml::Value>>,
     lengths_mm: Option<Spanned<f64>>,
     angles_mrad: Option<Spanned<f64>>,
+    compliances: Option<Spanned<toml::Value>>,
     compliance_fraction: Option<Spanned<f64>>,
     mass_fraction: Option<Spanned<f64>>,
     linkage_mm: Option<Spanned<f64>>,
@@ -146,7 +148,7 @@ pub(super) fn as_built(
     }
     let place = file.linkage.as_ref().map_or(robot_key.span(), Spanned::span);
     reader.check_closing(&machine, place, "as_built.linkage")?;
-    let drawn = file.drawn.as_ref().map(|drawn| reader.drawn(drawn, &machine, &robot.model.kinematics));
+    let drawn = file.drawn.as_ref().map(|drawn| reader.drawn(drawn, &machine, &robot.model));
     Ok((machine, drawn.transpose()?))
 }
 
@@ -272,7 +274,7 @@ impl Reader<'_> {
         &self,
         table: &Spanned<DrawnFile>,
         machine: &AsBuilt,
-        nominal: &KinematicModel,
+        nominal: &CalibrationModel,
     ) -> Result<AsBuiltDistribution, InputError> {
         let file = table.get_ref();
         let (spread, largest) = match file.distribution {
@@ -295,9 +297,10 @@ impl Reader<'_> {
         };
         let distribution = AsBuiltDistribution {
             spread,
-            link_parameters: self.link_parameters(file.parameters.as_ref(), nominal)?,
+            link_parameters: self.link_parameters(file.parameters.as_ref(), &nominal.kinematics)?,
             length: size("lengths_mm", 1e-3, &file.lengths_mm)?,
             angle: size("angles_mrad", 1e-3, &file.angles_mrad)?,
+            compliances: self.compliances(file.compliances.as_ref(), nominal)?,
             compliance: fraction("compliance_fraction", &file.compliance_fraction)?,
             mass: fraction("mass_fraction", &file.mass_fraction)?,
             linkage_length: size("linkage_mm", 1e-3, &file.linkage_mm)?,
@@ -335,6 +338,37 @@ impl Reader<'_> {
                 .map(|name| match name.as_str().and_then(ParameterId::parse) {
                     Some(ParameterId::Link { link, term }) if link < links => Ok((link, term)),
                     _ => Err(refused(format!("{name} is not a link parameter of this robot"))),
+                })
+                .collect(),
+            other => Err(refused(format!("{other} is no choice"))),
+        }
+    }
+
+    /// Which compliances deviate; all without the key.
+    fn compliances(
+        &self,
+        value: Option<&Spanned<toml::Value>>,
+        model: &CalibrationModel,
+    ) -> Result<Vec<Compliance>, InputError> {
+        let known = model.compliances();
+        let Some(value) = value else { return Ok(known) };
+        let refused = |what: String| {
+            let names = known.iter().map(|which| format!("\"{}\"", ParameterId::Compliance(*which)));
+            let expected =
+                format!("\"all\", \"drives\", or a list of: {}", names.collect::<Vec<_>>().join(", "));
+            self.error(value.span(), format!("as_built.drawn.compliances: {what}"), &expected)
+        };
+        match value.get_ref() {
+            toml::Value::String(name) if name == "all" => Ok(known),
+            toml::Value::String(name) if name == "drives" => {
+                let of_drives = |c: &Compliance| matches!(c, Compliance::Drive { .. } | Compliance::Rod);
+                Ok(known.into_iter().filter(of_drives).collect())
+            }
+            toml::Value::Array(names) => names
+                .iter()
+                .map(|name| match name.as_str().and_then(ParameterId::parse) {
+                    Some(ParameterId::Compliance(which)) if known.contains(&which) => Ok(which),
+                    _ => Err(refused(format!("{name} is not a compliance of this robot"))),
                 })
                 .collect(),
             other => Err(refused(format!("{other} is no choice"))),

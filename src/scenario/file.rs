@@ -14,7 +14,7 @@ use crate::input::{InputError, Source, Spanned};
 use crate::measurement::SetKind;
 use crate::model::{JointKind, KinematicModel, Robot, load_robot};
 use crate::plant::AsBuilt;
-use crate::tracker::{ErrorLine, Instrument, LaserTracker, WORKING_RANGE};
+use crate::tracker::{ErrorLine, Instrument, LaserTracker, Outliers, WORKING_RANGE};
 
 const SCHEMA: &str = "calibrig.scenario/1";
 
@@ -72,6 +72,15 @@ struct TrackerFile {
     nest_sigma_um: Spanned<f64>,
     target_sigma_um: Spanned<f64>,
     nest: Spanned<Vec<Spanned<NestFile>>>,
+    outliers: Option<OutliersFile>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct OutliersFile {
+    fraction: Spanned<f64>,
+    least_mm: Spanned<f64>,
+    most_mm: Spanned<f64>,
 }
 
 fn yes() -> bool {
@@ -150,6 +159,7 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
     let identification_poses = pose_count(&source, "poses.identification", &file.poses.identification, 1)?;
     let verification_poses = pose_count(&source, "poses.verification", &file.poses.verification, 0)?;
     let tracker = tracker(&source, &file.tracker, &as_built)?;
+    let outliers = file.tracker.outliers.as_ref().map(|file| outliers(&source, file)).transpose()?;
     let nest_sigma = 1e-6 * source.positive("tracker.nest_sigma_um", &file.tracker.nest_sigma_um)?;
     let nests = nests(&source, &file.tracker, &tracker, nest_sigma)?;
     let target_sigma = 1e-6 * source.positive("tracker.target_sigma_um", &file.tracker.target_sigma_um)?;
@@ -183,6 +193,7 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
         identification_poses,
         verification_poses,
         tracker,
+        outliers,
         nests,
         nest_sigma,
         target_covariance: Matrix3::identity() * target_sigma * target_sigma,
@@ -326,6 +337,28 @@ fn tracker(source: &Source, file: &TrackerFile, as_built: &AsBuilt) -> Result<La
     let yaw = source.finite("tracker.yaw_deg", &file.yaw_deg)?.to_radians();
     let up = -as_built.statics.gravity;
     Ok(LaserTracker::levelled(instrument, position, yaw, &up))
+}
+
+/// Half of all readings: with more, no method can tell which half is in error.
+const MOST_OUTLIERS: f64 = 0.5;
+
+fn outliers(source: &Source, file: &OutliersFile) -> Result<Outliers, InputError> {
+    let fraction = source.not_negative("tracker.outliers.fraction", &file.fraction)?;
+    if fraction > MOST_OUTLIERS {
+        let help = Some(format!("expected a share of all readings, at most {MOST_OUTLIERS}"));
+        return Err(source.error(
+            file.fraction.span(),
+            format!("tracker.outliers.fraction is {fraction}"),
+            help,
+        ));
+    }
+    let least = source.not_negative("tracker.outliers.least_mm", &file.least_mm)?;
+    let most = source.not_negative("tracker.outliers.most_mm", &file.most_mm)?;
+    if most < least {
+        let help = Some(format!("expected least_mm ({least}) or more"));
+        return Err(source.error(file.most_mm.span(), format!("tracker.outliers.most_mm is {most}"), help));
+    }
+    Ok(Outliers { fraction, least: 1e-3 * least, most: 1e-3 * most })
 }
 
 fn nests(

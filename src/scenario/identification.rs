@@ -4,7 +4,7 @@ use serde::Deserialize;
 
 use crate::identification::{
     ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Loss, Mode, ParameterChoice, Redundancy,
-    SolverOptions, TargetChoice, TermPrior,
+    SolverOptions, TargetChoice, TermPrior, Tolerance,
 };
 use crate::input::{InputError, Source, Spanned};
 use crate::model::{CalibrationModel, FAMILIES, ParameterId};
@@ -15,6 +15,8 @@ pub(super) struct IdentificationFile {
     modes: Option<Spanned<Vec<ModeFile>>>,
     parameters: Option<Spanned<toml::Value>>,
     extended_parameters: Option<Spanned<toml::Value>>,
+    tolerance_mm: Option<Spanned<f64>>,
+    tolerance_mrad: Option<Spanned<f64>>,
     compliances: Option<Spanned<toml::Value>>,
     compliance_sigma: Option<Spanned<f64>>,
     masses: Option<Spanned<Vec<Spanned<String>>>>,
@@ -123,6 +125,7 @@ impl IdentificationFile {
         if let Some(parameters) = &self.extended_parameters {
             options.extended_parameters = parameter_choice(source, "extended_parameters", parameters, links)?;
         }
+        options.tolerance = self.tolerance(source)?;
         if let Some(compliances) = &self.compliances {
             options.compliances = compliance_choice(source, compliances, model)?;
         }
@@ -192,6 +195,23 @@ impl IdentificationFile {
             options.solver.starts = *starts.get_ref();
         }
         Ok(options)
+    }
+
+    /// The prior on the link parameters, for lengths and angles or for neither.
+    fn tolerance(&self, source: &Source) -> Result<Option<Tolerance>, InputError> {
+        let alone = |given: &Spanned<f64>, key: &str, other: &str| {
+            let help = Some(format!("expected {other} as well, or neither"));
+            Err(source.error(given.span(), format!("identification.{key} stands alone"), help))
+        };
+        match (&self.tolerance_mm, &self.tolerance_mrad) {
+            (None, None) => Ok(None),
+            (Some(given), None) => alone(given, "tolerance_mm", "tolerance_mrad"),
+            (None, Some(given)) => alone(given, "tolerance_mrad", "tolerance_mm"),
+            (Some(length), Some(angle)) => Ok(Some(Tolerance {
+                length: 1e-3 * source.positive("identification.tolerance_mm", length)?,
+                angle: 1e-3 * source.positive("identification.tolerance_mrad", angle)?,
+            })),
+        }
     }
 }
 

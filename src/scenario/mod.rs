@@ -18,7 +18,7 @@ use crate::measurement::SetKind;
 use crate::model::Robot;
 use crate::plant::{AsBuilt, AsBuiltDistribution};
 use crate::random;
-use crate::tracker::LaserTracker;
+use crate::tracker::{LaserTracker, Outliers};
 
 /// A validated scenario, SI.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,6 +41,8 @@ pub struct Scenario {
     pub verification_poses: u32,
     /// The tracker at its real place.
     pub tracker: LaserTracker,
+    /// Gross errors among its readings of the target, where there are any.
+    pub outliers: Option<Outliers>,
     /// Base nests: name and true place in the base frame, m.
     pub nests: Vec<(String, Vector3<f64>)>,
     /// Standard deviation of the nests' certified coordinates, m.

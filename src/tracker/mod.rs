@@ -3,6 +3,10 @@
 //! Systematic errors of the instrument, the environment and drift are not modelled yet; line of sight is assumed free and the SMR
 //! turned to the tracker.
 
+mod outliers;
+
+pub use outliers::Outliers;
+
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};

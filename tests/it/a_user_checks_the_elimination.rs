@@ -9,23 +9,18 @@ use calibrig::identification::{
 };
 use calibrig::model::{ActuatorMap, LinkTerm, ParameterId};
 use calibrig::pipeline::{PlantKind, Simulation, simulate};
-use calibrig::plant::effects::Effects;
 use calibrig::scenario::Scenario;
 
-use crate::a_user_reproduces_the_paper::paper;
+use crate::a_user_reproduces_the_paper::rigid_paper;
 
 const DRAWS: u32 = 10;
 
-/// The paper's machine with geometric errors alone: neither springs nor four-bar nor other effects.
+/// The paper's machine with the published geometric errors alone: neither springs nor four-bar nor other effects.
 fn geometric() -> Scenario {
-    let mut scenario = paper();
-    scenario.as_built.statics.make_rigid();
-    for actuators in [&mut scenario.as_built.actuators, &mut scenario.robot.model.actuators] {
-        if let ActuatorMap::Parallelogram { linkage, .. } = actuators {
-            *linkage = None;
-        }
+    let mut scenario = rigid_paper();
+    if let ActuatorMap::Parallelogram { linkage, .. } = &mut scenario.robot.model.actuators {
+        *linkage = None;
     }
-    scenario.as_built.effects = Effects::default();
     scenario.options.mode = Mode::OnlyCalibration;
     scenario.options.unmodelled_sigma = 0.0;
     scenario

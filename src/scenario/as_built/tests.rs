@@ -132,6 +132,8 @@ fn every_mistake_is_named() {
         (drawn("mass_fraction = nan"), "mass_fraction is nan", "finite"),
         (drawn("parameters = \"some\""), "\"some\" is no choice", "neighbour_axis_rules"),
         (drawn("parameters = [\"delta_a9\"]"), "\"delta_a9\" is not a link parameter", "from 1 to 7"),
+        (drawn("compliances = \"some\""), "\"some\" is no choice", "\"drives\", or a list"),
+        (drawn("compliances = [\"mass3\"]"), "\"mass3\" is not a compliance", "\"compliance_rod\""),
         (drawn("linkage_mm = 120"), "can have no length", "less"),
         (drawn("linkage_mm = 80"), "as_built.drawn: with linkage_mm", "elbow's limits"),
     ] {
