@@ -45,8 +45,9 @@ pub(super) fn build(
         return Ok(built);
     }
     let jacobian = starting_jacobian(&mut built.problem)?;
+    let measured = jacobian.rows(0, built.problem.measured_rows());
     let effect =
-        |column: usize| jacobian.column(column).norm() * columns[column].sigma.unwrap_or(f64::INFINITY);
+        |column: usize| measured.column(column).norm() * columns[column].sigma.unwrap_or(f64::INFINITY);
     let unexcited: Vec<bool> = columns
         .iter()
         .enumerate()

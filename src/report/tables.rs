@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use super::ablation::ablation_lines;
+use super::splits::split_lines;
 use super::{
     condition_words, consistency_ratio, counted, pose_words, published, set_title, termination_words,
 };
@@ -71,6 +72,9 @@ pub fn render_tables(outcome: &Outcome, style: Style) -> String {
     }
     if let Some(ablation) = &outcome.ablation {
         ablation_lines(ablation, style).iter().for_each(|l| line(l));
+    }
+    if let Some(study) = &outcome.splits {
+        split_lines(study, style).iter().for_each(|l| line(l));
     }
     text
 }

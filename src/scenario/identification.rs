@@ -7,7 +7,7 @@ use crate::identification::{
     SolverOptions, TargetChoice, TermPrior,
 };
 use crate::input::{InputError, Source, Spanned};
-use crate::model::{CalibrationModel, FAMILIES, ParameterId};
+use crate::model::{CalibrationModel, FAMILIES, ParameterId, Robot};
 
 #[derive(Deserialize, Default)]
 #[serde(deny_unknown_fields)]
@@ -113,9 +113,11 @@ impl IdentificationFile {
     pub(super) fn options(
         &self,
         source: &Source,
-        model: &CalibrationModel,
+        robot: &Robot,
     ) -> Result<IdentificationOptions, InputError> {
+        let model = &robot.model;
         let mut options = IdentificationOptions::default();
+        options.compliance_sigma = robot.compliance_sigma.unwrap_or(options.compliance_sigma);
         let links = model.kinematics.joint_count();
         if let Some(parameters) = &self.parameters {
             options.parameters = parameter_choice(source, "parameters", parameters, links)?;
