@@ -1,5 +1,7 @@
 //! Repeated random splits, as a table on the terminal and on the page, and in JSON.
 
+use std::fmt::Write;
+
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
@@ -88,10 +90,12 @@ fn title(study: &SplitStudy) -> String {
 
 /// Whether a gain is more than chance.
 fn words(gain: Interval) -> &'static str {
-    match gain.excludes_zero() {
-        true if gain.value > 0.0 => "better",
-        true => "worse",
-        false => "may be chance",
+    if !gain.excludes_zero() {
+        "may be chance"
+    } else if gain.value > 0.0 {
+        "better"
+    } else {
+        "worse"
     }
 }
 
@@ -109,7 +113,7 @@ pub(super) fn split_lines(study: &SplitStudy, style: Style) -> Vec<String> {
         let mut line = format!("{:<TITLE$}", mode.mode.title());
         let gain = mode.gain.map(|gain| [gain.value, gain.low, gain.high]);
         for metres in [mode.mean_rms(), least, largest].into_iter().chain(gain.into_iter().flatten()) {
-            line.push_str(&format!("{:>CELL$}", fine(metres)));
+            let _ = write!(line, "{:>CELL$}", fine(metres));
         }
         lines.push(line);
     }
@@ -161,5 +165,43 @@ pub(super) fn split_section(study: &SplitStudy) -> Markup {
             }
             @for remark in remarks(study) { p.note { (remark) "." } }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::identification::Mode;
+    use crate::pipeline::SplitPlan;
+    use crate::report::{html_report, json_text, render_tables, sample};
+
+    #[test]
+    fn splits_are_in_every_form_of_the_report() {
+        let mut outcome = sample::measured();
+        let mode =
+            |mode, rms: [f64; 2], doubtful, gain| SplitMode { mode, rms: rms.to_vec(), doubtful, gain };
+        let gain = Interval { value: 3e-4, low: -1e-5, high: 6.1e-4 };
+        outcome.splits = Some(SplitStudy {
+            plan: SplitPlan { splits: 2, fitted: 20, seed: 7 },
+            held_out: 40,
+            modes: vec![
+                mode(Mode::WithoutCalibration, [5e-4, 7e-4], 0, None),
+                mode(Mode::OnlyCalibration, [2e-4, 4e-4], 1, Some(gain)),
+            ],
+        });
+        let text = render_tables(&outcome, Style::Plain);
+        assert!(text.contains("2 random splits: 20 poses fitted, 40 held out"));
+        let row = "0.3000    0.2000    0.4000    0.3000   -0.0100    0.6100";
+        assert!(text.contains(row), "{text}");
+        assert!(text.contains("only calibration: may be chance") && text.contains("doubtful in 1 of 2"));
+        assert!(text.lines().all(|line| line.chars().count() <= 100));
+        let json: crate::report::JsonReport =
+            serde_json::from_str(&json_text(&outcome).expect("JSON")).expect("the schema");
+        let splits = json.splits.expect("as asked for");
+        assert_eq!((splits.splits, splits.fitted, splits.held_out, splits.seed), (2, 20, 40, 7));
+        assert_eq!(splits.rows[1].rms_3d_m, [Some(2e-4), Some(4e-4)]);
+        assert_eq!(splits.rows[1].gain_m.and_then(|gain| gain.low), Some(-1e-5));
+        assert!(splits.rows[0].gain_m.is_none());
+        assert!(html_report(&outcome).expect("a page").contains("id=\"splits\""));
     }
 }

@@ -116,8 +116,11 @@ impl IdentificationFile {
         robot: &Robot,
     ) -> Result<IdentificationOptions, InputError> {
         let model = &robot.model;
-        let mut options = IdentificationOptions::default();
-        options.compliance_sigma = robot.compliance_sigma.unwrap_or(options.compliance_sigma);
+        let defaults = IdentificationOptions::default();
+        let mut options = IdentificationOptions {
+            compliance_sigma: robot.compliance_sigma.unwrap_or(defaults.compliance_sigma),
+            ..defaults
+        };
         let links = model.kinematics.joint_count();
         if let Some(parameters) = &self.parameters {
             options.parameters = parameter_choice(source, "parameters", parameters, links)?;
