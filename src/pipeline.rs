@@ -3,11 +3,13 @@
 mod ablation;
 mod machine;
 mod simulate;
+mod splits;
 mod truth;
 
 pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
 pub use machine::PlantKind;
 pub use simulate::simulate;
+pub use splits::{SplitMode, SplitPlan, SplitStudy, pose_count, repeat_splits};
 pub use truth::KnownTruth;
 
 use std::fmt::Write;
@@ -118,6 +120,8 @@ pub struct Outcome {
     pub published: Vec<(SetKind, Mode, [f64; 6])>,
     /// What each part of the simulated machine contributes, where that was asked for.
     pub ablation: Option<Ablation>,
+    /// The modes on random splits of the identification set, where that was asked for.
+    pub splits: Option<SplitStudy>,
 }
 
 /// A simulated session: what the tracker saw, and the truth beside it.
@@ -157,6 +161,14 @@ pub enum PipelineError {
         mode: Mode,
         /// Why.
         source: PredictionError,
+    },
+    /// A random split cannot be identified.
+    #[error("split {split}: {source}")]
+    Split {
+        /// Its number, from one.
+        split: usize,
+        /// Why.
+        source: Box<PipelineError>,
     },
     /// A mode cannot be identified.
     #[error("{}: {source}", mode.title())]
@@ -262,6 +274,7 @@ pub fn run_trial(
         truth: Some(simulation.truth),
         published: scenario.published.clone(),
         ablation: None,
+        splits: None,
     })
 }
 

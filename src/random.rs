@@ -25,6 +25,8 @@ pub enum Source {
     Repeatability = 8,
     /// Which readings are gross errors, and how far off they are; their place in the stream is the pose's.
     Outliers = 9,
+    /// Random splits of a measured set.
+    Splits = 10,
 }
 
 /// The stream of `(seed, trial, source)`. `ChaCha8` with the seed as key and (trial, source) as stream number.

@@ -122,6 +122,7 @@ pub fn replay(path: &Path) -> Result<Replayed, ReplayError> {
         truth: None,
         published: scenario.published,
         ablation: None,
+        splits: None,
     };
     Ok(Replayed { outcome, compared, differences })
 }

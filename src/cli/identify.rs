@@ -1,10 +1,11 @@
 //! `calibrig identify`.
 
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::error::ErrorKind;
 use clap::{CommandFactory, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
 
 use super::output::{self, Destination, Files};
 use super::{Cli, CliError, Verdict, not_identified, say};
@@ -13,9 +14,12 @@ use crate::identification::{
     SolverOptions, TargetChoice, Tolerance,
 };
 use crate::input::Source;
-use crate::measurement::{ColumnMap, load_column_map, parse_column_map, parse_measurements};
-use crate::model::{CalibrationModel, FAMILIES, JointKind, ParameterId, load_robot};
-use crate::pipeline::{InputSummary, Outcome, SetKind, SetOutcome, calibrate, hash_sources};
+use crate::measurement::{ColumnMap, MeasurementSet, load_column_map, parse_column_map, parse_measurements};
+use crate::model::{CalibrationModel, FAMILIES, JointKind, ParameterId, Robot, load_robot};
+use crate::pipeline::{
+    InputSummary, Outcome, PipelineError, SetKind, SetOutcome, SplitPlan, SplitStudy, calibrate,
+    hash_sources, pose_count, repeat_splits,
+};
 
 /// Calibrate a robot from measured positions in a file, and verify on another file
 ///
@@ -31,6 +35,7 @@ use crate::pipeline::{InputSummary, Outcome, SetKind, SetOutcome, calibrate, has
   calibrig identify --model robot.toml --measurements m.csv --mode elasto_geometric --compliances compliance_drive2,compliance_drive3
   calibrig identify --model robot.toml --measurements m.csv --mode extended --terms hysteresis,harmonic
   calibrig identify --model robot.toml --measurements m.csv --loss tukey      names measurements far off the others
+  calibrig identify --model robot.toml --measurements m.csv --splits 20 --fit 200   is each mode better than the one before?
 
 What the columns of the file mean is told by --columns MAP.toml, else by the map that the robot's file names, else it is
 calibrig's own layout (see docs/formats.md).")]
@@ -50,8 +55,8 @@ pub(super) struct Args {
     /// Which link parameters
     #[arg(long, value_enum, default_value_t = Parameters::Complete)]
     parameters: Parameters,
-    /// Which models are fitted, beside the robot without calibration; may be repeated [default: geometry alone, and with gravity where
-    /// the robot's files give masses and stiffnesses]
+    /// Which models are fitted, beside the robot without calibration; may be repeated [default: geometry alone, and where the robot's files
+    /// give masses and stiffnesses, gravity; geometry and stiffness instead where the stiffnesses are known to 100 % or worse]
     #[arg(long, value_name = "MODE", value_parser = fitted_mode)]
     mode: Vec<Mode>,
     /// Terms of the mode `extended`, by family; "none" for none [default: all that the robot can have]
@@ -63,15 +68,25 @@ pub(super) struct Args {
     /// What a measurement far off the others costs: its square, or less
     #[arg(long, value_enum, default_value_t = LossArg::Squared)]
     loss: LossArg,
-    /// How well the compliances are known beforehand: standard deviation of a prior, per cent of the predicted value
-    #[arg(long, value_name = "PERCENT", default_value_t = 10.0, value_parser = percent)]
-    compliance_percent: f64,
+    /// How well the compliances are known beforehand: standard deviation of a prior, per cent of the predicted value [default: as the
+    /// robot's file says, else 10]
+    #[arg(long, value_name = "PERCENT", value_parser = percent)]
+    compliance_percent: Option<f64>,
     /// How well the links' lengths are known beforehand: standard deviation of a prior, mm; 0 in both for none
     #[arg(long, value_name = "MM", default_value_t = 10.0, allow_negative_numbers = true, value_parser = tolerance_value)]
     tolerance_mm: f64,
     /// How well the links' angles are known beforehand: standard deviation of a prior, mrad; 0 in both for none
     #[arg(long, value_name = "MRAD", default_value_t = 20.0, allow_negative_numbers = true, value_parser = tolerance_value)]
     tolerance_mrad: f64,
+    /// Split the measurements at random this many times, fit a part and verify on the rest, and compare every mode with the one before
+    #[arg(long, value_name = "N", requires = "fit", value_parser = clap::value_parser!(u32).range(2..=100_000))]
+    splits: Option<u32>,
+    /// Poses that are fitted in each split
+    #[arg(long, value_name = "POSES", requires = "splits", value_parser = clap::value_parser!(u32).range(1..))]
+    fit: Option<u32>,
+    /// Seed of the splits' draws
+    #[arg(long, value_name = "N", requires = "splits", default_value_t = 1)]
+    seed: u64,
     /// Folder for report.html and report.json, which are written over [default: no files]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -123,7 +138,10 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     if let Some(destination) = destination {
         destination.check(Files::Reports)?;
     }
-    let outcome = outcome(args)?;
+    let (mut outcome, options) = outcome(args)?;
+    if let (Some(splits), Some(fit)) = (args.splits, args.fit) {
+        outcome.splits = Some(split_study(args, &outcome, &options, (splits as usize, fit as usize))?);
+    }
     if let Some(destination) = destination {
         output::write(&outcome, destination, Files::Reports)?;
     }
@@ -134,13 +152,46 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
             args.tolerance_mm, args.tolerance_mrad
         ));
     }
-    if args.mode.iter().any(|mode| mode.is_coupled()) {
+    if outcome.modes.iter().any(|mode| mode.mode.is_coupled()) {
         say(&format!(
             "prior on the compliances: predicted value +- {} % (--compliance-percent)",
-            args.compliance_percent
+            1e2 * options.compliance_sigma
         ));
     }
     Ok(output::verdict(&outcome))
+}
+
+fn split_study(
+    args: &Args,
+    outcome: &Outcome,
+    options: &IdentificationOptions,
+    (splits, fitted): (usize, usize),
+) -> Result<SplitStudy, CliError> {
+    let empty = MeasurementSet::default();
+    let set = outcome.sets.first().map_or(&empty, |set| &set.measurements);
+    let poses = pose_count(set);
+    if fitted >= poses {
+        let message = format!("--fit {fitted}: expected fewer poses than the measurements have, {poses}");
+        Cli::command().error(ErrorKind::ValueValidation, message).exit();
+    }
+    let bar = ProgressBar::new(splits as u64);
+    if let Ok(style) = ProgressStyle::with_template("split {pos}/{len} {bar:40} {elapsed}") {
+        bar.set_style(style);
+    }
+    let modes: Vec<_> = outcome.modes.iter().map(|mode| mode.mode).collect();
+    let plan = SplitPlan { splits, fitted, seed: args.seed };
+    let study =
+        repeat_splits(&outcome.model, set, &modes, options, plan, |done| bar.set_position(done as u64));
+    bar.finish_and_clear();
+    study.map_err(|error| told(error, &args.measurements, &outcome.sources))
+}
+
+/// The error, with its place in the fitted measurements.
+fn told(error: PipelineError, file: &Path, sources: &[(String, Source)]) -> CliError {
+    match sources.iter().find(|(role, _)| role == SetKind::Identification.key()) {
+        Some((_, source)) => not_identified(error, file, source, last_line(&source.text)),
+        None => CliError::Pipeline { file: file.to_path_buf(), source: error },
+    }
 }
 
 fn fitted_mode(text: &str) -> Result<Mode, String> {
@@ -205,7 +256,23 @@ fn tolerance(args: &Args) -> Option<Tolerance> {
         .then_some(Tolerance { length: 1e-3 * args.tolerance_mm, angle: 1e-3 * args.tolerance_mrad })
 }
 
-fn outcome(args: &Args) -> Result<Outcome, CliError> {
+/// Relative standard deviation from which on a stated stiffness is a guess: what it predicts is not worth a row.
+const GUESS: f64 = 1.0;
+
+fn modes(args: &Args, robot: &Robot, compliance_sigma: f64) -> Vec<Mode> {
+    let bends = robot.model.statics.is_some();
+    let wanted = |mode: &Mode| match mode {
+        Mode::WithoutCalibration => true,
+        _ if !args.mode.is_empty() => args.mode.contains(mode),
+        Mode::OnlyCalibration => true,
+        Mode::WithGravity => bends && compliance_sigma < GUESS,
+        Mode::ElastoGeometric => bends && compliance_sigma >= GUESS,
+        Mode::Extended => false,
+    };
+    Mode::ALL.into_iter().filter(wanted).collect()
+}
+
+fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions), CliError> {
     let mut robot = load_robot(&args.model)?;
     let joints: Vec<JointKind> = robot.model.kinematics.links.iter().map(|link| link.kind).collect();
     let columns = match &args.columns {
@@ -236,16 +303,10 @@ fn outcome(args: &Args) -> Result<Outcome, CliError> {
         sources.push((kind.key().to_owned(), source));
         sets.push(SetOutcome { kind, measurements: file.set, dropped: file.dropped });
     }
-    let modes: Vec<_> = Mode::ALL
-        .into_iter()
-        .filter(|mode| match mode {
-            Mode::WithoutCalibration => true,
-            _ if !args.mode.is_empty() => args.mode.contains(mode),
-            Mode::OnlyCalibration => true,
-            Mode::WithGravity => robot.model.statics.is_some(),
-            Mode::ElastoGeometric | Mode::Extended => false,
-        })
-        .collect();
+    let defaults = IdentificationOptions::default();
+    let stated = args.compliance_percent.map(|percent| 1e-2 * percent).or(robot.compliance_sigma);
+    let compliance_sigma = stated.unwrap_or(defaults.compliance_sigma);
+    let modes = modes(args, &robot, compliance_sigma);
     let options = IdentificationOptions {
         parameters: match args.parameters {
             Parameters::Complete => ParameterChoice::Complete,
@@ -255,19 +316,14 @@ fn outcome(args: &Args) -> Result<Outcome, CliError> {
         target: TargetChoice::Identified,
         tolerance: tolerance(args),
         compliances: compliances(args, &robot.model),
-        compliance_sigma: 1e-2 * args.compliance_percent,
+        compliance_sigma,
         solver: SolverOptions { loss: args.loss.into(), ..SolverOptions::default() },
         terms: args.terms.as_ref().map(|keys| keys.iter().filter(|k| *k != NO_TERMS).cloned().collect()),
-        ..IdentificationOptions::default()
+        ..defaults
     };
-    let (registration, modes) = calibrate(&robot.model, &sets, &modes, &options).map_err(|error| {
-        let fitted = sources.iter().find(|(role, _)| role == SetKind::Identification.key());
-        match fitted {
-            Some((_, source)) => not_identified(error, &args.measurements, source, last_line(&source.text)),
-            None => CliError::Pipeline { file: args.measurements.clone(), source: error },
-        }
-    })?;
-    Ok(Outcome {
+    let (registration, modes) = calibrate(&robot.model, &sets, &modes, &options)
+        .map_err(|error| told(error, &args.measurements, &sources))?;
+    let outcome = Outcome {
         input: InputSummary { kind: "files", name: robot.name, sha256: hash_sources(&sources), seed: None },
         sources,
         model: robot.model,
@@ -278,7 +334,9 @@ fn outcome(args: &Args) -> Result<Outcome, CliError> {
         truth: None,
         published: Vec::new(),
         ablation: None,
-    })
+        splits: None,
+    };
+    Ok((outcome, options))
 }
 
 /// Bytes of the last line with content.

@@ -82,7 +82,11 @@ enum CliError {
 
 /// The failure of an identification from `source`; at `place` in it where more or other poses are what it needs.
 fn not_identified(error: PipelineError, file: &Path, source: &Source, place: Range<usize>) -> CliError {
-    let PipelineError::Identify { source: ref cause, .. } = error else {
+    let inner = match &error {
+        PipelineError::Split { source, .. } => source.as_ref(),
+        error => error,
+    };
+    let PipelineError::Identify { source: cause, .. } = inner else {
         return CliError::Pipeline { file: file.to_path_buf(), source: error };
     };
     let help = match *cause {

@@ -152,6 +152,10 @@ pub(super) fn show(outcome: &Outcome, json: bool) -> Result<(), CliError> {
 /// Doubtful as soon as one estimate is; says why, and of which parameters.
 pub(super) fn verdict(outcome: &Outcome) -> Verdict {
     let mut verdict = Verdict::Done;
+    for mode in outcome.splits.iter().flat_map(|study| &study.modes).filter(|mode| mode.doubtful > 0) {
+        verdict = Verdict::Doubtful;
+        say(&format!("doubtful: {}: {} of {} splits", mode.mode.title(), mode.doubtful, mode.rms.len()));
+    }
     for mode in &outcome.modes {
         let Some(estimate) = mode.estimate.as_ref().filter(|estimate| !estimate.is_sound()) else { continue };
         verdict = Verdict::Doubtful;
@@ -165,7 +169,7 @@ pub(super) fn verdict(outcome: &Outcome) -> Verdict {
                         names.join(", ")
                     ));
                 }
-                Warning::RankDeficient { .. } | Warning::AtBound { .. } => {
+                Warning::RankDeficient { .. } | Warning::AtBound { .. } | Warning::Rigid { .. } => {
                     say(&format!("doubtful: {title}: {warning}"));
                 }
                 _ => {}

@@ -137,6 +137,14 @@ pub enum Warning {
         /// Its limit, SI.
         bound: f64,
     },
+    /// A compliance that ended at none at all.
+    #[error(
+        "{name} ended at its bound -1: no compliance can be seen there, rigid fits best, which may hide what the model lacks"
+    )]
+    Rigid {
+        /// Name of the parameter.
+        name: String,
+    },
     /// Observations far off the others.
     #[error("far off the others: {}", poses_in_words(.0))]
     Outliers(Vec<Outlier>),
@@ -181,7 +189,7 @@ pub struct Estimate {
     pub robot: CalibratedRobot,
     /// The parameters in the column order of the covariance.
     pub parameters: Vec<ParameterEstimate>,
-    /// Covariance of the parameters (m², m rad, rad²); `None` from a singular system.
+    /// Covariance of the parameters (m², m rad, rad²), zero for those at a bound; `None` from a singular system.
     pub covariance: Option<DMatrix<f64>>,
     /// What scales the covariance.
     pub noise: NoiseScale,

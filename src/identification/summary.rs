@@ -40,14 +40,13 @@ pub(super) fn summarise(
         };
         redundant(&problem, &solution.jacobian).into_iter().filter(has_prior).collect()
     };
-    let covariance = covariance(&r, &spectrum);
+    let bounded: Vec<usize> = solution.at_bound.iter().map(|at| at.parameter).collect();
+    let covariance = covariance(&solution.jacobian, r, &spectrum, &bounded);
     problem.set(&solution.x);
     let mut warnings = warnings(&solution, &spectrum, n, degrees_of_freedom, noise);
-    let at_bound: Vec<_> = solution.at_bound.iter().map(|at| problem.parameters[at.parameter]).collect();
-    warnings.extend(solution.at_bound.iter().map(|at| Warning::AtBound {
-        name: problem.parameters[at.parameter].to_string(),
-        bound: solution.x[at.parameter],
-    }));
+    let at_bound: Vec<_> = bounded.iter().map(|place| problem.parameters[*place]).collect();
+    warnings
+        .extend(bounded.iter().map(|place| at_bound_warning(problem.parameters[*place], solution.x[*place])));
     let outliers = outliers(&solution, set);
     if !outliers.is_empty() {
         warnings.push(Warning::Outliers(outliers.clone()));
@@ -78,7 +77,7 @@ pub(super) fn summarise(
             .map(|(i, (id, value))| ParameterEstimate {
                 id: *id,
                 value: *value,
-                sigma: covariance.as_ref().map(|c| c[(i, i)].sqrt()),
+                sigma: covariance.as_ref().filter(|_| !bounded.contains(&i)).map(|c| c[(i, i)].sqrt()),
                 prior_sigma: sigmas[i],
             })
             .collect(),
@@ -117,14 +116,40 @@ fn outliers(solution: &Solution, set: &MeasurementSet) -> Vec<Outlier> {
     solution.outliers(OUTLIER).into_iter().map(outlier).collect()
 }
 
-/// `(Rᵀ R)⁻¹`, only from a system of full rank.
-fn covariance(r: &DMatrix<f64>, spectrum: &Spectrum) -> Option<DMatrix<f64>> {
+/// `(Jᵀ J)⁻¹` from `J = Q R`, only from a system of full rank. What is `bounded` is held there: it has no spread, and none of it is in the
+/// others'.
+fn covariance(
+    jacobian: &DMatrix<f64>,
+    r: DMatrix<f64>,
+    spectrum: &Spectrum,
+    bounded: &[usize],
+) -> Option<DMatrix<f64>> {
     let n = r.ncols();
     if spectrum.rank < n {
         return None;
     }
-    let inverse = r.solve_upper_triangular(&DMatrix::identity(n, n))?;
-    Some(&inverse * inverse.transpose())
+    let free: Vec<usize> = (0..n).filter(|place| !bounded.contains(place)).collect();
+    let r = if bounded.is_empty() { r } else { jacobian.select_columns(&free).qr().unpack_r() };
+    let inverse = r.solve_upper_triangular(&DMatrix::identity(free.len(), free.len()))?;
+    let of_free = &inverse * inverse.transpose();
+    if bounded.is_empty() {
+        return Some(of_free);
+    }
+    let mut covariance = DMatrix::zeros(n, n);
+    for (i, row) in free.iter().enumerate() {
+        for (j, column) in free.iter().enumerate() {
+            covariance[(*row, *column)] = of_free[(i, j)];
+        }
+    }
+    Some(covariance)
+}
+
+fn at_bound_warning(id: ParameterId, bound: f64) -> Warning {
+    let name = id.to_string();
+    match id {
+        ParameterId::Compliance(_) => Warning::Rigid { name },
+        _ => Warning::AtBound { name, bound },
+    }
 }
 
 fn warnings(

@@ -250,7 +250,34 @@ fn a_compliance_stops_at_rigid_and_says_so() {
     }
     let stiffness = estimate.robot.model.statics.as_ref().expect("statics").drive_stiffness[3];
     assert!(estimate.value(ParameterId::Compliance(ELBOW)) > Some(-1.0) || stiffness.is_infinite());
-    assert!(estimate.warnings.iter().any(|w| matches!(w, Warning::AtBound { .. })));
+    assert!(estimate.warnings.iter().any(|w| matches!(w, Warning::Rigid { .. })));
+    // The others are as sure as they are where the rigid drives are no parameters.
+    let covariance = estimate.covariance.as_ref().expect("full rank");
+    let free = ComplianceChoice::Listed(
+        [SHOULDER, ELBOW]
+            .into_iter()
+            .filter(|c| !estimate.at_bound.contains(&ParameterId::Compliance(*c)))
+            .collect(),
+    );
+    let mut rigid = nominal.clone();
+    for id in &estimate.at_bound {
+        let ParameterId::Compliance(Compliance::Drive { joint }) = *id else { panic!("{id}") };
+        rigid.statics.as_mut().expect("statics").drive_stiffness[joint] = f64::INFINITY;
+    }
+    let without =
+        identify(&rigid, &set, &IdentificationOptions { compliances: free, ..options }).expect("an estimate");
+    for (place, parameter) in estimate.parameters.iter().enumerate() {
+        match without.parameters.iter().find(|p| p.id == parameter.id).and_then(|p| p.sigma) {
+            Some(expected) => {
+                let sigma = parameter.sigma.expect("not at a bound");
+                assert!((sigma / expected - 1.0).abs() < 1e-6, "{}: {sigma}, {expected}", parameter.id);
+            }
+            None => {
+                assert!(estimate.at_bound.contains(&parameter.id) && parameter.sigma.is_none());
+                assert_eq!(covariance.column(place).norm(), 0.0);
+            }
+        }
+    }
 }
 
 #[test]

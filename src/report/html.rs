@@ -9,6 +9,7 @@ use super::parameters::{
     NORMAL_95, ParameterCell, ParameterRow, fitted, parameter_rows, parameter_words, printed_unit,
 };
 use super::plots::{self, GRID, INK, LOOKS, Look, Marker, hex, look};
+use super::splits::split_section;
 use super::summary::{factor_words, judged_set, length_words, row, significant, summarise};
 use super::{
     ReportError, condition_words, consistency_ratio, counted, forest, pose_words, published, set_title,
@@ -44,6 +45,7 @@ pub fn html_report(outcome: &Outcome) -> Result<String, ReportError> {
                     (accuracy_section(outcome))
                     (errors)
                     (parameters)
+                    @if let Some(study) = &outcome.splits { (split_section(study)) }
                     @if let Some(ablation) = ablation { (ablation) }
                     (trust_section(outcome))
                     (reproduce_section(outcome))
@@ -98,6 +100,7 @@ fn header(outcome: &Outcome) -> Markup {
                 a href="#accuracy" { "Accuracy" } " "
                 a href="#errors" { "Errors" } " "
                 a href="#parameters" { "Parameters" } " "
+                @if outcome.splits.is_some() { a href="#splits" { "Splits" } " " }
                 @if outcome.ablation.is_some() { a href="#ablation" { "Contributions" } " " }
                 a href="#trust" { "Trust" } " "
                 a href="#reproduce" { "Reproduce" }

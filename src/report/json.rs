@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::parameters::{fitted, truth_of};
 use super::pose_count;
+use super::splits::{JsonSplits, json_splits};
 use crate::evaluation::AccuracyRow;
 use crate::identification::{Estimate, Mode, NoiseScale};
 use crate::pipeline::{AblatedPart, Ablation, Outcome, SetOutcome};
@@ -34,6 +35,9 @@ pub struct JsonReport {
     /// What the parts of a simulated machine contribute; absent unless asked for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ablation: Option<JsonAblation>,
+    /// The modes on random splits of the identification set; absent unless asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub splits: Option<JsonSplits>,
 }
 
 /// What the parts of a simulated machine contribute.
@@ -198,7 +202,7 @@ pub struct JsonParameter {
     pub truth: Option<f64>,
     /// The estimate.
     pub estimate: Option<f64>,
-    /// Standard deviation; null from a singular system.
+    /// Standard deviation; null from a singular system, and of a parameter at its bound.
     pub sigma: Option<f64>,
     /// Standard deviation of its own zero-mean prior; absent where it has none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -247,6 +251,7 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
             })
             .collect(),
         ablation: outcome.ablation.as_ref().map(json_ablation),
+        splits: outcome.splits.as_ref().map(json_splits),
     }
 }
 
@@ -344,7 +349,7 @@ fn json_estimate(estimate: &Estimate) -> JsonEstimate {
     }
 }
 
-fn finite(value: f64) -> Option<f64> {
+pub(super) fn finite(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
 

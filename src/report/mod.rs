@@ -8,6 +8,7 @@ mod parameters;
 mod plots;
 #[cfg(test)]
 mod sample;
+mod splits;
 mod summary;
 mod tables;
 
@@ -16,6 +17,7 @@ pub use json::{
     JsonAblated, JsonAblation, JsonAblationRow, JsonDropped, JsonEstimate, JsonInput, JsonParameter,
     JsonRegistration, JsonReport, JsonRow, JsonSet, JsonSoftware, SCHEMA, json_report,
 };
+pub use splits::{JsonInterval, JsonSplitRow, JsonSplits};
 pub use tables::{Style, render_tables};
 
 use std::collections::BTreeSet;

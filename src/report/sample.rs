@@ -140,6 +140,7 @@ pub(super) fn simulated() -> Outcome {
         }),
         published: PUBLISHED.to_vec(),
         ablation: None,
+        splits: None,
     }
 }
 

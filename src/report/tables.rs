@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use super::ablation::ablation_lines;
+use super::splits::split_lines;
 use super::{
     condition_words, consistency_ratio, counted, pose_words, published, set_title, termination_words,
 };
@@ -73,6 +74,9 @@ pub fn render_tables(outcome: &Outcome, style: Style) -> String {
         for l in &ablation_lines(ablation, style) {
             line(l);
         }
+    }
+    if let Some(study) = &outcome.splits {
+        split_lines(study, style).iter().for_each(|l| line(l));
     }
     text
 }

@@ -163,7 +163,7 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
     let nest_sigma = 1e-6 * source.positive("tracker.nest_sigma_um", &file.tracker.nest_sigma_um)?;
     let nests = nests(&source, &file.tracker, &tracker, nest_sigma)?;
     let target_sigma = 1e-6 * source.positive("tracker.target_sigma_um", &file.tracker.target_sigma_um)?;
-    let options = file.identification.options(&source, &robot.model)?;
+    let options = file.identification.options(&source, &robot)?;
     let modes = file.identification.modes(&source)?;
     let published = file
         .published

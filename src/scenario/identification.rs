@@ -7,7 +7,7 @@ use crate::identification::{
     SolverOptions, TargetChoice, TermPrior, Tolerance,
 };
 use crate::input::{InputError, Source, Spanned};
-use crate::model::{CalibrationModel, FAMILIES, ParameterId};
+use crate::model::{CalibrationModel, FAMILIES, ParameterId, Robot};
 
 #[derive(Deserialize, Default)]
 #[serde(deny_unknown_fields)]
@@ -115,9 +115,14 @@ impl IdentificationFile {
     pub(super) fn options(
         &self,
         source: &Source,
-        model: &CalibrationModel,
+        robot: &Robot,
     ) -> Result<IdentificationOptions, InputError> {
-        let mut options = IdentificationOptions::default();
+        let model = &robot.model;
+        let defaults = IdentificationOptions::default();
+        let mut options = IdentificationOptions {
+            compliance_sigma: robot.compliance_sigma.unwrap_or(defaults.compliance_sigma),
+            ..defaults
+        };
         let links = model.kinematics.joint_count();
         if let Some(parameters) = &self.parameters {
             options.parameters = parameter_choice(source, "parameters", parameters, links)?;

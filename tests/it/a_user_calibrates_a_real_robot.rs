@@ -1,70 +1,125 @@
-//! Real measurements of a UR5, where they are at hand (`CALIBRIG_DATA`).
+//! Real measurements of a UR5 and a Barrett WAM, where they are at hand (`CALIBRIG_DATA`).
 
 use std::path::PathBuf;
 use std::process::Command;
 
-use calibrig::report::JsonReport;
+use calibrig::report::{JsonReport, JsonSplitRow};
 
-fn data(file: &str) -> Option<PathBuf> {
+const UR5: [&str; 2] =
+    ["UR5/3D_UR5_uncalibrated_grid_cleaned.csv", "UR5/3D_UR5_uncalibrated_random_cleaned.csv"];
+const WAM: [&str; 2] =
+    ["WAM/3D_WAM_uncalibrated_grid_cleaned.csv", "WAM/3D_WAM_uncalibrated_random_cleaned.csv"];
+
+fn data(files: [&str; 2]) -> Option<[PathBuf; 2]> {
     let Some(folder) = std::env::var_os("CALIBRIG_DATA") else {
         eprintln!("SKIPPED: CALIBRIG_DATA is not set, the real measurements are not at hand");
         return None;
     };
-    let path = PathBuf::from(folder).join("ur5_wam").join(file);
-    assert!(path.is_file(), "{} is not there", path.display());
-    Some(path)
+    let paths = files.map(|file| PathBuf::from(&folder).join("ur5_wam").join(file));
+    for path in &paths {
+        assert!(path.is_file(), "{} is not there", path.display());
+    }
+    Some(paths)
 }
 
-fn identify(model: &str, fit: PathBuf, verify: PathBuf) -> JsonReport {
+/// In the modes of the default, with random splits. A drive that shows no compliance makes it doubtful, and says so.
+fn identify(model: &str, [fit, verify]: [PathBuf; 2], fitted: &str) -> JsonReport {
     let output = Command::new(env!("CARGO_BIN_EXE_calibrig"))
-        .args(["identify", "--json", "--model", model, "--measurements"])
+        .args(["identify", "--json", "--model", model, "--splits", "20", "--fit", fitted, "--measurements"])
         .arg(fit)
         .arg("--verify")
         .arg(verify)
         .output()
         .expect("the binary runs");
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "{said}");
+    assert!(said.contains("doubtful: geometry and stiffness: compliance_drive"), "{said}");
+    assert!(said.contains("no compliance can be seen there") && !said.contains("doubtful: only"), "{said}");
     serde_json::from_slice(&output.stdout).expect("a calibrig.report/1 document")
 }
 
-#[test]
-fn ur5_from_1000_poses_to_20() {
-    let (Some(fit), Some(verify)) = (
-        data("UR5/3D_UR5_uncalibrated_grid_cleaned.csv"),
-        data("UR5/3D_UR5_uncalibrated_random_cleaned.csv"),
-    ) else {
-        return;
-    };
-    let report = identify("models/ur5/robot.toml", fit, verify);
-    let rms = |mode: &str| report.sets["verification"].rows[mode].rms_3d_m.expect("a number");
-    let estimate = &report.estimates["only_calibration"];
-    println!(
-        "UR5, 20 poses: nominal {:.4} mm, geometric {:.4} mm, rank {}",
-        rms("without_calibration") * 1e3,
-        rms("only_calibration") * 1e3,
-        estimate.rank
-    );
-    assert!(rms("only_calibration") <= 0.106e-3);
-    assert_eq!((estimate.rank, estimate.parameter_count), (27, 27));
-    let weak = estimate.warnings.iter().filter(|w| w.contains("weak")).count();
-    assert_eq!(weak, 2, "{:?}", estimate.warnings);
+/// RMS of the 3-D error of the verification set, mm.
+fn rms(report: &JsonReport, mode: &str) -> f64 {
+    report.sets["verification"].rows[mode].rms_3d_m.expect("a number") * 1e3
+}
+
+/// Row of a mode on the random splits, its mean RMS in mm, and its gain with the interval, mm.
+fn split<'a>(report: &'a JsonReport, mode: &str) -> (&'a JsonSplitRow, f64, [f64; 3]) {
+    let rows = &report.splits.as_ref().expect("as asked for").rows;
+    let row = rows.iter().find(|row| row.mode == mode).expect("the mode");
+    let gain = row.gain_m.expect("an interval");
+    let mm = |metres: Option<f64>| metres.expect("a number") * 1e3;
+    (row, mm(row.mean_rms_3d_m), [gain.value, gain.low, gain.high].map(mm))
+}
+
+/// (name, relative deviation from the assumed value, its standard deviation) of every identified compliance.
+fn compliances(report: &JsonReport) -> Vec<(&str, f64, Option<f64>)> {
+    let identified =
+        report.parameters.iter().filter(|p| p.mode == "elasto_geometric" && p.name.starts_with("compliance"));
+    identified.map(|p| (p.name.as_str(), p.estimate.expect("a number"), p.sigma)).collect()
+}
+
+/// None is negative; what is zero is held there and has no spread.
+fn assert_not_negative(compliances: &[(&str, f64, Option<f64>)]) {
+    for (name, deviation, sigma) in compliances {
+        assert!(*deviation >= -1.0, "{name}: {deviation}");
+        assert_eq!(sigma.is_none(), *deviation == -1.0, "{name}: {deviation}, {sigma:?}");
+    }
 }
 
 #[test]
-fn wam_from_216_poses_to_20() {
-    let (Some(fit), Some(verify)) = (
-        data("WAM/3D_WAM_uncalibrated_grid_cleaned.csv"),
-        data("WAM/3D_WAM_uncalibrated_random_cleaned.csv"),
-    ) else {
-        return;
-    };
-    let report = identify("models/wam/robot.toml", fit, verify);
-    let rms = |mode: &str| report.sets["verification"].rows[mode].rms_3d_m.expect("a number");
+fn ur5_from_1000_poses_to_20_and_from_200_to_800() {
+    let Some(files) = data(UR5) else { return };
+    let report = identify("models/ur5/robot.toml", files, "200");
+    let estimate = &report.estimates["only_calibration"];
+    let [nominal, geometric, elastic] =
+        ["without_calibration", "only_calibration", "elasto_geometric"].map(|mode| rms(&report, mode));
     println!(
-        "WAM, 20 poses: nominal {:.3} mm, geometric {:.3} mm",
-        rms("without_calibration") * 1e3,
-        rms("only_calibration") * 1e3
+        "UR5, 20 poses: nominal {nominal:.4} mm, geometric {geometric:.4} mm, rank {}, with stiffness {elastic:.4} mm",
+        estimate.rank
     );
-    assert!(rms("only_calibration") <= 3.3e-3);
+    assert!(geometric <= 0.106 && elastic <= 0.106);
+    assert_eq!((estimate.rank, estimate.parameter_count), (27, 27));
+    let weak = estimate.warnings.iter().filter(|w| w.contains("weak")).count();
+    assert_eq!(weak, 2, "{:?}", estimate.warnings);
+
+    let compliances = compliances(&report);
+    println!("UR5: {compliances:?}");
+    assert_not_negative(&compliances);
+    // An independent fit has 2.9e-5 rad/(N m) at the shoulder; gravity cannot load the base, whose axis it is along.
+    let shoulder = compliances.iter().find(|(name, ..)| *name == "compliance_drive2").expect("loaded");
+    let compliance = (1.0 + shoulder.1) / 5e4;
+    assert!((2.4e-5..3.7e-5).contains(&compliance), "{compliance}");
+    assert!(compliances.iter().all(|(name, ..)| *name != "compliance_drive1"));
+
+    let (_, before, _) = split(&report, "only_calibration");
+    let (row, after, [gain, low, high]) = split(&report, "elasto_geometric");
+    println!(
+        "UR5, 20 splits 200/800: geometric {before:.4} mm, with stiffness {after:.4} mm, {gain:.4} mm [{low:.4}, {high:.4}] less"
+    );
+    assert_eq!(row.rms_3d_m.len(), 20);
+    assert!(after <= 0.110 && (before - 0.116).abs() < 0.003);
+    assert!((before - after - gain).abs() < 1e-9 && low > 0.0 && high > gain);
+}
+
+#[test]
+fn wam_from_216_poses_to_20_and_from_150_to_66() {
+    let Some(files) = data(WAM) else { return };
+    let report = identify("models/wam/robot.toml", files, "150");
+    let [nominal, geometric, elastic] =
+        ["without_calibration", "only_calibration", "elasto_geometric"].map(|mode| rms(&report, mode));
+    println!(
+        "WAM, 20 poses: nominal {nominal:.3} mm, geometric {geometric:.3} mm, with stiffness {elastic:.3} mm"
+    );
+    assert!((3.26..3.3).contains(&geometric) && elastic < geometric);
     assert_eq!(report.estimates["only_calibration"].rank, 31);
+    let compliances = compliances(&report);
+    println!("WAM: {compliances:?}");
+    assert_not_negative(&compliances);
+    let (_, before, _) = split(&report, "only_calibration");
+    let (_, after, [gain, low, high]) = split(&report, "elasto_geometric");
+    println!(
+        "WAM, 20 splits 150/66: geometric {before:.3} mm, with stiffness {after:.3} mm, {gain:.3} mm [{low:.3}, {high:.3}] less"
+    );
+    assert!(low > 0.0);
 }

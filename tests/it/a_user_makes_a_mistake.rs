@@ -716,8 +716,20 @@ fn a_user_has_statics_by_halves() {
     let message = "the drives have stiffnesses, but there is no [gravity]";
     assert_refused(&sandbox, &["identifiability", "--model", ROBOT], &place, message, "[gravity]");
 
-    // A scenario needs all of them; the UR5 has none.
+    // A scenario needs all of them.
+    const UR5: &str = "models/ur5/robot.toml";
     let sandbox = Sandbox::new();
+    let rigid = sandbox.read(UR5);
+    let (rigid, _) = rigid.split_once("# The base stands upright.").expect("gravity");
+    let kept = rigid.lines().filter(|line| !line.starts_with("stiffness"));
+    let half: Vec<_> = kept.collect();
+    sandbox.write(UR5, half.join("\n"));
+    let line = half.iter().position(|line| line.starts_with("compliance_percent")).expect("the key") + 1;
+    let message = "there is a compliance_percent, but no drive has a stiffness";
+    let place = format!("{UR5}:{line}: ");
+    assert_refused(&sandbox, &["identifiability", "--model", UR5], &place, message, "[gravity]");
+    let rigid: Vec<_> = half.into_iter().filter(|line| !line.starts_with("compliance_percent")).collect();
+    sandbox.write(UR5, rigid.join("\n"));
     let line = sandbox.replace_line(SCENARIO, "", "robot", "robot = \"../models/ur5/robot.toml\"");
     let place = format!("{SCENARIO}:{line}: ");
     let message = "the robot's files give no masses, drive stiffnesses and gravity";

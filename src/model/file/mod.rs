@@ -35,6 +35,8 @@ pub struct Robot {
     pub visuals: Vec<Vec<Visual>>,
     /// Nominal offset of the target in the flange frame, m; `None` where it is not known.
     pub target: Option<Vector3<f64>>,
+    /// How well the compliances are known: standard deviation relative to the stated ones, where the file says.
+    pub compliance_sigma: Option<f64>,
     /// The files read, by role: `robot`, then `urdf` and `columns` where it names them.
     pub sources: Vec<(String, Source)>,
 }
@@ -54,6 +56,7 @@ struct RobotFile {
     #[serde(default)]
     load: Vec<Spanned<LoadTable>>,
     gravity: Option<Spanned<GravityTable>>,
+    compliance_percent: Option<Spanned<f64>>,
 }
 
 /// Whose D-H table it is.
@@ -119,6 +122,7 @@ pub fn parse_robot(
         None => None,
     };
     let statics = reader.statics(&kinematics, &actuators, described.as_ref())?;
+    let compliance_sigma = reader.compliance_sigma()?;
     let visuals = described.map_or_else(Vec::new, |described| {
         let joints = described.joints.into_iter().map(|joint| joint.visuals);
         std::iter::once(described.base_visuals).chain(joints).collect()
@@ -130,7 +134,7 @@ pub fn parse_robot(
         companions.into_iter().filter_map(|(role, source)| source.map(|source| (role.to_owned(), source))),
     );
     let model = CalibrationModel { kinematics, actuators, statics, motor_turns };
-    Ok(Robot { name, model, visuals, target, sources })
+    Ok(Robot { name, model, visuals, target, compliance_sigma, sources })
 }
 
 struct Reader<'a> {

@@ -28,6 +28,11 @@ impl Reader<'_> {
         )))
     }
 
+    pub(super) fn compliance_sigma(&self) -> Result<Option<f64>, InputError> {
+        let Some(percent) = &self.file.compliance_percent else { return Ok(None) };
+        Ok(Some(self.source.positive("compliance_percent", percent)? / 100.0))
+    }
+
     /// Deflections need stiffness, gravity and masses together: some of them without the others are a mistake.
     pub(super) fn statics(
         &self,
@@ -72,10 +77,11 @@ impl Reader<'_> {
             let bearing = joint.bearing.as_ref().map(|table| (table.span(), "[joint.bearing]"));
             bearing.or_else(|| joint.beam.as_ref().map(|table| (table.span(), "[joint.beam]")))
         });
+        let known = self.file.compliance_percent.as_ref().map(|value| (value.span(), "compliance_percent"));
         let load = || self.file.load.first().map(|table| (table.span(), "[[load]]"));
         let linkage =
             || self.linkage_statics_key().map(|span| (span, "stiffness or mass in [actuators.linkage]"));
-        match of_joint.or_else(load).or_else(linkage) {
+        match of_joint.or_else(load).or_else(linkage).or(known) {
             Some((span, what)) => self.error(
                 span,
                 format!("there is a {what}, but no drive has a stiffness"),

@@ -176,6 +176,7 @@ fn a_standard_table_moves_the_same_flange_as_its_own_product() {
         (82.3, 0.0, 0.0),
     ];
     let ur5 = load_robot(&model_file("ur5/robot.toml")).expect("the model of the repository");
+    assert_eq!(ur5.compliance_sigma, Some(1.0));
     let mut rng = stream(3, 0, Stream::AsBuilt);
     for _ in 0..50 {
         let q: Vec<f64> = (0..6).map(|_| rng.random_range(-3.0..3.0)).collect();
