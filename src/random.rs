@@ -23,6 +23,8 @@ pub enum Source {
     AsBuilt = 7,
     /// What differs when the machine approaches a pose again; its place in the stream is the pose's.
     Repeatability = 8,
+    /// Which poses are held out together when models are compared.
+    Folds = 9,
 }
 
 /// The stream of `(seed, trial, source)`. `ChaCha8` with the seed as key and (trial, source) as stream number.

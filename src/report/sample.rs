@@ -138,6 +138,7 @@ pub(super) fn simulated() -> Outcome {
             effects: Vec::new(),
         }),
         published: PUBLISHED.to_vec(),
+        judgements: Vec::new(),
         ablation: None,
     }
 }
