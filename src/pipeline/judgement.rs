@@ -261,5 +261,5 @@ fn evenly(index: u32, dimensions: usize) -> impl Iterator<Item = f64> {
     for _ in 0..60 {
         g = (1.0 + g).powf(power);
     }
-    (1..=dimensions as u32).map(move |k| (0.5 + f64::from(index + 1) / g.powf(f64::from(k))).fract())
+    (1..=dimensions).map(move |k| (0.5 + f64::from(index + 1) / g.powf(k as f64)).fract())
 }

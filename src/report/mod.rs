@@ -4,6 +4,7 @@ mod ablation;
 mod forest;
 mod html;
 mod json;
+mod judgement;
 mod parameters;
 mod plots;
 #[cfg(test)]
@@ -15,6 +16,10 @@ pub use html::html_report;
 pub use json::{
     JsonAblated, JsonAblation, JsonAblationRow, JsonDropped, JsonEstimate, JsonInput, JsonParameter,
     JsonRegistration, JsonReport, JsonRow, JsonSet, JsonSoftware, SCHEMA, json_report,
+};
+pub use judgement::{
+    JsonConfidence, JsonCorrelation, JsonInfluence, JsonJudgement, JsonPattern, JsonPoint, JsonRegion,
+    JsonSupport,
 };
 pub use tables::{Style, render_tables};
 

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use super::ablation::ablation_lines;
+use super::judgement::judgement_lines;
 use super::{
     condition_words, consistency_ratio, counted, pose_words, published, set_title, termination_words,
 };
@@ -68,6 +69,7 @@ pub fn render_tables(outcome: &Outcome, style: Style) -> String {
             Some(estimate) => state(estimate, style).iter().for_each(|l| line(l)),
             None => wrap(&registration_words(outcome), "    ").iter().for_each(|l| line(l)),
         }
+        judgement_lines(outcome, mode.mode, style).iter().for_each(|l| line(l));
     }
     if let Some(ablation) = &outcome.ablation {
         ablation_lines(ablation, style).iter().for_each(|l| line(l));
