@@ -1,12 +1,16 @@
 //! The short story of a run: simulate, identify, evaluate.
 
 mod ablation;
+mod choice;
+mod judgement;
 mod machine;
 mod simulate;
 mod splits;
 mod truth;
 
 pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
+pub use choice::{ChosenRow, FailedVariant, ModelChoice, choose};
+pub use judgement::{Confidence, FALSE_ALARM, Judgement, PredictedPosition, judge};
 pub use machine::PlantKind;
 pub use simulate::simulate;
 pub use splits::{SplitMode, SplitPlan, SplitStudy, pose_count, repeat_splits};
@@ -118,6 +122,8 @@ pub struct Outcome {
     pub truth: Option<Truth>,
     /// Published figures to print beside, metres: (set, mode, [max x, mean x, max y, mean y, max z, mean z]).
     pub published: Vec<(SetKind, Mode, [f64; 6])>,
+    /// How far the estimates can be trusted, one entry a mode with an estimate.
+    pub judgements: Vec<Judgement>,
     /// What each part of the simulated machine contributes, where that was asked for.
     pub ablation: Option<Ablation>,
     /// The modes on random splits of the identification set, where that was asked for.
@@ -255,6 +261,7 @@ pub fn run_trial(
     let simulation = simulate(scenario, seed, trial, plant, progress)?;
     let model = &scenario.robot.model;
     let (registration, modes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;
+    let judgements = judge(model, &simulation.sets, &modes, &scenario.options)?;
     Ok(Outcome {
         input: InputSummary {
             kind: "scenario",
@@ -273,6 +280,7 @@ pub fn run_trial(
         modes,
         truth: Some(simulation.truth),
         published: scenario.published.clone(),
+        judgements,
         ablation: None,
         splits: None,
     })

@@ -27,6 +27,8 @@ pub enum Source {
     Outliers = 9,
     /// Random splits of a measured set.
     Splits = 10,
+    /// Which poses are held out together when models are compared.
+    Folds = 11,
 }
 
 /// The stream of `(seed, trial, source)`. `ChaCha8` with the seed as key and (trial, source) as stream number.

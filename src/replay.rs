@@ -8,7 +8,7 @@ use thiserror::Error;
 use crate::identification::Estimate;
 use crate::input::InputError;
 use crate::model::parse_robot;
-use crate::pipeline::{InputSummary, Outcome, PipelineError, calibrate};
+use crate::pipeline::{InputSummary, Outcome, PipelineError, calibrate, judge};
 use crate::recording::{RecordedEstimate, RecordingError, read_recording};
 use crate::scenario::parse_scenario;
 
@@ -93,6 +93,7 @@ pub fn replay(path: &Path) -> Result<Replayed, ReplayError> {
     let sets = recording.sets;
     let model = scenario.robot.model;
     let (registration, modes) = calibrate(&model, &sets, &scenario.modes, &scenario.options)?;
+    let judgements = judge(&model, &sets, &modes, &scenario.options)?;
     let mut differences = Vec::new();
     let mut compared = 0;
     for outcome in &modes {
@@ -121,6 +122,7 @@ pub fn replay(path: &Path) -> Result<Replayed, ReplayError> {
         modes,
         truth: None,
         published: scenario.published,
+        judgements,
         ablation: None,
         splits: None,
     };

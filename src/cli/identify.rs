@@ -18,7 +18,7 @@ use crate::measurement::{ColumnMap, MeasurementSet, load_column_map, parse_colum
 use crate::model::{CalibrationModel, FAMILIES, JointKind, ParameterId, Robot, load_robot};
 use crate::pipeline::{
     InputSummary, Outcome, PipelineError, SetKind, SetOutcome, SplitPlan, SplitStudy, calibrate,
-    hash_sources, pose_count, repeat_splits,
+    hash_sources, judge, pose_count, repeat_splits,
 };
 
 /// Calibrate a robot from measured positions in a file, and verify on another file
@@ -272,10 +272,23 @@ fn modes(args: &Args, robot: &Robot, compliance_sigma: f64) -> Vec<Mode> {
     Mode::ALL.into_iter().filter(wanted).collect()
 }
 
-fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions), CliError> {
-    let mut robot = load_robot(&args.model)?;
+/// A robot and its measurements, as files hold them.
+pub(super) struct Loaded {
+    pub robot: Robot,
+    /// Every file by its role.
+    pub sources: Vec<(String, Source)>,
+    pub sets: Vec<SetOutcome>,
+}
+
+/// Reads a robot and files of positions, whose columns `columns` tells, else the robot's file.
+pub(super) fn load(
+    model: &Path,
+    columns: Option<&Path>,
+    files: &[(SetKind, &Path)],
+) -> Result<Loaded, CliError> {
+    let mut robot = load_robot(model)?;
     let joints: Vec<JointKind> = robot.model.kinematics.links.iter().map(|link| link.kind).collect();
-    let columns = match &args.columns {
+    let columns = match columns {
         Some(path) => {
             let (map, source) = load_column_map(path)?;
             map.check_joints(&source, &joints)?;
@@ -294,35 +307,60 @@ fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions), CliError> {
     };
     let mut sources = robot.sources.clone();
     let mut sets = Vec::new();
-    for (kind, path) in
-        [(SetKind::Identification, Some(&args.measurements)), (SetKind::Verification, args.verify.as_ref())]
-    {
-        let Some(path) = path else { continue };
+    for (kind, path) in files {
         let source = Source::read(path)?;
         let file = parse_measurements(&source, &columns, &joints)?;
         sources.push((kind.key().to_owned(), source));
-        sets.push(SetOutcome { kind, measurements: file.set, dropped: file.dropped });
+        sets.push(SetOutcome { kind: *kind, measurements: file.set, dropped: file.dropped });
     }
-    let defaults = IdentificationOptions::default();
-    let stated = args.compliance_percent.map(|percent| 1e-2 * percent).or(robot.compliance_sigma);
-    let compliance_sigma = stated.unwrap_or(defaults.compliance_sigma);
-    let modes = modes(args, &robot, compliance_sigma);
-    let options = IdentificationOptions {
-        parameters: match args.parameters {
-            Parameters::Complete => ParameterChoice::Complete,
-            Parameters::Rules => ParameterChoice::NeighbourAxisRules,
-        },
+    Ok(Loaded { robot, sources, sets })
+}
+
+/// What is assumed of a file of positions: it says nothing of the tracker's frame and of the target.
+pub(super) fn file_options(
+    parameters: ParameterChoice,
+    tolerance: Option<Tolerance>,
+) -> IdentificationOptions {
+    IdentificationOptions {
+        parameters,
         frame: FrameChoice::Free,
         target: TargetChoice::Identified,
-        tolerance: tolerance(args),
+        tolerance,
+        ..IdentificationOptions::default()
+    }
+}
+
+/// The failure of an identification from these files, at the last line of the fitted one where more poses are what it needs.
+pub(super) fn failed(error: PipelineError, measurements: &Path, sources: &[(String, Source)]) -> CliError {
+    let fitted = sources.iter().find(|(role, _)| role == SetKind::Identification.key());
+    match fitted {
+        Some((_, source)) => not_identified(error, measurements, source, last_line(&source.text)),
+        None => CliError::Pipeline { file: measurements.to_path_buf(), source: error },
+    }
+}
+
+fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions), CliError> {
+    let mut files = vec![(SetKind::Identification, args.measurements.as_path())];
+    files.extend(args.verify.as_deref().map(|path| (SetKind::Verification, path)));
+    let Loaded { robot, sources, sets } = load(&args.model, args.columns.as_deref(), &files)?;
+    let stated = args.compliance_percent.map(|percent| 1e-2 * percent).or(robot.compliance_sigma);
+    let compliance_sigma = stated.unwrap_or(IdentificationOptions::default().compliance_sigma);
+    let modes = modes(args, &robot, compliance_sigma);
+    let parameters = match args.parameters {
+        Parameters::Complete => ParameterChoice::Complete,
+        Parameters::Rules => ParameterChoice::NeighbourAxisRules,
+    };
+    let options = IdentificationOptions {
         compliances: compliances(args, &robot.model),
         compliance_sigma,
         solver: SolverOptions { loss: args.loss.into(), ..SolverOptions::default() },
         terms: args.terms.as_ref().map(|keys| keys.iter().filter(|k| *k != NO_TERMS).cloned().collect()),
-        ..defaults
+        ..file_options(parameters, tolerance(args))
     };
     let (registration, modes) = calibrate(&robot.model, &sets, &modes, &options)
-        .map_err(|error| told(error, &args.measurements, &sources))?;
+        .map_err(|error| failed(error, &args.measurements, &sources))?;
+    let judgements = judge(&robot.model, &sets, &modes, &options)
+        .map_err(|error| failed(error, &args.measurements, &sources))?;
     let outcome = Outcome {
         input: InputSummary { kind: "files", name: robot.name, sha256: hash_sources(&sources), seed: None },
         sources,
@@ -333,6 +371,7 @@ fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions), CliError> {
         modes,
         truth: None,
         published: Vec::new(),
+        judgements,
         ablation: None,
         splits: None,
     };

@@ -1,6 +1,7 @@
 //! The command line: argument types, one file a command. Results go to stdout, diagnostics and progress to stderr.
 
 mod check;
+mod choose;
 mod identifiability;
 mod identify;
 mod montecarlo;
@@ -43,6 +44,7 @@ enum Command {
     Check(check::Args),
     Identify(identify::Args),
     Identifiability(identifiability::Args),
+    Choose(choose::Args),
     Montecarlo(montecarlo::Args),
     Replay(replay::Args),
 }
@@ -109,6 +111,7 @@ pub fn main() -> ExitCode {
         Command::Run(args) => run::execute(args),
         Command::Check(args) => check::execute(args),
         Command::Identify(args) => identify::execute(args),
+        Command::Choose(args) => choose::execute(args),
         Command::Montecarlo(args) => montecarlo::execute(args),
         Command::Identifiability(args) => identifiability::execute(args),
         Command::Replay(args) => replay::execute(args),

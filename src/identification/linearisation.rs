@@ -1,10 +1,11 @@
 //! The whitened system at an estimate, for what is read from it: uncertainty, leverage, residual patterns.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::build::{UNSTATED_SIGMA, rebuild};
-use super::{Estimate, IdentificationOptions, IdentifyError, LeastSquares, NoiseScale};
-use crate::measurement::MeasurementSet;
+use super::problem::CalibrationProblem;
+use super::{Estimate, IdentificationOptions, IdentifyError, LeastSquares, NoiseScale, PositionJacobian};
+use crate::measurement::{MeasurementSet, Observation};
 use crate::model::CalibrationModel;
 
 /// Residuals and Jacobian of a fit at its estimate. A residual of 1 is one standard deviation.
@@ -16,6 +17,17 @@ pub struct Linearisation {
     pub residuals: DVector<f64>,
     /// The first rows: three an observation.
     pub data_rows: usize,
+    /// One an observation: takes a displacement of its target in the base frame, m, to standard deviations.
+    pub whitening: Vec<Matrix3<f64>>,
+}
+
+/// Where a target is predicted to be, in the base frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Prediction {
+    /// m
+    pub position: Vector3<f64>,
+    /// Its derivative with respect to the estimate's parameters. The tracker's place is not in it: the base frame is the robot's own.
+    pub jacobian: PositionJacobian,
 }
 
 /// The system that `estimate` solves, evaluated where it ended: with the noise that it was given or found, and without the weights of a
@@ -30,6 +42,48 @@ pub fn linearise(
     options: &IdentificationOptions,
     estimate: &Estimate,
 ) -> Result<Linearisation, IdentifyError> {
+    let (mut problem, x) = solved(model, set, options, estimate)?;
+    let (m, n) = (problem.rows(), problem.parameters());
+    let mut linearisation = Linearisation {
+        jacobian: DMatrix::zeros(m, n),
+        residuals: DVector::zeros(m),
+        data_rows: 3 * problem.rows.len(),
+        whitening: Vec::new(),
+    };
+    problem.evaluate(&x, &mut linearisation.residuals, Some(&mut linearisation.jacobian));
+    linearisation.whitening = (0..problem.rows.len()).map(|row| problem.whitening(row)).collect();
+    Ok(linearisation)
+}
+
+/// What the identified robot predicts for `observations`, which need not have been measured: their readings are not looked at. `None` for
+/// a pose that it cannot take.
+///
+/// # Errors
+///
+/// [`IdentifyError`], where the estimate does not belong to model, set and options.
+pub fn predict(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    estimate: &Estimate,
+    observations: &[Observation],
+) -> Result<Vec<Option<Prediction>>, IdentifyError> {
+    let (mut problem, x) = solved(model, set, options, estimate)?;
+    problem.set(&x);
+    let predicted = observations.iter().map(|observation| {
+        let (position, jacobian) = problem.predict(observation)?;
+        Some(Prediction { position, jacobian })
+    });
+    Ok(predicted.collect())
+}
+
+/// The problem that `estimate` solves, and its parameters.
+fn solved(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    estimate: &Estimate,
+) -> Result<(CalibrationProblem, Vec<f64>), IdentifyError> {
     let kept: Vec<_> = estimate.parameters.iter().map(|p| p.id).collect();
     let mut problem = rebuild(model, set, options, &kept)?;
     if problem.parameters != kept {
@@ -46,13 +100,5 @@ pub fn linearise(
             row.whitening *= UNSTATED_SIGMA / sigma;
         }
     }
-    let x: Vec<f64> = estimate.parameters.iter().map(|p| p.value).collect();
-    let (m, n) = (problem.rows(), problem.parameters());
-    let mut linearisation = Linearisation {
-        jacobian: DMatrix::zeros(m, n),
-        residuals: DVector::zeros(m),
-        data_rows: 3 * problem.rows.len(),
-    };
-    problem.evaluate(&x, &mut linearisation.residuals, Some(&mut linearisation.jacobian));
-    Ok(linearisation)
+    Ok((problem, estimate.parameters.iter().map(|p| p.value).collect()))
 }

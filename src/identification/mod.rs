@@ -28,7 +28,7 @@ pub use identifiability::{
     neighbour_axis_rules, select_independent, structural_poses,
 };
 pub use identify::{IdentifyError, identify, without_calibration};
-pub use linearisation::{Linearisation, linearise};
+pub use linearisation::{Linearisation, Prediction, linearise, predict};
 pub use machine::MachineError;
 pub use mode::Mode;
 pub use options::{

@@ -2,10 +2,11 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3, Vector6};
 
-use super::LeastSquares;
 use super::machine::{Machine, MachineError, Prepared};
+use super::{LeastSquares, PositionJacobian};
 use crate::elastostatics::apply;
 use crate::geometry::{Transform, cross_matrix, small_displacement};
+use crate::measurement::Observation;
 use crate::model::{CalibrationModel, ParameterId};
 
 /// One observation, ready for the fit.
@@ -116,6 +117,31 @@ impl CalibrationProblem {
         ready.err().map(|error| (row.pose, error))
     }
 
+    /// At the current parameters, where the target of an observation is predicted to be in the base frame, m, and the derivative of that
+    /// place; `None` where the robot cannot take the pose, or where the observation is not of it.
+    pub fn predict(&mut self, observation: &Observation) -> Option<(Vector3<f64>, PositionJacobian)> {
+        let now = &mut self.current;
+        let target = now.targets.get(observation.target)?;
+        if observation.command.len() != now.model.kinematics.joint_count() {
+            return None;
+        }
+        let told = now.machine.place_observation(observation).ok()?;
+        now.machine.differentiate(target, &told).ok()?;
+        let in_base = now.machine.target(target);
+        let mut jacobian = PositionJacobian::zeros(self.parameters.len());
+        let mut term = 0;
+        for (mut column, id) in jacobian.column_iter_mut().zip(&self.parameters) {
+            column.copy_from(&in_base_column(&now.machine, *id, observation.target, &in_base, &mut term));
+        }
+        Some((in_base, jacobian))
+    }
+
+    /// Takes a displacement of an observation's target in the base frame, m, to standard deviations.
+    pub fn whitening(&self, index: usize) -> Matrix3<f64> {
+        let row = &self.rows[index];
+        row.whitening * self.current.stations[row.station].rotation.matrix()
+    }
+
     /// Rows of observations, nests and targets.
     pub fn measured_rows(&self) -> usize {
         let priors: usize = self.priors.iter().map(|p| p.whitening.nrows()).sum();
@@ -159,18 +185,7 @@ impl CalibrationProblem {
                         from_origin * left.column(component - 3).cross(&turned)
                     }
                 }
-                ParameterId::Target { target, .. } if target == row.target => {
-                    from_base * now.machine.column(*id, &in_base)
-                }
-                ParameterId::Frame { .. } | ParameterId::Target { .. } => Vector3::zeros(),
-                ParameterId::Term(_) => {
-                    term += 1;
-                    from_base * now.machine.term_column(term - 1)
-                }
-                ParameterId::Link { .. }
-                | ParameterId::Compliance(_)
-                | ParameterId::Mass { .. }
-                | ParameterId::Linkage(_) => from_base * now.machine.column(*id, &in_base),
+                id => from_base * in_base_column(&now.machine, id, row.target, &in_base, &mut term),
             };
             jacobian.fixed_view_mut::<3, 1>(3 * index, column).copy_from(&derivative);
         }
@@ -218,6 +233,30 @@ impl LeastSquares for CalibrationProblem {
             self.fill_observation(index, residuals, jacobian.as_deref_mut());
         }
         self.fill_priors(x, residuals, jacobian);
+    }
+}
+
+/// Change of `target` at `in_base` per unit of a parameter, in the base frame; zero for the tracker's place and for other targets. `term`
+/// counts the terms that were asked for.
+fn in_base_column(
+    machine: &Machine,
+    id: ParameterId,
+    target: usize,
+    in_base: &Vector3<f64>,
+    term: &mut usize,
+) -> Vector3<f64> {
+    match id {
+        ParameterId::Frame { .. } => Vector3::zeros(),
+        ParameterId::Target { target: other, .. } if other != target => Vector3::zeros(),
+        ParameterId::Term(_) => {
+            *term += 1;
+            machine.term_column(*term - 1)
+        }
+        ParameterId::Target { .. }
+        | ParameterId::Link { .. }
+        | ParameterId::Compliance(_)
+        | ParameterId::Mass { .. }
+        | ParameterId::Linkage(_) => machine.column(id, in_base),
     }
 }
 

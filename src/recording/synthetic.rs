@@ -108,6 +108,7 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
             ),
             (SetKind::Identification, Mode::WithGravity, [0.0017, 0.0007, 0.0015, 0.0004, 0.0023, 0.0007]),
         ],
+        judgements: Vec::new(),
         ablation: None,
         splits: None,
     }

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::ablation::ablation_section;
+use super::judgement::{residual_section, sure_section};
 use super::parameters::{
     NORMAL_95, ParameterCell, ParameterRow, fitted, parameter_rows, parameter_words, printed_unit,
 };
@@ -25,6 +26,7 @@ const CSS: &str = include_str!("report.css");
 pub fn html_report(outcome: &Outcome) -> Result<String, ReportError> {
     let errors = errors_section(outcome)?;
     let parameters = parameters_section(outcome)?;
+    let (residual, sure) = (residual_section(outcome)?, sure_section(outcome)?);
     let ablation = outcome.ablation.as_ref().map(ablation_section).transpose()?;
     let page = html! {
         (DOCTYPE)
@@ -44,8 +46,10 @@ pub fn html_report(outcome: &Outcome) -> Result<String, ReportError> {
                     (summary_section(outcome))
                     (accuracy_section(outcome))
                     (errors)
+                    (residual)
                     (parameters)
                     @if let Some(study) = &outcome.splits { (split_section(study)) }
+                    (sure)
                     @if let Some(ablation) = ablation { (ablation) }
                     (trust_section(outcome))
                     (reproduce_section(outcome))
@@ -99,8 +103,10 @@ fn header(outcome: &Outcome) -> Markup {
                 a href="#summary" { "Summary" } " "
                 a href="#accuracy" { "Accuracy" } " "
                 a href="#errors" { "Errors" } " "
+                @if !outcome.judgements.is_empty() { a href="#residual" { "Residual" } " " }
                 a href="#parameters" { "Parameters" } " "
                 @if outcome.splits.is_some() { a href="#splits" { "Splits" } " " }
+                @if outcome.judgements.iter().any(|j| j.confidence.is_some()) { a href="#sure" { "How sure" } " " }
                 @if outcome.ablation.is_some() { a href="#ablation" { "Contributions" } " " }
                 a href="#trust" { "Trust" } " "
                 a href="#reproduce" { "Reproduce" }

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use super::judgement::{JsonJudgement, json_judgement};
 use super::parameters::{fitted, truth_of};
 use super::pose_count;
 use super::splits::{JsonSplits, json_splits};
@@ -176,6 +177,9 @@ pub struct JsonEstimate {
     /// Observations that a robust loss found far off the others; absent where none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub outliers: Vec<JsonOutlier>,
+    /// What speaks for and against it; absent where it was not judged.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub judgement: Option<JsonJudgement>,
 }
 
 /// An observation far off the others.
@@ -234,7 +238,11 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
             .collect(),
         estimates: fitted
             .iter()
-            .map(|(mode, estimate)| (mode.key().to_owned(), json_estimate(estimate)))
+            .map(|(mode, estimate)| {
+                let judgement = outcome.judgements.iter().find(|judgement| judgement.mode == *mode);
+                let judgement = judgement.map(|judgement| json_judgement(outcome, judgement));
+                (mode.key().to_owned(), JsonEstimate { judgement, ..json_estimate(estimate) })
+            })
             .collect(),
         parameters: fitted
             .iter()
@@ -346,6 +354,7 @@ fn json_estimate(estimate: &Estimate) -> JsonEstimate {
             .iter()
             .map(|o| JsonOutlier { pose: o.pose, size: finite(o.size), weight: finite(o.weight) })
             .collect(),
+        judgement: None,
     }
 }
 

@@ -4,6 +4,7 @@ mod ablation;
 mod forest;
 mod html;
 mod json;
+mod judgement;
 mod parameters;
 mod plots;
 #[cfg(test)]
@@ -18,6 +19,10 @@ pub use json::{
     JsonRegistration, JsonReport, JsonRow, JsonSet, JsonSoftware, SCHEMA, json_report,
 };
 pub use splits::{JsonInterval, JsonSplitRow, JsonSplits};
+pub use judgement::{
+    JsonConfidence, JsonCorrelation, JsonInfluence, JsonJudgement, JsonPattern, JsonPoint, JsonRegion,
+    JsonSupport,
+};
 pub use tables::{Style, render_tables};
 
 use std::collections::BTreeSet;

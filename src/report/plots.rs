@@ -318,7 +318,7 @@ pub(super) fn centred(area: &Area, text: &str) -> Drawn {
 }
 
 /// The title of the horizontal axis, at the lower edge.
-fn foot(area: &Area, text: &str) -> Drawn {
+pub(super) fn foot(area: &Area, text: &str) -> Drawn {
     let (width, height) = area.dim_in_pixel();
     let at = (i32::try_from(width / 2).unwrap_or(0), i32::try_from(height).unwrap_or(0) - px(6));
     let style = text_style().pos(Pos::new(HPos::Center, VPos::Bottom));
@@ -378,7 +378,7 @@ pub(super) fn padded(range: &Range<f64>) -> Range<f64> {
 }
 
 /// Largest magnitude of the drawable values, at least a nanometre in mm.
-fn largest(values: impl Iterator<Item = f64>) -> f64 {
+pub(super) fn largest(values: impl Iterator<Item = f64>) -> f64 {
     values.map(f64::abs).filter(|v| drawable(*v)).fold(1e-6, f64::max)
 }
 

@@ -139,6 +139,7 @@ pub(super) fn simulated() -> Outcome {
             outliers: Vec::new(),
         }),
         published: PUBLISHED.to_vec(),
+        judgements: Vec::new(),
         ablation: None,
         splits: None,
     }

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use super::ablation::ablation_lines;
+use super::judgement::judgement_lines;
 use super::splits::split_lines;
 use super::{
     condition_words, consistency_ratio, counted, pose_words, published, set_title, termination_words,
@@ -69,6 +70,9 @@ pub fn render_tables(outcome: &Outcome, style: Style) -> String {
             Some(estimate) => state(estimate, style).iter().for_each(|l| line(l)),
             None => wrap(&registration_words(outcome), "    ").iter().for_each(|l| line(l)),
         }
+        for l in &judgement_lines(outcome, mode.mode, style) {
+            line(l);
+        }
     }
     if let Some(ablation) = &outcome.ablation {
         for l in &ablation_lines(ablation, style) {
@@ -76,7 +80,9 @@ pub fn render_tables(outcome: &Outcome, style: Style) -> String {
         }
     }
     if let Some(study) = &outcome.splits {
-        split_lines(study, style).iter().for_each(|l| line(l));
+        for l in &split_lines(study, style) {
+            line(l);
+        }
     }
     text
 }

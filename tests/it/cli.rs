@@ -8,7 +8,7 @@ use std::time::Duration;
 use crate::a_user_makes_a_mistake::with_measurements;
 use crate::sandbox::{Ended, ROBOT, SCENARIO, Sandbox, assert_refused};
 
-const COMMANDS: [&str; 5] = ["run", "check", "identify", "identifiability", "replay"];
+const COMMANDS: [&str; 6] = ["run", "check", "choose", "identify", "identifiability", "replay"];
 #[cfg(feature = "rerun")]
 const FILES: &[&str] = &["report.html", "report.json", "recording.mcap", "recording.rrd"];
 #[cfg(not(feature = "rerun"))]

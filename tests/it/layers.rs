@@ -13,6 +13,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     (
         "cli",
         &[
+            "evaluation",
             "identification",
             "input",
             "kinematics",
@@ -55,6 +56,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "random",
             "scenario",
             "tracker",
+            "validation",
         ],
     ),
     ("plant", &["geometry", "model"]),

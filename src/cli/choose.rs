@@ -1,0 +1,248 @@
+//! `calibrig choose`.
+
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::{Value, json};
+
+use super::identify::{Loaded, failed, file_options, load};
+use super::{CliError, Verdict, not_identified, print, say};
+use crate::evaluation::{Criteria, Verdict as Worth};
+use crate::identification::{LINKAGE, ParameterChoice, Tolerance};
+use crate::model::FAMILIES;
+use crate::pipeline::{self, ChosenRow, ModelChoice, PlantKind, SetKind, choose, simulate};
+use crate::scenario::load_scenario;
+
+/// Compare models on poses that they were not fitted to: does gravity, the linkage, hysteresis pay?
+///
+/// Every model is fitted to all identification poses and, in turn, to all but a part of them, which it then predicts. Each is compared with the
+/// model that it extends: gravity with geometry, stiffness with gravity, and everything else, one by one, with geometry and stiffness.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  calibrig choose scenarios/paper.toml
+  calibrig choose scenarios/paper.toml --folds 20 --json
+  calibrig choose --model models/ur5/robot.toml --measurements grid.csv
+
+A model pays where the 95 % interval of its gain on held-out poses excludes zero. AICc and BIC take the noise as known up to a common
+scale. From files, tracker frame and target offset are identified, and the priors are those that `calibrig identify` has by default.
+Exit code 3 if a fit did not converge or a model could not be fitted.")]
+pub(super) struct Args {
+    /// The scenario file, whose identification poses are simulated
+    #[arg(required_unless_present = "model", conflicts_with_all = ["model", "measurements", "columns"])]
+    scenario: Option<PathBuf>,
+    /// The robot's file
+    #[arg(long, value_name = "ROBOT.toml", requires = "measurements")]
+    model: Option<PathBuf>,
+    /// Positions to fit and to hold out
+    #[arg(long, value_name = "FILE", requires = "model")]
+    measurements: Option<PathBuf>,
+    /// Column map of the file, instead of the one that the robot's file names
+    #[arg(long, value_name = "MAP.toml", requires = "model")]
+    columns: Option<PathBuf>,
+    /// Parts that are held out in turn; as many as poses hold them out one by one
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..=100_000))]
+    folds: u32,
+    /// Seed of the random parts, and of a scenario's draws instead of its own [default: the scenario's, or 1]
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Print as JSON (schema calibrig.choice/1)
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
+    let (name, choice) = match (&args.scenario, &args.model, &args.measurements) {
+        (Some(scenario), _, _) => of_scenario(args, scenario)?,
+        (None, Some(model), Some(measurements)) => of_files(args, model, measurements)?,
+        // Refused by the argument parser.
+        _ => return Ok(Verdict::Doubtful),
+    };
+    print(&if args.json { as_json(&name, &choice) } else { as_text(&name, &choice) })?;
+    Ok(verdict(&choice))
+}
+
+fn of_scenario(args: &Args, path: &Path) -> Result<(String, ModelChoice), CliError> {
+    let mut scenario = load_scenario(path)?;
+    scenario.verification_poses = 0;
+    let seed = args.seed.unwrap_or(scenario.seed);
+    let bar = bar("simulating pose {pos}/{len} {bar:40} {elapsed}");
+    let simulation = simulate(&scenario, seed, 0, PlantKind::Rapier, |done, total| {
+        bar.set_length(total.into());
+        bar.set_position(done.into());
+    });
+    bar.finish_and_clear();
+    let source = &scenario.sources[0].1;
+    let refused = |error| not_identified(error, path, source, source.place_of("poses.identification"));
+    let simulation = simulation.map_err(refused)?;
+    let choice = compare(|progress| {
+        let measured = &simulation.sets[0].measurements;
+        choose(&scenario.robot.model, measured, &scenario.options, args.folds as usize, seed, progress)
+    });
+    Ok((scenario.name.clone(), choice.map_err(refused)?))
+}
+
+fn of_files(args: &Args, model: &Path, measurements: &Path) -> Result<(String, ModelChoice), CliError> {
+    let Loaded { robot, sources, sets } =
+        load(model, args.columns.as_deref(), &[(SetKind::Identification, measurements)])?;
+    let options = file_options(ParameterChoice::Complete, Some(Tolerance { length: 10e-3, angle: 20e-3 }));
+    let seed = args.seed.unwrap_or(1);
+    let choice = compare(|progress| {
+        choose(&robot.model, &sets[0].measurements, &options, args.folds as usize, seed, progress)
+    });
+    Ok((robot.name, choice.map_err(|error| failed(error, measurements, &sources))?))
+}
+
+fn compare(
+    choose: impl FnOnce(&mut dyn FnMut(usize, usize, &str)) -> Result<ModelChoice, pipeline::PipelineError>,
+) -> Result<ModelChoice, pipeline::PipelineError> {
+    let bar = bar("fitting model {pos}/{len}: {msg} {elapsed}");
+    let choice = choose(&mut |done, models, name| {
+        bar.set_length(models as u64);
+        bar.set_position(done as u64 + 1);
+        bar.set_message(name.to_owned());
+    });
+    bar.finish_and_clear();
+    choice
+}
+
+fn bar(template: &str) -> ProgressBar {
+    let bar = ProgressBar::new(0);
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        bar.set_style(style);
+    }
+    bar
+}
+
+fn verdict(choice: &ModelChoice) -> Verdict {
+    let mut verdict = Verdict::Done;
+    for row in choice.rows.iter().filter(|row| row.not_converged > 0) {
+        verdict = Verdict::Doubtful;
+        let (name, count, fits) = (&row.row.name, row.not_converged, choice.folds + 1);
+        say(&format!("doubtful: {name}: {count} of {fits} fits did not converge"));
+    }
+    for failure in &choice.failures {
+        verdict = Verdict::Doubtful;
+        say(&format!("doubtful: {} could not be fitted: {}", failure.name, failure.why));
+    }
+    verdict
+}
+
+fn as_text(name: &str, choice: &ModelChoice) -> String {
+    let mut text = String::new();
+    // Writing to a String cannot fail.
+    let _ = write_text(name, choice, &mut text);
+    text
+}
+
+fn write_text(name: &str, choice: &ModelChoice, text: &mut String) -> std::fmt::Result {
+    writeln!(text, "{name}: {} poses, held out in {} parts", choice.poses, choice.folds)?;
+    writeln!(text)?;
+    writeln!(
+        text,
+        "{:<21}{:>7}{:>7}{:>10}{:>10}{:>10}{:>10}  {:<22}",
+        "model", "params", "eff.", "chi2/dof", "dAICc", "dBIC", "held out", "gain (95 %)"
+    )?;
+    writeln!(text, "{:<21}{:>7}{:>7}{:>10}{:>10}{:>10}{:>10}  {:<22}", "", "", "", "", "", "", "mm", "mm")?;
+    writeln!(text, "{}", "\u{2500}".repeat(97))?;
+    for ChosenRow { row, .. } in &choice.rows {
+        let mm = |metres: f64| format!("{:.4}", 1e3 * metres);
+        let gain = row.gain.map_or(String::new(), |gain| {
+            format!("{:+.4} ({:+.4}, {:+.4})", 1e3 * gain.value, 1e3 * gain.low, 1e3 * gain.high)
+        });
+        let line = format!(
+            "{:<21}{:>7}{:>7.1}{:>10}{:>10}{:>10}{:>10}  {gain}",
+            row.name,
+            row.parameters,
+            row.effective_parameters,
+            row.chi2_per_dof.map_or_else(|| "-".to_owned(), |v| format!("{v:.4}")),
+            difference(row.above_best.aicc),
+            difference(row.above_best.bic),
+            row.held_out_rms.map_or_else(|| "-".to_owned(), mm),
+        );
+        writeln!(text, "{}", line.trim_end())?;
+    }
+    writeln!(text)?;
+    for row in &choice.rows {
+        if let Some(words) = in_words(row) {
+            writeln!(text, "{words}")?;
+        }
+    }
+    for failure in &choice.failures {
+        writeln!(text, "{}: could not be fitted: {}", failure.name, failure.why)?;
+    }
+    writeln!(text)?;
+    writeln!(text, "{}", advice(choice))
+}
+
+fn difference(value: f64) -> String {
+    if value.is_finite() { format!("{value:.1}") } else { "-".to_owned() }
+}
+
+/// What a step is worth, against what.
+fn in_words(row: &ChosenRow) -> Option<String> {
+    let row = &row.row;
+    let against = row.against.as_ref()?;
+    let size = row.gain.map_or(0.0, |gain| 1e3 * gain.value);
+    let why = match row.verdict {
+        Worth::Pays => format!("predicts held-out poses better, by {size:.3} mm RMS"),
+        Worth::Hurts => format!("predicts held-out poses worse, by {:.3} mm RMS", -size),
+        Worth::Undecided => "fits better, but held-out poses do not show it beyond chance".to_owned(),
+        _ => "neither held-out poses nor AICc speak for it".to_owned(),
+    };
+    Some(format!("{}: {} ({why}; against {against})", row.name, row.verdict))
+}
+
+/// What to fit: the largest model of the chain that pays, with the terms that pay.
+fn advice(choice: &ModelChoice) -> String {
+    let paying = |key: &str| choice.rows.iter().any(|row| row.key == key && row.row.verdict == Worth::Pays);
+    let families = std::iter::once(LINKAGE).chain(FAMILIES.iter().map(|family| family.key()));
+    let terms: Vec<_> = families.filter(|key| paying(key)).collect();
+    if !terms.is_empty() || paying("complete_geometry") {
+        let terms = if terms.is_empty() { "none".to_owned() } else { terms.join(",") };
+        return format!(
+            "Worth fitting together: mode extended with terms {terms}; its gain is not the sum of these, so compare again on new poses."
+        );
+    }
+    let mode = if paying("stiffness") {
+        "elasto_geometric"
+    } else if paying("gravity") {
+        "with_gravity"
+    } else {
+        "only_calibration"
+    };
+    format!("Worth fitting: mode {mode}.")
+}
+
+fn as_json(name: &str, choice: &ModelChoice) -> String {
+    let finite = |v: f64| v.is_finite().then_some(v);
+    let criteria =
+        |c: &Criteria| json!({ "aic": finite(c.aic), "aicc": finite(c.aicc), "bic": finite(c.bic) });
+    let row = |chosen: &ChosenRow| -> Value {
+        let row = &chosen.row;
+        json!({
+            "key": chosen.key,
+            "name": row.name,
+            "against": row.against,
+            "parameters": row.parameters,
+            "effective_parameters": finite(row.effective_parameters),
+            "chi2_per_dof": row.chi2_per_dof.and_then(finite),
+            "above_best": criteria(&row.above_best),
+            "held_out_rms_m": row.held_out_rms.and_then(finite),
+            "gain_m": row.gain.map(|gain| finite(gain.value)),
+            "gain_interval_m": row.gain.map(|gain| [finite(gain.low), finite(gain.high)]),
+            "verdict": row.verdict.key(),
+            "not_converged": chosen.not_converged,
+        })
+    };
+    let value = json!({
+        "schema": "calibrig.choice/1",
+        "name": name,
+        "poses": choice.poses,
+        "folds": choice.folds,
+        "models": choice.rows.iter().map(row).collect::<Vec<_>>(),
+        "failures": choice.failures.iter().map(|f| json!({ "name": f.name, "why": f.why })).collect::<Vec<_>>(),
+        "advice": advice(choice),
+    });
+    format!("{value:#}\n")
+}

@@ -1,0 +1,241 @@
+//! Does gravity, the linkage, hysteresis pay? Nested models, each fitted to all poses and to all but a held-out part.
+
+use super::PipelineError;
+use crate::evaluation::{Fit, NoiseLevel, Split, Variant, VariantRow, compare_variants, k_fold};
+use crate::identification::{
+    Estimate, IdentificationOptions, LINKAGE, Mode, NoiseScale, ParameterChoice, Predictor, Uncertainty,
+    identify, linearise,
+};
+use crate::measurement::MeasurementSet;
+use crate::model::{CalibrationModel, FAMILIES, TermId};
+use crate::random::{Source, stream};
+use crate::validation::{held_out_errors, in_order};
+
+/// Confidence of the intervals.
+const LEVEL: f64 = 0.95;
+
+/// Nested models on the same poses.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ModelChoice {
+    /// Distinct poses.
+    pub poses: usize,
+    /// Parts that are held out in turn.
+    pub folds: usize,
+    /// One a model, the simplest first.
+    pub rows: Vec<ChosenRow>,
+    /// Models that could not be fitted.
+    pub failures: Vec<FailedVariant>,
+}
+
+/// A model in the table.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ChosenRow {
+    /// `geometry`, `gravity`, `stiffness`, `linkage`, `complete_geometry`, or the key of a family of terms.
+    pub key: &'static str,
+    /// What it says.
+    pub row: VariantRow,
+    /// Fits, of all poses and of the folds, that did not converge.
+    pub not_converged: usize,
+}
+
+/// A model that could not be fitted.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FailedVariant {
+    /// What is new in it.
+    pub name: String,
+    /// Why.
+    pub why: String,
+}
+
+/// A model to fit.
+#[derive(Debug, Clone)]
+struct Candidate {
+    key: &'static str,
+    name: String,
+    against: Option<usize>,
+    options: IdentificationOptions,
+}
+
+/// A model that was fitted.
+struct Fitted {
+    variant: Variant,
+    /// m, where the noise comes from the residuals.
+    sigma: Option<f64>,
+    not_converged: usize,
+}
+
+/// Compares the models that `model` allows on `set`: geometry; with the deflection that gravity is predicted to cause; with stiffness
+/// identified; and on top of that the linkage, a complete geometric set, and each family of terms by itself. Mode and terms of `options` are not
+/// looked at.
+///
+/// Poses are held out in `folds` parts drawn with `seed`. The noise is taken as known up to one common scale: what no model explains
+/// does not speak for the larger one.
+///
+/// # Errors
+///
+/// [`PipelineError`], where not even the simplest model can be fitted. A larger one that cannot is among the failures.
+pub fn choose(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    folds: usize,
+    seed: u64,
+    mut progress: impl FnMut(usize, usize, &str),
+) -> Result<ModelChoice, PipelineError> {
+    let splits = pose_folds(set, folds, seed);
+    let candidates = candidates(model, options);
+    let (mut keys, mut fitted, mut failures) = (Vec::new(), Vec::<Fitted>::new(), Vec::new());
+    // Where a candidate went; of one that failed, where the one went that it would have been compared with.
+    let mut places: Vec<Option<usize>> = Vec::new();
+    for (index, candidate) in candidates.iter().enumerate() {
+        progress(index, candidates.len(), &candidate.name);
+        let against = candidate.against.and_then(|other| places[other]);
+        match fit(model, set, candidate, against, &splits) {
+            Ok(fit) => {
+                places.push(Some(fitted.len()));
+                fitted.push(fit);
+                keys.push(candidate.key);
+            }
+            Err(error) if fitted.is_empty() => return Err(error),
+            Err(error) => {
+                places.push(against);
+                failures.push(FailedVariant { name: candidate.name.clone(), why: error.to_string() });
+            }
+        }
+    }
+    let reference = fitted.first().and_then(|first| first.sigma);
+    for fit in &mut fitted {
+        // Whitened by its own residuals, every model would look as good.
+        if let (Some(sigma), Some(reference)) = (fit.sigma, reference) {
+            fit.variant.fit.chi2 *= (sigma / reference).powi(2);
+        }
+    }
+    let variants: Vec<_> = fitted.iter().map(|fit| fit.variant.clone()).collect();
+    let rows = compare_variants(&variants, NoiseLevel::Estimated, LEVEL);
+    let rows = keys.into_iter().zip(rows).zip(&fitted);
+    Ok(ModelChoice {
+        poses: distinct_poses(set).len(),
+        folds: splits.len(),
+        rows: rows
+            .map(|((key, row), fit)| ChosenRow { key, row, not_converged: fit.not_converged })
+            .collect(),
+        failures,
+    })
+}
+
+/// The models in order; each names one before it.
+fn candidates(model: &CalibrationModel, options: &IdentificationOptions) -> Vec<Candidate> {
+    let mut candidates = vec![Candidate {
+        key: "geometry",
+        name: "geometry".to_owned(),
+        against: None,
+        options: IdentificationOptions { mode: Mode::OnlyCalibration, ..options.clone() },
+    }];
+    if model.statics.is_some() {
+        for (key, mode) in [("gravity", Mode::WithGravity), ("stiffness", Mode::ElastoGeometric)] {
+            candidates.push(Candidate {
+                key,
+                name: format!("+ {key}"),
+                against: Some(candidates.len() - 1),
+                options: IdentificationOptions { mode, ..options.clone() },
+            });
+        }
+    }
+    let base = candidates.len() - 1;
+    let extended = |geometry: &ParameterChoice, terms: &[&str]| IdentificationOptions {
+        mode: Mode::Extended,
+        extended_parameters: geometry.clone(),
+        terms: Some(terms.iter().map(|key| (*key).to_owned()).collect()),
+        ..options.clone()
+    };
+    let mut push = |key: &'static str, options| {
+        let name = format!("+ {}", key.replace('_', " "));
+        candidates.push(Candidate { key, name, against: Some(base), options });
+    };
+    if model.actuators.four_bar().is_some() {
+        push(LINKAGE, extended(&options.parameters, &[LINKAGE]));
+    }
+    if options.parameters == ParameterChoice::NeighbourAxisRules {
+        push("complete_geometry", extended(&ParameterChoice::Complete, &[]));
+    }
+    for family in FAMILIES {
+        let key = family.key();
+        if TermId::all_of(key, model).is_some_and(|terms| !terms.is_empty()) {
+            push(key, extended(&options.parameters, &[key]));
+        }
+    }
+    candidates
+}
+
+fn fit(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    candidate: &Candidate,
+    against: Option<usize>,
+    splits: &[Split],
+) -> Result<Fitted, PipelineError> {
+    let mode = candidate.options.mode;
+    let failed = |source| PipelineError::Identify { mode, source };
+    let estimate = identify(model, set, &candidate.options).map_err(failed)?;
+    let system = linearise(model, set, &candidate.options, &estimate).map_err(failed)?;
+    let ids: Vec<_> = estimate.parameters.iter().map(|p| p.id).collect();
+    let determined = Uncertainty::new(&system.jacobian, system.data_rows, &ids);
+    let mut not_converged = usize::from(!estimate.termination.converged());
+    let held_out = held_out_errors(set, splits, |fitted, held_out| {
+        let estimate = identify(model, fitted, &candidate.options).map_err(failed)?;
+        not_converged += usize::from(!estimate.termination.converged());
+        errors(model, &estimate, held_out)
+    })?;
+    let variant = Variant {
+        name: candidate.name.clone(),
+        against,
+        parameters: ids.len(),
+        fit: Fit {
+            chi2: system.residuals.rows(0, system.data_rows).norm_squared(),
+            rows: system.data_rows,
+            parameters: determined.map_or(estimate.spectrum.rank as f64, |u| u.effective_parameters()),
+        },
+        held_out: in_order(splits, &held_out, set.observations.len()).unwrap_or_default(),
+    };
+    let sigma = match estimate.noise {
+        NoiseScale::Stated => None,
+        NoiseScale::Residuals(sigma) => Some(sigma),
+    };
+    Ok(Fitted { variant, sigma, not_converged })
+}
+
+fn errors(
+    model: &CalibrationModel,
+    estimate: &Estimate,
+    set: &MeasurementSet,
+) -> Result<Vec<nalgebra::Vector3<f64>>, PipelineError> {
+    Predictor::new(model, &estimate.robot)
+        .errors(set)
+        .map_err(|source| PipelineError::Predict { mode: estimate.robot.mode, source })
+}
+
+/// Splits of the observations that keep those of one pose together: they share its errors.
+fn pose_folds(set: &MeasurementSet, folds: usize, seed: u64) -> Vec<Split> {
+    let poses = distinct_poses(set);
+    let mut rng = stream(seed, 0, Source::Folds);
+    let observations = |part: &[usize]| {
+        let chosen: Vec<_> = part.iter().map(|place| poses[*place]).collect();
+        let all = set.observations.iter().enumerate();
+        all.filter(|(_, o)| chosen.contains(&o.pose)).map(|(i, _)| i).collect()
+    };
+    k_fold(poses.len(), folds, &mut rng)
+        .into_iter()
+        .map(|split| Split { fitted: observations(&split.fitted), held_out: observations(&split.held_out) })
+        .collect()
+}
+
+/// Numbers of the poses, in the order in which they were taken.
+fn distinct_poses(set: &MeasurementSet) -> Vec<u32> {
+    let mut poses: Vec<u32> = Vec::new();
+    for observation in &set.observations {
+        if poses.last() != Some(&observation.pose) && !poses.contains(&observation.pose) {
+            poses.push(observation.pose);
+        }
+    }
+    poses
+}

@@ -1,0 +1,265 @@
+//! How far an estimate can be trusted: what its residuals still contain, what every parameter rests on, and how well it predicts.
+
+use nalgebra::Vector3;
+
+use super::{ModeOutcome, PipelineError, SetOutcome};
+use crate::evaluation::{ConsistencyReport, NoiseLevel, PoseConditions, ResidualSet, check_consistency};
+use crate::identification::{
+    Estimate, IdentificationOptions, Linearisation, Mode, NoiseScale, ParameterSupport, PoseInfluence,
+    Prediction, Predictor, Uncertainty, linearise, predict,
+};
+use crate::measurement::{MeasurementSet, Observation, Reading};
+use crate::model::{CalibrationModel, ParameterId};
+
+/// Probability of a false alarm of a test for size or shape of the residuals.
+pub const FALSE_ALARM: f64 = 0.001;
+/// Correlations from this size on are named.
+const STRONG: f64 = 0.9;
+/// Poses of the map.
+const MAP_POSES: u32 = 400;
+/// Step of an actuator for the derivative of its target's place, m or rad.
+const STEP: f64 = 1e-4;
+
+/// What speaks for and against an estimate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Judgement {
+    /// Of which mode.
+    pub mode: Mode,
+    /// Size and shape of the residuals.
+    pub consistency: ConsistencyReport,
+    /// Change of the target's place in the base frame with every actuator, one vector an observation of the identification set, m/m or
+    /// m/rad; empty where the robot cannot take the poses beside.
+    pub sensitivity: Vec<Vec<Vector3<f64>>>,
+    /// How sure; `None` from a singular system.
+    pub confidence: Option<Confidence>,
+}
+
+/// How sure an estimate is, if the stated noise is right.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Confidence {
+    /// What every parameter rests on, in their order.
+    pub support: Vec<ParameterSupport>,
+    /// The pairs whose correlation is 0.9 or more in size, strongest first.
+    pub correlations: Vec<(ParameterId, ParameterId, f64)>,
+    /// How many parameters the data determine.
+    pub effective_parameters: f64,
+    /// One an observation of the identification set.
+    pub influences: Vec<PoseInfluence>,
+    /// Its error if it had been left out of the fit, measured minus predicted in the base frame, m (to first order).
+    pub left_out: Vec<Option<Vector3<f64>>>,
+    /// How well the target's place is predicted: one vector a set, one entry an observation; `None` where a pose cannot be taken.
+    pub at_poses: Vec<Vec<Option<PredictedPosition>>>,
+    /// The same over the box of joint variables that the measured poses span.
+    pub map: Vec<PredictedPosition>,
+    /// Poses of that box that the robot cannot take.
+    pub out_of_reach: usize,
+}
+
+/// A predicted position in the base frame with its uncertainty.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PredictedPosition {
+    /// m
+    pub position: Vector3<f64>,
+    /// Standard deviations along the base's axes, m.
+    pub sigma: Vector3<f64>,
+}
+
+impl PredictedPosition {
+    /// Root of the mean squared length of the error, m.
+    pub fn length(&self) -> f64 {
+        self.sigma.norm()
+    }
+}
+
+impl Confidence {
+    /// RMS of the 3-D errors of observations that are left out one by one, m; `None` where one of them alone determines a direction.
+    pub fn left_out_rms(&self) -> Option<f64> {
+        let squares: Option<Vec<_>> = self.left_out.iter().map(|e| e.map(|e| e.norm_squared())).collect();
+        squares.filter(|s| !s.is_empty()).map(|s| (s.iter().sum::<f64>() / s.len() as f64).sqrt())
+    }
+}
+
+/// Judges every estimate of `modes`, which [`calibrate`](super::calibrate) made of the same model, sets and options.
+pub fn judge(
+    model: &CalibrationModel,
+    sets: &[SetOutcome],
+    modes: &[ModeOutcome],
+    options: &IdentificationOptions,
+) -> Result<Vec<Judgement>, PipelineError> {
+    let Some(fitted) = sets.first().map(|set| &set.measurements) else { return Ok(Vec::new()) };
+    let region = region(model, sets);
+    modes
+        .iter()
+        .filter_map(|outcome| Some((outcome.mode, outcome.estimate.as_ref()?)))
+        .map(|(mode, estimate)| {
+            let options = IdentificationOptions { mode, ..options.clone() };
+            let failed = |source| PipelineError::Identify { mode, source };
+            let system = linearise(model, fitted, &options, estimate).map_err(failed)?;
+            let sensitivity = sensitivity(model, estimate, fitted).unwrap_or_default();
+            let predicted = |poses: &[Observation]| predict(model, fitted, &options, estimate, poses);
+            let confidence = match uncertainty(&system, estimate) {
+                Some(uncertainty) => {
+                    let at_poses: Result<Vec<_>, _> =
+                        sets.iter().map(|set| predicted(&set.measurements.observations)).collect();
+                    let (at_poses, map) = (at_poses.map_err(failed)?, predicted(&region).map_err(failed)?);
+                    Some(confidence(&system, &uncertainty, &at_poses, &map))
+                }
+                None => None,
+            };
+            let consistency = consistency(model, fitted, estimate, &system, &sensitivity);
+            Ok(Judgement { mode, consistency, sensitivity, confidence })
+        })
+        .collect()
+}
+
+fn uncertainty(system: &Linearisation, estimate: &Estimate) -> Option<Uncertainty> {
+    // What the estimate does not state, for want of rank without the tolerance, is not stated here either.
+    estimate.covariance.as_ref()?;
+    let ids: Vec<_> = estimate.parameters.iter().map(|p| p.id).collect();
+    Uncertainty::new(&system.jacobian, system.data_rows, &ids)
+}
+
+fn confidence(
+    system: &Linearisation,
+    uncertainty: &Uncertainty,
+    at_poses: &[Vec<Option<Prediction>>],
+    map: &[Option<Prediction>],
+) -> Confidence {
+    let place = |prediction: &Option<Prediction>| {
+        let prediction = prediction.as_ref()?;
+        let covariance = uncertainty.position_covariance(&prediction.jacobian);
+        let sigma = covariance.diagonal().map(|v| v.max(0.0).sqrt());
+        let finite = sigma.iter().chain(prediction.position.iter()).all(|v| v.is_finite());
+        finite.then_some(PredictedPosition { position: prediction.position, sigma })
+    };
+    let influences = uncertainty.influences(&system.jacobian, system.residuals.as_slice(), system.data_rows);
+    let left_out = influences
+        .iter()
+        .zip(&system.whitening)
+        .map(|(influence, whitening)| whitening.lu().solve(&-influence.left_out?))
+        .collect();
+    let map: Vec<_> = map.iter().map(place).collect();
+    Confidence {
+        support: uncertainty.support(),
+        correlations: uncertainty.strongest_correlations(STRONG),
+        effective_parameters: uncertainty.effective_parameters(),
+        influences,
+        left_out,
+        at_poses: at_poses.iter().map(|set| set.iter().map(place).collect()).collect(),
+        out_of_reach: map.iter().filter(|p| p.is_none()).count(),
+        map: map.into_iter().flatten().collect(),
+    }
+}
+
+fn consistency(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    estimate: &Estimate,
+    system: &Linearisation,
+    sensitivity: &[Vec<Vector3<f64>>],
+) -> ConsistencyReport {
+    if system.residuals.iter().chain(system.jacobian.iter()).any(|v| !v.is_finite()) {
+        return ConsistencyReport { size: None, shape: None, level: FALSE_ALARM };
+    }
+    let mut predictor = Predictor::new(model, &estimate.robot);
+    let poses: Vec<_> = set
+        .observations
+        .iter()
+        .zip(&system.whitening)
+        .enumerate()
+        .map(|(i, (observation, whitening))| PoseConditions {
+            command: &observation.command,
+            approach: &observation.approach,
+            time: observation.time,
+            temperature: observation.temperature,
+            position: predictor.in_base(observation).unwrap_or_default(),
+            sensitivity: sensitivity.get(i).map_or(&[][..], Vec::as_slice),
+            whitening: *whitening,
+        })
+        .collect();
+    let names: Vec<_> = model.kinematics.links.iter().map(|link| link.name.clone()).collect();
+    let residuals = ResidualSet {
+        residuals: &system.residuals,
+        jacobian: &system.jacobian,
+        poses: &poses,
+        joint_names: &names,
+        motor_turns: &model.motor_turns,
+    };
+    let noise = match estimate.noise {
+        NoiseScale::Stated => NoiseLevel::Known,
+        NoiseScale::Residuals(_) => NoiseLevel::Estimated,
+    };
+    check_consistency(&residuals, noise, FALSE_ALARM)
+}
+
+/// Change of every observation's target with every actuator, by central differences; `None` where the robot cannot take one of the poses.
+fn sensitivity(
+    model: &CalibrationModel,
+    estimate: &Estimate,
+    set: &MeasurementSet,
+) -> Option<Vec<Vec<Vector3<f64>>>> {
+    let mut predictor = Predictor::new(model, &estimate.robot);
+    set.observations
+        .iter()
+        .map(|observation| {
+            let mut moved = observation.clone();
+            let mut at = |joint: usize, step: f64| {
+                moved.command[joint] = observation.command[joint] + step;
+                let position = predictor.in_base(&moved).ok();
+                moved.command[joint] = observation.command[joint];
+                position
+            };
+            let derivative = |joint| Some((at(joint, STEP)? - at(joint, -STEP)?) / (2.0 * STEP));
+            (0..observation.command.len()).map(derivative).collect()
+        })
+        .collect()
+}
+
+/// Poses that fill the box of joint variables which the measured poses of all sets span, evenly and the same for the same sets; the
+/// approaches alternate.
+fn region(model: &CalibrationModel, sets: &[SetOutcome]) -> Vec<Observation> {
+    let mut range = vec![(f64::INFINITY, f64::NEG_INFINITY); model.kinematics.joint_count()];
+    let mut joints = vec![0.0; range.len()];
+    let mut any = false;
+    for observation in sets.iter().flat_map(|set| &set.measurements.observations) {
+        if observation.command.len() != joints.len() {
+            continue;
+        }
+        model.actuators.joints_from_command(&observation.command, &mut joints);
+        for ((low, high), q) in range.iter_mut().zip(&joints) {
+            (*low, *high) = (low.min(*q), high.max(*q));
+        }
+        any = true;
+    }
+    let pose = |index: u32| {
+        let shares = evenly(index, range.len());
+        let joints: Vec<_> =
+            range.iter().zip(shares).map(|((low, high), s)| low + (high - low) * s).collect();
+        Observation {
+            pose: index,
+            command: model.actuators.command_from_joints(&joints),
+            approach: (0..joints.len())
+                .map(|joint| if index >> (joint % 32) & 1 == 0 { -1 } else { 1 })
+                .collect(),
+            temperature: None,
+            time: 0.0,
+            station: 0,
+            target: 0,
+            reading: Reading::Cartesian { position: Vector3::zeros(), covariance: None },
+        }
+    };
+    if any { (0..MAP_POSES).map(pose).collect() } else { Vec::new() }
+}
+
+/// Point `index` of an additive recurrence that fills the unit cube of `dimensions` evenly: steps of powers of 1/g with
+/// `g^(dimensions + 1) = g + 1`, the golden ratio for one dimension.
+///
+/// Source: M. Roberts, "The unreasonable effectiveness of quasirandom sequences" (2018).
+fn evenly(index: u32, dimensions: usize) -> impl Iterator<Item = f64> {
+    let power = 1.0 / (dimensions as f64 + 1.0);
+    let mut g = 2.0_f64;
+    for _ in 0..60 {
+        g = (1.0 + g).powf(power);
+    }
+    (1..=dimensions).map(move |k| (0.5 + f64::from(index + 1) / g.powf(k as f64)).fract())
+}
