@@ -91,6 +91,8 @@ pub struct Truth {
     pub poses: Vec<Vec<SettledPose>>,
     /// What the machine's effects made of every pose, in the order of `poses`.
     pub effects: Vec<Vec<PoseEffects>>,
+    /// The same poses, effects included, of the same machine if nothing of it yielded, in the order of `poses`; empty where not asked for.
+    pub rigid: Vec<Vec<SettledPose>>,
 }
 
 /// Everything that a run leaves behind.
@@ -227,7 +229,8 @@ fn errors(
 
 /// Simulates, identifies and evaluates a scenario.
 pub fn run(scenario: &Scenario, seed: u64, progress: impl FnMut(u32, u32)) -> Result<Outcome, PipelineError> {
-    let simulation = simulate(scenario, seed, 0, PlantKind::Rapier, progress)?;
+    let mut simulation = simulate(scenario, seed, 0, PlantKind::Rapier, progress)?;
+    simulation.truth.rigid = truth::rigid(&simulation.truth)?;
     let model = &scenario.robot.model;
     let (registration, modes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;
     Ok(Outcome {

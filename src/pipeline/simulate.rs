@@ -99,6 +99,7 @@ pub fn simulate(
         tracker_from_base: scenario.tracker.tracker_from_base,
         poses,
         effects,
+        rigid: Vec::new(),
     };
     Ok(Simulation { sets, truth })
 }

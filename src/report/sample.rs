@@ -136,6 +136,7 @@ pub(super) fn simulated() -> Outcome {
             tracker_from_base,
             poses: Vec::new(),
             effects: Vec::new(),
+            rigid: Vec::new(),
         }),
         published: PUBLISHED.to_vec(),
         ablation: None,
