@@ -371,7 +371,8 @@ mod tests {
                 assert!((shrunk(&from, &shown.translation.vector) - to).norm() < 1e-12);
                 let turned = rigid.rotation.rotation_to(&shown.rotation).angle();
                 let really = rotation_vector(&rigid.rotation.rotation_to(&settled.rotation)).norm();
-                assert!((turned - DEFLECTION_SCALE * really).abs() < 1e-9, "{turned} {really}");
+                // The arc cosine behind `angle` keeps half the digits near zero.
+                assert!((turned - DEFLECTION_SCALE * really).abs() < 1e-7, "{turned} {really}");
             }
             let pins = [truth, deflection].map(|chain| chain.linkage.expect("a four-bar"));
             assert!((shrunk(&rigid.linkage.expect("one")[1], &pins[1][1]) - pins[0][1]).norm() < 1e-12);
