@@ -99,6 +99,8 @@ pub struct Truth {
     pub effects: Vec<Vec<PoseEffects>>,
     /// Poses whose reading is a gross error, and what it is off by in the base frame, m; one vector a set.
     pub outliers: Vec<Vec<(u32, Vector3<f64>)>>,
+    /// The same poses, effects included, of the same machine if nothing of it yielded, in the order of `poses`; empty where not asked for.
+    pub rigid: Vec<Vec<SettledPose>>,
 }
 
 /// Everything that a run leaves behind.
@@ -258,7 +260,8 @@ pub fn run_trial(
     plant: PlantKind,
     progress: impl FnMut(u32, u32),
 ) -> Result<Outcome, PipelineError> {
-    let simulation = simulate(scenario, seed, trial, plant, progress)?;
+    let mut simulation = simulate(scenario, seed, trial, plant, progress)?;
+    simulation.truth.rigid = truth::rigid(&simulation.truth)?;
     let model = &scenario.robot.model;
     let (registration, modes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;
     let judgements = judge(model, &simulation.sets, &modes, &scenario.options)?;

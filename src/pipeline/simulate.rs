@@ -104,6 +104,7 @@ pub fn simulate(
         poses,
         effects,
         outliers,
+        rigid: Vec::new(),
     };
     Ok(Simulation { sets, truth })
 }

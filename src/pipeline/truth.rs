@@ -2,11 +2,26 @@
 
 use nalgebra::Vector6;
 
+use super::{PipelineError, Truth};
 use crate::geometry::{Transform, rotation_vector, small_displacement};
 use crate::identification::Estimate;
 use crate::measurement::Target;
 use crate::model::{CalibrationModel, ParameterId, StaticProperties};
-use crate::plant::AsBuilt;
+use crate::plant::{AsBuilt, Plant, SettleOptions, SettledPose};
+
+/// The poses of `truth`, effects included, with every spring of the machine rigid: what its deflections are told from.
+pub(super) fn rigid(truth: &Truth) -> Result<Vec<Vec<SettledPose>>, PipelineError> {
+    let mut machine = truth.as_built.clone();
+    machine.statics.make_rigid();
+    let mut plant = Plant::new(&machine, SettleOptions::default())?;
+    let sets = truth.effects.iter();
+    sets.map(|set| {
+        set.iter()
+            .map(|effects| Ok(plant.settle_displaced(&effects.command, &effects.displacements)?))
+            .collect()
+    })
+    .collect()
+}
 
 /// The truth beside what was known beforehand.
 #[derive(Debug, Clone, Copy)]

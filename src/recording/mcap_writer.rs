@@ -18,11 +18,11 @@ use super::file::write_whole;
 use super::provenance::{METADATA, attached_inputs, metadata_of};
 use super::scene::{self, Arrow, Colour};
 use super::schema::{self, v1};
-use super::{Chain, LogEntry, LogLevel, PoseStep, Provenance, Recorder, RecordingError, record};
+use super::{Chain, LogEntry, LogLevel, PoseStep, Provenance, Recorder, RecordingError, record, truth};
 use crate::geometry::Transform;
 use crate::identification::Estimate;
-use crate::model::{JointKind, Visual, VisualShape};
-use crate::pipeline::{ModeOutcome, Outcome, SetOutcome, Truth};
+use crate::model::{Visual, VisualShape};
+use crate::pipeline::{ModeOutcome, Outcome, SetOutcome};
 
 /// The longest record that is read back, bytes.
 pub(super) const RECORD_LIMIT: usize = 64 << 20;
@@ -146,17 +146,11 @@ impl<W: Write + Seek> McapRecorder<W> {
                 };
                 self.own(&format!("/residual/{key}"), time, &message)?;
             }
-            if let Some(settled) = step.truth.get(i) {
-                let message = v1::SettledPose {
-                    set: set.to_owned(),
-                    index: schema::saturating(index),
-                    pose: observation.pose,
-                    target: schema::vector(&settled.target),
-                    deflection: settled.deflection.clone(),
-                    residual: settled.residual,
-                    steps: settled.steps,
-                };
+            if let Some(message) = truth::settled_pose(step, i) {
                 self.own("/truth/pose", time, &message)?;
+            }
+            if let Some(message) = truth::pose_effects(step, i) {
+                self.own("/truth/effects", time, &message)?;
             }
         }
         Ok(())
@@ -169,8 +163,8 @@ impl<W: Write + Seek> Recorder for McapRecorder<W> {
         for set in &outcome.sets {
             self.own("/session", 0, &v1::Session::from(set))?;
         }
-        if let Some(truth) = &outcome.truth {
-            self.own("/truth/as_built", 0, &as_built(outcome, truth))?;
+        if let Some(known) = &outcome.truth {
+            self.own("/truth/as_built", 0, &truth::as_built(outcome, known))?;
         }
         self.foxglove("/tf_static", 0, &fixed_frames(outcome))?;
         self.foxglove("/scene/robot", 0, &shapes(outcome))?;
@@ -293,38 +287,6 @@ fn with_identification(robot: v1::Estimate, estimate: &Estimate) -> v1::Estimate
             NoiseScale::Residuals(sigma) => Some(sigma),
         },
         ..robot
-    }
-}
-
-fn as_built(outcome: &Outcome, truth: &Truth) -> v1::AsBuilt {
-    let machine = &truth.as_built;
-    let link = |link: &crate::model::CraigLink| v1::Link {
-        name: link.name.clone(),
-        prismatic: link.kind == JointKind::Prismatic,
-        a: link.a,
-        alpha: link.alpha,
-        beta: link.beta,
-        d: link.d,
-        theta: link.theta,
-    };
-    let deviations = scene::deviations(&outcome.model.kinematics, &machine.kinematics);
-    v1::AsBuilt {
-        links: machine.kinematics.links.iter().map(link).collect(),
-        deviations: deviations
-            .iter()
-            .map(|(id, value)| v1::Parameter {
-                name: id.to_string(),
-                unit: id.unit().to_string(),
-                value: Some(*value),
-                sigma: None,
-                prior_sigma: None,
-            })
-            .collect(),
-        target: schema::vector(&machine.target),
-        tracker_from_base: Some(schema::pose(&truth.tracker_from_base)),
-        drive_stiffness: machine.statics.drive_stiffness.clone(),
-        mass: machine.statics.bodies.iter().map(|b| b.mass).collect(),
-        gravity: schema::vector(&machine.statics.gravity),
     }
 }
 
@@ -494,9 +456,11 @@ fn add_shape(body: &mut SceneEntity, visual: &Visual) {
 fn moving_lines(step: &PoseStep<'_>) -> SceneUpdate {
     let time = step.time();
     let chain = |chain: &Chain| {
-        let rgba = if chain.kind.is_ghost() { scene::GHOST } else { scene::STEEL };
+        let rgba = chain.kind.colour();
         let mut shown = entity(time, BASE, format!("{} chain", chain.kind.key()));
         shown.lines.push(line(&chain.polyline(), 0.04, rgba));
+        shown.lines.extend(chain.linkage.map(|linkage| line(&linkage, 2.0 * scene::ROD_RADIUS, rgba)));
+        shown.texts.extend(chain.kind.label().map(|text| label(&chain.target, text)));
         shown
     };
     let mut seen = entity(time, BASE, "line of sight");
@@ -597,8 +561,39 @@ mod tests {
             let target = Vector3::new(0.10, 0.15, 0.20);
             let flange = places["true/flange"];
             assert!((flange.rotation * target + flange.translation.vector - settled.target).norm() < 1e-12);
-            assert!(places.contains_key("nominal/flange"));
+            assert!(places.contains_key("nominal/flange") && places.contains_key("deflection_x100/flange"));
         }
+    }
+
+    #[test]
+    fn the_truth_of_a_pose_is_told_whole() {
+        let outcome = synthetic::outcome(3, 2, true);
+        let bytes = bytes_of(&outcome);
+        let known = outcome.truth.as_ref().expect("simulated");
+        let told: Vec<(u64, v1::SettledPose)> = messages(&bytes, "/truth/pose");
+        let rest = known.poses.iter().flatten().zip(known.rigid.iter().flatten());
+        assert_eq!(told.len(), rest.clone().count());
+        for ((_, told), (settled, rigid)) in told.iter().zip(rest) {
+            assert_eq!(
+                (told.residual, told.closure, told.steps),
+                (settled.residual, settled.closure, settled.steps)
+            );
+            assert_eq!(told.rod_force, settled.rod_force);
+            assert_eq!(told.deflection, settled.deflection);
+            assert_eq!(told.rigid_target, schema::vector(&rigid.target));
+            let pins: Vec<_> = settled.linkage.iter().flatten().flat_map(schema::vector).collect();
+            assert_eq!(told.linkage, pins);
+            assert_eq!(told.elastic, settled.elastic.iter().map(|e| e.value).collect::<Vec<_>>());
+        }
+        let effects: Vec<(u64, v1::PoseEffects)> = messages(&bytes, "/truth/effects");
+        let real = known.effects.iter().flatten();
+        assert_eq!(effects.len(), real.clone().count());
+        for ((_, told), real) in effects.iter().zip(real) {
+            assert_eq!((&told.command, told.temperature), (&real.command, real.temperature));
+            assert_eq!(told.displacements, real.displacements.as_flattened());
+        }
+        let machine: Vec<(u64, v1::AsBuilt)> = messages(&bytes, "/truth/as_built");
+        assert_eq!(machine[0].1.elastic, ["bearing3_rx", "beam5_2_y", "rod"]);
     }
 
     #[test]

@@ -22,6 +22,7 @@ mod story;
 mod synthetic;
 #[cfg(feature = "rerun")]
 mod tables;
+mod truth;
 
 pub use error::RecordingError;
 pub use mcap_reader::{RecordedEstimate, RecordedParameter, Recording, read_recording};
@@ -34,3 +35,5 @@ pub use story::{LogEntry, LogLevel, PoseStep, Recorder, Residuals, record};
 
 /// How much longer than life residual arrows are drawn.
 pub const RESIDUAL_SCALE: f64 = 100.0;
+/// How much longer than life deflections under load are drawn.
+pub const DEFLECTION_SCALE: f64 = 100.0;

@@ -11,7 +11,7 @@ use rerun::external::re_sdk_types::blueprint::archetypes::{EyeControls3D, PlotLe
 use rerun::log::LogMsg;
 use rerun::{AsComponents, EntityPath, RecordingStream, RecordingStreamBuilder, StoreId};
 
-use super::rerun_sink::{APPLICATION, ARROWS, AXES, SCENE, xyz};
+use super::rerun_sink::{APPLICATION, ARROWS, AXES, DEFLECTION, ROD_FORCE, SCENE, TEMPERATURE, xyz};
 use super::{RecordingError, scene};
 use crate::pipeline::Outcome;
 
@@ -72,13 +72,16 @@ fn layout(outcome: &Outcome) -> Layout {
     let mut properties = Vec::new();
     let mut drawn = shown(outcome, ARROWS);
     drawn[0] = format!("+ /{SCENE}/**");
-    let picture =
-        Spatial3DView::new("Robot, residual arrows x100").with_origin(SCENE).with_contents(drawn).into();
+    let title = match &outcome.truth {
+        Some(_) => "Robot, residual arrows x100, deflection x100",
+        None => "Robot, residual arrows x100",
+    };
+    let picture = Spatial3DView::new(title).with_origin(SCENE).with_contents(drawn).into();
     properties.extend(property(&picture, "EyeControls3D", eye(outcome)));
     let log = TextLogView::new("Log").with_origin("log").into();
     let left = Vertical::new([picture, log]).with_row_shares([4.0, 1.0]);
 
-    let right = Vertical::new([plots(outcome, &mut properties), pages()]).with_row_shares([3.0, 2.0]);
+    let right = Vertical::new([plots(outcome, &mut properties), pages(outcome)]).with_row_shares([3.0, 2.0]);
     let time =
         TimePanel::new().with_state(PanelState::Collapsed).with_timeline("pose").with_fps(POSES_PER_SECOND);
     let blueprint =
@@ -122,16 +125,33 @@ fn plots(outcome: &Outcome, properties: &mut Vec<Property>) -> ContainerLike {
     let all = TimeSeriesView::new("3-D error of all modes, mm").with_origin("residual_mm/norm").into();
     let cost =
         TimeSeriesView::new("log10 of the cost (on the timeline iteration)").with_origin("cost_log10").into();
-    Tabs::new([Vertical::new(axes).with_name("Residuals").into(), all, cost]).into()
+    let residuals = Vertical::new(axes).with_name("Residuals").into();
+    Tabs::new([residuals, all].into_iter().chain(machine(outcome)).chain([cost])).into()
 }
 
-fn pages() -> ContainerLike {
+/// How the simulated machine gives way.
+fn machine(outcome: &Outcome) -> Option<ContainerLike> {
+    let truth = outcome.truth.as_ref()?;
+    let view = |title: &str, path: &str| TimeSeriesView::new(title).with_origin(path).into();
+    let mut views: Vec<ContainerLike> = vec![view("Deflection at the target by elasticity, mm", DEFLECTION)];
+    if truth.poses.iter().flatten().any(|settled| settled.rod_force.is_some()) {
+        views.push(view("Tension of the four-bar's rod, N", ROD_FORCE));
+    }
+    if truth.effects.iter().flatten().any(|effects| effects.temperature.is_some()) {
+        views.push(view("Temperature of the air, °C", TEMPERATURE));
+    }
+    Some(Vertical::new(views).with_name("Machine").into())
+}
+
+fn pages(outcome: &Outcome) -> ContainerLike {
+    let machine = outcome.truth.as_ref().map(|_| ("Machine at this pose", "tables/machine"));
     let pages = [
         ("Accuracy", "tables/accuracy"),
         ("This pose", "tables/pose"),
         ("Parameters", "tables/parameters"),
         ("Identification", "tables/identification"),
     ];
+    let pages = pages.into_iter().chain(machine);
     Tabs::new(pages.map(|(title, path)| TextDocumentView::new(title).with_origin(path).into())).into()
 }
 

@@ -16,8 +16,11 @@ use rerun::{AsComponents, Quaternion, RecordingStream, RecordingStreamBuilder};
 
 use super::file::write_whole;
 use super::scene::{self, Arrow, Colour};
-use super::{Chain, LogEntry, LogLevel, PoseStep, Recorder, RecordingError, record, rerun_layout, tables};
+use super::{
+    Chain, ChainKind, LogEntry, LogLevel, PoseStep, Recorder, RecordingError, record, rerun_layout, tables,
+};
 use crate::geometry::Transform;
+use crate::identification::Mode;
 use crate::model::{Visual, VisualShape};
 use crate::pipeline::{ModeOutcome, Outcome};
 
@@ -27,6 +30,11 @@ pub(super) const SCENE: &str = "scene";
 /// Residual arrows; the scale is [`super::RESIDUAL_SCALE`].
 pub(super) const ARROWS: &str = "scene/residual_x100";
 pub(super) const AXES: [&str; 3] = ["x", "y", "z"];
+const CURVES: [&str; 4] = ["x", "y", "z", "norm"];
+/// Of the target, by all that yields.
+pub(super) const DEFLECTION: &str = "machine/deflection_mm";
+pub(super) const ROD_FORCE: &str = "machine/rod_force_n";
+pub(super) const TEMPERATURE: &str = "machine/temperature_c";
 
 /// Writes a Rerun recording of `outcome`. The file is whole or not there.
 pub fn write_rrd(outcome: &Outcome, path: &Path) -> Result<(), RecordingError> {
@@ -173,6 +181,21 @@ impl RerunRecorder {
                 self.fixed(&format!("cost_log10/{key}"), &curve)?;
             }
         }
+        if outcome.truth.is_none() {
+            return Ok(());
+        }
+        let machine = [
+            (format!("{DEFLECTION}/x"), "x", scene::mode_colour(Mode::OnlyCalibration)),
+            (format!("{DEFLECTION}/y"), "y", scene::mode_colour(Mode::WithGravity)),
+            (format!("{DEFLECTION}/z"), "z", scene::NEST),
+            (format!("{DEFLECTION}/norm"), "3-D", scene::DEFLECTED),
+            (ROD_FORCE.to_owned(), "tension", scene::TRACKER),
+            (TEMPERATURE.to_owned(), "air", scene::TRACKER),
+        ];
+        for (path, name, rgba) in machine {
+            let curve = SeriesLines::new().with_names([name]).with_colors([color(rgba)]).with_widths([1.5]);
+            self.fixed(&path, &curve)?;
+        }
         Ok(())
     }
 
@@ -187,11 +210,46 @@ impl RerunRecorder {
                 Transform3D::from_translation_rotation(xyz(&link.translation.vector), quaternion(link));
             self.put(&link_path(chain, i), &place)?;
         }
-        let (rgba, radius) = if ghost { (scene::GHOST, 1.0) } else { (scene::STEEL, 2.5) };
-        let line = LineStrips3D::new([chain.polyline().iter().map(xyz).collect::<Vec<_>>()])
-            .with_colors([color(rgba)])
-            .with_radii([Radius::new_ui_points(radius)]);
-        self.put(&format!("{SCENE}/{}/chain", chain.kind.key()), &line)
+        let colour = [color(chain.kind.colour())];
+        let root = format!("{SCENE}/{}", chain.kind.key());
+        let thickness = if chain.kind == ChainKind::Nominal { 1.0 } else { 2.5 };
+        let strip = |points: &[Vector3<f64>]| LineStrips3D::new([points.iter().map(xyz).collect::<Vec<_>>()]);
+        let line =
+            strip(&chain.polyline()).with_colors(colour).with_radii([Radius::new_ui_points(thickness)]);
+        self.put(&format!("{root}/chain"), &line)?;
+        if let Some(linkage) = &chain.linkage {
+            let radius = if ghost {
+                Radius::new_ui_points(thickness)
+            } else {
+                Radius::new_scene_units(single(scene::ROD_RADIUS))
+            };
+            self.put(&format!("{root}/linkage"), &strip(linkage).with_colors(colour).with_radii([radius]))?;
+        }
+        let Some(label) = chain.kind.label() else { return Ok(()) };
+        let label = Points3D::new([xyz(&chain.target)])
+            .with_labels([label])
+            .with_show_labels(true)
+            .with_colors(colour)
+            .with_radii([0.04]);
+        self.put(&format!("{root}/label"), &label)
+    }
+
+    /// The simulated machine at the first observation of a pose.
+    fn machine(&self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
+        if let Some(deflection) = step.deflection(0) {
+            let norm = deflection.norm();
+            for (axis, value) in CURVES.iter().zip(deflection.iter().chain([&norm])) {
+                self.put(&format!("{DEFLECTION}/{axis}"), &Scalars::single(1e3 * value))?;
+            }
+        }
+        let Some(settled) = step.truth.first() else { return Ok(()) };
+        if let Some(force) = settled.rod_force {
+            self.put(ROD_FORCE, &Scalars::single(force))?;
+        }
+        if let Some(temperature) = step.effects.first().and_then(|effects| effects.temperature) {
+            self.put(TEMPERATURE, &Scalars::single(temperature))?;
+        }
+        self.put("tables/machine", &TextDocument::from_markdown(tables::machine(step)))
     }
 
     fn sightings(&self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
@@ -242,6 +300,7 @@ impl Recorder for RerunRecorder {
         }
         self.sightings(step)?;
         self.residuals(step)?;
+        self.machine(step)?;
         self.put("tables/pose", &TextDocument::from_markdown(tables::pose(step)))
     }
 
@@ -378,7 +437,24 @@ mod tests {
             assert_eq!(rows.get("/residual_mm/z/only_calibration"), Some(&10));
             assert_eq!(rows.get("/cost_log10/only_calibration"), Some(&6));
             assert!(!rows.contains_key("/cost_log10/without_calibration"));
-            assert_eq!(rows.contains_key("/scene/nominal/chain"), truth);
+            for path in [
+                "/scene/nominal/chain",
+                "/scene/deflection_x100/chain",
+                "/scene/deflection_x100/linkage",
+                "/scene/deflection_x100/label",
+                "/scene/true/linkage",
+                "/tables/machine",
+            ] {
+                assert_eq!(rows.get(path), truth.then_some(&9), "{path}");
+            }
+            for path in [
+                "/machine/deflection_mm/x",
+                "/machine/deflection_mm/norm",
+                "/machine/rod_force_n",
+                "/machine/temperature_c",
+            ] {
+                assert_eq!(rows.get(path), truth.then_some(&10), "{path}");
+            }
             assert!(!rows.keys().any(|path| path.starts_with(&format!("/scene/{other}"))));
         }
     }

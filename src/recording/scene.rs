@@ -1,14 +1,15 @@
 //! What is seen of a run, in the base frame and free of any viewer.
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
 
-use super::RESIDUAL_SCALE;
-use crate::geometry::Transform;
+use super::{DEFLECTION_SCALE, RESIDUAL_SCALE};
+use crate::geometry::{Transform, rotation_vector, rotation_z};
 use crate::identification::{CalibratedRobot, Mode, Predictor};
-use crate::kinematics::link_frames;
+use crate::kinematics::{joints_from_command, link_frames};
 use crate::measurement::{MeasurementSet, Observation};
-use crate::model::{KinematicModel, LinkTerm, ParameterId};
+use crate::model::{CalibrationModel, KinematicModel, LinkTerm, ParameterId};
 use crate::pipeline::{ModeOutcome, Outcome, Truth};
+use crate::plant::SettledPose;
 
 /// Which robot a chain shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -17,6 +18,9 @@ pub enum ChainKind {
     True,
     /// The model before calibration.
     Nominal,
+    /// The machine at rest with its deflections [`DEFLECTION_SCALE`] times as large: from where nothing of it yields, effects included, to
+    /// where it is at rest.
+    Deflection,
     /// The last mode's robot, where there is no truth to show.
     Calibrated,
 }
@@ -27,13 +31,27 @@ impl ChainKind {
         match self {
             Self::True => "true",
             Self::Nominal => "nominal",
+            Self::Deflection => "deflection_x100",
             Self::Calibrated => "calibrated",
         }
     }
 
     /// Whether the links' shapes are drawn on it; a ghost is a line alone.
     pub fn is_ghost(self) -> bool {
-        self == Self::Nominal
+        matches!(self, Self::Nominal | Self::Deflection)
+    }
+
+    /// What people must be told beside it.
+    pub(super) fn label(self) -> Option<&'static str> {
+        (self == Self::Deflection).then_some("deflection x100")
+    }
+
+    pub(super) fn colour(self) -> Colour {
+        match self {
+            Self::True | Self::Calibrated => STEEL,
+            Self::Nominal => GHOST,
+            Self::Deflection => DEFLECTED,
+        }
     }
 }
 
@@ -48,6 +66,8 @@ pub struct Chain {
     pub flange: Transform,
     /// The target in the base frame, m.
     pub target: Vector3<f64>,
+    /// Shoulder, crank end, lever end and elbow of its four-bar in the base frame, m.
+    pub linkage: Option<[Vector3<f64>; 4]>,
 }
 
 impl Chain {
@@ -66,14 +86,17 @@ impl Chain {
     }
 }
 
-/// The chains to show at one pose: truth and nominal, or else the calibrated one.
+/// The chains to show at one pose: the truth, larger than life, and nominal; or else the calibrated one.
 pub(super) fn chains(outcome: &Outcome, set: usize, index: usize) -> Vec<Chain> {
     let Some(measurements) = outcome.sets.get(set).map(|s| &s.measurements) else { return Vec::new() };
     let Some(observation) = measurements.observations.get(index) else { return Vec::new() };
     let settled = outcome.truth.as_ref().and_then(|truth| true_chain(truth, set, index));
     match settled {
         Some(chain) => {
-            std::iter::once(chain).chain(nominal_chain(outcome, measurements, observation)).collect()
+            let deflection =
+                outcome.truth.as_ref().and_then(|truth| deflection_chain(truth, set, index, &chain));
+            let nominal = nominal_chain(outcome, measurements, observation);
+            std::iter::once(chain).chain(nominal).chain(deflection).collect()
         }
         None => calibrated_chain(outcome, observation).into_iter().collect(),
     }
@@ -81,8 +104,45 @@ pub(super) fn chains(outcome: &Outcome, set: usize, index: usize) -> Vec<Chain> 
 
 fn true_chain(truth: &Truth, set: usize, index: usize) -> Option<Chain> {
     let pose = truth.poses.get(set)?.get(index)?;
+    chain_at_rest(truth, pose)
+}
+
+fn chain_at_rest(truth: &Truth, pose: &SettledPose) -> Option<Chain> {
     let flange = pose.links.last()? * truth.as_built.kinematics.last_from_flange;
-    Some(Chain { kind: ChainKind::True, links: pose.links.clone(), flange, target: pose.target })
+    Some(Chain {
+        kind: ChainKind::True,
+        links: pose.links.clone(),
+        flange,
+        target: pose.target,
+        linkage: pose.linkage,
+    })
+}
+
+fn deflection_chain(truth: &Truth, set: usize, index: usize, settled: &Chain) -> Option<Chain> {
+    let rigid = chain_at_rest(truth, truth.rigid.get(set)?.get(index)?)?;
+    let links = rigid.links.iter().zip(&settled.links);
+    let linkage = rigid.linkage.zip(settled.linkage);
+    Some(Chain {
+        kind: ChainKind::Deflection,
+        links: links.map(|(rigid, settled)| exaggerated(rigid, settled)).collect(),
+        flange: exaggerated(&rigid.flange, &settled.flange),
+        target: farther(&rigid.target, &settled.target),
+        linkage: linkage.map(|(rigid, settled)| std::array::from_fn(|i| farther(&rigid[i], &settled[i]))),
+    })
+}
+
+/// [`DEFLECTION_SCALE`] times as far from `from` as `to` is.
+fn farther(from: &Vector3<f64>, to: &Vector3<f64>) -> Vector3<f64> {
+    from + DEFLECTION_SCALE * (to - from)
+}
+
+/// The same of a frame: its origin, and its turn about the same axis.
+fn exaggerated(from: &Transform, to: &Transform) -> Transform {
+    let turn = rotation_vector(&(from.rotation.inverse() * to.rotation));
+    Transform::from_parts(
+        farther(&from.translation.vector, &to.translation.vector).into(),
+        from.rotation * Rotation3::new(DEFLECTION_SCALE * turn),
+    )
 }
 
 fn nominal_chain(
@@ -96,30 +156,46 @@ fn nominal_chain(
         return None;
     }
     let mut joints = vec![0.0; observation.command.len()];
-    model.actuators.joints_from_command(&observation.command, &mut joints);
-    chain_at(ChainKind::Nominal, &model.kinematics, &joints, &target)
+    joints_from_command(&model.kinematics, &model.actuators, &observation.command, &mut joints).ok()?;
+    let links = link_frames(&model.kinematics, &joints);
+    chain_of(ChainKind::Nominal, model, &observation.command, links, &target)
 }
 
 fn calibrated_chain(outcome: &Outcome, observation: &Observation) -> Option<Chain> {
     let robot = observer(outcome)?;
     let target = robot.targets.get(observation.target)?;
     let links = Predictor::new(&outcome.model, robot).links(observation).ok()?;
-    chain_of(ChainKind::Calibrated, &robot.model.kinematics, links, target)
-}
-
-fn chain_at(kind: ChainKind, model: &KinematicModel, joints: &[f64], target: &Vector3<f64>) -> Option<Chain> {
-    chain_of(kind, model, link_frames(model, joints), target)
+    chain_of(ChainKind::Calibrated, &robot.model, &observation.command, links, target)
 }
 
 fn chain_of(
     kind: ChainKind,
-    model: &KinematicModel,
+    model: &CalibrationModel,
+    command: &[f64],
     links: Vec<Transform>,
     target: &Vector3<f64>,
 ) -> Option<Chain> {
-    let flange = links.last()? * model.last_from_flange;
+    let flange = links.last()? * model.kinematics.last_from_flange;
     let target = flange.rotation * target + flange.translation.vector;
-    Some(Chain { kind, links, flange, target })
+    let linkage = linkage(model, command, &links);
+    Some(Chain { kind, links, flange, target, linkage })
+}
+
+/// The four-bar between links that are placed: its crank undeflected, which no picture shows.
+fn linkage(model: &CalibrationModel, command: &[f64], links: &[Transform]) -> Option<[Vector3<f64>; 4]> {
+    let (shoulder, elbow, offset, four_bar) = model.actuators.four_bar()?;
+    let waist = shoulder.checked_sub(1).map_or(Some(Transform::identity()), |i| links.get(i).copied())?;
+    let rows = &model.kinematics.links;
+    let crank = waist
+        * rows.get(shoulder)?.fixed_part()
+        * rotation_z(command.get(elbow)? + offset + rows.get(elbow)?.theta);
+    let lever = links.get(elbow)?;
+    Some([
+        crank.translation.vector,
+        (crank * Point3::from(four_bar.crank.end())).coords,
+        (lever * Point3::from(four_bar.lever.end())).coords,
+        lever.translation.vector,
+    ])
 }
 
 /// The robot whose stations place the measurements in the base frame: the last mode's.
@@ -238,6 +314,10 @@ pub(super) fn mode_colour(mode: Mode) -> Colour {
 
 pub(super) const STEEL: Colour = [150, 165, 185, 255];
 pub(super) const GHOST: Colour = [120, 120, 130, 255];
+/// Half the thickness of a four-bar's crank, rod and lever, m.
+pub(super) const ROD_RADIUS: f64 = 0.03;
+/// Unlike any mode's.
+pub(super) const DEFLECTED: Colour = [255, 90, 255, 255];
 pub(super) const BEAM: Colour = [255, 64, 64, 255];
 pub(super) const TRACKER: Colour = [255, 140, 60, 255];
 pub(super) const POINT: Colour = [235, 235, 235, 255];
@@ -246,6 +326,9 @@ pub(super) const NEST: Colour = [86, 180, 233, 255];
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::load_robot;
+    use crate::plant::effects::Effects;
+    use crate::plant::{AsBuilt, Plant, SettleOptions};
     use crate::recording::synthetic;
 
     #[test]
@@ -256,7 +339,7 @@ mod tests {
             let shown = chains_of(&simulated, index);
             assert_eq!(
                 shown.iter().map(|c| c.kind).collect::<Vec<_>>(),
-                [ChainKind::True, ChainKind::Nominal]
+                [ChainKind::True, ChainKind::Nominal, ChainKind::Deflection]
             );
             let settled = &simulated.truth.as_ref().expect("simulated").poses[0][index];
             let end = *shown[0].polyline().last().expect("a line");
@@ -269,6 +352,56 @@ mod tests {
         let robot = observer(&measured).expect("a mode");
         let predicted = Predictor::new(&measured.model, robot).in_base(observation).expect("a pose");
         assert!((shown[0].target - predicted).norm() < 1e-12);
+    }
+
+    #[test]
+    fn a_deflection_divided_by_its_scale_leads_to_the_settled_machine() {
+        let outcome = synthetic::outcome(4, 1, true);
+        let known = outcome.truth.as_ref().expect("simulated");
+        for index in 0..4 {
+            let [settled, rigid] = [&known.poses[0][index], &known.rigid[0][index]];
+            let shown = chains(&outcome, 0, index);
+            let [truth, deflection] = [&shown[0], &shown[2]];
+            let shrunk =
+                |rigid: &Vector3<f64>, shown: &Vector3<f64>| rigid + (shown - rigid) / DEFLECTION_SCALE;
+            assert!((shrunk(&rigid.target, &deflection.target) - settled.target).norm() < 1e-12);
+            assert!((rigid.target - settled.target).norm() > 1e-5, "it yields");
+            for ((shown, rigid), settled) in deflection.links.iter().zip(&rigid.links).zip(&settled.links) {
+                let (from, to) = (rigid.translation.vector, settled.translation.vector);
+                assert!((shrunk(&from, &shown.translation.vector) - to).norm() < 1e-12);
+                let turned = rigid.rotation.rotation_to(&shown.rotation).angle();
+                let really = rotation_vector(&rigid.rotation.rotation_to(&settled.rotation)).norm();
+                // The arc cosine behind `angle` keeps half the digits near zero.
+                assert!((turned - DEFLECTION_SCALE * really).abs() < 1e-7, "{turned} {really}");
+            }
+            let pins = [truth, deflection].map(|chain| chain.linkage.expect("a four-bar"));
+            assert!((shrunk(&rigid.linkage.expect("one")[1], &pins[1][1]) - pins[0][1]).norm() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn the_nominal_four_bar_is_closed_where_the_rigid_plant_closes_it() {
+        let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("models/spray_painter/robot.toml");
+        let robot = load_robot(&file).expect("a robot");
+        let model = robot.model;
+        let mut statics = model.statics.clone().expect("statics");
+        statics.make_rigid();
+        let machine = AsBuilt {
+            kinematics: model.kinematics.clone(),
+            actuators: model.actuators,
+            statics,
+            target: Vector3::zeros(),
+            effects: Effects::default(),
+        };
+        let mut plant = Plant::new(&machine, SettleOptions::default()).expect("a plant");
+        for joints in [[2.0, 0.19, -1.71, 0.12, 2.0, -0.16, -0.77], [0.5, 0.0, -1.5, 0.2, 1.8, 0.4, -0.5]] {
+            let command = model.actuators.command_from_joints(&joints);
+            let settled = plant.settle(&command).expect("at rest");
+            let pins = linkage(&model, &command, &settled.links).expect("a four-bar");
+            for (pin, real) in pins.iter().zip(&settled.linkage.expect("a four-bar")) {
+                assert!((pin - real).norm() < 1e-8, "{pin} {real}");
+            }
+        }
     }
 
     #[test]

@@ -12,6 +12,7 @@ use crate::identification::Mode;
 use crate::measurement::Observation;
 use crate::pipeline::{ModeOutcome, Outcome, SetKind, SetOutcome};
 use crate::plant::SettledPose;
+use crate::plant::effects::PoseEffects;
 
 /// A sink for the story of a run.
 pub trait Recorder {
@@ -66,6 +67,10 @@ pub struct PoseStep<'a> {
     pub residuals: Vec<Residuals<'a>>,
     /// The machine at rest, one an observation; empty where not simulated.
     pub truth: &'a [SettledPose],
+    /// The same if nothing of it yielded.
+    pub rigid: &'a [SettledPose],
+    /// What the machine's effects made of the pose.
+    pub effects: &'a [PoseEffects],
 }
 
 /// What a mode left over at one pose.
@@ -82,6 +87,11 @@ impl PoseStep<'_> {
     /// Simulated time of the pose, ns.
     pub fn time(&self) -> u64 {
         self.times.first().copied().unwrap_or(0)
+    }
+
+    /// How far elasticity takes the target of observation `index` of this pose, in the base frame, m.
+    pub fn deflection(&self, index: usize) -> Option<Vector3<f64>> {
+        Some(self.truth.get(index)?.target - self.rigid.get(index)?.target)
     }
 }
 
@@ -136,7 +146,7 @@ fn step<'a>(
     let observer = scene::observer(outcome);
     let sightings =
         observer.map(|robot| observations.iter().filter_map(|o| scene::sighting(robot, o)).collect());
-    let truth = outcome.truth.as_ref().and_then(|truth| truth.poses.get(set_index)?.get(range.clone()));
+    let truth = outcome.truth.as_ref();
     let residuals = |mode: &'a ModeOutcome| {
         let errors = mode.errors.get(set_index)?.get(range.clone())?;
         let arrows = observations.iter().zip(errors).filter_map(|(o, e)| scene::arrow(mode, o, e)).collect();
@@ -151,8 +161,14 @@ fn step<'a>(
         chains: scene::chains(outcome, set_index, range.start),
         sightings: sightings.unwrap_or_default(),
         residuals: outcome.modes.iter().filter_map(residuals).collect(),
-        truth: truth.unwrap_or_default(),
+        truth: truth.map_or(&[][..], |truth| part(&truth.poses, set_index, &range)),
+        rigid: truth.map_or(&[][..], |truth| part(&truth.rigid, set_index, &range)),
+        effects: truth.map_or(&[][..], |truth| part(&truth.effects, set_index, &range)),
     }
+}
+
+fn part<'a, T>(sets: &'a [Vec<T>], set: usize, range: &Range<usize>) -> &'a [T] {
+    sets.get(set).and_then(|set| set.get(range.clone())).unwrap_or_default()
 }
 
 const SECOND: u64 = 1_000_000_000;

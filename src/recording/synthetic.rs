@@ -20,8 +20,8 @@ use crate::model::{
     StaticProperties, Visual, VisualShape,
 };
 use crate::pipeline::{InputSummary, ModeOutcome, Outcome, RegistrationSummary, SetKind, SetOutcome, Truth};
-use crate::plant::effects::Effects;
-use crate::plant::{AsBuilt, SettledPose};
+use crate::plant::effects::{Effects, PoseEffects};
+use crate::plant::{AsBuilt, ElasticDeflection, ElasticPlace, SettledPose};
 
 const IN_FLANGE: [f64; 3] = [0.10, 0.15, 0.20];
 
@@ -42,13 +42,15 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
     );
     let tracker_from_base = (translation(2.0, 0.5, 5.5) * rotation_y(-0.4) * rotation_x(-1.57)).inverse();
     let mut rng = ChaCha8Rng::seed_from_u64(7);
-    let mut settled = Vec::new();
+    let (mut settled, mut rigid, mut effects) = (Vec::new(), Vec::new(), Vec::new());
     let sets = [(SetKind::Identification, identification), (SetKind::Verification, verification)]
         .map(|(kind, poses)| {
             let drawn: Vec<_> = (0..poses).map(|_| draw(&mut rng)).collect();
-            let rest: Vec<_> = drawn.iter().map(|q| settle(&real, q)).collect();
+            let rest: Vec<_> = drawn.iter().map(|q| settle(&real, q, 1e-4)).collect();
             let measurements = measure(&drawn, &rest, &tracker_from_base, &mut rng);
             settled.push(rest);
+            rigid.push(drawn.iter().map(|q| settle(&real, q, 0.0)).collect());
+            effects.push(drawn.iter().map(|q| effects_at(q)).collect());
             SetOutcome { kind, measurements, dropped: vec![(poses, "no line of sight".to_owned())] }
         })
         .to_vec();
@@ -77,6 +79,8 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
         poses: settled,
         effects: Vec::new(),
         outliers: Vec::new(),
+        effects,
+        rigid,
     };
     Outcome {
         input: InputSummary {
@@ -167,8 +171,17 @@ fn draw(rng: &mut ChaCha8Rng) -> Vec<f64> {
     centre.iter().zip(half_width).map(|(c, w)| c + w * rng.random_range(-1.0..1.0)).collect()
 }
 
-fn settle(real: &KinematicModel, q: &[f64]) -> SettledPose {
-    let deflection: Vec<f64> = (0..7).map(|i| 1e-4 * f64::from(i)).collect();
+fn effects_at(q: &[f64]) -> PoseEffects {
+    PoseEffects {
+        command: q.iter().map(|q| q + 1e-5).collect(),
+        displacements: (0..7).map(|i| [1e-5 * f64::from(i); 6]).collect(),
+        temperature: Some(21.5),
+    }
+}
+
+/// Every drive gives way by `softness` more than the one before it, and the four-bar moves with it.
+fn settle(real: &KinematicModel, q: &[f64], softness: f64) -> SettledPose {
+    let deflection: Vec<f64> = (0..7).map(|i| softness * f64::from(i)).collect();
     let joints: Vec<f64> = q.iter().zip(&deflection).map(|(q, dq)| q + dq).collect();
     let flange = forward_kinematics(real, &joints);
     let target = flange.rotation * Vector3::from(IN_FLANGE) + flange.translation.vector;
@@ -176,9 +189,15 @@ fn settle(real: &KinematicModel, q: &[f64]) -> SettledPose {
         target,
         links: link_frames(real, &joints),
         deflection,
-        elastic: Vec::new(),
-        linkage: None,
-        rod_force: None,
+        elastic: [
+            (ElasticPlace::Bearing { joint: 2 }, 3),
+            (ElasticPlace::Beam { link: 4, segment: 1 }, 1),
+            (ElasticPlace::Rod, 0),
+        ]
+        .map(|(place, axis)| ElasticDeflection { place, axis, value: softness })
+        .to_vec(),
+        linkage: Some([0.0, 1.0, 2.0, 3.0].map(|x| Vector3::new(x, softness, 0.0))),
+        rod_force: Some(1e6 * softness),
         residual: 1e-10,
         closure: 0.0,
         steps: 321,

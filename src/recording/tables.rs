@@ -79,6 +79,42 @@ pub(super) fn pose(step: &PoseStep<'_>) -> String {
     text
 }
 
+/// The simulated machine at one pose: how far it gave way, what its effects did, how well it settled. Lengths in mm or µm, angles in µrad.
+pub(super) fn machine(step: &PoseStep<'_>) -> String {
+    let mut text = String::new();
+    for (i, (settled, observation)) in step.truth.iter().zip(step.observations).enumerate() {
+        let set = capitalised(step.set.kind.key());
+        let _ = writeln!(text, "## {set} set, pose {}, as simulated\n", observation.pose);
+        if let Some(d) = step.deflection(i) {
+            let [x, y, z, norm] = [d.x, d.y, d.z, d.norm()].map(|m| 1e3 * m);
+            let _ = writeln!(text, "Deflection at the target, mm: {x:.3}, {y:.3}, {z:.3}; 3-D {norm:.3}\n");
+        }
+        if let Some(force) = settled.rod_force {
+            let _ = writeln!(text, "Tension of the rod: {force:.0} N\n");
+        }
+        let effects = step.effects.get(i);
+        if let Some(temperature) = effects.and_then(|effects| effects.temperature) {
+            let _ = writeln!(text, "Temperature of the air: {temperature:.2} °C\n");
+        }
+        let _ = writeln!(
+            text,
+            "Settled in {} steps; left over {:.1e} rad or m, closure {:.1e} m\n",
+            settled.steps, settled.residual, settled.closure
+        );
+        text.push_str("| µm, µrad | drive yields | actuator off | frame x | y | z | rx | ry | rz |\n");
+        text.push_str("|---|--:|--:|--:|--:|--:|--:|--:|--:|\n");
+        for (joint, yields) in settled.deflection.iter().enumerate() {
+            let off = effects.and_then(|e| Some(e.command.get(joint)? - observation.command.get(joint)?));
+            let moved = effects.and_then(|e| e.displacements.get(joint)).copied().unwrap_or_default();
+            let values = [*yields, off.unwrap_or(0.0)].into_iter().chain(moved);
+            let cells: Vec<_> = values.map(|value| format!(" {:.1} ", 1e6 * value)).collect();
+            let _ = writeln!(text, "| joint {} |{}|", joint + 1, cells.join("|"));
+        }
+        text.push('\n');
+    }
+    text
+}
+
 /// How every identification went.
 pub(super) fn estimates(outcome: &Outcome) -> String {
     let mut text = String::from("## Identification\n\n");

@@ -18,11 +18,11 @@ pub use json::{
     JsonAblated, JsonAblation, JsonAblationRow, JsonDropped, JsonEstimate, JsonInput, JsonParameter,
     JsonRegistration, JsonReport, JsonRow, JsonSet, JsonSoftware, SCHEMA, json_report,
 };
-pub use splits::{JsonInterval, JsonSplitRow, JsonSplits};
 pub use judgement::{
     JsonConfidence, JsonCorrelation, JsonInfluence, JsonJudgement, JsonPattern, JsonPoint, JsonRegion,
     JsonSupport,
 };
+pub use splits::{JsonInterval, JsonSplitRow, JsonSplits};
 pub use tables::{Style, render_tables};
 
 use std::collections::BTreeSet;

@@ -137,6 +137,7 @@ pub(super) fn simulated() -> Outcome {
             poses: Vec::new(),
             effects: Vec::new(),
             outliers: Vec::new(),
+            rigid: Vec::new(),
         }),
         published: PUBLISHED.to_vec(),
         judgements: Vec::new(),

@@ -16,7 +16,7 @@ fn replay_finds_the_same_bits_for_20_seeds() {
         let path = folder.path().join(format!("{seed}.mcap"));
         write_mcap(&outcome, &path).expect("a recording");
         let replayed = replay(&path).expect("a replay");
-        assert_eq!(replayed.compared, 2);
+        assert_eq!(replayed.compared, 4);
         assert!(replayed.differences.is_empty(), "{:?}", replayed.differences);
         assert!(replayed.outcome.truth.is_none());
         for (recorded, again) in outcome.modes.iter().zip(&replayed.outcome.modes) {

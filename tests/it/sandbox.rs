@@ -46,7 +46,17 @@ impl Sandbox {
         for folder in ["models", "scenarios"] {
             copy(&Path::new(env!("CARGO_MANIFEST_DIR")).join(folder), &sandbox.path(folder));
         }
+        sandbox.switch_effects_off();
         sandbox
+    }
+
+    /// Takes the effects out of the shipped scenario, so that tests of single sections and of long sessions can put in their own.
+    fn switch_effects_off(&self) {
+        let text = self.read(SCENARIO);
+        let (machine, rest) =
+            text.split_once("# --- What no table of link parameters holds").expect("the effects");
+        let (_, rest) = rest.split_once("# --- Poses").expect("the poses behind them");
+        self.write(SCENARIO, format!("{machine}# --- Poses{rest}"));
     }
 
     pub fn path(&self, name: &str) -> PathBuf {

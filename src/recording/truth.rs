@@ -1,0 +1,87 @@
+//! The messages that hold the truth of a simulated run.
+
+use super::schema::{self, v1};
+use super::{PoseStep, scene};
+use crate::model::{CraigLink, JointKind};
+use crate::pipeline::{Outcome, Truth};
+use crate::plant::{ElasticDeflection, ElasticPlace};
+
+/// The machine.
+pub(super) fn as_built(outcome: &Outcome, truth: &Truth) -> v1::AsBuilt {
+    let machine = &truth.as_built;
+    let link = |link: &CraigLink| v1::Link {
+        name: link.name.clone(),
+        prismatic: link.kind == JointKind::Prismatic,
+        a: link.a,
+        alpha: link.alpha,
+        beta: link.beta,
+        d: link.d,
+        theta: link.theta,
+    };
+    let elastic = truth.poses.iter().flatten().next();
+    let deviations = scene::deviations(&outcome.model.kinematics, &machine.kinematics);
+    v1::AsBuilt {
+        links: machine.kinematics.links.iter().map(link).collect(),
+        deviations: deviations
+            .iter()
+            .map(|(id, value)| v1::Parameter {
+                name: id.to_string(),
+                unit: id.unit().to_string(),
+                value: Some(*value),
+                sigma: None,
+                prior_sigma: None,
+            })
+            .collect(),
+        target: schema::vector(&machine.target),
+        tracker_from_base: Some(schema::pose(&truth.tracker_from_base)),
+        drive_stiffness: machine.statics.drive_stiffness.clone(),
+        mass: machine.statics.bodies.iter().map(|b| b.mass).collect(),
+        gravity: schema::vector(&machine.statics.gravity),
+        // The same of every pose.
+        elastic: elastic
+            .map(|settled| settled.elastic.iter().map(elastic_name).collect())
+            .unwrap_or_default(),
+    }
+}
+
+fn elastic_name(elastic: &ElasticDeflection) -> String {
+    const AXES: [&str; 6] = ["x", "y", "z", "rx", "ry", "rz"];
+    let axis = AXES.get(elastic.axis).copied().unwrap_or_default();
+    match elastic.place {
+        ElasticPlace::Bearing { joint } => format!("bearing{}_{axis}", joint + 1),
+        ElasticPlace::Beam { link, segment } => format!("beam{}_{}_{axis}", link + 1, segment + 1),
+        ElasticPlace::Rod => "rod".to_owned(),
+    }
+}
+
+/// Observation `i` of the pose at rest.
+pub(super) fn settled_pose(step: &PoseStep<'_>, i: usize) -> Option<v1::SettledPose> {
+    let settled = step.truth.get(i)?;
+    Some(v1::SettledPose {
+        set: step.set.kind.key().to_owned(),
+        index: schema::saturating(step.first + i),
+        pose: step.observations.get(i)?.pose,
+        target: schema::vector(&settled.target),
+        deflection: settled.deflection.clone(),
+        residual: settled.residual,
+        steps: settled.steps,
+        closure: settled.closure,
+        linkage: settled.linkage.iter().flatten().flat_map(schema::vector).collect(),
+        rod_force: settled.rod_force,
+        rigid_target: step.rigid.get(i).map(|rigid| schema::vector(&rigid.target)).unwrap_or_default(),
+        elastic: settled.elastic.iter().map(|elastic| elastic.value).collect(),
+    })
+}
+
+/// What the effects made of observation `i` of the pose.
+pub(super) fn pose_effects(step: &PoseStep<'_>, i: usize) -> Option<v1::PoseEffects> {
+    let effects = step.effects.get(i)?;
+    Some(v1::PoseEffects {
+        set: step.set.kind.key().to_owned(),
+        index: schema::saturating(step.first + i),
+        pose: step.observations.get(i)?.pose,
+        command: effects.command.clone(),
+        displacements: effects.displacements.as_flattened().to_vec(),
+        temperature: effects.temperature,
+    })
+}
