@@ -268,7 +268,13 @@ fn outcome(args: &Args) -> Result<Outcome, CliError> {
         }
     })?;
     Ok(Outcome {
-        input: InputSummary { kind: "files", name: robot.name, sha256: hash_sources(&sources), seed: None },
+        input: InputSummary {
+            kind: "files",
+            name: robot.name,
+            sha256: hash_sources(&sources),
+            seed: None,
+            trial: None,
+        },
         sources,
         model: robot.model,
         visuals: robot.visuals,
