@@ -47,6 +47,8 @@ pub struct InputSummary {
     pub sha256: String,
     /// The seed of a simulation.
     pub seed: Option<u64>,
+    /// Number of the trial and what stood for the machine, of a simulation.
+    pub trial: Option<(u32, PlantKind)>,
 }
 
 /// How the tracker's frame was tied to the robot's for the row "without calibration".
@@ -274,6 +276,7 @@ pub fn run_trial(
             },
             sha256: hash_sources(&scenario.sources),
             seed: Some(seed),
+            trial: Some((trial, plant)),
         },
         sources: scenario.sources.clone(),
         model: model.clone(),

@@ -113,6 +113,7 @@ pub fn replay(path: &Path) -> Result<Replayed, ReplayError> {
             name: scenario.name,
             sha256: recording.provenance.input_sha256,
             seed: recording.provenance.seed,
+            trial: None,
         },
         sources: recording.sources,
         model,

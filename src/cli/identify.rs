@@ -362,7 +362,13 @@ fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions), CliError> {
     let judgements = judge(&robot.model, &sets, &modes, &options)
         .map_err(|error| failed(error, &args.measurements, &sources))?;
     let outcome = Outcome {
-        input: InputSummary { kind: "files", name: robot.name, sha256: hash_sources(&sources), seed: None },
+        input: InputSummary {
+            kind: "files",
+            name: robot.name,
+            sha256: hash_sources(&sources),
+            seed: None,
+            trial: None,
+        },
         sources,
         model: robot.model,
         visuals: robot.visuals,

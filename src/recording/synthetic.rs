@@ -88,6 +88,7 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
             name: "synthetic".to_owned(),
             sha256: "0123456789abcdef".repeat(4),
             seed: Some(7),
+            trial: None,
         },
         sources: vec![
             ("scenario".to_owned(), Source::new("scenarios/synthetic.toml", "seed = 7\n")),

@@ -18,7 +18,7 @@ use super::{
 };
 use crate::identification::{DependentGroup, Estimate, Mode, NoiseScale, Warning, WeakDirection};
 use crate::model::{ParameterId, Unit};
-use crate::pipeline::{Outcome, SetKind};
+use crate::pipeline::{Outcome, PlantKind, SetKind};
 
 const CSS: &str = include_str!("report.css");
 
@@ -573,7 +573,11 @@ fn command(outcome: &Outcome) -> String {
         "scenario" => {
             let seed = outcome.input.seed.map_or_else(String::new, |seed| format!(" --seed {seed}"));
             let scenario = source("scenario").unwrap_or_else(|| "SCENARIO.toml".to_owned());
-            format!("calibrig run {scenario}{seed} --out DIR")
+            let trial = match outcome.input.trial {
+                None | Some((0, PlantKind::Rapier)) => String::new(),
+                Some((trial, plant)) => format!(" --trial {trial} --plant {}", plant.key()),
+            };
+            format!("calibrig run {scenario}{seed}{trial} --out DIR")
         }
         "recording" => {
             format!("calibrig replay {}", source("recording").unwrap_or_else(|| "RECORDING.mcap".to_owned()))

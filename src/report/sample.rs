@@ -21,8 +21,8 @@ use crate::model::{
     StaticProperties, Unit,
 };
 use crate::pipeline::{
-    AblatedPart, Ablation, AblationRows, InputSummary, ModeOutcome, Outcome, Part, RegistrationSummary,
-    SetKind, SetOutcome, Truth,
+    AblatedPart, Ablation, AblationRows, InputSummary, ModeOutcome, Outcome, Part, PlantKind,
+    RegistrationSummary, SetKind, SetOutcome, Truth,
 };
 use crate::plant::AsBuilt;
 use crate::plant::effects::{EffectKind, Effects};
@@ -114,6 +114,7 @@ pub(super) fn simulated() -> Outcome {
             name: "spray painting robot".to_owned(),
             sha256: "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08".to_owned(),
             seed: Some(42),
+            trial: Some((0, PlantKind::Rapier)),
         },
         sources: vec![("scenario".to_owned(), InputText::new("scenarios/spray painting.toml", ""))],
         model,
@@ -183,8 +184,13 @@ pub(super) fn measured() -> Outcome {
     let mut outcome = simulated();
     outcome.truth = None;
     outcome.published.clear();
-    outcome.input =
-        InputSummary { kind: "files", name: HOSTILE.to_owned(), sha256: "00".repeat(32), seed: None };
+    outcome.input = InputSummary {
+        kind: "files",
+        name: HOSTILE.to_owned(),
+        sha256: "00".repeat(32),
+        seed: None,
+        trial: None,
+    };
     outcome.sources = vec![
         ("robot".to_owned(), InputText::new(format!("{HOSTILE}.toml"), "")),
         ("identification".to_owned(), InputText::new("grid.csv", "")),

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::*;
-use crate::model::{Beam, load_robot};
+use crate::model::{Beam, Compliance, load_robot};
 use crate::pipeline::{PlantKind, simulate};
 use crate::scenario::{Scenario, parse_scenario};
 
@@ -221,6 +221,24 @@ fn only_the_listed_link_parameters_deviate() {
     assert_eq!(deviating.len(), 24);
     let all = paper_with(DRAWN).expect("valid").drawn.expect("a distribution");
     assert_eq!(all.link_parameters.len(), 35);
+}
+
+#[test]
+fn only_the_listed_compliances_deviate() {
+    let text = format!("{DRAWN}\ncompliances = [\"compliance_drive4\", \"compliance_rod\"]");
+    let listed = paper_with(&text).expect("valid");
+    let (base, drawn) = (&listed.as_built.statics, listed.as_built_for(1, 0).statics);
+    let deviating: Vec<_> = (listed.robot.model.compliances().into_iter())
+        .filter(|which| base.stiffness(*which) != drawn.stiffness(*which))
+        .collect();
+    assert_eq!(deviating, [Compliance::Drive { joint: 3 }, Compliance::Rod]);
+    // And as they do where others do as well.
+    let all = paper_with(DRAWN).expect("valid").as_built_for(1, 0).statics;
+    for which in deviating {
+        assert_eq!(all.stiffness(which), drawn.stiffness(which));
+    }
+    let drives = paper_with(&format!("{DRAWN}\ncompliances = \"drives\"")).expect("valid");
+    assert_eq!(drives.drawn.expect("a distribution").compliances.len(), 8);
 }
 
 /// Over many machines: means within 5 standard errors, standard deviations within 5 of theirs (1/sqrt(2 n), relative).
