@@ -77,7 +77,6 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
         },
         tracker_from_base,
         poses: settled,
-        effects: Vec::new(),
         outliers: Vec::new(),
         effects,
         rigid,
