@@ -140,10 +140,10 @@ fn write_text(name: &str, choice: &ModelChoice, text: &mut String) -> std::fmt::
     writeln!(text)?;
     writeln!(
         text,
-        "{:<21}{:>7}{:>7}{:>10}{:>10}{:>10}{:>10}  {}",
-        "model", "params", "eff.", "chi2/dof", "dAICc", "dBIC", "held out", "gain (95 %)"
+        "{:<21}{:>7}{:>7}{:>10}{:>10}{:>10}{:>10}  gain (95 %)",
+        "model", "params", "eff.", "chi2/dof", "dAICc", "dBIC", "held out"
     )?;
-    writeln!(text, "{:<21}{:>7}{:>7}{:>10}{:>10}{:>10}{:>10}  {}", "", "", "", "", "", "", "mm", "mm")?;
+    writeln!(text, "{:<21}{:>7}{:>7}{:>10}{:>10}{:>10}{:>10}  mm", "", "", "", "", "", "", "mm")?;
     writeln!(text, "{}", "\u{2500}".repeat(97))?;
     for ChosenRow { row, .. } in &choice.rows {
         let mm = |metres: f64| format!("{:.4}", 1e3 * metres);
