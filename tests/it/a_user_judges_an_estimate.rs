@@ -106,7 +106,7 @@ fn what_the_model_lacks_is_named() {
         let text = text.replace("\n           ", " ");
         assert!(text.contains(&format!("warning: the residual {words}")), "{text}");
         let page = html_report(&outcome).expect("a page");
-        for part in ["id=\"residual\"", "id=\"sure\"", "Weakest supported", &words] {
+        for part in ["id=\"residual\"", "id=\"sure\"", "No parameter of the robot has a prior", &words] {
             assert!(page.contains(part), "{part}");
         }
         let json = json_report(&outcome);
