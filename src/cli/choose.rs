@@ -17,7 +17,7 @@ use crate::scenario::load_scenario;
 /// Compare models on poses that they were not fitted to: does gravity, the linkage, hysteresis pay?
 ///
 /// Every model is fitted to all identification poses and, in turn, to all but a part of them, which it then predicts. Each is compared with the
-/// model that it extends: gravity with geometry, stiffness with gravity, and everything else, one by one, with geometry and stiffness.
+/// model that it extends: gravity with geometry, stiffness with gravity, and the rest, one by one and all together, with geometry and stiffness.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig choose scenarios/paper.toml
@@ -140,10 +140,10 @@ fn write_text(name: &str, choice: &ModelChoice, text: &mut String) -> std::fmt::
     writeln!(text)?;
     writeln!(
         text,
-        "{:<21}{:>7}{:>7}{:>10}{:>10}{:>10}{:>10}  {:<22}",
-        "model", "params", "eff.", "chi2/dof", "dAICc", "dBIC", "held out", "gain (95 %)"
+        "{:<21}{:>7}{:>7}{:>10}{:>10}{:>10}{:>10}  gain (95 %)",
+        "model", "params", "eff.", "chi2/dof", "dAICc", "dBIC", "held out"
     )?;
-    writeln!(text, "{:<21}{:>7}{:>7}{:>10}{:>10}{:>10}{:>10}  {:<22}", "", "", "", "", "", "", "mm", "mm")?;
+    writeln!(text, "{:<21}{:>7}{:>7}{:>10}{:>10}{:>10}{:>10}  mm", "", "", "", "", "", "", "mm")?;
     writeln!(text, "{}", "\u{2500}".repeat(97))?;
     for ChosenRow { row, .. } in &choice.rows {
         let mm = |metres: f64| format!("{:.4}", 1e3 * metres);
@@ -193,15 +193,24 @@ fn in_words(row: &ChosenRow) -> Option<String> {
     Some(format!("{}: {} ({why}; against {against})", row.name, row.verdict))
 }
 
-/// What to fit: the largest model of the chain that pays, with the terms that pay.
+/// What to fit: everything, where that predicts best; else the largest model of the chain that pays, with the terms that pay.
 fn advice(choice: &ModelChoice) -> String {
     let paying = |key: &str| choice.rows.iter().any(|row| row.key == key && row.row.verdict == Worth::Pays);
+    let rms = |row: &ChosenRow| row.row.held_out_rms.unwrap_or(f64::INFINITY);
+    let best = choice.rows.iter().min_by(|a, b| rms(a).total_cmp(&rms(b)));
+    if let Some(best) = best.filter(|best| best.key == "everything" && paying(best.key)) {
+        let rms = 1e3 * rms(best);
+        return format!(
+            "Worth fitting: mode extended with a complete geometry and all terms, {rms:.3} mm RMS on held-out poses."
+        );
+    }
     let families = std::iter::once(LINKAGE).chain(FAMILIES.iter().map(|family| family.key()));
     let terms: Vec<_> = families.filter(|key| paying(key)).collect();
     if !terms.is_empty() || paying("complete_geometry") {
         let terms = if terms.is_empty() { "none".to_owned() } else { terms.join(",") };
+        let geometry = if paying("complete_geometry") { " and a complete geometry" } else { "" };
         return format!(
-            "Worth fitting together: mode extended with terms {terms}; its gain is not the sum of these, so compare again on new poses."
+            "Worth fitting: mode extended with terms {terms}{geometry}; together their gain is not the sum of these, so compare again on new poses."
         );
     }
     let mode = if paying("stiffness") {

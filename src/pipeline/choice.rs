@@ -30,7 +30,7 @@ pub struct ModelChoice {
 /// A model in the table.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChosenRow {
-    /// `geometry`, `gravity`, `stiffness`, `linkage`, `complete_geometry`, or the key of a family of terms.
+    /// `geometry`, `gravity`, `stiffness`, `linkage`, `complete_geometry`, the key of a family of terms, or `everything`.
     pub key: &'static str,
     /// What it says.
     pub row: VariantRow,
@@ -65,7 +65,7 @@ struct Fitted {
 }
 
 /// Compares the models that `model` allows on `set`: geometry; with the deflection that gravity is predicted to cause; with stiffness
-/// identified; and on top of that the linkage, a complete geometric set, and each family of terms by itself. Mode and terms of `options` are not
+/// identified; and on top of that the linkage, a complete geometric set, and each family of terms by itself, and all of it together. Mode and terms of `options` are not
 /// looked at.
 ///
 /// Poses are held out in `folds` parts drawn with `seed`. The noise is taken as known up to one common scale: what no model explains
@@ -164,6 +164,16 @@ fn candidates(model: &CalibrationModel, options: &IdentificationOptions) -> Vec<
             push(key, extended(&options.parameters, &[key]));
         }
     }
+    // What is small hides behind what is large until both are in.
+    push(
+        "everything",
+        IdentificationOptions {
+            mode: Mode::Extended,
+            extended_parameters: ParameterChoice::Complete,
+            terms: None,
+            ..options.clone()
+        },
+    );
     candidates
 }
 

@@ -16,7 +16,7 @@ use crate::identification::Mode;
 use crate::model::Unit;
 
 const ROW: i32 = 22;
-const NAMES: i32 = 112;
+const NAMES: i32 = 148;
 const TITLE: i32 = 22;
 const AXIS: i32 = 26;
 

@@ -22,6 +22,7 @@ fn sound_commands() -> (Sandbox, Vec<(&'static str, Vec<&'static str>)>) {
     let commands = vec![
         ("calibrig.report/1", vec!["run", SCENARIO, "--out", "out"]),
         ("calibrig.check/1", vec!["check", SCENARIO]),
+        ("calibrig.choice/1", vec!["choose", SCENARIO]),
         ("calibrig.identifiability/1", vec!["identifiability", SCENARIO]),
         ("calibrig.identifiability/1", vec!["identifiability", "--model", ROBOT]),
         ("calibrig.report/1", vec!["identify", "--model", ROBOT, "--measurements", "set.csv"]),
@@ -56,6 +57,8 @@ fn wrong_usage_ends_with_2_and_says_what_was_expected() {
         (vec!["identify", "--model", ROBOT], "--measurements <FILE>"),
         (vec!["identify", "--measurements", "set.csv"], "--model <ROBOT.toml>"),
         (vec!["identifiability"], "<SCENARIO|--model <ROBOT.toml>>"),
+        (vec!["choose", "--model", ROBOT], "--measurements <FILE>"),
+        (vec!["choose", SCENARIO, "--folds", "1"], "1 is not in 2.."),
         (vec!["identifiability", SCENARIO, "--model", ROBOT], "cannot be used with"),
         (vec!["run", SCENARIO, "--sed", "3"], "a similar argument exists: '--seed'"),
         (vec!["run", SCENARIO, "--seed", "-3"], seed),

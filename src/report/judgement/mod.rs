@@ -13,12 +13,14 @@ pub(super) use json::json_judgement;
 use maud::{Markup, PreEscaped, html};
 
 use self::figures::{map_figure, pattern_figure};
+use super::html::number;
 use super::parameters::{parameter_words, printed_unit};
 use super::summary::{length_words, significant};
 use super::tables::{Ink, Style, printable, wrap};
 use super::{ReportError, counted};
 use crate::evaluation::{Cause, ResidualPattern};
 use crate::identification::Mode;
+use crate::model::ParameterId;
 use crate::pipeline::{Confidence, Judgement, Outcome, PredictedPosition};
 
 /// Patterns that are named on the terminal, and those that are drawn, a mode.
@@ -58,6 +60,9 @@ pub(super) fn judgement_lines(outcome: &Outcome, mode: Mode, style: Style) -> Ve
                 length_words(median),
                 length_words(most)
             );
+            if !judgement.consistency.is_consistent() {
+                words += ", if the model lacked nothing";
+            }
         }
         say(Ink::Dim, &words, "    ");
     }
@@ -150,10 +155,7 @@ pub(super) fn sure_section(outcome: &Outcome) -> Result<Markup, ReportError> {
         section #sure {
             h2 { "How sure" }
             p {
-                "One standard deviation of the predicted target position, from the covariance of the fit"
-                @if largest.consistency.is_consistent() { "." } @else {
-                    ". It takes model and stated noise for right, which the residuals contradict: the errors on held-out poses are the better measure."
-                }
+                "One standard deviation of the predicted target position, from the covariance of the fit: it takes model and stated noise for right."
             }
             (overview(&sure))
             @if let Some(map) = &map {
@@ -181,7 +183,7 @@ fn overview(sure: &[(&Judgement, &Confidence)]) -> Markup {
             table {
                 thead { tr {
                     th {} th { "parameters" } th { "determined" br; "by the data" } th { "median" br; "in the region" }
-                    th { "95 %" br; "below" } th { "largest" } th { "RMS error," br; "poses left out" }
+                    th { "95 %" br; "below" } th { "largest" } th { "RMS error," br; "poses left out" } th.words { "residuals" }
                 } }
                 tbody {
                     @for (judgement, confidence) in sure {
@@ -193,21 +195,27 @@ fn overview(sure: &[(&Judgement, &Confidence)]) -> Markup {
                                 td { @if let Some(length) = length { (length_words(length)) } }
                             }
                             td { @if let Some(rms) = confidence.left_out_rms() { (length_words(rms)) } @else { "\u{2013}" } }
+                            td.words {
+                                @if judgement.consistency.is_consistent() { "as stated" } @else { strong { "contradict it" } }
+                            }
                         }
                     }
                 }
             }
         }
-        p.note { "Poses left out: each in turn, by the others (to first order)." }
+        p.note { "Poses left out: each in turn, predicted by the others (to first order). Where the residuals contradict what is stated, that error and not the standard deviation is how far off predictions are." }
     }
 }
 
 fn weakest(confidence: &Confidence) -> Markup {
-    let mut held: Vec<_> = confidence.support.iter().filter(|s| s.prior_sigma.is_some()).collect();
+    // Tracker and target were measured beforehand: that the poses add little to it is as it should be.
+    let of_robot = |id: ParameterId| !matches!(id, ParameterId::Frame { .. } | ParameterId::Target { .. });
+    let held = confidence.support.iter().filter(|s| s.prior_sigma.is_some() && of_robot(s.id));
+    let mut held: Vec<_> = held.collect();
     held.sort_by(|a, b| a.data_share.total_cmp(&b.data_share));
     html! {
         @if held.is_empty() {
-            p { "No parameter has a prior: all of them rest on the measurements alone." }
+            p { "No parameter of the robot has a prior: all of them rest on the measurements alone." }
         } @else {
             div.scroll { table {
                 caption { "Weakest supported by the data" }
@@ -237,7 +245,7 @@ fn correlations(confidence: &Confidence) -> Markup {
                 caption { "Strongest correlations" }
                 thead { tr { th.words { "parameters" } th { "correlation" } } }
                 tbody { @for (a, b, correlation) in confidence.correlations.iter().take(LISTED) {
-                    tr { th scope="row" { code { (a) } ", " code { (b) } } td { (format!("{correlation:.4}")) } }
+                    tr { th scope="row" { code { (a) } ", " code { (b) } } td { (number(*correlation, 4)) } }
                 } }
             } }
             @if confidence.correlations.len() > LISTED {
