@@ -433,7 +433,7 @@ fn shapes(outcome: &Outcome) -> SceneUpdate {
 
 fn add_shape(body: &mut SceneEntity, visual: &Visual) {
     let place = Some(pose(&visual.link_from_shape.translation.vector, &orientation(&visual.link_from_shape)));
-    let color = Some(colour(scene::STEEL));
+    let color = Some(colour(scene::SHELL));
     match visual.shape {
         VisualShape::Box(edges) => {
             body.cubes.push(CubePrimitive { pose: place, size: Some(xyz(&edges.into())), color });

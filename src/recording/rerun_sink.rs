@@ -95,7 +95,7 @@ impl RerunRecorder {
     }
 
     fn shapes(&self, link: &str, visuals: &[Visual]) -> Result<(), RecordingError> {
-        let grey = color(scene::STEEL);
+        let grey = color(scene::SHELL);
         for (i, visual) in visuals.iter().enumerate() {
             let path = format!("{link}/shape{}", i + 1);
             let centre = [xyz(&visual.link_from_shape.translation.vector)];

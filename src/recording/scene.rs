@@ -312,8 +312,10 @@ pub(super) fn mode_colour(mode: Mode) -> Colour {
     PALETTE[place % PALETTE.len()]
 }
 
-pub(super) const STEEL: Colour = [150, 165, 185, 255];
-pub(super) const GHOST: Colour = [120, 120, 130, 255];
+pub(super) const STEEL: Colour = [205, 218, 235, 255];
+/// The links' shapes let the chains within be seen.
+pub(super) const SHELL: Colour = [150, 165, 185, 110];
+pub(super) const GHOST: Colour = [150, 150, 160, 255];
 /// Half the thickness of a four-bar's crank, rod and lever, m.
 pub(super) const ROD_RADIUS: f64 = 0.03;
 /// Unlike any mode's.

@@ -98,7 +98,7 @@ pub(super) fn machine(step: &PoseStep<'_>) -> String {
         }
         let _ = writeln!(
             text,
-            "Settled in {} steps; left over {:.1e} rad or m, closure {:.1e} m\n",
+            "Steps to settle: {}; left over {:.1e} rad or m, closure {:.1e} m\n",
             settled.steps, settled.residual, settled.closure
         );
         text.push_str("| µm, µrad | drive yields | actuator off | frame x | y | z | rx | ry | rz |\n");
