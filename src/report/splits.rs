@@ -104,7 +104,7 @@ pub(super) fn split_lines(study: &SplitStudy, style: Style) -> Vec<String> {
     const COLUMNS: [&str; 6] = ["mean", "least", "largest", "gain", "from", "to"];
     let mut lines = vec![String::new(), style.paint(Ink::Heading, &title(study))];
     lines.extend(wrap(EXPLANATION, ""));
-    let header: String = COLUMNS.iter().map(|column| format!("{column:>CELL$}")).collect();
+    let header = COLUMNS.map(|column| format!("{column:>CELL$}")).concat();
     lines.push(format!("{:TITLE$}{header}", ""));
     let rule = "\u{2500}".repeat(TITLE + COLUMNS.len() * CELL);
     lines.push(style.paint(Ink::Dim, &rule));

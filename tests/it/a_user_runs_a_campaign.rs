@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::atomic::AtomicBool;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use calibrig::evaluation::chi2_band;
 use calibrig::identification::{Estimate, IdentificationOptions, Loss, Mode, identify};
@@ -230,11 +230,12 @@ fn an_interrupt_keeps_what_is_done() {
     let mut command = sandbox.command(arguments);
     let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the binary starts");
     let table = || std::fs::read_to_string(sandbox.path("out/trials.csv")).unwrap_or_default();
-    let start = Instant::now();
-    while table().lines().count() < 4 {
-        assert!(start.elapsed() < Duration::from_secs(120), "no trial was written");
+    // Two minutes on an idle machine, more on a busy one.
+    let written = (0..6000).any(|_| {
         std::thread::sleep(Duration::from_millis(20));
-    }
+        table().lines().count() >= 4
+    });
+    assert!(written, "no trial was written");
     let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill");
     assert!(sent.success());
     let ended = child.wait_with_output().expect("an end");

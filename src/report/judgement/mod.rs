@@ -55,11 +55,8 @@ pub(super) fn judgement_lines(outcome: &Outcome, mode: Mode, style: Style) -> Ve
             counted(confidence.support.len(), "parameter"),
         );
         if let Some([median, _, most]) = quantiles(&confidence.map) {
-            words += &format!(
-                "; predicted position +- {} over the region, {} at worst",
-                length_words(median),
-                length_words(most)
-            );
+            let (usual, worst) = (length_words(median), length_words(most));
+            words = format!("{words}; predicted position +- {usual} over the region, {worst} at worst");
             if !judgement.consistency.is_consistent() {
                 words += ", if the model lacked nothing";
             }
