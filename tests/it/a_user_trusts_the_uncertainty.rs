@@ -155,6 +155,7 @@ fn every_effect_that_the_model_lacks_fails_the_consistency_test() {
     // Friction leaves something in elastic drives alone: the whole machine, as the model that closes its linkage and bends.
     let mut elastic = Scenario { verification_poses: 0, ..paper() };
     let nominal = &elastic.robot.model;
+    elastic.as_built.kinematics = rigid.as_built.kinematics.clone();
     elastic.as_built.statics = nominal.statics.clone().expect("the shipped robot's statics");
     elastic.as_built.actuators = nominal.actuators;
     elastic.options.mode = Mode::ElastoGeometric;
