@@ -31,11 +31,11 @@ use crate::pipeline::{
   calibrig identify --model models/ur5/robot.toml --measurements grid.csv --verify random.csv
   calibrig identify --model models/ur5/robot.toml --measurements grid.csv --out ur5 --json
   calibrig identify --model robot.toml --measurements m.txt --columns map.toml --parameters rules
-  calibrig identify --model robot.toml --measurements m.csv --mode only_calibration --mode elasto_geometric
-  calibrig identify --model robot.toml --measurements m.csv --mode elasto_geometric --compliances compliance_drive2,compliance_drive3
+  calibrig identify --model robot.toml --measurements m.csv --mode elasto_geometric
+  calibrig identify --model robot.toml --measurements m.csv --compliances compliance_drive2
   calibrig identify --model robot.toml --measurements m.csv --mode extended --terms hysteresis,harmonic
-  calibrig identify --model robot.toml --measurements m.csv --loss tukey      names measurements far off the others
-  calibrig identify --model robot.toml --measurements m.csv --splits 20 --fit 200   is each mode better than the one before?
+  calibrig identify --model robot.toml --measurements m.csv --loss tukey   names outliers
+  calibrig identify --model robot.toml --measurements m.csv --splits 20 --fit 200
 
 What the columns of the file mean is told by --columns MAP.toml, else by the map that the robot's file names, else it is
 calibrig's own layout (see docs/formats.md).")]
