@@ -33,7 +33,7 @@ use crate::pipeline::{
   calibrig identify --model robot.toml --measurements m.txt --columns map.toml --parameters rules
   calibrig identify --model robot.toml --measurements m.csv --mode elasto_geometric
   calibrig identify --model robot.toml --measurements m.csv --compliances compliance_drive2
-  calibrig identify --model robot.toml --measurements m.csv --mode extended --terms hysteresis,harmonic
+  calibrig identify --model robot.toml --measurements m.csv --mode extended --terms rail,ratio
   calibrig identify --model robot.toml --measurements m.csv --loss tukey   names outliers
   calibrig identify --model robot.toml --measurements m.csv --splits 20 --fit 200
 
