@@ -183,15 +183,7 @@ fn split_study(
     let study =
         repeat_splits(&outcome.model, set, &modes, options, plan, |done| bar.set_position(done as u64));
     bar.finish_and_clear();
-    study.map_err(|error| told(error, &args.measurements, &outcome.sources))
-}
-
-/// The error, with its place in the fitted measurements.
-fn told(error: PipelineError, file: &Path, sources: &[(String, Source)]) -> CliError {
-    match sources.iter().find(|(role, _)| role == SetKind::Identification.key()) {
-        Some((_, source)) => not_identified(error, file, source, last_line(&source.text)),
-        None => CliError::Pipeline { file: file.to_path_buf(), source: error },
-    }
+    study.map_err(|error| failed(error, &args.measurements, &outcome.sources))
 }
 
 fn fitted_mode(text: &str) -> Result<Mode, String> {

@@ -1,6 +1,6 @@
 //! From estimates to models.
 
-use crate::model::{CalibrationModel, Compliance, LinkageLength, ParameterId};
+use crate::model::{CalibrationModel, Compliance, LinkageLength, ParameterId, Section};
 
 /// Puts a parameter of `model` at a deviation from its value in `reference`.
 ///
@@ -34,11 +34,8 @@ fn apply_compliance(
         Compliance::Beam { link } => {
             let (Some(to), Some(from)) = (&mut to.beams[link], &from.beams[link]) else { return };
             for (to, from) in to.segments.iter_mut().zip(&from.segments) {
-                let (to, from) = (&mut to.section, &from.section);
-                to.axial = from.axial / factor;
-                to.shear = from.shear.map(|k| k / factor);
-                to.torsion = from.torsion / factor;
-                to.bending = from.bending.map(|k| k / factor);
+                let mass_per_length = to.section.mass_per_length;
+                to.section = Section { mass_per_length, ..from.section.map_stiffness(|k| k / factor) };
             }
         }
         Compliance::Rod => {

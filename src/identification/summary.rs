@@ -10,6 +10,10 @@ use super::{
 };
 use crate::measurement::MeasurementSet;
 use crate::model::ParameterId;
+use crate::statistics::chi2_survival;
+
+/// Probability of a larger chi-square below which the residuals are larger than the stated noise explains.
+const INCONSISTENT: f64 = 1e-3;
 
 pub(super) fn summarise(
     built: Built,
@@ -182,10 +186,8 @@ fn warnings(
     } else {
         solution.scale * solution.scale
     };
-    // 99.9 % point of chi-square per degree of freedom, by Wilson and Hilferty (1931).
-    let spread = 2.0 / (9.0 * degrees_of_freedom.max(1) as f64);
-    let limit = (1.0 - spread + 3.09 * spread.sqrt()).powi(3);
-    if noise == NoiseScale::Stated && degrees_of_freedom > 0 && per_dof > limit {
+    let dof = degrees_of_freedom as f64;
+    if noise == NoiseScale::Stated && dof > 0.0 && chi2_survival(per_dof * dof, dof) < INCONSISTENT {
         warnings.push(Warning::Inconsistent { ratio: per_dof.sqrt() });
     }
     warnings

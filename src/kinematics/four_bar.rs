@@ -4,10 +4,9 @@ use nalgebra::Vector3;
 use thiserror::Error;
 
 use crate::geometry::{Transform, rotation_x, rotation_z};
-use crate::model::{ActuatorMap, KinematicModel, LinkTerm, LinkageArm, LinkageLength, ParameterId};
-
-/// Where rod and arm come closer to one line than this, rad, the elbow's angle is hardly determined and is refused.
-pub const LEAST_TRANSMISSION_ANGLE: f64 = 10.0 * std::f64::consts::PI / 180.0;
+use crate::model::{
+    ActuatorMap, KinematicModel, LEAST_TRANSMISSION_ANGLE, LinkTerm, LinkageArm, LinkageLength, ParameterId,
+};
 
 /// Why a four-bar gives no joint angle.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]

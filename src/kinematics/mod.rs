@@ -4,8 +4,7 @@
 mod four_bar;
 
 pub use four_bar::{
-    Closure, ClosureError, ElbowClosure, ElbowLinkage, LEAST_TRANSMISSION_ANGLE, command_from_joints,
-    joints_from_command, swing_to,
+    Closure, ClosureError, ElbowClosure, ElbowLinkage, command_from_joints, joints_from_command, swing_to,
 };
 
 use nalgebra::{DMatrix, Matrix3, Matrix3xX, Rotation3, Vector3};

@@ -164,6 +164,18 @@ pub struct Section {
 }
 
 impl Section {
+    /// The same section with all its stiffnesses changed alike.
+    #[must_use]
+    pub fn map_stiffness(self, change: impl Fn(f64) -> f64) -> Self {
+        Self {
+            axial: change(self.axial),
+            shear: self.shear.map(&change),
+            torsion: change(self.torsion),
+            bending: self.bending.map(&change),
+            ..self
+        }
+    }
+
     /// A section that does not yield.
     pub const RIGID: Self = Self {
         axial: f64::INFINITY,

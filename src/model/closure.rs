@@ -7,9 +7,9 @@ use nalgebra::Point3;
 use super::{ActuatorMap, CraigLink, FourBar, KinematicModel};
 use crate::geometry::rotation_z;
 
-/// Least transmission angle, deg. Below it the rod lies nearly in line with the lever: its force, and what an error of its length does to
-/// the elbow, grow without bound.
-pub const LEAST_TRANSMISSION_DEG: f64 = 10.0;
+/// Least angle between the rod and the arm that it turns, rad. Below it the rod lies nearly in line with the lever: its force, and what an
+/// error of its length does to the elbow, grow without bound, and its pose is refused.
+pub const LEAST_TRANSMISSION_ANGLE: f64 = 10.0 * std::f64::consts::PI / 180.0;
 
 /// Angles of the elbow at which a four-bar is looked at: 0.1 to 0.2 deg apart on a usual elbow.
 const SAMPLES: u32 = 1000;
@@ -48,7 +48,7 @@ pub fn linkage_fault(kinematics: &KinematicModel, actuators: &ActuatorMap) -> Op
             elbow: angle(sample),
             transmission: linkage.transmission(link, angle(sample)),
         })
-        .filter(|fault| fault.transmission.is_none_or(|angle| angle.to_degrees() < LEAST_TRANSMISSION_DEG))
+        .filter(|fault| fault.transmission.is_none_or(|angle| angle < LEAST_TRANSMISSION_ANGLE))
         .min_by(|a, b| a.transmission.unwrap_or(-1.0).total_cmp(&b.transmission.unwrap_or(-1.0)))
 }
 

@@ -18,7 +18,7 @@ pub use bodies::{
     Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, LinkageStatics, PointLoad, RIGID, Section,
     SegmentLength, SixStiffness, StaticProperties, Visual, VisualShape,
 };
-pub use closure::{LEAST_TRANSMISSION_DEG, LinkageFault, linkage_fault};
+pub use closure::{LEAST_TRANSMISSION_ANGLE, LinkageFault, linkage_fault};
 pub(crate) use file::{LoadTable, read_loads};
 pub use file::{Robot, load_robot, parse_robot};
 pub use parameter::{Compliance, LinkTerm, LinkageLength, ParameterId, Unit};

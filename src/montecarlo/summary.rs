@@ -9,14 +9,12 @@ use crate::evaluation::{Coverage, mean_nees_band};
 use crate::identification::Mode;
 use crate::measurement::SetKind;
 use crate::model::{ParameterId, Unit};
-use crate::statistics::student_t_quantile;
+use crate::statistics::{NORMAL_95, student_t_quantile};
 
 /// Level of the intervals of means, and of the intervals whose coverage is counted.
 const LEVEL: f64 = 0.95;
 /// Level of the bands that NEES and coverage are held against: one in a thousand sound campaigns is outside.
 const BAND: f64 = 0.999;
-/// Half-width of a 95 % interval in standard deviations of a normal distribution.
-pub(super) const NORMAL_95: f64 = 1.959_963_984_540_054;
 
 /// A mean over trials with its 95 % confidence interval, and how single trials are scattered.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -3,12 +3,12 @@
 use nalgebra::{DVector, Matrix3};
 
 use super::Campaign;
-use super::summary::NORMAL_95;
 use crate::evaluation::{AccuracyRow, nees};
 use crate::identification::{Estimate, IdentificationOptions, Mode, TerminationReason, linearise};
 use crate::measurement::{MeasurementSet, Reading, SetKind};
 use crate::model::ParameterId;
 use crate::pipeline::{KnownTruth, PipelineError, Simulation, calibrate, simulate};
+use crate::statistics::NORMAL_95;
 
 /// What came of one trial.
 #[derive(Debug, Clone, PartialEq)]

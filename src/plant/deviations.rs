@@ -24,10 +24,7 @@ impl AsBuilt {
     /// Multiplies all stiffnesses of a flexible link.
     pub fn scale_beam(&mut self, link: usize, factor: f64) {
         for segment in self.statics.beams[link].iter_mut().flat_map(|beam| &mut beam.segments) {
-            let section = &mut segment.section;
-            let [bending, shear] = [&mut section.bending, &mut section.shear];
-            let all = [&mut section.axial, &mut section.torsion].into_iter().chain(bending).chain(shear);
-            all.for_each(|stiffness| *stiffness *= factor);
+            segment.section = segment.section.map_stiffness(|stiffness| stiffness * factor);
         }
     }
 

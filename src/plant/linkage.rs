@@ -7,9 +7,7 @@ use nalgebra::{Point3, Vector3};
 use super::tree::Loop;
 use super::{AsBuilt, PlantError};
 use crate::geometry::{Transform, rotation_z};
-
-/// Least angle between the rod and the lever, rad: below, a force on the forearm is multiplied more than sixfold.
-const LEAST_TRANSMISSION_ANGLE: f64 = 10.0 * PI / 180.0;
+use crate::model::LEAST_TRANSMISSION_ANGLE;
 
 /// The passive coordinates of the closed loop, rad.
 #[derive(Debug, Clone, Copy)]

@@ -6,9 +6,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::ablation::ablation_section;
 use super::judgement::{residual_section, sure_section};
-use super::parameters::{
-    NORMAL_95, ParameterCell, ParameterRow, fitted, parameter_rows, parameter_words, printed_unit,
-};
+use super::parameters::{ParameterCell, ParameterRow, fitted, parameter_rows, parameter_words, printed_unit};
 use super::plots::{self, GRID, INK, LOOKS, Look, Marker, hex, look};
 use super::splits::split_section;
 use super::summary::{factor_words, judged_set, length_words, row, significant, summarise};
@@ -19,6 +17,7 @@ use super::{
 use crate::identification::{DependentGroup, Estimate, Mode, NoiseScale, Warning, WeakDirection};
 use crate::model::{ParameterId, Unit};
 use crate::pipeline::{Outcome, PlantKind, SetKind};
+use crate::statistics::NORMAL_95;
 
 const CSS: &str = include_str!("report.css");
 

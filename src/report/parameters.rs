@@ -4,9 +4,7 @@ use crate::identification::{Estimate, Mode};
 use crate::measurement::Target;
 use crate::model::{ParameterId, Unit};
 use crate::pipeline::{KnownTruth, Outcome, SetKind, Truth};
-
-/// Half-width of a 95 % interval in standard deviations of a normal distribution.
-pub(super) const NORMAL_95: f64 = 1.959_963_984_540_054;
+use crate::statistics::NORMAL_95;
 
 /// What a mode says of a parameter, m or rad.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -2,11 +2,12 @@
 
 use nalgebra::Vector3;
 
-use super::parameters::{NORMAL_95, fitted, parameter_rows, printed_unit, unfitted_deviations};
+use super::parameters::{fitted, parameter_rows, printed_unit, unfitted_deviations};
 use super::{consistency_ratio, counted, published};
 use crate::evaluation::AccuracyRow;
 use crate::identification::{Mode, NoiseScale};
 use crate::pipeline::{ModeOutcome, Outcome, SetKind};
+use crate::statistics::NORMAL_95;
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 

@@ -21,6 +21,9 @@ fn invert(level: f64, mut low: f64, mut high: f64, function: impl Fn(f64) -> f64
     }
 }
 
+/// Half-width of a 95 % interval in standard deviations of a normal distribution.
+pub const NORMAL_95: f64 = 1.959_963_984_540_054;
+
 /// Sum of a continued fraction `1 / (b0 + a1 / (b1 + a2 / (b2 + ...)))` by Lentz's method. `term(i)` gives `(a_i, b_i)`; `a_0` is not used.
 ///
 /// Source: I. J. Thompson, A. R. Barnett, "Coulomb and Bessel functions of complex arguments and order", J. Comput. Phys. 64 (1986), 490-509.

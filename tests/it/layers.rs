@@ -32,7 +32,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("evaluation", &["statistics"]),
     ("experiment", &[]),
     ("geometry", &[]),
-    ("identification", &["elastostatics", "geometry", "kinematics", "measurement", "model"]),
+    ("identification", &["elastostatics", "geometry", "kinematics", "measurement", "model", "statistics"]),
     ("input", &[]),
     ("kinematics", &["geometry", "model"]),
     ("main", &["cli"]),
@@ -76,7 +76,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         ],
     ),
     ("replay", &["identification", "input", "model", "pipeline", "recording", "scenario"]),
-    ("report", &["evaluation", "identification", "measurement", "model", "pipeline"]),
+    ("report", &["evaluation", "identification", "measurement", "model", "pipeline", "statistics"]),
     (
         "scenario",
         &["experiment", "identification", "input", "measurement", "model", "plant", "random", "tracker"],

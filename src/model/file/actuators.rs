@@ -6,7 +6,7 @@ use serde::Deserialize;
 use super::Reader;
 use super::joints::JointType;
 use crate::input::{InputError, Spanned};
-use crate::model::closure::{LEAST_TRANSMISSION_DEG, linkage_fault};
+use crate::model::closure::{LEAST_TRANSMISSION_ANGLE, linkage_fault};
 use crate::model::{ActuatorMap, Body, FourBar, KinematicModel, LinkageArm, LinkageStatics};
 
 #[derive(Deserialize, Clone, Copy, PartialEq)]
@@ -108,7 +108,8 @@ impl Reader<'_> {
         let span = self.file.actuators.get_ref().linkage.as_ref().map_or(0..0, Spanned::span);
         let expected = format!(
             "crank_mm, lever_mm, rod_mm and angles with which it closes between min_deg and max_deg of the elbow, rod and lever at \
-             least {LEAST_TRANSMISSION_DEG} deg off one line"
+             least {:.0} deg off one line",
+            LEAST_TRANSMISSION_ANGLE.to_degrees()
         );
         self.error(span, format!("actuators.linkage: {fault}"), &expected)
     }
