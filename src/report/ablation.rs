@@ -6,8 +6,8 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::html::{figure, number};
 use super::plots::{
-    Area, Drawn, GRID, INK, SCALE, WIDTH, drawable, finite_range, ink, look, marker, padded, px, svg,
-    text_style, tick,
+    Area, Drawn, GRID, SCALE, WIDTH, drawable, finite_range, ink, look, marker, padded, px, svg, text_style,
+    values_below,
 };
 use super::tables::{Ink, NUMBER, Style, TITLE, aligned, millimetres, printable, wrap};
 use super::{ReportError, set_title};
@@ -215,18 +215,7 @@ fn draw_changes(
         .margin_right(px(14))
         .x_label_area_size(axis)
         .build_cartesian_2d(x.clone(), bottom..-0.5)?;
-    let labels = panel.dim_in_pixel().0 / (55 * SCALE.unsigned_abs());
-    chart
-        .configure_mesh()
-        .disable_y_mesh()
-        .disable_y_axis()
-        .x_labels(usize::try_from(labels).unwrap_or(3).clamp(3, 8))
-        .bold_line_style(GRID.stroke_width(2))
-        .light_line_style(TRANSPARENT)
-        .axis_style(INK.mix(0.6).stroke_width(2))
-        .label_style(text_style())
-        .x_label_formatter(&|v| tick(*v))
-        .draw()?;
+    values_below(&mut chart, panel.dim_in_pixel().0, 3..=8)?;
     let plot = chart.plotting_area();
     plot.draw(&PathElement::new(vec![(0.0, bottom), (0.0, -0.5)], ink(2)))?;
     let look = look(*kind);

@@ -9,8 +9,8 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use super::ReportError;
 use super::parameters::{ParameterCell, ParameterRow, printed_unit};
 use super::plots::{
-    Area, Drawn, GRID, INK, Look, SCALE, WIDTH, centred, drawable, finite_range, ink, look, marker, padded,
-    px, svg, text_style, tick,
+    Area, Drawn, GRID, Look, WIDTH, centred, drawable, finite_range, ink, look, marker, padded, px, svg,
+    text_style, values_below,
 };
 use crate::identification::Mode;
 use crate::model::Unit;
@@ -125,18 +125,7 @@ impl Panel<'_> {
             .margin_right(px(14))
             .x_label_area_size(px(AXIS))
             .build_cartesian_2d(x.clone(), bottom..-0.5)?;
-        let labels = body.dim_in_pixel().0 / (55 * SCALE.unsigned_abs());
-        chart
-            .configure_mesh()
-            .disable_y_mesh()
-            .disable_y_axis()
-            .x_labels(usize::try_from(labels).unwrap_or(2).clamp(2, 7))
-            .bold_line_style(GRID.stroke_width(2))
-            .light_line_style(TRANSPARENT)
-            .axis_style(INK.mix(0.6).stroke_width(2))
-            .label_style(text_style())
-            .x_label_formatter(&|v| tick(*v))
-            .draw()?;
+        values_below(&mut chart, body.dim_in_pixel().0, 2..=7)?;
         let plot = chart.plotting_area();
         for row in 1..self.rows.len() {
             let y = row as f64 - 0.5;

@@ -1,7 +1,7 @@
 //! The figures, as SVG text without a background. Colours are presentation attributes, so that the page's style sheet can replace
 //! them in the dark; modes differ by marker and dash too.
 
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 
 use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
@@ -14,7 +14,7 @@ use crate::identification::Mode;
 use crate::pipeline::{ModeOutcome, Outcome, SetKind};
 
 pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-type Chart<'a, 'b> = ChartContext<'b, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+pub(super) type Chart<'a, 'b> = ChartContext<'b, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 pub(super) type Drawn<T = ()> = Result<T, DrawingAreaErrorKind<std::io::Error>>;
 
 /// Text and axes; the page replaces it by the colour of its text.
@@ -323,6 +323,22 @@ pub(super) fn foot(area: &Area, text: &str) -> Drawn {
     let at = (i32::try_from(width / 2).unwrap_or(0), i32::try_from(height).unwrap_or(0) - px(6));
     let style = text_style().pos(Pos::new(HPos::Center, VPos::Bottom));
     area.draw(&Text::new(text.to_owned(), at, style))
+}
+
+/// Values below a chart of rows, `labels` of them in its `width` (pixels); the rows have lines and names of their own.
+pub(super) fn values_below(chart: &mut Chart<'_, '_>, width: u32, labels: RangeInclusive<usize>) -> Drawn {
+    let room = usize::try_from(width / (55 * SCALE.unsigned_abs())).unwrap_or(*labels.start());
+    chart
+        .configure_mesh()
+        .disable_y_mesh()
+        .disable_y_axis()
+        .x_labels(room.clamp(*labels.start(), *labels.end()))
+        .bold_line_style(GRID.stroke_width(2))
+        .light_line_style(TRANSPARENT)
+        .axis_style(INK.mix(0.6).stroke_width(2))
+        .label_style(text_style())
+        .x_label_formatter(&|v| tick(*v))
+        .draw()
 }
 
 pub(super) fn text_style() -> TextStyle<'static> {
