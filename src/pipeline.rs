@@ -156,6 +156,16 @@ pub enum PipelineError {
     /// The analytic machine does not come to rest.
     #[error("the analytic plant: {0}")]
     Analytic(#[from] crate::elastostatics::ElasticError),
+    /// The machine cannot take a pose.
+    #[error("{} set, pose {pose}: {source}", set.key())]
+    Pose {
+        /// The set that it is measured for.
+        set: SetKind,
+        /// Its number in the set.
+        pose: u32,
+        /// Why.
+        source: Box<PipelineError>,
+    },
     /// A nest is out of the tracker's reach.
     #[error("base nest {nest}: {source}")]
     Nest {

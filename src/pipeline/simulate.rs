@@ -69,7 +69,9 @@ pub fn simulate(
             let command = scenario.robot.model.actuators.command_from_joints(&joints);
             let time = SECONDS_PER_POSE * f64::from(done);
             let mut own = random::stream_at(seed, trial, random::Source::Repeatability, entry(kind, pose));
-            let (settled, effects) = machine.go_to(&mut plant, &command, time, &mut own)?;
+            let (settled, effects) = machine
+                .go_to(&mut plant, &command, time, &mut own)
+                .map_err(|source| PipelineError::Pose { set: kind, pose, source: Box::new(source) })?;
             let outlier = outlier(scenario, seed, trial, entry(kind, pose));
             let seen = settled.target + outlier.unwrap_or_default();
             match scenario.tracker.measure(&seen, &mut noise) {

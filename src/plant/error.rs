@@ -119,7 +119,7 @@ pub enum PlantError {
     },
     /// The loads overpower the springs.
     #[error(
-        "unstable equilibrium after {steps} steps: under its loads, the least stiffness of the robot is {margin:.3} of its springs'"
+        "unstable equilibrium after {steps} steps: under its loads, the least stiffness of the robot is {margin:.1e} of its springs'"
     )]
     Unstable {
         /// Steps taken.

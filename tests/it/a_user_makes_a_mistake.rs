@@ -1093,6 +1093,21 @@ fn a_user_gives_an_effect_that_no_machine_has() {
     assert!(ended.stderr.contains("the ambient temperature leaves -20 to 60 degC"), "{ended:?}");
 }
 
+/// A tool force that no pose withstands is told with the pose, and nothing is measured.
+#[test]
+fn a_user_pushes_the_robot_over() {
+    let sandbox = Sandbox::new();
+    let push = "[[as_built.load]]\nname = \"push\"\njoint = \"wrist\"\nx_mm = 0\ny_mm = 0\nz_mm = 0\nforce_y_n = -900000\n";
+    sandbox.write(SCENARIO, format!("{}\n{push}", sandbox.read(SCENARIO)));
+    let ended = sandbox.run(["run", SCENARIO, "--out", "out"]);
+    assert_eq!((ended.code, ended.stdout.as_str()), (Some(1), ""), "{ended:?}");
+    assert!(
+        ended.stderr.contains("identification set, pose 0: the plant: unstable equilibrium"),
+        "{ended:?}"
+    );
+    assert!(!sandbox.path("out").exists(), "something was left behind");
+}
+
 #[test]
 fn the_numbers_are_of_no_machine() {
     for (marker, key, value) in [
