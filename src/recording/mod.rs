@@ -13,6 +13,7 @@ mod estimate;
 mod file;
 mod foxglove_scene;
 mod live;
+mod machine;
 mod mcap_reader;
 mod mcap_writer;
 mod provenance;
@@ -33,8 +34,10 @@ mod truth;
 pub use error::RecordingError;
 pub use file::UnfinishedFile;
 pub use live::{SessionContext, SessionRecorder};
+pub use machine::{RecordedMachine, read_recorded_machine};
 pub use mcap_reader::{
-    ReadOptions, RecordedEstimate, RecordedParameter, Recording, read_recording, read_recording_with,
+    MissingPart, ReadOptions, RecordedEstimate, RecordedParameter, Recording, read_recording,
+    read_recording_with,
 };
 pub use mcap_writer::{McapRecorder, write_mcap};
 pub use provenance::{Provenance, SCHEMA};
