@@ -169,6 +169,16 @@ impl RecordingError {
     pub(super) fn unrecordable(reason: impl ToString) -> Self {
         Self::Unrecordable { reason: reason.to_string() }
     }
+
+    /// What the library says, with the cause that it does not say.
+    // By value, to be named in `map_err`.
+    #[allow(clippy::needless_pass_by_value)]
+    pub(super) fn unwritten(error: McapError) -> Self {
+        match std::error::Error::source(&error) {
+            Some(cause) => Self::unrecordable(cause),
+            None => Self::unrecordable(error),
+        }
+    }
 }
 
 impl From<std::io::Error> for RecordingError {
