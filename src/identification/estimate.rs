@@ -57,7 +57,7 @@ impl TerminationReason {
 }
 
 /// One iteration of the solver.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct IterationRecord {
     /// Weighted sum of squares after the iteration.
     pub cost: f64,
@@ -69,6 +69,8 @@ pub struct IterationRecord {
     pub gain: f64,
     /// Whether the step was taken.
     pub accepted: bool,
+    /// The parameters after the iteration, in the estimate's order, SI; those before it where the step was not taken.
+    pub parameters: Vec<f64>,
 }
 
 /// Where the standard deviations get their scale from.

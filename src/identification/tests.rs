@@ -318,6 +318,8 @@ fn the_linearisation_is_that_of_the_estimate() {
         }
         let options = options(Mode::ElastoGeometric);
         let estimate = identify(&nominal, &set, &options).expect("an estimate");
+        let values: Vec<f64> = estimate.parameters.iter().map(|p| p.value).collect();
+        assert_eq!(estimate.iterations.last().map(|last| &last.parameters), Some(&values));
         let system = linearise(&nominal, &set, &options, &estimate).expect("the same system");
         assert_eq!(system.data_rows, 3 * set.observations.len());
         assert!((system.residuals.norm_squared() / estimate.chi2 - 1.0).abs() < 1e-9);

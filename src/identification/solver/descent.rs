@@ -84,15 +84,18 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
             let negligible = self.is_negligible(&normal, curvature, damping);
             // A cost that is not a number compares as no decrease.
             let accepted = self.trial.cost <= self.now.cost && self.go_on(&mut normal, negligible);
+            if accepted {
+                self.x = moved;
+            }
             self.iterations.push(IterationRecord {
                 cost: self.now.cost,
                 damping,
                 step: step.scaled.norm(),
                 gain,
                 accepted,
+                parameters: self.x.clone(),
             });
             if accepted {
-                self.x = moved;
                 if negligible {
                     return TerminationReason::SmallDecrease;
                 }
