@@ -27,7 +27,7 @@ pub enum TerminationReason {
     SmallGradient,
     /// The step became negligible against the parameters' scale.
     SmallStep,
-    /// The predicted and the actual decrease of the cost became negligible.
+    /// The decrease of the cost became negligible.
     SmallDecrease,
     /// The iteration limit was reached first: not converged.
     IterationLimit,
@@ -65,7 +65,7 @@ pub struct IterationRecord {
     pub damping: f64,
     /// Norm of the scaled step.
     pub step: f64,
-    /// Actual over predicted decrease.
+    /// Actual over predicted decrease; 1 for a last, negligible step that was taken without another look at the cost.
     pub gain: f64,
     /// Whether the step was taken.
     pub accepted: bool,

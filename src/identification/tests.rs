@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use nalgebra::{DMatrix, Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -181,6 +181,32 @@ fn the_compliances_are_those_that_gravity_loads() {
     assert!(!has(WAIST));
     let shoulder = estimate.parameters.iter().find(|p| p.id == ParameterId::Compliance(SHOULDER));
     assert_eq!(shoulder.and_then(|p| p.prior_sigma), Some(0.1));
+}
+
+/// Whatever columns were left out on the way.
+#[test]
+fn the_first_system_of_the_solver_is_that_of_the_start() {
+    let nominal = painter();
+    let set = measure(&truth(&nominal, &geometric_errors(&nominal), Vec::new()), 30, 1.0);
+    for redundant in Redundancy::ALL {
+        let options = IdentificationOptions {
+            compliances: ComplianceChoice::All,
+            redundant,
+            tolerance: Some(Tolerance { length: 0.1, angle: 0.1 }),
+            ..options(Mode::ElastoGeometric)
+        };
+        let mut problem = build::build(&nominal, &set, &options).expect("a problem").problem;
+        let n = problem.parameters.len();
+        assert!(n < 24 + nominal.compliances().len(), "some are not loaded");
+        let mut evaluate = || {
+            let mut residuals = DVector::zeros(LeastSquares::rows(&problem));
+            let mut jacobian = DMatrix::zeros(residuals.len(), n);
+            problem.evaluate(&vec![0.0; n], &mut residuals, Some(&mut jacobian));
+            (residuals, jacobian, problem.start.is_some())
+        };
+        let (kept, anew) = (evaluate(), evaluate());
+        assert!(kept == anew);
+    }
 }
 
 #[test]
