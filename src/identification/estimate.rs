@@ -27,7 +27,7 @@ pub enum TerminationReason {
     SmallGradient,
     /// The step became negligible against the parameters' scale.
     SmallStep,
-    /// The predicted and the actual decrease of the cost became negligible.
+    /// The decrease of the cost became negligible.
     SmallDecrease,
     /// The iteration limit was reached first: not converged.
     IterationLimit,
@@ -57,7 +57,7 @@ impl TerminationReason {
 }
 
 /// One iteration of the solver.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct IterationRecord {
     /// Weighted sum of squares after the iteration.
     pub cost: f64,
@@ -65,10 +65,12 @@ pub struct IterationRecord {
     pub damping: f64,
     /// Norm of the scaled step.
     pub step: f64,
-    /// Actual over predicted decrease.
+    /// Actual over predicted decrease; 1 for a last, negligible step that was taken without another look at the cost.
     pub gain: f64,
     /// Whether the step was taken.
     pub accepted: bool,
+    /// The parameters after the iteration, in the estimate's order, SI; those before it where the step was not taken.
+    pub parameters: Vec<f64>,
 }
 
 /// Where the standard deviations get their scale from.

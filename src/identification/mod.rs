@@ -4,6 +4,7 @@
 
 mod build;
 mod estimate;
+mod factor;
 mod identifiability;
 mod identify;
 mod linearisation;

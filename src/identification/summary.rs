@@ -3,10 +3,11 @@
 use nalgebra::DMatrix;
 
 use super::build::{Built, redundant};
+use super::factor::{extended, triangular_factor, triangular_factor_of_all};
 use super::solver::Solution;
 use super::{
     CalibratedRobot, DependentGroup, Estimate, IdentificationOptions, LeastSquares, NoiseScale, Outlier,
-    ParameterEstimate, Redundancy, Spectrum, Warning, analyse_columns, analyse_r,
+    ParameterEstimate, Redundancy, Spectrum, Warning, analyse_r,
 };
 use crate::measurement::MeasurementSet;
 use crate::model::ParameterId;
@@ -26,26 +27,26 @@ pub(super) fn summarise(
     let rows = problem.rows();
     let n = problem.parameters.len();
     let degrees_of_freedom = rows - n;
-    let r = solution.jacobian.clone().qr().unpack_r();
-    let judged = match options.redundant {
-        Redundancy::Keep => problem.measured_rows(),
-        Redundancy::Fix | Redundancy::Prior => rows - problem.tolerances.len(),
+    let below = |first: usize, count: usize| solution.jacobian.rows(first, count);
+    let (measured_rows, priors) = (problem.measured_rows(), problem.own_priors.len());
+    let measured = triangular_factor_of_all(below(0, measured_rows).as_view());
+    let with_priors = extended(measured.clone(), below(measured_rows, priors).as_view());
+    let spectrum = match options.redundant {
+        Redundancy::Keep => analyse_r(&measured, &problem.parameters),
+        Redundancy::Fix | Redundancy::Prior => analyse_r(&with_priors, &problem.parameters),
     };
-    let spectrum = if judged == rows {
-        analyse_r(&r, &problem.parameters)
-    } else {
-        analyse_columns(&solution.jacobian.rows(0, judged).into_owned(), &problem.parameters)
-    };
+    let tolerances = below(measured_rows + priors, problem.tolerances.len());
+    let r = extended(with_priors, tolerances.as_view());
     let held = if problem.own_priors.is_empty() || options.redundant != Redundancy::Prior {
         Vec::new()
     } else {
         let has_prior = |group: &DependentGroup| {
             problem.own_priors.iter().any(|(column, _)| problem.parameters[*column] == group.redundant)
         };
-        redundant(&problem, &solution.jacobian).into_iter().filter(has_prior).collect()
+        redundant(&measured, &problem.parameters).into_iter().filter(has_prior).collect()
     };
     let bounded: Vec<usize> = solution.at_bound.iter().map(|at| at.parameter).collect();
-    let covariance = covariance(&solution.jacobian, r, &spectrum, &bounded);
+    let covariance = covariance(r, &spectrum, &bounded);
     problem.set(&solution.x);
     let mut warnings = warnings(&solution, &spectrum, n, degrees_of_freedom, noise);
     let at_bound: Vec<_> = bounded.iter().map(|place| problem.parameters[*place]).collect();
@@ -122,18 +123,13 @@ fn outliers(solution: &Solution, set: &MeasurementSet) -> Vec<Outlier> {
 
 /// `(Jᵀ J)⁻¹` from `J = Q R`, only from a system of full rank. What is `bounded` is held there: it has no spread, and none of it is in the
 /// others'.
-fn covariance(
-    jacobian: &DMatrix<f64>,
-    r: DMatrix<f64>,
-    spectrum: &Spectrum,
-    bounded: &[usize],
-) -> Option<DMatrix<f64>> {
+fn covariance(r: DMatrix<f64>, spectrum: &Spectrum, bounded: &[usize]) -> Option<DMatrix<f64>> {
     let n = r.ncols();
     if spectrum.rank < n {
         return None;
     }
     let free: Vec<usize> = (0..n).filter(|place| !bounded.contains(place)).collect();
-    let r = if bounded.is_empty() { r } else { jacobian.select_columns(&free).qr().unpack_r() };
+    let r = if bounded.is_empty() { r } else { triangular_factor(r.as_view(), &free) };
     let inverse = r.solve_upper_triangular(&DMatrix::identity(free.len(), free.len()))?;
     let of_free = &inverse * inverse.transpose();
     if bounded.is_empty() {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use nalgebra::{DMatrix, Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -183,6 +183,32 @@ fn the_compliances_are_those_that_gravity_loads() {
     assert_eq!(shoulder.and_then(|p| p.prior_sigma), Some(0.1));
 }
 
+/// Whatever columns were left out on the way.
+#[test]
+fn the_first_system_of_the_solver_is_that_of_the_start() {
+    let nominal = painter();
+    let set = measure(&truth(&nominal, &geometric_errors(&nominal), Vec::new()), 30, 1.0);
+    for redundant in Redundancy::ALL {
+        let options = IdentificationOptions {
+            compliances: ComplianceChoice::All,
+            redundant,
+            tolerance: Some(Tolerance { length: 0.1, angle: 0.1 }),
+            ..options(Mode::ElastoGeometric)
+        };
+        let mut problem = build::build(&nominal, &set, &options).expect("a problem").problem;
+        let n = problem.parameters.len();
+        assert!(n < 24 + nominal.compliances().len(), "some are not loaded");
+        let mut evaluate = || {
+            let mut residuals = DVector::zeros(LeastSquares::rows(&problem));
+            let mut jacobian = DMatrix::zeros(residuals.len(), n);
+            problem.evaluate(&vec![0.0; n], &mut residuals, Some(&mut jacobian));
+            (residuals, jacobian, problem.start.is_some())
+        };
+        let (kept, anew) = (evaluate(), evaluate());
+        assert!(kept == anew);
+    }
+}
+
 #[test]
 fn a_compliance_that_was_asked_for_and_is_not_loaded_is_handled_as_chosen() {
     let nominal = painter();
@@ -318,6 +344,8 @@ fn the_linearisation_is_that_of_the_estimate() {
         }
         let options = options(Mode::ElastoGeometric);
         let estimate = identify(&nominal, &set, &options).expect("an estimate");
+        let values: Vec<f64> = estimate.parameters.iter().map(|p| p.value).collect();
+        assert_eq!(estimate.iterations.last().map(|last| &last.parameters), Some(&values));
         let system = linearise(&nominal, &set, &options, &estimate).expect("the same system");
         assert_eq!(system.data_rows, 3 * set.observations.len());
         assert!((system.residuals.norm_squared() / estimate.chi2 - 1.0).abs() < 1e-9);

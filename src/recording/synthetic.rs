@@ -303,6 +303,8 @@ fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
             step: 0.1_f64.powi(i),
             gain: 0.99,
             accepted: true,
+            // The last one's are the estimate's.
+            parameters: parameters.iter().map(|p| p.value * f64::from(i + 1) / 5.0).collect(),
         })
         .collect();
     Estimate {
