@@ -31,6 +31,8 @@ pub(super) struct Built {
     pub unexcited: Vec<ParameterId>,
     /// Parameters that were left out as redundant.
     pub fixed: Vec<DependentGroup>,
+    /// All parameters that were left out: those, and what gravity does not load.
+    pub left_out: Vec<ParameterId>,
 }
 
 /// The problem of `options`, with what gravity does not excite left out, and what is redundant where it shall be fixed.
@@ -56,19 +58,23 @@ pub(super) fn build(
     if options.redundant == Redundancy::Fix {
         fixed = redundant(&built.problem, &jacobian);
     }
-    let before = columns.len();
+    let mut left_out = Vec::new();
     let mut place = 0;
     columns.retain(|column| {
         place += 1;
         let redundant = fixed.iter().any(|group| group.redundant == column.id);
-        !redundant && (column.named || !unexcited[place - 1])
+        let kept = !redundant && (column.named || !unexcited[place - 1]);
+        if !kept {
+            left_out.push(column.id);
+        }
+        kept
     });
     // What is left of a group are the robot's own parameters: frame and target stay in the fit.
     fixed.retain(|group| !columns.iter().any(|column| column.id == group.redundant));
-    if columns.len() < before {
+    if !left_out.is_empty() {
         built = assemble(model, set, options, &columns)?;
     }
-    Ok(Built { unexcited: named, fixed, ..built })
+    Ok(Built { unexcited: named, fixed, left_out, ..built })
 }
 
 /// What a unit of every parameter does to the whitened measurements that links, frame and target cannot do as well; zero for those.
@@ -120,7 +126,7 @@ pub(super) fn redundant(problem: &CalibrationProblem, jacobian: &DMatrix<f64>) -
     select_independent(&sorted, &ids).1
 }
 
-fn starting_jacobian(problem: &mut CalibrationProblem) -> Result<DMatrix<f64>, IdentifyError> {
+pub(super) fn starting_jacobian(problem: &mut CalibrationProblem) -> Result<DMatrix<f64>, IdentifyError> {
     let (m, n) = (problem.rows(), problem.parameters());
     let mut residuals = DVector::zeros(m);
     let mut jacobian = DMatrix::zeros(m, n);
@@ -167,7 +173,7 @@ fn assemble(
         stations,
         targets,
     };
-    Ok(Built { problem, sigmas, unexcited: Vec::new(), fixed: Vec::new() })
+    Ok(Built { problem, sigmas, unexcited: Vec::new(), fixed: Vec::new(), left_out: Vec::new() })
 }
 
 fn stations(

@@ -1,6 +1,6 @@
 //! What to fit, and how.
 
-use super::{Mode, SolverOptions};
+use super::{Mode, ParameterBound, SolverOptions};
 use crate::model::{Compliance, ParameterId, Unit};
 
 /// What is known of the tracker's place.
@@ -129,6 +129,8 @@ pub struct IdentificationOptions {
     pub unmodelled_sigma: f64,
     /// A prior on every link parameter, where stated.
     pub tolerance: Option<Tolerance>,
+    /// Limits of single parameters; each holds in the modes that have the parameter.
+    pub bounds: Vec<ParameterBound>,
     /// What the solver minimises, and when it stops.
     pub solver: SolverOptions,
 }
@@ -152,6 +154,7 @@ impl Default for IdentificationOptions {
             target: TargetChoice::Measured,
             unmodelled_sigma: 0.0,
             tolerance: None,
+            bounds: Vec::new(),
             solver: SolverOptions::default(),
         }
     }
