@@ -95,6 +95,13 @@ impl Stated {
     }
 }
 
+impl Contradiction {
+    /// Said where the rest tells of some of the `coordinates` alone.
+    fn at_least(&self, coordinates: usize) -> &'static str {
+        if self.freedom < coordinates { "at least " } else { "" }
+    }
+}
+
 impl fmt::Display for Contradiction {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.stated.name())?;
@@ -109,10 +116,12 @@ impl fmt::Display for Contradiction {
                 write!(f, " (they put it at {found} +- {sigma}, the prior at 0 +- {prior}")?;
             }
             Stated::Nests { length, angle, .. } => {
-                let angle = shown(Unit::Radian, rounded(*angle));
-                write!(f, " (they put the base {} and {angle} from there", metres(*length))?;
+                let (least, angle) = (self.at_least(6), shown(Unit::Radian, rounded(*angle)));
+                write!(f, " (they put the base {least}{} and {angle} from there", metres(*length))?;
             }
-            Stated::Target { length, .. } => write!(f, " (they put it {} from there", metres(*length))?,
+            Stated::Target { length, .. } => {
+                write!(f, " (they put it {}{} from there", self.at_least(3), metres(*length))?;
+            }
             Stated::Nest { length, .. } => {
                 write!(f, " (the other nests put it {} from there", metres(*length))?;
             }

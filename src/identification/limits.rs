@@ -262,3 +262,6 @@ pub(super) fn limits(parameters: &[ParameterId], stated: &[ParameterBound]) -> (
     };
     parameters.iter().map(of).unzip()
 }
+
+#[cfg(test)]
+mod tests;
