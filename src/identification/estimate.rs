@@ -158,8 +158,8 @@ pub enum Warning {
     Contradicted(Vec<Contradiction>),
     /// Priors that do not fit the measurements, where these do not fit the model either.
     #[error(
-        "the measurements contradict what was stated of {}, too, most of all of {}: as the model lacks something, that may be all \
-         there is to it; complete the model before doubting what was stated", counted(*.count), .worst
+        "the measurements contradict what was stated of {worst}{}, too: as the model lacks something, that may be all there is to it; \
+         complete the model before doubting what was stated", and_more(*.count)
     )]
     Strained {
         /// Their number.
@@ -198,8 +198,8 @@ fn in_words(contradictions: &[Contradiction]) -> String {
     contradictions.iter().map(ToString::to_string).collect::<Vec<_>>().join(", and of ")
 }
 
-fn counted(count: usize) -> String {
-    if count == 1 { "one thing".to_owned() } else { format!("{count} things") }
+fn and_more(count: usize) -> String {
+    if count > 1 { format!(" and of {} more", count - 1) } else { String::new() }
 }
 
 fn poses_in_words(outliers: &[Outlier]) -> String {
