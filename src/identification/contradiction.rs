@@ -105,9 +105,6 @@ impl Contradiction {
 impl fmt::Display for Contradiction {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.stated.name())?;
-        for other in &self.or {
-            write!(f, " or {other}")?;
-        }
         let metres = |length: f64| shown(Unit::Metre, rounded(length));
         match &self.stated {
             Stated::Parameter { id, found, sigma, prior_sigma } => {
@@ -127,8 +124,12 @@ impl fmt::Display for Contradiction {
             }
         }
         match self.freedom {
-            1 => write!(f, ": {:.1} sigma)", self.chi2.sqrt()),
-            n => write!(f, ": chi-square {:.0} of {n})", self.chi2),
+            1 => write!(f, ": {:.1} sigma", self.chi2.sqrt())?,
+            n => write!(f, ": chi-square {:.0} of {n}", self.chi2)?,
+        }
+        match self.or.as_slice() {
+            [] => f.write_str(")"),
+            others => write!(f, "; or what was stated of {} is off in its place)", others.join(" or ")),
         }
     }
 }
@@ -174,6 +175,14 @@ struct Outcast {
     rivals: Vec<usize>,
 }
 
+/// A group that is too far off, as the system stands.
+struct Suspect {
+    group: usize,
+    block: Block,
+    left_out: DVector<f64>,
+    chi2: f64,
+}
+
 /// A group's block of the family, inverted where the rest tells of it.
 struct Block {
     inverse: DMatrix<f64>,
@@ -209,35 +218,54 @@ impl Family {
         let mut outcasts: Vec<Outcast> = Vec::new();
         loop {
             let unlikely = self.unlikely(&left, &residuals, &covariance, level, variance);
-            let Some((worst, block, chi2)) = unlikely.iter().min_by(|a, b| {
-                let p = |(_, block, chi2): &(usize, Block, f64)| {
-                    chi2_survival(*chi2 / variance, block.freedom as f64)
-                };
-                p(a).total_cmp(&p(b)).then(b.2.total_cmp(&a.2))
+            let Some(worst) = unlikely.iter().min_by(|a, b| {
+                let p =
+                    |suspect: &Suspect| chi2_survival(suspect.chi2 / variance, suspect.block.freedom as f64);
+                p(a).total_cmp(&p(b)).then(b.chi2.total_cmp(&a.chi2))
             }) else {
                 return outcasts;
             };
-            let rows = &self.groups[*worst].rows;
-            let left_out = &block.inverse * residuals.rows_range(rows.clone());
-            let across = covariance.columns_range(rows.clone()).into_owned();
-            let reduced = &covariance - &across * &block.inverse * across.transpose();
-            let trace = |matrix: &DMatrix<f64>, group: usize| {
-                self.groups[group].rows.clone().map(|row| matrix[(row, row)]).sum::<f64>()
+            let alike = |suspect: &Suspect| {
+                unlikely
+                    .iter()
+                    .filter(|other| {
+                        other.group != suspect.group && self.is_shared(&covariance, suspect, other.group)
+                    })
+                    .collect::<Vec<_>>()
             };
-            let shares = |group: usize| trace(&reduced, group) < (1.0 - SHARED) * trace(&covariance, group);
-            let others = unlikely.iter().map(|(group, ..)| *group);
+            // Of those that cannot be told apart, the one that needs the least change.
+            let change = |suspect: &Suspect| suspect.left_out.norm_squared() / suspect.block.freedom as f64;
+            let mut suspects = alike(worst);
+            suspects.insert(0, worst);
+            let Some(chosen) = suspects.into_iter().min_by(|a, b| change(a).total_cmp(&change(b))) else {
+                return outcasts;
+            };
+            let rows = &self.groups[chosen.group].rows;
+            let across = covariance.columns_range(rows.clone()).into_owned();
+            let reduced = &covariance - &across * &chosen.block.inverse * across.transpose();
             outcasts.push(Outcast {
-                group: *worst,
-                chi2: *chi2,
-                freedom: block.freedom,
-                spread: block.inverse.clone(),
-                rivals: others.filter(|group| group != worst && shares(*group)).collect(),
-                left_out: left_out.clone(),
+                group: chosen.group,
+                chi2: chosen.chi2,
+                freedom: chosen.block.freedom,
+                spread: chosen.block.inverse.clone(),
+                rivals: alike(chosen).into_iter().map(|rival| rival.group).collect(),
+                left_out: chosen.left_out.clone(),
             });
-            residuals -= &across * left_out;
-            left.retain(|group| group != worst);
+            residuals -= &across * &chosen.left_out;
+            left.retain(|group| *group != chosen.group);
             covariance = reduced;
         }
+    }
+
+    /// Whether what speaks against a group is, but for a little, what speaks against the `other`.
+    fn is_shared(&self, covariance: &DMatrix<f64>, suspect: &Suspect, other: usize) -> bool {
+        let rows = self.groups[other].rows.clone();
+        let across = covariance.view(
+            (rows.start, self.groups[suspect.group].rows.start),
+            (rows.len(), self.groups[suspect.group].rows.len()),
+        );
+        let shared = across * &suspect.block.inverse * across.transpose();
+        shared.trace() > SHARED * rows.map(|row| covariance[(row, row)]).sum::<f64>()
     }
 
     /// Of the groups in `left`, those that are too far off.
@@ -248,15 +276,16 @@ impl Family {
         covariance: &DMatrix<f64>,
         level: f64,
         variance: f64,
-    ) -> Vec<(usize, Block, f64)> {
+    ) -> Vec<Suspect> {
         let test = |group: &usize| {
             let rows = &self.groups[*group].rows;
             let block = Block::of(covariance, rows);
             let own = residuals.rows_range(rows.clone());
-            let chi2 = (own.transpose() * &block.inverse * own)[0];
+            let left_out = &block.inverse * own;
+            let chi2 = own.dot(&left_out);
             let p =
                 if block.freedom > 0 { chi2_survival(chi2 / variance, block.freedom as f64) } else { 1.0 };
-            (p < level).then_some((*group, block, chi2))
+            (p < level).then_some(Suspect { group: *group, block, left_out, chi2 })
         };
         left.iter().filter_map(test).collect()
     }
@@ -273,6 +302,7 @@ pub(super) struct Checks<'a> {
 }
 
 /// Priors that do not fit, and what they add to chi-square.
+#[derive(Default)]
 pub(super) struct Found {
     pub contradictions: Vec<Contradiction>,
     pub chi2: f64,

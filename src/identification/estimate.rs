@@ -156,6 +156,12 @@ pub enum Warning {
         in_words(.0), 1e2 * CONTRADICTION_LEVEL
     )]
     Contradicted(Vec<Contradiction>),
+    /// A station that the measurements of the robot put elsewhere than its nests.
+    #[error(
+        "the measurements contradict {0}: the tracker moved against the base after they were measured, or the model lacks something \
+         that a shift of the base stands in for"
+    )]
+    Moved(Contradiction),
     /// Priors that do not fit the measurements, where these do not fit the model either.
     #[error(
         "the measurements contradict what was stated of {worst}{}, too: as the model lacks something, that may be all there is to it; \

@@ -9,8 +9,8 @@ use super::problem::CalibrationProblem;
 use super::solver::Solution;
 use super::{
     CalibratedRobot, Contradiction, DependentGroup, Estimate, FrameChoice, IdentificationOptions,
-    LeastSquares, NoiseScale, Outlier, ParameterEstimate, Redundancy, Spectrum, Warning, analyse_columns,
-    analyse_r,
+    LeastSquares, NoiseScale, Outlier, ParameterEstimate, Redundancy, Spectrum, Stated, Warning,
+    analyse_columns, analyse_r,
 };
 use crate::measurement::MeasurementSet;
 use crate::model::ParameterId;
@@ -226,7 +226,8 @@ pub(super) fn left_open_warnings(
 ///
 /// Priors that are contradicted make chi-square large, too. So the model is doubted only where chi-square fails without them; and where it
 /// is, priors are looked at with the noise that the residuals have, told in one sentence, and not held against the estimate: what a model
-/// lacks pulls at all of them.
+/// lacks pulls at all of them. The place of a station is not held against it either: its nests confirm each other, and a shift of the base
+/// stands in for much that a model can lack.
 fn doubts(
     solution: &Solution,
     noise: NoiseScale,
@@ -247,19 +248,32 @@ fn doubts(
             || freedom == 0
             || chi2_survival(per_dof(chi2, freedom) * dof, dof) >= INCONSISTENT
     };
-    let nothing = Found { contradictions: Vec::new(), chi2: 0.0, freedom: 0 };
-    let found = checks.map_or(nothing, |checks| checks.of_priors(1.0));
-    let freedom = degrees_of_freedom.saturating_sub(found.freedom);
-    let rest = solution.cost - found.chi2;
+    let found = checks.map_or_else(Found::default, |checks| checks.of_priors(1.0));
+    let left = |chi2: f64, out: usize| (solution.cost - chi2, degrees_of_freedom.saturating_sub(out));
+    let (chi2, freedom) = left(found.chi2, found.freedom);
+    let is_place = |c: &Contradiction| matches!(c.stated, Stated::Nests { .. });
     let mut warnings = Vec::new();
     let mut contradicted = checks.map_or_else(Vec::new, Checks::of_nests);
-    if fits(rest, freedom) {
-        contradicted.splice(0..0, found.contradictions);
+    let inconsistent = Warning::Inconsistent { ratio: per_dof(solution.cost, degrees_of_freedom).sqrt() };
+    if fits(chi2, freedom) {
+        let (places, others): (Vec<_>, Vec<_>) = found.contradictions.into_iter().partition(is_place);
+        let sum = |list: &[Contradiction]| {
+            (list.iter().map(|c| c.chi2).sum(), list.iter().map(|c| c.freedom).sum())
+        };
+        let (of_others, out) = sum(&others);
+        let (chi2, freedom) = left(of_others, out);
+        if !fits(chi2, freedom) {
+            warnings.push(inconsistent);
+        }
+        warnings.extend(places.into_iter().map(Warning::Moved));
+        contradicted.splice(0..0, others);
     } else {
-        warnings.push(Warning::Inconsistent { ratio: per_dof(solution.cost, degrees_of_freedom).sqrt() });
-        let strained = checks.map_or_else(Vec::new, |c| c.of_priors(per_dof(rest, freedom)).contradictions);
+        warnings.push(inconsistent);
+        let strained = checks.map_or_else(Vec::new, |c| c.of_priors(per_dof(chi2, freedom)).contradictions);
         let count = strained.len();
-        warnings.extend(strained.into_iter().next().map(|worst| Warning::Strained { count, worst }));
+        warnings.extend(strained.into_iter().next().map(|worst| {
+            if is_place(&worst) { Warning::Moved(worst) } else { Warning::Strained { count, worst } }
+        }));
     }
     if !contradicted.is_empty() {
         warnings.push(Warning::Contradicted(contradicted.clone()));

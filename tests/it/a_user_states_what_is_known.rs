@@ -112,28 +112,25 @@ fn a_bound_that_cannot_be_is_refused_at_its_line() {
     );
 }
 
-/// The truth is -17.1 mrad.
+/// The truth is 14.8 mrad.
 #[test]
 fn a_bound_in_a_scenario_is_kept_told_and_replayed() {
     let sandbox = bounded(
-        "\n[[identification.bound]]\nparameter = \"delta_theta4\"\nmin_mrad = -5\n\
+        "\n[[identification.bound]]\nparameter = \"delta_beta4\"\nmax_mrad = 5\n\
          [[identification.bound]]\nparameter = \"delta_a4\"\nmin_mm = -30\nmax_mm = 30\n",
     );
     let check = sandbox.run(["check", SCENARIO]);
-    assert!(check.stdout.contains("bounds       delta_theta4 at least -5 mrad\n"), "{}", check.stdout);
+    assert!(check.stdout.contains("bounds       delta_beta4 at most 5 mrad\n"), "{}", check.stdout);
     assert!(check.stdout.contains(" delta_a4 -30 to 30 mm\n"), "{}", check.stdout);
     let ended = sandbox.run(["run", SCENARIO, "--out", "out"]);
     assert_eq!(ended.code, Some(3), "{ended:?}");
     assert!(
-        ended.stderr.contains("doubtful: only calibration: delta_theta4 ended at its bound -5 mrad"),
+        ended.stderr.contains("doubtful: only calibration: delta_beta4 ended at its bound 5 mrad"),
         "{ended:?}"
     );
     assert!(!ended.stderr.contains("delta_a4 ended"), "{ended:?}");
     let text = ended.stdout.split_whitespace().collect::<Vec<_>>().join(" ");
-    assert!(
-        text.contains("held within bounds: delta_theta4 at least -5 mrad, delta_a4 -30 to 30 mm"),
-        "{text}"
-    );
+    assert!(text.contains("held within bounds: delta_beta4 at most 5 mrad, delta_a4 -30 to 30 mm"), "{text}");
     let report: serde_json::Value = serde_json::from_str(&sandbox.read("out/report.json")).expect("JSON");
     let estimate = &report["estimates"]["only_calibration"];
     assert_eq!(estimate["status"], "at_bound");
@@ -141,15 +138,15 @@ fn a_bound_in_a_scenario_is_kept_told_and_replayed() {
         let parameters = report["parameters"].as_array().expect("a list");
         parameters.iter().find(|p| p["name"] == name).expect("the parameter")["estimate"].as_f64()
     };
-    assert_eq!((of("delta_theta4"), estimate["bounds"][0]["min"].as_f64()), (Some(-5e-3), Some(-5e-3)));
-    assert!(estimate["bounds"][0]["max"].is_null());
+    assert_eq!((of("delta_beta4"), estimate["bounds"][0]["max"].as_f64()), (Some(5e-3), Some(5e-3)));
+    assert!(estimate["bounds"][0]["min"].is_null());
     assert_eq!(estimate["bounds"][1]["unit"], "m");
-    assert!(sandbox.read("out/report.html").contains("Held within bounds: delta_theta4 at least -5 mrad"));
+    assert!(sandbox.read("out/report.html").contains("Held within bounds: delta_beta4 at most 5 mrad"));
     // The recording holds the scenario, and with it the bounds.
     let replayed = sandbox.run(["replay", "out/recording.mcap"]);
     assert_eq!(replayed.code, Some(3), "{replayed:?}");
     assert!(replayed.stdout.contains("1 recorded estimates, all identical bit for bit"), "{replayed:?}");
-    assert!(replayed.stderr.contains("delta_theta4 ended at its bound -5 mrad"), "{replayed:?}");
+    assert!(replayed.stderr.contains("delta_beta4 ended at its bound 5 mrad"), "{replayed:?}");
 }
 
 #[test]
@@ -191,11 +188,11 @@ fn a_bound_on_the_command_line_is_kept_or_refused() {
         let parameters = report["parameters"].as_array().expect("a list").clone();
         parameters.iter().find(|p| p["name"] == name).and_then(|p| p["estimate"].as_f64()).expect("a number")
     };
-    assert!(value(&free, "delta_theta4") < -10e-3);
-    let ended = identify(&["--bound", "delta_theta4=-5mrad..", "--bound", "delta_a4=-90mm..90mm", "--json"]);
+    assert!(value(&free, "delta_beta4") > 10e-3);
+    let ended = identify(&["--bound", "delta_beta4=..5mrad", "--bound", "delta_a4=-90mm..90mm", "--json"]);
     assert_eq!(ended.code, Some(3), "{ended:?}");
-    assert!(ended.stderr.contains("delta_theta4 ended at its bound -5 mrad"), "{ended:?}");
-    assert_eq!(value(&ended, "delta_theta4"), -5e-3);
+    assert!(ended.stderr.contains("delta_beta4 ended at its bound 5 mrad"), "{ended:?}");
+    assert_eq!(value(&ended, "delta_beta4"), 5e-3);
 }
 
 #[test]
@@ -313,7 +310,9 @@ fn a_plan_that_cannot_tell_everything_names_what_it_cannot() {
         ended.stdout.contains("warning: gravity hardly loads compliance_drive2 in these poses"),
         "{ended:?}"
     );
-    sandbox.set(IDENTIFICATION, "parameters", "[\"delta_d3\", \"delta_d4\", \"delta_a2\"]");
+    // Along the rail and along the base: the same.
+    sandbox.set(IDENTIFICATION, "parameters", "[\"delta_d1\", \"delta_a2\"]");
+    sandbox.set(IDENTIFICATION, "frame", "\"free\"");
     let ended = sandbox.run([
         "identifiability",
         SCENARIO,
@@ -323,7 +322,10 @@ fn a_plan_that_cannot_tell_everything_names_what_it_cannot() {
         "compliance_drive3",
     ]);
     assert_eq!(ended.code, Some(3), "{ended:?}");
-    assert!(ended.stdout.contains("delta_d4 with delta_d3 cannot be told apart"), "{ended:?}");
+    assert!(
+        ended.stdout.contains("rank 11 of 12 parameters: frame_z with delta_d1 cannot be told apart"),
+        "{ended:?}"
+    );
     let spread =
         sandbox.run(["identifiability", "--model", "models/ur5/robot.toml", "--mode", "elasto_geometric"]);
     assert_eq!(spread.code, Some(0), "{spread:?}");

@@ -200,6 +200,32 @@ fn an_estimate_names_a_nest_and_a_target_that_are_not_where_they_were_stated() {
     assert!(told.to_string().contains("at least"), "{told}");
 }
 
+/// The base as the nests have it is turned by 1 mrad about each axis.
+#[test]
+fn a_tracker_that_moved_after_its_nests_were_measured_is_told() {
+    let nominal = painter();
+    let mut set = measure(&truth(&nominal, &[], Vec::new()), 60, 1.0);
+    for nest in &mut set.stations[0].nests {
+        let turned =
+            crate::geometry::small_displacement(&nalgebra::Vector6::new(0.0, 0.0, 0.0, 1e-3, 1e-3, 1e-3));
+        nest.in_base = turned.transform_point(&nest.in_base.into()).coords;
+    }
+    // Few link parameters, so that these cannot stand in for it.
+    let options = IdentificationOptions {
+        parameters: crate::identification::ParameterChoice::Listed(Vec::new()),
+        ..elastic(0.1)
+    };
+    let estimate = identify(&nominal, &set, &options).expect("an estimate");
+    let told: Vec<_> = estimate.warnings.iter().map(ToString::to_string).collect();
+    assert!(estimate.contradicted.is_empty() && estimate.is_sound(), "{told:?}");
+    let words = told.iter().find(|w| w.contains("the tracker moved")).expect("told");
+    assert!(
+        words.contains("the nests of station T1 (they put the base ") && words.contains("1.73 mrad"),
+        "{words}"
+    );
+    assert!(has_inconsistent(&estimate));
+}
+
 #[test]
 fn where_the_model_itself_does_not_fit_one_sentence_tells_of_the_priors_and_none_is_held_against_it() {
     let nominal = painter();
@@ -211,6 +237,7 @@ fn where_the_model_itself_does_not_fit_one_sentence_tells_of_the_priors_and_none
     let estimate = identify(&nominal, &set, &options).expect("an estimate");
     assert!(has_inconsistent(&estimate) && estimate.contradicted.is_empty() && estimate.is_sound());
     let strained = estimate.warnings.iter().filter(|w| matches!(w, Warning::Strained { .. })).count();
-    assert!(strained <= 1 && estimate.warnings.len() <= 2 + estimate.spectrum.weak.len());
+    let moved = estimate.warnings.iter().filter(|w| matches!(w, Warning::Moved(_))).count();
+    assert!(strained + moved <= 1 && estimate.warnings.len() <= 2 + estimate.spectrum.weak.len());
     println!("{:#?}", estimate.warnings.iter().map(ToString::to_string).collect::<Vec<_>>());
 }
