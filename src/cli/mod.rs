@@ -38,7 +38,9 @@ struct Cli {
     command: Command,
 }
 
-const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done but doubtful (rank-deficient, not converged, replay differs).
+const EXIT_CODES: &str =
+    "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done but doubtful (rank-deficient, not converged, at a
+bound, against what was stated beforehand, replay differs).
 Set NO_COLOR=1 for plain text.";
 
 #[derive(Debug, Subcommand)]

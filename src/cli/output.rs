@@ -237,7 +237,10 @@ pub(super) fn verdict(outcome: &Outcome) -> Verdict {
                         names.join(", ")
                     ));
                 }
-                Warning::RankDeficient { .. } | Warning::AtBound { .. } | Warning::Rigid { .. } => {
+                Warning::RankDeficient { .. }
+                | Warning::AtBound { .. }
+                | Warning::Rigid { .. }
+                | Warning::Contradicted(_) => {
                     say(&format!("doubtful: {title}: {warning}"));
                 }
                 _ => {}

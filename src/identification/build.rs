@@ -32,6 +32,8 @@ pub(super) struct Built {
     pub unexcited: Vec<ParameterId>,
     /// Parameters that were left out as redundant.
     pub fixed: Vec<DependentGroup>,
+    /// All parameters that were left out: those, and what gravity does not load.
+    pub left_out: Vec<ParameterId>,
 }
 
 /// The problem of `options`, with what gravity does not excite left out, and what is redundant where it shall be fixed.
@@ -63,6 +65,7 @@ pub(super) fn build(
     };
     let dropped: Vec<bool> = columns.iter().zip(&unexcited).map(is_dropped).collect();
     let dropped: Vec<usize> = (0..columns.len()).filter(|place| dropped[*place]).collect();
+    let left_out = dropped.iter().map(|place| columns[*place].id).collect();
     if !dropped.is_empty() {
         columns =
             columns.into_iter().enumerate().filter(|(i, _)| !dropped.contains(i)).map(|(_, c)| c).collect();
@@ -73,7 +76,7 @@ pub(super) fn build(
     // What is left of a group are the robot's own parameters: frame and target stay in the fit.
     fixed.retain(|group| !columns.iter().any(|column| column.id == group.redundant));
     built.problem.start_from(residuals, jacobian);
-    Ok(Built { unexcited: named, fixed, ..built })
+    Ok(Built { unexcited: named, fixed, left_out, ..built })
 }
 
 /// The triangular factor of observations, nests and targets, with the columns of links, frame and target first.
@@ -147,7 +150,7 @@ pub(super) fn redundant(measured: &DMatrix<f64>, parameters: &[ParameterId]) -> 
 }
 
 /// Residuals and Jacobian of the nominal robot.
-fn start(problem: &mut CalibrationProblem) -> Result<(DVector<f64>, DMatrix<f64>), IdentifyError> {
+pub(super) fn start(problem: &mut CalibrationProblem) -> Result<(DVector<f64>, DMatrix<f64>), IdentifyError> {
     let (m, n) = (problem.rows(), problem.parameters());
     let mut residuals = DVector::zeros(m);
     let mut jacobian = DMatrix::zeros(m, n);
@@ -195,7 +198,7 @@ fn assemble(
         targets,
         start: None,
     };
-    Ok(Built { problem, sigmas, unexcited: Vec::new(), fixed: Vec::new() })
+    Ok(Built { problem, sigmas, unexcited: Vec::new(), fixed: Vec::new(), left_out: Vec::new() })
 }
 
 fn stations(

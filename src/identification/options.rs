@@ -1,6 +1,6 @@
 //! What to fit, and how.
 
-use super::{Mode, SolverOptions};
+use super::{Mode, ParameterBound, SolverOptions};
 use crate::measurement::MeasurementSet;
 use crate::model::{Compliance, ParameterId, Unit};
 
@@ -130,6 +130,8 @@ pub struct IdentificationOptions {
     pub unmodelled_sigma: f64,
     /// A prior on every link parameter, where stated.
     pub tolerance: Option<Tolerance>,
+    /// Limits of single parameters; each holds in the modes that have the parameter.
+    pub bounds: Vec<ParameterBound>,
     /// What the solver minimises, and when it stops.
     pub solver: SolverOptions,
 }
@@ -153,6 +155,7 @@ impl Default for IdentificationOptions {
             target: TargetChoice::Measured,
             unmodelled_sigma: 0.0,
             tolerance: None,
+            bounds: Vec::new(),
             solver: SolverOptions::default(),
         }
     }

@@ -15,15 +15,15 @@ use crate::random::{Source, stream};
 
 const SIGMA: f64 = 1e-5;
 /// Shoulder, elbow (which turns the crank) and waist by index.
-const SHOULDER: Compliance = Compliance::Drive { joint: 2 };
-const ELBOW: Compliance = Compliance::Drive { joint: 3 };
-const WAIST: Compliance = Compliance::Drive { joint: 1 };
+pub(super) const SHOULDER: Compliance = Compliance::Drive { joint: 2 };
+pub(super) const ELBOW: Compliance = Compliance::Drive { joint: 3 };
+pub(super) const WAIST: Compliance = Compliance::Drive { joint: 1 };
 
-fn painter() -> CalibrationModel {
+pub(super) fn painter() -> CalibrationModel {
     load_robot(Path::new("models/spray_painter/robot.toml")).expect("the shipped robot").model
 }
 
-fn truth(
+pub(super) fn truth(
     nominal: &CalibrationModel,
     deviations: &[(ParameterId, f64)],
     terms: Vec<(TermId, f64)>,
@@ -42,7 +42,7 @@ fn truth(
 }
 
 /// Poses about the middle of the limits, approached from both sides, as `robot` takes them, with `noise` standard deviations of noise.
-fn measure(robot: &CalibratedRobot, poses: usize, noise: f64) -> MeasurementSet {
+pub(super) fn measure(robot: &CalibratedRobot, poses: usize, noise: f64) -> MeasurementSet {
     let links = &robot.model.kinematics.links;
     let mut rng = stream(5, 0, Source::IdentificationNoise);
     let covariance = Matrix3::identity() * SIGMA * SIGMA;
@@ -100,12 +100,12 @@ fn measure(robot: &CalibratedRobot, poses: usize, noise: f64) -> MeasurementSet 
 }
 
 /// Some millimetres and milliradians in all that the rules keep.
-fn geometric_errors(nominal: &CalibrationModel) -> Vec<(ParameterId, f64)> {
+pub(super) fn geometric_errors(nominal: &CalibrationModel) -> Vec<(ParameterId, f64)> {
     let kept = neighbour_axis_rules(&nominal.kinematics).0.into_iter().enumerate();
     kept.map(|(i, id)| (id, 4e-3 * (2.3 * i as f64 + 0.4).sin())).collect()
 }
 
-fn options(mode: Mode) -> IdentificationOptions {
+pub(super) fn options(mode: Mode) -> IdentificationOptions {
     IdentificationOptions {
         mode,
         extended_parameters: ParameterChoice::NeighbourAxisRules,

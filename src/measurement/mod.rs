@@ -9,7 +9,7 @@ pub use self::columns::{ColumnMap, load_column_map, parse_column_map};
 pub use self::csv::{
     CsvError, LoadedMeasurements, parse_measurements, read_measurements, write_measurements,
 };
-pub use registration::{Registration, RegistrationError, register};
+pub use registration::{NestSystem, Registration, RegistrationError, nest_system, register};
 
 use nalgebra::{Matrix3, Vector3};
 

@@ -319,7 +319,9 @@ fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
         spectrum: Spectrum { rank: n, condition: 41.5, ..Spectrum::default() },
         held: Vec::new(),
         fixed: Vec::new(),
+        bounds: Vec::new(),
         at_bound: Vec::new(),
+        contradicted: Vec::new(),
         outliers: Vec::new(),
         warnings: vec![Warning::Inconsistent { ratio: 1.12 }],
     }
