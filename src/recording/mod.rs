@@ -7,14 +7,22 @@
 //! Times are simulated: the observations' own where they increase, else one second a pose. The same outcome gives the same bytes of MCAP.
 
 mod error;
+#[cfg(feature = "rerun")]
+mod figures;
 mod file;
 mod mcap_reader;
 mod mcap_writer;
 mod provenance;
 #[cfg(feature = "rerun")]
+mod rerun_analysis;
+#[cfg(feature = "rerun")]
 mod rerun_layout;
 #[cfg(feature = "rerun")]
+mod rerun_live;
+#[cfg(feature = "rerun")]
 mod rerun_sink;
+#[cfg(feature = "rerun")]
+mod rerun_views;
 mod scene;
 pub mod schema;
 mod story;
@@ -28,6 +36,8 @@ pub use error::RecordingError;
 pub use mcap_reader::{RecordedEstimate, RecordedParameter, Recording, read_recording};
 pub use mcap_writer::{McapRecorder, write_mcap};
 pub use provenance::{Provenance, SCHEMA};
+#[cfg(feature = "rerun")]
+pub use rerun_live::{LiveRecorder, VIEWER_URL, Viewer, viewer_url};
 #[cfg(feature = "rerun")]
 pub use rerun_sink::{RerunRecorder, write_rrd};
 pub use scene::{Chain, ChainKind, Sighting};

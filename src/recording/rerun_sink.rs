@@ -10,19 +10,22 @@ use rerun::archetypes::{
     TextLog, Transform3D, ViewCoordinates,
 };
 use rerun::components::{Color, FillMode, Radius, TextLogLevel};
-use rerun::log::ChunkBatcherConfig;
-use rerun::sink::MemorySinkStorage;
+use rerun::external::re_log_encoding::Encoder;
+use rerun::log::{ChunkBatcherConfig, ChunkResult, LogMsg};
+use rerun::sink::{LogSink, MemorySinkStorage};
 use rerun::{AsComponents, Quaternion, RecordingStream, RecordingStreamBuilder};
 
 use super::file::write_whole;
+use super::rerun_analysis::COST;
 use super::scene::{self, Arrow, Colour};
 use super::{
-    Chain, ChainKind, LogEntry, LogLevel, PoseStep, Recorder, RecordingError, record, rerun_layout, tables,
+    Chain, ChainKind, DEFLECTION_SCALE, LogEntry, LogLevel, PoseStep, RESIDUAL_SCALE, Recorder,
+    RecordingError, record, rerun_layout, tables,
 };
 use crate::geometry::Transform;
 use crate::identification::Mode;
 use crate::model::{Visual, VisualShape};
-use crate::pipeline::{ModeOutcome, Outcome};
+use crate::pipeline::{ModeOutcome, Outcome, SetKind};
 
 pub(super) const APPLICATION: &str = "calibrig";
 /// Root of all that is drawn in the base frame.
@@ -30,7 +33,14 @@ pub(super) const SCENE: &str = "scene";
 /// Residual arrows; the scale is [`super::RESIDUAL_SCALE`].
 pub(super) const ARROWS: &str = "scene/residual_x100";
 pub(super) const AXES: [&str; 3] = ["x", "y", "z"];
-const CURVES: [&str; 4] = ["x", "y", "z", "norm"];
+pub(super) const NORM: &str = "norm";
+const CURVES: [&str; 4] = ["x", "y", "z", NORM];
+/// The machine larger than life; the scale is [`super::DEFLECTION_SCALE`].
+pub(super) const DEFLECTED: &str = "scene/deflection_x100";
+/// The robot as identified.
+pub(super) const CALIBRATED: &str = "scene/calibrated";
+/// Length of the bars that show the scale of what is drawn larger than life, m.
+const SCALE_BAR: f64 = 0.5;
 /// Of the target, by all that yields.
 pub(super) const DEFLECTION: &str = "machine/deflection_mm";
 pub(super) const ROD_FORCE: &str = "machine/rod_force_n";
@@ -46,42 +56,92 @@ pub fn write_rrd(outcome: &Outcome, path: &Path) -> Result<(), RecordingError> {
     })
 }
 
-/// Gathers a Rerun recording in memory.
+/// Makes a Rerun recording: in memory, or in an open viewer ([`LiveRecorder`](super::LiveRecorder)).
 pub struct RerunRecorder {
     stream: RecordingStream,
-    storage: MemorySinkStorage,
-    /// Running number of the pose last told.
-    pose: i64,
+    /// What was told, unless a viewer is told; the layout comes first.
+    layout: Vec<LogMsg>,
+    storage: Option<MemorySinkStorage>,
+    /// The poses that were told.
+    poses: Vec<Told>,
+}
+
+/// A pose that was told: its running number, time (s), set, and the place of its first observation there.
+#[derive(Debug, Clone, Copy)]
+struct Told {
+    number: i64,
+    seconds: f64,
+    set: SetKind,
+    first: usize,
 }
 
 impl RerunRecorder {
-    /// Begins a recording whose views suit `outcome`.
+    /// Begins a recording in memory, with views that suit `outcome`.
     pub fn new(outcome: &Outcome) -> Result<Self, RecordingError> {
-        let (stream, storage) = RecordingStreamBuilder::new(APPLICATION)
-            // Whatever the environment says: the user asked for the file.
-            .enabled(true)
+        let layout = rerun_layout::messages(outcome)?;
+        let (stream, storage) = builder(outcome)
             // Cut into chunks by their size alone, not by the clock.
             .batcher_config(ChunkBatcherConfig { flush_tick: Duration::MAX, ..ChunkBatcherConfig::DEFAULT })
-            .recording_name(outcome.input.name.as_str())
             .memory()
             .map_err(RecordingError::unrecordable)?;
-        rerun_layout::send(outcome, &stream)?;
+        Ok(Self::on(stream, layout, Some(storage)))
+    }
+
+    /// Begins a recording that `sink` is told at once.
+    pub(super) fn telling(outcome: &Outcome, sink: Box<dyn LogSink>) -> Result<Self, RecordingError> {
+        sink.send_all(rerun_layout::messages(outcome)?);
+        let stream = builder(outcome)
+            .batcher_config(sink.default_batcher_config())
+            .buffered()
+            .map_err(RecordingError::unrecordable)?;
+        stream.set_sink(sink);
+        Ok(Self::on(stream, Vec::new(), None))
+    }
+
+    fn on(stream: RecordingStream, layout: Vec<LogMsg>, storage: Option<MemorySinkStorage>) -> Self {
         stream.set_log_time_enabled(false);
         stream.set_log_tick_enabled(false);
-        Ok(Self { stream, storage, pose: 0 })
+        Self { stream, layout, storage, poses: Vec::new() }
     }
 
     /// The bytes of the file.
     pub fn finish(self) -> Result<Vec<u8>, RecordingError> {
-        self.storage.drain_as_bytes().map_err(RecordingError::unrecordable)
+        // In front: a viewer that has read a part of the recording first makes up a layout of its own and keeps it.
+        let messages = self.messages();
+        Encoder::encode(messages.iter().map(ChunkResult::Ok)).map_err(RecordingError::unrecordable)
     }
 
-    fn fixed(&self, path: &str, shape: &impl AsComponents) -> Result<(), RecordingError> {
+    /// All that was told in memory, and not yet taken.
+    fn messages(mut self) -> Vec<LogMsg> {
+        let mut messages = std::mem::take(&mut self.layout);
+        messages.extend(self.storage.iter().flat_map(MemorySinkStorage::take));
+        messages
+    }
+
+    pub(super) fn into_stream(self) -> RecordingStream {
+        self.stream
+    }
+
+    pub(super) fn fixed(&self, path: &str, shape: &impl AsComponents) -> Result<(), RecordingError> {
         self.stream.log_static(path, shape).map_err(RecordingError::unrecordable)
     }
 
-    fn put(&self, path: &str, shape: &impl AsComponents) -> Result<(), RecordingError> {
+    pub(super) fn put(&self, path: &str, shape: &impl AsComponents) -> Result<(), RecordingError> {
         self.stream.log(path, shape).map_err(RecordingError::unrecordable)
+    }
+
+    /// What follows belongs to iteration `index`, from 0.
+    pub(super) fn at_iteration(&self, index: usize) {
+        self.stream.reset_time();
+        self.stream
+            .set_time_sequence("iteration", i64::try_from(index).unwrap_or(i64::MAX).saturating_add(1));
+    }
+
+    /// What follows belongs to a pose.
+    fn at_pose(&self, told: Told) {
+        self.stream.reset_time();
+        self.stream.set_time_sequence("pose", told.number);
+        self.stream.set_duration_secs("sim_time", told.seconds);
     }
 
     fn robot(&self, outcome: &Outcome) -> Result<(), RecordingError> {
@@ -145,6 +205,27 @@ impl RerunRecorder {
         self.fixed(&format!("{SCENE}/nests"), &nests)
     }
 
+    /// Bars beside the first tracker (or the base) that show how long an error or a deflection is drawn.
+    fn scales(&self, outcome: &Outcome) -> Result<(), RecordingError> {
+        let up = scene::up(outcome);
+        let place = scene::trackers(outcome).first().map_or_else(Vector3::zeros, |t| t.translation.vector);
+        let bar = |path: &str, what: &str, scale: f64, place: Vector3<f64>, colour: Colour| {
+            let along = SCALE_BAR * scene::across(&up).into_inner();
+            let bar = Arrows3D::from_vectors([xyz(&along)])
+                .with_origins([xyz(&place)])
+                .with_labels([format!("{:.0} mm of {what}", 1e3 * SCALE_BAR / scale)])
+                .with_show_labels(true)
+                .with_colors([color(colour)])
+                .with_radii([Radius::new_ui_points(3.0)]);
+            self.fixed(path, &bar)
+        };
+        bar(&format!("{ARROWS}/scale"), "error", RESIDUAL_SCALE, place + 0.5 * up, scene::POINT)?;
+        if outcome.truth.is_none() {
+            return Ok(());
+        }
+        bar(&format!("{DEFLECTED}/scale"), "deflection", DEFLECTION_SCALE, place + 0.5 * up, scene::DEFLECTED)
+    }
+
     /// All measured points and all arrows: they do not change with the pose.
     fn measured(&self, outcome: &Outcome) -> Result<(), RecordingError> {
         for (index, set) in outcome.sets.iter().enumerate() {
@@ -174,11 +255,11 @@ impl RerunRecorder {
                 .with_names([title])
                 .with_colors([color(scene::mode_colour(mode.mode))])
                 .with_widths([1.5]);
-            for axis in AXES.into_iter().chain(["norm"]) {
+            for axis in CURVES {
                 self.fixed(&format!("residual_mm/{axis}/{key}"), &curve)?;
             }
             if mode.estimate.is_some() {
-                self.fixed(&format!("cost_log10/{key}"), &curve)?;
+                self.fixed(&format!("{COST}/{key}"), &curve)?;
             }
         }
         if outcome.truth.is_none() {
@@ -203,14 +284,17 @@ impl RerunRecorder {
         self.fixed(path, &TextDocument::from_markdown(markdown))
     }
 
-    fn chain(&self, chain: &Chain) -> Result<(), RecordingError> {
-        let ghost = chain.kind.is_ghost();
+    /// A robot: with its links' shapes, or as a line alone.
+    fn chain(&self, chain: &Chain, ghost: bool) -> Result<(), RecordingError> {
         for (i, link) in chain.links.iter().enumerate().filter(|_| !ghost) {
             let place =
                 Transform3D::from_translation_rotation(xyz(&link.translation.vector), quaternion(link));
             self.put(&link_path(chain, i), &place)?;
         }
-        let colour = [color(chain.kind.colour())];
+        // Beside the machine, the calibrated robot has to be told from it.
+        let beside = ghost && chain.kind == ChainKind::Calibrated;
+        let colour = if beside { scene::mode_colour(Mode::Extended) } else { chain.kind.colour() };
+        let colour = [color(colour)];
         let root = format!("{SCENE}/{}", chain.kind.key());
         let thickness = if chain.kind == ChainKind::Nominal { 1.0 } else { 2.5 };
         let strip = |points: &[Vector3<f64>]| LineStrips3D::new([points.iter().map(xyz).collect::<Vec<_>>()]);
@@ -225,13 +309,41 @@ impl RerunRecorder {
             };
             self.put(&format!("{root}/linkage"), &strip(linkage).with_colors(colour).with_radii([radius]))?;
         }
-        let Some(label) = chain.kind.label() else { return Ok(()) };
-        let label = Points3D::new([xyz(&chain.target)])
+        Ok(())
+    }
+
+    /// How far the target gives way, as long as the machine larger than life has it.
+    fn deflection(&self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
+        let (Some(deflection), Some(rigid)) = (step.deflection(0), step.rigid.first()) else { return Ok(()) };
+        let drawn = DEFLECTION_SCALE * deflection;
+        let label =
+            format!("{:.1} mm of deflection, drawn as {:.2} m", 1e3 * deflection.norm(), drawn.norm());
+        let arrow = Arrows3D::from_vectors([xyz(&drawn)])
+            .with_origins([xyz(&rigid.target)])
             .with_labels([label])
             .with_show_labels(true)
-            .with_colors(colour)
-            .with_radii([0.04]);
-        self.put(&format!("{root}/label"), &label)
+            .with_colors([color(scene::DEFLECTED)])
+            .with_radii([Radius::new_ui_points(2.5)]);
+        self.put(&format!("{DEFLECTED}/at_target"), &arrow)
+    }
+
+    /// The robot before calibration and as identified at every pose, beside what was told of the pose itself.
+    fn robots(&self, outcome: &Outcome) -> Result<(), RecordingError> {
+        for told in &self.poses {
+            let Some(set) = outcome.sets.iter().find(|set| set.kind == told.set) else { continue };
+            let Some(observation) = set.measurements.observations.get(told.first) else { continue };
+            self.at_pose(*told);
+            if outcome.truth.is_none() {
+                // The calibrated one stands for the machine and was told with the pose.
+                if let Some(nominal) = scene::nominal_chain(outcome, &set.measurements, observation) {
+                    self.chain(&nominal, true)?;
+                }
+            } else if let Some(calibrated) = scene::calibrated_chain(outcome, observation) {
+                self.chain(&calibrated, true)?;
+            }
+        }
+        self.stream.reset_time();
+        Ok(())
     }
 
     /// The simulated machine at the first observation of a pose.
@@ -284,6 +396,7 @@ impl Recorder for RerunRecorder {
         self.fixed(SCENE, &coordinates(&scene::up(outcome)))?;
         self.robot(outcome)?;
         self.instruments(outcome)?;
+        self.scales(outcome)?;
         self.measured(outcome)?;
         self.curves(outcome)?;
         self.document("tables/accuracy", tables::about(outcome) + &tables::accuracy(outcome))?;
@@ -292,27 +405,33 @@ impl Recorder for RerunRecorder {
     }
 
     fn pose(&mut self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
-        self.pose = i64::from(step.number);
-        self.stream.set_time_sequence("pose", self.pose);
-        self.stream.set_duration_secs("sim_time", step.time() as f64 * 1e-9);
+        let told = Told {
+            number: i64::from(step.number),
+            seconds: step.time() as f64 * 1e-9,
+            set: step.set.kind,
+            first: step.first,
+        };
+        self.poses.push(told);
+        self.at_pose(told);
         for chain in &step.chains {
-            self.chain(chain)?;
+            self.chain(chain, chain.kind.is_ghost())?;
         }
+        self.deflection(step)?;
         self.sightings(step)?;
         self.residuals(step)?;
         self.machine(step)?;
         self.put("tables/pose", &TextDocument::from_markdown(tables::pose(step)))
     }
 
-    fn estimate(&mut self, _: u64, _: &Outcome, mode: &ModeOutcome) -> Result<(), RecordingError> {
-        self.stream.reset_time();
-        for (number, iteration) in (1_i64..).zip(mode.estimate.iter().flat_map(|e| &e.iterations)) {
-            self.stream.set_time_sequence("iteration", number);
-            // Costs fall by many powers of ten; an exact fit has none.
-            let exponent = iteration.cost.log10();
-            if exponent.is_finite() {
-                self.put(&format!("cost_log10/{}", mode.mode.key()), &Scalars::single(exponent))?;
-            }
+    fn estimate(&mut self, _: u64, outcome: &Outcome, mode: &ModeOutcome) -> Result<(), RecordingError> {
+        if let Some(estimate) = &mode.estimate {
+            self.correlations(mode.mode, estimate)?;
+            self.convergence(mode.mode, estimate)?;
+        }
+        if outcome.modes.last().is_some_and(|last| last.mode == mode.mode) {
+            self.histograms(outcome)?;
+            self.document("tables/convergence", tables::convergence(outcome))?;
+            self.robots(outcome)?;
         }
         self.stream.reset_time();
         Ok(())
@@ -323,10 +442,16 @@ impl Recorder for RerunRecorder {
             LogLevel::Info => TextLogLevel::INFO,
             LogLevel::Warning => TextLogLevel::WARN,
         };
-        self.stream.set_time_sequence("pose", self.pose);
+        let pose = self.poses.last().map_or(0, |told| told.number);
+        self.stream.set_time_sequence("pose", pose);
         self.stream.set_duration_secs("sim_time", entry.time as f64 * 1e-9);
         self.put("log", &TextLog::new(entry.message.as_str()).with_level(level))
     }
+}
+
+fn builder(outcome: &Outcome) -> RecordingStreamBuilder {
+    // Whatever the environment says: the user asked for it.
+    RecordingStreamBuilder::new(APPLICATION).enabled(true).recording_name(outcome.input.name.as_str())
 }
 
 fn link_path(chain: &Chain, index: usize) -> String {
@@ -342,7 +467,7 @@ fn arrows3d(arrows: &[Arrow], rgba: Colour, thickness: f32) -> Arrows3D {
 
 /// Pictures are in single precision: 0.2 µm at 4 m.
 #[allow(clippy::cast_possible_truncation)]
-fn single(value: f64) -> f32 {
+pub(super) fn single(value: f64) -> f32 {
     value as f32
 }
 
@@ -355,7 +480,7 @@ fn quaternion(transform: &Transform) -> Quaternion {
     Quaternion::from_xyzw([q.i, q.j, q.k, q.w].map(single))
 }
 
-fn color([r, g, b, a]: Colour) -> Color {
+pub(super) fn color([r, g, b, a]: Colour) -> Color {
     Color::from_unmultiplied_rgba(r, g, b, a)
 }
 
@@ -375,7 +500,7 @@ mod tests {
     use super::*;
     use std::collections::{BTreeMap, BTreeSet};
 
-    use rerun::log::{Chunk, LogMsg};
+    use rerun::log::Chunk;
 
     use crate::recording::synthetic;
 
@@ -396,7 +521,7 @@ mod tests {
             timelines: BTreeSet::new(),
             activated: false,
         };
-        for message in recorder.storage.take() {
+        for message in recorder.messages() {
             match message {
                 LogMsg::ArrowMsg(store, message) => {
                     let chunk = Chunk::from_arrow_msg(&message).expect("sound");

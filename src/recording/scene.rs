@@ -145,7 +145,8 @@ fn exaggerated(from: &Transform, to: &Transform) -> Transform {
     )
 }
 
-fn nominal_chain(
+/// The robot before calibration.
+pub(super) fn nominal_chain(
     outcome: &Outcome,
     measurements: &MeasurementSet,
     observation: &Observation,
@@ -161,7 +162,8 @@ fn nominal_chain(
     chain_of(ChainKind::Nominal, model, &observation.command, links, &target)
 }
 
-fn calibrated_chain(outcome: &Outcome, observation: &Observation) -> Option<Chain> {
+/// The last mode's robot.
+pub(super) fn calibrated_chain(outcome: &Outcome, observation: &Observation) -> Option<Chain> {
     let robot = observer(outcome)?;
     let target = robot.targets.get(observation.target)?;
     let links = Predictor::new(&outcome.model, robot).links(observation).ok()?;
@@ -323,6 +325,9 @@ pub(super) const DEFLECTED: Colour = [255, 90, 255, 255];
 pub(super) const BEAM: Colour = [255, 64, 64, 255];
 pub(super) const TRACKER: Colour = [255, 140, 60, 255];
 pub(super) const POINT: Colour = [235, 235, 235, 255];
+/// Of correlations.
+pub(super) const POSITIVE: Colour = [230, 159, 0, 255];
+pub(super) const NEGATIVE: Colour = [86, 180, 233, 255];
 pub(super) const NEST: Colour = [86, 180, 233, 255];
 
 #[cfg(test)]
