@@ -4,6 +4,7 @@ mod ablation;
 mod choice;
 mod judgement;
 mod machine;
+mod session;
 mod simulate;
 mod splits;
 mod truth;
@@ -12,7 +13,8 @@ pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
 pub use choice::{ChosenRow, FailedVariant, ModelChoice, choose};
 pub use judgement::{Confidence, FALSE_ALARM, Judgement, PredictedPosition, judge};
 pub use machine::PlantKind;
-pub use simulate::simulate;
+pub use session::{MeasuredPose, SessionEvent, SessionListener};
+pub use simulate::{measure_session, simulate};
 pub use splits::{SplitMode, SplitPlan, SplitStudy, pose_count, repeat_splits};
 pub use truth::KnownTruth;
 
@@ -166,6 +168,14 @@ pub enum PipelineError {
         /// Why.
         source: Box<PipelineError>,
     },
+    /// Whoever listened to the session ended it.
+    #[error("interrupted after {done} of {total} poses")]
+    Interrupted {
+        /// Poses done.
+        done: u32,
+        /// Poses planned.
+        total: u32,
+    },
     /// A nest is out of the tracker's reach.
     #[error("base nest {nest}: {source}")]
     Nest {
@@ -259,35 +269,43 @@ fn errors(
         .map_err(|source| PipelineError::Predict { mode: robot.mode, source })
 }
 
-/// Simulates, identifies and evaluates a scenario: trial 0 of its campaigns.
+/// Simulates, identifies and evaluates a scenario: trial 0 of its campaigns. `progress` is told the number of poses done and of all poses.
 pub fn run(scenario: &Scenario, seed: u64, progress: impl FnMut(u32, u32)) -> Result<Outcome, PipelineError> {
-    run_trial(scenario, seed, 0, PlantKind::Rapier, progress)
+    run_trial(scenario, seed, 0, PlantKind::Rapier, &mut session::counting(progress))
 }
 
-/// The same of any trial, with what stands for the machine in the campaign.
+/// The source of a run's measurements: the scenario's files, its seed and the trial.
+pub fn input_of(scenario: &Scenario, seed: u64, trial: u32, plant: PlantKind) -> InputSummary {
+    InputSummary {
+        kind: "scenario",
+        name: match trial {
+            0 => scenario.name.clone(),
+            _ => format!("{}, trial {trial}", scenario.name),
+        },
+        sha256: hash_sources(&scenario.sources),
+        seed: Some(seed),
+        trial: Some((trial, plant)),
+    }
+}
+
+/// The same of any trial, with what stands for the machine in the campaign, told to `listener` while it is measured.
 pub fn run_trial(
     scenario: &Scenario,
     seed: u64,
     trial: u32,
     plant: PlantKind,
-    progress: impl FnMut(u32, u32),
+    listener: &mut SessionListener<'_>,
 ) -> Result<Outcome, PipelineError> {
-    let mut simulation = simulate(scenario, seed, trial, plant, progress)?;
-    simulation.truth.rigid = truth::rigid(&simulation.truth)?;
+    let mut beside = session::BesideRigid::new(listener);
+    let simulated = measure_session(scenario, seed, trial, plant, &mut |event| beside.hear(event));
+    let rigid = beside.finish()?;
+    let mut simulation = simulated?;
+    simulation.truth.rigid = rigid;
     let model = &scenario.robot.model;
     let (registration, modes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;
     let judgements = judge(model, &simulation.sets, &modes, &scenario.options)?;
     Ok(Outcome {
-        input: InputSummary {
-            kind: "scenario",
-            name: match trial {
-                0 => scenario.name.clone(),
-                _ => format!("{}, trial {trial}", scenario.name),
-            },
-            sha256: hash_sources(&scenario.sources),
-            seed: Some(seed),
-            trial: Some((trial, plant)),
-        },
+        input: input_of(scenario, seed, trial, plant),
         sources: scenario.sources.clone(),
         model: model.clone(),
         visuals: scenario.robot.visuals.clone(),

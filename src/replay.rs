@@ -111,8 +111,8 @@ pub fn replay(path: &Path) -> Result<Replayed, ReplayError> {
         input: InputSummary {
             kind: "recording",
             name: scenario.name,
-            sha256: recording.provenance.input_sha256,
-            seed: recording.provenance.seed,
+            sha256: recording.provenance.as_ref().map(|p| p.input_sha256.clone()).unwrap_or_default(),
+            seed: recording.provenance.as_ref().and_then(|p| p.seed),
             trial: None,
         },
         sources: recording.sources,

@@ -142,10 +142,12 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     if let (Some(splits), Some(fit)) = (args.splits, args.fit) {
         outcome.splits = Some(split_study(args, &outcome, &options, (splits as usize, fit as usize))?);
     }
-    if let Some(destination) = destination {
-        output::write(&outcome, destination, Files::Reports)?;
-    }
+    let written = destination.map_or(Ok(()), |destination| {
+        let (folder, new) = destination.make()?;
+        output::or_removed(output::write(&outcome, &folder, None), &folder, new)
+    });
     output::show(&outcome, args.json)?;
+    written?;
     if tolerance(args).is_some() {
         say(&format!(
             "prior on the link parameters: 0 +- {} mm, 0 +- {} mrad (--tolerance-mm, --tolerance-mrad; 0 in both for none)",

@@ -4,8 +4,10 @@ mod check;
 mod choose;
 mod identifiability;
 mod identify;
+mod interrupt;
 mod montecarlo;
 mod output;
+mod record;
 mod replay;
 mod run;
 
@@ -73,6 +75,12 @@ enum CliError {
     Replay { file: PathBuf, source: ReplayError },
     #[error(transparent)]
     Report(#[from] ReportError),
+    #[error("interrupted after {done} of {total} poses; what was measured is in {}", part.display())]
+    #[diagnostic(help("`calibrig recover {} RECORDING.mcap` makes a recording of it, which `calibrig replay` reads", part.display()))]
+    Interrupted { done: u32, total: u32, part: PathBuf },
+    #[error("not all files are written to {}: {}", folder.display(), failures.join("; "))]
+    #[diagnostic(help("{}", unwritten_help(written)))]
+    NotWritten { folder: PathBuf, failures: Vec<String>, written: Vec<&'static str> },
     #[error("cannot write {what}: {source}")]
     Output { what: String, source: io::Error },
     #[error("cannot start the threads: {reason}")]
@@ -80,6 +88,14 @@ enum CliError {
     #[error("cannot write to the folder {}: {} is {what}", folder.display(), at.display())]
     #[diagnostic(help("expected {expected}"))]
     InTheWay { folder: PathBuf, at: PathBuf, what: &'static str, expected: &'static str },
+}
+
+fn unwritten_help(written: &[&str]) -> String {
+    let kept = match written {
+        [] => String::new(),
+        files => format!(", and in {}", files.join(" and ")),
+    };
+    format!("expected room and permission to write; the result is on standard output{kept}")
 }
 
 /// The failure of an identification from `source`; at `place` in it where more or other poses are what it needs.

@@ -2,13 +2,10 @@
 
 use std::fs::File;
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 use indicatif::{ProgressBar, ProgressStyle};
-use signal_hook::consts::{SIGINT, SIGTERM};
-use signal_hook::flag;
 
+use super::interrupt::stop_on_interrupt;
 use super::output::{Destination, Files};
 use super::{CliError, Verdict, print, say};
 use crate::montecarlo::{self, Campaign, Trial};
@@ -84,7 +81,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     if let Ok(style) = ProgressStyle::with_template("trial {pos}/{len} {bar:40} {elapsed}, {eta} to go") {
         bar.set_style(style);
     }
-    let stop = stop_on_interrupt();
+    let stop = stop_on_interrupt("the campaign without a summary");
     let range = args.first..args.first + args.trials;
     let trials = campaign
         .run(range, usize::from(args.threads), &stop, |trial| {
@@ -115,20 +112,6 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     }
     let sound = missing == 0 && summary.failures.is_empty();
     Ok(if sound { Verdict::Done } else { Verdict::Doubtful })
-}
-
-/// Set by the first Ctrl-C or termination signal; a second one ends the process at once.
-fn stop_on_interrupt() -> Arc<AtomicBool> {
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
-        // In this order: what the first signal sets, the second one finds set.
-        let registered = flag::register_conditional_shutdown(signal, 1, Arc::clone(&stop))
-            .and_then(|_| flag::register(signal, Arc::clone(&stop)));
-        if registered.is_err() {
-            say("an interrupt will end the campaign without a summary: its handler cannot be set");
-        }
-    }
-    stop
 }
 
 /// `trials.csv`, written trial by trial so that nothing done is lost.

@@ -5,7 +5,10 @@ use std::path::{Path, PathBuf};
 use super::{CliError, Verdict, colours, print, say};
 use crate::identification::Warning;
 use crate::pipeline::Outcome;
-use crate::{recording, report};
+#[cfg(feature = "rerun")]
+use crate::recording;
+use crate::recording::{RecordingError, UnfinishedFile};
+use crate::report;
 
 /// Which files a command leaves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -98,42 +101,107 @@ impl Destination<'_> {
 
 const RUNS: &str = "runs";
 
-/// Writes the files and says where they are. They are all complete before the first one takes its name: a run that fails leaves the
-/// folder's files as they were.
-pub(super) fn write(outcome: &Outcome, destination: Destination<'_>, files: Files) -> Result<(), CliError> {
-    let (folder, new) = destination.make()?;
-    let written = write_to(outcome, &folder, files);
-    if written.is_err() && new {
-        // What stays behind is an empty folder at most.
-        let _ = std::fs::remove_dir(&folder);
-    }
-    written?;
+/// Writes the files of `outcome` to `folder` and says where they are. They are all complete before the first one takes its name, and what
+/// cannot be written does not keep the others from it.
+pub(super) fn write(
+    outcome: &Outcome,
+    folder: &Path,
+    recording: Option<Result<UnfinishedFile, RecordingError>>,
+) -> Result<(), CliError> {
     #[cfg(not(feature = "rerun"))]
-    if files == Files::ReportsAndRecordings {
+    let recorded = recording.is_some();
+    let mut staged = Staged { folder, files: Vec::new(), failures: Vec::new() };
+    let staging = tempfile::Builder::new().prefix(".calibrig-").tempdir_in(folder);
+    match &staging {
+        Ok(staging) => {
+            let reports = report::write_reports(outcome, staging.path());
+            for name in Files::Reports.names() {
+                match &reports {
+                    Ok(()) => staged.files.push((name, Finished::Staged(staging.path().join(name)))),
+                    Err(error) => staged.failed(name, error),
+                }
+            }
+        }
+        Err(error) => staged.failed("the reports", error),
+    }
+    if let Some(recording) = recording {
+        match recording {
+            Ok(file) => staged.files.push(("recording.mcap", Finished::Recording(file))),
+            Err(error) => staged.failed("recording.mcap", &error),
+        }
+        #[cfg(feature = "rerun")]
+        if let Ok(staging) = &staging {
+            let path = staging.path().join("recording.rrd");
+            match recording::write_rrd(outcome, &path) {
+                Ok(()) => staged.files.push(("recording.rrd", Finished::Staged(path))),
+                Err(error) => staged.failed("recording.rrd", &error),
+            }
+        }
+    }
+    let result = staged.put_in_place();
+    #[cfg(not(feature = "rerun"))]
+    if recorded {
         say(
             "recording.rrd is not written: this build has no Rerun (build with `--features rerun`); recording.mcap opens in Rerun and Foxglove",
         );
     }
-    say(&format!("wrote {} to {}", files.names().join(", "), folder.display()));
-    Ok(())
+    result
 }
 
-fn write_to(outcome: &Outcome, folder: &Path, files: Files) -> Result<(), CliError> {
-    let failed = |what: &Path, source| CliError::Output { what: what.display().to_string(), source };
-    let staging =
-        tempfile::Builder::new().prefix(".calibrig-").tempdir_in(folder).map_err(|e| failed(folder, e))?;
-    let staged = staging.path();
-    report::write_reports(outcome, staged)?;
-    if files == Files::ReportsAndRecordings {
-        recording::write_mcap(outcome, &staged.join("recording.mcap"))?;
-        #[cfg(feature = "rerun")]
-        recording::write_rrd(outcome, &staged.join("recording.rrd"))?;
+/// `result`, behind which a new folder that nothing came into is removed.
+pub(super) fn or_removed<T>(result: Result<T, CliError>, folder: &Path, new: bool) -> Result<T, CliError> {
+    if result.is_err() && new {
+        // It stays where something is in it.
+        let _ = std::fs::remove_dir(folder);
     }
-    for name in files.names() {
-        let path = folder.join(name);
-        std::fs::rename(staged.join(name), &path).map_err(|e| failed(&path, e))?;
+    result
+}
+
+/// A complete file that waits for its name.
+enum Finished {
+    Staged(PathBuf),
+    Recording(UnfinishedFile),
+}
+
+struct Staged<'a> {
+    folder: &'a Path,
+    files: Vec<(&'static str, Finished)>,
+    failures: Vec<String>,
+}
+
+impl Staged<'_> {
+    fn failed(&mut self, name: &str, error: &impl std::error::Error) {
+        let mut text = format!("{name}: {error}");
+        if let Some(cause) = error.source().map(ToString::to_string).filter(|cause| !text.contains(cause)) {
+            text = format!("{text}: {cause}");
+        }
+        if self.folder.join(name).exists() {
+            text += " (the file of that name there is an older one)";
+        }
+        self.failures.push(text);
     }
-    Ok(())
+
+    fn put_in_place(mut self) -> Result<(), CliError> {
+        let mut written = Vec::new();
+        for (name, file) in std::mem::take(&mut self.files) {
+            let path = self.folder.join(name);
+            let put = match file {
+                Finished::Staged(from) => std::fs::rename(from, &path).map_err(RecordingError::from),
+                Finished::Recording(file) => file.finish(&path),
+            };
+            match put {
+                Ok(()) => written.push(name),
+                Err(error) => self.failed(name, &error),
+            }
+        }
+        if !written.is_empty() {
+            say(&format!("wrote {} to {}", written.join(", "), self.folder.display()));
+        }
+        if self.failures.is_empty() {
+            return Ok(());
+        }
+        Err(CliError::NotWritten { folder: self.folder.to_path_buf(), failures: self.failures, written })
+    }
 }
 
 /// Prints the tables, or the JSON document.

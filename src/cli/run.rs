@@ -1,13 +1,18 @@
 //! `calibrig run`.
 
-use std::path::PathBuf;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::interrupt::stop_on_interrupt;
 use super::montecarlo::{Plant, trial_number};
 use super::output::{self, Destination, Files};
+use super::record::Recording;
 use super::{CliError, Verdict, not_identified};
-use crate::pipeline::{self, Ablation, Outcome};
+use crate::pipeline::{self, Ablation, Outcome, PipelineError, SessionEvent};
+use crate::recording::SessionContext;
 use crate::scenario::{Scenario, load_scenario};
 
 /// Simulate a measuring session, identify in every mode, evaluate, record and report
@@ -45,27 +50,69 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     let scenario = load_scenario(&args.scenario)?;
     let destination = args.out.as_deref().map_or(Destination::New(&scenario.name), Destination::Asked);
     destination.check(Files::ReportsAndRecordings)?;
+    let (folder, new) = destination.make()?;
+    output::or_removed(run_into(args, &scenario, &folder), &folder, new)
+}
+
+fn run_into(args: &Args, scenario: &Scenario, folder: &Path) -> Result<Verdict, CliError> {
     let seed = args.seed.unwrap_or(scenario.seed);
+    let input = pipeline::input_of(scenario, seed, args.trial, args.plant.into());
+    let context = SessionContext {
+        input: &input,
+        sources: &scenario.sources,
+        model: &scenario.robot.model,
+        visuals: &scenario.robot.visuals,
+    };
+    let mut recording = Recording::begin(folder, context)?;
+    let outcome = measure(args, scenario, seed, &mut recording);
+    let mut outcome = match outcome {
+        Ok(outcome) => outcome,
+        Err(PipelineError::Interrupted { done, total }) => {
+            return Err(CliError::Interrupted { done, total, part: recording.abandon() });
+        }
+        Err(error) => {
+            recording.discard();
+            let source = &scenario.sources[0].1;
+            let place = source.place_of("poses.identification");
+            return Err(not_identified(error, &args.scenario, source, place));
+        }
+    };
+    let recording = recording.complete(&outcome);
+    if args.ablate {
+        outcome.ablation = Some(ablate(scenario, seed, &outcome));
+    }
+    // Before the tables: whoever reads only their first lines gets the files. But what cannot be written does not keep the tables back.
+    let written = output::write(&outcome, folder, Some(recording));
+    output::show(&outcome, args.json)?;
+    written?;
+    Ok(output::verdict(&outcome))
+}
+
+/// The run, recorded while it is measured. An interrupt ends the session; later ones end the process.
+fn measure(
+    args: &Args,
+    scenario: &Scenario,
+    seed: u64,
+    recording: &mut Recording<'_>,
+) -> Result<Outcome, PipelineError> {
+    let stop = stop_on_interrupt("the run, and leave what is measured as a file to recover");
     let bar = ProgressBar::new(0);
     if let Ok(style) = ProgressStyle::with_template("simulating pose {pos}/{len} {bar:40} {elapsed}") {
         bar.set_style(style);
     }
-    let outcome = pipeline::run_trial(&scenario, seed, args.trial, args.plant.into(), |done, total| {
-        bar.set_length(total.into());
-        bar.set_position(done.into());
+    let outcome = pipeline::run_trial(scenario, seed, args.trial, args.plant.into(), &mut |event| {
+        recording.hear(event);
+        match event {
+            SessionEvent::Begin { poses, .. } => bar.set_length(poses.into()),
+            SessionEvent::Measured(_) | SessionEvent::Dropped { .. } => bar.inc(1),
+            SessionEvent::Set { .. } | SessionEvent::SetEnd { .. } => {}
+        }
+        if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
+    // From here on there is nothing to close: the next one ends the process.
+    stop.store(true, Ordering::Relaxed);
     bar.finish_and_clear();
-    let mut outcome = outcome.map_err(|error| {
-        let source = &scenario.sources[0].1;
-        not_identified(error, &args.scenario, source, source.place_of("poses.identification"))
-    })?;
-    if args.ablate {
-        outcome.ablation = Some(ablate(&scenario, seed, &outcome));
-    }
-    // Before the tables: whoever reads only their first lines gets the files.
-    output::write(&outcome, destination, Files::ReportsAndRecordings)?;
-    output::show(&outcome, args.json)?;
-    Ok(output::verdict(&outcome))
+    outcome
 }
 
 fn ablate(scenario: &Scenario, seed: u64, outcome: &Outcome) -> Ablation {

@@ -18,6 +18,9 @@ pub enum PlantKind {
 }
 
 impl PlantKind {
+    /// Both.
+    pub const ALL: [Self; 2] = [Self::Rapier, Self::Analytic];
+
     /// The key on the command line and in JSON.
     pub fn key(self) -> &'static str {
         match self {

@@ -1,10 +1,13 @@
 //! The measuring session of a simulated machine.
 
+use std::ops::ControlFlow;
+
 use nalgebra::{Matrix3, Vector3};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::machine::Rest;
+use super::session::{MeasuredPose, SessionEvent, SessionListener, counting};
 use super::{PipelineError, PlantKind, SetKind, SetOutcome, Simulation, Truth};
 use crate::measurement::{MeasurementSet, NestObservation, Observation, Reading, Station, Target};
 use crate::plant::effects::{Commanded, DriveState, Friction, PoseEffects};
@@ -17,14 +20,26 @@ const SECONDS_PER_POSE: f64 = 10.0;
 
 /// Simulates the session of `scenario`: a pure function of (scenario, seed, trial, plant).
 ///
-/// The machine comes to the first pose of a set from its home pose, the middle of the working region, where it has been referenced.
 /// `progress` is told the number of poses done and of all poses.
 pub fn simulate(
     scenario: &Scenario,
     seed: u64,
     trial: u32,
     plant: PlantKind,
-    mut progress: impl FnMut(u32, u32),
+    progress: impl FnMut(u32, u32),
+) -> Result<Simulation, PipelineError> {
+    measure_session(scenario, seed, trial, plant, &mut counting(progress))
+}
+
+/// The same, told to `listener` while it goes on.
+///
+/// The machine comes to the first pose of a set from its home pose, the middle of the working region, where it has been referenced.
+pub fn measure_session(
+    scenario: &Scenario,
+    seed: u64,
+    trial: u32,
+    plant: PlantKind,
+    listener: &mut SessionListener<'_>,
 ) -> Result<Simulation, PipelineError> {
     let scenario = &*scenario.of_trial(seed, trial);
     let total = scenario.identification_poses + scenario.verification_poses;
@@ -33,6 +48,12 @@ pub fn simulate(
     let station = measure_nests(scenario, seed, trial)?;
     let target = measure_target(scenario, seed, trial);
     let mut done = 0;
+    let mut tell = |event: SessionEvent<'_>, done| match listener(event) {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => Err(PipelineError::Interrupted { done, total }),
+    };
+    let tracker_from_base = &scenario.tracker.tracker_from_base;
+    tell(SessionEvent::Begin { as_built: &scenario.as_built, tracker_from_base, poses: total }, done)?;
     let (mut sets, mut poses, mut effects, mut outliers) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for (kind, count, pose_source, noise_source) in [
         (
@@ -63,6 +84,7 @@ pub fn simulate(
             },
             dropped: Vec::new(),
         };
+        tell(SessionEvent::Set { set: &set, planned: count }, done)?;
         let mut machine = Machine::at_home(scenario);
         for pose in 0..count {
             let joints = scenario.region.draw(&mut pose_stream);
@@ -74,10 +96,12 @@ pub fn simulate(
                 .map_err(|source| PipelineError::Pose { set: kind, pose, source: Box::new(source) })?;
             let outlier = outlier(scenario, seed, trial, entry(kind, pose));
             let seen = settled.target + outlier.unwrap_or_default();
-            match scenario.tracker.measure(&seen, &mut noise) {
+            let reading = scenario.tracker.measure(&seen, &mut noise);
+            done += 1;
+            match reading {
                 Ok(reading) => {
                     set_outliers.extend(outlier.map(|shift| (pose, shift)));
-                    set.measurements.observations.push(Observation {
+                    let observation = Observation {
                         pose,
                         command,
                         approach: machine.approach.clone(),
@@ -86,15 +110,28 @@ pub fn simulate(
                         station: 0,
                         target: 0,
                         reading: Reading::Spherical(reading),
-                    });
+                    };
+                    let measured = MeasuredPose {
+                        kind,
+                        index: set.measurements.observations.len(),
+                        observation: &observation,
+                        settled: &settled,
+                        rigid: None,
+                        effects: &effects,
+                    };
+                    tell(SessionEvent::Measured(measured), done)?;
+                    set.measurements.observations.push(observation);
                     settled_poses.push(settled);
                     pose_effects.push(effects);
                 }
-                Err(error) => set.dropped.push((pose, error.to_string())),
+                Err(error) => {
+                    let reason = error.to_string();
+                    tell(SessionEvent::Dropped { kind, pose, reason: &reason, time }, done)?;
+                    set.dropped.push((pose, reason));
+                }
             }
-            done += 1;
-            progress(done, total);
         }
+        tell(SessionEvent::SetEnd { set: &set }, done)?;
         sets.push(set);
         poses.push(settled_poses);
         effects.push(pose_effects);

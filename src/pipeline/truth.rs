@@ -2,25 +2,28 @@
 
 use nalgebra::Vector6;
 
-use super::{PipelineError, Truth};
+use super::PipelineError;
 use crate::geometry::{Transform, rotation_vector, small_displacement};
 use crate::identification::Estimate;
 use crate::measurement::Target;
 use crate::model::{CalibrationModel, ParameterId, StaticProperties};
+use crate::plant::effects::PoseEffects;
 use crate::plant::{AsBuilt, Plant, SettleOptions, SettledPose};
 
-/// The poses of `truth`, effects included, with every spring of the machine rigid: what its deflections are told from.
-pub(super) fn rigid(truth: &Truth) -> Result<Vec<Vec<SettledPose>>, PipelineError> {
-    let mut machine = truth.as_built.clone();
-    machine.statics.make_rigid();
-    let mut plant = Plant::new(&machine, SettleOptions::default())?;
-    let sets = truth.effects.iter();
-    sets.map(|set| {
-        set.iter()
-            .map(|effects| Ok(plant.settle_displaced(&effects.command, &effects.displacements)?))
-            .collect()
-    })
-    .collect()
+/// The machine with every spring of it rigid: what its deflections are told from.
+pub(super) struct RigidMachine(Plant);
+
+impl RigidMachine {
+    pub(super) fn new(as_built: &AsBuilt) -> Result<Self, PipelineError> {
+        let mut machine = as_built.clone();
+        machine.statics.make_rigid();
+        Ok(Self(Plant::new(&machine, SettleOptions::default())?))
+    }
+
+    /// At a pose, its effects included.
+    pub(super) fn settle(&mut self, effects: &PoseEffects) -> Result<SettledPose, PipelineError> {
+        Ok(self.0.settle_displaced(&effects.command, &effects.displacements)?)
+    }
 }
 
 /// The truth beside what was known beforehand.

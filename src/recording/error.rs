@@ -102,9 +102,22 @@ pub enum RecordingError {
         expected: &'static str,
     },
     /// An MCAP file of another program.
-    #[error("the MCAP file is not a calibrig recording: it has no metadata record `calibrig`")]
-    #[diagnostic(help("{WRITTEN_BY}"))]
+    #[error(
+        "the MCAP file is not a calibrig recording: it has neither metadata `calibrig` nor a message on /session"
+    )]
+    #[diagnostic(help(
+        "{WRITTEN_BY}, or recorded by another program on the topics that docs/formats.md names"
+    ))]
     Foreign,
+    /// A topic that is to be left out is not there.
+    #[error("the recording has no topic {topic}")]
+    #[diagnostic(help("expected one of {}", known.join(", ")))]
+    NoSuchTopic {
+        /// As asked for.
+        topic: String,
+        /// What there is.
+        known: Vec<String>,
+    },
     /// The recording was written by a later version.
     #[error("the recording has schema {found}, this version reads up to {SCHEMA}")]
     #[diagnostic(help("use the version of calibrig that wrote it: {software}"))]
@@ -147,9 +160,11 @@ pub enum RecordingError {
     },
     /// Nothing was measured.
     #[error(
-        "the recording holds no measurements: {sets} sets on /session, none with an observation on /measurement"
+        "the recording holds no measurements to fit: {sets} sets on /session, but no observation of the identification set"
     )]
-    #[diagnostic(help("expected at least one calibrig.v1.Observation on /measurement"))]
+    #[diagnostic(help(
+        "expected at least one calibrig.v1.Observation on /measurement/identification, behind its session"
+    ))]
     NoMeasurements {
         /// Number of sets that are described.
         sets: usize,
@@ -183,5 +198,11 @@ impl RecordingError {
     #[allow(clippy::needless_pass_by_value)]
     pub(super) fn unrecordable(reason: impl ToString) -> Self {
         Self::Unrecordable { reason: reason.to_string() }
+    }
+}
+
+impl From<std::io::Error> for RecordingError {
+    fn from(error: std::io::Error) -> Self {
+        Self::unrecordable(error)
     }
 }

@@ -24,6 +24,56 @@ pub(super) fn write_whole<T>(
     Ok(value)
 }
 
+/// A file that is written while something goes on. Its name says that it is unfinished until [`finish`](Self::finish): what a kill leaves
+/// behind is found, and does not pass for a whole file.
+#[derive(Debug)]
+pub struct UnfinishedFile {
+    path: PathBuf,
+    file: File,
+}
+
+impl UnfinishedFile {
+    /// Makes `NAME.part` in `folder`, or `NAME-2.part` and so on where others lie.
+    pub fn create(folder: &Path, name: &str) -> Result<Self, RecordingError> {
+        let mut number = 1_u64;
+        loop {
+            let part = if number == 1 { format!("{name}.part") } else { format!("{name}-{number}.part") };
+            let path = folder.join(part);
+            match File::options().write(true).create_new(true).open(&path) {
+                Ok(file) => return Ok(Self { path, file }),
+                Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => number += 1,
+                Err(source) => return Err(RecordingError::Unwritable { path, source }),
+            }
+        }
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// A second handle on it, to write to.
+    pub fn handle(&self) -> Result<File, RecordingError> {
+        self.file.try_clone().map_err(|source| self.unwritable(source))
+    }
+
+    /// Sees it on disk, and lets it take the name `path`.
+    pub fn finish(self, path: &Path) -> Result<(), RecordingError> {
+        let written = self.file.sync_all().and_then(|()| std::fs::rename(&self.path, path));
+        written.map_err(|source| self.unwritable(source))
+    }
+
+    /// Removes it.
+    pub fn discard(self) {
+        // It says itself that it is unfinished.
+        let _ = std::fs::remove_file(&self.path);
+    }
+
+    fn unwritable(&self, source: std::io::Error) -> RecordingError {
+        RecordingError::Unwritable { path: self.path.clone(), source }
+    }
+}
+
 /// Permissions that any new file would get, instead of the owner-only ones of temporary files; the process's mask still applies.
 #[cfg(unix)]
 fn give_ordinary_permissions(builder: &mut tempfile::Builder<'_, '_>) {

@@ -1,35 +1,48 @@
 //! Reads a recording back: whole and as written, or not at all. What is recorded of the truth is never looked at.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{BufReader, Read, Seek};
 use std::path::Path;
 
-use mcap::records::{self, Record, op};
-use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use mcap::{MAGIC, McapError};
+use mcap::records::{self, Record};
 use nalgebra::Vector3;
 use prost::{Message, Name};
 
-use super::mcap_writer::RECORD_LIMIT;
-use super::provenance::{AttachedInput, METADATA, source_of};
+use super::provenance::{AttachedInput, METADATA, RECOVERED, source_of};
+use super::scan::{ReadError, check_integrity, check_magic, scan};
 use super::schema::{self, v1};
 use super::{Provenance, RecordingError};
 use crate::geometry::Transform;
 use crate::input::Source;
-use crate::pipeline::SetOutcome;
+use crate::pipeline::{SetKind, SetOutcome};
 
 /// A recording, as far as a replay needs it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
-    /// Where it comes from.
-    pub provenance: Provenance,
+    /// Where it comes from; `None` where another program recorded it.
+    pub provenance: Option<Provenance>,
     /// The input files by role, named without their folder.
     pub sources: Vec<(String, Source)>,
-    /// What was measured, in the order recorded.
+    /// What was measured; the identification set first, and never without an observation.
     pub sets: Vec<SetOutcome>,
+    /// What of the session is not there: a recording that was cut short.
+    pub missing: Vec<MissingPart>,
+    /// Whether it is what `recover` saved of a damaged file.
+    pub recovered: bool,
     /// What was made of it then, by mode.
     pub estimates: Vec<RecordedEstimate>,
+}
+
+/// A set that was not recorded to its end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MissingPart {
+    /// The set.
+    pub kind: SetKind,
+    /// Observations that are there.
+    pub found: usize,
+    /// Observations that were made, or at least poses that were to be measured; `None` where the file does not say.
+    pub expected: Option<usize>,
 }
 
 /// The recorded result of a mode.
@@ -51,6 +64,8 @@ pub struct RecordedEstimate {
     pub stations: Vec<Transform>,
     /// Offsets in the flange frame, m, one a target.
     pub targets: Vec<Vector3<f64>>,
+    /// Root mean square of the 3-D errors over each set, m.
+    pub rms_3d: Vec<(SetKind, f64)>,
 }
 
 /// A recorded parameter.
@@ -64,159 +79,53 @@ pub struct RecordedParameter {
     pub sigma: Option<f64>,
 }
 
-/// Reads the recording at `path`. Every byte is covered by a checksum: what is returned is what was written.
+/// What of a recording is read.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct ReadOptions {
+    /// Topics that are left out, each with all below it: `/nest`, `/measurement/verification`.
+    pub dropped_topics: Vec<String>,
+}
+
+/// Reads the recording at `path`. Every message is covered by a checksum: what is returned is what was written.
 ///
 /// # Errors
 /// The file is not an MCAP file, breaks off, is damaged, was written by another program or a later version, or lacks input files or
 /// measurements: each error says what is missing and what was expected.
 pub fn read_recording(path: &Path) -> Result<Recording, RecordingError> {
+    read_recording_with(path, &ReadOptions::default())
+}
+
+/// The same without some of it. A topic that is dropped must be there.
+pub fn read_recording_with(path: &Path, options: &ReadOptions) -> Result<Recording, RecordingError> {
     let unreadable = |source| RecordingError::Unreadable { path: path.to_path_buf(), source };
     let mut file = BufReader::new(File::open(path).map_err(unreadable)?);
-    read_from(&mut file).map_err(|error| match error {
+    read_from(&mut file, options).map_err(|error| match error {
         ReadError::Io(source) => unreadable(source),
         ReadError::Recording(error) => error,
     })
 }
 
-/// An error that does not yet know the file's name.
-#[derive(Debug)]
-pub(super) enum ReadError {
-    Io(std::io::Error),
-    Recording(RecordingError),
-}
-
-impl From<std::io::Error> for ReadError {
-    fn from(error: std::io::Error) -> Self {
-        Self::Io(error)
-    }
-}
-
-impl From<RecordingError> for ReadError {
-    fn from(error: RecordingError) -> Self {
-        Self::Recording(error)
-    }
-}
-
-impl From<McapError> for ReadError {
-    fn from(error: McapError) -> Self {
-        Self::Recording(match error {
-            McapError::UnexpectedEof => RecordingError::Truncated,
-            source => RecordingError::Corrupt { source },
-        })
-    }
-}
-
-pub(super) fn read_from(file: &mut (impl Read + Seek)) -> Result<Recording, ReadError> {
+pub(super) fn read_from(
+    file: &mut (impl Read + Seek),
+    options: &ReadOptions,
+) -> Result<Recording, ReadError> {
     check_magic(file)?;
-    check_integrity(file)?;
-    let mut contents = Contents::default();
+    let protected = check_integrity(file)?;
+    let mut contents = Contents::new(options);
     scan(file, false, &mut |opcode, body| contents.record(opcode, body))?;
+    if contents.metadata.is_some() && !protected {
+        let found = "a part of it has no checksum".to_owned();
+        let expected = "checksums of the data and the summary section";
+        return Err(RecordingError::Unprotected { found, expected }.into());
+    }
     Ok(contents.finish()?)
 }
 
-fn check_magic(file: &mut (impl Read + Seek)) -> Result<(), ReadError> {
-    let mut start = Vec::new();
-    file.by_ref().take(MAGIC.len() as u64).read_to_end(&mut start)?;
-    if start == MAGIC { Ok(()) } else { Err(RecordingError::NotMcap.into()) }
-}
-
-/// Is given every record: its opcode and its body.
-type Visitor<'a> = dyn FnMut(u8, &[u8]) -> Result<(), ReadError> + 'a;
-
-/// Passes every record of the file to `visit`, with all checksums validated; chunks whole or by their records.
-fn scan(file: &mut (impl Read + Seek), whole_chunks: bool, visit: &mut Visitor<'_>) -> Result<(), ReadError> {
-    file.seek(SeekFrom::Start(0))?;
-    let options = LinearReaderOptions::default()
-        .with_check_finishes_after_end_magic(true)
-        .with_emit_chunks(whole_chunks)
-        .with_validate_chunk_crcs(true)
-        // Without this, records are handed out before their checksum is known.
-        .with_prevalidate_chunk_crcs(true)
-        .with_validate_data_section_crc(true)
-        .with_validate_summary_section_crc(true)
-        // Without this, a damaged length asks for more memory than there is.
-        .with_record_length_limit(RECORD_LIMIT);
-    let mut reader = LinearReader::new_with_options(options);
-    while let Some(event) = reader.next_event() {
-        match event? {
-            LinearReadEvent::ReadRequest(wanted) => {
-                let read = file.read(reader.insert(wanted))?;
-                reader.notify_read(read);
-            }
-            LinearReadEvent::Record { data, opcode } => visit(opcode, data)?,
-        }
-    }
-    Ok(())
-}
-
-/// Reads the whole file once for its checksums. A checksum of zero means "none" in MCAP: that every part has one is checked as well.
-fn check_integrity(file: &mut (impl Read + Seek)) -> Result<(), ReadError> {
-    let mut data_end = false;
-    let mut footer = false;
-    scan(file, true, &mut |opcode, body| {
-        match opcode {
-            op::CHUNK => check_chunk(body)?,
-            op::ATTACHMENT => check_attachment(body)?,
-            op::DATA_END => {
-                let Record::DataEnd(end) = mcap::parse_record(opcode, body)? else { return Ok(()) };
-                data_end = end.data_section_crc != 0;
-            }
-            op::FOOTER => {
-                let Record::Footer(end) = mcap::parse_record(opcode, body)? else { return Ok(()) };
-                footer = end.summary_crc != 0;
-            }
-            _ => {}
-        }
-        Ok(())
-    })?;
-    if data_end && footer {
-        return Ok(());
-    }
-    let found = "a part of it has no checksum".to_owned();
-    Err(RecordingError::Unprotected { found, expected: "checksums of the data and the summary section" }
-        .into())
-}
-
-/// Chunks of another kind are not decoded: the decoder's arithmetic relies on sound lengths.
-fn check_chunk(body: &[u8]) -> Result<(), ReadError> {
-    let Record::Chunk { header, .. } = mcap::parse_record(op::CHUNK, body)? else { return Ok(()) };
-    if header.compression == "zstd" && header.uncompressed_crc != 0 {
-        return Ok(());
-    }
-    let found = format!(
-        "a chunk with compression {:?} and checksum {:08x}",
-        header.compression, header.uncompressed_crc
-    );
-    Err(RecordingError::Unprotected {
-        found,
-        expected: "chunks compressed with zstd, each with its checksum",
-    }
-    .into())
-}
-
-/// An attachment's lengths must lie in its record: the parser trusts them.
-fn check_attachment(body: &[u8]) -> Result<(), ReadError> {
-    if attachment_length(body) == Some(body.len()) {
-        return Ok(());
-    }
-    Err(McapError::BadAttachmentLength { header: body.len() as u64, available: body.len() as u64 }.into())
-}
-
-/// Length of an attachment record from the lengths in it: two times, name, media type, data, checksum.
-fn attachment_length(body: &[u8]) -> Option<usize> {
-    let mut at = 16_usize;
-    for _ in 0..2 {
-        let length = u32::from_le_bytes(body.get(at..at.checked_add(4)?)?.try_into().ok()?);
-        at = at.checked_add(4)?.checked_add(usize::try_from(length).ok()?)?;
-    }
-    let length = u64::from_le_bytes(body.get(at..at.checked_add(8)?)?.try_into().ok()?);
-    at.checked_add(8)?.checked_add(usize::try_from(length).ok()?)?.checked_add(4)
-}
-
 /// What has been read so far.
-#[derive(Default)]
-struct Contents {
+struct Contents<'a> {
+    options: &'a ReadOptions,
     metadata: Option<BTreeMap<String, String>>,
+    recovered: bool,
     inputs: Vec<AttachedInput>,
     /// Name by number.
     schemas: HashMap<u16, String>,
@@ -230,10 +139,26 @@ struct Contents {
 
 struct SetInProgress {
     set: SetOutcome,
-    expected: usize,
+    /// Observations, as stated once they were all made.
+    expected: Option<usize>,
+    planned: Option<usize>,
 }
 
-impl Contents {
+impl<'a> Contents<'a> {
+    fn new(options: &'a ReadOptions) -> Self {
+        Self {
+            options,
+            metadata: None,
+            recovered: false,
+            inputs: Vec::new(),
+            schemas: HashMap::new(),
+            channels: HashMap::new(),
+            sets: Vec::new(),
+            estimates: Vec::new(),
+            ended: false,
+        }
+    }
+
     fn record(&mut self, opcode: u8, body: &[u8]) -> Result<(), ReadError> {
         if self.ended {
             return Ok(());
@@ -242,6 +167,7 @@ impl Contents {
             Record::Metadata(metadata) if metadata.name == METADATA => {
                 self.metadata.get_or_insert(metadata.metadata);
             }
+            Record::Metadata(metadata) => self.recovered |= metadata.name == RECOVERED,
             Record::Attachment { header, data, .. } => {
                 // Input files are texts; another attachment is not ours, and shows in the hash.
                 self.inputs.push((header.name, String::from_utf8_lossy(&data).into_owned()));
@@ -260,12 +186,20 @@ impl Contents {
     }
 
     fn message(&mut self, header: &records::MessageHeader, data: &[u8]) -> Result<(), RecordingError> {
-        // Another program's messages are found out by the missing metadata.
+        // Another program's messages are found out by the missing session.
         let Some((topic, schema)) = self.channels.get(&header.channel_id).cloned() else { return Ok(()) };
+        if self.options.dropped_topics.iter().any(|dropped| lies_below(&topic, dropped)) {
+            return Ok(());
+        }
         let schema = self.schemas.get(&schema).map_or("none", String::as_str).to_owned();
         let read = match topic.as_str() {
             "/session" => decode(&schema, data).and_then(|message| self.session(&message)),
-            "/measurement" => decode(&schema, data).and_then(|message| self.observation(&message)),
+            "/session/end" => decode(&schema, data).and_then(|message| self.session_end(&message)),
+            "/nest" => decode(&schema, data).and_then(|message| self.nest(&message)),
+            "/dropped" => decode(&schema, data).and_then(|message| self.dropped(message)),
+            measurement if lies_below(measurement, "/measurement") => {
+                decode(&schema, data).and_then(|message| self.observation(&message))
+            }
             estimate if estimate.starts_with("/estimate/") => {
                 decode(&schema, data).and_then(|message| self.estimate(message))
             }
@@ -279,21 +213,57 @@ impl Contents {
         if self.sets.iter().any(|known| known.set.kind == set.kind) {
             return Err(format!("the {} set is described twice", set.kind.key()));
         }
-        let expected = usize::try_from(message.observation_count).map_err(|e| e.to_string())?;
-        self.sets.push(SetInProgress { set, expected });
+        self.sets.push(SetInProgress {
+            set,
+            expected: message.observation_count.map(count).transpose()?,
+            planned: message.planned_poses.map(count).transpose()?,
+        });
+        Ok(())
+    }
+
+    /// The set that a message belongs to.
+    fn set(&mut self, key: &str) -> Result<&mut SetInProgress, String> {
+        let kind = schema::set_kind(key)?;
+        let known = self.sets.iter_mut().find(|known| known.set.kind == kind);
+        known.ok_or_else(|| format!("no session before it describes the {key} set"))
+    }
+
+    fn session_end(&mut self, message: &v1::SessionEnd) -> Result<(), String> {
+        let expected = Some(count(message.observation_count)?);
+        let set = self.set(&message.set)?;
+        if set.expected.is_some() {
+            return Err(format!("the {} set ends twice", message.set));
+        }
+        set.expected = expected;
+        Ok(())
+    }
+
+    fn nest(&mut self, message: &v1::BaseNest) -> Result<(), String> {
+        let nest = schema::to_nest(message.nest.as_ref().ok_or("the nest is missing")?)?;
+        let stations = &mut self.set(&message.set)?.set.measurements.stations;
+        let known = stations.len();
+        let station = usize::try_from(message.station).ok().and_then(|index| stations.get_mut(index));
+        station
+            .ok_or_else(|| format!("station {} does not exist: the session has {known}", message.station))?
+            .nests
+            .push(nest);
+        Ok(())
+    }
+
+    fn dropped(&mut self, message: v1::DroppedPose) -> Result<(), String> {
+        self.set(&message.set)?.set.dropped.push((message.pose, message.reason));
         Ok(())
     }
 
     fn observation(&mut self, message: &v1::Observation) -> Result<(), String> {
-        let kind = schema::set_kind(&message.set)?;
-        let known = self.sets.iter_mut().find(|known| known.set.kind == kind);
-        let set = &mut known.ok_or_else(|| format!("no session describes the {} set", kind.key()))?.set;
+        // Where something was lost, or nobody counted, the observations that are there are taken in their order.
+        let counted = self.metadata.is_some() && !self.recovered;
+        let set = &mut self.set(&message.set)?.set;
         let place = set.measurements.observations.len();
-        if usize::try_from(message.index) != Ok(place) {
+        if counted && usize::try_from(message.index) != Ok(place) {
             return Err(format!(
                 "observation {} of the {} set where {place} was expected",
-                message.index,
-                kind.key()
+                message.index, message.set
             ));
         }
         let observation = schema::to_observation(message, set)?;
@@ -309,6 +279,7 @@ impl Contents {
             let value = p.value.ok_or_else(|| format!("parameter {} has no value", p.name))?;
             Ok::<_, String>(RecordedParameter { name: p.name, value, sigma: p.sigma })
         };
+        let rms = |row: &v1::Accuracy| Ok::<_, String>((schema::set_kind(&row.set)?, row.rms_3d));
         self.estimates.push(RecordedEstimate {
             mode: message.mode,
             parameters: message.parameters.into_iter().map(parameter).collect::<Result<_, _>>()?,
@@ -318,30 +289,69 @@ impl Contents {
             iterations: message.iterations.len(),
             stations: message.stations.iter().map(schema::to_pose).collect::<Result<_, _>>()?,
             targets: message.targets.iter().map(schema::to_point).collect::<Result<_, _>>()?,
+            rms_3d: message.accuracy.iter().map(rms).collect::<Result<_, _>>()?,
         });
         Ok(())
     }
 
-    fn finish(self) -> Result<Recording, RecordingError> {
-        let metadata = self.metadata.ok_or(RecordingError::Foreign)?;
-        let provenance = Provenance::check(&metadata, &self.inputs)?;
-        if self.sets.iter().all(|known| known.set.measurements.observations.is_empty()) {
-            return Err(RecordingError::NoMeasurements { sets: self.sets.len() });
+    fn finish(mut self) -> Result<Recording, RecordingError> {
+        let topics: BTreeSet<String> = self.channels.values().map(|(topic, _)| topic.clone()).collect();
+        for dropped in &self.options.dropped_topics {
+            if !topics.iter().any(|topic| lies_below(topic, dropped)) {
+                let known = topics.into_iter().collect();
+                return Err(RecordingError::NoSuchTopic { topic: dropped.clone(), known });
+            }
         }
-        for SetInProgress { set, expected } in &self.sets {
-            let found = set.measurements.observations.len();
-            if found != *expected {
-                let set = set.kind.key();
-                return Err(RecordingError::MissingMeasurements { set, expected: *expected, found });
+        let provenance = match &self.metadata {
+            Some(metadata) => Some(Provenance::check(metadata, &self.inputs)?),
+            None if self.sets.is_empty() => return Err(RecordingError::Foreign),
+            None => None,
+        };
+        let sets = self.sets.len();
+        self.sets.sort_by_key(|known| known.set.kind);
+        let fitted = self.sets.first().filter(|known| known.set.kind == SetKind::Identification);
+        if fitted.is_none_or(|known| known.set.measurements.observations.is_empty()) {
+            return Err(RecordingError::NoMeasurements { sets });
+        }
+        let dropped = |kind: SetKind| {
+            let topic = format!("/measurement/{}", kind.key());
+            self.options.dropped_topics.iter().any(|dropped| lies_below(&topic, dropped))
+        };
+        self.sets.retain(|known| !dropped(known.set.kind));
+        let mut missing = Vec::new();
+        for SetInProgress { set, expected, planned } in &self.sets {
+            let (kind, found) = (set.kind, set.measurements.observations.len());
+            match *expected {
+                Some(expected) if found == expected => {}
+                Some(expected) if self.recovered => {
+                    missing.push(MissingPart { kind, found, expected: Some(expected) });
+                }
+                Some(expected) => {
+                    return Err(RecordingError::MissingMeasurements { set: kind.key(), expected, found });
+                }
+                // Other programs need not say when a set ends.
+                None if provenance.is_none() && !self.recovered => {}
+                None => missing.push(MissingPart { kind, found, expected: *planned }),
             }
         }
         Ok(Recording {
             provenance,
             sources: self.inputs.into_iter().map(source_of).collect(),
             sets: self.sets.into_iter().map(|known| known.set).collect(),
+            missing,
+            recovered: self.recovered,
             estimates: self.estimates,
         })
     }
+}
+
+/// Whether `topic` is `root` or lies below it.
+fn lies_below(topic: &str, root: &str) -> bool {
+    topic.strip_prefix(root).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
+}
+
+fn count(value: u32) -> Result<usize, String> {
+    usize::try_from(value).map_err(|e| e.to_string())
 }
 
 fn decode<M: Message + Name + Default>(schema: &str, data: &[u8]) -> Result<M, String> {
@@ -356,23 +366,24 @@ mod tests {
     use super::*;
     use std::io::Cursor;
 
-    use mcap::{Attachment, Writer};
+    use mcap::{Attachment, MAGIC};
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
     use crate::pipeline::Outcome;
-    use crate::recording::{McapRecorder, record, synthetic, write_mcap};
+    use crate::recording::{synthetic, write_mcap};
 
     fn bytes_of(outcome: &Outcome) -> Vec<u8> {
-        let mut file = Cursor::new(Vec::new());
-        let mut recorder = McapRecorder::new(&mut file).expect("begun");
-        record(outcome, &mut recorder).expect("recorded");
-        recorder.finish().expect("finished");
-        file.into_inner()
+        synthetic::recorded(outcome)
     }
 
     fn read(bytes: &[u8]) -> Result<Recording, RecordingError> {
-        read_from(&mut Cursor::new(bytes)).map_err(|error| match error {
+        read_without(bytes, &[])
+    }
+
+    fn read_without(bytes: &[u8], topics: &[&str]) -> Result<Recording, RecordingError> {
+        let options = ReadOptions { dropped_topics: topics.iter().map(|&topic| topic.to_owned()).collect() };
+        read_from(&mut Cursor::new(bytes), &options).map_err(|error| match error {
             ReadError::Recording(error) => error,
             ReadError::Io(error) => panic!("no I/O in memory: {error}"),
         })
@@ -380,8 +391,16 @@ mod tests {
 
     /// A sound MCAP file with the given records of a recording, and `change` applied to every message, metadata text and attachment.
     fn rewritten(bytes: &[u8], change: &mut dyn FnMut(&str, &mut Vec<u8>) -> bool) -> Vec<u8> {
+        rewritten_with(mcap::WriteOptions::new(), bytes, change)
+    }
+
+    fn rewritten_with(
+        options: mcap::WriteOptions,
+        bytes: &[u8],
+        change: &mut dyn FnMut(&str, &mut Vec<u8>) -> bool,
+    ) -> Vec<u8> {
         let mut file = Cursor::new(Vec::new());
-        let mut writer = Writer::new(&mut file).expect("begun");
+        let mut writer = options.create(&mut file).expect("begun");
         let mut channels: HashMap<u16, (String, u16)> = HashMap::new();
         let mut schemas = HashMap::new();
         scan(&mut Cursor::new(bytes), false, &mut |opcode, body| {
@@ -447,8 +466,10 @@ mod tests {
             let recording = read_recording(&path).expect("read");
             // `{:?}` tells -0.0 from 0.0 and prints enough digits for every bit.
             assert_eq!(format!("{:?}", recording.sets), format!("{:?}", outcome.sets));
-            assert_eq!(recording.provenance.seed, outcome.input.seed);
-            assert_eq!(recording.provenance.input_sha256, outcome.input.sha256);
+            let provenance = recording.provenance.as_ref().expect("ours");
+            assert_eq!((provenance.seed, provenance.trial), (outcome.input.seed, outcome.input.trial));
+            assert_eq!(provenance.input_sha256, outcome.input.sha256);
+            assert!(recording.missing.is_empty() && !recording.recovered);
             assert_eq!(recording.sources.len(), outcome.sources.len());
             for ((role, source), (recorded_role, recorded)) in outcome.sources.iter().zip(&recording.sources)
             {
@@ -568,24 +589,6 @@ mod tests {
     }
 
     #[test]
-    fn unsound_lengths_in_an_attachment_do_not_panic() {
-        let mut body = vec![0; 16];
-        body.extend(u32::to_le_bytes(1));
-        body.push(b'a');
-        body.extend(u32::to_le_bytes(0));
-        body.extend(u64::to_le_bytes(2));
-        body.extend(*b"hi");
-        assert!(check_attachment(&body).is_err(), "the checksum is missing");
-        body.extend([0; 4]);
-        assert!(check_attachment(&body).is_ok());
-        for length in 0..body.len() {
-            assert!(check_attachment(&body[..length]).is_err());
-        }
-        body[16..20].copy_from_slice(&u32::MAX.to_le_bytes());
-        assert!(check_attachment(&body).is_err());
-    }
-
-    #[test]
     fn every_refusal_is_its_own() {
         let outcome = synthetic::outcome(3, 1, false);
         let bytes = bytes_of(&outcome);
@@ -593,14 +596,20 @@ mod tests {
         type Kept = fn(&str, &mut Vec<u8>) -> bool;
         type Fits = fn(&RecordingError) -> bool;
         let cases: [(Kept, Fits); 7] = [
-            (|place, _| !place.starts_with("metadata"), |e| matches!(e, RecordingError::Foreign)),
+            (
+                |place, _| place.starts_with("/tf") || place == "attachment",
+                |e| matches!(e, RecordingError::Foreign),
+            ),
             (|place, _| place != "attachment", |e| matches!(e, RecordingError::MissingAttachments { .. })),
-            (|place, _| place != "/measurement", |e| matches!(e, RecordingError::NoMeasurements { sets: 2 })),
+            (
+                |place, _| !place.starts_with("/measurement"),
+                |e| matches!(e, RecordingError::NoMeasurements { sets: 2 }),
+            ),
             (|place, _| place != "/session", |e| matches!(e, RecordingError::InvalidMessage { .. })),
             (
                 |place, data| {
                     if place == "metadata schema" {
-                        *data = b"calibrig.recording/2".to_vec();
+                        *data = b"calibrig.recording/3".to_vec();
                     }
                     true
                 },
@@ -617,7 +626,7 @@ mod tests {
             ),
             (
                 |place, data| {
-                    if place == "/measurement" {
+                    if place.starts_with("/measurement") {
                         data.push(0xff);
                     }
                     true
@@ -633,8 +642,8 @@ mod tests {
 
         let mut last = 0;
         let shortened = rewritten(&bytes, &mut |place, _| {
-            last += usize::from(place == "/measurement");
-            place != "/measurement" || last != 3
+            last += usize::from(place.starts_with("/measurement"));
+            !place.starts_with("/measurement") || last != 3
         });
         let error = read(&shortened).expect_err("one observation is missing");
         assert!(
@@ -662,25 +671,77 @@ mod tests {
             mcap::WriteOptions::new().calculate_data_section_crc(false),
             mcap::WriteOptions::new().calculate_summary_section_crc(false),
         ] {
-            let mut file = Cursor::new(Vec::new());
-            let mut writer = unprotected.create(&mut file).expect("begun");
-            let mut schema = 0;
-            scan(&mut Cursor::new(&bytes), false, &mut |opcode, body| {
-                if let Record::Schema { header, data } = mcap::parse_record(opcode, body)? {
-                    schema = writer.add_schema(&header.name, &header.encoding, &data)?;
-                }
-                Ok(())
-            })
-            .expect("read");
-            let channel =
-                writer.add_channel(schema, "/measurement", "protobuf", &BTreeMap::new()).expect("added");
-            let header =
-                records::MessageHeader { channel_id: channel, sequence: 0, log_time: 0, publish_time: 0 };
-            writer.write_to_known_channel(&header, &[]).expect("written");
-            writer.finish().expect("finished");
-            drop(writer);
-            let error = read(&file.into_inner()).expect_err("unprotected");
+            let error =
+                read(&rewritten_with(unprotected, &bytes, &mut |_, _| true)).expect_err("unprotected");
             assert!(matches!(error, RecordingError::Unprotected { .. }), "{error:?}");
         }
+    }
+
+    #[test]
+    fn topics_can_be_left_out() {
+        let outcome = synthetic::outcome(4, 2, true);
+        let bytes = bytes_of(&outcome);
+        let without_nests = read_without(&bytes, &["/nest"]).expect("read");
+        let stations = without_nests.sets.iter().flat_map(|set| &set.measurements.stations);
+        assert!(stations.clone().count() > 0 && stations.clone().all(|station| station.nests.is_empty()));
+        let fitted = read_without(&bytes, &["/measurement/verification", "/estimate"]).expect("read");
+        assert_eq!(fitted.sets.iter().map(|set| set.kind).collect::<Vec<_>>(), [SetKind::Identification]);
+        assert!(fitted.estimates.is_empty() && fitted.missing.is_empty());
+        assert!(read_without(&bytes, &["/truth"]).expect("read") == read(&bytes).expect("read"));
+        let error = read_without(&bytes, &["/nests"]).expect_err("no such topic");
+        assert!(
+            matches!(&error, RecordingError::NoSuchTopic { known, .. } if known.contains(&"/nest".to_owned()))
+        );
+        let error = read_without(&bytes, &["/measurement"]).expect_err("nothing is left");
+        assert!(matches!(error, RecordingError::NoMeasurements { .. }), "{error:?}");
+    }
+
+    #[test]
+    fn what_another_program_recorded_needs_sessions_and_measurements_alone() {
+        let outcome = synthetic::outcome(4, 2, false);
+        // As Python's writer leaves it: no metadata of ours, no checksum over the whole, nobody counted.
+        let options = mcap::WriteOptions::new().calculate_data_section_crc(false);
+        let bytes = rewritten_with(options, &bytes_of(&outcome), &mut |place, data| {
+            if place.starts_with("/measurement") {
+                let mut message = v1::Observation::decode(data.as_slice()).expect("ours");
+                message.index = 0;
+                *data = message.encode_to_vec();
+            }
+            ["/session", "/nest", "/measurement/identification", "/measurement/verification"].contains(&place)
+        });
+        let recording = read(&bytes).expect("read");
+        assert_eq!(recording.provenance, None);
+        assert!(
+            recording.sources.is_empty() && recording.estimates.is_empty() && recording.missing.is_empty()
+        );
+        for (read, set) in recording.sets.iter().zip(&outcome.sets) {
+            assert_eq!(read.measurements, set.measurements);
+        }
+    }
+
+    #[test]
+    fn a_session_that_does_not_end_is_told() {
+        let outcome = synthetic::outcome(4, 2, false);
+        let bytes = rewritten(&bytes_of(&outcome), &mut |place, _| place != "/session/end");
+        let recording = read(&bytes).expect("read");
+        let missing = |kind, found, expected| MissingPart { kind, found, expected: Some(expected) };
+        // One planned pose of either set was dropped.
+        assert_eq!(
+            recording.missing,
+            [missing(SetKind::Identification, 4, 5), missing(SetKind::Verification, 2, 3)]
+        );
+    }
+
+    #[test]
+    fn recordings_of_the_first_schema_are_still_read() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/recording/schema1.mcap");
+        let recording = read_recording(&path).expect("read");
+        let counts = recording.sets.iter().map(|set| (set.kind, set.measurements.observations.len()));
+        assert_eq!(counts.collect::<Vec<_>>(), [(SetKind::Identification, 12), (SetKind::Verification, 4)]);
+        let station = &recording.sets[0].measurements.stations[0];
+        assert_eq!(station.nests.len(), 7);
+        assert!(recording.missing.is_empty());
+        assert_eq!(recording.provenance.expect("ours").seed, Some(1));
+        assert_eq!(recording.estimates.len(), 1);
     }
 }

@@ -4,34 +4,24 @@ use std::collections::BTreeMap;
 use std::io::{Seek, Write};
 use std::path::Path;
 
-use foxglove::messages::{
-    ArrowPrimitive, Color, CubePrimitive, CylinderPrimitive, FrameTransform, FrameTransforms, LinePrimitive,
-    Log, PackedElementField, Point3, PointCloud, Pose, Quaternion, SceneEntity, SceneUpdate, SpherePrimitive,
-    TextPrimitive, Timestamp, line_primitive, log, packed_element_field,
-};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, WriteOptions, Writer};
-use nalgebra::{UnitQuaternion, Vector3};
 use prost::{Message, Name};
 
+use super::estimate::estimate;
 use super::file::write_whole;
+use super::foxglove_scene::{arrows, cloud, fixed_frames, log_line, moving_frames, moving_lines, shapes};
 use super::provenance::{METADATA, attached_inputs, metadata_of};
-use super::scene::{self, Arrow, Colour};
+use super::scene;
 use super::schema::{self, v1};
-use super::{Chain, LogEntry, LogLevel, PoseStep, Provenance, Recorder, RecordingError, record, truth};
-use crate::geometry::Transform;
-use crate::identification::Estimate;
-use crate::model::{Visual, VisualShape};
-use crate::pipeline::{ModeOutcome, Outcome, SetOutcome};
+use super::{LogEntry, Measured, PoseStep, Preamble, Provenance, Recorder, RecordingError, record, truth};
+use crate::pipeline::{ModeOutcome, Outcome, SetKind, SetOutcome};
 
 /// The longest record that is read back, bytes.
 pub(super) const RECORD_LIMIT: usize = 64 << 20;
-/// Poses after which the data are put out: an abort loses the open chunk.
-const POSES_A_BATCH: u32 = 10;
-/// The root frame.
-const WORLD: &str = "world";
-/// The robot's base frame.
-const BASE: &str = "base";
+/// A batch is put out when it holds this part of the poses so far, at least one pose: what a kill can cost stays small beside what is
+/// kept, and a long session is not cut into many chunks.
+const BATCHES: u32 = 100;
 
 /// Writes an MCAP recording of `outcome`. The file is whole or not there.
 ///
@@ -41,7 +31,8 @@ pub fn write_mcap(outcome: &Outcome, path: &Path) -> Result<(), RecordingError> 
     write_whole(path, |file| {
         let mut recorder = McapRecorder::new(file)?;
         record(outcome, &mut recorder)?;
-        recorder.finish()
+        recorder.finish()?;
+        Ok(())
     })
 }
 
@@ -50,22 +41,31 @@ pub struct McapRecorder<W: Write + Seek> {
     writer: Writer<W>,
     /// Channel number and messages so far, by topic.
     channels: BTreeMap<String, (u16, u32)>,
+    /// Poses measured, and those of them that are not put out.
+    poses: (u32, u32),
+    /// The machine, until its first pose tells what of it yields.
+    machine: Option<v1::AsBuilt>,
+}
+
+/// The writer of all recordings. Message indexes cost a third of a small file, but Foxglove's reader refuses chunks without them. The
+/// library's name and the number of threads are pinned: the same story gives the same bytes.
+pub(super) fn writer<W: Write + Seek>(sink: W) -> Result<Writer<W>, RecordingError> {
+    let options = WriteOptions::new().library(Provenance::software()).compression_threads(0);
+    options.create(sink).map_err(RecordingError::unrecordable)
 }
 
 impl<W: Write + Seek> McapRecorder<W> {
     /// Begins a file.
     pub fn new(sink: W) -> Result<Self, RecordingError> {
-        // Message indexes cost a third of a small file, but Foxglove's reader refuses chunks without them. The library's name and the
-        // number of threads are pinned: the same story gives the same bytes.
-        let options = WriteOptions::new().library(Provenance::software()).compression_threads(0);
-        let writer = options.create(sink).map_err(RecordingError::unrecordable)?;
-        Ok(Self { writer, channels: BTreeMap::new() })
+        Ok(Self { writer: writer(sink)?, channels: BTreeMap::new(), poses: (0, 0), machine: None })
     }
 
-    /// Ends the file.
-    pub fn finish(mut self) -> Result<(), RecordingError> {
+    /// Ends the file and gives the sink back.
+    pub fn finish(mut self) -> Result<W, RecordingError> {
         self.writer.finish().map_err(RecordingError::unrecordable)?;
-        self.writer.into_inner().flush().map_err(RecordingError::unrecordable)
+        let mut sink = self.writer.into_inner();
+        sink.flush().map_err(RecordingError::unrecordable)?;
+        Ok(sink)
     }
 
     fn publish(
@@ -75,14 +75,19 @@ impl<W: Write + Seek> McapRecorder<W> {
         schema: (&str, &[u8]),
         data: &[u8],
     ) -> Result<(), RecordingError> {
-        let (channel_id, sequence) = match self.channels.get(topic) {
-            Some(known) => *known,
-            None => (self.add_channel(topic, schema).map_err(RecordingError::unrecordable)?, 0),
+        let (channel_id, sequence) = match self.channels.get_mut(topic) {
+            Some((channel, count)) => {
+                *count = count.wrapping_add(1);
+                (*channel, count.wrapping_sub(1))
+            }
+            None => {
+                let channel = self.add_channel(topic, schema).map_err(RecordingError::unrecordable)?;
+                self.channels.insert(topic.to_owned(), (channel, 1));
+                (channel, 0)
+            }
         };
         let header = MessageHeader { channel_id, sequence, log_time: time, publish_time: time };
-        self.writer.write_to_known_channel(&header, data).map_err(RecordingError::unrecordable)?;
-        self.channels.insert(topic.to_owned(), (channel_id, sequence.wrapping_add(1)));
-        Ok(())
+        self.writer.write_to_known_channel(&header, data).map_err(RecordingError::unrecordable)
     }
 
     fn add_channel(&mut self, topic: &str, (name, descriptors): (&str, &[u8])) -> mcap::McapResult<u16> {
@@ -107,9 +112,13 @@ impl<W: Write + Seek> McapRecorder<W> {
         self.publish(topic, time, (&schema.name, &schema.data), &message.encode_to_vec())
     }
 
-    fn provenance(&mut self, outcome: &Outcome) -> Result<(), RecordingError> {
-        let inputs = attached_inputs(outcome);
-        let metadata = Metadata { name: METADATA.to_owned(), metadata: metadata_of(outcome, &inputs) };
+    fn flush(&mut self) -> Result<(), RecordingError> {
+        self.writer.flush().map_err(RecordingError::unrecordable)
+    }
+
+    fn provenance(&mut self, preamble: &Preamble<'_>) -> Result<(), RecordingError> {
+        let inputs = attached_inputs(preamble.sources);
+        let metadata = Metadata { name: METADATA.to_owned(), metadata: metadata_of(preamble.input, &inputs) };
         self.writer.write_metadata(&metadata).map_err(RecordingError::unrecordable)?;
         for (name, text) in inputs {
             // The header of the record is far below a kilobyte.
@@ -125,18 +134,15 @@ impl<W: Write + Seek> McapRecorder<W> {
         Ok(())
     }
 
-    fn measured(&mut self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
-        let kind = step.set.kind;
-        let (set, first) = (kind.key(), step.first);
-        for (i, (observation, &time)) in step.observations.iter().zip(step.times).enumerate() {
-            let index = first + i;
-            self.own("/measurement", time, &schema::observation(kind, index, observation))?;
+    fn residuals(&mut self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
+        let measured = &step.measured;
+        for (i, (observation, &time)) in measured.observations.iter().zip(measured.times).enumerate() {
             for residuals in &step.residuals {
                 let Some(error) = residuals.errors.get(i) else { continue };
                 let key = residuals.mode.key();
                 let message = v1::Residual {
-                    set: set.to_owned(),
-                    index: schema::saturating(index),
+                    set: measured.kind.key().to_owned(),
+                    index: schema::saturating(measured.first + i),
                     pose: observation.pose,
                     mode: key.to_owned(),
                     x: error.x,
@@ -146,37 +152,77 @@ impl<W: Write + Seek> McapRecorder<W> {
                 };
                 self.own(&format!("/residual/{key}"), time, &message)?;
             }
-            if let Some(message) = truth::settled_pose(step, i) {
-                self.own("/truth/pose", time, &message)?;
-            }
-            if let Some(message) = truth::pose_effects(step, i) {
-                self.own("/truth/effects", time, &message)?;
-            }
         }
         Ok(())
     }
 }
 
 impl<W: Write + Seek> Recorder for McapRecorder<W> {
+    fn open(&mut self, preamble: &Preamble<'_>) -> Result<(), RecordingError> {
+        self.provenance(preamble)?;
+        self.machine = preamble.truth.map(|truth| truth::as_built(&preamble.model.kinematics, truth));
+        self.flush()
+    }
+
+    fn set(&mut self, time: u64, set: &SetOutcome, planned: Option<u32>) -> Result<(), RecordingError> {
+        self.own("/session", time, &schema::session(set, planned))?;
+        for nest in schema::nests(set) {
+            self.own("/nest", time, &nest)?;
+        }
+        self.flush()
+    }
+
+    fn measured(&mut self, measured: &Measured<'_>) -> Result<(), RecordingError> {
+        if let (Some(machine), Some(settled)) = (&mut self.machine, measured.truth.first()) {
+            machine.elastic = truth::elastic_names(settled);
+            let machine = std::mem::take(machine);
+            self.machine = None;
+            self.own("/truth/as_built", 0, &machine)?;
+        }
+        let topic = format!("/measurement/{}", measured.kind.key());
+        for (i, (observation, &time)) in measured.observations.iter().zip(measured.times).enumerate() {
+            self.own(&topic, time, &schema::observation(measured.kind, measured.first + i, observation))?;
+            if let Some(message) = truth::settled_pose(measured, i) {
+                self.own("/truth/pose", time, &message)?;
+            }
+            if let Some(message) = truth::pose_effects(measured, i) {
+                self.own("/truth/effects", time, &message)?;
+            }
+        }
+        let (poses, open) = &mut self.poses;
+        *poses = poses.saturating_add(1);
+        *open += 1;
+        if *open >= *poses / BATCHES {
+            *open = 0;
+            self.flush()?;
+        }
+        Ok(())
+    }
+
+    fn dropped(&mut self, time: u64, kind: SetKind, pose: u32, reason: &str) -> Result<(), RecordingError> {
+        let set = kind.key().to_owned();
+        self.own("/dropped", time, &v1::DroppedPose { pose, reason: reason.to_owned(), set })
+    }
+
+    fn set_end(&mut self, time: u64, kind: SetKind, observations: usize) -> Result<(), RecordingError> {
+        let set = kind.key().to_owned();
+        let observation_count = schema::saturating(observations);
+        self.own("/session/end", time, &v1::SessionEnd { set, observation_count })?;
+        self.flush()
+    }
+
     fn begin(&mut self, outcome: &Outcome) -> Result<(), RecordingError> {
-        self.provenance(outcome)?;
-        for set in &outcome.sets {
-            self.own("/session", 0, &v1::Session::from(set))?;
-        }
-        if let Some(known) = &outcome.truth {
-            self.own("/truth/as_built", 0, &truth::as_built(outcome, known))?;
-        }
         self.foxglove("/tf_static", 0, &fixed_frames(outcome))?;
         self.foxglove("/scene/robot", 0, &shapes(outcome))?;
         for set in &outcome.sets {
             let points = scene::measured_points(outcome, &set.measurements);
             self.foxglove(&format!("/targets/{}", set.kind.key()), 0, &cloud(0, &points))?;
         }
-        self.writer.flush().map_err(RecordingError::unrecordable)
+        Ok(())
     }
 
     fn pose(&mut self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
-        let time = step.time();
+        let time = step.measured.time();
         self.foxglove("/tf", time, &moving_frames(step))?;
         self.foxglove("/scene", time, &moving_lines(step))?;
         let points: Vec<_> = step.sightings.iter().map(|s| s.point).collect();
@@ -186,11 +232,7 @@ impl<W: Write + Seek> Recorder for McapRecorder<W> {
             let update = arrows(time, name, &residuals.arrows, scene::mode_colour(residuals.mode));
             self.foxglove(&format!("/scene/residual_x100/{}", residuals.mode.key()), time, &update)?;
         }
-        self.measured(step)?;
-        if step.number % POSES_A_BATCH == POSES_A_BATCH - 1 {
-            self.writer.flush().map_err(RecordingError::unrecordable)?;
-        }
-        Ok(())
+        self.residuals(step)
     }
 
     fn estimate(&mut self, time: u64, outcome: &Outcome, mode: &ModeOutcome) -> Result<(), RecordingError> {
@@ -198,19 +240,7 @@ impl<W: Write + Seek> Recorder for McapRecorder<W> {
     }
 
     fn log(&mut self, entry: &LogEntry) -> Result<(), RecordingError> {
-        let level = match entry.level {
-            LogLevel::Info => log::Level::Info,
-            LogLevel::Warning => log::Level::Warning,
-        };
-        let message = Log {
-            timestamp: Some(timestamp(entry.time)),
-            level: level as i32,
-            message: entry.message.clone(),
-            name: "calibrig".to_owned(),
-            file: String::new(),
-            line: 0,
-        };
-        self.foxglove("/log", entry.time, &message)
+        self.foxglove("/log", entry.time, &log_line(entry))
     }
 }
 
@@ -223,310 +253,21 @@ fn media_type(name: &str) -> &'static str {
     }
 }
 
-fn estimate(sets: &[SetOutcome], mode: &ModeOutcome) -> v1::Estimate {
-    let accuracy = sets.iter().zip(&mode.rows).filter_map(|(set, row)| {
-        let row = row.as_ref()?;
-        Some(v1::Accuracy {
-            set: set.kind.key().to_owned(),
-            max: schema::vector(&row.max),
-            mean: schema::vector(&row.mean),
-            bias: schema::vector(&row.bias),
-            rms_3d: row.rms_3d,
-            max_3d: row.max_3d,
-            count: row.count as u64,
-        })
-    });
-    let robot = v1::Estimate {
-        mode: mode.mode.key().to_owned(),
-        stations: mode.robot.stations.iter().map(schema::pose).collect(),
-        targets: mode.robot.targets.iter().map(|t| v1::Point { position: schema::vector(t) }).collect(),
-        accuracy: accuracy.collect(),
-        ..v1::Estimate::default()
-    };
-    match &mode.estimate {
-        Some(estimate) => with_identification(robot, estimate),
-        None => robot,
-    }
-}
-
-fn with_identification(robot: v1::Estimate, estimate: &Estimate) -> v1::Estimate {
-    use crate::identification::NoiseScale;
-
-    let parameter = |p: &crate::identification::ParameterEstimate| v1::Parameter {
-        name: p.id.to_string(),
-        unit: p.id.unit().to_string(),
-        value: Some(p.value),
-        sigma: p.sigma,
-        prior_sigma: p.prior_sigma,
-    };
-    let iteration = |i: &crate::identification::IterationRecord| v1::Iteration {
-        cost: i.cost,
-        damping: i.damping,
-        step: i.step,
-        gain: i.gain,
-        accepted: i.accepted,
-    };
-    v1::Estimate {
-        parameters: estimate.parameters.iter().map(parameter).collect(),
-        covariance: estimate
-            .covariance
-            .as_ref()
-            .map(|c| c.transpose().iter().copied().collect())
-            .unwrap_or_default(),
-        chi2: Some(estimate.chi2),
-        degrees_of_freedom: Some(estimate.degrees_of_freedom as u64),
-        termination: estimate.termination.key().to_owned(),
-        iterations: estimate.iterations.iter().map(iteration).collect(),
-        rank: Some(estimate.spectrum.rank as u64),
-        condition: Some(estimate.spectrum.condition),
-        warnings: estimate.warnings.iter().map(ToString::to_string).collect(),
-        held: estimate.held.iter().map(ToString::to_string).collect(),
-        fixed: estimate.fixed.iter().map(ToString::to_string).collect(),
-        noise_from_residuals: match estimate.noise {
-            NoiseScale::Stated => None,
-            NoiseScale::Residuals(sigma) => Some(sigma),
-        },
-        ..robot
-    }
-}
-
-fn timestamp(nanoseconds: u64) -> Timestamp {
-    let seconds = u32::try_from(nanoseconds / 1_000_000_000).unwrap_or(u32::MAX);
-    // Below 10^9.
-    #[allow(clippy::cast_possible_truncation)]
-    let rest = (nanoseconds % 1_000_000_000) as u32;
-    Timestamp::new(seconds, rest)
-}
-
-fn xyz(v: &Vector3<f64>) -> foxglove::messages::Vector3 {
-    foxglove::messages::Vector3 { x: v.x, y: v.y, z: v.z }
-}
-
-fn point(v: &Vector3<f64>) -> Point3 {
-    Point3 { x: v.x, y: v.y, z: v.z }
-}
-
-fn quaternion(q: &UnitQuaternion<f64>) -> Quaternion {
-    Quaternion { x: q.i, y: q.j, z: q.k, w: q.w }
-}
-
-fn colour([r, g, b, a]: Colour) -> Color {
-    let part = |byte: u8| f64::from(byte) / 255.0;
-    Color { r: part(r), g: part(g), b: part(b), a: part(a) }
-}
-
-fn pose(position: &Vector3<f64>, orientation: &UnitQuaternion<f64>) -> Pose {
-    Pose { position: Some(xyz(position)), orientation: Some(quaternion(orientation)) }
-}
-
-fn orientation(transform: &Transform) -> UnitQuaternion<f64> {
-    UnitQuaternion::from_rotation_matrix(&transform.rotation)
-}
-
-fn frame(time: u64, parent: &str, child: String, parent_from_child: &Transform) -> FrameTransform {
-    FrameTransform {
-        timestamp: Some(timestamp(time)),
-        parent_frame_id: parent.to_owned(),
-        child_frame_id: child,
-        translation: Some(xyz(&parent_from_child.translation.vector)),
-        rotation: Some(quaternion(&orientation(parent_from_child))),
-    }
-}
-
-/// World, base and trackers, on a topic of their own: after a jump in time viewers are given the last message of every topic.
-fn fixed_frames(outcome: &Outcome) -> FrameTransforms {
-    let world_from_base = Transform::from_parts(
-        nalgebra::Translation3::identity(),
-        scene::world_from_base(outcome).to_rotation_matrix(),
-    );
-    let trackers = scene::trackers(outcome);
-    let stations =
-        trackers.iter().zip(1..).map(|(place, number)| frame(0, BASE, format!("station{number}"), place));
-    let transforms = std::iter::once(frame(0, WORLD, BASE.to_owned(), &world_from_base)).chain(stations);
-    FrameTransforms { transforms: transforms.collect() }
-}
-
-/// Every chain from link to link, and its flange.
-fn moving_frames(step: &PoseStep<'_>) -> FrameTransforms {
-    let mut transforms = Vec::new();
-    for chain in &step.chains {
-        let mut parent = (BASE.to_owned(), Transform::identity());
-        let flange = (format!("{}/flange", chain.kind.key()), chain.flange);
-        let links = chain.links.iter().enumerate().map(|(i, link)| (chain.frame(i), *link));
-        for (name, base_from_frame) in links.chain([flange]) {
-            let parent_from_frame = parent.1.inverse() * base_from_frame;
-            transforms.push(frame(step.time(), &parent.0, name.clone(), &parent_from_frame));
-            parent = (name, base_from_frame);
-        }
-    }
-    FrameTransforms { transforms }
-}
-
-fn entity(time: u64, frame: &str, id: impl Into<String>) -> SceneEntity {
-    SceneEntity {
-        timestamp: Some(timestamp(time)),
-        frame_id: frame.to_owned(),
-        id: id.into(),
-        frame_locked: true,
-        ..SceneEntity::default()
-    }
-}
-
-fn line(points: &[Vector3<f64>], thickness: f64, rgba: Colour) -> LinePrimitive {
-    LinePrimitive {
-        r#type: line_primitive::Type::LineStrip as i32,
-        pose: Some(pose(&Vector3::zeros(), &UnitQuaternion::identity())),
-        thickness,
-        points: points.iter().map(point).collect(),
-        color: Some(colour(rgba)),
-        ..LinePrimitive::default()
-    }
-}
-
-fn ball(centre: &Vector3<f64>, diameter: f64, rgba: Colour) -> SpherePrimitive {
-    SpherePrimitive {
-        pose: Some(pose(centre, &UnitQuaternion::identity())),
-        size: Some(xyz(&Vector3::repeat(diameter))),
-        color: Some(colour(rgba)),
-    }
-}
-
-fn label(place: &Vector3<f64>, text: &str) -> TextPrimitive {
-    TextPrimitive {
-        pose: Some(pose(place, &UnitQuaternion::identity())),
-        billboard: true,
-        font_size: 0.15,
-        color: Some(colour(scene::POINT)),
-        text: text.to_owned(),
-        ..TextPrimitive::default()
-    }
-}
-
-/// The links' shapes, each in its moving frame, the trackers and the nests: sent once.
-fn shapes(outcome: &Outcome) -> SceneUpdate {
-    let shown = scene::chains(outcome, 0, 0);
-    let mut entities = Vec::new();
-    if let Some(chain) = shown.iter().find(|c| !c.kind.is_ghost()) {
-        for (i, visuals) in outcome.visuals.iter().enumerate() {
-            let frame = if i == 0 { BASE.to_owned() } else { chain.frame(i - 1) };
-            let mut body = entity(0, &frame, format!("{frame} shape"));
-            for visual in visuals {
-                add_shape(&mut body, visual);
-            }
-            entities.push(body);
-        }
-    }
-    let mut instruments = entity(0, BASE, "trackers");
-    for (place, number) in scene::trackers(outcome).iter().zip(1..) {
-        let place = place.translation.vector;
-        instruments.spheres.push(ball(&place, 0.25, scene::TRACKER));
-        instruments.texts.push(label(&place, &format!("station {number}")));
-    }
-    let mut nests = entity(0, BASE, "nests");
-    for (name, place) in scene::nests(outcome) {
-        nests.spheres.push(ball(&place, 0.06, scene::NEST));
-        nests.texts.push(label(&place, &name));
-    }
-    entities.extend([instruments, nests]);
-    SceneUpdate { deletions: Vec::new(), entities }
-}
-
-fn add_shape(body: &mut SceneEntity, visual: &Visual) {
-    let place = Some(pose(&visual.link_from_shape.translation.vector, &orientation(&visual.link_from_shape)));
-    let color = Some(colour(scene::SHELL));
-    match visual.shape {
-        VisualShape::Box(edges) => {
-            body.cubes.push(CubePrimitive { pose: place, size: Some(xyz(&edges.into())), color });
-        }
-        VisualShape::Cylinder { radius, length } => body.cylinders.push(CylinderPrimitive {
-            pose: place,
-            size: Some(xyz(&Vector3::new(2.0 * radius, 2.0 * radius, length))),
-            bottom_scale: 1.0,
-            top_scale: 1.0,
-            color,
-        }),
-        VisualShape::Sphere(radius) => {
-            let size = Some(xyz(&Vector3::repeat(2.0 * radius)));
-            body.spheres.push(SpherePrimitive { pose: place, size, color });
-        }
-    }
-}
-
-/// The chains as lines, the targets, and the tracker's lines of sight.
-fn moving_lines(step: &PoseStep<'_>) -> SceneUpdate {
-    let time = step.time();
-    let chain = |chain: &Chain| {
-        let rgba = chain.kind.colour();
-        let mut shown = entity(time, BASE, format!("{} chain", chain.kind.key()));
-        shown.lines.push(line(&chain.polyline(), 0.04, rgba));
-        shown.lines.extend(chain.linkage.map(|linkage| line(&linkage, 2.0 * scene::ROD_RADIUS, rgba)));
-        shown.texts.extend(chain.kind.label().map(|text| label(&chain.target, text)));
-        shown
-    };
-    let mut seen = entity(time, BASE, "line of sight");
-    for sighting in &step.sightings {
-        seen.lines.push(line(&[sighting.tracker, sighting.point], 0.01, scene::BEAM));
-        seen.spheres.push(ball(&sighting.point, 0.08, scene::POINT));
-    }
-    SceneUpdate { deletions: Vec::new(), entities: step.chains.iter().map(chain).chain([seen]).collect() }
-}
-
-fn arrows(time: u64, name: String, arrows: &[Arrow], rgba: Colour) -> SceneUpdate {
-    let primitive = |arrow: &Arrow| {
-        let length = arrow.vector.norm();
-        // A primitive points along x.
-        let orientation = scene::turn(&arrow.vector, &Vector3::x());
-        ArrowPrimitive {
-            pose: Some(pose(&arrow.origin, &orientation)),
-            shaft_length: 0.75 * length,
-            shaft_diameter: 0.02,
-            head_length: 0.25 * length,
-            head_diameter: 0.05,
-            color: Some(colour(rgba)),
-        }
-    };
-    let mut shown = entity(time, BASE, name);
-    shown.arrows = arrows.iter().filter(|a| a.vector.norm() > 0.0).map(primitive).collect();
-    SceneUpdate { deletions: Vec::new(), entities: vec![shown] }
-}
-
-/// Points in the base frame, in single precision: for the eye only.
-fn cloud(time: u64, points: &[Vector3<f64>]) -> PointCloud {
-    let field = |name: &str, offset: u32| PackedElementField {
-        name: name.to_owned(),
-        offset,
-        r#type: packed_element_field::NumericType::Float32 as i32,
-    };
-    // Metres in single precision: 0.2 µm at 4 m.
-    #[allow(clippy::cast_possible_truncation)]
-    let bytes = |coordinate: &f64| (*coordinate as f32).to_le_bytes();
-    let data: Vec<u8> = points.iter().flat_map(|p| p.iter().flat_map(bytes).collect::<Vec<u8>>()).collect();
-    PointCloud {
-        timestamp: Some(timestamp(time)),
-        frame_id: BASE.to_owned(),
-        pose: Some(pose(&Vector3::zeros(), &UnitQuaternion::identity())),
-        point_stride: 12,
-        fields: vec![field("x", 0), field("y", 4), field("z", 8)],
-        data: data.into(),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use std::io::Cursor;
 
+    use foxglove::messages::{FrameTransform, FrameTransforms, PointCloud, SceneUpdate};
     use mcap::MessageStream;
-    use nalgebra::Translation3;
+    use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
+    use crate::geometry::Transform;
+    use crate::recording::foxglove_scene::BASE;
     use crate::recording::{RESIDUAL_SCALE, synthetic};
 
     fn bytes_of(outcome: &Outcome) -> Vec<u8> {
-        let mut file = Cursor::new(Vec::new());
-        let mut recorder = McapRecorder::new(&mut file).expect("begun");
-        record(outcome, &mut recorder).expect("recorded");
-        recorder.finish().expect("finished");
-        file.into_inner()
+        synthetic::recorded(outcome)
     }
 
     fn messages<M: Message + Default>(bytes: &[u8], topic: &str) -> Vec<(u64, M)> {
@@ -638,7 +379,7 @@ mod tests {
     }
 
     #[test]
-    fn provenance_comes_before_the_first_message_and_time_never_runs_back() {
+    fn provenance_comes_before_the_first_message_and_no_topics_time_runs_back() {
         let outcome = synthetic::outcome(25, 10, true);
         let bytes = bytes_of(&outcome);
         let find = |text: &[u8]| bytes.windows(text.len()).position(|w| w == text).expect("in the file");
@@ -648,11 +389,12 @@ mod tests {
         for (_, source) in &outcome.sources {
             assert!(find(source.text.as_bytes()) < first_chunk);
         }
-        let mut last = 0;
+        let mut last = BTreeMap::new();
         let mut counts = BTreeMap::new();
         for message in MessageStream::new(&bytes).expect("a file").map(|m| m.expect("sound")) {
-            assert!(message.log_time >= last, "{}", message.channel.topic);
-            last = message.log_time;
+            let last = last.entry(message.channel.topic.clone()).or_insert(0);
+            assert!(message.log_time >= *last, "{}", message.channel.topic);
+            *last = message.log_time;
             let count = counts.entry(message.channel.topic.clone()).or_insert(0);
             assert_eq!(message.sequence, *count);
             *count += 1;

@@ -1,15 +1,20 @@
 //! Recordings of a run: for viewers, and as the only thing that a replay needs.
 //!
-//! [`record`] tells an [`Outcome`](crate::pipeline::Outcome) to a [`Recorder`], pose by pose, so that every sink holds the same story.
-//! There are two: MCAP ([`write_mcap`]), which Foxglove and Rerun open and [`read_recording`] reads back without loss, and, with the
+//! A [`Recorder`] is told a run in two parts: the session while it is measured ([`SessionRecorder`]), then what was made of it, pose by
+//! pose ([`record_evaluation`]). [`record`] tells both of a finished [`Outcome`](crate::pipeline::Outcome): every sink holds the same story.
+//! There are two: MCAP ([`McapRecorder`]), which Foxglove and Rerun open and [`read_recording`] reads back without loss, and, with the
 //! feature `rerun`, Rerun's own format with a layout of its views (`write_rrd`).
 //!
 //! Times are simulated: the observations' own where they increase, else one second a pose. The same outcome gives the same bytes of MCAP.
 
+mod clock;
 mod error;
+mod estimate;
 #[cfg(feature = "rerun")]
 mod figures;
 mod file;
+mod foxglove_scene;
+mod live;
 mod mcap_reader;
 mod mcap_writer;
 mod provenance;
@@ -23,6 +28,7 @@ mod rerun_live;
 mod rerun_sink;
 #[cfg(feature = "rerun")]
 mod rerun_views;
+mod scan;
 mod scene;
 pub mod schema;
 mod story;
@@ -33,7 +39,11 @@ mod tables;
 mod truth;
 
 pub use error::RecordingError;
-pub use mcap_reader::{RecordedEstimate, RecordedParameter, Recording, read_recording};
+pub use file::UnfinishedFile;
+pub use live::{SessionContext, SessionRecorder};
+pub use mcap_reader::{
+    ReadOptions, RecordedEstimate, RecordedParameter, Recording, read_recording, read_recording_with,
+};
 pub use mcap_writer::{McapRecorder, write_mcap};
 pub use provenance::{Provenance, SCHEMA};
 #[cfg(feature = "rerun")]
@@ -41,7 +51,9 @@ pub use rerun_live::{LiveRecorder, VIEWER_URL, Viewer, viewer_url};
 #[cfg(feature = "rerun")]
 pub use rerun_sink::{RerunRecorder, write_rrd};
 pub use scene::{Chain, ChainKind, Sighting};
-pub use story::{LogEntry, LogLevel, PoseStep, Recorder, Residuals, record};
+pub use story::{
+    LogEntry, LogLevel, Measured, PoseStep, Preamble, Recorder, Residuals, record, record_evaluation,
+};
 
 /// How much longer than life residual arrows are drawn.
 pub const RESIDUAL_SCALE: f64 = 100.0;

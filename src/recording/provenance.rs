@@ -7,14 +7,16 @@ use sha2::{Digest, Sha256};
 
 use super::RecordingError;
 use crate::input::Source;
-use crate::pipeline::Outcome;
+use crate::pipeline::{InputSummary, PlantKind};
 
 /// Name and version of the recording's layout: topics, messages and metadata.
-pub const SCHEMA: &str = "calibrig.recording/1";
+pub const SCHEMA: &str = "calibrig.recording/2";
 const SCHEMA_NAME: &str = "calibrig.recording/";
-const SCHEMA_VERSION: u32 = 1;
+const SCHEMA_VERSION: u32 = 2;
 /// Name of the metadata record.
 pub(super) const METADATA: &str = "calibrig";
+/// Name of the metadata record of a file that was saved from a damaged one.
+pub(super) const RECOVERED: &str = "calibrig_recovered";
 
 /// Where a recording comes from.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -29,6 +31,8 @@ pub struct Provenance {
     pub input_sha256: String,
     /// The seed of a simulation.
     pub seed: Option<u64>,
+    /// Number of the simulation's trial and what stood for the machine; `None` too in schema 1.
+    pub trial: Option<(u32, PlantKind)>,
     /// Hash over the recording's metadata and attachments, hexadecimal.
     pub provenance_sha256: String,
 }
@@ -36,10 +40,9 @@ pub struct Provenance {
 /// An input file as it lies in the recording: `role/file name` and its text.
 pub(super) type AttachedInput = (String, String);
 
-/// The outcome's input files. Folders are left out of the names: the same run gives the same bytes wherever its files lie.
-pub(super) fn attached_inputs(outcome: &Outcome) -> Vec<AttachedInput> {
-    outcome
-        .sources
+/// The input files as attachments. Folders are left out of the names: the same run gives the same bytes wherever its files lie.
+pub(super) fn attached_inputs(sources: &[(String, Source)]) -> Vec<AttachedInput> {
+    sources
         .iter()
         .map(|(role, source)| {
             let file = Path::new(&source.name)
@@ -56,21 +59,25 @@ pub(super) fn source_of((name, text): AttachedInput) -> (String, Source) {
     (role.to_owned(), Source::new(file, text))
 }
 
-/// The metadata record of an outcome whose input files are `inputs`.
-pub(super) fn metadata_of(outcome: &Outcome, inputs: &[AttachedInput]) -> BTreeMap<String, String> {
+/// The metadata record of what came from `input`, whose files are `inputs`.
+pub(super) fn metadata_of(input: &InputSummary, inputs: &[AttachedInput]) -> BTreeMap<String, String> {
     let names: Vec<&str> = inputs.iter().map(|(name, _)| name.as_str()).collect();
     let mut metadata: BTreeMap<String, String> = [
         ("schema", SCHEMA.to_owned()),
         ("software", Provenance::software().to_owned()),
-        ("input_kind", outcome.input.kind.to_owned()),
-        ("input_name", outcome.input.name.clone()),
-        ("input_sha256", outcome.input.sha256.clone()),
+        ("input_kind", input.kind.to_owned()),
+        ("input_name", input.name.clone()),
+        ("input_sha256", input.sha256.clone()),
         ("attachments", names.join("\n")),
     ]
     .map(|(key, value)| (key.to_owned(), value))
     .into();
-    if let Some(seed) = outcome.input.seed {
+    if let Some(seed) = input.seed {
         metadata.insert("seed".to_owned(), seed.to_string());
+    }
+    if let Some((trial, plant)) = input.trial {
+        metadata.insert("trial".to_owned(), trial.to_string());
+        metadata.insert("plant".to_owned(), plant.key().to_owned());
     }
     let hash = hash(&metadata, inputs);
     metadata.insert("provenance_sha256".to_owned(), hash);
@@ -116,12 +123,19 @@ impl Provenance {
         let seed = metadata
             .get("seed")
             .map(|seed| seed.parse().map_err(|_| bad("seed", Some(seed), "a whole number below 2^64")));
+        let trial = metadata.get("trial").map(|trial| {
+            let number = trial.parse().map_err(|_| bad("trial", Some(trial), "a whole number below 2^32"))?;
+            let plant = metadata.get("plant");
+            let known = PlantKind::ALL.into_iter().find(|kind| plant.is_some_and(|key| key == kind.key()));
+            Ok::<_, RecordingError>((number, known.ok_or_else(|| bad("plant", plant, "rapier or analytic"))?))
+        });
         Ok(Self {
             software: text(metadata, "software")?,
             input_kind: text(metadata, "input_kind")?,
             input_name: text(metadata, "input_name")?,
             input_sha256: text(metadata, "input_sha256")?,
             seed: seed.transpose()?,
+            trial: trial.transpose()?,
             provenance_sha256: expected,
         })
     }
@@ -140,7 +154,7 @@ fn check_schema(metadata: &BTreeMap<String, String>) -> Result<(), RecordingErro
     let found = metadata.get("schema");
     let version = found.and_then(|s| s.strip_prefix(SCHEMA_NAME)).and_then(|v| v.parse::<u32>().ok());
     match version {
-        Some(SCHEMA_VERSION) => Ok(()),
+        Some(1..=SCHEMA_VERSION) => Ok(()),
         Some(version) if version > SCHEMA_VERSION => Err(RecordingError::NewerSchema {
             found: found.cloned().unwrap_or_default(),
             software: metadata.get("software").cloned().unwrap_or_else(|| "not stated".to_owned()),
@@ -163,8 +177,8 @@ mod tests {
 
     fn parts() -> (BTreeMap<String, String>, Vec<AttachedInput>) {
         let outcome = synthetic::outcome(3, 2, true);
-        let inputs = attached_inputs(&outcome);
-        (metadata_of(&outcome, &inputs), inputs)
+        let inputs = attached_inputs(&outcome.sources);
+        (metadata_of(&outcome.input, &inputs), inputs)
     }
 
     #[test]
@@ -216,10 +230,10 @@ mod tests {
         assert!(error.to_string().contains("scenario/synthetic.toml"), "{error}");
 
         let mut newer = metadata.clone();
-        newer.insert("schema".to_owned(), "calibrig.recording/2".to_owned());
+        newer.insert("schema".to_owned(), "calibrig.recording/3".to_owned());
         let error = Provenance::check(&newer, &inputs).expect_err("newer");
         assert!(matches!(error, RecordingError::NewerSchema { .. }));
-        assert!(error.to_string().contains("calibrig.recording/1"), "{error}");
+        assert!(error.to_string().contains(SCHEMA), "{error}");
 
         for nonsense in ["calibrig.recording/", "calibrig.recording/0", "calibrig.recording/-1", "ros2", ""] {
             let mut altered = metadata.clone();

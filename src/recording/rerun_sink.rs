@@ -19,13 +19,13 @@ use super::file::write_whole;
 use super::rerun_analysis::COST;
 use super::scene::{self, Arrow, Colour};
 use super::{
-    Chain, ChainKind, DEFLECTION_SCALE, LogEntry, LogLevel, PoseStep, RESIDUAL_SCALE, Recorder,
-    RecordingError, record, rerun_layout, tables,
+    Chain, ChainKind, DEFLECTION_SCALE, LogEntry, LogLevel, Measured, PoseStep, Preamble, RESIDUAL_SCALE,
+    Recorder, RecordingError, record, rerun_layout, tables,
 };
 use crate::geometry::Transform;
 use crate::identification::Mode;
 use crate::model::{Visual, VisualShape};
-use crate::pipeline::{ModeOutcome, Outcome, SetKind};
+use crate::pipeline::{ModeOutcome, Outcome, SetKind, SetOutcome};
 
 pub(super) const APPLICATION: &str = "calibrig";
 /// Root of all that is drawn in the base frame.
@@ -227,7 +227,7 @@ impl RerunRecorder {
     }
 
     /// All measured points and all arrows: they do not change with the pose.
-    fn measured(&self, outcome: &Outcome) -> Result<(), RecordingError> {
+    fn all_measured(&self, outcome: &Outcome) -> Result<(), RecordingError> {
         for (index, set) in outcome.sets.iter().enumerate() {
             let key = set.kind.key();
             let points = scene::measured_points(outcome, &set.measurements);
@@ -348,17 +348,17 @@ impl RerunRecorder {
 
     /// The simulated machine at the first observation of a pose.
     fn machine(&self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
-        if let Some(deflection) = step.deflection(0) {
+        if let Some(deflection) = step.measured.deflection(0) {
             let norm = deflection.norm();
             for (axis, value) in CURVES.iter().zip(deflection.iter().chain([&norm])) {
                 self.put(&format!("{DEFLECTION}/{axis}"), &Scalars::single(1e3 * value))?;
             }
         }
-        let Some(settled) = step.truth.first() else { return Ok(()) };
+        let Some(settled) = step.measured.truth.first() else { return Ok(()) };
         if let Some(force) = settled.rod_force {
             self.put(ROD_FORCE, &Scalars::single(force))?;
         }
-        if let Some(temperature) = step.effects.first().and_then(|effects| effects.temperature) {
+        if let Some(temperature) = step.measured.effects.first().and_then(|effects| effects.temperature) {
             self.put(TEMPERATURE, &Scalars::single(temperature))?;
         }
         self.put("tables/machine", &TextDocument::from_markdown(tables::machine(step)))
@@ -392,12 +392,29 @@ impl RerunRecorder {
 }
 
 impl Recorder for RerunRecorder {
+    // The file is written when the run is over: its views show the session with what was made of it.
+    fn open(&mut self, _: &Preamble<'_>) -> Result<(), RecordingError> {
+        Ok(())
+    }
+    fn set(&mut self, _: u64, _: &SetOutcome, _: Option<u32>) -> Result<(), RecordingError> {
+        Ok(())
+    }
+    fn measured(&mut self, _: &Measured<'_>) -> Result<(), RecordingError> {
+        Ok(())
+    }
+    fn dropped(&mut self, _: u64, _: SetKind, _: u32, _: &str) -> Result<(), RecordingError> {
+        Ok(())
+    }
+    fn set_end(&mut self, _: u64, _: SetKind, _: usize) -> Result<(), RecordingError> {
+        Ok(())
+    }
+
     fn begin(&mut self, outcome: &Outcome) -> Result<(), RecordingError> {
         self.fixed(SCENE, &coordinates(&scene::up(outcome)))?;
         self.robot(outcome)?;
         self.instruments(outcome)?;
         self.scales(outcome)?;
-        self.measured(outcome)?;
+        self.all_measured(outcome)?;
         self.curves(outcome)?;
         self.document("tables/accuracy", tables::about(outcome) + &tables::accuracy(outcome))?;
         self.document("tables/parameters", tables::parameters(outcome))?;
@@ -407,9 +424,9 @@ impl Recorder for RerunRecorder {
     fn pose(&mut self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
         let told = Told {
             number: i64::from(step.number),
-            seconds: step.time() as f64 * 1e-9,
+            seconds: step.measured.time() as f64 * 1e-9,
             set: step.set.kind,
-            first: step.first,
+            first: step.measured.first,
         };
         self.poses.push(told);
         self.at_pose(told);

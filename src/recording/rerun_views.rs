@@ -41,9 +41,6 @@ impl<'a> Views<'a> {
         tabs.extend(self.histograms());
         tabs.extend(self.machine());
         tabs.extend(self.estimates());
-            let k = n.min(tabs.len() - 1);
-            tabs.rotate_left(k);
-        }
         Tabs::new(tabs)
     }
 

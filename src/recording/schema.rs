@@ -112,34 +112,50 @@ fn to_reading(message: Option<&v1::Reading>) -> Result<Reading, String> {
     }
 }
 
-impl From<&SetOutcome> for v1::Session {
-    fn from(set: &SetOutcome) -> Self {
-        let measurements = &set.measurements;
-        let nest = |nest: &NestObservation| v1::Nest {
-            name: nest.name.clone(),
-            in_base: vector(&nest.in_base),
-            in_base_covariance: matrix(&nest.in_base_covariance),
-            reading: Some((&nest.reading).into()),
-        };
-        let station = |station: &Station| v1::Station {
-            name: station.name.clone(),
-            nests: station.nests.iter().map(nest).collect(),
-        };
-        let target = |target: &Target| v1::Target {
-            name: target.name.clone(),
-            in_flange: vector(&target.in_flange),
-            covariance: target.covariance.as_ref().map(matrix).unwrap_or_default(),
-        };
-        let dropped =
-            |(pose, reason): &(u32, String)| v1::DroppedPose { pose: *pose, reason: reason.clone() };
-        Self {
-            set: set.kind.key().to_owned(),
-            stations: measurements.stations.iter().map(station).collect(),
-            targets: measurements.targets.iter().map(target).collect(),
-            dropped: set.dropped.iter().map(dropped).collect(),
-            observation_count: saturating(measurements.observations.len()),
-        }
+/// A set before its observations.
+pub(super) fn session(set: &SetOutcome, planned: Option<u32>) -> v1::Session {
+    let measurements = &set.measurements;
+    let station = |station: &Station| v1::Station { name: station.name.clone(), nests: Vec::new() };
+    let target = |target: &Target| v1::Target {
+        name: target.name.clone(),
+        in_flange: vector(&target.in_flange),
+        covariance: target.covariance.as_ref().map(matrix).unwrap_or_default(),
+    };
+    v1::Session {
+        set: set.kind.key().to_owned(),
+        stations: measurements.stations.iter().map(station).collect(),
+        targets: measurements.targets.iter().map(target).collect(),
+        dropped: Vec::new(),
+        observation_count: None,
+        planned_poses: planned,
     }
+}
+
+/// The nests that the stations of a set measured.
+pub(super) fn nests(set: &SetOutcome) -> impl Iterator<Item = v1::BaseNest> {
+    let nest = |nest: &NestObservation| v1::Nest {
+        name: nest.name.clone(),
+        in_base: vector(&nest.in_base),
+        in_base_covariance: matrix(&nest.in_base_covariance),
+        reading: Some((&nest.reading).into()),
+    };
+    let stations = set.measurements.stations.iter().enumerate();
+    stations.flat_map(move |(station, place)| {
+        place.nests.iter().map(move |seen| v1::BaseNest {
+            set: set.kind.key().to_owned(),
+            station: saturating(station),
+            nest: Some(nest(seen)),
+        })
+    })
+}
+
+pub(super) fn to_nest(nest: &v1::Nest) -> Result<NestObservation, String> {
+    Ok(NestObservation {
+        name: nest.name.clone(),
+        in_base: to_vector(&nest.in_base, "in_base")?,
+        in_base_covariance: to_matrix(&nest.in_base_covariance, "in_base_covariance")?,
+        reading: to_reading(nest.reading.as_ref())?,
+    })
 }
 
 /// Counts of a recording are far below 2^32.
@@ -151,16 +167,8 @@ impl TryFrom<&v1::Session> for SetOutcome {
     type Error = String;
 
     fn try_from(message: &v1::Session) -> Result<Self, String> {
-        let nest = |nest: &v1::Nest| {
-            Ok::<_, String>(NestObservation {
-                name: nest.name.clone(),
-                in_base: to_vector(&nest.in_base, "in_base")?,
-                in_base_covariance: to_matrix(&nest.in_base_covariance, "in_base_covariance")?,
-                reading: to_reading(nest.reading.as_ref())?,
-            })
-        };
         let station = |station: &v1::Station| {
-            let nests = station.nests.iter().map(nest).collect::<Result<_, _>>()?;
+            let nests = station.nests.iter().map(to_nest).collect::<Result<_, _>>()?;
             Ok::<_, String>(Station { name: station.name.clone(), nests })
         };
         let target = |target: &v1::Target| {
@@ -235,7 +243,7 @@ mod tests {
     fn observations_come_back_bit_for_bit() {
         let outcome = synthetic::outcome(6, 2, false);
         for set in &outcome.sets {
-            let empty = SetOutcome::try_from(&v1::Session::from(set)).expect("sound");
+            let empty = SetOutcome::try_from(&session(set, None)).expect("sound");
             for (i, o) in set.measurements.observations.iter().enumerate() {
                 let mut o = o.clone();
                 o.command[0] = -0.0;

@@ -1,29 +1,77 @@
-//! The one story that every recorder is told.
+//! The one story that every recorder is told: first the session, while it is measured, then what was made of it.
 
-use std::cmp::Ordering;
 use std::fmt::Write;
 use std::ops::Range;
 
 use nalgebra::Vector3;
 
+use super::clock::Clock;
 use super::scene::{self, Arrow, Chain, Sighting};
 use super::{Provenance, RecordingError};
+use crate::geometry::Transform;
 use crate::identification::Mode;
+use crate::input::Source;
 use crate::measurement::Observation;
-use crate::pipeline::{ModeOutcome, Outcome, SetKind, SetOutcome};
-use crate::plant::SettledPose;
+use crate::model::{CalibrationModel, Visual};
+use crate::pipeline::{InputSummary, ModeOutcome, Outcome, SetKind, SetOutcome};
 use crate::plant::effects::PoseEffects;
+use crate::plant::{AsBuilt, SettledPose};
 
-/// A sink for the story of a run.
+/// A sink for the story of a run. What the session alone does not need is not told to it by default.
 pub trait Recorder {
-    /// What holds for the whole run: provenance, sets, shapes, the machine as built.
+    /// Before the session.
+    fn open(&mut self, preamble: &Preamble<'_>) -> Result<(), RecordingError>;
+    /// A set begins, at `time` ns: its stations and targets; poses planned, where known.
+    fn set(&mut self, time: u64, set: &SetOutcome, planned: Option<u32>) -> Result<(), RecordingError>;
+    /// A pose was measured.
+    fn measured(&mut self, measured: &Measured<'_>) -> Result<(), RecordingError>;
+    /// A pose was planned but not measured.
+    fn dropped(&mut self, time: u64, kind: SetKind, pose: u32, reason: &str) -> Result<(), RecordingError>;
+    /// A set is complete, with so many observations.
+    fn set_end(&mut self, time: u64, kind: SetKind, observations: usize) -> Result<(), RecordingError>;
+
+    /// What holds for all of the evaluation.
     fn begin(&mut self, outcome: &Outcome) -> Result<(), RecordingError>;
-    /// One pose.
+    /// One pose, evaluated.
     fn pose(&mut self, step: &PoseStep<'_>) -> Result<(), RecordingError>;
     /// What a mode made of the measurements, at `time` ns.
     fn estimate(&mut self, time: u64, outcome: &Outcome, mode: &ModeOutcome) -> Result<(), RecordingError>;
     /// A line for people.
     fn log(&mut self, entry: &LogEntry) -> Result<(), RecordingError>;
+}
+
+/// What is known before the first pose.
+#[derive(Debug, Clone, Copy)]
+pub struct Preamble<'a> {
+    /// Where the measurements come from.
+    pub input: &'a InputSummary,
+    /// The input files by role.
+    pub sources: &'a [(String, Source)],
+    /// What identification is told beforehand.
+    pub model: &'a CalibrationModel,
+    /// What the links look like; empty where unknown.
+    pub visuals: &'a [Vec<Visual>],
+    /// The machine and `tracker_from_base`, where simulated.
+    pub truth: Option<(&'a AsBuilt, &'a Transform)>,
+}
+
+/// The observations of one pose as they were measured, and the truth beside them.
+#[derive(Debug, Clone, Copy)]
+pub struct Measured<'a> {
+    /// The set.
+    pub kind: SetKind,
+    /// Place of the first observation in its set.
+    pub first: usize,
+    /// The observations.
+    pub observations: &'a [Observation],
+    /// Simulated time of each observation, ns.
+    pub times: &'a [u64],
+    /// The machine at rest, one an observation; empty where not simulated.
+    pub truth: &'a [SettledPose],
+    /// The same if nothing of it yielded.
+    pub rigid: &'a [SettledPose],
+    /// What the machine's effects made of the pose.
+    pub effects: &'a [PoseEffects],
 }
 
 /// How much a line matters.
@@ -46,31 +94,21 @@ pub struct LogEntry {
     pub message: String,
 }
 
-/// All that belongs to one pose: the robot, and every target seen at it.
+/// All that belongs to one evaluated pose: the robot, and every target seen at it.
 #[derive(Debug, Clone)]
 pub struct PoseStep<'a> {
     /// Running number over all sets, from 0.
     pub number: u32,
     /// The set.
     pub set: &'a SetOutcome,
-    /// Place of the first observation in its set.
-    pub first: usize,
-    /// The observations.
-    pub observations: &'a [Observation],
-    /// Simulated time of each observation, ns.
-    pub times: &'a [u64],
+    /// What was measured.
+    pub measured: Measured<'a>,
     /// The robots to show.
     pub chains: Vec<Chain>,
     /// Where the targets were seen, in the base frame.
     pub sightings: Vec<Sighting>,
     /// What each mode left over.
     pub residuals: Vec<Residuals<'a>>,
-    /// The machine at rest, one an observation; empty where not simulated.
-    pub truth: &'a [SettledPose],
-    /// The same if nothing of it yielded.
-    pub rigid: &'a [SettledPose],
-    /// What the machine's effects made of the pose.
-    pub effects: &'a [PoseEffects],
 }
 
 /// What a mode left over at one pose.
@@ -83,7 +121,7 @@ pub struct Residuals<'a> {
     pub(super) arrows: Vec<Arrow>,
 }
 
-impl PoseStep<'_> {
+impl Measured<'_> {
     /// Simulated time of the pose, ns.
     pub fn time(&self) -> u64 {
         self.times.first().copied().unwrap_or(0)
@@ -95,8 +133,48 @@ impl PoseStep<'_> {
     }
 }
 
-/// Tells `outcome` to `recorder`.
+/// Tells `outcome` to `recorder`, from the first pose on.
 pub fn record(outcome: &Outcome, recorder: &mut dyn Recorder) -> Result<(), RecordingError> {
+    record_session(outcome, recorder)?;
+    record_evaluation(outcome, recorder)
+}
+
+/// Tells the session of `outcome` as it was told, or would have been, while it was measured.
+fn record_session(outcome: &Outcome, recorder: &mut dyn Recorder) -> Result<(), RecordingError> {
+    let truth = outcome.truth.as_ref();
+    recorder.open(&Preamble {
+        input: &outcome.input,
+        sources: &outcome.sources,
+        model: &outcome.model,
+        visuals: &outcome.visuals,
+        truth: truth.map(|truth| (&truth.as_built, &truth.tracker_from_base)),
+    })?;
+    let times = times(&outcome.sets);
+    let mut now = 0;
+    for (index, set) in outcome.sets.iter().enumerate() {
+        let observations = &set.measurements.observations;
+        let planned = poses(observations).count() + set.dropped.len();
+        recorder.set(now, set, u32::try_from(planned).ok())?;
+        let mut dropped = set.dropped.iter().peekable();
+        for range in poses(observations) {
+            let measured = measured(outcome, index, range, &times[index]);
+            let number = measured.observations.first().map_or(0, |o| o.pose);
+            while let Some((pose, reason)) = dropped.next_if(|(pose, _)| *pose < number) {
+                recorder.dropped(now, set.kind, *pose, reason)?;
+            }
+            recorder.measured(&measured)?;
+            now = measured.times.last().copied().unwrap_or(now);
+        }
+        for (pose, reason) in dropped {
+            recorder.dropped(now, set.kind, *pose, reason)?;
+        }
+        recorder.set_end(now, set.kind, set.measurements.observations.len())?;
+    }
+    Ok(())
+}
+
+/// Tells what was made of the session: the story goes through its poses once more.
+pub fn record_evaluation(outcome: &Outcome, recorder: &mut dyn Recorder) -> Result<(), RecordingError> {
     recorder.begin(outcome)?;
     for message in opening(outcome) {
         recorder.log(&LogEntry { time: 0, level: LogLevel::Info, message })?;
@@ -114,7 +192,7 @@ pub fn record(outcome: &Outcome, recorder: &mut dyn Recorder) -> Result<(), Reco
             number += 1;
         }
     }
-    let end = times.iter().flatten().max().map_or(0, |last| last.saturating_add(SECOND));
+    let end = times.iter().flatten().max().map_or(0, |last| last.saturating_add(super::clock::SECOND));
     for mode in &outcome.modes {
         recorder.estimate(end, outcome, mode)?;
         for (level, message) in closing(outcome, mode) {
@@ -122,6 +200,14 @@ pub fn record(outcome: &Outcome, recorder: &mut dyn Recorder) -> Result<(), Reco
         }
     }
     Ok(())
+}
+
+/// Simulated time of every observation, ns.
+fn times(sets: &[SetOutcome]) -> Vec<Vec<u64>> {
+    let mut clock = Clock::default();
+    sets.iter()
+        .map(|set| set.measurements.observations.iter().map(|o| clock.time_of(set.kind, o)).collect())
+        .collect()
 }
 
 /// The observations of each pose: neighbours with the same number.
@@ -134,6 +220,25 @@ fn poses(observations: &[Observation]) -> impl Iterator<Item = Range<usize>> {
     })
 }
 
+fn measured<'a>(
+    outcome: &'a Outcome,
+    set_index: usize,
+    range: Range<usize>,
+    times: &'a [u64],
+) -> Measured<'a> {
+    let set = &outcome.sets[set_index];
+    let truth = outcome.truth.as_ref();
+    Measured {
+        kind: set.kind,
+        first: range.start,
+        observations: &set.measurements.observations[range.clone()],
+        times: &times[range.clone()],
+        truth: truth.map_or(&[][..], |truth| part(&truth.poses, set_index, &range)),
+        rigid: truth.map_or(&[][..], |truth| part(&truth.rigid, set_index, &range)),
+        effects: truth.map_or(&[][..], |truth| part(&truth.effects, set_index, &range)),
+    }
+}
+
 fn step<'a>(
     outcome: &'a Outcome,
     set_index: usize,
@@ -141,12 +246,11 @@ fn step<'a>(
     number: u32,
     times: &'a [u64],
 ) -> PoseStep<'a> {
-    let set = &outcome.sets[set_index];
-    let observations = &set.measurements.observations[range.clone()];
+    let measured = measured(outcome, set_index, range.clone(), times);
+    let observations = measured.observations;
     let observer = scene::observer(outcome);
     let sightings =
         observer.map(|robot| observations.iter().filter_map(|o| scene::sighting(robot, o)).collect());
-    let truth = outcome.truth.as_ref();
     let residuals = |mode: &'a ModeOutcome| {
         let errors = mode.errors.get(set_index)?.get(range.clone())?;
         let arrows = observations.iter().zip(errors).filter_map(|(o, e)| scene::arrow(mode, o, e)).collect();
@@ -154,66 +258,16 @@ fn step<'a>(
     };
     PoseStep {
         number,
-        set,
-        first: range.start,
-        observations,
-        times: &times[range.clone()],
+        set: &outcome.sets[set_index],
+        measured,
         chains: scene::chains(outcome, set_index, range.start),
         sightings: sightings.unwrap_or_default(),
         residuals: outcome.modes.iter().filter_map(residuals).collect(),
-        truth: truth.map_or(&[][..], |truth| part(&truth.poses, set_index, &range)),
-        rigid: truth.map_or(&[][..], |truth| part(&truth.rigid, set_index, &range)),
-        effects: truth.map_or(&[][..], |truth| part(&truth.effects, set_index, &range)),
     }
 }
 
 fn part<'a, T>(sets: &'a [Vec<T>], set: usize, range: &Range<usize>) -> &'a [T] {
     sets.get(set).and_then(|set| set.get(range.clone())).unwrap_or_default()
-}
-
-const SECOND: u64 = 1_000_000_000;
-/// Between one set and the next, where their own times do not tell.
-const PAUSE: u64 = 10 * SECOND;
-
-/// Simulated time of every observation, ns, increasing over the sets.
-fn times(sets: &[SetOutcome]) -> Vec<Vec<u64>> {
-    let mut end: Option<u64> = None;
-    sets.iter()
-        .map(|set| {
-            let observations = &set.measurements.observations;
-            let own = own_times(observations).unwrap_or_else(|| one_second_a_pose(observations));
-            let (Some(&first), Some(&last)) = (own.first(), own.last()) else { return own };
-            let shift = match end {
-                Some(end) if first <= end => end.saturating_add(PAUSE) - first,
-                _ => 0,
-            };
-            end = Some(last.saturating_add(shift));
-            own.iter().map(|t| t.saturating_add(shift)).collect()
-        })
-        .collect()
-}
-
-/// The observations' own times, if they never decrease and increase from pose to pose.
-fn own_times(observations: &[Observation]) -> Option<Vec<u64>> {
-    // Viewers hold whole seconds in 32 bits.
-    let usable = |o: &Observation| (0.0..4e9).contains(&o.time);
-    let increase = observations.windows(2).all(|pair| match pair[0].time.partial_cmp(&pair[1].time) {
-        Some(Ordering::Less) => true,
-        Some(Ordering::Equal) => pair[0].pose == pair[1].pose,
-        _ => false,
-    });
-    if !increase || !observations.iter().all(usable) {
-        return None;
-    }
-    // In range by the test above.
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
-    let nanoseconds = |o: &Observation| (o.time * 1e9).round() as u64;
-    Some(observations.iter().map(nanoseconds).collect())
-}
-
-fn one_second_a_pose(observations: &[Observation]) -> Vec<u64> {
-    let ranges = poses(observations).zip(0_u64..);
-    ranges.flat_map(|(range, number)| range.map(move |_| number * SECOND)).collect()
 }
 
 fn opening(outcome: &Outcome) -> Vec<String> {
@@ -286,23 +340,45 @@ mod tests {
 
     #[derive(Default)]
     struct Listener {
-        poses: Vec<(u32, SetKind, usize, usize, u64)>,
+        session: Vec<String>,
+        poses: Vec<(u32, SetKind, usize, usize)>,
         estimates: Vec<Mode>,
         log: Vec<LogEntry>,
         last_time: u64,
     }
 
     impl Recorder for Listener {
+        fn open(&mut self, _: &Preamble<'_>) -> Result<(), RecordingError> {
+            assert!(self.session.is_empty());
+            Ok(())
+        }
+        fn set(&mut self, _: u64, set: &SetOutcome, _: Option<u32>) -> Result<(), RecordingError> {
+            self.session.push(format!("{} begins", set.kind.key()));
+            Ok(())
+        }
+        fn measured(&mut self, measured: &Measured<'_>) -> Result<(), RecordingError> {
+            self.session.push(format!("{} {}", measured.first, measured.observations.len()));
+            Ok(())
+        }
+        fn dropped(&mut self, _: u64, _: SetKind, pose: u32, reason: &str) -> Result<(), RecordingError> {
+            self.session.push(format!("{pose} {reason}"));
+            Ok(())
+        }
+        fn set_end(&mut self, _: u64, kind: SetKind, observations: usize) -> Result<(), RecordingError> {
+            self.session.push(format!("{} ends with {observations}", kind.key()));
+            Ok(())
+        }
         fn begin(&mut self, _: &Outcome) -> Result<(), RecordingError> {
             assert!(self.poses.is_empty() && self.estimates.is_empty() && self.log.is_empty());
             Ok(())
         }
         fn pose(&mut self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
-            assert!(step.time() >= self.last_time, "time runs backwards");
-            self.last_time = *step.times.last().expect("an observation");
-            self.poses.push((step.number, step.set.kind, step.first, step.observations.len(), step.time()));
+            let measured = &step.measured;
+            assert!(measured.time() >= self.last_time, "time runs backwards");
+            self.last_time = *measured.times.last().expect("an observation");
+            self.poses.push((step.number, step.set.kind, measured.first, measured.observations.len()));
             assert_eq!(step.residuals.len(), Mode::ALL.len());
-            assert_eq!(step.sightings.len(), step.observations.len());
+            assert_eq!(step.sightings.len(), measured.observations.len());
             Ok(())
         }
         fn estimate(&mut self, time: u64, _: &Outcome, mode: &ModeOutcome) -> Result<(), RecordingError> {
@@ -334,6 +410,24 @@ mod tests {
         let warnings: Vec<_> = heard.log.iter().filter(|e| e.message.contains("out of sight")).collect();
         assert_eq!(warnings.len(), 1);
         assert_eq!(warnings[0].level, LogLevel::Warning);
+        let session = [
+            "identification begins",
+            "0 1",
+            "1 1",
+            "2 1",
+            "3 1",
+            "4 1",
+            "5 no line of sight",
+            "identification ends with 5",
+            "verification begins",
+            "0 1",
+            "1 1",
+            "2 1",
+            "3 no line of sight",
+            "17 out of sight",
+            "verification ends with 3",
+        ];
+        assert_eq!(heard.session, session);
     }
 
     #[test]
@@ -346,21 +440,5 @@ mod tests {
             heard.poses.iter().map(|p| (p.2, p.3)).collect::<Vec<_>>(),
             [(0, 2), (2, 1), (3, 1), (0, 1)]
         );
-    }
-
-    #[test]
-    fn times_are_the_observations_own_or_a_second_a_pose() {
-        let mut outcome = synthetic::outcome(3, 2, false);
-        let own: Vec<f64> = outcome.sets[0].measurements.observations.iter().map(|o| o.time).collect();
-        let told = times(&outcome.sets);
-        for (told, own) in told[0].iter().zip(own) {
-            assert!((*told as f64 * 1e-9 - own).abs() < 1e-9);
-        }
-        // The second set starts at its own time 0, so that it is moved behind the first.
-        assert_eq!(told[1][0], told[0][2] + PAUSE);
-        for bad in [f64::NAN, -1.0, 1e300, 0.0] {
-            outcome.sets[0].measurements.observations[2].time = bad;
-            assert_eq!(times(&outcome.sets)[0], [0, SECOND, 2 * SECOND], "{bad}");
-        }
     }
 }

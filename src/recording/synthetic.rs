@@ -1,5 +1,7 @@
 //! A small outcome, made up but consistent, for the tests of the recorders.
 
+use std::io::Cursor;
+
 use nalgebra::{DMatrix, Matrix3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -22,6 +24,14 @@ use crate::model::{
 use crate::pipeline::{InputSummary, ModeOutcome, Outcome, RegistrationSummary, SetKind, SetOutcome, Truth};
 use crate::plant::effects::{Effects, PoseEffects};
 use crate::plant::{AsBuilt, ElasticDeflection, ElasticPlace, SettledPose};
+use crate::recording::{McapRecorder, record};
+
+/// The MCAP recording of `outcome`.
+pub(crate) fn recorded(outcome: &Outcome) -> Vec<u8> {
+    let mut recorder = McapRecorder::new(Cursor::new(Vec::new())).expect("begun");
+    record(outcome, &mut recorder).expect("recorded");
+    recorder.finish().expect("finished").into_inner()
+}
 
 const IN_FLANGE: [f64; 3] = [0.10, 0.15, 0.20];
 

@@ -58,7 +58,7 @@ fn published(outcome: &Outcome, kind: SetKind, mode: Mode) -> Option<[f64; 6]> {
 /// One pose: what was commanded, and what each mode left over.
 pub(super) fn pose(step: &PoseStep<'_>) -> String {
     let mut text = String::new();
-    for (i, observation) in step.observations.iter().enumerate() {
+    for (i, observation) in step.measured.observations.iter().enumerate() {
         let _ = writeln!(
             text,
             "## {} set, pose {}\n\nstation {}, target {}, {:.1} s\n",
@@ -83,17 +83,18 @@ pub(super) fn pose(step: &PoseStep<'_>) -> String {
 /// The simulated machine at one pose: how far it gave way, what its effects did, how well it settled. Lengths in mm or µm, angles in µrad.
 pub(super) fn machine(step: &PoseStep<'_>) -> String {
     let mut text = String::new();
-    for (i, (settled, observation)) in step.truth.iter().zip(step.observations).enumerate() {
+    for (i, (settled, observation)) in step.measured.truth.iter().zip(step.measured.observations).enumerate()
+    {
         let set = capitalised(step.set.kind.key());
         let _ = writeln!(text, "## {set} set, pose {}, as simulated\n", observation.pose);
-        if let Some(d) = step.deflection(i) {
+        if let Some(d) = step.measured.deflection(i) {
             let [x, y, z, norm] = [d.x, d.y, d.z, d.norm()].map(|m| 1e3 * m);
             let _ = writeln!(text, "Deflection at the target, mm: {x:.3}, {y:.3}, {z:.3}; 3-D {norm:.3}\n");
         }
         if let Some(force) = settled.rod_force {
             let _ = writeln!(text, "Tension of the rod: {force:.0} N\n");
         }
-        let effects = step.effects.get(i);
+        let effects = step.measured.effects.get(i);
         if let Some(temperature) = effects.and_then(|effects| effects.temperature) {
             let _ = writeln!(text, "Temperature of the air: {temperature:.2} °C\n");
         }

@@ -1,14 +1,14 @@
 //! The messages that hold the truth of a simulated run.
 
 use super::schema::{self, v1};
-use super::{PoseStep, scene};
-use crate::model::{CraigLink, JointKind};
-use crate::pipeline::{Outcome, Truth};
-use crate::plant::{ElasticDeflection, ElasticPlace};
+use super::{Measured, scene};
+use crate::geometry::Transform;
+use crate::model::{CraigLink, JointKind, KinematicModel};
+use crate::plant::{AsBuilt, ElasticDeflection, ElasticPlace, SettledPose};
 
-/// The machine.
-pub(super) fn as_built(outcome: &Outcome, truth: &Truth) -> v1::AsBuilt {
-    let machine = &truth.as_built;
+/// The machine and `tracker_from_base`; what of it yields is told by a pose ([`elastic_names`]).
+pub(super) fn as_built(nominal: &KinematicModel, truth: (&AsBuilt, &Transform)) -> v1::AsBuilt {
+    let (machine, tracker_from_base) = truth;
     let link = |link: &CraigLink| v1::Link {
         name: link.name.clone(),
         prismatic: link.kind == JointKind::Prismatic,
@@ -18,8 +18,7 @@ pub(super) fn as_built(outcome: &Outcome, truth: &Truth) -> v1::AsBuilt {
         d: link.d,
         theta: link.theta,
     };
-    let elastic = truth.poses.iter().flatten().next();
-    let deviations = scene::deviations(&outcome.model.kinematics, &machine.kinematics);
+    let deviations = scene::deviations(nominal, &machine.kinematics);
     v1::AsBuilt {
         links: machine.kinematics.links.iter().map(link).collect(),
         deviations: deviations
@@ -33,15 +32,17 @@ pub(super) fn as_built(outcome: &Outcome, truth: &Truth) -> v1::AsBuilt {
             })
             .collect(),
         target: schema::vector(&machine.target),
-        tracker_from_base: Some(schema::pose(&truth.tracker_from_base)),
+        tracker_from_base: Some(schema::pose(tracker_from_base)),
         drive_stiffness: machine.statics.drive_stiffness.clone(),
         mass: machine.statics.bodies.iter().map(|b| b.mass).collect(),
         gravity: schema::vector(&machine.statics.gravity),
-        // The same of every pose.
-        elastic: elastic
-            .map(|settled| settled.elastic.iter().map(elastic_name).collect())
-            .unwrap_or_default(),
+        elastic: Vec::new(),
     }
+}
+
+/// Names of `SettledPose.elastic`, the same of every pose.
+pub(super) fn elastic_names(settled: &SettledPose) -> Vec<String> {
+    settled.elastic.iter().map(elastic_name).collect()
 }
 
 fn elastic_name(elastic: &ElasticDeflection) -> String {
@@ -55,12 +56,12 @@ fn elastic_name(elastic: &ElasticDeflection) -> String {
 }
 
 /// Observation `i` of the pose at rest.
-pub(super) fn settled_pose(step: &PoseStep<'_>, i: usize) -> Option<v1::SettledPose> {
-    let settled = step.truth.get(i)?;
+pub(super) fn settled_pose(measured: &Measured<'_>, i: usize) -> Option<v1::SettledPose> {
+    let settled = measured.truth.get(i)?;
     Some(v1::SettledPose {
-        set: step.set.kind.key().to_owned(),
-        index: schema::saturating(step.first + i),
-        pose: step.observations.get(i)?.pose,
+        set: measured.kind.key().to_owned(),
+        index: schema::saturating(measured.first + i),
+        pose: measured.observations.get(i)?.pose,
         target: schema::vector(&settled.target),
         deflection: settled.deflection.clone(),
         residual: settled.residual,
@@ -68,18 +69,18 @@ pub(super) fn settled_pose(step: &PoseStep<'_>, i: usize) -> Option<v1::SettledP
         closure: settled.closure,
         linkage: settled.linkage.iter().flatten().flat_map(schema::vector).collect(),
         rod_force: settled.rod_force,
-        rigid_target: step.rigid.get(i).map(|rigid| schema::vector(&rigid.target)).unwrap_or_default(),
+        rigid_target: measured.rigid.get(i).map(|rigid| schema::vector(&rigid.target)).unwrap_or_default(),
         elastic: settled.elastic.iter().map(|elastic| elastic.value).collect(),
     })
 }
 
 /// What the effects made of observation `i` of the pose.
-pub(super) fn pose_effects(step: &PoseStep<'_>, i: usize) -> Option<v1::PoseEffects> {
-    let effects = step.effects.get(i)?;
+pub(super) fn pose_effects(measured: &Measured<'_>, i: usize) -> Option<v1::PoseEffects> {
+    let effects = measured.effects.get(i)?;
     Some(v1::PoseEffects {
-        set: step.set.kind.key().to_owned(),
-        index: schema::saturating(step.first + i),
-        pose: step.observations.get(i)?.pose,
+        set: measured.kind.key().to_owned(),
+        index: schema::saturating(measured.first + i),
+        pose: measured.observations.get(i)?.pose,
         command: effects.command.clone(),
         displacements: effects.displacements.as_flattened().to_vec(),
         temperature: effects.temperature,

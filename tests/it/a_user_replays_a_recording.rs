@@ -1,8 +1,11 @@
 //! A recording alone gives the same estimate, and the estimate depends on nothing but the measurements.
 
+use std::io::Cursor;
+use std::ops::ControlFlow;
+
 use calibrig::identification::{Mode, Warning};
-use calibrig::pipeline::{self, calibrate};
-use calibrig::recording::write_mcap;
+use calibrig::pipeline::{self, PlantKind, calibrate};
+use calibrig::recording::{McapRecorder, SessionContext, SessionRecorder, write_mcap};
 use calibrig::replay::replay;
 
 use crate::a_user_reproduces_the_paper::{paper, rigid_paper};
@@ -35,6 +38,32 @@ fn one_seed_gives_one_recording() {
         std::fs::read(path).expect("the recording")
     };
     assert!(write("a.mcap") == write("b.mcap"), "the bytes differ");
+}
+
+/// What is recorded while the session goes on is what is recorded of it afterwards.
+#[test]
+fn a_session_recorded_while_it_is_measured_gives_the_same_bytes() {
+    let scenario = paper();
+    let seed = 3;
+    let input = pipeline::input_of(&scenario, seed, 0, PlantKind::Rapier);
+    let context = SessionContext {
+        input: &input,
+        sources: &scenario.sources,
+        model: &scenario.robot.model,
+        visuals: &scenario.robot.visuals,
+    };
+    let mcap = McapRecorder::new(Cursor::new(Vec::new())).expect("begun");
+    let mut recorder = SessionRecorder::new(context, mcap);
+    let outcome = pipeline::run_trial(&scenario, seed, 0, PlantKind::Rapier, &mut |event| {
+        recorder.hear(event).expect("recorded");
+        ControlFlow::Continue(())
+    })
+    .expect("a run");
+    let live = recorder.evaluated(&outcome).and_then(McapRecorder::finish).expect("finished").into_inner();
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("recording.mcap");
+    write_mcap(&outcome, &path).expect("a recording");
+    assert!(live == std::fs::read(path).expect("the recording"), "the bytes differ");
 }
 
 /// The hypocrisy check: with the measurements held fixed, another truth must not move one bit of any estimate.

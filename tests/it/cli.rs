@@ -457,13 +457,14 @@ fn an_interrupt_leaves_no_half_file() {
     // A long run is stopped for sure.
     let sandbox = Sandbox::new();
     sandbox.set("[poses]", "identification", "100000");
-    assert_eq!(interrupted(&sandbox, Duration::from_millis(100)), (true, None), "ended by the signal");
+    assert_eq!(interrupted(&sandbox, Duration::from_millis(100)), (true, Some(1)), "ended by the signal");
     assert!(FILES.iter().all(|file| sandbox.read(&format!("out/{file}")) == "old"));
     // A short one at any moment, or not at all.
     let sandbox = Sandbox::new();
     for step in 0..20 {
         let (_, code) = interrupted(&sandbox, Duration::from_millis(15 * step));
-        assert!(matches!(code, None | Some(0)), "{code:?}");
+        // Before the handler is set, in the session or behind it, or not at all.
+        assert!(matches!(code, None | Some(0 | 1)), "{code:?}");
         assert_whole(&sandbox, &reference, &format!("after {} ms", 15 * step));
     }
 }

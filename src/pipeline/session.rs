@@ -1,0 +1,138 @@
+//! A measuring session while it goes on, for whoever records it or shows how far it is.
+
+use std::ops::ControlFlow;
+
+use super::truth::RigidMachine;
+use super::{PipelineError, SetKind, SetOutcome};
+use crate::geometry::Transform;
+use crate::measurement::Observation;
+use crate::plant::effects::PoseEffects;
+use crate::plant::{AsBuilt, SettledPose};
+
+/// What happens in a simulated session, in this order: `Begin`, then a set at a time `Set`, its poses, `SetEnd`.
+#[derive(Debug, Clone, Copy)]
+pub enum SessionEvent<'a> {
+    /// The machine stands, the tracker is set up.
+    Begin {
+        /// The machine.
+        as_built: &'a AsBuilt,
+        /// `tracker_from_base` of the station.
+        tracker_from_base: &'a Transform,
+        /// Poses planned over all sets.
+        poses: u32,
+    },
+    /// A set begins.
+    Set {
+        /// Its stations and targets; no observation yet.
+        set: &'a SetOutcome,
+        /// Poses planned for it.
+        planned: u32,
+    },
+    /// A pose was measured.
+    Measured(MeasuredPose<'a>),
+    /// A pose was planned but not measured.
+    Dropped {
+        /// The set.
+        kind: SetKind,
+        /// Number of the pose in its set.
+        pose: u32,
+        /// Why.
+        reason: &'a str,
+        /// Since the session began, s.
+        time: f64,
+    },
+    /// A set is complete.
+    SetEnd {
+        /// The whole of it.
+        set: &'a SetOutcome,
+    },
+}
+
+/// A measured pose with its truth.
+#[derive(Debug, Clone, Copy)]
+pub struct MeasuredPose<'a> {
+    /// The set.
+    pub kind: SetKind,
+    /// Place of the observation in its set.
+    pub index: usize,
+    /// What was measured.
+    pub observation: &'a Observation,
+    /// The machine at rest.
+    pub settled: &'a SettledPose,
+    /// The same if nothing of it yielded, where that is asked for.
+    pub rigid: Option<&'a SettledPose>,
+    /// What the machine's effects made of the pose.
+    pub effects: &'a PoseEffects,
+}
+
+/// Is told what happens; `Break` ends the session.
+pub type SessionListener<'a> = dyn FnMut(SessionEvent<'_>) -> ControlFlow<()> + 'a;
+
+/// A listener that counts: `progress` is told the number of poses done and of all poses.
+pub(super) fn counting(
+    mut progress: impl FnMut(u32, u32),
+) -> impl FnMut(SessionEvent<'_>) -> ControlFlow<()> {
+    let (mut done, mut total) = (0, 0);
+    move |event| {
+        match event {
+            SessionEvent::Begin { poses, .. } => total = poses,
+            SessionEvent::Measured(_) | SessionEvent::Dropped { .. } => {
+                done += 1;
+                progress(done, total);
+            }
+            SessionEvent::Set { .. } | SessionEvent::SetEnd { .. } => {}
+        }
+        ControlFlow::Continue(())
+    }
+}
+
+/// Places the rigid machine beside every pose that passes on the way to `listener`.
+pub(super) struct BesideRigid<'a, 'b> {
+    listener: &'a mut SessionListener<'b>,
+    machine: Option<RigidMachine>,
+    /// One vector a set, as [`Truth::rigid`](super::Truth::rigid).
+    poses: Vec<Vec<SettledPose>>,
+    failure: Option<PipelineError>,
+}
+
+impl<'a, 'b> BesideRigid<'a, 'b> {
+    pub(super) fn new(listener: &'a mut SessionListener<'b>) -> Self {
+        Self { listener, machine: None, poses: Vec::new(), failure: None }
+    }
+
+    pub(super) fn hear(&mut self, event: SessionEvent<'_>) -> ControlFlow<()> {
+        match event {
+            SessionEvent::Begin { as_built, .. } => match RigidMachine::new(as_built) {
+                Ok(machine) => self.machine = Some(machine),
+                Err(error) => return self.fail(error),
+            },
+            SessionEvent::Set { .. } => self.poses.push(Vec::new()),
+            SessionEvent::Measured(pose) => {
+                let (Some(machine), Some(set)) = (&mut self.machine, self.poses.last_mut()) else {
+                    return (self.listener)(event);
+                };
+                match machine.settle(pose.effects) {
+                    Ok(rigid) => {
+                        let told = MeasuredPose { rigid: Some(&rigid), ..pose };
+                        let go_on = (self.listener)(SessionEvent::Measured(told));
+                        set.push(rigid);
+                        return go_on;
+                    }
+                    Err(error) => return self.fail(error),
+                }
+            }
+            SessionEvent::Dropped { .. } | SessionEvent::SetEnd { .. } => {}
+        }
+        (self.listener)(event)
+    }
+
+    fn fail(&mut self, error: PipelineError) -> ControlFlow<()> {
+        self.failure = Some(error);
+        ControlFlow::Break(())
+    }
+
+    /// The rigid machine at every measured pose, or why there is none.
+    pub(super) fn finish(self) -> Result<Vec<Vec<SettledPose>>, PipelineError> {
+        self.failure.map_or(Ok(self.poses), Err)
+    }
+}
