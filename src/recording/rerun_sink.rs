@@ -314,7 +314,10 @@ impl RerunRecorder {
 
     /// How far the target gives way, as long as the machine larger than life has it.
     fn deflection(&self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
-        let (Some(deflection), Some(rigid)) = (step.deflection(0), step.rigid.first()) else { return Ok(()) };
+        let (Some(deflection), Some(rigid)) = (step.measured.deflection(0), step.measured.rigid.first())
+        else {
+            return Ok(());
+        };
         let drawn = DEFLECTION_SCALE * deflection;
         let label =
             format!("{:.1} mm of deflection, drawn as {:.2} m", 1e3 * deflection.norm(), drawn.norm());
