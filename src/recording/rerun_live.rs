@@ -11,8 +11,8 @@ use rerun::log::{ChunkBatcherConfig, LogMsg};
 use rerun::sink::{GrpcSink, GrpcSinkConnectionState, LogSink, SinkFlushError};
 
 use super::rerun_sink::RerunRecorder;
-use super::{LogEntry, PoseStep, Recorder, RecordingError};
-use crate::pipeline::{ModeOutcome, Outcome};
+use super::{LogEntry, Measured, PoseStep, Preamble, Recorder, RecordingError};
+use crate::pipeline::{ModeOutcome, Outcome, SetKind, SetOutcome};
 
 /// Where a viewer listens unless told otherwise.
 pub const VIEWER_URL: &str = "rerun+http://127.0.0.1:9876/proxy";
@@ -147,6 +147,31 @@ impl LiveRecorder {
 }
 
 impl Recorder for LiveRecorder {
+    fn open(&mut self, preamble: &Preamble<'_>) -> Result<(), RecordingError> {
+        self.told(|recorder| recorder.open(preamble));
+        Ok(())
+    }
+
+    fn set(&mut self, time: u64, set: &SetOutcome, planned: Option<u32>) -> Result<(), RecordingError> {
+        self.told(|recorder| recorder.set(time, set, planned));
+        Ok(())
+    }
+
+    fn measured(&mut self, measured: &Measured<'_>) -> Result<(), RecordingError> {
+        self.told(|recorder| recorder.measured(measured));
+        Ok(())
+    }
+
+    fn dropped(&mut self, time: u64, kind: SetKind, pose: u32, reason: &str) -> Result<(), RecordingError> {
+        self.told(|recorder| recorder.dropped(time, kind, pose, reason));
+        Ok(())
+    }
+
+    fn set_end(&mut self, time: u64, kind: SetKind, observations: usize) -> Result<(), RecordingError> {
+        self.told(|recorder| recorder.set_end(time, kind, observations));
+        Ok(())
+    }
+
     fn begin(&mut self, outcome: &Outcome) -> Result<(), RecordingError> {
         self.told(|recorder| recorder.begin(outcome));
         Ok(())
