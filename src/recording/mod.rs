@@ -25,6 +25,8 @@ mod rerun_layout;
 #[cfg(feature = "rerun")]
 mod rerun_live;
 #[cfg(feature = "rerun")]
+mod rerun_scene;
+#[cfg(feature = "rerun")]
 mod rerun_sink;
 #[cfg(feature = "rerun")]
 mod rerun_views;

@@ -7,7 +7,8 @@ use rerun::archetypes::{
 use rerun::components::{Length, MarkerShape, Radius};
 
 use super::figures::{Bins, Correlations, approaches, group};
-use super::rerun_sink::{AXES, NORM, RerunRecorder, color, single};
+use super::rerun_scene::{color, single};
+use super::rerun_sink::{AXES, NORM, RerunRecorder};
 use super::scene::{self, Colour};
 use super::{RecordingError, tables};
 use crate::identification::{Estimate, Mode};

@@ -5,14 +5,20 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use rerun::RecordingStream;
+use nalgebra::Vector3;
 use rerun::external::re_uri::ProxyUri;
 use rerun::log::{ChunkBatcherConfig, LogMsg};
 use rerun::sink::{GrpcSink, GrpcSinkConnectionState, LogSink, SinkFlushError};
 
+use super::rerun_layout::{self, Force};
 use super::rerun_sink::RerunRecorder;
-use super::{LogEntry, Measured, PoseStep, Preamble, Recorder, RecordingError};
+use super::rerun_views::Setting;
+use super::scene::{self, Sighting};
+use super::{Chain, ChainKind, LogEntry, Measured, PoseStep, Preamble, Recorder, RecordingError};
+use crate::geometry::Transform;
+use crate::model::CalibrationModel;
 use crate::pipeline::{ModeOutcome, Outcome, SetKind, SetOutcome};
+use crate::plant::AsBuilt;
 
 /// Where a viewer listens unless told otherwise.
 pub const VIEWER_URL: &str = "rerun+http://127.0.0.1:9876/proxy";
@@ -110,85 +116,168 @@ impl LogSink for Wire {
 /// Tells a viewer. What goes wrong with the viewer never ends a run: the rest is not told, and [`finish`](Self::finish) says why.
 pub struct LiveRecorder {
     viewer: Viewer,
-    recorder: RerunRecorder,
+    /// From the session's opening on.
+    recorder: Option<RerunRecorder>,
+    session: Option<Session>,
     lost: Option<String>,
 }
 
+/// What the poses of a simulated session are drawn with.
+struct Session {
+    as_built: AsBuilt,
+    tracker_from_base: Transform,
+    model: CalibrationModel,
+    /// In the flange frame, m.
+    targets: Vec<Vector3<f64>>,
+}
+
 impl LiveRecorder {
-    /// Begins a recording in the viewer, with views that suit `outcome`.
-    pub fn new(outcome: &Outcome, viewer: Viewer) -> Result<Self, RecordingError> {
-        let wire = Wire(Arc::clone(&viewer.sink));
-        let recorder = RerunRecorder::telling(outcome, Box::new(wire))?;
-        Ok(Self { viewer, recorder, lost: None })
+    /// Waits for a session.
+    pub fn new(viewer: Viewer) -> Self {
+        Self { viewer, recorder: None, session: None, lost: None }
     }
 
-    fn told(&mut self, tell: impl FnOnce(&mut RerunRecorder) -> Result<(), RecordingError>) {
-        if self.lost.is_some() {
-            return;
-        }
-        let told = tell(&mut self.recorder).err().map(|error| error.to_string());
+    /// Keeps `result`, and the state of the connection.
+    fn note(&mut self, result: Result<(), RecordingError>) {
+        let told = result.err().map(|error| error.to_string());
         self.lost = told.or_else(|| self.viewer.loss());
     }
 
-    /// Waits until the viewer has everything; the error says what it has not.
+    fn tell(&mut self, tell: impl FnOnce(&mut RerunRecorder) -> Result<(), RecordingError>) {
+        if self.lost.is_none()
+            && let Some(recorder) = &mut self.recorder
+        {
+            let told = tell(recorder);
+            self.note(told);
+        }
+    }
+
+    /// The machine before it moves. In front of it goes the layout, in which everything will appear.
+    fn open_session(&mut self, preamble: &Preamble<'_>) -> Result<(), RecordingError> {
+        let (as_built, trackers) = match preamble.truth {
+            Some((as_built, tracker)) => (Some(as_built), vec![tracker.inverse()]),
+            None => (None, Vec::new()),
+        };
+        let up = scene::up_of(preamble.model, as_built);
+        let setting = Setting {
+            up,
+            trackers: trackers.iter().map(|tracker| tracker.translation.vector).collect(),
+            seen: scene::reach(&preamble.model.kinematics),
+            rod: preamble.model.actuators.four_bar().is_some(),
+        };
+        self.viewer.sink.send_all(rerun_layout::session(&setting)?);
+        let wire = Wire(Arc::clone(&self.viewer.sink));
+        let recorder = self.recorder.insert(RerunRecorder::telling(&preamble.input.name, Box::new(wire))?);
+        recorder.surroundings(&up, &trackers, Vec::new())?;
+        let Some((as_built, tracker_from_base)) = preamble.truth else { return Ok(()) };
+        recorder.robot(ChainKind::True, preamble.visuals)?;
+        recorder.machine_curves()?;
+        self.session = Some(Session {
+            as_built: as_built.clone(),
+            tracker_from_base: *tracker_from_base,
+            model: preamble.model.clone(),
+            targets: Vec::new(),
+        });
+        Ok(())
+    }
+
+    /// Waits until the viewer has everything; the error says why it has not.
     pub fn finish(mut self) -> Result<(), RecordingError> {
-        let stream: RecordingStream = self.recorder.into_stream();
+        self.close();
+        let url = self.viewer.url.clone();
+        self.lost.take().map_or(Ok(()), |reason| Err(RecordingError::ViewerLost { url, reason }))
+    }
+
+    fn close(&mut self) {
+        let Some(recorder) = self.recorder.take() else { return };
+        let stream = recorder.into_stream();
         if self.lost.is_none() {
-            self.lost = stream.flush_with_timeout(LAST_PATIENCE).err().map(|error| error.to_string());
+            let flushed = stream.flush_with_timeout(LAST_PATIENCE).map_err(RecordingError::unrecordable);
+            self.note(flushed);
         }
-        let lost = self.lost.or_else(|| self.viewer.loss());
-        let Some(reason) = lost else { return Ok(()) };
-        if self.viewer.loss().is_none() {
+        if self.lost.is_some() && self.viewer.loss().is_none() {
             // It is there and does not read.
-            abandon((stream, self.viewer.sink));
+            abandon((stream, Arc::clone(&self.viewer.sink)));
         }
-        Err(RecordingError::ViewerLost { url: self.viewer.url, reason })
+    }
+}
+
+impl Drop for LiveRecorder {
+    fn drop(&mut self) {
+        self.close();
+    }
+}
+
+impl Session {
+    fn chains(&self, measured: &Measured<'_>) -> Vec<Chain> {
+        let (Some(observation), Some(settled)) = (measured.observations.first(), measured.truth.first())
+        else {
+            return Vec::new();
+        };
+        let target = self.targets.get(observation.target);
+        let rigid = measured.rigid.first();
+        scene::machine_chains(&self.as_built, settled, rigid, &self.model, target, observation)
+            .unwrap_or_default()
+    }
+
+    fn sightings(&self, measured: &Measured<'_>) -> Vec<Sighting> {
+        measured.observations.iter().map(|o| scene::sighting_from(&self.tracker_from_base, o)).collect()
     }
 }
 
 impl Recorder for LiveRecorder {
     fn open(&mut self, preamble: &Preamble<'_>) -> Result<(), RecordingError> {
-        self.told(|recorder| recorder.open(preamble));
+        let opened = self.open_session(preamble);
+        self.note(opened);
         Ok(())
     }
 
-    fn set(&mut self, time: u64, set: &SetOutcome, planned: Option<u32>) -> Result<(), RecordingError> {
-        self.told(|recorder| recorder.set(time, set, planned));
+    fn set(&mut self, _: u64, set: &SetOutcome, _: Option<u32>) -> Result<(), RecordingError> {
+        if let Some(session) = &mut self.session {
+            session.targets = set.measurements.targets.iter().map(|target| target.in_flange).collect();
+        }
         Ok(())
     }
 
     fn measured(&mut self, measured: &Measured<'_>) -> Result<(), RecordingError> {
-        self.told(|recorder| recorder.measured(measured));
+        if let Some(session) = &self.session {
+            let (chains, sightings) = (session.chains(measured), session.sightings(measured));
+            self.tell(|recorder| recorder.measuring(measured, &chains, &sightings));
+        }
         Ok(())
     }
 
-    fn dropped(&mut self, time: u64, kind: SetKind, pose: u32, reason: &str) -> Result<(), RecordingError> {
-        self.told(|recorder| recorder.dropped(time, kind, pose, reason));
+    // The evaluation tells of them.
+    fn dropped(&mut self, _: u64, _: SetKind, _: u32, _: &str) -> Result<(), RecordingError> {
         Ok(())
     }
 
-    fn set_end(&mut self, time: u64, kind: SetKind, observations: usize) -> Result<(), RecordingError> {
-        self.told(|recorder| recorder.set_end(time, kind, observations));
+    fn set_end(&mut self, _: u64, _: SetKind, _: usize) -> Result<(), RecordingError> {
         Ok(())
     }
 
     fn begin(&mut self, outcome: &Outcome) -> Result<(), RecordingError> {
-        self.told(|recorder| recorder.begin(outcome));
+        if self.lost.is_none() {
+            let layout = rerun_layout::messages(outcome, Force::Active);
+            let sent = layout.map(|messages| self.viewer.sink.send_all(messages));
+            self.note(sent);
+        }
+        self.tell(|recorder| recorder.begin(outcome));
         Ok(())
     }
 
     fn pose(&mut self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
-        self.told(|recorder| recorder.pose(step));
+        self.tell(|recorder| recorder.pose(step));
         Ok(())
     }
 
     fn estimate(&mut self, time: u64, outcome: &Outcome, mode: &ModeOutcome) -> Result<(), RecordingError> {
-        self.told(|recorder| recorder.estimate(time, outcome, mode));
+        self.tell(|recorder| recorder.estimate(time, outcome, mode));
         Ok(())
     }
 
     fn log(&mut self, entry: &LogEntry) -> Result<(), RecordingError> {
-        self.told(|recorder| recorder.log(entry));
+        self.tell(|recorder| recorder.log(entry));
         Ok(())
     }
 }

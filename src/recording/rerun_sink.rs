@@ -4,27 +4,23 @@ use std::io::Write;
 use std::path::Path;
 use std::time::Duration;
 
-use nalgebra::{UnitQuaternion, Vector3};
-use rerun::archetypes::{
-    Arrows3D, Boxes3D, Cylinders3D, Ellipsoids3D, LineStrips3D, Points3D, Scalars, SeriesLines, TextDocument,
-    TextLog, Transform3D, ViewCoordinates,
-};
-use rerun::components::{Color, FillMode, Radius, TextLogLevel};
+use rerun::archetypes::{Scalars, SeriesLines, TextDocument, TextLog};
+use rerun::components::TextLogLevel;
 use rerun::external::re_log_encoding::Encoder;
 use rerun::log::{ChunkBatcherConfig, ChunkResult, LogMsg};
 use rerun::sink::{LogSink, MemorySinkStorage};
-use rerun::{AsComponents, Quaternion, RecordingStream, RecordingStreamBuilder};
+use rerun::{AsComponents, RecordingStream, RecordingStreamBuilder};
 
 use super::file::write_whole;
 use super::rerun_analysis::COST;
-use super::scene::{self, Arrow, Colour};
+use super::rerun_layout::{self, Force};
+use super::rerun_scene::{arrows3d, color};
+use super::scene::{self, Sighting};
 use super::{
-    Chain, ChainKind, DEFLECTION_SCALE, LogEntry, LogLevel, Measured, PoseStep, Preamble, RESIDUAL_SCALE,
-    Recorder, RecordingError, record, rerun_layout, tables,
+    Chain, ChainKind, LogEntry, LogLevel, Measured, PoseStep, Preamble, Recorder, RecordingError, record,
+    tables,
 };
-use crate::geometry::Transform;
 use crate::identification::Mode;
-use crate::model::{Visual, VisualShape};
 use crate::pipeline::{ModeOutcome, Outcome, SetKind, SetOutcome};
 
 pub(super) const APPLICATION: &str = "calibrig";
@@ -39,8 +35,6 @@ const CURVES: [&str; 4] = ["x", "y", "z", NORM];
 pub(super) const DEFLECTED: &str = "scene/deflection_x100";
 /// The robot as identified.
 pub(super) const CALIBRATED: &str = "scene/calibrated";
-/// Length of the bars that show the scale of what is drawn larger than life, m.
-const SCALE_BAR: f64 = 0.5;
 /// Of the target, by all that yields.
 pub(super) const DEFLECTION: &str = "machine/deflection_mm";
 pub(super) const ROD_FORCE: &str = "machine/rod_force_n";
@@ -62,24 +56,36 @@ pub struct RerunRecorder {
     /// What was told, unless a viewer is told; the layout comes first.
     layout: Vec<LogMsg>,
     storage: Option<MemorySinkStorage>,
+    /// Poses that were shown while they were measured.
+    live: i64,
     /// The poses that were told.
     poses: Vec<Told>,
 }
 
-/// A pose that was told: its running number, time (s), set, and the place of its first observation there.
+/// A pose that was told.
 #[derive(Debug, Clone, Copy)]
 struct Told {
+    /// Running number, from 0.
     number: i64,
+    /// Simulated time, s.
     seconds: f64,
     set: SetKind,
+    /// Place of its first observation in the set.
     first: usize,
+}
+
+impl Told {
+    fn of(number: i64, measured: &Measured<'_>) -> Self {
+        let seconds = measured.time() as f64 * 1e-9;
+        Self { number, seconds, set: measured.kind, first: measured.first }
+    }
 }
 
 impl RerunRecorder {
     /// Begins a recording in memory, with views that suit `outcome`.
     pub fn new(outcome: &Outcome) -> Result<Self, RecordingError> {
-        let layout = rerun_layout::messages(outcome)?;
-        let (stream, storage) = builder(outcome)
+        let layout = rerun_layout::messages(outcome, Force::Default)?;
+        let (stream, storage) = builder(&outcome.input.name)
             // Cut into chunks by their size alone, not by the clock.
             .batcher_config(ChunkBatcherConfig { flush_tick: Duration::MAX, ..ChunkBatcherConfig::DEFAULT })
             .memory()
@@ -87,10 +93,9 @@ impl RerunRecorder {
         Ok(Self::on(stream, layout, Some(storage)))
     }
 
-    /// Begins a recording that `sink` is told at once.
-    pub(super) fn telling(outcome: &Outcome, sink: Box<dyn LogSink>) -> Result<Self, RecordingError> {
-        sink.send_all(rerun_layout::messages(outcome)?);
-        let stream = builder(outcome)
+    /// Begins a recording called `name` that `sink` is told at once.
+    pub(super) fn telling(name: &str, sink: Box<dyn LogSink>) -> Result<Self, RecordingError> {
+        let stream = builder(name)
             .batcher_config(sink.default_batcher_config())
             .buffered()
             .map_err(RecordingError::unrecordable)?;
@@ -101,7 +106,7 @@ impl RerunRecorder {
     fn on(stream: RecordingStream, layout: Vec<LogMsg>, storage: Option<MemorySinkStorage>) -> Self {
         stream.set_log_time_enabled(false);
         stream.set_log_tick_enabled(false);
-        Self { stream, layout, storage, poses: Vec::new() }
+        Self { stream, layout, storage, live: 0, poses: Vec::new() }
     }
 
     /// The bytes of the file.
@@ -144,109 +149,6 @@ impl RerunRecorder {
         self.stream.set_duration_secs("sim_time", told.seconds);
     }
 
-    fn robot(&self, outcome: &Outcome) -> Result<(), RecordingError> {
-        let shown = scene::chains(outcome, 0, 0);
-        let Some(chain) = shown.iter().find(|c| !c.kind.is_ghost()) else { return Ok(()) };
-        for (i, visuals) in outcome.visuals.iter().enumerate() {
-            let link = if i == 0 { format!("{SCENE}/base") } else { link_path(chain, i - 1) };
-            self.shapes(&link, visuals)?;
-        }
-        Ok(())
-    }
-
-    fn shapes(&self, link: &str, visuals: &[Visual]) -> Result<(), RecordingError> {
-        let grey = color(scene::SHELL);
-        for (i, visual) in visuals.iter().enumerate() {
-            let path = format!("{link}/shape{}", i + 1);
-            let centre = [xyz(&visual.link_from_shape.translation.vector)];
-            let turn = [quaternion(&visual.link_from_shape)];
-            match visual.shape {
-                VisualShape::Box(edges) => self.fixed(
-                    &path,
-                    &Boxes3D::from_centers_and_sizes(centre, [xyz(&edges.into())])
-                        .with_quaternions(turn)
-                        .with_colors([grey])
-                        .with_fill_mode(FillMode::Solid),
-                )?,
-                VisualShape::Cylinder { radius, length } => self.fixed(
-                    &path,
-                    &Cylinders3D::from_lengths_and_radii([single(length)], [single(radius)])
-                        .with_centers(centre)
-                        .with_quaternions(turn)
-                        .with_colors([grey])
-                        .with_fill_mode(FillMode::Solid),
-                )?,
-                VisualShape::Sphere(radius) => self.fixed(
-                    &path,
-                    &Ellipsoids3D::from_centers_and_radii(centre, [single(radius)])
-                        .with_colors([grey])
-                        .with_fill_mode(FillMode::Solid),
-                )?,
-            }
-        }
-        Ok(())
-    }
-
-    fn instruments(&self, outcome: &Outcome) -> Result<(), RecordingError> {
-        let places: Vec<_> = scene::trackers(outcome).iter().map(|t| xyz(&t.translation.vector)).collect();
-        let names = (1..=places.len()).map(|number| format!("tracker, station {number}"));
-        let trackers = Points3D::new(places.clone())
-            .with_labels(names)
-            .with_show_labels(true)
-            .with_colors([color(scene::TRACKER)])
-            .with_radii([0.12]);
-        self.fixed(&format!("{SCENE}/trackers"), &trackers)?;
-        let (names, places): (Vec<_>, Vec<_>) = scene::nests(outcome).into_iter().unzip();
-        let nests = Points3D::new(places.iter().map(xyz))
-            .with_labels(names)
-            .with_show_labels(false)
-            .with_colors([color(scene::NEST)])
-            .with_radii([0.04]);
-        self.fixed(&format!("{SCENE}/nests"), &nests)
-    }
-
-    /// Bars beside the first tracker (or the base) that show how long an error or a deflection is drawn.
-    fn scales(&self, outcome: &Outcome) -> Result<(), RecordingError> {
-        let up = scene::up(outcome);
-        let place = scene::trackers(outcome).first().map_or_else(Vector3::zeros, |t| t.translation.vector);
-        let bar = |path: &str, what: &str, scale: f64, place: Vector3<f64>, colour: Colour| {
-            let along = SCALE_BAR * scene::across(&up).into_inner();
-            let bar = Arrows3D::from_vectors([xyz(&along)])
-                .with_origins([xyz(&place)])
-                .with_labels([format!("{:.0} mm of {what}", 1e3 * SCALE_BAR / scale)])
-                .with_show_labels(true)
-                .with_colors([color(colour)])
-                .with_radii([Radius::new_ui_points(3.0)]);
-            self.fixed(path, &bar)
-        };
-        bar(&format!("{ARROWS}/scale"), "error", RESIDUAL_SCALE, place + 0.5 * up, scene::POINT)?;
-        if outcome.truth.is_none() {
-            return Ok(());
-        }
-        bar(&format!("{DEFLECTED}/scale"), "deflection", DEFLECTION_SCALE, place + 0.5 * up, scene::DEFLECTED)
-    }
-
-    /// All measured points and all arrows: they do not change with the pose.
-    fn all_measured(&self, outcome: &Outcome) -> Result<(), RecordingError> {
-        for (index, set) in outcome.sets.iter().enumerate() {
-            let key = set.kind.key();
-            let points = scene::measured_points(outcome, &set.measurements);
-            let points = Points3D::new(points.iter().map(xyz))
-                .with_colors([color(scene::POINT)])
-                .with_radii([Radius::new_ui_points(2.0)]);
-            self.fixed(&format!("{SCENE}/measured/{key}"), &points)?;
-            for mode in &outcome.modes {
-                let observations = &set.measurements.observations;
-                let errors = mode.errors.get(index).map_or(&[][..], Vec::as_slice);
-                let arrows: Vec<_> =
-                    observations.iter().zip(errors).filter_map(|(o, e)| scene::arrow(mode, o, e)).collect();
-                let path = format!("{ARROWS}/{}/{key}", mode.mode.key());
-                self.fixed(&path, &arrows3d(&arrows, scene::mode_colour(mode.mode), 1.0))?;
-            }
-        }
-        Ok(())
-    }
-
     /// Names and colours of the curves.
     fn curves(&self, outcome: &Outcome) -> Result<(), RecordingError> {
         for mode in &outcome.modes {
@@ -262,9 +164,11 @@ impl RerunRecorder {
                 self.fixed(&format!("{COST}/{key}"), &curve)?;
             }
         }
-        if outcome.truth.is_none() {
-            return Ok(());
-        }
+        if outcome.truth.is_some() { self.machine_curves() } else { Ok(()) }
+    }
+
+    /// The same of the simulated machine.
+    pub(super) fn machine_curves(&self) -> Result<(), RecordingError> {
         let machine = [
             (format!("{DEFLECTION}/x"), "x", scene::mode_colour(Mode::OnlyCalibration)),
             (format!("{DEFLECTION}/y"), "y", scene::mode_colour(Mode::WithGravity)),
@@ -284,50 +188,44 @@ impl RerunRecorder {
         self.fixed(path, &TextDocument::from_markdown(markdown))
     }
 
-    /// A robot: with its links' shapes, or as a line alone.
-    fn chain(&self, chain: &Chain, ghost: bool) -> Result<(), RecordingError> {
-        for (i, link) in chain.links.iter().enumerate().filter(|_| !ghost) {
-            let place =
-                Transform3D::from_translation_rotation(xyz(&link.translation.vector), quaternion(link));
-            self.put(&link_path(chain, i), &place)?;
-        }
-        // Beside the machine, the calibrated robot has to be told from it.
-        let beside = ghost && chain.kind == ChainKind::Calibrated;
-        let colour = if beside { scene::mode_colour(Mode::Extended) } else { chain.kind.colour() };
-        let colour = [color(colour)];
-        let root = format!("{SCENE}/{}", chain.kind.key());
-        let thickness = if chain.kind == ChainKind::Nominal { 1.0 } else { 2.5 };
-        let strip = |points: &[Vector3<f64>]| LineStrips3D::new([points.iter().map(xyz).collect::<Vec<_>>()]);
-        let line =
-            strip(&chain.polyline()).with_colors(colour).with_radii([Radius::new_ui_points(thickness)]);
-        self.put(&format!("{root}/chain"), &line)?;
-        if let Some(linkage) = &chain.linkage {
-            let radius = if ghost {
-                Radius::new_ui_points(thickness)
-            } else {
-                Radius::new_scene_units(single(scene::ROD_RADIUS))
-            };
-            self.put(&format!("{root}/linkage"), &strip(linkage).with_colors(colour).with_radii([radius]))?;
-        }
-        Ok(())
+    /// A pose while it is measured, on the simulated machine.
+    pub(super) fn measuring(
+        &mut self,
+        measured: &Measured<'_>,
+        chains: &[Chain],
+        sightings: &[Sighting],
+    ) -> Result<(), RecordingError> {
+        self.at_pose(Told::of(self.live, measured));
+        self.live += 1;
+        self.seen(measured, chains, sightings)
     }
 
-    /// How far the target gives way, as long as the machine larger than life has it.
-    fn deflection(&self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
-        let (Some(deflection), Some(rigid)) = (step.measured.deflection(0), step.measured.rigid.first())
-        else {
-            return Ok(());
-        };
-        let drawn = DEFLECTION_SCALE * deflection;
-        let label =
-            format!("{:.1} mm of deflection, drawn as {:.2} m", 1e3 * deflection.norm(), drawn.norm());
-        let arrow = Arrows3D::from_vectors([xyz(&drawn)])
-            .with_origins([xyz(&rigid.target)])
-            .with_labels([label])
-            .with_show_labels(true)
-            .with_colors([color(scene::DEFLECTED)])
-            .with_radii([Radius::new_ui_points(2.5)]);
-        self.put(&format!("{DEFLECTED}/at_target"), &arrow)
+    /// What is seen of a pose: robots, lines of sight, and how the simulated machine gives way.
+    fn seen(
+        &self,
+        measured: &Measured<'_>,
+        chains: &[Chain],
+        sightings: &[Sighting],
+    ) -> Result<(), RecordingError> {
+        for chain in chains {
+            self.chain(chain, chain.kind.is_ghost())?;
+        }
+        self.sightings(sightings)?;
+        self.deflection(measured)?;
+        if let Some(deflection) = measured.deflection(0) {
+            let norm = deflection.norm();
+            for (axis, value) in CURVES.iter().zip(deflection.iter().chain([&norm])) {
+                self.put(&format!("{DEFLECTION}/{axis}"), &Scalars::single(1e3 * value))?;
+            }
+        }
+        let Some(settled) = measured.truth.first() else { return Ok(()) };
+        if let Some(force) = settled.rod_force {
+            self.put(ROD_FORCE, &Scalars::single(force))?;
+        }
+        if let Some(temperature) = measured.effects.first().and_then(|effects| effects.temperature) {
+            self.put(TEMPERATURE, &Scalars::single(temperature))?;
+        }
+        self.put("tables/machine", &TextDocument::from_markdown(tables::machine(measured)))
     }
 
     /// The robot before calibration and as identified at every pose, beside what was told of the pose itself.
@@ -336,47 +234,19 @@ impl RerunRecorder {
             let Some(set) = outcome.sets.iter().find(|set| set.kind == told.set) else { continue };
             let Some(observation) = set.measurements.observations.get(told.first) else { continue };
             self.at_pose(*told);
-            if outcome.truth.is_none() {
-                // The calibrated one stands for the machine and was told with the pose.
-                if let Some(nominal) = scene::nominal_chain(outcome, &set.measurements, observation) {
-                    self.chain(&nominal, true)?;
+            if outcome.truth.is_some() {
+                if let Some(calibrated) = scene::calibrated_chain(outcome, observation) {
+                    self.chain(&calibrated, true)?;
                 }
-            } else if let Some(calibrated) = scene::calibrated_chain(outcome, observation) {
-                self.chain(&calibrated, true)?;
+            } else if let Some(target) = set.measurements.targets.get(observation.target)
+                // The calibrated one stands for the machine and was told with the pose.
+                && let Some(nominal) = scene::nominal_chain(&outcome.model, &target.in_flange, observation)
+            {
+                self.chain(&nominal, true)?;
             }
         }
         self.stream.reset_time();
         Ok(())
-    }
-
-    /// The simulated machine at the first observation of a pose.
-    fn machine(&self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
-        if let Some(deflection) = step.measured.deflection(0) {
-            let norm = deflection.norm();
-            for (axis, value) in CURVES.iter().zip(deflection.iter().chain([&norm])) {
-                self.put(&format!("{DEFLECTION}/{axis}"), &Scalars::single(1e3 * value))?;
-            }
-        }
-        let Some(settled) = step.measured.truth.first() else { return Ok(()) };
-        if let Some(force) = settled.rod_force {
-            self.put(ROD_FORCE, &Scalars::single(force))?;
-        }
-        if let Some(temperature) = step.measured.effects.first().and_then(|effects| effects.temperature) {
-            self.put(TEMPERATURE, &Scalars::single(temperature))?;
-        }
-        self.put("tables/machine", &TextDocument::from_markdown(tables::machine(step)))
-    }
-
-    fn sightings(&self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
-        let lines = step.sightings.iter().map(|s| vec![xyz(&s.tracker), xyz(&s.point)]);
-        let beams = LineStrips3D::new(lines.collect::<Vec<_>>())
-            .with_colors([color(scene::BEAM)])
-            .with_radii([Radius::new_ui_points(1.0)]);
-        self.put(&format!("{SCENE}/line_of_sight"), &beams)?;
-        let targets = Points3D::new(step.sightings.iter().map(|s| xyz(&s.point)))
-            .with_colors([color(scene::BEAM)])
-            .with_radii([0.05]);
-        self.put(&format!("{SCENE}/target"), &targets)
     }
 
     fn residuals(&self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
@@ -413,10 +283,9 @@ impl Recorder for RerunRecorder {
     }
 
     fn begin(&mut self, outcome: &Outcome) -> Result<(), RecordingError> {
-        self.fixed(SCENE, &coordinates(&scene::up(outcome)))?;
-        self.robot(outcome)?;
-        self.instruments(outcome)?;
-        self.scales(outcome)?;
+        let solid = if outcome.truth.is_some() { ChainKind::True } else { ChainKind::Calibrated };
+        self.surroundings(&scene::up(outcome), &scene::trackers(outcome), scene::nests(&outcome.sets))?;
+        self.robot(solid, &outcome.visuals)?;
         self.all_measured(outcome)?;
         self.curves(outcome)?;
         self.document("tables/accuracy", tables::about(outcome) + &tables::accuracy(outcome))?;
@@ -425,21 +294,13 @@ impl Recorder for RerunRecorder {
     }
 
     fn pose(&mut self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
-        let told = Told {
-            number: i64::from(step.number),
-            seconds: step.measured.time() as f64 * 1e-9,
-            set: step.set.kind,
-            first: step.measured.first,
-        };
+        let told = Told::of(i64::from(step.number), &step.measured);
         self.poses.push(told);
         self.at_pose(told);
-        for chain in &step.chains {
-            self.chain(chain, chain.kind.is_ghost())?;
+        if told.number >= self.live {
+            self.seen(&step.measured, &step.chains, &step.sightings)?;
         }
-        self.deflection(step)?;
-        self.sightings(step)?;
         self.residuals(step)?;
-        self.machine(step)?;
         self.put("tables/pose", &TextDocument::from_markdown(tables::pose(step)))
     }
 
@@ -469,50 +330,9 @@ impl Recorder for RerunRecorder {
     }
 }
 
-fn builder(outcome: &Outcome) -> RecordingStreamBuilder {
+fn builder(name: &str) -> RecordingStreamBuilder {
     // Whatever the environment says: the user asked for it.
-    RecordingStreamBuilder::new(APPLICATION).enabled(true).recording_name(outcome.input.name.as_str())
-}
-
-fn link_path(chain: &Chain, index: usize) -> String {
-    format!("{SCENE}/{}", chain.frame(index))
-}
-
-fn arrows3d(arrows: &[Arrow], rgba: Colour, thickness: f32) -> Arrows3D {
-    Arrows3D::from_vectors(arrows.iter().map(|a| xyz(&a.vector)))
-        .with_origins(arrows.iter().map(|a| xyz(&a.origin)))
-        .with_colors([color(rgba)])
-        .with_radii([Radius::new_ui_points(thickness)])
-}
-
-/// Pictures are in single precision: 0.2 µm at 4 m.
-#[allow(clippy::cast_possible_truncation)]
-pub(super) fn single(value: f64) -> f32 {
-    value as f32
-}
-
-pub(super) fn xyz(v: &Vector3<f64>) -> [f32; 3] {
-    [single(v.x), single(v.y), single(v.z)]
-}
-
-fn quaternion(transform: &Transform) -> Quaternion {
-    let q = UnitQuaternion::from_rotation_matrix(&transform.rotation);
-    Quaternion::from_xyzw([q.i, q.j, q.k, q.w].map(single))
-}
-
-pub(super) fn color([r, g, b, a]: Colour) -> Color {
-    Color::from_unmultiplied_rgba(r, g, b, a)
-}
-
-fn coordinates(up: &Vector3<f64>) -> ViewCoordinates {
-    match (up.iamax(), up.sum() > 0.0) {
-        (0, true) => ViewCoordinates::RIGHT_HAND_X_UP(),
-        (0, false) => ViewCoordinates::RIGHT_HAND_X_DOWN(),
-        (1, true) => ViewCoordinates::RIGHT_HAND_Y_UP(),
-        (1, false) => ViewCoordinates::RIGHT_HAND_Y_DOWN(),
-        (_, true) => ViewCoordinates::RIGHT_HAND_Z_UP(),
-        (_, false) => ViewCoordinates::RIGHT_HAND_Z_DOWN(),
-    }
+    RecordingStreamBuilder::new(APPLICATION).enabled(true).recording_name(name)
 }
 
 #[cfg(test)]

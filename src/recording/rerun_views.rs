@@ -11,8 +11,9 @@ use rerun::{AsComponents, EntityPath};
 
 use super::figures::Correlations;
 use super::rerun_analysis::{CONVERGENCE, CORRELATION, COST, bins, histogram_path};
+use super::rerun_scene::xyz;
 use super::rerun_sink::{
-    ARROWS, AXES, CALIBRATED, DEFLECTED, DEFLECTION, NORM, ROD_FORCE, SCENE, TEMPERATURE, xyz,
+    ARROWS, AXES, CALIBRATED, DEFLECTED, DEFLECTION, NORM, ROD_FORCE, SCENE, TEMPERATURE,
 };
 use super::scene;
 use crate::identification::{Estimate, Mode};
@@ -49,9 +50,7 @@ impl<'a> Views<'a> {
     }
 
     fn set(&mut self, view: &ContainerLike, name: &str, value: impl AsComponents + 'static) {
-        if let ContainerLike::View(view) = view {
-            self.properties.push((view.blueprint_path().join(&name.into()), Box::new(value)));
-        }
+        self.properties.extend(property(view, name, value));
     }
 
     fn without_legend(&mut self, view: &ContainerLike) {
@@ -67,7 +66,7 @@ impl<'a> Views<'a> {
             .with_origin(SCENE)
             .with_contents(drawn)
             .into();
-        self.set(&picture, "EyeControls3D", eye(self.outcome));
+        self.set(&picture, "EyeControls3D", eye(&Setting::of(self.outcome)));
         if self.outcome.truth.is_some() {
             // On the machine's, but for millimetres: a click on its eye in the blueprint panel shows it.
             let place = format!("ViewContents/overrides/{CALIBRATED}/visualizers");
@@ -165,18 +164,12 @@ impl<'a> Views<'a> {
                 .with_origin(SCENE)
                 .with_contents(drawn)
                 .into();
-        self.set(&picture, "EyeControls3D", eye(self.outcome));
-        let view = |title: &str, path: &str| TimeSeriesView::new(title).with_origin(path).into();
-        let mut curves: Vec<ContainerLike> =
-            vec![view("Deflection at the target by elasticity, mm", DEFLECTION)];
-        if truth.poses.iter().flatten().any(|settled| settled.rod_force.is_some()) {
-            curves.push(view("Tension of the four-bar's rod, N", ROD_FORCE));
-        }
-        if truth.effects.iter().flatten().any(|effects| effects.temperature.is_some()) {
-            curves.push(view("Temperature of the air, °C", TEMPERATURE));
-        }
+        self.set(&picture, "EyeControls3D", eye(&Setting::of(self.outcome)));
+        let rod = truth.poses.iter().flatten().any(|settled| settled.rod_force.is_some());
+        let temperature = truth.effects.iter().flatten().any(|effects| effects.temperature.is_some());
+        let curves = Vertical::new(machine_curves(rod, temperature));
         let page = TextDocumentView::new("Machine at this pose").with_origin("tables/machine").into();
-        let right = Vertical::new([Vertical::new(curves).into(), page]).with_row_shares([3.0, 2.0]);
+        let right = Vertical::new([curves.into(), page]).with_row_shares([3.0, 2.0]);
         let tab = Horizontal::new([picture, right.into()]).with_column_shares([3.0, 2.0]);
         Some(tab.with_name("Deflection x100").into())
     }
@@ -211,6 +204,11 @@ impl<'a> Views<'a> {
     }
 }
 
+fn property(view: &ContainerLike, name: &str, value: impl AsComponents + 'static) -> Option<Property> {
+    let ContainerLike::View(view) = view else { return None };
+    Some((view.blueprint_path().join(&name.into()), Box::new(value)))
+}
+
 fn correlations(mode: Mode) -> ContainerLike {
     let root = format!("{CORRELATION}/{}", mode.key());
     let page = TextDocumentView::new("Strongest correlations").with_origin(format!("tables/{root}")).into();
@@ -218,24 +216,65 @@ fn correlations(mode: Mode) -> ContainerLike {
     Horizontal::new([picture, page]).with_column_shares([3.0, 2.0]).with_name(mode.title()).into()
 }
 
+/// The view of a session while it is measured: the machine, and how it gives way.
+pub(super) fn session(setting: &Setting) -> (Horizontal, Vec<Property>) {
+    let drawn = [format!("+ /{SCENE}/**"), format!("- /{DEFLECTED}/**"), format!("- /{ARROWS}/**")];
+    let picture: ContainerLike =
+        Spatial3DView::new("Robot while it is measured").with_origin(SCENE).with_contents(drawn).into();
+    let properties = property(&picture, "EyeControls3D", eye(setting)).into_iter().collect();
+    let page = TextDocumentView::new("Machine at this pose").with_origin("tables/machine").into();
+    let curves = Vertical::new(machine_curves(setting.rod, false)).into();
+    let right = Vertical::new([curves, page]).with_row_shares([3.0, 2.0]);
+    (Horizontal::new([picture, right.into()]).with_column_shares([3.0, 2.0]), properties)
+}
+
+/// What is known of the surroundings before anything was measured.
+pub(super) struct Setting {
+    /// Opposite to gravity.
+    pub up: Vector3<f64>,
+    /// Where the trackers stand, m.
+    pub trackers: Vec<Vector3<f64>>,
+    /// What has to be in the picture beside them, m.
+    pub seen: Vec<Vector3<f64>>,
+    /// Whether there is a four-bar.
+    pub rod: bool,
+}
+
+impl Setting {
+    fn of(outcome: &Outcome) -> Self {
+        let measured = outcome.sets.iter().flat_map(|set| scene::measured_points(outcome, &set.measurements));
+        Self {
+            up: scene::up(outcome),
+            trackers: scene::trackers(outcome).iter().map(|t| t.translation.vector).collect(),
+            seen: measured.collect(),
+            rod: false,
+        }
+    }
+}
+
+fn machine_curves(rod: bool, temperature: bool) -> Vec<ContainerLike> {
+    let deflection = Some(("Deflection at the target by elasticity, mm", DEFLECTION));
+    let rod = rod.then_some(("Tension of the four-bar's rod, N", ROD_FORCE));
+    let temperature = temperature.then_some(("Temperature of the air, °C", TEMPERATURE));
+    let curves = [deflection, rod, temperature].into_iter().flatten();
+    curves.map(|(title, path)| TimeSeriesView::new(title).with_origin(path).into()).collect()
+}
+
 /// An eye that sees the base, the trackers and all measured points, from the trackers' side.
-fn eye(outcome: &Outcome) -> EyeControls3D {
-    let up = scene::up(outcome);
-    let trackers: Vec<_> = scene::trackers(outcome).iter().map(|t| t.translation.vector).collect();
-    let mut seen = vec![Vector3::zeros()];
-    seen.extend(outcome.sets.iter().flat_map(|set| scene::measured_points(outcome, &set.measurements)));
-    seen.extend(&trackers);
-    let lowest = seen.iter().fold(Vector3::repeat(f64::INFINITY), |low, p| low.inf(p));
-    let highest = seen.iter().fold(Vector3::repeat(f64::NEG_INFINITY), |high, p| high.sup(p));
+fn eye(setting: &Setting) -> EyeControls3D {
+    let Setting { up, trackers, seen, .. } = setting;
+    let seen = || seen.iter().chain(trackers).copied().chain([Vector3::zeros()]);
+    let lowest = seen().fold(Vector3::repeat(f64::INFINITY), |low, p| low.inf(&p));
+    let highest = seen().fold(Vector3::repeat(f64::NEG_INFINITY), |high, p| high.sup(&p));
     let centre = (lowest + highest) / 2.0;
-    let radius = seen.iter().map(|p| (p - centre).norm()).fold(0.5, f64::max);
+    let radius = seen().map(|p| (p - centre).norm()).fold(0.5, f64::max);
 
     let towards = trackers.first().map_or(Vector3::x(), |t| t - centre);
     let level = towards - up * up.dot(&towards);
-    let level = level.try_normalize(1e-9).unwrap_or_else(|| scene::across(&up).into_inner());
+    let level = level.try_normalize(1e-9).unwrap_or_else(|| scene::across(up).into_inner());
     // Beside the line of sight, which would otherwise be seen end on.
-    let aside = Rotation3::from_axis_angle(&Unit::new_normalize(up), 0.7) * level;
+    let aside = Rotation3::from_axis_angle(&Unit::new_normalize(*up), 0.7) * level;
     let direction = (aside + 0.45 * up).normalize();
     let position = centre + direction * radius / HALF_VIEW.sin();
-    EyeControls3D::new().with_position(xyz(&position)).with_look_target(xyz(&centre)).with_eye_up(xyz(&up))
+    EyeControls3D::new().with_position(xyz(&position)).with_look_target(xyz(&centre)).with_eye_up(xyz(up))
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use super::figures::{Correlations, approaches};
-use super::{PoseStep, Provenance, scene};
+use super::{Measured, PoseStep, Provenance, scene};
 use crate::evaluation::AccuracyRow;
 use crate::identification::{Estimate, Mode};
 use crate::model::{ParameterId, Unit};
@@ -81,20 +81,19 @@ pub(super) fn pose(step: &PoseStep<'_>) -> String {
 }
 
 /// The simulated machine at one pose: how far it gave way, what its effects did, how well it settled. Lengths in mm or µm, angles in µrad.
-pub(super) fn machine(step: &PoseStep<'_>) -> String {
+pub(super) fn machine(measured: &Measured<'_>) -> String {
     let mut text = String::new();
-    for (i, (settled, observation)) in step.measured.truth.iter().zip(step.measured.observations).enumerate()
-    {
-        let set = capitalised(step.set.kind.key());
+    for (i, (settled, observation)) in measured.truth.iter().zip(measured.observations).enumerate() {
+        let set = capitalised(measured.kind.key());
         let _ = writeln!(text, "## {set} set, pose {}, as simulated\n", observation.pose);
-        if let Some(d) = step.measured.deflection(i) {
+        if let Some(d) = measured.deflection(i) {
             let [x, y, z, norm] = [d.x, d.y, d.z, d.norm()].map(|m| 1e3 * m);
             let _ = writeln!(text, "Deflection at the target, mm: {x:.3}, {y:.3}, {z:.3}; 3-D {norm:.3}\n");
         }
         if let Some(force) = settled.rod_force {
             let _ = writeln!(text, "Tension of the rod: {force:.0} N\n");
         }
-        let effects = step.measured.effects.get(i);
+        let effects = measured.effects.get(i);
         if let Some(temperature) = effects.and_then(|effects| effects.temperature) {
             let _ = writeln!(text, "Temperature of the air: {temperature:.2} °C\n");
         }
