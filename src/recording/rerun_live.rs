@@ -37,10 +37,38 @@ pub fn viewer_url(text: &str) -> Result<String, RecordingError> {
     }
 }
 
+/// A way to a viewer.
+trait Line: Send + Sync + 'static {
+    /// Queues a message.
+    fn send(&self, message: LogMsg);
+    /// Waits until all messages are through.
+    fn flush(&self, timeout: Duration) -> Result<(), SinkFlushError>;
+    /// Why nothing more gets through, if so.
+    fn loss(&self) -> Option<String>;
+}
+
+impl Line for GrpcSink {
+    fn send(&self, message: LogMsg) {
+        LogSink::send(self, message);
+    }
+
+    fn flush(&self, timeout: Duration) -> Result<(), SinkFlushError> {
+        self.flush_blocking(timeout)
+    }
+
+    fn loss(&self) -> Option<String> {
+        match self.status() {
+            GrpcSinkConnectionState::Disconnected(Err(error)) => Some(error.to_string()),
+            GrpcSinkConnectionState::Disconnected(Ok(())) => Some("it was closed".to_owned()),
+            _ => None,
+        }
+    }
+}
+
 /// An open Rerun viewer.
 pub struct Viewer {
     url: String,
-    sink: Arc<GrpcSink>,
+    line: Arc<dyn Line>,
 }
 
 impl Viewer {
@@ -57,7 +85,7 @@ impl Viewer {
         };
         // Asked first by itself: the sink tries again and again without a word.
         reachable(&uri).map_err(|error| absent(error.to_string()))?;
-        let sink = Arc::new(GrpcSink::new(uri));
+        let sink = GrpcSink::new(uri);
         let begun = Instant::now();
         while !matches!(sink.status(), GrpcSinkConnectionState::Connected) {
             if begun.elapsed() > PATIENCE {
@@ -66,16 +94,7 @@ impl Viewer {
             }
             thread::sleep(Duration::from_millis(10));
         }
-        Ok(Self { url: url.to_owned(), sink })
-    }
-
-    /// Why nothing more gets through.
-    fn loss(&self) -> Option<String> {
-        match self.sink.status() {
-            GrpcSinkConnectionState::Disconnected(Err(error)) => Some(error.to_string()),
-            GrpcSinkConnectionState::Disconnected(Ok(())) => Some("it was closed".to_owned()),
-            _ => None,
-        }
+        Ok(Self { url: url.to_owned(), line: Arc::new(sink) })
     }
 }
 
@@ -96,8 +115,8 @@ fn abandon<T>(waiting: T) {
     std::mem::forget(waiting);
 }
 
-/// The connection as the recording stream sees it: it never waits for long.
-struct Wire(Arc<GrpcSink>);
+/// The line as a recording stream sees it: it never waits for ever.
+struct Wire(Arc<dyn Line>);
 
 impl LogSink for Wire {
     fn send(&self, message: LogMsg) {
@@ -105,7 +124,7 @@ impl LogSink for Wire {
     }
 
     fn flush_blocking(&self, timeout: Duration) -> Result<(), SinkFlushError> {
-        self.0.flush_blocking(timeout.min(LAST_PATIENCE))
+        self.0.flush(timeout.min(LAST_PATIENCE))
     }
 
     fn default_batcher_config(&self) -> ChunkBatcherConfig {
@@ -137,10 +156,14 @@ impl LiveRecorder {
         Self { viewer, recorder: None, session: None, lost: None }
     }
 
+    fn wire(&self) -> Wire {
+        Wire(Arc::clone(&self.viewer.line))
+    }
+
     /// Keeps `result`, and the state of the connection.
     fn note(&mut self, result: Result<(), RecordingError>) {
         let told = result.err().map(|error| error.to_string());
-        self.lost = told.or_else(|| self.viewer.loss());
+        self.lost = told.or_else(|| self.viewer.line.loss());
     }
 
     fn tell(&mut self, tell: impl FnOnce(&mut RerunRecorder) -> Result<(), RecordingError>) {
@@ -165,8 +188,8 @@ impl LiveRecorder {
             seen: scene::reach(&preamble.model.kinematics),
             rod: preamble.model.actuators.four_bar().is_some(),
         };
-        self.viewer.sink.send_all(rerun_layout::session(&setting)?);
-        let wire = Wire(Arc::clone(&self.viewer.sink));
+        let wire = self.wire();
+        wire.send_all(rerun_layout::session(&setting)?);
         let recorder = self.recorder.insert(RerunRecorder::telling(&preamble.input.name, Box::new(wire))?);
         recorder.surroundings(&up, &trackers, Vec::new())?;
         let Some((as_built, tracker_from_base)) = preamble.truth else { return Ok(()) };
@@ -195,9 +218,9 @@ impl LiveRecorder {
             let flushed = stream.flush_with_timeout(LAST_PATIENCE).map_err(RecordingError::unrecordable);
             self.note(flushed);
         }
-        if self.lost.is_some() && self.viewer.loss().is_none() {
+        if self.lost.is_some() && self.viewer.line.loss().is_none() {
             // It is there and does not read.
-            abandon((stream, Arc::clone(&self.viewer.sink)));
+            abandon((stream, Arc::clone(&self.viewer.line)));
         }
     }
 }
@@ -259,7 +282,7 @@ impl Recorder for LiveRecorder {
     fn begin(&mut self, outcome: &Outcome) -> Result<(), RecordingError> {
         if self.lost.is_none() {
             let layout = rerun_layout::messages(outcome, Force::Active);
-            let sent = layout.map(|messages| self.viewer.sink.send_all(messages));
+            let sent = layout.map(|messages| self.wire().send_all(messages));
             self.note(sent);
         }
         self.tell(|recorder| recorder.begin(outcome));
@@ -285,7 +308,84 @@ impl Recorder for LiveRecorder {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::BTreeMap;
     use std::net::TcpListener;
+    use std::sync::Mutex;
+
+    use rerun::log::Chunk;
+
+    use crate::recording::{record, synthetic};
+
+    /// A viewer that is closed when it has so many messages.
+    struct Listener {
+        heard: Mutex<Vec<LogMsg>>,
+        patience: usize,
+    }
+
+    impl Line for Listener {
+        fn send(&self, message: LogMsg) {
+            let mut heard = self.heard.lock().expect("not poisoned");
+            if heard.len() < self.patience {
+                heard.push(message);
+            }
+        }
+
+        fn flush(&self, _: Duration) -> Result<(), SinkFlushError> {
+            Ok(())
+        }
+
+        fn loss(&self) -> Option<String> {
+            (self.heard.lock().expect("not poisoned").len() == self.patience).then(|| "closed".to_owned())
+        }
+    }
+
+    fn listener(patience: usize) -> (Arc<Listener>, LiveRecorder) {
+        let listener = Arc::new(Listener { heard: Mutex::default(), patience });
+        let line: Arc<dyn Line> = listener.clone();
+        (listener, LiveRecorder::new(Viewer { url: VIEWER_URL.to_owned(), line }))
+    }
+
+    #[test]
+    fn a_viewer_is_told_its_layout_first_and_every_pose_once() {
+        let outcome = synthetic::outcome(6, 3, true);
+        let (listener, mut live) = listener(usize::MAX);
+        record(&outcome, &mut live).expect("told");
+        live.finish().expect("heard");
+        let heard = listener.heard.lock().expect("not poisoned");
+        let is_layout = |message: &&LogMsg| message.store_id().is_blueprint();
+        assert!(heard.iter().take_while(is_layout).count() > 10);
+        let in_force = |m: &LogMsg| matches!(m, LogMsg::BlueprintActivationCommand(c) if c.make_active);
+        assert_eq!(heard.iter().filter(|m| in_force(m)).count(), 2, "of the session, of the evaluation");
+
+        let mut rows: BTreeMap<String, usize> = BTreeMap::new();
+        for message in heard.iter().filter(|message| !is_layout(message)) {
+            if let LogMsg::ArrowMsg(_, message) = message {
+                let chunk = Chunk::from_arrow_msg(message).expect("sound");
+                *rows.entry(chunk.entity_path().to_string()).or_default() += chunk.num_rows();
+            }
+        }
+        for path in [
+            "/scene/true/chain",
+            "/scene/nominal/chain",
+            "/scene/calibrated/chain",
+            "/scene/deflection_x100/at_target",
+            "/scene/line_of_sight",
+            "/tables/machine",
+            "/tables/pose",
+        ] {
+            assert_eq!(rows.get(path), Some(&9), "{path}");
+        }
+    }
+
+    #[test]
+    fn a_viewer_that_is_closed_stops_nothing_and_is_told_of_at_the_end() {
+        let outcome = synthetic::outcome(6, 3, true);
+        let (listener, mut live) = listener(60);
+        record(&outcome, &mut live).expect("goes on");
+        let error = live.finish().expect_err("closed");
+        assert!(matches!(&error, RecordingError::ViewerLost { reason, .. } if reason == "closed"), "{error}");
+        assert_eq!(listener.heard.lock().expect("not poisoned").len(), 60);
+    }
 
     #[test]
     fn where_no_viewer_listens_the_error_says_how_to_get_one() {

@@ -402,11 +402,14 @@ mod tests {
             assert_eq!(rows.get("/residual_mm/z/only_calibration"), Some(&10));
             assert_eq!(rows.get("/cost_log10/only_calibration"), Some(&6));
             assert!(!rows.contains_key("/cost_log10/without_calibration"));
+            // The calibrated robot has the links' shapes where there is no machine to have them.
+            for path in ["/scene/nominal/chain", "/scene/calibrated/chain"] {
+                assert_eq!(rows.get(path), Some(&9), "{path}");
+            }
             for path in [
-                "/scene/nominal/chain",
                 "/scene/deflection_x100/chain",
                 "/scene/deflection_x100/linkage",
-                "/scene/deflection_x100/label",
+                "/scene/deflection_x100/at_target",
                 "/scene/true/linkage",
                 "/tables/machine",
             ] {
@@ -420,8 +423,31 @@ mod tests {
             ] {
                 assert_eq!(rows.get(path), truth.then_some(&10), "{path}");
             }
-            assert!(!rows.keys().any(|path| path.starts_with(&format!("/scene/{other}"))));
+            assert!(!rows.keys().any(|path| path.starts_with(&format!("/scene/{other}/link7"))));
         }
+    }
+
+    #[test]
+    fn errors_and_estimates_are_there_as_a_whole() {
+        let outcome = synthetic::outcome(6, 3, true);
+        let Contents { rows, .. } = contents(&outcome);
+        for mode in &outcome.modes {
+            let key = mode.mode.key();
+            for (set, axis) in [("identification", "norm"), ("verification", "x"), ("verification", "z")] {
+                assert_eq!(rows.get(&format!("/error_histogram/{set}/{key}/{axis}")), Some(&1), "{key}");
+            }
+            let identified = mode.estimate.is_some();
+            for path in ["correlation/KEY/groups", "tables/correlation/KEY"] {
+                let path = format!("/{}", path.replace("KEY", key));
+                assert_eq!(rows.get(&path), identified.then_some(&1), "{path}");
+            }
+            // The last of five iterations is at the end: no logarithm. Line and marks have a row each.
+            let root = format!("/convergence/{key}/");
+            let curves: Vec<_> = rows.iter().filter(|(path, _)| path.starts_with(&root)).collect();
+            assert_eq!(curves.len(), if identified { 6 } else { 0 });
+            assert!(curves.iter().all(|(_, rows)| **rows == 6), "{curves:?}");
+        }
+        assert_eq!(rows.get("/tables/convergence"), Some(&1));
     }
 
     #[test]
@@ -429,8 +455,23 @@ mod tests {
         let Contents { layout, activated, .. } = contents(&synthetic::outcome(3, 1, true));
         assert!(activated);
         assert!(layout.contains("/viewport"));
-        assert_eq!(layout.iter().filter(|path| path.ends_with("/EyeControls3D")).count(), 1);
-        assert_eq!(layout.iter().filter(|path| path.ends_with("/PlotLegend")).count(), 2);
+        let count = |end: &str| layout.iter().filter(|path| path.ends_with(end)).count();
+        assert_eq!(count("/EyeControls3D"), 2);
+        // Two of the residuals, one a histogram, one a mode and the cost's.
+        assert_eq!(count("/PlotLegend"), 2 + 2 * 5 * 4 + 4 + 1);
+        assert_eq!(count("/ViewContents/overrides/scene/calibrated/visualizers"), 1);
+    }
+
+    #[test]
+    fn a_viewer_reads_the_layout_before_the_recording() {
+        let outcome = synthetic::outcome(3, 1, true);
+        let mut recorder = RerunRecorder::new(&outcome).expect("begun");
+        record(&outcome, &mut recorder).expect("recorded");
+        let messages = recorder.messages();
+        let first = messages.iter().position(|m| !m.store_id().is_blueprint()).expect("a recording");
+        assert!(messages[first..].iter().all(|m| !m.store_id().is_blueprint()));
+        assert!(matches!(messages[first - 1], LogMsg::BlueprintActivationCommand(_)));
+        assert!(matches!(messages[0], LogMsg::SetStoreInfo(_)));
     }
 
     #[test]

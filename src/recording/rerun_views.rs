@@ -191,8 +191,9 @@ impl<'a> Views<'a> {
         }
         let page = TextDocumentView::new("The way to the minimum").with_origin("tables/convergence").into();
         let plots = Grid::new(plots).with_grid_columns(2);
-        let convergence =
-            Horizontal::new([plots.into(), page]).with_column_shares([3.0, 2.0]).with_name("Convergence");
+        let convergence = Horizontal::new([plots.into(), page])
+            .with_column_shares([3.0, 2.0])
+            .with_name("Convergence (timeline: iteration)");
 
         let known = modes.iter().filter(|(_, estimate)| Correlations::of(estimate).is_some());
         let pictures: Vec<ContainerLike> = known.map(|(mode, _)| correlations(*mode)).collect();
