@@ -2,6 +2,7 @@
 
 mod ablation;
 mod choice;
+mod defaults;
 mod judgement;
 mod machine;
 mod session;
@@ -11,6 +12,7 @@ mod truth;
 
 pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
 pub use choice::{ChosenRow, FailedVariant, ModelChoice, choose};
+pub use defaults::{DEFAULT_TOLERANCE, default_modes, default_options, is_default};
 pub use judgement::{Confidence, FALSE_ALARM, Judgement, PredictedPosition, judge};
 pub use machine::PlantKind;
 pub use session::{MeasuredPose, SessionEvent, SessionListener};

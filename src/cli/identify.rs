@@ -17,8 +17,8 @@ use crate::input::Source;
 use crate::measurement::{ColumnMap, MeasurementSet, load_column_map, parse_column_map, parse_measurements};
 use crate::model::{CalibrationModel, FAMILIES, JointKind, ParameterId, Robot, load_robot};
 use crate::pipeline::{
-    InputSummary, Outcome, PipelineError, SetKind, SetOutcome, SplitPlan, SplitStudy, calibrate,
-    hash_sources, judge, pose_count, repeat_splits,
+    DEFAULT_TOLERANCE, InputSummary, Outcome, PipelineError, SetKind, SetOutcome, SplitPlan, SplitStudy,
+    calibrate, hash_sources, is_default, judge, pose_count, repeat_splits,
 };
 
 /// Calibrate a robot from measured positions in a file, and verify on another file
@@ -73,10 +73,10 @@ pub(super) struct Args {
     #[arg(long, value_name = "PERCENT", value_parser = percent)]
     compliance_percent: Option<f64>,
     /// How well the links' lengths are known beforehand: standard deviation of a prior, mm; 0 in both for none
-    #[arg(long, value_name = "MM", default_value_t = 10.0, allow_negative_numbers = true, value_parser = tolerance_value)]
+    #[arg(long, value_name = "MM", default_value_t = 1e3 * DEFAULT_TOLERANCE.length, allow_negative_numbers = true, value_parser = tolerance_value)]
     tolerance_mm: f64,
     /// How well the links' angles are known beforehand: standard deviation of a prior, mrad; 0 in both for none
-    #[arg(long, value_name = "MRAD", default_value_t = 20.0, allow_negative_numbers = true, value_parser = tolerance_value)]
+    #[arg(long, value_name = "MRAD", default_value_t = 1e3 * DEFAULT_TOLERANCE.angle, allow_negative_numbers = true, value_parser = tolerance_value)]
     tolerance_mrad: f64,
     /// Split the measurements at random this many times, fit a part and verify on the rest, and compare every mode with the one before
     #[arg(long, value_name = "N", requires = "fit", value_parser = clap::value_parser!(u32).range(2..=100_000))]
@@ -104,7 +104,7 @@ enum Parameters {
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum LossArg {
+pub(super) enum LossArg {
     /// Least squares
     Squared,
     /// Linear beyond 1.6 standard deviations
@@ -188,7 +188,7 @@ fn split_study(
     study.map_err(|error| failed(error, &args.measurements, &outcome.sources))
 }
 
-fn fitted_mode(text: &str) -> Result<Mode, String> {
+pub(super) fn fitted_mode(text: &str) -> Result<Mode, String> {
     Mode::parse(text).filter(|mode| *mode != Mode::WithoutCalibration).ok_or_else(|| {
         let modes = Mode::ALL.iter().filter(|mode| **mode != Mode::WithoutCalibration).map(|mode| mode.key());
         format!("expected one of: {}", modes.collect::<Vec<_>>().join(", "))
@@ -250,18 +250,11 @@ fn tolerance(args: &Args) -> Option<Tolerance> {
         .then_some(Tolerance { length: 1e-3 * args.tolerance_mm, angle: 1e-3 * args.tolerance_mrad })
 }
 
-/// Relative standard deviation from which on a stated stiffness is a guess: what it predicts is not worth a row.
-const GUESS: f64 = 1.0;
-
 fn modes(args: &Args, robot: &Robot, compliance_sigma: f64) -> Vec<Mode> {
-    let bends = robot.model.statics.is_some();
     let wanted = |mode: &Mode| match mode {
         Mode::WithoutCalibration => true,
         _ if !args.mode.is_empty() => args.mode.contains(mode),
-        Mode::OnlyCalibration => true,
-        Mode::WithGravity => bends && compliance_sigma < GUESS,
-        Mode::ElastoGeometric => bends && compliance_sigma >= GUESS,
-        Mode::Extended => false,
+        _ => is_default(*mode, robot, compliance_sigma),
     };
     Mode::ALL.into_iter().filter(wanted).collect()
 }

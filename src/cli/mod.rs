@@ -10,6 +10,7 @@ mod montecarlo;
 mod output;
 mod record;
 mod replay;
+mod report;
 mod run;
 
 use std::error::Error as _;
@@ -50,6 +51,7 @@ enum Command {
     Choose(choose::Args),
     Montecarlo(montecarlo::Args),
     Replay(replay::Args),
+    Report(report::Args),
 }
 
 /// How a command ended that did end.
@@ -132,6 +134,7 @@ pub fn main() -> ExitCode {
         Command::Montecarlo(args) => montecarlo::execute(args),
         Command::Identifiability(args) => identifiability::execute(args),
         Command::Replay(args) => replay::execute(args),
+        Command::Report(args) => report::execute(args),
     };
     match result {
         Ok(Verdict::Done) => ExitCode::SUCCESS,

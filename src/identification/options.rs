@@ -1,6 +1,7 @@
 //! What to fit, and how.
 
 use super::{Mode, SolverOptions};
+use crate::measurement::MeasurementSet;
 use crate::model::{Compliance, ParameterId, Unit};
 
 /// What is known of the tracker's place.
@@ -158,6 +159,18 @@ impl Default for IdentificationOptions {
 }
 
 impl IdentificationOptions {
+    /// Frees what `measured` says nothing of: the tracker's place where a station has fewer than three nests, the target's offset where one has
+    /// no stated uncertainty.
+    pub fn fit_to(&mut self, measured: Option<&MeasurementSet>) {
+        let Some(set) = measured else { return };
+        if self.frame != FrameChoice::Free && set.stations.iter().any(|station| station.nests.len() < 3) {
+            self.frame = FrameChoice::Free;
+        }
+        if self.target == TargetChoice::Measured && set.targets.iter().any(|t| t.covariance.is_none()) {
+            self.target = TargetChoice::Identified;
+        }
+    }
+
     /// Whether a family of terms is switched on.
     pub(super) fn has_terms(&self, family: &str) -> bool {
         self.terms.as_ref().is_none_or(|keys| keys.iter().any(|key| key == family))

@@ -15,6 +15,7 @@ mod figures;
 mod file;
 mod foxglove_scene;
 mod live;
+mod machine;
 mod mcap_reader;
 mod mcap_writer;
 mod provenance;
@@ -43,8 +44,10 @@ mod truth;
 pub use error::RecordingError;
 pub use file::UnfinishedFile;
 pub use live::{SessionContext, SessionRecorder};
+pub use machine::{RecordedMachine, read_recorded_machine};
 pub use mcap_reader::{
-    ReadOptions, RecordedEstimate, RecordedParameter, Recording, read_recording, read_recording_with,
+    MissingPart, ReadOptions, RecordedEstimate, RecordedParameter, Recording, read_recording,
+    read_recording_with,
 };
 pub use mcap_writer::{McapRecorder, write_mcap};
 pub use provenance::{Provenance, SCHEMA};
