@@ -5,6 +5,7 @@ mod choose;
 mod identifiability;
 mod identify;
 mod interrupt;
+mod live;
 mod montecarlo;
 mod output;
 mod record;

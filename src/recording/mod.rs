@@ -10,6 +10,8 @@
 mod clock;
 mod error;
 mod estimate;
+#[cfg(feature = "rerun")]
+mod figures;
 mod file;
 mod foxglove_scene;
 mod live;
@@ -18,9 +20,17 @@ mod mcap_reader;
 mod mcap_writer;
 mod provenance;
 #[cfg(feature = "rerun")]
+mod rerun_analysis;
+#[cfg(feature = "rerun")]
 mod rerun_layout;
 #[cfg(feature = "rerun")]
+mod rerun_live;
+#[cfg(feature = "rerun")]
+mod rerun_scene;
+#[cfg(feature = "rerun")]
 mod rerun_sink;
+#[cfg(feature = "rerun")]
+mod rerun_views;
 mod scan;
 mod scene;
 pub mod schema;
@@ -41,6 +51,8 @@ pub use mcap_reader::{
 };
 pub use mcap_writer::{McapRecorder, write_mcap};
 pub use provenance::{Provenance, SCHEMA};
+#[cfg(feature = "rerun")]
+pub use rerun_live::{LiveRecorder, VIEWER_URL, Viewer, viewer_url};
 #[cfg(feature = "rerun")]
 pub use rerun_sink::{RerunRecorder, write_rrd};
 pub use scene::{Chain, ChainKind, Sighting};
