@@ -358,13 +358,17 @@ impl<'a> Checks<'a> {
     }
 
     fn describe(&self, family: &Family, outcast: &Outcast) -> Contradiction {
-        let stated =
-            |group: usize| self.stated(&family.groups[group].kind, &outcast.left_out, &outcast.spread);
+        // A rival has a size of its own; its name is all that is told of it.
+        let name = |rival: &usize| {
+            let Group { rows, kind } = &family.groups[*rival];
+            let n = rows.len();
+            self.stated(kind, &DVector::zeros(n), &DMatrix::identity(n, n)).name()
+        };
         Contradiction {
-            stated: stated(outcast.group),
+            stated: self.stated(&family.groups[outcast.group].kind, &outcast.left_out, &outcast.spread),
             chi2: outcast.chi2,
             freedom: outcast.freedom,
-            or: outcast.rivals.iter().map(|rival| stated(*rival).name()).collect(),
+            or: outcast.rivals.iter().map(name).collect(),
         }
     }
 
