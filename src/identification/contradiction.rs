@@ -192,8 +192,13 @@ struct Block {
 impl Block {
     fn of(covariance: &DMatrix<f64>, rows: &Range<usize>) -> Self {
         let n = rows.len();
-        let eigen = SymmetricEigen::new(covariance.view((rows.start, rows.start), (n, n)).into_owned());
+        let own = covariance.view((rows.start, rows.start), (n, n)).into_owned();
         let mut block = Self { inverse: DMatrix::zeros(n, n), freedom: 0 };
+        // The iteration for eigenvalues need not end on what is no number.
+        if own.iter().any(|v| !v.is_finite()) {
+            return block;
+        }
+        let eigen = SymmetricEigen::new(own);
         for (value, vector) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
             if *value > CHECKED {
                 block.inverse += vector * vector.transpose() / *value;
