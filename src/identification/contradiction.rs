@@ -192,8 +192,13 @@ struct Block {
 impl Block {
     fn of(covariance: &DMatrix<f64>, rows: &Range<usize>) -> Self {
         let n = rows.len();
-        let eigen = SymmetricEigen::new(covariance.view((rows.start, rows.start), (n, n)).into_owned());
+        let own = covariance.view((rows.start, rows.start), (n, n)).into_owned();
         let mut block = Self { inverse: DMatrix::zeros(n, n), freedom: 0 };
+        // The iteration for eigenvalues need not end on what is no number.
+        if own.iter().any(|v| !v.is_finite()) {
+            return block;
+        }
+        let eigen = SymmetricEigen::new(own);
         for (value, vector) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
             if *value > CHECKED {
                 block.inverse += vector * vector.transpose() / *value;
@@ -358,13 +363,17 @@ impl<'a> Checks<'a> {
     }
 
     fn describe(&self, family: &Family, outcast: &Outcast) -> Contradiction {
-        let stated =
-            |group: usize| self.stated(&family.groups[group].kind, &outcast.left_out, &outcast.spread);
+        // A rival has a size of its own; its name is all that is told of it.
+        let name = |rival: &usize| {
+            let Group { rows, kind } = &family.groups[*rival];
+            let n = rows.len();
+            self.stated(kind, &DVector::zeros(n), &DMatrix::identity(n, n)).name()
+        };
         Contradiction {
-            stated: stated(outcast.group),
+            stated: self.stated(&family.groups[outcast.group].kind, &outcast.left_out, &outcast.spread),
             chi2: outcast.chi2,
             freedom: outcast.freedom,
-            or: outcast.rivals.iter().map(|rival| stated(*rival).name()).collect(),
+            or: outcast.rivals.iter().map(name).collect(),
         }
     }
 

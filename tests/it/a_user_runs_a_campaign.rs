@@ -41,7 +41,10 @@ fn errors_are_as_large_as_the_bound_and_as_stated() {
     let done = campaign.run(0..trials, 0, &AtomicBool::new(false), |_| {}).expect("threads");
     let summary = summarise(&campaign, &done);
     let mode = &summary.modes[0];
-    assert_eq!((summary.trials, summary.failures.len(), mode.doubtful), (1000, 0, 0));
+    assert_eq!((summary.trials, summary.failures.len()), (1000, 0));
+    // What was stated is doubted at a level of 0.1 % a trial: 6 and more of 1000 come once in 1700 campaigns.
+    println!("{} of {trials} doubted", mode.doubtful);
+    assert!(mode.doubtful <= 5, "{}", mode.doubtful);
 
     // Bonferroni: each of the parameters is tested at the level over their number.
     let parameters = mode.parameters.len();
