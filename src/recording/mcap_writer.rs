@@ -49,15 +49,15 @@ pub struct McapRecorder<W: Write + Seek> {
 
 /// The writer of all recordings. Message indexes cost a third of a small file, but Foxglove's reader refuses chunks without them. The
 /// library's name and the number of threads are pinned: the same story gives the same bytes.
-pub(super) fn writer<W: Write + Seek>(sink: W) -> Result<Writer<W>, RecordingError> {
-    let options = WriteOptions::new().library(Provenance::software()).compression_threads(0);
+pub(super) fn writer<W: Write + Seek>(sink: W, profile: &str) -> Result<Writer<W>, RecordingError> {
+    let options = WriteOptions::new().profile(profile).library(Provenance::software()).compression_threads(0);
     options.create(sink).map_err(RecordingError::unrecordable)
 }
 
 impl<W: Write + Seek> McapRecorder<W> {
     /// Begins a file.
     pub fn new(sink: W) -> Result<Self, RecordingError> {
-        Ok(Self { writer: writer(sink)?, channels: BTreeMap::new(), poses: (0, 0), machine: None })
+        Ok(Self { writer: writer(sink, "")?, channels: BTreeMap::new(), poses: (0, 0), machine: None })
     }
 
     /// Ends the file and gives the sink back.

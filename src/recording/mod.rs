@@ -8,15 +8,18 @@
 //! Times are simulated: the observations' own where they increase, else one second a pose. The same outcome gives the same bytes of MCAP.
 
 mod clock;
+mod directory;
 mod error;
 mod estimate;
 mod file;
 mod foxglove_scene;
+mod inspect;
 mod live;
 mod machine;
 mod mcap_reader;
 mod mcap_writer;
 mod provenance;
+mod recover;
 #[cfg(feature = "rerun")]
 mod rerun_layout;
 #[cfg(feature = "rerun")]
@@ -25,14 +28,20 @@ mod scan;
 mod scene;
 pub mod schema;
 mod story;
+mod survey;
 #[cfg(test)]
 mod synthetic;
 #[cfg(feature = "rerun")]
 mod tables;
 mod truth;
+mod walk;
 
 pub use error::RecordingError;
 pub use file::UnfinishedFile;
+pub use inspect::{
+    AttachmentReport, EstimateReport, Health, INSPECT_SCHEMA, Inspection, Progress, ProvenanceReport,
+    ProvenanceState, Recoverable, SetReport, State, TopicReport, inspect,
+};
 pub use live::{SessionContext, SessionRecorder};
 pub use machine::{RecordedMachine, read_recorded_machine};
 pub use mcap_reader::{
@@ -41,12 +50,14 @@ pub use mcap_reader::{
 };
 pub use mcap_writer::{McapRecorder, write_mcap};
 pub use provenance::{Provenance, SCHEMA};
+pub use recover::{Recovered, recover};
 #[cfg(feature = "rerun")]
 pub use rerun_sink::{RerunRecorder, write_rrd};
 pub use scene::{Chain, ChainKind, Sighting};
 pub use story::{
     LogEntry, LogLevel, Measured, PoseStep, Preamble, Recorder, Residuals, record, record_evaluation,
 };
+pub use walk::{Fault, Part};
 
 /// How much longer than life residual arrows are drawn.
 pub const RESIDUAL_SCALE: f64 = 100.0;
