@@ -4,10 +4,12 @@ mod check;
 mod choose;
 mod identifiability;
 mod identify;
+mod inspect;
 mod interrupt;
 mod montecarlo;
 mod output;
 mod record;
+mod recover;
 mod replay;
 mod report;
 mod run;
@@ -38,7 +40,8 @@ struct Cli {
     command: Command,
 }
 
-const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done but doubtful (rank-deficient, not converged, replay differs).
+const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done but doubtful (rank-deficient, not converged, replay differs,
+recording damaged).
 Set NO_COLOR=1 for plain text.";
 
 #[derive(Debug, Subcommand)]
@@ -50,6 +53,8 @@ enum Command {
     Choose(choose::Args),
     Montecarlo(montecarlo::Args),
     Replay(replay::Args),
+    Inspect(inspect::Args),
+    Recover(recover::Args),
     Report(report::Args),
 }
 
@@ -73,6 +78,8 @@ enum CliError {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Recording(#[from] RecordingError),
+    #[error("{}: {source}", file.display())]
+    Mcap { file: PathBuf, source: RecordingError },
     #[error("{}: {source}", file.display())]
     Replay { file: PathBuf, source: ReplayError },
     #[error(transparent)]
@@ -133,6 +140,8 @@ pub fn main() -> ExitCode {
         Command::Montecarlo(args) => montecarlo::execute(args),
         Command::Identifiability(args) => identifiability::execute(args),
         Command::Replay(args) => replay::execute(args),
+        Command::Inspect(args) => inspect::execute(args),
+        Command::Recover(args) => recover::execute(args),
         Command::Report(args) => report::execute(args),
     };
     match result {
@@ -195,6 +204,7 @@ impl Told<'_> {
     fn place(&self) -> &dyn Diagnostic {
         match self.error {
             CliError::Replay { source, .. } => source,
+            CliError::Mcap { source, .. } => source,
             error => error,
         }
     }
