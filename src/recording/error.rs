@@ -16,6 +16,7 @@ const WRITTEN_BY: &str = "expected a recording.mcap written by `calibrig run`";
 pub enum RecordingError {
     /// The file cannot be written.
     #[error("cannot write {}", path.display())]
+    #[diagnostic(help("expected a folder that is there, with room and permission to write"))]
     Unwritable {
         /// The file.
         path: PathBuf,
