@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::inspect::{named, with_progress, write_faults, write_sets};
 use super::{CliError, Verdict, print};
-use crate::recording::{Inspection, ProvenanceState, Recovered, recover};
+use crate::recording::{Inspection, ProvenanceState, Recovered, State, recover};
 
 /// Save what is sound of a damaged, truncated or unfinished recording into a new file
 #[derive(Debug, clap::Args)]
@@ -59,10 +59,18 @@ fn write_text(recovered: &Recovered, bad: &Path, good: &Path, text: &mut String)
         writeln!(text, "\nlost")?;
         write_faults(&inspection.health, text)?;
     } else {
-        writeln!(text, "\nlost: nothing")?;
+        writeln!(text, "\nlost: nothing of what is in the file{}", unknown(inspection.health.state))?;
     }
     write_doubts(inspection, text)?;
     write_next(inspection, good, text)
+}
+
+/// What cannot be told of a file that ends too early.
+fn unknown(state: State) -> &'static str {
+    match state {
+        State::Unfinished | State::Truncated => "; whether more was written before it ended cannot be told",
+        _ => "",
+    }
 }
 
 /// What the new file cannot vouch for.
