@@ -4,11 +4,13 @@ mod check;
 mod choose;
 mod identifiability;
 mod identify;
+mod inspect;
 mod interrupt;
 mod live;
 mod montecarlo;
 mod output;
 mod record;
+mod recover;
 mod replay;
 mod report;
 mod run;
@@ -41,7 +43,7 @@ struct Cli {
 
 const EXIT_CODES: &str =
     "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done but doubtful (rank-deficient, not converged, at a
-bound, against what was stated beforehand, replay differs).
+bound, against what was stated beforehand, replay differs, recording damaged).
 Set NO_COLOR=1 for plain text.";
 
 #[derive(Debug, Subcommand)]
@@ -53,6 +55,8 @@ enum Command {
     Choose(choose::Args),
     Montecarlo(montecarlo::Args),
     Replay(replay::Args),
+    Inspect(inspect::Args),
+    Recover(recover::Args),
     Report(report::Args),
 }
 
@@ -76,6 +80,8 @@ enum CliError {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Recording(#[from] RecordingError),
+    #[error("{}: {source}", file.display())]
+    Mcap { file: PathBuf, source: RecordingError },
     #[error("{}: {source}", file.display())]
     Replay { file: PathBuf, source: ReplayError },
     #[error(transparent)]
@@ -136,6 +142,8 @@ pub fn main() -> ExitCode {
         Command::Montecarlo(args) => montecarlo::execute(args),
         Command::Identifiability(args) => identifiability::execute(args),
         Command::Replay(args) => replay::execute(args),
+        Command::Inspect(args) => inspect::execute(args),
+        Command::Recover(args) => recover::execute(args),
         Command::Report(args) => report::execute(args),
     };
     match result {
@@ -198,6 +206,7 @@ impl Told<'_> {
     fn place(&self) -> &dyn Diagnostic {
         match self.error {
             CliError::Replay { source, .. } => source,
+            CliError::Mcap { source, .. } => source,
             error => error,
         }
     }

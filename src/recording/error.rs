@@ -16,6 +16,7 @@ const WRITTEN_BY: &str = "expected a recording.mcap written by `calibrig run`";
 pub enum RecordingError {
     /// The file cannot be written.
     #[error("cannot write {}", path.display())]
+    #[diagnostic(help("expected a folder that is there, with room and permission to write"))]
     Unwritable {
         /// The file.
         path: PathBuf,
@@ -109,6 +110,40 @@ pub enum RecordingError {
         "{WRITTEN_BY}, or recorded by another program on the topics that docs/formats.md names"
     ))]
     Foreign,
+    /// Nothing can be saved of a file.
+    #[error("{} holds no message that can be read: {bytes} bytes, of which {unread} are not readable", path.display())]
+    #[diagnostic(help(
+        "expected a file in which something was recorded before it ended; nothing is written"
+    ))]
+    NothingToRecover {
+        /// The file.
+        path: PathBuf,
+        /// Its length.
+        bytes: u64,
+        /// Bytes that belong to no whole record.
+        unread: u64,
+    },
+    /// A file is to be saved over itself.
+    #[error("{} is the damaged file itself", path.display())]
+    #[diagnostic(help("expected the name of another file: the damaged one is not touched"))]
+    SameFile {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A file is in the way.
+    #[error("{} is already there", path.display())]
+    #[diagnostic(help("expected the name of a new file, or --force to write over it"))]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A folder has the name that a file should get.
+    #[error("{} is a folder", path.display())]
+    #[diagnostic(help("expected the name of a file to write"))]
+    IsFolder {
+        /// The folder.
+        path: PathBuf,
+    },
     /// A topic that is to be left out is not there.
     #[error("the recording has no topic {topic}")]
     #[diagnostic(help("expected one of {}", known.join(", ")))]

@@ -1,5 +1,6 @@
 //! The record of truth: MCAP with the public `foxglove.*` messages for viewers and the `calibrig.v1` messages for replay.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io::{Seek, Write};
 use std::path::Path;
@@ -41,6 +42,8 @@ pub struct McapRecorder<W: Write + Seek> {
     writer: Writer<W>,
     /// Channel number and messages so far, by topic.
     channels: BTreeMap<String, (u16, u32)>,
+    /// A message in the making.
+    buffer: Vec<u8>,
     /// Poses measured, and those of them that are not put out.
     poses: (u32, u32),
     /// The machine, until its first pose tells what of it yields.
@@ -49,15 +52,21 @@ pub struct McapRecorder<W: Write + Seek> {
 
 /// The writer of all recordings. Message indexes cost a third of a small file, but Foxglove's reader refuses chunks without them. The
 /// library's name and the number of threads are pinned: the same story gives the same bytes.
-pub(super) fn writer<W: Write + Seek>(sink: W) -> Result<Writer<W>, RecordingError> {
-    let options = WriteOptions::new().library(Provenance::software()).compression_threads(0);
+pub(super) fn writer<W: Write + Seek>(sink: W, profile: &str) -> Result<Writer<W>, RecordingError> {
+    let options = WriteOptions::new().profile(profile).library(Provenance::software()).compression_threads(0);
     options.create(sink).map_err(RecordingError::unwritten)
 }
 
 impl<W: Write + Seek> McapRecorder<W> {
     /// Begins a file.
     pub fn new(sink: W) -> Result<Self, RecordingError> {
-        Ok(Self { writer: writer(sink)?, channels: BTreeMap::new(), poses: (0, 0), machine: None })
+        Ok(Self {
+            writer: writer(sink, "")?,
+            channels: BTreeMap::new(),
+            buffer: Vec::new(),
+            poses: (0, 0),
+            machine: None,
+        })
     }
 
     /// Ends the file and gives the sink back.
@@ -68,12 +77,13 @@ impl<W: Write + Seek> McapRecorder<W> {
         Ok(sink)
     }
 
+    /// Publishes a message; `schema` is asked for on the first one of a topic.
     fn publish(
         &mut self,
         topic: &str,
         time: u64,
-        schema: (&str, &[u8]),
-        data: &[u8],
+        schema: impl FnOnce() -> Option<(String, Cow<'static, [u8]>)>,
+        message: &impl Message,
     ) -> Result<(), RecordingError> {
         let (channel_id, sequence) = match self.channels.get_mut(topic) {
             Some((channel, count)) => {
@@ -81,23 +91,32 @@ impl<W: Write + Seek> McapRecorder<W> {
                 (*channel, count.wrapping_sub(1))
             }
             None => {
-                let channel = self.add_channel(topic, schema).map_err(RecordingError::unwritten)?;
+                let schema = schema().ok_or_else(|| {
+                    RecordingError::unrecordable(format!("no schema for the messages on {topic}"))
+                })?;
+                let channel = self.add_channel(topic, &schema).map_err(RecordingError::unwritten)?;
                 self.channels.insert(topic.to_owned(), (channel, 1));
                 (channel, 0)
             }
         };
+        self.buffer.clear();
+        message.encode(&mut self.buffer).map_err(RecordingError::unrecordable)?;
         let header = MessageHeader { channel_id, sequence, log_time: time, publish_time: time };
-        self.writer.write_to_known_channel(&header, data).map_err(RecordingError::unwritten)
+        self.writer.write_to_known_channel(&header, &self.buffer).map_err(RecordingError::unwritten)
     }
 
-    fn add_channel(&mut self, topic: &str, (name, descriptors): (&str, &[u8])) -> mcap::McapResult<u16> {
+    fn add_channel(
+        &mut self,
+        topic: &str,
+        (name, descriptors): &(String, Cow<'static, [u8]>),
+    ) -> mcap::McapResult<u16> {
         let schema = self.writer.add_schema(name, "protobuf", descriptors)?;
         self.writer.add_channel(schema, topic, "protobuf", &BTreeMap::new())
     }
 
     /// Publishes a message of package `calibrig.v1`.
     fn own<M: Message + Name>(&mut self, topic: &str, time: u64, message: &M) -> Result<(), RecordingError> {
-        self.publish(topic, time, (&M::full_name(), schema::DESCRIPTORS), &message.encode_to_vec())
+        self.publish(topic, time, || Some((M::full_name(), schema::DESCRIPTORS.into())), message)
     }
 
     /// Publishes a message of package `foxglove`.
@@ -107,9 +126,8 @@ impl<W: Write + Seek> McapRecorder<W> {
         time: u64,
         message: &M,
     ) -> Result<(), RecordingError> {
-        let schema = M::get_schema()
-            .ok_or_else(|| RecordingError::unrecordable(format!("no schema for the messages on {topic}")))?;
-        self.publish(topic, time, (&schema.name, &schema.data), &message.encode_to_vec())
+        let schema = || M::get_schema().map(|schema| (schema.name, schema.data));
+        self.publish(topic, time, schema, message)
     }
 
     fn flush(&mut self) -> Result<(), RecordingError> {

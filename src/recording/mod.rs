@@ -8,17 +8,20 @@
 //! Times are simulated: the observations' own where they increase, else one second a pose. The same outcome gives the same bytes of MCAP.
 
 mod clock;
+mod directory;
 mod error;
 mod estimate;
 #[cfg(feature = "rerun")]
 mod figures;
 mod file;
 mod foxglove_scene;
+mod inspect;
 mod live;
 mod machine;
 mod mcap_reader;
 mod mcap_writer;
 mod provenance;
+mod recover;
 #[cfg(feature = "rerun")]
 mod rerun_analysis;
 #[cfg(feature = "rerun")]
@@ -35,14 +38,20 @@ mod scan;
 mod scene;
 pub mod schema;
 mod story;
+mod survey;
 #[cfg(test)]
 mod synthetic;
 #[cfg(feature = "rerun")]
 mod tables;
 mod truth;
+mod walk;
 
 pub use error::RecordingError;
 pub use file::UnfinishedFile;
+pub use inspect::{
+    AttachmentReport, EstimateReport, Health, INSPECT_SCHEMA, Inspection, Progress, ProvenanceReport,
+    ProvenanceState, Recoverable, SetReport, State, TopicReport, inspect,
+};
 pub use live::{SessionContext, SessionRecorder};
 pub use machine::{RecordedMachine, read_recorded_machine};
 pub use mcap_reader::{
@@ -51,6 +60,7 @@ pub use mcap_reader::{
 };
 pub use mcap_writer::{McapRecorder, write_mcap};
 pub use provenance::{Provenance, SCHEMA};
+pub use recover::{Recovered, recover};
 #[cfg(feature = "rerun")]
 pub use rerun_live::{LiveRecorder, VIEWER_URL, Viewer, viewer_url};
 #[cfg(feature = "rerun")]
@@ -59,6 +69,7 @@ pub use scene::{Chain, ChainKind, Sighting};
 pub use story::{
     LogEntry, LogLevel, Measured, PoseStep, Preamble, Recorder, Residuals, record, record_evaluation,
 };
+pub use walk::{Fault, Part};
 
 /// How much longer than life residual arrows are drawn.
 pub const RESIDUAL_SCALE: f64 = 100.0;

@@ -17,6 +17,8 @@ const SCHEMA_VERSION: u32 = 2;
 pub(super) const METADATA: &str = "calibrig";
 /// Name of the metadata record of a file that was saved from a damaged one.
 pub(super) const RECOVERED: &str = "calibrig_recovered";
+/// Name that a metadata record gets which does not fit its hash, in a file that was saved from a damaged one.
+pub(super) const ALTERED: &str = "calibrig_altered";
 
 /// Where a recording comes from.
 #[derive(Debug, Clone, PartialEq, Eq)]

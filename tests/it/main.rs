@@ -6,6 +6,8 @@
 mod a_user_calibrates_a_real_robot;
 mod a_user_checks_the_elimination;
 mod a_user_has_a_damaged_recording;
+#[cfg(unix)]
+mod a_user_has_a_killed_run;
 mod a_user_has_no_room;
 mod a_user_judges_an_estimate;
 mod a_user_makes_a_mistake;

@@ -1,0 +1,316 @@
+//! `calibrig inspect`.
+
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+use super::{CliError, Verdict, print};
+use crate::recording::{
+    EstimateReport, Health, Inspection, Part, ProvenanceReport, ProvenanceState, RecordingError, SetReport,
+    State, TopicReport, inspect,
+};
+
+/// Say what is in a recording, or in any MCAP file, and whether it is sound
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  calibrig inspect runs/paper/recording.mcap
+  calibrig inspect out/recording.mcap.part           of a run that was killed
+  calibrig inspect runs/paper/recording.mcap --json
+
+Exit code 3 if the file is unfinished, breaks off or is damaged.")]
+pub(super) struct Args {
+    /// The file
+    file: PathBuf,
+    /// Print as JSON (schema calibrig.inspect/1)
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
+    let inspection = with_progress("reading", |progress| inspect(&args.file, progress))
+        .map_err(|e| named(&args.file, e))?;
+    let text = if args.json {
+        let json = serde_json::to_string_pretty(&inspection)
+            .map_err(|error| CliError::Output { what: "JSON".to_owned(), source: error.into() })?;
+        json + "\n"
+    } else {
+        as_text(&inspection, &args.file)
+    };
+    print(&text)?;
+    Ok(if inspection.health.state == State::Whole { Verdict::Done } else { Verdict::Doubtful })
+}
+
+/// The error with the file's name, where it does not say it itself.
+pub(super) fn named(file: &Path, error: RecordingError) -> CliError {
+    match error {
+        source @ RecordingError::NotMcap => CliError::Mcap { file: file.to_path_buf(), source },
+        error => error.into(),
+    }
+}
+
+/// Does something that tells how many bytes of how many are behind: shown where it takes longer than two seconds.
+pub(super) fn with_progress<T>(what: &str, work: impl FnOnce(&mut dyn FnMut(u64, u64)) -> T) -> T {
+    let bar = ProgressBar::hidden();
+    if let Ok(style) = ProgressStyle::with_template("{msg} {percent:>3} % {bar:40} {elapsed}") {
+        bar.set_style(style);
+    }
+    bar.set_message(what.to_owned());
+    let begun = Instant::now();
+    let mut shown = false;
+    let value = work(&mut |done, total| {
+        if !shown && begun.elapsed() > Duration::from_secs(2) {
+            shown = true;
+            bar.set_draw_target(ProgressDrawTarget::stderr());
+        }
+        if shown {
+            bar.set_length(total);
+            bar.set_position(done);
+        }
+    });
+    bar.finish_and_clear();
+    value
+}
+
+fn as_text(inspection: &Inspection, file: &Path) -> String {
+    let mut text = String::new();
+    // Writing to a String cannot fail.
+    let _ = write_text(inspection, file, &mut text);
+    text
+}
+
+fn write_text(inspection: &Inspection, file: &Path, text: &mut String) -> std::fmt::Result {
+    let library = match inspection.library.as_str() {
+        "" => "does not say which program wrote it".to_owned(),
+        library => format!("written by {library}"),
+    };
+    writeln!(text, "{}: {} bytes of MCAP, {library}", inspection.file, inspection.bytes)?;
+    if !inspection.calibrig {
+        writeln!(text, "  not a calibrig recording: it holds no metadata and no message of calibrig's")?;
+    }
+    writeln!(text, "\nhealth      {}", state_words(&inspection.health))?;
+    write_faults(&inspection.health, text)?;
+    writeln!(text, "  checksums {}", checksum_words(&inspection.health))?;
+    writeln!(text, "  recover   {}", recover_words(inspection, file))?;
+    if let Some(provenance) = &inspection.provenance {
+        write_provenance(provenance, text)?;
+    }
+    write_sets(&inspection.sets, text)?;
+    write_estimates(&inspection.estimates, text)?;
+    write_topics(&inspection.topics, text)?;
+    if !inspection.attachments.is_empty() {
+        let rows = inspection.attachments.iter().map(|attachment| {
+            vec![attachment.name.clone(), attachment.bytes.to_string(), attachment.media_type.clone()]
+        });
+        write_table(&["attachment", "bytes", "type"], rows.collect(), &[1], text)?;
+    }
+    Ok(())
+}
+
+fn state_words(health: &Health) -> String {
+    match (health.state, health.damaged_at) {
+        (State::Whole, _) => "whole: every part is there, and every checksum fits".to_owned(),
+        (State::Unfinished, _) => "unfinished: the program that wrote it did not come to its end".to_owned(),
+        (State::Truncated, _) => "truncated: it breaks off".to_owned(),
+        (State::Damaged, Some(at)) => format!("damaged at byte {at}"),
+        (State::Damaged, None) => {
+            "damaged, but in no part that holds data: a checksum over the whole does not fit".to_owned()
+        }
+    }
+}
+
+/// The faults of a file, a line each.
+pub(super) fn write_faults(health: &Health, text: &mut String) -> std::fmt::Result {
+    for fault in health.faults.iter().take(10) {
+        let part = part_words(fault.part);
+        writeln!(text, "  byte {}: {part} of {} bytes: {}", fault.offset, fault.bytes, fault.reason)?;
+    }
+    let all: u64 = health.lost.values().sum();
+    let told = health.faults.len().min(10) as u64;
+    if all > told {
+        writeln!(text, "  and {} more", all - told)?;
+    }
+    if health.bytes_unread > 0 {
+        writeln!(text, "  {} bytes are not readable", health.bytes_unread)?;
+    }
+    Ok(())
+}
+
+fn part_words(part: Part) -> &'static str {
+    match part {
+        Part::Chunk => "a chunk of messages",
+        Part::OpaqueChunk => "a chunk of messages that is not looked into",
+        Part::Attachment => "an attachment",
+        Part::Metadata => "a metadata record",
+        Part::Record => "a record",
+        Part::Framing => "what cannot be told",
+    }
+}
+
+fn checksum_words(health: &Health) -> String {
+    let whole = |name: &str, there: Option<bool>| match there {
+        Some(true) => format!("of the {name}"),
+        Some(false) => format!("none of the {name}"),
+        None => format!("of the {name} not there"),
+    };
+    let parts = match health.without_checksum {
+        0 => "of every part that is read".to_owned(),
+        n => format!("none of {n} messages or attachments"),
+    };
+    format!(
+        "{parts}; {}; {}",
+        whole("data section", health.checksum_of_data),
+        whole("summary", health.checksum_of_summary)
+    )
+}
+
+fn recover_words(inspection: &Inspection, file: &Path) -> String {
+    let saved = inspection.recoverable;
+    let lost = match saved.messages_lost {
+        Some(lost) => format!(" of {}", saved.messages + lost),
+        None => String::new(),
+    };
+    match (inspection.health.state, saved.messages) {
+        (State::Whole, _) => "not needed".to_owned(),
+        (_, 0) => "nothing can be saved: no message can be read".to_owned(),
+        (_, messages) => {
+            let all = if saved.anything_lost { "" } else { ": nothing is lost" };
+            format!("`calibrig recover {} NEW` saves {messages}{lost} messages{all}", file.display())
+        }
+    }
+}
+
+fn write_provenance(provenance: &ProvenanceReport, text: &mut String) -> std::fmt::Result {
+    let fits = match provenance.state {
+        ProvenanceState::Fits => "fits its hash",
+        ProvenanceState::Newer => "not checked",
+        ProvenanceState::Altered => "does not fit its hash",
+    };
+    writeln!(text, "\nprovenance  {fits}")?;
+    if let Some(problem) = &provenance.problem {
+        writeln!(text, "  {problem}")?;
+    }
+    let numbers = [
+        provenance.seed.map(|seed| format!("seed {seed}")),
+        provenance.trial.map(|trial| format!("trial {trial}")),
+        provenance.plant.as_ref().map(|plant| format!("plant {plant}")),
+    ];
+    let numbers: Vec<String> = numbers.into_iter().flatten().collect();
+    for (name, value) in [
+        ("software", &provenance.software),
+        ("schema", &provenance.schema),
+        ("input", &format!("{} {}", provenance.input_kind, provenance.input_name)),
+        ("sha256", &provenance.input_sha256),
+        ("numbers", &numbers.join(", ")),
+        ("hash", &provenance.provenance_sha256),
+    ] {
+        if !value.trim().is_empty() {
+            writeln!(text, "  {name:<9} {value}")?;
+        }
+    }
+    Ok(())
+}
+
+/// What was measured, a line a set.
+pub(super) fn write_sets(sets: &[SetReport], text: &mut String) -> std::fmt::Result {
+    let number = |value: Option<u32>| value.map_or_else(|| "?".to_owned(), |value| value.to_string());
+    let rows: Vec<_> = sets
+        .iter()
+        .map(|set| {
+            let state = match (set.described, set.complete) {
+                (false, _) => "its session is missing",
+                (true, true) => "complete",
+                (true, false) => "not complete",
+            };
+            vec![
+                set.set.to_owned(),
+                set.poses.to_string(),
+                number(set.planned),
+                set.dropped.to_string(),
+                set.observations.to_string(),
+                number(set.expected),
+                set.stations.to_string(),
+                set.targets.to_string(),
+                set.nests.to_string(),
+                state.to_owned(),
+            ]
+        })
+        .collect();
+    let heads =
+        ["set", "poses", "planned", "dropped", "observations", "of", "stations", "targets", "nests", ""];
+    write_table(&heads, rows, &[1, 2, 3, 4, 5, 6, 7, 8], text)
+}
+
+fn write_estimates(estimates: &[EstimateReport], text: &mut String) -> std::fmt::Result {
+    let rms = |estimate: &EstimateReport| {
+        let sets = estimate.rms_3d_m.iter().map(|(set, rms)| format!("{set} {:.4}", 1e3 * rms));
+        sets.collect::<Vec<_>>().join(", ")
+    };
+    let rows = estimates.iter().map(|estimate| {
+        vec![
+            estimate.mode.clone(),
+            estimate.parameters.to_string(),
+            estimate.chi2_per_dof.map_or_else(|| "-".to_owned(), |ratio| format!("{ratio:.3}")),
+            if estimate.termination.is_empty() { "-".to_owned() } else { estimate.termination.clone() },
+            rms(estimate),
+        ]
+    });
+    let heads = ["estimate", "parameters", "chi2/dof", "ended with", "RMS 3-D mm"];
+    write_table(&heads, rows.collect(), &[1, 2], text)
+}
+
+fn write_topics(topics: &[TopicReport], text: &mut String) -> std::fmt::Result {
+    let seconds = |time: Option<u64>| {
+        time.map_or_else(
+            || "-".to_owned(),
+            |ns| format!("{}.{:03}", ns / 1_000_000_000, ns / 1_000_000 % 1000),
+        )
+    };
+    let rows = topics.iter().map(|topic| {
+        vec![
+            topic.topic.clone(),
+            topic.messages.to_string(),
+            topic.lost.filter(|&lost| lost > 0).map_or_else(String::new, |lost| lost.to_string()),
+            topic.bytes.to_string(),
+            seconds(topic.first_ns),
+            seconds(topic.last_ns),
+            topic.rate_hz.map_or_else(|| "-".to_owned(), |rate| format!("{rate:.3}")),
+            if topic.schema.is_empty() { topic.encoding.clone() } else { topic.schema.clone() },
+        ]
+    });
+    let heads = ["topic", "messages", "lost", "bytes", "first s", "last s", "Hz", "schema"];
+    write_table(&heads, rows.collect(), &[1, 2, 3, 4, 5, 6], text)
+}
+
+/// A table with a blank line before it; nothing where it has no rows. Columns that are empty all the way down are left out.
+fn write_table(
+    heads: &[&str],
+    rows: Vec<Vec<String>>,
+    right: &[usize],
+    text: &mut String,
+) -> std::fmt::Result {
+    if rows.is_empty() {
+        return Ok(());
+    }
+    writeln!(text)?;
+    let width = |column: usize| {
+        let longest = rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+        if longest == 0 { 0 } else { longest.max(heads[column].chars().count()) }
+    };
+    let widths: Vec<usize> = (0..heads.len()).map(width).collect();
+    let heads = heads.iter().map(|&head| head.to_owned()).collect();
+    for row in std::iter::once(&heads).chain(&rows) {
+        let mut line = String::new();
+        for (column, cell) in row.iter().enumerate().filter(|&(column, _)| widths[column] > 0) {
+            let width = widths[column];
+            if right.contains(&column) {
+                write!(line, "{cell:>width$}  ")?;
+            } else {
+                write!(line, "{cell:<width$}  ")?;
+            }
+        }
+        writeln!(text, "{}", line.trim_end())?;
+    }
+    Ok(())
+}

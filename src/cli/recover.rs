@@ -1,0 +1,117 @@
+//! `calibrig recover`.
+
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+use super::inspect::{named, with_progress, write_faults, write_sets};
+use super::{CliError, Verdict, print};
+use crate::recording::{Inspection, ProvenanceState, Recovered, State, recover};
+
+/// Save what is sound of a damaged, truncated or unfinished recording into a new file
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  calibrig recover out/recording.mcap.part recovered.mcap   of a run that was killed
+  calibrig recover damaged.mcap recovered.mcap --force      written over, if it is there
+
+The damaged file is not touched. Any MCAP file can be saved, not only calibrig's. Exit code 0 if nothing is lost, 3 if something is.")]
+pub(super) struct Args {
+    /// The damaged file
+    bad: PathBuf,
+    /// The new file
+    good: PathBuf,
+    /// Write over a file that is there
+    #[arg(long)]
+    force: bool,
+}
+
+pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
+    let recovered =
+        with_progress("recovering", |progress| recover(&args.bad, &args.good, args.force, progress))
+            .map_err(|error| named(&args.bad, error))?;
+    let mut text = String::new();
+    // Writing to a String cannot fail.
+    let _ = write_text(&recovered, &args.bad, &args.good, &mut text);
+    print(&text)?;
+    Ok(if recovered.inspection.recoverable.anything_lost { Verdict::Doubtful } else { Verdict::Done })
+}
+
+fn write_text(recovered: &Recovered, bad: &Path, good: &Path, text: &mut String) -> std::fmt::Result {
+    let (bad, good) = (bad.display(), good.display());
+    let inspection = &recovered.inspection;
+    if recovered.copied {
+        writeln!(text, "{bad} is whole, nothing is wrong with it: copied to {good}")?;
+        return write_next(inspection, good, text);
+    }
+    let saved = inspection.recoverable;
+    let of = saved.messages_lost.map_or_else(String::new, |lost| format!(" of {}", saved.messages + lost));
+    writeln!(text, "{bad}: {}{of} messages saved to {good}", saved.messages)?;
+    write_sets(&inspection.sets, text)?;
+    writeln!(text, "\ntopic  messages saved")?;
+    let width = inspection.topics.iter().map(|topic| topic.topic.chars().count()).max().unwrap_or(0);
+    for topic in &inspection.topics {
+        let lost = match topic.lost {
+            Some(lost) if lost > 0 => format!(", {lost} lost"),
+            _ => String::new(),
+        };
+        writeln!(text, "  {:<width$}  {}{lost}", topic.topic, topic.messages)?;
+    }
+    if saved.anything_lost {
+        writeln!(text, "\nlost")?;
+        write_faults(&inspection.health, text)?;
+    } else {
+        writeln!(text, "\nlost: nothing of what is in the file{}", unknown(inspection.health.state))?;
+    }
+    write_doubts(inspection, text)?;
+    write_next(inspection, good, text)
+}
+
+/// What cannot be told of a file that ends too early.
+fn unknown(state: State) -> &'static str {
+    match state {
+        State::Unfinished | State::Truncated => "; whether more was written before it ended cannot be told",
+        _ => "",
+    }
+}
+
+/// What the new file cannot vouch for.
+fn write_doubts(inspection: &Inspection, text: &mut String) -> std::fmt::Result {
+    if let Some(provenance) =
+        inspection.provenance.as_ref().filter(|provenance| provenance.state == ProvenanceState::Altered)
+    {
+        writeln!(text, "\n{}", provenance.problem.as_deref().unwrap_or_default())?;
+        writeln!(
+            text,
+            "So seed, scenario and models are not certain to be those of the run: the metadata are kept as `calibrig_altered`, and are"
+        )?;
+        writeln!(text, "not read. The messages are sound: each is under a checksum of its own chunk.")?;
+    }
+    for set in inspection.sets.iter().filter(|set| !set.described) {
+        writeln!(
+            text,
+            "\nThe session of the {} set is lost: its stations and targets are not known, and its observations cannot be used.",
+            set.set
+        )?;
+    }
+    if inspection.health.without_checksum > 0 {
+        writeln!(
+            text,
+            "\n{} messages or attachments have no checksum: whether they are as written cannot be told.",
+            inspection.health.without_checksum
+        )?;
+    }
+    Ok(())
+}
+
+fn write_next(inspection: &Inspection, good: std::path::Display<'_>, text: &mut String) -> std::fmt::Result {
+    let measured = inspection.sets.iter().any(|set| set.described && set.observations > 0);
+    if measured {
+        writeln!(text, "\nnext: calibrig replay {good}")
+    } else if inspection.calibrig {
+        writeln!(text, "\nIt holds no measured pose: there is nothing to replay.")
+    } else {
+        writeln!(
+            text,
+            "\nIt is not a calibrig recording: viewers of MCAP open it, `calibrig replay` does not."
+        )
+    }
+}
