@@ -2,6 +2,7 @@
 
 mod check;
 mod choose;
+mod export;
 mod identifiability;
 mod identify;
 mod interrupt;
@@ -25,7 +26,7 @@ use thiserror::Error;
 use crate::identification::IdentifyError;
 use crate::input::{InputError, Source};
 use crate::pipeline::PipelineError;
-use crate::recording::RecordingError;
+use crate::recording::{ExportError, RecordingError};
 use crate::replay::ReplayError;
 use crate::report::ReportError;
 
@@ -49,6 +50,7 @@ enum Command {
     Choose(choose::Args),
     Montecarlo(montecarlo::Args),
     Replay(replay::Args),
+    Export(export::Args),
 }
 
 /// How a command ended that did end.
@@ -73,6 +75,11 @@ enum CliError {
     Recording(#[from] RecordingError),
     #[error("{}: {source}", file.display())]
     Replay { file: PathBuf, source: ReplayError },
+    #[error("{}: {source}", file.display())]
+    Export { file: PathBuf, source: ExportError },
+    #[error("{} there already", already(paths))]
+    #[diagnostic(help("expected other names, or --force to write over them"))]
+    AlreadyThere { paths: Vec<PathBuf> },
     #[error(transparent)]
     Report(#[from] ReportError),
     #[error("interrupted after {done} of {total} poses; what was measured is in {}", part.display())]
@@ -88,6 +95,11 @@ enum CliError {
     #[error("cannot write to the folder {}: {} is {what}", folder.display(), at.display())]
     #[diagnostic(help("expected {expected}"))]
     InTheWay { folder: PathBuf, at: PathBuf, what: &'static str, expected: &'static str },
+}
+
+fn already(paths: &[PathBuf]) -> String {
+    let names: Vec<_> = paths.iter().map(|path| path.display().to_string()).collect();
+    format!("{} {}", names.join(", "), if names.len() == 1 { "is" } else { "are" })
 }
 
 fn unwritten_help(written: &[&str]) -> String {
@@ -131,6 +143,7 @@ pub fn main() -> ExitCode {
         Command::Montecarlo(args) => montecarlo::execute(args),
         Command::Identifiability(args) => identifiability::execute(args),
         Command::Replay(args) => replay::execute(args),
+        Command::Export(args) => export::execute(args),
     };
     match result {
         Ok(Verdict::Done) => ExitCode::SUCCESS,
@@ -192,6 +205,7 @@ impl Told<'_> {
     fn place(&self) -> &dyn Diagnostic {
         match self.error {
             CliError::Replay { source, .. } => source,
+            CliError::Export { source, .. } => source,
             error => error,
         }
     }

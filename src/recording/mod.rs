@@ -10,6 +10,7 @@
 mod clock;
 mod error;
 mod estimate;
+mod exchange;
 mod file;
 mod foxglove_scene;
 mod live;
@@ -31,6 +32,7 @@ mod tables;
 mod truth;
 
 pub use error::RecordingError;
+pub use exchange::{CsvExport, ExportError, ExportedFile, export_csv, write_sets};
 pub use file::UnfinishedFile;
 pub use live::{SessionContext, SessionRecorder};
 pub use mcap_reader::{
