@@ -55,7 +55,7 @@ struct CsvArgs {
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig export mcap --model models/ur5/robot.toml --measurements grid.csv --out grid.mcap
-  calibrig export mcap --model r.toml --measurements m.csv --session s.toml --out m.mcap   with nests
+  calibrig export mcap --model r.toml --measurements m.csv --session s.toml --out m.mcap
   calibrig replay grid.mcap
 
 What the columns of the files mean is told as for `calibrig identify`.")]
@@ -150,17 +150,7 @@ fn write(folder: &Path, export: &CsvExport) -> Result<(), CliError> {
 }
 
 fn to_mcap(args: &McapArgs) -> Result<Verdict, CliError> {
-    if args.out.is_dir() {
-        return Err(CliError::InTheWay {
-            folder: args.out.parent().map(Path::to_path_buf).unwrap_or_default(),
-            at: args.out.clone(),
-            what: "a folder",
-            expected: "the name of a file",
-        });
-    }
-    if args.out.exists() && !args.force {
-        return Err(CliError::AlreadyThere { paths: vec![args.out.clone()] });
-    }
+    check_name(&args.out, args.force)?;
     let mut files = vec![(SetKind::Identification, args.measurements.as_path())];
     files.extend(args.verify.as_deref().map(|path| (SetKind::Verification, path)));
     let Loaded { robot, mut sources, mut sets } = load(&args.model, args.columns.as_deref(), &files)?;
@@ -204,6 +194,24 @@ fn to_mcap(args: &McapArgs) -> Result<Verdict, CliError> {
         .collect();
     say(&format!("wrote {}: observations: {}", args.out.display(), counts.join(", ")));
     Ok(Verdict::Done)
+}
+
+/// Refuses a name that a recording cannot take.
+fn check_name(path: &Path, force: bool) -> Result<(), CliError> {
+    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let refused = |at: &Path, what, expected| {
+        Err(CliError::InTheWay { folder: parent.to_path_buf(), at: at.to_path_buf(), what, expected })
+    };
+    if !parent.is_dir() {
+        return refused(parent, "no folder", "a folder that is there");
+    }
+    if path.is_dir() {
+        return refused(path, "a folder", "the name of a file");
+    }
+    if path.exists() && !force {
+        return Err(CliError::AlreadyThere { paths: vec![path.to_path_buf()] });
+    }
+    Ok(())
 }
 
 /// A recording without any is none that could be read.

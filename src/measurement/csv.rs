@@ -741,6 +741,20 @@ mod tests {
     }
 
     #[test]
+    fn a_map_of_other_columns_does_not_keep_own_columns_from_being_read() {
+        let map =
+            map("[position]\nsystem = \"cartesian\"\nunit = \"mm\"\nx = [\"x\"]\ny = [\"y\"]\nz = [\"z\"]\n");
+        let refused = mapped(OWN, &map).expect_err("an explicit map is what holds");
+        assert!(refused.to_string().contains("column s is missing"), "{refused}");
+        let either = map.or_own();
+        assert_eq!(mapped(OWN, &either).expect("own columns"), own(OWN).expect("valid"));
+        let theirs = mapped("s,t,x,y,z,q1_m\n1000,180,1,2,3,4\n", &either).expect("mapped columns");
+        assert_eq!(theirs.set.observations[0].command, [1.0, std::f64::consts::PI]);
+        let neither = mapped("s1,t1,x,y,z\n1,2,3,4,5\n", &either).expect_err("no such columns");
+        assert!(neither.to_string().contains("column s is missing"), "{neither}");
+    }
+
+    #[test]
     fn own_columns_are_read() {
         let loaded = own(OWN).expect("valid");
         let set = &loaded.set;

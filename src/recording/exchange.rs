@@ -348,3 +348,98 @@ fn free_name(role: &str, name: &str, taken: &[&str]) -> String {
     // There are more numbers than names.
     names.into_iter().find(free).unwrap_or(name.clone())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::measurement::Reading;
+    use crate::pipeline::SetOutcome;
+    use crate::recording::synthetic;
+    use nalgebra::Vector3;
+
+    fn written_and_read(set: &SetOutcome, joints: &[JointKind]) -> Result<(), ExportError> {
+        let told: [SessionSet<'_>; 1] = [(set.kind, &set.measurements, &set.dropped)];
+        let text = measurements_text(&set.measurements, joints).expect("written");
+        let session = Source::new("session.toml", session_text(&told));
+        check(&told, &[(set.kind, Source::new("set.csv", text))], &session, joints)
+    }
+
+    #[test]
+    fn what_no_column_holds_is_refused_with_its_pose() {
+        let outcome = synthetic::outcome(4, 0, false);
+        let joints: Vec<_> = outcome.model.kinematics.links.iter().map(|link| link.kind).collect();
+        let set = outcome.sets[0].clone();
+        written_and_read(&set, &joints).expect("the same");
+
+        let change = |change: &dyn Fn(&mut Reading)| {
+            let mut set = set.clone();
+            change(&mut set.measurements.observations[2].reading);
+            let pose = set.measurements.observations[2].pose;
+            (pose, written_and_read(&set, &joints).expect_err("lossy").to_string())
+        };
+        let (pose, error) = change(&|reading| {
+            let Reading::Spherical(reading) = reading else { panic!("spherical") };
+            reading.covariance.m12 = 1e-9;
+        });
+        assert!(error.contains(&format!("pose {pose} is read back with other bits")), "{error}");
+        let (_, error) = change(&|reading| {
+            let Reading::Spherical(reading) = reading else { panic!("spherical") };
+            reading.range = -1.0;
+        });
+        assert!(error.contains("/measurement/identification") && error.contains("set.csv:4"), "{error}");
+
+        let mut cartesian = set.clone();
+        for observation in &mut cartesian.measurements.observations {
+            let position = observation.reading.position();
+            observation.reading = Reading::Cartesian { position, covariance: None };
+        }
+        written_and_read(&cartesian, &joints).expect("the same");
+        let missed = &mut cartesian.measurements.observations[1];
+        missed.reading = Reading::Cartesian { position: Vector3::zeros(), covariance: None };
+        let expected = format!("pose {}: missed shot", missed.pose);
+        let error = written_and_read(&cartesian, &joints).expect_err("lossy").to_string();
+        assert!(error.contains(&expected), "{error}");
+    }
+
+    #[test]
+    fn input_files_lie_beside_each_other() {
+        let mut export = CsvExport {
+            files: vec![ExportedFile { name: "identification.csv".to_owned(), text: String::new() }],
+            remarks: Vec::new(),
+        };
+        let input = |role: &str, name: &str, text: &str| (role.to_owned(), Source::new(name, text));
+        let inputs = vec![
+            input("scenario", "s.toml", "robot = \"../models/r/robot.toml\" # as built\n"),
+            input("robot", "robot.toml", "urdf = 'r.urdf'\ncolumns = '../maps/c.toml'\n"),
+            input("urdf", "r.urdf", "<robot/>"),
+            input("columns", "c.toml", ""),
+            input("identification", "Identification.csv", "a,b"),
+            input("verification", "../../etc/passwd", ""),
+        ];
+        add_inputs(inputs, &mut export);
+        let names: Vec<_> = export.files.iter().map(|file| file.name.as_str()).collect();
+        let expected = ["identification.csv", "s.toml", "robot.toml", "r.urdf", "c.toml"];
+        assert_eq!(names[..5], expected);
+        assert_eq!(names[5..], ["identification-Identification.csv", "passwd"]);
+        assert_eq!(export.files[1].text, "robot = \"robot.toml\" # as built\n");
+        assert_eq!(export.files[2].text, "urdf = 'r.urdf'\ncolumns = \"c.toml\"\n");
+        assert_eq!(export.remarks.len(), 4, "{:?}", export.remarks);
+    }
+
+    #[test]
+    fn a_name_leads_to_no_other_folder() {
+        for (name, expected) in [
+            ("../../x.toml", "x.toml"),
+            ("..\\x.toml", "x.toml"),
+            ("/etc/passwd", "passwd"),
+            ("..", "input"),
+            ("a/", "input"),
+            ("", "input"),
+            ("c:x\ny", "c_x_y"),
+        ] {
+            assert_eq!(free_name("robot", name, &[]), expected);
+        }
+        assert_eq!(free_name("../r", "x", &["X"]), "r-x");
+        assert_eq!(free_name("r", "x", &["x", "r-x", "r-2-x"]), "r-3-x");
+    }
+}

@@ -272,6 +272,23 @@ mod tests {
     }
 
     #[test]
+    fn what_another_program_does_not_know_may_be_left_out() {
+        let outcome = synthetic::outcome(2, 1, false);
+        let set = &outcome.sets[0];
+        let mut message = observation(set.kind, 0, &set.measurements.observations[0]);
+        message.approach.clear();
+        if let Some(v1::reading::Kind::Spherical(reading)) =
+            message.reading.as_mut().and_then(|reading| reading.kind.as_mut())
+        {
+            reading.covariance.clear();
+        }
+        let read = to_observation(&message, set).expect("sound");
+        assert_eq!(read.approach, vec![0; read.command.len()]);
+        let position = set.measurements.observations[0].reading.position();
+        assert_eq!(read.reading, Reading::Cartesian { position, covariance: None });
+    }
+
+    #[test]
     fn observations_that_make_no_sense_are_refused_with_the_field() {
         let outcome = synthetic::outcome(2, 1, false);
         let set = &outcome.sets[0];
