@@ -454,14 +454,13 @@ mod tests {
     }
 
     fn targets() -> impl Strategy<Value = Vec<Target>> {
-        prop::collection::vec((numbers::<3>(), prop::option::of(matrix())), 1..3).prop_map(|targets| {
-            let target = |(i, ([x, y, z], covariance))| Target {
-                name: format!("target {i}"),
-                in_flange: Vector3::new(x, y, z),
-                covariance,
-            };
-            targets.into_iter().enumerate().map(target).collect()
-        })
+        let target = |(i, (at, covariance)): (usize, ([f64; 3], _))| Target {
+            name: format!("target {i}"),
+            in_flange: at.into(),
+            covariance,
+        };
+        let targets = prop::collection::vec((numbers::<3>(), prop::option::of(matrix())), 1..3);
+        targets.prop_map(move |targets| targets.into_iter().enumerate().map(target).collect())
     }
 
     proptest! {

@@ -19,6 +19,8 @@ use calibrig::recording::{
     CsvExport, Preamble, Recording, export_csv, read_recording, write_mcap, write_sets,
 };
 
+use nalgebra::Vector3;
+
 use crate::a_user_reproduces_the_paper::paper;
 use crate::sandbox::{SCENARIO, Sandbox, assert_refused};
 
@@ -294,7 +296,7 @@ fn assert_made_by_hand(recording: &Recording) {
     for set in &recording.sets {
         let MeasurementSet { stations, targets, observations } = &set.measurements;
         assert_eq!((stations.len(), stations[0].nests.len(), targets.len()), (1, 4, 1));
-        assert_eq!(stations[0].nests[3].in_base, [0.6, -0.5, 0.1].into());
+        assert_eq!(stations[0].nests[3].in_base, Vector3::new(0.6, -0.5, 0.1));
         assert_seen(&stations[0].nests[3].reading, [0.6, -0.5, 0.1]);
         for observation in observations {
             time += 5.0;
@@ -319,7 +321,8 @@ fn assert_seen(reading: &Reading, [x, y, z]: [f64; 3]) {
     for (found, expected) in reading.position().iter().zip(expected) {
         assert!((found - expected).abs() < 1e-12, "{found} where {expected} was expected");
     }
-    assert_eq!(reading.covariance.diagonal(), [8e-6_f64.powi(2), 4e-6_f64.powi(2), 4e-6_f64.powi(2)].into());
+    let sigmas = reading.covariance.diagonal().map(f64::sqrt);
+    assert!((sigmas - Vector3::new(8e-6, 4e-6, 4e-6)).norm() < 1e-18, "{sigmas}");
 }
 
 #[test]
