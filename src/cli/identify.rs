@@ -38,8 +38,8 @@ use crate::pipeline::{
   calibrig identify --model robot.toml --measurements m.csv --bound delta_a4=-5mm..5mm
   calibrig identify --model robot.toml --measurements m.csv --splits 20 --fit 200
 
-What the columns of the file mean is told by --columns MAP.toml, else by the map that the robot's file names, else it is
-calibrig's own layout (see docs/formats.md).")]
+What the columns of the file mean is told by --columns MAP.toml, else by the map that the robot's file names, else (and where the file
+has none of the map's joint columns but calibrig's own) it is calibrig's own layout (see docs/formats.md).")]
 pub(super) struct Args {
     /// The robot's file
     #[arg(long, value_name = "ROBOT.toml")]
@@ -346,7 +346,7 @@ pub(super) fn load(
             Some((_, source)) => {
                 let map = parse_column_map(source)?;
                 map.check_joints(source, &joints)?;
-                map
+                map.or_own()
             }
             None => ColumnMap::default(),
         },

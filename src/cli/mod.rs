@@ -2,6 +2,7 @@
 
 mod check;
 mod choose;
+mod export;
 mod identifiability;
 mod identify;
 mod inspect;
@@ -29,7 +30,7 @@ use thiserror::Error;
 use crate::identification::IdentifyError;
 use crate::input::{InputError, Source};
 use crate::pipeline::PipelineError;
-use crate::recording::RecordingError;
+use crate::recording::{ExportError, RecordingError};
 use crate::replay::ReplayError;
 use crate::report::ReportError;
 
@@ -58,6 +59,7 @@ enum Command {
     Inspect(inspect::Args),
     Recover(recover::Args),
     Report(report::Args),
+    Export(export::Args),
 }
 
 /// How a command ended that did end.
@@ -84,6 +86,11 @@ enum CliError {
     Mcap { file: PathBuf, source: RecordingError },
     #[error("{}: {source}", file.display())]
     Replay { file: PathBuf, source: ReplayError },
+    #[error("{}: {source}", file.display())]
+    Export { file: PathBuf, source: ExportError },
+    #[error("{} there already", already(paths))]
+    #[diagnostic(help("expected other names, or --force to write over them"))]
+    AlreadyThere { paths: Vec<PathBuf> },
     #[error(transparent)]
     Report(#[from] ReportError),
     #[error("interrupted after {done} of {total} poses; what was measured is in {}", part.display())]
@@ -99,6 +106,11 @@ enum CliError {
     #[error("cannot write to the folder {}: {} is {what}", folder.display(), at.display())]
     #[diagnostic(help("expected {expected}"))]
     InTheWay { folder: PathBuf, at: PathBuf, what: &'static str, expected: &'static str },
+}
+
+fn already(paths: &[PathBuf]) -> String {
+    let names: Vec<_> = paths.iter().map(|path| path.display().to_string()).collect();
+    format!("{} {}", names.join(", "), if names.len() == 1 { "is" } else { "are" })
 }
 
 fn unwritten_help(written: &[&str]) -> String {
@@ -145,6 +157,7 @@ pub fn main() -> ExitCode {
         Command::Inspect(args) => inspect::execute(args),
         Command::Recover(args) => recover::execute(args),
         Command::Report(args) => report::execute(args),
+        Command::Export(args) => export::execute(args),
     };
     match result {
         Ok(Verdict::Done) => ExitCode::SUCCESS,
@@ -207,6 +220,7 @@ impl Told<'_> {
         match self.error {
             CliError::Replay { source, .. } => source,
             CliError::Mcap { source, .. } => source,
+            CliError::Export { source, .. } => source,
             error => error,
         }
     }

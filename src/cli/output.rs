@@ -19,13 +19,18 @@ pub(super) enum Files {
     ReportsAndRecordings,
     /// What a campaign leaves.
     Campaign,
+    /// The tables of an exported recording; input files lie beside them.
+    Export,
 }
 
 impl Files {
-    fn names(self) -> &'static [&'static str] {
+    pub(super) fn names(self) -> &'static [&'static str] {
         match self {
             Self::Reports => &["report.html", "report.json"],
             Self::Campaign => &["trials.csv", "summary.json"],
+            Self::Export => {
+                &["identification.csv", "verification.csv", "session.toml", "residuals.csv", "parameters.csv"]
+            }
             #[cfg(feature = "rerun")]
             Self::ReportsAndRecordings => &["report.html", "report.json", "recording.mcap", "recording.rrd"],
             #[cfg(not(feature = "rerun"))]

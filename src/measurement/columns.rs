@@ -54,6 +54,8 @@ const SCHEMA: &str = "calibrig.columns/1";
 pub struct ColumnMap {
     /// `None` for calibrig's own columns, which depend on the robot's joints and on the file's header.
     mapping: Option<Mapping>,
+    /// Whether a file in calibrig's own columns is read as one although there is a mapping.
+    or_own: bool,
 }
 
 /// The columns by name, for one robot and one file.
@@ -275,6 +277,7 @@ pub fn parse_column_map(source: &Source) -> Result<ColumnMap, InputError> {
             temperature: reader.optional(rest.temperature_c.as_ref())?,
             approach: reader.distinct(&rest.approach)?,
         }),
+        or_own: false,
     })
 }
 
@@ -512,24 +515,36 @@ impl ColumnMap {
         Ok(())
     }
 
+    /// The same map, but a file that has calibrig's own columns for the commands, and none of the map's, is read as calibrig's own: a
+    /// robot's map is of one tracker's files.
+    #[must_use]
+    pub fn or_own(self) -> Self {
+        Self { or_own: true, ..self }
+    }
+
     /// The columns to look for in a header line, whatever of them it holds.
     pub(super) fn candidates(&self, joints: &[JointKind]) -> Vec<String> {
-        match &self.mapping {
-            Some(mapping) => mapping.names().into_iter().map(str::to_owned).collect(),
-            None => {
-                let fixed = [own::POSE, own::STATION, own::TARGET, own::TIME, own::TEMPERATURE];
-                let fixed = fixed.iter().chain(&own::SPHERICAL).chain(&own::CARTESIAN);
-                let commands = joints.iter().enumerate().map(|(index, kind)| own::joint(index, *kind));
-                fixed.map(|name| (*name).to_owned()).chain(commands).collect()
-            }
+        let mapped = self.mapping.iter().flat_map(Mapping::names).map(str::to_owned);
+        if self.mapping.is_some() && !self.or_own {
+            return mapped.collect();
         }
+        let fixed = [own::POSE, own::STATION, own::TARGET, own::TIME, own::TEMPERATURE];
+        let fixed = fixed.iter().chain(&own::SPHERICAL).chain(&own::CARTESIAN);
+        let commands = joints.iter().enumerate().map(|(index, kind)| own::joint(index, *kind));
+        mapped.chain(fixed.map(|name| (*name).to_owned())).chain(commands).collect()
     }
 
     /// The columns of a file with this header, or why they cannot be told.
     pub(super) fn resolve(&self, header: &[&str], joints: &[JointKind]) -> Result<Mapping, String> {
+        let has = |name: &str| header.contains(&name);
+        let own = |mapping: &Mapping| {
+            self.or_own
+                && !mapping.joints.iter().any(|name| has(name))
+                && (0..joints.len()).all(|index| has(&own::joint(index, joints[index])))
+        };
         match &self.mapping {
-            Some(mapping) => Ok(mapping.clone()),
-            None => own_mapping(header, joints),
+            Some(mapping) if !own(mapping) => Ok(mapping.clone()),
+            _ => own_mapping(header, joints),
         }
     }
 }

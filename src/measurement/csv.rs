@@ -42,6 +42,7 @@ pub enum CsvError {
     },
     /// A command or an approach that does not have one entry a joint.
     #[error("pose {pose}: {found} {what} for {expected} joints")]
+    #[diagnostic(help("expected one a joint, as the robot's file has them: {expected}"))]
     JointCount {
         /// Pose.
         pose: u32,
@@ -564,12 +565,17 @@ impl Row<'_> {
 
 /// Writes a measurement file in calibrig's own columns (see [`ColumnMap`]); every number reads back to the same bits.
 ///
-/// Nests and target offsets are not part of the format. The uncertainty is written as standard deviations where these give the
+/// Nests and target offsets are not part of the format (see [`session_text`](super::session_text)). The uncertainty is written as standard deviations where these give the
 /// covariances exactly, else as covariances.
 pub fn write_measurements(path: &Path, set: &MeasurementSet, joints: &[JointKind]) -> Result<(), CsvError> {
-    let text = Writer { set, joints }.text()?;
+    let text = measurements_text(set, joints)?;
     std::fs::write(path, text)
         .map_err(|e| CsvError::Unwritable { path: path.to_path_buf(), reason: e.to_string() })
+}
+
+/// [`write_measurements`] to a text in memory.
+pub fn measurements_text(set: &MeasurementSet, joints: &[JointKind]) -> Result<String, CsvError> {
+    Writer { set, joints }.text()
 }
 
 struct Writer<'a> {
@@ -586,7 +592,8 @@ fn exact(number: f64) -> String {
 fn exact_sigmas(covariance: &Matrix3<f64>) -> Option<[f64; 3]> {
     let sigmas = covariance.diagonal().map(f64::sqrt);
     let squared = Matrix3::from_diagonal(&sigmas.component_mul(&sigmas));
-    (squared == *covariance).then(|| sigmas.into())
+    let same = |(a, b): (&f64, &f64)| a.to_bits() == b.to_bits();
+    squared.iter().zip(covariance).all(same).then(|| sigmas.into())
 }
 
 fn check_names<'n>(what: &'static str, names: impl Iterator<Item = &'n String>) -> Result<(), CsvError> {
@@ -601,7 +608,7 @@ fn check_names<'n>(what: &'static str, names: impl Iterator<Item = &'n String>) 
 }
 
 impl Writer<'_> {
-    fn text(&self) -> Result<Vec<u8>, CsvError> {
+    fn text(&self) -> Result<String, CsvError> {
         check_names("station", self.set.stations.iter().map(|station| &station.name))?;
         check_names("target", self.set.targets.iter().map(|target| &target.name))?;
         let observations = &self.set.observations;
@@ -625,7 +632,9 @@ impl Writer<'_> {
             let row = self.row(&header, observation, covariance.as_ref(), sigmas)?;
             writer.write_record(&row).map_err(unwritable)?;
         }
-        writer.into_inner().map_err(|e| unwritable(e.into_error().into()))
+        let text = writer.into_inner().map_err(|e| unwritable(e.into_error().into()))?;
+        // Made of texts alone.
+        Ok(String::from_utf8_lossy(&text).into_owned())
     }
 
     fn header(&self, spherical: bool, sigmas: bool) -> Vec<String> {
@@ -729,6 +738,20 @@ mod tests {
 
     fn mapped(text: &str, map: &ColumnMap) -> Result<LoadedMeasurements, InputError> {
         parse_measurements(&Source::new("set.csv", text), map, &KINDS)
+    }
+
+    #[test]
+    fn a_map_of_other_columns_does_not_keep_own_columns_from_being_read() {
+        let map =
+            map("[position]\nsystem = \"cartesian\"\nunit = \"mm\"\nx = [\"x\"]\ny = [\"y\"]\nz = [\"z\"]\n");
+        let refused = mapped(OWN, &map).expect_err("an explicit map is what holds");
+        assert!(refused.to_string().contains("column s is missing"), "{refused}");
+        let either = map.or_own();
+        assert_eq!(mapped(OWN, &either).expect("own columns"), own(OWN).expect("valid"));
+        let theirs = mapped("s,t,x,y,z,q1_m\n1000,180,1,2,3,4\n", &either).expect("mapped columns");
+        assert_eq!(theirs.set.observations[0].command, [1.0, std::f64::consts::PI]);
+        let neither = mapped("s1,t1,x,y,z\n1,2,3,4,5\n", &either).expect_err("no such columns");
+        assert!(neither.to_string().contains("column s is missing"), "{neither}");
     }
 
     #[test]

@@ -4,12 +4,15 @@ mod columns;
 mod csv;
 mod csv_text;
 mod registration;
+mod session;
 
 pub use self::columns::{ColumnMap, load_column_map, parse_column_map};
 pub use self::csv::{
-    CsvError, LoadedMeasurements, parse_measurements, read_measurements, write_measurements,
+    CsvError, LoadedMeasurements, measurements_text, parse_measurements, read_measurements,
+    write_measurements,
 };
 pub use registration::{NestSystem, Registration, RegistrationError, nest_system, register};
+pub use session::{SessionFile, SessionSet, load_session, parse_session, session_text};
 
 use nalgebra::{Matrix3, Vector3};
 

@@ -361,7 +361,7 @@ fn count(value: u32) -> Result<usize, String> {
     usize::try_from(value).map_err(|e| e.to_string())
 }
 
-fn decode<M: Message + Name + Default>(schema: &str, data: &[u8]) -> Result<M, String> {
+pub(super) fn decode<M: Message + Name + Default>(schema: &str, data: &[u8]) -> Result<M, String> {
     if schema != M::full_name() {
         return Err(format!("its schema is {schema}, {} was expected", M::full_name()));
     }

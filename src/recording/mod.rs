@@ -11,6 +11,7 @@ mod clock;
 mod directory;
 mod error;
 mod estimate;
+mod exchange;
 #[cfg(feature = "rerun")]
 mod figures;
 mod file;
@@ -47,6 +48,7 @@ mod truth;
 mod walk;
 
 pub use error::RecordingError;
+pub use exchange::{CsvExport, ExportError, ExportedFile, export_csv, write_sets};
 pub use file::UnfinishedFile;
 pub use inspect::{
     AttachmentReport, EstimateReport, Health, INSPECT_SCHEMA, Inspection, Progress, ProvenanceReport,

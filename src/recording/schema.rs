@@ -99,12 +99,20 @@ impl From<&Reading> for v1::Reading {
 
 fn to_reading(message: Option<&v1::Reading>) -> Result<Reading, String> {
     match message.and_then(|m| m.kind.as_ref()).ok_or("the reading is missing")? {
-        v1::reading::Kind::Spherical(reading) => Ok(Reading::Spherical(SphericalReading {
-            range: number(reading.range, "range")?,
-            azimuth: number(reading.azimuth, "azimuth")?,
-            elevation: number(reading.elevation, "elevation")?,
-            covariance: to_matrix(&reading.covariance, "covariance of the reading")?,
-        })),
+        v1::reading::Kind::Spherical(message) => {
+            let covariance = to_optional_matrix(&message.covariance, "covariance of the reading")?;
+            let reading = SphericalReading {
+                range: number(message.range, "range")?,
+                azimuth: number(message.azimuth, "azimuth")?,
+                elevation: number(message.elevation, "elevation")?,
+                covariance: covariance.unwrap_or_default(),
+            };
+            // As from a file: without a stated uncertainty it is a position.
+            Ok(match covariance {
+                Some(_) => Reading::Spherical(reading),
+                None => Reading::Cartesian { position: reading.position(), covariance: None },
+            })
+        }
         v1::reading::Kind::Cartesian(reading) => Ok(Reading::Cartesian {
             position: to_vector(&reading.position, "position")?,
             covariance: to_optional_matrix(&reading.covariance, "covariance of the reading")?,
@@ -221,10 +229,15 @@ pub(super) fn to_observation(message: &v1::Observation, set: &SetOutcome) -> Res
     if let Some(value) = message.command.iter().find(|c| !c.is_finite()) {
         return Err(format!("command holds {value}, finite numbers were expected"));
     }
+    let approach = match message.approach.as_slice() {
+        // Another program need not know it.
+        [] => vec![0; message.command.len()],
+        signs => signs.iter().map(sign).collect::<Result<_, _>>()?,
+    };
     Ok(Observation {
         pose: message.pose,
         command: message.command.clone(),
-        approach: message.approach.iter().map(sign).collect::<Result<_, _>>()?,
+        approach,
         temperature: message.temperature.map(|t| number(Some(t), "temperature")).transpose()?,
         time: number(message.time, "time")?,
         station: index(message.station, set.measurements.stations.len(), "station")?,
@@ -256,6 +269,23 @@ mod tests {
                 assert_eq!(format!("{back:?}"), format!("{o:?}"));
             }
         }
+    }
+
+    #[test]
+    fn what_another_program_does_not_know_may_be_left_out() {
+        let outcome = synthetic::outcome(2, 1, false);
+        let set = &outcome.sets[0];
+        let mut message = observation(set.kind, 0, &set.measurements.observations[0]);
+        message.approach.clear();
+        if let Some(v1::reading::Kind::Spherical(reading)) =
+            message.reading.as_mut().and_then(|reading| reading.kind.as_mut())
+        {
+            reading.covariance.clear();
+        }
+        let read = to_observation(&message, set).expect("sound");
+        assert_eq!(read.approach, vec![0; read.command.len()]);
+        let position = set.measurements.observations[0].reading.position();
+        assert_eq!(read.reading, Reading::Cartesian { position, covariance: None });
     }
 
     #[test]

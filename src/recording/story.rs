@@ -13,7 +13,7 @@ use crate::identification::Mode;
 use crate::input::Source;
 use crate::measurement::Observation;
 use crate::model::{CalibrationModel, Visual};
-use crate::pipeline::{InputSummary, ModeOutcome, Outcome, SetKind, SetOutcome};
+use crate::pipeline::{InputSummary, ModeOutcome, Outcome, SetKind, SetOutcome, Truth};
 use crate::plant::effects::PoseEffects;
 use crate::plant::{AsBuilt, SettledPose};
 
@@ -142,22 +142,33 @@ pub fn record(outcome: &Outcome, recorder: &mut dyn Recorder) -> Result<(), Reco
 /// Tells the session of `outcome` as it was told, or would have been, while it was measured.
 fn record_session(outcome: &Outcome, recorder: &mut dyn Recorder) -> Result<(), RecordingError> {
     let truth = outcome.truth.as_ref();
-    recorder.open(&Preamble {
+    let preamble = Preamble {
         input: &outcome.input,
         sources: &outcome.sources,
         model: &outcome.model,
         visuals: &outcome.visuals,
         truth: truth.map(|truth| (&truth.as_built, &truth.tracker_from_base)),
-    })?;
-    let times = times(&outcome.sets);
+    };
+    record_sets(&preamble, &outcome.sets, truth, recorder)
+}
+
+/// Tells `recorder` of sets that were measured somewhere else, of which nothing was made yet.
+pub(super) fn record_sets(
+    preamble: &Preamble<'_>,
+    sets: &[SetOutcome],
+    truth: Option<&Truth>,
+    recorder: &mut dyn Recorder,
+) -> Result<(), RecordingError> {
+    recorder.open(preamble)?;
+    let times = times(sets);
     let mut now = 0;
-    for (index, set) in outcome.sets.iter().enumerate() {
+    for (index, set) in sets.iter().enumerate() {
         let observations = &set.measurements.observations;
         let planned = poses(observations).count() + set.dropped.len();
         recorder.set(now, set, u32::try_from(planned).ok())?;
         let mut dropped = set.dropped.iter().peekable();
         for range in poses(observations) {
-            let measured = measured(outcome, index, range, &times[index]);
+            let measured = measured(set, truth, index, range, &times[index]);
             let number = measured.observations.first().map_or(0, |o| o.pose);
             while let Some((pose, reason)) = dropped.next_if(|(pose, _)| *pose < number) {
                 recorder.dropped(now, set.kind, *pose, reason)?;
@@ -221,13 +232,12 @@ fn poses(observations: &[Observation]) -> impl Iterator<Item = Range<usize>> {
 }
 
 fn measured<'a>(
-    outcome: &'a Outcome,
+    set: &'a SetOutcome,
+    truth: Option<&'a Truth>,
     set_index: usize,
     range: Range<usize>,
     times: &'a [u64],
 ) -> Measured<'a> {
-    let set = &outcome.sets[set_index];
-    let truth = outcome.truth.as_ref();
     Measured {
         kind: set.kind,
         first: range.start,
@@ -246,7 +256,8 @@ fn step<'a>(
     number: u32,
     times: &'a [u64],
 ) -> PoseStep<'a> {
-    let measured = measured(outcome, set_index, range.clone(), times);
+    let set = &outcome.sets[set_index];
+    let measured = measured(set, outcome.truth.as_ref(), set_index, range.clone(), times);
     let observations = measured.observations;
     let observer = scene::observer(outcome);
     let sightings =
@@ -258,7 +269,7 @@ fn step<'a>(
     };
     PoseStep {
         number,
-        set: &outcome.sets[set_index],
+        set,
         measured,
         chains: scene::chains(outcome, set_index, range.start),
         sightings: sightings.unwrap_or_default(),

@@ -1,0 +1,226 @@
+//! `calibrig export`.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::identify::{Loaded, load};
+use super::output::{Destination, Files, or_removed};
+use super::{CliError, Verdict, say};
+use crate::input::Source;
+use crate::measurement::{LoadedMeasurements, load_session};
+use crate::model::load_robot;
+use crate::pipeline::{InputSummary, SetKind, SetOutcome, hash_sources};
+use crate::recording::{CsvExport, ExportError, Preamble, RecordingError, export_csv, write_sets};
+
+/// Turn a recording into files of text, or files of text into a recording
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  calibrig export csv runs/paper/recording.mcap --out tables
+  calibrig export mcap --model robot.toml --measurements grid.csv --out grid.mcap")]
+pub(super) struct Args {
+    #[command(subcommand)]
+    direction: Direction,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Direction {
+    Csv(CsvArgs),
+    Mcap(McapArgs),
+}
+
+/// Turn a recording into measurement files, tables and the input files that it holds
+///
+/// identification.csv and verification.csv are in calibrig's own columns, session.toml holds what these have no columns for: nests, targets,
+/// dropped poses. No bit of a measurement is lost. residuals.csv and parameters.csv tell what was recorded of the estimates.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  calibrig export csv runs/paper/recording.mcap --out tables
+  calibrig export csv by_hand.mcap --model robot.toml --out tables    where it holds no robot
+  calibrig identify --model tables/robot.toml --measurements tables/identification.csv")]
+struct CsvArgs {
+    /// The recording
+    recording: PathBuf,
+    /// Folder for the files
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// The robot's file, where the recording holds none
+    #[arg(long, value_name = "ROBOT.toml")]
+    model: Option<PathBuf>,
+    /// Write over files that are there
+    #[arg(long)]
+    force: bool,
+}
+
+/// Turn a robot and measurement files into a recording, without estimates
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  calibrig export mcap --model models/ur5/robot.toml --measurements grid.csv --out grid.mcap
+  calibrig export mcap --model r.toml --measurements m.csv --session s.toml --out m.mcap
+  calibrig replay grid.mcap
+
+What the columns of the files mean is told as for `calibrig identify`.")]
+struct McapArgs {
+    /// The robot's file
+    #[arg(long, value_name = "ROBOT.toml")]
+    model: PathBuf,
+    /// Positions to fit
+    #[arg(long, value_name = "FILE")]
+    measurements: PathBuf,
+    /// Positions to verify on
+    #[arg(long, value_name = "FILE")]
+    verify: Option<PathBuf>,
+    /// Column map of the files, instead of the one that the robot's file names
+    #[arg(long, value_name = "MAP.toml")]
+    columns: Option<PathBuf>,
+    /// Stations with their nests, targets and dropped poses (docs/formats.md) [default: a station and target of unknown place]
+    #[arg(long, value_name = "SESSION.toml")]
+    session: Option<PathBuf>,
+    /// The recording
+    #[arg(long, value_name = "RECORDING.mcap")]
+    out: PathBuf,
+    /// Write over a file that is there
+    #[arg(long)]
+    force: bool,
+}
+
+pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
+    match &args.direction {
+        Direction::Csv(args) => to_csv(args),
+        Direction::Mcap(args) => to_mcap(args),
+    }
+}
+
+fn to_csv(args: &CsvArgs) -> Result<Verdict, CliError> {
+    let destination = Destination::Asked(&args.out);
+    destination.check(Files::Export)?;
+    let model = args.model.as_deref().map(load_robot).transpose()?;
+    let export = export_csv(&args.recording, model).map_err(|error| match error {
+        // It names the file already.
+        ExportError::Recording(error @ RecordingError::Unreadable { .. }) => CliError::Recording(error),
+        source => CliError::Export { file: args.recording.clone(), source },
+    })?;
+    let stale = check_free(&args.out, &export, args.force)?;
+    let (folder, new) = destination.make()?;
+    or_removed(write(&folder, &export), &folder, new)?;
+    for remark in &export.remarks {
+        say(remark);
+    }
+    for name in stale {
+        say(&format!("{name} in {} is an older one", folder.display()));
+    }
+    Ok(Verdict::Done)
+}
+
+/// Refuses to write over files unless `force`d. Tables that this export does not have must not be taken for its own: their names.
+fn check_free(folder: &Path, export: &CsvExport, force: bool) -> Result<Vec<&'static str>, CliError> {
+    let there = |name: &str| Some(folder.join(name)).filter(|path| path.exists());
+    let has = |name: &str| export.files.iter().any(|file| file.name == name);
+    let stale: Vec<_> =
+        Files::Export.names().iter().copied().filter(|name| !has(name) && there(name).is_some()).collect();
+    let known = export.files.iter().map(|file| file.name.as_str()).chain(stale.iter().copied());
+    let paths: Vec<PathBuf> = known.filter_map(there).collect();
+    if let Some(at) = paths.iter().find(|path| path.is_dir()) {
+        return Err(CliError::InTheWay {
+            folder: folder.to_path_buf(),
+            at: at.clone(),
+            what: "a folder",
+            expected: "no folder of that name: a file takes it",
+        });
+    }
+    if paths.is_empty() || force { Ok(stale) } else { Err(CliError::AlreadyThere { paths }) }
+}
+
+/// All files are complete before the first one takes its name.
+fn write(folder: &Path, export: &CsvExport) -> Result<(), CliError> {
+    let failed = |path: &Path| {
+        let what = path.display().to_string();
+        move |source| CliError::Output { what, source }
+    };
+    let staging = tempfile::Builder::new().prefix(".calibrig-").tempdir_in(folder).map_err(failed(folder))?;
+    for file in &export.files {
+        fs::write(staging.path().join(&file.name), &file.text).map_err(failed(&folder.join(&file.name)))?;
+    }
+    for file in &export.files {
+        let path = folder.join(&file.name);
+        fs::rename(staging.path().join(&file.name), &path).map_err(failed(&path))?;
+    }
+    let names: Vec<_> = export.files.iter().map(|file| file.name.as_str()).collect();
+    say(&format!("wrote {} to {}", names.join(", "), folder.display()));
+    Ok(())
+}
+
+fn to_mcap(args: &McapArgs) -> Result<Verdict, CliError> {
+    check_name(&args.out, args.force)?;
+    let mut files = vec![(SetKind::Identification, args.measurements.as_path())];
+    files.extend(args.verify.as_deref().map(|path| (SetKind::Verification, path)));
+    let Loaded { robot, mut sources, mut sets } = load(&args.model, args.columns.as_deref(), &files)?;
+    refuse_without_readings(&sources, &sets)?;
+    if let Some(path) = &args.session {
+        let (session, source) = load_session(path)?;
+        for set in &mut sets {
+            let mut loaded = LoadedMeasurements {
+                set: std::mem::take(&mut set.measurements),
+                dropped: std::mem::take(&mut set.dropped),
+            };
+            session.complete(&source, set.kind, &mut loaded)?;
+            (set.measurements, set.dropped) = (loaded.set, loaded.dropped);
+        }
+        sources.push(("session".to_owned(), source));
+    }
+    let input = InputSummary {
+        kind: "files",
+        name: robot.name,
+        sha256: hash_sources(&sources),
+        seed: None,
+        trial: None,
+    };
+    let preamble = Preamble {
+        input: &input,
+        sources: &sources,
+        model: &robot.model,
+        visuals: &robot.visuals,
+        truth: None,
+    };
+    write_sets(&args.out, &preamble, &sets)?;
+    let counts: Vec<String> = sets
+        .iter()
+        .map(|set| {
+            let dropped = match set.dropped.len() {
+                0 => String::new(),
+                count => format!(" ({count} dropped)"),
+            };
+            format!("{} of the {} set{dropped}", set.measurements.observations.len(), set.kind.key())
+        })
+        .collect();
+    say(&format!("wrote {}: observations: {}", args.out.display(), counts.join(", ")));
+    Ok(Verdict::Done)
+}
+
+/// Refuses a name that a recording cannot take.
+fn check_name(path: &Path, force: bool) -> Result<(), CliError> {
+    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let refused = |at: &Path, what, expected| {
+        Err(CliError::InTheWay { folder: parent.to_path_buf(), at: at.to_path_buf(), what, expected })
+    };
+    if !parent.is_dir() {
+        return refused(parent, "no folder", "a folder that is there");
+    }
+    if path.is_dir() {
+        return refused(path, "a folder", "the name of a file");
+    }
+    if path.exists() && !force {
+        return Err(CliError::AlreadyThere { paths: vec![path.to_path_buf()] });
+    }
+    Ok(())
+}
+
+/// A recording without any is none that could be read.
+fn refuse_without_readings(sources: &[(String, Source)], sets: &[SetOutcome]) -> Result<(), CliError> {
+    for set in sets.iter().filter(|set| set.measurements.observations.is_empty()) {
+        if let Some((_, source)) = sources.iter().find(|(role, _)| role == set.kind.key()) {
+            let expected = "expected a position other than (0, 0, 0) in one row at least".to_owned();
+            return Err(source.error(0..0, "every row is a missed shot", Some(expected)).into());
+        }
+    }
+    Ok(())
+}

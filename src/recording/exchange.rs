@@ -1,0 +1,445 @@
+//! From a recording to files of text, and from measured sets to a recording.
+
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+use mcap::records::Record;
+use miette::Diagnostic;
+use prost::Message;
+use thiserror::Error;
+
+use super::file::write_whole;
+use super::mcap_reader::decode;
+use super::scan::{ReadError, scan};
+use super::schema::{self, v1};
+use super::story::record_sets;
+use super::{McapRecorder, Preamble, Recording, RecordingError, read_recording};
+use crate::input::{InputError, Source};
+use crate::measurement::{
+    ColumnMap, CsvError, SessionSet, measurements_text, parse_measurements, parse_session, session_text,
+};
+use crate::model::{JointKind, Robot, parse_robot};
+use crate::pipeline::{SetKind, SetOutcome};
+
+/// A recording that cannot be told in files of text.
+#[derive(Debug, Error, Diagnostic)]
+#[non_exhaustive]
+pub enum ExportError {
+    /// The recording itself.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Recording(#[from] RecordingError),
+    /// An attached robot.
+    #[error("an attachment of the recording: {0}")]
+    #[diagnostic(transparent)]
+    Attachment(#[from] InputError),
+    /// No robot, whose joints name the columns.
+    #[error("the recording holds no robot")]
+    #[diagnostic(help("expected an attachment robot/FILE.toml, or --model ROBOT.toml"))]
+    NoRobot,
+    /// A robot is given, but the recording has its own.
+    #[error("the recording holds its robot already: {name}")]
+    #[diagnostic(help("expected no other: leave --model out"))]
+    SecondRobot {
+        /// Its attachment.
+        name: String,
+    },
+    /// A set that the columns cannot hold.
+    #[error("/measurement/{set}: {source}")]
+    #[diagnostic(forward(source))]
+    Measurements {
+        /// Key of the set.
+        set: &'static str,
+        /// Why.
+        source: CsvError,
+    },
+    /// What was written would not be read back as it was.
+    #[error("/measurement/{set}: a measurement file cannot hold it: {reason}")]
+    #[diagnostic(help(
+        "expected symmetric covariances, positions other than (0, 0, 0), ranges above zero, and numbers of at most 1e15"
+    ))]
+    Lossy {
+        /// Key of the set.
+        set: &'static str,
+        /// What is lost.
+        reason: String,
+    },
+}
+
+/// A file of text, by its name without a folder.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ExportedFile {
+    /// Its name.
+    pub name: String,
+    /// Its whole text.
+    pub text: String,
+}
+
+/// A recording as files of text.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CsvExport {
+    /// `robot.toml` and the other inputs, `identification.csv`, `verification.csv`, `session.toml`, `residuals.csv`, `parameters.csv`.
+    pub files: Vec<ExportedFile>,
+    /// What is different from the recording, or not there, in words.
+    pub remarks: Vec<String>,
+}
+
+/// The recording at `path` as files of text; `model` is its robot, where it does not hold one itself.
+///
+/// The measurements are read back from the texts and compared: every bit is the same. Input files are found beside each other under the
+/// names that they have for each other. Residuals and parameters are those recorded.
+///
+/// # Errors
+/// The recording cannot be read, has no robot or another number of joints, or holds what no measurement file can: see [`ExportError`].
+pub fn export_csv(path: &Path, model: Option<Robot>) -> Result<CsvExport, ExportError> {
+    let recording = read_recording(path)?;
+    let robot = robot_of(&recording, model)?;
+    let joints: Vec<JointKind> = robot.model.kinematics.links.iter().map(|link| link.kind).collect();
+    let mut export = CsvExport { files: Vec::new(), remarks: Vec::new() };
+    let mut told: Vec<SessionSet<'_>> = Vec::new();
+    let mut texts = Vec::new();
+    for SetOutcome { kind, measurements, dropped } in &recording.sets {
+        let set = kind.key();
+        if measurements.observations.is_empty() {
+            export.remarks.push(format!("the {set} set has no observations: there is no {set}.csv"));
+            continue;
+        }
+        let text = measurements_text(measurements, &joints)
+            .map_err(|source| ExportError::Measurements { set, source })?;
+        texts.push((*kind, Source::new(format!("{set}.csv"), text)));
+        told.push((*kind, measurements, dropped));
+    }
+    let session = Source::new("session.toml", session_text(&told));
+    check(&told, &texts, &session, &joints)?;
+    for file in texts.into_iter().map(|(_, source)| source).chain([session]) {
+        export.files.push(ExportedFile { name: file.name, text: file.text });
+    }
+    for part in &recording.missing {
+        let (set, found) = (part.kind.key(), part.found);
+        export
+            .remarks
+            .push(format!("the recording was cut short: {set}.csv has the {found} observations left"));
+    }
+    let tables = tables(path)?;
+    for (name, table, what) in
+        [("residuals.csv", tables.residuals, "residuals"), ("parameters.csv", tables.parameters, "estimates")]
+    {
+        match table {
+            Some(text) => export.files.push(ExportedFile { name: name.to_owned(), text }),
+            None => export.remarks.push(format!("the recording holds no {what}: there is no {name}")),
+        }
+    }
+    let mut inputs = recording.sources;
+    if !inputs.iter().any(|(role, _)| role == "robot") {
+        inputs.splice(0..0, robot.sources);
+    }
+    add_inputs(inputs, &mut export);
+    Ok(export)
+}
+
+/// Records sets that were measured somewhere else. The file is whole or not there.
+pub fn write_sets(path: &Path, preamble: &Preamble<'_>, sets: &[SetOutcome]) -> Result<(), RecordingError> {
+    write_whole(path, |file| {
+        let mut recorder = McapRecorder::new(file)?;
+        record_sets(preamble, sets, None, &mut recorder)?;
+        recorder.finish()?;
+        Ok(())
+    })
+}
+
+fn robot_of(recording: &Recording, model: Option<Robot>) -> Result<Robot, ExportError> {
+    let attached = |role: &str| {
+        let source = recording.sources.iter().find(|(known, _)| known == role);
+        source.map(|(_, source)| source.clone())
+    };
+    match (attached("robot"), model) {
+        (Some(robot), None) => Ok(parse_robot(robot, attached("urdf"), attached("columns"))?),
+        (None, Some(robot)) => Ok(robot),
+        (Some(robot), Some(_)) => Err(ExportError::SecondRobot { name: format!("robot/{}", robot.name) }),
+        (None, None) => Err(ExportError::NoRobot),
+    }
+}
+
+/// Reads the texts back: what they hold must be what was recorded.
+fn check(
+    told: &[SessionSet<'_>],
+    texts: &[(SetKind, Source)],
+    session: &Source,
+    joints: &[JointKind],
+) -> Result<(), ExportError> {
+    for ((kind, set, dropped), (_, text)) in told.iter().zip(texts) {
+        let lossy = |reason: String| ExportError::Lossy { set: kind.key(), reason };
+        let mut read = parse_measurements(text, &ColumnMap::default(), joints)
+            .and_then(|read| Ok((parse_session(session)?, read)))
+            .and_then(|(file, mut read)| file.complete(session, *kind, &mut read).map(|()| read))
+            .map_err(|error| lossy(error.to_string()))?;
+        let lost = read.dropped.len().saturating_sub(dropped.len());
+        if lost > 0 {
+            let (pose, why) = read.dropped.swap_remove(dropped.len());
+            return Err(lossy(format!("pose {pose}: {why}")));
+        }
+        // Messages are the same where every bit is; numbers that are equal need not be.
+        let message = |index, observation| schema::observation(*kind, index, observation).encode_to_vec();
+        for (index, (written, read)) in set.observations.iter().zip(&read.set.observations).enumerate() {
+            if message(index, written) != message(index, read) {
+                return Err(lossy(format!("pose {} is read back with other bits", written.pose)));
+            }
+        }
+        let around = |measurements: &crate::measurement::MeasurementSet| {
+            let set = SetOutcome {
+                kind: *kind,
+                measurements: crate::measurement::MeasurementSet {
+                    observations: Vec::new(),
+                    ..measurements.clone()
+                },
+                dropped: Vec::new(),
+            };
+            (
+                schema::session(&set, None).encode_to_vec(),
+                schema::nests(&set).map(|n| n.encode_to_vec()).collect::<Vec<_>>(),
+            )
+        };
+        if around(set) != around(&read.set) || read.dropped != *dropped {
+            return Err(lossy(
+                "its stations, targets or dropped poses are read back with other bits".to_owned(),
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// What was made of the measurements, as tables; `None` where nothing was.
+#[derive(Default)]
+struct Tables {
+    residuals: Option<String>,
+    parameters: Option<String>,
+}
+
+/// Reads what [`read_recording`] leaves out. The file was checked by it.
+fn tables(path: &Path) -> Result<Tables, RecordingError> {
+    let unreadable = |source| RecordingError::Unreadable { path: path.to_path_buf(), source };
+    let mut file = BufReader::new(File::open(path).map_err(unreadable)?);
+    let mut tables = Tables::default();
+    let mut schemas: HashMap<u16, String> = HashMap::new();
+    let mut channels: HashMap<u16, (String, u16)> = HashMap::new();
+    let read = scan(&mut file, false, &mut |opcode, body| {
+        match mcap::parse_record(opcode, body)? {
+            Record::Schema { header, .. } => {
+                schemas.insert(header.id, header.name);
+            }
+            Record::Channel(channel) => {
+                channels.insert(channel.id, (channel.topic, channel.schema_id));
+            }
+            Record::Message { header, data } => {
+                let Some((topic, schema)) = channels.get(&header.channel_id) else { return Ok(()) };
+                let schema = schemas.get(schema).map_or("none", String::as_str);
+                tables.message(topic, schema, &data).map_err(|reason| RecordingError::InvalidMessage {
+                    topic: topic.clone(),
+                    sequence: header.sequence,
+                    reason,
+                })?;
+            }
+            _ => {}
+        }
+        Ok(())
+    });
+    match read {
+        Ok(()) => Ok(tables),
+        Err(ReadError::Io(source)) => Err(unreadable(source)),
+        Err(ReadError::Recording(error)) => Err(error),
+    }
+}
+
+impl Tables {
+    fn message(&mut self, topic: &str, schema: &str, data: &[u8]) -> Result<(), String> {
+        if topic.starts_with("/residual/") {
+            let v1::Residual { set, index, pose, mode, x, y, z, norm } = decode(schema, data)?;
+            let text = self.residuals.get_or_insert_with(|| RESIDUALS.to_owned());
+            let texts = [quoted(&mode), quoted(&set), index.to_string(), pose.to_string()];
+            add_row(text, texts.into_iter().chain([x, y, z, norm].map(exact)));
+        }
+        if topic.starts_with("/estimate/") {
+            let v1::Estimate { mode, parameters, .. } = decode(schema, data)?;
+            let text = self.parameters.get_or_insert_with(|| PARAMETERS.to_owned());
+            for parameter in parameters {
+                let texts = [&mode, &parameter.name, &parameter.unit].map(|text| quoted(text));
+                let numbers = [parameter.value, parameter.sigma, parameter.prior_sigma];
+                add_row(text, texts.into_iter().chain(numbers.map(|n| n.map_or_else(String::new, exact))));
+            }
+        }
+        Ok(())
+    }
+}
+
+const RESIDUALS: &str = "mode,set,index,pose,x_m,y_m,z_m,norm_m\n";
+const PARAMETERS: &str = "mode,name,unit,value,sigma,prior_sigma\n";
+
+/// A number as text that reads back to the same bits.
+fn exact(number: f64) -> String {
+    format!("{number:?}")
+}
+
+/// A text as a cell.
+fn quoted(text: &str) -> String {
+    if text.contains([',', '"', '\n', '\r']) {
+        format!("\"{}\"", text.replace('"', "\"\""))
+    } else {
+        text.to_owned()
+    }
+}
+
+fn add_row(table: &mut String, cells: impl Iterator<Item = String>) {
+    for (index, cell) in cells.enumerate() {
+        if index > 0 {
+            table.push(',');
+        }
+        *table += &cell;
+    }
+    table.push('\n');
+}
+
+/// Keys of input files that name another one: role and key of the file, role of the other.
+const REFERENCES: [(&str, &str, &str); 3] =
+    [("scenario", "robot", "robot"), ("robot", "urdf", "urdf"), ("robot", "columns", "columns")];
+
+/// Adds the input files. They lie beside each other now, whatever folders they came from: what one calls another is changed to that.
+fn add_inputs(inputs: Vec<(String, Source)>, export: &mut CsvExport) {
+    let mut named: Vec<(String, Source)> = Vec::new();
+    for (role, source) in inputs {
+        let taken: Vec<&str> =
+            export.files.iter().map(|file| &*file.name).chain(named.iter().map(|(_, s)| &*s.name)).collect();
+        let name = free_name(&role, &source.name, &taken);
+        if name != source.name {
+            export.remarks.push(format!("the input {role}/{} is {name}", source.name));
+        }
+        named.push((role, Source::new(name, source.text)));
+    }
+    for (role, key, other) in REFERENCES {
+        let Some(wanted) = named.iter().find(|(known, _)| known == other).map(|(_, s)| s.name.clone()) else {
+            continue;
+        };
+        let Some((_, file)) = named.iter_mut().find(|(known, _)| known == role) else { continue };
+        let place = file.place_of(key);
+        let known = file.text.get(place.clone()).unwrap_or_default().to_owned();
+        if !known.is_empty() && known.trim_matches(['"', '\'']) != wanted {
+            file.text.replace_range(place, &toml::Value::from(wanted.as_str()).to_string());
+            export
+                .remarks
+                .push(format!("{}: {key} = {known} is {wanted:?} now, which lies beside it", file.name));
+        }
+    }
+    export.files.extend(named.into_iter().map(|(_, s)| ExportedFile { name: s.name, text: s.text }));
+}
+
+/// The name of an input file: its own without folders, with its role in front where that is taken. It leads nowhere else.
+fn free_name(role: &str, name: &str, taken: &[&str]) -> String {
+    let plain = |text: &str| -> String {
+        let last = text.rsplit(['/', '\\']).next().unwrap_or_default();
+        let safe: String = last.chars().map(|c| if c.is_control() || c == ':' { '_' } else { c }).collect();
+        if matches!(safe.as_str(), "" | "." | "..") { "input".to_owned() } else { safe }
+    };
+    // Some file systems do not tell capitals from small letters.
+    let free = |name: &String| !taken.iter().any(|known| known.to_lowercase() == name.to_lowercase());
+    let (role, name) = (plain(role), plain(name));
+    let numbered = (2_u64..).map(|number| format!("{role}-{number}-{name}"));
+    let names = [name.clone(), format!("{role}-{name}")].into_iter().chain(numbered);
+    // There are more numbers than names.
+    names.into_iter().find(free).unwrap_or(name.clone())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::measurement::Reading;
+    use crate::pipeline::SetOutcome;
+    use crate::recording::synthetic;
+    use nalgebra::Vector3;
+
+    fn written_and_read(set: &SetOutcome, joints: &[JointKind]) -> Result<(), ExportError> {
+        let told: [SessionSet<'_>; 1] = [(set.kind, &set.measurements, &set.dropped)];
+        let text = measurements_text(&set.measurements, joints).expect("written");
+        let session = Source::new("session.toml", session_text(&told));
+        check(&told, &[(set.kind, Source::new("set.csv", text))], &session, joints)
+    }
+
+    #[test]
+    fn what_no_column_holds_is_refused_with_its_pose() {
+        let outcome = synthetic::outcome(4, 0, false);
+        let joints: Vec<_> = outcome.model.kinematics.links.iter().map(|link| link.kind).collect();
+        let set = outcome.sets[0].clone();
+        written_and_read(&set, &joints).expect("the same");
+
+        let change = |change: &dyn Fn(&mut Reading)| {
+            let mut set = set.clone();
+            change(&mut set.measurements.observations[2].reading);
+            let pose = set.measurements.observations[2].pose;
+            (pose, written_and_read(&set, &joints).expect_err("lossy").to_string())
+        };
+        let (pose, error) = change(&|reading| {
+            let Reading::Spherical(reading) = reading else { panic!("spherical") };
+            reading.covariance.m12 = 1e-9;
+        });
+        assert!(error.contains(&format!("pose {pose} is read back with other bits")), "{error}");
+        let (_, error) = change(&|reading| {
+            let Reading::Spherical(reading) = reading else { panic!("spherical") };
+            reading.range = -1.0;
+        });
+        assert!(error.contains("/measurement/identification") && error.contains("set.csv:4"), "{error}");
+
+        let mut cartesian = set.clone();
+        for observation in &mut cartesian.measurements.observations {
+            let position = observation.reading.position();
+            observation.reading = Reading::Cartesian { position, covariance: None };
+        }
+        written_and_read(&cartesian, &joints).expect("the same");
+        let missed = &mut cartesian.measurements.observations[1];
+        missed.reading = Reading::Cartesian { position: Vector3::zeros(), covariance: None };
+        let expected = format!("pose {}: missed shot", missed.pose);
+        let error = written_and_read(&cartesian, &joints).expect_err("lossy").to_string();
+        assert!(error.contains(&expected), "{error}");
+    }
+
+    #[test]
+    fn input_files_lie_beside_each_other() {
+        let mut export = CsvExport {
+            files: vec![ExportedFile { name: "identification.csv".to_owned(), text: String::new() }],
+            remarks: Vec::new(),
+        };
+        let input = |role: &str, name: &str, text: &str| (role.to_owned(), Source::new(name, text));
+        let inputs = vec![
+            input("scenario", "s.toml", "robot = \"../models/r/robot.toml\" # as built\n"),
+            input("robot", "robot.toml", "urdf = 'r.urdf'\ncolumns = '../maps/c.toml'\n"),
+            input("urdf", "r.urdf", "<robot/>"),
+            input("columns", "c.toml", ""),
+            input("identification", "Identification.csv", "a,b"),
+            input("verification", "../../etc/passwd", ""),
+        ];
+        add_inputs(inputs, &mut export);
+        let names: Vec<_> = export.files.iter().map(|file| file.name.as_str()).collect();
+        let expected = ["identification.csv", "s.toml", "robot.toml", "r.urdf", "c.toml"];
+        assert_eq!(names[..5], expected);
+        assert_eq!(names[5..], ["identification-Identification.csv", "passwd"]);
+        assert_eq!(export.files[1].text, "robot = \"robot.toml\" # as built\n");
+        assert_eq!(export.files[2].text, "urdf = 'r.urdf'\ncolumns = \"c.toml\"\n");
+        assert_eq!(export.remarks.len(), 4, "{:?}", export.remarks);
+    }
+
+    #[test]
+    fn a_name_leads_to_no_other_folder() {
+        for (name, expected) in [
+            ("../../x.toml", "x.toml"),
+            ("..\\x.toml", "x.toml"),
+            ("/etc/passwd", "passwd"),
+            ("..", "input"),
+            ("a/", "input"),
+            ("", "input"),
+            ("c:x\ny", "c_x_y"),
+        ] {
+            assert_eq!(free_name("robot", name, &[]), expected);
+        }
+        assert_eq!(free_name("../r", "x", &["X"]), "r-x");
+        assert_eq!(free_name("r", "x", &["x", "r-x", "r-2-x"]), "r-3-x");
+    }
+}
