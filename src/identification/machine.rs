@@ -43,8 +43,6 @@ pub(super) struct Prepared {
     motions: Vec<Transform>,
     /// Displacement per unit of every term's amplitude.
     basis: Vec<f64>,
-    /// Where an elastic machine was at rest the last time, to start from.
-    near: Vec<f64>,
 }
 
 /// Terms, and the places that they displace.
@@ -130,8 +128,7 @@ impl Machine {
                 ideal.settle_at(&observation.command, &[], predicted.deflections())?;
                 told.motions = motions(&self.nominal.kinematics, ideal.link_frames());
             }
-            Kind::Elastic { chain } => {
-                told.near = chain.undeflected();
+            Kind::Elastic { .. } => {
                 let input = TermInput {
                     command: &observation.command,
                     approach: &observation.approach,
@@ -145,13 +142,13 @@ impl Machine {
     }
 
     /// Goes where the observation was told to go.
-    pub fn place(&mut self, told: &mut Prepared) -> Result<(), MachineError> {
+    pub fn place(&mut self, told: &Prepared) -> Result<(), MachineError> {
         match &mut self.kind {
             Kind::Joints { chain, .. } => chain.place(&told.command),
             Kind::Frozen { chain, .. } => chain.place_at(&told.motions),
             Kind::Elastic { chain } => {
                 self.terms.displace(&told.basis);
-                chain.settle_near(&told.command, &self.terms.corrections, &mut told.near)?;
+                chain.settle(&told.command, &self.terms.corrections, Deflection::Equilibrium)?;
             }
         }
         Ok(())
@@ -159,8 +156,8 @@ impl Machine {
 
     /// [`place`](Self::place) at an observation that was not prepared.
     pub fn place_observation(&mut self, observation: &Observation) -> Result<Prepared, MachineError> {
-        let mut told = self.prepare(observation)?;
-        self.place(&mut told)?;
+        let told = self.prepare(observation)?;
+        self.place(&told)?;
         Ok(told)
     }
 

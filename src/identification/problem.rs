@@ -141,9 +141,9 @@ impl CalibrationProblem {
 
     /// Why the robot at the current parameters cannot take the pose of an observation: the pose's number, and the reason.
     pub fn failure(&mut self, index: usize) -> Option<(u32, MachineError)> {
-        let row = &mut self.rows[index];
+        let row = &self.rows[index];
         let now = &mut self.current;
-        let placed = now.machine.place(&mut row.told);
+        let placed = now.machine.place(&row.told);
         let ready = placed.and_then(|()| now.machine.differentiate(&now.targets[row.target], &row.told));
         ready.err().map(|error| (row.pose, error))
     }
@@ -185,10 +185,10 @@ impl CalibrationProblem {
         residuals: &mut DVector<f64>,
         jacobian: Option<&mut DMatrix<f64>>,
     ) {
-        let row = &mut self.rows[index];
+        let row = &self.rows[index];
         let now = &mut self.current;
         let target = &now.targets[row.target];
-        let ready = now.machine.place(&mut row.told).and_then(|()| match jacobian {
+        let ready = now.machine.place(&row.told).and_then(|()| match jacobian {
             Some(_) => now.machine.differentiate(target, &row.told),
             None => Ok(()),
         });

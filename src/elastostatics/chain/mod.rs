@@ -238,49 +238,6 @@ impl ElasticChain {
         Ok(settled)
     }
 
-    /// No deflection, as [`settle_near`](Self::settle_near) starts from it.
-    pub fn undeflected(&self) -> Vec<f64> {
-        vec![0.0; self.u.len() + 1]
-    }
-
-    /// Brings the chain to the nonlinear equilibrium as [`settle`](Self::settle) does, from where it was at rest at nearly this pose with
-    /// nearly this model: `near` is what the last such call left there, or [`undeflected`](Self::undeflected). Where it starts changes the
-    /// result by rounding alone. [`deflections`](Self::deflections) are not told.
-    ///
-    /// # Errors
-    ///
-    /// [`ElasticError`]; the next call may start from what `near` then is.
-    pub fn settle_near(
-        &mut self,
-        command: &[f64],
-        corrections: &[(TermPlace, f64)],
-        near: &mut [f64],
-    ) -> Result<Settled, ElasticError> {
-        self.start(command, corrections)?;
-        self.deflection = Deflection::Equilibrium;
-        self.deflections.fill(f64::NAN);
-        let is_start = near.iter().all(|u| *u == 0.0);
-        let mut settled = self.settle_from(near);
-        if settled.is_err() && !is_start {
-            near.fill(0.0);
-            settled = self.settle_from(near);
-        }
-        let Some((extension, u)) = near.split_last_mut() else { return settled };
-        if settled.is_ok() {
-            u.copy_from_slice(&self.u);
-            *extension = self.closed.extension;
-        }
-        settled
-    }
-
-    fn settle_from(&mut self, near: &[f64]) -> Result<Settled, ElasticError> {
-        let (extension, u) = near.split_last().unwrap_or((&0.0, &[]));
-        self.u.copy_from_slice(u);
-        self.closed.extension = *extension;
-        self.place()?;
-        self.iterate()
-    }
-
     fn iterate(&mut self) -> Result<Settled, ElasticError> {
         let mut residual = f64::INFINITY;
         for iterations in 1..=MOST_ITERATIONS {

@@ -46,25 +46,6 @@ fn a_pose_does_not_depend_on_the_poses_before_it() {
     assert_eq!(evaluate(&case.command, &[]), first);
 }
 
-/// From a neighbour's deflections sooner than from none, and from nonsense all the same.
-#[test]
-fn an_equilibrium_does_not_depend_on_where_it_is_sought_from() {
-    for case in [serial(0), serial(1), painter(0), painter(1)] {
-        let mut chain = ElasticChain::new(&case.model);
-        let cold = chain.settle(&case.command, &[], Deflection::Equilibrium).expect("rest").iterations;
-        let expected = chain.target(&case.in_flange);
-        let mut near = chain.undeflected();
-        let nearby: Vec<f64> = case.command.iter().map(|c| c + 1e-5).collect();
-        chain.settle_near(&nearby, &[], &mut near).expect("rest");
-        for (nonsense, fewer) in [(0.0, true), (0.4, false)] {
-            near.iter_mut().for_each(|u| *u += nonsense);
-            let settled = chain.settle_near(&case.command, &[], &mut near).expect("rest");
-            assert!((chain.target(&case.in_flange) - expected).norm() < 1e-13);
-            assert!(settled.iterations < cold || !fewer, "{} of {cold}", settled.iterations);
-        }
-    }
-}
-
 #[test]
 fn given_deflections_reproduce_the_pose() {
     for case in [serial(0), serial(1), painter(0), painter(1)] {
