@@ -60,15 +60,15 @@ pub(super) fn build(
     if options.redundant == Redundancy::Fix {
         fixed = redundant(&measured.r, &measured.parameters);
     }
-    let is_dropped = |(column, unexcited): (&Column, &bool)| {
-        fixed.iter().any(|group| group.redundant == column.id) || (*unexcited && !column.named)
+    let stays = |(column, unexcited): (&Column, &bool)| {
+        !fixed.iter().any(|group| group.redundant == column.id) && (column.named || !unexcited)
     };
-    let dropped: Vec<bool> = columns.iter().zip(&unexcited).map(is_dropped).collect();
-    let dropped: Vec<usize> = (0..columns.len()).filter(|place| dropped[*place]).collect();
+    let stays: Vec<bool> = columns.iter().zip(&unexcited).map(stays).collect();
+    let dropped: Vec<usize> = (0..columns.len()).filter(|place| !stays[*place]).collect();
     let left_out = dropped.iter().map(|place| columns[*place].id).collect();
     if !dropped.is_empty() {
-        columns =
-            columns.into_iter().enumerate().filter(|(i, _)| !dropped.contains(i)).map(|(_, c)| c).collect();
+        let mut stays = stays.iter();
+        columns.retain(|_| stays.next() == Some(&true));
         built = assemble(model, set, options, &columns)?;
         // The robot's own parameters are the first.
         jacobian = jacobian.remove_columns_at(&dropped);

@@ -31,6 +31,7 @@ impl Inboard {
         Self { turns: Matrix3::zeros(), shifts: Matrix3::zeros() }
     }
 
+    #[inline]
     fn add(&mut self, lambda: &Vector3<f64>, screw: &Screw) {
         if screw.about {
             self.turns += lambda * screw.axis.transpose();
@@ -236,13 +237,17 @@ impl ElasticChain {
         let a = &mut self.adjoint;
         let elbow = self.four_bar.as_ref().map(|f| self.parts[f.elbow].drive);
         a.rho = elbow.map_or_else(Vector3::zeros, |slot| a.next[slot] / self.closed.rate);
-        let (mut change, mut largest) = (0.0_f64, 0.0_f64);
+        // Axis by axis, so that several are compared at a time.
+        let (mut changes, mut most) = (Vector3::zeros(), Vector3::zeros());
         for ((next, stretch), mu) in a.next.iter().zip(&a.rod_stretch).zip(&mut a.mu) {
             let now = next - a.rho * *stretch;
-            change = change.max((now - *mu).amax());
-            largest = largest.max(now.amax());
+            for axis in 0..3 {
+                changes[axis] = f64::max(changes[axis], (now[axis] - mu[axis]).abs());
+                most[axis] = f64::max(most[axis], now[axis].abs());
+            }
             *mu = now;
         }
+        let (change, largest) = (changes.max(), most.max());
         if a.coupled {
             for ((lambda, compliance), mu) in a.lambda.iter_mut().zip(&self.compliance).zip(&a.mu) {
                 *lambda = *compliance * mu;

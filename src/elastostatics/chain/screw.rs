@@ -19,11 +19,13 @@ impl Screw {
         Self { about: false, axis: Vector3::new(0.0, 0.0, 0.0), origin: Vector3::new(0.0, 0.0, 0.0) };
 
     /// What a unit of the motion does to a point that it carries.
+    #[inline]
     pub fn moves(&self, point: &Vector3<f64>) -> Vector3<f64> {
         if self.about { self.axis.cross(&(point - self.origin)) } else { self.axis }
     }
 
     /// What a unit of the motion does to the point that lies at the base's origin.
+    #[inline]
     pub fn moves_origin(&self) -> Vector3<f64> {
         if self.about { self.origin.cross(&self.axis) } else { self.axis }
     }
@@ -55,6 +57,7 @@ impl Loads {
 
     /// How the moment of the loads turns when a screw inboard of them moves: `Σ (J c) × F`. Its product with the axis of another
     /// rotation inboard is the mixed second derivative of the loads' potential, with its sign changed.
+    #[inline]
     pub fn turned_by(&self, screw: &Screw) -> Vector3<f64> {
         let a = &screw.axis;
         if screw.about {
@@ -66,6 +69,7 @@ impl Loads {
     }
 
     /// The generalised force on a screw inboard of the loads, N or N m.
+    #[inline]
     pub fn on(&self, screw: &Screw) -> f64 {
         if screw.about {
             let m = &self.moment;
@@ -116,6 +120,7 @@ impl Walk {
         Self { axes: [Vector3::x(), Vector3::y(), Vector3::z()], origin: Vector3::zeros() }
     }
 
+    #[inline]
     pub fn turn(&mut self, axis: usize, (sin, cos): (f64, f64)) {
         let (i, j) = ((axis + 1) % 3, (axis + 2) % 3);
         let (y, z) = (self.axes[i], self.axes[j]);
@@ -132,11 +137,13 @@ impl Walk {
     }
 
     /// The screw along (0..3) or about (3..6) an own axis.
+    #[inline]
     pub fn screw(&self, component: usize) -> Screw {
         Screw { about: component >= 3, axis: self.axes[component % 3], origin: self.origin }
     }
 
     /// Moves along (0..3) or about (3..6) an own axis, and tells the screw.
+    #[inline]
     pub fn step(&mut self, component: usize, by: f64) -> Screw {
         let screw = self.screw(component);
         if component < 3 {
