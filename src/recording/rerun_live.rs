@@ -282,8 +282,7 @@ impl Recorder for LiveRecorder {
     fn begin(&mut self, outcome: &Outcome) -> Result<(), RecordingError> {
         if self.lost.is_none() {
             let layout = rerun_layout::messages(outcome, Force::Active);
-            let sent = layout.map(|messages| self.wire().send_all(messages));
-            self.note(sent);
+            self.tell(|recorder| layout.map(|messages| recorder.lay_out(messages)));
         }
         self.tell(|recorder| recorder.begin(outcome));
         Ok(())

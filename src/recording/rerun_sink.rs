@@ -123,6 +123,13 @@ impl RerunRecorder {
         messages
     }
 
+    /// Queues a layout. A viewer that does not read holds up the stream's own thread, not the run.
+    pub(super) fn lay_out(&self, mut messages: Vec<LogMsg>) {
+        if let Some(LogMsg::BlueprintActivationCommand(activation)) = messages.pop() {
+            self.stream.send_blueprint(messages, activation);
+        }
+    }
+
     pub(super) fn into_stream(self) -> RecordingStream {
         self.stream
     }

@@ -304,7 +304,7 @@ fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
             gain: 0.99,
             accepted: true,
             // The last one's are the estimate's.
-            parameters: parameters.iter().map(|p| p.value * f64::from(i + 1) / 5.0).collect(),
+            parameters: parameters.iter().map(|p| p.value - p.value * f64::from(4 - i) / 5.0).collect(),
         })
         .collect();
     Estimate {
