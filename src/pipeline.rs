@@ -2,8 +2,10 @@
 
 mod ablation;
 mod choice;
+mod defaults;
 mod judgement;
 mod machine;
+mod planned;
 mod session;
 mod simulate;
 mod splits;
@@ -11,8 +13,10 @@ mod truth;
 
 pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
 pub use choice::{ChosenRow, FailedVariant, ModelChoice, choose};
+pub use defaults::{DEFAULT_TOLERANCE, default_modes, default_options, is_default};
 pub use judgement::{Confidence, FALSE_ALARM, Judgement, PredictedPosition, judge};
 pub use machine::PlantKind;
+pub use planned::{planned, planned_at};
 pub use session::{MeasuredPose, SessionEvent, SessionListener};
 pub use simulate::{measure_session, simulate};
 pub use splits::{SplitMode, SplitPlan, SplitStudy, pose_count, repeat_splits};

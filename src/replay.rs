@@ -5,12 +5,18 @@ use std::path::Path;
 use miette::Diagnostic;
 use thiserror::Error;
 
-use crate::identification::Estimate;
+use crate::identification::{Estimate, IdentificationOptions, Loss, Mode};
 use crate::input::InputError;
-use crate::model::parse_robot;
-use crate::pipeline::{InputSummary, Outcome, PipelineError, calibrate, judge};
-use crate::recording::{RecordedEstimate, RecordingError, read_recording};
-use crate::scenario::parse_scenario;
+use crate::model::{CalibrationModel, Robot, Visual, parse_robot};
+use crate::pipeline::{
+    InputSummary, ModeOutcome, Outcome, PipelineError, SetKind, SetOutcome, Truth, calibrate, default_modes,
+    default_options, judge,
+};
+use crate::recording::{
+    MissingPart, ReadOptions, RecordedEstimate, RecordedMachine, Recording, RecordingError,
+    read_recorded_machine, read_recording_with,
+};
+use crate::scenario::{Scenario, parse_scenario};
 
 /// A recording that cannot be replayed.
 #[derive(Debug, Error, Diagnostic)]
@@ -24,16 +30,34 @@ pub enum ReplayError {
     #[error("an attachment of the recording: {0}")]
     #[diagnostic(transparent)]
     Attachment(#[from] InputError),
-    /// One is missing.
-    #[error("the recording holds no attachment \"{role}\", which replay needs")]
-    #[diagnostic(help("expected a recording written by `calibrig run`"))]
-    Missing {
-        /// Its role.
-        role: &'static str,
-    },
+    /// The robot is missing.
+    #[error("the recording holds no attachment \"robot/...\", which says what robot was measured")]
+    #[diagnostic(help("expected a recording that holds its robot's file, or --model ROBOT.toml"))]
+    NoRobot,
     /// The identification.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
+}
+
+/// What is to be different from what was recorded. Nothing by default.
+#[derive(Debug, Clone, Default)]
+pub struct ReplayOptions {
+    /// What is fitted instead of the recorded rows; "without calibration" is always among them.
+    pub modes: Vec<Mode>,
+    /// What a measurement far off the others costs.
+    pub loss: Option<Loss>,
+    /// Topics that are left out, each with all below it.
+    pub dropped_topics: Vec<String>,
+    /// The robot, instead of the recorded one.
+    pub robot: Option<Robot>,
+}
+
+impl ReplayOptions {
+    /// Whether anything may come out differently.
+    fn changes_anything(&self) -> bool {
+        let harmless = |topic: &String| topic.starts_with("/estimate") || topic.starts_with("/truth");
+        self.loss.is_some() || self.robot.is_some() || !self.dropped_topics.iter().all(harmless)
+    }
 }
 
 /// Where a replayed estimate is not the recorded one.
@@ -76,58 +100,192 @@ pub enum Difference {
 pub struct Replayed {
     /// As of a run, without the truth.
     pub outcome: Outcome,
+    /// Whether the options ask for something else than what was recorded: then nothing is compared bit for bit.
+    pub what_if: bool,
     /// Number of estimates compared.
     pub compared: usize,
     /// Empty if every bit is the same.
     pub differences: Vec<Difference>,
+    /// The recorded and the replayed error of the same mode and set.
+    pub changes: Vec<Change>,
+    /// Sets that were not recorded to their end.
+    pub missing: Vec<MissingPart>,
 }
 
-/// Identifies again from the measurements, the scenario's choices and the nominal robot that `path` holds.
-pub fn replay(path: &Path) -> Result<Replayed, ReplayError> {
-    let recording = read_recording(path)?;
-    let attachment =
-        |role: &str| recording.sources.iter().find(|(r, _)| r == role).map(|(_, source)| source.clone());
-    let required = |role: &'static str| attachment(role).ok_or(ReplayError::Missing { role });
-    let robot = parse_robot(required("robot")?, attachment("urdf"), attachment("columns"))?;
-    let scenario = parse_scenario(required("scenario")?, robot)?;
-    let sets = recording.sets;
-    let model = scenario.robot.model;
-    let (registration, modes) = calibrate(&model, &sets, &scenario.modes, &scenario.options)?;
-    let judgements = judge(&model, &sets, &modes, &scenario.options)?;
-    let mut differences = Vec::new();
-    let mut compared = 0;
-    for outcome in &modes {
+/// Root mean square of the 3-D errors of a mode over a set, m.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Change {
+    /// The mode.
+    pub mode: Mode,
+    /// The set.
+    pub kind: SetKind,
+    /// As recorded; `None` where it was not.
+    pub recorded: Option<f64>,
+    /// As replayed; `None` where the set is left out.
+    pub replayed: Option<f64>,
+}
+
+/// What the measurements are identified with.
+struct Plan {
+    name: String,
+    model: CalibrationModel,
+    visuals: Vec<Vec<Visual>>,
+    options: IdentificationOptions,
+    modes: Vec<Mode>,
+    published: Vec<(SetKind, Mode, [f64; 6])>,
+}
+
+impl Plan {
+    /// From the recording's own scenario, else from what its robot and its measurements allow.
+    fn new(recording: &Recording, options: &ReplayOptions) -> Result<Self, ReplayError> {
+        let robot = match &options.robot {
+            Some(robot) => robot.clone(),
+            None => recorded_robot(recording)?,
+        };
+        let mut plan = match recorded_scenario(recording, &robot)? {
+            Some(scenario) => Self {
+                name: scenario.name,
+                model: scenario.robot.model,
+                visuals: scenario.robot.visuals,
+                options: scenario.options,
+                modes: scenario.modes,
+                published: scenario.published,
+            },
+            None => Self {
+                name: robot.name.clone(),
+                options: default_options(&robot, recording.sets.first().map(|set| &set.measurements)),
+                modes: default_modes(&robot),
+                model: robot.model,
+                visuals: robot.visuals,
+                published: Vec::new(),
+            },
+        };
+        if let Some(loss) = options.loss {
+            plan.options.solver.loss = loss;
+        }
+        if !options.modes.is_empty() {
+            let wanted = |mode: &Mode| *mode == Mode::WithoutCalibration || options.modes.contains(mode);
+            plan.modes = Mode::ALL.into_iter().filter(wanted).collect();
+        }
+        plan.options.fit_to(recording.sets.first().map(|set| &set.measurements));
+        Ok(plan)
+    }
+}
+
+/// The robot that the recording holds.
+fn recorded_robot(recording: &Recording) -> Result<Robot, ReplayError> {
+    let attachment = |role: &str| recording.source(role).cloned();
+    let robot = attachment("robot").ok_or(ReplayError::NoRobot)?;
+    Ok(parse_robot(robot, attachment("urdf"), attachment("columns"))?)
+}
+
+fn recorded_scenario(recording: &Recording, robot: &Robot) -> Result<Option<Scenario>, ReplayError> {
+    let source = recording.source("scenario").cloned();
+    Ok(source.map(|source| parse_scenario(source, robot.clone())).transpose()?)
+}
+
+/// Identifies again from what `path` holds: the measurements, the robot and, where there is one, the scenario's choices.
+pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayError> {
+    let read = ReadOptions { dropped_topics: options.dropped_topics.clone() };
+    let recording = read_recording_with(path, &read)?;
+    let Plan { name, model, visuals, options: fit, modes, published } = Plan::new(&recording, options)?;
+    let Recording { provenance, sources, sets, missing, estimates, .. } = recording;
+    let (registration, modes) = calibrate(&model, &sets, &modes, &fit)?;
+    let judgements = judge(&model, &sets, &modes, &fit)?;
+    let whole = missing.is_empty() && !options.changes_anything();
+    let (mut differences, mut compared) = (Vec::new(), 0);
+    for outcome in modes.iter().filter(|_| whole && !estimates.is_empty()) {
         let Some(estimate) = &outcome.estimate else { continue };
         let mode = outcome.mode.key();
-        match recording.estimates.iter().find(|recorded| recorded.mode == mode) {
+        match estimates.iter().find(|recorded| recorded.mode == mode) {
             Some(recorded) => {
                 compared += 1;
                 compare(mode, recorded, estimate, &mut differences);
             }
-            None => differences.push(Difference::Missing { mode }),
+            // A mode that was asked for beside the recorded ones is no difference.
+            None if options.modes.is_empty() => differences.push(Difference::Missing { mode }),
+            None => {}
         }
     }
+    let changes = changes(&estimates, &sets, &modes);
     let outcome = Outcome {
         input: InputSummary {
             kind: "recording",
-            name: scenario.name,
-            sha256: recording.provenance.as_ref().map(|p| p.input_sha256.clone()).unwrap_or_default(),
-            seed: recording.provenance.as_ref().and_then(|p| p.seed),
+            name,
+            sha256: provenance.as_ref().map(|p| p.input_sha256.clone()).unwrap_or_default(),
+            seed: provenance.as_ref().and_then(|p| p.seed),
             trial: None,
         },
-        sources: recording.sources,
+        sources,
         model,
-        visuals: scenario.robot.visuals,
+        visuals,
         registration,
         sets,
         modes,
         truth: None,
-        published: scenario.published,
+        published,
         judgements,
         ablation: None,
         splits: None,
     };
-    Ok(Replayed { outcome, compared, differences })
+    let what_if = options.changes_anything() || !options.modes.is_empty();
+    Ok(Replayed { outcome, what_if, compared, differences, changes, missing })
+}
+
+fn changes(estimates: &[RecordedEstimate], sets: &[SetOutcome], modes: &[ModeOutcome]) -> Vec<Change> {
+    let recorded = |mode: Mode, kind: SetKind| {
+        let estimate = estimates.iter().find(|estimate| estimate.mode == mode.key())?;
+        estimate.rms_3d.iter().find(|(known, _)| *known == kind).map(|(_, rms)| *rms)
+    };
+    let replayed = |mode: Mode, kind: SetKind| {
+        let place = sets.iter().position(|set| set.kind == kind)?;
+        let outcome = modes.iter().find(|outcome| outcome.mode == mode)?;
+        outcome.rows.get(place)?.as_ref().map(|row| row.rms_3d)
+    };
+    let pairs = Mode::ALL.into_iter().flat_map(|mode| SetKind::ALL.map(|kind| (mode, kind)));
+    pairs
+        .map(|(mode, kind)| Change {
+            mode,
+            kind,
+            recorded: recorded(mode, kind),
+            replayed: replayed(mode, kind),
+        })
+        .filter(|change| change.recorded.is_some() || change.replayed.is_some())
+        .collect()
+}
+
+/// Why a report of a recording tells nothing of the truth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum NoTruth {
+    /// No machine is recorded: the measurements are no simulation's.
+    Real,
+    /// This version of the program makes another machine of the recorded scenario.
+    OtherMachine,
+}
+
+/// The machine behind a simulated recording, for the report of what [`replay`] found, which never sees it: the one that the recorded scenario
+/// describes, if it is the one that was recorded.
+pub fn recorded_truth(path: &Path) -> Result<Result<Truth, NoTruth>, ReplayError> {
+    let Some(recorded) = read_recorded_machine(path)? else { return Ok(Err(NoTruth::Real)) };
+    let recording = read_recording_with(path, &ReadOptions::default())?;
+    let robot = recorded_robot(&recording)?;
+    let Some(scenario) = recorded_scenario(&recording, &robot)? else { return Ok(Err(NoTruth::Real)) };
+    let provenance = recording.provenance.as_ref();
+    let seed = provenance.and_then(|p| p.seed).unwrap_or(scenario.seed);
+    let trial = provenance.and_then(|p| p.trial).map_or(0, |(trial, _)| trial);
+    let tracker_from_base = scenario.tracker.tracker_from_base;
+    let as_built = scenario.as_built_for(seed, trial);
+    if recorded != RecordedMachine::of(&robot.model, &as_built, &tracker_from_base) {
+        return Ok(Err(NoTruth::OtherMachine));
+    }
+    Ok(Ok(Truth {
+        as_built,
+        tracker_from_base,
+        poses: Vec::new(),
+        effects: Vec::new(),
+        outliers: Vec::new(),
+        rigid: Vec::new(),
+    }))
 }
 
 fn compare(

@@ -42,6 +42,7 @@ fn as_json(scenario: &Scenario) -> String {
         "identification_poses": scenario.identification_poses,
         "verification_poses": scenario.verification_poses,
         "effects": scenario.as_built.effects.active().iter().map(|e| e.key()).collect::<Vec<_>>(),
+        "bounds": scenario.options.bounds.iter().map(ToString::to_string).collect::<Vec<_>>(),
         "modes": scenario.modes.iter().map(|m| m.key()).collect::<Vec<_>>(),
     });
     format!("{value:#}\n")
@@ -127,6 +128,9 @@ fn write_text(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
         let terms =
             options.terms.as_ref().map_or_else(|| "all that the robot can have".to_owned(), |t| t.join(", "));
         writeln!(text, "  terms        {terms}")?;
+    }
+    for (index, bound) in options.bounds.iter().enumerate() {
+        writeln!(text, "  {:<12} {bound}", if index == 0 { "bounds" } else { "" })?;
     }
     let modes: Vec<_> = scenario.modes.iter().map(|m| m.title()).collect();
     writeln!(text, "  rows         {}", modes.join(", "))

@@ -1,21 +1,25 @@
 //! `calibrig identifiability`.
 
+mod coupled;
+
 use std::fmt::Write;
 use std::path::PathBuf;
 
-use clap::ArgGroup;
+use clap::error::ErrorKind;
+use clap::{ArgGroup, CommandFactory, ValueEnum};
 use nalgebra::Vector3;
 use serde_json::json;
 
-use super::{CliError, Verdict, print};
+use super::identify::family;
+use super::{Cli, CliError, Verdict, print};
 use crate::identification::{
-    Explanation, Finding, FrameChoice, IdentifiabilityReport, TargetChoice, analyse_columns, explain,
+    Explanation, Finding, FrameChoice, IdentifiabilityReport, Mode, TargetChoice, analyse_columns, explain,
     identifiability, neighbour_axis_rules, structural_poses,
 };
 use crate::kinematics::stacked_jacobian;
 use crate::model::{KinematicModel, ParameterId, load_robot};
 use crate::random::{Source, stream};
-use crate::scenario::load_scenario;
+use crate::scenario::{Scenario, load_scenario};
 
 /// Say which parameters position measurements can tell: rank, dependent groups, weak directions, and what would help
 ///
@@ -23,16 +27,55 @@ use crate::scenario::load_scenario;
 #[derive(Debug, clap::Args)]
 #[command(group(ArgGroup::new("subject").required(true).args(["scenario", "model"])), after_help = "Examples:
   calibrig identifiability scenarios/paper.toml            at the scenario's poses and target
-  calibrig identifiability --model models/ur5/robot.toml   anywhere, base and target unknown")]
+  calibrig identifiability --model models/ur5/robot.toml   anywhere, base and target unknown
+  calibrig identifiability scenarios/paper.toml --mode elasto_geometric
+  calibrig identifiability scenarios/paper.toml --mode extended --terms linkage,ratio
+
+With --mode elasto_geometric or extended, all that such a fit has is looked at together: links, tracker frame, target,
+compliances, masses and terms, as the scenario's [identification] says, at the nominal robot's equilibrium.")]
 pub(super) struct Args {
     /// The scenario file
     scenario: Option<PathBuf>,
     /// The robot's file, instead of a scenario
     #[arg(long, value_name = "ROBOT.toml")]
     model: Option<PathBuf>,
+    /// Which parameters: of the rigid chain, or of a mode that couples geometry and stiffness
+    #[arg(long, value_enum, default_value_t = Analysed::Geometry)]
+    mode: Analysed,
+    /// Compliances of the coupled modes: drives, all, or names [default: as the scenario says, else drives]
+    #[arg(long, value_name = "WHICH,..", value_delimiter = ',')]
+    compliances: Option<Vec<String>>,
+    /// Terms of the mode `extended`, by family; "none" for none [default: as the scenario says, else all that the robot can have]
+    #[arg(long, value_name = "FAMILY,..", value_delimiter = ',', value_parser = family)]
+    terms: Option<Vec<String>>,
     /// Print as JSON
     #[arg(long)]
     json: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[value(rename_all = "snake_case")]
+enum Analysed {
+    /// Links, and frame and target where they are free
+    Geometry,
+    /// Geometry and stiffness together
+    ElastoGeometric,
+    /// The complete set with linkage and terms
+    Extended,
+}
+
+/// Poses where no scenario says which.
+const SPREAD_POSES: usize = 200;
+
+/// A target that is not known yet is looked at off every axis, where it can be mounted, m.
+const MOUNTABLE_TARGET: Vector3<f64> = Vector3::new(0.1, 0.15, 0.2);
+
+fn spread_poses() -> String {
+    format!("{SPREAD_POSES} poses spread over the joint limits")
+}
+
+fn scenario_poses(scenario: &Scenario) -> String {
+    format!("the scenario's {} identification poses", scenario.identification_poses)
 }
 
 struct Question {
@@ -46,6 +89,21 @@ struct Question {
 }
 
 pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
+    let refuse = |flag: &str, expected: &str| {
+        let message = format!("{flag}: expected {expected} beside it");
+        Cli::command().error(ErrorKind::ArgumentConflict, message).exit()
+    };
+    match args.mode {
+        Analysed::Geometry if args.compliances.is_some() => {
+            refuse("--compliances", "--mode elasto_geometric or --mode extended")
+        }
+        Analysed::Geometry | Analysed::ElastoGeometric if args.terms.is_some() => {
+            refuse("--terms", "--mode extended")
+        }
+        Analysed::Geometry => {}
+        Analysed::ElastoGeometric => return coupled::execute(args, Mode::ElastoGeometric),
+        Analysed::Extended => return coupled::execute(args, Mode::Extended),
+    }
     let question = question(args)?;
     let report = identifiability(
         &question.model,
@@ -69,13 +127,11 @@ fn question(args: &Args) -> Result<Question, CliError> {
     if let Some(path) = &args.model {
         let robot = load_robot(path)?;
         let model = robot.model.kinematics;
-        let count = 200;
         return Ok(Question {
             name: robot.name,
-            poses: structural_poses(&model, count),
-            poses_from: format!("{count} poses spread over the joint limits"),
-            // A target that is not known yet is looked at off every axis, where it can be mounted.
-            target: robot.target.unwrap_or_else(|| Vector3::new(0.1, 0.15, 0.2)),
+            poses: structural_poses(&model, SPREAD_POSES),
+            poses_from: spread_poses(),
+            target: robot.target.unwrap_or(MOUNTABLE_TARGET),
             model,
             frame_free: true,
             target_free: true,
@@ -86,9 +142,9 @@ fn question(args: &Args) -> Result<Question, CliError> {
     let mut rng = stream(scenario.seed, 0, Source::IdentificationPoses);
     let poses = (0..scenario.identification_poses).map(|_| scenario.region.draw(&mut rng)).collect();
     Ok(Question {
+        poses_from: scenario_poses(&scenario),
         name: scenario.name,
         poses,
-        poses_from: format!("the scenario's {} identification poses", scenario.identification_poses),
         target: scenario.robot.target.unwrap_or_else(Vector3::zeros),
         model: scenario.robot.model.kinematics,
         frame_free: scenario.options.frame == FrameChoice::Free,

@@ -10,15 +10,15 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::output::{self, Destination, Files};
 use super::{Cli, CliError, Verdict, not_identified, say};
 use crate::identification::{
-    ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Loss, Mode, ParameterChoice,
-    SolverOptions, TargetChoice, Tolerance,
+    ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Loss, Mode, ParameterBound,
+    ParameterChoice, RefusedBound, SolverOptions, TargetChoice, Tolerance, check_bounds,
 };
 use crate::input::Source;
 use crate::measurement::{ColumnMap, MeasurementSet, load_column_map, parse_column_map, parse_measurements};
-use crate::model::{CalibrationModel, FAMILIES, JointKind, ParameterId, Robot, load_robot};
+use crate::model::{CalibrationModel, FAMILIES, JointKind, ParameterId, Robot, Unit, load_robot};
 use crate::pipeline::{
-    InputSummary, Outcome, PipelineError, SetKind, SetOutcome, SplitPlan, SplitStudy, calibrate,
-    hash_sources, judge, pose_count, repeat_splits,
+    DEFAULT_TOLERANCE, InputSummary, Outcome, PipelineError, SetKind, SetOutcome, SplitPlan, SplitStudy,
+    calibrate, hash_sources, is_default, judge, pose_count, repeat_splits,
 };
 
 /// Calibrate a robot from measured positions in a file, and verify on another file
@@ -35,6 +35,7 @@ use crate::pipeline::{
   calibrig identify --model robot.toml --measurements m.csv --compliances compliance_drive2
   calibrig identify --model robot.toml --measurements m.csv --mode extended --terms rail,ratio
   calibrig identify --model robot.toml --measurements m.csv --loss tukey   names outliers
+  calibrig identify --model robot.toml --measurements m.csv --bound delta_a4=-5mm..5mm
   calibrig identify --model robot.toml --measurements m.csv --splits 20 --fit 200
 
 What the columns of the file mean is told by --columns MAP.toml, else by the map that the robot's file names, else (and where the file
@@ -65,6 +66,10 @@ pub(super) struct Args {
     /// Compliances of the modes `elasto_geometric` and `extended`: drives, all, or names
     #[arg(long, value_name = "WHICH,..", value_delimiter = ',', default_value = "drives")]
     compliances: Vec<String>,
+    /// Limits of a parameter's deviation, in mm, mrad or (compliances, masses) without unit; an end may be left open, as in
+    /// `compliance_drive2=0..`. May be repeated
+    #[arg(long, value_name = "NAME=MIN..MAX", value_parser = bound)]
+    bound: Vec<ParameterBound>,
     /// What a measurement far off the others costs: its square, or less
     #[arg(long, value_enum, default_value_t = LossArg::Squared)]
     loss: LossArg,
@@ -73,10 +78,10 @@ pub(super) struct Args {
     #[arg(long, value_name = "PERCENT", value_parser = percent)]
     compliance_percent: Option<f64>,
     /// How well the links' lengths are known beforehand: standard deviation of a prior, mm; 0 in both for none
-    #[arg(long, value_name = "MM", default_value_t = 10.0, allow_negative_numbers = true, value_parser = tolerance_value)]
+    #[arg(long, value_name = "MM", default_value_t = 1e3 * DEFAULT_TOLERANCE.length, allow_negative_numbers = true, value_parser = tolerance_value)]
     tolerance_mm: f64,
     /// How well the links' angles are known beforehand: standard deviation of a prior, mrad; 0 in both for none
-    #[arg(long, value_name = "MRAD", default_value_t = 20.0, allow_negative_numbers = true, value_parser = tolerance_value)]
+    #[arg(long, value_name = "MRAD", default_value_t = 1e3 * DEFAULT_TOLERANCE.angle, allow_negative_numbers = true, value_parser = tolerance_value)]
     tolerance_mrad: f64,
     /// Split the measurements at random this many times, fit a part and verify on the rest, and compare every mode with the one before
     #[arg(long, value_name = "N", requires = "fit", value_parser = clap::value_parser!(u32).range(2..=100_000))]
@@ -104,7 +109,7 @@ enum Parameters {
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum LossArg {
+pub(super) enum LossArg {
     /// Least squares
     Squared,
     /// Linear beyond 1.6 standard deviations
@@ -188,16 +193,70 @@ fn split_study(
     study.map_err(|error| failed(error, &args.measurements, &outcome.sources))
 }
 
-fn fitted_mode(text: &str) -> Result<Mode, String> {
+pub(super) fn fitted_mode(text: &str) -> Result<Mode, String> {
     Mode::parse(text).filter(|mode| *mode != Mode::WithoutCalibration).ok_or_else(|| {
         let modes = Mode::ALL.iter().filter(|mode| **mode != Mode::WithoutCalibration).map(|mode| mode.key());
         format!("expected one of: {}", modes.collect::<Vec<_>>().join(", "))
     })
 }
 
+fn bound(text: &str) -> Result<ParameterBound, String> {
+    let expected = "expected a parameter and its limits, such as delta_a4=-5mm..5mm, delta_theta2=..3mrad or compliance_drive2=0..";
+    let (name, limits) = text.split_once('=').ok_or(expected)?;
+    let (lower, upper) = limits.split_once("..").ok_or(expected)?;
+    let id = ParameterId::parse(name)
+        .ok_or_else(|| format!("\"{name}\" is no parameter's name: expected {}", ParameterId::EXAMPLES))?;
+    let bound = ParameterBound {
+        id,
+        lower: limit(id, lower)?.unwrap_or(f64::NEG_INFINITY),
+        upper: limit(id, upper)?.unwrap_or(f64::INFINITY),
+    };
+    bound.check().map_err(|error| format!("{error}: {}", error.help()))?;
+    Ok(bound)
+}
+
+/// A limit in SI; `None` where that end is open.
+fn limit(id: ParameterId, text: &str) -> Result<Option<f64>, String> {
+    if text.is_empty() {
+        return Ok(None);
+    }
+    let (unit, size) = match id.unit() {
+        Unit::Metre => ("mm", 1e-3),
+        Unit::Radian => ("mrad", 1e-3),
+        Unit::One => ("", 1.0),
+    };
+    let number = text.strip_suffix(unit).and_then(|number| number.parse::<f64>().ok());
+    match number {
+        Some(number) if number.abs() <= 1e15 => Ok(Some(size * number)),
+        _ if unit.is_empty() => {
+            Err(format!("\"{text}\" of {id}: expected a number without unit, or an open end"))
+        }
+        _ => Err(format!("\"{text}\" of {id}: expected a number of {unit}, such as 5{unit}, or an open end")),
+    }
+}
+
+/// Refuses bounds that no mode has a parameter for, as a wrong use of the command line.
+fn check_flags(
+    model: &CalibrationModel,
+    modes: &[Mode],
+    options: &IdentificationOptions,
+    set: &MeasurementSet,
+) {
+    let checked = check_bounds(model, modes, options, set.stations.len(), set.targets.len());
+    if let Err(RefusedBound { index, error }) = checked {
+        let message = format!("--bound {}: {error}: {}", options.bounds[index].id, error.help());
+        Cli::command().error(ErrorKind::ValueValidation, message).exit();
+    }
+}
+
 const NO_TERMS: &str = "none";
 
-fn family(text: &str) -> Result<String, String> {
+/// What `--terms` asks for.
+pub(super) fn terms(families: &[String]) -> Vec<String> {
+    families.iter().filter(|key| *key != NO_TERMS).cloned().collect()
+}
+
+pub(super) fn family(text: &str) -> Result<String, String> {
     let known: Vec<_> =
         [NO_TERMS, LINKAGE].into_iter().chain(FAMILIES.iter().map(|family| family.key())).collect();
     if known.contains(&text) {
@@ -214,14 +273,14 @@ fn percent(text: &str) -> Result<f64, String> {
 }
 
 /// What `--compliances` asks for. A wrong name is a wrong use of the command line.
-fn compliances(args: &Args, model: &CalibrationModel) -> ComplianceChoice {
-    match args.compliances.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
+pub(super) fn compliances(asked: &[String], model: &CalibrationModel) -> ComplianceChoice {
+    match asked.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
         ["drives"] => return ComplianceChoice::Drives,
         ["all"] => return ComplianceChoice::All,
         _ => {}
     }
     let known = model.compliances();
-    let listed = args.compliances.iter().map(|name| match ParameterId::parse(name) {
+    let listed = asked.iter().map(|name| match ParameterId::parse(name) {
         Some(ParameterId::Compliance(compliance)) if known.contains(&compliance) => compliance,
         _ => {
             let names = known.iter().map(|compliance| ParameterId::Compliance(*compliance).to_string());
@@ -250,18 +309,11 @@ fn tolerance(args: &Args) -> Option<Tolerance> {
         .then_some(Tolerance { length: 1e-3 * args.tolerance_mm, angle: 1e-3 * args.tolerance_mrad })
 }
 
-/// Relative standard deviation from which on a stated stiffness is a guess: what it predicts is not worth a row.
-const GUESS: f64 = 1.0;
-
 fn modes(args: &Args, robot: &Robot, compliance_sigma: f64) -> Vec<Mode> {
-    let bends = robot.model.statics.is_some();
     let wanted = |mode: &Mode| match mode {
         Mode::WithoutCalibration => true,
         _ if !args.mode.is_empty() => args.mode.contains(mode),
-        Mode::OnlyCalibration => true,
-        Mode::WithGravity => bends && compliance_sigma < GUESS,
-        Mode::ElastoGeometric => bends && compliance_sigma >= GUESS,
-        Mode::Extended => false,
+        _ => is_default(*mode, robot, compliance_sigma),
     };
     Mode::ALL.into_iter().filter(wanted).collect()
 }
@@ -345,12 +397,14 @@ fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions), CliError> {
         Parameters::Rules => ParameterChoice::NeighbourAxisRules,
     };
     let options = IdentificationOptions {
-        compliances: compliances(args, &robot.model),
+        compliances: compliances(&args.compliances, &robot.model),
         compliance_sigma,
         solver: SolverOptions { loss: args.loss.into(), ..SolverOptions::default() },
-        terms: args.terms.as_ref().map(|keys| keys.iter().filter(|k| *k != NO_TERMS).cloned().collect()),
+        terms: args.terms.as_deref().map(terms),
+        bounds: args.bound.clone(),
         ..file_options(parameters, tolerance(args))
     };
+    check_flags(&robot.model, &modes, &options, &sets[0].measurements);
     let (registration, modes) = calibrate(&robot.model, &sets, &modes, &options)
         .map_err(|error| failed(error, &args.measurements, &sources))?;
     let judgements = judge(&robot.model, &sets, &modes, &options)

@@ -6,10 +6,12 @@ mod export;
 mod identifiability;
 mod identify;
 mod interrupt;
+mod live;
 mod montecarlo;
 mod output;
 mod record;
 mod replay;
+mod report;
 mod run;
 
 use std::error::Error as _;
@@ -38,7 +40,9 @@ struct Cli {
     command: Command,
 }
 
-const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done but doubtful (rank-deficient, not converged, replay differs).
+const EXIT_CODES: &str =
+    "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done but doubtful (rank-deficient, not converged, at a
+bound, against what was stated beforehand, replay differs).
 Set NO_COLOR=1 for plain text.";
 
 #[derive(Debug, Subcommand)]
@@ -51,6 +55,7 @@ enum Command {
     Montecarlo(montecarlo::Args),
     Replay(replay::Args),
     Export(export::Args),
+    Report(report::Args),
 }
 
 /// How a command ended that did end.
@@ -144,6 +149,7 @@ pub fn main() -> ExitCode {
         Command::Identifiability(args) => identifiability::execute(args),
         Command::Replay(args) => replay::execute(args),
         Command::Export(args) => export::execute(args),
+        Command::Report(args) => report::execute(args),
     };
     match result {
         Ok(Verdict::Done) => ExitCode::SUCCESS,

@@ -118,16 +118,14 @@ pub(super) fn write(
     let mut staged = Staged { folder, files: Vec::new(), failures: Vec::new() };
     let staging = tempfile::Builder::new().prefix(".calibrig-").tempdir_in(folder);
     match &staging {
-        Ok(staging) => {
-            let reports = report::write_reports(outcome, staging.path());
-            for name in Files::Reports.names() {
-                match &reports {
-                    Ok(()) => staged.files.push((name, Finished::Staged(staging.path().join(name)))),
-                    Err(error) => staged.failed(name, error),
-                }
+        Ok(staging) => match report::write_reports(outcome, staging.path()) {
+            Ok(()) => {
+                let file = |name: &'static str| (name, Finished::Staged(staging.path().join(name)));
+                staged.files.extend(Files::Reports.names().iter().map(|&name| file(name)));
             }
-        }
-        Err(error) => staged.failed("the reports", error),
+            Err(error) => staged.failed(&Files::Reports.names().join(", "), &error),
+        },
+        Err(error) => staged.failed(&Files::Reports.names().join(", "), error),
     }
     if let Some(recording) = recording {
         match recording {
@@ -176,10 +174,12 @@ struct Staged<'a> {
 
 impl Staged<'_> {
     fn failed(&mut self, name: &str, error: &impl std::error::Error) {
-        let mut text = format!("{name}: {error}");
-        if let Some(cause) = error.source().map(ToString::to_string).filter(|cause| !text.contains(cause)) {
-            text = format!("{text}: {cause}");
+        // What lies at the bottom of it: that a staged file could not be written says nothing more.
+        let mut cause: &dyn std::error::Error = error;
+        while let Some(inner) = cause.source() {
+            cause = inner;
         }
+        let mut text = format!("{name}: {cause}");
         if self.folder.join(name).exists() {
             text += " (the file of that name there is an older one)";
         }
@@ -242,7 +242,10 @@ pub(super) fn verdict(outcome: &Outcome) -> Verdict {
                         names.join(", ")
                     ));
                 }
-                Warning::RankDeficient { .. } | Warning::AtBound { .. } | Warning::Rigid { .. } => {
+                Warning::RankDeficient { .. }
+                | Warning::AtBound { .. }
+                | Warning::Rigid { .. }
+                | Warning::Contradicted(_) => {
                     say(&format!("doubtful: {title}: {warning}"));
                 }
                 _ => {}

@@ -7,6 +7,7 @@ use std::sync::atomic::Ordering;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::interrupt::stop_on_interrupt;
+use super::live::{self, Live};
 use super::montecarlo::{Plant, trial_number};
 use super::output::{self, Destination, Files};
 use super::record::Recording;
@@ -22,7 +23,8 @@ use crate::scenario::{Scenario, load_scenario};
   calibrig run scenarios/paper.toml --out out         the same, files in out/, written over
   calibrig run scenarios/paper.toml --seed 7 --json   other poses and noise, the report as JSON
   calibrig run scenarios/paper.toml --trial 42        trial 42 of `calibrig montecarlo` with the same scenario and seed
-  calibrig run scenarios/paper.toml --ablate          and what each part of the machine contributes")]
+  calibrig run scenarios/paper.toml --ablate          and what each part of the machine contributes
+  calibrig run scenarios/paper.toml --live            shown in an open Rerun viewer while it goes on")]
 pub(super) struct Args {
     /// The scenario file
     scenario: PathBuf,
@@ -41,6 +43,9 @@ pub(super) struct Args {
     /// Repeat the run without one part of the machine at a time, and tell what each contributes
     #[arg(long)]
     ablate: bool,
+    /// Show the run in an open Rerun viewer while it goes on [URL, if it is not the one on this machine: rerun+http://HOST:9876/proxy]
+    #[arg(long, value_name = "URL", num_args = 0..=1, require_equals = true, default_missing_value = live::HERE, value_parser = live::address)]
+    live: Option<String>,
     /// Print the report as JSON (schema calibrig.report/1) instead of the tables
     #[arg(long)]
     json: bool,
@@ -63,8 +68,12 @@ fn run_into(args: &Args, scenario: &Scenario, folder: &Path) -> Result<Verdict, 
         model: &scenario.robot.model,
         visuals: &scenario.robot.visuals,
     };
+    let mut live = Live::begin(args.live.as_deref(), context)?;
     let mut recording = Recording::begin(folder, context)?;
-    let outcome = measure(args, scenario, seed, &mut recording);
+    let outcome = measure(args, scenario, seed, &mut |event| {
+        recording.hear(event);
+        live.hear(event);
+    });
     let mut outcome = match outcome {
         Ok(outcome) => outcome,
         Err(PipelineError::Interrupted { done, total }) => {
@@ -83,17 +92,19 @@ fn run_into(args: &Args, scenario: &Scenario, folder: &Path) -> Result<Verdict, 
     }
     // Before the tables: whoever reads only their first lines gets the files. But what cannot be written does not keep the tables back.
     let written = output::write(&outcome, folder, Some(recording));
-    output::show(&outcome, args.json)?;
+    let shown = output::show(&outcome, args.json);
+    live.complete(&outcome);
+    shown?;
     written?;
     Ok(output::verdict(&outcome))
 }
 
-/// The run, recorded while it is measured. An interrupt ends the session; later ones end the process.
+/// The run, told to `listener` while it is measured. An interrupt ends the session; later ones end the process.
 fn measure(
     args: &Args,
     scenario: &Scenario,
     seed: u64,
-    recording: &mut Recording<'_>,
+    listener: &mut dyn FnMut(SessionEvent<'_>),
 ) -> Result<Outcome, PipelineError> {
     let stop = stop_on_interrupt("the run, and leave what is measured as a file to recover");
     let bar = ProgressBar::new(0);
@@ -101,7 +112,7 @@ fn measure(
         bar.set_style(style);
     }
     let outcome = pipeline::run_trial(scenario, seed, args.trial, args.plant.into(), &mut |event| {
-        recording.hear(event);
+        listener(event);
         match event {
             SessionEvent::Begin { poses, .. } => bar.set_length(poses.into()),
             SessionEvent::Measured(_) | SessionEvent::Dropped { .. } => bar.inc(1),

@@ -2,6 +2,7 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 
+use super::factor::triangular_factor;
 use super::machine::Machine;
 use super::parameters::{Column, columns};
 use super::problem::{CalibrationProblem, Current, Prior, Row};
@@ -31,6 +32,8 @@ pub(super) struct Built {
     pub unexcited: Vec<ParameterId>,
     /// Parameters that were left out as redundant.
     pub fixed: Vec<DependentGroup>,
+    /// All parameters that were left out: those, and what gravity does not load.
+    pub left_out: Vec<ParameterId>,
 }
 
 /// The problem of `options`, with what gravity does not excite left out, and what is redundant where it shall be fixed.
@@ -44,8 +47,9 @@ pub(super) fn build(
     if !options.mode.is_coupled() && options.redundant != Redundancy::Fix {
         return Ok(built);
     }
-    let jacobian = starting_jacobian(&mut built.problem)?;
-    let effects = effects_beyond_geometry(&built.problem, &jacobian);
+    let (residuals, mut jacobian) = start(&mut built.problem)?;
+    let measured = Measured::new(&built.problem, &jacobian);
+    let effects = measured.effects_beyond_geometry();
     let is_unexcited = |(column, effect): (&Column, &f64)| {
         matches!(column.id, ParameterId::Compliance(_)) && effect * column.sigma.unwrap_or(1.0) < UNEXCITED
     };
@@ -54,38 +58,65 @@ pub(super) fn build(
     let named: Vec<_> = named.map(|(column, _)| column.id).collect();
     let mut fixed = Vec::new();
     if options.redundant == Redundancy::Fix {
-        fixed = redundant(&built.problem, &jacobian);
+        fixed = redundant(&measured.r, &measured.parameters);
     }
-    let before = columns.len();
-    let mut place = 0;
-    columns.retain(|column| {
-        place += 1;
-        let redundant = fixed.iter().any(|group| group.redundant == column.id);
-        !redundant && (column.named || !unexcited[place - 1])
-    });
+    let is_dropped = |(column, unexcited): (&Column, &bool)| {
+        fixed.iter().any(|group| group.redundant == column.id) || (*unexcited && !column.named)
+    };
+    let dropped: Vec<bool> = columns.iter().zip(&unexcited).map(is_dropped).collect();
+    let dropped: Vec<usize> = (0..columns.len()).filter(|place| dropped[*place]).collect();
+    let left_out = dropped.iter().map(|place| columns[*place].id).collect();
+    if !dropped.is_empty() {
+        columns =
+            columns.into_iter().enumerate().filter(|(i, _)| !dropped.contains(i)).map(|(_, c)| c).collect();
+        built = assemble(model, set, options, &columns)?;
+        // The robot's own parameters are the first.
+        jacobian = jacobian.remove_columns_at(&dropped);
+    }
     // What is left of a group are the robot's own parameters: frame and target stay in the fit.
     fixed.retain(|group| !columns.iter().any(|column| column.id == group.redundant));
-    if columns.len() < before {
-        built = assemble(model, set, options, &columns)?;
-    }
-    Ok(Built { unexcited: named, fixed, ..built })
+    built.problem.start_from(residuals, jacobian);
+    Ok(Built { unexcited: named, fixed, left_out, ..built })
 }
 
-/// What a unit of every parameter does to the whitened measurements that links, frame and target cannot do as well; zero for those.
-fn effects_beyond_geometry(problem: &CalibrationProblem, jacobian: &DMatrix<f64>) -> Vec<f64> {
-    let geometric = |column: &usize| {
-        let id = problem.parameters[*column];
-        matches!(id, ParameterId::Link { .. } | ParameterId::Frame { .. } | ParameterId::Target { .. })
-    };
-    let (mut order, others): (Vec<usize>, Vec<usize>) = (0..problem.parameters.len()).partition(geometric);
-    let first = order.len();
-    order.extend(others);
-    let r = jacobian.rows(0, problem.measured_rows()).select_columns(&order).qr().unpack_r();
-    let mut effects = vec![0.0; order.len()];
-    for (place, column) in order.iter().enumerate().skip(first) {
-        effects[*column] = r.column(place).rows_range(first.min(r.nrows())..).norm();
+/// The triangular factor of observations, nests and targets, with the columns of links, frame and target first.
+struct Measured {
+    r: DMatrix<f64>,
+    /// Of the columns of `r`, in their order; the first `geometric` are of links, frame and target.
+    parameters: Vec<ParameterId>,
+    geometric: usize,
+    /// Of every column of `r`, its place in the problem.
+    places: Vec<usize>,
+}
+
+impl Measured {
+    fn new(problem: &CalibrationProblem, jacobian: &DMatrix<f64>) -> Self {
+        let is_geometric = |column: &usize| {
+            let id = problem.parameters[*column];
+            matches!(id, ParameterId::Link { .. } | ParameterId::Frame { .. } | ParameterId::Target { .. })
+        };
+        let (mut places, others): (Vec<usize>, Vec<usize>) =
+            (0..problem.parameters.len()).partition(is_geometric);
+        let geometric = places.len();
+        places.extend(others);
+        Self {
+            r: triangular_factor(jacobian.rows(0, problem.measured_rows()).as_view(), &places),
+            parameters: places.iter().map(|place| problem.parameters[*place]).collect(),
+            geometric,
+            places,
+        }
     }
-    effects
+
+    /// What a unit of every parameter of the problem does to the whitened measurements that links, frame and target cannot do as well; zero
+    /// for those.
+    fn effects_beyond_geometry(&self) -> Vec<f64> {
+        let first = self.geometric.min(self.r.nrows());
+        let mut effects = vec![0.0; self.places.len()];
+        for (column, place) in self.places.iter().enumerate().skip(self.geometric) {
+            effects[*place] = self.r.column(column).rows_range(first..).norm();
+        }
+        effects
+    }
 }
 
 /// The problem with those of the robot's parameters that are among `kept`: what [`build`] made of the same options before.
@@ -101,8 +132,8 @@ pub(super) fn rebuild(
 }
 
 /// The robot's parameters that the observations, nests and targets alone cannot tell from the others; of two that do the same, the one
-/// further from the geometry of the links.
-pub(super) fn redundant(problem: &CalibrationProblem, jacobian: &DMatrix<f64>) -> Vec<DependentGroup> {
+/// further from the geometry of the links. `measured` is the triangular factor of those rows, with a column for each of `parameters`.
+pub(super) fn redundant(measured: &DMatrix<f64>, parameters: &[ParameterId]) -> Vec<DependentGroup> {
     let rank = |id: &ParameterId| match id {
         ParameterId::Frame { .. } => 0,
         ParameterId::Target { .. } => 1,
@@ -112,15 +143,14 @@ pub(super) fn redundant(problem: &CalibrationProblem, jacobian: &DMatrix<f64>) -
         ParameterId::Linkage(_) => 5,
         ParameterId::Term(_) => 6,
     };
-    let mut order: Vec<usize> = (0..problem.parameters.len()).collect();
-    order.sort_by_key(|column| rank(&problem.parameters[*column]));
-    let ids: Vec<_> = order.iter().map(|column| problem.parameters[*column]).collect();
-    let measured = jacobian.rows(0, problem.measured_rows());
-    let sorted = measured.select_columns(&order);
-    select_independent(&sorted, &ids).1
+    let mut order: Vec<usize> = (0..parameters.len()).collect();
+    order.sort_by_key(|column| rank(&parameters[*column]));
+    let ids: Vec<_> = order.iter().map(|column| parameters[*column]).collect();
+    select_independent(&measured.select_columns(&order), &ids).1
 }
 
-fn starting_jacobian(problem: &mut CalibrationProblem) -> Result<DMatrix<f64>, IdentifyError> {
+/// Residuals and Jacobian of the nominal robot.
+pub(super) fn start(problem: &mut CalibrationProblem) -> Result<(DVector<f64>, DMatrix<f64>), IdentifyError> {
     let (m, n) = (problem.rows(), problem.parameters());
     let mut residuals = DVector::zeros(m);
     let mut jacobian = DMatrix::zeros(m, n);
@@ -128,7 +158,7 @@ fn starting_jacobian(problem: &mut CalibrationProblem) -> Result<DMatrix<f64>, I
     let failed = (0..problem.rows.len()).find(|row| !residuals[3 * row].is_finite());
     match failed.and_then(|row| problem.failure(row)) {
         Some((pose, source)) => Err(IdentifyError::Machine { pose, source }),
-        None => Ok(jacobian),
+        None => Ok((residuals, jacobian)),
     }
 }
 
@@ -166,8 +196,9 @@ fn assemble(
         tolerances,
         stations,
         targets,
+        start: None,
     };
-    Ok(Built { problem, sigmas, unexcited: Vec::new(), fixed: Vec::new() })
+    Ok(Built { problem, sigmas, unexcited: Vec::new(), fixed: Vec::new(), left_out: Vec::new() })
 }
 
 fn stations(

@@ -3,8 +3,9 @@
 use nalgebra::DMatrix;
 use thiserror::Error;
 
-use super::{CalibratedRobot, DependentGroup, Spectrum};
-use crate::model::ParameterId;
+use super::limits::shown;
+use super::{CONTRADICTION_LEVEL, CalibratedRobot, Contradiction, DependentGroup, ParameterBound, Spectrum};
+use crate::model::{ParameterId, Unit};
 
 /// One identified parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -27,7 +28,7 @@ pub enum TerminationReason {
     SmallGradient,
     /// The step became negligible against the parameters' scale.
     SmallStep,
-    /// The predicted and the actual decrease of the cost became negligible.
+    /// The decrease of the cost became negligible.
     SmallDecrease,
     /// The iteration limit was reached first: not converged.
     IterationLimit,
@@ -57,7 +58,7 @@ impl TerminationReason {
 }
 
 /// One iteration of the solver.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct IterationRecord {
     /// Weighted sum of squares after the iteration.
     pub cost: f64,
@@ -65,10 +66,12 @@ pub struct IterationRecord {
     pub damping: f64,
     /// Norm of the scaled step.
     pub step: f64,
-    /// Actual over predicted decrease.
+    /// Actual over predicted decrease; 1 for a last, negligible step that was taken without another look at the cost.
     pub gain: f64,
     /// Whether the step was taken.
     pub accepted: bool,
+    /// The parameters after the iteration, in the estimate's order, SI; those before it where the step was not taken.
+    pub parameters: Vec<f64>,
 }
 
 /// Where the standard deviations get their scale from.
@@ -129,13 +132,48 @@ pub enum Warning {
     },
     /// A parameter that is as far as it may go.
     #[error(
-        "{name} ended at its bound {bound}: the measurements ask for more than it can be, so that the model lacks something or its prediction is off"
+        "{name} ended at its bound {}: the measurements ask for a value beyond it, so that the bound or its nominal value is off, or the \
+         model lacks something", shown(*.unit, *.bound)
     )]
     AtBound {
         /// Name of the parameter.
         name: String,
         /// Its limit, SI.
         bound: f64,
+        /// The unit.
+        unit: Unit,
+    },
+    /// A bound of a parameter that is not fitted.
+    #[error(
+        "the bound of {bound} has no effect: the measurements do not show that parameter, and it was left out of the fit"
+    )]
+    UnusedBound {
+        /// The bound.
+        bound: ParameterBound,
+    },
+    /// Priors that do not fit the measurements, and nests that do not fit each other.
+    #[error(
+        "the measurements contradict what was stated of {}. Check these values and their standard deviations; where they are certain, the \
+         model lacks what would have to give way instead (tested at a level of {} % for all that was stated)",
+        in_words(.0), 1e2 * CONTRADICTION_LEVEL
+    )]
+    Contradicted(Vec<Contradiction>),
+    /// A station that the measurements of the robot put elsewhere than its nests.
+    #[error(
+        "the measurements contradict {0}: the tracker moved against the base after they were measured, or the model lacks something \
+         that a shift of the base stands in for"
+    )]
+    Moved(Contradiction),
+    /// Priors that do not fit the measurements, where these do not fit the model either.
+    #[error(
+        "the measurements contradict what was stated of {worst}{}, too: as the model lacks something, that may be all there is to it; \
+         complete the model before doubting what was stated", and_more(*.count)
+    )]
+    Strained {
+        /// Their number.
+        count: usize,
+        /// The one that fits worst.
+        worst: Contradiction,
     },
     /// A compliance that ended at none at all.
     #[error(
@@ -162,6 +200,14 @@ pub enum Warning {
         /// Square root of chi-square per degree of freedom.
         ratio: f64,
     },
+}
+
+fn in_words(contradictions: &[Contradiction]) -> String {
+    contradictions.iter().map(ToString::to_string).collect::<Vec<_>>().join(", and of ")
+}
+
+fn and_more(count: usize) -> String {
+    if count > 1 { format!(" and of {} more", count - 1) } else { String::new() }
 }
 
 fn poses_in_words(outliers: &[Outlier]) -> String {
@@ -207,8 +253,12 @@ pub struct Estimate {
     pub held: Vec<DependentGroup>,
     /// Parameters that were left out of the fit for the same reason.
     pub fixed: Vec<DependentGroup>,
+    /// Stated bounds of the parameters that were fitted.
+    pub bounds: Vec<ParameterBound>,
     /// Parameters that ended at a bound.
     pub at_bound: Vec<ParameterId>,
+    /// What was stated beforehand and does not fit the measurements, although these fit the model.
+    pub contradicted: Vec<Contradiction>,
     /// Observations beyond five standard deviations; known where a robust loss was asked for.
     pub outliers: Vec<Outlier>,
     /// What a user must know.
@@ -221,11 +271,13 @@ impl Estimate {
         (self.degrees_of_freedom > 0).then(|| self.chi2 / self.degrees_of_freedom as f64)
     }
 
-    /// Whether it may be used without a second look: converged, of full rank, and at no bound.
+    /// Whether it may be used without a second look: converged, of full rank, at no bound, and not against what was
+    /// stated beforehand.
     pub fn is_sound(&self) -> bool {
         self.termination.converged()
             && self.spectrum.rank == self.parameters.len()
             && self.at_bound.is_empty()
+            && self.contradicted.is_empty()
     }
 
     /// The value of a parameter, if it was identified.

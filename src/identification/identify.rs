@@ -3,11 +3,12 @@
 use thiserror::Error;
 
 use super::build::{Built, UNSTATED_SIGMA, best_fit_stations, build};
+use super::limits::limits;
 use super::machine::MachineError;
 use super::summary::summarise;
 use super::{
     Bounds, BoundsError, CalibratedRobot, Estimate, FrameChoice, IdentificationOptions, LeastSquares, Mode,
-    NoiseScale, ParameterChoice, Solution, TargetChoice, minimise, minimise_within,
+    NoiseScale, ParameterBoundError, ParameterChoice, Solution, TargetChoice, minimise, minimise_within,
 };
 use crate::measurement::{MeasurementSet, RegistrationError};
 use crate::model::{CalibrationModel, ParameterId, Unit};
@@ -78,6 +79,13 @@ pub enum IdentifyError {
         /// Its name.
         name: String,
     },
+    /// A stated bound that cannot be kept.
+    #[error("{source}: {}", .source.help())]
+    Bound {
+        /// Why.
+        #[from]
+        source: ParameterBoundError,
+    },
     /// Limits that leave no start.
     #[error(transparent)]
     Bounds {
@@ -120,6 +128,9 @@ pub fn identify(
     if options.mode.needs_statics() && model.statics.is_none() {
         return Err(IdentifyError::NoStatics { mode: options.mode });
     }
+    for bound in &options.bounds {
+        bound.check()?;
+    }
     let mut built = build(model, set, options)?;
     let rows = built.problem.rows();
     let parameters = built.problem.parameters();
@@ -153,22 +164,15 @@ pub fn identify(
 }
 
 fn solve(built: &mut Built, x: Vec<f64>, options: &IdentificationOptions) -> Result<Solution, IdentifyError> {
-    if !options.mode.is_coupled() && options.solver.starts <= 1 {
+    let parameters = &built.problem.parameters;
+    let is_bounded = options.bounds.iter().any(|bound| parameters.contains(&bound.id));
+    if !options.mode.is_coupled() && options.solver.starts <= 1 && !is_bounded {
         return Ok(minimise(&mut built.problem, x, &options.solver));
     }
-    let bounds = bounds(&built.problem.parameters);
-    let spread: Vec<f64> = built.problem.parameters.iter().zip(&built.sigmas).map(spread).collect();
-    let bounds = Bounds::new(bounds, vec![f64::INFINITY; x.len()])?;
+    let (lower, upper) = limits(parameters, &options.bounds);
+    let spread: Vec<f64> = parameters.iter().zip(&built.sigmas).map(spread).collect();
+    let bounds = Bounds::new(lower, upper)?;
     Ok(minimise_within(&mut built.problem, x, &options.solver, &bounds, &spread)?)
-}
-
-/// No compliance and no mass is below zero.
-fn bounds(parameters: &[ParameterId]) -> Vec<f64> {
-    let lowest = |id: &ParameterId| match id {
-        ParameterId::Compliance(_) | ParameterId::Mass { .. } => -1.0,
-        _ => f64::NEG_INFINITY,
-    };
-    parameters.iter().map(lowest).collect()
 }
 
 /// How far about the start other starts are drawn: two standard deviations of the parameter's own prior, else what a machine can be off.
@@ -208,7 +212,7 @@ pub fn without_calibration(
     })
 }
 
-fn check(model: &CalibrationModel, set: &MeasurementSet) -> Result<(), IdentifyError> {
+pub(super) fn check(model: &CalibrationModel, set: &MeasurementSet) -> Result<(), IdentifyError> {
     if set.observations.is_empty() {
         return Err(IdentifyError::Empty);
     }

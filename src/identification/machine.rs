@@ -8,7 +8,7 @@ use crate::geometry::Transform;
 use crate::kinematics::{PlacedChain, link_frames};
 use crate::measurement::Observation;
 use crate::model::{
-    ActuatorMap, CalibrationModel, KinematicModel, ParameterId, TermId, TermInput, TermPlace,
+    ActuatorMap, CalibrationModel, CraigLink, KinematicModel, ParameterId, TermId, TermInput, TermPlace,
 };
 
 /// Why a robot cannot take a pose.
@@ -28,8 +28,8 @@ pub(super) struct Machine {
 enum Kind {
     /// Joints that follow the ideal map of the commands, with the predicted deflection of their drives where there is one.
     Joints { chain: PlacedChain, predicted: Option<ElasticChain>, joints: Vec<f64> },
-    /// The same with deflections beside the drives.
-    Frozen { chain: ElasticChain, predicted: ElasticChain },
+    /// The same with deflections beside the drives: those that are `predicted`, put into the chain with the `ideal` map.
+    Frozen { chain: PlacedChain, ideal: ElasticChain, predicted: ElasticChain },
     /// The robot's own equilibrium, the linkage closed.
     Elastic { chain: ElasticChain },
 }
@@ -39,8 +39,8 @@ enum Kind {
 pub(super) struct Prepared {
     /// Joint variables, or commands where the machine is elastic.
     command: Vec<f64>,
-    /// Deflections that do not change with the parameters.
-    frozen: Vec<f64>,
+    /// Motion behind the fixed part of every link, where its deflections do not change with the parameters.
+    motions: Vec<Transform>,
     /// Displacement per unit of every term's amplitude.
     basis: Vec<f64>,
 }
@@ -69,7 +69,8 @@ impl Machine {
                 (mode == Mode::WithGravity && nominal.statics.is_some()).then(|| ElasticChain::new(nominal));
             match predicted {
                 Some(predicted) if !is_elastic_in_drives_alone(nominal) => {
-                    Kind::Frozen { chain: ElasticChain::new(&with_ideal_map(nominal)), predicted }
+                    let ideal = ElasticChain::new(&with_ideal_map(nominal));
+                    Kind::Frozen { chain: PlacedChain::new(&nominal.kinematics), ideal, predicted }
                 }
                 predicted => Kind::Joints {
                     chain: PlacedChain::new(&nominal.kinematics),
@@ -100,8 +101,8 @@ impl Machine {
     /// Takes the values of a model of the same structure as the nominal one, and the terms' amplitudes.
     pub fn set_model(&mut self, model: &CalibrationModel, amplitudes: impl Iterator<Item = f64>) {
         match &mut self.kind {
-            Kind::Joints { chain, .. } => chain.set_model(&model.kinematics),
-            Kind::Frozen { chain, .. } | Kind::Elastic { chain } => chain.set_model(model),
+            Kind::Joints { chain, .. } | Kind::Frozen { chain, .. } => chain.set_model(&model.kinematics),
+            Kind::Elastic { chain } => chain.set_model(model),
         }
         for (own, amplitude) in self.terms.amplitudes.iter_mut().zip(amplitudes) {
             *own = amplitude;
@@ -122,9 +123,10 @@ impl Machine {
                 }
                 told.command.copy_from_slice(joints);
             }
-            Kind::Frozen { predicted, .. } => {
+            Kind::Frozen { ideal, predicted, .. } => {
                 predicted.settle(&observation.command, &[], Deflection::Equilibrium)?;
-                told.frozen.extend_from_slice(predicted.deflections());
+                ideal.settle_at(&observation.command, &[], predicted.deflections())?;
+                told.motions = motions(&self.nominal.kinematics, ideal.link_frames());
             }
             Kind::Elastic { .. } => {
                 let input = TermInput {
@@ -143,7 +145,7 @@ impl Machine {
     pub fn place(&mut self, told: &Prepared) -> Result<(), MachineError> {
         match &mut self.kind {
             Kind::Joints { chain, .. } => chain.place(&told.command),
-            Kind::Frozen { chain, .. } => chain.settle_at(&told.command, &[], &told.frozen)?,
+            Kind::Frozen { chain, .. } => chain.place_at(&told.motions),
             Kind::Elastic { chain } => {
                 self.terms.displace(&told.basis);
                 chain.settle(&told.command, &self.terms.corrections, Deflection::Equilibrium)?;
@@ -162,16 +164,15 @@ impl Machine {
     /// Position in the base frame of a target at `in_flange`, m.
     pub fn target(&self, in_flange: &Vector3<f64>) -> Vector3<f64> {
         match &self.kind {
-            Kind::Joints { chain, .. } => chain.target(in_flange),
-            Kind::Frozen { chain, .. } | Kind::Elastic { chain } => chain.target(in_flange),
+            Kind::Joints { chain, .. } | Kind::Frozen { chain, .. } => chain.target(in_flange),
+            Kind::Elastic { chain } => chain.target(in_flange),
         }
     }
 
     /// Makes the columns of that target ready.
     pub fn differentiate(&mut self, in_flange: &Vector3<f64>, told: &Prepared) -> Result<(), MachineError> {
         match &mut self.kind {
-            Kind::Joints { .. } => {}
-            Kind::Frozen { chain, .. } => chain.prepare(in_flange)?,
+            Kind::Joints { .. } | Kind::Frozen { .. } => {}
             Kind::Elastic { chain } => {
                 chain.prepare(in_flange)?;
                 self.terms.differentiate(chain, &told.basis);
@@ -183,8 +184,8 @@ impl Machine {
     /// Change of the target at `in_base` per unit of a parameter of links, target, compliances, masses or linkage, in the base frame.
     pub fn column(&self, id: ParameterId, in_base: &Vector3<f64>) -> Vector3<f64> {
         match &self.kind {
-            Kind::Joints { chain, .. } => chain.column(id, in_base),
-            Kind::Frozen { chain, .. } | Kind::Elastic { chain } => chain.column(id),
+            Kind::Joints { chain, .. } | Kind::Frozen { chain, .. } => chain.column(id, in_base),
+            Kind::Elastic { chain } => chain.column(id),
         }
     }
 
@@ -197,7 +198,8 @@ impl Machine {
     pub fn links(&self, told: &Prepared, kinematics: &KinematicModel) -> Vec<Transform> {
         match &self.kind {
             Kind::Joints { .. } => link_frames(kinematics, &told.command),
-            Kind::Frozen { chain, .. } | Kind::Elastic { chain } => chain.link_frames().to_vec(),
+            Kind::Frozen { .. } => frames_behind(kinematics, &told.motions),
+            Kind::Elastic { chain } => chain.link_frames().to_vec(),
         }
     }
 }
@@ -220,6 +222,29 @@ impl Terms {
             *column = *basis * self.place_columns[*place];
         }
     }
+}
+
+/// What is behind the fixed part of every link of a chain with these `frames` (`base_from_link`).
+fn motions(kinematics: &KinematicModel, frames: &[Transform]) -> Vec<Transform> {
+    let mut previous = Transform::identity();
+    let links = kinematics.links.iter().zip(frames);
+    let motion = |(link, frame): (&CraigLink, &Transform)| {
+        let motion = (previous * link.fixed_part()).inverse() * frame;
+        previous = *frame;
+        motion
+    };
+    links.map(motion).collect()
+}
+
+/// The inverse of [`motions`].
+fn frames_behind(kinematics: &KinematicModel, motions: &[Transform]) -> Vec<Transform> {
+    let mut base_from_link = Transform::identity();
+    let links = kinematics.links.iter().zip(motions);
+    let frame = |(link, motion): (&CraigLink, &Transform)| {
+        base_from_link *= link.fixed_part() * motion;
+        base_from_link
+    };
+    links.map(frame).collect()
 }
 
 /// Whether the drives, and the four-bar's rod behind the elbow's, are all that yields.

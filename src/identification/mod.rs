@@ -3,15 +3,19 @@
 //! Nothing here may see the plant, the tracker's inside or the truth (see `tests/it/layers.rs`).
 
 mod build;
+mod contradiction;
 mod estimate;
+mod factor;
 mod identifiability;
 mod identify;
+mod limits;
 mod linearisation;
 mod machine;
 mod mode;
 mod options;
 mod parameters;
 mod problem;
+mod prospect;
 mod robot;
 mod solver;
 mod summary;
@@ -19,6 +23,7 @@ mod summary;
 mod tests;
 mod uncertainty;
 
+pub use contradiction::{CONTRADICTION_LEVEL, Contradiction, Stated};
 pub use estimate::{
     Estimate, IterationRecord, NoiseScale, Outlier, ParameterEstimate, TerminationReason, Warning,
 };
@@ -28,6 +33,7 @@ pub use identifiability::{
     neighbour_axis_rules, select_independent, structural_poses,
 };
 pub use identify::{IdentifyError, identify, without_calibration};
+pub use limits::{ParameterBound, ParameterBoundError, RefusedBound, check_bounds};
 pub use linearisation::{Linearisation, Prediction, linearise, predict};
 pub use machine::MachineError;
 pub use mode::Mode;
@@ -35,6 +41,7 @@ pub use options::{
     ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, ParameterChoice, Redundancy, TargetChoice,
     TermPrior, Tolerance,
 };
+pub use prospect::{Prospect, prospect};
 pub use robot::{CalibratedRobot, PredictionError, Predictor};
 pub use solver::{
     AtBound, Bounds, BoundsError, LeastSquares, Loss, LossScale, Side, Solution, SolverOptions, minimise,

@@ -1,6 +1,7 @@
 //! What to fit, and how.
 
-use super::{Mode, SolverOptions};
+use super::{Mode, ParameterBound, SolverOptions};
+use crate::measurement::MeasurementSet;
 use crate::model::{Compliance, ParameterId, Unit};
 
 /// What is known of the tracker's place.
@@ -129,6 +130,8 @@ pub struct IdentificationOptions {
     pub unmodelled_sigma: f64,
     /// A prior on every link parameter, where stated.
     pub tolerance: Option<Tolerance>,
+    /// Limits of single parameters; each holds in the modes that have the parameter.
+    pub bounds: Vec<ParameterBound>,
     /// What the solver minimises, and when it stops.
     pub solver: SolverOptions,
 }
@@ -152,12 +155,25 @@ impl Default for IdentificationOptions {
             target: TargetChoice::Measured,
             unmodelled_sigma: 0.0,
             tolerance: None,
+            bounds: Vec::new(),
             solver: SolverOptions::default(),
         }
     }
 }
 
 impl IdentificationOptions {
+    /// Frees what `measured` says nothing of: the tracker's place where a station has fewer than three nests, the target's offset where one has
+    /// no stated uncertainty.
+    pub fn fit_to(&mut self, measured: Option<&MeasurementSet>) {
+        let Some(set) = measured else { return };
+        if self.frame != FrameChoice::Free && set.stations.iter().any(|station| station.nests.len() < 3) {
+            self.frame = FrameChoice::Free;
+        }
+        if self.target == TargetChoice::Measured && set.targets.iter().any(|t| t.covariance.is_none()) {
+            self.target = TargetChoice::Identified;
+        }
+    }
+
     /// Whether a family of terms is switched on.
     pub(super) fn has_terms(&self, family: &str) -> bool {
         self.terms.as_ref().is_none_or(|keys| keys.iter().any(|key| key == family))

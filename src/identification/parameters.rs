@@ -36,6 +36,23 @@ pub(super) fn columns(
     Ok(columns)
 }
 
+/// All parameters that a fit with these options can have, before the measurements tell which of them gravity excites.
+pub(super) fn candidate_parameters(
+    model: &CalibrationModel,
+    options: &IdentificationOptions,
+    stations: usize,
+    targets: usize,
+) -> Result<Vec<ParameterId>, IdentifyError> {
+    let mut ids: Vec<_> = columns(model, options)?.into_iter().map(|column| column.id).collect();
+    if options.frame != FrameChoice::Fixed {
+        ids.extend((0..stations).flat_map(ParameterId::all_of_frame));
+    }
+    if options.target != TargetChoice::Fixed {
+        ids.extend((0..targets).flat_map(ParameterId::all_of_target));
+    }
+    Ok(ids)
+}
+
 fn links(model: &CalibrationModel, options: &IdentificationOptions) -> Result<Vec<Column>, IdentifyError> {
     let joints = model.kinematics.joint_count();
     let choice =

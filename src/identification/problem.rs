@@ -52,6 +52,8 @@ pub(super) struct CalibrationProblem {
     /// Offsets that the target parameters change.
     pub targets: Vec<Vector3<f64>>,
     pub current: Current,
+    /// Residuals and Jacobian at zero, until they are asked for.
+    pub start: Option<(DVector<f64>, DMatrix<f64>)>,
 }
 
 /// The model at the parameters of one evaluation.
@@ -60,9 +62,24 @@ pub(super) struct Current {
     pub model: CalibrationModel,
     pub stations: Vec<Transform>,
     pub targets: Vec<Vector3<f64>>,
-    displacements: Vec<Vector6<f64>>,
+    displacements: Vec<Displacement>,
     amplitudes: Vec<f64>,
     machine: Machine,
+}
+
+/// How a station's frame is displaced.
+#[derive(Debug, Clone, Copy)]
+struct Displacement {
+    xi: Vector6<f64>,
+    rotation: Rotation3<f64>,
+    left: Matrix3<f64>,
+}
+
+impl Displacement {
+    fn new(xi: Vector6<f64>) -> Self {
+        let rotation_vector = xi.fixed_rows::<3>(3).into_owned();
+        Self { xi, rotation: Rotation3::new(rotation_vector), left: left_jacobian(&rotation_vector) }
+    }
 }
 
 impl Current {
@@ -77,7 +94,7 @@ impl Current {
             model: nominal.clone(),
             stations: stations.to_vec(),
             targets: targets.to_vec(),
-            displacements: vec![Vector6::zeros(); stations.len()],
+            displacements: vec![Displacement::new(Vector6::zeros()); stations.len()],
             amplitudes: Vec::new(),
             machine,
         }
@@ -89,11 +106,13 @@ impl CalibrationProblem {
     pub fn set(&mut self, x: &[f64]) {
         let now = &mut self.current;
         now.targets.copy_from_slice(&self.targets);
-        now.displacements.fill(Vector6::zeros());
+        for displacement in &mut now.displacements {
+            displacement.xi.fill(0.0);
+        }
         now.amplitudes.clear();
         for (id, &value) in self.parameters.iter().zip(x) {
             match *id {
-                ParameterId::Frame { station, component } => now.displacements[station][component] = value,
+                ParameterId::Frame { station, component } => now.displacements[station].xi[component] = value,
                 ParameterId::Target { target, axis } => now.targets[target][axis] += value,
                 ParameterId::Term(_) => now.amplitudes.push(value),
                 ParameterId::Link { .. }
@@ -103,9 +122,21 @@ impl CalibrationProblem {
             }
         }
         now.machine.set_model(&now.model, now.amplitudes.iter().copied());
-        for ((station, origin), xi) in now.stations.iter_mut().zip(&self.stations).zip(&now.displacements) {
-            *station = origin * small_displacement(xi);
+        let stations = now.stations.iter_mut().zip(&self.stations);
+        for ((station, origin), displacement) in stations.zip(&mut now.displacements) {
+            *station = origin * small_displacement(&displacement.xi);
+            *displacement = Displacement::new(displacement.xi);
         }
+    }
+
+    /// Keeps what an evaluation at zero gave, for the next one there: the first rows of both are those of the observations, and the columns
+    /// those of the parameters.
+    pub fn start_from(&mut self, residuals: DVector<f64>, jacobian: DMatrix<f64>) {
+        let m = self.rows();
+        let mut residuals = residuals.resize_vertically(m, 0.0);
+        let mut jacobian = jacobian.resize_vertically(m, 0.0);
+        self.fill_priors(&vec![0.0; self.parameters.len()], &mut residuals, Some(&mut jacobian));
+        self.start = Some((residuals, jacobian));
     }
 
     /// Why the robot at the current parameters cannot take the pose of an observation: the pose's number, and the reason.
@@ -172,9 +203,8 @@ impl CalibrationProblem {
         let Some(jacobian) = jacobian else { return };
         let from_base = row.whitening * tracker_from_base.rotation.matrix();
         let from_origin = row.whitening * self.stations[row.station].rotation.matrix();
-        let rotation_vector: Vector3<f64> = now.displacements[row.station].fixed_rows::<3>(3).into_owned();
-        let turned = Rotation3::new(rotation_vector) * in_base;
-        let left = left_jacobian(&rotation_vector);
+        let Displacement { rotation, left, .. } = &now.displacements[row.station];
+        let turned = rotation * in_base;
         let mut term = 0;
         for (column, id) in self.parameters.iter().enumerate() {
             let derivative = match *id {
@@ -229,6 +259,13 @@ impl LeastSquares for CalibrationProblem {
 
     fn evaluate(&mut self, x: &[f64], residuals: &mut DVector<f64>, mut jacobian: Option<&mut DMatrix<f64>>) {
         self.set(x);
+        if let Some(jacobian) = jacobian.as_deref_mut()
+            && x.iter().all(|value| *value == 0.0)
+            && let Some(start) = self.start.take()
+        {
+            (*residuals, *jacobian) = start;
+            return;
+        }
         for index in 0..self.rows.len() {
             self.fill_observation(index, residuals, jacobian.as_deref_mut());
         }

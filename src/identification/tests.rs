@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use nalgebra::{DMatrix, Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -15,15 +15,15 @@ use crate::random::{Source, stream};
 
 const SIGMA: f64 = 1e-5;
 /// Shoulder, elbow (which turns the crank) and waist by index.
-const SHOULDER: Compliance = Compliance::Drive { joint: 2 };
-const ELBOW: Compliance = Compliance::Drive { joint: 3 };
-const WAIST: Compliance = Compliance::Drive { joint: 1 };
+pub(super) const SHOULDER: Compliance = Compliance::Drive { joint: 2 };
+pub(super) const ELBOW: Compliance = Compliance::Drive { joint: 3 };
+pub(super) const WAIST: Compliance = Compliance::Drive { joint: 1 };
 
-fn painter() -> CalibrationModel {
+pub(super) fn painter() -> CalibrationModel {
     load_robot(Path::new("models/spray_painter/robot.toml")).expect("the shipped robot").model
 }
 
-fn truth(
+pub(super) fn truth(
     nominal: &CalibrationModel,
     deviations: &[(ParameterId, f64)],
     terms: Vec<(TermId, f64)>,
@@ -42,7 +42,7 @@ fn truth(
 }
 
 /// Poses about the middle of the limits, approached from both sides, as `robot` takes them, with `noise` standard deviations of noise.
-fn measure(robot: &CalibratedRobot, poses: usize, noise: f64) -> MeasurementSet {
+pub(super) fn measure(robot: &CalibratedRobot, poses: usize, noise: f64) -> MeasurementSet {
     let links = &robot.model.kinematics.links;
     let mut rng = stream(5, 0, Source::IdentificationNoise);
     let covariance = Matrix3::identity() * SIGMA * SIGMA;
@@ -100,12 +100,12 @@ fn measure(robot: &CalibratedRobot, poses: usize, noise: f64) -> MeasurementSet 
 }
 
 /// Some millimetres and milliradians in all that the rules keep.
-fn geometric_errors(nominal: &CalibrationModel) -> Vec<(ParameterId, f64)> {
+pub(super) fn geometric_errors(nominal: &CalibrationModel) -> Vec<(ParameterId, f64)> {
     let kept = neighbour_axis_rules(&nominal.kinematics).0.into_iter().enumerate();
     kept.map(|(i, id)| (id, 4e-3 * (2.3 * i as f64 + 0.4).sin())).collect()
 }
 
-fn options(mode: Mode) -> IdentificationOptions {
+pub(super) fn options(mode: Mode) -> IdentificationOptions {
     IdentificationOptions {
         mode,
         extended_parameters: ParameterChoice::NeighbourAxisRules,
@@ -181,6 +181,32 @@ fn the_compliances_are_those_that_gravity_loads() {
     assert!(!has(WAIST));
     let shoulder = estimate.parameters.iter().find(|p| p.id == ParameterId::Compliance(SHOULDER));
     assert_eq!(shoulder.and_then(|p| p.prior_sigma), Some(0.1));
+}
+
+/// Whatever columns were left out on the way.
+#[test]
+fn the_first_system_of_the_solver_is_that_of_the_start() {
+    let nominal = painter();
+    let set = measure(&truth(&nominal, &geometric_errors(&nominal), Vec::new()), 30, 1.0);
+    for redundant in Redundancy::ALL {
+        let options = IdentificationOptions {
+            compliances: ComplianceChoice::All,
+            redundant,
+            tolerance: Some(Tolerance { length: 0.1, angle: 0.1 }),
+            ..options(Mode::ElastoGeometric)
+        };
+        let mut problem = build::build(&nominal, &set, &options).expect("a problem").problem;
+        let n = problem.parameters.len();
+        assert!(n < 24 + nominal.compliances().len(), "some are not loaded");
+        let mut evaluate = || {
+            let mut residuals = DVector::zeros(LeastSquares::rows(&problem));
+            let mut jacobian = DMatrix::zeros(residuals.len(), n);
+            problem.evaluate(&vec![0.0; n], &mut residuals, Some(&mut jacobian));
+            (residuals, jacobian, problem.start.is_some())
+        };
+        let (kept, anew) = (evaluate(), evaluate());
+        assert!(kept == anew);
+    }
 }
 
 #[test]
@@ -318,6 +344,8 @@ fn the_linearisation_is_that_of_the_estimate() {
         }
         let options = options(Mode::ElastoGeometric);
         let estimate = identify(&nominal, &set, &options).expect("an estimate");
+        let values: Vec<f64> = estimate.parameters.iter().map(|p| p.value).collect();
+        assert_eq!(estimate.iterations.last().map(|last| &last.parameters), Some(&values));
         let system = linearise(&nominal, &set, &options, &estimate).expect("the same system");
         assert_eq!(system.data_rows, 3 * set.observations.len());
         assert!((system.residuals.norm_squared() / estimate.chi2 - 1.0).abs() < 1e-9);

@@ -5,6 +5,7 @@
 use nalgebra::{DMatrix, DVector, Dyn, Matrix3, OMatrix, SymmetricEigen, U3, Vector3};
 
 use super::analyse_r;
+use super::factor::{extended, triangular_factor_of_all};
 use crate::model::ParameterId;
 
 /// A position's derivative with respect to the parameters, 3 x n.
@@ -70,17 +71,16 @@ impl Uncertainty {
         if jacobian.ncols() != n || n == 0 || data_rows > jacobian.nrows() {
             return None;
         }
-        let factor = inverse_factor(jacobian, parameters)?;
-        let covariance = &factor * factor.transpose();
-        let data = jacobian.rows(0, data_rows).into_owned();
+        let data = triangular_factor_of_all(jacobian.rows(0, data_rows).as_view());
         let priors = jacobian.rows(data_rows, jacobian.nrows() - data_rows);
+        let factor = inverse_factor(&extended(data.clone(), priors.as_view()), parameters)?;
+        let covariance = &factor * factor.transpose();
         let weighted = priors * &covariance;
         Some(Self {
             parameters: parameters.to_vec(),
             prior_part: weighted.tr_mul(&weighted),
-            effective_parameters: (data * &factor).norm_squared(),
-            data_covariance: inverse_factor(&jacobian.rows(0, data_rows).into_owned(), parameters)
-                .map(|s| &s * s.transpose()),
+            effective_parameters: (&data * &factor).norm_squared(),
+            data_covariance: inverse_factor(&data, parameters).map(|s| &s * s.transpose()),
             prior_sigmas: marginal_sigmas(&priors.tr_mul(&priors)),
             factor,
             covariance,
@@ -194,7 +194,7 @@ impl Uncertainty {
 /// The Cramér-Rao bound: no unbiased estimator from data with this whitened Jacobian at the truth has a smaller covariance. `None` where
 /// the data do not determine all parameters.
 pub fn cramer_rao_bound(jacobian: &DMatrix<f64>, parameters: &[ParameterId]) -> Option<DMatrix<f64>> {
-    inverse_factor(jacobian, parameters).map(|s| &s * s.transpose())
+    inverse_factor(&triangular_factor_of_all(jacobian.as_view()), parameters).map(|s| &s * s.transpose())
 }
 
 /// The Bayesian Cramér-Rao bound on the mean squared error of any estimator, the truth being drawn from the normal prior whose whitening

@@ -83,6 +83,57 @@ impl LinkConstants {
     }
 }
 
+/// A frame that goes along the chain: axes and origin in the base frame.
+struct Walk {
+    x: Vector3<f64>,
+    y: Vector3<f64>,
+    z: Vector3<f64>,
+    origin: Vector3<f64>,
+}
+
+impl Walk {
+    fn base() -> Self {
+        Self { x: Vector3::x(), y: Vector3::y(), z: Vector3::z(), origin: Vector3::zeros() }
+    }
+
+    /// Goes through a link with this angle about z and this way along it, and tells what its parameters do.
+    fn pass(&mut self, link: &LinkConstants, sin_cos_theta: (f64, f64), d: f64) -> LinkMotions {
+        let Self { mut x, mut y, mut z, mut origin } = *self;
+        let (before, previous_origin) = (x, origin);
+        // Rx(alpha), Tx(a): y and z turn about x.
+        let (sin, cos) = link.sin_cos_alpha;
+        (y, z) = (cos * y + sin * z, cos * z - sin * y);
+        origin += link.a * x;
+        // Ry(beta): z and x turn about y.
+        let (sin, cos) = link.sin_cos_beta;
+        (z, x) = (cos * z + sin * x, cos * x - sin * z);
+        let motions = LinkMotions { x: before, previous_origin, y, z, origin };
+        // Rz(theta), Tz(d): x and y turn about z.
+        let (sin, cos) = sin_cos_theta;
+        (x, y) = (cos * x + sin * y, cos * y - sin * x);
+        origin += d * z;
+        *self = Self { x, y, z, origin };
+        motions
+    }
+
+    fn go(&mut self, motion: &Transform) {
+        let turned = |v: Vector3<f64>| self.x * v.x + self.y * v.y + self.z * v.z;
+        let columns = motion.rotation.matrix();
+        let column = |j: usize| turned(columns.column(j).into_owned());
+        *self = Self {
+            x: column(0),
+            y: column(1),
+            z: column(2),
+            origin: self.origin + turned(motion.translation.vector),
+        };
+    }
+
+    fn transform(&self) -> Transform {
+        let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[self.x, self.y, self.z]));
+        Transform::from_parts(self.origin.into(), rotation)
+    }
+}
+
 /// The places and axes of a chain at one pose, from which every column of the Jacobian follows without another product.
 ///
 /// It is made once, given a [model](Self::set_model) and [placed](Self::place) at every pose, so that nothing is allocated in the loop
@@ -118,30 +169,27 @@ impl PlacedChain {
     /// Puts the chain at the joint variables `q`.
     pub fn place(&mut self, q: &[f64]) {
         self.motions.clear();
-        let [mut x, mut y, mut z] = [Vector3::x(), Vector3::y(), Vector3::z()];
-        let mut origin = Vector3::zeros();
+        let mut walk = Walk::base();
         for (link, &q) in self.links.iter().zip(q) {
             let (sin_cos_theta, d) = match link.kind {
                 JointKind::Revolute => ((link.theta + q).sin_cos(), link.d),
                 JointKind::Prismatic => (link.sin_cos_theta, link.d + q),
             };
-            let previous_origin = origin;
-            let before = x;
-            // Rx(alpha), Tx(a): y and z turn about x.
-            let (sin, cos) = link.sin_cos_alpha;
-            (y, z) = (cos * y + sin * z, cos * z - sin * y);
-            origin += link.a * x;
-            // Ry(beta): z and x turn about y.
-            let (sin, cos) = link.sin_cos_beta;
-            (z, x) = (cos * z + sin * x, cos * x - sin * z);
-            self.motions.push(LinkMotions { x: before, previous_origin, y, z, origin });
-            // Rz(theta), Tz(d): x and y turn about z.
-            let (sin, cos) = sin_cos_theta;
-            (x, y) = (cos * x + sin * y, cos * y - sin * x);
-            origin += d * z;
+            self.motions.push(walk.pass(link, sin_cos_theta, d));
         }
-        let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, y, z]));
-        self.base_from_flange = Transform::from_parts(origin.into(), rotation) * self.last_from_flange;
+        self.base_from_flange = walk.transform() * self.last_from_flange;
+    }
+
+    /// Puts the chain at given motions behind the [fixed parts](CraigLink::fixed_part) of the links, one a link: that of the joint, and of
+    /// all that yields there.
+    pub fn place_at(&mut self, motions: &[Transform]) {
+        self.motions.clear();
+        let mut walk = Walk::base();
+        for (link, motion) in self.links.iter().zip(motions) {
+            self.motions.push(walk.pass(link, link.sin_cos_theta, link.d));
+            walk.go(motion);
+        }
+        self.base_from_flange = walk.transform() * self.last_from_flange;
     }
 
     /// `base_from_flange`.
@@ -305,6 +353,18 @@ mod tests {
             let product = forward_kinematics(&model, &q);
             prop_assert!((chain.base_from_flange().to_homogeneous() - product.to_homogeneous()).norm() < 1e-12);
             prop_assert!((chain.target(&target) - target_in_base(&model, &q, &target)).norm() < 1e-12);
+
+            let columns = |chain: &PlacedChain| {
+                let ids = ParameterId::all_of_links(model.joint_count()).into_iter();
+                ids.map(|id| chain.column(id, &chain.target(&target))).collect::<Vec<_>>()
+            };
+            let by_variables = columns(&chain);
+            let motions = model.links.iter().zip(&q).map(|(link, q)| link.fixed_part().inverse() * link.transform(*q));
+            chain.place_at(&motions.collect::<Vec<_>>());
+            prop_assert!((chain.base_from_flange().to_homogeneous() - product.to_homogeneous()).norm() < 1e-12);
+            for (a, b) in columns(&chain).iter().zip(&by_variables) {
+                prop_assert!((a - b).norm() < 1e-11);
+            }
         }
     }
 

@@ -11,7 +11,7 @@ pub use self::csv::{
     CsvError, LoadedMeasurements, measurements_text, parse_measurements, read_measurements,
     write_measurements,
 };
-pub use registration::{Registration, RegistrationError, register};
+pub use registration::{NestSystem, Registration, RegistrationError, nest_system, register};
 pub use session::{SessionFile, SessionSet, load_session, parse_session, session_text};
 
 use nalgebra::{Matrix3, Vector3};

@@ -1,9 +1,9 @@
 //! Where the tracker stands, from the base nests.
 
-use nalgebra::{Cholesky, Matrix3, Matrix6, SMatrix, Vector6};
+use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Matrix6, SMatrix, Vector3, Vector6};
 use thiserror::Error;
 
-use super::Station;
+use super::{NestObservation, Station};
 use crate::geometry::{Transform, best_fit_transform, cross_matrix, small_displacement};
 
 /// Where a station stands, and how well that is known.
@@ -56,16 +56,10 @@ pub fn register(station: &Station) -> Result<Registration, RegistrationError> {
         let mut information = Matrix6::zeros();
         let mut gradient = Vector6::zeros();
         let mut chi2 = 0.0;
-        let rotation = *tracker_from_base.rotation.matrix();
-        for (nest, seen) in nests.iter().zip(&seen) {
+        for nest in nests {
+            let NestRow { covariance, residual, jacobian } = nest_row(nest, &tracker_from_base)?;
             let failed = || RegistrationError::Covariance { nest: nest.name.clone() };
-            let reading = nest.reading.position_covariance().ok_or_else(failed)?;
-            let covariance = reading + rotation * nest.in_base_covariance * rotation.transpose();
             let weight: Matrix3<f64> = Cholesky::new(covariance).ok_or_else(failed)?.inverse();
-            let residual = rotation * nest.in_base + tracker_from_base.translation.vector - seen;
-            let mut jacobian = SMatrix::<f64, 3, 6>::zeros();
-            jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
-            jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-rotation * cross_matrix(&nest.in_base)));
             information += jacobian.transpose() * weight * jacobian;
             gradient += jacobian.transpose() * weight * residual;
             chi2 += (residual.transpose() * weight * residual)[0];
@@ -77,4 +71,62 @@ pub fn register(station: &Station) -> Result<Registration, RegistrationError> {
         tracker_from_base *= small_displacement(&-factor.solve(&gradient));
     }
     Err(RegistrationError::OnOneLine)
+}
+
+/// A nest as a station sees it: covariance of what is seen and certified, m²; predicted minus seen place, m; its derivative by `xi`.
+struct NestRow {
+    covariance: Matrix3<f64>,
+    residual: Vector3<f64>,
+    jacobian: SMatrix<f64, 3, 6>,
+}
+
+fn nest_row(nest: &NestObservation, tracker_from_base: &Transform) -> Result<NestRow, RegistrationError> {
+    let rotation = *tracker_from_base.rotation.matrix();
+    let reading = nest.reading.position_covariance();
+    let reading = reading.ok_or_else(|| RegistrationError::Covariance { nest: nest.name.clone() })?;
+    let mut jacobian = SMatrix::<f64, 3, 6>::zeros();
+    jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+    jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-rotation * cross_matrix(&nest.in_base)));
+    Ok(NestRow {
+        covariance: reading + rotation * nest.in_base_covariance * rotation.transpose(),
+        residual: rotation * nest.in_base + tracker_from_base.translation.vector - nest.reading.position(),
+        jacobian,
+    })
+}
+
+/// The whitened system that [`register`] solves, three rows a nest.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NestSystem {
+    /// Derivative by the displacement `xi` in `tracker_from_base · exp(xi)`, 3 nests x 6.
+    pub jacobian: DMatrix<f64>,
+    /// Predicted minus seen places, in standard deviations.
+    pub residuals: DVector<f64>,
+    /// One a nest, lower triangular: takes a displacement in the tracker's frame, m, to standard deviations.
+    pub whitening: Vec<Matrix3<f64>>,
+}
+
+/// The nests of a station as seen from `tracker_from_base`.
+///
+/// # Errors
+///
+/// [`RegistrationError::Covariance`], of a nest without one.
+pub fn nest_system(
+    station: &Station,
+    tracker_from_base: &Transform,
+) -> Result<NestSystem, RegistrationError> {
+    let rows = 3 * station.nests.len();
+    let mut system = NestSystem {
+        jacobian: DMatrix::zeros(rows, 6),
+        residuals: DVector::zeros(rows),
+        whitening: Vec::new(),
+    };
+    for (index, nest) in station.nests.iter().enumerate() {
+        let NestRow { covariance, residual, jacobian } = nest_row(nest, tracker_from_base)?;
+        let factor = Cholesky::new(covariance).and_then(|c| c.l().try_inverse());
+        let whitening = factor.ok_or_else(|| RegistrationError::Covariance { nest: nest.name.clone() })?;
+        system.jacobian.fixed_view_mut::<3, 6>(3 * index, 0).copy_from(&(whitening * jacobian));
+        system.residuals.fixed_rows_mut::<3>(3 * index).copy_from(&(whitening * residual));
+        system.whitening.push(whitening);
+    }
+    Ok(system)
 }

@@ -139,6 +139,10 @@ pub enum ParameterId {
 }
 
 impl ParameterId {
+    /// What names look like, for messages.
+    pub const EXAMPLES: &str = "a name such as delta_a2, delta_theta4, compliance_drive3, mass3, frame_x, target_z, linkage_rod or \
+                                ratio_d5 (docs/notation.md)";
+
     /// A link parameter by zero-based link index.
     pub const fn link(link: usize, term: LinkTerm) -> Self {
         Self::Link { link, term }

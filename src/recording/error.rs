@@ -28,6 +28,36 @@ pub enum RecordingError {
         /// The sink's words.
         reason: String,
     },
+    /// The address of a viewer makes no sense.
+    #[error("`{url}` is not the address of a Rerun viewer: {reason}")]
+    #[diagnostic(help("expected an address such as rerun+http://127.0.0.1:9876/proxy"))]
+    BadViewerUrl {
+        /// As given.
+        url: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// No viewer listens.
+    #[error("no Rerun viewer can be reached at {url}: {reason}")]
+    #[diagnostic(help(
+        "expected an open viewer: `pip install rerun-sdk=={version}` or `cargo install rerun-cli@{version}`, then `rerun` in another terminal"
+    ))]
+    NoViewer {
+        /// Where it was looked for.
+        url: String,
+        /// Why it was not found.
+        reason: String,
+        /// The version that fits.
+        version: String,
+    },
+    /// The viewer went away, or does not read, before it was told everything.
+    #[error("the Rerun viewer at {url} was not told everything: {reason}")]
+    ViewerLost {
+        /// Where it was.
+        url: String,
+        /// What is known.
+        reason: String,
+    },
     /// An input file is too long to be attached.
     #[error("the input {name} is {bytes} bytes long: a recording holds at most {limit} bytes of one input")]
     AttachmentTooLong {
@@ -168,6 +198,16 @@ impl RecordingError {
     #[allow(clippy::needless_pass_by_value)]
     pub(super) fn unrecordable(reason: impl ToString) -> Self {
         Self::Unrecordable { reason: reason.to_string() }
+    }
+
+    /// What the library says, with the cause that it does not say.
+    // By value, to be named in `map_err`.
+    #[allow(clippy::needless_pass_by_value)]
+    pub(super) fn unwritten(error: McapError) -> Self {
+        match std::error::Error::source(&error) {
+            Some(cause) => Self::unrecordable(cause),
+            None => Self::unrecordable(error),
+        }
     }
 }
 

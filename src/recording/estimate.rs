@@ -45,6 +45,7 @@ fn with_identification(robot: v1::Estimate, estimate: &Estimate) -> v1::Estimate
         step: i.step,
         gain: i.gain,
         accepted: i.accepted,
+        parameters: i.parameters.clone(),
     };
     v1::Estimate {
         parameters: estimate.parameters.iter().map(parameter).collect(),

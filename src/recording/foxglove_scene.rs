@@ -167,7 +167,7 @@ pub(super) fn shapes(outcome: &Outcome) -> SceneUpdate {
         instruments.texts.push(label(&place, &format!("station {number}")));
     }
     let mut nests = entity(0, BASE, "nests");
-    for (name, place) in scene::nests(outcome) {
+    for (name, place) in scene::nests(&outcome.sets) {
         nests.spheres.push(ball(&place, 0.06, scene::NEST));
         nests.texts.push(label(&place, &name));
     }

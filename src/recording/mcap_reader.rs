@@ -34,6 +34,13 @@ pub struct Recording {
     pub estimates: Vec<RecordedEstimate>,
 }
 
+impl Recording {
+    /// The input file of a role.
+    pub fn source(&self, role: &str) -> Option<&Source> {
+        self.sources.iter().find(|(known, _)| known == role).map(|(_, source)| source)
+    }
+}
+
 /// A set that was not recorded to its end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MissingPart {

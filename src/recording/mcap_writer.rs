@@ -51,7 +51,7 @@ pub struct McapRecorder<W: Write + Seek> {
 /// library's name and the number of threads are pinned: the same story gives the same bytes.
 pub(super) fn writer<W: Write + Seek>(sink: W) -> Result<Writer<W>, RecordingError> {
     let options = WriteOptions::new().library(Provenance::software()).compression_threads(0);
-    options.create(sink).map_err(RecordingError::unrecordable)
+    options.create(sink).map_err(RecordingError::unwritten)
 }
 
 impl<W: Write + Seek> McapRecorder<W> {
@@ -62,7 +62,7 @@ impl<W: Write + Seek> McapRecorder<W> {
 
     /// Ends the file and gives the sink back.
     pub fn finish(mut self) -> Result<W, RecordingError> {
-        self.writer.finish().map_err(RecordingError::unrecordable)?;
+        self.writer.finish().map_err(RecordingError::unwritten)?;
         let mut sink = self.writer.into_inner();
         sink.flush().map_err(RecordingError::unrecordable)?;
         Ok(sink)
@@ -81,13 +81,13 @@ impl<W: Write + Seek> McapRecorder<W> {
                 (*channel, count.wrapping_sub(1))
             }
             None => {
-                let channel = self.add_channel(topic, schema).map_err(RecordingError::unrecordable)?;
+                let channel = self.add_channel(topic, schema).map_err(RecordingError::unwritten)?;
                 self.channels.insert(topic.to_owned(), (channel, 1));
                 (channel, 0)
             }
         };
         let header = MessageHeader { channel_id, sequence, log_time: time, publish_time: time };
-        self.writer.write_to_known_channel(&header, data).map_err(RecordingError::unrecordable)
+        self.writer.write_to_known_channel(&header, data).map_err(RecordingError::unwritten)
     }
 
     fn add_channel(&mut self, topic: &str, (name, descriptors): (&str, &[u8])) -> mcap::McapResult<u16> {
@@ -113,13 +113,13 @@ impl<W: Write + Seek> McapRecorder<W> {
     }
 
     fn flush(&mut self) -> Result<(), RecordingError> {
-        self.writer.flush().map_err(RecordingError::unrecordable)
+        self.writer.flush().map_err(RecordingError::unwritten)
     }
 
     fn provenance(&mut self, preamble: &Preamble<'_>) -> Result<(), RecordingError> {
         let inputs = attached_inputs(preamble.sources);
         let metadata = Metadata { name: METADATA.to_owned(), metadata: metadata_of(preamble.input, &inputs) };
-        self.writer.write_metadata(&metadata).map_err(RecordingError::unrecordable)?;
+        self.writer.write_metadata(&metadata).map_err(RecordingError::unwritten)?;
         for (name, text) in inputs {
             // The header of the record is far below a kilobyte.
             let limit = RECORD_LIMIT - 1024;
@@ -129,7 +129,7 @@ impl<W: Write + Seek> McapRecorder<W> {
             let media_type = media_type(&name).to_owned();
             let attachment =
                 Attachment { log_time: 0, create_time: 0, name, media_type, data: text.into_bytes().into() };
-            self.writer.attach(&attachment).map_err(RecordingError::unrecordable)?;
+            self.writer.attach(&attachment).map_err(RecordingError::unwritten)?;
         }
         Ok(())
     }

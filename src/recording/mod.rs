@@ -11,16 +11,27 @@ mod clock;
 mod error;
 mod estimate;
 mod exchange;
+#[cfg(feature = "rerun")]
+mod figures;
 mod file;
 mod foxglove_scene;
 mod live;
+mod machine;
 mod mcap_reader;
 mod mcap_writer;
 mod provenance;
 #[cfg(feature = "rerun")]
+mod rerun_analysis;
+#[cfg(feature = "rerun")]
 mod rerun_layout;
 #[cfg(feature = "rerun")]
+mod rerun_live;
+#[cfg(feature = "rerun")]
+mod rerun_scene;
+#[cfg(feature = "rerun")]
 mod rerun_sink;
+#[cfg(feature = "rerun")]
+mod rerun_views;
 mod scan;
 mod scene;
 pub mod schema;
@@ -35,11 +46,15 @@ pub use error::RecordingError;
 pub use exchange::{CsvExport, ExportError, ExportedFile, export_csv, write_sets};
 pub use file::UnfinishedFile;
 pub use live::{SessionContext, SessionRecorder};
+pub use machine::{RecordedMachine, read_recorded_machine};
 pub use mcap_reader::{
-    ReadOptions, RecordedEstimate, RecordedParameter, Recording, read_recording, read_recording_with,
+    MissingPart, ReadOptions, RecordedEstimate, RecordedParameter, Recording, read_recording,
+    read_recording_with,
 };
 pub use mcap_writer::{McapRecorder, write_mcap};
 pub use provenance::{Provenance, SCHEMA};
+#[cfg(feature = "rerun")]
+pub use rerun_live::{LiveRecorder, VIEWER_URL, Viewer, viewer_url};
 #[cfg(feature = "rerun")]
 pub use rerun_sink::{RerunRecorder, write_rrd};
 pub use scene::{Chain, ChainKind, Sighting};

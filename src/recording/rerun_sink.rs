@@ -4,25 +4,23 @@ use std::io::Write;
 use std::path::Path;
 use std::time::Duration;
 
-use nalgebra::{UnitQuaternion, Vector3};
-use rerun::archetypes::{
-    Arrows3D, Boxes3D, Cylinders3D, Ellipsoids3D, LineStrips3D, Points3D, Scalars, SeriesLines, TextDocument,
-    TextLog, Transform3D, ViewCoordinates,
-};
-use rerun::components::{Color, FillMode, Radius, TextLogLevel};
-use rerun::log::ChunkBatcherConfig;
-use rerun::sink::MemorySinkStorage;
-use rerun::{AsComponents, Quaternion, RecordingStream, RecordingStreamBuilder};
+use rerun::archetypes::{Scalars, SeriesLines, TextDocument, TextLog};
+use rerun::components::TextLogLevel;
+use rerun::external::re_log_encoding::Encoder;
+use rerun::log::{ChunkBatcherConfig, ChunkResult, LogMsg};
+use rerun::sink::{LogSink, MemorySinkStorage};
+use rerun::{AsComponents, RecordingStream, RecordingStreamBuilder};
 
 use super::file::write_whole;
-use super::scene::{self, Arrow, Colour};
+use super::rerun_analysis::COST;
+use super::rerun_layout::{self, Force};
+use super::rerun_scene::{arrows3d, color};
+use super::scene::{self, Sighting};
 use super::{
     Chain, ChainKind, LogEntry, LogLevel, Measured, PoseStep, Preamble, Recorder, RecordingError, record,
-    rerun_layout, tables,
+    tables,
 };
-use crate::geometry::Transform;
 use crate::identification::Mode;
-use crate::model::{Visual, VisualShape};
 use crate::pipeline::{ModeOutcome, Outcome, SetKind, SetOutcome};
 
 pub(super) const APPLICATION: &str = "calibrig";
@@ -31,7 +29,12 @@ pub(super) const SCENE: &str = "scene";
 /// Residual arrows; the scale is [`super::RESIDUAL_SCALE`].
 pub(super) const ARROWS: &str = "scene/residual_x100";
 pub(super) const AXES: [&str; 3] = ["x", "y", "z"];
-const CURVES: [&str; 4] = ["x", "y", "z", "norm"];
+pub(super) const NORM: &str = "norm";
+const CURVES: [&str; 4] = ["x", "y", "z", NORM];
+/// The machine larger than life; the scale is [`super::DEFLECTION_SCALE`].
+pub(super) const DEFLECTED: &str = "scene/deflection_x100";
+/// The robot as identified.
+pub(super) const CALIBRATED: &str = "scene/calibrated";
 /// Of the target, by all that yields.
 pub(super) const DEFLECTION: &str = "machine/deflection_mm";
 pub(super) const ROD_FORCE: &str = "machine/rod_force_n";
@@ -47,124 +50,103 @@ pub fn write_rrd(outcome: &Outcome, path: &Path) -> Result<(), RecordingError> {
     })
 }
 
-/// Gathers a Rerun recording in memory.
+/// Makes a Rerun recording: in memory, or in an open viewer ([`LiveRecorder`](super::LiveRecorder)).
 pub struct RerunRecorder {
     stream: RecordingStream,
-    storage: MemorySinkStorage,
-    /// Running number of the pose last told.
-    pose: i64,
+    /// What was told, unless a viewer is told; the layout comes first.
+    layout: Vec<LogMsg>,
+    storage: Option<MemorySinkStorage>,
+    /// Poses that were shown while they were measured.
+    live: i64,
+    /// The poses that were told.
+    poses: Vec<Told>,
+}
+
+/// A pose that was told.
+#[derive(Debug, Clone, Copy)]
+struct Told {
+    /// Running number, from 0.
+    number: i64,
+    /// Simulated time, s.
+    seconds: f64,
+    set: SetKind,
+    /// Place of its first observation in the set.
+    first: usize,
+}
+
+impl Told {
+    fn of(number: i64, measured: &Measured<'_>) -> Self {
+        let seconds = measured.time() as f64 * 1e-9;
+        Self { number, seconds, set: measured.kind, first: measured.first }
+    }
 }
 
 impl RerunRecorder {
-    /// Begins a recording whose views suit `outcome`.
+    /// Begins a recording in memory, with views that suit `outcome`.
     pub fn new(outcome: &Outcome) -> Result<Self, RecordingError> {
-        let (stream, storage) = RecordingStreamBuilder::new(APPLICATION)
-            // Whatever the environment says: the user asked for the file.
-            .enabled(true)
+        let layout = rerun_layout::messages(outcome, Force::Default)?;
+        let (stream, storage) = builder(&outcome.input.name)
             // Cut into chunks by their size alone, not by the clock.
             .batcher_config(ChunkBatcherConfig { flush_tick: Duration::MAX, ..ChunkBatcherConfig::DEFAULT })
-            .recording_name(outcome.input.name.as_str())
             .memory()
             .map_err(RecordingError::unrecordable)?;
-        rerun_layout::send(outcome, &stream)?;
+        Ok(Self::on(stream, layout, Some(storage)))
+    }
+
+    /// Begins a recording called `name` that `sink` is told at once.
+    pub(super) fn telling(name: &str, sink: Box<dyn LogSink>) -> Result<Self, RecordingError> {
+        let stream = builder(name)
+            .batcher_config(sink.default_batcher_config())
+            .buffered()
+            .map_err(RecordingError::unrecordable)?;
+        stream.set_sink(sink);
+        Ok(Self::on(stream, Vec::new(), None))
+    }
+
+    fn on(stream: RecordingStream, layout: Vec<LogMsg>, storage: Option<MemorySinkStorage>) -> Self {
         stream.set_log_time_enabled(false);
         stream.set_log_tick_enabled(false);
-        Ok(Self { stream, storage, pose: 0 })
+        Self { stream, layout, storage, live: 0, poses: Vec::new() }
     }
 
     /// The bytes of the file.
     pub fn finish(self) -> Result<Vec<u8>, RecordingError> {
-        self.storage.drain_as_bytes().map_err(RecordingError::unrecordable)
+        // In front: a viewer that has read a part of the recording first makes up a layout of its own and keeps it.
+        let messages = self.messages();
+        Encoder::encode(messages.iter().map(ChunkResult::Ok)).map_err(RecordingError::unrecordable)
     }
 
-    fn fixed(&self, path: &str, shape: &impl AsComponents) -> Result<(), RecordingError> {
+    /// All that was told in memory, and not yet taken.
+    fn messages(mut self) -> Vec<LogMsg> {
+        let mut messages = std::mem::take(&mut self.layout);
+        messages.extend(self.storage.iter().flat_map(MemorySinkStorage::take));
+        messages
+    }
+
+    pub(super) fn into_stream(self) -> RecordingStream {
+        self.stream
+    }
+
+    pub(super) fn fixed(&self, path: &str, shape: &impl AsComponents) -> Result<(), RecordingError> {
         self.stream.log_static(path, shape).map_err(RecordingError::unrecordable)
     }
 
-    fn put(&self, path: &str, shape: &impl AsComponents) -> Result<(), RecordingError> {
+    pub(super) fn put(&self, path: &str, shape: &impl AsComponents) -> Result<(), RecordingError> {
         self.stream.log(path, shape).map_err(RecordingError::unrecordable)
     }
 
-    fn robot(&self, outcome: &Outcome) -> Result<(), RecordingError> {
-        let shown = scene::chains(outcome, 0, 0);
-        let Some(chain) = shown.iter().find(|c| !c.kind.is_ghost()) else { return Ok(()) };
-        for (i, visuals) in outcome.visuals.iter().enumerate() {
-            let link = if i == 0 { format!("{SCENE}/base") } else { link_path(chain, i - 1) };
-            self.shapes(&link, visuals)?;
-        }
-        Ok(())
+    /// What follows belongs to iteration `index`, from 0.
+    pub(super) fn at_iteration(&self, index: usize) {
+        self.stream.reset_time();
+        self.stream
+            .set_time_sequence("iteration", i64::try_from(index).unwrap_or(i64::MAX).saturating_add(1));
     }
 
-    fn shapes(&self, link: &str, visuals: &[Visual]) -> Result<(), RecordingError> {
-        let grey = color(scene::SHELL);
-        for (i, visual) in visuals.iter().enumerate() {
-            let path = format!("{link}/shape{}", i + 1);
-            let centre = [xyz(&visual.link_from_shape.translation.vector)];
-            let turn = [quaternion(&visual.link_from_shape)];
-            match visual.shape {
-                VisualShape::Box(edges) => self.fixed(
-                    &path,
-                    &Boxes3D::from_centers_and_sizes(centre, [xyz(&edges.into())])
-                        .with_quaternions(turn)
-                        .with_colors([grey])
-                        .with_fill_mode(FillMode::Solid),
-                )?,
-                VisualShape::Cylinder { radius, length } => self.fixed(
-                    &path,
-                    &Cylinders3D::from_lengths_and_radii([single(length)], [single(radius)])
-                        .with_centers(centre)
-                        .with_quaternions(turn)
-                        .with_colors([grey])
-                        .with_fill_mode(FillMode::Solid),
-                )?,
-                VisualShape::Sphere(radius) => self.fixed(
-                    &path,
-                    &Ellipsoids3D::from_centers_and_radii(centre, [single(radius)])
-                        .with_colors([grey])
-                        .with_fill_mode(FillMode::Solid),
-                )?,
-            }
-        }
-        Ok(())
-    }
-
-    fn instruments(&self, outcome: &Outcome) -> Result<(), RecordingError> {
-        let places: Vec<_> = scene::trackers(outcome).iter().map(|t| xyz(&t.translation.vector)).collect();
-        let names = (1..=places.len()).map(|number| format!("tracker, station {number}"));
-        let trackers = Points3D::new(places.clone())
-            .with_labels(names)
-            .with_show_labels(true)
-            .with_colors([color(scene::TRACKER)])
-            .with_radii([0.12]);
-        self.fixed(&format!("{SCENE}/trackers"), &trackers)?;
-        let (names, places): (Vec<_>, Vec<_>) = scene::nests(outcome).into_iter().unzip();
-        let nests = Points3D::new(places.iter().map(xyz))
-            .with_labels(names)
-            .with_show_labels(false)
-            .with_colors([color(scene::NEST)])
-            .with_radii([0.04]);
-        self.fixed(&format!("{SCENE}/nests"), &nests)
-    }
-
-    /// All measured points and all arrows: they do not change with the pose.
-    fn all_measured(&self, outcome: &Outcome) -> Result<(), RecordingError> {
-        for (index, set) in outcome.sets.iter().enumerate() {
-            let key = set.kind.key();
-            let points = scene::measured_points(outcome, &set.measurements);
-            let points = Points3D::new(points.iter().map(xyz))
-                .with_colors([color(scene::POINT)])
-                .with_radii([Radius::new_ui_points(2.0)]);
-            self.fixed(&format!("{SCENE}/measured/{key}"), &points)?;
-            for mode in &outcome.modes {
-                let observations = &set.measurements.observations;
-                let errors = mode.errors.get(index).map_or(&[][..], Vec::as_slice);
-                let arrows: Vec<_> =
-                    observations.iter().zip(errors).filter_map(|(o, e)| scene::arrow(mode, o, e)).collect();
-                let path = format!("{ARROWS}/{}/{key}", mode.mode.key());
-                self.fixed(&path, &arrows3d(&arrows, scene::mode_colour(mode.mode), 1.0))?;
-            }
-        }
-        Ok(())
+    /// What follows belongs to a pose.
+    fn at_pose(&self, told: Told) {
+        self.stream.reset_time();
+        self.stream.set_time_sequence("pose", told.number);
+        self.stream.set_duration_secs("sim_time", told.seconds);
     }
 
     /// Names and colours of the curves.
@@ -175,16 +157,18 @@ impl RerunRecorder {
                 .with_names([title])
                 .with_colors([color(scene::mode_colour(mode.mode))])
                 .with_widths([1.5]);
-            for axis in AXES.into_iter().chain(["norm"]) {
+            for axis in CURVES {
                 self.fixed(&format!("residual_mm/{axis}/{key}"), &curve)?;
             }
             if mode.estimate.is_some() {
-                self.fixed(&format!("cost_log10/{key}"), &curve)?;
+                self.fixed(&format!("{COST}/{key}"), &curve)?;
             }
         }
-        if outcome.truth.is_none() {
-            return Ok(());
-        }
+        if outcome.truth.is_some() { self.machine_curves() } else { Ok(()) }
+    }
+
+    /// The same of the simulated machine.
+    pub(super) fn machine_curves(&self) -> Result<(), RecordingError> {
         let machine = [
             (format!("{DEFLECTION}/x"), "x", scene::mode_colour(Mode::OnlyCalibration)),
             (format!("{DEFLECTION}/y"), "y", scene::mode_colour(Mode::WithGravity)),
@@ -204,65 +188,65 @@ impl RerunRecorder {
         self.fixed(path, &TextDocument::from_markdown(markdown))
     }
 
-    fn chain(&self, chain: &Chain) -> Result<(), RecordingError> {
-        let ghost = chain.kind.is_ghost();
-        for (i, link) in chain.links.iter().enumerate().filter(|_| !ghost) {
-            let place =
-                Transform3D::from_translation_rotation(xyz(&link.translation.vector), quaternion(link));
-            self.put(&link_path(chain, i), &place)?;
-        }
-        let colour = [color(chain.kind.colour())];
-        let root = format!("{SCENE}/{}", chain.kind.key());
-        let thickness = if chain.kind == ChainKind::Nominal { 1.0 } else { 2.5 };
-        let strip = |points: &[Vector3<f64>]| LineStrips3D::new([points.iter().map(xyz).collect::<Vec<_>>()]);
-        let line =
-            strip(&chain.polyline()).with_colors(colour).with_radii([Radius::new_ui_points(thickness)]);
-        self.put(&format!("{root}/chain"), &line)?;
-        if let Some(linkage) = &chain.linkage {
-            let radius = if ghost {
-                Radius::new_ui_points(thickness)
-            } else {
-                Radius::new_scene_units(single(scene::ROD_RADIUS))
-            };
-            self.put(&format!("{root}/linkage"), &strip(linkage).with_colors(colour).with_radii([radius]))?;
-        }
-        let Some(label) = chain.kind.label() else { return Ok(()) };
-        let label = Points3D::new([xyz(&chain.target)])
-            .with_labels([label])
-            .with_show_labels(true)
-            .with_colors(colour)
-            .with_radii([0.04]);
-        self.put(&format!("{root}/label"), &label)
+    /// A pose while it is measured, on the simulated machine.
+    pub(super) fn measuring(
+        &mut self,
+        measured: &Measured<'_>,
+        chains: &[Chain],
+        sightings: &[Sighting],
+    ) -> Result<(), RecordingError> {
+        self.at_pose(Told::of(self.live, measured));
+        self.live += 1;
+        self.seen(measured, chains, sightings)
     }
 
-    /// The simulated machine at the first observation of a pose.
-    fn machine(&self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
-        if let Some(deflection) = step.measured.deflection(0) {
+    /// What is seen of a pose: robots, lines of sight, and how the simulated machine gives way.
+    fn seen(
+        &self,
+        measured: &Measured<'_>,
+        chains: &[Chain],
+        sightings: &[Sighting],
+    ) -> Result<(), RecordingError> {
+        for chain in chains {
+            self.chain(chain, chain.kind.is_ghost())?;
+        }
+        self.sightings(sightings)?;
+        self.deflection(measured)?;
+        if let Some(deflection) = measured.deflection(0) {
             let norm = deflection.norm();
             for (axis, value) in CURVES.iter().zip(deflection.iter().chain([&norm])) {
                 self.put(&format!("{DEFLECTION}/{axis}"), &Scalars::single(1e3 * value))?;
             }
         }
-        let Some(settled) = step.measured.truth.first() else { return Ok(()) };
+        let Some(settled) = measured.truth.first() else { return Ok(()) };
         if let Some(force) = settled.rod_force {
             self.put(ROD_FORCE, &Scalars::single(force))?;
         }
-        if let Some(temperature) = step.measured.effects.first().and_then(|effects| effects.temperature) {
+        if let Some(temperature) = measured.effects.first().and_then(|effects| effects.temperature) {
             self.put(TEMPERATURE, &Scalars::single(temperature))?;
         }
-        self.put("tables/machine", &TextDocument::from_markdown(tables::machine(step)))
+        self.put("tables/machine", &TextDocument::from_markdown(tables::machine(measured)))
     }
 
-    fn sightings(&self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
-        let lines = step.sightings.iter().map(|s| vec![xyz(&s.tracker), xyz(&s.point)]);
-        let beams = LineStrips3D::new(lines.collect::<Vec<_>>())
-            .with_colors([color(scene::BEAM)])
-            .with_radii([Radius::new_ui_points(1.0)]);
-        self.put(&format!("{SCENE}/line_of_sight"), &beams)?;
-        let targets = Points3D::new(step.sightings.iter().map(|s| xyz(&s.point)))
-            .with_colors([color(scene::BEAM)])
-            .with_radii([0.05]);
-        self.put(&format!("{SCENE}/target"), &targets)
+    /// The robot before calibration and as identified at every pose, beside what was told of the pose itself.
+    fn robots(&self, outcome: &Outcome) -> Result<(), RecordingError> {
+        for told in &self.poses {
+            let Some(set) = outcome.sets.iter().find(|set| set.kind == told.set) else { continue };
+            let Some(observation) = set.measurements.observations.get(told.first) else { continue };
+            self.at_pose(*told);
+            if outcome.truth.is_some() {
+                if let Some(calibrated) = scene::calibrated_chain(outcome, observation) {
+                    self.chain(&calibrated, true)?;
+                }
+            } else if let Some(target) = set.measurements.targets.get(observation.target)
+                // The calibrated one stands for the machine and was told with the pose.
+                && let Some(nominal) = scene::nominal_chain(&outcome.model, &target.in_flange, observation)
+            {
+                self.chain(&nominal, true)?;
+            }
+        }
+        self.stream.reset_time();
+        Ok(())
     }
 
     fn residuals(&self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
@@ -299,9 +283,9 @@ impl Recorder for RerunRecorder {
     }
 
     fn begin(&mut self, outcome: &Outcome) -> Result<(), RecordingError> {
-        self.fixed(SCENE, &coordinates(&scene::up(outcome)))?;
-        self.robot(outcome)?;
-        self.instruments(outcome)?;
+        let solid = if outcome.truth.is_some() { ChainKind::True } else { ChainKind::Calibrated };
+        self.surroundings(&scene::up(outcome), &scene::trackers(outcome), scene::nests(&outcome.sets))?;
+        self.robot(solid, &outcome.visuals)?;
         self.all_measured(outcome)?;
         self.curves(outcome)?;
         self.document("tables/accuracy", tables::about(outcome) + &tables::accuracy(outcome))?;
@@ -310,27 +294,25 @@ impl Recorder for RerunRecorder {
     }
 
     fn pose(&mut self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
-        self.pose = i64::from(step.number);
-        self.stream.set_time_sequence("pose", self.pose);
-        self.stream.set_duration_secs("sim_time", step.measured.time() as f64 * 1e-9);
-        for chain in &step.chains {
-            self.chain(chain)?;
+        let told = Told::of(i64::from(step.number), &step.measured);
+        self.poses.push(told);
+        self.at_pose(told);
+        if told.number >= self.live {
+            self.seen(&step.measured, &step.chains, &step.sightings)?;
         }
-        self.sightings(step)?;
         self.residuals(step)?;
-        self.machine(step)?;
         self.put("tables/pose", &TextDocument::from_markdown(tables::pose(step)))
     }
 
-    fn estimate(&mut self, _: u64, _: &Outcome, mode: &ModeOutcome) -> Result<(), RecordingError> {
-        self.stream.reset_time();
-        for (number, iteration) in (1_i64..).zip(mode.estimate.iter().flat_map(|e| &e.iterations)) {
-            self.stream.set_time_sequence("iteration", number);
-            // Costs fall by many powers of ten; an exact fit has none.
-            let exponent = iteration.cost.log10();
-            if exponent.is_finite() {
-                self.put(&format!("cost_log10/{}", mode.mode.key()), &Scalars::single(exponent))?;
-            }
+    fn estimate(&mut self, _: u64, outcome: &Outcome, mode: &ModeOutcome) -> Result<(), RecordingError> {
+        if let Some(estimate) = &mode.estimate {
+            self.correlations(mode.mode, estimate)?;
+            self.convergence(mode.mode, estimate)?;
+        }
+        if outcome.modes.last().is_some_and(|last| last.mode == mode.mode) {
+            self.histograms(outcome)?;
+            self.document("tables/convergence", tables::convergence(outcome))?;
+            self.robots(outcome)?;
         }
         self.stream.reset_time();
         Ok(())
@@ -341,51 +323,16 @@ impl Recorder for RerunRecorder {
             LogLevel::Info => TextLogLevel::INFO,
             LogLevel::Warning => TextLogLevel::WARN,
         };
-        self.stream.set_time_sequence("pose", self.pose);
+        let pose = self.poses.last().map_or(0, |told| told.number);
+        self.stream.set_time_sequence("pose", pose);
         self.stream.set_duration_secs("sim_time", entry.time as f64 * 1e-9);
         self.put("log", &TextLog::new(entry.message.as_str()).with_level(level))
     }
 }
 
-fn link_path(chain: &Chain, index: usize) -> String {
-    format!("{SCENE}/{}", chain.frame(index))
-}
-
-fn arrows3d(arrows: &[Arrow], rgba: Colour, thickness: f32) -> Arrows3D {
-    Arrows3D::from_vectors(arrows.iter().map(|a| xyz(&a.vector)))
-        .with_origins(arrows.iter().map(|a| xyz(&a.origin)))
-        .with_colors([color(rgba)])
-        .with_radii([Radius::new_ui_points(thickness)])
-}
-
-/// Pictures are in single precision: 0.2 µm at 4 m.
-#[allow(clippy::cast_possible_truncation)]
-fn single(value: f64) -> f32 {
-    value as f32
-}
-
-pub(super) fn xyz(v: &Vector3<f64>) -> [f32; 3] {
-    [single(v.x), single(v.y), single(v.z)]
-}
-
-fn quaternion(transform: &Transform) -> Quaternion {
-    let q = UnitQuaternion::from_rotation_matrix(&transform.rotation);
-    Quaternion::from_xyzw([q.i, q.j, q.k, q.w].map(single))
-}
-
-fn color([r, g, b, a]: Colour) -> Color {
-    Color::from_unmultiplied_rgba(r, g, b, a)
-}
-
-fn coordinates(up: &Vector3<f64>) -> ViewCoordinates {
-    match (up.iamax(), up.sum() > 0.0) {
-        (0, true) => ViewCoordinates::RIGHT_HAND_X_UP(),
-        (0, false) => ViewCoordinates::RIGHT_HAND_X_DOWN(),
-        (1, true) => ViewCoordinates::RIGHT_HAND_Y_UP(),
-        (1, false) => ViewCoordinates::RIGHT_HAND_Y_DOWN(),
-        (_, true) => ViewCoordinates::RIGHT_HAND_Z_UP(),
-        (_, false) => ViewCoordinates::RIGHT_HAND_Z_DOWN(),
-    }
+fn builder(name: &str) -> RecordingStreamBuilder {
+    // Whatever the environment says: the user asked for it.
+    RecordingStreamBuilder::new(APPLICATION).enabled(true).recording_name(name)
 }
 
 #[cfg(test)]
@@ -393,7 +340,7 @@ mod tests {
     use super::*;
     use std::collections::{BTreeMap, BTreeSet};
 
-    use rerun::log::{Chunk, LogMsg};
+    use rerun::log::Chunk;
 
     use crate::recording::synthetic;
 
@@ -414,7 +361,7 @@ mod tests {
             timelines: BTreeSet::new(),
             activated: false,
         };
-        for message in recorder.storage.take() {
+        for message in recorder.messages() {
             match message {
                 LogMsg::ArrowMsg(store, message) => {
                     let chunk = Chunk::from_arrow_msg(&message).expect("sound");
@@ -455,11 +402,14 @@ mod tests {
             assert_eq!(rows.get("/residual_mm/z/only_calibration"), Some(&10));
             assert_eq!(rows.get("/cost_log10/only_calibration"), Some(&6));
             assert!(!rows.contains_key("/cost_log10/without_calibration"));
+            // The calibrated robot has the links' shapes where there is no machine to have them.
+            for path in ["/scene/nominal/chain", "/scene/calibrated/chain"] {
+                assert_eq!(rows.get(path), Some(&9), "{path}");
+            }
             for path in [
-                "/scene/nominal/chain",
                 "/scene/deflection_x100/chain",
                 "/scene/deflection_x100/linkage",
-                "/scene/deflection_x100/label",
+                "/scene/deflection_x100/at_target",
                 "/scene/true/linkage",
                 "/tables/machine",
             ] {
@@ -473,8 +423,31 @@ mod tests {
             ] {
                 assert_eq!(rows.get(path), truth.then_some(&10), "{path}");
             }
-            assert!(!rows.keys().any(|path| path.starts_with(&format!("/scene/{other}"))));
+            assert!(!rows.keys().any(|path| path.starts_with(&format!("/scene/{other}/link7"))));
         }
+    }
+
+    #[test]
+    fn errors_and_estimates_are_there_as_a_whole() {
+        let outcome = synthetic::outcome(6, 3, true);
+        let Contents { rows, .. } = contents(&outcome);
+        for mode in &outcome.modes {
+            let key = mode.mode.key();
+            for (set, axis) in [("identification", "norm"), ("verification", "x"), ("verification", "z")] {
+                assert_eq!(rows.get(&format!("/error_histogram/{set}/{key}/{axis}")), Some(&1), "{key}");
+            }
+            let identified = mode.estimate.is_some();
+            for path in ["correlation/KEY/groups", "tables/correlation/KEY"] {
+                let path = format!("/{}", path.replace("KEY", key));
+                assert_eq!(rows.get(&path), identified.then_some(&1), "{path}");
+            }
+            // The last of five iterations is at the end: no logarithm. Line and marks have a row each.
+            let root = format!("/convergence/{key}/");
+            let curves: Vec<_> = rows.iter().filter(|(path, _)| path.starts_with(&root)).collect();
+            assert_eq!(curves.len(), if identified { 6 } else { 0 });
+            assert!(curves.iter().all(|(_, rows)| **rows == 6), "{curves:?}");
+        }
+        assert_eq!(rows.get("/tables/convergence"), Some(&1));
     }
 
     #[test]
@@ -482,8 +455,23 @@ mod tests {
         let Contents { layout, activated, .. } = contents(&synthetic::outcome(3, 1, true));
         assert!(activated);
         assert!(layout.contains("/viewport"));
-        assert_eq!(layout.iter().filter(|path| path.ends_with("/EyeControls3D")).count(), 1);
-        assert_eq!(layout.iter().filter(|path| path.ends_with("/PlotLegend")).count(), 2);
+        let count = |end: &str| layout.iter().filter(|path| path.ends_with(end)).count();
+        assert_eq!(count("/EyeControls3D"), 2);
+        // Two of the residuals, one a histogram, one a mode and the cost's.
+        assert_eq!(count("/PlotLegend"), 2 + 2 * 5 * 4 + 4 + 1);
+        assert_eq!(count("/ViewContents/overrides/scene/calibrated/visualizers"), 1);
+    }
+
+    #[test]
+    fn a_viewer_reads_the_layout_before_the_recording() {
+        let outcome = synthetic::outcome(3, 1, true);
+        let mut recorder = RerunRecorder::new(&outcome).expect("begun");
+        record(&outcome, &mut recorder).expect("recorded");
+        let messages = recorder.messages();
+        let first = messages.iter().position(|m| !m.store_id().is_blueprint()).expect("a recording");
+        assert!(messages[first..].iter().all(|m| !m.store_id().is_blueprint()));
+        assert!(matches!(messages[first - 1], LogMsg::BlueprintActivationCommand(_)));
+        assert!(matches!(messages[0], LogMsg::SetStoreInfo(_)));
     }
 
     #[test]

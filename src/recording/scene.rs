@@ -7,9 +7,9 @@ use crate::geometry::{Transform, rotation_vector, rotation_z};
 use crate::identification::{CalibratedRobot, Mode, Predictor};
 use crate::kinematics::{joints_from_command, link_frames};
 use crate::measurement::{MeasurementSet, Observation};
-use crate::model::{CalibrationModel, KinematicModel, LinkTerm, ParameterId};
-use crate::pipeline::{ModeOutcome, Outcome, Truth};
-use crate::plant::SettledPose;
+use crate::model::{CalibrationModel, JointKind, KinematicModel, LinkTerm, ParameterId};
+use crate::pipeline::{ModeOutcome, Outcome, SetOutcome};
+use crate::plant::{AsBuilt, SettledPose};
 
 /// Which robot a chain shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -90,25 +90,32 @@ impl Chain {
 pub(super) fn chains(outcome: &Outcome, set: usize, index: usize) -> Vec<Chain> {
     let Some(measurements) = outcome.sets.get(set).map(|s| &s.measurements) else { return Vec::new() };
     let Some(observation) = measurements.observations.get(index) else { return Vec::new() };
-    let settled = outcome.truth.as_ref().and_then(|truth| true_chain(truth, set, index));
-    match settled {
-        Some(chain) => {
-            let deflection =
-                outcome.truth.as_ref().and_then(|truth| deflection_chain(truth, set, index, &chain));
-            let nominal = nominal_chain(outcome, measurements, observation);
-            std::iter::once(chain).chain(nominal).chain(deflection).collect()
-        }
-        None => calibrated_chain(outcome, observation).into_iter().collect(),
-    }
+    let machine = outcome.truth.as_ref().and_then(|truth| {
+        let settled = truth.poses.get(set)?.get(index)?;
+        let rigid = truth.rigid.get(set).and_then(|set| set.get(index));
+        let target = measurements.targets.get(observation.target).map(|target| &target.in_flange);
+        machine_chains(&truth.as_built, settled, rigid, &outcome.model, target, observation)
+    });
+    machine.unwrap_or_else(|| calibrated_chain(outcome, observation).into_iter().collect())
 }
 
-fn true_chain(truth: &Truth, set: usize, index: usize) -> Option<Chain> {
-    let pose = truth.poses.get(set)?.get(index)?;
-    chain_at_rest(truth, pose)
+/// The machine at rest, the nominal robot where its target is known, and the machine larger than life where it is known without deflection.
+pub(super) fn machine_chains(
+    as_built: &AsBuilt,
+    settled: &SettledPose,
+    rigid: Option<&SettledPose>,
+    model: &CalibrationModel,
+    target: Option<&Vector3<f64>>,
+    observation: &Observation,
+) -> Option<Vec<Chain>> {
+    let chain = chain_at_rest(as_built, settled)?;
+    let nominal = target.and_then(|target| nominal_chain(model, target, observation));
+    let deflection = rigid.and_then(|rigid| deflection_chain(as_built, rigid, &chain));
+    Some(std::iter::once(chain).chain(nominal).chain(deflection).collect())
 }
 
-fn chain_at_rest(truth: &Truth, pose: &SettledPose) -> Option<Chain> {
-    let flange = pose.links.last()? * truth.as_built.kinematics.last_from_flange;
+fn chain_at_rest(as_built: &AsBuilt, pose: &SettledPose) -> Option<Chain> {
+    let flange = pose.links.last()? * as_built.kinematics.last_from_flange;
     Some(Chain {
         kind: ChainKind::True,
         links: pose.links.clone(),
@@ -118,8 +125,8 @@ fn chain_at_rest(truth: &Truth, pose: &SettledPose) -> Option<Chain> {
     })
 }
 
-fn deflection_chain(truth: &Truth, set: usize, index: usize, settled: &Chain) -> Option<Chain> {
-    let rigid = chain_at_rest(truth, truth.rigid.get(set)?.get(index)?)?;
+fn deflection_chain(as_built: &AsBuilt, rigid: &SettledPose, settled: &Chain) -> Option<Chain> {
+    let rigid = chain_at_rest(as_built, rigid)?;
     let links = rigid.links.iter().zip(&settled.links);
     let linkage = rigid.linkage.zip(settled.linkage);
     Some(Chain {
@@ -145,23 +152,38 @@ fn exaggerated(from: &Transform, to: &Transform) -> Transform {
     )
 }
 
-fn nominal_chain(
-    outcome: &Outcome,
-    measurements: &MeasurementSet,
+/// The robot before calibration, with the target where it is stated to be in the flange frame.
+pub(super) fn nominal_chain(
+    model: &CalibrationModel,
+    target: &Vector3<f64>,
     observation: &Observation,
 ) -> Option<Chain> {
-    let target = measurements.targets.get(observation.target)?.in_flange;
-    let model = &outcome.model;
     if observation.command.len() != model.kinematics.joint_count() {
         return None;
     }
     let mut joints = vec![0.0; observation.command.len()];
     joints_from_command(&model.kinematics, &model.actuators, &observation.command, &mut joints).ok()?;
     let links = link_frames(&model.kinematics, &joints);
-    chain_of(ChainKind::Nominal, model, &observation.command, links, &target)
+    chain_of(ChainKind::Nominal, model, &observation.command, links, target)
 }
 
-fn calibrated_chain(outcome: &Outcome, observation: &Observation) -> Option<Chain> {
+/// Where the nominal robot's last link is in the middle of all travels, and with each slide at either end of its own, m.
+pub(super) fn reach(model: &KinematicModel) -> Vec<Vector3<f64>> {
+    let middle: Vec<_> = model.links.iter().map(|link| (link.limits[0] + link.limits[1]) / 2.0).collect();
+    let slides = model.links.iter().enumerate().filter(|(_, link)| link.kind == JointKind::Prismatic);
+    let ends = slides.flat_map(|(joint, link)| link.limits.map(|limit| (joint, limit)));
+    let away = ends.map(|(joint, limit)| {
+        let mut joints = middle.clone();
+        joints[joint] = limit;
+        joints
+    });
+    let frames = std::iter::once(middle.clone()).chain(away).map(|joints| link_frames(model, &joints));
+    let places = frames.filter_map(|links| Some(links.last()?.translation.vector));
+    places.filter(|place| place.iter().all(|x| x.is_finite())).collect()
+}
+
+/// The last mode's robot.
+pub(super) fn calibrated_chain(outcome: &Outcome, observation: &Observation) -> Option<Chain> {
     let robot = observer(outcome)?;
     let target = robot.targets.get(observation.target)?;
     let links = Predictor::new(&outcome.model, robot).links(observation).ok()?;
@@ -214,9 +236,14 @@ pub struct Sighting {
 
 /// Where `robot` holds the observation's tracker and target to be.
 pub(super) fn sighting(robot: &CalibratedRobot, observation: &Observation) -> Option<Sighting> {
-    let base_from_tracker = robot.stations.get(observation.station)?.inverse();
+    Some(sighting_from(robot.stations.get(observation.station)?, observation))
+}
+
+/// The same from a tracker whose place is known.
+pub(super) fn sighting_from(tracker_from_base: &Transform, observation: &Observation) -> Sighting {
+    let base_from_tracker = tracker_from_base.inverse();
     let tracker = base_from_tracker.translation.vector;
-    Some(Sighting { tracker, point: base_from_tracker.rotation * observation.reading.position() + tracker })
+    Sighting { tracker, point: base_from_tracker.rotation * observation.reading.position() + tracker }
 }
 
 /// All points of a set in the base frame, m.
@@ -231,9 +258,9 @@ pub(super) fn trackers(outcome: &Outcome) -> Vec<Transform> {
 }
 
 /// The certified base nests of all stations, each once, m.
-pub(super) fn nests(outcome: &Outcome) -> Vec<(String, Vector3<f64>)> {
+pub(super) fn nests(sets: &[SetOutcome]) -> Vec<(String, Vector3<f64>)> {
     let mut nests: Vec<(String, Vector3<f64>)> = Vec::new();
-    let stations = outcome.sets.iter().flat_map(|set| &set.measurements.stations);
+    let stations = sets.iter().flat_map(|set| &set.measurements.stations);
     for nest in stations.flat_map(|station| &station.nests) {
         if !nests.iter().any(|(name, _)| *name == nest.name) {
             nests.push((nest.name.clone(), nest.in_base));
@@ -257,8 +284,13 @@ pub(super) fn arrow(mode: &ModeOutcome, observation: &Observation, error: &Vecto
 
 /// The base axis that points up, against gravity; z where gravity is not known.
 pub(super) fn up(outcome: &Outcome) -> Vector3<f64> {
-    let as_built = outcome.truth.as_ref().map(|truth| truth.as_built.statics.gravity);
-    let gravity = outcome.model.statics.as_ref().map(|statics| statics.gravity).or(as_built);
+    up_of(&outcome.model, outcome.truth.as_ref().map(|truth| &truth.as_built))
+}
+
+/// The same before there is an outcome.
+pub(super) fn up_of(model: &CalibrationModel, as_built: Option<&AsBuilt>) -> Vector3<f64> {
+    let as_built = as_built.map(|machine| machine.statics.gravity);
+    let gravity = model.statics.as_ref().map(|statics| statics.gravity).or(as_built);
     let Some(gravity) = gravity.filter(|g| g.norm() > 0.0) else { return Vector3::z() };
     let axis = gravity.iamax();
     let mut up = Vector3::zeros();
@@ -323,6 +355,9 @@ pub(super) const DEFLECTED: Colour = [255, 90, 255, 255];
 pub(super) const BEAM: Colour = [255, 64, 64, 255];
 pub(super) const TRACKER: Colour = [255, 140, 60, 255];
 pub(super) const POINT: Colour = [235, 235, 235, 255];
+/// Of correlations.
+pub(super) const POSITIVE: Colour = [230, 159, 0, 255];
+pub(super) const NEGATIVE: Colour = [86, 180, 233, 255];
 pub(super) const NEST: Colour = [86, 180, 233, 255];
 
 #[cfg(test)]
@@ -330,7 +365,7 @@ mod tests {
     use super::*;
     use crate::model::load_robot;
     use crate::plant::effects::Effects;
-    use crate::plant::{AsBuilt, Plant, SettleOptions};
+    use crate::plant::{Plant, SettleOptions};
     use crate::recording::synthetic;
 
     #[test]

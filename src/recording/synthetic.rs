@@ -303,6 +303,8 @@ fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
             step: 0.1_f64.powi(i),
             gain: 0.99,
             accepted: true,
+            // The last one's are the estimate's.
+            parameters: parameters.iter().map(|p| p.value * f64::from(i + 1) / 5.0).collect(),
         })
         .collect();
     Estimate {
@@ -317,7 +319,9 @@ fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
         spectrum: Spectrum { rank: n, condition: 41.5, ..Spectrum::default() },
         held: Vec::new(),
         fixed: Vec::new(),
+        bounds: Vec::new(),
         at_bound: Vec::new(),
+        contradicted: Vec::new(),
         outliers: Vec::new(),
         warnings: vec![Warning::Inconsistent { ratio: 1.12 }],
     }

@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-use super::{PoseStep, Provenance, scene};
+use super::figures::{Correlations, approaches};
+use super::{Measured, PoseStep, Provenance, scene};
 use crate::evaluation::AccuracyRow;
 use crate::identification::{Estimate, Mode};
 use crate::model::{ParameterId, Unit};
@@ -80,20 +81,19 @@ pub(super) fn pose(step: &PoseStep<'_>) -> String {
 }
 
 /// The simulated machine at one pose: how far it gave way, what its effects did, how well it settled. Lengths in mm or µm, angles in µrad.
-pub(super) fn machine(step: &PoseStep<'_>) -> String {
+pub(super) fn machine(measured: &Measured<'_>) -> String {
     let mut text = String::new();
-    for (i, (settled, observation)) in step.measured.truth.iter().zip(step.measured.observations).enumerate()
-    {
-        let set = capitalised(step.set.kind.key());
+    for (i, (settled, observation)) in measured.truth.iter().zip(measured.observations).enumerate() {
+        let set = capitalised(measured.kind.key());
         let _ = writeln!(text, "## {set} set, pose {}, as simulated\n", observation.pose);
-        if let Some(d) = step.measured.deflection(i) {
+        if let Some(d) = measured.deflection(i) {
             let [x, y, z, norm] = [d.x, d.y, d.z, d.norm()].map(|m| 1e3 * m);
             let _ = writeln!(text, "Deflection at the target, mm: {x:.3}, {y:.3}, {z:.3}; 3-D {norm:.3}\n");
         }
         if let Some(force) = settled.rod_force {
             let _ = writeln!(text, "Tension of the rod: {force:.0} N\n");
         }
-        let effects = step.measured.effects.get(i);
+        let effects = measured.effects.get(i);
         if let Some(temperature) = effects.and_then(|effects| effects.temperature) {
             let _ = writeln!(text, "Temperature of the air: {temperature:.2} °C\n");
         }
@@ -136,17 +136,69 @@ pub(super) fn estimates(outcome: &Outcome) -> String {
             estimate.spectrum.condition,
         );
     }
-    for mode in &outcome.modes {
-        let Some(estimate) = &mode.estimate else { continue };
-        let costs: Vec<_> = estimate.iterations.iter().map(|i| format!("{:.6e}", i.cost)).collect();
-        let _ = writeln!(text, "\nCost per iteration, {}: {}", mode.mode.title(), costs.join(", "));
-    }
     let estimates = outcome.modes.iter().filter_map(|m| Some((m.mode, m.estimate.as_ref()?)));
     let warnings: Vec<_> = estimates
         .flat_map(|(mode, e)| e.warnings.iter().map(move |w| format!("- {}: {w}", mode.title())))
         .collect();
     if !warnings.is_empty() {
         let _ = writeln!(text, "\n**Warnings**\n\n{}", warnings.join("\n"));
+    }
+    text
+}
+
+/// The strongest correlations of an estimate, and how to read the picture beside.
+pub(super) fn correlations(mode: Mode, estimate: &Estimate, most: usize) -> String {
+    let mut text = format!("## Correlations of the parameters, {}\n\n", mode.title());
+    let Some(correlations) = Correlations::of(estimate) else {
+        text.push_str("There is no covariance: the system is singular.\n");
+        return text;
+    };
+    text.push_str(
+        "In the picture every pair of parameters has a place, in the order of the table of parameters, row and column one each. \
+         A filled **disc** is a positive correlation, a hollow **square** a negative one; the area is its strength, weak ones vanish. \
+         Point at one to read its names and value. Numbers are those of this table.\n\n\
+         Near 1 or -1, the measurements see the two parameters together and can hardly tell one from the other.\n\n",
+    );
+    text.push_str("| | correlation | parameter | with |\n|--:|--:|---|---|\n");
+    for (number, (row, column, r)) in (1..).zip(correlations.strongest(most)) {
+        let [one, other] = [row, column].map(|index| estimate.parameters[index].id);
+        let _ = writeln!(text, "| {number} | {r:+.3} | {one} | {other} |");
+    }
+    text
+}
+
+/// How every mode came to its minimum, an iteration a row.
+pub(super) fn convergence(outcome: &Outcome) -> String {
+    let mut text = String::from(
+        "## The way to the minimum\n\n\
+         The curves lie on the timeline **iteration**: choose it at the bottom of the window, where it says *pose*. \
+         A parameter's curve is the logarithm (base 10) of its distance from its final value in standard deviations of the result: \
+         below 0, less than one standard deviation is left. The slowest parameters are shown.\n",
+    );
+    for mode in &outcome.modes {
+        let Some(estimate) = &mode.estimate else { continue };
+        let ways = approaches(estimate);
+        let _ =
+            writeln!(text, "\n### {}: {}\n", mode.mode.title(), estimate.termination.key().replace('_', " "));
+        text.push_str(
+            "| | cost | damping | step | farthest from its end, σ | parameter |\n|--:|--:|--:|--:|--:|---|\n",
+        );
+        for (index, iteration) in estimate.iterations.iter().enumerate() {
+            let left = ways.iter().map(|way| (way.distances[index], way.parameter));
+            let farthest = left.max_by(|(a, _), (b, _)| a.total_cmp(b));
+            let (distance, name) = farthest.map_or_else(Default::default, |(distance, parameter)| {
+                (format!("{distance:.2e}"), estimate.parameters[parameter].id.to_string())
+            });
+            let taken = if iteration.accepted { "" } else { " (refused)" };
+            let _ = writeln!(
+                text,
+                "| {}{taken} | {:.6e} | {:.1e} | {:.1e} | {distance} | {name} |",
+                index + 1,
+                iteration.cost,
+                iteration.damping,
+                iteration.step
+            );
+        }
     }
     text
 }
@@ -225,6 +277,35 @@ mod tests {
         // Two published rows, both of the identification set.
         assert_eq!(text.matches("published").count(), 2);
         assert_eq!(text.matches("RMS 3-D").count(), 2);
+    }
+
+    #[test]
+    fn the_strongest_correlation_comes_first_with_both_names() {
+        let outcome = synthetic::outcome(3, 1, true);
+        let mut estimate = outcome.modes[1].estimate.clone().expect("identified");
+        let n = estimate.parameters.len();
+        let mut covariance = nalgebra::DMatrix::identity(n, n);
+        covariance[(4, 3)] = -0.9;
+        covariance[(1, 0)] = 0.5;
+        estimate.covariance = Some(covariance);
+        let text = correlations(Mode::OnlyCalibration, &estimate, 5);
+        let row = format!("| 1 | -0.900 | {} | {} |", estimate.parameters[4].id, estimate.parameters[3].id);
+        assert!(text.contains(&row), "{text}");
+        assert!(text.contains("| 2 | +0.500 |") && !text.contains("| 3 |"), "{text}");
+        estimate.covariance = None;
+        assert!(correlations(Mode::OnlyCalibration, &estimate, 5).contains("singular"));
+    }
+
+    #[test]
+    fn every_iteration_of_every_mode_has_its_row() {
+        let mut outcome = synthetic::outcome(3, 1, true);
+        let estimate = outcome.modes[1].estimate.as_mut().expect("identified");
+        estimate.iterations[2].accepted = false;
+        let text = convergence(&outcome);
+        assert_eq!(text.matches("| 5 |").count(), 4, "{text}");
+        assert_eq!(text.matches("| 3 (refused) |").count(), 1);
+        // All of them end where the estimate is.
+        assert_eq!(text.matches("| 0.00e0 |").count(), 4, "{text}");
     }
 
     #[test]

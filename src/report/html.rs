@@ -472,6 +472,9 @@ fn mode_trust(mode: Mode, estimate: &Estimate) -> Markup {
         @if !warnings.is_empty() {
             ul.warnings { @for warning in &warnings { li { (warning) } } }
         }
+        @if !estimate.bounds.is_empty() {
+            p { "Held within bounds: " (estimate.bounds.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")) "." }
+        }
         @if let NoiseScale::Residuals(sigma) = estimate.noise {
             p { "The readings state no uncertainty; from the residuals, one coordinate has a standard deviation of " (length_words(sigma)) "." }
         }

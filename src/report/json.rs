@@ -149,7 +149,7 @@ pub struct JsonRow {
 /// How an identification ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct JsonEstimate {
-    /// `ok`, `not_converged`, `rank_deficient` or `at_bound`.
+    /// `ok`, `not_converged`, `rank_deficient`, `at_bound` or `contradicted`.
     pub status: String,
     /// Why the solver stopped.
     pub termination: String,
@@ -174,12 +174,44 @@ pub struct JsonEstimate {
     /// Parameters that were left out of the fit for the same reason, in words; absent where none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub fixed: Vec<String>,
+    /// Stated bounds of its parameters; absent where none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub bounds: Vec<JsonBound>,
+    /// What was stated beforehand and does not fit the measurements; absent where none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub contradicted: Vec<JsonContradiction>,
     /// Observations that a robust loss found far off the others; absent where none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub outliers: Vec<JsonOutlier>,
     /// What speaks for and against it; absent where it was not judged.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub judgement: Option<JsonJudgement>,
+}
+
+/// Limits of a parameter, in the unit of `unit`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonBound {
+    /// As in every file.
+    pub name: String,
+    /// `m`, `rad` or `1`.
+    pub unit: String,
+    /// Lowest value; null where that end is open.
+    pub min: Option<f64>,
+    /// Highest value; null where that end is open.
+    pub max: Option<f64>,
+}
+
+/// Something stated beforehand that does not fit the measurements.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonContradiction {
+    /// The parameter, nests, target or nest.
+    pub name: String,
+    /// What was stated, and where the measurements put it.
+    pub words: String,
+    /// Square of the discrepancy in its own standard deviations.
+    pub chi2: Option<f64>,
+    /// Its number of coordinates.
+    pub coordinates: usize,
 }
 
 /// An observation far off the others.
@@ -328,10 +360,12 @@ fn json_estimate(estimate: &Estimate) -> JsonEstimate {
         "not_converged"
     } else if estimate.spectrum.rank < estimate.parameters.len() {
         "rank_deficient"
-    } else if estimate.at_bound.is_empty() {
+    } else if !estimate.at_bound.is_empty() {
+        "at_bound"
+    } else if estimate.contradicted.is_empty() {
         "ok"
     } else {
-        "at_bound"
+        "contradicted"
     };
     let (chi2_per_dof, residual_sigma) = match estimate.noise {
         NoiseScale::Stated => (estimate.chi2_per_dof().and_then(finite), None),
@@ -349,6 +383,26 @@ fn json_estimate(estimate: &Estimate) -> JsonEstimate {
         warnings: estimate.warnings.iter().map(ToString::to_string).collect(),
         held: estimate.held.iter().map(ToString::to_string).collect(),
         fixed: estimate.fixed.iter().map(ToString::to_string).collect(),
+        bounds: estimate
+            .bounds
+            .iter()
+            .map(|bound| JsonBound {
+                name: bound.id.to_string(),
+                unit: bound.id.unit().to_string(),
+                min: finite(bound.lower),
+                max: finite(bound.upper),
+            })
+            .collect(),
+        contradicted: estimate
+            .contradicted
+            .iter()
+            .map(|contradiction| JsonContradiction {
+                name: contradiction.stated.name(),
+                words: contradiction.to_string(),
+                chi2: finite(contradiction.chi2),
+                coordinates: contradiction.freedom,
+            })
+            .collect(),
         outliers: estimate
             .outliers
             .iter()

@@ -401,7 +401,14 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
         },
         Warning::Inconsistent { ratio },
     ];
-    let iteration = IterationRecord { cost: 1.0, damping: 1e-3, step: 1e-6, gain: 1.0, accepted: true };
+    let iteration = |parameters: &[ParameterEstimate]| IterationRecord {
+        cost: 1.0,
+        damping: 1e-3,
+        step: 1e-6,
+        gain: 1.0,
+        accepted: true,
+        parameters: parameters.iter().map(|p| p.value).collect(),
+    };
     Estimate {
         robot: CalibratedRobot {
             mode,
@@ -418,7 +425,7 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
         chi2: ratio * ratio * degrees_of_freedom as f64,
         degrees_of_freedom,
         termination: TerminationReason::SmallStep,
-        iterations: vec![iteration; 5],
+        iterations: vec![iteration(&parameters); 5],
         spectrum: Spectrum {
             rank: n,
             condition: 526.3,
@@ -428,7 +435,9 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
         },
         held: Vec::new(),
         fixed: Vec::new(),
+        bounds: Vec::new(),
         at_bound: Vec::new(),
+        contradicted: Vec::new(),
         outliers: Vec::new(),
         warnings,
         parameters,

@@ -187,6 +187,10 @@ fn state(estimate: &Estimate, style: Style) -> Vec<String> {
         condition_words(spectrum.condition)
     );
     say(if spectrum.rank < estimate.parameters.len() { Ink::Warning } else { Ink::Good }, &words, "    ");
+    if !estimate.bounds.is_empty() {
+        let bounds: Vec<_> = estimate.bounds.iter().map(ToString::to_string).collect();
+        say(Ink::Good, &format!("  held within bounds: {}", bounds.join(", ")), "    ");
+    }
     for warning in estimate.warnings.iter().map(Warning::to_string) {
         say(Ink::Warning, &format!("  warning: {}", printable(&warning)), "           ");
     }

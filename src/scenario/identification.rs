@@ -3,11 +3,12 @@
 use serde::Deserialize;
 
 use crate::identification::{
-    ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Loss, Mode, ParameterChoice, Redundancy,
-    SolverOptions, TargetChoice, TermPrior, Tolerance,
+    ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Loss, Mode, ParameterBound,
+    ParameterBoundError, ParameterChoice, Redundancy, RefusedBound, SolverOptions, TargetChoice, TermPrior,
+    Tolerance, check_bounds,
 };
 use crate::input::{InputError, Source, Spanned};
-use crate::model::{CalibrationModel, FAMILIES, ParameterId, Robot};
+use crate::model::{CalibrationModel, FAMILIES, ParameterId, Robot, Unit};
 
 #[derive(Deserialize, Default)]
 #[serde(deny_unknown_fields)]
@@ -24,6 +25,8 @@ pub(super) struct IdentificationFile {
     terms: Option<Spanned<Vec<Spanned<String>>>>,
     #[serde(default)]
     term_prior: Vec<TermPriorFile>,
+    #[serde(default)]
+    bound: Vec<BoundFile>,
     redundant: Option<RedundantFile>,
     frame: Option<FrameFile>,
     target: Option<TargetFile>,
@@ -99,6 +102,99 @@ struct TermPriorFile {
     sigma_rad: Option<Spanned<f64>>,
 }
 
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct BoundFile {
+    parameter: Spanned<String>,
+    min_mm: Option<Spanned<f64>>,
+    max_mm: Option<Spanned<f64>>,
+    min_mrad: Option<Spanned<f64>>,
+    max_mrad: Option<Spanned<f64>>,
+    min: Option<Spanned<f64>>,
+    max: Option<Spanned<f64>>,
+}
+
+/// The keys of a bound's limits with their unit, and its size in SI.
+const BOUND_KEYS: [(Unit, [&str; 2], f64); 3] = [
+    (Unit::Metre, ["min_mm", "max_mm"], 1e-3),
+    (Unit::Radian, ["min_mrad", "max_mrad"], 1e-3),
+    (Unit::One, ["min", "max"], 1.0),
+];
+
+impl BoundFile {
+    fn limits(&self, unit: Unit) -> [&Option<Spanned<f64>>; 2] {
+        match unit {
+            Unit::Metre => [&self.min_mm, &self.max_mm],
+            Unit::Radian => [&self.min_mrad, &self.max_mrad],
+            Unit::One => [&self.min, &self.max],
+        }
+    }
+
+    fn read(&self, source: &Source) -> Result<ParameterBound, InputError> {
+        let name = self.parameter.get_ref();
+        let id = ParameterId::parse(name).ok_or_else(|| {
+            source.error(
+                self.parameter.span(),
+                format!("identification.bound.parameter is \"{name}\", which is no parameter's name"),
+                Some(format!("expected {}", ParameterId::EXAMPLES)),
+            )
+        })?;
+        let mut bound = ParameterBound { id, lower: f64::NEG_INFINITY, upper: f64::INFINITY };
+        for (unit, keys, size) in BOUND_KEYS {
+            for (limit, key) in self.limits(unit).into_iter().zip(keys) {
+                let Some(value) = limit else { continue };
+                if unit != id.unit() {
+                    return Err(wrong_unit(source, id, key, value));
+                }
+                let number = size * source.finite(&format!("identification.bound.{key}"), value)?;
+                if key.starts_with("min") { bound.lower = number } else { bound.upper = number }
+            }
+        }
+        bound.check().map_err(|error| self.refused(source, &error))?;
+        Ok(bound)
+    }
+
+    /// At the limit that is to blame, else at the parameter.
+    fn refused(&self, source: &Source, error: &ParameterBoundError) -> InputError {
+        let limit = |upper: bool| {
+            BOUND_KEYS.iter().find_map(|(unit, ..)| {
+                let [low, high] = self.limits(*unit);
+                (if upper { high } else { low }).as_ref().map(Spanned::span)
+            })
+        };
+        let place = match error {
+            ParameterBoundError::Empty { .. } => limit(true),
+            ParameterBoundError::BelowNone { .. } => limit(false),
+            ParameterBoundError::ExcludesStart { bound } => limit(bound.upper < 0.0),
+            _ => None,
+        };
+        let help = match error {
+            ParameterBoundError::Open { id } => format!("expected {}", keys_of(id.unit())),
+            error => error.help(),
+        };
+        let place = place.unwrap_or_else(|| self.parameter.span());
+        source.error(place, format!("identification.bound: {error}"), Some(help))
+    }
+}
+
+fn keys_of(unit: Unit) -> String {
+    let keys = BOUND_KEYS.iter().find(|(of, ..)| *of == unit).map_or(["min", "max"], |(_, keys, _)| *keys);
+    format!("{}, {} or both: the unit is part of the key", keys[0], keys[1])
+}
+
+fn wrong_unit(source: &Source, id: ParameterId, key: &str, value: &Spanned<f64>) -> InputError {
+    let what = match id.unit() {
+        Unit::Metre => "a length",
+        Unit::Radian => "an angle",
+        Unit::One => "a relative deviation",
+    };
+    source.error(
+        value.span(),
+        format!("identification.bound.{key}: {id} is {what}"),
+        Some(format!("expected {}", keys_of(id.unit()))),
+    )
+}
+
 impl IdentificationFile {
     /// The rows of the tables.
     pub(super) fn modes(&self, source: &Source) -> Result<Vec<Mode>, InputError> {
@@ -148,7 +244,8 @@ impl IdentificationFile {
             options.terms = Some(keys.map(|key| family(source, "terms", key)).collect::<Result<_, _>>()?);
         }
         for prior in &self.term_prior {
-            options.term_priors.push(term_prior(source, prior)?);
+            let prior = term_prior(source, prior, &options.term_priors)?;
+            options.term_priors.push(prior);
         }
         if let Some(redundant) = self.redundant {
             options.redundant = match redundant {
@@ -199,7 +296,23 @@ impl IdentificationFile {
             }
             options.solver.starts = *starts.get_ref();
         }
+        self.bounds(source, model, &mut options)?;
         Ok(options)
+    }
+
+    /// Adds the bounds, which are on parameters that these options fit.
+    fn bounds(
+        &self,
+        source: &Source,
+        model: &CalibrationModel,
+        options: &mut IdentificationOptions,
+    ) -> Result<(), InputError> {
+        for file in &self.bound {
+            options.bounds.push(file.read(source)?);
+        }
+        // A simulated session has one station and one target.
+        check_bounds(model, &self.modes(source)?, options, 1, 1)
+            .map_err(|RefusedBound { index, error }| self.bound[index].refused(source, &error))
     }
 
     /// The prior on the link parameters, for lengths and angles or for neither.
@@ -313,8 +426,15 @@ fn family(source: &Source, key: &str, name: &Spanned<String>) -> Result<String, 
     ))
 }
 
-fn term_prior(source: &Source, file: &TermPriorFile) -> Result<TermPrior, InputError> {
+fn term_prior(source: &Source, file: &TermPriorFile, before: &[TermPrior]) -> Result<TermPrior, InputError> {
     let family = family(source, "term_prior.family", &file.family)?;
+    if before.iter().any(|other| other.family == family) {
+        return Err(source.error(
+            file.family.span(),
+            format!("identification.term_prior: a second prior of \"{family}\""),
+            Some("expected one prior a family, with sigma_um and sigma_rad in it".to_owned()),
+        ));
+    }
     if file.sigma_um.is_none() && file.sigma_rad.is_none() {
         return Err(source.error(
             file.family.span(),

@@ -6,7 +6,7 @@ use std::ops::ControlFlow;
 use calibrig::identification::{Mode, Warning};
 use calibrig::pipeline::{self, PlantKind, calibrate};
 use calibrig::recording::{McapRecorder, SessionContext, SessionRecorder, write_mcap};
-use calibrig::replay::replay;
+use calibrig::replay::{ReplayOptions, replay};
 
 use crate::a_user_reproduces_the_paper::{paper, rigid_paper};
 
@@ -18,7 +18,7 @@ fn replay_finds_the_same_bits_for_20_seeds() {
         let outcome = pipeline::run(&scenario, seed, |_, _| {}).expect("a run");
         let path = folder.path().join(format!("{seed}.mcap"));
         write_mcap(&outcome, &path).expect("a recording");
-        let replayed = replay(&path).expect("a replay");
+        let replayed = replay(&path, &ReplayOptions::default()).expect("a replay");
         assert_eq!(replayed.compared, 4);
         assert!(replayed.differences.is_empty(), "{:?}", replayed.differences);
         assert!(replayed.outcome.truth.is_none());

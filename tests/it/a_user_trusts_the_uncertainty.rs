@@ -59,14 +59,14 @@ fn exact_measurements_give_the_24_parameters() {
 fn noise_gives_the_stated_chi_square_and_coverage() {
     let scenario = matched();
     let trials = 1000;
-    let (mut chi2, mut dof) = (0.0, 0);
+    let (mut chi2, mut dof, mut doubted) = (0.0, 0, 0);
     let mut covered = [0_u32; 24];
     for trial in 0..trials {
         let simulation =
             simulate(&scenario, 2024, trial, PlantKind::Rapier, |_, _| {}).expect("a simulation");
         let estimate = identify(&scenario.robot.model, &simulation.sets[0].measurements, &scenario.options)
             .expect("an estimate");
-        assert!(estimate.is_sound(), "trial {trial}: {:?}", estimate.warnings);
+        doubted += u32::from(!estimate.is_sound());
         chi2 += estimate.chi2;
         dof += estimate.degrees_of_freedom;
         for (hits, parameter) in covered.iter_mut().zip(&estimate.parameters) {
@@ -75,6 +75,9 @@ fn noise_gives_the_stated_chi_square_and_coverage() {
             *hits += u32::from((parameter.value - truth).abs() <= 1.959_964 * sigma);
         }
     }
+    // What was stated is doubted at a level of 0.1 %: 1 of 1000 is expected, 6 and more come once in 1700 such tests.
+    println!("{doubted} of {trials} doubted");
+    assert!(doubted <= 5, "{doubted}");
     let per_dof = chi2 / dof as f64;
     // The sum of all trials is chi-square with `dof` degrees of freedom, which is normal for so many: 99.9 % band.
     let band = 3.291 * (2.0 / dof as f64).sqrt();

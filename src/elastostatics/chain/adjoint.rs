@@ -111,15 +111,16 @@ impl ElasticChain {
         self.adjoint.lambda.fill(Vector3::zeros());
         self.adjoint.mu.fill(Vector3::zeros());
         self.set_direct();
+        // What a sweep gives where λ is zero.
+        self.adjoint.next.copy_from_slice(&self.adjoint.direct);
+        self.adjoint.rod.fill(0.0);
         if !self.adjoint.coupled {
             self.closed.force = 0.0;
-            self.adjoint.next.copy_from_slice(&self.adjoint.direct);
-            self.adjoint.rod.fill(0.0);
             self.take_over();
             return Ok(());
         }
         self.set_curvature();
-        let mut change = f64::INFINITY;
+        let mut change = self.take_over();
         for _ in 0..MOST_ITERATIONS {
             self.sweep();
             change = self.take_over();

@@ -141,7 +141,7 @@ impl Walk {
         let screw = self.screw(component);
         if component < 3 {
             self.origin += by * screw.axis;
-        } else {
+        } else if by != 0.0 {
             self.turn(component % 3, by.sin_cos());
         }
         screw
@@ -159,6 +159,9 @@ impl Walk {
 pub(super) fn stepped(component: usize, by: f64, point: &mut Vector3<f64>) {
     if component < 3 {
         point[component] += by;
+        return;
+    }
+    if by == 0.0 {
         return;
     }
     let (sin, cos) = by.sin_cos();

@@ -3,6 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::{DependentGroup, Spectrum, WeakDirection};
+use crate::identification::factor::triangular_factor_of_all;
 use crate::model::ParameterId;
 
 /// A scaled singular value below this fraction of the largest counts as zero. Exact dependence leaves some 1e-15, the weakest direction
@@ -102,7 +103,7 @@ pub(super) fn determination(jacobian: &DMatrix<f64>, direction: &[f64]) -> f64 {
 /// The triangular factor: it has the column norms and singular values of the whole, and is small.
 fn triangular_factor(jacobian: &DMatrix<f64>) -> DMatrix<f64> {
     if jacobian.nrows() > jacobian.ncols() && jacobian.ncols() > 0 {
-        jacobian.clone().qr().unpack_r()
+        triangular_factor_of_all(jacobian.as_view())
     } else {
         jacobian.clone()
     }

@@ -77,6 +77,7 @@ fn problem() -> CalibrationProblem {
         parameters,
         stations,
         targets,
+        start: None,
     }
 }
 
@@ -166,6 +167,7 @@ fn coupled() -> CalibrationProblem {
         parameters,
         stations,
         targets,
+        start: None,
     }
 }
 

@@ -12,6 +12,8 @@ const LEAST_DAMPING: f64 = 1e-15;
 const MOST_DAMPING: f64 = 1e12;
 /// Above this a step may be short for its damping alone, which says nothing about the minimum.
 const SHORTENING_DAMPING: f64 = 1e-3;
+/// A step whose gain differs from one by less showed the problem to be linear for what remains.
+const EXACT_GAIN: f64 = 1e-2;
 
 /// A search from one start. One object serves all passes of a robust fit, so that they share their memory.
 pub(super) struct Descent<'a, P> {
@@ -59,6 +61,7 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
         self.now.weigh(robust);
         self.scale.fill(0.0);
         let mut damping = FIRST_DAMPING;
+        let mut model_holds = false;
         let Some(mut normal) = self.now.cost.is_finite().then(|| self.normal_equations()).flatten() else {
             return TerminationReason::NotFinite;
         };
@@ -77,22 +80,24 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
                 continue;
             };
             let moved = self.moved(&step);
-            self.trial.place(self.problem, &moved, robust);
             let curvature = normal.curvature(&step.scaled);
             let predicted = normal.predicted_decrease(&step.scaled, curvature);
-            let gain = if predicted > 0.0 { (self.now.cost - self.trial.cost) / predicted } else { 0.0 };
             let negligible = self.is_negligible(&normal, curvature, damping);
+            if negligible && model_holds && self.follow(&moved, robust) {
+                self.x = moved;
+                self.record(damping, &step, 1.0, true);
+                return TerminationReason::SmallDecrease;
+            }
+            self.trial.place(self.problem, &moved, robust);
+            let gain = if predicted > 0.0 { (self.now.cost - self.trial.cost) / predicted } else { 0.0 };
             // A cost that is not a number compares as no decrease.
             let accepted = self.trial.cost <= self.now.cost && self.go_on(&mut normal, negligible);
-            self.iterations.push(IterationRecord {
-                cost: self.now.cost,
-                damping,
-                step: step.scaled.norm(),
-                gain,
-                accepted,
-            });
             if accepted {
                 self.x = moved;
+            }
+            self.record(damping, &step, gain, accepted);
+            model_holds = accepted && (gain - 1.0).abs() <= EXACT_GAIN;
+            if accepted {
                 if negligible {
                     return TerminationReason::SmallDecrease;
                 }
@@ -107,6 +112,33 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
                 }
             }
         }
+    }
+
+    fn record(&mut self, damping: f64, step: &Step, gain: f64, accepted: bool) {
+        self.iterations.push(IterationRecord {
+            cost: self.now.cost,
+            damping,
+            step: step.scaled.norm(),
+            gain,
+            accepted,
+            parameters: self.x.clone(),
+        });
+    }
+
+    /// Takes a negligible step in a problem that was linear over the one before: residuals follow from the Jacobian, which stays. No, and
+    /// nothing changes, where the cost would rise by rounding.
+    fn follow(&mut self, moved: &[f64], robust: Option<Robust>) -> bool {
+        let change =
+            DVector::from_iterator(moved.len(), moved.iter().zip(&self.x).map(|(to, from)| to - from));
+        self.trial.residuals.copy_from(&self.now.residuals);
+        self.trial.residuals.gemv(1.0, &self.now.jacobian, &change, 1.0);
+        self.trial.weigh(robust);
+        let falls = self.trial.cost <= self.now.cost;
+        if falls {
+            std::mem::swap(&mut self.trial.jacobian, &mut self.now.jacobian);
+            std::mem::swap(&mut self.trial, &mut self.now);
+        }
+        falls
     }
 
     /// Makes the trial the present point. Where its derivatives are not finite nothing changes, and the answer is no. The last point needs

@@ -101,16 +101,28 @@ pub(super) struct NormalEquations {
     gradient: DVector<f64>,
 }
 
+/// Rows that are multiplied at a time, a whole number of blocks: with some dozen columns they stay in the processor's cache.
+const ROWS: usize = 768;
+
 impl NormalEquations {
     /// Of columns as they are; `None` where an entry is not finite.
     pub fn new(point: &Point) -> Option<Self> {
+        let (m, n) = point.jacobian.shape();
+        let (mut matrix, mut gradient) = (DMatrix::zeros(n, n), DVector::zeros(n));
         // nalgebra multiplies in blocks only where nothing is transposed on the fly.
-        let mut transposed = point.jacobian.transpose();
-        for (i, weight) in point.weights.iter().enumerate() {
-            transposed.columns_mut(3 * i, 3).scale_mut(*weight);
+        let mut memory = DMatrix::zeros(n, ROWS.min(m));
+        for first in (0..m).step_by(ROWS) {
+            let count = ROWS.min(m - first);
+            let rows = point.jacobian.rows(first, count);
+            let mut transposed = memory.columns_mut(0, count);
+            rows.transpose_to(&mut transposed);
+            let end = point.weights.len().min((first + count) / 3);
+            for i in first / 3..end {
+                transposed.columns_mut(3 * i - first, 3).scale_mut(point.weights[i]);
+            }
+            matrix.gemm(1.0, &transposed, &rows, 1.0);
+            gradient.gemm(1.0, &transposed, &point.residuals.rows(first, count), 1.0);
         }
-        let matrix = &transposed * &point.jacobian;
-        let gradient = transposed * &point.residuals;
         (are_finite(gradient.as_slice()) && are_finite(matrix.as_slice()))
             .then_some(Self { matrix, gradient })
     }

@@ -19,6 +19,51 @@ fn rosenbrock_is_solved_and_the_cost_never_rises() {
     assert_eq!((solution.minima, solution.scale, solution.variance_factor), (1, 1.0, 1.0));
 }
 
+/// Whatever became of the step: the cost of a record is that of its parameters, and the last ones are the solution.
+#[test]
+fn the_record_of_an_iteration_holds_where_it_left_the_parameters() {
+    let cost = |x: &[f64]| 100.0 * (x[1] - x[0] * x[0]).powi(2) + (1.0 - x[0]).powi(2);
+    let wide = Bounds::new(vec![-10.0; 2], vec![10.0; 2]).expect("bounds");
+    let start = vec![-1.2, 1.0];
+    let options = SolverOptions::default();
+    let free = minimise(&mut rosenbrock(), start.clone(), &options);
+    let bounded = minimise_within(&mut rosenbrock(), start.clone(), &options, &wide, &[]).expect("inside");
+    for solution in [free, bounded] {
+        let records = &solution.iterations;
+        assert!(records.iter().any(|r| !r.accepted));
+        let mut before = &start;
+        for record in records {
+            assert!((cost(&record.parameters) - record.cost).abs() <= 1e-12 * (1.0 + record.cost));
+            assert_eq!(record.accepted, record.parameters != *before);
+            before = &record.parameters;
+        }
+        assert_eq!(*before, solution.x);
+    }
+}
+
+/// A negligible step after one that showed the model to hold is taken without an evaluation, after another one with it.
+#[test]
+fn the_last_step_is_looked_at_only_where_the_model_did_not_hold() {
+    for (slope, looked_at) in [(1.0, false), (1.3, true)] {
+        let evaluations = std::cell::Cell::new(0);
+        let residuals = |x: f64| vec![(x - 2.0, slope), (1.0, 0.0)];
+        let mut problem = scalar(
+            |x| {
+                evaluations.set(evaluations.get() + 1);
+                residuals(x)
+            },
+            2,
+        );
+        let solution = minimise(&mut problem, vec![-1.0], &SolverOptions::default());
+        assert_eq!(solution.termination, TerminationReason::SmallDecrease);
+        let all_looked_at = evaluations.get() == 1 + solution.iterations.len();
+        assert_eq!(all_looked_at, looked_at);
+        let rows = residuals(solution.x[0]);
+        let cost: f64 = rows.iter().map(|(r, _)| r * r).sum();
+        assert!((solution.cost - cost).abs() <= 1e-12 && (solution.x[0] - 2.0).abs() < 1e-4);
+    }
+}
+
 #[test]
 fn a_useless_parameter_does_not_stop_the_others() {
     let mut decay = Formula {

@@ -1,0 +1,160 @@
+//! How the time and the memory of `identify` grow with the number of poses. A machine with the model's own errors is measured at evenly
+//! spread poses with 20 µm of noise; the last column is the largest memory held at one time beyond what was there before.
+//!
+//! `cargo bench --bench growth`, or `cargo bench --bench growth -- 100 300` for other numbers of poses
+
+#![allow(clippy::expect_used, missing_docs)]
+
+use std::hint::black_box;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use calibrig::elastostatics::apply;
+use calibrig::geometry::{rotation_x, translation};
+use calibrig::identification::{
+    CalibratedRobot, ComplianceChoice, Estimate, FrameChoice, IdentificationOptions, Mode, Predictor,
+    TargetChoice, identify, neighbour_axis_rules, structural_poses,
+};
+use calibrig::measurement::{MeasurementSet, NestObservation, Observation, Reading, Station, Target};
+use calibrig::model::{CalibrationModel, Compliance, ParameterId, load_robot};
+use nalgebra::{Matrix3, Point3, Vector3};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+const POSES: [usize; 4] = [100, 1_000, 10_000, 100_000];
+const SIGMA: f64 = 2e-5;
+/// Time spent on repetitions of one fit, of which the shortest counts.
+const REPEATED_FOR: Duration = Duration::from_secs(1);
+
+/// Some millimetres and milliradians in every link, and springs a few percent off.
+fn machine(nominal: &CalibrationModel, mode: Mode) -> CalibratedRobot {
+    let mut model = nominal.clone();
+    let links = neighbour_axis_rules(&nominal.kinematics).0;
+    for (id, place) in links.into_iter().zip(0_u32..) {
+        apply(&mut model, nominal, id, 1e-2 * (2.3 * f64::from(place) + 0.4).sin());
+    }
+    let springs = nominal.compliances().into_iter().zip(0_u32..);
+    for (compliance, place) in springs {
+        let off: f64 = 0.1 * (1.7 * f64::from(place) + 0.9).sin();
+        apply(&mut model, nominal, ParameterId::Compliance(compliance), off);
+    }
+    CalibratedRobot {
+        mode,
+        model,
+        terms: Vec::new(),
+        stations: vec![translation(5.0, 1.0, 1.5) * rotation_x(0.4)],
+        targets: vec![Vector3::new(0.1, 0.15, 0.2)],
+    }
+}
+
+/// Poses in the middle of the joints' limits, as `robot` takes them.
+fn measure(nominal: &CalibrationModel, robot: &CalibratedRobot, poses: usize) -> MeasurementSet {
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let covariance = Some(Matrix3::identity() * SIGMA * SIGMA);
+    let station = robot.stations[0];
+    let nest = |in_base: Vector3<f64>| NestObservation {
+        name: String::new(),
+        in_base,
+        in_base_covariance: Matrix3::identity() * 1e-10,
+        reading: Reading::Cartesian { position: (station * Point3::from(in_base)).coords, covariance },
+    };
+    let corners = [Vector3::zeros(), Vector3::x(), Vector3::y(), 4.0 * Vector3::z()];
+    let target = Target { name: String::new(), in_flange: robot.targets[0], covariance };
+    let mut set = MeasurementSet {
+        stations: vec![Station { name: String::new(), nests: corners.map(nest).to_vec() }],
+        targets: vec![target],
+        observations: Vec::with_capacity(poses),
+    };
+    let links = &nominal.kinematics.links;
+    let mut predictor = Predictor::new(nominal, robot);
+    for (pose, mut joints) in (0..).zip(structural_poses(&nominal.kinematics, poses)) {
+        for (q, link) in joints.iter_mut().zip(links) {
+            let middle = 0.5 * (link.limits[0] + link.limits[1]);
+            *q = middle + 0.7 * (*q - middle);
+        }
+        let mut observation = Observation {
+            pose,
+            approach: vec![1; joints.len()],
+            command: nominal.actuators.command_from_joints(&joints),
+            temperature: None,
+            time: f64::from(pose),
+            station: 0,
+            target: 0,
+            reading: Reading::Cartesian { position: Vector3::zeros(), covariance },
+        };
+        let in_base = predictor.in_base(&observation).expect("a pose that the robot can take");
+        let mut unit = || -> f64 { StandardNormal.sample(&mut rng) };
+        let noise = SIGMA * Vector3::from_fn(|_, _| unit());
+        let position = (station * Point3::from(in_base)).coords + noise;
+        observation.reading = Reading::Cartesian { position, covariance };
+        set.observations.push(observation);
+    }
+    set
+}
+
+/// The shortest time of a fit, and the most memory that it held.
+fn cost(
+    nominal: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+) -> (Duration, u64, Estimate) {
+    let fit = || identify(black_box(nominal), black_box(set), options).expect("an estimate");
+    let mut kept = None;
+    let memory = allocation_counter::measure(|| kept = Some(fit())).bytes_max;
+    let started = Instant::now();
+    let mut shortest = Duration::MAX;
+    loop {
+        let start = Instant::now();
+        black_box(fit());
+        shortest = shortest.min(start.elapsed());
+        if started.elapsed() > REPEATED_FOR {
+            return (shortest, memory, kept.expect("a fit was done"));
+        }
+    }
+}
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let mut counts: Vec<usize> = arguments.iter().filter_map(|a| a.parse().ok()).collect();
+    if counts.is_empty() {
+        // `cargo test --benches` only wants to see that it runs.
+        let whole = arguments.iter().any(|a| a == "--bench");
+        counts.extend(&POSES[..if whole { POSES.len() } else { 1 }]);
+    }
+    let nominal = load_robot(Path::new("models/spray_painter/robot.toml")).expect("the shipped robot").model;
+    let geometric = IdentificationOptions {
+        mode: Mode::OnlyCalibration,
+        frame: FrameChoice::Nests,
+        target: TargetChoice::Fixed,
+        ..IdentificationOptions::default()
+    };
+    let gravity = IdentificationOptions { mode: Mode::WithGravity, ..geometric.clone() };
+    let of_drives = |c: &Compliance| matches!(c, Compliance::Drive { .. } | Compliance::Rod);
+    assert!(nominal.compliances().iter().any(|c| !of_drives(c)), "bearings and beams yield");
+    let elastic = IdentificationOptions {
+        mode: Mode::ElastoGeometric,
+        compliances: ComplianceChoice::All,
+        masses: vec![2, 3, 4, 5, 6],
+        target: TargetChoice::Measured,
+        ..geometric.clone()
+    };
+    println!("mode               parameters   poses  iterations   time ms  us a pose   memory MB  kB a pose");
+    for options in [geometric, gravity, elastic] {
+        let robot = machine(&nominal, options.mode);
+        for &poses in &counts {
+            let set = measure(&nominal, &robot, poses);
+            let (time, memory, estimate) = cost(&nominal, &set, &options);
+            println!(
+                "{:<18} {:>10} {poses:>7} {:>11} {:>9.2} {:>10.2} {:>11.2} {:>10.2}",
+                options.mode.key(),
+                estimate.parameters.len(),
+                estimate.iterations.len(),
+                1e3 * time.as_secs_f64(),
+                1e6 * time.as_secs_f64() / poses as f64,
+                1e-6 * memory as f64,
+                1e-3 * memory as f64 / poses as f64,
+            );
+        }
+    }
+}

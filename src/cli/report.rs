@@ -1,0 +1,55 @@
+//! `calibrig report`.
+
+use std::path::PathBuf;
+
+use super::output::{self, Destination, Files};
+use super::replay::{cut_short, failed};
+use super::{CliError, Verdict, say};
+use crate::replay::{NoTruth, ReplayOptions, recorded_truth, replay};
+
+/// Make report.html and report.json again from a recording
+///
+/// The parameters are identified again from the recorded measurements; the truth of a simulated run is put beside them afterwards.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  calibrig report runs/paper/recording.mcap              in a new folder under runs/
+  calibrig report recording.mcap --out report            in report/, written over
+  calibrig report recording.mcap --out report --json     and the report as JSON on standard output")]
+pub(super) struct Args {
+    /// The recording
+    recording: PathBuf,
+    /// Folder for report.html and report.json, which are written over [default: a new folder under runs/]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print the report as JSON (schema calibrig.report/1) instead of the tables
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
+    if let Some(out) = &args.out {
+        Destination::Asked(out).check(Files::Reports)?;
+    }
+    let refused = |error| failed(error, &args.recording);
+    let mut replayed = replay(&args.recording, &ReplayOptions::default()).map_err(refused)?;
+    match recorded_truth(&args.recording).map_err(refused)? {
+        Ok(truth) => replayed.outcome.truth = Some(truth),
+        Err(NoTruth::Real) => {}
+        Err(NoTruth::OtherMachine) => say(
+            "the truth is left out: this version of calibrig makes another machine of the recorded scenario than the recorded one",
+        ),
+    }
+    let outcome = &replayed.outcome;
+    let destination = args.out.as_deref().map_or(Destination::New(&outcome.input.name), Destination::Asked);
+    destination.check(Files::Reports)?;
+    let (folder, new) = destination.make()?;
+    let written = output::or_removed(output::write(outcome, &folder, None), &folder, new);
+    output::show(outcome, args.json)?;
+    written?;
+    let mut verdict = output::verdict(outcome);
+    for part in &replayed.missing {
+        say(&cut_short(part));
+        verdict = Verdict::Doubtful;
+    }
+    Ok(verdict)
+}

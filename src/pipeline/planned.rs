@@ -1,0 +1,81 @@
+//! Measuring sessions as planned: what the nominal robot would show, without any error.
+
+use nalgebra::Vector3;
+
+use super::{PipelineError, PlantKind, simulate};
+use crate::geometry::Transform;
+use crate::identification::{CalibratedRobot, Mode, Predictor};
+use crate::measurement::{MeasurementSet, Observation, Reading, Station, Target};
+use crate::model::CalibrationModel;
+use crate::plant::AsBuilt;
+use crate::plant::effects::Effects;
+use crate::scenario::Scenario;
+
+/// The identification set of a scenario as the nominal robot would give it: its poses in their order, with its nests and its tracker.
+pub fn planned(scenario: &Scenario) -> Result<MeasurementSet, PipelineError> {
+    let nominal = &scenario.robot.model;
+    let mut session = Scenario {
+        as_built: AsBuilt {
+            kinematics: nominal.kinematics.clone(),
+            actuators: nominal.actuators,
+            statics: nominal.statics.clone().unwrap_or_else(|| scenario.as_built.statics.clone()),
+            target: scenario.robot.target.unwrap_or(scenario.as_built.target),
+            effects: Effects::default(),
+        },
+        drawn: None,
+        outliers: None,
+        verification_poses: 0,
+        ..scenario.clone()
+    };
+    session.tracker.instrument.noise = false;
+    let simulated = simulate(&session, scenario.seed, 0, PlantKind::Analytic, |_, _| {})?;
+    Ok(simulated.sets.into_iter().next().map(|set| set.measurements).unwrap_or_default())
+}
+
+/// The same at any poses (joint variables) with the target at `in_flange`, m, where neither the tracker's place nor that offset nor the
+/// readings' noise are known. The poses are approached one from the other.
+pub fn planned_at(
+    model: &CalibrationModel,
+    poses: &[Vec<f64>],
+    in_flange: Vector3<f64>,
+) -> Result<MeasurementSet, PipelineError> {
+    let mut set = MeasurementSet {
+        stations: vec![Station { name: "1".to_owned(), nests: Vec::new() }],
+        targets: vec![Target { name: "SMR".to_owned(), in_flange, covariance: None }],
+        observations: Vec::new(),
+    };
+    let robot = CalibratedRobot {
+        mode: Mode::Extended,
+        model: model.clone(),
+        terms: Vec::new(),
+        stations: vec![Transform::identity()],
+        targets: vec![in_flange],
+    };
+    let mut predictor = Predictor::new(model, &robot);
+    let mut before: Option<Vec<f64>> = None;
+    for (pose, joints) in (1..).zip(poses) {
+        let command = model.actuators.command_from_joints(joints);
+        let sign = |(now, before): (&f64, &f64)| if now > before { 1 } else { -1 };
+        let approach = match &before {
+            Some(before) => command.iter().zip(before).map(sign).collect(),
+            None => vec![0; command.len()],
+        };
+        before = Some(command.clone());
+        let mut observation = Observation {
+            pose,
+            command,
+            approach,
+            temperature: None,
+            time: 0.0,
+            station: 0,
+            target: 0,
+            reading: Reading::Cartesian { position: Vector3::zeros(), covariance: None },
+        };
+        let position = predictor
+            .in_base(&observation)
+            .map_err(|source| PipelineError::Predict { mode: robot.mode, source })?;
+        observation.reading = Reading::Cartesian { position, covariance: None };
+        set.observations.push(observation);
+    }
+    Ok(set)
+}

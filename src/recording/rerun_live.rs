@@ -1,0 +1,411 @@
+//! The story of a run, told to an open Rerun viewer while it goes on.
+
+use std::net::{TcpStream, ToSocketAddrs};
+use std::sync::Arc;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use nalgebra::Vector3;
+use rerun::external::re_uri::ProxyUri;
+use rerun::log::{ChunkBatcherConfig, LogMsg};
+use rerun::sink::{GrpcSink, GrpcSinkConnectionState, LogSink, SinkFlushError};
+
+use super::rerun_layout::{self, Force};
+use super::rerun_sink::RerunRecorder;
+use super::rerun_views::Setting;
+use super::scene::{self, Sighting};
+use super::{Chain, ChainKind, LogEntry, Measured, PoseStep, Preamble, Recorder, RecordingError};
+use crate::geometry::Transform;
+use crate::model::CalibrationModel;
+use crate::pipeline::{ModeOutcome, Outcome, SetKind, SetOutcome};
+use crate::plant::AsBuilt;
+
+/// Where a viewer listens unless told otherwise.
+pub const VIEWER_URL: &str = "rerun+http://127.0.0.1:9876/proxy";
+
+/// How long a viewer may take to answer.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// How long it may take to read what is under way at the end.
+const LAST_PATIENCE: Duration = Duration::from_secs(20);
+
+/// Reads the address of a viewer.
+pub fn viewer_url(text: &str) -> Result<String, RecordingError> {
+    let bad = |reason| RecordingError::BadViewerUrl { url: text.to_owned(), reason };
+    match text.parse::<ProxyUri>() {
+        Ok(uri) => Ok(uri.to_string()),
+        Err(error) => Err(bad(error.to_string())),
+    }
+}
+
+/// A way to a viewer.
+trait Line: Send + Sync + 'static {
+    /// Queues a message.
+    fn send(&self, message: LogMsg);
+    /// Waits until all messages are through.
+    fn flush(&self, timeout: Duration) -> Result<(), SinkFlushError>;
+    /// Why nothing more gets through, if so.
+    fn loss(&self) -> Option<String>;
+}
+
+impl Line for GrpcSink {
+    fn send(&self, message: LogMsg) {
+        LogSink::send(self, message);
+    }
+
+    fn flush(&self, timeout: Duration) -> Result<(), SinkFlushError> {
+        self.flush_blocking(timeout)
+    }
+
+    fn loss(&self) -> Option<String> {
+        match self.status() {
+            GrpcSinkConnectionState::Disconnected(Err(error)) => Some(error.to_string()),
+            GrpcSinkConnectionState::Disconnected(Ok(())) => Some("it was closed".to_owned()),
+            _ => None,
+        }
+    }
+}
+
+/// An open Rerun viewer.
+pub struct Viewer {
+    url: String,
+    line: Arc<dyn Line>,
+}
+
+impl Viewer {
+    /// Finds the viewer that listens at `url`.
+    pub fn connect(url: &str) -> Result<Self, RecordingError> {
+        let uri: ProxyUri = url.parse().map_err(|error| RecordingError::BadViewerUrl {
+            url: url.to_owned(),
+            reason: format!("{error}"),
+        })?;
+        let absent = |reason: String| RecordingError::NoViewer {
+            url: url.to_owned(),
+            reason,
+            version: rerun::build_info().version.to_string(),
+        };
+        // Asked first by itself: the sink tries again and again without a word.
+        reachable(&uri).map_err(|error| absent(error.to_string()))?;
+        let sink = GrpcSink::new(uri);
+        let begun = Instant::now();
+        while !matches!(sink.status(), GrpcSinkConnectionState::Connected) {
+            if begun.elapsed() > PATIENCE {
+                abandon(sink);
+                return Err(absent("what listens there does not speak gRPC".to_owned()));
+            }
+            thread::sleep(Duration::from_millis(10));
+        }
+        Ok(Self { url: url.to_owned(), line: Arc::new(sink) })
+    }
+}
+
+fn reachable(uri: &ProxyUri) -> std::io::Result<()> {
+    let place = format!("{}:{}", uri.origin.format_host(), uri.origin.port);
+    let mut last = std::io::Error::from(std::io::ErrorKind::NotFound);
+    for address in place.to_socket_addrs()? {
+        match TcpStream::connect_timeout(&address, PATIENCE) {
+            Ok(_) => return Ok(()),
+            Err(error) => last = error,
+        }
+    }
+    Err(last)
+}
+
+/// Lets go of what would otherwise wait for its viewer for ever when it is dropped.
+fn abandon<T>(waiting: T) {
+    std::mem::forget(waiting);
+}
+
+/// The line as a recording stream sees it: it never waits for ever.
+struct Wire(Arc<dyn Line>);
+
+impl LogSink for Wire {
+    fn send(&self, message: LogMsg) {
+        self.0.send(message);
+    }
+
+    fn flush_blocking(&self, timeout: Duration) -> Result<(), SinkFlushError> {
+        self.0.flush(timeout.min(LAST_PATIENCE))
+    }
+
+    fn default_batcher_config(&self) -> ChunkBatcherConfig {
+        ChunkBatcherConfig::LOW_LATENCY
+    }
+}
+
+/// Tells a viewer. What goes wrong with the viewer never ends a run: the rest is not told, and [`finish`](Self::finish) says why.
+pub struct LiveRecorder {
+    viewer: Viewer,
+    /// From the session's opening on.
+    recorder: Option<RerunRecorder>,
+    session: Option<Session>,
+    lost: Option<String>,
+}
+
+/// What the poses of a simulated session are drawn with.
+struct Session {
+    as_built: AsBuilt,
+    tracker_from_base: Transform,
+    model: CalibrationModel,
+    /// In the flange frame, m.
+    targets: Vec<Vector3<f64>>,
+}
+
+impl LiveRecorder {
+    /// Waits for a session.
+    pub fn new(viewer: Viewer) -> Self {
+        Self { viewer, recorder: None, session: None, lost: None }
+    }
+
+    fn wire(&self) -> Wire {
+        Wire(Arc::clone(&self.viewer.line))
+    }
+
+    /// Keeps `result`, and the state of the connection.
+    fn note(&mut self, result: Result<(), RecordingError>) {
+        let told = result.err().map(|error| error.to_string());
+        self.lost = told.or_else(|| self.viewer.line.loss());
+    }
+
+    fn tell(&mut self, tell: impl FnOnce(&mut RerunRecorder) -> Result<(), RecordingError>) {
+        if self.lost.is_none()
+            && let Some(recorder) = &mut self.recorder
+        {
+            let told = tell(recorder);
+            self.note(told);
+        }
+    }
+
+    /// The machine before it moves. In front of it goes the layout, in which everything will appear.
+    fn open_session(&mut self, preamble: &Preamble<'_>) -> Result<(), RecordingError> {
+        let (as_built, trackers) = match preamble.truth {
+            Some((as_built, tracker)) => (Some(as_built), vec![tracker.inverse()]),
+            None => (None, Vec::new()),
+        };
+        let up = scene::up_of(preamble.model, as_built);
+        let setting = Setting {
+            up,
+            trackers: trackers.iter().map(|tracker| tracker.translation.vector).collect(),
+            seen: scene::reach(&preamble.model.kinematics),
+            rod: preamble.model.actuators.four_bar().is_some(),
+        };
+        let wire = self.wire();
+        wire.send_all(rerun_layout::session(&setting)?);
+        let recorder = self.recorder.insert(RerunRecorder::telling(&preamble.input.name, Box::new(wire))?);
+        recorder.surroundings(&up, &trackers, Vec::new())?;
+        let Some((as_built, tracker_from_base)) = preamble.truth else { return Ok(()) };
+        recorder.robot(ChainKind::True, preamble.visuals)?;
+        recorder.machine_curves()?;
+        self.session = Some(Session {
+            as_built: as_built.clone(),
+            tracker_from_base: *tracker_from_base,
+            model: preamble.model.clone(),
+            targets: Vec::new(),
+        });
+        Ok(())
+    }
+
+    /// Waits until the viewer has everything; the error says why it has not.
+    pub fn finish(mut self) -> Result<(), RecordingError> {
+        self.close();
+        let url = self.viewer.url.clone();
+        self.lost.take().map_or(Ok(()), |reason| Err(RecordingError::ViewerLost { url, reason }))
+    }
+
+    fn close(&mut self) {
+        let Some(recorder) = self.recorder.take() else { return };
+        let stream = recorder.into_stream();
+        if self.lost.is_none() {
+            let flushed = stream.flush_with_timeout(LAST_PATIENCE).map_err(RecordingError::unrecordable);
+            self.note(flushed);
+        }
+        if self.lost.is_some() && self.viewer.line.loss().is_none() {
+            // It is there and does not read.
+            abandon((stream, Arc::clone(&self.viewer.line)));
+        }
+    }
+}
+
+impl Drop for LiveRecorder {
+    fn drop(&mut self) {
+        self.close();
+    }
+}
+
+impl Session {
+    fn chains(&self, measured: &Measured<'_>) -> Vec<Chain> {
+        let (Some(observation), Some(settled)) = (measured.observations.first(), measured.truth.first())
+        else {
+            return Vec::new();
+        };
+        let target = self.targets.get(observation.target);
+        let rigid = measured.rigid.first();
+        scene::machine_chains(&self.as_built, settled, rigid, &self.model, target, observation)
+            .unwrap_or_default()
+    }
+
+    fn sightings(&self, measured: &Measured<'_>) -> Vec<Sighting> {
+        measured.observations.iter().map(|o| scene::sighting_from(&self.tracker_from_base, o)).collect()
+    }
+}
+
+impl Recorder for LiveRecorder {
+    fn open(&mut self, preamble: &Preamble<'_>) -> Result<(), RecordingError> {
+        let opened = self.open_session(preamble);
+        self.note(opened);
+        Ok(())
+    }
+
+    fn set(&mut self, _: u64, set: &SetOutcome, _: Option<u32>) -> Result<(), RecordingError> {
+        if let Some(session) = &mut self.session {
+            session.targets = set.measurements.targets.iter().map(|target| target.in_flange).collect();
+        }
+        Ok(())
+    }
+
+    fn measured(&mut self, measured: &Measured<'_>) -> Result<(), RecordingError> {
+        if let Some(session) = &self.session {
+            let (chains, sightings) = (session.chains(measured), session.sightings(measured));
+            self.tell(|recorder| recorder.measuring(measured, &chains, &sightings));
+        }
+        Ok(())
+    }
+
+    // The evaluation tells of them.
+    fn dropped(&mut self, _: u64, _: SetKind, _: u32, _: &str) -> Result<(), RecordingError> {
+        Ok(())
+    }
+
+    fn set_end(&mut self, _: u64, _: SetKind, _: usize) -> Result<(), RecordingError> {
+        Ok(())
+    }
+
+    fn begin(&mut self, outcome: &Outcome) -> Result<(), RecordingError> {
+        if self.lost.is_none() {
+            let layout = rerun_layout::messages(outcome, Force::Active);
+            let sent = layout.map(|messages| self.wire().send_all(messages));
+            self.note(sent);
+        }
+        self.tell(|recorder| recorder.begin(outcome));
+        Ok(())
+    }
+
+    fn pose(&mut self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
+        self.tell(|recorder| recorder.pose(step));
+        Ok(())
+    }
+
+    fn estimate(&mut self, time: u64, outcome: &Outcome, mode: &ModeOutcome) -> Result<(), RecordingError> {
+        self.tell(|recorder| recorder.estimate(time, outcome, mode));
+        Ok(())
+    }
+
+    fn log(&mut self, entry: &LogEntry) -> Result<(), RecordingError> {
+        self.tell(|recorder| recorder.log(entry));
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeMap;
+    use std::net::TcpListener;
+    use std::sync::Mutex;
+
+    use rerun::log::Chunk;
+
+    use crate::recording::{record, synthetic};
+
+    /// A viewer that is closed when it has so many messages.
+    struct Listener {
+        heard: Mutex<Vec<LogMsg>>,
+        patience: usize,
+    }
+
+    impl Line for Listener {
+        fn send(&self, message: LogMsg) {
+            let mut heard = self.heard.lock().expect("not poisoned");
+            if heard.len() < self.patience {
+                heard.push(message);
+            }
+        }
+
+        fn flush(&self, _: Duration) -> Result<(), SinkFlushError> {
+            Ok(())
+        }
+
+        fn loss(&self) -> Option<String> {
+            (self.heard.lock().expect("not poisoned").len() == self.patience).then(|| "closed".to_owned())
+        }
+    }
+
+    fn listener(patience: usize) -> (Arc<Listener>, LiveRecorder) {
+        let listener = Arc::new(Listener { heard: Mutex::default(), patience });
+        let line: Arc<dyn Line> = listener.clone();
+        (listener, LiveRecorder::new(Viewer { url: VIEWER_URL.to_owned(), line }))
+    }
+
+    #[test]
+    fn a_viewer_is_told_its_layout_first_and_every_pose_once() {
+        let outcome = synthetic::outcome(6, 3, true);
+        let (listener, mut live) = listener(usize::MAX);
+        record(&outcome, &mut live).expect("told");
+        live.finish().expect("heard");
+        let heard = listener.heard.lock().expect("not poisoned");
+        let is_layout = |message: &&LogMsg| message.store_id().is_blueprint();
+        assert!(heard.iter().take_while(is_layout).count() > 10);
+        let in_force = |m: &LogMsg| matches!(m, LogMsg::BlueprintActivationCommand(c) if c.make_active);
+        assert_eq!(heard.iter().filter(|m| in_force(m)).count(), 2, "of the session, of the evaluation");
+
+        let mut rows: BTreeMap<String, usize> = BTreeMap::new();
+        for message in heard.iter().filter(|message| !is_layout(message)) {
+            if let LogMsg::ArrowMsg(_, message) = message {
+                let chunk = Chunk::from_arrow_msg(message).expect("sound");
+                *rows.entry(chunk.entity_path().to_string()).or_default() += chunk.num_rows();
+            }
+        }
+        for path in [
+            "/scene/true/chain",
+            "/scene/nominal/chain",
+            "/scene/calibrated/chain",
+            "/scene/deflection_x100/at_target",
+            "/scene/line_of_sight",
+            "/tables/machine",
+            "/tables/pose",
+        ] {
+            assert_eq!(rows.get(path), Some(&9), "{path}");
+        }
+    }
+
+    #[test]
+    fn a_viewer_that_is_closed_stops_nothing_and_is_told_of_at_the_end() {
+        let outcome = synthetic::outcome(6, 3, true);
+        let (listener, mut live) = listener(60);
+        record(&outcome, &mut live).expect("goes on");
+        let error = live.finish().expect_err("closed");
+        assert!(matches!(&error, RecordingError::ViewerLost { reason, .. } if reason == "closed"), "{error}");
+        assert_eq!(listener.heard.lock().expect("not poisoned").len(), 60);
+    }
+
+    #[test]
+    fn where_no_viewer_listens_the_error_says_how_to_get_one() {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+        let port = listener.local_addr().expect("bound").port();
+        drop(listener);
+        let url = format!("rerun+http://127.0.0.1:{port}/proxy");
+        let error = Viewer::connect(&url).err().expect("nobody there");
+        assert!(matches!(&error, RecordingError::NoViewer { version, .. } if version.starts_with("0.36")));
+        let help = miette::Diagnostic::help(&error).expect("help").to_string();
+        assert!(help.contains("pip install rerun-sdk==0.36"), "{help}");
+    }
+
+    #[test]
+    fn only_the_address_of_a_viewer_is_taken() {
+        assert_eq!(viewer_url(VIEWER_URL).expect("sound"), VIEWER_URL);
+        for bad in
+            ["", "scenarios/paper.toml", "http://127.0.0.1:9876", "rerun+http://127.0.0.1:9876/catalog"]
+        {
+            assert!(matches!(viewer_url(bad), Err(RecordingError::BadViewerUrl { .. })), "{bad}");
+        }
+    }
+}

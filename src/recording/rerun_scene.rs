@@ -1,0 +1,225 @@
+//! What Rerun draws in space.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use rerun::Quaternion;
+use rerun::archetypes::{
+    Arrows3D, Boxes3D, Cylinders3D, Ellipsoids3D, LineStrips3D, Points3D, Transform3D, ViewCoordinates,
+};
+use rerun::components::{Color, FillMode, Radius};
+
+use super::rerun_sink::{ARROWS, DEFLECTED, RerunRecorder, SCENE};
+use super::scene::{self, Arrow, Colour, Sighting};
+use super::{Chain, ChainKind, DEFLECTION_SCALE, Measured, RESIDUAL_SCALE, RecordingError};
+use crate::geometry::Transform;
+use crate::identification::Mode;
+use crate::model::{Visual, VisualShape};
+use crate::pipeline::Outcome;
+
+/// Length of the bars that show the scale of what is drawn larger than life, m.
+const SCALE_BAR: f64 = 0.5;
+
+impl RerunRecorder {
+    /// What does not move, and which way is up: trackers at `trackers`, nests.
+    pub(super) fn surroundings(
+        &self,
+        up: &Vector3<f64>,
+        trackers: &[Transform],
+        nests: Vec<(String, Vector3<f64>)>,
+    ) -> Result<(), RecordingError> {
+        self.fixed(SCENE, &coordinates(up))?;
+        let places: Vec<_> = trackers.iter().map(|tracker| tracker.translation.vector).collect();
+        let names = (1..=places.len()).map(|number| format!("tracker, station {number}"));
+        let points = Points3D::new(places.iter().map(xyz))
+            .with_labels(names)
+            .with_show_labels(true)
+            .with_colors([color(scene::TRACKER)])
+            .with_radii([0.12]);
+        self.fixed(&format!("{SCENE}/trackers"), &points)?;
+        let (names, nests): (Vec<_>, Vec<_>) = nests.into_iter().unzip();
+        let points = Points3D::new(nests.iter().map(xyz))
+            .with_labels(names)
+            .with_show_labels(false)
+            .with_colors([color(scene::NEST)])
+            .with_radii([0.04]);
+        self.fixed(&format!("{SCENE}/nests"), &points)?;
+        self.scales(up, places.first().copied().unwrap_or_default())
+    }
+
+    /// The links' shapes, on the robot that `kind` shows.
+    pub(super) fn robot(&self, kind: ChainKind, visuals: &[Vec<Visual>]) -> Result<(), RecordingError> {
+        for (i, visuals) in visuals.iter().enumerate() {
+            let link = if i == 0 { format!("{SCENE}/base") } else { link_path(kind, i - 1) };
+            self.shapes(&link, visuals)?;
+        }
+        Ok(())
+    }
+
+    fn shapes(&self, link: &str, visuals: &[Visual]) -> Result<(), RecordingError> {
+        let grey = color(scene::SHELL);
+        for (i, visual) in visuals.iter().enumerate() {
+            let path = format!("{link}/shape{}", i + 1);
+            let centre = [xyz(&visual.link_from_shape.translation.vector)];
+            let turn = [quaternion(&visual.link_from_shape)];
+            match visual.shape {
+                VisualShape::Box(edges) => self.fixed(
+                    &path,
+                    &Boxes3D::from_centers_and_sizes(centre, [xyz(&edges.into())])
+                        .with_quaternions(turn)
+                        .with_colors([grey])
+                        .with_fill_mode(FillMode::Solid),
+                )?,
+                VisualShape::Cylinder { radius, length } => self.fixed(
+                    &path,
+                    &Cylinders3D::from_lengths_and_radii([single(length)], [single(radius)])
+                        .with_centers(centre)
+                        .with_quaternions(turn)
+                        .with_colors([grey])
+                        .with_fill_mode(FillMode::Solid),
+                )?,
+                VisualShape::Sphere(radius) => self.fixed(
+                    &path,
+                    &Ellipsoids3D::from_centers_and_radii(centre, [single(radius)])
+                        .with_colors([grey])
+                        .with_fill_mode(FillMode::Solid),
+                )?,
+            }
+        }
+        Ok(())
+    }
+
+    /// Bars over `place` that show how long an error or a deflection is drawn.
+    fn scales(&self, up: &Vector3<f64>, place: Vector3<f64>) -> Result<(), RecordingError> {
+        let bar = |path: &str, what: &str, scale: f64, colour: Colour| {
+            let along = SCALE_BAR * scene::across(up).into_inner();
+            let bar = Arrows3D::from_vectors([xyz(&along)])
+                .with_origins([xyz(&(place + 0.5 * up))])
+                .with_labels([format!("{:.0} mm of {what}", 1e3 * SCALE_BAR / scale)])
+                .with_show_labels(true)
+                .with_colors([color(colour)])
+                .with_radii([Radius::new_ui_points(3.0)]);
+            self.fixed(path, &bar)
+        };
+        bar(&format!("{ARROWS}/scale"), "error", RESIDUAL_SCALE, scene::POINT)?;
+        bar(&format!("{DEFLECTED}/scale"), "deflection", DEFLECTION_SCALE, scene::DEFLECTED)
+    }
+
+    /// All measured points and all arrows: they do not change with the pose.
+    pub(super) fn all_measured(&self, outcome: &Outcome) -> Result<(), RecordingError> {
+        for (index, set) in outcome.sets.iter().enumerate() {
+            let key = set.kind.key();
+            let points = scene::measured_points(outcome, &set.measurements);
+            let points = Points3D::new(points.iter().map(xyz))
+                .with_colors([color(scene::POINT)])
+                .with_radii([Radius::new_ui_points(2.0)]);
+            self.fixed(&format!("{SCENE}/measured/{key}"), &points)?;
+            for mode in &outcome.modes {
+                let observations = &set.measurements.observations;
+                let errors = mode.errors.get(index).map_or(&[][..], Vec::as_slice);
+                let arrows: Vec<_> =
+                    observations.iter().zip(errors).filter_map(|(o, e)| scene::arrow(mode, o, e)).collect();
+                let path = format!("{ARROWS}/{}/{key}", mode.mode.key());
+                self.fixed(&path, &arrows3d(&arrows, scene::mode_colour(mode.mode), 1.0))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// A robot: with its links' shapes, or as a line alone.
+    pub(super) fn chain(&self, chain: &Chain, ghost: bool) -> Result<(), RecordingError> {
+        for (i, link) in chain.links.iter().enumerate().filter(|_| !ghost) {
+            let place =
+                Transform3D::from_translation_rotation(xyz(&link.translation.vector), quaternion(link));
+            self.put(&link_path(chain.kind, i), &place)?;
+        }
+        // Beside the machine, the calibrated robot has to be told from it.
+        let beside = ghost && chain.kind == ChainKind::Calibrated;
+        let colour = if beside { scene::mode_colour(Mode::Extended) } else { chain.kind.colour() };
+        let colour = [color(colour)];
+        let root = format!("{SCENE}/{}", chain.kind.key());
+        let thickness = if chain.kind == ChainKind::Nominal { 1.0 } else { 2.5 };
+        let strip = |points: &[Vector3<f64>]| LineStrips3D::new([points.iter().map(xyz).collect::<Vec<_>>()]);
+        let line =
+            strip(&chain.polyline()).with_colors(colour).with_radii([Radius::new_ui_points(thickness)]);
+        self.put(&format!("{root}/chain"), &line)?;
+        if let Some(linkage) = &chain.linkage {
+            let radius = if ghost {
+                Radius::new_ui_points(thickness)
+            } else {
+                Radius::new_scene_units(single(scene::ROD_RADIUS))
+            };
+            self.put(&format!("{root}/linkage"), &strip(linkage).with_colors(colour).with_radii([radius]))?;
+        }
+        Ok(())
+    }
+
+    /// How far the target gives way, as long as the machine larger than life has it.
+    pub(super) fn deflection(&self, measured: &Measured<'_>) -> Result<(), RecordingError> {
+        let (Some(deflection), Some(rigid)) = (measured.deflection(0), measured.rigid.first()) else {
+            return Ok(());
+        };
+        let drawn = DEFLECTION_SCALE * deflection;
+        let label =
+            format!("{:.1} mm of deflection, drawn as {:.2} m", 1e3 * deflection.norm(), drawn.norm());
+        let arrow = Arrows3D::from_vectors([xyz(&drawn)])
+            .with_origins([xyz(&rigid.target)])
+            .with_labels([label])
+            .with_show_labels(true)
+            .with_colors([color(scene::DEFLECTED)])
+            .with_radii([Radius::new_ui_points(2.5)]);
+        self.put(&format!("{DEFLECTED}/at_target"), &arrow)
+    }
+
+    /// From the trackers to the targets.
+    pub(super) fn sightings(&self, sightings: &[Sighting]) -> Result<(), RecordingError> {
+        let lines = sightings.iter().map(|s| vec![xyz(&s.tracker), xyz(&s.point)]);
+        let beams = LineStrips3D::new(lines.collect::<Vec<_>>())
+            .with_colors([color(scene::BEAM)])
+            .with_radii([Radius::new_ui_points(1.0)]);
+        self.put(&format!("{SCENE}/line_of_sight"), &beams)?;
+        let targets = Points3D::new(sightings.iter().map(|s| xyz(&s.point)))
+            .with_colors([color(scene::BEAM)])
+            .with_radii([0.05]);
+        self.put(&format!("{SCENE}/target"), &targets)
+    }
+}
+
+fn link_path(kind: ChainKind, index: usize) -> String {
+    format!("{SCENE}/{}/link{}", kind.key(), index + 1)
+}
+
+pub(super) fn arrows3d(arrows: &[Arrow], rgba: Colour, thickness: f32) -> Arrows3D {
+    Arrows3D::from_vectors(arrows.iter().map(|a| xyz(&a.vector)))
+        .with_origins(arrows.iter().map(|a| xyz(&a.origin)))
+        .with_colors([color(rgba)])
+        .with_radii([Radius::new_ui_points(thickness)])
+}
+
+/// Pictures are in single precision: 0.2 µm at 4 m.
+#[allow(clippy::cast_possible_truncation)]
+pub(super) fn single(value: f64) -> f32 {
+    value as f32
+}
+
+pub(super) fn xyz(v: &Vector3<f64>) -> [f32; 3] {
+    [single(v.x), single(v.y), single(v.z)]
+}
+
+fn quaternion(transform: &Transform) -> Quaternion {
+    let q = UnitQuaternion::from_rotation_matrix(&transform.rotation);
+    Quaternion::from_xyzw([q.i, q.j, q.k, q.w].map(single))
+}
+
+pub(super) fn color([r, g, b, a]: Colour) -> Color {
+    Color::from_unmultiplied_rgba(r, g, b, a)
+}
+
+fn coordinates(up: &Vector3<f64>) -> ViewCoordinates {
+    match (up.iamax(), up.sum() > 0.0) {
+        (0, true) => ViewCoordinates::RIGHT_HAND_X_UP(),
+        (0, false) => ViewCoordinates::RIGHT_HAND_X_DOWN(),
+        (1, true) => ViewCoordinates::RIGHT_HAND_Y_UP(),
+        (1, false) => ViewCoordinates::RIGHT_HAND_Y_DOWN(),
+        (_, true) => ViewCoordinates::RIGHT_HAND_Z_UP(),
+        (_, false) => ViewCoordinates::RIGHT_HAND_Z_DOWN(),
+    }
+}

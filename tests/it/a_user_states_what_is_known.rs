@@ -1,0 +1,378 @@
+//! What a user knows beforehand: bounds that are kept and told, statements that the measurements contradict, and what a planned session of a
+//! coupled mode can tell.
+
+use calibrig::identification::{Mode, Warning, identify};
+use calibrig::pipeline::{PlantKind, simulate};
+use calibrig::scenario::load_scenario;
+use calibrig::statistics::binomial_cdf;
+
+use crate::a_user_makes_a_mistake::with_measurements;
+use crate::sandbox::{ROBOT, SCENARIO, Sandbox, assert_refused};
+
+const MATCHED: &str = "scenarios/matched.toml";
+const IDENTIFICATION: &str = "[identification]";
+
+/// Appends lines to the shipped scenario; the number of the last line before them.
+fn append(sandbox: &Sandbox, file: &str, lines: &str) -> usize {
+    let text = sandbox.read(file);
+    sandbox.write(file, format!("{text}{lines}"));
+    text.lines().count()
+}
+
+/// A scenario with one mode and these bounds.
+fn bounded(bounds: &str) -> Sandbox {
+    let sandbox = Sandbox::new();
+    sandbox.set(IDENTIFICATION, "modes", "[\"only_calibration\"]");
+    append(&sandbox, SCENARIO, bounds);
+    sandbox
+}
+
+#[test]
+fn a_bound_that_cannot_be_is_refused_at_its_line() {
+    let unit = "the unit is part of the key";
+    for (lines, line, message, expected) in [
+        (
+            "parameter = \"delta_q4\"\nmin_mm = -1",
+            2,
+            "\"delta_q4\", which is no parameter's name",
+            "such as delta_a2",
+        ),
+        ("parameter = \"delta_a4\"", 2, "the bound of delta_a4 has no limit", "min_mm, max_mm or both"),
+        ("parameter = \"delta_a4\"\nmin_mrad = -1", 3, "bound.min_mrad: delta_a4 is a length", unit),
+        (
+            "parameter = \"delta_theta4\"\nmax_mm = 1",
+            3,
+            "bound.max_mm: delta_theta4 is an angle",
+            "max_mrad or both",
+        ),
+        ("parameter = \"compliance_drive3\"\nmax_mm = 1", 3, "is a relative deviation", "min, max or both"),
+        ("parameter = \"delta_a4\"\nmin_m = -1", 3, "unknown key `min_m`", "`min_mm`"),
+        (
+            "parameter = \"delta_a4\"\nmin_mm = nan",
+            3,
+            "identification.bound.min_mm is nan",
+            "a finite number",
+        ),
+        (
+            "parameter = \"delta_a4\"\nmin_mm = 5\nmax_mm = -5",
+            4,
+            "ends at -5 mm, not above its begin at 5 mm",
+            "above the lower",
+        ),
+        (
+            "parameter = \"delta_a4\"\nmin_mm = 0\nmax_mm = 0",
+            4,
+            "ends at 0 mm, not above",
+            "left out of the parameters",
+        ),
+        (
+            "parameter = \"delta_a4\"\nmin_mm = 5\nmax_mm = 9",
+            3,
+            "delta_a4 5 to 9 mm excludes 0, the nominal value",
+            "correct it in the file",
+        ),
+        (
+            "parameter = \"delta_a4\"\nmax_mm = -5",
+            3,
+            "delta_a4 at most -5 mm excludes 0",
+            "with 0 between them",
+        ),
+        ("parameter = \"compliance_drive3\"\nmin = -2", 3, "begins at -2", "-1 is none at all"),
+        (
+            "parameter = \"delta_d1\"\nmax_mm = 5\n[[identification.bound]]\nparameter = \"delta_d1\"\nmin_mm = -5",
+            5,
+            "delta_d1 has a second bound",
+            "both limits in it",
+        ),
+        (
+            "parameter = \"delta_beta6\"\nmax_mrad = 5",
+            2,
+            "delta_beta6 is fitted in none of the modes (only_calibration)",
+            "expected one of: delta_alpha1",
+        ),
+        ("min_mm = -5", 1, "missing key `parameter` in [identification.bound]", "`parameter`"),
+    ] {
+        let sandbox = bounded("");
+        let before = append(&sandbox, SCENARIO, &format!("\n[[identification.bound]]\n{lines}\n"));
+        let place = format!("{SCENARIO}:{}: ", before + 1 + line);
+        for arguments in [&["check", SCENARIO][..], &["run", SCENARIO, "--out", "out"]] {
+            assert_refused(&sandbox, arguments, &place, message, expected);
+        }
+    }
+    let sandbox = Sandbox::new();
+    let prior = "\n[[identification.term_prior]]\nfamily = \"rail\"\nsigma_um = 5\n";
+    let before = append(&sandbox, SCENARIO, &format!("{prior}{prior}"));
+    let place = format!("{SCENARIO}:{}: ", before + 7);
+    assert_refused(
+        &sandbox,
+        &["check", SCENARIO],
+        &place,
+        "a second prior of \"rail\"",
+        "one prior a family",
+    );
+}
+
+/// The truth is 14.8 mrad.
+#[test]
+fn a_bound_in_a_scenario_is_kept_told_and_replayed() {
+    let sandbox = bounded(
+        "\n[[identification.bound]]\nparameter = \"delta_beta4\"\nmax_mrad = 5\n\
+         [[identification.bound]]\nparameter = \"delta_a4\"\nmin_mm = -30\nmax_mm = 30\n",
+    );
+    let check = sandbox.run(["check", SCENARIO]);
+    assert!(check.stdout.contains("bounds       delta_beta4 at most 5 mrad\n"), "{}", check.stdout);
+    assert!(check.stdout.contains(" delta_a4 -30 to 30 mm\n"), "{}", check.stdout);
+    let ended = sandbox.run(["run", SCENARIO, "--out", "out"]);
+    assert_eq!(ended.code, Some(3), "{ended:?}");
+    assert!(
+        ended.stderr.contains("doubtful: only calibration: delta_beta4 ended at its bound 5 mrad"),
+        "{ended:?}"
+    );
+    assert!(!ended.stderr.contains("delta_a4 ended"), "{ended:?}");
+    let text = ended.stdout.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(text.contains("held within bounds: delta_beta4 at most 5 mrad, delta_a4 -30 to 30 mm"), "{text}");
+    let report: serde_json::Value = serde_json::from_str(&sandbox.read("out/report.json")).expect("JSON");
+    let estimate = &report["estimates"]["only_calibration"];
+    assert_eq!(estimate["status"], "at_bound");
+    let of = |name: &str| {
+        let parameters = report["parameters"].as_array().expect("a list");
+        parameters.iter().find(|p| p["name"] == name).expect("the parameter")["estimate"].as_f64()
+    };
+    assert_eq!((of("delta_beta4"), estimate["bounds"][0]["max"].as_f64()), (Some(5e-3), Some(5e-3)));
+    assert!(estimate["bounds"][0]["min"].is_null());
+    assert_eq!(estimate["bounds"][1]["unit"], "m");
+    assert!(sandbox.read("out/report.html").contains("Held within bounds: delta_beta4 at most 5 mrad"));
+    // The recording holds the scenario, and with it the bounds.
+    let replayed = sandbox.run(["replay", "out/recording.mcap"]);
+    assert_eq!(replayed.code, Some(3), "{replayed:?}");
+    assert!(replayed.stdout.contains("1 recorded estimates, all identical bit for bit"), "{replayed:?}");
+    assert!(replayed.stderr.contains("delta_beta4 ended at its bound 5 mrad"), "{replayed:?}");
+}
+
+#[test]
+fn a_bound_on_the_command_line_is_kept_or_refused() {
+    let sandbox = with_measurements("set.csv");
+    let identify = |more: &[&str]| {
+        let mut arguments = vec!["identify", "--model", ROBOT, "--measurements", "set.csv"];
+        arguments.extend(["--mode", "only_calibration"]);
+        arguments.extend(more);
+        sandbox.run(arguments)
+    };
+    let syntax = "expected a parameter and its limits, such as delta_a4=-5mm..5mm";
+    for (bounds, message) in [
+        (&["delta_a4"][..], syntax),
+        (&["delta_a4=5mm"], syntax),
+        (&["delta_q4=0mm..5mm"], "\"delta_q4\" is no parameter's name: expected a name such as delta_a2"),
+        (&["delta_a4=-5..5mm"], "\"-5\" of delta_a4: expected a number of mm, such as 5mm, or an open end"),
+        (&["delta_a4=-5mrad..5mm"], "\"-5mrad\" of delta_a4: expected a number of mm"),
+        (&["delta_theta4=..5mm"], "\"5mm\" of delta_theta4: expected a number of mrad"),
+        (&["compliance_drive3=0..5%"], "\"5%\" of compliance_drive3: expected a number without unit"),
+        (&["delta_a4=nanmm..5mm"], "\"nanmm\" of delta_a4"),
+        (&["delta_a4=..inf mm"], "\"inf mm\" of delta_a4"),
+        (&["delta_a4=.."], "the bound of delta_a4 has no limit"),
+        (&["delta_a4=5mm..-5mm"], "ends at -5 mm, not above its begin at 5 mm"),
+        (&["delta_a4=1mm..5mm"], "delta_a4 1 to 5 mm excludes 0, the nominal value"),
+        (&["delta_a4=..5mm", "delta_a4=-5mm.."], "--bound delta_a4: delta_a4 has a second bound"),
+        (&["frame_x=-5mm..5mm"], "--bound frame_x: frame_x counts from where the nominal robot fits"),
+        (&["compliance_drive3=0.."], "compliance_drive3 is fitted in none of the modes (only_calibration)"),
+    ] {
+        let flags: Vec<_> = bounds.iter().flat_map(|bound| ["--bound", bound]).collect();
+        let ended = identify(&flags);
+        assert_eq!((ended.code, ended.stdout.as_str()), (Some(2), ""), "{bounds:?}: {ended:?}");
+        assert!(ended.stderr.contains(message), "{message:?}: {}", ended.stderr);
+    }
+    let free = identify(&["--json"]);
+    assert_eq!(free.code, Some(0), "{free:?}");
+    let value = |ended: &crate::sandbox::Ended, name: &str| {
+        let report = ended.json();
+        let parameters = report["parameters"].as_array().expect("a list").clone();
+        parameters.iter().find(|p| p["name"] == name).and_then(|p| p["estimate"].as_f64()).expect("a number")
+    };
+    assert!(value(&free, "delta_beta4") > 10e-3);
+    let ended = identify(&["--bound", "delta_beta4=..5mrad", "--bound", "delta_a4=-90mm..90mm", "--json"]);
+    assert_eq!(ended.code, Some(3), "{ended:?}");
+    assert!(ended.stderr.contains("delta_beta4 ended at its bound 5 mrad"), "{ended:?}");
+    assert_eq!(value(&ended, "delta_beta4"), 5e-3);
+}
+
+#[test]
+fn a_prior_that_the_measurements_contradict_ends_with_3_and_is_named() {
+    let sandbox = Sandbox::new();
+    // The machine is drawn with compliances 10 % off.
+    sandbox.replace_line(MATCHED, IDENTIFICATION, "compliance_sigma", "compliance_sigma = 0.002");
+    let ended = sandbox.run(["run", MATCHED, "--out", "out", "--json"]);
+    assert_eq!(ended.code, Some(3), "{ended:?}");
+    let doubts: Vec<_> = ended.stderr.lines().filter(|line| line.starts_with("doubtful: ")).collect();
+    let [doubt] = doubts.as_slice() else { panic!("one for all: {}", ended.stderr) };
+    for part in [
+        "geometry and stiffness",
+        "contradict what was stated of compliance_drive",
+        "sigma",
+        "Check these values",
+        "0.1 %",
+    ] {
+        assert!(doubt.contains(part), "{part}: {doubt}");
+    }
+    let report = ended.json();
+    let estimate = &report["estimates"]["elasto_geometric"];
+    assert_eq!(estimate["status"], "contradicted");
+    let named = estimate["contradicted"].as_array().expect("a list");
+    assert!(!named.is_empty() && named.len() <= 5, "{named:?}");
+    for one in named {
+        assert!(one["name"].as_str().is_some_and(|name| name.starts_with("compliance_")), "{one}");
+        assert!(one["chi2"].as_f64() > Some(10.0) && one["coordinates"] == 1, "{one}");
+    }
+    // As it was stated before, nothing is wrong.
+    let sound = Sandbox::new().run(["run", MATCHED, "--out", "out"]);
+    assert_eq!(sound.code, Some(0), "{sound:?}");
+}
+
+/// The level is 0.1 % an estimate: over all trials the number of false alarms is binomial.
+#[test]
+fn sound_priors_are_seldom_doubted() {
+    const TRIALS: u32 = 300;
+    let scenario = load_scenario(std::path::Path::new(MATCHED)).expect("the shipped scenario");
+    let options = calibrig::identification::IdentificationOptions {
+        mode: Mode::ElastoGeometric,
+        ..scenario.options.clone()
+    };
+    let mut alarms = 0;
+    for trial in 0..TRIALS {
+        let simulation =
+            simulate(&scenario, 11, trial, PlantKind::Analytic, |_, _| {}).expect("a simulation");
+        let measured = &simulation.sets[0].measurements;
+        let estimate = identify(&scenario.robot.model, measured, &options).expect("an estimate");
+        let told = estimate.warnings.iter().any(|w| matches!(w, Warning::Contradicted(_)));
+        assert_eq!(told, !estimate.contradicted.is_empty());
+        alarms += u32::from(told);
+    }
+    println!("{alarms} false alarms in {TRIALS} trials");
+    // 0.3 are expected; so many or more come but once in a thousand runs.
+    assert!(alarms == 0 || binomial_cdf(u64::from(alarms - 1), u64::from(TRIALS), 1e-3) < 0.999, "{alarms}");
+}
+
+/// Before a pose is measured: the same rank and the same parameters as the estimate then has, and nearly its condition.
+#[test]
+fn a_planned_session_tells_what_the_estimate_will() {
+    let sandbox = Sandbox::new();
+    for mode in ["elasto_geometric", "extended"] {
+        sandbox.set(IDENTIFICATION, "modes", &format!("[\"{mode}\"]"));
+        let planned = sandbox.run(["identifiability", SCENARIO, "--mode", mode, "--json"]);
+        assert_eq!(planned.code, Some(0), "{planned:?}");
+        let planned = planned.json();
+        assert_eq!(
+            (&planned["schema"], &planned["mode"]),
+            (&"calibrig.identifiability/1".into(), &mode.into())
+        );
+        let coupled = &planned["coupled"];
+        let report = sandbox.run(["run", SCENARIO, "--out", "out", "--json"]).json();
+        let estimate = &report["estimates"][mode];
+        let names = |list: &serde_json::Value, key: Option<&str>| -> Vec<String> {
+            let name =
+                |v: &serde_json::Value| key.map_or(v, |key| &v[key]).as_str().expect("a name").to_owned();
+            list.as_array().expect("a list").iter().map(name).collect()
+        };
+        assert_eq!(names(&coupled["parameters"], None), names(&report["parameters"], Some("name")));
+        assert_eq!(coupled["rank"], estimate["rank"]);
+        let [condition, then] =
+            [&coupled["condition"], &estimate["condition"]].map(|v| v.as_f64().expect("a number"));
+        assert!((0.5..2.0).contains(&(condition / then)), "{mode}: {condition} {then}");
+        assert!(coupled["measured_rank"].as_u64() <= coupled["rank"].as_u64());
+        let text = sandbox.run(["identifiability", SCENARIO, "--mode", mode]);
+        let n = coupled["rank"].as_u64().expect("a number");
+        for part in [
+            format!("mode {mode} at the scenario's 60"),
+            format!("Rank {n} of {n}"),
+            "  compliances".to_owned(),
+        ] {
+            assert!(text.stdout.contains(&part), "{part}: {}", text.stdout);
+        }
+        for warning in names(&coupled["warnings"], None) {
+            assert!(text.stdout.contains(&warning), "{warning}: {}", text.stdout);
+        }
+    }
+}
+
+#[test]
+fn a_plan_that_cannot_tell_everything_names_what_it_cannot() {
+    let sandbox = Sandbox::new();
+    // The waist's axis is vertical.
+    sandbox.set(IDENTIFICATION, "parameters", "\"neighbour_axis_rules\"\nredundant = \"keep\"");
+    let ended = sandbox.run([
+        "identifiability",
+        SCENARIO,
+        "--mode",
+        "elasto_geometric",
+        "--compliances",
+        "compliance_drive2,compliance_drive3",
+    ]);
+    assert!(
+        ended.stdout.contains("warning: gravity hardly loads compliance_drive2 in these poses"),
+        "{ended:?}"
+    );
+    // Along the rail and along the base: the same.
+    sandbox.set(IDENTIFICATION, "parameters", "[\"delta_d1\", \"delta_a2\"]");
+    sandbox.set(IDENTIFICATION, "frame", "\"free\"");
+    let ended = sandbox.run([
+        "identifiability",
+        SCENARIO,
+        "--mode",
+        "elasto_geometric",
+        "--compliances",
+        "compliance_drive3",
+    ]);
+    assert_eq!(ended.code, Some(3), "{ended:?}");
+    assert!(
+        ended.stdout.contains("rank 11 of 12 parameters: frame_z with delta_d1 cannot be told apart"),
+        "{ended:?}"
+    );
+    let spread =
+        sandbox.run(["identifiability", "--model", "models/ur5/robot.toml", "--mode", "elasto_geometric"]);
+    assert_eq!(spread.code, Some(0), "{spread:?}");
+    assert!(spread.stdout.contains("200 poses spread over the joint limits"), "{spread:?}");
+}
+
+#[test]
+fn a_plan_of_what_the_robot_does_not_have_is_refused() {
+    let sandbox = Sandbox::new();
+    for (flags, message) in [
+        (
+            &["--compliances", "all"][..],
+            "--compliances: expected --mode elasto_geometric or --mode extended beside it",
+        ),
+        (&["--mode", "elasto_geometric", "--terms", "rail"], "--terms: expected --mode extended beside it"),
+        (&["--mode", "extended", "--terms", "growth"], "expected some of: none, linkage"),
+        (&["--mode", "rigid"], "possible values: geometry, elasto_geometric, extended"),
+        (
+            &["--mode", "extended", "--compliances", "compliance_drive9"],
+            "--compliances compliance_drive9: expected drives, all",
+        ),
+    ] {
+        let ended = sandbox.run([&["identifiability", SCENARIO], flags].concat());
+        assert_eq!((ended.code, ended.stdout.as_str()), (Some(2), ""), "{flags:?}: {ended:?}");
+        assert!(ended.stderr.contains(message), "{message:?}: {}", ended.stderr);
+    }
+    let ur5 = "models/ur5/robot.toml";
+    let stated = [
+        "stiffness_nm_per_rad",
+        "compliance_percent",
+        "urdf",
+        "[gravity]",
+        "x_m_per_s2",
+        "y_m_per_s2",
+        "z_m_per_s2",
+    ];
+    let text = sandbox.read(ur5);
+    let bare: Vec<_> = text.lines().filter(|line| !stated.iter().any(|key| line.starts_with(key))).collect();
+    sandbox.write(ur5, bare.join("\n") + "\n");
+    let ended = sandbox.run(["identifiability", "--model", ur5, "--mode", "elasto_geometric"]);
+    assert_eq!((ended.code, ended.stdout.as_str()), (Some(1), ""), "{ended:?}");
+    assert!(ended.stderr.contains("needs masses, stiffnesses and gravity"), "{ended:?}");
+    // Its terms do not need them.
+    let ended =
+        sandbox.run(["identifiability", "--model", ur5, "--mode", "extended", "--terms", "hysteresis"]);
+    assert!(
+        [Some(0), Some(3)].contains(&ended.code) && ended.stdout.contains("hysteresis_theta1"),
+        "{ended:?}"
+    );
+}
