@@ -18,7 +18,8 @@ use super::story::record_sets;
 use super::{McapRecorder, Preamble, Recording, RecordingError, read_recording};
 use crate::input::{InputError, Source};
 use crate::measurement::{
-    ColumnMap, CsvError, SessionSet, measurements_text, parse_measurements, parse_session, session_text,
+    ColumnMap, CsvError, LoadedMeasurements, MeasurementSet, SessionSet, measurements_text,
+    parse_measurements, parse_session, session_text,
 };
 use crate::model::{JointKind, Robot, parse_robot};
 use crate::pipeline::{SetKind, SetOutcome};
@@ -170,44 +171,51 @@ fn check(
     joints: &[JointKind],
 ) -> Result<(), ExportError> {
     for ((kind, set, dropped), (_, text)) in told.iter().zip(texts) {
-        let lossy = |reason: String| ExportError::Lossy { set: kind.key(), reason };
-        let mut read = parse_measurements(text, &ColumnMap::default(), joints)
-            .and_then(|read| Ok((parse_session(session)?, read)))
-            .and_then(|(file, mut read)| file.complete(session, *kind, &mut read).map(|()| read))
-            .map_err(|error| lossy(error.to_string()))?;
-        let lost = read.dropped.len().saturating_sub(dropped.len());
-        if lost > 0 {
-            let (pose, why) = read.dropped.swap_remove(dropped.len());
-            return Err(lossy(format!("pose {pose}: {why}")));
-        }
-        // Messages are the same where every bit is; numbers that are equal need not be.
-        let message = |index, observation| schema::observation(*kind, index, observation).encode_to_vec();
-        for (index, (written, read)) in set.observations.iter().zip(&read.set.observations).enumerate() {
-            if message(index, written) != message(index, read) {
-                return Err(lossy(format!("pose {} is read back with other bits", written.pose)));
-            }
-        }
-        let around = |measurements: &crate::measurement::MeasurementSet| {
-            let set = SetOutcome {
-                kind: *kind,
-                measurements: crate::measurement::MeasurementSet {
-                    observations: Vec::new(),
-                    ..measurements.clone()
-                },
-                dropped: Vec::new(),
-            };
-            (
-                schema::session(&set, None).encode_to_vec(),
-                schema::nests(&set).map(|n| n.encode_to_vec()).collect::<Vec<_>>(),
-            )
-        };
-        if around(set) != around(&read.set) || read.dropped != *dropped {
-            return Err(lossy(
-                "its stations, targets or dropped poses are read back with other bits".to_owned(),
-            ));
+        let read = read_back(*kind, text, session, joints).map_err(|error| error.to_string());
+        let difference = read.map(|read| difference(*kind, (set, dropped), &read));
+        if let Err(reason) | Ok(Some(reason)) = difference {
+            return Err(ExportError::Lossy { set: kind.key(), reason });
         }
     }
     Ok(())
+}
+
+fn read_back(
+    kind: SetKind,
+    text: &Source,
+    session: &Source,
+    joints: &[JointKind],
+) -> Result<LoadedMeasurements, InputError> {
+    let mut read = parse_measurements(text, &ColumnMap::default(), joints)?;
+    parse_session(session)?.complete(session, kind, &mut read)?;
+    Ok(read)
+}
+
+/// Where what was read is not what was recorded. Messages are the same where every bit is; numbers that are equal need not be.
+fn difference(
+    kind: SetKind,
+    (set, dropped): (&MeasurementSet, &[(u32, String)]),
+    read: &LoadedMeasurements,
+) -> Option<String> {
+    if let Some((pose, why)) = read.dropped.get(dropped.len()) {
+        return Some(format!("pose {pose}: {why}"));
+    }
+    let message = |index, observation| schema::observation(kind, index, observation).encode_to_vec();
+    for (index, (recorded, read)) in set.observations.iter().zip(&read.set.observations).enumerate() {
+        if message(index, recorded) != message(index, read) {
+            return Some(format!("pose {} is read back with other bits", recorded.pose));
+        }
+    }
+    let around = |set: &MeasurementSet| {
+        let (stations, targets) = (set.stations.clone(), set.targets.clone());
+        let measurements = MeasurementSet { stations, targets, observations: Vec::new() };
+        let set = SetOutcome { kind, measurements, dropped: Vec::new() };
+        let nests: Vec<_> = schema::nests(&set).map(|nest| nest.encode_to_vec()).collect();
+        (schema::session(&set, None).encode_to_vec(), nests)
+    };
+    let same = around(set) == around(&read.set) && read.dropped == dropped;
+    let told = "its stations, targets or dropped poses are read back with other bits";
+    (!same).then(|| told.to_owned())
 }
 
 /// What was made of the measurements, as tables; `None` where nothing was.

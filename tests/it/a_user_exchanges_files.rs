@@ -441,3 +441,21 @@ fn files_that_cannot_become_a_recording_are_refused() {
         "name of a file",
     );
 }
+
+#[test]
+fn help_shows_examples_that_are_accepted() {
+    let sandbox = Sandbox::new();
+    for command in [&["export"][..], &["export", "csv"], &["export", "mcap"]] {
+        let help = sandbox.run([command, &["--help"]].concat());
+        assert_eq!((help.code, help.stderr.as_str()), (Some(0), ""));
+        let examples: Vec<_> = help.stdout.lines().filter(|line| line.starts_with("  calibrig ")).collect();
+        assert!(examples.len() >= 2, "{}", help.stdout);
+        for example in examples {
+            assert!(example.len() < 100, "{example}");
+            // A remark stands behind several blanks.
+            let used = example.trim().split("   ").next().expect("not empty");
+            let ended = sandbox.run(used.split_whitespace().skip(1));
+            assert_ne!(ended.code, Some(2), "{example}: {}", ended.stderr);
+        }
+    }
+}
