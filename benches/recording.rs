@@ -1,19 +1,24 @@
-//! A million observations: written as they are measured, looked through, saved from a file that was cut off, and read back. Seconds and
-//! peak memory of each.
+//! What recording costs a run of `scenarios/paper.toml`; and a million observations: written as they are measured, looked through, saved
+//! from a file that was cut off, and read back. Seconds and peak memory of each.
 //!
 //! `cargo bench --bench recording`
 
 // A bench may stop at its first error.
-#![allow(clippy::expect_used, missing_docs)]
+#![allow(clippy::expect_used, clippy::cast_possible_truncation, missing_docs)]
 
 use std::fs::File;
 use std::io::BufWriter;
+use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use calibrig::measurement::{Observation, Reading};
-use calibrig::pipeline::{PlantKind, input_of, simulate};
-use calibrig::recording::{McapRecorder, Measured, Preamble, Recorder, inspect, read_recording, recover};
+use calibrig::pipeline::{MeasuredPose, Outcome, PlantKind, SessionEvent, input_of, run_trial, simulate};
+use calibrig::recording::{
+    McapRecorder, Measured, Preamble, Recorder, SessionContext, SessionRecorder, inspect, read_recording,
+    recover,
+};
+use calibrig::report::write_reports;
 use calibrig::scenario::load_scenario;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -22,6 +27,7 @@ const OBSERVATIONS: u32 = 1_000_000;
 
 fn main() {
     let folder = tempfile::tempdir().expect("a folder");
+    overhead(folder.path());
     let path = |name: &str| folder.path().join(name);
     println!("{:<40} {:>9} {:>16}", "", "seconds", "peak MiB so far");
     for observations in [OBSERVATIONS / 10, OBSERVATIONS] {
@@ -36,6 +42,74 @@ fn main() {
         recover(&path("cut.mcap"), &path("good.mcap"), false, &mut |_, _| {}).expect("recovered")
     });
     timed("read_recording", || read_recording(&path("whole.mcap")).expect("read"));
+}
+
+/// The least of several times of the parts of a run, one after another, so that all meet the same machine.
+fn overhead(folder: &Path) {
+    const ROUNDS: usize = 15;
+    let scenario = load_scenario(Path::new("scenarios/paper.toml")).expect("the shipped scenario");
+    let (seed, plant) = (scenario.seed, PlantKind::Rapier);
+    let input = input_of(&scenario, seed, 0, plant);
+    let context = SessionContext {
+        input: &input,
+        sources: &scenario.sources,
+        model: &scenario.robot.model,
+        visuals: &scenario.robot.visuals,
+    };
+    let mut least = [Duration::MAX; 4];
+    for _ in 0..ROUNDS {
+        let mut clock = Instant::now();
+        let mut lap = |part: usize| {
+            least[part] = least[part].min(clock.elapsed());
+            clock = Instant::now();
+        };
+        let outcome =
+            run_trial(&scenario, seed, 0, plant, &mut |_| ControlFlow::Continue(())).expect("a run");
+        lap(0);
+        write_reports(&outcome, folder).expect("reports");
+        lap(1);
+        // Without the simulation between its events: what recording itself takes.
+        let file = BufWriter::new(File::create(folder.join("run.mcap")).expect("a file"));
+        let mut recorder = SessionRecorder::new(context, McapRecorder::new(file).expect("begun"));
+        tell_session(&outcome, &mut |event| recorder.hear(event).expect("told"));
+        recorder.evaluated(&outcome).and_then(McapRecorder::finish).expect("finished");
+        lap(2);
+        #[cfg(feature = "rerun")]
+        calibrig::recording::write_rrd(&outcome, &folder.join("run.rrd")).expect("written");
+        lap(3);
+    }
+    let [run, reports, mcap, rrd] = least.map(|time| time.as_secs_f64());
+    println!("a run without files {:.0} ms, its reports {:.0} ms", 1e3 * run, 1e3 * reports);
+    println!(
+        "recording.mcap {:.1} ms, {:.1} % of both; recording.rrd {:.0} ms, {:.0} %\n",
+        1e3 * mcap,
+        1e2 * mcap / (run + reports),
+        1e3 * rrd,
+        1e2 * rrd / (run + reports)
+    );
+}
+
+/// The events of the session behind `outcome`, once more.
+fn tell_session(outcome: &Outcome, tell: &mut dyn FnMut(SessionEvent<'_>)) {
+    let truth = outcome.truth.as_ref().expect("simulated");
+    let poses = outcome.sets.iter().map(|set| set.measurements.observations.len() as u32).sum();
+    let (as_built, tracker_from_base) = (&truth.as_built, &truth.tracker_from_base);
+    tell(SessionEvent::Begin { as_built, tracker_from_base, poses });
+    for (place, set) in outcome.sets.iter().enumerate() {
+        let observations = &set.measurements.observations;
+        tell(SessionEvent::Set { set, planned: observations.len() as u32 });
+        for (index, observation) in observations.iter().enumerate() {
+            tell(SessionEvent::Measured(MeasuredPose {
+                kind: set.kind,
+                index,
+                observation,
+                settled: &truth.poses[place][index],
+                rigid: Some(&truth.rigid[place][index]),
+                effects: &truth.effects[place][index],
+            }));
+        }
+        tell(SessionEvent::SetEnd { set });
+    }
 }
 
 fn timed<T>(what: &str, work: impl FnOnce() -> T) {
