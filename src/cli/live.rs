@@ -7,7 +7,7 @@ pub(super) use without_rerun::{HERE, Live, address};
 
 #[cfg(feature = "rerun")]
 mod with_rerun {
-    use super::super::{CliError, say};
+    use crate::cli::{CliError, say};
     use crate::pipeline::{Outcome, SessionEvent};
     use crate::recording::{LiveRecorder, RecordingError, SessionContext, SessionRecorder, Viewer};
 
@@ -52,7 +52,7 @@ mod with_rerun {
 mod without_rerun {
     use std::marker::PhantomData;
 
-    use super::super::CliError;
+    use crate::cli::CliError;
     use crate::pipeline::{Outcome, SessionEvent};
     use crate::recording::SessionContext;
 

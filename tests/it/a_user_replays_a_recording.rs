@@ -2,13 +2,16 @@
 
 use std::io::Cursor;
 use std::ops::ControlFlow;
+use std::path::Path;
 
-use calibrig::identification::{Mode, Warning};
-use calibrig::pipeline::{self, PlantKind, calibrate};
+use calibrig::identification::{Loss, Mode, Warning};
+use calibrig::pipeline::{self, Outcome, PlantKind, calibrate};
 use calibrig::recording::{McapRecorder, SessionContext, SessionRecorder, write_mcap};
-use calibrig::replay::{ReplayOptions, replay};
+use calibrig::replay::{Change, ReplayOptions, recorded_truth, replay};
+use calibrig::report::json_report;
 
 use crate::a_user_reproduces_the_paper::{paper, rigid_paper};
+use crate::sandbox::{SCENARIO, Sandbox};
 
 #[test]
 fn replay_finds_the_same_bits_for_20_seeds() {
@@ -38,6 +41,76 @@ fn one_seed_gives_one_recording() {
         std::fs::read(path).expect("the recording")
     };
     assert!(write("a.mcap") == write("b.mcap"), "the bytes differ");
+}
+
+#[test]
+fn the_golden_recording_is_replayed_bit_for_bit() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/paper.mcap");
+    assert!(std::fs::metadata(&path).expect("it is in the repository").len() <= 2_000_000);
+    let replayed = replay(&path, &ReplayOptions::default()).expect("a replay");
+    assert_eq!(replayed.compared, 4);
+    assert!(replayed.differences.is_empty() && replayed.missing.is_empty(), "{:?}", replayed.differences);
+    // The truth of a simulation is at hand for its report, and for nothing before it.
+    assert!(replayed.outcome.truth.is_none());
+    let truth = recorded_truth(&path).expect("read").expect("the machine of the recorded scenario");
+    let outcome = Outcome { truth: Some(truth), ..replayed.outcome };
+    let json = json_report(&outcome);
+    assert!(json.parameters.iter().filter(|parameter| parameter.truth.is_some()).count() > 30);
+}
+
+#[test]
+fn other_options_ask_what_if() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/paper.mcap");
+    let ask = |options: ReplayOptions| replay(&path, &options).expect("a replay");
+    let only = vec![Mode::OnlyCalibration];
+    let same = ask(ReplayOptions { modes: only.clone(), ..ReplayOptions::default() });
+    assert_eq!((same.compared, same.differences.len()), (1, 0));
+    assert_eq!(same.outcome.modes.len(), 2, "the robot without calibration is always shown");
+    let same = same.changes.iter().filter(|change| change.mode == Mode::OnlyCalibration);
+    assert!(same.clone().count() == 2 && same.clone().all(|change| change.recorded == change.replayed));
+
+    let dropped_topics = vec!["/nest".to_owned()];
+    let free = ask(ReplayOptions { modes: only.clone(), dropped_topics, ..ReplayOptions::default() });
+    assert!(free.what_if && free.compared == 0);
+    let moved = |change: &Change| {
+        change.mode == Mode::OnlyCalibration
+            && change.replayed.is_some()
+            && change.recorded != change.replayed
+    };
+    assert!(free.changes.iter().any(moved), "{:?}", free.changes);
+
+    let robust = ask(ReplayOptions { modes: only, loss: Some(Loss::tukey()), ..ReplayOptions::default() });
+    let weights = robust.outcome.modes[1].estimate.as_ref().expect("an estimate");
+    assert!(robust.changes.iter().any(moved), "{:?}", weights.outliers);
+}
+
+#[test]
+fn the_report_is_made_again_from_the_recording() {
+    let sandbox = Sandbox::new();
+    assert_eq!(sandbox.run(["run", SCENARIO, "--out", "out"]).code, Some(0));
+    let again = sandbox.run(["report", "out/recording.mcap", "--out", "again"]);
+    assert_eq!(again.code, Some(0), "{again:?}");
+    let report = |folder: &str| {
+        let text = sandbox.read(&format!("{folder}/report.json"));
+        let mut json: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+        // One came from a scenario, the other from its recording.
+        json["input"]["kind"].take();
+        json
+    };
+    assert!(report("out") == report("again"), "the reports differ");
+    assert!(sandbox.read("again/report.html").contains("truth"), "the truth is shown");
+}
+
+#[test]
+fn threads_and_folders_leave_no_mark_in_a_recording() {
+    let bytes = |threads: &str| {
+        let sandbox = Sandbox::new();
+        let mut run = sandbox.command(["run", SCENARIO, "--out", "out", "--seed", "7"]);
+        assert!(run.env("RAYON_NUM_THREADS", threads).output().expect("the binary starts").status.success());
+        std::fs::read(sandbox.path("out/recording.mcap")).expect("the recording")
+    };
+    let once = bytes("1");
+    assert!(once == bytes("8"), "the bytes differ");
 }
 
 /// What is recorded while the session goes on is what is recorded of it afterwards.
