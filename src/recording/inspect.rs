@@ -392,7 +392,12 @@ impl<'a> Watched<'a> {
         progress: &'a mut Progress<'a>,
     ) -> std::io::Result<BufReader<Self>> {
         let file = File::open(path)?;
-        let total = file.metadata()?.len().saturating_mul(passes);
+        let metadata = file.metadata()?;
+        if metadata.is_dir() {
+            // Its length makes no sense.
+            return Err(std::io::ErrorKind::IsADirectory.into());
+        }
+        let total = metadata.len().saturating_mul(passes);
         Ok(BufReader::with_capacity(1 << 16, Self { file, done: 0, total, progress }))
     }
 }

@@ -5,12 +5,12 @@ use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::path::Path;
 
-use mcap::records::{self, Record};
+use mcap::records::{self, Record, op};
 use nalgebra::Vector3;
 use prost::{Message, Name};
 
 use super::provenance::{AttachedInput, METADATA, RECOVERED, source_of};
-use super::scan::{ReadError, check_integrity, check_magic, scan};
+use super::scan::{ReadError, check_attachment, check_integrity, check_magic, scan};
 use super::schema::{self, v1};
 use super::{Provenance, RecordingError};
 use crate::geometry::Transform;
@@ -169,6 +169,10 @@ impl<'a> Contents<'a> {
     fn record(&mut self, opcode: u8, body: &[u8]) -> Result<(), ReadError> {
         if self.ended {
             return Ok(());
+        }
+        if opcode == op::ATTACHMENT {
+            // Within a chunk nobody has looked at it yet.
+            check_attachment(body)?;
         }
         match mcap::parse_record(opcode, body)? {
             Record::Metadata(metadata) if metadata.name == METADATA => {

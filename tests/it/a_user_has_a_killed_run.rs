@@ -31,8 +31,8 @@ struct Counts {
 #[test]
 fn what_was_measured_before_a_kill_is_saved() {
     let sandbox = Sandbox::new();
-    sandbox.set("[poses]", "identification", "500");
-    sandbox.set("[poses]", "verification", "100");
+    sandbox.set("[poses]", "identification", "150");
+    sandbox.set("[poses]", "verification", "50");
     sandbox.set("[identification]", "modes", "[\"without_calibration\", \"only_calibration\"]");
     let begun = Instant::now();
     let ended = sandbox.run(["run", SCENARIO, "--out", "sound"]);
