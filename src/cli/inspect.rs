@@ -89,6 +89,9 @@ fn write_text(inspection: &Inspection, file: &Path, text: &mut String) -> std::f
     if !inspection.calibrig {
         writeln!(text, "  not a calibrig recording: it holds no metadata and no message of calibrig's")?;
     }
+    if inspection.recovered {
+        writeln!(text, "  saved by `calibrig recover` from a damaged or unfinished file")?;
+    }
     writeln!(text, "\nhealth      {}", state_words(&inspection.health))?;
     write_faults(&inspection.health, text)?;
     writeln!(text, "  checksums {}", checksum_words(&inspection.health))?;
@@ -175,7 +178,7 @@ fn recover_words(inspection: &Inspection, file: &Path) -> String {
         (State::Whole, _) => "not needed".to_owned(),
         (_, 0) => "nothing can be saved: no message can be read".to_owned(),
         (_, messages) => {
-            let all = if saved.anything_lost { "" } else { ": nothing is lost" };
+            let all = if saved.anything_lost { "" } else { ": nothing of what is in it is lost" };
             format!("`calibrig recover {} NEW` saves {messages}{lost} messages{all}", file.display())
         }
     }

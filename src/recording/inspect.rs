@@ -9,7 +9,7 @@ use mcap::records::{Record, op};
 use serde::Serialize;
 
 use super::directory::Directory;
-use super::provenance::AttachedInput;
+use super::provenance::{AttachedInput, RECOVERED};
 use super::scan::{ReadError, scan};
 use super::survey::Survey;
 use super::walk::{End, Fault, Part, Walk, walk};
@@ -32,6 +32,8 @@ pub struct Inspection {
     pub bytes: u64,
     /// Whether the program or one of its messages made it.
     pub calibrig: bool,
+    /// Whether `recover` made it of a damaged or unfinished one.
+    pub recovered: bool,
     /// What it says of the program that wrote it.
     pub library: String,
     /// How sound it is.
@@ -291,23 +293,29 @@ fn assemble(
     let health = health(walk, whole, altered_at);
     let messages = survey.messages();
     let total: Option<u64> = directory.counts.as_ref().map(|counts| counts.values().sum());
+    let sets = survey.sets();
+    let incomplete = |set: &SetReport| set.expected.is_some_and(|n| set.observations < u64::from(n));
     let recoverable = Recoverable {
         messages,
         messages_lost: total.map(|total| total.saturating_sub(messages)),
         anything_lost: health.state != State::Whole
-            && (!health.lost.is_empty() || altered_at.is_some() || survey.nameless > 0),
+            && (!health.lost.is_empty()
+                || altered_at.is_some()
+                || survey.nameless > 0
+                || sets.iter().any(incomplete)),
     };
     Inspection {
         schema: INSPECT_SCHEMA,
         file,
         bytes,
         calibrig: survey.is_ours(),
+        recovered: survey.metadata_names.iter().any(|name| name == RECOVERED),
         library: survey.library.clone(),
         profile: survey.profile.clone(),
         health,
         recoverable,
         provenance,
-        sets: survey.sets(),
+        sets,
         topics: survey.topics(directory),
         estimates: survey.estimates,
         attachments: survey.attachments,
