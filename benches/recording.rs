@@ -1,7 +1,7 @@
 //! What recording costs a run of `scenarios/paper.toml`; and a million observations: written as they are measured, looked through, saved
 //! from a file that was cut off, and read back. Seconds and peak memory of each.
 //!
-//! `cargo bench --bench recording`
+//! `cargo bench --bench recording`, or the first part alone with `-- run`, the second with `-- million`.
 
 // A bench may stop at its first error.
 #![allow(clippy::expect_used, clippy::cast_possible_truncation, missing_docs)]
@@ -27,8 +27,18 @@ const OBSERVATIONS: u32 = 1_000_000;
 
 fn main() {
     let folder = tempfile::tempdir().expect("a folder");
-    overhead(folder.path());
-    let path = |name: &str| folder.path().join(name);
+    let asked =
+        |part: &str| std::env::args().skip(1).all(|argument| argument.starts_with('-') || argument == part);
+    if asked("run") {
+        overhead(folder.path());
+    }
+    if asked("million") {
+        million(folder.path());
+    }
+}
+
+fn million(folder: &Path) {
+    let path = |name: &str| folder.join(name);
     println!("{:<40} {:>9} {:>16}", "", "seconds", "peak MiB so far");
     for observations in [OBSERVATIONS / 10, OBSERVATIONS] {
         let (time, bytes) = write(&path("whole.mcap"), observations);
