@@ -3,7 +3,7 @@
 //!
 //! `cargo bench --bench growth`, or `cargo bench --bench growth -- 100 300` for other numbers of poses
 
-#![allow(clippy::expect_used, missing_docs)]
+#![allow(clippy::expect_used, clippy::disallowed_methods, missing_docs)]
 
 use std::hint::black_box;
 use std::path::Path;

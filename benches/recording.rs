@@ -4,7 +4,7 @@
 //! `cargo bench --bench recording`, or the first part alone with `-- run`, the second with `-- million`.
 
 // A bench may stop at its first error.
-#![allow(clippy::expect_used, clippy::cast_possible_truncation, missing_docs)]
+#![allow(clippy::expect_used, clippy::cast_possible_truncation, clippy::disallowed_methods, missing_docs)]
 
 use std::fs::File;
 use std::io::BufWriter;

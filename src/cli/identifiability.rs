@@ -95,10 +95,10 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     };
     match args.mode {
         Analysed::Geometry if args.compliances.is_some() => {
-            refuse("--compliances", "--mode elasto_geometric or --mode extended")
+            refuse("--compliances", "--mode elasto_geometric or --mode extended");
         }
         Analysed::Geometry | Analysed::ElastoGeometric if args.terms.is_some() => {
-            refuse("--terms", "--mode extended")
+            refuse("--terms", "--mode extended");
         }
         Analysed::Geometry => {}
         Analysed::ElastoGeometric => return coupled::execute(args, Mode::ElastoGeometric),

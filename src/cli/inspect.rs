@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
@@ -57,10 +57,9 @@ pub(super) fn with_progress<T>(what: &str, work: impl FnOnce(&mut dyn FnMut(u64,
         bar.set_style(style);
     }
     bar.set_message(what.to_owned());
-    let begun = Instant::now();
     let mut shown = false;
     let value = work(&mut |done, total| {
-        if !shown && begun.elapsed() > Duration::from_secs(2) {
+        if !shown && bar.elapsed() > Duration::from_secs(2) {
             shown = true;
             bar.set_draw_target(ProgressDrawTarget::stderr());
         }
@@ -106,7 +105,7 @@ fn write_text(inspection: &Inspection, file: &Path, text: &mut String) -> std::f
         let rows = inspection.attachments.iter().map(|attachment| {
             vec![attachment.name.clone(), attachment.bytes.to_string(), attachment.media_type.clone()]
         });
-        write_table(&["attachment", "bytes", "type"], rows.collect(), &[1], text)?;
+        write_table(&["attachment", "bytes", "type"], &rows.collect::<Vec<_>>(), &[1], text)?;
     }
     Ok(())
 }
@@ -242,7 +241,7 @@ pub(super) fn write_sets(sets: &[SetReport], text: &mut String) -> std::fmt::Res
         .collect();
     let heads =
         ["set", "poses", "planned", "dropped", "observations", "of", "stations", "targets", "nests", ""];
-    write_table(&heads, rows, &[1, 2, 3, 4, 5, 6, 7, 8], text)
+    write_table(&heads, &rows, &[1, 2, 3, 4, 5, 6, 7, 8], text)
 }
 
 fn write_estimates(estimates: &[EstimateReport], text: &mut String) -> std::fmt::Result {
@@ -260,7 +259,7 @@ fn write_estimates(estimates: &[EstimateReport], text: &mut String) -> std::fmt:
         ]
     });
     let heads = ["estimate", "parameters", "chi2/dof", "ended with", "RMS 3-D mm"];
-    write_table(&heads, rows.collect(), &[1, 2], text)
+    write_table(&heads, &rows.collect::<Vec<_>>(), &[1, 2], text)
 }
 
 fn write_topics(topics: &[TopicReport], text: &mut String) -> std::fmt::Result {
@@ -283,16 +282,11 @@ fn write_topics(topics: &[TopicReport], text: &mut String) -> std::fmt::Result {
         ]
     });
     let heads = ["topic", "messages", "lost", "bytes", "first s", "last s", "Hz", "schema"];
-    write_table(&heads, rows.collect(), &[1, 2, 3, 4, 5, 6], text)
+    write_table(&heads, &rows.collect::<Vec<_>>(), &[1, 2, 3, 4, 5, 6], text)
 }
 
 /// A table with a blank line before it; nothing where it has no rows. Columns that are empty all the way down are left out.
-fn write_table(
-    heads: &[&str],
-    rows: Vec<Vec<String>>,
-    right: &[usize],
-    text: &mut String,
-) -> std::fmt::Result {
+fn write_table(heads: &[&str], rows: &[Vec<String>], right: &[usize], text: &mut String) -> std::fmt::Result {
     if rows.is_empty() {
         return Ok(());
     }
@@ -303,7 +297,7 @@ fn write_table(
     };
     let widths: Vec<usize> = (0..heads.len()).map(width).collect();
     let heads = heads.iter().map(|&head| head.to_owned()).collect();
-    for row in std::iter::once(&heads).chain(&rows) {
+    for row in std::iter::once(&heads).chain(rows) {
         let mut line = String::new();
         for (column, cell) in row.iter().enumerate().filter(|&(column, _)| widths[column] > 0) {
             let width = widths[column];

@@ -36,15 +36,15 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
 }
 
 fn write_text(recovered: &Recovered, bad: &Path, good: &Path, text: &mut String) -> std::fmt::Result {
-    let (bad, good) = (bad.display(), good.display());
+    let (bad, place) = (bad.display(), good.display());
     let inspection = &recovered.inspection;
     if recovered.copied {
-        writeln!(text, "{bad} is whole, nothing is wrong with it: copied to {good}")?;
+        writeln!(text, "{bad} is whole, nothing is wrong with it: copied to {place}")?;
         return write_next(inspection, good, text);
     }
     let saved = inspection.recoverable;
     let of = saved.messages_lost.map_or_else(String::new, |lost| format!(" of {}", saved.messages + lost));
-    writeln!(text, "{bad}: {}{of} messages saved to {good}", saved.messages)?;
+    writeln!(text, "{bad}: {}{of} messages saved to {place}", saved.messages)?;
     write_sets(&inspection.sets, text)?;
     writeln!(text, "\ntopic  messages saved")?;
     let width = inspection.topics.iter().map(|topic| topic.topic.chars().count()).max().unwrap_or(0);
@@ -102,10 +102,10 @@ fn write_doubts(inspection: &Inspection, text: &mut String) -> std::fmt::Result 
     Ok(())
 }
 
-fn write_next(inspection: &Inspection, good: std::path::Display<'_>, text: &mut String) -> std::fmt::Result {
+fn write_next(inspection: &Inspection, good: &Path, text: &mut String) -> std::fmt::Result {
     let measured = inspection.sets.iter().any(|set| set.described && set.observations > 0);
     if measured {
-        writeln!(text, "\nnext: calibrig replay {good}")
+        writeln!(text, "\nnext: calibrig replay {}", good.display())
     } else if inspection.calibrig {
         writeln!(text, "\nIt holds no measured pose: there is nothing to replay.")
     } else {

@@ -43,7 +43,7 @@ pub(super) struct Args {
     /// Repeat the run without one part of the machine at a time, and tell what each contributes
     #[arg(long)]
     ablate: bool,
-    /// Show the run in an open Rerun viewer while it goes on [URL, if it is not the one on this machine: rerun+http://HOST:9876/proxy]
+    /// Show the run in an open Rerun viewer while it goes on [URL, if it is not the one on this machine: `rerun+http://HOST:9876/proxy`]
     #[arg(long, value_name = "URL", num_args = 0..=1, require_equals = true, default_missing_value = live::HERE, value_parser = live::address)]
     live: Option<String>,
     /// Print the report as JSON (schema calibrig.report/1) instead of the tables

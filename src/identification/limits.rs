@@ -163,7 +163,7 @@ pub(super) fn lowest(id: ParameterId) -> f64 {
     }
 }
 
-/// "delta_a4 -5 to 5 mm", "`compliance_drive2` at least 0".
+/// As in `delta_a4 -5 to 5 mm` or `compliance_drive2 at least 0`.
 impl fmt::Display for ParameterBound {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let unit = self.id.unit();

@@ -338,7 +338,8 @@ pub fn session_text(sets: &[SessionSet<'_>]) -> String {
         for ((kind, ..), tables) in sets.iter().zip(&tables).take(if alike { 1 } else { sets.len() }) {
             let set = if alike { String::new() } else { format!("set = {:?}\n", kind.key()) };
             for Entry { header, name, rest } in tables {
-                text += &format!("\n[[{header}]]\nname = {name}\n{set}{rest}");
+                // Writing to a String cannot fail.
+                let _ = write!(text, "\n[[{header}]]\nname = {name}\n{set}{rest}");
             }
         }
     }

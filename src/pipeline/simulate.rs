@@ -55,20 +55,7 @@ pub fn measure_session(
     let tracker_from_base = &scenario.tracker.tracker_from_base;
     tell(SessionEvent::Begin { as_built: &scenario.as_built, tracker_from_base, poses: total }, done)?;
     let (mut sets, mut poses, mut effects, mut outliers) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    for (kind, count, pose_source, noise_source) in [
-        (
-            SetKind::Identification,
-            scenario.identification_poses,
-            random::Source::IdentificationPoses,
-            random::Source::IdentificationNoise,
-        ),
-        (
-            SetKind::Verification,
-            scenario.verification_poses,
-            random::Source::VerificationPoses,
-            random::Source::VerificationNoise,
-        ),
-    ] {
+    for (kind, count, [pose_source, noise_source]) in planned_sets(scenario) {
         if count == 0 {
             continue;
         }
@@ -146,6 +133,23 @@ pub fn measure_session(
         rigid: Vec::new(),
     };
     Ok(Simulation { sets, truth })
+}
+
+/// The sets with their number of poses, and the random sources of poses and noise.
+fn planned_sets(scenario: &Scenario) -> [(SetKind, u32, [random::Source; 2]); 2] {
+    use random::Source;
+    [
+        (
+            SetKind::Identification,
+            scenario.identification_poses,
+            [Source::IdentificationPoses, Source::IdentificationNoise],
+        ),
+        (
+            SetKind::Verification,
+            scenario.verification_poses,
+            [Source::VerificationPoses, Source::VerificationNoise],
+        ),
+    ]
 }
 
 /// The place of a pose in the random streams of a session, whatever the number of poses of each set.

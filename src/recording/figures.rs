@@ -28,7 +28,8 @@ const MOST_BINS: f64 = 20.0;
 impl Bins {
     /// Bins that hold all finite errors, of a round width: 1, 2 or 5 times a power of ten, m. `None` without such errors.
     pub(super) fn around<'a>(errors: impl IntoIterator<Item = &'a Vector3<f64>>) -> Option<Self> {
-        let largest = errors.into_iter().map(|e| e.norm()).filter(|e| e.is_finite()).reduce(f64::max)?;
+        let largest =
+            errors.into_iter().map(nalgebra::Matrix::norm).filter(|e| e.is_finite()).reduce(f64::max)?;
         // An exact fit has errors as well: of rounding.
         let largest = largest.max(1e-12);
         let least = largest / MOST_BINS;

@@ -336,8 +336,8 @@ fn health(walk: &Walk, whole: &Whole, altered_at: Option<u64>) -> Health {
         match walk.end {
             End::Begun | End::Record => State::Unfinished,
             End::Within => State::Truncated,
-            End::DataEnd if matches!(whole.trouble, Some(RecordingError::Truncated)) => State::Truncated,
-            End::DataEnd | End::Lost => State::Damaged,
+            End::Data if matches!(whole.trouble, Some(RecordingError::Truncated)) => State::Truncated,
+            End::Data | End::Lost => State::Damaged,
         }
     };
     let damaged_at = match state {

@@ -53,7 +53,11 @@ pub struct McapRecorder<W: Write + Seek> {
 /// The writer of all recordings. Message indexes cost a third of a small file, but Foxglove's reader refuses chunks without them. The
 /// library's name and the number of threads are pinned: the same story gives the same bytes.
 pub(super) fn writer<W: Write + Seek>(sink: W, profile: &str) -> Result<Writer<W>, RecordingError> {
-    let options = WriteOptions::new().profile(profile).library(Provenance::software()).compression_threads(0).compression_level(1);
+    let options = WriteOptions::new()
+        .profile(profile)
+        .library(Provenance::software())
+        .compression_threads(0)
+        .compression_level(1);
     options.create(sink).map_err(RecordingError::unwritten)
 }
 

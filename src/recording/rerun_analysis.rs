@@ -129,7 +129,7 @@ impl RerunRecorder {
             start += run.len();
             steps.push([[from, from], [to, from], [to, to]].map(|corner| corner.map(single)));
             // Beside the steps, where no pair has its place.
-            places.push([to + 0.06 * groups.len() as f64, (from + to) / 2.0].map(single));
+            places.push([to + 0.06 * groups.len() as f64, f64::midpoint(from, to)].map(single));
             labels.extend(run.first().cloned());
         }
         let lines = LineStrips2D::new(steps)

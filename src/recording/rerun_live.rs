@@ -3,7 +3,7 @@
 use std::net::{TcpStream, ToSocketAddrs};
 use std::sync::Arc;
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use nalgebra::Vector3;
 use rerun::external::re_uri::ProxyUri;
@@ -25,6 +25,8 @@ pub const VIEWER_URL: &str = "rerun+http://127.0.0.1:9876/proxy";
 
 /// How long a viewer may take to answer.
 const PATIENCE: Duration = Duration::from_secs(5);
+/// Between two looks whether it does.
+const GLANCE: Duration = Duration::from_millis(10);
 /// How long it may take to read what is under way at the end.
 const LAST_PATIENCE: Duration = Duration::from_secs(20);
 
@@ -86,13 +88,14 @@ impl Viewer {
         // Asked first by itself: the sink tries again and again without a word.
         reachable(&uri).map_err(|error| absent(error.to_string()))?;
         let sink = GrpcSink::new(uri);
-        let begun = Instant::now();
+        let mut waits = PATIENCE.as_millis() / GLANCE.as_millis();
         while !matches!(sink.status(), GrpcSinkConnectionState::Connected) {
-            if begun.elapsed() > PATIENCE {
+            if waits == 0 {
                 abandon(sink);
                 return Err(absent("what listens there does not speak gRPC".to_owned()));
             }
-            thread::sleep(Duration::from_millis(10));
+            waits -= 1;
+            thread::sleep(GLANCE);
         }
         Ok(Self { url: url.to_owned(), line: Arc::new(sink) })
     }

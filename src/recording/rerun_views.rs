@@ -74,7 +74,7 @@ impl<'a> Views<'a> {
         }
         let log = TextLogView::new("Log").with_origin("log").into();
         let left = Vertical::new([picture, log]).with_row_shares([4.0, 1.0]);
-        let right = Vertical::new([self.residuals(), self.pages()]).with_row_shares([3.0, 2.0]);
+        let right = Vertical::new([self.residuals(), Self::pages()]).with_row_shares([3.0, 2.0]);
         Horizontal::new([left.into(), right.into()])
             .with_column_shares([3.0, 2.0])
             .with_name("Robot and residuals")
@@ -107,7 +107,7 @@ impl<'a> Views<'a> {
         Tabs::new([Vertical::new(axes).with_name("Residuals").into(), all]).into()
     }
 
-    fn pages(&self) -> ContainerLike {
+    fn pages() -> ContainerLike {
         let pages = [
             ("Accuracy", "tables/accuracy"),
             ("This pose", "tables/pose"),

@@ -169,7 +169,8 @@ pub(super) fn nominal_chain(
 
 /// Where the nominal robot's last link is in the middle of all travels, and with each slide at either end of its own, m.
 pub(super) fn reach(model: &KinematicModel) -> Vec<Vector3<f64>> {
-    let middle: Vec<_> = model.links.iter().map(|link| (link.limits[0] + link.limits[1]) / 2.0).collect();
+    let middle: Vec<_> =
+        model.links.iter().map(|link| f64::midpoint(link.limits[0], link.limits[1])).collect();
     let slides = model.links.iter().enumerate().filter(|(_, link)| link.kind == JointKind::Prismatic);
     let ends = slides.flat_map(|(joint, link)| link.limits.map(|limit| (joint, limit)));
     let away = ends.map(|(joint, limit)| {

@@ -54,7 +54,7 @@ pub enum Part {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum End {
     /// Behind all data, where the summary follows.
-    DataEnd,
+    Data,
     /// Between two records.
     Record,
     /// Behind the head of a chunk, as a writer leaves it that did not come to fill it.
@@ -131,7 +131,7 @@ impl<R: Read + Seek> Walker<'_, R> {
     fn step(&mut self, visit: &mut Visitor<'_>) -> Result<bool, ReadError> {
         let at = self.walk.at;
         if self.directory.data_end == Some(at) {
-            self.walk.end = End::DataEnd;
+            self.walk.end = End::Data;
             return Ok(false);
         }
         if at >= self.length {
@@ -222,7 +222,7 @@ impl<R: Read + Seek> Walker<'_, R> {
             }
             op::MESSAGE_INDEX if is_message_index(&self.record[HEAD..]) => {}
             op::DATA_END if self.record.len() == HEAD + 4 => {
-                self.walk.end = End::DataEnd;
+                self.walk.end = End::Data;
                 return Ok(false);
             }
             _ => {

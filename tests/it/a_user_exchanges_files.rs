@@ -188,7 +188,7 @@ fn write_ur5_files(sandbox: &Sandbox) {
     real.links[2].a += 1e-3;
     let mut number = 0.0;
     for (name, poses) in [("grid.csv", 60), ("random.csv", 20)] {
-        let columns = (1..=6).map(|i| format!(",joint_{i}")).collect::<String>();
+        let columns = ",joint_1,joint_2,joint_3,joint_4,joint_5,joint_6";
         let mut text = format!("step_order,x_t,y_t,z_t,x_dif,y_dif,z_dif{columns}\n");
         for pose in 0..poses {
             number += 1.0;

@@ -145,7 +145,7 @@ fn a_bound_in_a_scenario_is_kept_told_and_replayed() {
     // The recording holds the scenario, and with it the bounds.
     let replayed = sandbox.run(["replay", "out/recording.mcap"]);
     assert_eq!(replayed.code, Some(3), "{replayed:?}");
-    assert!(replayed.stdout.contains("1 recorded estimates, all identical bit for bit"), "{replayed:?}");
+    assert!(replayed.stdout.contains("1 recorded estimate, identical bit for bit"), "{replayed:?}");
     assert!(replayed.stderr.contains("delta_beta4 ended at its bound 5 mrad"), "{replayed:?}");
 }
 

@@ -10,6 +10,7 @@ use mcap::{MessageStream, WriteOptions};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::identification::Estimate;
 use crate::pipeline::SetKind;
 use crate::recording::mcap_reader::read_from;
 use crate::recording::scan::scan;
@@ -219,7 +220,7 @@ fn a_sound_file_is_found_whole() {
     }
     for (report, mode) in inspection.estimates.iter().zip(&outcome.modes) {
         assert_eq!(report.mode, mode.mode.key());
-        let ratio = mode.estimate.as_ref().and_then(|estimate| estimate.chi2_per_dof());
+        let ratio = mode.estimate.as_ref().and_then(Estimate::chi2_per_dof);
         assert_eq!(report.chi2_per_dof, ratio);
     }
     assert_eq!(inspection.attachments.len(), outcome.sources.len());
