@@ -168,6 +168,7 @@ pub(super) fn nominal_chain(
 }
 
 /// Where the nominal robot's last link is in the middle of all travels, and with each slide at either end of its own, m.
+#[cfg(feature = "rerun")]
 pub(super) fn reach(model: &KinematicModel) -> Vec<Vector3<f64>> {
     let middle: Vec<_> =
         model.links.iter().map(|link| f64::midpoint(link.limits[0], link.limits[1])).collect();
@@ -357,7 +358,9 @@ pub(super) const BEAM: Colour = [255, 64, 64, 255];
 pub(super) const TRACKER: Colour = [255, 140, 60, 255];
 pub(super) const POINT: Colour = [235, 235, 235, 255];
 /// Of correlations.
+#[cfg(feature = "rerun")]
 pub(super) const POSITIVE: Colour = [230, 159, 0, 255];
+#[cfg(feature = "rerun")]
 pub(super) const NEGATIVE: Colour = [86, 180, 233, 255];
 pub(super) const NEST: Colour = [86, 180, 233, 255];
 
