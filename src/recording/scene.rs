@@ -7,7 +7,7 @@ use crate::geometry::{Transform, rotation_vector, rotation_z};
 use crate::identification::{CalibratedRobot, Mode, Predictor};
 use crate::kinematics::{joints_from_command, link_frames};
 use crate::measurement::{MeasurementSet, Observation};
-use crate::model::{CalibrationModel, JointKind, KinematicModel, LinkTerm, ParameterId};
+use crate::model::{CalibrationModel, KinematicModel, LinkTerm, ParameterId};
 use crate::pipeline::{ModeOutcome, Outcome, SetOutcome};
 use crate::plant::{AsBuilt, SettledPose};
 
@@ -172,7 +172,8 @@ pub(super) fn nominal_chain(
 pub(super) fn reach(model: &KinematicModel) -> Vec<Vector3<f64>> {
     let middle: Vec<_> =
         model.links.iter().map(|link| f64::midpoint(link.limits[0], link.limits[1])).collect();
-    let slides = model.links.iter().enumerate().filter(|(_, link)| link.kind == JointKind::Prismatic);
+    let slides =
+        model.links.iter().enumerate().filter(|(_, link)| link.kind == crate::model::JointKind::Prismatic);
     let ends = slides.flat_map(|(joint, link)| link.limits.map(|limit| (joint, limit)));
     let away = ends.map(|(joint, limit)| {
         let mut joints = middle.clone();

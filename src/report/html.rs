@@ -11,8 +11,8 @@ use super::plots::{self, GRID, INK, LOOKS, Look, Marker, hex, look};
 use super::splits::split_section;
 use super::summary::{factor_words, judged_set, length_words, row, significant, summarise};
 use super::{
-    ReportError, condition_words, consistency_ratio, counted, forest, pose_words, published, set_title,
-    termination_words,
+    ReportError, condition_words, consistency_ratio, counted, forest, pose_words, published, region,
+    set_title, termination_words,
 };
 use crate::identification::{DependentGroup, Estimate, Mode, NoiseScale, Warning, WeakDirection};
 use crate::model::{ParameterId, Unit};
@@ -88,6 +88,7 @@ fn header(outcome: &Outcome) -> Markup {
                     div { dt { (set_title(set.kind)) } dd { (pose_words(set)) } }
                 }
                 div { dt { "Robot" } dd { (counted(outcome.model.kinematics.joint_count(), "joint")) } }
+                (region::session_facts(outcome))
                 div { dt { "Software" } dd { "calibrig " (env!("CARGO_PKG_VERSION")) } }
                 div.wide {
                     dt { "Registration of \u{201c}" (Mode::WithoutCalibration.title()) "\u{201d}" }
@@ -249,6 +250,15 @@ fn errors_section(outcome: &Outcome) -> Result<Markup, ReportError> {
         Some(plots::residuals(outcome, &after)?)
     };
     let distribution = plots::distribution(outcome)?;
+    // Before, and after with the best model: those between show the same more faintly.
+    let mut arrows = Vec::new();
+    for mode in
+        outcome.modes.first().into_iter().chain(outcome.modes.last().filter(|_| outcome.modes.len() > 1))
+    {
+        if let Some((drawn, scale)) = region::arrows(outcome, mode)? {
+            arrows.push((mode.mode, drawn, scale));
+        }
+    }
     Ok(html! {
         section #errors {
             h2 { "Errors" }
@@ -265,6 +275,13 @@ fn errors_section(outcome: &Outcome) -> Result<Markup, ReportError> {
                 "Share of the observations whose 3-D error is at most the given one. Curves further to the left are better."
             }, true))
             (percentile_table(outcome))
+            @for (mode, arrows, scale) in &arrows {
+                (figure(&[*mode], arrows, &html! {
+                    "Errors of \u{201c}" (mode.title()) "\u{201d} over the working region, in three views of the base frame: from the predicted "
+                    "position (ring) towards the measured one (dot), drawn " (scale) " times as long as they are. Arrows that agree with "
+                    "their neighbours show something that the model lacks."
+                }, false))
+            }
         }
     })
 }

@@ -7,6 +7,7 @@ mod json;
 mod judgement;
 mod parameters;
 mod plots;
+mod region;
 #[cfg(test)]
 mod sample;
 mod splits;
