@@ -317,6 +317,31 @@ pub(super) fn centred(area: &Area, text: &str) -> Drawn {
     area.draw(&Text::new(text.to_owned(), at, font.color(&INK).pos(Pos::new(HPos::Center, VPos::Center))))
 }
 
+/// The planes of the base frame that three views show: title, the axis across, the axis up.
+pub(super) const VIEWS: [(&str, usize, usize); 3] =
+    [("x\u{2013}y", 0, 1), ("x\u{2013}z", 0, 2), ("y\u{2013}z", 1, 2)];
+
+/// The axes of a view of places, m.
+pub(super) fn place_axes<'a, 'b>(area: &'b Area<'a>, x: Range<f64>, y: Range<f64>) -> Drawn<Chart<'a, 'b>> {
+    let mut chart = ChartBuilder::on(area)
+        .margin_top(px(4))
+        .margin_right(px(12))
+        .x_label_area_size(px(26))
+        .y_label_area_size(px(44))
+        .build_cartesian_2d(x, y)?;
+    chart
+        .configure_mesh()
+        .disable_mesh()
+        .x_labels(5)
+        .y_labels(6)
+        .axis_style(INK.mix(0.6).stroke_width(2))
+        .label_style(text_style())
+        .x_label_formatter(&|v| tick(*v))
+        .y_label_formatter(&|v| tick(*v))
+        .draw()?;
+    Ok(chart)
+}
+
 /// The title of the horizontal axis, at the lower edge.
 pub(super) fn foot(area: &Area, text: &str) -> Drawn {
     let (width, height) = area.dim_in_pixel();

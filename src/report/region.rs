@@ -6,7 +6,7 @@ use plotters::prelude::*;
 
 use super::ReportError;
 use super::plots::{
-    Area, Drawn, INK, WIDTH, centred, finite_range, ink, look, padded, px, svg, text_style, tick,
+    Area, Drawn, VIEWS, WIDTH, centred, finite_range, ink, look, padded, place_axes, px, svg,
 };
 use crate::measurement::{Observation, Reading};
 use crate::pipeline::{ModeOutcome, Outcome, SetOutcome};
@@ -15,9 +15,6 @@ const TITLE: i32 = 22;
 const PANEL: i32 = 260;
 /// Length of the longest arrow, as a part of the region's diagonal.
 const LONGEST: f64 = 0.15;
-/// The planes of the base frame that the three views show.
-const VIEWS: [(&str, usize, usize); 3] = [("x\u{2013}y", 0, 1), ("x\u{2013}z", 0, 2), ("y\u{2013}z", 1, 2)];
-
 /// An error at its place in the base frame, m.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Arrow {
@@ -76,22 +73,7 @@ fn view(
 ) -> Drawn {
     let tip = |arrow: &Arrow| arrow.from + scale * arrow.error;
     let range = |axis: usize| padded(&finite_range(arrows.iter().flat_map(|a| [a.from[axis], tip(a)[axis]])));
-    let mut chart = ChartBuilder::on(area)
-        .margin_top(px(4))
-        .margin_right(px(12))
-        .x_label_area_size(px(26))
-        .y_label_area_size(px(44))
-        .build_cartesian_2d(range(across), range(up))?;
-    chart
-        .configure_mesh()
-        .disable_mesh()
-        .x_labels(5)
-        .y_labels(6)
-        .axis_style(INK.mix(0.6).stroke_width(2))
-        .label_style(text_style())
-        .x_label_formatter(&|v| tick(*v))
-        .y_label_formatter(&|v| tick(*v))
-        .draw()?;
+    let chart = place_axes(area, range(across), range(up))?;
     let plot = chart.plotting_area();
     let line = look(mode.mode).light.stroke_width(3);
     for arrow in arrows {

@@ -10,8 +10,8 @@ use crate::model::JointKind;
 use crate::pipeline::{Judgement, ModeOutcome, Outcome, PredictedPosition};
 use crate::report::ReportError;
 use crate::report::plots::{
-    Area, Drawn, GRID, INK, WIDTH, centred, drawable, finite_range, foot, ink, largest, look, marker, padded,
-    px, svg, text_style, tick,
+    Area, Drawn, GRID, INK, VIEWS, WIDTH, centred, drawable, finite_range, foot, ink, largest, look, marker,
+    padded, place_axes, px, svg, text_style, tick,
 };
 
 const TITLE: i32 = 22;
@@ -175,8 +175,7 @@ pub(super) fn map_figure(map: &[PredictedPosition]) -> Result<String, ReportErro
         "Uncertainty of the predicted position in three views",
         (WIDTH, TITLE + PANEL),
         |area| {
-            let views = [("x\u{2013}y", 0, 1), ("x\u{2013}z", 0, 2), ("y\u{2013}z", 1, 2)];
-            for (panel, (title, across, up)) in area.split_evenly((1, 3)).iter().zip(views) {
+            for (panel, (title, across, up)) in area.split_evenly((1, 3)).iter().zip(VIEWS) {
                 let (head, plot) = panel.split_vertically(px(TITLE));
                 centred(&head, &format!("{title}, m"))?;
                 view(&plot, map, (across, up), most)?;
@@ -191,22 +190,7 @@ fn view(area: &Area, map: &[PredictedPosition], (across, up): (usize, usize), mo
     const ROWS: usize = 14;
     let x = padded(&finite_range(map.iter().map(|p| p.position[across])));
     let y = padded(&finite_range(map.iter().map(|p| p.position[up])));
-    let mut chart = ChartBuilder::on(area)
-        .margin_top(px(4))
-        .margin_right(px(12))
-        .x_label_area_size(px(26))
-        .y_label_area_size(px(44))
-        .build_cartesian_2d(x.clone(), y.clone())?;
-    chart
-        .configure_mesh()
-        .disable_mesh()
-        .x_labels(5)
-        .y_labels(6)
-        .axis_style(INK.mix(0.6).stroke_width(2))
-        .label_style(text_style())
-        .x_label_formatter(&|v| tick(*v))
-        .y_label_formatter(&|v| tick(*v))
-        .draw()?;
+    let chart = place_axes(area, x.clone(), y.clone())?;
     let plot = chart.plotting_area();
     let (width, height) = plot.dim_in_pixel();
     let half = i32::try_from((width / 14).min(height / 14) / 2).unwrap_or(1).max(2) - 1;
