@@ -339,7 +339,8 @@ fn runs_without_out_go_side_by_side() {
 fn commands_that_only_look_leave_nothing() {
     let (sandbox, commands) = sound_commands();
     let before = sandbox.content();
-    for (_, arguments) in commands.iter().filter(|(_, arguments)| arguments[0] != "run") {
+    for (_, arguments) in commands.iter().filter(|(_, arguments)| !["run", "report"].contains(&arguments[0]))
+    {
         assert_eq!(sandbox.run(arguments).code, Some(0));
     }
     assert!(sandbox.content() == before);
