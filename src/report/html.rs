@@ -278,7 +278,7 @@ fn errors_section(outcome: &Outcome) -> Result<Markup, ReportError> {
             @for (mode, arrows, scale) in &arrows {
                 (figure(&[*mode], arrows, &html! {
                     "Errors of \u{201c}" (mode.title()) "\u{201d} over the working region, in three views of the base frame: from the predicted "
-                    "position (ring) towards the measured one (dot), drawn " (scale) " times as long as they are. Arrows that agree with "
+                    "position (small dot) towards the measured one (large dot), drawn " (scale) " times as long as they are. Arrows that agree with "
                     "their neighbours show something that the model lacks."
                 }, false))
             }

@@ -14,7 +14,7 @@ use crate::pipeline::{ModeOutcome, Outcome, SetOutcome};
 const TITLE: i32 = 22;
 const PANEL: i32 = 260;
 /// Length of the longest arrow, as a part of the region's diagonal.
-const LONGEST: f64 = 0.15;
+const LONGEST: f64 = 0.1;
 /// An error at its place in the base frame, m.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Arrow {
@@ -145,7 +145,7 @@ mod tests {
     fn the_scale_is_round_and_fits_the_region() {
         let arrow =
             |x: f64, error: f64| Arrow { from: Vector3::new(x, 0.0, 0.0), error: Vector3::y() * error };
-        for (width, error, expected) in [(2.0, 1e-3, 200.0), (2.0, 20e-3, 10.0), (1.0, 1e-6, 1e5)] {
+        for (width, error, expected) in [(2.5, 1e-3, 200.0), (2.5, 20e-3, 10.0), (1.1, 1e-6, 1e5)] {
             assert_eq!(scale(&[arrow(0.0, error), arrow(width, 0.5 * error)]), Some(expected));
         }
         assert_eq!(scale(&[]), None);
