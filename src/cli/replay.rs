@@ -82,6 +82,9 @@ pub(super) fn cut_short(part: &MissingPart) -> String {
             "doubtful: the recording was cut short: {} of {expected} observations of the {kind} set are there",
             part.found
         ),
+        None if part.found == 0 => {
+            format!("doubtful: the description of the {kind} set is lost, and with it all its observations")
+        }
         None => format!(
             "doubtful: the recording was cut short in the {kind} set, behind {} observations",
             part.found

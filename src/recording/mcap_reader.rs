@@ -140,6 +140,8 @@ struct Contents<'a> {
     channels: HashMap<u16, (String, u16)>,
     sets: Vec<SetInProgress>,
     estimates: Vec<RecordedEstimate>,
+    /// Sets whose description was lost from a damaged file: what is left of them cannot be placed.
+    lost: BTreeSet<SetKind>,
     /// Behind the data section the summary repeats schemas and channels.
     ended: bool,
 }
@@ -162,6 +164,7 @@ impl<'a> Contents<'a> {
             channels: HashMap::new(),
             sets: Vec::new(),
             estimates: Vec::new(),
+            lost: BTreeSet::new(),
             ended: false,
         }
     }
@@ -203,6 +206,9 @@ impl<'a> Contents<'a> {
             return Ok(());
         }
         let schema = self.schemas.get(&schema).map_or("none", String::as_str).to_owned();
+        if self.is_of_a_lost_set(&topic, &schema, data) {
+            return Ok(());
+        }
         let read = match topic.as_str() {
             "/session" => decode(&schema, data).and_then(|message| self.session(&message)),
             "/session/end" => decode(&schema, data).and_then(|message| self.session_end(&message)),
@@ -217,6 +223,27 @@ impl<'a> Contents<'a> {
             _ => Ok(()),
         };
         read.map_err(|reason| RecordingError::InvalidMessage { topic, sequence: header.sequence, reason })
+    }
+
+    /// Whether a message belongs to a set whose session is not in a recovered file.
+    fn is_of_a_lost_set(&mut self, topic: &str, schema: &str, data: &[u8]) -> bool {
+        let key = match topic {
+            _ if !self.recovered => return false,
+            "/session/end" => decode(schema, data).map(|message: v1::SessionEnd| message.set),
+            "/nest" => decode(schema, data).map(|message: v1::BaseNest| message.set),
+            "/dropped" => decode(schema, data).map(|message: v1::DroppedPose| message.set),
+            _ if lies_below(topic, "/measurement") => {
+                decode(schema, data).map(|message: v1::Observation| message.set)
+            }
+            _ => return false,
+        };
+        // What is no message of ours is refused where it is read.
+        let Some(kind) = key.ok().and_then(|key| schema::set_kind(&key).ok()) else { return false };
+        let lost = !self.sets.iter().any(|known| known.set.kind == kind);
+        if lost {
+            self.lost.insert(kind);
+        }
+        lost
     }
 
     fn session(&mut self, message: &v1::Session) -> Result<(), String> {
@@ -345,6 +372,7 @@ impl<'a> Contents<'a> {
                 None => missing.push(MissingPart { kind, found, expected: *planned }),
             }
         }
+        missing.extend(self.lost.iter().map(|&kind| MissingPart { kind, found: 0, expected: None }));
         Ok(Recording {
             provenance,
             sources: self.inputs.into_iter().map(source_of).collect(),
@@ -402,16 +430,21 @@ mod tests {
 
     /// A sound MCAP file with the given records of a recording, and `change` applied to every message, metadata text and attachment.
     fn rewritten(bytes: &[u8], change: &mut dyn FnMut(&str, &mut Vec<u8>) -> bool) -> Vec<u8> {
-        rewritten_with(mcap::WriteOptions::new(), bytes, change)
+        rewritten_with(mcap::WriteOptions::new(), None, bytes, change)
     }
 
     fn rewritten_with(
         options: mcap::WriteOptions,
+        first: Option<&str>,
         bytes: &[u8],
         change: &mut dyn FnMut(&str, &mut Vec<u8>) -> bool,
     ) -> Vec<u8> {
         let mut file = Cursor::new(Vec::new());
         let mut writer = options.create(&mut file).expect("begun");
+        if let Some(name) = first {
+            let metadata = records::Metadata { name: name.to_owned(), metadata: BTreeMap::new() };
+            writer.write_metadata(&metadata).expect("written");
+        }
         let mut channels: HashMap<u16, (String, u16)> = HashMap::new();
         let mut schemas = HashMap::new();
         scan(&mut Cursor::new(bytes), false, &mut |opcode, body| {
@@ -683,7 +716,7 @@ mod tests {
             mcap::WriteOptions::new().calculate_summary_section_crc(false),
         ] {
             let error =
-                read(&rewritten_with(unprotected, &bytes, &mut |_, _| true)).expect_err("unprotected");
+                read(&rewritten_with(unprotected, None, &bytes, &mut |_, _| true)).expect_err("unprotected");
             assert!(matches!(error, RecordingError::Unprotected { .. }), "{error:?}");
         }
     }
@@ -712,7 +745,7 @@ mod tests {
         let outcome = synthetic::outcome(4, 2, false);
         // As Python's writer leaves it: no metadata of ours, no checksum over the whole, nobody counted.
         let options = mcap::WriteOptions::new().calculate_data_section_crc(false);
-        let bytes = rewritten_with(options, &bytes_of(&outcome), &mut |place, data| {
+        let bytes = rewritten_with(options, None, &bytes_of(&outcome), &mut |place, data| {
             if place.starts_with("/measurement") {
                 let mut message = v1::Observation::decode(data.as_slice()).expect("ours");
                 message.index = 0;
@@ -741,6 +774,29 @@ mod tests {
             recording.missing,
             [missing(SetKind::Identification, 4, 5), missing(SetKind::Verification, 2, 3)]
         );
+    }
+
+    #[test]
+    fn a_set_whose_description_was_lost_is_left_out_and_told() {
+        let outcome = synthetic::outcome(4, 2, false);
+        let lost = |kind: SetKind| {
+            move |place: &str, data: &mut Vec<u8>| {
+                let session = || v1::Session::decode(&data[..]).expect("ours");
+                place != "/session" || session().set != kind.key()
+            }
+        };
+        let bytes = bytes_of(&outcome);
+        let saved =
+            |kind| rewritten_with(mcap::WriteOptions::new(), Some(RECOVERED), &bytes, &mut lost(kind));
+        let recording = read(&saved(SetKind::Verification)).expect("read");
+        assert_eq!(recording.sets, outcome.sets[..1]);
+        let missing = MissingPart { kind: SetKind::Verification, found: 0, expected: None };
+        assert_eq!(recording.missing, [missing]);
+        let error = read(&saved(SetKind::Identification)).expect_err("nothing to fit");
+        assert!(matches!(error, RecordingError::NoMeasurements { .. }), "{error:?}");
+        // Nothing but damage loses a session: elsewhere it is a mistake of whoever wrote the file.
+        let error = read(&rewritten(&bytes, &mut lost(SetKind::Verification))).expect_err("refused");
+        assert!(matches!(error, RecordingError::InvalidMessage { .. }), "{error:?}");
     }
 
     #[test]
