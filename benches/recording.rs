@@ -15,8 +15,7 @@ use std::time::{Duration, Instant};
 use calibrig::measurement::{Observation, Reading};
 use calibrig::pipeline::{MeasuredPose, Outcome, PlantKind, SessionEvent, input_of, run_trial, simulate};
 use calibrig::recording::{
-    McapRecorder, Measured, Preamble, Recorder, SessionContext, SessionRecorder, inspect, read_recording,
-    recover,
+    McapRecorder, Measured, Preamble, Recorder, SessionRecorder, inspect, read_recording, recover,
 };
 use calibrig::report::write_reports;
 use calibrig::scenario::load_scenario;
@@ -60,11 +59,12 @@ fn overhead(folder: &Path) {
     let scenario = load_scenario(Path::new("scenarios/paper.toml")).expect("the shipped scenario");
     let (seed, plant) = (scenario.seed, PlantKind::Rapier);
     let input = input_of(&scenario, seed, 0, plant);
-    let context = SessionContext {
+    let preamble = Preamble {
         input: &input,
         sources: &scenario.sources,
         model: &scenario.robot.model,
         visuals: &scenario.robot.visuals,
+        truth: None,
     };
     let mut least = [Duration::MAX; 4];
     for _ in 0..ROUNDS {
@@ -80,7 +80,7 @@ fn overhead(folder: &Path) {
         lap(1);
         // Without the simulation between its events: what recording itself takes.
         let file = BufWriter::new(File::create(folder.join("run.mcap")).expect("a file"));
-        let mut recorder = SessionRecorder::new(context, McapRecorder::new(file).expect("begun"));
+        let mut recorder = SessionRecorder::new(preamble, McapRecorder::new(file).expect("begun"));
         tell_session(&outcome, &mut |event| recorder.hear(event).expect("told"));
         recorder.evaluated(&outcome).and_then(McapRecorder::finish).expect("finished");
         lap(2);

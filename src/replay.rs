@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use crate::identification::{Estimate, IdentificationOptions, Loss, Mode};
 use crate::input::InputError;
-use crate::model::{CalibrationModel, Robot, Visual, parse_robot};
+use crate::model::{CalibrationModel, Robot, Visual};
 use crate::pipeline::{
     InputSummary, ModeOutcome, Outcome, PipelineError, SetKind, SetOutcome, Truth, calibrate, default_modes,
     default_options, judge,
@@ -174,9 +174,7 @@ impl Plan {
 
 /// The robot that the recording holds.
 fn recorded_robot(recording: &Recording) -> Result<Robot, ReplayError> {
-    let attachment = |role: &str| recording.source(role).cloned();
-    let robot = attachment("robot").ok_or(ReplayError::NoRobot)?;
-    Ok(parse_robot(robot, attachment("urdf"), attachment("columns"))?)
+    recording.robot()?.ok_or(ReplayError::NoRobot)
 }
 
 fn recorded_scenario(recording: &Recording, robot: &Robot) -> Result<Option<Scenario>, ReplayError> {

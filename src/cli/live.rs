@@ -9,7 +9,7 @@ pub(super) use without_rerun::{HERE, Live, address};
 mod with_rerun {
     use crate::cli::{CliError, say};
     use crate::pipeline::{Outcome, SessionEvent};
-    use crate::recording::{LiveRecorder, RecordingError, SessionContext, SessionRecorder, Viewer};
+    use crate::recording::{LiveRecorder, Preamble, RecordingError, SessionRecorder, Viewer};
 
     pub(in crate::cli) use crate::recording::VIEWER_URL as HERE;
 
@@ -23,12 +23,9 @@ mod with_rerun {
 
     impl<'a> Live<'a> {
         /// Finds the viewer at `url`.
-        pub(in crate::cli) fn begin(
-            url: Option<&str>,
-            context: SessionContext<'a>,
-        ) -> Result<Self, CliError> {
+        pub(in crate::cli) fn begin(url: Option<&str>, preamble: Preamble<'a>) -> Result<Self, CliError> {
             let viewer = url.map(Viewer::connect).transpose()?;
-            Ok(Self(viewer.map(|viewer| SessionRecorder::new(context, LiveRecorder::new(viewer)))))
+            Ok(Self(viewer.map(|viewer| SessionRecorder::new(preamble, LiveRecorder::new(viewer)))))
         }
 
         pub(in crate::cli) fn hear(&mut self, event: SessionEvent<'_>) {
@@ -54,7 +51,7 @@ mod without_rerun {
 
     use crate::cli::CliError;
     use crate::pipeline::{Outcome, SessionEvent};
-    use crate::recording::SessionContext;
+    use crate::recording::Preamble;
 
     pub(in crate::cli) const HERE: &str = "";
 
@@ -71,7 +68,7 @@ mod without_rerun {
     #[allow(clippy::unused_self)]
     impl<'a> Live<'a> {
         #[allow(clippy::unnecessary_wraps)]
-        pub(in crate::cli) fn begin(_: Option<&str>, _: SessionContext<'a>) -> Result<Self, CliError> {
+        pub(in crate::cli) fn begin(_: Option<&str>, _: Preamble<'a>) -> Result<Self, CliError> {
             Ok(Self(PhantomData))
         }
 

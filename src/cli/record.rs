@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::say;
 use crate::pipeline::{Outcome, SessionEvent};
-use crate::recording::{McapRecorder, RecordingError, SessionContext, SessionRecorder, UnfinishedFile};
+use crate::recording::{McapRecorder, Preamble, RecordingError, SessionRecorder, UnfinishedFile};
 
 type Recorder<'a> = SessionRecorder<'a, McapRecorder<BufWriter<File>>>;
 
@@ -18,10 +18,10 @@ pub(super) struct Recording<'a> {
 
 impl<'a> Recording<'a> {
     /// Begins a recording in `folder`.
-    pub(super) fn begin(folder: &Path, context: SessionContext<'a>) -> Result<Self, RecordingError> {
+    pub(super) fn begin(folder: &Path, preamble: Preamble<'a>) -> Result<Self, RecordingError> {
         let file = UnfinishedFile::create(folder, "recording.mcap")?;
         let sink = file.handle().map(BufWriter::new);
-        let recorder = sink.and_then(McapRecorder::new).map(|mcap| SessionRecorder::new(context, mcap));
+        let recorder = sink.and_then(McapRecorder::new).map(|mcap| SessionRecorder::new(preamble, mcap));
         Ok(Self { file, recorder })
     }
 

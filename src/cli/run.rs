@@ -13,7 +13,7 @@ use super::output::{self, Destination, Files};
 use super::record::Recording;
 use super::{CliError, Verdict, not_identified};
 use crate::pipeline::{self, Ablation, Outcome, PipelineError, SessionEvent};
-use crate::recording::SessionContext;
+use crate::recording::Preamble;
 use crate::scenario::{Scenario, load_scenario};
 
 /// Simulate a measuring session, identify in every mode, evaluate, record and report
@@ -62,14 +62,15 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
 fn run_into(args: &Args, scenario: &Scenario, folder: &Path) -> Result<Verdict, CliError> {
     let seed = args.seed.unwrap_or(scenario.seed);
     let input = pipeline::input_of(scenario, seed, args.trial, args.plant.into());
-    let context = SessionContext {
+    let preamble = Preamble {
         input: &input,
         sources: &scenario.sources,
         model: &scenario.robot.model,
         visuals: &scenario.robot.visuals,
+        truth: None,
     };
-    let mut live = Live::begin(args.live.as_deref(), context)?;
-    let mut recording = Recording::begin(folder, context)?;
+    let mut live = Live::begin(args.live.as_deref(), preamble)?;
+    let mut recording = Recording::begin(folder, preamble)?;
     let outcome = measure(args, scenario, seed, &mut |event| {
         recording.hear(event);
         live.hear(event);

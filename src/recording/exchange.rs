@@ -21,7 +21,7 @@ use crate::measurement::{
     ColumnMap, CsvError, LoadedMeasurements, MeasurementSet, SessionSet, measurements_text,
     parse_measurements, parse_session, session_text,
 };
-use crate::model::{JointKind, Robot, parse_robot};
+use crate::model::{JointKind, Robot};
 use crate::pipeline::{SetKind, SetOutcome};
 
 /// A recording that cannot be told in files of text.
@@ -151,15 +151,10 @@ pub fn write_sets(path: &Path, preamble: &Preamble<'_>, sets: &[SetOutcome]) -> 
 }
 
 fn robot_of(recording: &Recording, model: Option<Robot>) -> Result<Robot, ExportError> {
-    let attached = |role: &str| {
-        let source = recording.sources.iter().find(|(known, _)| known == role);
-        source.map(|(_, source)| source.clone())
-    };
-    match (attached("robot"), model) {
-        (Some(robot), None) => Ok(parse_robot(robot, attached("urdf"), attached("columns"))?),
-        (None, Some(robot)) => Ok(robot),
+    match (recording.source("robot"), model) {
         (Some(robot), Some(_)) => Err(ExportError::SecondRobot { name: format!("robot/{}", robot.name) }),
-        (None, None) => Err(ExportError::NoRobot),
+        (None, Some(robot)) => Ok(robot),
+        (_, None) => recording.robot()?.ok_or(ExportError::NoRobot),
     }
 }
 

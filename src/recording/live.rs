@@ -3,34 +3,19 @@
 use super::clock::Clock;
 use super::story::{Measured, Preamble, Recorder};
 use super::{RecordingError, record_evaluation};
-use crate::input::Source;
-use crate::model::{CalibrationModel, Visual};
-use crate::pipeline::{InputSummary, MeasuredPose, Outcome, SessionEvent};
-
-/// What a session does not say of itself.
-#[derive(Debug, Clone, Copy)]
-pub struct SessionContext<'a> {
-    /// Where the measurements come from.
-    pub input: &'a InputSummary,
-    /// The input files by role.
-    pub sources: &'a [(String, Source)],
-    /// What identification is told beforehand.
-    pub model: &'a CalibrationModel,
-    /// What the links look like.
-    pub visuals: &'a [Vec<Visual>],
-}
+use crate::pipeline::{MeasuredPose, Outcome, SessionEvent};
 
 /// Tells a recorder what happens in a session. It leaves the same recording as [`record`](super::record) of the finished run.
 pub struct SessionRecorder<'a, R> {
-    context: SessionContext<'a>,
+    preamble: Preamble<'a>,
     recorder: R,
     clock: Clock,
 }
 
 impl<'a, R: Recorder> SessionRecorder<'a, R> {
-    /// Begins with a session that is about to begin.
-    pub fn new(context: SessionContext<'a>, recorder: R) -> Self {
-        Self { context, recorder, clock: Clock::default() }
+    /// Begins with a session that is about to begin. It tells the truth itself, in place of the preamble's.
+    pub fn new(preamble: Preamble<'a>, recorder: R) -> Self {
+        Self { preamble, recorder, clock: Clock::default() }
     }
 
     /// Passes on what happened.
@@ -38,9 +23,8 @@ impl<'a, R: Recorder> SessionRecorder<'a, R> {
         let now = self.clock.now();
         match event {
             SessionEvent::Begin { as_built, tracker_from_base, .. } => {
-                let SessionContext { input, sources, model, visuals } = self.context;
                 let truth = Some((as_built, tracker_from_base));
-                self.recorder.open(&Preamble { input, sources, model, visuals, truth })
+                self.recorder.open(&Preamble { truth, ..self.preamble })
             }
             SessionEvent::Set { set, planned } => self.recorder.set(now, set, Some(planned)),
             SessionEvent::Measured(pose) => self.measured(&pose),

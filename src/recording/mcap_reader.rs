@@ -14,7 +14,8 @@ use super::scan::{ReadError, check_attachment, check_integrity, check_magic, sca
 use super::schema::{self, v1};
 use super::{Provenance, RecordingError};
 use crate::geometry::Transform;
-use crate::input::Source;
+use crate::input::{InputError, Source};
+use crate::model::{Robot, parse_robot};
 use crate::pipeline::{SetKind, SetOutcome};
 
 /// A recording, as far as a replay needs it.
@@ -35,6 +36,13 @@ pub struct Recording {
 }
 
 impl Recording {
+    /// The robot that it holds, if any.
+    pub fn robot(&self) -> Result<Option<Robot>, InputError> {
+        let attached = |role: &str| self.source(role).cloned();
+        let robot = attached("robot");
+        robot.map(|robot| parse_robot(robot, attached("urdf"), attached("columns"))).transpose()
+    }
+
     /// The input file of a role.
     pub fn source(&self, role: &str) -> Option<&Source> {
         self.sources.iter().find(|(known, _)| known == role).map(|(_, source)| source)

@@ -54,7 +54,7 @@ pub use inspect::{
     AttachmentReport, EstimateReport, Health, INSPECT_SCHEMA, Inspection, Progress, ProvenanceReport,
     ProvenanceState, Recoverable, SetReport, State, TopicReport, inspect,
 };
-pub use live::{SessionContext, SessionRecorder};
+pub use live::SessionRecorder;
 pub use machine::{RecordedMachine, read_recorded_machine};
 pub use mcap_reader::{
     MissingPart, ReadOptions, RecordedEstimate, RecordedParameter, Recording, read_recording,

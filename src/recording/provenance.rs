@@ -101,7 +101,12 @@ fn hash(metadata: &BTreeMap<String, String>, inputs: &[AttachedInput]) -> String
         part(name);
         part(text);
     }
-    digest.finalize().iter().fold(String::new(), |hex, byte| format!("{hex}{byte:02x}"))
+    hex(&digest.finalize())
+}
+
+/// Bytes in hexadecimal.
+pub(super) fn hex(bytes: &[u8]) -> String {
+    bytes.iter().fold(String::new(), |hex, byte| format!("{hex}{byte:02x}"))
 }
 
 impl Provenance {

@@ -12,7 +12,7 @@ use super::directory::{Definitions, Directory};
 use super::file::write_whole;
 use super::inspect::{Inspection, PASSES, Progress, ProvenanceState, State, Watched, inspect_file};
 use super::mcap_writer::writer;
-use super::provenance::{ALTERED, METADATA, RECOVERED};
+use super::provenance::{ALTERED, METADATA, RECOVERED, hex};
 use super::scan::ReadError;
 use super::walk::{Part, walk};
 use super::{Provenance, RecordingError};
@@ -90,7 +90,7 @@ fn sha256(file: &mut (impl Read + Seek)) -> std::io::Result<String> {
             read => digest.update(&buffer[..read]),
         }
     }
-    Ok(digest.finalize().iter().fold(String::new(), |hex, byte| format!("{hex}{byte:02x}")))
+    Ok(hex(&digest.finalize()))
 }
 
 /// Writes what `inspection` found sound in `file`.
@@ -114,7 +114,7 @@ pub(super) fn save<W: Write + Seek>(
     if copy.messages != inspection.recoverable.messages {
         return Err(std::io::Error::other("it changed while it was read").into());
     }
-    copy.writer.finish().map_err(RecordingError::unrecordable)?;
+    copy.writer.finish().map_err(RecordingError::unwritten)?;
     copy.writer.into_inner().flush()?;
     Ok(())
 }
@@ -163,7 +163,7 @@ impl<W: Write + Seek> Copy<W> {
                     media_type: header.media_type,
                     data,
                 };
-                self.writer.attach(&attachment).map_err(RecordingError::unrecordable)
+                self.writer.attach(&attachment).map_err(RecordingError::unwritten)
             }
             Record::Message { header, data } => self.message(header, &data),
             Record::Channel(channel) => {
@@ -181,7 +181,7 @@ impl<W: Write + Seek> Copy<W> {
     }
 
     fn metadata(&mut self, metadata: &Metadata) -> Result<(), RecordingError> {
-        self.writer.write_metadata(metadata).map_err(RecordingError::unrecordable)
+        self.writer.write_metadata(metadata).map_err(RecordingError::unwritten)
     }
 
     fn message(&mut self, header: MessageHeader, data: &[u8]) -> Result<(), RecordingError> {
@@ -189,7 +189,7 @@ impl<W: Write + Seek> Copy<W> {
         self.messages += 1;
         self.writer
             .write_to_known_channel(&MessageHeader { channel_id, ..header }, data)
-            .map_err(RecordingError::unrecordable)
+            .map_err(RecordingError::unwritten)
     }
 
     /// The new number of a channel; `None` where nobody describes it.
@@ -206,7 +206,7 @@ impl<W: Write + Seek> Copy<W> {
         let added = schema.and_then(|schema| {
             writer.add_channel(schema, &channel.topic, &channel.message_encoding, &channel.metadata)
         });
-        let added = added.map_err(RecordingError::unrecordable)?;
+        let added = added.map_err(RecordingError::unwritten)?;
         self.channels.insert(id, added);
         Ok(Some(added))
     }

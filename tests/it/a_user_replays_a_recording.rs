@@ -6,7 +6,7 @@ use std::path::Path;
 
 use calibrig::identification::{Loss, Mode, Warning};
 use calibrig::pipeline::{self, Outcome, PlantKind, calibrate};
-use calibrig::recording::{McapRecorder, SessionContext, SessionRecorder, write_mcap};
+use calibrig::recording::{McapRecorder, Preamble, SessionRecorder, write_mcap};
 use calibrig::replay::{Change, ReplayOptions, recorded_truth, replay};
 use calibrig::report::json_report;
 
@@ -119,14 +119,15 @@ fn a_session_recorded_while_it_is_measured_gives_the_same_bytes() {
     let scenario = paper();
     let seed = 3;
     let input = pipeline::input_of(&scenario, seed, 0, PlantKind::Rapier);
-    let context = SessionContext {
+    let preamble = Preamble {
         input: &input,
         sources: &scenario.sources,
         model: &scenario.robot.model,
         visuals: &scenario.robot.visuals,
+        truth: None,
     };
     let mcap = McapRecorder::new(Cursor::new(Vec::new())).expect("begun");
-    let mut recorder = SessionRecorder::new(context, mcap);
+    let mut recorder = SessionRecorder::new(preamble, mcap);
     let outcome = pipeline::run_trial(&scenario, seed, 0, PlantKind::Rapier, &mut |event| {
         recorder.hear(event).expect("recorded");
         ControlFlow::Continue(())
