@@ -10,13 +10,14 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use calibrig::elastostatics::apply;
+use calibrig::files::load_robot;
 use calibrig::geometry::{rotation_x, translation};
 use calibrig::identification::{
     CalibratedRobot, ComplianceChoice, Estimate, FrameChoice, IdentificationOptions, Mode, Predictor,
     TargetChoice, identify, neighbour_axis_rules, structural_poses,
 };
 use calibrig::measurement::{MeasurementSet, NestObservation, Observation, Reading, Station, Target};
-use calibrig::model::{CalibrationModel, Compliance, ParameterId, load_robot};
+use calibrig::model::{CalibrationModel, Compliance, ParameterId};
 use nalgebra::{Matrix3, Point3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;

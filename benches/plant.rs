@@ -7,7 +7,7 @@
 // The functions that criterion generates have no docs; a bench may stop at its first error.
 #![allow(missing_docs, clippy::expect_used)]
 
-#[path = "../src/plant/tests/spray_robot.rs"]
+#[path = "../crates/calibrig-plant/src/tests/spray_robot.rs"]
 mod spray_robot;
 
 use std::hint::black_box;

@@ -53,24 +53,17 @@
 //! assert!(kept.iter().any(|id| id.to_string() == "delta_beta2"));
 //! ```
 
+pub use calibrig_estimation::{elastostatics, evaluation, identification, kinematics, validation};
+pub use calibrig_files as files;
+pub use calibrig_model as model;
+pub use calibrig_model::{geometry, measurement, nalgebra, random, statistics};
+pub use calibrig_plant as plant;
+pub use calibrig_plant::{experiment, tracker};
+
 pub mod cli;
-pub mod elastostatics;
-pub mod evaluation;
-pub mod experiment;
-pub mod geometry;
-pub mod identification;
-pub mod input;
-pub mod kinematics;
-pub mod measurement;
-pub mod model;
 pub mod montecarlo;
 pub mod pipeline;
-pub mod plant;
-pub mod random;
 pub mod recording;
 pub mod replay;
 pub mod report;
 pub mod scenario;
-pub mod statistics;
-pub mod tracker;
-pub mod validation;

@@ -6,7 +6,6 @@ mod defaults;
 mod judgement;
 mod machine;
 mod planned;
-mod session;
 mod simulate;
 mod splits;
 mod truth;
@@ -17,7 +16,6 @@ pub use defaults::{DEFAULT_TOLERANCE, default_modes, default_options, is_default
 pub use judgement::{Confidence, FALSE_ALARM, Judgement, PredictedPosition, judge};
 pub use machine::PlantKind;
 pub use planned::{planned, planned_at};
-pub use session::{MeasuredPose, SessionEvent, SessionListener};
 pub use simulate::{measure_session, simulate};
 pub use splits::{SplitMode, SplitPlan, SplitStudy, pose_count, repeat_splits};
 pub use truth::KnownTruth;
@@ -28,19 +26,21 @@ use nalgebra::Vector3;
 use sha2::{Digest, Sha256};
 use thiserror::Error;
 
-use crate::evaluation::{AccuracyRow, accuracy};
-use crate::identification::{
+use crate::scenario::Scenario;
+use calibrig_estimation::evaluation::{AccuracyRow, accuracy};
+use calibrig_estimation::identification::{
     CalibratedRobot, Estimate, IdentificationOptions, IdentifyError, Mode, PredictionError, Predictor,
     identify, without_calibration,
 };
-use crate::input::Source;
-use crate::measurement::MeasurementSet;
-pub use crate::measurement::SetKind;
-use crate::model::{CalibrationModel, Visual};
-use crate::plant::effects::{EffectError, PoseEffects};
-use crate::plant::{AsBuilt, PlantError, SettledPose};
-use crate::scenario::Scenario;
-use crate::tracker::TrackerError;
+use calibrig_files::Source;
+use calibrig_model::measurement::MeasurementSet;
+pub use calibrig_model::measurement::{SetKind, SetOutcome};
+use calibrig_model::{CalibrationModel, Visual};
+use calibrig_plant::PlantError;
+use calibrig_plant::effects::EffectError;
+use calibrig_plant::session::{BesideRigid, SessionError, counting};
+pub use calibrig_plant::session::{MeasuredPose, SessionEvent, SessionListener, Simulation, Truth};
+use calibrig_plant::tracker::TrackerError;
 
 /// Where the measurements came from.
 #[derive(Debug, Clone, PartialEq)]
@@ -68,17 +68,6 @@ pub struct RegistrationSummary {
     pub rms: f64,
 }
 
-/// A measured set with its errors per mode.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SetOutcome {
-    /// Which.
-    pub kind: SetKind,
-    /// What was measured.
-    pub measurements: MeasurementSet,
-    /// Poses that were planned but not measured, with the reason.
-    pub dropped: Vec<(u32, String)>,
-}
-
 /// What one mode made of the measurements.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModeOutcome {
@@ -92,23 +81,6 @@ pub struct ModeOutcome {
     pub errors: Vec<Vec<Vector3<f64>>>,
     /// The rows of the tables, one a set.
     pub rows: Vec<Option<AccuracyRow>>,
-}
-
-/// The truth of a simulated run, for the report and the recording alone.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Truth {
-    /// The machine.
-    pub as_built: AsBuilt,
-    /// `tracker_from_base` of the station.
-    pub tracker_from_base: crate::geometry::Transform,
-    /// The settled poses, one vector a set, one entry an observation.
-    pub poses: Vec<Vec<SettledPose>>,
-    /// What the machine's effects made of every pose, in the order of `poses`.
-    pub effects: Vec<Vec<PoseEffects>>,
-    /// Poses whose reading is a gross error, and what it is off by in the base frame, m; one vector a set.
-    pub outliers: Vec<Vec<(u32, Vector3<f64>)>>,
-    /// The same poses, effects included, of the same machine if nothing of it yielded, in the order of `poses`; empty where not asked for.
-    pub rigid: Vec<Vec<SettledPose>>,
 }
 
 /// Everything that a run leaves behind.
@@ -140,15 +112,6 @@ pub struct Outcome {
     pub splits: Option<SplitStudy>,
 }
 
-/// A simulated session: what the tracker saw, and the truth beside it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Simulation {
-    /// The measured sets, identification first.
-    pub sets: Vec<SetOutcome>,
-    /// What really was.
-    pub truth: Truth,
-}
-
 /// A run that cannot be carried out.
 #[derive(Debug, Error)]
 #[non_exhaustive]
@@ -161,7 +124,7 @@ pub enum PipelineError {
     Effects(#[from] EffectError),
     /// The analytic machine does not come to rest.
     #[error("the analytic plant: {0}")]
-    Analytic(#[from] crate::elastostatics::ElasticError),
+    Analytic(#[from] calibrig_estimation::elastostatics::ElasticError),
     /// The machine cannot take a pose.
     #[error("{} set, pose {pose}: {source}", set.key())]
     Pose {
@@ -212,6 +175,19 @@ pub enum PipelineError {
         /// Why.
         source: IdentifyError,
     },
+}
+
+impl<E: Into<Self>> From<SessionError<E>> for PipelineError {
+    fn from(error: SessionError<E>) -> Self {
+        match error {
+            SessionError::Effects(error) => Self::Effects(error),
+            SessionError::Pose { set, pose, source } => {
+                Self::Pose { set, pose, source: Box::new(source.into()) }
+            }
+            SessionError::Nest { nest, source } => Self::Nest { nest, source },
+            SessionError::Interrupted { done, total } => Self::Interrupted { done, total },
+        }
+    }
 }
 
 /// Identifies in every mode and evaluates on every set. The first set is the one that is fitted.
@@ -275,7 +251,7 @@ fn errors(
 
 /// Simulates, identifies and evaluates a scenario: trial 0 of its campaigns. `progress` is told the number of poses done and of all poses.
 pub fn run(scenario: &Scenario, seed: u64, progress: impl FnMut(u32, u32)) -> Result<Outcome, PipelineError> {
-    run_trial(scenario, seed, 0, PlantKind::Rapier, &mut session::counting(progress))
+    run_trial(scenario, seed, 0, PlantKind::Rapier, &mut counting(progress))
 }
 
 /// The source of a run's measurements: the scenario's files, its seed and the trial.
@@ -300,7 +276,7 @@ pub fn run_trial(
     plant: PlantKind,
     listener: &mut SessionListener<'_>,
 ) -> Result<Outcome, PipelineError> {
-    let mut beside = session::BesideRigid::new(listener);
+    let mut beside = BesideRigid::new(listener);
     let simulated = measure_session(scenario, seed, trial, plant, &mut |event| beside.hear(event));
     let rigid = beside.finish()?;
     let mut simulation = simulated?;

@@ -5,9 +5,6 @@ use std::path::Path;
 use miette::Diagnostic;
 use thiserror::Error;
 
-use crate::identification::{Estimate, IdentificationOptions, Loss, Mode};
-use crate::input::InputError;
-use crate::model::{CalibrationModel, Robot, Visual};
 use crate::pipeline::{
     InputSummary, ModeOutcome, Outcome, PipelineError, SetKind, SetOutcome, Truth, calibrate, default_modes,
     default_options, judge,
@@ -17,6 +14,10 @@ use crate::recording::{
     read_recorded_machine, read_recording_with,
 };
 use crate::scenario::{Scenario, parse_scenario};
+use calibrig_estimation::identification::{Estimate, IdentificationOptions, Loss, Mode};
+use calibrig_files::InputError;
+use calibrig_files::Robot;
+use calibrig_model::{CalibrationModel, Visual};
 
 /// A recording that cannot be replayed.
 #[derive(Debug, Error, Diagnostic)]

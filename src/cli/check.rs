@@ -6,10 +6,12 @@ use std::path::PathBuf;
 use serde_json::json;
 
 use super::{CliError, Verdict, print};
-use crate::identification::{ComplianceChoice, FrameChoice, Mode, ParameterChoice, TargetChoice};
-use crate::model::JointKind;
 use crate::pipeline::hash_sources;
 use crate::scenario::{Scenario, load_scenario};
+use calibrig_estimation::identification::{
+    ComplianceChoice, FrameChoice, Mode, ParameterChoice, TargetChoice,
+};
+use calibrig_model::JointKind;
 
 /// Validate a scenario and the files it names, and say what would run
 #[derive(Debug, clap::Args)]

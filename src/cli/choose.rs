@@ -8,11 +8,11 @@ use serde_json::{Value, json};
 
 use super::identify::{Loaded, failed, file_options, load};
 use super::{CliError, Verdict, not_identified, print, say};
-use crate::evaluation::{Criteria, Verdict as Worth};
-use crate::identification::{LINKAGE, ParameterChoice, Tolerance};
-use crate::model::FAMILIES;
 use crate::pipeline::{self, ChosenRow, ModelChoice, PlantKind, SetKind, choose, simulate};
 use crate::scenario::load_scenario;
+use calibrig_estimation::evaluation::{Criteria, Verdict as Worth};
+use calibrig_estimation::identification::{LINKAGE, ParameterChoice, Tolerance};
+use calibrig_model::FAMILIES;
 
 /// Compare models on poses that they were not fitted to: does gravity, the linkage, hysteresis pay?
 ///

@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use super::identify::{Loaded, load};
 use super::output::{Destination, Files, or_removed};
 use super::{CliError, Verdict, say};
-use crate::input::Source;
-use crate::measurement::{LoadedMeasurements, load_session};
-use crate::model::load_robot;
 use crate::pipeline::{InputSummary, SetKind, SetOutcome, hash_sources};
 use crate::recording::{CsvExport, ExportError, Preamble, RecordingError, export_csv, write_sets};
+use calibrig_files::Source;
+use calibrig_files::load_robot;
+use calibrig_files::{LoadedMeasurements, load_session};
 
 /// Turn a recording into files of text, or files of text into a recording
 #[derive(Debug, clap::Args)]

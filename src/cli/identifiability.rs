@@ -12,14 +12,15 @@ use serde_json::json;
 
 use super::identify::family;
 use super::{Cli, CliError, Verdict, print};
-use crate::identification::{
+use crate::scenario::{Scenario, load_scenario};
+use calibrig_estimation::identification::{
     Explanation, Finding, FrameChoice, IdentifiabilityReport, Mode, TargetChoice, analyse_columns, explain,
     identifiability, neighbour_axis_rules, structural_poses,
 };
-use crate::kinematics::stacked_jacobian;
-use crate::model::{KinematicModel, ParameterId, load_robot};
-use crate::random::{Source, stream};
-use crate::scenario::{Scenario, load_scenario};
+use calibrig_estimation::kinematics::stacked_jacobian;
+use calibrig_files::load_robot;
+use calibrig_model::random::{Source, stream};
+use calibrig_model::{KinematicModel, ParameterId};
 
 /// Say which parameters position measurements can tell: rank, dependent groups, weak directions, and what would help
 ///

@@ -9,17 +9,19 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::output::{self, Destination, Files};
 use super::{Cli, CliError, Verdict, not_identified, say};
-use crate::identification::{
-    ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Loss, Mode, ParameterBound,
-    ParameterChoice, RefusedBound, SolverOptions, TargetChoice, Tolerance, check_bounds,
-};
-use crate::input::Source;
-use crate::measurement::{ColumnMap, MeasurementSet, load_column_map, parse_column_map, parse_measurements};
-use crate::model::{CalibrationModel, FAMILIES, JointKind, ParameterId, Robot, Unit, load_robot};
 use crate::pipeline::{
     DEFAULT_TOLERANCE, InputSummary, Outcome, PipelineError, SetKind, SetOutcome, SplitPlan, SplitStudy,
     calibrate, hash_sources, is_default, judge, pose_count, repeat_splits,
 };
+use calibrig_estimation::identification::{
+    ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Loss, Mode, ParameterBound,
+    ParameterChoice, RefusedBound, SolverOptions, TargetChoice, Tolerance, check_bounds,
+};
+use calibrig_files::Source;
+use calibrig_files::{ColumnMap, load_column_map, parse_column_map, parse_measurements};
+use calibrig_files::{Robot, load_robot};
+use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::{CalibrationModel, FAMILIES, JointKind, ParameterId, Unit};
 
 /// Calibrate a robot from measured positions in a file, and verify on another file
 ///

@@ -27,12 +27,12 @@ use clap::{Parser, Subcommand};
 use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, SourceCode};
 use thiserror::Error;
 
-use crate::identification::IdentifyError;
-use crate::input::{InputError, Source};
 use crate::pipeline::PipelineError;
 use crate::recording::{ExportError, RecordingError};
 use crate::replay::ReplayError;
 use crate::report::ReportError;
+use calibrig_estimation::identification::IdentifyError;
+use calibrig_files::{InputError, Source};
 
 /// Calibrate large robots with a laser tracker: on a simulated machine whose truth is known, and on real measurements.
 #[derive(Debug, Parser)]

@@ -3,12 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use super::{CliError, Verdict, colours, print, say};
-use crate::identification::Warning;
 use crate::pipeline::Outcome;
 #[cfg(feature = "rerun")]
 use crate::recording;
 use crate::recording::{RecordingError, UnfinishedFile};
 use crate::report;
+use calibrig_estimation::identification::Warning;
 
 /// Which files a command leaves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

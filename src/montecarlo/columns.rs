@@ -1,8 +1,8 @@
 //! A campaign as a table: a row a trial, the same columns in every row.
 
 use super::{Campaign, Trial};
-use crate::identification::Mode;
-use crate::measurement::SetKind;
+use calibrig_estimation::identification::Mode;
+use calibrig_model::measurement::SetKind;
 
 /// Names of the columns; the unit is part of the name.
 pub fn header(campaign: &Campaign<'_>) -> Vec<String> {

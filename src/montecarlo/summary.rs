@@ -5,11 +5,11 @@ use std::fmt::Write;
 use serde_json::{Value, json};
 
 use super::{Campaign, ModeResult, ParameterResult, Trial, trial::Fit};
-use crate::evaluation::{Coverage, mean_nees_band};
-use crate::identification::Mode;
-use crate::measurement::SetKind;
-use crate::model::{ParameterId, Unit};
-use crate::statistics::{NORMAL_95, student_t_quantile};
+use calibrig_estimation::evaluation::{Coverage, mean_nees_band};
+use calibrig_estimation::identification::Mode;
+use calibrig_model::measurement::SetKind;
+use calibrig_model::statistics::{NORMAL_95, student_t_quantile};
+use calibrig_model::{ParameterId, Unit};
 
 /// Level of the intervals of means, and of the intervals whose coverage is counted.
 const LEVEL: f64 = 0.95;

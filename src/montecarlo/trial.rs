@@ -3,12 +3,14 @@
 use nalgebra::{DVector, Matrix3};
 
 use super::Campaign;
-use crate::evaluation::{AccuracyRow, nees};
-use crate::identification::{Estimate, IdentificationOptions, Mode, TerminationReason, linearise};
-use crate::measurement::{MeasurementSet, Reading, SetKind};
-use crate::model::ParameterId;
 use crate::pipeline::{KnownTruth, PipelineError, Simulation, calibrate, simulate};
-use crate::statistics::NORMAL_95;
+use calibrig_estimation::evaluation::{AccuracyRow, nees};
+use calibrig_estimation::identification::{
+    Estimate, IdentificationOptions, Mode, TerminationReason, linearise,
+};
+use calibrig_model::ParameterId;
+use calibrig_model::measurement::{MeasurementSet, Reading, SetKind};
+use calibrig_model::statistics::NORMAL_95;
 
 /// What came of one trial.
 #[derive(Debug, Clone, PartialEq)]

@@ -2,11 +2,11 @@
 //! a time.
 
 use super::{ModeOutcome, Outcome, PipelineError, PlantKind, SetKind, calibrate, simulate};
-use crate::evaluation::AccuracyRow;
-use crate::identification::Mode;
-use crate::model::{Bearing, LinkTerm, ParameterId, Section, StaticProperties};
-use crate::plant::effects::EffectKind;
 use crate::scenario::Scenario;
+use calibrig_estimation::evaluation::AccuracyRow;
+use calibrig_estimation::identification::Mode;
+use calibrig_model::{Bearing, LinkTerm, ParameterId, Section, StaticProperties};
+use calibrig_plant::effects::EffectKind;
 
 /// A part of the machine that can be removed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -247,10 +247,10 @@ mod tests {
     use std::path::Path;
 
     use super::*;
-    use crate::model::{ActuatorMap, PointLoad};
     use crate::pipeline::run;
-    use crate::plant::effects::{Backlash, Effects, Ratio};
     use crate::scenario::load_scenario;
+    use calibrig_model::{ActuatorMap, PointLoad};
+    use calibrig_plant::effects::{Backlash, Effects, Ratio};
     use nalgebra::Vector3;
 
     /// The shipped machine, with every part that can be removed but for the other effects.
@@ -358,7 +358,8 @@ mod tests {
         let part = part.expect("it has backlash");
         let rows = part.rows.clone().expect("rows");
         for mode in &never.modes {
-            let sound = mode.estimate.as_ref().is_none_or(crate::identification::Estimate::is_sound);
+            let sound =
+                mode.estimate.as_ref().is_none_or(calibrig_estimation::identification::Estimate::is_sound);
             assert_eq!(part.doubtful.contains(&mode.mode), !sound);
         }
         for (mode, rows) in rows.iter().enumerate() {

@@ -1,15 +1,17 @@
 //! Does gravity, the linkage, hysteresis pay? Nested models, each fitted to all poses and to all but a held-out part.
 
 use super::PipelineError;
-use crate::evaluation::{Fit, NoiseLevel, Split, Variant, VariantRow, compare_variants, k_fold};
-use crate::identification::{
+use calibrig_estimation::evaluation::{
+    Fit, NoiseLevel, Split, Variant, VariantRow, compare_variants, k_fold,
+};
+use calibrig_estimation::identification::{
     Estimate, IdentificationOptions, LINKAGE, Mode, NoiseScale, ParameterChoice, Predictor, Uncertainty,
     identify, linearise,
 };
-use crate::measurement::MeasurementSet;
-use crate::model::{CalibrationModel, FAMILIES, TermId};
-use crate::random::{Source, stream};
-use crate::validation::{held_out_errors, in_order};
+use calibrig_estimation::validation::{held_out_errors, in_order};
+use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::random::{Source, stream};
+use calibrig_model::{CalibrationModel, FAMILIES, TermId};
 
 /// Confidence of the intervals.
 const LEVEL: f64 = 0.95;

@@ -1,10 +1,10 @@
 //! How measurements are identified where nobody says how.
 
-use crate::identification::{
+use calibrig_estimation::identification::{
     FrameChoice, IdentificationOptions, Mode, ParameterChoice, TargetChoice, Tolerance,
 };
-use crate::measurement::MeasurementSet;
-use crate::model::Robot;
+use calibrig_files::Robot;
+use calibrig_model::measurement::MeasurementSet;
 
 /// Relative standard deviation from which on a stated stiffness is a guess: what it predicts is not worth a row.
 const GUESS: f64 = 1.0;

@@ -3,13 +3,15 @@
 use nalgebra::Vector3;
 
 use super::{ModeOutcome, PipelineError, SetOutcome};
-use crate::evaluation::{ConsistencyReport, NoiseLevel, PoseConditions, ResidualSet, check_consistency};
-use crate::identification::{
+use calibrig_estimation::evaluation::{
+    ConsistencyReport, NoiseLevel, PoseConditions, ResidualSet, check_consistency,
+};
+use calibrig_estimation::identification::{
     Estimate, IdentificationOptions, Linearisation, Mode, NoiseScale, ParameterSupport, PoseInfluence,
     Prediction, Predictor, Uncertainty, linearise, predict,
 };
-use crate::measurement::{MeasurementSet, Observation, Reading};
-use crate::model::{CalibrationModel, ParameterId};
+use calibrig_model::measurement::{MeasurementSet, Observation, Reading};
+use calibrig_model::{CalibrationModel, ParameterId};
 
 /// Probability of a false alarm of a test for size or shape of the residuals.
 pub const FALSE_ALARM: f64 = 0.001;

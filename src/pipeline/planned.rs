@@ -3,13 +3,13 @@
 use nalgebra::Vector3;
 
 use super::{PipelineError, PlantKind, simulate};
-use crate::geometry::Transform;
-use crate::identification::{CalibratedRobot, Mode, Predictor};
-use crate::measurement::{MeasurementSet, Observation, Reading, Station, Target};
-use crate::model::CalibrationModel;
-use crate::plant::AsBuilt;
-use crate::plant::effects::Effects;
 use crate::scenario::Scenario;
+use calibrig_estimation::identification::{CalibratedRobot, Mode, Predictor};
+use calibrig_model::CalibrationModel;
+use calibrig_model::geometry::Transform;
+use calibrig_model::measurement::{MeasurementSet, Observation, Reading, Station, Target};
+use calibrig_plant::AsBuilt;
+use calibrig_plant::effects::Effects;
 
 /// The identification set of a scenario as the nominal robot would give it: its poses in their order, with its nests and its tracker.
 pub fn planned(scenario: &Scenario) -> Result<MeasurementSet, PipelineError> {

@@ -3,11 +3,11 @@
 use std::collections::BTreeSet;
 
 use super::{PipelineError, SetKind, SetOutcome, calibrate};
-use crate::evaluation::{Interval, repeated_splits, resampled_difference};
-use crate::identification::{Estimate, IdentificationOptions, Mode};
-use crate::measurement::MeasurementSet;
-use crate::model::CalibrationModel;
-use crate::random::{Source, stream};
+use calibrig_estimation::evaluation::{Interval, repeated_splits, resampled_difference};
+use calibrig_estimation::identification::{Estimate, IdentificationOptions, Mode};
+use calibrig_model::CalibrationModel;
+use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::random::{Source, stream};
 
 /// Confidence of the intervals.
 const LEVEL: f64 = 0.95;

@@ -2,29 +2,11 @@
 
 use nalgebra::Vector6;
 
-use super::PipelineError;
-use crate::geometry::{Transform, rotation_vector, small_displacement};
-use crate::identification::Estimate;
-use crate::measurement::Target;
-use crate::model::{CalibrationModel, ParameterId, StaticProperties};
-use crate::plant::effects::PoseEffects;
-use crate::plant::{AsBuilt, Plant, SettleOptions, SettledPose};
-
-/// The machine with every spring of it rigid: what its deflections are told from.
-pub(super) struct RigidMachine(Plant);
-
-impl RigidMachine {
-    pub(super) fn new(as_built: &AsBuilt) -> Result<Self, PipelineError> {
-        let mut machine = as_built.clone();
-        machine.statics.make_rigid();
-        Ok(Self(Plant::new(&machine, SettleOptions::default())?))
-    }
-
-    /// At a pose, its effects included.
-    pub(super) fn settle(&mut self, effects: &PoseEffects) -> Result<SettledPose, PipelineError> {
-        Ok(self.0.settle_displaced(&effects.command, &effects.displacements)?)
-    }
-}
+use calibrig_estimation::identification::Estimate;
+use calibrig_model::geometry::{Transform, rotation_vector, small_displacement};
+use calibrig_model::measurement::Target;
+use calibrig_model::{CalibrationModel, ParameterId, StaticProperties};
+use calibrig_plant::AsBuilt;
 
 /// The truth beside what was known beforehand.
 #[derive(Debug, Clone, Copy)]

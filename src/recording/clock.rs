@@ -1,7 +1,7 @@
 //! Simulated time of a recording, which never runs back.
 
-use crate::measurement::Observation;
 use crate::pipeline::SetKind;
+use calibrig_model::measurement::Observation;
 
 pub(super) const SECOND: u64 = 1_000_000_000;
 /// Between one set and the next, where their own times do not tell.

@@ -1,8 +1,8 @@
 //! What a mode made of the measurements, as a message.
 
 use super::schema::{self, v1};
-use crate::identification::{Estimate, IterationRecord, NoiseScale, ParameterEstimate};
 use crate::pipeline::{ModeOutcome, SetOutcome};
+use calibrig_estimation::identification::{Estimate, IterationRecord, NoiseScale, ParameterEstimate};
 
 /// The message of `mode`, whose rows belong to `sets`.
 pub(super) fn estimate(sets: &[SetOutcome], mode: &ModeOutcome) -> v1::Estimate {

@@ -16,13 +16,15 @@ use super::scan::{ReadError, scan};
 use super::schema::{self, v1};
 use super::story::record_sets;
 use super::{McapRecorder, Preamble, Recording, RecordingError, read_recording};
-use crate::input::{InputError, Source};
-use crate::measurement::{
-    ColumnMap, CsvError, LoadedMeasurements, MeasurementSet, SessionSet, measurements_text,
-    parse_measurements, parse_session, session_text,
-};
-use crate::model::{JointKind, Robot};
 use crate::pipeline::{SetKind, SetOutcome};
+use calibrig_files::Robot;
+use calibrig_files::{
+    ColumnMap, CsvError, LoadedMeasurements, SessionSet, measurements_text, parse_measurements,
+    parse_session, session_text,
+};
+use calibrig_files::{InputError, Source};
+use calibrig_model::JointKind;
+use calibrig_model::measurement::MeasurementSet;
 
 /// A recording that cannot be told in files of text.
 #[derive(Debug, Error, Diagnostic)]
@@ -355,9 +357,9 @@ fn free_name(role: &str, name: &str, taken: &[&str]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::measurement::Reading;
     use crate::pipeline::SetOutcome;
     use crate::recording::synthetic;
+    use calibrig_model::measurement::Reading;
     use nalgebra::Vector3;
 
     fn written_and_read(set: &SetOutcome, joints: &[JointKind]) -> Result<(), ExportError> {

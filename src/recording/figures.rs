@@ -2,8 +2,8 @@
 
 use nalgebra::{DMatrix, Vector3};
 
-use crate::identification::{Estimate, ParameterEstimate};
-use crate::model::ParameterId;
+use calibrig_estimation::identification::{Estimate, ParameterEstimate};
+use calibrig_model::ParameterId;
 
 /// Bins of one width, the same on either side of zero.
 #[derive(Debug, Clone, Copy, PartialEq)]

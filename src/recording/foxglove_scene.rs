@@ -9,9 +9,9 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use super::scene::{self, Arrow, Colour};
 use super::{Chain, LogEntry, LogLevel, PoseStep};
-use crate::geometry::Transform;
-use crate::model::{Visual, VisualShape};
 use crate::pipeline::Outcome;
+use calibrig_model::geometry::Transform;
+use calibrig_model::{Visual, VisualShape};
 
 /// The root frame.
 const WORLD: &str = "world";

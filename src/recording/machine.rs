@@ -10,9 +10,9 @@ use prost::Message;
 use super::scan::{ReadError, check_integrity, check_magic, scan};
 use super::schema::v1;
 use super::{RecordingError, truth};
-use crate::geometry::Transform;
-use crate::model::CalibrationModel;
-use crate::plant::AsBuilt;
+use calibrig_model::CalibrationModel;
+use calibrig_model::geometry::Transform;
+use calibrig_plant::AsBuilt;
 
 /// The machine of a simulated run as its recording describes it. Comparable, and nothing else.
 #[derive(Debug, Clone, PartialEq)]

@@ -13,10 +13,10 @@ use super::provenance::{AttachedInput, METADATA, RECOVERED, source_of};
 use super::scan::{ReadError, check_attachment, check_integrity, check_magic, scan};
 use super::schema::{self, v1};
 use super::{Provenance, RecordingError};
-use crate::geometry::Transform;
-use crate::input::{InputError, Source};
-use crate::model::{Robot, parse_robot};
 use crate::pipeline::{SetKind, SetOutcome};
+use calibrig_files::{InputError, Source};
+use calibrig_files::{Robot, parse_robot};
+use calibrig_model::geometry::Transform;
 
 /// A recording, as far as a replay needs it.
 #[derive(Debug, Clone, PartialEq)]
@@ -86,7 +86,7 @@ pub struct RecordedEstimate {
 /// A recorded parameter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordedParameter {
-    /// Name, as [`ParameterId`](crate::model::ParameterId) prints it.
+    /// Name, as [`ParameterId`](calibrig_model::ParameterId) prints it.
     pub name: String,
     /// Deviation from the nominal value, m or rad.
     pub value: f64,
@@ -542,7 +542,7 @@ mod tests {
                 assert_eq!(recorded.termination, estimate.termination.key());
                 assert_eq!(recorded.parameters.len(), estimate.parameters.len());
                 for (r, p) in recorded.parameters.iter().zip(&estimate.parameters) {
-                    assert_eq!(crate::model::ParameterId::parse(&r.name), Some(p.id));
+                    assert_eq!(calibrig_model::ParameterId::parse(&r.name), Some(p.id));
                     assert_eq!((r.value.to_bits(), r.sigma), (p.value.to_bits(), p.sigma));
                 }
             }

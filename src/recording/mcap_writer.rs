@@ -284,9 +284,9 @@ mod tests {
     use mcap::MessageStream;
     use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
-    use crate::geometry::Transform;
     use crate::recording::foxglove_scene::BASE;
     use crate::recording::{RESIDUAL_SCALE, synthetic};
+    use calibrig_model::geometry::Transform;
 
     fn bytes_of(outcome: &Outcome) -> Vec<u8> {
         synthetic::recorded(outcome)

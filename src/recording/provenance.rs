@@ -6,8 +6,8 @@ use std::path::Path;
 use sha2::{Digest, Sha256};
 
 use super::RecordingError;
-use crate::input::Source;
 use crate::pipeline::{InputSummary, PlantKind};
+use calibrig_files::Source;
 
 /// Name and version of the recording's layout: topics, messages and metadata.
 pub const SCHEMA: &str = "calibrig.recording/2";

@@ -11,8 +11,8 @@ use super::rerun_scene::{color, single};
 use super::rerun_sink::{AXES, NORM, RerunRecorder};
 use super::scene::{self, Colour};
 use super::{RecordingError, tables};
-use crate::identification::{Estimate, Mode};
 use crate::pipeline::{ModeOutcome, Outcome, SetKind};
+use calibrig_estimation::identification::{Estimate, Mode};
 
 pub(super) const HISTOGRAM: &str = "error_histogram";
 pub(super) const CORRELATION: &str = "correlation";

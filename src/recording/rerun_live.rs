@@ -15,10 +15,10 @@ use super::rerun_sink::RerunRecorder;
 use super::rerun_views::Setting;
 use super::scene::{self, Sighting};
 use super::{Chain, ChainKind, LogEntry, Measured, PoseStep, Preamble, Recorder, RecordingError};
-use crate::geometry::Transform;
-use crate::model::CalibrationModel;
 use crate::pipeline::{ModeOutcome, Outcome, SetKind, SetOutcome};
-use crate::plant::AsBuilt;
+use calibrig_model::CalibrationModel;
+use calibrig_model::geometry::Transform;
+use calibrig_plant::AsBuilt;
 
 /// Where a viewer listens unless told otherwise.
 pub const VIEWER_URL: &str = "rerun+http://127.0.0.1:9876/proxy";

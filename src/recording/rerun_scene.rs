@@ -10,10 +10,10 @@ use rerun::components::{Color, FillMode, Radius};
 use super::rerun_sink::{ARROWS, DEFLECTED, RerunRecorder, SCENE};
 use super::scene::{self, Arrow, Colour, Sighting};
 use super::{Chain, ChainKind, DEFLECTION_SCALE, Measured, RESIDUAL_SCALE, RecordingError};
-use crate::geometry::Transform;
-use crate::identification::Mode;
-use crate::model::{Visual, VisualShape};
 use crate::pipeline::Outcome;
+use calibrig_estimation::identification::Mode;
+use calibrig_model::geometry::Transform;
+use calibrig_model::{Visual, VisualShape};
 
 /// Length of the bars that show the scale of what is drawn larger than life, m.
 const SCALE_BAR: f64 = 0.5;

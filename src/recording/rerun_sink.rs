@@ -20,8 +20,8 @@ use super::{
     Chain, ChainKind, LogEntry, LogLevel, Measured, PoseStep, Preamble, Recorder, RecordingError, record,
     tables,
 };
-use crate::identification::Mode;
 use crate::pipeline::{ModeOutcome, Outcome, SetKind, SetOutcome};
+use calibrig_estimation::identification::Mode;
 
 pub(super) const APPLICATION: &str = "calibrig";
 /// Root of all that is drawn in the base frame.

@@ -16,8 +16,8 @@ use super::rerun_sink::{
     ARROWS, AXES, CALIBRATED, DEFLECTED, DEFLECTION, NORM, ROD_FORCE, SCENE, TEMPERATURE,
 };
 use super::scene;
-use crate::identification::{Estimate, Mode};
 use crate::pipeline::{Outcome, SetOutcome};
+use calibrig_estimation::identification::{Estimate, Mode};
 
 /// Half the angle that the eye is taken to see.
 const HALF_VIEW: f64 = 0.55;

@@ -3,13 +3,13 @@
 use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
 
 use super::{DEFLECTION_SCALE, RESIDUAL_SCALE};
-use crate::geometry::{Transform, rotation_vector, rotation_z};
-use crate::identification::{CalibratedRobot, Mode, Predictor};
-use crate::kinematics::{joints_from_command, link_frames};
-use crate::measurement::{MeasurementSet, Observation};
-use crate::model::{CalibrationModel, KinematicModel, LinkTerm, ParameterId};
 use crate::pipeline::{ModeOutcome, Outcome, SetOutcome};
-use crate::plant::{AsBuilt, SettledPose};
+use calibrig_estimation::identification::{CalibratedRobot, Mode, Predictor};
+use calibrig_estimation::kinematics::{joints_from_command, link_frames};
+use calibrig_model::geometry::{Transform, rotation_vector, rotation_z};
+use calibrig_model::measurement::{MeasurementSet, Observation};
+use calibrig_model::{CalibrationModel, KinematicModel, LinkTerm, ParameterId};
+use calibrig_plant::{AsBuilt, SettledPose};
 
 /// Which robot a chain shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -173,7 +173,7 @@ pub(super) fn reach(model: &KinematicModel) -> Vec<Vector3<f64>> {
     let middle: Vec<_> =
         model.links.iter().map(|link| f64::midpoint(link.limits[0], link.limits[1])).collect();
     let slides =
-        model.links.iter().enumerate().filter(|(_, link)| link.kind == crate::model::JointKind::Prismatic);
+        model.links.iter().enumerate().filter(|(_, link)| link.kind == calibrig_model::JointKind::Prismatic);
     let ends = slides.flat_map(|(joint, link)| link.limits.map(|limit| (joint, limit)));
     let away = ends.map(|(joint, limit)| {
         let mut joints = middle.clone();
@@ -368,10 +368,10 @@ pub(super) const NEST: Colour = [86, 180, 233, 255];
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::load_robot;
-    use crate::plant::effects::Effects;
-    use crate::plant::{Plant, SettleOptions};
     use crate::recording::synthetic;
+    use calibrig_files::load_robot;
+    use calibrig_plant::effects::Effects;
+    use calibrig_plant::{Plant, SettleOptions};
 
     #[test]
     fn the_chain_ends_at_the_settled_or_predicted_target() {

@@ -2,9 +2,9 @@
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
-use crate::geometry::Transform;
-use crate::measurement::{NestObservation, Observation, Reading, SphericalReading, Station, Target};
 use crate::pipeline::{SetKind, SetOutcome};
+use calibrig_model::geometry::Transform;
+use calibrig_model::measurement::{NestObservation, Observation, Reading, SphericalReading, Station, Target};
 
 /// The generated types.
 #[allow(missing_docs, clippy::all, clippy::pedantic)]
@@ -188,7 +188,7 @@ impl TryFrom<&v1::Session> for SetOutcome {
         };
         Ok(Self {
             kind: set_kind(&message.set)?,
-            measurements: crate::measurement::MeasurementSet {
+            measurements: calibrig_model::measurement::MeasurementSet {
                 stations: message.stations.iter().map(station).collect::<Result<_, _>>()?,
                 targets: message.targets.iter().map(target).collect::<Result<_, _>>()?,
                 observations: Vec::new(),

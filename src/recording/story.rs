@@ -8,14 +8,14 @@ use nalgebra::Vector3;
 use super::clock::Clock;
 use super::scene::{self, Arrow, Chain, Sighting};
 use super::{Provenance, RecordingError};
-use crate::geometry::Transform;
-use crate::identification::Mode;
-use crate::input::Source;
-use crate::measurement::Observation;
-use crate::model::{CalibrationModel, Visual};
 use crate::pipeline::{InputSummary, ModeOutcome, Outcome, SetKind, SetOutcome, Truth};
-use crate::plant::effects::PoseEffects;
-use crate::plant::{AsBuilt, SettledPose};
+use calibrig_estimation::identification::Mode;
+use calibrig_files::Source;
+use calibrig_model::geometry::Transform;
+use calibrig_model::measurement::Observation;
+use calibrig_model::{CalibrationModel, Visual};
+use calibrig_plant::effects::PoseEffects;
+use calibrig_plant::{AsBuilt, SettledPose};
 
 /// A sink for the story of a run. What the session alone does not need is not told to it by default.
 pub trait Recorder {

@@ -6,25 +6,25 @@ use nalgebra::{DMatrix, Matrix3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::evaluation::accuracy;
-use crate::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
-use crate::identification::{
+use crate::pipeline::{InputSummary, ModeOutcome, Outcome, RegistrationSummary, SetKind, SetOutcome, Truth};
+use crate::recording::{McapRecorder, record};
+use calibrig_estimation::evaluation::accuracy;
+use calibrig_estimation::identification::{
     CalibratedRobot, Estimate, IterationRecord, Mode, NoiseScale, ParameterEstimate, Predictor, Spectrum,
     TerminationReason, Warning,
 };
-use crate::input::Source;
-use crate::kinematics::{forward_kinematics, link_frames};
-use crate::measurement::{
+use calibrig_estimation::kinematics::{forward_kinematics, link_frames};
+use calibrig_files::Source;
+use calibrig_model::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
+use calibrig_model::measurement::{
     MeasurementSet, NestObservation, Observation, Reading, SphericalReading, Station, Target,
 };
-use crate::model::{
+use calibrig_model::{
     ActuatorMap, Body, CalibrationModel, CraigLink, JointKind, KinematicModel, LinkTerm, ParameterId,
     StaticProperties, Visual, VisualShape,
 };
-use crate::pipeline::{InputSummary, ModeOutcome, Outcome, RegistrationSummary, SetKind, SetOutcome, Truth};
-use crate::plant::effects::{Effects, PoseEffects};
-use crate::plant::{AsBuilt, ElasticDeflection, ElasticPlace, SettledPose};
-use crate::recording::{McapRecorder, record};
+use calibrig_plant::effects::{Effects, PoseEffects};
+use calibrig_plant::{AsBuilt, ElasticDeflection, ElasticPlace, SettledPose};
 
 /// The MCAP recording of `outcome`.
 pub(crate) fn recorded(outcome: &Outcome) -> Vec<u8> {

@@ -5,10 +5,10 @@ use std::fmt::Write;
 
 use super::figures::{Correlations, approaches};
 use super::{Measured, PoseStep, Provenance, scene};
-use crate::evaluation::AccuracyRow;
-use crate::identification::{Estimate, Mode};
-use crate::model::{ParameterId, Unit};
 use crate::pipeline::{Outcome, SetKind};
+use calibrig_estimation::evaluation::AccuracyRow;
+use calibrig_estimation::identification::{Estimate, Mode};
+use calibrig_model::{ParameterId, Unit};
 
 // Writing to a String does not fail: its results are dropped below.
 

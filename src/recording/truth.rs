@@ -2,9 +2,9 @@
 
 use super::schema::{self, v1};
 use super::{Measured, scene};
-use crate::geometry::Transform;
-use crate::model::{CraigLink, JointKind, KinematicModel};
-use crate::plant::{AsBuilt, ElasticDeflection, ElasticPlace, SettledPose};
+use calibrig_model::geometry::Transform;
+use calibrig_model::{CraigLink, JointKind, KinematicModel};
+use calibrig_plant::{AsBuilt, ElasticDeflection, ElasticPlace, SettledPose};
 
 /// The machine and `tracker_from_base`; what of it yields is told by a pose ([`elastic_names`]).
 pub(super) fn as_built(nominal: &KinematicModel, truth: (&AsBuilt, &Transform)) -> v1::AsBuilt {

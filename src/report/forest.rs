@@ -12,8 +12,8 @@ use super::plots::{
     Area, Drawn, GRID, Look, WIDTH, centred, drawable, finite_range, ink, look, marker, padded, px, svg,
     text_style, values_below,
 };
-use crate::identification::Mode;
-use crate::model::Unit;
+use calibrig_estimation::identification::Mode;
+use calibrig_model::Unit;
 
 const ROW: i32 = 22;
 const NAMES: i32 = 148;

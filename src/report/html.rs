@@ -12,12 +12,14 @@ use super::splits::split_section;
 use super::summary::{factor_words, judged_set, length_words, row, significant, summarise};
 use super::{
     ReportError, condition_words, consistency_ratio, counted, forest, pose_words, published, region,
-    set_title, termination_words,
+    set_title,
 };
-use crate::identification::{DependentGroup, Estimate, Mode, NoiseScale, Warning, WeakDirection};
-use crate::model::{ParameterId, Unit};
 use crate::pipeline::{Outcome, PlantKind, SetKind};
-use crate::statistics::NORMAL_95;
+use calibrig_estimation::identification::{
+    DependentGroup, Estimate, Mode, NoiseScale, Warning, WeakDirection,
+};
+use calibrig_model::statistics::NORMAL_95;
+use calibrig_model::{ParameterId, Unit};
 
 const CSS: &str = include_str!("report.css");
 
@@ -125,7 +127,7 @@ fn doubts(outcome: &Outcome) -> Markup {
                 @for (mode, estimate) in unsound {
                     "\u{201c}" (mode.title()) "\u{201d}: "
                     @if !estimate.termination.converged() {
-                        "not converged (" (termination_words(estimate.termination)) "). "
+                        "not converged (" (estimate.termination.words()) "). "
                     }
                     @if estimate.spectrum.rank < estimate.parameters.len() {
                         "rank " (estimate.spectrum.rank) " of " (estimate.parameters.len())
@@ -456,7 +458,7 @@ fn estimate_table(fitted: &[(Mode, &Estimate)]) -> Markup {
                             th scope="row" { (key(&look(*mode))) (mode.title()) }
                             td.words {
                                 @if estimate.termination.converged() { "converged: " } @else { strong { "not converged: " } }
-                                (termination_words(estimate.termination))
+                                (estimate.termination.words())
                             }
                             td { (estimate.iterations.len()) }
                             td { (estimate.spectrum.rank) " of " (estimate.parameters.len()) }

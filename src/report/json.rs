@@ -9,9 +9,9 @@ use super::judgement::{JsonJudgement, json_judgement};
 use super::parameters::{fitted, truth_of};
 use super::pose_count;
 use super::splits::{JsonSplits, json_splits};
-use crate::evaluation::AccuracyRow;
-use crate::identification::{Estimate, Mode, NoiseScale};
 use crate::pipeline::{AblatedPart, Ablation, Outcome, SetOutcome};
+use calibrig_estimation::evaluation::AccuracyRow;
+use calibrig_estimation::identification::{Estimate, Mode, NoiseScale};
 
 /// The schema's name.
 pub const SCHEMA: &str = "calibrig.report/1";

@@ -33,8 +33,8 @@ use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
 use thiserror::Error;
 
-use crate::identification::{Estimate, Mode, TerminationReason};
 use crate::pipeline::{Outcome, SetKind, SetOutcome};
+use calibrig_estimation::identification::{Estimate, Mode};
 
 /// A report that could not be made or written.
 #[derive(Debug, Error)]
@@ -131,17 +131,6 @@ fn set_title(kind: SetKind) -> &'static str {
     }
 }
 
-fn termination_words(reason: TerminationReason) -> &'static str {
-    match reason {
-        TerminationReason::SmallGradient => "the gradient vanished",
-        TerminationReason::SmallStep => "the step became negligible",
-        TerminationReason::SmallDecrease => "the decrease became negligible",
-        TerminationReason::IterationLimit => "the iteration limit was reached",
-        TerminationReason::NoDecrease => "no step led downhill",
-        TerminationReason::NotFinite => "the cost stopped being finite",
-    }
-}
-
 /// A condition number for people.
 fn condition_words(condition: f64) -> String {
     if !condition.is_finite() {
@@ -156,8 +145,8 @@ fn condition_words(condition: f64) -> String {
 /// `sqrt(chi2 / dof)` where the readings state their noise; from residual-scaled noise it would say nothing.
 fn consistency_ratio(estimate: &Estimate) -> Option<f64> {
     match estimate.noise {
-        crate::identification::NoiseScale::Stated => estimate.chi2_per_dof().map(f64::sqrt),
-        crate::identification::NoiseScale::Residuals(_) => None,
+        calibrig_estimation::identification::NoiseScale::Stated => estimate.chi2_per_dof().map(f64::sqrt),
+        calibrig_estimation::identification::NoiseScale::Residuals(_) => None,
     }
 }
 

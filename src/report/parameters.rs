@@ -1,10 +1,10 @@
 //! Estimates beside the truth, where it is known.
 
-use crate::identification::{Estimate, Mode};
-use crate::measurement::Target;
-use crate::model::{ParameterId, Unit};
 use crate::pipeline::{KnownTruth, Outcome, SetKind, Truth};
-use crate::statistics::NORMAL_95;
+use calibrig_estimation::identification::{Estimate, Mode};
+use calibrig_model::measurement::Target;
+use calibrig_model::statistics::NORMAL_95;
+use calibrig_model::{ParameterId, Unit};
 
 /// What a mode says of a parameter, m or rad.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -111,7 +111,7 @@ pub(super) fn printed_unit(unit: Unit) -> (&'static str, f64) {
 
 /// What a parameter is, in words; numbers count from one.
 pub(super) fn parameter_words(id: ParameterId) -> String {
-    use crate::model::{Compliance, LinkTerm, LinkageLength};
+    use calibrig_model::{Compliance, LinkTerm, LinkageLength};
     const AXES: [&str; 3] = ["x", "y", "z"];
     match id {
         ParameterId::Link { link, term } => {
@@ -149,8 +149,8 @@ pub(super) fn parameter_words(id: ParameterId) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::LinkTerm;
     use crate::report::sample;
+    use calibrig_model::LinkTerm;
 
     #[test]
     fn the_truth_of_links_frame_and_target_is_recovered() {

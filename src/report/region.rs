@@ -8,8 +8,8 @@ use super::ReportError;
 use super::plots::{
     Area, Drawn, VIEWS, WIDTH, centred, finite_range, ink, look, padded, place_axes, px, svg,
 };
-use crate::measurement::{Observation, Reading};
 use crate::pipeline::{ModeOutcome, Outcome, SetOutcome};
+use calibrig_model::measurement::{Observation, Reading};
 
 const TITLE: i32 = 22;
 const PANEL: i32 = 260;

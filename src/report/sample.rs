@@ -5,28 +5,28 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use crate::evaluation::accuracy;
-use crate::geometry::{
-    Transform, best_fit_transform, rotation_x, rotation_z, small_displacement, translation,
-};
-use crate::identification::{
-    CalibratedRobot, DependentGroup, Estimate, IterationRecord, Mode, NoiseScale, ParameterEstimate,
-    Predictor, Spectrum, TerminationReason, Warning, WeakDirection,
-};
-use crate::input::Source as InputText;
-use crate::kinematics::target_in_base;
-use crate::measurement::{MeasurementSet, Observation, Reading, Station, Target};
-use crate::model::{
-    ActuatorMap, Body, CalibrationModel, CraigLink, JointKind, KinematicModel, LinkTerm, ParameterId,
-    StaticProperties, Unit,
-};
 use crate::pipeline::{
     AblatedPart, Ablation, AblationRows, InputSummary, ModeOutcome, Outcome, Part, PlantKind,
     RegistrationSummary, SetKind, SetOutcome, Truth,
 };
-use crate::plant::AsBuilt;
-use crate::plant::effects::{EffectKind, Effects};
-use crate::random::{Source, stream};
+use calibrig_estimation::evaluation::accuracy;
+use calibrig_estimation::identification::{
+    CalibratedRobot, DependentGroup, Estimate, IterationRecord, Mode, NoiseScale, ParameterEstimate,
+    Predictor, Spectrum, TerminationReason, Warning, WeakDirection,
+};
+use calibrig_estimation::kinematics::target_in_base;
+use calibrig_files::Source as InputText;
+use calibrig_model::geometry::{
+    Transform, best_fit_transform, rotation_x, rotation_z, small_displacement, translation,
+};
+use calibrig_model::measurement::{MeasurementSet, Observation, Reading, Station, Target};
+use calibrig_model::random::{Source, stream};
+use calibrig_model::{
+    ActuatorMap, Body, CalibrationModel, CraigLink, JointKind, KinematicModel, LinkTerm, ParameterId,
+    StaticProperties, Unit,
+};
+use calibrig_plant::AsBuilt;
+use calibrig_plant::effects::{EffectKind, Effects};
 
 /// Displacement of the base from where the nests place it, m and rad.
 pub(super) const TRUE_FRAME: [f64; 6] = [4e-5, -6e-5, 2e-5, 1.5e-5, -0.8e-5, 2.2e-5];

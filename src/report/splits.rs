@@ -9,8 +9,8 @@ use super::counted;
 use super::html::number;
 use super::json::finite;
 use super::tables::{Ink, Style, TITLE, millimetres, wrap};
-use crate::evaluation::Interval;
 use crate::pipeline::{SplitMode, SplitStudy};
+use calibrig_estimation::evaluation::Interval;
 
 const EXPLANATION: &str = "RMS of the 3-D error of the held-out poses, mean and range over the splits, mm. Gain: by how much the mean is \
                            smaller than in the row above, on the same splits, with the 95 % interval of Nadeau and Bengio, \
@@ -171,9 +171,9 @@ pub(super) fn split_section(study: &SplitStudy) -> Markup {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::identification::Mode;
     use crate::pipeline::SplitPlan;
     use crate::report::{html_report, json_text, render_tables, sample};
+    use calibrig_estimation::identification::Mode;
 
     #[test]
     fn splits_are_in_every_form_of_the_report() {

@@ -4,10 +4,10 @@ use nalgebra::Vector3;
 
 use super::parameters::{fitted, parameter_rows, printed_unit, unfitted_deviations};
 use super::{consistency_ratio, counted, published};
-use crate::evaluation::AccuracyRow;
-use crate::identification::{Mode, NoiseScale};
 use crate::pipeline::{ModeOutcome, Outcome, SetKind};
-use crate::statistics::NORMAL_95;
+use calibrig_estimation::evaluation::AccuracyRow;
+use calibrig_estimation::identification::{Mode, NoiseScale};
+use calibrig_model::statistics::NORMAL_95;
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 

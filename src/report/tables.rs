@@ -5,12 +5,10 @@ use std::fmt::Write;
 use super::ablation::ablation_lines;
 use super::judgement::judgement_lines;
 use super::splits::split_lines;
-use super::{
-    condition_words, consistency_ratio, counted, pose_words, published, set_title, termination_words,
-};
-use crate::evaluation::AccuracyRow;
-use crate::identification::{Estimate, NoiseScale, Warning};
+use super::{condition_words, consistency_ratio, counted, pose_words, published, set_title};
 use crate::pipeline::{Outcome, SetOutcome};
+use calibrig_estimation::evaluation::AccuracyRow;
+use calibrig_estimation::identification::{Estimate, NoiseScale, Warning};
 
 /// Whether escape sequences may be used. The caller decides, from the terminal and `NO_COLOR`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -171,7 +169,7 @@ fn state(estimate: &Estimate, style: Style) -> Vec<String> {
         "  {} after {} ({})",
         if estimate.termination.converged() { "converged" } else { "NOT converged" },
         counted(estimate.iterations.len(), "iteration"),
-        termination_words(estimate.termination),
+        estimate.termination.words(),
     );
     say(if estimate.termination.converged() { Ink::Good } else { Ink::Warning }, &words, "    ");
     let spectrum = &estimate.spectrum;

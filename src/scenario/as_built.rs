@@ -9,14 +9,14 @@ use nalgebra::Vector3;
 use serde::Deserialize;
 
 use super::file::{joint_index, refuse_twice};
-use crate::identification::neighbour_axis_rules;
-use crate::input::{InputError, Source, Spanned};
-use crate::model::{
-    CalibrationModel, Compliance, KinematicModel, LinkTerm, LoadTable, ParameterId, RIGID, Robot,
-    linkage_fault, read_loads,
+use calibrig_estimation::identification::neighbour_axis_rules;
+use calibrig_files::{InputError, Source, Spanned};
+use calibrig_files::{LoadTable, Robot, read_loads};
+use calibrig_model::{
+    CalibrationModel, Compliance, KinematicModel, LinkTerm, ParameterId, RIGID, linkage_fault,
 };
-use crate::plant::effects::Effects;
-use crate::plant::{AsBuilt, AsBuiltDistribution, Spread};
+use calibrig_plant::effects::Effects;
+use calibrig_plant::{AsBuilt, AsBuiltDistribution, Spread};
 
 #[derive(Deserialize, Default)]
 #[serde(deny_unknown_fields)]

@@ -9,12 +9,13 @@ use super::Scenario;
 use super::as_built::{AsBuiltFile, as_built};
 use super::effects::{EffectsFile, effects};
 use super::identification::{IdentificationFile, ModeFile};
-use crate::experiment::WorkingRegion;
-use crate::input::{InputError, Source, Spanned};
-use crate::measurement::SetKind;
-use crate::model::{JointKind, KinematicModel, Robot, load_robot};
-use crate::plant::AsBuilt;
-use crate::tracker::{ErrorLine, Instrument, LaserTracker, Outliers, WORKING_RANGE};
+use calibrig_files::{InputError, Source, Spanned};
+use calibrig_files::{Robot, load_robot};
+use calibrig_model::measurement::SetKind;
+use calibrig_model::{JointKind, KinematicModel};
+use calibrig_plant::AsBuilt;
+use calibrig_plant::experiment::WorkingRegion;
+use calibrig_plant::tracker::{ErrorLine, Instrument, LaserTracker, Outliers, WORKING_RANGE};
 
 const SCHEMA: &str = "calibrig.scenario/1";
 

@@ -2,13 +2,14 @@
 
 use serde::Deserialize;
 
-use crate::identification::{
+use calibrig_estimation::identification::{
     ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Loss, Mode, ParameterBound,
     ParameterBoundError, ParameterChoice, Redundancy, RefusedBound, SolverOptions, TargetChoice, TermPrior,
     Tolerance, check_bounds,
 };
-use crate::input::{InputError, Source, Spanned};
-use crate::model::{CalibrationModel, FAMILIES, ParameterId, Robot, Unit};
+use calibrig_files::Robot;
+use calibrig_files::{InputError, Source, Spanned};
+use calibrig_model::{CalibrationModel, FAMILIES, ParameterId, Unit};
 
 #[derive(Deserialize, Default)]
 #[serde(deny_unknown_fields)]

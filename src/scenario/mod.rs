@@ -11,14 +11,15 @@ use std::borrow::Cow;
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::experiment::WorkingRegion;
-use crate::identification::{IdentificationOptions, Mode};
-use crate::input::Source;
-use crate::measurement::SetKind;
-use crate::model::Robot;
-use crate::plant::{AsBuilt, AsBuiltDistribution};
-use crate::random;
-use crate::tracker::{LaserTracker, Outliers};
+use calibrig_estimation::identification::{IdentificationOptions, Mode};
+use calibrig_files::Robot;
+use calibrig_files::Source;
+use calibrig_model::measurement::SetKind;
+use calibrig_model::random;
+use calibrig_plant::experiment::WorkingRegion;
+use calibrig_plant::session::MeasuringSession;
+use calibrig_plant::tracker::{LaserTracker, Outliers};
+use calibrig_plant::{AsBuilt, AsBuiltDistribution};
 
 /// A validated scenario, SI.
 #[derive(Debug, Clone, PartialEq)]
@@ -66,6 +67,22 @@ impl Scenario {
             || self.as_built.clone(),
             |drawn| drawn.draw(&self.as_built, &mut random::stream(seed, trial, random::Source::AsBuilt)),
         )
+    }
+
+    /// How its given machine is measured.
+    pub fn session(&self) -> MeasuringSession<'_> {
+        MeasuringSession {
+            as_built: &self.as_built,
+            actuators: &self.robot.model.actuators,
+            region: &self.region,
+            identification_poses: self.identification_poses,
+            verification_poses: self.verification_poses,
+            tracker: &self.tracker,
+            outliers: self.outliers.as_ref(),
+            nests: &self.nests,
+            nest_sigma: self.nest_sigma,
+            target_covariance: &self.target_covariance,
+        }
     }
 
     /// The scenario with the machine of a trial as the given one.

@@ -6,14 +6,13 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use calibrig::files::Source;
+use calibrig::files::{ColumnMap, parse_column_map, parse_measurements, parse_session, read_measurements};
+use calibrig::files::{Robot, load_robot, parse_robot};
 use calibrig::identification::{FrameChoice, IdentificationOptions, Mode, ParameterChoice, TargetChoice};
-use calibrig::input::Source;
 use calibrig::kinematics::forward_kinematics;
-use calibrig::measurement::{
-    ColumnMap, MeasurementSet, Reading, parse_column_map, parse_measurements, parse_session,
-    read_measurements,
-};
-use calibrig::model::{JointKind, LinkTerm, ParameterId, Robot, load_robot, parse_robot};
+use calibrig::measurement::{MeasurementSet, Reading};
+use calibrig::model::{JointKind, LinkTerm, ParameterId};
 use calibrig::pipeline::{self, InputSummary, ModeOutcome, SetKind, SetOutcome, calibrate};
 use calibrig::recording::{
     CsvExport, Preamble, Recording, export_csv, read_recording, write_mcap, write_sets,

@@ -2,9 +2,10 @@
 
 use std::sync::OnceLock;
 
-use calibrig::input::InputError;
-use calibrig::measurement::write_measurements;
-use calibrig::model::{JointKind, load_robot};
+use calibrig::files::InputError;
+use calibrig::files::load_robot;
+use calibrig::files::write_measurements;
+use calibrig::model::JointKind;
 use calibrig::pipeline::{PlantKind, simulate};
 use calibrig::scenario::load_scenario;
 

@@ -8,13 +8,14 @@ use serde_json::json;
 use super::super::identify::{compliances, file_options, terms};
 use super::{Args, CliError, MOUNTABLE_TARGET, SPREAD_POSES, Verdict, scenario_poses, spread_poses};
 use crate::cli::print;
-use crate::identification::{
-    IdentificationOptions, Mode, ParameterChoice, Prospect, prospect, structural_poses,
-};
-use crate::measurement::MeasurementSet;
-use crate::model::{CalibrationModel, ParameterId, load_robot};
 use crate::pipeline::{PipelineError, planned, planned_at};
 use crate::scenario::load_scenario;
+use calibrig_estimation::identification::{
+    IdentificationOptions, Mode, ParameterChoice, Prospect, prospect, structural_poses,
+};
+use calibrig_files::load_robot;
+use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::{CalibrationModel, ParameterId};
 
 /// A session that is planned, and what shall be fitted to it.
 struct Plan {

@@ -10,11 +10,11 @@ use mcap::{MessageStream, WriteOptions};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::identification::Estimate;
 use crate::pipeline::SetKind;
 use crate::recording::mcap_reader::read_from;
 use crate::recording::scan::scan;
 use crate::recording::{McapRecorder, Measured, Preamble, ReadOptions, Recorder, Recording, synthetic};
+use calibrig_estimation::identification::Estimate;
 
 fn inspected(bytes: &[u8]) -> Result<Inspection, ReadError> {
     inspect_file(&mut Cursor::new(bytes), "bad.mcap".to_owned())

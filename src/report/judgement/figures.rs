@@ -5,14 +5,14 @@ use std::ops::Range;
 use nalgebra::Vector3;
 use plotters::prelude::*;
 
-use crate::evaluation::{Cause, ResidualPattern};
-use crate::model::JointKind;
 use crate::pipeline::{Judgement, ModeOutcome, Outcome, PredictedPosition};
 use crate::report::ReportError;
 use crate::report::plots::{
     Area, Drawn, GRID, INK, VIEWS, WIDTH, centred, drawable, finite_range, foot, ink, largest, look, marker,
     padded, place_axes, px, svg, text_style, tick,
 };
+use calibrig_estimation::evaluation::{Cause, ResidualPattern};
+use calibrig_model::JointKind;
 
 const TITLE: i32 = 22;
 const FOOT: i32 = 20;

@@ -18,10 +18,10 @@ use super::parameters::{parameter_words, printed_unit};
 use super::summary::{length_words, significant};
 use super::tables::{Ink, Style, printable, wrap};
 use super::{ReportError, counted};
-use crate::evaluation::{Cause, ResidualPattern};
-use crate::identification::Mode;
-use crate::model::ParameterId;
 use crate::pipeline::{Confidence, Judgement, Outcome, PredictedPosition};
+use calibrig_estimation::evaluation::{Cause, ResidualPattern};
+use calibrig_estimation::identification::Mode;
+use calibrig_model::ParameterId;
 
 /// Patterns that are named on the terminal, and those that are drawn, a mode.
 const NAMED: usize = 3;

@@ -3,9 +3,10 @@
 use std::path::Path;
 
 use super::*;
-use crate::model::{Beam, Compliance, load_robot};
 use crate::pipeline::{PlantKind, simulate};
 use crate::scenario::{Scenario, parse_scenario};
+use calibrig_files::load_robot;
+use calibrig_model::{Beam, Compliance};
 
 /// What stands for the shipped scenario's `[as_built]`.
 const SHOULDER: &str = "[[as_built.joint]]\njoint = \"shoulder\"\nmass_factor = 1.02\n";

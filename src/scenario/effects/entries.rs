@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use serde::Deserialize;
 
-use crate::input::Spanned;
+use calibrig_files::Spanned;
 
 pub(super) fn yes() -> bool {
     true

@@ -18,9 +18,10 @@ use self::entries::{
 };
 use self::thermal::ThermalFile;
 use super::file::{joint_index, refuse_twice};
-use crate::input::{InputError, Source, Spanned};
-use crate::model::{JointKind, KinematicModel, Robot};
-use crate::plant::effects::{
+use calibrig_files::Robot;
+use calibrig_files::{InputError, Source, Spanned};
+use calibrig_model::{JointKind, KinematicModel};
+use calibrig_plant::effects::{
     Backlash, Effects, Encoder, Friction, Harmonic, Harmonics, Rail, RailProfile, Ratio, Repeatability,
 };
 

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use super::*;
-use crate::model::load_robot;
-use crate::plant::effects::{EffectKind, GrowingPart};
 use crate::scenario::{Scenario, parse_scenario};
+use calibrig_files::load_robot;
+use calibrig_plant::effects::{EffectKind, GrowingPart};
 
 const ALL: &str = r#"
 [effects.harmonics]
@@ -158,7 +158,7 @@ fn a_rod_grows_where_there_is_one() {
     let thermal = effects_of(&text).thermal.expect("thermal");
     assert_eq!(thermal.growths[1].part, GrowingPart::Rod);
     let mut direct = robot();
-    direct.model.actuators = crate::model::ActuatorMap::Direct;
+    direct.model.actuators = calibrig_model::ActuatorMap::Direct;
     direct.model.statics.as_mut().expect("statics").linkage = None;
     let error = parse_with(&text, direct).expect_err("no rod").to_string();
     assert!(error.contains("[effects.thermal.rod]"), "{error}");

@@ -4,9 +4,9 @@ use serde::Deserialize;
 
 use super::Reader;
 use super::entries::yes;
-use crate::input::{InputError, Spanned};
-use crate::model::JointKind;
-use crate::plant::effects::{AMBIENT_RANGE, Ambient, GrowingPart, Growth, Thermal};
+use calibrig_files::{InputError, Spanned};
+use calibrig_model::JointKind;
+use calibrig_plant::effects::{AMBIENT_RANGE, Ambient, GrowingPart, Growth, Thermal};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -1,0 +1,77 @@
+//! From estimates to models.
+
+use calibrig_model::{CalibrationModel, Compliance, LinkageLength, ParameterId, Section};
+
+/// Puts a parameter of `model` at a deviation from its value in `reference`.
+///
+/// A compliance of `c (1 + x)` becomes the stiffness `k / (1 + x)`, infinite at x = -1; a mass takes inertia and beam with it. Parameters of frame,
+/// target and terms are not in a model.
+pub fn apply(model: &mut CalibrationModel, reference: &CalibrationModel, id: ParameterId, value: f64) {
+    match id {
+        ParameterId::Link { link, term } => {
+            *model.kinematics.links[link].term_mut(term) =
+                reference.kinematics.links[link].term(term) + value;
+        }
+        ParameterId::Compliance(compliance) => apply_compliance(model, reference, compliance, 1.0 + value),
+        ParameterId::Mass { link } => apply_mass(model, reference, link, 1.0 + value),
+        ParameterId::Linkage(length) => apply_length(model, reference, length, value),
+        ParameterId::Frame { .. } | ParameterId::Target { .. } | ParameterId::Term(_) => {}
+    }
+}
+
+fn apply_compliance(
+    model: &mut CalibrationModel,
+    reference: &CalibrationModel,
+    compliance: Compliance,
+    factor: f64,
+) {
+    let (Some(to), Some(from)) = (&mut model.statics, &reference.statics) else { return };
+    match compliance {
+        Compliance::Drive { joint } => to.drive_stiffness[joint] = from.drive_stiffness[joint] / factor,
+        Compliance::Bearing { joint, axis } => {
+            to.bearings[joint].stiffness[axis] = from.bearings[joint].stiffness[axis] / factor;
+        }
+        Compliance::Beam { link } => {
+            let (Some(to), Some(from)) = (&mut to.beams[link], &from.beams[link]) else { return };
+            for (to, from) in to.segments.iter_mut().zip(&from.segments) {
+                let mass_per_length = to.section.mass_per_length;
+                to.section = Section { mass_per_length, ..from.section.map_stiffness(|k| k / factor) };
+            }
+        }
+        Compliance::Rod => {
+            if let (Some(to), Some(from)) = (&mut to.linkage, &from.linkage) {
+                to.rod_stiffness = from.rod_stiffness / factor;
+            }
+        }
+    }
+}
+
+fn apply_mass(model: &mut CalibrationModel, reference: &CalibrationModel, link: usize, factor: f64) {
+    let (Some(to), Some(from)) = (&mut model.statics, &reference.statics) else { return };
+    to.bodies[link].mass = from.bodies[link].mass * factor;
+    to.bodies[link].inertia = from.bodies[link].inertia * factor;
+    if let (Some(to), Some(from)) = (&mut to.beams[link], &from.beams[link]) {
+        for (to, from) in to.segments.iter_mut().zip(&from.segments) {
+            to.section.mass_per_length = from.section.mass_per_length * factor;
+        }
+    }
+}
+
+fn apply_length(
+    model: &mut CalibrationModel,
+    reference: &CalibrationModel,
+    length: LinkageLength,
+    value: f64,
+) {
+    use calibrig_model::ActuatorMap::Parallelogram;
+    let (Parallelogram { linkage: Some(to), .. }, Parallelogram { linkage: Some(from), .. }) =
+        (&mut model.actuators, &reference.actuators)
+    else {
+        return;
+    };
+    match length {
+        LinkageLength::Crank => to.crank.length = from.crank.length + value,
+        LinkageLength::Lever => to.lever.length = from.lever.length + value,
+        LinkageLength::Rod => to.rod = from.rod + value,
+    }
+}

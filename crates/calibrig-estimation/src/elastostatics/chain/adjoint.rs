@@ -1,0 +1,425 @@
+//! How the target moves with every parameter, the change of the equilibrium included.
+//!
+//! The equilibrium is `u = C Q(u, θ)`; the target moves by `p_θ + p_u du`. With μ solving `μ = p_u + H λ`, `λ = C μ` (H the symmetric
+//! matrix `∂Q/∂u`) the total is `p_θ + Σ λ_k ∂Q_k/∂θ + Σ μ_k Q_k dc_k`: `μ_k` is what a displacement in series with spring k does to the target.
+//! The iteration over λ converges as fast as the equilibrium does.
+//!
+//! A four-bar adds the elbow's angle with its balance, whose multiplier is λ of the elbow, and the rod's force with its condition, whose
+//! multiplier is ρ.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::parts::Slot;
+use super::screw::{Loads, Screw};
+use super::{Deflection, ElasticChain, ElasticError, MOST_ITERATIONS};
+use calibrig_model::{ActuatorMap, Compliance, LinkTerm, LinkageLength, ParameterId, TermPlace};
+
+/// Change of a sweep, relative to the largest entry, below which the adjoint has converged: what is left is a hundredth of it.
+const ADJOINT_CONVERGED: f64 = 1e-10;
+
+/// Sums along the chain inboard of a slot.
+#[derive(Debug, Clone, Copy)]
+struct Inboard {
+    /// `Σ λ_k a_kᵀ` over rotations.
+    turns: Matrix3<f64>,
+    /// `Σ λ_k (J_k 0)ᵀ`.
+    shifts: Matrix3<f64>,
+}
+
+impl Inboard {
+    fn none() -> Self {
+        Self { turns: Matrix3::zeros(), shifts: Matrix3::zeros() }
+    }
+
+    #[inline]
+    fn add(&mut self, lambda: &Vector3<f64>, screw: &Screw) {
+        if screw.about {
+            self.turns += lambda * screw.axis.transpose();
+        }
+        self.shifts += lambda * screw.moves_origin().transpose();
+    }
+
+    /// Row r is what the r-th component of λ does to a point.
+    fn moves(&self, point: &Vector3<f64>) -> Matrix3<f64> {
+        self.turns * point.cross_matrix() + self.shifts
+    }
+}
+
+/// Sensitivities of the target, one vector of three a slot.
+#[derive(Debug, Clone)]
+pub(super) struct Adjoint {
+    target: Vector3<f64>,
+    /// Whether the deflections follow the loads.
+    coupled: bool,
+    /// What each slot does to the target at the others' deflections held.
+    direct: Vec<Vector3<f64>>,
+    /// What each slot does to the lever's end relative to the crank's, and to their distance.
+    rod_moves: Vec<Vector3<f64>>,
+    rod_stretch: Vec<f64>,
+    /// Loads outboard of each slot, and [`Loads::turned_by`] it.
+    outboard: Vec<Loads>,
+    turned: Vec<Vector3<f64>>,
+    mu: Vec<Vector3<f64>>,
+    lambda: Vec<Vector3<f64>>,
+    next: Vec<Vector3<f64>>,
+    /// Sums over the slots in front of each, and of all at the end.
+    inboard: Vec<Inboard>,
+    /// The same for what the crank carries.
+    crank_inboard: Inboard,
+    /// `Σ λ_k turned_kᵀ` over each slot and those behind it.
+    behind: Vec<Matrix3<f64>>,
+    rho: Vector3<f64>,
+    /// What the relative displacement of the rod's ends does to the target, with the sign changed.
+    rod: Matrix3<f64>,
+}
+
+impl Adjoint {
+    pub fn new(n: usize) -> Self {
+        let vectors = || vec![Vector3::zeros(); n];
+        Self {
+            target: Vector3::zeros(),
+            coupled: false,
+            direct: vectors(),
+            rod_moves: vectors(),
+            rod_stretch: vec![0.0; n],
+            outboard: vec![Loads::none(); n],
+            turned: vectors(),
+            mu: vectors(),
+            lambda: vectors(),
+            next: vectors(),
+            inboard: vec![Inboard::none(); n + 1],
+            crank_inboard: Inboard::none(),
+            behind: vec![Matrix3::zeros(); n],
+            rho: Vector3::zeros(),
+            rod: Matrix3::zeros(),
+        }
+    }
+}
+
+impl ElasticChain {
+    /// Solves for the sensitivities of the target at `in_flange`; the columns that follow are this target's.
+    ///
+    /// They are derivatives of the settled position: exact for [`Deflection::None`], for [`Deflection::Equilibrium`] and after
+    /// [`settle_at`](Self::settle_at), whose deflections are held. For [`Deflection::FirstOrder`] they are those of an equilibrium at the deflected place, and so in
+    /// error by second order.
+    ///
+    /// # Errors
+    ///
+    /// [`ElasticError::NotSettled`] if the equilibrium is hardly stable.
+    pub fn prepare(&mut self, in_flange: &Vector3<f64>) -> Result<(), ElasticError> {
+        self.adjoint.target = self.target(in_flange);
+        self.adjoint.coupled = self.deflection != Deflection::None;
+        self.adjoint.lambda.fill(Vector3::zeros());
+        self.adjoint.mu.fill(Vector3::zeros());
+        self.set_direct();
+        // What a sweep gives where λ is zero.
+        self.adjoint.next.copy_from_slice(&self.adjoint.direct);
+        self.adjoint.rod.fill(0.0);
+        if !self.adjoint.coupled {
+            self.closed.force = 0.0;
+            self.take_over();
+            return Ok(());
+        }
+        self.set_curvature();
+        let mut change = self.take_over();
+        for _ in 0..MOST_ITERATIONS {
+            self.sweep();
+            change = self.take_over();
+            if change <= ADJOINT_CONVERGED {
+                self.sum_up();
+                return Ok(());
+            }
+        }
+        Err(ElasticError::NotSettled { iterations: MOST_ITERATIONS, residual: change })
+    }
+
+    fn set_direct(&mut self) {
+        let a = &mut self.adjoint;
+        for (slot, screw) in self.screws.iter().enumerate() {
+            a.direct[slot] = match self.slots[slot] {
+                Slot::Elastic => screw.moves(&a.target),
+                Slot::Crank | Slot::Mark => Vector3::zeros(),
+            };
+        }
+        let Some(four_bar) = &self.four_bar else { return };
+        let ends = &self.closed;
+        for (slot, screw) in self.screws[..four_bar.reach].iter().enumerate() {
+            let moves = match self.slots[slot] {
+                Slot::Mark => continue,
+                Slot::Crank => -screw.moves(&ends.crank_end),
+                Slot::Elastic if slot < four_bar.crank => {
+                    screw.moves(&ends.lever_end) - screw.moves(&ends.crank_end)
+                }
+                Slot::Elastic => screw.moves(&ends.lever_end),
+            };
+            a.rod_moves[slot] = moves;
+            a.rod_stretch[slot] = ends.rod.dot(&moves);
+        }
+    }
+
+    /// Second derivatives of the loads' potential.
+    fn set_curvature(&mut self) {
+        let a = &mut self.adjoint;
+        let mut outboard = Loads::none();
+        let mut lumps = self.lumps.iter().rev().peekable();
+        for (slot, kind) in self.slots.iter().enumerate().rev() {
+            while let Some(lump) = lumps.next_if(|l| l.inboard > slot) {
+                outboard.add(lump);
+            }
+            if *kind == Slot::Crank {
+                let crank = self.closed.crank_loads();
+                a.outboard[slot] = crank;
+                outboard.add_all(&crank);
+            } else {
+                a.outboard[slot] = outboard;
+            }
+            if *kind != Slot::Mark {
+                a.turned[slot] = a.outboard[slot].turned_by(&self.screws[slot]);
+            }
+        }
+    }
+
+    /// `next = p_u + H λ`.
+    fn sweep(&mut self) {
+        let Self { slots, screws, four_bar, closed, adjoint: a, .. } = self;
+        let reach = four_bar.as_ref().map_or(0, |f| f.reach);
+        let (mut sums, mut lever, mut crank) = (Inboard::none(), Matrix3::zeros(), Matrix3::zeros());
+        for (slot, kind) in slots.iter().enumerate() {
+            if slot == reach {
+                lever = sums.moves(&closed.lever_end);
+            }
+            let screw = &screws[slot];
+            match kind {
+                Slot::Mark => {}
+                Slot::Elastic => {
+                    if slot < reach {
+                        sums.add(&a.lambda[slot], screw);
+                    } else if screw.about {
+                        sums.turns += a.lambda[slot] * screw.axis.transpose();
+                    }
+                    a.next[slot] = a.direct[slot] + sums.turns * a.turned[slot];
+                }
+                Slot::Crank => {
+                    let mut branch = sums;
+                    branch.add(&a.lambda[slot], screw);
+                    a.next[slot] = branch.turns * a.turned[slot];
+                    crank = branch.moves(&closed.crank_end);
+                }
+            }
+        }
+        if reach == slots.len() {
+            lever = sums.moves(&closed.lever_end);
+        }
+        let mut behind = Matrix3::zeros();
+        for (slot, kind) in slots.iter().enumerate().rev() {
+            if *kind == Slot::Mark {
+                continue;
+            }
+            let screw = &screws[slot];
+            if *kind == Slot::Elastic && screw.about {
+                a.next[slot] += behind * screw.axis;
+            }
+            behind += a.lambda[slot] * a.turned[slot].transpose();
+        }
+        if four_bar.is_none() {
+            return;
+        }
+        // The rod's force turns with the rod.
+        let along = (lever - crank) * closed.rod;
+        a.rod = (closed.force / closed.length) * (lever - crank - along * closed.rod.transpose());
+        for (next, moves) in a.next.iter_mut().zip(&a.rod_moves[..reach]) {
+            *next -= a.rod * moves;
+        }
+    }
+
+    /// μ, λ and ρ from `next`; tells the largest change of μ relative to its largest entry.
+    fn take_over(&mut self) -> f64 {
+        let a = &mut self.adjoint;
+        let elbow = self.four_bar.as_ref().map(|f| self.parts[f.elbow].drive);
+        a.rho = elbow.map_or_else(Vector3::zeros, |slot| a.next[slot] / self.closed.rate);
+        // Axis by axis, so that several are compared at a time.
+        let (mut changes, mut most) = (Vector3::zeros(), Vector3::zeros());
+        for ((next, stretch), mu) in a.next.iter().zip(&a.rod_stretch).zip(&mut a.mu) {
+            let now = next - a.rho * *stretch;
+            for axis in 0..3 {
+                changes[axis] = f64::max(changes[axis], (now[axis] - mu[axis]).abs());
+                most[axis] = f64::max(most[axis], now[axis].abs());
+            }
+            *mu = now;
+        }
+        let (change, largest) = (changes.max(), most.max());
+        if a.coupled {
+            for ((lambda, compliance), mu) in a.lambda.iter_mut().zip(&self.compliance).zip(&a.mu) {
+                *lambda = *compliance * mu;
+            }
+        }
+        if let (true, Some(four_bar), Some(elbow)) = (a.coupled, &self.four_bar, elbow) {
+            // The elbow's own compliance is zero: its λ is not in the sum.
+            let stretch: Vector3<f64> = a.lambda.iter().zip(&a.rod_stretch).map(|(l, s)| l * *s).sum();
+            a.lambda[elbow] = (four_bar.compliance * a.rho - stretch) / self.closed.rate;
+        }
+        change / largest.max(f64::MIN_POSITIVE)
+    }
+
+    fn sum_up(&mut self) {
+        let Self { slots, screws, adjoint: a, .. } = self;
+        let mut sums = Inboard::none();
+        for (slot, kind) in slots.iter().enumerate() {
+            a.inboard[slot] = sums;
+            match kind {
+                Slot::Mark => {}
+                Slot::Elastic => sums.add(&a.lambda[slot], &screws[slot]),
+                Slot::Crank => {
+                    a.crank_inboard = sums;
+                    a.crank_inboard.add(&a.lambda[slot], &screws[slot]);
+                }
+            }
+        }
+        a.inboard[slots.len()] = sums;
+        let mut behind = Matrix3::zeros();
+        for (slot, kind) in slots.iter().enumerate().rev() {
+            if *kind != Slot::Mark {
+                behind += a.lambda[slot] * a.turned[slot].transpose();
+            }
+            a.behind[slot] = behind;
+        }
+    }
+
+    /// Change of the target's position in the base frame (m) per unit of a parameter.
+    ///
+    /// Parameters of the tracker's frame and of terms are the caller's: these columns are zero. A term's is its basis times
+    /// [`column_of_place`](Self::column_of_place).
+    pub fn column(&self, id: ParameterId) -> Vector3<f64> {
+        match id {
+            ParameterId::Link { link, term } => self.link_column(link, term),
+            ParameterId::Target { axis, .. } => {
+                self.base_from_flange.rotation.matrix().column(axis).into_owned()
+            }
+            ParameterId::Compliance(compliance) => self.compliance_column(compliance),
+            ParameterId::Mass { link } => self.mass_column(link),
+            ParameterId::Linkage(length) => self.linkage_column(length),
+            ParameterId::Frame { .. } | ParameterId::Term(_) => Vector3::zeros(),
+        }
+    }
+
+    /// Change of the target's position in the base frame (m) per unit of a [correction](Self::settle).
+    pub fn column_of_place(&self, place: TermPlace) -> Vector3<f64> {
+        match place {
+            TermPlace::Frame { joint, component } => {
+                self.moved_at(self.parts[joint].frame, &self.terms[joint].frame[component])
+            }
+            TermPlace::Actuator(joint) => {
+                let mu = |joint: usize| self.adjoint.mu[self.driven(joint)];
+                match self.actuators {
+                    // The ideal coupling turns the elbow back.
+                    ActuatorMap::Parallelogram { shoulder, elbow, .. }
+                        if joint == shoulder && self.four_bar.is_none() =>
+                    {
+                        mu(shoulder) - mu(elbow)
+                    }
+                    _ => mu(joint),
+                }
+            }
+        }
+    }
+
+    fn link_column(&self, link: usize, term: LinkTerm) -> Vector3<f64> {
+        let terms = &self.terms[link];
+        let (about, axis, origin) = match term {
+            LinkTerm::A => (false, terms.x, terms.previous_origin),
+            LinkTerm::Alpha => (true, terms.x, terms.previous_origin),
+            LinkTerm::Beta => (true, terms.y, terms.origin),
+            LinkTerm::D => (false, terms.z, terms.origin),
+            LinkTerm::Theta => (true, terms.z, terms.origin),
+        };
+        let moved = self.moved_at(self.parts[link].terms, &Screw { about, axis, origin });
+        match &self.four_bar {
+            // The elbow's zero is the crank's.
+            Some(four_bar) if four_bar.elbow == link && term == LinkTerm::Theta => {
+                moved + self.adjoint.mu[four_bar.crank]
+            }
+            _ => moved,
+        }
+    }
+
+    /// What a unit of a motion at a mark does to the target.
+    fn moved_at(&self, slot: usize, screw: &Screw) -> Vector3<f64> {
+        let a = &self.adjoint;
+        let mut column = screw.moves(&a.target);
+        if a.coupled {
+            column += a.inboard[slot].turns * a.outboard[slot].turned_by(screw);
+            if screw.about {
+                column += a.behind[slot] * screw.axis;
+            }
+        }
+        if let Some(four_bar) = &self.four_bar
+            && slot < four_bar.reach
+        {
+            let mut moves = screw.moves(&self.closed.lever_end);
+            if slot < four_bar.crank {
+                moves -= screw.moves(&self.closed.crank_end);
+            }
+            column -= self.by_rod(&moves);
+        }
+        column
+    }
+
+    /// What a displacement of the lever's end relative to the crank's does to the target, with the sign changed.
+    fn by_rod(&self, moves: &Vector3<f64>) -> Vector3<f64> {
+        self.adjoint.rho * self.closed.rod.dot(moves) + self.adjoint.rod * moves
+    }
+
+    fn compliance_column(&self, compliance: Compliance) -> Vector3<f64> {
+        let a = &self.adjoint;
+        if !a.coupled {
+            return Vector3::zeros();
+        }
+        let of_slot = |slot: usize| a.mu[slot] * (self.load[slot] * self.reference[slot]);
+        match compliance {
+            Compliance::Drive { joint } => of_slot(self.driven(joint)),
+            Compliance::Bearing { joint, axis } => {
+                self.parts[joint].bearing.slot(axis).map_or_else(Vector3::zeros, of_slot)
+            }
+            Compliance::Beam { link } => self.parts[link].beam_slots().map(of_slot).sum(),
+            Compliance::Rod => self.four_bar.as_ref().map_or_else(Vector3::zeros, |four_bar| {
+                a.rho * (self.closed.force * four_bar.reference_compliance)
+            }),
+        }
+    }
+
+    fn mass_column(&self, link: usize) -> Vector3<f64> {
+        let a = &self.adjoint;
+        if !a.coupled {
+            return Vector3::zeros();
+        }
+        let by_lump = |lump: usize| {
+            let lump = &self.lumps[lump];
+            let (mass, moment) = lump.reference;
+            let inboard = &a.inboard[lump.inboard];
+            inboard.turns * moment.cross(&self.gravity) + inboard.shifts * (mass * self.gravity)
+        };
+        self.parts[link].body_lumps().map(by_lump).sum()
+    }
+
+    fn linkage_column(&self, length: LinkageLength) -> Vector3<f64> {
+        let Some(four_bar) = &self.four_bar else { return Vector3::zeros() };
+        let (a, closed) = (&self.adjoint, &self.closed);
+        // The loads at the moved end turn about all that is inboard.
+        let (inboard, force, growth, sign) = match length {
+            LinkageLength::Rod => return a.rho,
+            LinkageLength::Lever => {
+                let force = self.lumps[four_bar.lever_lump].direction;
+                (&a.inboard[four_bar.reach], force, closed.lever_growth, 1.0)
+            }
+            LinkageLength::Crank => {
+                let force = 0.5 * four_bar.rod_mass * self.gravity + closed.force * closed.rod;
+                (&a.crank_inboard, force, closed.crank_growth, -1.0)
+            }
+        };
+        let mut column = -sign * self.by_rod(&growth);
+        if a.coupled {
+            column += inboard.turns * growth.cross(&force);
+        }
+        column
+    }
+}

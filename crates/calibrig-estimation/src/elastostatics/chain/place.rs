@@ -1,0 +1,319 @@
+//! The pose of a chain at given deflections.
+
+use nalgebra::Vector3;
+
+use super::parts::{Group, Part, Segment};
+use super::screw::{Loads, Lump, Screw, Walk, stepped};
+use super::{ElasticChain, ElasticError};
+use crate::elastostatics::beam::segment_group;
+use crate::kinematics::swing_to;
+use calibrig_model::{BeamRun, BeamSegment, BearingSide, TermPlace};
+
+/// The axes of a link's parameters and of the corrections of its frame, in the base frame.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct TermsPlace {
+    /// a along, alpha about.
+    pub x: Vector3<f64>,
+    pub previous_origin: Vector3<f64>,
+    /// beta about.
+    pub y: Vector3<f64>,
+    /// d along, theta about.
+    pub z: Vector3<f64>,
+    /// Origin behind a: on the axes of beta and theta.
+    pub origin: Vector3<f64>,
+    /// Components of the frame's correction.
+    pub frame: [Screw; 6],
+}
+
+impl Default for TermsPlace {
+    fn default() -> Self {
+        let zero = Vector3::zeros();
+        Self { x: zero, previous_origin: zero, y: zero, z: zero, origin: zero, frame: [Screw::NONE; 6] }
+    }
+}
+
+/// The four-bar at a pose, in the base frame.
+#[derive(Debug, Clone)]
+pub(super) struct LoopPlace {
+    /// Of the elbow's joint, rad.
+    pub angle: f64,
+    /// Of the rod, m.
+    pub extension: f64,
+    pub crank_end: Vector3<f64>,
+    pub lever_end: Vector3<f64>,
+    /// Directions in which crank and lever grow.
+    pub crank_growth: Vector3<f64>,
+    pub lever_growth: Vector3<f64>,
+    /// Unit vector from the crank's end to the lever's, and their distance, m.
+    pub rod: Vector3<f64>,
+    pub length: f64,
+    /// Change of that distance per unit of the elbow's angle, m/rad.
+    pub rate: f64,
+    /// Tension of the rod, N.
+    pub force: f64,
+    /// Weight of crank and half of the rod.
+    pub crank_weight: Loads,
+}
+
+impl Default for LoopPlace {
+    fn default() -> Self {
+        let zero = Vector3::zeros();
+        Self {
+            angle: 0.0,
+            extension: 0.0,
+            crank_end: zero,
+            lever_end: zero,
+            crank_growth: zero,
+            lever_growth: zero,
+            rod: zero,
+            length: 0.0,
+            rate: 0.0,
+            force: 0.0,
+            crank_weight: Loads::none(),
+        }
+    }
+}
+
+/// Lets the frame go through a group at `point` of the frame.
+fn through(walk: &mut Walk, group: &Group, point: &Vector3<f64>, u: &[f64], screws: &mut [Screw]) {
+    if group.components.is_empty() {
+        return;
+    }
+    walk.origin = walk.point(point);
+    for (slot, component) in group.slots().zip(&group.components) {
+        screws[slot] = walk.step(*component, u[slot]);
+    }
+    walk.origin -= walk.turned(point);
+}
+
+/// A point behind a group as seen from in front of it.
+fn in_front(point: &mut Vector3<f64>, group: &Group, at: &Vector3<f64>, u: &[f64]) {
+    *point -= at;
+    for (slot, component) in group.slots().zip(&group.components).rev() {
+        stepped(*component, u[slot], point);
+    }
+    *point += at;
+}
+
+impl Segment {
+    /// Puts one of the segment's lumps at a point.
+    fn weigh(&self, index: usize, point: &Vector3<f64>, lump: &mut Lump) {
+        let [now, reference] = [&self.springs, &self.reference_springs].map(|s| s.lumps[index].mass);
+        (lump.scale, lump.arm) = (now, now * point);
+        lump.reference = (reference, reference * point);
+    }
+}
+
+impl Part {
+    /// The point at `from_root` along the undeflected beam, in the link's frame, m.
+    fn on_beam(&self, from_root: f64) -> Vector3<f64> {
+        match self.run {
+            BeamRun::AlongX => Vector3::new(from_root, 0.0, 0.0),
+            BeamRun::EndsAtOrigin => Vector3::new(0.0, 0.0, from_root - self.length),
+        }
+    }
+
+    fn bearing_point(&self) -> Vector3<f64> {
+        Vector3::new(0.0, 0.0, self.bearing_at)
+    }
+
+    /// Sets the lengths of the segments at a joint variable, and the compliances and weights that follow from them.
+    fn extend(&mut self, variable: f64, compliance: &mut [f64], reference: &mut [f64]) -> Result<(), f64> {
+        self.length = 0.0;
+        for segment in &mut self.segments {
+            let length = segment.now.length.at(variable);
+            if !(length > 0.0) {
+                return Err(length);
+            }
+            let springs = |of: &BeamSegment| segment_group(of, length, self.length, self.run.axes());
+            segment.springs = springs(&segment.now);
+            segment.reference_springs = springs(&segment.reference);
+            for (slot, component) in segment.group.slots().zip(&segment.group.components) {
+                compliance[slot] = 1.0 / segment.springs.stiffness[*component];
+                reference[slot] = 1.0 / segment.reference_springs.stiffness[*component];
+            }
+            self.length += length;
+        }
+        let (mut rigid, mut reference_rigid) = (self.body, self.reference_body);
+        for segment in &self.segments {
+            for (rest, springs) in
+                [(&mut rigid, &segment.springs), (&mut reference_rigid, &segment.reference_springs)]
+            {
+                for lump in &springs.lumps {
+                    rest.0 -= lump.mass;
+                    rest.1 -= lump.mass * self.on_beam(lump.from_root);
+                }
+            }
+        }
+        (self.rigid, self.reference_rigid) = (rigid, reference_rigid);
+        Ok(())
+    }
+
+    /// A point that the link carries, as seen from behind the joint's motion.
+    fn behind_motion(&self, mut point: Vector3<f64>, u: &[f64]) -> Vector3<f64> {
+        for segment in self.segments.iter().rev() {
+            in_front(&mut point, &segment.group, &self.on_beam(segment.springs.centre), u);
+        }
+        if self.side == BearingSide::Moving {
+            in_front(&mut point, &self.bearing, &self.bearing_point(), u);
+        }
+        for component in (0..6).rev() {
+            stepped(component, self.correction[component], &mut point);
+        }
+        point
+    }
+
+    /// Places the fixed part and tells the axes of its parameters.
+    fn place_fixed(&self, walk: &mut Walk, terms: &mut TermsPlace) {
+        let fixed = &self.fixed;
+        terms.x = walk.axes[0];
+        terms.previous_origin = walk.origin;
+        walk.turn(0, fixed.alpha);
+        walk.origin += fixed.a * walk.axes[0];
+        terms.y = walk.axes[1];
+        terms.origin = walk.origin;
+        walk.turn(1, fixed.beta);
+        terms.z = walk.axes[2];
+        walk.turn(2, fixed.theta);
+        walk.origin += fixed.d * walk.axes[2];
+    }
+
+    /// Places what is behind the joint's motion: correction, bearing, body, beam.
+    fn place_moving(
+        &self,
+        walk: &mut Walk,
+        terms: &mut TermsPlace,
+        u: &[f64],
+        screws: &mut [Screw],
+        lumps: &mut [Lump],
+    ) {
+        for (component, (screw, by)) in terms.frame.iter_mut().zip(self.correction).enumerate() {
+            *screw = if by == 0.0 { walk.screw(component) } else { walk.step(component, by) };
+        }
+        // Rotations are about the place behind all translations.
+        for screw in &mut terms.frame[3..] {
+            screw.origin = walk.origin;
+        }
+        if self.side == BearingSide::Moving {
+            through(walk, &self.bearing, &self.bearing_point(), u, screws);
+        }
+        let in_base = |(mass, moment): (f64, Vector3<f64>)| (mass, mass * walk.origin + walk.turned(&moment));
+        let rigid = &mut lumps[self.first_lump];
+        (rigid.scale, rigid.arm) = in_base(self.rigid);
+        rigid.reference = in_base(self.reference_rigid);
+        for (index, segment) in self.segments.iter().enumerate() {
+            let first = self.first_lump + 1 + 2 * index;
+            segment.weigh(
+                0,
+                &walk.point(&self.on_beam(segment.springs.lumps[0].from_root)),
+                &mut lumps[first],
+            );
+            through(walk, &segment.group, &self.on_beam(segment.springs.centre), u, screws);
+            segment.weigh(
+                1,
+                &walk.point(&self.on_beam(segment.springs.lumps[1].from_root)),
+                &mut lumps[first + 1],
+            );
+        }
+        for (lump, at) in &self.loads {
+            lumps[*lump].arm = walk.point(at);
+        }
+    }
+}
+
+impl ElasticChain {
+    /// Takes a command with its corrections, and what does not depend on deflections.
+    pub(super) fn start(
+        &mut self,
+        command: &[f64],
+        corrections: &[(TermPlace, f64)],
+    ) -> Result<(), ElasticError> {
+        self.actuators.joints_from_command(command, &mut self.joints);
+        for (index, part) in self.parts.iter_mut().enumerate() {
+            part.correction = [0.0; 6];
+            part.extend(self.joints[index], &mut self.compliance, &mut self.reference)
+                .map_err(|length| ElasticError::Housed { link: index, length })?;
+        }
+        self.command.copy_from_slice(command);
+        for (place, value) in corrections {
+            match *place {
+                TermPlace::Actuator(joint) => self.command[joint] += value,
+                TermPlace::Frame { joint, component } => self.parts[joint].correction[component] += value,
+            }
+        }
+        self.actuators.joints_from_command(&self.command, &mut self.joints);
+        Ok(())
+    }
+
+    /// Places the chain at its deflections and closes the four-bar.
+    pub(super) fn place(&mut self) -> Result<(), ElasticError> {
+        let mut walk = Walk::base();
+        for index in 0..self.parts.len() {
+            self.parts[index].place_fixed(&mut walk, &mut self.terms[index]);
+            let part = &self.parts[index];
+            if part.side == BearingSide::Fixed {
+                through(&mut walk, &part.bearing, &part.bearing_point(), &self.u, &mut self.screws);
+            }
+            let mut variable = self.joints[index] + self.u[part.drive];
+            if let Some(four_bar) = &self.four_bar {
+                if four_bar.shoulder == index {
+                    self.place_crank(walk);
+                } else if four_bar.elbow == index {
+                    variable = self.close(&walk)?;
+                }
+            }
+            let part = &self.parts[index];
+            self.screws[part.drive] = walk.step(part.joint_component(), variable);
+            let (terms, screws, lumps) = (&mut self.terms[index], &mut self.screws, &mut self.lumps);
+            part.place_moving(&mut walk, terms, &self.u, screws, lumps);
+            if let Some(four_bar) = &self.four_bar
+                && four_bar.elbow == index
+            {
+                self.closed.lever_growth = walk.turned(&growth(four_bar.four_bar.lever.angle));
+                self.lumps[four_bar.lever_lump].arm = self.closed.lever_end;
+            }
+            self.frames[index] = walk.transform();
+        }
+        self.base_from_flange = walk.transform() * self.last_from_flange;
+        Ok(())
+    }
+
+    /// Places the crank, in the frame in front of the shoulder's motion.
+    fn place_crank(&mut self, mut walk: Walk) {
+        let Some(four_bar) = &self.four_bar else { return };
+        let psi = self.command[four_bar.elbow] + four_bar.offset;
+        self.screws[four_bar.crank] = walk.step(5, psi + self.u[four_bar.crank]);
+        let arm = &four_bar.four_bar.crank;
+        let closed = &mut self.closed;
+        closed.crank_end = walk.point(&arm.end());
+        closed.crank_growth = walk.turned(&growth(arm.angle));
+        let half_rod = 0.5 * four_bar.rod_mass;
+        let (mass, moment) = four_bar.crank_body;
+        let arm = mass * walk.origin + walk.turned(&moment) + half_rod * closed.crank_end;
+        closed.crank_weight =
+            Loads { force: (mass + half_rod) * self.gravity, moment: arm * self.gravity.transpose() };
+    }
+
+    /// The elbow's angle with which the rod fits; `walk` is in front of the elbow's motion.
+    fn close(&mut self, walk: &Walk) -> Result<f64, ElasticError> {
+        let Some(four_bar) = &self.four_bar else { return Ok(0.0) };
+        let lengths = &four_bar.four_bar;
+        let end = self.parts[four_bar.elbow].behind_motion(lengths.lever.end(), &self.u);
+        let closed = &mut self.closed;
+        let rod = lengths.rod + closed.extension;
+        let ideal = self.joints[four_bar.elbow];
+        let closure = swing_to(&walk.transform(), &end, &closed.crank_end, rod, ideal)?;
+        closed.angle = closure.angle;
+        closed.lever_end = closure.end;
+        closed.rod = closure.rod_direction;
+        closed.length = rod;
+        closed.rate = closure.rate;
+        Ok(closure.angle)
+    }
+}
+
+/// The direction in which an arm at `angle` about z grows.
+fn growth(angle: f64) -> Vector3<f64> {
+    let (sin, cos) = angle.sin_cos();
+    Vector3::new(cos, sin, 0.0)
+}

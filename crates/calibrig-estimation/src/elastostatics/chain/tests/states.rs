@@ -1,0 +1,128 @@
+//! What a chain keeps, takes over and refuses.
+
+use super::robots::{painter, serial};
+use crate::elastostatics::{Deflection, ElasticChain, ElasticError};
+use crate::kinematics::{forward_kinematics, joints_from_command};
+use calibrig_model::{ActuatorMap, Compliance, LinkTerm, LinkageLength, ParameterId, TermPlace};
+
+#[test]
+fn a_rigid_chain_is_the_product_of_the_link_transforms() {
+    for case in (0..6).map(serial).chain((0..6).map(painter)) {
+        let model = &case.model;
+        let mut q = case.command.clone();
+        joints_from_command(&model.kinematics, &model.actuators, &case.command, &mut q).expect("closes");
+        let product = forward_kinematics(&model.kinematics, &q);
+        let mut bare = model.clone();
+        bare.statics = None;
+        let mut made_rigid = model.clone();
+        made_rigid.statics.as_mut().expect("statics").make_rigid();
+        for (model, deflection) in [
+            (model, Deflection::None),
+            (&bare, Deflection::Equilibrium),
+            (&made_rigid, Deflection::Equilibrium),
+        ] {
+            let mut chain = ElasticChain::new(model);
+            chain.settle(&case.command, &[], deflection).expect("a pose");
+            let difference = chain.base_from_flange().to_homogeneous() - product.to_homogeneous();
+            assert!(difference.norm() < 1e-12, "{difference}");
+            assert_eq!(chain.link_frames().len(), q.len());
+        }
+    }
+}
+
+#[test]
+fn a_pose_does_not_depend_on_the_poses_before_it() {
+    let (case, other) = (painter(0), painter(1));
+    let corrections = [(TermPlace::Frame { joint: 4, component: 3 }, 0.01)];
+    let mut chain = ElasticChain::new(&case.model);
+    let mut evaluate = |command: &[f64], corrections: &[(TermPlace, f64)]| {
+        chain.settle(command, corrections, Deflection::Equilibrium).expect("rest");
+        chain.prepare(&case.in_flange).expect("stable");
+        let column = chain.column(ParameterId::link(3, LinkTerm::Beta));
+        [chain.target(&case.in_flange), column].map(|v| v.map(f64::to_bits))
+    };
+    let first = evaluate(&case.command, &[]);
+    evaluate(&other.command, &corrections);
+    assert_eq!(evaluate(&case.command, &[]), first);
+}
+
+#[test]
+fn given_deflections_reproduce_the_pose() {
+    for case in [serial(0), serial(1), painter(0), painter(1)] {
+        let mut chain = ElasticChain::new(&case.model);
+        chain.settle(&case.command, &[], Deflection::Equilibrium).expect("rest");
+        let (at_rest, deflections) = (chain.target(&case.in_flange), chain.deflections().to_vec());
+        let mut frozen = ElasticChain::new(&case.model);
+        frozen.settle_at(&case.command, &[], &deflections).expect("a pose");
+        assert!((frozen.target(&case.in_flange) - at_rest).norm() < 1e-12);
+        assert_eq!(frozen.deflections(), deflections);
+    }
+}
+
+/// An exact parallelogram, so that the real and the ideal map differ by deflection alone.
+#[test]
+fn deflections_of_a_four_bar_bend_a_chain_with_the_ideal_map() {
+    let mut case = painter(0);
+    for link in 2..4 {
+        let link = &mut case.model.kinematics.links[link];
+        (link.beta, link.theta) = (0.0, 0.0);
+    }
+    let elbow = &mut case.model.kinematics.links[3];
+    (elbow.alpha, elbow.d) = (0.0, 0.0);
+    let a = elbow.a;
+    let ActuatorMap::Parallelogram { linkage: Some(linkage), .. } = &mut case.model.actuators else {
+        panic!("a four-bar");
+    };
+    (linkage.rod, linkage.lever) = (a, linkage.crank);
+    let mut with_loop = ElasticChain::new(&case.model);
+    with_loop.settle(&case.command, &[], Deflection::Equilibrium).expect("rest");
+    let mut ideal = case.model.clone();
+    if let ActuatorMap::Parallelogram { linkage, .. } = &mut ideal.actuators {
+        *linkage = None;
+    }
+    let mut ideal = ElasticChain::new(&ideal);
+    ideal.settle_at(&case.command, &[], with_loop.deflections()).expect("a pose");
+    let [expected, found] = [&with_loop, &ideal].map(|chain| chain.target(&case.in_flange));
+    assert!((expected - found).norm() < 1e-12, "{expected} {found}");
+}
+
+#[test]
+fn poses_take_no_memory() {
+    let case = painter(0);
+    let mut chain = ElasticChain::new(&case.model);
+    let corrections = [(TermPlace::Actuator(3), 1e-3)];
+    let info = allocation_counter::measure(|| {
+        chain.set_model(&case.model);
+        chain.settle(&case.command, &corrections, Deflection::Equilibrium).expect("rest");
+        chain.prepare(&case.in_flange).expect("stable");
+        let sum = chain.column(ParameterId::link(2, LinkTerm::Alpha))
+            + chain.column(ParameterId::Compliance(Compliance::Beam { link: 4 }))
+            + chain.column(ParameterId::Mass { link: 4 })
+            + chain.column(ParameterId::Linkage(LinkageLength::Lever))
+            + chain.column_of_place(TermPlace::Actuator(2));
+        assert!(sum.norm() > 0.0);
+    });
+    assert_eq!(info.count_total, 0);
+}
+
+#[test]
+fn what_has_no_rest_is_refused() {
+    let mut soft = serial(0);
+    soft.model.statics.as_mut().expect("statics").drive_stiffness.fill(10.0);
+    let refusal =
+        ElasticChain::new(&soft.model).settle(&soft.command, &[], Deflection::Equilibrium).unwrap_err();
+    assert!(matches!(refusal, ElasticError::NotSettled { residual, .. } if !(residual < 1e-3)), "{refusal}");
+
+    let mut housed = painter(0);
+    housed.command[4] = 1.1;
+    let refusal =
+        ElasticChain::new(&housed.model).settle(&housed.command, &[], Deflection::None).unwrap_err();
+    assert!(matches!(refusal, ElasticError::Housed { link: 4, length } if (length + 0.1).abs() < 1e-12));
+
+    let mut open = painter(0);
+    if let ActuatorMap::Parallelogram { linkage: Some(linkage), .. } = &mut open.model.actuators {
+        linkage.rod = 3.0;
+    }
+    let refusal = ElasticChain::new(&open.model).settle(&open.command, &[], Deflection::None).unwrap_err();
+    assert!(matches!(refusal, ElasticError::Linkage(_)), "{refusal}");
+}

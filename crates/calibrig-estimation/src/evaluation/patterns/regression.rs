@@ -1,0 +1,109 @@
+//! The F test of a group of columns that is added to a fitted model.
+
+use nalgebra::{DMatrix, DVector};
+
+use calibrig_model::statistics::f_ln_survival;
+
+/// A column of which less than this fraction is outside of the span of the others says nothing new.
+const NEGLIGIBLE: f64 = 1e-6;
+
+/// The part of a residual vector that is orthogonal to the model's columns.
+#[derive(Debug, Clone)]
+pub(super) struct ProjectedResidual {
+    /// Orthonormal columns of the model.
+    basis: Vec<DVector<f64>>,
+    residual: DVector<f64>,
+}
+
+/// What a group explains.
+#[derive(Debug, Clone)]
+pub(super) struct GroupTest {
+    /// Natural logarithm of the p-value.
+    pub ln_p: f64,
+    /// Its part of the residuals, whitened.
+    pub fitted: DVector<f64>,
+    columns: Vec<DVector<f64>>,
+}
+
+impl ProjectedResidual {
+    /// `None` where the model leaves no degree of freedom or something is not a finite number.
+    pub fn new(residual: DVector<f64>, jacobian: &DMatrix<f64>) -> Option<Self> {
+        let mut this = Self { basis: Vec::new(), residual };
+        for column in jacobian.column_iter() {
+            if let Some(column) = orthonormal(&[&this.basis], &column.into_owned()) {
+                this.take_out_direction(column);
+            }
+        }
+        let usable = this.degrees_of_freedom() > 0 && this.sum_of_squares().is_finite();
+        (usable && this.sum_of_squares() > 0.0).then_some(this)
+    }
+
+    pub fn sum_of_squares(&self) -> f64 {
+        self.residual.norm_squared()
+    }
+
+    pub fn degrees_of_freedom(&self) -> usize {
+        self.residual.len().saturating_sub(self.basis.len())
+    }
+
+    pub fn residual(&self) -> &DVector<f64> {
+        &self.residual
+    }
+
+    pub fn basis(&self) -> &[DVector<f64>] {
+        &self.basis
+    }
+
+    /// Tests `columns` against the residual; `None` where they add nothing to the model or leave no degree of freedom.
+    pub fn test(&self, columns: &[DVector<f64>]) -> Option<GroupTest> {
+        let mut added: Vec<DVector<f64>> = Vec::new();
+        for column in columns {
+            if let Some(column) = orthonormal(&[&self.basis, &added], column) {
+                added.push(column);
+            }
+        }
+        let left = self.degrees_of_freedom().saturating_sub(added.len());
+        if added.is_empty() || left == 0 {
+            return None;
+        }
+        let mut fitted = DVector::zeros(self.residual.len());
+        for column in &added {
+            fitted.axpy(column.dot(&self.residual), column, 1.0);
+        }
+        let explained = fitted.norm_squared();
+        // By difference of vectors: the sums of squares cancel where the group explains all.
+        let rest = (&self.residual - &fitted).norm_squared();
+        let (d1, d2) = (added.len() as f64, left as f64);
+        let ln_p = f_ln_survival(explained / d1 / (rest / d2), d1, d2);
+        (!ln_p.is_nan()).then_some(GroupTest { ln_p, fitted, columns: added })
+    }
+
+    /// Adds a tested group to the model.
+    pub fn take_out(&mut self, group: GroupTest) {
+        for column in group.columns {
+            self.take_out_direction(column);
+        }
+    }
+
+    fn take_out_direction(&mut self, column: DVector<f64>) {
+        self.residual.axpy(-column.dot(&self.residual), &column, 1.0);
+        self.basis.push(column);
+    }
+}
+
+/// The unit vector of what `column` has outside of the orthonormal `bases`.
+fn orthonormal(bases: &[&[DVector<f64>]], column: &DVector<f64>) -> Option<DVector<f64>> {
+    let norm = column.norm();
+    if !(norm > 0.0 && norm.is_finite()) {
+        return None;
+    }
+    let mut rest = column / norm;
+    // Twice: once leaves rounding errors as large as what was taken out.
+    for _ in 0..2 {
+        for direction in bases.iter().copied().flatten() {
+            rest.axpy(-direction.dot(&rest), direction, 1.0);
+        }
+    }
+    let left = rest.norm();
+    (left > NEGLIGIBLE).then(|| rest / left)
+}

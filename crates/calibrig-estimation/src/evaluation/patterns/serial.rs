@@ -1,0 +1,62 @@
+//! Correlation of neighbouring residuals.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::ResidualSet;
+use super::regression::ProjectedResidual;
+use calibrig_model::statistics::normal_survival;
+
+/// Correlation of the whitened residuals of one observation and the next.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SerialCorrelation {
+    pub correlation: f64,
+    /// Natural logarithm of the two-sided p-value.
+    pub ln_p: f64,
+}
+
+/// In the order of time. Mean and variance under independence are exact for the residuals of a fit, which are correlated by the fit
+/// itself; the tail is taken as normal.
+///
+/// Source: J. Durbin, G. S. Watson, "Testing for serial correlation in least squares regression I", Biometrika 37 (1950), 409-428.
+pub(super) fn serial_correlation(
+    residual: &ProjectedResidual,
+    set: &ResidualSet<'_>,
+) -> Option<SerialCorrelation> {
+    if set.poses.len() < 3 {
+        return None;
+    }
+    let mut order: Vec<_> = (0..set.poses.len()).collect();
+    order.sort_by(|a, b| set.poses[*a].time.total_cmp(&set.poses[*b].time));
+    // L couples every coordinate with that of the observation before and behind: half of each product.
+    let neighbours = |v: &DVector<f64>| {
+        let mut sum = DVector::zeros(v.len());
+        for pair in order.windows(2) {
+            for axis in 0..3 {
+                let (a, b) = (3 * pair[0] + axis, 3 * pair[1] + axis);
+                sum[a] += 0.5 * v[b];
+                sum[b] += 0.5 * v[a];
+            }
+        }
+        sum
+    };
+    let ratio = residual.residual().dot(&neighbours(residual.residual())) / residual.sum_of_squares();
+
+    // Traces of M L and (M L)² with M = 1 - Q Qᵀ.
+    let coupled: Vec<_> = residual.basis().iter().map(neighbours).collect();
+    let k = coupled.len();
+    let projected = DMatrix::from_fn(k, k, |i, j| residual.basis()[i].dot(&coupled[j]));
+    let trace_of_squares = 1.5 * (set.poses.len() - 1) as f64;
+    let first = -projected.trace();
+    let second = trace_of_squares - 2.0 * coupled.iter().map(DVector::norm_squared).sum::<f64>()
+        + projected.norm_squared();
+
+    let dof = residual.degrees_of_freedom() as f64;
+    let mean = first / dof;
+    let variance = (2.0 * second + first * first) / (dof * (dof + 2.0)) - mean * mean;
+    if !(variance > 0.0) {
+        return None;
+    }
+    let z = (ratio - mean) / variance.sqrt();
+    let ln_p = (2.0 * normal_survival(z.abs())).ln();
+    Some(SerialCorrelation { correlation: ratio - mean, ln_p })
+}

@@ -1,0 +1,477 @@
+//! What was stated beforehand, against what the measurements say: priors and nests that do not fit the rest of the system.
+//!
+//! A prior is a row (nests and target: a block of rows) of the least-squares problem. Its residual at the minimum has the covariance
+//! `Q = 1 - H`, H its block of the hat matrix, so that `rᵀ Q⁻¹ r` is chi-square if all that was stated is right; of a single row it is the
+//! square of the normalised residual `w = r / sqrt(1 - h)`. The worst is taken out of the system and the others are tested without it,
+//! so that one wrong prior does not accuse those that it pulls.
+//!
+//! Source: W. Baarda, "A testing procedure for use in geodetic networks", Netherlands Geodetic Commission, New Series 2 (5), 1968 (the
+//! test of one row); one row after the other at Bonferroni's level.
+
+use std::fmt;
+use std::ops::Range;
+
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+
+use super::limits::shown;
+use super::problem::CalibrationProblem;
+use super::solver::Solution;
+use calibrig_model::measurement::{MeasurementSet, NestSystem, nest_system};
+use calibrig_model::statistics::chi2_survival;
+use calibrig_model::{ParameterId, Unit};
+
+/// Probability of naming any prior or nest of an estimate although all that was stated is right.
+pub const CONTRADICTION_LEVEL: f64 = 1e-3;
+
+/// A direction of a prior of which the rest tells less than this share cannot be contradicted by it.
+const CHECKED: f64 = 1e-3;
+
+/// Two priors that share more than this of what speaks against them cannot be told apart.
+const SHARED: f64 = 0.9;
+
+/// Something stated beforehand that does not fit the rest.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Contradiction {
+    /// What was stated.
+    pub stated: Stated,
+    /// Square of the discrepancy in its own standard deviations.
+    pub chi2: f64,
+    /// Its number of coordinates: the mean of `chi2` if nothing is wrong.
+    pub freedom: usize,
+    /// What else may be wrong in its place, because the rest cannot tell the two apart.
+    pub or: Vec<String>,
+}
+
+/// What was stated, and where the rest of the system puts it.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Stated {
+    /// The prior of a parameter, SI.
+    Parameter {
+        /// Whose.
+        id: ParameterId,
+        /// Where the measurements and the other priors put it.
+        found: f64,
+        /// Standard deviation of that.
+        sigma: f64,
+        /// Standard deviation of its prior about zero.
+        prior_sigma: f64,
+    },
+    /// The place of a station by its nests.
+    Nests {
+        /// Name of the station.
+        station: String,
+        /// How far from there the measurements of the robot put it, m.
+        length: f64,
+        /// And how far turned, rad.
+        angle: f64,
+    },
+    /// The measured offset of a target.
+    Target {
+        /// Its name.
+        target: String,
+        /// How far from there the measurements of the robot put it, m.
+        length: f64,
+    },
+    /// The certified place of a nest.
+    Nest {
+        /// Its name.
+        nest: String,
+        /// Name of the station that measured it.
+        station: String,
+        /// How far from there the other nests put it, m.
+        length: f64,
+    },
+}
+
+impl Stated {
+    /// The parameter, or nests, target or nest by name.
+    pub fn name(&self) -> String {
+        match self {
+            Self::Parameter { id, .. } => id.to_string(),
+            Self::Nests { station, .. } => format!("the nests of station {station}"),
+            Self::Target { target, .. } => format!("the offset of target {target}"),
+            Self::Nest { nest, station, .. } => format!("nest \"{nest}\" of station {station}"),
+        }
+    }
+}
+
+impl Contradiction {
+    /// Said where the rest tells of some of the `coordinates` alone.
+    fn at_least(&self, coordinates: usize) -> &'static str {
+        if self.freedom < coordinates { "at least " } else { "" }
+    }
+}
+
+impl fmt::Display for Contradiction {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.stated.name())?;
+        let metres = |length: f64| shown(Unit::Metre, rounded(length));
+        match &self.stated {
+            Stated::Parameter { id, found, sigma, prior_sigma } => {
+                let [found, sigma, prior] =
+                    [*found, *sigma, *prior_sigma].map(|v| shown(id.unit(), rounded(v)));
+                write!(f, " (they put it at {found} +- {sigma}, the prior at 0 +- {prior}")?;
+            }
+            Stated::Nests { length, angle, .. } => {
+                let (least, angle) = (self.at_least(6), shown(Unit::Radian, rounded(*angle)));
+                write!(f, " (they put the base {least}{} and {angle} from there", metres(*length))?;
+            }
+            Stated::Target { length, .. } => {
+                write!(f, " (they put it {}{} from there", self.at_least(3), metres(*length))?;
+            }
+            Stated::Nest { length, .. } => {
+                write!(f, " (the other nests put it {} from there", metres(*length))?;
+            }
+        }
+        match self.freedom {
+            1 => write!(f, ": {:.1} sigma", self.chi2.sqrt())?,
+            n => write!(f, ": chi-square {:.0} of {n}", self.chi2)?,
+        }
+        match self.or.as_slice() {
+            [] => f.write_str(")"),
+            others => write!(f, "; or what was stated of {} is off in its place)", others.join(" or ")),
+        }
+    }
+}
+
+/// To three digits.
+fn rounded(value: f64) -> f64 {
+    format!("{value:.2e}").parse().unwrap_or(value)
+}
+
+/// Rows that belong together, with what they are.
+struct Group {
+    rows: Range<usize>,
+    kind: Kind,
+}
+
+enum Kind {
+    /// Index in the problem's priors.
+    Block(usize),
+    /// Column and standard deviation.
+    Own(usize, f64),
+    /// Index of the station, and of the nest in it.
+    Nest(usize, usize),
+}
+
+/// Residuals with their covariance.
+struct Family {
+    residuals: DVector<f64>,
+    covariance: DMatrix<f64>,
+    groups: Vec<Group>,
+}
+
+/// A group that does not fit.
+struct Outcast {
+    /// Its place in the family.
+    group: usize,
+    chi2: f64,
+    freedom: usize,
+    /// Residuals that it has where it is left out of the fit.
+    left_out: DVector<f64>,
+    /// Their covariance.
+    spread: DMatrix<f64>,
+    /// Groups that cannot be told from it.
+    rivals: Vec<usize>,
+}
+
+/// A group that is too far off, as the system stands.
+struct Suspect {
+    group: usize,
+    block: Block,
+    left_out: DVector<f64>,
+    chi2: f64,
+}
+
+/// A group's block of the family, inverted where the rest tells of it.
+struct Block {
+    inverse: DMatrix<f64>,
+    freedom: usize,
+}
+
+impl Block {
+    fn of(covariance: &DMatrix<f64>, rows: &Range<usize>) -> Self {
+        let n = rows.len();
+        let own = covariance.view((rows.start, rows.start), (n, n)).into_owned();
+        let mut block = Self { inverse: DMatrix::zeros(n, n), freedom: 0 };
+        // The iteration for eigenvalues need not end on what is no number.
+        if own.iter().any(|v| !v.is_finite()) {
+            return block;
+        }
+        let eigen = SymmetricEigen::new(own);
+        for (value, vector) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
+            if *value > CHECKED {
+                block.inverse += vector * vector.transpose() / *value;
+                block.freedom += 1;
+            }
+        }
+        block
+    }
+}
+
+impl Family {
+    /// Groups that the rest can contradict.
+    fn tests(&self) -> usize {
+        self.groups.iter().filter(|group| Block::of(&self.covariance, &group.rows).freedom > 0).count()
+    }
+
+    /// The groups whose residuals are too large at `level` each, where one standard deviation is `variance.sqrt()`; the worst first, each
+    /// without those before it.
+    fn outcasts(&self, level: f64, variance: f64) -> Vec<Outcast> {
+        let (mut residuals, mut covariance) = (self.residuals.clone(), self.covariance.clone());
+        let mut left: Vec<usize> = (0..self.groups.len()).collect();
+        let mut outcasts: Vec<Outcast> = Vec::new();
+        loop {
+            let unlikely = self.unlikely(&left, &residuals, &covariance, level, variance);
+            let Some(worst) = unlikely.iter().min_by(|a, b| {
+                let p =
+                    |suspect: &Suspect| chi2_survival(suspect.chi2 / variance, suspect.block.freedom as f64);
+                p(a).total_cmp(&p(b)).then(b.chi2.total_cmp(&a.chi2))
+            }) else {
+                return outcasts;
+            };
+            let alike = |suspect: &Suspect| {
+                unlikely
+                    .iter()
+                    .filter(|other| {
+                        other.group != suspect.group && self.is_shared(&covariance, suspect, other.group)
+                    })
+                    .collect::<Vec<_>>()
+            };
+            // Of those that cannot be told apart, the one that needs the least change.
+            let change = |suspect: &Suspect| suspect.left_out.norm_squared() / suspect.block.freedom as f64;
+            let mut suspects = alike(worst);
+            suspects.insert(0, worst);
+            let Some(chosen) = suspects.into_iter().min_by(|a, b| change(a).total_cmp(&change(b))) else {
+                return outcasts;
+            };
+            let rows = &self.groups[chosen.group].rows;
+            let across = covariance.columns_range(rows.clone()).into_owned();
+            let reduced = &covariance - &across * &chosen.block.inverse * across.transpose();
+            outcasts.push(Outcast {
+                group: chosen.group,
+                chi2: chosen.chi2,
+                freedom: chosen.block.freedom,
+                spread: chosen.block.inverse.clone(),
+                rivals: alike(chosen).into_iter().map(|rival| rival.group).collect(),
+                left_out: chosen.left_out.clone(),
+            });
+            residuals -= &across * &chosen.left_out;
+            left.retain(|group| *group != chosen.group);
+            covariance = reduced;
+        }
+    }
+
+    /// Whether what speaks against a group is, but for a little, what speaks against the `other`.
+    fn is_shared(&self, covariance: &DMatrix<f64>, suspect: &Suspect, other: usize) -> bool {
+        let rows = self.groups[other].rows.clone();
+        let across = covariance.view(
+            (rows.start, self.groups[suspect.group].rows.start),
+            (rows.len(), self.groups[suspect.group].rows.len()),
+        );
+        let shared = across * &suspect.block.inverse * across.transpose();
+        shared.trace() > SHARED * rows.map(|row| covariance[(row, row)]).sum::<f64>()
+    }
+
+    /// Of the groups in `left`, those that are too far off.
+    fn unlikely(
+        &self,
+        left: &[usize],
+        residuals: &DVector<f64>,
+        covariance: &DMatrix<f64>,
+        level: f64,
+        variance: f64,
+    ) -> Vec<Suspect> {
+        let test = |group: &usize| {
+            let rows = &self.groups[*group].rows;
+            let block = Block::of(covariance, rows);
+            let own = residuals.rows_range(rows.clone());
+            let left_out = &block.inverse * own;
+            let chi2 = own.dot(&left_out);
+            let p =
+                if block.freedom > 0 { chi2_survival(chi2 / variance, block.freedom as f64) } else { 1.0 };
+            (p < level).then_some(Suspect { group: *group, block, left_out, chi2 })
+        };
+        left.iter().filter_map(test).collect()
+    }
+}
+
+/// All that was stated beforehand of an estimate.
+pub(super) struct Checks<'a> {
+    problem: &'a CalibrationProblem,
+    set: &'a MeasurementSet,
+    priors: Family,
+    /// A family a station.
+    nests: Vec<(NestSystem, Family)>,
+    level: f64,
+}
+
+/// Priors that do not fit, and what they add to chi-square.
+#[derive(Default)]
+pub(super) struct Found {
+    pub contradictions: Vec<Contradiction>,
+    pub chi2: f64,
+    pub freedom: usize,
+}
+
+impl<'a> Checks<'a> {
+    /// Of `solution` with the `covariance` of its parameters, where those that are `bounded` are held; `nests`: whether they place the
+    /// stations.
+    pub fn new(
+        problem: &'a CalibrationProblem,
+        set: &'a MeasurementSet,
+        solution: &Solution,
+        covariance: &DMatrix<f64>,
+        bounded: &[usize],
+        nests: bool,
+    ) -> Self {
+        let priors = priors(problem, solution, covariance, bounded);
+        let stations = if nests { &set.stations[..] } else { &[] };
+        // Where nests cannot place a station, the fit has not come so far.
+        let nests: Vec<_> = stations
+            .iter()
+            .zip(&problem.stations)
+            .enumerate()
+            .filter_map(|(index, (station, place))| {
+                let system = nest_system(station, place).ok()?;
+                let family = of_nests(&system, index)?;
+                Some((system, family))
+            })
+            .collect();
+        let tests = priors.tests() + nests.iter().map(|(_, family)| family.tests()).sum::<usize>();
+        let level = CONTRADICTION_LEVEL / tests.max(1) as f64;
+        Self { problem, set, priors, nests, level }
+    }
+
+    /// The priors of parameters, nests and target against the measurements, whose noise has `variance` times the stated variance.
+    pub fn of_priors(&self, variance: f64) -> Found {
+        let outcasts = self.priors.outcasts(self.level, variance);
+        Found {
+            chi2: outcasts.iter().map(|outcast| outcast.chi2).sum(),
+            freedom: outcasts.iter().map(|outcast| outcast.freedom).sum(),
+            contradictions: outcasts.iter().map(|outcast| self.describe(&self.priors, outcast)).collect(),
+        }
+    }
+
+    /// The nests of each station against each other.
+    pub fn of_nests(&self) -> Vec<Contradiction> {
+        let of_station = |(_, family): &(NestSystem, Family)| {
+            let outcasts = family.outcasts(self.level, 1.0);
+            outcasts.iter().map(|outcast| self.describe(family, outcast)).collect::<Vec<_>>()
+        };
+        self.nests.iter().flat_map(of_station).collect()
+    }
+
+    fn describe(&self, family: &Family, outcast: &Outcast) -> Contradiction {
+        // A rival has a size of its own; its name is all that is told of it.
+        let name = |rival: &usize| {
+            let Group { rows, kind } = &family.groups[*rival];
+            let n = rows.len();
+            self.stated(kind, &DVector::zeros(n), &DMatrix::identity(n, n)).name()
+        };
+        Contradiction {
+            stated: self.stated(&family.groups[outcast.group].kind, &outcast.left_out, &outcast.spread),
+            chi2: outcast.chi2,
+            freedom: outcast.freedom,
+            or: outcast.rivals.iter().map(name).collect(),
+        }
+    }
+
+    fn stated(&self, kind: &Kind, left_out: &DVector<f64>, spread: &DMatrix<f64>) -> Stated {
+        match *kind {
+            Kind::Own(column, prior_sigma) => Stated::Parameter {
+                id: self.problem.parameters[column],
+                found: prior_sigma * left_out[0],
+                // What is left of the variance of the discrepancy without the prior's own, which is one.
+                sigma: prior_sigma * (spread[(0, 0)] - 1.0).max(0.0).sqrt(),
+                prior_sigma,
+            },
+            Kind::Block(index) => {
+                let prior = &self.problem.priors[index];
+                let shift =
+                    prior.whitening.solve_lower_triangular(left_out).unwrap_or_else(|| left_out.clone());
+                let length = |rows: Range<usize>| {
+                    shift.iter().skip(rows.start).take(rows.len()).map(|v| v * v).sum::<f64>().sqrt()
+                };
+                match self.problem.parameters[prior.column] {
+                    ParameterId::Target { target, .. } => {
+                        Stated::Target { target: self.set.targets[target].name.clone(), length: length(0..3) }
+                    }
+                    ParameterId::Frame { station, .. } => Stated::Nests {
+                        station: self.set.stations[station].name.clone(),
+                        length: length(0..3),
+                        angle: length(3..6),
+                    },
+                    id => Stated::Parameter { id, found: shift[0], sigma: 0.0, prior_sigma: 0.0 },
+                }
+            }
+            Kind::Nest(station, nest) => {
+                let whitening = self.nests.iter().find_map(|(system, family)| {
+                    let own = family
+                        .groups
+                        .iter()
+                        .any(|group| matches!(group.kind, Kind::Nest(s, _) if s == station));
+                    own.then(|| system.whitening.get(nest)).flatten()
+                });
+                let shift = nalgebra::Vector3::from_iterator(left_out.iter().copied());
+                let shift = whitening.and_then(|w| w.solve_lower_triangular(&shift)).unwrap_or(shift);
+                let station = &self.set.stations[station];
+                Stated::Nest {
+                    nest: station.nests[nest].name.clone(),
+                    station: station.name.clone(),
+                    length: shift.norm(),
+                }
+            }
+        }
+    }
+}
+
+fn priors(
+    problem: &CalibrationProblem,
+    solution: &Solution,
+    covariance: &DMatrix<f64>,
+    bounded: &[usize],
+) -> Family {
+    let mut rows = Vec::new();
+    let mut groups = Vec::new();
+    let mut first = 3 * problem.rows.len();
+    // What a bound holds has told so already, and its prior pulls at nothing.
+    let mut take = |first: usize, columns: Range<usize>, kind: Kind| {
+        if columns.clone().any(|column| bounded.contains(&column)) {
+            return;
+        }
+        groups.push(Group { rows: rows.len()..rows.len() + columns.len(), kind });
+        rows.extend(first..first + columns.len());
+    };
+    for (index, prior) in problem.priors.iter().enumerate() {
+        let n = prior.whitening.nrows();
+        take(first, prior.column..prior.column + n, Kind::Block(index));
+        first += n;
+    }
+    for (row, (column, weight)) in (first..).zip(problem.own_priors.iter().chain(&problem.tolerances)) {
+        take(row, *column..column + 1, Kind::Own(*column, 1.0 / weight));
+    }
+    let jacobian = solution.jacobian.select_rows(&rows);
+    let hat = &jacobian * covariance * jacobian.transpose();
+    Family {
+        residuals: solution.residuals.select_rows(&rows),
+        covariance: DMatrix::identity(rows.len(), rows.len()) - hat,
+        groups,
+    }
+}
+
+fn of_nests(system: &NestSystem, station: usize) -> Option<Family> {
+    let rows = system.residuals.len();
+    let information = system.jacobian.tr_mul(&system.jacobian);
+    let hat = &system.jacobian * information.cholesky()?.solve(&system.jacobian.transpose());
+    Some(Family {
+        residuals: system.residuals.clone(),
+        covariance: DMatrix::identity(rows, rows) - hat,
+        groups: (0..rows / 3)
+            .map(|nest| Group { rows: 3 * nest..3 * nest + 3, kind: Kind::Nest(station, nest) })
+            .collect(),
+    })
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,299 @@
+//! What an identification returns.
+
+use nalgebra::DMatrix;
+use thiserror::Error;
+
+use super::limits::shown;
+use super::{CONTRADICTION_LEVEL, CalibratedRobot, Contradiction, DependentGroup, ParameterBound, Spectrum};
+use calibrig_model::{ParameterId, Unit};
+
+/// One identified parameter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ParameterEstimate {
+    /// Which.
+    pub id: ParameterId,
+    /// Deviation from the nominal (links), prior (frame), stated (target) or predicted (compliances) value, SI.
+    pub value: f64,
+    /// Standard deviation, SI; `None` where the system is singular.
+    pub sigma: Option<f64>,
+    /// Standard deviation of its own zero-mean prior, SI; `None` where it has none. Frame and target share theirs with others.
+    pub prior_sigma: Option<f64>,
+}
+
+/// Why the solver stopped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum TerminationReason {
+    /// The gradient vanished within its tolerance.
+    SmallGradient,
+    /// The step became negligible against the parameters' scale.
+    SmallStep,
+    /// The decrease of the cost became negligible.
+    SmallDecrease,
+    /// The iteration limit was reached first: not converged.
+    IterationLimit,
+    /// No damping led to a lower cost: not converged.
+    NoDecrease,
+    /// The cost or its derivatives stopped being finite numbers: not converged.
+    NotFinite,
+}
+
+impl TerminationReason {
+    /// Whether the minimum was reached.
+    pub fn converged(self) -> bool {
+        matches!(self, Self::SmallGradient | Self::SmallStep | Self::SmallDecrease)
+    }
+
+    /// What happened, for people.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::SmallGradient => "the gradient vanished",
+            Self::SmallStep => "the step became negligible",
+            Self::SmallDecrease => "the decrease became negligible",
+            Self::IterationLimit => "the iteration limit was reached",
+            Self::NoDecrease => "no step led downhill",
+            Self::NotFinite => "the cost stopped being finite",
+        }
+    }
+
+    /// The key in JSON and recordings.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::SmallGradient => "small_gradient",
+            Self::SmallStep => "small_step",
+            Self::SmallDecrease => "small_decrease",
+            Self::IterationLimit => "iteration_limit",
+            Self::NoDecrease => "no_decrease",
+            Self::NotFinite => "not_finite",
+        }
+    }
+}
+
+/// One iteration of the solver.
+#[derive(Debug, Clone, PartialEq)]
+pub struct IterationRecord {
+    /// Weighted sum of squares after the iteration.
+    pub cost: f64,
+    /// Levenberg-Marquardt damping that was tried.
+    pub damping: f64,
+    /// Norm of the scaled step.
+    pub step: f64,
+    /// Actual over predicted decrease; 1 for a last, negligible step that was taken without another look at the cost.
+    pub gain: f64,
+    /// Whether the step was taken.
+    pub accepted: bool,
+    /// The parameters after the iteration, in the estimate's order, SI; those before it where the step was not taken.
+    pub parameters: Vec<f64>,
+}
+
+/// Where the standard deviations get their scale from.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum NoiseScale {
+    /// From the covariances stated with the readings.
+    Stated,
+    /// From the residuals: the readings state none. Standard deviation of one coordinate, m.
+    Residuals(f64),
+}
+
+/// What a user must know of an estimate before trusting it.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum Warning {
+    /// The solver stopped before the minimum.
+    #[error("not converged: {}", .0.key())]
+    NotConverged(TerminationReason),
+    /// The parameters cannot all be determined.
+    #[error("rank {rank} of {parameters} parameters: {} cannot be told apart", .groups.join("; "))]
+    RankDeficient {
+        /// Numerical rank.
+        rank: usize,
+        /// Number of parameters.
+        parameters: usize,
+        /// Dependent groups by name.
+        groups: Vec<String>,
+    },
+    /// A combination that the data hardly excite.
+    #[error("weak direction ({singular_value:.1e} of the largest): {direction}")]
+    Weak {
+        /// Scaled singular value over the largest.
+        singular_value: f64,
+        /// The combination in words.
+        direction: String,
+    },
+    /// Parameters that are left to their priors.
+    #[error(
+        "the measurements alone cannot tell {} from others: what is printed of them is their prior's", .groups.join("; ")
+    )]
+    HeldByPrior {
+        /// Dependent groups by name.
+        groups: Vec<String>,
+    },
+    /// Parameters that are left out.
+    #[error("left at the nominal value, because the measurements cannot tell them from others: {}", .groups.join("; "))]
+    Fixed {
+        /// Dependent groups by name.
+        groups: Vec<String>,
+    },
+    /// A compliance that was asked for.
+    #[error(
+        "gravity hardly loads {name} in these poses, or loads it always alike: its value is its prior's. Leave it out, or measure poses or payloads that load it differently"
+    )]
+    Unexcited {
+        /// Name of the parameter.
+        name: String,
+    },
+    /// A parameter that is as far as it may go.
+    #[error(
+        "{name} ended at its bound {}: the measurements ask for a value beyond it, so that the bound or its nominal value is off, or the \
+         model lacks something", shown(*.unit, *.bound)
+    )]
+    AtBound {
+        /// Name of the parameter.
+        name: String,
+        /// Its limit, SI.
+        bound: f64,
+        /// The unit.
+        unit: Unit,
+    },
+    /// A bound of a parameter that is not fitted.
+    #[error(
+        "the bound of {bound} has no effect: the measurements do not show that parameter, and it was left out of the fit"
+    )]
+    UnusedBound {
+        /// The bound.
+        bound: ParameterBound,
+    },
+    /// Priors that do not fit the measurements, and nests that do not fit each other.
+    #[error(
+        "the measurements contradict what was stated of {}. Check these values and their standard deviations; where they are certain, the \
+         model lacks what would have to give way instead (tested at a level of {} % for all that was stated)",
+        in_words(.0), 1e2 * CONTRADICTION_LEVEL
+    )]
+    Contradicted(Vec<Contradiction>),
+    /// A station that the measurements of the robot put elsewhere than its nests.
+    #[error(
+        "the measurements contradict {0}: the tracker moved against the base after they were measured, or the model lacks something \
+         that a shift of the base stands in for"
+    )]
+    Moved(Contradiction),
+    /// Priors that do not fit the measurements, where these do not fit the model either.
+    #[error(
+        "the measurements contradict what was stated of {worst}{}, too: as the model lacks something, that may be all there is to it; \
+         complete the model before doubting what was stated", and_more(*.count)
+    )]
+    Strained {
+        /// Their number.
+        count: usize,
+        /// The one that fits worst.
+        worst: Contradiction,
+    },
+    /// A compliance that ended at none at all.
+    #[error(
+        "{name} ended at its bound -1: no compliance can be seen there, rigid fits best, which may hide what the model lacks"
+    )]
+    Rigid {
+        /// Name of the parameter.
+        name: String,
+    },
+    /// Observations far off the others.
+    #[error("far off the others: {}", poses_in_words(.0))]
+    Outliers(Vec<Outlier>),
+    /// The starts led to several minima.
+    #[error("{minima} minima were found, and the lowest is given: another start could find a lower one")]
+    SeveralMinima {
+        /// Their number.
+        minima: u32,
+    },
+    /// The residuals are larger than the stated noise explains.
+    #[error(
+        "the residuals are {ratio:.1} times what the stated noise explains: the model lacks something, and the standard deviations do not include it"
+    )]
+    Inconsistent {
+        /// Square root of chi-square per degree of freedom.
+        ratio: f64,
+    },
+}
+
+fn in_words(contradictions: &[Contradiction]) -> String {
+    contradictions.iter().map(ToString::to_string).collect::<Vec<_>>().join(", and of ")
+}
+
+fn and_more(count: usize) -> String {
+    if count > 1 { format!(" and of {} more", count - 1) } else { String::new() }
+}
+
+fn poses_in_words(outliers: &[Outlier]) -> String {
+    let words = |o: &Outlier| format!("pose {} ({:.1} sigma, weight {:.2})", o.pose, o.size, o.weight);
+    outliers.iter().map(words).collect::<Vec<_>>().join(", ")
+}
+
+/// An observation that a robust loss found to be far off the others.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Outlier {
+    /// Number of its pose.
+    pub pose: u32,
+    /// Index of the observation in its set.
+    pub observation: usize,
+    /// Length of its residual, in standard deviations of a coordinate.
+    pub size: f64,
+    /// What it still counts for, from 1 down to 0.
+    pub weight: f64,
+}
+
+/// The result of an identification. Non-convergence and rank deficiency are in here as data, not errors.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Estimate {
+    /// The robot as identified.
+    pub robot: CalibratedRobot,
+    /// The parameters in the column order of the covariance.
+    pub parameters: Vec<ParameterEstimate>,
+    /// Covariance of the parameters (m², m rad, rad²), zero for those at a bound; `None` from a singular system.
+    pub covariance: Option<DMatrix<f64>>,
+    /// What scales the covariance.
+    pub noise: NoiseScale,
+    /// Weighted sum of squares at the minimum, priors included.
+    pub chi2: f64,
+    /// Rows (data and priors) minus parameters.
+    pub degrees_of_freedom: usize,
+    /// Why the solver stopped.
+    pub termination: TerminationReason,
+    /// Its history.
+    pub iterations: Vec<IterationRecord>,
+    /// Rank, condition and weak directions of the scaled system, without the links' making tolerance.
+    pub spectrum: Spectrum,
+    /// Parameters that the measurements alone, with nests and target, cannot tell from others, and that rest on their priors.
+    pub held: Vec<DependentGroup>,
+    /// Parameters that were left out of the fit for the same reason.
+    pub fixed: Vec<DependentGroup>,
+    /// Stated bounds of the parameters that were fitted.
+    pub bounds: Vec<ParameterBound>,
+    /// Parameters that ended at a bound.
+    pub at_bound: Vec<ParameterId>,
+    /// What was stated beforehand and does not fit the measurements, although these fit the model.
+    pub contradicted: Vec<Contradiction>,
+    /// Observations beyond five standard deviations; known where a robust loss was asked for.
+    pub outliers: Vec<Outlier>,
+    /// What a user must know.
+    pub warnings: Vec<Warning>,
+}
+
+impl Estimate {
+    /// Chi-square per degree of freedom, about 1 where model and stated noise are right.
+    pub fn chi2_per_dof(&self) -> Option<f64> {
+        (self.degrees_of_freedom > 0).then(|| self.chi2 / self.degrees_of_freedom as f64)
+    }
+
+    /// Whether it may be used without a second look: converged, of full rank, at no bound, and not against what was
+    /// stated beforehand.
+    pub fn is_sound(&self) -> bool {
+        self.termination.converged()
+            && self.spectrum.rank == self.parameters.len()
+            && self.at_bound.is_empty()
+            && self.contradicted.is_empty()
+    }
+
+    /// The value of a parameter, if it was identified.
+    pub fn value(&self, id: ParameterId) -> Option<f64> {
+        self.parameters.iter().find(|p| p.id == id).map(|p| p.value)
+    }
+}

@@ -1,0 +1,110 @@
+//! A complete set of independent parameters for any chain, by rank.
+
+use nalgebra::Vector3;
+
+use super::rank::{RANK_TOLERANCE, analyse_columns, select_in_rounds};
+use super::{IdentifiabilityReport, neighbour_axis_rules};
+use crate::kinematics::stacked_jacobian;
+use calibrig_model::{CraigLink, JointKind, KinematicModel, LinkTerm, ParameterId};
+
+/// Parameters that stand out less than this from those before them wait until all others had their chance: axes that are parallel
+/// to within some 10 mrad are to be described by Hayati's beta, not by a pair of d that all but replace each other.
+const CLEARLY_INDEPENDENT: f64 = 1e-2;
+
+/// Selects a complete independent set by the structure of the nominal chain: at [`structural_poses`], with a target in general
+/// position.
+///
+/// Order of preference: the frame and the target where they are free; of a, alpha, d and theta those that [`neighbour_axis_rules`]
+/// keeps, link by link, then the others; beta last, those of parallel axes first. So beta is taken only where the others are not enough.
+pub fn complete_set(model: &KinematicModel, frame_free: bool, target_free: bool) -> IdentifiabilityReport {
+    let candidates = candidates(model, frame_free, target_free);
+    let poses = structural_poses(model, candidates.len());
+    let target = generic_target(model);
+    let jacobian = stacked_jacobian(model, &poses, &target, &candidates);
+    let (kept, dependent) = select_in_rounds(&jacobian, &[CLEARLY_INDEPENDENT, RANK_TOLERANCE], &candidates);
+    let kept: Vec<_> = kept.into_iter().map(|column| candidates[column]).collect();
+    let selected = in_table_order(model, &kept);
+    let spectrum = analyse_columns(&stacked_jacobian(model, &poses, &target, &selected), &selected);
+    IdentifiabilityReport { candidates, selected, spectrum, dependent }
+}
+
+/// [`complete_set`], with the spectrum that it has at `poses` (joint variables, one vector a pose) and for a target at `target` (flange
+/// frame, m): what the structure allows and these measurements would miss is in `spectrum`.
+pub fn identifiability(
+    model: &KinematicModel,
+    poses: &[Vec<f64>],
+    target: &Vector3<f64>,
+    frame_free: bool,
+    target_free: bool,
+) -> IdentifiabilityReport {
+    let mut report = complete_set(model, frame_free, target_free);
+    let jacobian = stacked_jacobian(model, poses, target, &report.selected);
+    report.spectrum = analyse_columns(&jacobian, &report.selected);
+    report
+}
+
+/// Poses inside the joint limits that fill them evenly: the same for every call, and in no special place.
+///
+/// The additive recurrence of M. Roberts, "The unreasonable effectiveness of quasirandom sequences" (2018), with the generalised golden
+/// ratio of as many dimensions as joints. A joint without finite limits takes a full turn or two metres about zero.
+pub fn structural_poses(model: &KinematicModel, count: usize) -> Vec<Vec<f64>> {
+    let ratio = generalised_golden_ratio(model.joint_count());
+    (1..=count)
+        .map(|pose| {
+            let mut step = 1.0;
+            let joint = |link: &CraigLink| {
+                step /= ratio;
+                let [lowest, highest] = finite_limits(link);
+                lowest + (0.5 + pose as f64 * step).fract() * (highest - lowest)
+            };
+            model.links.iter().map(joint).collect()
+        })
+        .collect()
+}
+
+/// A target off every axis, at a distance that its turning about them shows well.
+pub(super) fn generic_target(model: &KinematicModel) -> Vector3<f64> {
+    0.2 * model.characteristic_length() * Vector3::new(0.53, -0.37, 0.61)
+}
+
+fn finite_limits(link: &CraigLink) -> [f64; 2] {
+    let half = match link.kind {
+        JointKind::Revolute => std::f64::consts::PI,
+        JointKind::Prismatic => 1.0,
+    };
+    if link.limits.iter().all(|l| l.is_finite()) { link.limits } else { [-half, half] }
+}
+
+/// The root above one of `x^(d+1) = x + 1`, by fixed-point iteration.
+fn generalised_golden_ratio(dimensions: usize) -> f64 {
+    let exponent = 1.0 / (dimensions as f64 + 1.0);
+    (0..64).fold(2.0, |x: f64, _| (1.0 + x).powf(exponent))
+}
+
+fn candidates(model: &KinematicModel, frame_free: bool, target_free: bool) -> Vec<ParameterId> {
+    let mut order = Vec::new();
+    if frame_free {
+        order.extend(ParameterId::all_of_frame(0));
+    }
+    if target_free {
+        order.extend(ParameterId::all_of_target(0));
+    }
+    let (by_rules, _) = neighbour_axis_rules(model);
+    let is_beta = |id: &ParameterId| matches!(id, ParameterId::Link { term: LinkTerm::Beta, .. });
+    let (betas, others): (Vec<_>, Vec<_>) =
+        ParameterId::all_of_links(model.joint_count()).into_iter().partition(is_beta);
+    for group in [others, betas] {
+        let (first, then): (Vec<_>, Vec<_>) = group.into_iter().partition(|id| by_rules.contains(id));
+        order.extend(first);
+        order.extend(then);
+    }
+    order
+}
+
+fn in_table_order(model: &KinematicModel, chosen: &[ParameterId]) -> Vec<ParameterId> {
+    let mut all = ParameterId::all_of_links(model.joint_count());
+    all.extend(ParameterId::all_of_frame(0));
+    all.extend(ParameterId::all_of_target(0));
+    all.retain(|id| chosen.contains(id));
+    all
+}

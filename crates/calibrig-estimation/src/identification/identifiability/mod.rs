@@ -1,0 +1,105 @@
+//! Rank, dependent groups and weak directions: what measurements of a target can and cannot tell of a chain.
+//!
+//! Two ways lead to the same answer: [`neighbour_axis_rules`] reads it off the table of the robot, [`complete_set`] and
+//! [`select_independent`] find it from the rank of the Jacobian.
+
+mod complete;
+mod explain;
+mod rank;
+mod rules;
+#[cfg(test)]
+mod tests;
+
+pub use complete::{complete_set, identifiability, structural_poses};
+pub use explain::{Explanation, Finding, Remedy, explain};
+pub use rank::{RANK_TOLERANCE, WEAK_TOLERANCE, analyse_columns, analyse_r, select_independent};
+pub use rules::neighbour_axis_rules;
+
+use std::fmt;
+
+use calibrig_model::ParameterId;
+
+/// Singular values of the column-scaled system and what they mean. Every column is divided by its norm first, so that metres and
+/// radians compare.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Spectrum {
+    /// Numerical rank: singular values above [`RANK_TOLERANCE`] of the largest.
+    pub rank: usize,
+    /// Largest over smallest scaled singular value (infinite where the rank is deficient).
+    pub condition: f64,
+    /// Scaled singular values, largest first; not numbers where the system holds one that is none.
+    pub singular_values: Vec<f64>,
+    /// Directions that the data determine, but poorly, best first.
+    pub weak: Vec<WeakDirection>,
+    /// Groups of which only combinations are determined.
+    pub dependent: Vec<DependentGroup>,
+}
+
+/// A combination of parameters with a small singular value: below [`WEAK_TOLERANCE`] of the largest, above [`RANK_TOLERANCE`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct WeakDirection {
+    /// Scaled singular value over the largest.
+    pub singular_value: f64,
+    /// The leading members and their weights in the right singular vector of the scaled system, largest first, the first positive.
+    pub members: Vec<(ParameterId, f64)>,
+}
+
+/// Parameters whose effects on the measurements are linearly dependent: `redundant` does what a combination of `with` does.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DependentGroup {
+    /// The parameter that adds nothing to the others.
+    pub redundant: ParameterId,
+    /// The ones that can stand in for it, with the coefficients (SI) of the combination; empty where it has no effect at all.
+    pub with: Vec<(ParameterId, f64)>,
+    /// What the combination still moves: norm of the scaled system times its unit vector; zero from the rules.
+    pub singular_value: f64,
+}
+
+/// What can be identified of a chain.
+#[derive(Debug, Clone, PartialEq)]
+pub struct IdentifiabilityReport {
+    /// Candidates that the analysis started from, the preferred ones first.
+    pub candidates: Vec<ParameterId>,
+    /// A complete independent set: link parameters in table order, then frame, then target.
+    pub selected: Vec<ParameterId>,
+    /// Spectrum of the selected set. Its dependent groups are what the poses or the target fail to tell, not the structure.
+    pub spectrum: Spectrum,
+    /// The candidates that were left out, with what they depend on in every pose and for every target.
+    pub dependent: Vec<DependentGroup>,
+}
+
+impl IdentifiabilityReport {
+    /// The selected parameters less those that the poses or the target leave undetermined.
+    pub fn determined(&self) -> Vec<ParameterId> {
+        let lost = |id: &ParameterId| self.spectrum.dependent.iter().any(|group| group.redundant == *id);
+        self.selected.iter().copied().filter(|id| !lost(id)).collect()
+    }
+}
+
+impl fmt::Display for DependentGroup {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.redundant)?;
+        if self.with.is_empty() {
+            return f.write_str(" without effect");
+        }
+        for (place, (id, _)) in self.with.iter().enumerate() {
+            write!(f, "{}{id}", if place == 0 { " with " } else { ", " })?;
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for WeakDirection {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (place, (id, weight)) in self.members.iter().enumerate() {
+            let sign = match (place, *weight < 0.0) {
+                (0, false) => "",
+                (0, true) => "-",
+                (_, false) => " + ",
+                (_, true) => " - ",
+            };
+            write!(f, "{sign}{:.2} {id}", weight.abs())?;
+        }
+        Ok(())
+    }
+}

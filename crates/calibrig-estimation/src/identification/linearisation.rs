@@ -1,0 +1,104 @@
+//! The whitened system at an estimate, for what is read from it: uncertainty, leverage, residual patterns.
+
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+
+use super::build::{UNSTATED_SIGMA, rebuild};
+use super::problem::CalibrationProblem;
+use super::{Estimate, IdentificationOptions, IdentifyError, LeastSquares, NoiseScale, PositionJacobian};
+use calibrig_model::CalibrationModel;
+use calibrig_model::measurement::{MeasurementSet, Observation};
+
+/// Residuals and Jacobian of a fit at its estimate. A residual of 1 is one standard deviation.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Linearisation {
+    /// m x n, in the order of the estimate's parameters; rows of the observations, then of nests and target, then of the other priors.
+    pub jacobian: DMatrix<f64>,
+    /// Predicted minus measured, and the priors; m.
+    pub residuals: DVector<f64>,
+    /// The first rows: three an observation.
+    pub data_rows: usize,
+    /// One an observation: takes a displacement of its target in the base frame, m, to standard deviations.
+    pub whitening: Vec<Matrix3<f64>>,
+}
+
+/// Where a target is predicted to be, in the base frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Prediction {
+    /// m
+    pub position: Vector3<f64>,
+    /// Its derivative with respect to the estimate's parameters. The tracker's place is not in it: the base frame is the robot's own.
+    pub jacobian: PositionJacobian,
+}
+
+/// The system that `estimate` solves, evaluated where it ended: with the noise that it was given or found, and without the weights of a
+/// robust loss.
+///
+/// # Errors
+///
+/// [`IdentifyError`], where the estimate does not belong to model, set and options.
+pub fn linearise(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    estimate: &Estimate,
+) -> Result<Linearisation, IdentifyError> {
+    let (mut problem, x) = solved(model, set, options, estimate)?;
+    let (m, n) = (problem.rows(), problem.parameters());
+    let mut linearisation = Linearisation {
+        jacobian: DMatrix::zeros(m, n),
+        residuals: DVector::zeros(m),
+        data_rows: 3 * problem.rows.len(),
+        whitening: Vec::new(),
+    };
+    problem.evaluate(&x, &mut linearisation.residuals, Some(&mut linearisation.jacobian));
+    linearisation.whitening = (0..problem.rows.len()).map(|row| problem.whitening(row)).collect();
+    Ok(linearisation)
+}
+
+/// What the identified robot predicts for `observations`, which need not have been measured: their readings are not looked at. `None` for
+/// a pose that it cannot take.
+///
+/// # Errors
+///
+/// [`IdentifyError`], where the estimate does not belong to model, set and options.
+pub fn predict(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    estimate: &Estimate,
+    observations: &[Observation],
+) -> Result<Vec<Option<Prediction>>, IdentifyError> {
+    let (mut problem, x) = solved(model, set, options, estimate)?;
+    problem.set(&x);
+    let predicted = observations.iter().map(|observation| {
+        let (position, jacobian) = problem.predict(observation)?;
+        Some(Prediction { position, jacobian })
+    });
+    Ok(predicted.collect())
+}
+
+/// The problem that `estimate` solves, and its parameters.
+fn solved(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    estimate: &Estimate,
+) -> Result<(CalibrationProblem, Vec<f64>), IdentifyError> {
+    let kept: Vec<_> = estimate.parameters.iter().map(|p| p.id).collect();
+    let mut problem = rebuild(model, set, options, &kept)?;
+    if problem.parameters != kept {
+        let names = problem.parameters.iter().chain(&kept);
+        let foreign = names.filter(|id| !(problem.parameters.contains(id) && kept.contains(id)));
+        let name = foreign.map(ToString::to_string).collect::<Vec<_>>().join(", ");
+        return Err(IdentifyError::UnknownParameter { name });
+    }
+    if let NoiseScale::Residuals(sigma) = estimate.noise
+        && sigma > 0.0
+        && sigma.is_finite()
+    {
+        for row in &mut problem.rows {
+            row.whitening *= UNSTATED_SIGMA / sigma;
+        }
+    }
+    Ok((problem, estimate.parameters.iter().map(|p| p.value).collect()))
+}

@@ -1,0 +1,264 @@
+//! What stands behind a prediction: the chain of a mode, placed at one observation after the other.
+
+use nalgebra::Vector3;
+
+use super::Mode;
+use crate::elastostatics::{Deflection, ElasticChain, ElasticError};
+use crate::kinematics::{PlacedChain, link_frames};
+use calibrig_model::geometry::Transform;
+use calibrig_model::measurement::Observation;
+use calibrig_model::{
+    ActuatorMap, CalibrationModel, CraigLink, KinematicModel, ParameterId, TermId, TermInput, TermPlace,
+};
+
+/// Why a robot cannot take a pose.
+pub type MachineError = ElasticError;
+
+/// The robot of a mode: given a [model](Self::set_model), [placed](Self::place) at what an observation was told, then asked for the
+/// target and, after [`differentiate`](Self::differentiate), for columns of the Jacobian.
+#[derive(Debug, Clone)]
+pub(super) struct Machine {
+    nominal: CalibrationModel,
+    kind: Kind,
+    terms: Terms,
+}
+
+#[derive(Debug, Clone)]
+#[allow(clippy::large_enum_variant, reason = "one a fit: a pointer more would be followed at every pose")]
+enum Kind {
+    /// Joints that follow the ideal map of the commands, with the predicted deflection of their drives where there is one.
+    Joints { chain: PlacedChain, predicted: Option<ElasticChain>, joints: Vec<f64> },
+    /// The same with deflections beside the drives: those that are `predicted`, put into the chain with the `ideal` map.
+    Frozen { chain: PlacedChain, ideal: ElasticChain, predicted: ElasticChain },
+    /// The robot's own equilibrium, the linkage closed.
+    Elastic { chain: ElasticChain },
+}
+
+/// An observation as the machine needs it.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Prepared {
+    /// Joint variables, or commands where the machine is elastic.
+    command: Vec<f64>,
+    /// Motion behind the fixed part of every link, where its deflections do not change with the parameters.
+    motions: Vec<Transform>,
+    /// Displacement per unit of every term's amplitude.
+    basis: Vec<f64>,
+}
+
+/// Terms, and the places that they displace.
+#[derive(Debug, Clone, Default)]
+struct Terms {
+    ids: Vec<TermId>,
+    amplitudes: Vec<f64>,
+    /// Of every term, the index of its place.
+    place: Vec<usize>,
+    /// Displacement of every place.
+    corrections: Vec<(TermPlace, f64)>,
+    /// Change of the target per unit of displacement of every place, and per unit of amplitude of every term.
+    place_columns: Vec<Vector3<f64>>,
+    columns: Vec<Vector3<f64>>,
+}
+
+impl Machine {
+    /// The machine of `mode`, at the nominal model and without terms.
+    pub fn new(mode: Mode, nominal: &CalibrationModel) -> Self {
+        let kind = if mode.is_coupled() {
+            Kind::Elastic { chain: ElasticChain::new(nominal) }
+        } else {
+            let predicted =
+                (mode == Mode::WithGravity && nominal.statics.is_some()).then(|| ElasticChain::new(nominal));
+            match predicted {
+                Some(predicted) if !is_elastic_in_drives_alone(nominal) => {
+                    let ideal = ElasticChain::new(&with_ideal_map(nominal));
+                    Kind::Frozen { chain: PlacedChain::new(&nominal.kinematics), ideal, predicted }
+                }
+                predicted => Kind::Joints {
+                    chain: PlacedChain::new(&nominal.kinematics),
+                    predicted,
+                    joints: vec![0.0; nominal.kinematics.joint_count()],
+                },
+            }
+        };
+        Self { nominal: nominal.clone(), kind, terms: Terms::default() }
+    }
+
+    /// Takes terms, in the order in which amplitudes and basis functions are given from now on. Only the coupled modes have any.
+    pub fn set_terms(&mut self, ids: impl Iterator<Item = TermId>) {
+        let mut terms = Terms { ids: ids.collect(), ..Terms::default() };
+        for id in &terms.ids {
+            let known = terms.corrections.iter().position(|(place, _)| *place == id.place());
+            terms.place.push(known.unwrap_or(terms.corrections.len()));
+            if known.is_none() {
+                terms.corrections.push((id.place(), 0.0));
+            }
+        }
+        terms.amplitudes = vec![0.0; terms.ids.len()];
+        terms.columns = vec![Vector3::zeros(); terms.ids.len()];
+        terms.place_columns = vec![Vector3::zeros(); terms.corrections.len()];
+        self.terms = terms;
+    }
+
+    /// Takes the values of a model of the same structure as the nominal one, and the terms' amplitudes.
+    pub fn set_model(&mut self, model: &CalibrationModel, amplitudes: impl Iterator<Item = f64>) {
+        match &mut self.kind {
+            Kind::Joints { chain, .. } | Kind::Frozen { chain, .. } => chain.set_model(&model.kinematics),
+            Kind::Elastic { chain } => chain.set_model(model),
+        }
+        for (own, amplitude) in self.terms.amplitudes.iter_mut().zip(amplitudes) {
+            *own = amplitude;
+        }
+    }
+
+    /// What of an observation does not change with the parameters.
+    pub fn prepare(&mut self, observation: &Observation) -> Result<Prepared, MachineError> {
+        let mut told = Prepared { command: observation.command.clone(), ..Prepared::default() };
+        match &mut self.kind {
+            Kind::Joints { predicted, joints, .. } => {
+                self.nominal.actuators.joints_from_command(&observation.command, joints);
+                if let Some(predicted) = predicted {
+                    predicted.settle(&observation.command, &[], Deflection::Equilibrium)?;
+                    for (q, deflection) in joints.iter_mut().zip(predicted.deflections()) {
+                        *q += deflection;
+                    }
+                }
+                told.command.copy_from_slice(joints);
+            }
+            Kind::Frozen { ideal, predicted, .. } => {
+                predicted.settle(&observation.command, &[], Deflection::Equilibrium)?;
+                ideal.settle_at(&observation.command, &[], predicted.deflections())?;
+                told.motions = motions(&self.nominal.kinematics, ideal.link_frames());
+            }
+            Kind::Elastic { .. } => {
+                let input = TermInput {
+                    command: &observation.command,
+                    approach: &observation.approach,
+                    temperature: observation.temperature,
+                    time: observation.time,
+                };
+                told.basis.extend(self.terms.ids.iter().map(|id| id.basis(&self.nominal, &input)));
+            }
+        }
+        Ok(told)
+    }
+
+    /// Goes where the observation was told to go.
+    pub fn place(&mut self, told: &Prepared) -> Result<(), MachineError> {
+        match &mut self.kind {
+            Kind::Joints { chain, .. } => chain.place(&told.command),
+            Kind::Frozen { chain, .. } => chain.place_at(&told.motions),
+            Kind::Elastic { chain } => {
+                self.terms.displace(&told.basis);
+                chain.settle(&told.command, &self.terms.corrections, Deflection::Equilibrium)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// [`place`](Self::place) at an observation that was not prepared.
+    pub fn place_observation(&mut self, observation: &Observation) -> Result<Prepared, MachineError> {
+        let told = self.prepare(observation)?;
+        self.place(&told)?;
+        Ok(told)
+    }
+
+    /// Position in the base frame of a target at `in_flange`, m.
+    pub fn target(&self, in_flange: &Vector3<f64>) -> Vector3<f64> {
+        match &self.kind {
+            Kind::Joints { chain, .. } | Kind::Frozen { chain, .. } => chain.target(in_flange),
+            Kind::Elastic { chain } => chain.target(in_flange),
+        }
+    }
+
+    /// Makes the columns of that target ready.
+    pub fn differentiate(&mut self, in_flange: &Vector3<f64>, told: &Prepared) -> Result<(), MachineError> {
+        match &mut self.kind {
+            Kind::Joints { .. } | Kind::Frozen { .. } => {}
+            Kind::Elastic { chain } => {
+                chain.prepare(in_flange)?;
+                self.terms.differentiate(chain, &told.basis);
+            }
+        }
+        Ok(())
+    }
+
+    /// Change of the target at `in_base` per unit of a parameter of links, target, compliances, masses or linkage, in the base frame.
+    pub fn column(&self, id: ParameterId, in_base: &Vector3<f64>) -> Vector3<f64> {
+        match &self.kind {
+            Kind::Joints { chain, .. } | Kind::Frozen { chain, .. } => chain.column(id, in_base),
+            Kind::Elastic { chain } => chain.column(id),
+        }
+    }
+
+    /// The same per unit of a term's amplitude, by its place in the order of the terms.
+    pub fn term_column(&self, term: usize) -> Vector3<f64> {
+        self.terms.columns[term]
+    }
+
+    /// `base_from_link` of every link at the observation that was placed last; `kinematics` is the model's.
+    pub fn links(&self, told: &Prepared, kinematics: &KinematicModel) -> Vec<Transform> {
+        match &self.kind {
+            Kind::Joints { .. } => link_frames(kinematics, &told.command),
+            Kind::Frozen { .. } => frames_behind(kinematics, &told.motions),
+            Kind::Elastic { chain } => chain.link_frames().to_vec(),
+        }
+    }
+}
+
+impl Terms {
+    fn displace(&mut self, basis: &[f64]) {
+        for (_, displacement) in &mut self.corrections {
+            *displacement = 0.0;
+        }
+        for ((place, amplitude), basis) in self.place.iter().zip(&self.amplitudes).zip(basis) {
+            self.corrections[*place].1 += amplitude * basis;
+        }
+    }
+
+    fn differentiate(&mut self, chain: &ElasticChain, basis: &[f64]) {
+        for (column, (place, _)) in self.place_columns.iter_mut().zip(&self.corrections) {
+            *column = chain.column_of_place(*place);
+        }
+        for ((column, place), basis) in self.columns.iter_mut().zip(&self.place).zip(basis) {
+            *column = *basis * self.place_columns[*place];
+        }
+    }
+}
+
+/// What is behind the fixed part of every link of a chain with these `frames` (`base_from_link`).
+fn motions(kinematics: &KinematicModel, frames: &[Transform]) -> Vec<Transform> {
+    let mut previous = Transform::identity();
+    let links = kinematics.links.iter().zip(frames);
+    let motion = |(link, frame): (&CraigLink, &Transform)| {
+        let motion = (previous * link.fixed_part()).inverse() * frame;
+        previous = *frame;
+        motion
+    };
+    links.map(motion).collect()
+}
+
+/// The inverse of [`motions`].
+fn frames_behind(kinematics: &KinematicModel, motions: &[Transform]) -> Vec<Transform> {
+    let mut base_from_link = Transform::identity();
+    let links = kinematics.links.iter().zip(motions);
+    let frame = |(link, motion): (&CraigLink, &Transform)| {
+        base_from_link *= link.fixed_part() * motion;
+        base_from_link
+    };
+    links.map(frame).collect()
+}
+
+/// Whether the drives, and the four-bar's rod behind the elbow's, are all that yields.
+fn is_elastic_in_drives_alone(model: &CalibrationModel) -> bool {
+    use calibrig_model::Compliance;
+    let of_drives = |c: &Compliance| matches!(c, Compliance::Drive { .. } | Compliance::Rod);
+    model.compliances().iter().all(of_drives)
+}
+
+/// The model with the exact parallelogram in place of the four-bar.
+fn with_ideal_map(model: &CalibrationModel) -> CalibrationModel {
+    let mut ideal = model.clone();
+    if let ActuatorMap::Parallelogram { linkage, .. } = &mut ideal.actuators {
+        *linkage = None;
+    }
+    ideal
+}

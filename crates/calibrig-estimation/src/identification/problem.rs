@@ -1,0 +1,314 @@
+//! The weighted residuals of a measurement set, and their Jacobian.
+
+use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3, Vector6};
+
+use super::machine::{Machine, MachineError, Prepared};
+use super::{LeastSquares, PositionJacobian};
+use crate::elastostatics::apply;
+use calibrig_model::geometry::{Transform, cross_matrix, small_displacement};
+use calibrig_model::measurement::Observation;
+use calibrig_model::{CalibrationModel, ParameterId};
+
+/// One observation, ready for the fit.
+#[derive(Debug, Clone)]
+pub(super) struct Row {
+    /// Number of the pose.
+    pub pose: u32,
+    /// What the robot was told.
+    pub told: Prepared,
+    /// Measured position in the tracker's frame, m.
+    pub seen: Vector3<f64>,
+    /// Inverse Cholesky factor of its covariance: turns a difference in metres into standard deviations.
+    pub whitening: Matrix3<f64>,
+    pub station: usize,
+    pub target: usize,
+}
+
+/// A Gaussian prior on consecutive parameters, zero mean.
+#[derive(Debug, Clone)]
+pub(super) struct Prior {
+    /// Column of its first parameter.
+    pub column: usize,
+    /// Inverse Cholesky factor of its covariance.
+    pub whitening: DMatrix<f64>,
+}
+
+/// Observations, priors and the model that joins them. All memory is taken when it is made; [`evaluate`](LeastSquares::evaluate)
+/// takes none. Where the robot cannot take a pose, its residual is not a number.
+#[derive(Debug, Clone)]
+pub(super) struct CalibrationProblem {
+    pub nominal: CalibrationModel,
+    pub parameters: Vec<ParameterId>,
+    /// In blocks of three coordinates, the first rows of the system.
+    pub rows: Vec<Row>,
+    /// The next rows: nests and targets.
+    pub priors: Vec<Prior>,
+    /// The next rows: (column, one over the standard deviation) of parameters with a prior of their own that is not the links' tolerance.
+    pub own_priors: Vec<(usize, f64)>,
+    /// The last rows: the same of the links' making tolerance.
+    pub tolerances: Vec<(usize, f64)>,
+    /// `tracker_from_base` that the frame parameters displace.
+    pub stations: Vec<Transform>,
+    /// Offsets that the target parameters change.
+    pub targets: Vec<Vector3<f64>>,
+    pub current: Current,
+    /// Residuals and Jacobian at zero, until they are asked for.
+    pub start: Option<(DVector<f64>, DMatrix<f64>)>,
+}
+
+/// The model at the parameters of one evaluation.
+#[derive(Debug, Clone)]
+pub(super) struct Current {
+    pub model: CalibrationModel,
+    pub stations: Vec<Transform>,
+    pub targets: Vec<Vector3<f64>>,
+    displacements: Vec<Displacement>,
+    amplitudes: Vec<f64>,
+    machine: Machine,
+}
+
+/// How a station's frame is displaced.
+#[derive(Debug, Clone, Copy)]
+struct Displacement {
+    xi: Vector6<f64>,
+    rotation: Rotation3<f64>,
+    left: Matrix3<f64>,
+}
+
+impl Displacement {
+    fn new(xi: Vector6<f64>) -> Self {
+        let rotation_vector = xi.fixed_rows::<3>(3).into_owned();
+        Self { xi, rotation: Rotation3::new(rotation_vector), left: left_jacobian(&rotation_vector) }
+    }
+}
+
+impl Current {
+    /// `machine` knows the terms, in the order of their parameters.
+    pub fn new(
+        nominal: &CalibrationModel,
+        machine: Machine,
+        stations: &[Transform],
+        targets: &[Vector3<f64>],
+    ) -> Self {
+        Self {
+            model: nominal.clone(),
+            stations: stations.to_vec(),
+            targets: targets.to_vec(),
+            displacements: vec![Displacement::new(Vector6::zeros()); stations.len()],
+            amplitudes: Vec::new(),
+            machine,
+        }
+    }
+}
+
+impl CalibrationProblem {
+    /// Puts the current model at `x`.
+    pub fn set(&mut self, x: &[f64]) {
+        let now = &mut self.current;
+        now.targets.copy_from_slice(&self.targets);
+        for displacement in &mut now.displacements {
+            displacement.xi.fill(0.0);
+        }
+        now.amplitudes.clear();
+        for (id, &value) in self.parameters.iter().zip(x) {
+            match *id {
+                ParameterId::Frame { station, component } => now.displacements[station].xi[component] = value,
+                ParameterId::Target { target, axis } => now.targets[target][axis] += value,
+                ParameterId::Term(_) => now.amplitudes.push(value),
+                ParameterId::Link { .. }
+                | ParameterId::Compliance(_)
+                | ParameterId::Mass { .. }
+                | ParameterId::Linkage(_) => apply(&mut now.model, &self.nominal, *id, value),
+            }
+        }
+        now.machine.set_model(&now.model, now.amplitudes.iter().copied());
+        let stations = now.stations.iter_mut().zip(&self.stations);
+        for ((station, origin), displacement) in stations.zip(&mut now.displacements) {
+            *station = origin * small_displacement(&displacement.xi);
+            *displacement = Displacement::new(displacement.xi);
+        }
+    }
+
+    /// Keeps what an evaluation at zero gave, for the next one there: the first rows of both are those of the observations, and the columns
+    /// those of the parameters.
+    pub fn start_from(&mut self, residuals: DVector<f64>, jacobian: DMatrix<f64>) {
+        let m = self.rows();
+        let mut residuals = residuals.resize_vertically(m, 0.0);
+        let mut jacobian = jacobian.resize_vertically(m, 0.0);
+        self.fill_priors(&vec![0.0; self.parameters.len()], &mut residuals, Some(&mut jacobian));
+        self.start = Some((residuals, jacobian));
+    }
+
+    /// Why the robot at the current parameters cannot take the pose of an observation: the pose's number, and the reason.
+    pub fn failure(&mut self, index: usize) -> Option<(u32, MachineError)> {
+        let row = &self.rows[index];
+        let now = &mut self.current;
+        let placed = now.machine.place(&row.told);
+        let ready = placed.and_then(|()| now.machine.differentiate(&now.targets[row.target], &row.told));
+        ready.err().map(|error| (row.pose, error))
+    }
+
+    /// At the current parameters, where the target of an observation is predicted to be in the base frame, m, and the derivative of that
+    /// place; `None` where the robot cannot take the pose, or where the observation is not of it.
+    pub fn predict(&mut self, observation: &Observation) -> Option<(Vector3<f64>, PositionJacobian)> {
+        let now = &mut self.current;
+        let target = now.targets.get(observation.target)?;
+        if observation.command.len() != now.model.kinematics.joint_count() {
+            return None;
+        }
+        let told = now.machine.place_observation(observation).ok()?;
+        now.machine.differentiate(target, &told).ok()?;
+        let in_base = now.machine.target(target);
+        let mut jacobian = PositionJacobian::zeros(self.parameters.len());
+        let mut term = 0;
+        for (mut column, id) in jacobian.column_iter_mut().zip(&self.parameters) {
+            column.copy_from(&in_base_column(&now.machine, *id, observation.target, &in_base, &mut term));
+        }
+        Some((in_base, jacobian))
+    }
+
+    /// Takes a displacement of an observation's target in the base frame, m, to standard deviations.
+    pub fn whitening(&self, index: usize) -> Matrix3<f64> {
+        let row = &self.rows[index];
+        row.whitening * self.current.stations[row.station].rotation.matrix()
+    }
+
+    /// Rows of observations, nests and targets.
+    pub fn measured_rows(&self) -> usize {
+        let priors: usize = self.priors.iter().map(|p| p.whitening.nrows()).sum();
+        3 * self.rows.len() + priors
+    }
+
+    fn fill_observation(
+        &mut self,
+        index: usize,
+        residuals: &mut DVector<f64>,
+        jacobian: Option<&mut DMatrix<f64>>,
+    ) {
+        let row = &self.rows[index];
+        let now = &mut self.current;
+        let target = &now.targets[row.target];
+        let ready = now.machine.place(&row.told).and_then(|()| match jacobian {
+            Some(_) => now.machine.differentiate(target, &row.told),
+            None => Ok(()),
+        });
+        if ready.is_err() {
+            residuals.fixed_rows_mut::<3>(3 * index).fill(f64::NAN);
+            return;
+        }
+        let in_base = now.machine.target(target);
+        let tracker_from_base = &now.stations[row.station];
+        let predicted = tracker_from_base.rotation * in_base + tracker_from_base.translation.vector;
+        residuals.fixed_rows_mut::<3>(3 * index).copy_from(&(row.whitening * (predicted - row.seen)));
+        let Some(jacobian) = jacobian else { return };
+        let from_base = row.whitening * tracker_from_base.rotation.matrix();
+        let from_origin = row.whitening * self.stations[row.station].rotation.matrix();
+        let Displacement { rotation, left, .. } = &now.displacements[row.station];
+        let turned = rotation * in_base;
+        let mut term = 0;
+        for (column, id) in self.parameters.iter().enumerate() {
+            let derivative = match *id {
+                ParameterId::Frame { station, component } if station == row.station => {
+                    if component < 3 {
+                        from_origin.column(component).into_owned()
+                    } else {
+                        from_origin * left.column(component - 3).cross(&turned)
+                    }
+                }
+                id => from_base * in_base_column(&now.machine, id, row.target, &in_base, &mut term),
+            };
+            jacobian.fixed_view_mut::<3, 1>(3 * index, column).copy_from(&derivative);
+        }
+    }
+
+    fn fill_priors(&self, x: &[f64], residuals: &mut DVector<f64>, mut jacobian: Option<&mut DMatrix<f64>>) {
+        let mut first = 3 * self.rows.len();
+        for prior in &self.priors {
+            let n = prior.whitening.nrows();
+            for i in 0..n {
+                residuals[first + i] = (0..n).map(|j| prior.whitening[(i, j)] * x[prior.column + j]).sum();
+            }
+            if let Some(jacobian) = jacobian.as_deref_mut() {
+                jacobian.rows_mut(first, n).fill(0.0);
+                jacobian.view_mut((first, prior.column), (n, n)).copy_from(&prior.whitening);
+            }
+            first += n;
+        }
+        for (row, (column, weight)) in (first..).zip(self.own_priors.iter().chain(&self.tolerances)) {
+            residuals[row] = weight * x[*column];
+            if let Some(jacobian) = jacobian.as_deref_mut() {
+                jacobian.row_mut(row).fill(0.0);
+                jacobian[(row, *column)] = *weight;
+            }
+        }
+    }
+}
+
+impl LeastSquares for CalibrationProblem {
+    fn parameters(&self) -> usize {
+        self.parameters.len()
+    }
+
+    fn rows(&self) -> usize {
+        self.measured_rows() + self.own_priors.len() + self.tolerances.len()
+    }
+
+    fn blocks(&self) -> usize {
+        self.rows.len()
+    }
+
+    fn evaluate(&mut self, x: &[f64], residuals: &mut DVector<f64>, mut jacobian: Option<&mut DMatrix<f64>>) {
+        self.set(x);
+        if let Some(jacobian) = jacobian.as_deref_mut()
+            && x.iter().all(|value| *value == 0.0)
+            && let Some(start) = self.start.take()
+        {
+            (*residuals, *jacobian) = start;
+            return;
+        }
+        for index in 0..self.rows.len() {
+            self.fill_observation(index, residuals, jacobian.as_deref_mut());
+        }
+        self.fill_priors(x, residuals, jacobian);
+    }
+}
+
+/// Change of `target` at `in_base` per unit of a parameter, in the base frame; zero for the tracker's place and for other targets. `term`
+/// counts the terms that were asked for.
+fn in_base_column(
+    machine: &Machine,
+    id: ParameterId,
+    target: usize,
+    in_base: &Vector3<f64>,
+    term: &mut usize,
+) -> Vector3<f64> {
+    match id {
+        ParameterId::Frame { .. } => Vector3::zeros(),
+        ParameterId::Target { target: other, .. } if other != target => Vector3::zeros(),
+        ParameterId::Term(_) => {
+            *term += 1;
+            machine.term_column(*term - 1)
+        }
+        ParameterId::Target { .. }
+        | ParameterId::Link { .. }
+        | ParameterId::Compliance(_)
+        | ParameterId::Mass { .. }
+        | ParameterId::Linkage(_) => machine.column(id, in_base),
+    }
+}
+
+/// The matrix J with `R(r + dr) ≈ exp(J dr) R(r)`.
+fn left_jacobian(r: &Vector3<f64>) -> Matrix3<f64> {
+    let angle = r.norm();
+    let cross = cross_matrix(r);
+    // Below 1e-3 rad the series is exact to rounding, and the quotients are not.
+    let (a, b) = if angle < 1e-3 {
+        (0.5 - angle * angle / 24.0, 1.0 / 6.0 - angle * angle / 120.0)
+    } else {
+        ((1.0 - angle.cos()) / (angle * angle), (angle - angle.sin()) / (angle * angle * angle))
+    };
+    Matrix3::identity() + a * cross + b * cross * cross
+}
+
+#[cfg(test)]
+mod tests;

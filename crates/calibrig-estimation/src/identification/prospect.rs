@@ -1,0 +1,63 @@
+//! What measurements could tell, before they are made.
+
+use super::build::{Built, build, start};
+use super::identify::check;
+use super::summary::{Factors, left_open_warnings, rank_warnings};
+use super::{DependentGroup, IdentificationOptions, IdentifyError, Redundancy, Spectrum, Warning};
+use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::{CalibrationModel, ParameterId};
+
+/// What an estimate from planned measurements would say of its parameters, at the nominal robot.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Prospect {
+    /// The parameters that would be fitted.
+    pub parameters: Vec<ParameterId>,
+    /// Rank, condition, dependent groups and weak directions, with the priors that the estimate's spectrum has.
+    pub spectrum: Spectrum,
+    /// Rank by the observations, nests and target alone.
+    pub measured_rank: usize,
+    /// Parameters that these cannot tell from others, and that their priors would hold.
+    pub held: Vec<DependentGroup>,
+    /// Parameters that would be left out of the fit for the same reason.
+    pub fixed: Vec<DependentGroup>,
+    /// Compliances that would be left out because gravity hardly loads them.
+    pub unloaded: Vec<ParameterId>,
+    /// What the estimate would warn of.
+    pub warnings: Vec<Warning>,
+}
+
+/// Analyses the system that [`identify`](super::identify()) would solve for `set`, whose readings lie where the nominal robot is; what
+/// they say beside their covariance places the tracker at most.
+///
+/// # Errors
+///
+/// [`IdentifyError`], as the identification itself; too few poses are no error, but a lack of rank.
+pub fn prospect(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+) -> Result<Prospect, IdentifyError> {
+    check(model, set)?;
+    if options.mode.needs_statics() && model.statics.is_none() {
+        return Err(IdentifyError::NoStatics { mode: options.mode });
+    }
+    let Built { mut problem, unexcited, fixed, left_out, .. } = build(model, set, options)?;
+    let (_, jacobian) = start(&mut problem)?;
+    let factors = Factors::new(&problem, &jacobian);
+    let spectrum = factors.spectrum(&problem, options.redundant);
+    let held = factors.held(&problem, options.redundant);
+    let mut warnings = rank_warnings(&spectrum, problem.parameters.len());
+    warnings.extend(left_open_warnings(&held, &fixed, &unexcited));
+    Ok(Prospect {
+        measured_rank: factors.spectrum(&problem, Redundancy::Keep).rank,
+        unloaded: left_out
+            .into_iter()
+            .filter(|id| !fixed.iter().any(|group| group.redundant == *id))
+            .collect(),
+        parameters: problem.parameters,
+        spectrum,
+        held,
+        fixed,
+        warnings,
+    })
+}

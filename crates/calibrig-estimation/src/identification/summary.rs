@@ -1,0 +1,286 @@
+//! What a solution tells: parameters, covariance, what is determined and what is not.
+
+use nalgebra::DMatrix;
+
+use super::build::{Built, redundant};
+use super::contradiction::{Checks, Found};
+use super::factor::{extended, triangular_factor, triangular_factor_of_all};
+use super::limits::lowest;
+use super::problem::CalibrationProblem;
+use super::solver::Solution;
+use super::{
+    CalibratedRobot, Contradiction, DependentGroup, Estimate, FrameChoice, IdentificationOptions,
+    LeastSquares, NoiseScale, Outlier, ParameterEstimate, Redundancy, Spectrum, Stated, Warning, analyse_r,
+};
+use calibrig_model::ParameterId;
+use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::statistics::chi2_survival;
+
+/// Probability of a larger chi-square below which the residuals are larger than the stated noise explains.
+const INCONSISTENT: f64 = 1e-3;
+
+pub(super) fn summarise(
+    built: Built,
+    solution: Solution,
+    noise: NoiseScale,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+) -> Estimate {
+    let Built { mut problem, sigmas, unexcited, fixed, left_out } = built;
+    let rows = problem.rows();
+    let n = problem.parameters.len();
+    let degrees_of_freedom = rows - n;
+    let factors = Factors::new(&problem, &solution.jacobian);
+    let spectrum = factors.spectrum(&problem, options.redundant);
+    let held = factors.held(&problem, options.redundant);
+    let bounded: Vec<usize> = solution.at_bound.iter().map(|at| at.parameter).collect();
+    let covariance = covariance(factors.all, &spectrum, &bounded);
+    let nests = options.frame != FrameChoice::Free;
+    let checks = covariance.as_ref().map(|c| Checks::new(&problem, set, &solution, c, &bounded, nests));
+    let (contradicted, doubts) = doubts(&solution, noise, degrees_of_freedom, checks.as_ref());
+    problem.set(&solution.x);
+    let mut warnings = Vec::new();
+    if !solution.termination.converged() {
+        warnings.push(Warning::NotConverged(solution.termination));
+    }
+    warnings.extend(rank_warnings(&spectrum, n));
+    warnings.extend(doubts);
+    let at_bound: Vec<_> = bounded.iter().map(|place| problem.parameters[*place]).collect();
+    warnings
+        .extend(bounded.iter().map(|place| at_bound_warning(problem.parameters[*place], solution.x[*place])));
+    let (bounds, unused): (Vec<_>, Vec<_>) = options
+        .bounds
+        .iter()
+        .copied()
+        .filter(|bound| problem.parameters.contains(&bound.id) || left_out.contains(&bound.id))
+        .partition(|bound| problem.parameters.contains(&bound.id));
+    warnings.extend(unused.into_iter().map(|bound| Warning::UnusedBound { bound }));
+    let outliers = outliers(&solution, set);
+    if !outliers.is_empty() {
+        warnings.push(Warning::Outliers(outliers.clone()));
+    }
+    if solution.minima > 1 {
+        warnings.push(Warning::SeveralMinima { minima: solution.minima });
+    }
+    warnings.extend(left_open_warnings(&held, &fixed, &unexcited));
+    let values = problem.parameters.iter().zip(&solution.x);
+    let terms = values.filter_map(|(id, value)| match id {
+        ParameterId::Term(term) => Some((*term, *value)),
+        _ => None,
+    });
+    let terms = terms.collect();
+    Estimate {
+        parameters: problem
+            .parameters
+            .iter()
+            .zip(&solution.x)
+            .enumerate()
+            .map(|(i, (id, value))| ParameterEstimate {
+                id: *id,
+                value: *value,
+                sigma: covariance.as_ref().filter(|_| !bounded.contains(&i)).map(|c| c[(i, i)].sqrt()),
+                prior_sigma: sigmas[i],
+            })
+            .collect(),
+        robot: CalibratedRobot {
+            mode: options.mode,
+            model: problem.current.model,
+            terms,
+            stations: problem.current.stations,
+            targets: problem.current.targets,
+        },
+        covariance,
+        noise,
+        chi2: solution.cost,
+        degrees_of_freedom,
+        termination: solution.termination,
+        iterations: solution.iterations,
+        spectrum,
+        held,
+        fixed,
+        bounds,
+        at_bound,
+        contradicted,
+        outliers,
+        warnings,
+    }
+}
+
+/// Residuals longer than this many standard deviations of a coordinate are named: one in 65,000 is where the noise is normal.
+const OUTLIER: f64 = 5.0;
+
+fn outliers(solution: &Solution, set: &MeasurementSet) -> Vec<Outlier> {
+    let outlier = |observation: usize| Outlier {
+        pose: set.observations[observation].pose,
+        observation,
+        size: solution.residuals.fixed_rows::<3>(3 * observation).norm() / solution.scale,
+        weight: solution.weights[observation],
+    };
+    solution.outliers(OUTLIER).into_iter().map(outlier).collect()
+}
+
+/// `(Jᵀ J)⁻¹` from `J = Q R`, only from a system of full rank. What is `bounded` is held there: it has no spread, and none of it is in the
+/// others'.
+fn covariance(r: DMatrix<f64>, spectrum: &Spectrum, bounded: &[usize]) -> Option<DMatrix<f64>> {
+    let n = r.ncols();
+    if spectrum.rank < n {
+        return None;
+    }
+    let free: Vec<usize> = (0..n).filter(|place| !bounded.contains(place)).collect();
+    let r = if bounded.is_empty() { r } else { triangular_factor(r.as_view(), &free) };
+    let inverse = r.solve_upper_triangular(&DMatrix::identity(free.len(), free.len()))?;
+    let of_free = &inverse * inverse.transpose();
+    if bounded.is_empty() {
+        return Some(of_free);
+    }
+    let mut covariance = DMatrix::zeros(n, n);
+    for (i, row) in free.iter().enumerate() {
+        for (j, column) in free.iter().enumerate() {
+            covariance[(*row, *column)] = of_free[(i, j)];
+        }
+    }
+    Some(covariance)
+}
+
+fn at_bound_warning(id: ParameterId, bound: f64) -> Warning {
+    let name = id.to_string();
+    match id {
+        ParameterId::Compliance(_) if bound <= lowest(id) => Warning::Rigid { name },
+        _ => Warning::AtBound { name, bound, unit: id.unit() },
+    }
+}
+
+/// Triangular factors of the rows of a Jacobian.
+pub(super) struct Factors {
+    /// Observations, nests and targets.
+    measured: DMatrix<f64>,
+    /// The same with the parameters' own priors.
+    with_priors: DMatrix<f64>,
+    /// All rows, the making's tolerances too.
+    all: DMatrix<f64>,
+}
+
+impl Factors {
+    pub(super) fn new(problem: &CalibrationProblem, jacobian: &DMatrix<f64>) -> Self {
+        let below = |first: usize, count: usize| jacobian.rows(first, count);
+        let (measured_rows, priors) = (problem.measured_rows(), problem.own_priors.len());
+        let measured = triangular_factor_of_all(below(0, measured_rows).as_view());
+        let with_priors = extended(measured.clone(), below(measured_rows, priors).as_view());
+        let tolerances = below(measured_rows + priors, problem.tolerances.len());
+        let all = extended(with_priors.clone(), tolerances.as_view());
+        Self { measured, with_priors, all }
+    }
+
+    /// Spectrum of the rows that a fit is judged by.
+    pub(super) fn spectrum(&self, problem: &CalibrationProblem, redundant: Redundancy) -> Spectrum {
+        let judged = match redundant {
+            Redundancy::Keep => &self.measured,
+            Redundancy::Fix | Redundancy::Prior => &self.with_priors,
+        };
+        analyse_r(judged, &problem.parameters)
+    }
+
+    /// What the measurements leave to its prior.
+    pub(super) fn held(&self, problem: &CalibrationProblem, choice: Redundancy) -> Vec<DependentGroup> {
+        if problem.own_priors.is_empty() || choice != Redundancy::Prior {
+            return Vec::new();
+        }
+        let has_prior = |group: &DependentGroup| {
+            problem.own_priors.iter().any(|(column, _)| problem.parameters[*column] == group.redundant)
+        };
+        redundant(&self.measured, &problem.parameters).into_iter().filter(has_prior).collect()
+    }
+}
+
+pub(super) fn rank_warnings(spectrum: &Spectrum, parameters: usize) -> Vec<Warning> {
+    let mut warnings = Vec::new();
+    if spectrum.rank < parameters {
+        warnings.push(Warning::RankDeficient {
+            rank: spectrum.rank,
+            parameters,
+            groups: spectrum.dependent.iter().map(ToString::to_string).collect(),
+        });
+    }
+    let weak = spectrum.weak.iter();
+    warnings.extend(
+        weak.map(|weak| Warning::Weak { singular_value: weak.singular_value, direction: weak.to_string() }),
+    );
+    warnings
+}
+
+/// What is told of parameters that the measurements say nothing of.
+pub(super) fn left_open_warnings(
+    held: &[DependentGroup],
+    fixed: &[DependentGroup],
+    unexcited: &[ParameterId],
+) -> Vec<Warning> {
+    let names = |groups: &[DependentGroup]| groups.iter().map(ToString::to_string).collect::<Vec<_>>();
+    let mut warnings = Vec::new();
+    if !held.is_empty() {
+        warnings.push(Warning::HeldByPrior { groups: names(held) });
+    }
+    if !fixed.is_empty() {
+        warnings.push(Warning::Fixed { groups: names(fixed) });
+    }
+    warnings.extend(unexcited.iter().map(|id| Warning::Unexcited { name: id.to_string() }));
+    warnings
+}
+
+/// Whether it is the model or what was stated beforehand that does not fit the measurements: what of the latter, and the warnings.
+///
+/// Priors that are contradicted make chi-square large, too. So the model is doubted only where chi-square fails without them; and where it
+/// is, priors are looked at with the noise that the residuals have, told in one sentence, and not held against the estimate: what a model
+/// lacks pulls at all of them. The place of a station is not held against it either: its nests confirm each other, and a shift of the base
+/// stands in for much that a model can lack.
+fn doubts(
+    solution: &Solution,
+    noise: NoiseScale,
+    degrees_of_freedom: usize,
+    checks: Option<&Checks>,
+) -> (Vec<Contradiction>, Vec<Warning>) {
+    // A loss tells the noise of the good observations by its scale.
+    let per_dof = |chi2: f64, freedom: usize| {
+        if solution.weights.is_empty() {
+            chi2 / freedom.max(1) as f64
+        } else {
+            solution.scale * solution.scale
+        }
+    };
+    let fits = |chi2: f64, freedom: usize| {
+        let dof = freedom as f64;
+        noise != NoiseScale::Stated
+            || freedom == 0
+            || chi2_survival(per_dof(chi2, freedom) * dof, dof) >= INCONSISTENT
+    };
+    let found = checks.map_or_else(Found::default, |checks| checks.of_priors(1.0));
+    let left = |chi2: f64, out: usize| (solution.cost - chi2, degrees_of_freedom.saturating_sub(out));
+    let (chi2, freedom) = left(found.chi2, found.freedom);
+    let is_place = |c: &Contradiction| matches!(c.stated, Stated::Nests { .. });
+    let mut warnings = Vec::new();
+    let mut contradicted = checks.map_or_else(Vec::new, Checks::of_nests);
+    let inconsistent = Warning::Inconsistent { ratio: per_dof(solution.cost, degrees_of_freedom).sqrt() };
+    if fits(chi2, freedom) {
+        let (places, others): (Vec<_>, Vec<_>) = found.contradictions.into_iter().partition(is_place);
+        let sum = |list: &[Contradiction]| {
+            (list.iter().map(|c| c.chi2).sum(), list.iter().map(|c| c.freedom).sum())
+        };
+        let (of_others, out) = sum(&others);
+        let (chi2, freedom) = left(of_others, out);
+        if !fits(chi2, freedom) {
+            warnings.push(inconsistent);
+        }
+        warnings.extend(places.into_iter().map(Warning::Moved));
+        contradicted.splice(0..0, others);
+    } else {
+        warnings.push(inconsistent);
+        let strained = checks.map_or_else(Vec::new, |c| c.of_priors(per_dof(chi2, freedom)).contradictions);
+        let count = strained.len();
+        warnings.extend(strained.into_iter().next().map(|worst| {
+            if is_place(&worst) { Warning::Moved(worst) } else { Warning::Strained { count, worst } }
+        }));
+    }
+    if !contradicted.is_empty() {
+        warnings.push(Warning::Contradicted(contradicted.clone()));
+    }
+    (contradicted, warnings)
+}

@@ -1,0 +1,358 @@
+//! The spatial four-bar that drives the elbow, closed without iteration.
+
+use nalgebra::Vector3;
+use thiserror::Error;
+
+use calibrig_model::geometry::{Transform, rotation_x, rotation_z};
+use calibrig_model::{
+    ActuatorMap, KinematicModel, LEAST_TRANSMISSION_ANGLE, LinkTerm, LinkageArm, LinkageLength, ParameterId,
+};
+
+/// Why a four-bar gives no joint angle.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+#[non_exhaustive]
+pub enum ClosureError {
+    /// The ends of crank and lever cannot be at the rod's length.
+    #[error("the four-bar cannot close: its rod is {:.6} m too {}", gap.abs(), if *gap > 0.0 { "short" } else { "long" })]
+    CannotClose {
+        /// How much longer the rod would have to be, m; negative where it is too long.
+        gap: f64,
+    },
+    /// Rod and lever (or crank) are nearly in one line: the two ways to close the four-bar meet.
+    #[error(
+        "the four-bar is near its singularity: rod and arm at {:.2} deg, at least {:.0} deg needed",
+        transmission_angle.to_degrees(),
+        LEAST_TRANSMISSION_ANGLE.to_degrees()
+    )]
+    NearSingular {
+        /// Angle between the rod and the arm that it turns, rad.
+        transmission_angle: f64,
+    },
+    /// The joint angles belong to the way of closing that is farther from the exact parallelogram.
+    #[error(
+        "elbow angle {q_elbow} rad is the four-bar's other closure; the machine would go to {nearest} rad"
+    )]
+    OtherClosure {
+        /// The angle asked for, rad.
+        q_elbow: f64,
+        /// The angle that the command sets, rad.
+        nearest: f64,
+    },
+    /// The four-bar spans other joints.
+    #[error("the four-bar joins joints {} and {}, which are not neighbours", shoulder + 1, elbow + 1)]
+    NotNeighbours {
+        /// Index of the shoulder.
+        shoulder: usize,
+        /// Index of the elbow.
+        elbow: usize,
+    },
+}
+
+/// An arm turned about its axis until the rod fits.
+///
+/// All vectors are in the frame in which [`swing_to`] was given its arguments.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Closure {
+    /// The arm's angle about its axis, rad: within half a turn of the ideal one.
+    pub angle: f64,
+    /// The end of the arm, m.
+    pub end: Vector3<f64>,
+    /// Unit vector along the rod, towards [`Self::end`].
+    pub rod_direction: Vector3<f64>,
+    /// Change of the distance between the rod's ends per unit of the angle, m/rad.
+    pub rate: f64,
+    /// Angle between rod and arm, 0..pi/2 rad: `sin` of it is `|rate|` over the arm's length.
+    pub transmission_angle: f64,
+}
+
+impl Closure {
+    /// The change of the angle, rad, when the arm's end is displaced by `end` (at the angle held), the rod's other end by `anchor` and the
+    /// rod's length changes by `rod`, m; to first order.
+    pub fn angle_change(&self, end: &Vector3<f64>, anchor: &Vector3<f64>, rod: f64) -> f64 {
+        (rod - self.rod_direction.dot(&(end - anchor))) / self.rate
+    }
+}
+
+/// Turns an arm about the z axis of `pivot` until its end is at the distance `rod` (m) of `anchor`, and gives the angle nearest to `ideal`.
+///
+/// `end` is the arm's end in the turning frame, which is `pivot` at the angle zero; any displacement behind the axis is part of it. The
+/// rod's condition is linear in sine and cosine of the angle; with the half-angle tangent of the deviation from `ideal` it is a quadratic whose
+/// smaller root is the wanted one, and which is exact where the deviation vanishes.
+///
+/// # Errors
+///
+/// [`ClosureError::CannotClose`] out of the rod's reach, [`ClosureError::NearSingular`] below [`LEAST_TRANSMISSION_ANGLE`].
+pub fn swing_to(
+    pivot: &Transform,
+    end: &Vector3<f64>,
+    anchor: &Vector3<f64>,
+    rod: f64,
+    ideal: f64,
+) -> Result<Closure, ClosureError> {
+    // In the pivot's axes, where the arm's end has the height of its own z and turns in x and y.
+    let to_anchor = pivot.rotation.inverse() * (anchor - pivot.translation.vector);
+    let turned = |angle: f64| {
+        let (sin, cos) = angle.sin_cos();
+        Vector3::new(cos * end.x - sin * end.y, sin * end.x + cos * end.y, end.z)
+    };
+    let at_ideal = turned(ideal);
+    let ideal_rod = at_ideal - to_anchor;
+    // distance²(deviation) - rod² = misfit + 2 tangential sin(deviation) + 2 radial (1 - cos(deviation))
+    let ideal_length = ideal_rod.norm();
+    let misfit = (ideal_length - rod) * (ideal_length + rod);
+    let tangential = at_ideal.x * ideal_rod.y - at_ideal.y * ideal_rod.x;
+    let radial = at_ideal.x * to_anchor.x + at_ideal.y * to_anchor.y;
+
+    // The square of half the derivative of distance² at either closure.
+    let discriminant = tangential * tangential - misfit * (misfit / 4.0 + radial);
+    if !(discriminant >= 0.0 && rod > 0.0) {
+        return Err(out_of_reach(rod, misfit + 2.0 * radial, 2.0 * tangential.hypot(radial)));
+    }
+    let slope = discriminant.sqrt();
+    let transmission_angle = (slope / (rod * end.x.hypot(end.y))).clamp(0.0, 1.0).asin();
+    if !(transmission_angle >= LEAST_TRANSMISSION_ANGLE) {
+        return Err(ClosureError::NearSingular { transmission_angle });
+    }
+    let half_angle_tangent = -misfit / (2.0 * (tangential + slope.copysign(tangential)));
+    let angle = ideal + 2.0 * half_angle_tangent.atan();
+
+    let closed = turned(angle);
+    let rod_direction = (closed - to_anchor).normalize();
+    Ok(Closure {
+        angle,
+        end: pivot.rotation * closed + pivot.translation.vector,
+        rod_direction: pivot.rotation * rod_direction,
+        rate: closed.x * rod_direction.y - closed.y * rod_direction.x,
+        transmission_angle,
+    })
+}
+
+/// The refusal where distance² lies within `middle ± range` of rod² for every angle, and neither side contains zero.
+fn out_of_reach(rod: f64, middle: f64, range: f64) -> ClosureError {
+    let nearest = if middle > 0.0 { middle - range } else { middle + range };
+    let gap = (rod * rod + nearest).max(0.0).sqrt() - rod;
+    // Rounding decides on which side of the flat four-bar this is.
+    if gap.abs() <= 1e-12 * rod.abs() {
+        return ClosureError::NearSingular { transmission_angle: 0.0 };
+    }
+    ClosureError::CannotClose { gap }
+}
+
+/// The elbow's four-bar without deflections, made once a robot and closed at every command.
+///
+/// Crank and upper arm turn alike behind the shoulder's fixed part, so the shoulder's own link parameters have no influence on the elbow's
+/// angle, and all is computed there.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ElbowLinkage {
+    shoulder: usize,
+    elbow: usize,
+    offset: f64,
+    rod: f64,
+    crank: LinkageArm,
+    lever: LinkageArm,
+    crank_end: Vector3<f64>,
+    lever_end: Vector3<f64>,
+    /// Of the elbow's link.
+    fixed_part: Transform,
+    elbow_a: f64,
+    elbow_alpha: f64,
+    theta: f64,
+}
+
+/// The elbow's angle and its change per unit of all that it depends on; the links are rigid.
+///
+/// The shoulder's link parameters are missing because they have no influence.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ElbowClosure {
+    /// Index of the elbow.
+    pub elbow: usize,
+    /// rad
+    pub q_elbow: f64,
+    /// Angle between rod and lever, rad.
+    pub transmission_angle: f64,
+    /// By the elbow's command psi, rad/rad.
+    pub by_psi: f64,
+    /// By the shoulder's joint variable at psi held, rad/rad.
+    pub by_shoulder: f64,
+    /// By the lengths, in the order of [`LinkageLength::ALL`], rad/m.
+    pub by_lengths: [f64; 3],
+    /// By the elbow's link parameters, in the order of [`LinkTerm::ALL`], rad/m or rad/rad.
+    pub by_link: [f64; 5],
+}
+
+impl ElbowClosure {
+    /// Change of the elbow's angle per unit of any parameter, at the command held. Deflections are not in it.
+    pub fn by(&self, id: ParameterId) -> f64 {
+        let pick = |found: Option<usize>, values: &[f64]| found.map_or(0.0, |i| values[i]);
+        match id {
+            ParameterId::Link { link, term } if link == self.elbow => {
+                pick(LinkTerm::ALL.iter().position(|t| *t == term), &self.by_link)
+            }
+            ParameterId::Linkage(length) => {
+                pick(LinkageLength::ALL.iter().position(|l| *l == length), &self.by_lengths)
+            }
+            _ => 0.0,
+        }
+    }
+}
+
+/// The direction in which an arm's end moves when the arm grows, in the arm's frame.
+fn growth(arm: &LinkageArm) -> Vector3<f64> {
+    let (sin, cos) = arm.angle.sin_cos();
+    Vector3::new(cos, sin, 0.0)
+}
+
+impl ElbowLinkage {
+    /// The four-bar of a robot, or `None` where the elbow has none whose lengths are known.
+    ///
+    /// # Errors
+    ///
+    /// [`ClosureError::NotNeighbours`].
+    pub fn new(kinematics: &KinematicModel, actuators: &ActuatorMap) -> Result<Option<Self>, ClosureError> {
+        let Some((shoulder, elbow, offset, linkage)) = actuators.four_bar() else {
+            return Ok(None);
+        };
+        let link = match kinematics.links.get(elbow) {
+            Some(link) if elbow == shoulder + 1 => link,
+            _ => return Err(ClosureError::NotNeighbours { shoulder, elbow }),
+        };
+        Ok(Some(Self {
+            shoulder,
+            elbow,
+            offset,
+            rod: linkage.rod,
+            crank: linkage.crank,
+            lever: linkage.lever,
+            crank_end: linkage.crank.end(),
+            lever_end: linkage.lever.end(),
+            fixed_part: link.fixed_part(),
+            elbow_a: link.a,
+            elbow_alpha: link.alpha,
+            theta: link.theta,
+        }))
+    }
+
+    fn crank(&self, psi: f64) -> Transform {
+        rotation_z(psi + self.offset + self.theta)
+    }
+
+    fn pivot(&self, q_shoulder: f64) -> Transform {
+        rotation_z(q_shoulder) * self.fixed_part
+    }
+
+    fn close(&self, psi: f64, q_shoulder: f64) -> Result<Closure, ClosureError> {
+        let anchor = self.crank(psi).rotation * self.crank_end;
+        let ideal = psi + self.offset - q_shoulder;
+        swing_to(&self.pivot(q_shoulder), &self.lever_end, &anchor, self.rod, ideal)
+    }
+
+    /// The elbow's joint variable at a command (as long as the chain), rad.
+    ///
+    /// # Errors
+    ///
+    /// [`ClosureError`].
+    pub fn q_elbow(&self, command: &[f64]) -> Result<f64, ClosureError> {
+        Ok(self.close(command[self.elbow], command[self.shoulder])?.angle)
+    }
+
+    /// The elbow's command psi that sets the joint variables (as long as the chain), rad.
+    ///
+    /// # Errors
+    ///
+    /// [`ClosureError`].
+    pub fn psi(&self, joints: &[f64]) -> Result<f64, ClosureError> {
+        let (q_shoulder, q_elbow) = (joints[self.shoulder], joints[self.elbow]);
+        let anchor =
+            (self.pivot(q_shoulder) * rotation_z(q_elbow)).transform_point(&self.lever_end.into()).coords;
+        let ideal = q_shoulder + q_elbow + self.theta;
+        let turned = swing_to(&Transform::identity(), &self.crank_end, &anchor, self.rod, ideal)?;
+        let psi = turned.angle - self.offset - self.theta;
+        let nearest = self.close(psi, q_shoulder)?.angle;
+        // Away from the singularity the two closures are far apart, and rounding is far below this.
+        if (nearest - q_elbow).abs() > 1e-6 {
+            return Err(ClosureError::OtherClosure { q_elbow, nearest });
+        }
+        Ok(psi)
+    }
+
+    /// The elbow's angle at a command (as long as the chain), with its derivatives.
+    ///
+    /// # Errors
+    ///
+    /// [`ClosureError`].
+    pub fn closure(&self, command: &[f64]) -> Result<ElbowClosure, ClosureError> {
+        let (psi, q_shoulder) = (command[self.elbow], command[self.shoulder]);
+        let closure = self.close(psi, q_shoulder)?;
+        let (crank, pivot) = (self.crank(psi), self.pivot(q_shoulder));
+        let end = closure.end;
+        let upper_arm = rotation_z(q_shoulder);
+        let x = upper_arm.rotation * Vector3::x();
+        let y = upper_arm.rotation * (rotation_x(self.elbow_alpha).rotation * Vector3::y());
+        let axis: Vector3<f64> = pivot.rotation.matrix().column(2).into_owned();
+        let lever_growth = pivot.rotation * (rotation_z(closure.angle).rotation * growth(&self.lever));
+
+        let still = Vector3::zeros();
+        let by_end = |motion: Vector3<f64>| closure.angle_change(&motion, &still, 0.0);
+        let by_anchor = |motion: Vector3<f64>| closure.angle_change(&still, &motion, 0.0);
+        let by_psi = by_anchor(Vector3::z().cross(&(crank.rotation * self.crank_end)));
+        Ok(ElbowClosure {
+            elbow: self.elbow,
+            q_elbow: closure.angle,
+            transmission_angle: closure.transmission_angle,
+            by_psi,
+            by_shoulder: by_end(Vector3::z().cross(&end)),
+            by_lengths: LinkageLength::ALL.map(|length| match length {
+                LinkageLength::Crank => by_anchor(crank.rotation * growth(&self.crank)),
+                LinkageLength::Lever => by_end(lever_growth),
+                LinkageLength::Rod => closure.angle_change(&still, &still, 1.0),
+            }),
+            by_link: LinkTerm::ALL.map(|term| match term {
+                LinkTerm::A => by_end(x),
+                LinkTerm::Alpha => by_end(x.cross(&end)),
+                LinkTerm::Beta => by_end(y.cross(&(end - self.elbow_a * x))),
+                LinkTerm::D => by_end(axis),
+                // Theta turns the lever about the joint's axis, and the crank with it.
+                LinkTerm::Theta => by_psi - 1.0,
+            }),
+        })
+    }
+}
+
+/// Writes the joint variables of `command` to `joints` (both as long as the chain): those of the rigid machine, with its real four-bar where
+/// the lengths are known, else those of the [ideal map](ActuatorMap::joints_from_command).
+///
+/// # Errors
+///
+/// [`ClosureError`]; then the elbow's entry is the ideal map's.
+pub fn joints_from_command(
+    kinematics: &KinematicModel,
+    actuators: &ActuatorMap,
+    command: &[f64],
+    joints: &mut [f64],
+) -> Result<(), ClosureError> {
+    actuators.joints_from_command(command, joints);
+    if let Some(linkage) = ElbowLinkage::new(kinematics, actuators)? {
+        joints[linkage.elbow] = linkage.q_elbow(command)?;
+    }
+    Ok(())
+}
+
+/// The command that takes the rigid machine, with its real four-bar where the lengths are known, to `joints`.
+///
+/// # Errors
+///
+/// [`ClosureError`], also where the command would take the machine elsewhere.
+pub fn command_from_joints(
+    kinematics: &KinematicModel,
+    actuators: &ActuatorMap,
+    joints: &[f64],
+) -> Result<Vec<f64>, ClosureError> {
+    let mut command = actuators.command_from_joints(joints);
+    if let Some(linkage) = ElbowLinkage::new(kinematics, actuators)? {
+        command[linkage.elbow] = linkage.psi(joints)?;
+    }
+    Ok(command)
+}
+
+#[cfg(test)]
+mod tests;

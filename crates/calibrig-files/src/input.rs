@@ -1,0 +1,143 @@
+//! Reading of text files: every refusal names the file, the line and the key, and says what was expected.
+
+mod toml_text;
+
+use std::fmt;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use miette::{Diagnostic, NamedSource, SourceSpan};
+use serde::de::DeserializeOwned;
+use thiserror::Error;
+
+/// A text with the name it is known by in messages.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Source {
+    /// Path or name of an attachment.
+    pub name: String,
+    /// Its whole text.
+    pub text: String,
+}
+
+/// A file that cannot be used.
+#[derive(Debug, Error, Diagnostic)]
+#[non_exhaustive]
+pub enum InputError {
+    /// It cannot be opened or read.
+    #[error("cannot read {}: {reason}", path.display())]
+    #[diagnostic(help("expected a file of UTF-8 text"))]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// Something in it is wrong.
+    #[error("{}:{line}: {message}", source_code.name())]
+    Invalid {
+        /// What is wrong, with the key or column.
+        message: String,
+        /// Line, from 1.
+        line: usize,
+        /// The text; shared, so that the error stays small.
+        #[source_code]
+        source_code: Arc<NamedSource<String>>,
+        /// Where in the text.
+        #[label("here")]
+        span: SourceSpan,
+        /// What was expected.
+        #[help]
+        help: Option<String>,
+    },
+}
+
+impl Source {
+    /// A text that is already in memory.
+    pub fn new(name: impl Into<String>, text: impl Into<String>) -> Self {
+        Self { name: name.into(), text: text.into() }
+    }
+
+    /// Reads a UTF-8 file.
+    pub fn read(path: &Path) -> Result<Self, InputError> {
+        let unreadable = |reason: String| InputError::Unreadable { path: path.to_path_buf(), reason };
+        if path.is_dir() {
+            return Err(unreadable("it is a folder, a file was expected".to_owned()));
+        }
+        let bytes = std::fs::read(path).map_err(|e| unreadable(e.to_string()))?;
+        let text = String::from_utf8(bytes)
+            .map_err(|e| unreadable(format!("not UTF-8 text (byte {})", e.utf8_error().valid_up_to())))?;
+        Ok(Self::new(path.display().to_string(), text))
+    }
+
+    /// An error at `span` (bytes) of this text.
+    pub fn error(&self, span: Range<usize>, message: impl fmt::Display, help: Option<String>) -> InputError {
+        let start = span.start.min(self.text.len());
+        let end = span.end.clamp(start, self.text.len());
+        let line = self.text.as_bytes()[..start].iter().filter(|b| **b == b'\n').count() + 1;
+        InputError::Invalid {
+            message: message.to_string(),
+            line,
+            source_code: Arc::new(NamedSource::new(&self.name, self.text.clone())),
+            span: (start, end - start).into(),
+            help,
+        }
+    }
+
+    /// Bytes of the value of a TOML key, such as `poses.identification`; the text's begin where there is none.
+    pub fn place_of(&self, key: &str) -> Range<usize> {
+        toml_text::place_of(&self.text, key)
+    }
+
+    /// Reads the text as TOML; unknown keys, missing keys and wrong types are errors at their place.
+    pub fn toml<T: DeserializeOwned>(&self) -> Result<T, InputError> {
+        toml::from_str(&self.text).map_err(|error| toml_text::refusal(self, &error))
+    }
+}
+
+/// A value from a TOML text with its place.
+pub type Spanned<T> = toml::Spanned<T>;
+
+/// Sizes of the numbers that are taken: no quantity of a robot is larger or, above zero, smaller, in any unit, and the squares of these
+/// stay finite and above zero.
+const SIZES: [f64; 2] = [1e-15, 1e15];
+
+impl Source {
+    fn refuse_number(&self, key: &str, value: &Spanned<f64>, expected: &str) -> InputError {
+        let literal = self.text.get(value.span()).unwrap_or_default();
+        self.error(value.span(), format!("{key} is {literal}"), Some(format!("expected {expected}")))
+    }
+
+    /// The value if it is a finite number of a sensible size, else an error that names `key`.
+    pub fn finite(&self, key: &str, value: &Spanned<f64>) -> Result<f64, InputError> {
+        let number = *value.get_ref();
+        if !number.is_finite() {
+            return Err(self.refuse_number(key, value, "a finite number"));
+        }
+        if number.abs() > SIZES[1] {
+            return Err(self.refuse_number(key, value, &format!("a number of at most {:e}", SIZES[1])));
+        }
+        Ok(number)
+    }
+
+    /// The value if it is a finite number above zero, else an error that names `key`.
+    pub fn positive(&self, key: &str, value: &Spanned<f64>) -> Result<f64, InputError> {
+        let number = self.finite(key, value)?;
+        if number <= 0.0 {
+            return Err(self.refuse_number(key, value, "a number above zero"));
+        }
+        if number < SIZES[0] {
+            return Err(self.refuse_number(key, value, &format!("a number of at least {:e}", SIZES[0])));
+        }
+        Ok(number)
+    }
+
+    /// The value if it is a finite number of zero or more, else an error that names `key`.
+    pub fn not_negative(&self, key: &str, value: &Spanned<f64>) -> Result<f64, InputError> {
+        let number = self.finite(key, value)?;
+        if number < 0.0 {
+            return Err(self.refuse_number(key, value, "zero or more"));
+        }
+        Ok(number)
+    }
+}

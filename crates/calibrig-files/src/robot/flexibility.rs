@@ -1,0 +1,257 @@
+//! `[joint.bearing]` and `[joint.beam]`: what yields beside the drives.
+
+use serde::Deserialize;
+
+use super::Reader;
+use super::joints::{JointTable, JointType};
+use super::section::{Material, Shape};
+use crate::input::{InputError, Spanned};
+use calibrig_model::{Beam, BeamRun, BeamSegment, Bearing, BearingSide, Section, SegmentLength};
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct BearingTable {
+    stiffness_x_n_per_m: Option<Spanned<f64>>,
+    stiffness_y_n_per_m: Option<Spanned<f64>>,
+    stiffness_z_n_per_m: Option<Spanned<f64>>,
+    stiffness_rx_nm_per_rad: Option<Spanned<f64>>,
+    stiffness_ry_nm_per_rad: Option<Spanned<f64>>,
+    stiffness_rz_nm_per_rad: Option<Spanned<f64>>,
+    #[serde(default)]
+    side: Side,
+    at_mm: Option<Spanned<f64>>,
+}
+
+#[derive(Deserialize, Default, Clone, Copy)]
+#[serde(rename_all = "snake_case")]
+enum Side {
+    #[default]
+    Moving,
+    Fixed,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct BeamTable {
+    run: Run,
+    #[serde(default)]
+    segment: Vec<Spanned<SegmentTable>>,
+}
+
+#[derive(Deserialize, Clone, Copy, PartialEq)]
+#[serde(rename_all = "snake_case")]
+enum Run {
+    AlongX,
+    EndsAtOrigin,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SegmentTable {
+    length_mm: Option<Spanned<f64>>,
+    housed_mm: Option<Spanned<f64>>,
+    youngs_modulus_gpa: Spanned<f64>,
+    shear_modulus_gpa: Spanned<f64>,
+    density_kg_per_m3: Option<Spanned<f64>>,
+    mass_per_length_kg_per_m: Option<Spanned<f64>>,
+    wall_mm: Spanned<f64>,
+    tube_diameter_mm: Option<Spanned<f64>>,
+    box_width_mm: Option<Spanned<f64>>,
+    box_height_mm: Option<Spanned<f64>>,
+}
+
+impl Reader<'_> {
+    /// One a joint, rigid where it has none.
+    pub(super) fn bearings(&self) -> Result<Vec<Bearing>, InputError> {
+        let joints = self.file.joint.iter().map(Spanned::get_ref);
+        joints
+            .map(|joint| {
+                joint.bearing.as_ref().map_or(Ok(Bearing::default()), |table| self.bearing(joint, table))
+            })
+            .collect()
+    }
+
+    fn bearing(&self, joint: &JointTable, table: &Spanned<BearingTable>) -> Result<Bearing, InputError> {
+        let file = table.get_ref();
+        let name = joint.name.get_ref();
+        let keys = [
+            ("stiffness_x_n_per_m", &file.stiffness_x_n_per_m),
+            ("stiffness_y_n_per_m", &file.stiffness_y_n_per_m),
+            ("stiffness_z_n_per_m", &file.stiffness_z_n_per_m),
+            ("stiffness_rx_nm_per_rad", &file.stiffness_rx_nm_per_rad),
+            ("stiffness_ry_nm_per_rad", &file.stiffness_ry_nm_per_rad),
+            ("stiffness_rz_nm_per_rad", &file.stiffness_rz_nm_per_rad),
+        ];
+        let (own_axis, drive) = match joint.r#type {
+            JointType::Prismatic => (2, "stiffness_n_per_m of the joint itself, its drive's"),
+            JointType::Revolute => (5, "stiffness_nm_per_rad of the joint itself, its drive's"),
+        };
+        if let (key, Some(value)) = keys[own_axis] {
+            let message = format!("{key} of the bearing is along or about the axis of joint {name:?}");
+            return self.error(value.span(), message, drive);
+        }
+        if keys.iter().all(|(_, value)| value.is_none()) {
+            let message = format!("[joint.bearing] of joint {name:?} has no stiffness");
+            return self.error(table.span(), message, "at least one stiffness, or no [joint.bearing]");
+        }
+        let mut bearing = Bearing {
+            side: match file.side {
+                Side::Moving => BearingSide::Moving,
+                Side::Fixed => BearingSide::Fixed,
+            },
+            ..Bearing::default()
+        };
+        for (stiffness, (key, value)) in bearing.stiffness.iter_mut().zip(keys) {
+            if let Some(value) = value {
+                *stiffness = self.source.positive(key, value)?;
+            }
+        }
+        if let Some(at) = &file.at_mm {
+            bearing.at = self.millimetres("at_mm", at)?;
+        }
+        Ok(bearing)
+    }
+
+    /// One a joint, where its link is flexible. `limits` are those of the joints' variables.
+    pub(super) fn beams(&self, limits: &[[f64; 2]]) -> Result<Vec<Option<Beam>>, InputError> {
+        let joints = self.file.joint.iter().map(Spanned::get_ref).zip(limits);
+        joints
+            .map(|(joint, limits)| {
+                joint.beam.as_ref().map(|table| self.beam(joint, table, *limits)).transpose()
+            })
+            .collect()
+    }
+
+    fn beam(
+        &self,
+        joint: &JointTable,
+        table: &Spanned<BeamTable>,
+        limits: [f64; 2],
+    ) -> Result<Beam, InputError> {
+        let file = table.get_ref();
+        if file.segment.is_empty() {
+            let message = format!("[joint.beam] of joint {:?} has no segment", joint.name.get_ref());
+            return self.error(table.span(), message, "[[joint.beam.segment]], from root to tip");
+        }
+        let segments = file.segment.iter().map(|segment| {
+            Ok(BeamSegment {
+                length: self.segment_length(joint, file.run, segment, limits)?,
+                section: self.section(segment)?,
+            })
+        });
+        Ok(Beam {
+            run: match file.run {
+                Run::AlongX => BeamRun::AlongX,
+                Run::EndsAtOrigin => BeamRun::EndsAtOrigin,
+            },
+            segments: segments.collect::<Result<_, InputError>>()?,
+        })
+    }
+
+    fn segment_length(
+        &self,
+        joint: &JointTable,
+        run: Run,
+        table: &Spanned<SegmentTable>,
+        limits: [f64; 2],
+    ) -> Result<SegmentLength, InputError> {
+        let segment = table.get_ref();
+        match (&segment.length_mm, &segment.housed_mm) {
+            (Some(length), None) => {
+                Ok(SegmentLength::Constant(self.source.positive("length_mm", length)? / 1e3))
+            }
+            (None, Some(housed)) => {
+                if joint.r#type == JointType::Revolute || run == Run::AlongX {
+                    let message =
+                        format!("housed_mm of joint {:?}, which is no telescope", joint.name.get_ref());
+                    let expected = "length_mm, or a prismatic joint with run = \"ends_at_origin\"";
+                    return self.error(housed.span(), message, expected);
+                }
+                let length = SegmentLength::Extension(self.millimetres("housed_mm", housed)?);
+                if length.at(limits[0]) <= 0.0 {
+                    let message = format!(
+                        "housed_mm leaves nothing of the segment at min_mm of joint {:?}",
+                        joint.name.get_ref()
+                    );
+                    return self.error(housed.span(), message, "housed_mm below min_mm");
+                }
+                Ok(length)
+            }
+            (Some(length), Some(_)) => {
+                self.error(length.span(), "both length_mm and housed_mm", "one of the two")
+            }
+            (None, None) => {
+                self.error(table.span(), "a segment of no length", "length_mm, or housed_mm of a telescope")
+            }
+        }
+    }
+
+    fn section(&self, table: &Spanned<SegmentTable>) -> Result<Section, InputError> {
+        let segment = table.get_ref();
+        let material = self.material(segment)?;
+        let shape = self.shape(table)?;
+        match (&segment.density_kg_per_m3, &segment.mass_per_length_kg_per_m) {
+            (Some(density), None) => {
+                Ok(shape.section(material, self.source.not_negative("density_kg_per_m3", density)?))
+            }
+            (None, Some(mass)) => Ok(Section {
+                mass_per_length: self.source.not_negative("mass_per_length_kg_per_m", mass)?,
+                ..shape.section(material, 0.0)
+            }),
+            (Some(density), Some(_)) => self.error(
+                density.span(),
+                "both density_kg_per_m3 and mass_per_length_kg_per_m",
+                "one of the two",
+            ),
+            (None, None) => self.error(
+                table.span(),
+                "a segment of no weight",
+                "density_kg_per_m3 or mass_per_length_kg_per_m, which may be 0",
+            ),
+        }
+    }
+
+    fn material(&self, segment: &SegmentTable) -> Result<Material, InputError> {
+        let gigapascals = |key, value| Ok(1e9 * self.source.positive(key, value)?);
+        let youngs_modulus: f64 = gigapascals("youngs_modulus_gpa", &segment.youngs_modulus_gpa)?;
+        let shear_modulus: f64 = gigapascals("shear_modulus_gpa", &segment.shear_modulus_gpa)?;
+        let ratio = youngs_modulus / shear_modulus;
+        if !(2.0..=3.0).contains(&ratio) {
+            let message = format!("shear_modulus_gpa means a Poisson's ratio of {:.2}", ratio / 2.0 - 1.0);
+            let expected = "a third to half of youngs_modulus_gpa, Poisson's ratio 0.5 to 0";
+            return self.error(segment.shear_modulus_gpa.span(), message, expected);
+        }
+        Ok(Material { youngs_modulus, shear_modulus })
+    }
+
+    fn shape(&self, table: &Spanned<SegmentTable>) -> Result<Shape, InputError> {
+        let segment = table.get_ref();
+        let size = |key, value| Ok(self.source.positive(key, value)? / 1e3);
+        let wall = size("wall_mm", &segment.wall_mm)?;
+        let (shape, least) = match (&segment.tube_diameter_mm, &segment.box_width_mm, &segment.box_height_mm)
+        {
+            (Some(diameter), None, None) => {
+                let diameter = size("tube_diameter_mm", diameter)?;
+                (Shape::Tube { diameter, wall }, diameter)
+            }
+            (None, Some(width), Some(height)) => {
+                let width = size("box_width_mm", width)?;
+                let height = size("box_height_mm", height)?;
+                (Shape::Box { width, height, wall }, width.min(height))
+            }
+            _ => {
+                let expected = "tube_diameter_mm and wall_mm, or box_width_mm, box_height_mm and wall_mm";
+                return self.error(
+                    table.span(),
+                    "a segment whose shape is not one tube or one box",
+                    expected,
+                );
+            }
+        };
+        if 2.0 * wall >= least {
+            let message = "wall_mm leaves nothing hollow";
+            return self.error(segment.wall_mm.span(), message, "less than half of the shape's smaller size");
+        }
+        Ok(shape)
+    }
+}

@@ -1,0 +1,210 @@
+//! `robot.toml`: the D-H table, limits, drives, bearings, beams, actuators, loads, target and gravity, with their units in the keys.
+
+mod actuators;
+mod flexibility;
+mod joints;
+mod loads;
+mod section;
+mod statics;
+#[cfg(test)]
+mod tests;
+mod urdf;
+mod urdf_text;
+
+use std::path::Path;
+
+use nalgebra::Vector3;
+use serde::Deserialize;
+
+pub use loads::{LoadTable, read_loads};
+
+use actuators::ActuatorTable;
+use joints::JointTable;
+use statics::GravityTable;
+
+use crate::input::{InputError, Source, Spanned};
+use calibrig_model::{CalibrationModel, Visual};
+use urdf::UrdfRobot;
+
+/// The only schema that is read.
+const SCHEMA: &str = "calibrig.robot/1";
+
+/// A robot as its files describe it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Robot {
+    /// Name for people.
+    pub name: String,
+    /// What identification may know.
+    pub model: CalibrationModel,
+    /// Shapes to draw, per link (link 0 of the vector is the base, then one an entry per joint); empty without a URDF.
+    pub visuals: Vec<Vec<Visual>>,
+    /// Nominal offset of the target in the flange frame, m; `None` where it is not known.
+    pub target: Option<Vector3<f64>>,
+    /// How well the compliances are known: standard deviation relative to the stated ones, where the file says.
+    pub compliance_sigma: Option<f64>,
+    /// The files read, by role: `robot`, then `urdf` and `columns` where it names them.
+    pub sources: Vec<(String, Source)>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RobotFile {
+    schema: Spanned<String>,
+    name: Spanned<String>,
+    convention: Convention,
+    urdf: Option<Spanned<String>>,
+    columns: Option<Spanned<String>>,
+    #[serde(default)]
+    joint: Vec<Spanned<JointTable>>,
+    actuators: Spanned<ActuatorTable>,
+    target: Option<TargetTable>,
+    #[serde(default)]
+    load: Vec<Spanned<LoadTable>>,
+    gravity: Option<Spanned<GravityTable>>,
+    compliance_percent: Option<Spanned<f64>>,
+}
+
+/// Whose D-H table it is.
+#[derive(Deserialize, Clone, Copy, PartialEq)]
+#[serde(rename_all = "snake_case")]
+enum Convention {
+    /// `Rx(alpha) Tx(a) Ry(beta) Rz(theta) Tz(d)`, a row's a and alpha in front of its joint.
+    Craig,
+    /// `Rz(theta) Tz(d) Tx(a) Rx(alpha)`, a row's a and alpha behind its joint.
+    Standard,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TargetTable {
+    x_mm: Spanned<f64>,
+    y_mm: Spanned<f64>,
+    z_mm: Spanned<f64>,
+}
+
+/// Reads `robot.toml` and the files it names, which it seeks beside itself.
+pub fn load_robot(path: &Path) -> Result<Robot, InputError> {
+    let robot = Source::read(path)?;
+    let file: RobotFile = robot.toml()?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let beside = |key: &str, name: Option<&Spanned<String>>| {
+        let Some(name) = name else { return Ok(None) };
+        Source::read(&folder.join(name.get_ref())).map(Some).map_err(|error| {
+            robot.error(
+                name.span(),
+                format!("{key}: {error}"),
+                Some("expected the name of a file, relative to this one".to_owned()),
+            )
+        })
+    };
+    let urdf = beside("urdf", file.urdf.as_ref())?;
+    let columns = beside("columns", file.columns.as_ref())?;
+    parse_robot(robot, urdf, columns)
+}
+
+/// The same from texts in memory (a recording's attachments): `urdf` and `columns` are the files that the robot's text names, by
+/// content.
+pub fn parse_robot(
+    robot: Source,
+    urdf: Option<Source>,
+    columns: Option<Source>,
+) -> Result<Robot, InputError> {
+    let file: RobotFile = robot.toml()?;
+    let reader = Reader { source: &robot, file: &file };
+    reader.check_head()?;
+    reader.check_companion("urdf", file.urdf.as_ref(), urdf.as_ref())?;
+    reader.check_companion("columns", file.columns.as_ref(), columns.as_ref())?;
+    let kinematics = reader.kinematics()?;
+    let actuators = reader.actuators(&kinematics)?;
+    let motor_turns = reader.motor_turns()?;
+    let target = reader.target()?;
+    let described = match &urdf {
+        Some(text) => {
+            let described = UrdfRobot::parse(text)?;
+            described.check(text, &kinematics)?;
+            Some(described)
+        }
+        None => None,
+    };
+    let statics = reader.statics(&kinematics, &actuators, described.as_ref())?;
+    let compliance_sigma = reader.compliance_sigma()?;
+    let visuals = described.map_or_else(Vec::new, |described| {
+        let joints = described.joints.into_iter().map(|joint| joint.visuals);
+        std::iter::once(described.base_visuals).chain(joints).collect()
+    });
+    let name = file.name.get_ref().clone();
+    let companions = [("urdf", urdf), ("columns", columns)];
+    let mut sources = vec![("robot".to_owned(), robot)];
+    sources.extend(
+        companions.into_iter().filter_map(|(role, source)| source.map(|source| (role.to_owned(), source))),
+    );
+    let model = CalibrationModel { kinematics, actuators, statics, motor_turns };
+    Ok(Robot { name, model, visuals, target, compliance_sigma, sources })
+}
+
+struct Reader<'a> {
+    source: &'a Source,
+    file: &'a RobotFile,
+}
+
+impl Reader<'_> {
+    fn error<T>(
+        &self,
+        span: std::ops::Range<usize>,
+        message: impl std::fmt::Display,
+        expected: &str,
+    ) -> Result<T, InputError> {
+        Err(self.source.error(span, message, Some(format!("expected {expected}"))))
+    }
+
+    fn check_head(&self) -> Result<(), InputError> {
+        let schema = &self.file.schema;
+        if schema.get_ref() != SCHEMA {
+            return self.error(
+                schema.span(),
+                format!("schema is {:?}", schema.get_ref()),
+                &format!("{SCHEMA:?}"),
+            );
+        }
+        if self.file.name.get_ref().trim().is_empty() {
+            return self.error(self.file.name.span(), "name is empty", "a name for people");
+        }
+        Ok(())
+    }
+
+    fn check_companion(
+        &self,
+        key: &str,
+        name: Option<&Spanned<String>>,
+        text: Option<&Source>,
+    ) -> Result<(), InputError> {
+        match (name, text) {
+            (Some(name), None) => {
+                let message = format!("{key} {:?} was not given", name.get_ref());
+                self.error(name.span(), message, "the text of the file that it names")
+            }
+            (None, Some(text)) => {
+                let message = format!("{} was given, but there is no key {key}", text.name);
+                self.error(0..0, message, &format!("{key} = \"...\""))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn millimetres(&self, key: &str, value: &Spanned<f64>) -> Result<f64, InputError> {
+        Ok(self.source.finite(key, value)? / 1e3)
+    }
+
+    fn degrees(&self, key: &str, value: &Spanned<f64>) -> Result<f64, InputError> {
+        Ok(self.source.finite(key, value)?.to_radians())
+    }
+
+    fn target(&self) -> Result<Option<Vector3<f64>>, InputError> {
+        let Some(target) = &self.file.target else { return Ok(None) };
+        Ok(Some(Vector3::new(
+            self.millimetres("x_mm", &target.x_mm)?,
+            self.millimetres("y_mm", &target.y_mm)?,
+            self.millimetres("z_mm", &target.z_mm)?,
+        )))
+    }
+}

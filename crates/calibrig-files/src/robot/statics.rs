@@ -1,0 +1,138 @@
+//! What statics need, gathered: masses, stiffnesses, loads and gravity.
+
+use nalgebra::Vector3;
+use serde::Deserialize;
+
+use super::Reader;
+use super::loads::read_loads;
+use super::urdf::UrdfRobot;
+use crate::input::{InputError, Spanned};
+use calibrig_model::{ActuatorMap, Beam, Body, KinematicModel, StaticProperties};
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct GravityTable {
+    x_m_per_s2: Spanned<f64>,
+    y_m_per_s2: Spanned<f64>,
+    z_m_per_s2: Spanned<f64>,
+}
+
+impl Reader<'_> {
+    pub(super) fn gravity(&self) -> Result<Option<Vector3<f64>>, InputError> {
+        let Some(table) = &self.file.gravity else { return Ok(None) };
+        let gravity = table.get_ref();
+        Ok(Some(Vector3::new(
+            self.source.finite("x_m_per_s2", &gravity.x_m_per_s2)?,
+            self.source.finite("y_m_per_s2", &gravity.y_m_per_s2)?,
+            self.source.finite("z_m_per_s2", &gravity.z_m_per_s2)?,
+        )))
+    }
+
+    pub(super) fn compliance_sigma(&self) -> Result<Option<f64>, InputError> {
+        let Some(percent) = &self.file.compliance_percent else { return Ok(None) };
+        Ok(Some(self.source.positive("compliance_percent", percent)? / 100.0))
+    }
+
+    /// Deflections need stiffness, gravity and masses together: some of them without the others are a mistake.
+    pub(super) fn statics(
+        &self,
+        kinematics: &KinematicModel,
+        actuators: &ActuatorMap,
+        urdf: Option<&UrdfRobot>,
+    ) -> Result<Option<StaticProperties>, InputError> {
+        let gravity = self.gravity()?;
+        // Read in any case, so that a mistake in them is told.
+        let drives = self.drives()?;
+        let bearings = self.bearings()?;
+        let limits: Vec<_> = kinematics.links.iter().map(|link| link.limits).collect();
+        let beams = self.beams(&limits)?;
+        let linkage = self.linkage_statics(actuators)?;
+        let names: Vec<_> = kinematics.links.iter().map(|link| link.name.as_str()).collect();
+        let loads = read_loads(self.source, &self.file.load, &names, &[])?;
+        let (drive_stiffness, gravity) = match (drives, gravity) {
+            (None, None) => return self.refuse_statics_alone().map(|()| None),
+            (Some(drives), Some(gravity)) => (drives, gravity),
+            (Some(_), None) => {
+                let span = self.file.joint[0].span();
+                return self.error(
+                    span,
+                    "the drives have stiffnesses, but there is no [gravity]",
+                    "[gravity]",
+                );
+            }
+            (None, Some(_)) => {
+                let span = self.file.gravity.as_ref().map_or(0..0, Spanned::span);
+                let expected = "stiffness_n_per_m or stiffness_nm_per_rad of every joint";
+                return self.error(span, "there is [gravity], but no drive has a stiffness", expected);
+            }
+        };
+        let bodies = self.bodies(urdf)?;
+        self.check_beam_masses(&limits, &beams, &bodies)?;
+        Ok(Some(StaticProperties { bodies, drive_stiffness, bearings, beams, linkage, loads, gravity }))
+    }
+
+    /// Bearings, beams, loads and masses of the four-bar mean nothing without drives and gravity.
+    fn refuse_statics_alone(&self) -> Result<(), InputError> {
+        let of_joint = self.file.joint.iter().map(Spanned::get_ref).find_map(|joint| {
+            let bearing = joint.bearing.as_ref().map(|table| (table.span(), "[joint.bearing]"));
+            bearing.or_else(|| joint.beam.as_ref().map(|table| (table.span(), "[joint.beam]")))
+        });
+        let known = self.file.compliance_percent.as_ref().map(|value| (value.span(), "compliance_percent"));
+        let load = || self.file.load.first().map(|table| (table.span(), "[[load]]"));
+        let linkage =
+            || self.linkage_statics_key().map(|span| (span, "stiffness or mass in [actuators.linkage]"));
+        match of_joint.or_else(load).or_else(linkage).or(known) {
+            Some((span, what)) => self.error(
+                span,
+                format!("there is a {what}, but no drive has a stiffness"),
+                "stiffness_n_per_m or stiffness_nm_per_rad of every joint, and [gravity]",
+            ),
+            None => Ok(()),
+        }
+    }
+
+    fn bodies(&self, urdf: Option<&UrdfRobot>) -> Result<Vec<Body>, InputError> {
+        let Some(urdf) = urdf else {
+            let message = "there are stiffnesses and [gravity], but no masses";
+            return self.error(0..0, message, "urdf = \"robot.urdf\" with the inertials");
+        };
+        urdf.joints
+            .iter()
+            .zip(&self.file.joint)
+            .map(|(joint, table)| match &joint.body {
+                Some(body) => Ok(body.clone()),
+                None => {
+                    let message =
+                        format!("the URDF has no <inertial> of what joint {:?} carries", joint.name);
+                    self.error(
+                        table.get_ref().name.span(),
+                        message,
+                        "an <inertial>, or no stiffnesses and [gravity]",
+                    )
+                }
+            })
+            .collect()
+    }
+
+    /// A beam is a part of its link's body.
+    fn check_beam_masses(
+        &self,
+        limits: &[[f64; 2]],
+        beams: &[Option<Beam>],
+        bodies: &[Body],
+    ) -> Result<(), InputError> {
+        for (((table, limits), beam), body) in self.file.joint.iter().zip(limits).zip(beams).zip(bodies) {
+            let (Some(beam), Some(file)) = (beam, &table.get_ref().beam) else { continue };
+            let mass = beam.mass(limits[1]);
+            if mass >= body.mass {
+                let message = format!(
+                    "the beam of joint {:?} has {mass:.3} kg, the whole link {} kg in the URDF",
+                    table.get_ref().name.get_ref(),
+                    body.mass
+                );
+                return self.error(file.span(), message, "a beam that is lighter than its link");
+            }
+        }
+        Ok(())
+    }
+}

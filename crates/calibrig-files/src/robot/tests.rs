@@ -1,0 +1,484 @@
+//! The robot's file: what is read, and every refusal.
+
+use super::*;
+use calibrig_estimation::elastostatics::{Deflection, ElasticChain};
+use calibrig_estimation::kinematics::forward_kinematics;
+use calibrig_model::geometry::rotation_z;
+use calibrig_model::geometry::{Transform, rotation_x, translation};
+use calibrig_model::random::{Source as Stream, stream};
+use calibrig_model::{
+    ActuatorMap, BeamRun, Bearing, BearingSide, FourBar, JointKind, LinkageArm, Section, SegmentLength,
+    StaticProperties,
+};
+use proptest::prelude::*;
+use rand::RngExt;
+
+const CENTRE: [f64; 7] = [2.0, 0.19, -1.71, 0.12, 2.0, -0.16, -0.77];
+const HALF_WIDTH: [f64; 7] = [1.92, 0.39, 0.31, 0.20, 0.30, 1.18, 0.57];
+
+fn model_file(name: &str) -> std::path::PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models").join(name)
+}
+
+fn spray_painter() -> Robot {
+    load_robot(&model_file("spray_painter/robot.toml")).expect("the model of the repository")
+}
+
+const TWO_JOINTS: &str = r#"
+schema = "calibrig.robot/1"
+name = "two"
+convention = "craig"
+[[joint]]
+name = "slide"
+type = "prismatic"
+a_mm = 0
+alpha_deg = 0
+d_mm = 100
+theta_deg = 0
+min_mm = 0
+max_mm = 500
+[[joint]]
+name = "swing"
+type = "revolute"
+a_mm = 250.5
+alpha_deg = -90
+d_mm = 0
+theta_deg = 30
+beta_deg = 1
+min_deg = -180
+max_deg = 90
+[actuators]
+kind = "direct"
+"#;
+
+fn parse(text: &str) -> Result<Robot, InputError> {
+    parse_robot(Source::new("robot.toml", text), None, None)
+}
+
+/// Message, line and help of the refusal of `TWO_JOINTS` with `from` replaced by `to`.
+fn refusal(from: &str, to: &str) -> (String, usize, String) {
+    assert!(TWO_JOINTS.contains(from), "{from}");
+    let text = TWO_JOINTS.replacen(from, to, 1);
+    match parse(&text) {
+        Err(InputError::Invalid { message, line, help, .. }) => (message, line, help.unwrap_or_default()),
+        other => panic!("{from} -> {to}: {other:?}"),
+    }
+}
+
+#[test]
+fn numbers_are_converted_on_entry() {
+    let robot = parse(TWO_JOINTS).expect("valid");
+    let [slide, swing] = robot.model.kinematics.links.as_slice() else { panic!("two links") };
+    assert_eq!((slide.kind, slide.d, slide.limits), (JointKind::Prismatic, 0.1, [0.0, 0.5]));
+    assert_eq!((swing.a, swing.alpha), (0.2505, -std::f64::consts::FRAC_PI_2));
+    assert!((swing.beta - 0.017_453_292_519_943_295).abs() < 1e-17);
+    assert_eq!(swing.limits, [-std::f64::consts::PI, std::f64::consts::FRAC_PI_2]);
+    assert_eq!(robot.model.kinematics.last_from_flange, Transform::identity());
+    assert_eq!((robot.model.actuators, robot.model.statics, robot.target), (ActuatorMap::Direct, None, None));
+    assert!(robot.visuals.is_empty());
+}
+
+#[test]
+fn every_mistake_is_named_with_its_line_and_what_was_expected() {
+    for (from, to, message, line, help) in [
+        ("\"calibrig.robot/1\"", "\"calibrig.robot/2\"", "calibrig.robot/2", 2, "calibrig.robot/1"),
+        ("\"two\"", "\" \"", "name is empty", 3, "name"),
+        ("\"craig\"", "\"mdh\"", "convention is \"mdh\"", 4, "`craig`"),
+        ("a_mm = 0\n", "a = 0\n", "unknown key `a`", 8, "`a_mm`"),
+        ("a_mm = 0\n", "", "missing key `a_mm` in [joint]", 5, "unit"),
+        ("a_mm = 0\n", "a_mm = \"0\"\n", "joint.a_mm is \"0\"", 8, "a number"),
+        ("a_mm = 0\n", "a_mm = nan\n", "a_mm is nan", 8, "finite"),
+        ("d_mm = 100\n", "d_mm = -inf\n", "d_mm is -inf", 10, "finite"),
+        ("\"prismatic\"", "\"linear\"", "joint.type is \"linear\"", 7, "`prismatic`"),
+        ("min_mm", "min_deg", "min_deg of joint \"slide\", which is prismatic", 12, "min_mm"),
+        ("max_deg", "max_mm", "max_mm of joint \"swing\", which is revolute", 23, "max_deg"),
+        ("max_mm = 500\n", "", "joint \"slide\" has no max_mm", 5, "max_mm"),
+        ("max_mm = 500", "max_mm = -1", "max_mm of joint \"slide\" is not above min_mm", 13, "below"),
+        ("\"swing\"", "\"slide\"", "a second joint \"slide\"", 15, "own"),
+        ("\"swing\"", "\"\"", "name is empty", 15, "name"),
+        ("max_mm = 500", "max_mm = 500\nstiffness_n_per_m = 0", "stiffness_n_per_m is 0", 14, "above zero"),
+        (
+            "max_mm = 500",
+            "max_mm = 500\nstiffness_nm_per_rad = 1",
+            "which is prismatic",
+            14,
+            "stiffness_n_per_m",
+        ),
+        (
+            "max_mm = 500",
+            "max_mm = 500\nstiffness_n_per_m = 1e6",
+            "\"swing\" has no stiffness_nm_per_rad",
+            15,
+            "every",
+        ),
+        ("\"direct\"", "\"belt\"", "actuators.kind is \"belt\"", 25, "`direct`"),
+        ("\"direct\"", "\"direct\"\noffset_deg = 0", "no loop", 26, "parallelogram"),
+        ("\"direct\"", "\"parallelogram\"", "no shoulder", 24, "revolute"),
+        ("\"direct\"", "\"parallelogram\"\nshoulder = \"hip\"", "no joint \"hip\"", 26, "slide, swing"),
+        ("\"direct\"", "\"parallelogram\"\nshoulder = \"slide\"", "\"slide\" is prismatic", 26, "revolute"),
+        (
+            "\"direct\"",
+            "\"parallelogram\"\nshoulder = \"swing\"\nelbow = \"swing\"\noffset_deg = 0",
+            "one joint",
+            27,
+            "two",
+        ),
+        (
+            "[actuators]",
+            "[target]\nx_mm = 1\ny_mm = 2\n[actuators]",
+            "missing key `z_mm` in [target]",
+            24,
+            "unit",
+        ),
+        (
+            "[actuators]",
+            "[gravity]\nx_m_per_s2 = 0\ny_m_per_s2 = 0\nz_m_per_s2 = -9.8\n[actuators]",
+            "no drive has a stiffness",
+            24,
+            "every joint",
+        ),
+        ("[actuators]\nkind = \"direct\"\n", "", "missing key `actuators`", 1, ""),
+        ("name = \"two\"", "name = \"two\"\nurdf = \"a.urdf\"", "\"a.urdf\" was not given", 4, "text"),
+        ("convention", "convention = = ", "", 4, ""),
+    ] {
+        let (found, at, expected) = refusal(from, to);
+        assert!(found.contains(message), "{to}: {found}");
+        assert!(expected.contains(help), "{to}: {expected}");
+        assert_eq!(at, line, "{to}: {found}");
+    }
+    let (found, ..) =
+        refusal(&TWO_JOINTS[TWO_JOINTS.find("[[joint]]").unwrap()..TWO_JOINTS.find("[act").unwrap()], "");
+    assert!(found.contains("there is no joint"), "{found}");
+}
+
+#[test]
+fn absent_files_and_folders_are_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let absent = folder.path().join("robot.toml");
+    assert!(load_robot(&absent).unwrap_err().to_string().contains("robot.toml"));
+    assert!(load_robot(folder.path()).unwrap_err().to_string().contains("folder"));
+    std::fs::write(&absent, TWO_JOINTS.replace("\"craig\"", "\"craig\"\nurdf = \"none.urdf\"")).unwrap();
+    let error = load_robot(&absent).unwrap_err().to_string();
+    assert!(error.contains("robot.toml:5: urdf: cannot read") && error.contains("none.urdf"), "{error}");
+    std::fs::write(&absent, [0x66, 0xff, 0xfe]).unwrap();
+    assert!(load_robot(&absent).unwrap_err().to_string().contains("not UTF-8"));
+}
+
+/// Against the product of the standard link transforms `Rz(theta + q) Tz(d) Tx(a) Rx(alpha)`.
+#[test]
+fn a_standard_table_moves_the_same_flange_as_its_own_product() {
+    let table = [
+        (89.159, 0.0, 90.0),
+        (0.0, -425.0, 0.0),
+        (0.0, -392.25, 0.0),
+        (109.15, 0.0, 90.0),
+        (94.65, 0.0, -90.0),
+        (82.3, 0.0, 0.0),
+    ];
+    let ur5 = load_robot(&model_file("ur5/robot.toml")).expect("the model of the repository");
+    assert_eq!(ur5.compliance_sigma, Some(1.0));
+    let mut rng = stream(3, 0, Stream::AsBuilt);
+    for _ in 0..50 {
+        let q: Vec<f64> = (0..6).map(|_| rng.random_range(-3.0..3.0)).collect();
+        let product = table.iter().zip(&q).fold(Transform::identity(), |product, ((d, a, alpha), q)| {
+            let alpha: f64 = *alpha;
+            product * rotation_z(*q) * translation(a / 1e3, 0.0, d / 1e3) * rotation_x(alpha.to_radians())
+        });
+        let found = forward_kinematics(&ur5.model.kinematics, &q);
+        assert!((found.to_homogeneous() - product.to_homogeneous()).norm() < 1e-14);
+    }
+    // A table that ends with a link of its own: 45 mm and a quarter turn behind the last joint.
+    let text = TWO_JOINTS.replace("\"craig\"", "\"standard\"").replace("beta_deg = 1\n", "");
+    let two = parse(&text).expect("valid").model.kinematics;
+    assert_eq!(
+        (two.links[0].a, two.links[0].alpha, two.links[1].a, two.links[1].alpha),
+        (0.0, 0.0, 0.0, 0.0)
+    );
+    let expected = translation(0.2505, 0.0, 0.0) * rotation_x(-std::f64::consts::FRAC_PI_2);
+    assert_eq!(two.last_from_flange, expected);
+    let with_beta = TWO_JOINTS.replace("\"craig\"", "\"standard\"");
+    assert!(parse(&with_beta).unwrap_err().to_string().contains("beta_deg"));
+}
+
+#[test]
+fn the_wam_reaches_its_published_height() {
+    let wam = load_robot(&model_file("wam/robot.toml")).expect("the model of the repository");
+    // Stretched upwards: 550 + 300 + 60 mm, the two 45 mm offsets cancel.
+    let stretched = forward_kinematics(&wam.model.kinematics, &[0.0; 7]).translation.vector;
+    assert!((stretched - Vector3::new(0.0, 0.0, 0.91)).norm() < 1e-14, "{stretched}");
+}
+
+#[test]
+fn the_spray_painter_has_the_published_table_and_contains_the_working_region() {
+    let robot = spray_painter();
+    let expected = [
+        (JointKind::Prismatic, 0.0, 0.0, 0.0),
+        (JointKind::Revolute, 0.0, -90.0, 0.626),
+        (JointKind::Revolute, 0.25, -90.0, 0.0),
+        (JointKind::Revolute, 1.35, 0.0, 0.0),
+        (JointKind::Prismatic, 0.246, -90.0, 0.0),
+        (JointKind::Revolute, 0.0, 0.0, 0.0),
+        (JointKind::Revolute, 0.0, 90.0, 0.0),
+    ];
+    for (index, (link, (kind, a, alpha, d))) in robot.model.kinematics.links.iter().zip(expected).enumerate()
+    {
+        assert_eq!((link.kind, link.a, link.alpha.to_degrees(), link.d), (kind, a, alpha, d), "{index}");
+        assert_eq!((link.theta, link.beta), (0.0, 0.0));
+        assert!(link.limits[0] <= CENTRE[index] - HALF_WIDTH[index] + 1e-12, "{index}");
+        assert!(link.limits[1] >= CENTRE[index] + HALF_WIDTH[index] - 1e-12, "{index}");
+    }
+    let (shoulder, elbow, offset, _) = robot.model.actuators.four_bar().expect("a four-bar");
+    assert_eq!((shoulder, elbow, offset), (2, 3, 0.0));
+    assert_eq!(robot.target, Some(Vector3::new(0.10, 0.15, 0.20)));
+    let statics = robot.model.statics.expect("masses, stiffnesses and gravity");
+    let masses: Vec<f64> = statics.bodies.iter().map(|body| body.mass).collect();
+    assert_eq!(masses, [800.0, 400.0, 250.0, 150.0, 80.0, 25.0, 15.0]);
+    assert_eq!(statics.gravity, Vector3::new(0.0, -9.80665, 0.0));
+    assert_eq!(robot.visuals.len(), 8);
+    assert!(robot.visuals.iter().all(|shapes| !shapes.is_empty()));
+}
+
+/// How far gravity lowers the target at the joint variables `q`, m, after `change`.
+fn lowered(robot: &Robot, q: &[f64], change: impl Fn(&mut StaticProperties)) -> f64 {
+    let mut model = robot.model.clone();
+    model.statics.as_mut().map(change).expect("masses, stiffnesses and gravity");
+    let command = model.actuators.command_from_joints(q);
+    let target = robot.target.expect("stated");
+    let mut chain = ElasticChain::new(&model);
+    let mut height = |deflection| {
+        chain.settle(&command, &[], deflection).expect("a pose at rest");
+        chain.target(&target).y
+    };
+    height(Deflection::None) - height(Deflection::Equilibrium)
+}
+
+#[test]
+fn gravity_lowers_the_spray_painters_target_as_its_file_says() {
+    let robot = spray_painter();
+    let all = lowered(&robot, &CENTRE, |_| {});
+    let drive =
+        |joint: usize| move |statics: &mut StaticProperties| statics.drive_stiffness[joint] = f64::INFINITY;
+    let share_of = |rigid: &dyn Fn(&mut StaticProperties)| all - lowered(&robot, &CENTRE, rigid);
+    // From robot.toml, which has it from the minimum of the potential energy, written down apart from this program.
+    for (what, found, stated) in [
+        ("all", all, 14.85e-3),
+        ("drive of the elbow", share_of(&drive(3)), 13.22e-3),
+        ("bearings", share_of(&|statics| statics.bearings.fill(Bearing::default())), 0.70e-3),
+        ("rod", share_of(&|s| s.linkage.as_mut().unwrap().rod_stiffness = f64::INFINITY), 0.50e-3),
+        ("drive of the shoulder", share_of(&drive(2)), 0.21e-3),
+        ("beams", share_of(&make_beams_rigid), 0.18e-3),
+    ] {
+        eprintln!("{what}: {:.4} mm", found * 1e3);
+        assert!((found - stated).abs() < 6e-6, "{what}: {found} m");
+    }
+    for joint in [0, 1, 4, 5, 6] {
+        assert!(share_of(&drive(joint)).abs() < 0.1e-3, "{joint}");
+    }
+    let mut rng = stream(2, 0, Stream::AsBuilt);
+    let poses = 100;
+    let sum: f64 = (0..poses)
+        .map(|_| {
+            let q: Vec<f64> =
+                (0..7).map(|i| CENTRE[i] + HALF_WIDTH[i] * rng.random_range(-1.0..1.0)).collect();
+            lowered(&robot, &q, |_| {})
+        })
+        .sum();
+    let mean = sum / f64::from(poses);
+    eprintln!("mean droop over the working region {:.2} mm", mean * 1e3);
+    assert!((12e-3..18e-3).contains(&mean), "{mean}");
+}
+
+/// A compliance without a drop in weight.
+fn make_beams_rigid(statics: &mut StaticProperties) {
+    for segment in statics.beams.iter_mut().flatten().flat_map(|beam| &mut beam.segments) {
+        segment.section = Section { mass_per_length: segment.section.mass_per_length, ..Section::RIGID };
+    }
+}
+
+#[test]
+fn what_yields_is_read_with_its_units() {
+    let robot = spray_painter();
+    let statics = robot.model.statics.as_ref().expect("stated");
+    let telescope = &statics.bearings[4];
+    assert_eq!((telescope.side, telescope.at), (BearingSide::Fixed, 1.25));
+    assert_eq!(telescope.stiffness, [1e8, 1e8, f64::INFINITY, 5e6, 5e6, 1e6]);
+    assert_eq!(statics.bearings[1].stiffness, [1e9, 1e9, 1.5e9, 6e7, 6e7, f64::INFINITY]);
+    let tube = statics.beams[4].as_ref().expect("a beam");
+    assert_eq!(tube.run, BeamRun::EndsAtOrigin);
+    assert_eq!(tube.segments[0].length, SegmentLength::Extension(1.25));
+    // 4.32e-3 m² of steel.
+    assert!((tube.segments[0].section.mass_per_length - 33.93).abs() < 0.01);
+    let arm = statics.beams[2].as_ref().expect("a beam");
+    assert_eq!((arm.run, arm.segments[0].length), (BeamRun::AlongX, SegmentLength::Constant(1.35)));
+    assert!((arm.mass(0.0) - 0.01 * 1.35 * 7850.0).abs() < 1e-9);
+    // 0.28 m along y: stiffer about z.
+    let [about_y, about_z] = arm.segments[0].section.bending;
+    assert!(about_z > 1.2 * about_y);
+    assert!(statics.beams.iter().enumerate().all(|(joint, beam)| beam.is_some() == [2, 4].contains(&joint)));
+
+    let (.., linkage) = robot.model.actuators.four_bar().expect("a four-bar");
+    let arm = LinkageArm { length: 0.35, angle: std::f64::consts::FRAC_PI_2, along: 0.25 };
+    assert_eq!(*linkage, FourBar { crank: arm, lever: arm, rod: 1.35 });
+    let linkage = statics.linkage.as_ref().expect("its statics");
+    assert_eq!((linkage.rod_stiffness, linkage.rod_mass, linkage.crank.mass), (8e7, 12.0, 15.0));
+    assert!((linkage.crank.centre_of_mass - Vector3::new(0.0, 0.15, 0.25)).norm() < 1e-15);
+    let per_radian = 180.0 / std::f64::consts::TAU;
+    assert_eq!(robot.model.motor_turns[2..5], [Some(per_radian), Some(per_radian), Some(200.0)]);
+}
+
+#[test]
+fn loads_are_read_with_their_units() {
+    let robot = painter_with(
+        "[gravity]",
+        "[[load]]\nname = \"hose\"\njoint = \"telescope\"\nx_mm = 1\ny_mm = 2\nz_mm = -300\nmass_kg = 4\nforce_y_n = -5\n[gravity]",
+    );
+    let statics = robot.expect("valid").model.statics.expect("stated");
+    let [hose] = statics.loads.as_slice() else { panic!("one load") };
+    assert_eq!((hose.name.as_str(), hose.link, hose.mass), ("hose", 4, 4.0));
+    assert_eq!(hose.at, Vector3::new(0.001, 0.002, -0.3));
+    assert_eq!(hose.force, Vector3::new(0.0, -5.0, 0.0));
+}
+
+/// The spray painter with `from` replaced by `to` in its file.
+#[track_caller]
+fn painter_with(from: &str, to: &str) -> Result<Robot, InputError> {
+    let text = |name| Source::read(&model_file(name)).expect("the model of the repository");
+    let robot = text("spray_painter/robot.toml").text;
+    assert!(robot.contains(from), "{from}");
+    let changed = Source::new("robot.toml", robot.replacen(from, to, 1));
+    parse_robot(changed, Some(text("spray_painter/robot.urdf")), None)
+}
+
+#[test]
+fn every_mistake_in_what_yields_is_named() {
+    let rail = "stiffness_x_n_per_m = 1.0e9\nstiffness_y_n_per_m = 1.0e9\nstiffness_rx_nm_per_rad = 2.0e8\n\
+                stiffness_ry_nm_per_rad = 2.0e8\nstiffness_rz_nm_per_rad = 1.2e8\n";
+    let load = |keys: &str| {
+        let table = |keys: &str| format!("[[load]]\nname = \"hose\"\nx_mm = 0\ny_mm = 0\nz_mm = 0\n{keys}\n");
+        format!("{}[gravity]", keys.split(';').map(table).collect::<String>())
+    };
+    for (from, to, message, help) in [
+        ("stiffness_x_n_per_m = 1.0e9", "stiffness_x_n_per_m = 0", "stiffness_x_n_per_m is 0", "above zero"),
+        ("stiffness_ry_nm_per_rad = 2.0e8", "stiffness_z_n_per_m = 1", "axis of joint \"rail\"", "drive"),
+        (
+            "stiffness_rx_nm_per_rad = 6.0e7",
+            "stiffness_rz_nm_per_rad = 1",
+            "axis of joint \"waist\"",
+            "drive",
+        ),
+        (rail, "", "[joint.bearing] of joint \"rail\" has no stiffness", "at least one"),
+        ("side = \"fixed\"", "side = \"left\"", "joint.bearing.side is \"left\"", "`moving`"),
+        ("at_mm = 1250", "at_mm = nan", "at_mm is nan", "finite"),
+        ("run = \"along_x\"", "run = \"along_y\"", "joint.beam.run is \"along_y\"", "`along_x`"),
+        ("length_mm = 1350", "length_mm = 0", "length_mm is 0", "above zero"),
+        ("length_mm = 1350", "housed_mm = 1", "joint \"shoulder\", which is no telescope", "length_mm"),
+        ("length_mm = 1350", "", "a segment of no length", "housed_mm"),
+        ("length_mm = 1350", "length_mm = 1\nhoused_mm = 1", "both length_mm and housed_mm", "one"),
+        ("housed_mm = 1250", "housed_mm = 1700", "leaves nothing of the segment at min_mm", "below min_mm"),
+        ("wall_mm = 8", "wall_mm = 90", "leaves nothing hollow", "half"),
+        ("box_height_mm = 240\n", "", "not one tube or one box", "tube_diameter_mm"),
+        (
+            "tube_diameter_mm = 180\n",
+            "tube_diameter_mm = 1\nbox_width_mm = 1\n",
+            "not one tube or one box",
+            "box",
+        ),
+        (
+            "youngs_modulus_gpa = 210\n",
+            "",
+            "missing key `youngs_modulus_gpa` in [joint.beam.segment]",
+            "unit",
+        ),
+        ("shear_modulus_gpa = 81", "shear_modulus_gpa = 120", "Poisson's ratio of -0.12", "half"),
+        ("density_kg_per_m3 = 7850", "", "a segment of no weight", "mass_per_length_kg_per_m"),
+        (
+            "density_kg_per_m3 = 7850",
+            "density_kg_per_m3 = 1\nmass_per_length_kg_per_m = 1",
+            "both density",
+            "one",
+        ),
+        ("density_kg_per_m3 = 7850", "density_kg_per_m3 = -1", "density_kg_per_m3 is -1", "zero or more"),
+        (
+            "density_kg_per_m3 = 7850",
+            "density_kg_per_m3 = 20000",
+            "beam of joint \"shoulder\" has 270.000 kg, the whole link 250 kg",
+            "lighter",
+        ),
+        (
+            "motor_turns_per_m = 100",
+            "motor_turns_per_rev = 1",
+            "motor_turns_per_rev of joint \"rail\"",
+            "per_m",
+        ),
+        ("motor_turns_per_m = 100", "motor_turns_per_m = 0", "motor_turns_per_m is 0", "above zero"),
+        ("crank_mm = 350\n", "", "missing key `crank_mm` in [actuators.linkage]", "unit"),
+        ("rod_mm = 1350", "rod_mm = -1", "rod_mm is -1", "above zero"),
+        ("rod_mm = 1350", "rod_mm = 1800", "does not close with the elbow at -45.0 deg", "rod_mm"),
+        ("\nangle_deg = 90", "\nangle_deg = 20", "of one line with the elbow at -20.", "at least 10 deg"),
+        ("\nangle_deg = 90", "", "no angle of crank and lever", "lever_angle_deg"),
+        ("\nangle_deg = 90", "\nangle_deg = 90\nlever_angle_deg = 90", "or two", "angle_deg, or"),
+        ("along_mm = 250", "along_mm = inf", "along_mm is inf", "finite"),
+        ("rod_stiffness_n_per_m = 8", "rod_stiffness_n_per_m = 0", "rod_stiffness_n_per_m is 0", "above"),
+        ("rod_mass_kg = 12", "rod_mass_kg = -1", "rod_mass_kg is -1", "zero or more"),
+        (
+            "elbow = \"elbow\"",
+            "elbow = \"roll\"",
+            "spans more than shoulder and elbow",
+            "behind the shoulder",
+        ),
+        ("[gravity]", &load("joint = \"wrist\""), "load \"hose\" has neither mass nor force", "mass_kg"),
+        ("[gravity]", &load("joint = \"hand\"\nmass_kg = 1"), "no joint \"hand\"", "wrist"),
+        ("[gravity]", &load("joint = \"wrist\"\nmass_kg = -1"), "mass_kg is -1", "zero or more"),
+        ("[gravity]", &load("joint = \"wrist\"\nforce_x_n = nan"), "force_x_n is nan", "finite"),
+        (
+            "[gravity]",
+            &load("joint = \"wrist\"\nmass_kg = 1;joint = \"wrist\"\nmass_kg = 1"),
+            "a second load \"hose\"",
+            "its own",
+        ),
+    ] {
+        match painter_with(from, to) {
+            Err(InputError::Invalid { message: found, help: expected, line, .. }) => {
+                assert!(found.contains(message), "{to}: {found}");
+                assert!(expected.as_deref().is_some_and(|e| e.contains(help)), "{to}: {expected:?}");
+                assert!(line > 1, "{to}: {found}");
+            }
+            other => panic!("{from} -> {to}: {other:?}"),
+        }
+    }
+    let segments = "[[joint.beam.segment]]\nhoused_mm = 1250\ntube_diameter_mm = 180\nwall_mm = 8\nyoungs_modulus_gpa = 210\n\
+                    shear_modulus_gpa = 81\ndensity_kg_per_m3 = 7850\n";
+    let error = painter_with(segments, "").unwrap_err().to_string();
+    assert!(error.contains("[joint.beam] of joint \"telescope\" has no segment"), "{error}");
+}
+
+#[test]
+fn what_yields_needs_drives_and_gravity() {
+    for (addition, what) in [
+        ("[joint.bearing]\nstiffness_x_n_per_m = 1\n[actuators]", "[joint.bearing]"),
+        (
+            "[[load]]\nname = \"a\"\njoint = \"swing\"\nx_mm = 0\ny_mm = 0\nz_mm = 0\nmass_kg = 1\n[actuators]",
+            "[[load]]",
+        ),
+    ] {
+        let (found, line, help) = refusal("[actuators]", addition);
+        assert!(found.contains(what) && found.contains("no drive has a stiffness"), "{found}");
+        assert!(help.contains("[gravity]") && line >= 24, "{help} {line}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(300))]
+    #[test]
+    fn no_mutation_of_a_robot_file_panics(at in 0usize..900, remove in 0usize..6, insert in "\\PC{0,3}|[\"\\[\\]=.\n-]{0,3}") {
+        let mut text: Vec<char> = TWO_JOINTS.chars().collect();
+        let at = at.min(text.len());
+        let end = (at + remove).min(text.len());
+        text.splice(at..end, insert.chars());
+        let text: String = text.into_iter().collect();
+        if let Err(error) = parse(&text) {
+            let drawn = format!("{:?}", miette::Report::new(error));
+            prop_assert!(!drawn.is_empty());
+        }
+    }
+}

@@ -1,0 +1,412 @@
+//! `session.toml`: what of a session its measurement files have no columns for. Stations with their base nests, targets with their
+//! uncertainty, poses that were not measured. Every number reads back to the same bits.
+
+#[cfg(test)]
+mod tests;
+
+use std::fmt::Write;
+use std::ops::Range;
+use std::path::Path;
+
+use nalgebra::{Matrix3, Vector3};
+use serde::Deserialize;
+
+use crate::LoadedMeasurements;
+use crate::input::{InputError, Source, Spanned};
+use calibrig_model::measurement::{
+    MeasurementSet, NestObservation, Reading, SetKind, SphericalReading, Station, Target,
+};
+
+const SCHEMA: &str = "calibrig.session/1";
+/// As of any number in an input file.
+const LARGEST: f64 = 1e15;
+
+/// What a `session.toml` says.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SessionFile {
+    /// With the set that it belongs to; `None` for both.
+    stations: Vec<(Option<SetKind>, Station)>,
+    targets: Vec<(Option<SetKind>, Target)>,
+    dropped: Vec<(SetKind, u32, String)>,
+}
+
+/// A set as a session file tells it: which, what was measured, and the poses that were not.
+pub type SessionSet<'a> = (SetKind, &'a MeasurementSet, &'a [(u32, String)]);
+
+type Three = Spanned<[f64; 3]>;
+type Square = Spanned<[[f64; 3]; 3]>;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SessionTable {
+    schema: Spanned<String>,
+    #[serde(default)]
+    station: Vec<StationTable>,
+    #[serde(default)]
+    target: Vec<TargetTable>,
+    #[serde(default)]
+    dropped: Vec<DroppedTable>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StationTable {
+    name: Spanned<String>,
+    set: Option<Spanned<String>>,
+    #[serde(default)]
+    nest: Vec<Spanned<NestTable>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct NestTable {
+    name: String,
+    in_base_m: Three,
+    in_base_sigma_m: Option<Spanned<f64>>,
+    in_base_covariance_m2: Option<Square>,
+    range_m: Option<Spanned<f64>>,
+    az_rad: Option<Spanned<f64>>,
+    el_rad: Option<Spanned<f64>>,
+    sigma_range_m: Option<Spanned<f64>>,
+    sigma_az_rad: Option<Spanned<f64>>,
+    sigma_el_rad: Option<Spanned<f64>>,
+    covariance_m_rad: Option<Square>,
+    position_m: Option<Three>,
+    sigma_m: Option<Spanned<f64>>,
+    covariance_m2: Option<Square>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TargetTable {
+    name: Spanned<String>,
+    set: Option<Spanned<String>>,
+    in_flange_m: Three,
+    sigma_m: Option<Spanned<f64>>,
+    covariance_m2: Option<Square>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DroppedTable {
+    set: Spanned<String>,
+    pose: u32,
+    reason: String,
+}
+
+/// Reads a session file, with the text that it was read from.
+pub fn load_session(path: &Path) -> Result<(SessionFile, Source), InputError> {
+    let source = Source::read(path)?;
+    Ok((parse_session(&source)?, source))
+}
+
+/// Reads a session file from a text in memory.
+pub fn parse_session(source: &Source) -> Result<SessionFile, InputError> {
+    let file: SessionTable = source.toml()?;
+    if file.schema.get_ref() != SCHEMA {
+        let message = format!("schema is {:?}", file.schema.get_ref());
+        return Err(source.error(file.schema.span(), message, Some(format!("expected {SCHEMA:?}"))));
+    }
+    let reader = Reader { source };
+    let mut session = SessionFile::default();
+    for table in file.station {
+        let set = reader.some_set(table.set.as_ref())?;
+        reader.distinct("station", &table.name, set, session.stations.iter().map(|(s, t)| (*s, &*t.name)))?;
+        let nests = table.nest.iter().map(|nest| reader.nest(nest)).collect::<Result<_, _>>()?;
+        session.stations.push((set, Station { name: table.name.into_inner(), nests }));
+    }
+    for table in file.target {
+        let set = reader.some_set(table.set.as_ref())?;
+        reader.distinct("target", &table.name, set, session.targets.iter().map(|(s, t)| (*s, &*t.name)))?;
+        let in_flange = reader.vector("in_flange_m", &table.in_flange_m)?;
+        let covariance = reader
+            .spread(("sigma_m", table.sigma_m.as_ref()), ("covariance_m2", table.covariance_m2.as_ref()))?;
+        session.targets.push((set, Target { name: table.name.into_inner(), in_flange, covariance }));
+    }
+    for table in file.dropped {
+        session.dropped.push((reader.set(&table.set)?, table.pose, table.reason));
+    }
+    Ok(session)
+}
+
+struct Reader<'a> {
+    source: &'a Source,
+}
+
+impl Reader<'_> {
+    fn error(&self, span: Range<usize>, message: impl std::fmt::Display, expected: &str) -> InputError {
+        self.source.error(span, message, Some(format!("expected {expected}")))
+    }
+
+    fn set(&self, key: &Spanned<String>) -> Result<SetKind, InputError> {
+        SetKind::ALL.into_iter().find(|kind| kind.key() == key.get_ref()).ok_or_else(|| {
+            let message = format!("set is {:?}", key.get_ref());
+            self.error(key.span(), message, "identification or verification")
+        })
+    }
+
+    fn some_set(&self, key: Option<&Spanned<String>>) -> Result<Option<SetKind>, InputError> {
+        key.map(|key| self.set(key)).transpose()
+    }
+
+    /// Rows of a measurement file find their station and target by name.
+    fn distinct<'n>(
+        &self,
+        what: &str,
+        name: &Spanned<String>,
+        set: Option<SetKind>,
+        mut others: impl Iterator<Item = (Option<SetKind>, &'n str)>,
+    ) -> Result<(), InputError> {
+        let shared = |other: Option<SetKind>| set.is_none() || other.is_none() || set == other;
+        if others.any(|(other, known)| known == name.get_ref() && shared(other)) {
+            let message = format!("{what} {:?} is there twice", name.get_ref());
+            return Err(self.error(name.span(), message, "distinct names in a set"));
+        }
+        Ok(())
+    }
+
+    fn numbers<'n>(
+        &self,
+        key: &str,
+        span: Range<usize>,
+        mut numbers: impl Iterator<Item = &'n f64>,
+    ) -> Result<(), InputError> {
+        match numbers.find(|number| number.is_nan() || number.abs() > LARGEST) {
+            Some(number) => {
+                let expected = format!("finite numbers of at most {LARGEST:e}");
+                Err(self.error(span, format!("{key} holds {number}"), &expected))
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn vector(&self, key: &str, value: &Three) -> Result<Vector3<f64>, InputError> {
+        self.numbers(key, value.span(), value.get_ref().iter())?;
+        Ok((*value.get_ref()).into())
+    }
+
+    fn covariance(&self, key: &str, value: &Square) -> Result<Matrix3<f64>, InputError> {
+        let rows = value.get_ref();
+        self.numbers(key, value.span(), rows.as_flattened().iter())?;
+        let matrix = Matrix3::from_fn(|i, j| rows[i][j]);
+        if let Some(variance) = matrix.diagonal().iter().find(|variance| **variance < 0.0) {
+            let message = format!("{key} has {variance:e} on its diagonal");
+            return Err(self.error(value.span(), message, "variances of zero or more"));
+        }
+        Ok(matrix)
+    }
+
+    /// A covariance that is stated whole, or as the standard deviation of each axis.
+    fn spread(
+        &self,
+        (sigma_key, sigma): (&str, Option<&Spanned<f64>>),
+        (key, covariance): (&str, Option<&Square>),
+    ) -> Result<Option<Matrix3<f64>>, InputError> {
+        match (sigma, covariance) {
+            (None, None) => Ok(None),
+            (None, Some(covariance)) => self.covariance(key, covariance).map(Some),
+            (Some(sigma), None) => {
+                let sigma = self.source.not_negative(sigma_key, sigma)?;
+                Ok(Some(Matrix3::from_diagonal_element(sigma * sigma)))
+            }
+            (Some(sigma), Some(_)) => {
+                let message = format!("both {sigma_key} and {key}");
+                Err(self.error(sigma.span(), message, "one of them"))
+            }
+        }
+    }
+
+    fn nest(&self, table: &Spanned<NestTable>) -> Result<NestObservation, InputError> {
+        let (nest, span) = (table.get_ref(), table.span());
+        let in_base_covariance = self.spread(
+            ("in_base_sigma_m", nest.in_base_sigma_m.as_ref()),
+            ("in_base_covariance_m2", nest.in_base_covariance_m2.as_ref()),
+        )?;
+        let Some(in_base_covariance) = in_base_covariance else {
+            let message = format!("nest {:?}: its certified place has no uncertainty", nest.name);
+            return Err(self.error(span, message, "in_base_sigma_m or in_base_covariance_m2"));
+        };
+        Ok(NestObservation {
+            name: nest.name.clone(),
+            in_base: self.vector("in_base_m", &nest.in_base_m)?,
+            in_base_covariance,
+            reading: self.reading(nest, span)?,
+        })
+    }
+
+    fn reading(&self, nest: &NestTable, span: Range<usize>) -> Result<Reading, InputError> {
+        let spherical = [nest.range_m.as_ref(), nest.az_rad.as_ref(), nest.el_rad.as_ref()];
+        let refused = |message: &str| {
+            let expected = "range_m, az_rad and el_rad, or position_m";
+            Err(self.error(span.clone(), format!("nest {:?}: {message}", nest.name), expected))
+        };
+        match (&nest.position_m, spherical) {
+            (Some(position), [None, None, None]) => {
+                let covariance = self.spread(
+                    ("sigma_m", nest.sigma_m.as_ref()),
+                    ("covariance_m2", nest.covariance_m2.as_ref()),
+                )?;
+                Ok(Reading::Cartesian { position: self.vector("position_m", position)?, covariance })
+            }
+            (None, [Some(range), Some(azimuth), Some(elevation)]) => {
+                Ok(Reading::Spherical(SphericalReading {
+                    range: self.source.positive("range_m", range)?,
+                    azimuth: self.source.finite("az_rad", azimuth)?,
+                    elevation: self.source.finite("el_rad", elevation)?,
+                    covariance: self.spherical_covariance(nest, span)?,
+                }))
+            }
+            (None, [None, None, None]) => refused("there is no reading"),
+            (None, _) => refused("the reading is not whole"),
+            (Some(_), _) => refused("there are two readings"),
+        }
+    }
+
+    fn spherical_covariance(&self, nest: &NestTable, span: Range<usize>) -> Result<Matrix3<f64>, InputError> {
+        let sigmas = [nest.sigma_range_m.as_ref(), nest.sigma_az_rad.as_ref(), nest.sigma_el_rad.as_ref()];
+        match (&nest.covariance_m_rad, sigmas) {
+            (Some(covariance), [None, None, None]) => self.covariance("covariance_m_rad", covariance),
+            (None, [Some(range), Some(azimuth), Some(elevation)]) => {
+                let sigma = Vector3::new(
+                    self.source.not_negative("sigma_range_m", range)?,
+                    self.source.not_negative("sigma_az_rad", azimuth)?,
+                    self.source.not_negative("sigma_el_rad", elevation)?,
+                );
+                Ok(Matrix3::from_diagonal(&sigma.component_mul(&sigma)))
+            }
+            _ => {
+                let message = format!("nest {:?}: the uncertainty of its reading is not clear", nest.name);
+                let expected = "sigma_range_m, sigma_az_rad and sigma_el_rad, or covariance_m_rad";
+                Err(self.error(span, message, expected))
+            }
+        }
+    }
+}
+
+impl SessionFile {
+    /// Adds what this file, whose text is `source`, says of the set `kind` to what a measurement file says. Stations and targets then stand
+    /// in the order of this file. One that describes no station (no target) leaves those of the measurement file.
+    ///
+    /// # Errors
+    /// The measurement file names a station or a target that is not described.
+    pub fn complete(
+        &self,
+        source: &Source,
+        kind: SetKind,
+        loaded: &mut LoadedMeasurements,
+    ) -> Result<(), InputError> {
+        let missing = |what: &str, name: &str| {
+            let message = format!("{what} {name:?} of the {} set is not described", kind.key());
+            source.error(0..0, message, Some(format!("expected [[{what}]] with name = {}", quoted(name))))
+        };
+        let set = &mut loaded.set;
+        if let Some(stations) = of_set(&self.stations, kind) {
+            for observation in &mut set.observations {
+                let name = &set.stations[observation.station].name;
+                let place = stations.iter().position(|station| station.name == *name);
+                observation.station = place.ok_or_else(|| missing("station", name))?;
+            }
+            set.stations = stations;
+        }
+        if let Some(targets) = of_set(&self.targets, kind) {
+            for observation in &mut set.observations {
+                let name = &set.targets[observation.target].name;
+                let place = targets.iter().position(|target| target.name == *name);
+                observation.target = place.ok_or_else(|| missing("target", name))?;
+            }
+            set.targets = targets;
+        }
+        let dropped = self.dropped.iter().filter(|(set, ..)| *set == kind);
+        let dropped = dropped.map(|(_, pose, reason)| (*pose, reason.clone()));
+        loaded.dropped = dropped.chain(std::mem::take(&mut loaded.dropped)).collect();
+        Ok(())
+    }
+}
+
+/// Those of one set; `None` where the file describes none at all.
+fn of_set<T: Clone>(described: &[(Option<SetKind>, T)], kind: SetKind) -> Option<Vec<T>> {
+    let own = described.iter().filter(|(set, _)| set.is_none_or(|set| set == kind));
+    (!described.is_empty()).then(|| own.map(|(_, item)| item.clone()).collect())
+}
+
+/// The session file of these sets. What is the same in all of them is written once.
+pub fn session_text(sets: &[SessionSet<'_>]) -> String {
+    let mut text = format!("schema = {SCHEMA:?}\n");
+    let stations: Vec<_> = sets.iter().map(|(_, set, _)| stations_text(&set.stations)).collect();
+    let targets: Vec<_> = sets.iter().map(|(_, set, _)| targets_text(&set.targets)).collect();
+    for tables in [stations, targets] {
+        let alike = tables.windows(2).all(|pair| pair[0] == pair[1]);
+        for ((kind, ..), tables) in sets.iter().zip(&tables).take(if alike { 1 } else { sets.len() }) {
+            let set = if alike { String::new() } else { format!("set = {:?}\n", kind.key()) };
+            for Entry { header, name, rest } in tables {
+                // Writing to a String cannot fail.
+                let _ = write!(text, "\n[[{header}]]\nname = {name}\n{set}{rest}");
+            }
+        }
+    }
+    for (kind, _, dropped) in sets {
+        for (pose, reason) in *dropped {
+            let (set, reason) = (kind.key(), quoted(reason));
+            // Writing to a String does not fail, here and below.
+            let _ = write!(text, "\n[[dropped]]\nset = {set:?}\npose = {pose}\nreason = {reason}\n");
+        }
+    }
+    text
+}
+
+/// A table in parts, with room for its set.
+#[derive(PartialEq)]
+struct Entry {
+    header: &'static str,
+    name: String,
+    rest: String,
+}
+
+fn stations_text(stations: &[Station]) -> Vec<Entry> {
+    let entry = |station: &Station| {
+        let rest = station.nests.iter().map(nest_text).collect();
+        Entry { header: "station", name: quoted(&station.name), rest }
+    };
+    stations.iter().map(entry).collect()
+}
+
+fn nest_text(nest: &NestObservation) -> String {
+    let mut text = format!(
+        "\n[[station.nest]]\nname = {}\nin_base_m = {:?}\nin_base_covariance_m2 = {:?}\n",
+        quoted(&nest.name),
+        <[f64; 3]>::from(nest.in_base),
+        rows(&nest.in_base_covariance),
+    );
+    let _ = match &nest.reading {
+        Reading::Spherical(SphericalReading { range, azimuth, elevation, covariance }) => write!(
+            text,
+            "range_m = {range:?}\naz_rad = {azimuth:?}\nel_rad = {elevation:?}\ncovariance_m_rad = {:?}\n",
+            rows(covariance)
+        ),
+        Reading::Cartesian { position, covariance } => {
+            let covariance = covariance.as_ref().map(|c| format!("covariance_m2 = {:?}\n", rows(c)));
+            let position = <[f64; 3]>::from(*position);
+            write!(text, "position_m = {position:?}\n{}", covariance.unwrap_or_default())
+        }
+    };
+    text
+}
+
+fn targets_text(targets: &[Target]) -> Vec<Entry> {
+    let entry = |target: &Target| {
+        let covariance = target.covariance.as_ref().map(|c| format!("covariance_m2 = {:?}\n", rows(c)));
+        let in_flange = <[f64; 3]>::from(target.in_flange);
+        let rest = format!("in_flange_m = {in_flange:?}\n{}", covariance.unwrap_or_default());
+        Entry { header: "target", name: quoted(&target.name), rest }
+    };
+    targets.iter().map(entry).collect()
+}
+
+/// `{:?}` of it is TOML, and reads back to the same bits.
+fn rows(matrix: &Matrix3<f64>) -> [[f64; 3]; 3] {
+    matrix.transpose().into()
+}
+
+fn quoted(text: &str) -> String {
+    toml::Value::from(text).to_string()
+}

@@ -1,0 +1,283 @@
+//! Corrections that are not constants of the geometry: each has an amplitude that can be identified, and a basis function that depends on
+//! the pose, its approach, its temperature or its time.
+//!
+//! A family of such terms is one file here and one line in [`FAMILIES`].
+
+mod harmonic;
+mod hysteresis;
+mod rail;
+mod ratio;
+
+use std::fmt;
+
+use super::{ActuatorMap, CalibrationModel, CraigLink, JointKind, Unit};
+
+/// Every family that can be switched on.
+pub const FAMILIES: &[&dyn TermFamily] =
+    &[&hysteresis::Hysteresis, &harmonic::Harmonic, &ratio::Ratio, &rail::Rail];
+
+/// What is known of an observation before it is explained. SI.
+#[derive(Debug, Clone, Copy)]
+pub struct TermInput<'a> {
+    /// Actuator commands.
+    pub command: &'a [f64],
+    /// Sign of each actuator's last motion, 0 where unknown.
+    pub approach: &'a [i8],
+    /// °C, where known.
+    pub temperature: Option<f64>,
+    /// Since the session began, s.
+    pub time: f64,
+}
+
+/// What a term displaces.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TermPlace {
+    /// An actuator: its joint, or the crank of a four-bar.
+    Actuator(usize),
+    /// The frame of a link, behind its joint's motion.
+    Frame {
+        /// Index of the joint.
+        joint: usize,
+        /// 0..3 along, 3..6 about x, y, z.
+        component: usize,
+    },
+}
+
+/// One term of a family.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct TermId {
+    /// Index into [`FAMILIES`].
+    family: u8,
+    /// Index of the joint.
+    joint: u8,
+    /// Which term of the family at that joint.
+    index: u8,
+    /// Whether the amplitude is a length.
+    linear: bool,
+}
+
+/// Terms of one kind, such as the hysteresis of every actuator.
+pub trait TermFamily: Sync {
+    /// How a user switches it on.
+    fn key(&self) -> &'static str;
+
+    /// What it stands for, for people.
+    fn about(&self) -> &'static str;
+
+    /// (joint, index, whether the amplitude is a length) of every term that a robot can have.
+    fn terms(&self, model: &CalibrationModel) -> Vec<(usize, usize, bool)>;
+
+    /// Where the term acts.
+    fn place(&self, joint: usize, index: usize) -> TermPlace;
+
+    /// Displacement of the place per unit of amplitude.
+    fn basis(&self, model: &CalibrationModel, joint: usize, index: usize, input: &TermInput<'_>) -> f64;
+
+    /// Standard deviation of the amplitude's zero-mean prior, m or rad: what such machines have.
+    fn prior_sigma(&self, linear: bool) -> f64;
+
+    /// The term's name behind `key_`, such as `theta3` or `d1`; joints count from one.
+    fn suffix(&self, joint: usize, index: usize, linear: bool) -> String;
+
+    /// Reads a [`suffix`](Self::suffix).
+    fn parse(&self, suffix: &str) -> Option<(usize, usize, bool)>;
+}
+
+impl TermId {
+    /// Every term that `model` can have of the family of that key; `None` if there is no such family.
+    pub fn all_of(key: &str, model: &CalibrationModel) -> Option<Vec<Self>> {
+        let family = FAMILIES.iter().position(|family| family.key() == key)?;
+        let ids = FAMILIES[family].terms(model).into_iter();
+        ids.map(|(joint, index, linear)| Self::new(family, joint, index, linear)).collect()
+    }
+
+    fn new(family: usize, joint: usize, index: usize, linear: bool) -> Option<Self> {
+        let small = |n: usize| u8::try_from(n).ok();
+        Some(Self { family: small(family)?, joint: small(joint)?, index: small(index)?, linear })
+    }
+
+    /// Reads the name that `Display` prints.
+    pub fn parse(name: &str) -> Option<Self> {
+        FAMILIES.iter().enumerate().find_map(|(family, terms)| {
+            let suffix = name.strip_prefix(terms.key())?.strip_prefix('_')?;
+            let (joint, index, linear) = terms.parse(suffix)?;
+            Self::new(family, joint, index, linear)
+        })
+    }
+
+    /// m or rad.
+    pub fn unit(self) -> Unit {
+        if self.linear { Unit::Metre } else { Unit::Radian }
+    }
+
+    /// The kind of term.
+    pub fn family(self) -> &'static dyn TermFamily {
+        FAMILIES[usize::from(self.family)]
+    }
+
+    /// Index of its joint.
+    pub fn joint(self) -> usize {
+        usize::from(self.joint)
+    }
+
+    /// Where it acts.
+    pub fn place(self) -> TermPlace {
+        self.family().place(usize::from(self.joint), usize::from(self.index))
+    }
+
+    /// Displacement of its place per unit of amplitude.
+    pub fn basis(self, model: &CalibrationModel, input: &TermInput<'_>) -> f64 {
+        self.family().basis(model, usize::from(self.joint), usize::from(self.index), input)
+    }
+
+    /// Standard deviation of the amplitude's prior, m or rad.
+    pub fn prior_sigma(self) -> f64 {
+        self.family().prior_sigma(self.linear)
+    }
+}
+
+impl fmt::Display for TermId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (joint, index) = (usize::from(self.joint), usize::from(self.index));
+        f.pad(&format!("{}_{}", self.family().key(), self.family().suffix(joint, index, self.linear)))
+    }
+}
+
+/// Whether a displacement along or about a joint's axis is a length.
+fn is_linear(model: &CalibrationModel, joint: usize) -> bool {
+    model.kinematics.links[joint].kind == JointKind::Prismatic
+}
+
+/// `d3` or `theta3`: the joint variable by its name in the D-H table, joints counted from one.
+fn joint_variable(joint: usize, linear: bool) -> String {
+    format!("{}{}", if linear { "d" } else { "theta" }, joint + 1)
+}
+
+/// Reads [`joint_variable`]: (joint, linear).
+fn parse_joint_variable(text: &str) -> Option<(usize, bool)> {
+    let (number, linear) = match text.strip_prefix("theta") {
+        Some(number) => (number, false),
+        None => (text.strip_prefix('d')?, true),
+    };
+    Some((number.parse::<usize>().ok()?.checked_sub(1)?, linear))
+}
+
+/// Half of the way between a joint's limits, m or rad; half a turn or one metre where it has none.
+fn half_travel(link: &CraigLink) -> f64 {
+    let half = 0.5 * (link.limits[1] - link.limits[0]);
+    match link.kind {
+        _ if half.is_finite() && half > 0.0 => half,
+        JointKind::Revolute => std::f64::consts::PI,
+        JointKind::Prismatic => 1.0,
+    }
+}
+
+/// The joint variable half-way between the limits, zero where there are none.
+fn middle_of_travel(link: &CraigLink) -> f64 {
+    let middle = 0.5 * (link.limits[0] + link.limits[1]);
+    if middle.is_finite() { middle } else { 0.0 }
+}
+
+/// The actuator's command with every joint half-way between its limits.
+fn middle_command(model: &CalibrationModel, actuator: usize) -> f64 {
+    let middle = |joint: usize| model.kinematics.links.get(joint).map_or(0.0, middle_of_travel);
+    match model.actuators {
+        ActuatorMap::Parallelogram { shoulder, elbow, offset, .. } if elbow == actuator => {
+            middle(shoulder) + middle(elbow) - offset
+        }
+        _ => middle(actuator),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::KinematicModel;
+    use crate::geometry::Transform;
+
+    fn model() -> CalibrationModel {
+        let link = |kind, limits| CraigLink {
+            name: String::new(),
+            kind,
+            a: 0.0,
+            alpha: 0.0,
+            beta: 0.0,
+            d: 0.0,
+            theta: 0.0,
+            limits,
+        };
+        CalibrationModel {
+            kinematics: KinematicModel {
+                links: vec![
+                    link(JointKind::Prismatic, [0.0, 4.0]),
+                    link(JointKind::Revolute, [-2.0, 1.0]),
+                    link(JointKind::Revolute, [-1.0, 2.0]),
+                    link(JointKind::Revolute, [f64::NEG_INFINITY, f64::INFINITY]),
+                ],
+                last_from_flange: Transform::identity(),
+            },
+            actuators: ActuatorMap::Parallelogram { shoulder: 1, elbow: 2, offset: 0.25, linkage: None },
+            statics: None,
+            motor_turns: vec![Some(10.0), None, Some(16.0), None],
+        }
+    }
+
+    #[test]
+    fn every_term_has_a_name_of_its_own_and_is_read_back() {
+        let model = model();
+        let mut seen = Vec::new();
+        for family in FAMILIES {
+            let all = TermId::all_of(family.key(), &model).expect("a family of the list");
+            assert!(!all.is_empty(), "{}", family.key());
+            for id in all {
+                assert_eq!(TermId::parse(&id.to_string()), Some(id), "{id}");
+                assert!(!seen.contains(&id.to_string()), "{id} twice");
+                seen.push(id.to_string());
+                assert!(id.prior_sigma() > 0.0 && id.joint() < 4);
+            }
+        }
+        assert!(TermId::all_of("growth", &model).is_none());
+        for wrong in
+            ["harmonic_theta2_sin3", "rail_theta1_x2", "rail_d1_z2", "rail_d1_x1", "ratio_", "hysteresis_d0"]
+        {
+            assert_eq!(TermId::parse(wrong), None, "{wrong}");
+        }
+    }
+
+    #[test]
+    fn the_basis_functions_by_hand() {
+        let model = model();
+        let input = TermInput {
+            command: &[3.0, -0.5, 0.3, 0.1],
+            approach: &[1, -1, 0, 1],
+            temperature: None,
+            time: 0.0,
+        };
+        let turn = std::f64::consts::TAU * 16.0 * 0.3;
+        for (name, basis, place) in [
+            ("hysteresis_theta2", -1.0, TermPlace::Actuator(1)),
+            ("harmonic_theta3_sin1", turn.sin(), TermPlace::Actuator(2)),
+            ("harmonic_theta3_cos2", (2.0 * turn).cos(), TermPlace::Actuator(2)),
+            ("ratio_d1", 0.5, TermPlace::Actuator(0)),
+            // The elbow's command is shoulder + elbow - offset: -0.5 + 0.5 - 0.25 in the middle.
+            ("ratio_theta3", (0.3 + 0.25) / 1.5, TermPlace::Actuator(2)),
+            ("ratio_theta4", 0.1 / std::f64::consts::PI, TermPlace::Actuator(3)),
+            ("rail_d1_x2", -0.125, TermPlace::Frame { joint: 0, component: 0 }),
+            ("rail_d1_rz1", 0.5, TermPlace::Frame { joint: 0, component: 5 }),
+        ] {
+            let id = TermId::parse(name).expect(name);
+            assert!((id.basis(&model, &input) - basis).abs() < 1e-14, "{name}");
+            assert_eq!(id.place(), place, "{name}");
+        }
+    }
+
+    #[test]
+    fn harmonics_need_known_motor_turns_and_rails_come_first() {
+        let names = |key| -> Vec<String> {
+            TermId::all_of(key, &model()).expect("a family").iter().map(ToString::to_string).collect()
+        };
+        assert_eq!(names("harmonic").len(), 8);
+        assert!(names("harmonic").iter().all(|n| n.contains("_d1_") || n.contains("_theta3_")));
+        assert!(names("rail").iter().all(|n| n.starts_with("rail_d1_")));
+    }
+}

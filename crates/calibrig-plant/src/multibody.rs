@@ -1,0 +1,355 @@
+//! The pose of a robot at rest.
+
+use nalgebra::{Cholesky, DVector, Dyn, Point3, Vector3};
+use rapier3d::math::Vector;
+
+use super::chain::{Chain, point, transform, vector};
+use super::linkage::{check_transmission, close};
+use super::statics::Statics;
+use super::tree::{Role, Tree};
+use super::validation::{check_at_command, check_command, check_displacements, check_options, check_robot};
+use super::{AsBuilt, ElasticDeflection, PlantError, SettledPose};
+use calibrig_model::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
+use calibrig_model::{BeamSegment, SegmentLength};
+
+/// Newton steps that look for a start; a few of the size of the deflections bring it to the last digits.
+const PREDICTIONS: u32 = 8;
+/// A predicted step so small (rad or m) that the next start is at rest.
+const PREDICTED: f64 = 1e-6;
+/// A step so small (rad or m) that the tangent stiffness stays as it is.
+const SAME_TANGENT: f64 = 1e-3;
+/// A step so large (rad or m) that the tangent says nothing about its end.
+const ASTRAY: f64 = 1.0;
+
+/// When a pose counts as settled.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SettleOptions {
+    /// Length of a step, s.
+    ///
+    /// A step starts at rest and moves the joints by `(K + M/dt²)⁻¹` times the force left over, K the stiffness of the springs and
+    /// M the mass matrix: long steps solve the statics alone. Drives so soft that long steps overshoot settle with shorter ones.
+    pub dt: f64,
+    /// Steps before the pose is given up.
+    pub max_steps: u32,
+    /// Largest motion of the target in the last step, m.
+    pub tip_tolerance: f64,
+    /// Largest force left over, as the displacement that it would cause on its spring, rad or m.
+    pub residual_tolerance: f64,
+    /// Largest distance left between the ends of the four-bar's rod and lever, m.
+    pub closure_tolerance: f64,
+}
+
+impl Default for SettleOptions {
+    fn default() -> Self {
+        Self {
+            dt: 100.0,
+            max_steps: 100,
+            tip_tolerance: 1e-9,
+            residual_tolerance: 1e-10,
+            closure_tolerance: 1e-9,
+        }
+    }
+}
+
+/// The rapier multibody of one robot.
+///
+/// Every elastic direction is a reduced coordinate on a spring that rapier integrates implicitly; the drives' rest at the command. A
+/// drive of infinite stiffness is a kinematic joint: the solver leaves it exactly where it was put. The four-bar of the elbow is closed by
+/// an impulse joint between its rod and its lever. A four-bar without statics has a rigid rod and no mass; statics of one whose lengths
+/// are not known have no effect.
+pub struct Plant {
+    robot: AsBuilt,
+    options: SettleOptions,
+    tree: Tree,
+    chain: Chain,
+    statics: Statics,
+    target_in_last: Vector,
+    roles: Vec<Role>,
+    /// The joint variables that the drives would hold without a load; the elbow's as of an exact parallelogram.
+    commanded: Vec<f64>,
+    /// Where the spring of every coordinate rests.
+    rest: Vec<f64>,
+    /// The coordinates to start from.
+    start: Vec<f64>,
+    /// Beyond the rest.
+    deflection: Vec<f64>,
+    left_over: DVector<f64>,
+    /// Whether links are shifted behind their joints.
+    displaced: bool,
+    /// Whether the tree depends on the pose.
+    varies: bool,
+    /// At most so many predicted steps.
+    pub(super) predictions: u32,
+}
+
+impl Plant {
+    /// Checks the robot and builds its multibody, with the base frame as rapier's world frame.
+    pub fn new(robot: &AsBuilt, options: SettleOptions) -> Result<Self, PlantError> {
+        check_options(&options)?;
+        check_robot(robot)?;
+        let joints = robot.kinematics.joint_count();
+        let target_in_last = robot.kinematics.last_from_flange * Point3::from(robot.target);
+        let tree = Tree::new(robot, &extended(robot));
+        let chain = Chain::new(&tree, &robot.statics.gravity, options.dt);
+        let coordinates = chain.coordinate_count();
+        Ok(Self {
+            options,
+            chain,
+            statics: Statics::new(&tree, &robot.statics.gravity),
+            target_in_last: vector(&target_in_last.coords),
+            roles: tree.coordinates().map(|(_, entry)| entry.role).collect(),
+            commanded: vec![0.0; joints],
+            rest: vec![0.0; coordinates],
+            start: vec![0.0; coordinates],
+            deflection: vec![0.0; coordinates],
+            left_over: DVector::zeros(coordinates),
+            displaced: false,
+            varies: tree.varies(),
+            predictions: PREDICTIONS,
+            tree,
+            robot: robot.clone(),
+        })
+    }
+
+    /// The pose at rest under gravity and loads at a command (SI, one an actuator).
+    ///
+    /// It depends on the robot, the options and the command; not one bit of it on the poses before.
+    pub fn settle(&mut self, command: &[f64]) -> Result<SettledPose, PlantError> {
+        self.settle_displaced(command, &[])
+    }
+
+    /// Like [`Plant::settle`], with every link's frame shifted: `motion · Tx·Ty·Tz·Rx·Ry·Rz`, directly behind the joint's motion and in
+    /// front of a bearing on the moving side, by three lengths (m) and three angles (rad). Without an entry nothing is shifted;
+    /// otherwise there is one a joint.
+    pub fn settle_displaced(
+        &mut self,
+        command: &[f64],
+        displacements: &[[f64; 6]],
+    ) -> Result<SettledPose, PlantError> {
+        check_command(self.commanded.len(), command)?;
+        check_displacements(self.commanded.len(), displacements)?;
+        self.robot.actuators.joints_from_command(command, &mut self.commanded);
+        check_at_command(&self.robot, &self.commanded)?;
+        self.rearrange();
+        self.displace(displacements);
+        self.rest_at_command()?;
+        let settled = self.relax();
+        if settled.is_err() {
+            // rapier disables the bodies that it finds at no finite place.
+            self.chain = Chain::new(&self.tree, &self.robot.statics.gravity, self.options.dt);
+            self.displaced = false;
+        }
+        settled
+    }
+
+    /// Shifts the links behind their joints.
+    fn displace(&mut self, displacements: &[[f64; 6]]) {
+        if !self.displaced && displacements.is_empty() {
+            return;
+        }
+        for (joint, &node) in self.tree.motions.iter().enumerate() {
+            let shift = displacements.get(joint).map_or_else(Transform::identity, shift);
+            let front = self.tree.nodes[node].parent_from_joint;
+            self.chain.place_frames(node, &front, &shift.inverse());
+        }
+        self.displaced = !displacements.is_empty();
+    }
+
+    /// Gives telescoping beams their length.
+    fn rearrange(&mut self) {
+        if self.varies {
+            self.tree = Tree::new(&self.robot, &self.commanded);
+            self.chain.rearrange(&self.tree);
+            self.statics.restiffen(&self.tree);
+        }
+    }
+
+    /// Sets every spring to rest at the command.
+    fn rest_at_command(&mut self) -> Result<(), PlantError> {
+        let closure = self.tree.closure.as_ref();
+        let closed = closure.map(|closure| close(&self.robot, &self.commanded, closure)).transpose()?;
+        for (coordinate, (node, entry)) in self.tree.coordinates().enumerate() {
+            let rest = match (entry.role, closure, closed) {
+                (Role::Elastic(_), ..) => 0.0,
+                (Role::Drive(joint), Some(closure), _) if joint == closure.elbow => {
+                    let theta = self.robot.kinematics.links[joint].theta;
+                    self.commanded[closure.shoulder] + self.commanded[joint] + theta
+                }
+                (Role::Drive(joint), ..) => self.commanded[joint],
+                (Role::Passive, Some(closure), Some(closed)) => {
+                    match closure.rod.iter().position(|&rod| rod == node) {
+                        Some(turn) => closed.rod[turn],
+                        None => closed.elbow,
+                    }
+                }
+                (Role::Passive, ..) => unreachable!("only a closed loop holds passive coordinates"),
+            };
+            self.rest[coordinate] = rest;
+            if matches!(entry.role, Role::Drive(_)) && entry.stiffness.is_finite() {
+                self.chain.rest_at(node, entry.axis, rest);
+            }
+        }
+        Ok(())
+    }
+
+    /// Steps, from the predicted pose, until nothing moves any more.
+    fn relax(&mut self) -> Result<SettledPose, PlantError> {
+        let is_stable = self.predict()?;
+        self.chain.place(&self.start);
+        let mut tip = self.tip();
+        let (mut steps, mut tip_motion, mut residual) = (0, f64::INFINITY, f64::INFINITY);
+        let mut closure = f64::INFINITY;
+        while steps < self.options.max_steps && tip.is_finite() {
+            self.chain.step_from_rest();
+            steps += 1;
+            let before = std::mem::replace(&mut tip, self.tip());
+            tip_motion = tip.distance(before);
+            self.evaluate();
+            residual = self.statics.residual(&self.deflection);
+            closure = self.statics.closure().map_or(0.0, |closure| closure.gap().norm());
+            if tip_motion <= self.options.tip_tolerance
+                && residual <= self.options.residual_tolerance
+                && closure <= self.options.closure_tolerance
+            {
+                self.check_settled(is_stable, steps)?;
+                return Ok(self.settled_pose(residual, closure, steps));
+            }
+        }
+        self.check_stability(steps)?;
+        Err(PlantError::NotSettled { steps, tip_motion, residual, closure })
+    }
+
+    /// The target in the base frame.
+    fn tip(&self) -> Vector {
+        let last = self.tree.links[self.tree.links.len() - 1];
+        self.chain.pose(last).transform_point(self.target_in_last)
+    }
+
+    /// Deflections and forces in the present pose.
+    fn evaluate(&mut self) {
+        for (coordinate, deflection) in self.deflection.iter_mut().enumerate() {
+            *deflection = self.chain.coordinate(coordinate) - self.rest[coordinate];
+        }
+        self.statics.evaluate(&self.chain);
+    }
+
+    /// Looks for the pose at rest by Newton's method, to start there; from the unloaded pose where that fails. Returns whether the
+    /// tangent stiffness was found positive definite next to the start; where it is not even in the unloaded pose, the loads overpower
+    /// the springs.
+    fn predict(&mut self) -> Result<bool, PlantError> {
+        self.start.copy_from_slice(&self.rest);
+        let mut tangent: Option<Cholesky<f64, Dyn>> = None;
+        let mut last = f64::INFINITY;
+        for prediction in 0..self.predictions {
+            self.chain.place(&self.start);
+            self.evaluate();
+            self.statics.left_over(&self.deflection, &mut self.left_over);
+            if last > SAME_TANGENT {
+                tangent = Cholesky::new(self.statics.tangent());
+                if tangent.is_none() && prediction == 0 {
+                    self.check_stability(0)?;
+                }
+            }
+            let step = tangent.as_ref().and_then(|tangent| self.statics.newton(tangent, &self.left_over));
+            let Some(step) = step.filter(|step| step.amax() < ASTRAY) else { break };
+            for (start, step) in self.start.iter_mut().zip(step.iter()) {
+                *start += step;
+            }
+            last = step.amax();
+            if last < PREDICTED {
+                return Ok(true);
+            }
+        }
+        self.start.copy_from_slice(&self.rest);
+        Ok(false)
+    }
+
+    /// Refuses a pose at rest that is unstable or next to the four-bar's singularity.
+    fn check_settled(&self, is_stable: bool, steps: u32) -> Result<(), PlantError> {
+        if let (Some(closure), Some(elbow)) = (self.statics.closure(), self.elbow()) {
+            let lever_motion = closure.jacobian.column(elbow).into_owned();
+            check_transmission(&(closure.lever - self.crank_end()), &lever_motion)?;
+        }
+        if is_stable { Ok(()) } else { self.check_stability(steps) }
+    }
+
+    /// Refuses a pose whose tangent stiffness is finite and not positive definite.
+    fn check_stability(&self, steps: u32) -> Result<(), PlantError> {
+        let tangent = self.statics.tangent();
+        if tangent.iter().all(|entry| entry.is_finite()) && Cholesky::new(tangent).is_none() {
+            return Err(PlantError::Unstable { steps, margin: self.statics.margin() });
+        }
+        Ok(())
+    }
+
+    /// The coordinate of the elbow that the four-bar drives.
+    fn elbow(&self) -> Option<usize> {
+        let motion = self.tree.motions[self.tree.closure.as_ref()?.elbow];
+        self.tree.coordinates().position(|(node, _)| node == motion)
+    }
+
+    fn crank_end(&self) -> Vector3<f64> {
+        let yaw = self.tree.closure.as_ref().map(|closure| closure.rod[0]);
+        yaw.map_or_else(Vector3::zeros, |yaw| point(&self.chain.pose(yaw).translation))
+    }
+
+    fn settled_pose(&self, residual: f64, closure: f64, steps: u32) -> SettledPose {
+        let tip = self.tip();
+        let mut deflection = vec![0.0; self.commanded.len()];
+        let mut elastic = Vec::with_capacity(self.roles.len());
+        for ((role, value), (_, entry)) in
+            self.roles.iter().zip(&self.deflection).zip(self.tree.coordinates())
+        {
+            match *role {
+                Role::Drive(joint) => deflection[joint] = *value,
+                Role::Elastic(place) => {
+                    elastic.push(ElasticDeflection { place, axis: entry.axis, value: *value });
+                }
+                Role::Passive => {}
+            }
+        }
+        SettledPose {
+            target: point(&tip),
+            links: self.tree.links.iter().map(|&node| transform(self.chain.pose(node))).collect(),
+            deflection,
+            elastic,
+            linkage: self.linkage(),
+            rod_force: self.rod_force(),
+            residual,
+            closure,
+            steps,
+        }
+    }
+
+    /// Shoulder, crank end, lever end and elbow, in the base frame.
+    fn linkage(&self) -> Option<[Vector3<f64>; 4]> {
+        let tree = self.tree.closure.as_ref()?;
+        let origin = |node: usize| point(&self.chain.pose(node).translation);
+        let lever = self.statics.closure()?.lever;
+        Some([origin(tree.crank), self.crank_end(), lever, origin(tree.lever)])
+    }
+
+    /// Tension of the rod, N: its spring's, or what holds the passive joints.
+    fn rod_force(&self) -> Option<f64> {
+        let closure = self.statics.closure()?;
+        let rod = closure.lever - self.crank_end();
+        Some(-closure.reaction.dot(&rod) / rod.norm())
+    }
+}
+
+/// Joint variables at which every telescope is out of its housing, to build the tree before the first command.
+fn extended(robot: &AsBuilt) -> Vec<f64> {
+    let housed = |segment: &BeamSegment| match segment.length {
+        SegmentLength::Constant(_) => 0.0,
+        SegmentLength::Extension(housed) => housed,
+    };
+    let beams = robot.statics.beams.iter();
+    beams
+        .map(|beam| beam.iter().flat_map(|beam| &beam.segments).map(housed).fold(0.0, f64::max) + 1.0)
+        .collect()
+}
+
+fn shift(by: &[f64; 6]) -> Transform {
+    let [x, y, z, rx, ry, rz] = *by;
+    translation(x, y, z) * rotation_x(rx) * rotation_y(ry) * rotation_z(rz)
+}

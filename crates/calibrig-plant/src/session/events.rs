@@ -1,0 +1,83 @@
+//! A measuring session while it goes on, for whoever records it or shows how far it is.
+
+use std::ops::ControlFlow;
+
+use crate::effects::PoseEffects;
+use crate::{AsBuilt, SettledPose};
+use calibrig_model::geometry::Transform;
+use calibrig_model::measurement::{Observation, SetKind, SetOutcome};
+
+/// What happens in a simulated session, in this order: `Begin`, then a set at a time `Set`, its poses, `SetEnd`.
+#[derive(Debug, Clone, Copy)]
+pub enum SessionEvent<'a> {
+    /// The machine stands, the tracker is set up.
+    Begin {
+        /// The machine.
+        as_built: &'a AsBuilt,
+        /// `tracker_from_base` of the station.
+        tracker_from_base: &'a Transform,
+        /// Poses planned over all sets.
+        poses: u32,
+    },
+    /// A set begins.
+    Set {
+        /// Its stations and targets; no observation yet.
+        set: &'a SetOutcome,
+        /// Poses planned for it.
+        planned: u32,
+    },
+    /// A pose was measured.
+    Measured(MeasuredPose<'a>),
+    /// A pose was planned but not measured.
+    Dropped {
+        /// The set.
+        kind: SetKind,
+        /// Number of the pose in its set.
+        pose: u32,
+        /// Why.
+        reason: &'a str,
+        /// Since the session began, s.
+        time: f64,
+    },
+    /// A set is complete.
+    SetEnd {
+        /// The whole of it.
+        set: &'a SetOutcome,
+    },
+}
+
+/// A measured pose with its truth.
+#[derive(Debug, Clone, Copy)]
+pub struct MeasuredPose<'a> {
+    /// The set.
+    pub kind: SetKind,
+    /// Place of the observation in its set.
+    pub index: usize,
+    /// What was measured.
+    pub observation: &'a Observation,
+    /// The machine at rest.
+    pub settled: &'a SettledPose,
+    /// The same if nothing of it yielded, where that is asked for.
+    pub rigid: Option<&'a SettledPose>,
+    /// What the machine's effects made of the pose.
+    pub effects: &'a PoseEffects,
+}
+
+/// Is told what happens; `Break` ends the session.
+pub type SessionListener<'a> = dyn FnMut(SessionEvent<'_>) -> ControlFlow<()> + 'a;
+
+/// A listener that counts: `progress` is told the number of poses done and of all poses.
+pub fn counting(mut progress: impl FnMut(u32, u32)) -> impl FnMut(SessionEvent<'_>) -> ControlFlow<()> {
+    let (mut done, mut total) = (0, 0);
+    move |event| {
+        match event {
+            SessionEvent::Begin { poses, .. } => total = poses,
+            SessionEvent::Measured(_) | SessionEvent::Dropped { .. } => {
+                done += 1;
+                progress(done, total);
+            }
+            SessionEvent::Set { .. } | SessionEvent::SetEnd { .. } => {}
+        }
+        ControlFlow::Continue(())
+    }
+}

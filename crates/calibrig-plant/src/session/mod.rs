@@ -1,0 +1,97 @@
+//! The measuring session of a simulated machine: which poses it takes, what the tracker reads there, and the truth beside it.
+
+mod beside;
+mod events;
+mod measure;
+
+pub use beside::{BesideRigid, RigidMachine};
+pub use events::{MeasuredPose, SessionEvent, SessionListener, counting};
+pub use measure::{MeasuringSession, SECONDS_PER_POSE};
+
+use nalgebra::Vector3;
+use thiserror::Error;
+
+use super::effects::{EffectError, PoseEffects};
+use super::tracker::TrackerError;
+use super::{AsBuilt, Plant, PlantError, SettledPose};
+use calibrig_model::geometry::Transform;
+use calibrig_model::measurement::{SetKind, SetOutcome};
+
+/// The truth of a simulated session, for reports and recordings alone.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Truth {
+    /// The machine.
+    pub as_built: AsBuilt,
+    /// `tracker_from_base` of the station.
+    pub tracker_from_base: Transform,
+    /// The settled poses, one vector a set, one entry an observation.
+    pub poses: Vec<Vec<SettledPose>>,
+    /// What the machine's effects made of every pose, in the order of `poses`.
+    pub effects: Vec<Vec<PoseEffects>>,
+    /// Poses whose reading is a gross error, and what it is off by in the base frame, m; one vector a set.
+    pub outliers: Vec<Vec<(u32, Vector3<f64>)>>,
+    /// The same poses, effects included, of the same machine if nothing of it yielded, in the order of `poses`; empty where not asked for.
+    pub rigid: Vec<Vec<SettledPose>>,
+}
+
+/// A simulated session: what the tracker saw, and the truth beside it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Simulation {
+    /// The measured sets, identification first.
+    pub sets: Vec<SetOutcome>,
+    /// What really was.
+    pub truth: Truth,
+}
+
+/// A machine that can be brought to rest.
+pub trait Machine {
+    /// Why it does not come to rest.
+    type Error;
+
+    /// The pose at rest at the positions of its motors (m or rad, one an actuator), with the frames of the links displaced (along, then about x,
+    /// y and z; m and rad, one a joint; empty for none).
+    fn settle(&mut self, motors: &[f64], displacements: &[[f64; 6]]) -> Result<SettledPose, Self::Error>;
+}
+
+impl Machine for Plant {
+    type Error = PlantError;
+
+    fn settle(&mut self, motors: &[f64], displacements: &[[f64; 6]]) -> Result<SettledPose, PlantError> {
+        self.settle_displaced(motors, displacements)
+    }
+}
+
+/// A session that cannot be measured. `E` is why the machine does not come to rest. It is exhaustive, since
+/// whoever runs a session has to pass every case on.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum SessionError<E> {
+    /// The machine's effects are none that a machine has.
+    #[error("the machine's effects: {0}")]
+    Effects(#[from] EffectError),
+    /// The machine cannot take a pose.
+    #[error("{} set, pose {pose}: {source}", set.key())]
+    Pose {
+        /// The set that it is measured for.
+        set: SetKind,
+        /// Its number in the set.
+        pose: u32,
+        /// Why.
+        source: E,
+    },
+    /// A nest is out of the tracker's reach.
+    #[error("base nest {nest}: {source}")]
+    Nest {
+        /// Its name.
+        nest: String,
+        /// Why.
+        source: TrackerError,
+    },
+    /// Whoever listened to the session ended it.
+    #[error("interrupted after {done} of {total} poses")]
+    Interrupted {
+        /// Poses done.
+        done: u32,
+        /// Poses planned.
+        total: u32,
+    },
+}

@@ -1,0 +1,41 @@
+//! The plant and what identification predicts: two implementations of one definition, which meet nowhere else but in measurements.
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use super::plant;
+use super::spray_robot::working_command;
+use super::whole::{random_full_robot, random_shifts};
+use calibrig_estimation::elastostatics::{Deflection, ElasticChain};
+use calibrig_model::{CalibrationModel, TermPlace};
+
+#[test]
+fn elastostatics_predicts_the_whole_robot() {
+    let mut rng = ChaCha8Rng::seed_from_u64(40);
+    let (mut largest, mut first_order) = (0.0_f64, 0.0_f64);
+    for _ in 0..200 {
+        let robot = random_full_robot(&mut rng);
+        let command = working_command(&robot, &mut rng);
+        let shifts = random_shifts(&mut rng);
+        let corrections: Vec<_> = (0..42)
+            .map(|i| (TermPlace::Frame { joint: i / 6, component: i % 6 }, shifts[i / 6][i % 6]))
+            .collect();
+        let mut chain = ElasticChain::new(&CalibrationModel {
+            kinematics: robot.kinematics.clone(),
+            actuators: robot.actuators,
+            statics: Some(robot.statics.clone()),
+            motor_turns: vec![None; 7],
+        });
+        let mut predict = |deflection| {
+            chain.settle(&command, &corrections, deflection).expect("a stiff robot");
+            chain.target(&robot.target)
+        };
+        let settled = plant(&robot).settle_displaced(&command, &shifts).expect("a stiff robot").target;
+        largest = largest.max((settled - predict(Deflection::Equilibrium)).norm());
+        let droop = (settled - predict(Deflection::None)).norm();
+        first_order = first_order.max((settled - predict(Deflection::FirstOrder)).norm() / droop);
+    }
+    eprintln!("equilibrium: at most {largest:e} m off; first order: {first_order:.4} of the droop");
+    assert!(largest <= 1e-9, "{largest:e}");
+    assert!(first_order <= 0.02, "{first_order}");
+}
