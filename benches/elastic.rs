@@ -94,7 +94,7 @@ fn benches(c: &mut Criterion) {
     let parameters = parameters();
     assert_eq!(parameters.len(), 45);
     let in_flange = Vector3::new(0.10, 0.15, 0.20);
-    let mut chain = ElasticChain::new(&model);
+    let mut chain = ElasticChain::new(&model).expect("a robot");
 
     let mut group = c.benchmark_group("a pose with 61 springs");
     for deflection in [Deflection::None, Deflection::FirstOrder, Deflection::Equilibrium] {
@@ -109,7 +109,7 @@ fn benches(c: &mut Criterion) {
         b.iter(|| {
             chain.settle(black_box(&command), &[], Deflection::Equilibrium).expect("rest");
             chain.prepare(&in_flange).expect("stable");
-            parameters.iter().map(|id| chain.column(*id)).sum::<Vector3<f64>>()
+            parameters.iter().map(|id| chain.column(*id).expect("of the robot")).sum::<Vector3<f64>>()
         });
     });
     group.finish();

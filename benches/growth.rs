@@ -17,7 +17,7 @@ use calibrig::identification::{
     TargetChoice, identify, neighbour_axis_rules, structural_poses,
 };
 use calibrig::measurement::{MeasurementSet, NestObservation, Observation, Reading, Station, Target};
-use calibrig::model::{CalibrationModel, Compliance, ParameterId};
+use calibrig::model::{CalibrationModel, Compliance, ParameterId, PoseQuery};
 use nalgebra::{Matrix3, Point3, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -42,14 +42,15 @@ fn machine(nominal: &CalibrationModel, mode: Mode) -> CalibratedRobot {
     let mut model = nominal.clone();
     let links = neighbour_axis_rules(&nominal.kinematics).0;
     for (id, place) in links.into_iter().zip(0_u32..) {
-        apply(&mut model, nominal, id, 1e-2 * (2.3 * f64::from(place) + 0.4).sin());
+        apply(&mut model, nominal, id, 1e-2 * (2.3 * f64::from(place) + 0.4).sin()).expect("a link");
     }
     for (compliance, place) in springs(nominal).into_iter().zip(0_u32..) {
         let off: f64 = 0.1 * (1.7 * f64::from(place) + 0.9).sin();
-        apply(&mut model, nominal, ParameterId::Compliance(compliance), off);
+        apply(&mut model, nominal, ParameterId::Compliance(compliance), off).expect("a spring");
     }
     CalibratedRobot {
         mode,
+        nominal: nominal.clone(),
         model,
         terms: Vec::new(),
         stations: vec![translation(5.0, 1.0, 1.5) * rotation_x(0.4)],
@@ -76,28 +77,29 @@ fn measure(nominal: &CalibrationModel, robot: &CalibratedRobot, poses: usize) ->
         observations: Vec::with_capacity(poses),
     };
     let links = &nominal.kinematics.links;
-    let mut predictor = Predictor::new(nominal, robot);
+    let mut predictor = Predictor::new(robot).expect("a robot");
     for (pose, mut joints) in (0..).zip(structural_poses(&nominal.kinematics, poses)) {
         for (q, link) in joints.iter_mut().zip(links) {
             let middle = 0.5 * (link.limits[0] + link.limits[1]);
             *q = middle + 0.7 * (*q - middle);
         }
-        let mut observation = Observation {
+        let command = nominal.actuators.command_from_joints(&joints);
+        let approach = vec![1; command.len()];
+        let query = PoseQuery { time: f64::from(pose), ..PoseQuery::at(&command).approached(&approach) };
+        let in_base = predictor.in_base(query).expect("a pose that the robot can take");
+        let mut unit = || -> f64 { StandardNormal.sample(&mut rng) };
+        let noise = SIGMA * Vector3::from_fn(|_, _| unit());
+        let position = (station * Point3::from(in_base)).coords + noise;
+        set.observations.push(Observation {
             pose,
-            approach: vec![1; joints.len()],
-            command: nominal.actuators.command_from_joints(&joints),
+            command,
+            approach,
             temperature: None,
             time: f64::from(pose),
             station: 0,
             target: 0,
-            reading: Reading::Cartesian { position: Vector3::zeros(), covariance },
-        };
-        let in_base = predictor.in_base(&observation).expect("a pose that the robot can take");
-        let mut unit = || -> f64 { StandardNormal.sample(&mut rng) };
-        let noise = SIGMA * Vector3::from_fn(|_, _| unit());
-        let position = (station * Point3::from(in_base)).coords + noise;
-        observation.reading = Reading::Cartesian { position, covariance };
-        set.observations.push(observation);
+            reading: Reading::Cartesian { position, covariance },
+        });
     }
     set
 }
@@ -136,7 +138,7 @@ fn main() {
         mode: Mode::OnlyCalibration,
         frame: FrameChoice::Nests,
         target: TargetChoice::Fixed,
-        ..IdentificationOptions::default()
+        ..IdentificationOptions::published()
     };
     let gravity = IdentificationOptions { mode: Mode::WithGravity, ..geometric.clone() };
     let elastic = IdentificationOptions {

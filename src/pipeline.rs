@@ -12,7 +12,7 @@ mod truth;
 
 pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
 pub use choice::{ChosenRow, FailedVariant, ModelChoice, choose};
-pub use defaults::{DEFAULT_TOLERANCE, default_modes, default_options, is_default};
+pub use defaults::{default_modes, default_options, is_default};
 pub use judgement::{Confidence, FALSE_ALARM, Judgement, PredictedPosition, judge};
 pub use machine::PlantKind;
 pub use planned::{planned, planned_at};
@@ -203,7 +203,7 @@ pub fn calibrate(
     let fitted = sets.first().map_or(&empty, |set| &set.measurements);
     let registered = without_calibration(model, fitted)
         .map_err(|source| PipelineError::Identify { mode: Mode::WithoutCalibration, source })?;
-    let rms = accuracy(&errors(model, &registered, fitted)?).map_or(0.0, |row| row.rms_3d);
+    let rms = accuracy(&errors(&registered, fitted)?).map_or(0.0, |row| row.rms_3d);
     let registration = RegistrationSummary {
         how: if fitted.targets.iter().any(|t| t.covariance.is_none()) {
             "best fit of the nominal robot to the identification set, tracker frame and target offset free"
@@ -230,7 +230,7 @@ pub fn calibrate(
             let robot = estimate.as_ref().map_or_else(|| registered.clone(), |e| e.robot.clone());
             let errors: Vec<_> = sets
                 .iter()
-                .map(|set| errors(model, &robot, &set.measurements))
+                .map(|set| errors(&robot, &set.measurements))
                 .collect::<Result<_, PipelineError>>()?;
             let rows = errors.iter().map(|e| accuracy(e)).collect();
             Ok(ModeOutcome { mode, robot, estimate, errors, rows })
@@ -239,13 +239,9 @@ pub fn calibrate(
     Ok((registration, outcomes))
 }
 
-fn errors(
-    model: &CalibrationModel,
-    robot: &CalibratedRobot,
-    set: &MeasurementSet,
-) -> Result<Vec<Vector3<f64>>, PipelineError> {
-    Predictor::new(model, robot)
-        .errors(set)
+fn errors(robot: &CalibratedRobot, set: &MeasurementSet) -> Result<Vec<Vector3<f64>>, PipelineError> {
+    Predictor::new(robot)
+        .and_then(|mut predictor| predictor.errors(set))
         .map_err(|source| PipelineError::Predict { mode: robot.mode, source })
 }
 

@@ -14,9 +14,12 @@ use crate::recording::{
     read_recorded_machine, read_recording_with,
 };
 use crate::scenario::{Scenario, parse_scenario};
-use calibrig_estimation::identification::{Estimate, IdentificationOptions, Loss, Mode};
+use calibrig_estimation::identification::{
+    Estimate, FrameChoice, IdentificationOptions, Loss, Mode, TargetChoice,
+};
 use calibrig_files::InputError;
 use calibrig_files::Robot;
+use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, Visual};
 
 /// A recording that cannot be replayed.
@@ -154,7 +157,7 @@ impl Plan {
             },
             None => Self {
                 name: robot.name.clone(),
-                options: default_options(&robot, recording.sets.first().map(|set| &set.measurements)),
+                options: default_options(&robot),
                 modes: default_modes(&robot),
                 model: robot.model,
                 visuals: robot.visuals,
@@ -168,8 +171,20 @@ impl Plan {
             let wanted = |mode: &Mode| *mode == Mode::WithoutCalibration || options.modes.contains(mode);
             plan.modes = Mode::ALL.into_iter().filter(wanted).collect();
         }
-        plan.options.fit_to(recording.sets.first().map(|set| &set.measurements));
+        if let Some(set) = recording.sets.first() {
+            free_what_is_missing(&mut plan.options, &set.measurements);
+        }
         Ok(plan)
+    }
+}
+
+/// Leaves to the measurements what the options expect of them and a recording, such as one whose nests were dropped, does not hold.
+fn free_what_is_missing(options: &mut IdentificationOptions, set: &MeasurementSet) {
+    if options.frame != FrameChoice::Free && set.stations.iter().any(|station| station.nests.len() < 3) {
+        options.frame = FrameChoice::AsStated;
+    }
+    if options.target == TargetChoice::Measured && set.targets.iter().any(|t| t.covariance.is_none()) {
+        options.target = TargetChoice::AsStated;
     }
 }
 

@@ -106,12 +106,14 @@ fn write_text(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     };
     writeln!(text, "  parameters   {parameters}")?;
     let frame = match options.frame {
+        FrameChoice::AsStated => "the base nests where three or more were measured, else free",
         FrameChoice::Nests => "the base nests, with their uncertainty as a prior",
         FrameChoice::Free => "free",
         FrameChoice::Fixed => "the base nests, taken as exact",
     };
     writeln!(text, "  tracker from {frame}")?;
     let target = match options.target {
+        TargetChoice::AsStated => "measured where its uncertainty is stated, else identified",
         TargetChoice::Measured => "measured, with its uncertainty as a prior",
         TargetChoice::Identified => "identified",
         TargetChoice::Fixed => "taken as exact",

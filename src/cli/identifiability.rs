@@ -12,15 +12,15 @@ use serde_json::json;
 
 use super::identify::family;
 use super::{Cli, CliError, Verdict, print};
+use crate::pipeline::PipelineError;
 use crate::scenario::{Scenario, load_scenario};
 use calibrig_estimation::identification::{
-    Explanation, Finding, FrameChoice, IdentifiabilityReport, Mode, TargetChoice, analyse_columns, explain,
-    identifiability, neighbour_axis_rules, structural_poses,
+    Explanation, Finding, FrameChoice, IdentifiabilityReport, Mode, TargetChoice, explain, identifiability,
+    neighbour_axis_rules, spectrum, structural_poses,
 };
-use calibrig_estimation::kinematics::stacked_jacobian;
 use calibrig_files::load_robot;
 use calibrig_model::random::{Source, stream};
-use calibrig_model::{KinematicModel, ParameterId};
+use calibrig_model::{KinematicModel, ModelError, ParameterId};
 
 /// Say which parameters position measurements can tell: rank, dependent groups, weak directions, and what would help
 ///
@@ -112,9 +112,11 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         &question.target,
         question.frame_free,
         question.target_free,
-    );
-    let findings = explain(&report, &question.model, &question.poses, &question.target);
-    let sets = candidate_sets(&question);
+    )
+    .map_err(|error| failed(args, error))?;
+    let findings = explain(&report, &question.model, &question.poses, &question.target)
+        .map_err(|error| failed(args, error))?;
+    let sets = candidate_sets(&question).map_err(|error| failed(args, error))?;
     print(&if args.json {
         as_json(&question, &sets, &report, &findings)
     } else {
@@ -122,6 +124,12 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     })?;
     let complete = report.spectrum.rank == report.selected.len();
     Ok(if complete { Verdict::Done } else { Verdict::Doubtful })
+}
+
+fn failed(args: &Args, error: ModelError) -> CliError {
+    let file = args.model.as_ref().or(args.scenario.as_ref()).cloned().unwrap_or_default();
+    let source = PipelineError::Identify { mode: Mode::OnlyCalibration, source: error.into() };
+    CliError::Pipeline { file, source }
 }
 
 fn question(args: &Args) -> Result<Question, CliError> {
@@ -161,7 +169,7 @@ struct CandidateSet {
     condition: f64,
 }
 
-fn candidate_sets(question: &Question) -> Vec<CandidateSet> {
+fn candidate_sets(question: &Question) -> Result<Vec<CandidateSet>, ModelError> {
     let model = &question.model;
     let (kept, groups) = neighbour_axis_rules(model);
     let mut table = kept.clone();
@@ -178,9 +186,8 @@ fn candidate_sets(question: &Question) -> Vec<CandidateSet> {
     ]
     .into_iter()
     .map(|(name, ids)| {
-        let spectrum =
-            analyse_columns(&stacked_jacobian(model, &question.poses, &question.target, &ids), &ids);
-        CandidateSet { name, columns: ids.len(), rank: spectrum.rank, condition: spectrum.condition }
+        let spectrum = spectrum(model, &question.poses, &question.target, &ids)?;
+        Ok(CandidateSet { name, columns: ids.len(), rank: spectrum.rank, condition: spectrum.condition })
     })
     .collect()
 }

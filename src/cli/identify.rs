@@ -10,12 +10,12 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::output::{self, Destination, Files};
 use super::{Cli, CliError, Verdict, not_identified, say};
 use crate::pipeline::{
-    DEFAULT_TOLERANCE, InputSummary, Outcome, PipelineError, SetKind, SetOutcome, SplitPlan, SplitStudy,
-    calibrate, hash_sources, is_default, judge, pose_count, repeat_splits,
+    InputSummary, Outcome, PipelineError, SetKind, SetOutcome, SplitPlan, SplitStudy, calibrate,
+    hash_sources, is_default, judge, pose_count, repeat_splits,
 };
 use calibrig_estimation::identification::{
-    ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Loss, Mode, ParameterBound,
-    ParameterChoice, RefusedBound, SolverOptions, TargetChoice, Tolerance, check_bounds,
+    ComplianceChoice, DEFAULT_TOLERANCE, FrameChoice, IdentificationOptions, LINKAGE, Loss, Mode,
+    ParameterBound, ParameterChoice, RefusedBound, SolverOptions, TargetChoice, Tolerance, check_bounds,
 };
 use calibrig_files::Source;
 use calibrig_files::{ColumnMap, load_column_map, parse_column_map, parse_measurements};

@@ -33,6 +33,7 @@ use crate::replay::ReplayError;
 use crate::report::ReportError;
 use calibrig_estimation::identification::IdentifyError;
 use calibrig_files::{InputError, Source};
+use calibrig_model::measurement::MeasurementError;
 
 /// Calibrate large robots with a laser tracker: on a simulated machine whose truth is known, and on real measurements.
 #[derive(Debug, Parser)]
@@ -135,7 +136,7 @@ fn not_identified(error: PipelineError, file: &Path, source: &Source, place: Ran
             let more = (parameters - rows.min(parameters)).div_ceil(3);
             format!("expected at least {more} more poses: each gives three coordinates")
         }
-        IdentifyError::BestFit | IdentifyError::Empty => {
+        IdentifyError::BestFit | IdentifyError::Measurements(MeasurementError::Empty) => {
             "expected at least three poses whose measured points are not on one line".to_owned()
         }
         _ => return CliError::Pipeline { file: file.to_path_buf(), source: error },

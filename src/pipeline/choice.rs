@@ -196,7 +196,7 @@ fn fit(
     let held_out = held_out_errors(set, splits, |fitted, held_out| {
         let estimate = identify(model, fitted, &candidate.options).map_err(failed)?;
         not_converged += usize::from(!estimate.termination.converged());
-        errors(model, &estimate, held_out)
+        errors(&estimate, held_out)
     })?;
     let variant = Variant {
         name: candidate.name.clone(),
@@ -216,13 +216,9 @@ fn fit(
     Ok(Fitted { variant, sigma, not_converged })
 }
 
-fn errors(
-    model: &CalibrationModel,
-    estimate: &Estimate,
-    set: &MeasurementSet,
-) -> Result<Vec<nalgebra::Vector3<f64>>, PipelineError> {
-    Predictor::new(model, &estimate.robot)
-        .errors(set)
+fn errors(estimate: &Estimate, set: &MeasurementSet) -> Result<Vec<nalgebra::Vector3<f64>>, PipelineError> {
+    Predictor::new(&estimate.robot)
+        .and_then(|mut predictor| predictor.errors(set))
         .map_err(|source| PipelineError::Predict { mode: estimate.robot.mode, source })
 }
 

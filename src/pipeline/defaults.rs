@@ -1,31 +1,18 @@
 //! How measurements are identified where nobody says how.
 
-use calibrig_estimation::identification::{
-    FrameChoice, IdentificationOptions, Mode, ParameterChoice, TargetChoice, Tolerance,
-};
+use calibrig_estimation::identification::{IdentificationOptions, Mode};
 use calibrig_files::Robot;
-use calibrig_model::measurement::MeasurementSet;
 
 /// Relative standard deviation from which on a stated stiffness is a guess: what it predicts is not worth a row.
 const GUESS: f64 = 1.0;
 
-/// How well a robot's links are taken to be made where nobody says: 10 mm and 20 mrad, far more than a workshop leaves.
-pub const DEFAULT_TOLERANCE: Tolerance = Tolerance { length: 10e-3, angle: 20e-3 };
-
-/// A complete independent set of link parameters with a prior of the making's tolerance; tracker frame and target as far as `measured` tells
-/// of them: nests and offsets that were measured are priors, else both are identified.
-pub fn default_options(robot: &Robot, measured: Option<&MeasurementSet>) -> IdentificationOptions {
+/// The options that hold for any robot, with what its files say of its compliances.
+pub fn default_options(robot: &Robot) -> IdentificationOptions {
     let defaults = IdentificationOptions::default();
-    let mut options = IdentificationOptions {
-        parameters: ParameterChoice::Complete,
-        tolerance: Some(DEFAULT_TOLERANCE),
+    IdentificationOptions {
         compliance_sigma: robot.compliance_sigma.unwrap_or(defaults.compliance_sigma),
-        frame: FrameChoice::Nests,
-        target: TargetChoice::Measured,
         ..defaults
-    };
-    options.fit_to(measured);
-    options
+    }
 }
 
 /// Geometry alone; and where the robot's files give masses and stiffnesses, gravity, or the stiffnesses where they are a guess.

@@ -8,10 +8,10 @@ use calibrig_estimation::evaluation::{
 };
 use calibrig_estimation::identification::{
     Estimate, IdentificationOptions, Linearisation, Mode, NoiseScale, ParameterSupport, PoseInfluence,
-    Prediction, Predictor, Uncertainty, linearise, predict,
+    Prediction, Predictor, Uncertainty, linearise,
 };
-use calibrig_model::measurement::{MeasurementSet, Observation, Reading};
-use calibrig_model::{CalibrationModel, ParameterId};
+use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::{CalibrationModel, ParameterId, PoseQuery};
 
 /// Probability of a false alarm of a test for size or shape of the residuals.
 pub const FALSE_ALARM: f64 = 0.001;
@@ -97,17 +97,19 @@ pub fn judge(
             let options = IdentificationOptions { mode, ..options.clone() };
             let failed = |source| PipelineError::Identify { mode, source };
             let system = linearise(model, fitted, &options, estimate).map_err(failed)?;
-            let sensitivity = sensitivity(model, estimate, fitted).unwrap_or_default();
-            let predicted = |poses: &[Observation]| predict(model, fitted, &options, estimate, poses);
-            let confidence = match uncertainty(&system, estimate) {
-                Some(uncertainty) => {
-                    let at_poses: Result<Vec<_>, _> =
-                        sets.iter().map(|set| predicted(&set.measurements.observations)).collect();
-                    let (at_poses, map) = (at_poses.map_err(failed)?, predicted(&region).map_err(failed)?);
-                    Some(confidence(&system, &uncertainty, &at_poses, &map))
-                }
-                None => None,
-            };
+            let sensitivity = sensitivity(estimate, fitted).unwrap_or_default();
+            let mut predictor =
+                estimate.predictor().map_err(|source| PipelineError::Predict { mode, source })?;
+            let confidence = uncertainty(&system, estimate).map(|uncertainty| {
+                let at_poses: Vec<Vec<_>> = sets
+                    .iter()
+                    .map(|set| {
+                        set.measurements.observations.iter().map(|o| predictor.predict(o).ok()).collect()
+                    })
+                    .collect();
+                let map: Vec<_> = region.iter().map(|pose| predictor.predict(pose.query()).ok()).collect();
+                confidence(&system, &uncertainty, &at_poses, &map)
+            });
             let consistency = consistency(model, fitted, estimate, &system, &sensitivity);
             Ok(Judgement { mode, consistency, sensitivity, confidence })
         })
@@ -129,7 +131,7 @@ fn confidence(
 ) -> Confidence {
     let place = |prediction: &Option<Prediction>| {
         let prediction = prediction.as_ref()?;
-        let covariance = uncertainty.position_covariance(&prediction.jacobian);
+        let covariance = uncertainty.position_covariance(&prediction.jacobian)?;
         let sigma = covariance.diagonal().map(|v| v.max(0.0).sqrt());
         let finite = sigma.iter().chain(prediction.position.iter()).all(|v| v.is_finite());
         finite.then_some(PredictedPosition { position: prediction.position, sigma })
@@ -163,7 +165,7 @@ fn consistency(
     if system.residuals.iter().chain(system.jacobian.iter()).any(|v| !v.is_finite()) {
         return ConsistencyReport { size: None, shape: None, level: FALSE_ALARM };
     }
-    let mut predictor = Predictor::new(model, &estimate.robot);
+    let mut predictor = Predictor::new(&estimate.robot).ok();
     let poses: Vec<_> = set
         .observations
         .iter()
@@ -174,7 +176,7 @@ fn consistency(
             approach: &observation.approach,
             time: observation.time,
             temperature: observation.temperature,
-            position: predictor.in_base(observation).unwrap_or_default(),
+            position: predictor.as_mut().and_then(|p| p.in_base(observation).ok()).unwrap_or_default(),
             sensitivity: sensitivity.get(i).map_or(&[][..], Vec::as_slice),
             whitening: *whitening,
         })
@@ -195,20 +197,16 @@ fn consistency(
 }
 
 /// Change of every observation's target with every actuator, by central differences; `None` where the robot cannot take one of the poses.
-fn sensitivity(
-    model: &CalibrationModel,
-    estimate: &Estimate,
-    set: &MeasurementSet,
-) -> Option<Vec<Vec<Vector3<f64>>>> {
-    let mut predictor = Predictor::new(model, &estimate.robot);
+fn sensitivity(estimate: &Estimate, set: &MeasurementSet) -> Option<Vec<Vec<Vector3<f64>>>> {
+    let mut predictor = Predictor::new(&estimate.robot).ok()?;
     set.observations
         .iter()
         .map(|observation| {
-            let mut moved = observation.clone();
+            let mut command = observation.command.clone();
             let mut at = |joint: usize, step: f64| {
-                moved.command[joint] = observation.command[joint] + step;
-                let position = predictor.in_base(&moved).ok();
-                moved.command[joint] = observation.command[joint];
+                command[joint] = observation.command[joint] + step;
+                let position = predictor.in_base(PoseQuery { command: &command, ..observation.into() }).ok();
+                command[joint] = observation.command[joint];
                 position
             };
             let derivative = |joint| Some((at(joint, STEP)? - at(joint, -STEP)?) / (2.0 * STEP));
@@ -217,9 +215,21 @@ fn sensitivity(
         .collect()
 }
 
+/// A pose of the working region.
+struct RegionPose {
+    command: Vec<f64>,
+    approach: Vec<i8>,
+}
+
+impl RegionPose {
+    fn query(&self) -> PoseQuery<'_> {
+        PoseQuery::at(&self.command).approached(&self.approach)
+    }
+}
+
 /// Poses that fill the box of joint variables which the measured poses of all sets span, evenly and the same for the same sets; the
 /// approaches alternate.
-fn region(model: &CalibrationModel, sets: &[SetOutcome]) -> Vec<Observation> {
+fn region(model: &CalibrationModel, sets: &[SetOutcome]) -> Vec<RegionPose> {
     let mut range = vec![(f64::INFINITY, f64::NEG_INFINITY); model.kinematics.joint_count()];
     let mut joints = vec![0.0; range.len()];
     let mut any = false;
@@ -237,17 +247,11 @@ fn region(model: &CalibrationModel, sets: &[SetOutcome]) -> Vec<Observation> {
         let shares = evenly(index, range.len());
         let joints: Vec<_> =
             range.iter().zip(shares).map(|((low, high), s)| low + (high - low) * s).collect();
-        Observation {
-            pose: index,
+        RegionPose {
             command: model.actuators.command_from_joints(&joints),
             approach: (0..joints.len())
                 .map(|joint| if index >> (joint % 32) & 1 == 0 { -1 } else { 1 })
                 .collect(),
-            temperature: None,
-            time: 0.0,
-            station: 0,
-            target: 0,
-            reading: Reading::Cartesian { position: Vector3::zeros(), covariance: None },
         }
     };
     if any { (0..MAP_POSES).map(pose).collect() } else { Vec::new() }

@@ -37,14 +37,14 @@ pub(super) struct AnalyticMachine {
 }
 
 impl AnalyticMachine {
-    pub(super) fn new(as_built: &AsBuilt) -> Self {
+    pub(super) fn new(as_built: &AsBuilt) -> Result<Self, ElasticError> {
         let model = CalibrationModel {
             kinematics: as_built.kinematics.clone(),
             actuators: as_built.actuators,
             statics: Some(as_built.statics.clone()),
             motor_turns: vec![None; as_built.kinematics.joint_count()],
         };
-        Self { chain: ElasticChain::new(&model), target: as_built.target }
+        Ok(Self { chain: ElasticChain::new(&model)?, target: as_built.target })
     }
 }
 
@@ -67,7 +67,7 @@ impl Machine for AnalyticMachine {
         Ok(SettledPose {
             target: self.chain.target(&self.target),
             links: self.chain.link_frames().to_vec(),
-            deflection: (0..motors.len()).map(|joint| self.chain.drive_deflection(joint)).collect(),
+            deflection: (0..motors.len()).filter_map(|joint| self.chain.drive_deflection(joint)).collect(),
             elastic: Vec::new(),
             linkage: None,
             rod_force: None,

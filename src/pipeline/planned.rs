@@ -4,10 +4,10 @@ use nalgebra::Vector3;
 
 use super::{PipelineError, PlantKind, simulate};
 use crate::scenario::Scenario;
-use calibrig_estimation::identification::{CalibratedRobot, Mode, Predictor};
-use calibrig_model::CalibrationModel;
+use calibrig_estimation::identification::{CalibratedRobot, Mode, PredictionError, Predictor};
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{MeasurementSet, Observation, Reading, Station, Target};
+use calibrig_model::{CalibrationModel, PoseQuery};
 use calibrig_plant::AsBuilt;
 use calibrig_plant::effects::Effects;
 
@@ -46,22 +46,27 @@ pub fn planned_at(
     };
     let robot = CalibratedRobot {
         mode: Mode::Extended,
+        nominal: model.clone(),
         model: model.clone(),
         terms: Vec::new(),
         stations: vec![Transform::identity()],
         targets: vec![in_flange],
     };
-    let mut predictor = Predictor::new(model, &robot);
+    let failed = |source| PipelineError::Predict { mode: robot.mode, source };
+    let mut predictor = Predictor::new(&robot).map_err(failed)?;
     let mut before: Option<Vec<f64>> = None;
     for (pose, joints) in (1..).zip(poses) {
         let command = model.actuators.command_from_joints(joints);
         let sign = |(now, before): (&f64, &f64)| if now > before { 1 } else { -1 };
-        let approach = match &before {
+        let approach: Vec<i8> = match &before {
             Some(before) => command.iter().zip(before).map(sign).collect(),
             None => vec![0; command.len()],
         };
+        let position = predictor
+            .in_base(PoseQuery::at(&command).approached(&approach))
+            .map_err(|source| failed(PredictionError::Pose { pose, source: Box::new(source) }))?;
         before = Some(command.clone());
-        let mut observation = Observation {
+        set.observations.push(Observation {
             pose,
             command,
             approach,
@@ -69,13 +74,8 @@ pub fn planned_at(
             time: 0.0,
             station: 0,
             target: 0,
-            reading: Reading::Cartesian { position: Vector3::zeros(), covariance: None },
-        };
-        let position = predictor
-            .in_base(&observation)
-            .map_err(|source| PipelineError::Predict { mode: robot.mode, source })?;
-        observation.reading = Reading::Cartesian { position, covariance: None };
-        set.observations.push(observation);
+            reading: Reading::Cartesian { position, covariance: None },
+        });
     }
     Ok(set)
 }

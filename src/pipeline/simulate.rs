@@ -34,7 +34,7 @@ pub fn measure_session(
             session.measure(&mut machine, seed, trial, listener)?
         }
         PlantKind::Analytic => {
-            session.measure(&mut AnalyticMachine::new(&scenario.as_built), seed, trial, listener)?
+            session.measure(&mut AnalyticMachine::new(&scenario.as_built)?, seed, trial, listener)?
         }
     })
 }

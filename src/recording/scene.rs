@@ -163,7 +163,7 @@ pub(super) fn nominal_chain(
     }
     let mut joints = vec![0.0; observation.command.len()];
     joints_from_command(&model.kinematics, &model.actuators, &observation.command, &mut joints).ok()?;
-    let links = link_frames(&model.kinematics, &joints);
+    let links = link_frames(&model.kinematics, &joints).ok()?;
     chain_of(ChainKind::Nominal, model, &observation.command, links, target)
 }
 
@@ -180,7 +180,8 @@ pub(super) fn reach(model: &KinematicModel) -> Vec<Vector3<f64>> {
         joints[joint] = limit;
         joints
     });
-    let frames = std::iter::once(middle.clone()).chain(away).map(|joints| link_frames(model, &joints));
+    let frames =
+        std::iter::once(middle.clone()).chain(away).filter_map(|joints| link_frames(model, &joints).ok());
     let places = frames.filter_map(|links| Some(links.last()?.translation.vector));
     places.filter(|place| place.iter().all(|x| x.is_finite())).collect()
 }
@@ -189,7 +190,7 @@ pub(super) fn reach(model: &KinematicModel) -> Vec<Vector3<f64>> {
 pub(super) fn calibrated_chain(outcome: &Outcome, observation: &Observation) -> Option<Chain> {
     let robot = observer(outcome)?;
     let target = robot.targets.get(observation.target)?;
-    let links = Predictor::new(&outcome.model, robot).links(observation).ok()?;
+    let links = Predictor::new(robot).ok()?.links(observation).ok()?;
     chain_of(ChainKind::Calibrated, &robot.model, &observation.command, links, target)
 }
 
@@ -392,7 +393,7 @@ mod tests {
         assert_eq!(shown.iter().map(|c| c.kind).collect::<Vec<_>>(), [ChainKind::Calibrated]);
         let observation = &measured.sets[0].measurements.observations[1];
         let robot = observer(&measured).expect("a mode");
-        let predicted = Predictor::new(&measured.model, robot).in_base(observation).expect("a pose");
+        let predicted = Predictor::new(robot).expect("a robot").in_base(observation).expect("a pose");
         assert!((shown[0].target - predicted).norm() < 1e-12);
     }
 
@@ -454,7 +455,7 @@ mod tests {
             {
                 let arrow = arrow(mode, observation, error).expect("a station");
                 let predicted =
-                    Predictor::new(&outcome.model, &mode.robot).in_base(observation).expect("a pose");
+                    Predictor::new(&mode.robot).expect("a robot").in_base(observation).expect("a pose");
                 assert!((arrow.origin - predicted).norm() < 1e-9);
                 let measured = sighting(&mode.robot, observation).expect("a station").point;
                 assert!((arrow.origin + arrow.vector / RESIDUAL_SCALE - measured).norm() < 1e-9);

@@ -193,11 +193,11 @@ fn effects_at(q: &[f64]) -> PoseEffects {
 fn settle(real: &KinematicModel, q: &[f64], softness: f64) -> SettledPose {
     let deflection: Vec<f64> = (0..7).map(|i| softness * f64::from(i)).collect();
     let joints: Vec<f64> = q.iter().zip(&deflection).map(|(q, dq)| q + dq).collect();
-    let flange = forward_kinematics(real, &joints);
+    let flange = forward_kinematics(real, &joints).expect("seven joints");
     let target = flange.rotation * Vector3::from(IN_FLANGE) + flange.translation.vector;
     SettledPose {
         target,
-        links: link_frames(real, &joints),
+        links: link_frames(real, &joints).expect("seven joints"),
         deflection,
         elastic: [
             (ElasticPlace::Bearing { joint: 2 }, 3),
@@ -271,6 +271,7 @@ fn mode_outcome(
 ) -> ModeOutcome {
     let robot = CalibratedRobot {
         mode,
+        nominal: model.clone(),
         model: CalibrationModel { kinematics: with_errors(&model.kinematics, share), ..model.clone() },
         terms: Vec::new(),
         stations: vec![tracker_from_base * rotation_z(1e-5 * share)],
@@ -278,7 +279,9 @@ fn mode_outcome(
     };
     let errors: Vec<Vec<_>> = sets
         .iter()
-        .map(|set| Predictor::new(model, &robot).errors(&set.measurements).expect("a robot that stands"))
+        .map(|set| {
+            Predictor::new(&robot).and_then(|mut p| p.errors(&set.measurements)).expect("a robot that stands")
+        })
         .collect();
     let rows = errors.iter().map(|e| accuracy(e)).collect();
     let estimate = (share > 0.0).then(|| estimate(robot.clone(), share));
@@ -311,6 +314,9 @@ fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
         robot,
         parameters,
         covariance: Some(DMatrix::from_fn(n, n, |i, j| if i == j { 1e-9 } else { 1e-12 * i as f64 })),
+        factor: None,
+        weights: Vec::new(),
+        assumptions: Vec::new(),
         noise: NoiseScale::Stated,
         chi2: 151.25,
         degrees_of_freedom: 120,

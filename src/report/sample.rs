@@ -79,7 +79,7 @@ pub(super) fn simulated() -> Outcome {
         for pose in first..first + count {
             let command = draw_command(&mut rng);
             let effect = sag(&command) + 0.25e-3 * normal3(&mut rng);
-            let in_base = target_in_base(&as_built, &command, &target) + effect;
+            let in_base = target_in_base(&as_built, &command, &target).expect("seven joints") + effect;
             effects.push(effect);
             observations.push(observation(pose, command, transformed(&tracker_from_base, &in_base)));
         }
@@ -97,7 +97,11 @@ pub(super) fn simulated() -> Outcome {
     let (uncalibrated, rms) = registered(&model, &sets[0].measurements);
     let before = sets
         .iter()
-        .map(|set| Predictor::new(&model, &uncalibrated).errors(&set.measurements).expect("a rigid robot"))
+        .map(|set| {
+            Predictor::new(&uncalibrated)
+                .and_then(|mut p| p.errors(&set.measurements))
+                .expect("a rigid robot")
+        })
         .collect();
     let mut modes = vec![mode_outcome(Mode::WithoutCalibration, uncalibrated, None, before)];
     for (mode, share, ratio) in [(Mode::OnlyCalibration, 1.0, 13.1), (Mode::WithGravity, 0.62, 9.4)] {
@@ -326,13 +330,17 @@ fn model_of(kinematics: KinematicModel) -> CalibrationModel {
 fn registered(model: &CalibrationModel, set: &MeasurementSet) -> (CalibratedRobot, f64) {
     let target = Vector3::from(STATED_TARGET);
     let seen: Vec<_> = set.observations.iter().map(|o| o.reading.position()).collect();
-    let predicted: Vec<_> =
-        set.observations.iter().map(|o| target_in_base(&model.kinematics, &o.command, &target)).collect();
+    let predicted: Vec<_> = set
+        .observations
+        .iter()
+        .map(|o| target_in_base(&model.kinematics, &o.command, &target).expect("seven joints"))
+        .collect();
     let station = best_fit_transform(&seen, &predicted).expect("poses in general position");
     let squares: f64 =
         seen.iter().zip(&predicted).map(|(s, p)| (s - transformed(&station, p)).norm_squared()).sum();
     let robot = CalibratedRobot {
         mode: Mode::WithoutCalibration,
+        nominal: model.clone(),
         model: model.clone(),
         terms: Vec::new(),
         stations: vec![station],
@@ -412,6 +420,7 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
     Estimate {
         robot: CalibratedRobot {
             mode,
+            nominal: model_of(nominal()),
             model: model_of(kinematics),
             terms: Vec::new(),
             stations: vec![prior * small_displacement(&xi)],
@@ -421,6 +430,9 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
             ],
         },
         covariance: Some(DMatrix::identity(n, n)),
+        factor: Some(DMatrix::identity(n, n)),
+        weights: Vec::new(),
+        assumptions: Vec::new(),
         noise: NoiseScale::Stated,
         chi2: ratio * ratio * degrees_of_freedom as f64,
         degrees_of_freedom,

@@ -215,7 +215,7 @@ impl IdentificationFile {
         robot: &Robot,
     ) -> Result<IdentificationOptions, InputError> {
         let model = &robot.model;
-        let defaults = IdentificationOptions::default();
+        let defaults = IdentificationOptions::published();
         let mut options = IdentificationOptions {
             compliance_sigma: robot.compliance_sigma.unwrap_or(defaults.compliance_sigma),
             ..defaults

@@ -63,7 +63,7 @@ fn row(
     let (mut iterations, mut verification) = (0.0, 0.0);
     for session in sessions {
         let estimate = identify(model, &session.sets[0].measurements, options).expect("an estimate");
-        let errors = Predictor::new(model, &estimate.robot).errors(&session.sets[1].measurements);
+        let errors = Predictor::new(&estimate.robot).expect("a robot").errors(&session.sets[1].measurements);
         verification += accuracy(&errors.expect("a rigid robot")).expect("poses").rms_3d / draws;
         iterations += estimate.iterations.len() as f64 / draws;
         estimates.push(estimate);

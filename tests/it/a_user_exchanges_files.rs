@@ -59,7 +59,7 @@ fn identified(robot: &Robot, sets: &[SetOutcome], frame: FrameChoice) -> Vec<Mod
         parameters: ParameterChoice::Complete,
         frame,
         target: TargetChoice::Identified,
-        ..IdentificationOptions::default()
+        ..IdentificationOptions::published()
     };
     let modes = [Mode::WithoutCalibration, Mode::OnlyCalibration];
     calibrate(&robot.model, sets, &modes, &options).expect("estimates").1
@@ -196,7 +196,7 @@ fn write_ur5_files(sandbox: &Sandbox) {
                 .map(|step| 120.0 * ((number * step) % 1.0) - 60.0)
                 .collect();
             let radians: Vec<f64> = q.iter().map(|angle| angle.to_radians()).collect();
-            let at = 1e3 * forward_kinematics(&real, &radians).translation.vector;
+            let at = 1e3 * forward_kinematics(&real, &radians).expect("six joints").translation.vector;
             let _ = write!(text, "{pose},{:.4},{:.4},{:.4},0,0,0", at.x, at.y, at.z);
             for angle in q {
                 let _ = write!(text, ",{angle:.6}");

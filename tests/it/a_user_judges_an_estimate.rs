@@ -135,7 +135,8 @@ fn errors_of_left_out_poses_are_those_of_refits() {
     let set = &simulation.sets[0].measurements;
     let refitted = held_out_errors(set, &leave_one_out(20), |fitted, held_out| {
         let estimate = identify(model, fitted, &options).map_err(|e| e.to_string())?;
-        Predictor::new(model, &estimate.robot).errors(held_out).map_err(|e| e.to_string())
+        let predictor = Predictor::new(&estimate.robot);
+        predictor.and_then(|mut predictor| predictor.errors(held_out)).map_err(|e| e.to_string())
     })
     .expect("refits");
     for (pose, (linear, exact)) in left_out.iter().zip(refitted.iter().flatten()).enumerate() {

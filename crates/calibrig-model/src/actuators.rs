@@ -1,11 +1,12 @@
 //! From what the controller commands to the joint variables of the link chain.
 
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
 
 use super::LinkageLength;
 
 /// The map from actuator commands to joint variables (SI, one actuator a joint).
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum ActuatorMap {
     /// Every actuator moves its own joint.
     Direct,
@@ -30,7 +31,7 @@ pub enum ActuatorMap {
 /// The crank's frame is the shoulder's link frame as it would be at the joint variable `psi + offset + theta`, with theta that of the elbow's
 /// link, and without the shoulder's bearing; the lever's frame is the elbow's link frame. So crank and lever are parallel in an exact
 /// parallelogram, and an error of theta is one of the motor's zero, with a four-bar as without.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct FourBar {
     /// The end of the crank in its frame.
     pub crank: LinkageArm,
@@ -41,7 +42,7 @@ pub struct FourBar {
 }
 
 /// A point at `(length cos(angle), length sin(angle), along)` of a frame that turns about z.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LinkageArm {
     /// m
     pub length: f64,
@@ -60,11 +61,16 @@ impl LinkageArm {
 }
 
 impl ActuatorMap {
-    /// Writes the joint variables of `command` to `joints`; both as long as the chain.
+    /// Writes the joint variables of `command` to `joints`; both as long as the chain. Where one is shorter, the rest is left as it is.
     pub fn joints_from_command(&self, command: &[f64], joints: &mut [f64]) {
-        joints.copy_from_slice(command);
-        if let Self::Parallelogram { shoulder, elbow, offset, .. } = *self {
-            joints[elbow] = command[elbow] + offset - command[shoulder];
+        for (joint, command) in joints.iter_mut().zip(command) {
+            *joint = *command;
+        }
+        if let Self::Parallelogram { shoulder, elbow, offset, .. } = *self
+            && let (Some(joint), Some(psi), Some(upper)) =
+                (joints.get_mut(elbow), command.get(elbow), command.get(shoulder))
+        {
+            *joint = psi + offset - upper;
         }
     }
 
@@ -91,8 +97,11 @@ impl ActuatorMap {
     /// The command that takes an ideal machine to `joints`.
     pub fn command_from_joints(&self, joints: &[f64]) -> Vec<f64> {
         let mut command = joints.to_vec();
-        if let Self::Parallelogram { shoulder, elbow, offset, .. } = *self {
-            command[elbow] = joints[shoulder] + joints[elbow] - offset;
+        if let Self::Parallelogram { shoulder, elbow, offset, .. } = *self
+            && let (Some(psi), Some(upper), Some(joint)) =
+                (command.get_mut(elbow), joints.get(shoulder), joints.get(elbow))
+        {
+            *psi = upper + joint - offset;
         }
         command
     }

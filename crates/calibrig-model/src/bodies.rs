@@ -1,11 +1,12 @@
 //! Masses, stiffnesses and shapes: what statics and pictures need beyond kinematics.
 
 use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
 
 use crate::geometry::Transform;
 
 /// The inertial properties of one link, in that link's frame.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Body {
     /// kg
     pub mass: f64,
@@ -26,12 +27,13 @@ pub const RIGID: SixStiffness = [f64::INFINITY; 6];
 /// Where springs sit in the chain, joint after joint, is part of this definition (docs/notation.md, "Where the springs sit"):
 /// the joint's fixed part, the bearing if it is on the fixed side, the joint's motion with the drive's deflection, the bearing if it is
 /// on the moving side, the beam.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StaticProperties {
     /// The bodies that the joints carry.
     pub bodies: Vec<Body>,
     /// Stiffness of the drive along or about the joint axis, N/m or N m/rad. With a [four-bar](LinkageStatics) the elbow's drive turns
     /// the crank.
+    #[serde(with = "crate::float::list")]
     pub drive_stiffness: Vec<f64>,
     /// Compliance of the joints beside their drives.
     pub bearings: Vec<Bearing>,
@@ -75,7 +77,7 @@ impl StaticProperties {
 }
 
 /// On which side of a joint's motion its bearing yields.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub enum BearingSide {
     /// It is carried along: the springs act in the link's own frame, behind the joint's motion.
     #[default]
@@ -85,9 +87,10 @@ pub enum BearingSide {
 }
 
 /// The compliance of a joint beside its drive: bearing tilt, radial and axial play, a rail's roll, pitch and yaw.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Bearing {
     /// In the frame of its side. The entry of the joint's own axis is the drive's and counts for nothing here.
+    #[serde(with = "crate::float::array")]
     pub stiffness: SixStiffness,
     /// On which side of the motion.
     pub side: BearingSide,
@@ -102,7 +105,7 @@ impl Default for Bearing {
 }
 
 /// Along which axis of its link's frame a flexible link runs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum BeamRun {
     /// From the frame's origin along +x, towards the next joint.
     AlongX,
@@ -111,7 +114,7 @@ pub enum BeamRun {
 }
 
 /// A flexible link: a chain of uniform Timoshenko beams with their own distributed weight.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Beam {
     /// Its place in the link's frame.
     pub run: BeamRun,
@@ -120,7 +123,7 @@ pub struct Beam {
 }
 
 /// One uniform piece of a beam.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct BeamSegment {
     /// Its length.
     pub length: SegmentLength,
@@ -129,7 +132,7 @@ pub struct BeamSegment {
 }
 
 /// The length of a beam segment.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum SegmentLength {
     /// m
     Constant(f64),
@@ -149,15 +152,19 @@ impl SegmentLength {
 
 /// A beam's cross section, with axes as in the link's frame but the first along the beam: (x, y, z) for a beam along x,
 /// (z, x, y) for one along z.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Section {
     /// E A, N.
+    #[serde(with = "crate::float::scalar")]
     pub axial: f64,
     /// kappa G A along the second and third axis, N.
+    #[serde(with = "crate::float::array")]
     pub shear: [f64; 2],
     /// G J, N m².
+    #[serde(with = "crate::float::scalar")]
     pub torsion: f64,
     /// E I about the second and third axis, N m².
+    #[serde(with = "crate::float::array")]
     pub bending: [f64; 2],
     /// kg/m; part of the link's [`Body`], whose mass and centre stay those of the whole link.
     pub mass_per_length: f64,
@@ -193,9 +200,10 @@ impl Section {
 }
 
 /// Statics of the elbow's four-bar. The crank's drive is the elbow's entry of [`StaticProperties::drive_stiffness`].
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LinkageStatics {
     /// Axial stiffness of the coupler rod, N/m.
+    #[serde(with = "crate::float::scalar")]
     pub rod_stiffness: f64,
     /// kg, half of it at either end.
     pub rod_mass: f64,
@@ -204,7 +212,7 @@ pub struct LinkageStatics {
 }
 
 /// A mass or a constant force at a point of a link.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PointLoad {
     /// Name for people.
     pub name: String,
@@ -219,7 +227,7 @@ pub struct PointLoad {
 }
 
 /// A shape to draw, with its place in the link's frame.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Visual {
     /// Where the shape's own frame lies.
     pub link_from_shape: Transform,
@@ -228,7 +236,7 @@ pub struct Visual {
 }
 
 /// The primitive shapes that a URDF can hold and both viewers can draw, m.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum VisualShape {
     /// Edge lengths.
     Box([f64; 3]),

@@ -3,6 +3,7 @@
 //! The estimator (`calibrig-estimation`) and the simulated machine (`calibrig-plant`) depend on this crate and not on each other, so that
 //! the one cannot look at the truth and the other cannot be made with the model that is fitted to it.
 
+pub mod float;
 pub mod geometry;
 pub mod measurement;
 pub mod random;
@@ -11,9 +12,11 @@ pub mod statistics;
 mod actuators;
 mod beam;
 mod bodies;
+mod check;
 mod closure;
 mod compliances;
 mod parameter;
+mod pose;
 mod robot;
 mod terms;
 
@@ -23,9 +26,11 @@ pub use bodies::{
     Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, LinkageStatics, PointLoad, RIGID, Section,
     SegmentLength, SixStiffness, StaticProperties, Visual, VisualShape,
 };
+pub use check::ModelError;
 pub use closure::{LEAST_TRANSMISSION_ANGLE, LinkageFault, linkage_fault};
 pub use parameter::{Compliance, LinkTerm, LinkageLength, ParameterId, Unit};
+pub use pose::PoseQuery;
 pub use robot::{CalibrationModel, CraigLink, JointKind, KinematicModel};
-pub use terms::{FAMILIES, TermFamily, TermId, TermInput, TermPlace};
+pub use terms::{FAMILIES, TermFamily, TermId, TermPlace};
 
 pub use nalgebra;

@@ -1,11 +1,13 @@
 //! The names of what can be identified.
 
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 
 use super::terms::TermId;
 
 /// One of the five parameters of a Craig/Hayati link.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum LinkTerm {
     /// Link length a(i-1).
     A,
@@ -33,7 +35,7 @@ impl LinkTerm {
 }
 
 /// The SI unit of a parameter.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Unit {
     /// m
     Metre,
@@ -54,7 +56,7 @@ impl fmt::Display for Unit {
 }
 
 /// Which compliance of the robot.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Compliance {
     /// Of a joint's drive, along or about its axis (the elbow's turns the crank where there is a four-bar).
     Drive {
@@ -78,7 +80,7 @@ pub enum Compliance {
 }
 
 /// A length of the elbow's four-bar.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum LinkageLength {
     /// From the shoulder's axis to the rod.
     Crank,
@@ -235,6 +237,25 @@ fn parse_compliance(name: &str) -> Option<Compliance> {
 
 const FRAME_NAMES: [&str; 6] = ["x", "y", "z", "rx", "ry", "rz"];
 
+fn frame_name(component: usize) -> &'static str {
+    FRAME_NAMES.get(component).copied().unwrap_or("none")
+}
+
+/// By its name.
+impl Serialize for ParameterId {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl<'de> Deserialize<'de> for ParameterId {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let name = String::deserialize(deserializer)?;
+        Self::parse(&name)
+            .ok_or_else(|| D::Error::custom(format_args!("{name:?}: expected {}", Self::EXAMPLES)))
+    }
+}
+
 impl fmt::Display for ParameterId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let counted = |index: usize| if index == 0 { String::new() } else { (index + 1).to_string() };
@@ -250,14 +271,14 @@ impl fmt::Display for ParameterId {
                 format!("delta_{term}{}", link + 1)
             }
             Self::Frame { station, component } => {
-                format!("frame{}_{}", counted(station), FRAME_NAMES[component])
+                format!("frame{}_{}", counted(station), frame_name(component))
             }
             Self::Target { target, axis } => {
-                format!("target{}_{}", counted(target), FRAME_NAMES[axis])
+                format!("target{}_{}", counted(target), frame_name(axis))
             }
             Self::Compliance(Compliance::Drive { joint }) => format!("compliance_drive{}", joint + 1),
             Self::Compliance(Compliance::Bearing { joint, axis }) => {
-                format!("compliance_bearing{}_{}", joint + 1, FRAME_NAMES[axis])
+                format!("compliance_bearing{}_{}", joint + 1, frame_name(axis))
             }
             Self::Compliance(Compliance::Beam { link }) => format!("compliance_beam{}", link + 1),
             Self::Compliance(Compliance::Rod) => "compliance_rod".to_owned(),

@@ -1,10 +1,11 @@
 //! The chain of links, and all that identification is told of a robot beforehand.
 
-use super::{ActuatorMap, LinkTerm, ParameterId, StaticProperties};
+use super::{ActuatorMap, LinkTerm, ModelError, ParameterId, StaticProperties};
 use crate::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
+use serde::{Deserialize, Serialize};
 
 /// How a joint moves along or about the z axis of its link frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum JointKind {
     /// The joint variable is added to theta, rad.
     Revolute,
@@ -16,7 +17,7 @@ pub enum JointKind {
 /// `T(i-1,i) = Rx(alpha) · Tx(a) · Ry(beta) · Rz(theta + q) · Tz(d)` (revolute) or `· Rz(theta) · Tz(d + q)` (prismatic).
 ///
 /// Beta acts before the joint's rotation, as in Hayati (1983) for nearly parallel axes. SI units and radians.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CraigLink {
     /// The joint's name, as in the model file and the URDF.
     pub name: String,
@@ -33,10 +34,38 @@ pub struct CraigLink {
     /// Joint angle, rad (without the joint variable).
     pub theta: f64,
     /// Lowest and highest joint variable, rad or m.
+    #[serde(with = "crate::float::array")]
     pub limits: [f64; 2],
 }
 
 impl CraigLink {
+    /// A joint that turns: no offsets, no limits.
+    pub fn revolute(name: impl Into<String>) -> Self {
+        Self::new(name.into(), JointKind::Revolute)
+    }
+
+    /// A joint that slides: no offsets, no limits.
+    pub fn prismatic(name: impl Into<String>) -> Self {
+        Self::new(name.into(), JointKind::Prismatic)
+    }
+
+    fn new(name: String, kind: JointKind) -> Self {
+        let limits = [f64::NEG_INFINITY, f64::INFINITY];
+        Self { name, kind, a: 0.0, alpha: 0.0, beta: 0.0, d: 0.0, theta: 0.0, limits }
+    }
+
+    /// The same with this row of Craig's table: a(i-1) m, alpha(i-1) rad, d m, theta rad.
+    #[must_use]
+    pub fn row(self, a: f64, alpha: f64, d: f64, theta: f64) -> Self {
+        Self { a, alpha, d, theta, ..self }
+    }
+
+    /// The same between these joint variables, rad or m.
+    #[must_use]
+    pub fn limits(self, low: f64, high: f64) -> Self {
+        Self { limits: [low, high], ..self }
+    }
+
     /// The parameter's value, SI.
     pub fn term(&self, term: LinkTerm) -> f64 {
         match term {
@@ -79,7 +108,7 @@ impl CraigLink {
 }
 
 /// An open chain of revolute and prismatic joints, from the base frame B to the flange F.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct KinematicModel {
     /// The links in order from the base.
     pub links: Vec<CraigLink>,
@@ -88,15 +117,28 @@ pub struct KinematicModel {
 }
 
 impl KinematicModel {
+    /// The chain of these links, whose last frame is the flange.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError`], for a chain without joints, a number that is not finite, or limits that cross.
+    pub fn new(links: Vec<CraigLink>) -> Result<Self, ModelError> {
+        let chain = Self { links, last_from_flange: Transform::identity() };
+        chain.check()?;
+        Ok(chain)
+    }
+
     /// Number of joints.
     pub fn joint_count(&self) -> usize {
         self.links.len()
     }
 
-    /// Adds `delta` (SI) to a link parameter. Parameters that are not of a link do not change the chain.
+    /// Adds `delta` (SI) to a link parameter. Parameters that are not of one of its links do not change the chain.
     pub fn add(&mut self, id: ParameterId, delta: f64) {
-        if let ParameterId::Link { link, term } = id {
-            *self.links[link].term_mut(term) += delta;
+        if let ParameterId::Link { link, term } = id
+            && let Some(link) = self.links.get_mut(link)
+        {
+            *link.term_mut(term) += delta;
         }
     }
 
@@ -118,7 +160,7 @@ impl KinematicModel {
 }
 
 /// All that identification is told about a robot beforehand. The truth of a simulated robot is not in here.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CalibrationModel {
     /// Nominal kinematics.
     pub kinematics: KinematicModel,
@@ -128,4 +170,49 @@ pub struct CalibrationModel {
     pub statics: Option<StaticProperties>,
     /// Motor turns per metre or per radian of every actuator, where known: the period of its transmission's errors.
     pub motor_turns: Vec<Option<f64>>,
+}
+
+impl CalibrationModel {
+    /// A robot of which nothing but its links is known; every actuator moves its own joint.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError`], as [`KinematicModel::new`].
+    pub fn new(links: Vec<CraigLink>) -> Result<Self, ModelError> {
+        let kinematics = KinematicModel::new(links)?;
+        let motor_turns = vec![None; kinematics.joint_count()];
+        Ok(Self { kinematics, actuators: ActuatorMap::Direct, statics: None, motor_turns })
+    }
+
+    /// The same with another map from commands to joints.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError`], where the map names joints that the robot does not have.
+    pub fn with_actuators(self, actuators: ActuatorMap) -> Result<Self, ModelError> {
+        Self { actuators, ..self }.checked()
+    }
+
+    /// The same with masses, stiffnesses and gravity.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError`] with the field, where a list has not one entry a joint, a number cannot be, or nothing loads the springs.
+    pub fn with_statics(self, statics: StaticProperties) -> Result<Self, ModelError> {
+        Self { statics: Some(statics), ..self }.checked()
+    }
+
+    /// The same with motor turns per metre or radian of every actuator, where known.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError`], for another number of entries than joints, or one that is not above zero.
+    pub fn with_motor_turns(self, motor_turns: Vec<Option<f64>>) -> Result<Self, ModelError> {
+        Self { motor_turns, ..self }.checked()
+    }
+
+    fn checked(self) -> Result<Self, ModelError> {
+        self.check()?;
+        Ok(self)
+    }
 }

@@ -1,12 +1,31 @@
 //! From estimates to models.
 
-use calibrig_model::{CalibrationModel, Compliance, LinkageLength, ParameterId, Section};
+use super::ElasticChain;
+use calibrig_model::{CalibrationModel, Compliance, LinkageLength, ModelError, ParameterId, Section};
 
 /// Puts a parameter of `model` at a deviation from its value in `reference`.
 ///
 /// A compliance of `c (1 + x)` becomes the stiffness `k / (1 + x)`, infinite at x = -1; a mass takes inertia and beam with it. Parameters of frame,
 /// target and terms are not in a model.
-pub fn apply(model: &mut CalibrationModel, reference: &CalibrationModel, id: ParameterId, value: f64) {
+///
+/// # Errors
+///
+/// [`ModelError`], where one of the two cannot be a robot or has no such parameter.
+pub fn apply(
+    model: &mut CalibrationModel,
+    reference: &CalibrationModel,
+    id: ParameterId,
+    value: f64,
+) -> Result<(), ModelError> {
+    for robot in [&*model, reference] {
+        ElasticChain::new(robot)?.column(id)?;
+    }
+    put(model, reference, id, value);
+    Ok(())
+}
+
+/// [`apply`] for a parameter of both.
+pub(crate) fn put(model: &mut CalibrationModel, reference: &CalibrationModel, id: ParameterId, value: f64) {
     match id {
         ParameterId::Link { link, term } => {
             *model.kinematics.links[link].term_mut(term) =

@@ -5,6 +5,7 @@ mod beam;
 mod chain;
 
 pub use apply::apply;
+pub(crate) use apply::put;
 pub use beam::{
     CondensedFrame, EndCompliance, EndStiffness, Frame, FrameError, FrameSolution, Lump, SegmentGroup,
     end_compliance, end_stiffness, segment_groups,

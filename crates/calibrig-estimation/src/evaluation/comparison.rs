@@ -1,11 +1,12 @@
 //! Two models on the same poses: how much better is one, and is the difference more than chance.
 
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
 
 use calibrig_model::statistics::student_t_quantile;
 
 /// A difference with its confidence interval.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Interval {
     /// The difference itself.
     pub value: f64,

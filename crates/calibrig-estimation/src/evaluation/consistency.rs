@@ -1,5 +1,6 @@
 //! Whether errors and residuals are as large as stated: chi-square, NEES, coverage.
 
+use serde::{Deserialize, Serialize};
 use std::fmt;
 
 use nalgebra::{Cholesky, DMatrix, DVector};
@@ -8,7 +9,7 @@ use super::{NoiseLevel, PatternReport, ResidualSet, find_patterns};
 use calibrig_model::statistics::{binomial_cdf, chi2_quantile, chi2_survival, clopper_pearson};
 
 /// A chi-square with the probability of a larger one.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ChiSquareTest {
     /// Sum of squares of independent standard normal variables, if the statement holds.
     pub chi2: f64,
@@ -31,7 +32,7 @@ impl ChiSquareTest {
 }
 
 /// Whether residuals are what the stated noise leaves, in size and in shape.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ConsistencyReport {
     /// Their size; `None` where the noise was taken from the residuals themselves, or without a degree of freedom.
     pub size: Option<ChiSquareTest>,
@@ -110,7 +111,7 @@ pub fn mean_nees_band(trials: usize, parameters: usize, level: f64) -> (f64, f64
 }
 
 /// How often a stated interval held the truth.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Coverage {
     /// Intervals that held it.
     pub hits: u64,

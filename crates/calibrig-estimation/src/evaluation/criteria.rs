@@ -1,7 +1,10 @@
 //! Information criteria: how much fit a parameter must buy.
 
+use serde::{Deserialize, Serialize};
+
 /// What is known of the noise when models are compared.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum NoiseLevel {
     /// Residuals are whitened by the true noise.
     Known,
@@ -11,7 +14,7 @@ pub enum NoiseLevel {
 }
 
 /// The fit of one model.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Fit {
     /// Sum of squares of the whitened residuals of the data, priors excluded.
     pub chi2: f64,
@@ -23,7 +26,7 @@ pub struct Fit {
 }
 
 /// Criteria of a fit; only differences between models of the same data have a meaning. The smallest is the best.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Criteria {
     /// Akaike's.
     pub aic: f64,

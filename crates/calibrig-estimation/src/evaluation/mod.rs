@@ -14,12 +14,13 @@ pub use consistency::{
 pub use criteria::{Criteria, Fit, NoiseLevel};
 pub use model_choice::{Variant, VariantRow, Verdict, compare_variants};
 pub use patterns::{Cause, PatternReport, PoseConditions, ResidualPattern, ResidualSet, find_patterns};
+use serde::{Deserialize, Serialize};
 pub use splits::{Split, k_fold, leave_one_out, repeated_splits};
 
 use nalgebra::Vector3;
 
 /// One row of an accuracy table: errors at the target over a set of poses, in the base frame, m.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct AccuracyRow {
     /// Largest absolute error per axis, as published.
     pub max: Vector3<f64>,

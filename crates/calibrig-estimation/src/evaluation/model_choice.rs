@@ -1,5 +1,6 @@
 //! Does a model that explains more predict better? Nested models side by side.
 
+use serde::{Deserialize, Serialize};
 use std::fmt;
 
 use nalgebra::Vector3;
@@ -22,7 +23,8 @@ pub struct Variant {
 }
 
 /// What a step from one model to the next is worth.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// There is nothing to compare with.
     Reference,
@@ -37,7 +39,7 @@ pub enum Verdict {
 }
 
 /// One row of the table.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct VariantRow {
     /// What is new in it.
     pub name: String,

@@ -1,9 +1,10 @@
 //! Which poses are fitted and which are held out.
 
 use rand::{Rng, RngExt};
+use serde::{Deserialize, Serialize};
 
 /// Indices of observations, in ascending order.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Split {
     /// Fitted.
     pub fitted: Vec<usize>,

@@ -10,7 +10,7 @@ use super::{
     DependentGroup, FrameChoice, IdentificationOptions, IdentifyError, LeastSquares, Redundancy,
     TargetChoice, select_independent,
 };
-use crate::kinematics::target_in_base;
+use crate::kinematics::target;
 use calibrig_model::geometry::{Transform, best_fit_transform};
 use calibrig_model::measurement::{MeasurementSet, register};
 use calibrig_model::{CalibrationModel, ParameterId};
@@ -42,7 +42,7 @@ pub(super) fn build(
     set: &MeasurementSet,
     options: &IdentificationOptions,
 ) -> Result<Built, IdentifyError> {
-    let mut columns = columns(model, options)?;
+    let mut columns = columns(model, options, options.freedom(set))?;
     let mut built = assemble(model, set, options, &columns)?;
     if !options.mode.is_coupled() && options.redundant != Redundancy::Fix {
         return Ok(built);
@@ -126,7 +126,7 @@ pub(super) fn rebuild(
     options: &IdentificationOptions,
     kept: &[ParameterId],
 ) -> Result<CalibrationProblem, IdentifyError> {
-    let mut columns = columns(model, options)?;
+    let mut columns = columns(model, options, options.freedom(set))?;
     columns.retain(|column| kept.contains(&column.id));
     Ok(assemble(model, set, options, &columns)?.problem)
 }
@@ -208,12 +208,14 @@ fn stations(
     parameters: &mut Vec<ParameterId>,
     priors: &mut Vec<Prior>,
 ) -> Result<Vec<Transform>, IdentifyError> {
-    if choice == FrameChoice::Free {
-        parameters.extend((0..set.stations.len()).flat_map(ParameterId::all_of_frame));
-        return best_fit_stations(model, set);
-    }
     let mut stations = Vec::new();
     for (index, station) in set.stations.iter().enumerate() {
+        let choice = choice.of(station);
+        if choice == FrameChoice::Free {
+            parameters.extend(ParameterId::all_of_frame(index));
+            stations.push(best_fit_station(model, set, index)?);
+            continue;
+        }
         let registration = register(station)
             .map_err(|source| IdentifyError::Registration { station: station.name.clone(), source })?;
         if choice == FrameChoice::Nests {
@@ -233,7 +235,7 @@ fn targets(
     priors: &mut Vec<Prior>,
 ) -> Result<(), IdentifyError> {
     for (index, target) in set.targets.iter().enumerate() {
-        match (choice, target.covariance) {
+        match (choice.of(target), target.covariance) {
             (TargetChoice::Fixed, _) => continue,
             (TargetChoice::Measured, Some(covariance)) => {
                 let covariance = DMatrix::from_iterator(3, 3, covariance.iter().copied());
@@ -244,7 +246,7 @@ fn targets(
                     what: format!("target {} has no measured uncertainty", target.name),
                 });
             }
-            (TargetChoice::Identified, _) => {}
+            (TargetChoice::Identified | TargetChoice::AsStated, _) => {}
         }
         parameters.extend(ParameterId::all_of_target(index));
     }
@@ -256,22 +258,22 @@ pub(super) fn best_fit_stations(
     model: &CalibrationModel,
     set: &MeasurementSet,
 ) -> Result<Vec<Transform>, IdentifyError> {
+    (0..set.stations.len()).map(|station| best_fit_station(model, set, station)).collect()
+}
+
+fn best_fit_station(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    station: usize,
+) -> Result<Transform, IdentifyError> {
     let mut joints = vec![0.0; model.kinematics.joint_count()];
-    (0..set.stations.len())
-        .map(|station| {
-            let (mut seen, mut nominal) = (Vec::new(), Vec::new());
-            for observation in set.observations.iter().filter(|o| o.station == station) {
-                model.actuators.joints_from_command(&observation.command, &mut joints);
-                seen.push(observation.reading.position());
-                nominal.push(target_in_base(
-                    &model.kinematics,
-                    &joints,
-                    &set.targets[observation.target].in_flange,
-                ));
-            }
-            best_fit_transform(&seen, &nominal).ok_or(IdentifyError::BestFit)
-        })
-        .collect()
+    let (mut seen, mut nominal) = (Vec::new(), Vec::new());
+    for observation in set.observations.iter().filter(|o| o.station == station) {
+        model.actuators.joints_from_command(&observation.command, &mut joints);
+        seen.push(observation.reading.position());
+        nominal.push(target(&model.kinematics, &joints, &set.targets[observation.target].in_flange));
+    }
+    best_fit_transform(&seen, &nominal).ok_or(IdentifyError::BestFit)
 }
 
 fn weighted_rows(
@@ -294,7 +296,7 @@ fn weighted_rows(
             Ok(Row {
                 pose,
                 told: machine
-                    .prepare(observation)
+                    .prepare(&observation.into())
                     .map_err(|source| IdentifyError::Machine { pose, source })?,
                 seen: observation.reading.position(),
                 whitening,

@@ -8,11 +8,13 @@
 //! Source: W. Baarda, "A testing procedure for use in geodetic networks", Netherlands Geodetic Commission, New Series 2 (5), 1968 (the
 //! test of one row); one row after the other at Bonferroni's level.
 
+use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
+use super::FrameChoice;
 use super::limits::shown;
 use super::problem::CalibrationProblem;
 use super::solver::Solution;
@@ -30,7 +32,7 @@ const CHECKED: f64 = 1e-3;
 const SHARED: f64 = 0.9;
 
 /// Something stated beforehand that does not fit the rest.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Contradiction {
     /// What was stated.
     pub stated: Stated,
@@ -43,7 +45,8 @@ pub struct Contradiction {
 }
 
 /// What was stated, and where the rest of the system puts it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Stated {
     /// The prior of a parameter, SI.
     Parameter {
@@ -315,23 +318,23 @@ pub(super) struct Found {
 }
 
 impl<'a> Checks<'a> {
-    /// Of `solution` with the `covariance` of its parameters, where those that are `bounded` are held; `nests`: whether they place the
-    /// stations.
+    /// Of `solution` with the `covariance` of its parameters, where those that are `bounded` are held; `frame`: what places the stations.
     pub fn new(
         problem: &'a CalibrationProblem,
         set: &'a MeasurementSet,
         solution: &Solution,
         covariance: &DMatrix<f64>,
         bounded: &[usize],
-        nests: bool,
+        frame: FrameChoice,
     ) -> Self {
         let priors = priors(problem, solution, covariance, bounded);
-        let stations = if nests { &set.stations[..] } else { &[] };
         // Where nests cannot place a station, the fit has not come so far.
-        let nests: Vec<_> = stations
+        let nests: Vec<_> = set
+            .stations
             .iter()
             .zip(&problem.stations)
             .enumerate()
+            .filter(|(_, (station, _))| frame.of(station) != FrameChoice::Free)
             .filter_map(|(index, (station, place))| {
                 let system = nest_system(station, place).ok()?;
                 let family = of_nests(&system, index)?;

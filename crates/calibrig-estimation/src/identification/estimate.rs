@@ -1,14 +1,17 @@
 //! What an identification returns.
 
 use nalgebra::DMatrix;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::limits::shown;
-use super::{CONTRADICTION_LEVEL, CalibratedRobot, Contradiction, DependentGroup, ParameterBound, Spectrum};
+use super::{
+    CONTRADICTION_LEVEL, CalibratedRobot, Contradiction, DependentGroup, ParameterBound, Spectrum, Tolerance,
+};
 use calibrig_model::{ParameterId, Unit};
 
 /// One identified parameter.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ParameterEstimate {
     /// Which.
     pub id: ParameterId,
@@ -21,7 +24,8 @@ pub struct ParameterEstimate {
 }
 
 /// Why the solver stopped.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum TerminationReason {
     /// The gradient vanished within its tolerance.
@@ -70,33 +74,89 @@ impl TerminationReason {
 }
 
 /// One iteration of the solver.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct IterationRecord {
     /// Weighted sum of squares after the iteration.
+    #[serde(with = "calibrig_model::float::scalar")]
     pub cost: f64,
     /// Levenberg-Marquardt damping that was tried.
+    #[serde(with = "calibrig_model::float::scalar")]
     pub damping: f64,
     /// Norm of the scaled step.
+    #[serde(with = "calibrig_model::float::scalar")]
     pub step: f64,
     /// Actual over predicted decrease; 1 for a last, negligible step that was taken without another look at the cost.
+    #[serde(with = "calibrig_model::float::scalar")]
     pub gain: f64,
     /// Whether the step was taken.
     pub accepted: bool,
     /// The parameters after the iteration, in the estimate's order, SI; those before it where the step was not taken.
+    #[serde(with = "calibrig_model::float::list")]
     pub parameters: Vec<f64>,
 }
 
 /// Where the standard deviations get their scale from.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum NoiseScale {
     /// From the covariances stated with the readings.
     Stated,
     /// From the residuals: the readings state none. Standard deviation of one coordinate, m.
-    Residuals(f64),
+    Residuals(#[serde(with = "calibrig_model::float::scalar")] f64),
+}
+
+/// What an identification took to be so, because the options left it to the measurements, or nobody said otherwise.
+#[derive(Debug, Clone, PartialEq, Error, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Assumption {
+    /// The measurements of the robot alone place the tracker.
+    #[error(
+        "station {station}: nothing places it beforehand ({nests} base nests, three are needed); its place is identified"
+    )]
+    StationFree {
+        /// Its name.
+        station: String,
+        /// Nests measured.
+        nests: usize,
+    },
+    /// Its nests place the tracker.
+    #[error("station {station}: placed by {nests} base nests, whose uncertainty is a prior")]
+    StationByNests {
+        /// Its name.
+        station: String,
+        /// Nests measured.
+        nests: usize,
+    },
+    /// Nothing is known of a target's offset.
+    #[error("target {target}: no uncertainty of its offset is stated; it is identified")]
+    TargetFree {
+        /// Its name.
+        target: String,
+    },
+    /// A target's offset was measured.
+    #[error("target {target}: the stated offset is a prior, +- {:.3} mm", 1e3 * sigma)]
+    TargetStated {
+        /// Its name.
+        target: String,
+        /// Root mean square of its coordinates' standard deviations, m.
+        sigma: f64,
+    },
+    /// Links are about as drawn.
+    #[error("links: within +- {:.1} mm and +- {:.1} mrad of their nominal values (standard deviations of a prior)", 1e3 * .0.length, 1e3 * .0.angle)]
+    LinksWithin(Tolerance),
+    /// The readings state no covariance.
+    #[error("noise: the readings state none; it is taken from the residuals, {:.3} mm a coordinate", 1e3 * sigma)]
+    NoiseOfResiduals {
+        /// Standard deviation of one coordinate, m.
+        #[serde(with = "calibrig_model::float::scalar")]
+        sigma: f64,
+    },
 }
 
 /// What a user must know of an estimate before trusting it.
-#[derive(Debug, Clone, PartialEq, Error)]
+#[derive(Debug, Clone, PartialEq, Error, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Warning {
     /// The solver stopped before the minimum.
@@ -228,7 +288,7 @@ fn poses_in_words(outliers: &[Outlier]) -> String {
 }
 
 /// An observation that a robust loss found to be far off the others.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Outlier {
     /// Number of its pose.
     pub pose: u32,
@@ -241,7 +301,7 @@ pub struct Outlier {
 }
 
 /// The result of an identification. Non-convergence and rank deficiency are in here as data, not errors.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
     /// The robot as identified.
     pub robot: CalibratedRobot,
@@ -249,9 +309,14 @@ pub struct Estimate {
     pub parameters: Vec<ParameterEstimate>,
     /// Covariance of the parameters (m², m rad, rad²), zero for those at a bound; `None` from a singular system.
     pub covariance: Option<DMatrix<f64>>,
+    /// `S` with covariance `S Sᵀ`, n x (n less those at a bound): what the covariance of a prediction is made of. `None` as the covariance.
+    pub factor: Option<DMatrix<f64>>,
+    /// What every observation counts for, 1 down to 0; empty where no robust loss was asked for and all count alike.
+    pub weights: Vec<f64>,
     /// What scales the covariance.
     pub noise: NoiseScale,
     /// Weighted sum of squares at the minimum, priors included.
+    #[serde(with = "calibrig_model::float::scalar")]
     pub chi2: f64,
     /// Rows (data and priors) minus parameters.
     pub degrees_of_freedom: usize,
@@ -273,6 +338,8 @@ pub struct Estimate {
     pub contradicted: Vec<Contradiction>,
     /// Observations beyond five standard deviations; known where a robust loss was asked for.
     pub outliers: Vec<Outlier>,
+    /// What was taken to be so.
+    pub assumptions: Vec<Assumption>,
     /// What a user must know.
     pub warnings: Vec<Warning>,
 }

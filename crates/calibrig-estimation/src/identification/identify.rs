@@ -10,38 +10,19 @@ use super::{
     Bounds, BoundsError, CalibratedRobot, Estimate, FrameChoice, IdentificationOptions, LeastSquares, Mode,
     NoiseScale, ParameterBoundError, ParameterChoice, Solution, TargetChoice, minimise, minimise_within,
 };
-use calibrig_model::measurement::{MeasurementSet, RegistrationError};
-use calibrig_model::{CalibrationModel, ParameterId, Unit};
+use calibrig_model::measurement::{MeasurementError, MeasurementSet, RegistrationError};
+use calibrig_model::{CalibrationModel, ModelError, ParameterId, Unit};
 
 /// Measurements that cannot be used with these options.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum IdentifyError {
-    /// No observation.
-    #[error("there is no measurement to identify from")]
-    Empty,
-    /// An observation does not belong to this robot.
-    #[error("pose {pose}: {found} commands, the robot has {expected} joints")]
-    JointCount {
-        /// The pose.
-        pose: u32,
-        /// Its number of commands.
-        found: usize,
-        /// The robot's number of joints.
-        expected: usize,
-    },
-    /// An observation names a station or target that the set does not hold.
-    #[error("pose {pose} names a station or a target that the measurements do not describe")]
-    UnknownStationOrTarget {
-        /// The pose.
-        pose: u32,
-    },
-    /// A number that is none.
-    #[error("pose {pose}: a command or reading is not a finite number")]
-    NotFinite {
-        /// The pose.
-        pose: u32,
-    },
+    /// The robot cannot be one.
+    #[error("the robot: {0}")]
+    Model(#[from] ModelError),
+    /// The measurements cannot be of this robot.
+    #[error(transparent)]
+    Measurements(#[from] MeasurementError),
     /// Too little data.
     #[error("{rows} measured coordinates and priors for {parameters} parameters: more poses are needed")]
     TooFewRows {
@@ -198,13 +179,14 @@ pub fn without_calibration(
             parameters: ParameterChoice::Listed(Vec::new()),
             frame: FrameChoice::Free,
             target: TargetChoice::Identified,
-            ..IdentificationOptions::default()
+            ..IdentificationOptions::published()
         };
         return Ok(identify(model, set, &options)?.robot);
     }
     check(model, set)?;
     Ok(CalibratedRobot {
         mode: Mode::WithoutCalibration,
+        nominal: model.clone(),
         model: model.clone(),
         terms: Vec::new(),
         stations: best_fit_stations(model, set)?,
@@ -213,23 +195,6 @@ pub fn without_calibration(
 }
 
 pub(super) fn check(model: &CalibrationModel, set: &MeasurementSet) -> Result<(), IdentifyError> {
-    if set.observations.is_empty() {
-        return Err(IdentifyError::Empty);
-    }
-    let expected = model.kinematics.joint_count();
-    for observation in &set.observations {
-        let pose = observation.pose;
-        if observation.command.len() != expected {
-            return Err(IdentifyError::JointCount { pose, found: observation.command.len(), expected });
-        }
-        if observation.station >= set.stations.len() || observation.target >= set.targets.len() {
-            return Err(IdentifyError::UnknownStationOrTarget { pose });
-        }
-        let finite = observation.command.iter().all(|v| v.is_finite())
-            && observation.reading.position().iter().all(|v| v.is_finite());
-        if !finite {
-            return Err(IdentifyError::NotFinite { pose });
-        }
-    }
-    Ok(())
+    model.check()?;
+    Ok(set.check(model.kinematics.joint_count())?)
 }

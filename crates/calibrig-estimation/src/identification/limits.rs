@@ -1,5 +1,6 @@
 //! Bounds on single parameters, as a user states them.
 
+use serde::{Deserialize, Serialize};
 use std::fmt;
 
 use thiserror::Error;
@@ -9,7 +10,7 @@ use super::{FrameChoice, IdentificationOptions, Mode};
 use calibrig_model::{CalibrationModel, ParameterId, Unit};
 
 /// Limits of a parameter, SI: of its deviation from the nominal, stated or predicted value, as the parameter itself.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ParameterBound {
     /// Which.
     pub id: ParameterId,

@@ -1,12 +1,13 @@
 //! The whitened system at an estimate, for what is read from it: uncertainty, leverage, residual patterns.
 
-use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3};
 
 use super::build::{UNSTATED_SIGMA, rebuild};
+use super::identify::check;
 use super::problem::CalibrationProblem;
-use super::{Estimate, IdentificationOptions, IdentifyError, LeastSquares, NoiseScale, PositionJacobian};
+use super::{Estimate, IdentificationOptions, IdentifyError, LeastSquares, NoiseScale};
 use calibrig_model::CalibrationModel;
-use calibrig_model::measurement::{MeasurementSet, Observation};
+use calibrig_model::measurement::MeasurementSet;
 
 /// Residuals and Jacobian of a fit at its estimate. A residual of 1 is one standard deviation.
 #[derive(Debug, Clone, PartialEq)]
@@ -21,15 +22,6 @@ pub struct Linearisation {
     pub whitening: Vec<Matrix3<f64>>,
 }
 
-/// Where a target is predicted to be, in the base frame.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Prediction {
-    /// m
-    pub position: Vector3<f64>,
-    /// Its derivative with respect to the estimate's parameters. The tracker's place is not in it: the base frame is the robot's own.
-    pub jacobian: PositionJacobian,
-}
-
 /// The system that `estimate` solves, evaluated where it ended: with the noise that it was given or found, and without the weights of a
 /// robust loss.
 ///
@@ -42,6 +34,7 @@ pub fn linearise(
     options: &IdentificationOptions,
     estimate: &Estimate,
 ) -> Result<Linearisation, IdentifyError> {
+    check(model, set)?;
     let (mut problem, x) = solved(model, set, options, estimate)?;
     let (m, n) = (problem.rows(), problem.parameters());
     let mut linearisation = Linearisation {
@@ -53,28 +46,6 @@ pub fn linearise(
     problem.evaluate(&x, &mut linearisation.residuals, Some(&mut linearisation.jacobian));
     linearisation.whitening = (0..problem.rows.len()).map(|row| problem.whitening(row)).collect();
     Ok(linearisation)
-}
-
-/// What the identified robot predicts for `observations`, which need not have been measured: their readings are not looked at. `None` for
-/// a pose that it cannot take.
-///
-/// # Errors
-///
-/// [`IdentifyError`], where the estimate does not belong to model, set and options.
-pub fn predict(
-    model: &CalibrationModel,
-    set: &MeasurementSet,
-    options: &IdentificationOptions,
-    estimate: &Estimate,
-    observations: &[Observation],
-) -> Result<Vec<Option<Prediction>>, IdentifyError> {
-    let (mut problem, x) = solved(model, set, options, estimate)?;
-    problem.set(&x);
-    let predicted = observations.iter().map(|observation| {
-        let (position, jacobian) = problem.predict(observation)?;
-        Some(Prediction { position, jacobian })
-    });
-    Ok(predicted.collect())
 }
 
 /// The problem that `estimate` solves, and its parameters.

@@ -4,11 +4,11 @@ use nalgebra::Vector3;
 
 use super::Mode;
 use crate::elastostatics::{Deflection, ElasticChain, ElasticError};
-use crate::kinematics::{PlacedChain, link_frames};
+use crate::kinematics::{PlacedChain, frames};
 use calibrig_model::geometry::Transform;
-use calibrig_model::measurement::Observation;
 use calibrig_model::{
-    ActuatorMap, CalibrationModel, CraigLink, KinematicModel, ParameterId, TermId, TermInput, TermPlace,
+    ActuatorMap, CalibrationModel, CraigLink, KinematicModel, ModelError, ParameterId, PoseQuery, TermId,
+    TermPlace,
 };
 
 /// Why a robot cannot take a pose.
@@ -60,16 +60,16 @@ struct Terms {
 }
 
 impl Machine {
-    /// The machine of `mode`, at the nominal model and without terms.
+    /// The machine of `mode`, at the nominal model, which has been checked, and without terms.
     pub fn new(mode: Mode, nominal: &CalibrationModel) -> Self {
         let kind = if mode.is_coupled() {
-            Kind::Elastic { chain: ElasticChain::new(nominal) }
+            Kind::Elastic { chain: ElasticChain::of(nominal) }
         } else {
             let predicted =
-                (mode == Mode::WithGravity && nominal.statics.is_some()).then(|| ElasticChain::new(nominal));
+                (mode == Mode::WithGravity && nominal.statics.is_some()).then(|| ElasticChain::of(nominal));
             match predicted {
                 Some(predicted) if !is_elastic_in_drives_alone(nominal) => {
-                    let ideal = ElasticChain::new(&with_ideal_map(nominal));
+                    let ideal = ElasticChain::of(&with_ideal_map(nominal));
                     Kind::Frozen { chain: PlacedChain::new(&nominal.kinematics), ideal, predicted }
                 }
                 predicted => Kind::Joints {
@@ -98,11 +98,23 @@ impl Machine {
         self.terms = terms;
     }
 
-    /// Takes the values of a model of the same structure as the nominal one, and the terms' amplitudes.
+    /// Whether a model can take the place of the nominal one.
+    pub fn fits(&self, model: &CalibrationModel) -> Result<(), ModelError> {
+        model.check()?;
+        if model.kinematics.joint_count() != self.nominal.kinematics.joint_count() {
+            return Err(ModelError::Structure { field: "links" });
+        }
+        match &self.kind {
+            Kind::Joints { .. } | Kind::Frozen { .. } => Ok(()),
+            Kind::Elastic { chain } => chain.fits(model),
+        }
+    }
+
+    /// Takes the values of a model that [fits](Self::fits), and the terms' amplitudes.
     pub fn set_model(&mut self, model: &CalibrationModel, amplitudes: impl Iterator<Item = f64>) {
         match &mut self.kind {
             Kind::Joints { chain, .. } | Kind::Frozen { chain, .. } => chain.set_model(&model.kinematics),
-            Kind::Elastic { chain } => chain.set_model(model),
+            Kind::Elastic { chain } => chain.take(model),
         }
         for (own, amplitude) in self.terms.amplitudes.iter_mut().zip(amplitudes) {
             *own = amplitude;
@@ -110,13 +122,13 @@ impl Machine {
     }
 
     /// What of an observation does not change with the parameters.
-    pub fn prepare(&mut self, observation: &Observation) -> Result<Prepared, MachineError> {
-        let mut told = Prepared { command: observation.command.clone(), ..Prepared::default() };
+    pub fn prepare(&mut self, pose: &PoseQuery<'_>) -> Result<Prepared, MachineError> {
+        let mut told = Prepared { command: pose.command.to_vec(), ..Prepared::default() };
         match &mut self.kind {
             Kind::Joints { predicted, joints, .. } => {
-                self.nominal.actuators.joints_from_command(&observation.command, joints);
+                self.nominal.actuators.joints_from_command(pose.command, joints);
                 if let Some(predicted) = predicted {
-                    predicted.settle(&observation.command, &[], Deflection::Equilibrium)?;
+                    predicted.settle(pose.command, &[], Deflection::Equilibrium)?;
                     for (q, deflection) in joints.iter_mut().zip(predicted.deflections()) {
                         *q += deflection;
                     }
@@ -124,18 +136,12 @@ impl Machine {
                 told.command.copy_from_slice(joints);
             }
             Kind::Frozen { ideal, predicted, .. } => {
-                predicted.settle(&observation.command, &[], Deflection::Equilibrium)?;
-                ideal.settle_at(&observation.command, &[], predicted.deflections())?;
+                predicted.settle(pose.command, &[], Deflection::Equilibrium)?;
+                ideal.settle_at(pose.command, &[], predicted.deflections())?;
                 told.motions = motions(&self.nominal.kinematics, ideal.link_frames());
             }
             Kind::Elastic { .. } => {
-                let input = TermInput {
-                    command: &observation.command,
-                    approach: &observation.approach,
-                    temperature: observation.temperature,
-                    time: observation.time,
-                };
-                told.basis.extend(self.terms.ids.iter().map(|id| id.basis(&self.nominal, &input)));
+                told.basis.extend(self.terms.ids.iter().map(|id| id.basis(&self.nominal, pose)));
             }
         }
         Ok(told)
@@ -154,9 +160,9 @@ impl Machine {
         Ok(())
     }
 
-    /// [`place`](Self::place) at an observation that was not prepared.
-    pub fn place_observation(&mut self, observation: &Observation) -> Result<Prepared, MachineError> {
-        let told = self.prepare(observation)?;
+    /// [`place`](Self::place) at a pose that was not prepared.
+    pub fn place_at(&mut self, pose: &PoseQuery<'_>) -> Result<Prepared, MachineError> {
+        let told = self.prepare(pose)?;
         self.place(&told)?;
         Ok(told)
     }
@@ -185,7 +191,7 @@ impl Machine {
     pub fn column(&self, id: ParameterId, in_base: &Vector3<f64>) -> Vector3<f64> {
         match &self.kind {
             Kind::Joints { chain, .. } | Kind::Frozen { chain, .. } => chain.column(id, in_base),
-            Kind::Elastic { chain } => chain.column(id),
+            Kind::Elastic { chain } => chain.change(id),
         }
     }
 
@@ -197,7 +203,7 @@ impl Machine {
     /// `base_from_link` of every link at the observation that was placed last; `kinematics` is the model's.
     pub fn links(&self, told: &Prepared, kinematics: &KinematicModel) -> Vec<Transform> {
         match &self.kind {
-            Kind::Joints { .. } => link_frames(kinematics, &told.command),
+            Kind::Joints { .. } => frames(kinematics, &told.command),
             Kind::Frozen { .. } => frames_behind(kinematics, &told.motions),
             Kind::Elastic { chain } => chain.link_frames().to_vec(),
         }
@@ -216,7 +222,7 @@ impl Terms {
 
     fn differentiate(&mut self, chain: &ElasticChain, basis: &[f64]) {
         for (column, (place, _)) in self.place_columns.iter_mut().zip(&self.corrections) {
-            *column = chain.column_of_place(*place);
+            *column = chain.change_of_place(*place);
         }
         for ((column, place), basis) in self.columns.iter_mut().zip(&self.place).zip(basis) {
             *column = *basis * self.place_columns[*place];

@@ -25,28 +25,27 @@ mod uncertainty;
 
 pub use contradiction::{CONTRADICTION_LEVEL, Contradiction, Stated};
 pub use estimate::{
-    Estimate, IterationRecord, NoiseScale, Outlier, ParameterEstimate, TerminationReason, Warning,
+    Assumption, Estimate, IterationRecord, NoiseScale, Outlier, ParameterEstimate, TerminationReason, Warning,
 };
 pub use identifiability::{
     DependentGroup, Explanation, Finding, IdentifiabilityReport, RANK_TOLERANCE, Remedy, Spectrum,
-    WEAK_TOLERANCE, WeakDirection, analyse_columns, analyse_r, complete_set, explain, identifiability,
-    neighbour_axis_rules, select_independent, structural_poses,
+    WEAK_TOLERANCE, WeakDirection, complete_set, explain, identifiability, neighbour_axis_rules, spectrum,
+    structural_poses,
 };
+use identifiability::{analyse_r, select_independent};
 pub use identify::{IdentifyError, identify, without_calibration};
 pub use limits::{ParameterBound, ParameterBoundError, RefusedBound, check_bounds};
-pub use linearisation::{Linearisation, Prediction, linearise, predict};
+pub use linearisation::{Linearisation, linearise};
 pub use machine::MachineError;
 pub use mode::Mode;
 pub use options::{
-    ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, ParameterChoice, Redundancy, TargetChoice,
-    TermPrior, Tolerance,
+    ComplianceChoice, DEFAULT_TOLERANCE, FrameChoice, IdentificationOptions, LINKAGE, ParameterChoice,
+    Redundancy, TargetChoice, TermPrior, Tolerance,
 };
 pub use prospect::{Prospect, prospect};
-pub use robot::{CalibratedRobot, PredictionError, Predictor};
-pub use solver::{
-    AtBound, Bounds, BoundsError, LeastSquares, Loss, LossScale, Side, Solution, SolverOptions, minimise,
-    minimise_within,
-};
+pub use robot::{CalibratedRobot, EstimatePredictor, Prediction, PredictionError, Predictor};
+use solver::{Bounds, LeastSquares, Solution, minimise, minimise_within};
+pub use solver::{BoundsError, Loss, LossScale, SolverOptions};
 pub use uncertainty::{
     ParameterSupport, PoseInfluence, PositionJacobian, Uncertainty, bayesian_cramer_rao_bound,
     cramer_rao_bound,

@@ -1,7 +1,10 @@
 //! Which model is fitted.
 
+use serde::{Deserialize, Serialize};
+
 /// Which model is fitted: the rows of the published comparison, and two beyond it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Mode {
     /// The nominal robot after registration of the tracker.
     WithoutCalibration,

@@ -1,12 +1,16 @@
 //! What to fit, and how.
 
 use super::{Mode, ParameterBound, SolverOptions};
-use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::measurement::{MeasurementSet, Station, Target};
 use calibrig_model::{Compliance, ParameterId, Unit};
+use serde::{Deserialize, Serialize};
 
 /// What is known of the tracker's place.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum FrameChoice {
+    /// What the set says of each station: [`Nests`](Self::Nests) where at least three were measured, else [`Free`](Self::Free).
+    #[default]
+    AsStated,
     /// The base nests place the tracker; their uncertainty is a prior in the fit.
     Nests,
     /// Nothing: six free parameters a station.
@@ -16,14 +20,48 @@ pub enum FrameChoice {
 }
 
 /// What is known of the target's offset.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum TargetChoice {
+    /// What the set says of each target: [`Measured`](Self::Measured) where it states an uncertainty, else [`Identified`](Self::Identified).
+    #[default]
+    AsStated,
     /// It was measured; its uncertainty is a prior in the fit.
     Measured,
     /// Nothing: three free parameters a target.
     Identified,
     /// The stated value is taken as exact.
     Fixed,
+}
+
+impl FrameChoice {
+    /// The choice for one station.
+    pub(super) fn of(self, station: &Station) -> Self {
+        match self {
+            Self::AsStated if station.nests.len() >= 3 => Self::Nests,
+            Self::AsStated => Self::Free,
+            choice => choice,
+        }
+    }
+}
+
+impl TargetChoice {
+    /// The choice for one target.
+    pub(super) fn of(self, target: &Target) -> Self {
+        match self {
+            Self::AsStated if target.covariance.is_some() => Self::Measured,
+            Self::AsStated => Self::Identified,
+            choice => choice,
+        }
+    }
+}
+
+/// What of a set ties the robot's ends: without it, only what does not depend on them can be told.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Freedom {
+    /// No station is placed by anything but the measurements of the robot.
+    pub frame: bool,
+    /// No target's offset is known.
+    pub target: bool,
 }
 
 /// Which link parameters are identified.
@@ -91,7 +129,7 @@ pub struct TermPrior {
 
 /// Standard deviation of a zero-mean normal prior on the link parameters' deviations: how well the robot was made. It holds directions
 /// that the measurements hardly show at values that a machine can have; rank and weak directions are those of the data without it.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Tolerance {
     /// Of lengths, m.
     pub length: f64,
@@ -136,8 +174,27 @@ pub struct IdentificationOptions {
     pub solver: SolverOptions,
 }
 
+/// How well a robot's links are taken to be made where nobody says: 10 mm and 20 mrad, far more than a workshop leaves.
+pub const DEFAULT_TOLERANCE: Tolerance = Tolerance { length: 10e-3, angle: 20e-3 };
+
+/// What holds for any robot and any set: a complete independent set of link parameters with a prior of the making's [tolerance](DEFAULT_TOLERANCE),
+/// tracker and target as far as the set states them. [`Estimate::assumptions`](super::Estimate::assumptions) tells what came of it.
 impl Default for IdentificationOptions {
     fn default() -> Self {
+        Self {
+            parameters: ParameterChoice::Complete,
+            frame: FrameChoice::AsStated,
+            target: TargetChoice::AsStated,
+            tolerance: Some(DEFAULT_TOLERANCE),
+            ..Self::published()
+        }
+    }
+}
+
+impl IdentificationOptions {
+    /// As the publication identifies (Y. Wang et al., Machines 11 (2023) 20): what the rules on neighbouring axes keep, without a prior; the
+    /// tracker placed by its nests, the target measured.
+    pub fn published() -> Self {
         Self {
             mode: Mode::OnlyCalibration,
             parameters: ParameterChoice::NeighbourAxisRules,
@@ -159,19 +216,12 @@ impl Default for IdentificationOptions {
             solver: SolverOptions::default(),
         }
     }
-}
 
-impl IdentificationOptions {
-    /// Frees what `measured` says nothing of: the tracker's place where a station has fewer than three nests, the target's offset where one has
-    /// no stated uncertainty.
-    pub fn fit_to(&mut self, measured: Option<&MeasurementSet>) {
-        let Some(set) = measured else { return };
-        if self.frame != FrameChoice::Free && set.stations.iter().any(|station| station.nests.len() < 3) {
-            self.frame = FrameChoice::Free;
-        }
-        if self.target == TargetChoice::Measured && set.targets.iter().any(|t| t.covariance.is_none()) {
-            self.target = TargetChoice::Identified;
-        }
+    /// What of `set` ties the robot's ends under these options.
+    pub(super) fn freedom(&self, set: &MeasurementSet) -> Freedom {
+        let free = |station: &Station| self.frame.of(station) == FrameChoice::Free;
+        let identified = |target: &Target| self.target.of(target) == TargetChoice::Identified;
+        Freedom { frame: set.stations.iter().all(free), target: set.targets.iter().all(identified) }
     }
 
     /// Whether a family of terms is switched on.

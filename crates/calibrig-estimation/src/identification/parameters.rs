@@ -1,5 +1,6 @@
 //! The parameters of a mode, and what is known of each beforehand.
 
+use super::options::Freedom;
 use super::{
     ComplianceChoice, FrameChoice, IdentificationOptions, IdentifyError, LINKAGE, Mode, ParameterChoice,
     TargetChoice, complete_set, neighbour_axis_rules,
@@ -23,8 +24,9 @@ const LINKAGE_SIGMA: f64 = 1e-3;
 pub(super) fn columns(
     model: &CalibrationModel,
     options: &IdentificationOptions,
+    free: Freedom,
 ) -> Result<Vec<Column>, IdentifyError> {
-    let mut columns = links(model, options)?;
+    let mut columns = links(model, options, free)?;
     if options.mode.is_coupled() {
         columns.extend(compliances(model, options)?);
         columns.extend(masses(model, options)?);
@@ -43,7 +45,11 @@ pub(super) fn candidate_parameters(
     stations: usize,
     targets: usize,
 ) -> Result<Vec<ParameterId>, IdentifyError> {
-    let mut ids: Vec<_> = columns(model, options)?.into_iter().map(|column| column.id).collect();
+    let free = Freedom {
+        frame: options.frame == FrameChoice::Free,
+        target: options.target == TargetChoice::Identified,
+    };
+    let mut ids: Vec<_> = columns(model, options, free)?.into_iter().map(|column| column.id).collect();
     if options.frame != FrameChoice::Fixed {
         ids.extend((0..stations).flat_map(ParameterId::all_of_frame));
     }
@@ -53,18 +59,18 @@ pub(super) fn candidate_parameters(
     Ok(ids)
 }
 
-fn links(model: &CalibrationModel, options: &IdentificationOptions) -> Result<Vec<Column>, IdentifyError> {
+fn links(
+    model: &CalibrationModel,
+    options: &IdentificationOptions,
+    free: Freedom,
+) -> Result<Vec<Column>, IdentifyError> {
     let joints = model.kinematics.joint_count();
     let choice =
         if options.mode == Mode::Extended { &options.extended_parameters } else { &options.parameters };
     let mut chosen = match choice {
         ParameterChoice::NeighbourAxisRules => neighbour_axis_rules(&model.kinematics).0,
         ParameterChoice::Complete => {
-            let report = complete_set(
-                &model.kinematics,
-                options.frame == FrameChoice::Free,
-                options.target == TargetChoice::Identified,
-            );
+            let report = complete_set(&model.kinematics, free.frame, free.target)?;
             report.selected.into_iter().filter(|id| matches!(id, ParameterId::Link { .. })).collect()
         }
         ParameterChoice::Listed(listed) => listed.clone(),

@@ -2,11 +2,10 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3, Vector6};
 
+use super::LeastSquares;
 use super::machine::{Machine, MachineError, Prepared};
-use super::{LeastSquares, PositionJacobian};
-use crate::elastostatics::apply;
+use crate::elastostatics::put;
 use calibrig_model::geometry::{Transform, cross_matrix, small_displacement};
-use calibrig_model::measurement::Observation;
 use calibrig_model::{CalibrationModel, ParameterId};
 
 /// One observation, ready for the fit.
@@ -118,7 +117,7 @@ impl CalibrationProblem {
                 ParameterId::Link { .. }
                 | ParameterId::Compliance(_)
                 | ParameterId::Mass { .. }
-                | ParameterId::Linkage(_) => apply(&mut now.model, &self.nominal, *id, value),
+                | ParameterId::Linkage(_) => put(&mut now.model, &self.nominal, *id, value),
             }
         }
         now.machine.set_model(&now.model, now.amplitudes.iter().copied());
@@ -146,25 +145,6 @@ impl CalibrationProblem {
         let placed = now.machine.place(&row.told);
         let ready = placed.and_then(|()| now.machine.differentiate(&now.targets[row.target], &row.told));
         ready.err().map(|error| (row.pose, error))
-    }
-
-    /// At the current parameters, where the target of an observation is predicted to be in the base frame, m, and the derivative of that
-    /// place; `None` where the robot cannot take the pose, or where the observation is not of it.
-    pub fn predict(&mut self, observation: &Observation) -> Option<(Vector3<f64>, PositionJacobian)> {
-        let now = &mut self.current;
-        let target = now.targets.get(observation.target)?;
-        if observation.command.len() != now.model.kinematics.joint_count() {
-            return None;
-        }
-        let told = now.machine.place_observation(observation).ok()?;
-        now.machine.differentiate(target, &told).ok()?;
-        let in_base = now.machine.target(target);
-        let mut jacobian = PositionJacobian::zeros(self.parameters.len());
-        let mut term = 0;
-        for (mut column, id) in jacobian.column_iter_mut().zip(&self.parameters) {
-            column.copy_from(&in_base_column(&now.machine, *id, observation.target, &in_base, &mut term));
-        }
-        Some((in_base, jacobian))
     }
 
     /// Takes a displacement of an observation's target in the base frame, m, to standard deviations.
@@ -275,7 +255,7 @@ impl LeastSquares for CalibrationProblem {
 
 /// Change of `target` at `in_base` per unit of a parameter, in the base frame; zero for the tracker's place and for other targets. `term`
 /// counts the terms that were asked for.
-fn in_base_column(
+pub(super) fn in_base_column(
     machine: &Machine,
     id: ParameterId,
     target: usize,

@@ -6,9 +6,10 @@ use super::summary::{Factors, left_open_warnings, rank_warnings};
 use super::{DependentGroup, IdentificationOptions, IdentifyError, Redundancy, Spectrum, Warning};
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, ParameterId};
+use serde::{Deserialize, Serialize};
 
 /// What an estimate from planned measurements would say of its parameters, at the nominal robot.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Prospect {
     /// The parameters that would be fitted.
     pub parameters: Vec<ParameterId>,

@@ -1,19 +1,23 @@
 //! A robot as it was identified, and what it predicts.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::Mode;
 use super::machine::{Machine, MachineError, Prepared};
+use super::problem::in_base_column;
+use super::{Estimate, Mode, PositionJacobian};
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{MeasurementSet, Observation};
-use calibrig_model::{CalibrationModel, TermId};
+use calibrig_model::{CalibrationModel, ModelError, PoseQuery, TermId};
 
-/// A robot as a mode believes it to be: enough, with the nominal model, to predict where a target is seen.
-#[derive(Debug, Clone, PartialEq)]
+/// A robot as a mode believes it to be: all that is needed to predict where a target is seen.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CalibratedRobot {
     /// Which mode it comes from; decides what bends it.
     pub mode: Mode,
+    /// What was known before calibration: the mode "with gravity" takes the deflection from it, terms the middle of the joints' travel.
+    pub nominal: CalibrationModel,
     /// The identified (or nominal) robot.
     pub model: CalibrationModel,
     /// Amplitudes of the terms, m or rad.
@@ -24,27 +28,43 @@ pub struct CalibratedRobot {
     pub targets: Vec<Vector3<f64>>,
 }
 
-/// A pose that a robot cannot take.
+/// Where a robot cannot be predicted to be.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum PredictionError {
-    /// The observation does not belong to this robot.
-    #[error("pose {pose}: its commands, its station or its target are not those of the robot")]
-    Foreign {
-        /// The pose.
-        pose: u32,
+    /// The robot cannot be one, or the command is not one of it.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// A target that the robot does not carry.
+    #[error("target index {target}: the robot carries {targets}")]
+    Target {
+        /// Index asked for.
+        target: usize,
+        /// Number of targets.
+        targets: usize,
+    },
+    /// A station that the robot was not identified from.
+    #[error("station index {station}: the robot was identified from {stations}")]
+    Station {
+        /// Index asked for.
+        station: usize,
+        /// Number of stations.
+        stations: usize,
     },
     /// The linkage does not close, or the robot finds no rest.
+    #[error(transparent)]
+    Machine(#[from] MachineError),
+    /// The same of a measured pose.
     #[error("pose {pose}: {source}")]
-    Machine {
+    Pose {
         /// The pose.
         pose: u32,
         /// Why.
-        source: MachineError,
+        source: Box<PredictionError>,
     },
 }
 
-/// Where a [`CalibratedRobot`] is predicted to be. It is made once for many observations.
+/// Where a [`CalibratedRobot`] is predicted to be. It is made once for many poses.
 #[derive(Debug, Clone)]
 pub struct Predictor<'a> {
     robot: &'a CalibratedRobot,
@@ -52,31 +72,39 @@ pub struct Predictor<'a> {
 }
 
 impl<'a> Predictor<'a> {
-    /// `nominal` is what was known before calibration: the mode "with gravity" takes the deflection from it.
-    pub fn new(nominal: &CalibrationModel, robot: &'a CalibratedRobot) -> Self {
-        let mut machine = Machine::new(robot.mode, nominal);
+    /// The predictor of a robot.
+    ///
+    /// # Errors
+    ///
+    /// [`PredictionError::Model`], where the robot or what was known of it cannot be one, or the two are not of the same structure.
+    pub fn new(robot: &'a CalibratedRobot) -> Result<Self, PredictionError> {
+        robot.nominal.check()?;
+        let mut machine = Machine::new(robot.mode, &robot.nominal);
+        machine.fits(&robot.model)?;
+        let joints = robot.nominal.kinematics.joint_count();
+        if let Some((term, _)) = robot.terms.iter().find(|(term, _)| term.joint() >= joints) {
+            return Err(ModelError::Parameter { id: calibrig_model::ParameterId::Term(*term) }.into());
+        }
         machine.set_terms(robot.terms.iter().map(|(id, _)| *id));
         machine.set_model(&robot.model, robot.terms.iter().map(|(_, amplitude)| *amplitude));
-        Self { robot, machine }
+        Ok(Self { robot, machine })
     }
 
-    /// Where the observation's target is predicted to be, in the base frame, m.
-    pub fn in_base(&mut self, observation: &Observation) -> Result<Vector3<f64>, PredictionError> {
-        let pose = observation.pose;
-        let Some(target) = self.robot.targets.get(observation.target) else {
-            return Err(PredictionError::Foreign { pose });
-        };
-        self.place(observation)?;
-        Ok(self.machine.target(target))
+    /// Where the target is predicted to be, in the base frame, m.
+    pub fn in_base<'q>(&mut self, pose: impl Into<PoseQuery<'q>>) -> Result<Vector3<f64>, PredictionError> {
+        let (target, _) = self.place(&pose.into())?;
+        Ok(self.machine.target(&target))
     }
 
     /// Measured minus predicted position, in the base frame, m: the error that the tables are made of.
     pub fn error_in_base(&mut self, observation: &Observation) -> Result<Vector3<f64>, PredictionError> {
-        let Some(tracker_from_base) = self.robot.stations.get(observation.station) else {
-            return Err(PredictionError::Foreign { pose: observation.pose });
+        let of_pose = |source| PredictionError::Pose { pose: observation.pose, source: Box::new(source) };
+        let (station, stations) = (observation.station, self.robot.stations.len());
+        let Some(tracker_from_base) = self.robot.stations.get(station) else {
+            return Err(of_pose(PredictionError::Station { station, stations }));
         };
         let seen = observation.reading.position() - tracker_from_base.translation.vector;
-        Ok(tracker_from_base.rotation.inverse() * seen - self.in_base(observation)?)
+        Ok(tracker_from_base.rotation.inverse() * seen - self.in_base(observation).map_err(of_pose)?)
     }
 
     /// [`error_in_base`](Self::error_in_base) of every observation.
@@ -84,19 +112,92 @@ impl<'a> Predictor<'a> {
         set.observations.iter().map(|observation| self.error_in_base(observation)).collect()
     }
 
-    /// `base_from_link` of every link at the observation.
-    pub fn links(&mut self, observation: &Observation) -> Result<Vec<Transform>, PredictionError> {
-        let told = self.place(observation)?;
+    /// `base_from_link` of every link at the pose.
+    pub fn links<'q>(&mut self, pose: impl Into<PoseQuery<'q>>) -> Result<Vec<Transform>, PredictionError> {
+        let (_, told) = self.place(&pose.into())?;
         Ok(self.machine.links(&told, &self.robot.model.kinematics))
     }
 
-    fn place(&mut self, observation: &Observation) -> Result<Prepared, PredictionError> {
-        let pose = observation.pose;
-        if observation.command.len() != self.robot.model.kinematics.joint_count() {
-            return Err(PredictionError::Foreign { pose });
+    /// Goes to a pose; gives the offset of its target.
+    fn place(&mut self, pose: &PoseQuery<'_>) -> Result<(Vector3<f64>, Prepared), PredictionError> {
+        let (target, targets) = (pose.target, self.robot.targets.len());
+        let Some(in_flange) = self.robot.targets.get(target) else {
+            return Err(PredictionError::Target { target, targets });
+        };
+        let chain = &self.robot.model.kinematics;
+        chain.check_joints("command", pose.command)?;
+        let (found, expected) = (pose.approach.len(), chain.joint_count());
+        if found != 0 && found != expected {
+            return Err(ModelError::Length { field: "approach", found, expected }.into());
         }
-        self.machine
-            .place_observation(observation)
-            .map_err(|source| PredictionError::Machine { pose, source })
+        Ok((*in_flange, self.machine.place_at(pose)?))
+    }
+}
+
+/// Where a target is predicted to be, in the robot's own base frame: the tracker's place and its uncertainty are not in it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Prediction {
+    /// m
+    pub position: Vector3<f64>,
+    /// Covariance of the position, m², as far as the parameters' own reaches; `None` where the estimate has none.
+    pub covariance: Option<Matrix3<f64>>,
+    /// Derivative of the position with respect to the estimate's parameters, 3 x n.
+    pub jacobian: PositionJacobian,
+}
+
+impl Prediction {
+    /// Standard deviations along the base's axes, m.
+    pub fn sigma(&self) -> Option<Vector3<f64>> {
+        self.covariance.map(|covariance| covariance.diagonal().map(f64::sqrt))
+    }
+}
+
+/// What an [`Estimate`] predicts, and how sure that is. It is made once for many poses.
+#[derive(Debug, Clone)]
+pub struct EstimatePredictor<'a> {
+    estimate: &'a Estimate,
+    predictor: Predictor<'a>,
+}
+
+impl Estimate {
+    /// Where the target is predicted to be at a pose, such as a command (m or rad, one number an actuator).
+    ///
+    /// # Errors
+    ///
+    /// [`PredictionError`], for a command that is not one of this robot, a target that it does not carry, or a pose that it cannot take.
+    pub fn predict<'q>(&self, pose: impl Into<PoseQuery<'q>>) -> Result<Prediction, PredictionError> {
+        self.predictor()?.predict(pose)
+    }
+
+    /// The same for many poses.
+    pub fn predictor(&self) -> Result<EstimatePredictor<'_>, PredictionError> {
+        Ok(EstimatePredictor { estimate: self, predictor: Predictor::new(&self.robot)? })
+    }
+}
+
+impl EstimatePredictor<'_> {
+    /// Where the target is predicted to be at a pose.
+    ///
+    /// # Errors
+    ///
+    /// As [`Estimate::predict`].
+    pub fn predict<'q>(&mut self, pose: impl Into<PoseQuery<'q>>) -> Result<Prediction, PredictionError> {
+        let pose = pose.into();
+        let (target, told) = self.predictor.place(&pose)?;
+        let machine = &mut self.predictor.machine;
+        machine.differentiate(&target, &told)?;
+        let position = machine.target(&target);
+        let parameters = &self.estimate.parameters;
+        let mut jacobian = PositionJacobian::zeros(parameters.len());
+        let mut term = 0;
+        for (mut column, parameter) in jacobian.column_iter_mut().zip(parameters) {
+            column.copy_from(&in_base_column(machine, parameter.id, pose.target, &position, &mut term));
+        }
+        let factor = self.estimate.factor.as_ref().filter(|factor| factor.nrows() == parameters.len());
+        let covariance = factor.map(|factor| {
+            let spread = &jacobian * factor;
+            &spread * spread.transpose()
+        });
+        Ok(Prediction { position, covariance, jacobian })
     }
 }

@@ -9,8 +9,9 @@ use super::limits::lowest;
 use super::problem::CalibrationProblem;
 use super::solver::Solution;
 use super::{
-    CalibratedRobot, Contradiction, DependentGroup, Estimate, FrameChoice, IdentificationOptions,
-    LeastSquares, NoiseScale, Outlier, ParameterEstimate, Redundancy, Spectrum, Stated, Warning, analyse_r,
+    Assumption, CalibratedRobot, Contradiction, DependentGroup, Estimate, FrameChoice, IdentificationOptions,
+    LeastSquares, NoiseScale, Outlier, ParameterEstimate, Redundancy, Spectrum, Stated, TargetChoice,
+    Warning, analyse_r,
 };
 use calibrig_model::ParameterId;
 use calibrig_model::measurement::MeasurementSet;
@@ -34,9 +35,9 @@ pub(super) fn summarise(
     let spectrum = factors.spectrum(&problem, options.redundant);
     let held = factors.held(&problem, options.redundant);
     let bounded: Vec<usize> = solution.at_bound.iter().map(|at| at.parameter).collect();
-    let covariance = covariance(factors.all, &spectrum, &bounded);
-    let nests = options.frame != FrameChoice::Free;
-    let checks = covariance.as_ref().map(|c| Checks::new(&problem, set, &solution, c, &bounded, nests));
+    let (covariance, factor) = covariance(factors.all, &spectrum, &bounded).unzip();
+    let checks =
+        covariance.as_ref().map(|c| Checks::new(&problem, set, &solution, c, &bounded, options.frame));
     let (contradicted, doubts) = doubts(&solution, noise, degrees_of_freedom, checks.as_ref());
     problem.set(&solution.x);
     let mut warnings = Vec::new();
@@ -84,12 +85,16 @@ pub(super) fn summarise(
             .collect(),
         robot: CalibratedRobot {
             mode: options.mode,
+            nominal: problem.nominal,
             model: problem.current.model,
             terms,
             stations: problem.current.stations,
             targets: problem.current.targets,
         },
+        assumptions: assumptions(set, options, noise),
         covariance,
+        factor,
+        weights: solution.weights,
         noise,
         chi2: solution.cost,
         degrees_of_freedom,
@@ -119,9 +124,13 @@ fn outliers(solution: &Solution, set: &MeasurementSet) -> Vec<Outlier> {
     solution.outliers(OUTLIER).into_iter().map(outlier).collect()
 }
 
-/// `(Jᵀ J)⁻¹` from `J = Q R`, only from a system of full rank. What is `bounded` is held there: it has no spread, and none of it is in the
-/// others'.
-fn covariance(r: DMatrix<f64>, spectrum: &Spectrum, bounded: &[usize]) -> Option<DMatrix<f64>> {
+/// `(Jᵀ J)⁻¹` from `J = Q R`, and S with `S Sᵀ` equal to it; only from a system of full rank. What is `bounded` is held there: it has no
+/// spread, and none of it is in the others'.
+fn covariance(
+    r: DMatrix<f64>,
+    spectrum: &Spectrum,
+    bounded: &[usize],
+) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
     let n = r.ncols();
     if spectrum.rank < n {
         return None;
@@ -131,15 +140,44 @@ fn covariance(r: DMatrix<f64>, spectrum: &Spectrum, bounded: &[usize]) -> Option
     let inverse = r.solve_upper_triangular(&DMatrix::identity(free.len(), free.len()))?;
     let of_free = &inverse * inverse.transpose();
     if bounded.is_empty() {
-        return Some(of_free);
+        return Some((of_free, inverse));
     }
     let mut covariance = DMatrix::zeros(n, n);
+    let mut factor = DMatrix::zeros(n, free.len());
     for (i, row) in free.iter().enumerate() {
+        factor.row_mut(*row).copy_from(&inverse.row(i));
         for (j, column) in free.iter().enumerate() {
             covariance[(*row, *column)] = of_free[(i, j)];
         }
     }
-    Some(covariance)
+    Some((covariance, factor))
+}
+
+/// What the options left to the set, and what came of it.
+fn assumptions(set: &MeasurementSet, options: &IdentificationOptions, noise: NoiseScale) -> Vec<Assumption> {
+    let mut made = Vec::new();
+    for station in set.stations.iter().filter(|_| options.frame == FrameChoice::AsStated) {
+        let (name, nests) = (station.name.clone(), station.nests.len());
+        made.push(match options.frame.of(station) {
+            FrameChoice::Free => Assumption::StationFree { station: name, nests },
+            _ => Assumption::StationByNests { station: name, nests },
+        });
+    }
+    for target in set.targets.iter().filter(|_| options.target == TargetChoice::AsStated) {
+        let name = target.name.clone();
+        made.push(match &target.covariance {
+            None => Assumption::TargetFree { target: name },
+            Some(covariance) => {
+                let sigma = (covariance.trace() / 3.0).max(0.0).sqrt();
+                Assumption::TargetStated { target: name, sigma }
+            }
+        });
+    }
+    made.extend(options.tolerance.map(Assumption::LinksWithin));
+    if let NoiseScale::Residuals(sigma) = noise {
+        made.push(Assumption::NoiseOfResiduals { sigma });
+    }
+    made
 }
 
 fn at_bound_warning(id: ParameterId, bound: f64) -> Warning {

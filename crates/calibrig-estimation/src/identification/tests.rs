@@ -7,7 +7,7 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::*;
-use crate::elastostatics::apply;
+use crate::elastostatics::put;
 use calibrig_files::load_robot;
 use calibrig_model::geometry::{rotation_x, translation};
 use calibrig_model::measurement::{MeasurementSet, NestObservation, Observation, Reading, Station, Target};
@@ -31,10 +31,11 @@ pub(super) fn truth(
 ) -> CalibratedRobot {
     let mut model = nominal.clone();
     for (id, value) in deviations {
-        apply(&mut model, nominal, *id, *value);
+        put(&mut model, nominal, *id, *value);
     }
     CalibratedRobot {
         mode: Mode::Extended,
+        nominal: model.clone(),
         model,
         terms,
         stations: vec![translation(5.0, 1.0, 1.5) * rotation_x(0.4)],
@@ -85,9 +86,9 @@ pub(super) fn measure(robot: &CalibratedRobot, poses: usize, noise: f64) -> Meas
             reading: Reading::Cartesian { position: Vector3::zeros(), covariance: Some(covariance) },
         });
     }
-    let mut predictor = Predictor::new(&robot.model, robot);
+    let mut predictor = Predictor::new(robot).expect("a robot");
     for observation in &mut set.observations {
-        let in_base = predictor.in_base(observation).expect("a pose that the robot can take");
+        let in_base = predictor.in_base(&*observation).expect("a pose that the robot can take");
         let seen = station.rotation * in_base + station.translation.vector;
         let error = Vector3::from_fn(|_, _| {
             noise * SIGMA * {
@@ -111,7 +112,7 @@ pub(super) fn options(mode: Mode) -> IdentificationOptions {
         mode,
         extended_parameters: ParameterChoice::NeighbourAxisRules,
         terms: Some(Vec::new()),
-        ..IdentificationOptions::default()
+        ..IdentificationOptions::published()
     }
 }
 
@@ -139,7 +140,7 @@ fn exact_data_give_geometry_and_stiffness_through_the_closed_four_bar() {
     assert!(estimate.is_sound(), "{:?}", estimate.warnings);
     assert!(estimate.held.is_empty() && estimate.fixed.is_empty());
     assert_found(&estimate, &deviations, 1e-6);
-    let errors = Predictor::new(&nominal, &estimate.robot).errors(&set).expect("poses");
+    let errors = Predictor::new(&estimate.robot).expect("a robot").errors(&set).expect("poses");
     assert!(errors.iter().all(|error| error.norm() < 1e-8));
 }
 
@@ -167,7 +168,7 @@ fn exact_data_give_the_linkage_and_every_family_of_terms() {
     assert!(estimate.termination.converged());
     println!("{} parameters, held: {:?}", estimate.parameters.len(), estimate.held.len());
     assert_found(&estimate, &deviations[1..], 2e-6);
-    let errors = Predictor::new(&nominal, &estimate.robot).errors(&set).expect("poses");
+    let errors = Predictor::new(&estimate.robot).expect("a robot").errors(&set).expect("poses");
     assert!(errors.iter().all(|error| error.norm() < 1e-6));
 }
 
@@ -392,13 +393,13 @@ fn what_cannot_be_is_refused_in_words() {
     let words = refused(IdentificationOptions { compliance_sigma: 0.0, ..options(Mode::ElastoGeometric) });
     assert!(words.contains("prior of the compliances"), "{words}");
     let mut open = nominal.clone();
-    apply(&mut open, &nominal, ParameterId::Linkage(LinkageLength::Rod), 10.0);
+    put(&mut open, &nominal, ParameterId::Linkage(LinkageLength::Rod), 10.0);
     let error = identify(&open, &set, &options(Mode::ElastoGeometric)).expect_err("an open four-bar");
     assert!(matches!(error, IdentifyError::Machine { pose: 0, .. }), "{error}");
     let mut robot = truth(&nominal, &[], Vec::new());
     robot.model = open;
-    let error = Predictor::new(&nominal, &robot).errors(&set).expect_err("an open four-bar");
-    assert!(matches!(error, PredictionError::Machine { pose: 0, .. }), "{error}");
+    let error = Predictor::new(&robot).expect("a robot").errors(&set).expect_err("an open four-bar");
+    assert!(matches!(error, PredictionError::Pose { pose: 0, .. }), "{error}");
     let few = MeasurementSet { observations: set.observations[..3].to_vec(), ..set.clone() };
     let error = identify(&nominal, &few, &options(Mode::ElastoGeometric)).expect_err("three poses");
     assert!(matches!(error, IdentifyError::TooFewRows { .. }), "{error}");

@@ -3,6 +3,7 @@
 //! Everything is read from the whitened Jacobian at the minimum: rows of the data (three an observation), then rows of the priors.
 
 use nalgebra::{DMatrix, DVector, Dyn, Matrix3, OMatrix, SymmetricEigen, U3, Vector3};
+use serde::{Deserialize, Serialize};
 
 use super::analyse_r;
 use super::factor::{extended, triangular_factor_of_all};
@@ -28,7 +29,7 @@ pub struct Uncertainty {
 }
 
 /// What one parameter's standard deviation rests on.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ParameterSupport {
     /// Which.
     pub id: ParameterId,
@@ -48,7 +49,7 @@ pub struct ParameterSupport {
 }
 
 /// What an observation has to do with the estimate.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PoseInfluence {
     /// Trace of its 3 x 3 block of the hat matrix, 0 to 3: how many parameters it determines by itself.
     pub leverage: f64,
@@ -153,21 +154,25 @@ impl Uncertainty {
         pairs
     }
 
-    /// Covariance of a predicted position with derivative `jacobian`, m².
-    pub fn position_covariance(&self, jacobian: &PositionJacobian) -> Matrix3<f64> {
+    /// Covariance of a predicted position with derivative `jacobian` (3 x n), m²; `None` where that has another number of columns.
+    pub fn position_covariance(&self, jacobian: &PositionJacobian) -> Option<Matrix3<f64>> {
+        if jacobian.ncols() != self.parameters.len() {
+            return None;
+        }
         let spread = jacobian * &self.factor;
-        &spread * spread.transpose()
+        Some(&spread * spread.transpose())
     }
 
     /// The influence of every observation on the estimate, from the same `jacobian` and the whitened `residuals` at the minimum; whole
-    /// observations of the data rows only.
+    /// observations of the data rows only; none where the Jacobian is of other parameters.
     pub fn influences(
         &self,
         jacobian: &DMatrix<f64>,
         residuals: &[f64],
         data_rows: usize,
     ) -> Vec<PoseInfluence> {
-        let observations = data_rows.min(jacobian.nrows()).min(residuals.len()) / 3;
+        let rows = if jacobian.ncols() == self.parameters.len() { jacobian.nrows() } else { 0 };
+        let observations = data_rows.min(rows).min(residuals.len()) / 3;
         (0..observations)
             .map(|i| {
                 let spread = jacobian.fixed_rows::<3>(3 * i) * &self.factor;
@@ -222,7 +227,7 @@ pub fn bayesian_cramer_rao_bound<'a>(
 /// `S` with `S Sᵀ = (Jᵀ J)⁻¹`; `None` where that is singular.
 fn inverse_factor(jacobian: &DMatrix<f64>, parameters: &[ParameterId]) -> Option<DMatrix<f64>> {
     let n = jacobian.ncols();
-    if jacobian.nrows() < n || jacobian.iter().any(|v| !v.is_finite()) {
+    if n != parameters.len() || jacobian.nrows() < n || jacobian.iter().any(|v| !v.is_finite()) {
         return None;
     }
     let scale = DVector::from_iterator(n, jacobian.column_iter().map(|c| c.norm()));
@@ -417,7 +422,7 @@ mod tests {
             let drawn: f64 = StandardNormal.sample(&mut rng);
             drawn * jacobian.column(j).norm()
         });
-        let stated = uncertainty.position_covariance(&point);
+        let stated = uncertainty.position_covariance(&point).expect("its parameters");
         let trials = 4000;
         let (mut position, mut chi2, mut standardised) = (Vector3::zeros(), 0.0, 0.0);
         for _ in 0..trials {

@@ -10,10 +10,22 @@ pub use four_bar::{
 use nalgebra::{DMatrix, Matrix3, Matrix3xX, Rotation3, Vector3};
 
 use calibrig_model::geometry::Transform;
-use calibrig_model::{CraigLink, JointKind, KinematicModel, LinkTerm, ParameterId};
+use calibrig_model::{CraigLink, JointKind, KinematicModel, LinkTerm, ModelError, ParameterId};
+
+/// What the joint variables are called in errors.
+const JOINTS: &str = "joint variables";
 
 /// `base_from_flange` at the joint variables `q` (rad or m, one a joint).
-pub fn forward_kinematics(model: &KinematicModel, q: &[f64]) -> Transform {
+///
+/// # Errors
+///
+/// [`ModelError`], where `q` is not one finite number a joint.
+pub fn forward_kinematics(model: &KinematicModel, q: &[f64]) -> Result<Transform, ModelError> {
+    model.check_joints(JOINTS, q)?;
+    Ok(flange(model, q))
+}
+
+fn flange(model: &KinematicModel, q: &[f64]) -> Transform {
     let mut base_from_link = Transform::identity();
     for (link, &q) in model.links.iter().zip(q) {
         base_from_link *= link.transform(q);
@@ -22,7 +34,17 @@ pub fn forward_kinematics(model: &KinematicModel, q: &[f64]) -> Transform {
 }
 
 /// `base_from_link` of every link at the joint variables `q`.
-pub fn link_frames(model: &KinematicModel, q: &[f64]) -> Vec<Transform> {
+///
+/// # Errors
+///
+/// As [`forward_kinematics`].
+pub fn link_frames(model: &KinematicModel, q: &[f64]) -> Result<Vec<Transform>, ModelError> {
+    model.check_joints(JOINTS, q)?;
+    Ok(frames(model, q))
+}
+
+/// [`link_frames`] of a pose of the robot.
+pub(crate) fn frames(model: &KinematicModel, q: &[f64]) -> Vec<Transform> {
     let mut base_from_link = Transform::identity();
     model
         .links
@@ -36,8 +58,22 @@ pub fn link_frames(model: &KinematicModel, q: &[f64]) -> Vec<Transform> {
 }
 
 /// Position in the base frame of a target at `in_flange`, m.
-pub fn target_in_base(model: &KinematicModel, q: &[f64], in_flange: &Vector3<f64>) -> Vector3<f64> {
-    let base_from_flange = forward_kinematics(model, q);
+///
+/// # Errors
+///
+/// As [`forward_kinematics`].
+pub fn target_in_base(
+    model: &KinematicModel,
+    q: &[f64],
+    in_flange: &Vector3<f64>,
+) -> Result<Vector3<f64>, ModelError> {
+    model.check_joints(JOINTS, q)?;
+    Ok(target(model, q, in_flange))
+}
+
+/// [`target_in_base`] at a pose of the robot.
+pub(crate) fn target(model: &KinematicModel, q: &[f64], in_flange: &Vector3<f64>) -> Vector3<f64> {
+    let base_from_flange = flange(model, q);
     base_from_flange.rotation * in_flange + base_from_flange.translation.vector
 }
 
@@ -139,7 +175,7 @@ impl Walk {
 /// It is made once, given a [model](Self::set_model) and [placed](Self::place) at every pose, so that nothing is allocated in the loop
 /// over poses.
 #[derive(Debug, Clone)]
-pub struct PlacedChain {
+pub(crate) struct PlacedChain {
     links: Vec<LinkConstants>,
     motions: Vec<LinkMotions>,
     last_from_flange: Transform,
@@ -193,6 +229,7 @@ impl PlacedChain {
     }
 
     /// `base_from_flange`.
+    #[cfg(test)]
     pub fn base_from_flange(&self) -> &Transform {
         &self.base_from_flange
     }
@@ -236,31 +273,57 @@ impl PlacedChain {
     }
 }
 
-/// The 3 x n Jacobian of the target's position in the base frame (m) with respect to `parameters` (m or rad), at `q`.
+/// The 3 x n Jacobian of the target's position in the base frame (m) with respect to `parameters` (m or rad), at `q`. Columns of parameters
+/// that the rigid chain does not have, such as compliances, are zero.
+///
+/// # Errors
+///
+/// [`ModelError`], where `q` is not one finite number a joint, or a parameter is of a link that the robot does not have.
 pub fn identification_jacobian(
     model: &KinematicModel,
     q: &[f64],
     in_flange: &Vector3<f64>,
     parameters: &[ParameterId],
-) -> Matrix3xX<f64> {
-    let mut chain = PlacedChain::new(model);
-    chain.place(q);
-    let target = chain.target(in_flange);
-    let columns: Vec<_> = parameters.iter().map(|id| chain.column(*id, &target)).collect();
-    Matrix3xX::from_columns(&columns)
+) -> Result<Matrix3xX<f64>, ModelError> {
+    let stacked = stacked_jacobian(model, &[q], in_flange, parameters)?;
+    Ok(Matrix3xX::from_iterator(stacked.ncols(), stacked.iter().copied()))
 }
 
 /// The Jacobians of many poses, stacked: 3 poses x n.
+///
+/// # Errors
+///
+/// As [`identification_jacobian`].
 pub fn stacked_jacobian(
     model: &KinematicModel,
-    poses: &[Vec<f64>],
+    poses: &[impl AsRef<[f64]>],
+    in_flange: &Vector3<f64>,
+    parameters: &[ParameterId],
+) -> Result<DMatrix<f64>, ModelError> {
+    poses.iter().try_for_each(|q| model.check_joints(JOINTS, q.as_ref()))?;
+    let is_foreign = |id: &&ParameterId| match id {
+        ParameterId::Link { link, .. } => *link >= model.joint_count(),
+        ParameterId::Frame { component, .. } => *component >= 6,
+        ParameterId::Target { axis, .. } => *axis >= 3,
+        _ => false,
+    };
+    if let Some(id) = parameters.iter().find(is_foreign) {
+        return Err(ModelError::Parameter { id: *id });
+    }
+    Ok(stack(model, poses, in_flange, parameters))
+}
+
+/// [`stacked_jacobian`] at poses and for parameters of the robot.
+pub(crate) fn stack(
+    model: &KinematicModel,
+    poses: &[impl AsRef<[f64]>],
     in_flange: &Vector3<f64>,
     parameters: &[ParameterId],
 ) -> DMatrix<f64> {
     let mut chain = PlacedChain::new(model);
     let mut jacobian = DMatrix::zeros(3 * poses.len(), parameters.len());
     for (row, q) in poses.iter().enumerate() {
-        chain.place(q);
+        chain.place(q.as_ref());
         let target = chain.target(in_flange);
         for (column, id) in parameters.iter().enumerate() {
             jacobian.fixed_view_mut::<3, 1>(3 * row, column).copy_from(&chain.column(*id, &target));
@@ -323,7 +386,7 @@ mod tests {
             _ => {}
         }
         let displaced = calibrig_model::geometry::small_displacement(&frame);
-        let point = target_in_base(&model, q, &target);
+        let point = super::target(&model, q, &target);
         displaced.rotation * point + displaced.translation.vector
     }
 
@@ -335,7 +398,7 @@ mod tests {
             let mut ids = ParameterId::all_of_links(model.joint_count());
             ids.extend(ParameterId::all_of_frame(0));
             ids.extend(ParameterId::all_of_target(0));
-            let jacobian = identification_jacobian(&model, &q, &target, &ids);
+            let jacobian = identification_jacobian(&model, &q, &target, &ids).expect("its own");
             let step = 1e-5;
             for (column, id) in ids.iter().enumerate() {
                 let difference =
@@ -350,9 +413,9 @@ mod tests {
         fn the_placed_chain_is_the_product_of_the_link_transforms((model, q, target) in robot_and_pose()) {
             let mut chain = PlacedChain::new(&model);
             chain.place(&q);
-            let product = forward_kinematics(&model, &q);
+            let product = forward_kinematics(&model, &q).expect("a pose");
             prop_assert!((chain.base_from_flange().to_homogeneous() - product.to_homogeneous()).norm() < 1e-12);
-            prop_assert!((chain.target(&target) - target_in_base(&model, &q, &target)).norm() < 1e-12);
+            prop_assert!((chain.target(&target) - super::target(&model, &q, &target)).norm() < 1e-12);
 
             let columns = |chain: &PlacedChain| {
                 let ids = ParameterId::all_of_links(model.joint_count()).into_iter();
@@ -383,7 +446,7 @@ mod tests {
         let model =
             KinematicModel { links: vec![link(0.0), link(2.0)], last_from_flange: Transform::identity() };
         let quarter = std::f64::consts::FRAC_PI_2;
-        let tip = target_in_base(&model, &[quarter, -quarter], &Vector3::new(1.0, 0.0, 0.0));
+        let tip = target_in_base(&model, &[quarter, -quarter], &Vector3::new(1.0, 0.0, 0.0)).expect("a pose");
         assert!((tip - Vector3::new(1.0, 2.0, 0.0)).norm() < 1e-15);
     }
 }

@@ -5,9 +5,11 @@ mod registration;
 pub use registration::{NestSystem, Registration, RegistrationError, nest_system, register};
 
 use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
 
 /// Which of the two sets of poses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum SetKind {
     /// The parameters are fitted to it.
     Identification,
@@ -29,7 +31,7 @@ impl SetKind {
 }
 
 /// A tracker session: the stations, the targets and the observations taken between them.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct MeasurementSet {
     /// Places of the tracker.
     pub stations: Vec<Station>,
@@ -40,7 +42,7 @@ pub struct MeasurementSet {
 }
 
 /// A set as it was measured, and what of it was not.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SetOutcome {
     /// Which.
     pub kind: SetKind,
@@ -51,7 +53,7 @@ pub struct SetOutcome {
 }
 
 /// One place of the tracker, with the base nests that it measured as common points.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Station {
     /// Name for people.
     pub name: String,
@@ -60,7 +62,7 @@ pub struct Station {
 }
 
 /// A nest at a certified place of the base, and where the tracker saw it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NestObservation {
     /// Name for people.
     pub name: String,
@@ -73,7 +75,7 @@ pub struct NestObservation {
 }
 
 /// A target (SMR) on the flange.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Target {
     /// Name for people.
     pub name: String,
@@ -84,7 +86,7 @@ pub struct Target {
 }
 
 /// One target seen at one commanded pose.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Observation {
     /// Number of the pose, as recorded.
     pub pose: u32,
@@ -105,7 +107,7 @@ pub struct Observation {
 }
 
 /// What the tracker read, in its own frame.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Reading {
     /// As the instrument observes.
     Spherical(SphericalReading),
@@ -119,7 +121,7 @@ pub enum Reading {
 }
 
 /// Range, azimuth and elevation: `x = R cos(el) cos(az)`, `y = R cos(el) sin(az)`, `z = R sin(el)`.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SphericalReading {
     /// m
     pub range: f64,
@@ -129,6 +131,146 @@ pub struct SphericalReading {
     pub elevation: f64,
     /// Covariance of (range, azimuth, elevation): m², m rad, rad².
     pub covariance: Matrix3<f64>,
+}
+
+/// Measurements that cannot be.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum MeasurementError {
+    /// No observation.
+    #[error("there is no measurement to identify from")]
+    Empty,
+    /// An observation of another robot.
+    #[error("pose {pose}: {found} commands, the robot has {expected} joints")]
+    JointCount {
+        /// The pose.
+        pose: u32,
+        /// Its number of commands.
+        found: usize,
+        /// The robot's number of joints.
+        expected: usize,
+    },
+    /// Signs of approach that are not one an actuator.
+    #[error(
+        "pose {pose}: {found} signs of approach for {expected} commands: expected as many, or none where unknown"
+    )]
+    Approach {
+        /// The pose.
+        pose: u32,
+        /// Their number.
+        found: usize,
+        /// The number of commands.
+        expected: usize,
+    },
+    /// An observation names a station or target that the set does not hold.
+    #[error("pose {pose} names a station or a target that the measurements do not describe")]
+    UnknownStationOrTarget {
+        /// The pose.
+        pose: u32,
+    },
+    /// A number that is not one.
+    #[error("pose {pose}: a command or reading is not a finite number")]
+    NotFinite {
+        /// The pose.
+        pose: u32,
+    },
+    /// A certified place, an offset or a covariance that is not finite.
+    #[error("{what}: a coordinate or covariance is not a finite number")]
+    NotFiniteIn {
+        /// Which station, nest or target.
+        what: String,
+    },
+}
+
+impl MeasurementSet {
+    /// Positions of one target in the frame of one tracker (m) at commands (m or rad), numbered from one. Nothing is known of the tracker's place,
+    /// of the target's offset on the flange, or of the noise.
+    pub fn of_points(points: impl IntoIterator<Item = (Vec<f64>, Vector3<f64>)>) -> Self {
+        let mut set = Self {
+            stations: vec![Station { name: "1".to_owned(), nests: Vec::new() }],
+            targets: vec![Target { name: "1".to_owned(), in_flange: Vector3::zeros(), covariance: None }],
+            observations: Vec::new(),
+        };
+        for (pose, (command, position)) in (1..).zip(points) {
+            set.observations.push(Observation {
+                pose,
+                approach: vec![0; command.len()],
+                command,
+                temperature: None,
+                time: 0.0,
+                station: 0,
+                target: 0,
+                reading: Reading::Cartesian { position, covariance: None },
+            });
+        }
+        set
+    }
+
+    /// The same with this standard deviation of every coordinate of a Cartesian reading, m.
+    #[must_use]
+    pub fn with_sigma(mut self, sigma: f64) -> Self {
+        for observation in &mut self.observations {
+            if let Reading::Cartesian { covariance, .. } = &mut observation.reading {
+                *covariance = Some(Matrix3::identity() * sigma * sigma);
+            }
+        }
+        self
+    }
+
+    /// Whether the set can be one of a robot with this number of joints. Whatever identifies from a set asks this first.
+    pub fn check(&self, joints: usize) -> Result<(), MeasurementError> {
+        if self.observations.is_empty() {
+            return Err(MeasurementError::Empty);
+        }
+        self.stations.iter().try_for_each(Station::check)?;
+        self.targets.iter().try_for_each(Target::check)?;
+        self.observations.iter().try_for_each(|observation| {
+            let pose = observation.pose;
+            let (found, approaches) = (observation.command.len(), observation.approach.len());
+            if found != joints {
+                return Err(MeasurementError::JointCount { pose, found, expected: joints });
+            }
+            if approaches != joints && approaches != 0 {
+                return Err(MeasurementError::Approach { pose, found: approaches, expected: joints });
+            }
+            if observation.station >= self.stations.len() || observation.target >= self.targets.len() {
+                return Err(MeasurementError::UnknownStationOrTarget { pose });
+            }
+            let finite = observation.command.iter().all(|v| v.is_finite())
+                && observation.time.is_finite()
+                && observation.temperature.is_none_or(f64::is_finite)
+                && observation.reading.is_finite();
+            if finite { Ok(()) } else { Err(MeasurementError::NotFinite { pose }) }
+        })
+    }
+}
+
+impl Station {
+    fn check(&self) -> Result<(), MeasurementError> {
+        let is_finite = |nest: &NestObservation| {
+            let certified = nest.in_base.iter().chain(nest.in_base_covariance.iter());
+            certified.copied().all(f64::is_finite) && nest.reading.is_finite()
+        };
+        match self.nests.iter().find(|nest| !is_finite(nest)) {
+            Some(nest) => {
+                let what = format!("nest {} of station {}", nest.name, self.name);
+                Err(MeasurementError::NotFiniteIn { what })
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+impl Target {
+    fn check(&self) -> Result<(), MeasurementError> {
+        let covariance = self.covariance.iter().flat_map(|c| c.iter());
+        let finite = self.in_flange.iter().chain(covariance).all(|v| v.is_finite());
+        if finite {
+            Ok(())
+        } else {
+            Err(MeasurementError::NotFiniteIn { what: format!("target {}", self.name) })
+        }
+    }
 }
 
 impl SphericalReading {
@@ -152,6 +294,16 @@ impl SphericalReading {
 }
 
 impl Reading {
+    /// Whether all its numbers are finite.
+    fn is_finite(&self) -> bool {
+        let covariance = match self {
+            Self::Spherical(reading) => Some(&reading.covariance),
+            Self::Cartesian { covariance, .. } => covariance.as_ref(),
+        };
+        let covariance = covariance.into_iter().flat_map(|c| c.iter());
+        self.position().iter().chain(covariance).all(|v| v.is_finite())
+    }
+
     /// Position in the tracker's frame, m.
     pub fn position(&self) -> Vector3<f64> {
         match self {

@@ -1,13 +1,14 @@
 //! Where the tracker stands, from the base nests.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Matrix6, SMatrix, Vector3, Vector6};
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::{NestObservation, Station};
 use crate::geometry::{Transform, best_fit_transform, cross_matrix, small_displacement};
 
 /// Where a station stands, and how well that is known.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Registration {
     /// `tracker_from_base`.
     pub tracker_from_base: Transform,
@@ -95,7 +96,7 @@ fn nest_row(nest: &NestObservation, tracker_from_base: &Transform) -> Result<Nes
 }
 
 /// The whitened system that [`register`] solves, three rows a nest.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NestSystem {
     /// Derivative by the displacement `xi` in `tracker_from_base · exp(xi)`, 3 nests x 6.
     pub jacobian: DMatrix<f64>,

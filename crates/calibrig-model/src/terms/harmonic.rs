@@ -2,8 +2,8 @@
 
 use std::f64::consts::TAU;
 
-use super::{TermFamily, TermInput, TermPlace, is_linear, joint_variable, parse_joint_variable};
-use crate::CalibrationModel;
+use super::{TermFamily, TermPlace, is_linear, joint_variable, parse_joint_variable};
+use crate::{CalibrationModel, PoseQuery};
 
 /// Sine and cosine at once and twice per motor turn, of every actuator whose turns are known.
 pub(super) struct Harmonic;
@@ -39,7 +39,7 @@ impl TermFamily for Harmonic {
         TermPlace::Actuator(joint)
     }
 
-    fn basis(&self, model: &CalibrationModel, joint: usize, index: usize, input: &TermInput<'_>) -> f64 {
+    fn basis(&self, model: &CalibrationModel, joint: usize, index: usize, input: &PoseQuery<'_>) -> f64 {
         let turns = model.motor_turns.get(joint).copied().flatten();
         let (Some(turns), Some(command), Some((_, order, wave))) =
             (turns, input.command.get(joint), WAVES.get(index))

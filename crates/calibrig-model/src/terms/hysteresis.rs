@@ -1,7 +1,7 @@
 //! The sign of the approach: half of what backlash and friction leave between the two directions.
 
-use super::{TermFamily, TermInput, TermPlace, is_linear, joint_variable, parse_joint_variable};
-use crate::CalibrationModel;
+use super::{TermFamily, TermPlace, is_linear, joint_variable, parse_joint_variable};
+use crate::{CalibrationModel, PoseQuery};
 
 /// One amplitude an actuator: it stands this far on the side that it came from.
 pub(super) struct Hysteresis;
@@ -23,7 +23,7 @@ impl TermFamily for Hysteresis {
         TermPlace::Actuator(joint)
     }
 
-    fn basis(&self, _: &CalibrationModel, joint: usize, _: usize, input: &TermInput<'_>) -> f64 {
+    fn basis(&self, _: &CalibrationModel, joint: usize, _: usize, input: &PoseQuery<'_>) -> f64 {
         input.approach.get(joint).copied().map_or(0.0, f64::from)
     }
 

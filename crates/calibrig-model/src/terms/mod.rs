@@ -10,24 +10,14 @@ mod ratio;
 
 use std::fmt;
 
-use super::{ActuatorMap, CalibrationModel, CraigLink, JointKind, Unit};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use super::{ActuatorMap, CalibrationModel, CraigLink, JointKind, PoseQuery, Unit};
 
 /// Every family that can be switched on.
 pub const FAMILIES: &[&dyn TermFamily] =
     &[&hysteresis::Hysteresis, &harmonic::Harmonic, &ratio::Ratio, &rail::Rail];
-
-/// What is known of an observation before it is explained. SI.
-#[derive(Debug, Clone, Copy)]
-pub struct TermInput<'a> {
-    /// Actuator commands.
-    pub command: &'a [f64],
-    /// Sign of each actuator's last motion, 0 where unknown.
-    pub approach: &'a [i8],
-    /// °C, where known.
-    pub temperature: Option<f64>,
-    /// Since the session began, s.
-    pub time: f64,
-}
 
 /// What a term displaces.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -71,7 +61,7 @@ pub trait TermFamily: Sync {
     fn place(&self, joint: usize, index: usize) -> TermPlace;
 
     /// Displacement of the place per unit of amplitude.
-    fn basis(&self, model: &CalibrationModel, joint: usize, index: usize, input: &TermInput<'_>) -> f64;
+    fn basis(&self, model: &CalibrationModel, joint: usize, index: usize, input: &PoseQuery<'_>) -> f64;
 
     /// Standard deviation of the amplitude's zero-mean prior, m or rad: what such machines have.
     fn prior_sigma(&self, linear: bool) -> f64;
@@ -126,7 +116,7 @@ impl TermId {
     }
 
     /// Displacement of its place per unit of amplitude.
-    pub fn basis(self, model: &CalibrationModel, input: &TermInput<'_>) -> f64 {
+    pub fn basis(self, model: &CalibrationModel, input: &PoseQuery<'_>) -> f64 {
         self.family().basis(model, usize::from(self.joint), usize::from(self.index), input)
     }
 
@@ -143,9 +133,25 @@ impl fmt::Display for TermId {
     }
 }
 
+/// By its name.
+impl Serialize for TermId {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl<'de> Deserialize<'de> for TermId {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let name = String::deserialize(deserializer)?;
+        Self::parse(&name).ok_or_else(|| {
+            D::Error::custom(format_args!("{name:?}: expected the name of a term, such as ratio_d5"))
+        })
+    }
+}
+
 /// Whether a displacement along or about a joint's axis is a length.
 fn is_linear(model: &CalibrationModel, joint: usize) -> bool {
-    model.kinematics.links[joint].kind == JointKind::Prismatic
+    model.kinematics.links.get(joint).is_some_and(|link| link.kind == JointKind::Prismatic)
 }
 
 /// `d3` or `theta3`: the joint variable by its name in the D-H table, joints counted from one.
@@ -247,12 +253,7 @@ mod tests {
     #[test]
     fn the_basis_functions_by_hand() {
         let model = model();
-        let input = TermInput {
-            command: &[3.0, -0.5, 0.3, 0.1],
-            approach: &[1, -1, 0, 1],
-            temperature: None,
-            time: 0.0,
-        };
+        let input = PoseQuery::at(&[3.0, -0.5, 0.3, 0.1]).approached(&[1, -1, 0, 1]);
         let turn = std::f64::consts::TAU * 16.0 * 0.3;
         for (name, basis, place) in [
             ("hysteresis_theta2", -1.0, TermPlace::Actuator(1)),

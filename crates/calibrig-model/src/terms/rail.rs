@@ -1,9 +1,7 @@
 //! A rail that is neither straight nor free of twist: Legendre polynomials of the position along it.
 
-use super::{
-    TermFamily, TermInput, TermPlace, half_travel, joint_variable, middle_of_travel, parse_joint_variable,
-};
-use crate::{CalibrationModel, JointKind};
+use super::{TermFamily, TermPlace, half_travel, joint_variable, middle_of_travel, parse_joint_variable};
+use crate::{CalibrationModel, JointKind, PoseQuery};
 
 /// The rails that the whole robot travels on: the prismatic joints in front of all others. A displacement along a rail is its actuator's.
 ///
@@ -50,11 +48,12 @@ impl TermFamily for Rail {
         TermPlace::Frame { joint, component: TERMS.get(index).map_or(0, |term| term.1) }
     }
 
-    fn basis(&self, model: &CalibrationModel, joint: usize, index: usize, input: &TermInput<'_>) -> f64 {
-        let (Some(position), Some((_, _, order))) = (input.command.get(joint), TERMS.get(index)) else {
+    fn basis(&self, model: &CalibrationModel, joint: usize, index: usize, input: &PoseQuery<'_>) -> f64 {
+        let (Some(position), Some((_, _, order)), Some(link)) =
+            (input.command.get(joint), TERMS.get(index), model.kinematics.links.get(joint))
+        else {
             return 0.0;
         };
-        let link = &model.kinematics.links[joint];
         legendre(*order, (position - middle_of_travel(link)) / half_travel(link))
     }
 

@@ -1,10 +1,9 @@
 //! A transmission whose ratio is not the stated one: a gear's, a spindle's or a rail rack's pitch.
 
 use super::{
-    TermFamily, TermInput, TermPlace, half_travel, is_linear, joint_variable, middle_command,
-    parse_joint_variable,
+    TermFamily, TermPlace, half_travel, is_linear, joint_variable, middle_command, parse_joint_variable,
 };
-use crate::CalibrationModel;
+use crate::{CalibrationModel, PoseQuery};
 
 /// One amplitude an actuator: its error at the end of its travel, where it has none in the middle.
 ///
@@ -28,9 +27,12 @@ impl TermFamily for Ratio {
         TermPlace::Actuator(joint)
     }
 
-    fn basis(&self, model: &CalibrationModel, joint: usize, _: usize, input: &TermInput<'_>) -> f64 {
-        let Some(command) = input.command.get(joint) else { return 0.0 };
-        (command - middle_command(model, joint)) / half_travel(&model.kinematics.links[joint])
+    fn basis(&self, model: &CalibrationModel, joint: usize, _: usize, input: &PoseQuery<'_>) -> f64 {
+        let (Some(command), Some(link)) = (input.command.get(joint), model.kinematics.links.get(joint))
+        else {
+            return 0.0;
+        };
+        (command - middle_command(model, joint)) / half_travel(link)
     }
 
     fn prior_sigma(&self, _: bool) -> f64 {

@@ -29,6 +29,16 @@ pub enum FrameError {
         /// Index of the node at its tip.
         to: usize,
     },
+    /// A node or an element that the frame does not have.
+    #[error("{what} {index}: the frame has {count}")]
+    Missing {
+        /// `node` or `element`.
+        what: &'static str,
+        /// Index asked for.
+        index: usize,
+        /// How many there are.
+        count: usize,
+    },
     /// It can move without being strained.
     #[error("the frame is a mechanism: its supports and elements do not hold it")]
     Mechanism,
@@ -92,7 +102,7 @@ impl Frame {
         second_axis: &Vector3<f64>,
     ) -> Result<usize, FrameError> {
         let degenerate = FrameError::Degenerate { from, to };
-        let run = self.nodes[to] - self.nodes[from];
+        let run = self.nodes[self.node(to)?] - self.nodes[self.node(from)?];
         let along = run.try_normalize(0.0).ok_or(degenerate)?;
         let across = second_axis - along.dot(second_axis) * along;
         let second = across.try_normalize(1e-9 * second_axis.norm()).ok_or(degenerate)?;
@@ -136,7 +146,7 @@ impl Frame {
                 let at = from_root + length * piece as f64 / pieces as f64;
                 let next = frame.add_node(beam.point(at, q));
                 let element = frame.add_element(tip, next, &segment.section, &second_axis)?;
-                frame.add_uniform_load(element, &(segment.section.mass_per_length * gravity));
+                frame.add_uniform_load(element, &(segment.section.mass_per_length * gravity))?;
                 tip = next;
             }
             from_root += length;
@@ -144,29 +154,42 @@ impl Frame {
         Ok((frame, root, tip))
     }
 
+    /// The index of a node that is there.
+    fn node(&self, index: usize) -> Result<usize, FrameError> {
+        let count = self.nodes.len();
+        if index < count { Ok(index) } else { Err(FrameError::Missing { what: "node", index, count }) }
+    }
+
     /// Holds those of a node's displacements and rotations that are marked.
-    pub fn fix(&mut self, node: usize, fixed: [bool; 6]) {
+    pub fn fix(&mut self, node: usize, fixed: [bool; 6]) -> Result<(), FrameError> {
+        let node = self.node(node)?;
         self.fixed[node] = fixed;
+        Ok(())
     }
 
     /// Holds a node.
-    pub fn clamp(&mut self, node: usize) {
-        self.fix(node, [true; 6]);
+    pub fn clamp(&mut self, node: usize) -> Result<(), FrameError> {
+        self.fix(node, [true; 6])
     }
 
     /// Adds a force and a moment (N, N m) at a node.
-    pub fn add_load(&mut self, node: usize, load: &Vector6<f64>) {
+    pub fn add_load(&mut self, node: usize, load: &Vector6<f64>) -> Result<(), FrameError> {
+        let node = self.node(node)?;
         self.loads[node] += load;
+        Ok(())
     }
 
     /// Adds a uniform force per length (N/m, in the frame's axes) along an element.
-    pub fn add_uniform_load(&mut self, element: usize, force: &Vector3<f64>) {
-        let element = &self.elements[element];
+    pub fn add_uniform_load(&mut self, element: usize, force: &Vector3<f64>) -> Result<(), FrameError> {
+        let count = self.elements.len();
+        let missing = FrameError::Missing { what: "element", index: element, count };
+        let element = self.elements.get(element).ok_or(missing)?;
         let load = element::turn(&element.frame_from_element)
             * element::uniform_load(&element.frame_from_element.tr_mul(force), element.length);
         for (half, node) in element.nodes.into_iter().enumerate() {
             self.loads[node] += load.fixed_rows::<6>(6 * half);
         }
+        Ok(())
     }
 
     /// The stiffness of all nodes, without supports: six rows and columns a node.
@@ -221,6 +244,7 @@ impl Frame {
     ///
     /// [`FrameError::Mechanism`] where the other nodes are not held by the kept ones.
     pub fn condense(&self, kept: &[usize]) -> Result<CondensedFrame, FrameError> {
+        kept.iter().try_for_each(|node| self.node(*node).map(drop))?;
         let (stiffness, load) = (self.stiffness(), self.load());
         let ends: Vec<usize> = kept.iter().flat_map(|node| 6 * node..6 * node + 6).collect();
         let inner: Vec<usize> = self.free().filter(|dof| !kept.contains(&(dof / 6))).collect();

@@ -142,7 +142,7 @@ pub fn end_stiffness(beam: &Beam, q: f64, pieces: usize) -> Result<EndStiffness,
         let mut gravity = Vector3::zeros();
         gravity[axis] = 1.0;
         let (mut frame, root, tip) = Frame::of_beam(beam, q, pieces, &gravity)?;
-        frame.clamp(root);
+        frame.clamp(root)?;
         let condensed = frame.condense(&[tip])?;
         stiffness.copy_from(&condensed.stiffness);
         weight.set_column(axis, &condensed.load.fixed_rows::<6>(0));

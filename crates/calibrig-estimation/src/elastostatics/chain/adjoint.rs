@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::parts::Slot;
 use super::screw::{Loads, Screw};
 use super::{Deflection, ElasticChain, ElasticError, MOST_ITERATIONS};
-use calibrig_model::{ActuatorMap, Compliance, LinkTerm, LinkageLength, ParameterId, TermPlace};
+use calibrig_model::{ActuatorMap, Compliance, LinkTerm, LinkageLength, ModelError, ParameterId, TermPlace};
 
 /// Change of a sweep, relative to the largest entry, below which the adjoint has converged: what is left is a hundredth of it.
 const ADJOINT_CONVERGED: f64 = 1e-10;
@@ -289,7 +289,17 @@ impl ElasticChain {
     ///
     /// Parameters of the tracker's frame and of terms are the caller's: these columns are zero. A term's is its basis times
     /// [`column_of_place`](Self::column_of_place).
-    pub fn column(&self, id: ParameterId) -> Vector3<f64> {
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError::Parameter`], of a joint that the robot does not have.
+    pub fn column(&self, id: ParameterId) -> Result<Vector3<f64>, ModelError> {
+        self.knows(id)?;
+        Ok(self.change(id))
+    }
+
+    /// [`column`](Self::column) of a parameter of the robot.
+    pub(crate) fn change(&self, id: ParameterId) -> Vector3<f64> {
         match id {
             ParameterId::Link { link, term } => self.link_column(link, term),
             ParameterId::Target { axis, .. } => {
@@ -303,7 +313,17 @@ impl ElasticChain {
     }
 
     /// Change of the target's position in the base frame (m) per unit of a [correction](Self::settle).
-    pub fn column_of_place(&self, place: TermPlace) -> Vector3<f64> {
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError`], of a joint that the robot does not have.
+    pub fn column_of_place(&self, place: TermPlace) -> Result<Vector3<f64>, ModelError> {
+        self.has(place)?;
+        Ok(self.change_of_place(place))
+    }
+
+    /// [`column_of_place`](Self::column_of_place) of a place of the robot.
+    pub(crate) fn change_of_place(&self, place: TermPlace) -> Vector3<f64> {
         match place {
             TermPlace::Frame { joint, component } => {
                 self.moved_at(self.parts[joint].frame, &self.terms[joint].frame[component])

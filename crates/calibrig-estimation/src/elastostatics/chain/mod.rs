@@ -31,7 +31,7 @@ use self::place::{LoopPlace, TermsPlace};
 use self::screw::{Lump, Screw};
 use crate::kinematics::ClosureError;
 use calibrig_model::geometry::Transform;
-use calibrig_model::{ActuatorMap, CalibrationModel, PointLoad, TermPlace};
+use calibrig_model::{ActuatorMap, CalibrationModel, ModelError, PointLoad, TermPlace};
 
 /// How much of the statics a pose is settled with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -70,6 +70,9 @@ pub enum ElasticError {
     /// The elbow's four-bar cannot close, or hardly so.
     #[error(transparent)]
     Linkage(#[from] ClosureError),
+    /// A command or a correction that is not of this robot.
+    #[error(transparent)]
+    Model(#[from] ModelError),
     /// A telescope is drawn in farther than its beam begins.
     #[error("the exposed length of link {} would be {length:.6} m", link + 1)]
     Housed {
@@ -122,7 +125,17 @@ pub struct ElasticChain {
 impl ElasticChain {
     /// The chain of `reference`, whose finite stiffnesses say which springs exist, and whose compliances and masses are those that
     /// [`Compliance`](calibrig_model::ParameterId::Compliance) and [`Mass`](calibrig_model::ParameterId::Mass) are relative to.
-    pub fn new(reference: &CalibrationModel) -> Self {
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError`], where the robot cannot be one.
+    pub fn new(reference: &CalibrationModel) -> Result<Self, ModelError> {
+        reference.check()?;
+        Ok(Self::of(reference))
+    }
+
+    /// The chain of a model that has been checked.
+    pub(crate) fn of(reference: &CalibrationModel) -> Self {
         let Structure { parts, slots, lumps, four_bar } = Structure::new(reference);
         let (n, joints) = (slots.len(), parts.len());
         let elastic = slots.iter().filter(|s| **s == Slot::Elastic).count();
@@ -150,13 +163,49 @@ impl ElasticChain {
             lumps,
             four_bar,
         };
-        chain.set_model(reference);
+        chain.take(reference);
         chain.reference.copy_from_slice(&chain.compliance);
         chain
     }
 
     /// Takes the values of a model of the same structure. A spring that is missing in the reference model stays rigid.
-    pub fn set_model(&mut self, model: &CalibrationModel) {
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError`], where the robot cannot be one, or is not built as the reference model.
+    pub fn set_model(&mut self, model: &CalibrationModel) -> Result<(), ModelError> {
+        model.check()?;
+        self.fits(model)?;
+        self.take(model);
+        Ok(())
+    }
+
+    /// Whether a model, which has been checked, is built as the reference model.
+    pub(crate) fn fits(&self, model: &CalibrationModel) -> Result<(), ModelError> {
+        let same = |same: bool, field: &'static str| {
+            if same { Ok(()) } else { Err(ModelError::Structure { field }) }
+        };
+        let links = &model.kinematics.links;
+        same(links.len() == self.parts.len(), "the number of links")?;
+        same(
+            links.iter().zip(&self.parts).all(|(link, part)| link.kind == part.kind),
+            "the kinds of joints",
+        )?;
+        let ends = |map: &ActuatorMap| map.four_bar().map(|(shoulder, elbow, _, _)| (shoulder, elbow));
+        same(ends(&model.actuators) == ends(&self.actuators), "the four-bar of actuators")?;
+        let statics = model.statics.as_ref();
+        same(statics.is_some() || self.gravity == Vector3::zeros(), "statics")?;
+        (0..).zip(&self.parts).try_for_each(|(index, part)| {
+            let segments =
+                statics.and_then(|s| s.beams[index].as_ref()).map_or(0, |beam| beam.segments.len());
+            same(segments == part.segments.len(), "the segments of statics.beams")?;
+            let loads = statics.map_or(0, |s| s.loads.iter().filter(|load| load.link == index).count());
+            same(loads == part.loads.len(), "the places of statics.loads")
+        })
+    }
+
+    /// [`set_model`](Self::set_model) without looking.
+    pub(crate) fn take(&mut self, model: &CalibrationModel) {
         let statics = model.statics.as_ref();
         self.last_from_flange = model.kinematics.last_from_flange;
         self.gravity = statics.map_or_else(Vector3::zeros, |s| s.gravity);
@@ -317,9 +366,9 @@ impl ElasticChain {
         }
     }
 
-    /// Deflection of a joint's drive, m or rad; with a four-bar, the elbow's drive is the crank's.
-    pub fn drive_deflection(&self, joint: usize) -> f64 {
-        self.u[self.driven(joint)]
+    /// Deflection of a joint's drive, m or rad; with a four-bar, the elbow's drive is the crank's. `None` for a joint that is not there.
+    pub fn drive_deflection(&self, joint: usize) -> Option<f64> {
+        (joint < self.parts.len()).then(|| self.u[self.driven(joint)])
     }
 
     /// `base_from_flange`.

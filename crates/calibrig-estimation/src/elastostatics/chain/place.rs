@@ -7,7 +7,7 @@ use super::screw::{Loads, Lump, Screw, Walk, stepped};
 use super::{ElasticChain, ElasticError};
 use crate::elastostatics::beam::segment_group;
 use crate::kinematics::swing_to;
-use calibrig_model::{BeamRun, BeamSegment, BearingSide, TermPlace};
+use calibrig_model::{BeamRun, BeamSegment, BearingSide, Compliance, ModelError, ParameterId, TermPlace};
 
 /// The axes of a link's parameters and of the corrections of its frame, in the base frame.
 #[derive(Debug, Clone, Copy)]
@@ -228,6 +228,7 @@ impl ElasticChain {
         command: &[f64],
         corrections: &[(TermPlace, f64)],
     ) -> Result<(), ElasticError> {
+        self.check(command, corrections)?;
         self.actuators.joints_from_command(command, &mut self.joints);
         for (index, part) in self.parts.iter_mut().enumerate() {
             part.correction = [0.0; 6];
@@ -243,6 +244,48 @@ impl ElasticChain {
         }
         self.actuators.joints_from_command(&self.command, &mut self.joints);
         Ok(())
+    }
+
+    fn check(&self, command: &[f64], corrections: &[(TermPlace, f64)]) -> Result<(), ModelError> {
+        let joints = self.parts.len();
+        if command.len() != joints {
+            return Err(ModelError::Length { field: "command", found: command.len(), expected: joints });
+        }
+        corrections.iter().try_for_each(|(place, _)| self.has(*place))
+    }
+
+    /// Whether a correction is of this chain.
+    pub(super) fn has(&self, place: TermPlace) -> Result<(), ModelError> {
+        let (joint, component) = match place {
+            TermPlace::Actuator(joint) => (joint, 0),
+            TermPlace::Frame { joint, component } => (joint, component),
+        };
+        let joints = self.parts.len();
+        if joint >= joints {
+            return Err(ModelError::Joint { field: "a correction", joint, joints });
+        }
+        if component >= 6 {
+            return Err(ModelError::Structure { field: "the component of a correction" });
+        }
+        Ok(())
+    }
+
+    /// Whether a parameter is of this chain.
+    pub(super) fn knows(&self, id: ParameterId) -> Result<(), ModelError> {
+        let joints = self.parts.len();
+        let known = match id {
+            ParameterId::Link { link, .. }
+            | ParameterId::Mass { link }
+            | ParameterId::Compliance(Compliance::Beam { link }) => link < joints,
+            ParameterId::Compliance(Compliance::Drive { joint }) => joint < joints,
+            ParameterId::Compliance(Compliance::Bearing { joint, axis }) => joint < joints && axis < 6,
+            ParameterId::Target { axis, .. } => axis < 3,
+            ParameterId::Compliance(Compliance::Rod)
+            | ParameterId::Frame { .. }
+            | ParameterId::Linkage(_)
+            | ParameterId::Term(_) => true,
+        };
+        if known { Ok(()) } else { Err(ModelError::Parameter { id }) }
     }
 
     /// Places the chain at its deflections and closes the four-bar.

@@ -11,6 +11,7 @@ mod serial;
 #[cfg(test)]
 mod tests;
 
+use serde::{Deserialize, Serialize};
 use std::fmt;
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
@@ -55,7 +56,8 @@ pub struct ResidualSet<'a> {
 }
 
 /// What residuals may depend on. Joints count from zero.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Cause {
     /// The same displacement at every pose.
@@ -104,7 +106,7 @@ impl Cause {
 }
 
 /// A dependence that chance does not explain.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ResidualPattern {
     /// On what.
     pub cause: Cause,
@@ -119,7 +121,7 @@ pub struct ResidualPattern {
 }
 
 /// All dependences that were looked for, and those found.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PatternReport {
     /// In the order of their strength.
     pub patterns: Vec<ResidualPattern>,

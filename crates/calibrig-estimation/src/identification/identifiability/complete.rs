@@ -3,9 +3,9 @@
 use nalgebra::Vector3;
 
 use super::rank::{RANK_TOLERANCE, analyse_columns, select_in_rounds};
-use super::{IdentifiabilityReport, neighbour_axis_rules};
-use crate::kinematics::stacked_jacobian;
-use calibrig_model::{CraigLink, JointKind, KinematicModel, LinkTerm, ParameterId};
+use super::{IdentifiabilityReport, Spectrum, neighbour_axis_rules};
+use crate::kinematics::{stack, stacked_jacobian};
+use calibrig_model::{CraigLink, JointKind, KinematicModel, LinkTerm, ModelError, ParameterId};
 
 /// Parameters that stand out less than this from those before them wait until all others had their chance: axes that are parallel
 /// to within some 10 mrad are to be described by Hayati's beta, not by a pair of d that all but replace each other.
@@ -16,16 +16,25 @@ const CLEARLY_INDEPENDENT: f64 = 1e-2;
 ///
 /// Order of preference: the frame and the target where they are free; of a, alpha, d and theta those that [`neighbour_axis_rules`]
 /// keeps, link by link, then the others; beta last, those of parallel axes first. So beta is taken only where the others are not enough.
-pub fn complete_set(model: &KinematicModel, frame_free: bool, target_free: bool) -> IdentifiabilityReport {
+///
+/// # Errors
+///
+/// [`ModelError`], where the chain cannot be one.
+pub fn complete_set(
+    model: &KinematicModel,
+    frame_free: bool,
+    target_free: bool,
+) -> Result<IdentifiabilityReport, ModelError> {
+    model.check()?;
     let candidates = candidates(model, frame_free, target_free);
     let poses = structural_poses(model, candidates.len());
     let target = generic_target(model);
-    let jacobian = stacked_jacobian(model, &poses, &target, &candidates);
+    let jacobian = stack(model, &poses, &target, &candidates);
     let (kept, dependent) = select_in_rounds(&jacobian, &[CLEARLY_INDEPENDENT, RANK_TOLERANCE], &candidates);
     let kept: Vec<_> = kept.into_iter().map(|column| candidates[column]).collect();
     let selected = in_table_order(model, &kept);
-    let spectrum = analyse_columns(&stacked_jacobian(model, &poses, &target, &selected), &selected);
-    IdentifiabilityReport { candidates, selected, spectrum, dependent }
+    let spectrum = analyse_columns(&stack(model, &poses, &target, &selected), &selected);
+    Ok(IdentifiabilityReport { candidates, selected, spectrum, dependent })
 }
 
 /// [`complete_set`], with the spectrum that it has at `poses` (joint variables, one vector a pose) and for a target at `target` (flange
@@ -36,11 +45,24 @@ pub fn identifiability(
     target: &Vector3<f64>,
     frame_free: bool,
     target_free: bool,
-) -> IdentifiabilityReport {
-    let mut report = complete_set(model, frame_free, target_free);
-    let jacobian = stacked_jacobian(model, poses, target, &report.selected);
-    report.spectrum = analyse_columns(&jacobian, &report.selected);
-    report
+) -> Result<IdentifiabilityReport, ModelError> {
+    let mut report = complete_set(model, frame_free, target_free)?;
+    report.spectrum = spectrum(model, poses, target, &report.selected)?;
+    Ok(report)
+}
+
+/// What `poses` (joint variables, one vector a pose) tell of `parameters`, by a target at `target` (flange frame, m).
+///
+/// # Errors
+///
+/// [`ModelError`], where a pose is not one finite number a joint, or a parameter is none of the chain.
+pub fn spectrum(
+    model: &KinematicModel,
+    poses: &[Vec<f64>],
+    target: &Vector3<f64>,
+    parameters: &[ParameterId],
+) -> Result<Spectrum, ModelError> {
+    Ok(analyse_columns(&stacked_jacobian(model, poses, target, parameters)?, parameters))
 }
 
 /// Poses inside the joint limits that fill them evenly: the same for every call, and in no special place.

@@ -1,5 +1,6 @@
 //! What a rank deficiency or a weak direction means to the person at the robot, and what helps.
 
+use serde::{Deserialize, Serialize};
 use std::fmt;
 
 use nalgebra::{DMatrix, Vector3};
@@ -7,11 +8,12 @@ use nalgebra::{DMatrix, Vector3};
 use super::complete::generic_target;
 use super::rank::{WEAK_TOLERANCE, determination};
 use super::{DependentGroup, IdentifiabilityReport, WeakDirection, structural_poses};
-use crate::kinematics::stacked_jacobian;
-use calibrig_model::{KinematicModel, ParameterId};
+use crate::kinematics::{stack, stacked_jacobian};
+use calibrig_model::{KinematicModel, ModelError, ParameterId};
 
 /// Where a difficulty comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Finding {
     /// The parameters do the same in every pose and for every target: the left-out one has been decided.
     Structure,
@@ -22,7 +24,8 @@ pub enum Finding {
 }
 
 /// What makes a group or direction identifiable.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Remedy {
     /// The tracker's place becomes known.
     MeasureFrame,
@@ -41,7 +44,7 @@ pub enum Remedy {
 }
 
 /// A dependent group or weak direction in words.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Explanation {
     /// Where it comes from.
     pub finding: Finding,
@@ -74,12 +77,14 @@ pub fn explain(
     model: &KinematicModel,
     poses: &[Vec<f64>],
     target: &Vector3<f64>,
-) -> Vec<Explanation> {
+) -> Result<Vec<Explanation>, ModelError> {
+    // The same question as the trials', which then need not ask.
+    stacked_jacobian(model, poses, target, &report.selected)?;
     let trials = Trials::new(report, model, poses, target);
     let structure = report.dependent.iter().map(explain_structure);
     let measurements = report.spectrum.dependent.iter().map(|group| trials.explain_dependent(group));
     let weak = report.spectrum.weak.iter().map(|direction| trials.explain_weak(direction));
-    structure.chain(measurements).chain(weak).collect()
+    Ok(structure.chain(measurements).chain(weak).collect())
 }
 
 fn explain_structure(group: &DependentGroup) -> Explanation {
@@ -159,12 +164,12 @@ impl Trials {
         if all_is_well || poses.is_empty() {
             return Self { selected, norms: Vec::new(), remedied: Vec::new(), too_few: false };
         }
-        let jacobian = stacked_jacobian(model, poses, target, &selected);
+        let jacobian = stack(model, poses, target, &selected);
         let norms = jacobian.column_iter().map(|c| c.norm()).collect();
         let spread = structural_poses(model, poses.len().max(2 * selected.len()));
         let remedied = vec![
-            (Remedy::SpreadPoses, stacked_jacobian(model, &spread, target, &selected)),
-            (Remedy::OffsetTarget, stacked_jacobian(model, poses, &generic_target(model), &selected)),
+            (Remedy::SpreadPoses, stack(model, &spread, target, &selected)),
+            (Remedy::OffsetTarget, stack(model, poses, &generic_target(model), &selected)),
             (Remedy::MeasureFullPose, three_targets(model, poses, target, &selected)),
         ];
         let too_few = jacobian.nrows() < selected.len();
@@ -244,7 +249,7 @@ fn three_targets(
     let rows = 3 * poses.len();
     let mut system = DMatrix::zeros(3 * rows, n + 2 * free.len());
     for (block, offset) in targets.iter().enumerate() {
-        let jacobian = stacked_jacobian(model, poses, offset, parameters);
+        let jacobian = stack(model, poses, offset, parameters);
         system.view_mut((block * rows, 0), (rows, n)).copy_from(&jacobian);
         if block == 0 {
             continue;

@@ -1,7 +1,7 @@
 //! Rank, dependent groups and weak directions: what measurements of a target can and cannot tell of a chain.
 //!
-//! Two ways lead to the same answer: [`neighbour_axis_rules`] reads it off the table of the robot, [`complete_set`] and
-//! [`select_independent`] find it from the rank of the Jacobian.
+//! Two ways lead to the same answer: [`neighbour_axis_rules`] reads it off the table of the robot, [`complete_set`]
+//! finds it from the rank of the Jacobian.
 
 mod complete;
 mod explain;
@@ -10,10 +10,14 @@ mod rules;
 #[cfg(test)]
 mod tests;
 
-pub use complete::{complete_set, identifiability, structural_poses};
+pub use complete::{complete_set, identifiability, spectrum, structural_poses};
 pub use explain::{Explanation, Finding, Remedy, explain};
-pub use rank::{RANK_TOLERANCE, WEAK_TOLERANCE, analyse_columns, analyse_r, select_independent};
+#[cfg(test)]
+use rank::analyse_columns;
+pub use rank::{RANK_TOLERANCE, WEAK_TOLERANCE};
+pub(super) use rank::{analyse_r, select_independent};
 pub use rules::neighbour_axis_rules;
+use serde::{Deserialize, Serialize};
 
 use std::fmt;
 
@@ -21,13 +25,15 @@ use calibrig_model::ParameterId;
 
 /// Singular values of the column-scaled system and what they mean. Every column is divided by its norm first, so that metres and
 /// radians compare.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Spectrum {
     /// Numerical rank: singular values above [`RANK_TOLERANCE`] of the largest.
     pub rank: usize,
     /// Largest over smallest scaled singular value (infinite where the rank is deficient).
+    #[serde(with = "calibrig_model::float::scalar")]
     pub condition: f64,
     /// Scaled singular values, largest first; not numbers where the system holds one that is none.
+    #[serde(with = "calibrig_model::float::list")]
     pub singular_values: Vec<f64>,
     /// Directions that the data determine, but poorly, best first.
     pub weak: Vec<WeakDirection>,
@@ -36,7 +42,7 @@ pub struct Spectrum {
 }
 
 /// A combination of parameters with a small singular value: below [`WEAK_TOLERANCE`] of the largest, above [`RANK_TOLERANCE`].
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct WeakDirection {
     /// Scaled singular value over the largest.
     pub singular_value: f64,
@@ -45,7 +51,7 @@ pub struct WeakDirection {
 }
 
 /// Parameters whose effects on the measurements are linearly dependent: `redundant` does what a combination of `with` does.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DependentGroup {
     /// The parameter that adds nothing to the others.
     pub redundant: ParameterId,
@@ -56,7 +62,7 @@ pub struct DependentGroup {
 }
 
 /// What can be identified of a chain.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct IdentifiabilityReport {
     /// Candidates that the analysis started from, the preferred ones first.
     pub candidates: Vec<ParameterId>,

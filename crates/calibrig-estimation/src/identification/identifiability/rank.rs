@@ -29,12 +29,12 @@ const MOST_MEMBERS: usize = 6;
 const SVD_ITERATIONS: usize = 10_000;
 
 /// Spectrum of the columns of `jacobian` (rows x n, weighted, priors included), one a parameter.
-pub fn analyse_columns(jacobian: &DMatrix<f64>, parameters: &[ParameterId]) -> Spectrum {
+pub(crate) fn analyse_columns(jacobian: &DMatrix<f64>, parameters: &[ParameterId]) -> Spectrum {
     analyse_r(&triangular_factor(jacobian), parameters)
 }
 
 /// The same from the triangular factor `r` of the system (n x n, or any matrix with the same `rᵀ r`), one column a parameter.
-pub fn analyse_r(r: &DMatrix<f64>, parameters: &[ParameterId]) -> Spectrum {
+pub(crate) fn analyse_r(r: &DMatrix<f64>, parameters: &[ParameterId]) -> Spectrum {
     let n = r.ncols();
     if n == 0 {
         return Spectrum { condition: 1.0, ..Spectrum::default() };
@@ -64,7 +64,7 @@ pub fn analyse_r(r: &DMatrix<f64>, parameters: &[ParameterId]) -> Spectrum {
 /// The largest set of independent columns of `jacobian` (rows x n) that prefers earlier ones, and what each left-out column depends on.
 ///
 /// A column is left out where less than [`RANK_TOLERANCE`] of it, scaled to unit norm, is orthogonal to those kept before it.
-pub fn select_independent(
+pub(crate) fn select_independent(
     jacobian: &DMatrix<f64>,
     parameters: &[ParameterId],
 ) -> (Vec<usize>, Vec<DependentGroup>) {

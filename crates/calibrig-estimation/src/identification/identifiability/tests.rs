@@ -6,10 +6,34 @@ use nalgebra::{DMatrix, DVector, Vector3};
 use rand::{Rng, RngExt};
 
 use super::*;
-use crate::kinematics::stacked_jacobian;
+use crate::kinematics::stack as stacked_jacobian;
 use calibrig_model::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
 use calibrig_model::random::{Source, stream};
 use calibrig_model::{CraigLink, JointKind, KinematicModel, LinkTerm};
+
+/// The questions of this module, of chains that can be.
+fn complete_set(model: &KinematicModel, frame_free: bool, target_free: bool) -> IdentifiabilityReport {
+    super::complete_set(model, frame_free, target_free).expect("a chain")
+}
+
+fn identifiability(
+    model: &KinematicModel,
+    poses: &[Vec<f64>],
+    target: &Vector3<f64>,
+    frame_free: bool,
+    target_free: bool,
+) -> IdentifiabilityReport {
+    super::identifiability(model, poses, target, frame_free, target_free).expect("a chain and its poses")
+}
+
+fn explain(
+    report: &IdentifiabilityReport,
+    model: &KinematicModel,
+    poses: &[Vec<f64>],
+    target: &Vector3<f64>,
+) -> Vec<Explanation> {
+    super::explain(report, model, poses, target).expect("a chain and its poses")
+}
 
 const TARGET: Vector3<f64> = Vector3::new(0.10, 0.15, 0.20);
 const REGION_CENTRE: [f64; 7] = [2.0, 0.19, -1.71, 0.12, 2.0, -0.16, -0.77];

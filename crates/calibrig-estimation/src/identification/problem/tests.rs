@@ -4,20 +4,11 @@ use super::*;
 use crate::identification::{Mode, structural_poses};
 use calibrig_files::load_robot;
 use calibrig_model::geometry::{rotation_x, rotation_y, translation};
-use calibrig_model::measurement::{Observation, Reading};
-use calibrig_model::{ActuatorMap, CraigLink, FAMILIES, JointKind, KinematicModel, TermId, Unit};
+use calibrig_model::{ActuatorMap, CraigLink, FAMILIES, JointKind, KinematicModel, PoseQuery, TermId, Unit};
 
-fn told(command: &[f64]) -> Observation {
-    Observation {
-        pose: 0,
-        command: command.to_vec(),
-        approach: command.iter().map(|c| if *c < 0.0 { -1 } else { 1 }).collect(),
-        temperature: None,
-        time: 0.0,
-        station: 0,
-        target: 0,
-        reading: Reading::Cartesian { position: Vector3::zeros(), covariance: None },
-    }
+/// Signs of approach to a command.
+fn signs(command: &[f64]) -> Vec<i8> {
+    command.iter().map(|c| if *c < 0.0 { -1 } else { 1 }).collect()
 }
 
 fn problem() -> CalibrationProblem {
@@ -55,7 +46,9 @@ fn problem() -> CalibrationProblem {
     let targets = vec![Vector3::new(0.1, 0.2, 0.3)];
     let mut row = |station, seen: Vector3<f64>, command: [f64; 3]| Row {
         pose: 0,
-        told: machine.prepare(&told(&command)).expect("an ideal machine"),
+        told: machine
+            .prepare(&PoseQuery::at(&command).approached(&signs(&command)))
+            .expect("an ideal machine"),
         seen,
         whitening: Matrix3::new(3.0, 0.0, 0.0, 1.0, 2.0, 0.0, -0.5, 0.3, 4.0),
         station,
@@ -148,7 +141,9 @@ fn coupled() -> CalibrationProblem {
             let command = nominal.actuators.command_from_joints(&near);
             Row {
                 pose: 0,
-                told: machine.prepare(&told(&command)).expect("a machine that stands"),
+                told: machine
+                    .prepare(&PoseQuery::at(&command).approached(&signs(&command)))
+                    .expect("a machine that stands"),
                 seen: Vector3::zeros(),
                 whitening: Matrix3::identity(),
                 station: 0,

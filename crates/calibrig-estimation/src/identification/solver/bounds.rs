@@ -58,6 +58,7 @@ pub enum BoundsError {
 
 impl Bounds {
     /// No limits on n parameters.
+    #[cfg(test)]
     pub fn none(n: usize) -> Self {
         Self { lower: vec![f64::NEG_INFINITY; n], upper: vec![f64::INFINITY; n] }
     }

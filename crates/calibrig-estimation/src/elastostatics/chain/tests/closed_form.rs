@@ -64,7 +64,7 @@ fn a_cantilever_bends_as_in_the_book() {
             };
             let tip = if first == 0 { Vector3::new(l, 0.0, 0.0) } else { Vector3::zeros() };
             for deflection in [Deflection::FirstOrder, Deflection::Equilibrium] {
-                let mut chain = ElasticChain::new(&model);
+                let mut chain = ElasticChain::of(&model);
                 chain.settle(&[0.0], &[], deflection).expect("rest");
                 let moved = (chain.target(&tip) - tip)[axis];
                 assert!((moved / expected - 1.0).abs() <= 1e-10, "{run:?} {load}: {moved} {expected}");
@@ -81,7 +81,7 @@ fn a_drive_turns_under_the_moment_at_the_root() {
     statics.beams[0] = None;
     statics.drive_stiffness[0] = 2e3;
     let l: f64 = LENGTHS.iter().sum();
-    let mut chain = ElasticChain::new(&model);
+    let mut chain = ElasticChain::of(&model);
     chain.settle(&[0.0], &[], Deflection::Equilibrium).expect("rest");
     let angle = chain.deflections()[0];
     // k u = -F l cos(u)

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::robots::{Case, painter, serial};
-use crate::elastostatics::{Deflection, ElasticChain, apply};
+use crate::elastostatics::{Deflection, ElasticChain, put};
 use calibrig_model::{CalibrationModel, Compliance, LinkageLength, ParameterId, TermPlace};
 
 /// Corrections that are in place while columns are taken: the columns of corrections depend on their order, too.
@@ -49,7 +49,7 @@ struct Settler {
 impl Settler {
     fn settle(&mut self, model: &CalibrationModel, more: Option<(TermPlace, f64)>) {
         let corrections: Vec<_> = CORRECTIONS.into_iter().chain(more).collect();
-        self.chain.set_model(model);
+        self.chain.take(model);
         match &self.frozen {
             Some(u) => self.chain.settle_at(&self.command, &corrections, u).expect("a pose"),
             None => {
@@ -77,14 +77,14 @@ impl Settler {
     fn check(&mut self, base: impl Fn(ParameterId) -> f64, ids: &[ParameterId], what: &str) -> usize {
         self.base = self.reference.clone();
         for id in ids {
-            apply(&mut self.base, &self.reference, *id, base(*id));
+            put(&mut self.base, &self.reference, *id, base(*id));
         }
         let model = self.base.clone();
         self.settle(&model, None);
         self.chain.prepare(&self.in_flange).expect("a stable pose");
-        let columns: Vec<_> = ids.iter().map(|id| self.chain.column(*id)).collect();
+        let columns: Vec<_> = ids.iter().map(|id| self.chain.change(*id)).collect();
         let places = every_place(self.command.len());
-        let place_columns: Vec<_> = places.iter().map(|p| self.chain.column_of_place(*p)).collect();
+        let place_columns: Vec<_> = places.iter().map(|p| self.chain.change_of_place(*p)).collect();
         let mut count = 0;
         for (id, column) in ids.iter().zip(&columns) {
             let reference = self.reference.clone();
@@ -94,7 +94,7 @@ impl Settler {
                 if matches!(id, ParameterId::Compliance(_) | ParameterId::Mass { .. }) { 1e-2 } else { 1e-4 };
             let difference = self.difference(h, |model, target, _, by| match *id {
                 ParameterId::Target { axis, .. } => target[axis] += by,
-                _ => apply(model, &reference, *id, from + by),
+                _ => put(model, &reference, *id, from + by),
             });
             compare(&format!("{what} {id}"), column, &difference);
             count += usize::from(column.amax() > 0.0);
@@ -116,7 +116,7 @@ fn compare(what: &str, column: &Vector3<f64>, difference: &Vector3<f64>) {
 fn settler(case: Case, deflection: Deflection) -> (Settler, Vec<ParameterId>) {
     let ids = every_parameter(&case.model);
     let settler = Settler {
-        chain: ElasticChain::new(&case.model),
+        chain: ElasticChain::of(&case.model),
         base: case.model.clone(),
         reference: case.model,
         command: case.command,
@@ -167,7 +167,7 @@ fn columns_exist_where_a_compliance_vanishes() {
 #[test]
 fn columns_of_rigid_and_of_frozen_chains_are_central_differences() {
     for case in [serial(3), serial(4), painter(0), painter(3)] {
-        let mut chain = ElasticChain::new(&case.model);
+        let mut chain = ElasticChain::of(&case.model);
         chain.settle(&case.command, &[], Deflection::Equilibrium).expect("rest");
         let (mut settler, ids) = settler(case, Deflection::None);
         settler.check(|_| 0.0, &ids, "rigid");

@@ -254,7 +254,7 @@ fn check_equilibrium(case: &Case, what: &str) {
     if rigid {
         close(case, &mut u, rod_length(case));
     }
-    let mut chain = ElasticChain::new(&case.model);
+    let mut chain = ElasticChain::of(&case.model);
     let settled = chain.settle(&case.command, &[], Deflection::Equilibrium).expect("rest");
     let (found, expected) = (chain.target(&case.in_flange), target(case, &u));
     let droop = (expected - target(case, &start)).norm();
@@ -313,7 +313,7 @@ fn first_order_is_compliance_times_the_load_of_the_undeflected_pose() {
             u[free] = rigid[free];
             close(&case, &mut u, rod_length(&case) + force / rod_stiffness(&case));
         }
-        let mut chain = ElasticChain::new(&case.model);
+        let mut chain = ElasticChain::of(&case.model);
         chain.settle(&case.command, &[], Deflection::FirstOrder).expect("a pose");
         let error = (chain.target(&case.in_flange) - target(&case, &u)).norm();
         assert!(error <= 1e-10, "{error}");

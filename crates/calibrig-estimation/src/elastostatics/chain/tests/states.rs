@@ -11,7 +11,7 @@ fn a_rigid_chain_is_the_product_of_the_link_transforms() {
         let model = &case.model;
         let mut q = case.command.clone();
         joints_from_command(&model.kinematics, &model.actuators, &case.command, &mut q).expect("closes");
-        let product = forward_kinematics(&model.kinematics, &q);
+        let product = forward_kinematics(&model.kinematics, &q).expect("a pose");
         let mut bare = model.clone();
         bare.statics = None;
         let mut made_rigid = model.clone();
@@ -21,7 +21,7 @@ fn a_rigid_chain_is_the_product_of_the_link_transforms() {
             (&bare, Deflection::Equilibrium),
             (&made_rigid, Deflection::Equilibrium),
         ] {
-            let mut chain = ElasticChain::new(model);
+            let mut chain = ElasticChain::of(model);
             chain.settle(&case.command, &[], deflection).expect("a pose");
             let difference = chain.base_from_flange().to_homogeneous() - product.to_homogeneous();
             assert!(difference.norm() < 1e-12, "{difference}");
@@ -34,11 +34,11 @@ fn a_rigid_chain_is_the_product_of_the_link_transforms() {
 fn a_pose_does_not_depend_on_the_poses_before_it() {
     let (case, other) = (painter(0), painter(1));
     let corrections = [(TermPlace::Frame { joint: 4, component: 3 }, 0.01)];
-    let mut chain = ElasticChain::new(&case.model);
+    let mut chain = ElasticChain::of(&case.model);
     let mut evaluate = |command: &[f64], corrections: &[(TermPlace, f64)]| {
         chain.settle(command, corrections, Deflection::Equilibrium).expect("rest");
         chain.prepare(&case.in_flange).expect("stable");
-        let column = chain.column(ParameterId::link(3, LinkTerm::Beta));
+        let column = chain.change(ParameterId::link(3, LinkTerm::Beta));
         [chain.target(&case.in_flange), column].map(|v| v.map(f64::to_bits))
     };
     let first = evaluate(&case.command, &[]);
@@ -49,10 +49,10 @@ fn a_pose_does_not_depend_on_the_poses_before_it() {
 #[test]
 fn given_deflections_reproduce_the_pose() {
     for case in [serial(0), serial(1), painter(0), painter(1)] {
-        let mut chain = ElasticChain::new(&case.model);
+        let mut chain = ElasticChain::of(&case.model);
         chain.settle(&case.command, &[], Deflection::Equilibrium).expect("rest");
         let (at_rest, deflections) = (chain.target(&case.in_flange), chain.deflections().to_vec());
-        let mut frozen = ElasticChain::new(&case.model);
+        let mut frozen = ElasticChain::of(&case.model);
         frozen.settle_at(&case.command, &[], &deflections).expect("a pose");
         assert!((frozen.target(&case.in_flange) - at_rest).norm() < 1e-12);
         assert_eq!(frozen.deflections(), deflections);
@@ -74,13 +74,13 @@ fn deflections_of_a_four_bar_bend_a_chain_with_the_ideal_map() {
         panic!("a four-bar");
     };
     (linkage.rod, linkage.lever) = (a, linkage.crank);
-    let mut with_loop = ElasticChain::new(&case.model);
+    let mut with_loop = ElasticChain::of(&case.model);
     with_loop.settle(&case.command, &[], Deflection::Equilibrium).expect("rest");
     let mut ideal = case.model.clone();
     if let ActuatorMap::Parallelogram { linkage, .. } = &mut ideal.actuators {
         *linkage = None;
     }
-    let mut ideal = ElasticChain::new(&ideal);
+    let mut ideal = ElasticChain::of(&ideal);
     ideal.settle_at(&case.command, &[], with_loop.deflections()).expect("a pose");
     let [expected, found] = [&with_loop, &ideal].map(|chain| chain.target(&case.in_flange));
     assert!((expected - found).norm() < 1e-12, "{expected} {found}");
@@ -89,17 +89,17 @@ fn deflections_of_a_four_bar_bend_a_chain_with_the_ideal_map() {
 #[test]
 fn poses_take_no_memory() {
     let case = painter(0);
-    let mut chain = ElasticChain::new(&case.model);
+    let mut chain = ElasticChain::of(&case.model);
     let corrections = [(TermPlace::Actuator(3), 1e-3)];
     let info = allocation_counter::measure(|| {
-        chain.set_model(&case.model);
+        chain.take(&case.model);
         chain.settle(&case.command, &corrections, Deflection::Equilibrium).expect("rest");
         chain.prepare(&case.in_flange).expect("stable");
-        let sum = chain.column(ParameterId::link(2, LinkTerm::Alpha))
-            + chain.column(ParameterId::Compliance(Compliance::Beam { link: 4 }))
-            + chain.column(ParameterId::Mass { link: 4 })
-            + chain.column(ParameterId::Linkage(LinkageLength::Lever))
-            + chain.column_of_place(TermPlace::Actuator(2));
+        let sum = chain.change(ParameterId::link(2, LinkTerm::Alpha))
+            + chain.change(ParameterId::Compliance(Compliance::Beam { link: 4 }))
+            + chain.change(ParameterId::Mass { link: 4 })
+            + chain.change(ParameterId::Linkage(LinkageLength::Lever))
+            + chain.change_of_place(TermPlace::Actuator(2));
         assert!(sum.norm() > 0.0);
     });
     assert_eq!(info.count_total, 0);
@@ -110,19 +110,18 @@ fn what_has_no_rest_is_refused() {
     let mut soft = serial(0);
     soft.model.statics.as_mut().expect("statics").drive_stiffness.fill(10.0);
     let refusal =
-        ElasticChain::new(&soft.model).settle(&soft.command, &[], Deflection::Equilibrium).unwrap_err();
+        ElasticChain::of(&soft.model).settle(&soft.command, &[], Deflection::Equilibrium).unwrap_err();
     assert!(matches!(refusal, ElasticError::NotSettled { residual, .. } if !(residual < 1e-3)), "{refusal}");
 
     let mut housed = painter(0);
     housed.command[4] = 1.1;
-    let refusal =
-        ElasticChain::new(&housed.model).settle(&housed.command, &[], Deflection::None).unwrap_err();
+    let refusal = ElasticChain::of(&housed.model).settle(&housed.command, &[], Deflection::None).unwrap_err();
     assert!(matches!(refusal, ElasticError::Housed { link: 4, length } if (length + 0.1).abs() < 1e-12));
 
     let mut open = painter(0);
     if let ActuatorMap::Parallelogram { linkage: Some(linkage), .. } = &mut open.model.actuators {
         linkage.rod = 3.0;
     }
-    let refusal = ElasticChain::new(&open.model).settle(&open.command, &[], Deflection::None).unwrap_err();
+    let refusal = ElasticChain::of(&open.model).settle(&open.command, &[], Deflection::None).unwrap_err();
     assert!(matches!(refusal, ElasticError::Linkage(_)), "{refusal}");
 }
