@@ -12,12 +12,6 @@ mod spray_robot;
 
 use std::hint::black_box;
 
-use calibrig::geometry::Transform;
-use calibrig::model::{
-    ActuatorMap, Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, CraigLink, FourBar, JointKind,
-    KinematicModel, LinkTerm, LinkageArm, LinkageStatics, PointLoad, Section, SegmentLength,
-    StaticProperties,
-};
 use calibrig::plant::effects::Effects;
 use calibrig::plant::{AsBuilt, Plant, SettleOptions};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};

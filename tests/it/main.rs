@@ -18,5 +18,6 @@ mod a_user_runs_a_campaign;
 mod a_user_states_what_is_known;
 mod a_user_trusts_the_uncertainty;
 mod cli;
+mod elastostatics_against_plant;
 mod layers;
 mod sandbox;

@@ -1,5 +1,40 @@
-//! Files: robots (TOML and URDF), measurements (delimited text and its column maps), sessions. Every refusal names file, line and key, and
-//! says what was expected.
+//! Files of text: [robots](load_robot) (TOML and URDF), [measurements](read_measurements) (delimited text and its [column maps](ColumnMap)),
+//! [sessions](load_session).
+//!
+//! What is read becomes a type of `calibrig-model`, in SI and radians; the unit of every number is part of its key and is converted here, once.
+//! What is written reads back to the same bits. Every refusal names file, line and key and says what was expected; no file can cause a panic.
+//! Keys and columns are described in `docs/formats.md`.
+//!
+//! Not in here: what is made of a robot and its measurements, which this crate does not see; scenarios, which describe the truth as well,
+//! and recordings. Both of these are in the root package.
+//!
+//! ```
+//! use calibrig_files::{Source, parse_robot};
+//!
+//! let text = r#"
+//! schema = "calibrig.robot/1"
+//! name = "one joint"
+//! convention = "craig"
+//! [[joint]]
+//! name = "slide"
+//! type = "prismatic"
+//! a_mm = 0
+//! alpha_deg = 90
+//! d_mm = 100
+//! theta_deg = 0
+//! min_mm = 0
+//! max_mm = 500
+//! [actuators]
+//! kind = "direct"
+//! "#;
+//! let robot = parse_robot(Source::new("robot.toml", text), None, None)?;
+//! assert_eq!(robot.model.kinematics.links[0].limits, [0.0, 0.5]);
+//!
+//! let without_unit = Source::new("robot.toml", text.replace("d_mm", "d"));
+//! let refusal = parse_robot(without_unit, None, None).unwrap_err().to_string();
+//! assert!(refusal.starts_with("robot.toml:10: "), "{refusal}");
+//! # Ok::<(), calibrig_files::InputError>(())
+//! ```
 
 mod input;
 mod measurements;

@@ -2,6 +2,34 @@
 //!
 //! The estimator (`calibrig-estimation`) and the simulated machine (`calibrig-plant`) depend on this crate and not on each other, so that
 //! the one cannot look at the truth and the other cannot be made with the model that is fitted to it.
+//!
+//! In here are definitions: the [chain of links](CraigLink) and its [transmission](ActuatorMap), [masses and stiffnesses](StaticProperties),
+//! the [names of parameters](ParameterId) and [families of terms](FAMILIES), what a tracker session leaves behind
+//! ([`measurement::MeasurementSet`]), [rigid transforms](geometry), [distributions](statistics) and [random streams](random).
+//! Not in here is what follows from them: where a robot comes to rest is computed by estimator and machine, each on its own, and compared in
+//! tests. Nothing reads or writes a file.
+//!
+//! Units are SI and radians; a transform `a_from_b` takes coordinates in b to coordinates in a. Frames, signs and names are in
+//! `docs/notation.md`.
+//!
+//! ```
+//! use calibrig_model::{CraigLink, JointKind};
+//!
+//! let elbow = CraigLink {
+//!     name: "elbow".to_owned(),
+//!     kind: JointKind::Revolute,
+//!     a: 1.35,
+//!     alpha: 0.0,
+//!     beta: 0.0,
+//!     d: 0.0,
+//!     theta: 0.0,
+//!     limits: [-3.0, 3.0],
+//! };
+//! // However far the elbow turns, its axis stays where the upper arm ends.
+//! let upper_arm_from_elbow = elbow.transform(0.5);
+//! assert_eq!(upper_arm_from_elbow.translation.vector.x, 1.35);
+//! assert!((upper_arm_from_elbow.rotation.angle() - 0.5).abs() < 1e-15);
+//! ```
 
 pub mod float;
 pub mod geometry;

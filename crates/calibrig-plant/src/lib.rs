@@ -1,4 +1,67 @@
-//! The machine as built: the truth, and its rapier multibody. Only the pipeline, the evaluation and the recorder may look.
+//! The machine as built, and the tracker that measures it: the truth behind simulated measurements.
+//!
+//! [`AsBuilt`] is the robot with all its errors, [`Plant`] its multibody in rapier, which [settles](Plant::settle) under gravity at a command.
+//! [`effects`] are what a machine does beside: backlash, friction, warmth. [`tracker`] reads where the target is; [`session`] goes
+//! through the poses that [`experiment`] drew, for any [`session::Machine`], and returns the measurements with the truth beside them.
+//!
+//! Not in here: what is known of the machine beforehand, and what is made of its measurements. The root package joins the two, and it alone
+//! compares an estimate with the truth.
+//!
+//! Units are SI and radians. The base frame is rapier's world frame. What yields, in which order and about which point, is defined in
+//! `docs/notation.md`.
+//!
+//! ```
+//! use calibrig_model::geometry::Transform;
+//! use calibrig_model::nalgebra::{Matrix3, Point3, Vector3};
+//! use calibrig_model::random::{Source, stream};
+//! use calibrig_model::{ActuatorMap, Body, CraigLink, JointKind, KinematicModel, StaticProperties};
+//! use calibrig_plant::effects::Effects;
+//! use calibrig_plant::tracker::{ErrorLine, Instrument, LaserTracker};
+//! use calibrig_plant::{AsBuilt, Plant, SettleOptions};
+//!
+//! // Two arms of 1 m and 20 kg, stretched out level; y is up, and the drives give.
+//! let link = |a| CraigLink {
+//!     name: String::new(),
+//!     kind: JointKind::Revolute,
+//!     a,
+//!     alpha: 0.0,
+//!     beta: 0.0,
+//!     d: 0.0,
+//!     theta: 0.0,
+//!     limits: [-3.0, 3.0],
+//! };
+//! let arm = Body { mass: 20.0, centre_of_mass: Vector3::new(0.5, 0.0, 0.0), inertia: Matrix3::identity() };
+//! let gravity = Vector3::new(0.0, -9.80665, 0.0);
+//! let robot = AsBuilt {
+//!     kinematics: KinematicModel { links: vec![link(0.0), link(1.0)], last_from_flange: Transform::identity() },
+//!     actuators: ActuatorMap::Direct,
+//!     statics: StaticProperties::of_drives(vec![arm.clone(), arm], vec![1e5, 1e5], gravity),
+//!     target: Vector3::new(1.0, 0.0, 0.0),
+//!     effects: Effects::default(),
+//! };
+//! let pose = Plant::new(&robot, SettleOptions::default())?.settle(&[0.0, 0.0])?;
+//! assert!((-0.010..-0.008).contains(&pose.target.y), "it hangs 9 mm low");
+//!
+//! let instrument = Instrument {
+//!     transverse: ErrorLine { offset: 15e-6, per_metre: 6e-6 },
+//!     range: ErrorLine { offset: 10e-6, per_metre: 0.3e-6 },
+//!     random_fraction: 0.125,
+//!     noise: true,
+//! };
+//! let tracker = LaserTracker::levelled(instrument, Vector3::new(1.0, 0.5, 3.0), 0.0, &Vector3::y());
+//! let reading = tracker.measure(&pose.target, &mut stream(1, 0, Source::IdentificationNoise))?;
+//! let seen = tracker.tracker_from_base.inverse() * Point3::from(reading.position());
+//! assert!((seen.coords - pose.target).norm() < 50e-6);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # What this crate cannot see
+//!
+//! The estimator, and the model that it fits: data that were simulated with it would fit too well. This does not compile:
+//!
+//! ```compile_fail,E0432
+//! use calibrig_estimation::identification::identify;
+//! ```
 
 mod chain;
 mod deviations;

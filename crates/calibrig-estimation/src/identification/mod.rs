@@ -1,6 +1,6 @@
 //! From measurements to parameters: weighted nonlinear least squares with priors, and what the data can and cannot tell.
 //!
-//! Nothing here may see the plant, the tracker's inside or the truth (see `tests/it/layers.rs`).
+//! Nothing here can see the plant, the tracker's inside or the truth: this crate does not depend on theirs.
 
 mod build;
 mod contradiction;

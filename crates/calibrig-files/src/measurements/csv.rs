@@ -715,12 +715,10 @@ impl Writer<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::parse_column_map;
-    use crate::{Robot, load_robot};
-    use calibrig_estimation::kinematics::{forward_kinematics, identification_jacobian, target_in_base};
-    use calibrig_model::ParameterId;
-    use calibrig_model::geometry::{Transform, best_fit_transform, small_displacement};
-    use nalgebra::{DMatrix, DVector, Vector6};
+    use crate::robot::tests::base_from_flange;
+    use crate::{Robot, load_robot, parse_column_map};
+    use calibrig_model::geometry::{Transform, best_fit_transform, cross_matrix, small_displacement};
+    use nalgebra::{DMatrix, DVector, Point3, Vector6};
     use proptest::prelude::*;
 
     const KINDS: [JointKind; 2] = [JointKind::Prismatic, JointKind::Revolute];
@@ -1150,26 +1148,27 @@ mod tests {
         /// RMS and largest 3-D error on the test set, m, with base and target fitted by Gauss-Newton.
         fn nominal_error(&self) -> (f64, f64) {
             let chain = &self.robot.model.kinematics;
-            let parameters = [ParameterId::all_of_frame(0), ParameterId::all_of_target(0)].concat();
             let observations = &self.fitted_on.observations;
             let seen: Vec<_> = observations.iter().map(|o| o.reading.position()).collect();
-            let flange: Vec<_> = observations
-                .iter()
-                .map(|o| forward_kinematics(chain, &o.command).translation.vector)
-                .collect();
+            let flange: Vec<_> =
+                observations.iter().map(|o| base_from_flange(chain, &o.command).translation.vector).collect();
             let mut tracker_from_base: Transform =
                 best_fit_transform(&seen, &flange).expect("points in space");
             let mut target = Vector3::zeros();
             let error = |frame: &Transform, target: &Vector3<f64>, o: &Observation| {
                 frame.rotation.inverse() * (o.reading.position() - frame.translation.vector)
-                    - target_in_base(chain, &o.command, target)
+                    - (base_from_flange(chain, &o.command) * Point3::from(*target)).coords
             };
             for _ in 0..10 {
                 let mut jacobian = DMatrix::zeros(3 * observations.len(), 9);
                 let mut residual = DVector::zeros(3 * observations.len());
                 for (row, o) in observations.iter().enumerate() {
-                    let block = identification_jacobian(chain, &o.command, &target, &parameters);
-                    jacobian.view_mut((3 * row, 0), (3, 9)).copy_from(&block);
+                    let flange = base_from_flange(chain, &o.command);
+                    let carried = cross_matrix(&(flange * Point3::from(target)).coords);
+                    let columns = [Matrix3::identity(), -carried, *flange.rotation.matrix()];
+                    for (at, block) in columns.iter().enumerate() {
+                        jacobian.fixed_view_mut::<3, 3>(3 * row, 3 * at).copy_from(block);
+                    }
                     residual.fixed_rows_mut::<3>(3 * row).copy_from(&error(&tracker_from_base, &target, o));
                 }
                 let step = jacobian.svd(true, true).solve(&residual, 1e-12).expect("both factors");

@@ -7,7 +7,7 @@ mod loads;
 mod section;
 mod statics;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod urdf;
 mod urdf_text;
 

@@ -1,20 +1,22 @@
 //! The robot's file: what is read, and every refusal.
 
 use super::*;
-use calibrig_estimation::elastostatics::{Deflection, ElasticChain};
-use calibrig_estimation::kinematics::forward_kinematics;
-use calibrig_model::geometry::rotation_z;
-use calibrig_model::geometry::{Transform, rotation_x, translation};
+use calibrig_model::geometry::{Transform, rotation_x, rotation_z, translation};
 use calibrig_model::random::{Source as Stream, stream};
 use calibrig_model::{
-    ActuatorMap, BeamRun, Bearing, BearingSide, FourBar, JointKind, LinkageArm, Section, SegmentLength,
-    StaticProperties,
+    ActuatorMap, BeamRun, BearingSide, FourBar, JointKind, KinematicModel, LinkageArm, SegmentLength,
 };
 use proptest::prelude::*;
 use rand::RngExt;
 
 const CENTRE: [f64; 7] = [2.0, 0.19, -1.71, 0.12, 2.0, -0.16, -0.77];
 const HALF_WIDTH: [f64; 7] = [1.92, 0.39, 0.31, 0.20, 0.30, 1.18, 0.57];
+
+/// `base_from_flange`: the product of the link transforms.
+pub(crate) fn base_from_flange(chain: &KinematicModel, q: &[f64]) -> Transform {
+    let links = chain.links.iter().zip(q);
+    links.fold(Transform::identity(), |frame, (link, q)| frame * link.transform(*q)) * chain.last_from_flange
+}
 
 fn model_file(name: &str) -> std::path::PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models").join(name)
@@ -184,7 +186,7 @@ fn a_standard_table_moves_the_same_flange_as_its_own_product() {
             let alpha: f64 = *alpha;
             product * rotation_z(*q) * translation(a / 1e3, 0.0, d / 1e3) * rotation_x(alpha.to_radians())
         });
-        let found = forward_kinematics(&ur5.model.kinematics, &q);
+        let found = base_from_flange(&ur5.model.kinematics, &q);
         assert!((found.to_homogeneous() - product.to_homogeneous()).norm() < 1e-14);
     }
     // A table that ends with a link of its own: 45 mm and a quarter turn behind the last joint.
@@ -204,7 +206,7 @@ fn a_standard_table_moves_the_same_flange_as_its_own_product() {
 fn the_wam_reaches_its_published_height() {
     let wam = load_robot(&model_file("wam/robot.toml")).expect("the model of the repository");
     // Stretched upwards: 550 + 300 + 60 mm, the two 45 mm offsets cancel.
-    let stretched = forward_kinematics(&wam.model.kinematics, &[0.0; 7]).translation.vector;
+    let stretched = base_from_flange(&wam.model.kinematics, &[0.0; 7]).translation.vector;
     assert!((stretched - Vector3::new(0.0, 0.0, 0.91)).norm() < 1e-14, "{stretched}");
 }
 
@@ -236,63 +238,6 @@ fn the_spray_painter_has_the_published_table_and_contains_the_working_region() {
     assert_eq!(statics.gravity, Vector3::new(0.0, -9.80665, 0.0));
     assert_eq!(robot.visuals.len(), 8);
     assert!(robot.visuals.iter().all(|shapes| !shapes.is_empty()));
-}
-
-/// How far gravity lowers the target at the joint variables `q`, m, after `change`.
-fn lowered(robot: &Robot, q: &[f64], change: impl Fn(&mut StaticProperties)) -> f64 {
-    let mut model = robot.model.clone();
-    model.statics.as_mut().map(change).expect("masses, stiffnesses and gravity");
-    let command = model.actuators.command_from_joints(q);
-    let target = robot.target.expect("stated");
-    let mut chain = ElasticChain::new(&model);
-    let mut height = |deflection| {
-        chain.settle(&command, &[], deflection).expect("a pose at rest");
-        chain.target(&target).y
-    };
-    height(Deflection::None) - height(Deflection::Equilibrium)
-}
-
-#[test]
-fn gravity_lowers_the_spray_painters_target_as_its_file_says() {
-    let robot = spray_painter();
-    let all = lowered(&robot, &CENTRE, |_| {});
-    let drive =
-        |joint: usize| move |statics: &mut StaticProperties| statics.drive_stiffness[joint] = f64::INFINITY;
-    let share_of = |rigid: &dyn Fn(&mut StaticProperties)| all - lowered(&robot, &CENTRE, rigid);
-    // From robot.toml, which has it from the minimum of the potential energy, written down apart from this program.
-    for (what, found, stated) in [
-        ("all", all, 14.85e-3),
-        ("drive of the elbow", share_of(&drive(3)), 13.22e-3),
-        ("bearings", share_of(&|statics| statics.bearings.fill(Bearing::default())), 0.70e-3),
-        ("rod", share_of(&|s| s.linkage.as_mut().unwrap().rod_stiffness = f64::INFINITY), 0.50e-3),
-        ("drive of the shoulder", share_of(&drive(2)), 0.21e-3),
-        ("beams", share_of(&make_beams_rigid), 0.18e-3),
-    ] {
-        eprintln!("{what}: {:.4} mm", found * 1e3);
-        assert!((found - stated).abs() < 6e-6, "{what}: {found} m");
-    }
-    for joint in [0, 1, 4, 5, 6] {
-        assert!(share_of(&drive(joint)).abs() < 0.1e-3, "{joint}");
-    }
-    let mut rng = stream(2, 0, Stream::AsBuilt);
-    let poses = 100;
-    let sum: f64 = (0..poses)
-        .map(|_| {
-            let q: Vec<f64> =
-                (0..7).map(|i| CENTRE[i] + HALF_WIDTH[i] * rng.random_range(-1.0..1.0)).collect();
-            lowered(&robot, &q, |_| {})
-        })
-        .sum();
-    let mean = sum / f64::from(poses);
-    eprintln!("mean droop over the working region {:.2} mm", mean * 1e3);
-    assert!((12e-3..18e-3).contains(&mean), "{mean}");
-}
-
-/// A compliance without a drop in weight.
-fn make_beams_rigid(statics: &mut StaticProperties) {
-    for segment in statics.beams.iter_mut().flatten().flat_map(|beam| &mut beam.segments) {
-        segment.section = Section { mass_per_length: segment.section.mass_per_length, ..Section::RIGID };
-    }
 }
 
 #[test]

@@ -6,8 +6,9 @@
 
 use nalgebra::{DMatrix, DVector, Matrix4, Vector3, Vector4};
 
+use super::AsBuilt;
 use super::equilibrium::{point, shift, turn};
-use super::{AsBuilt, BeamRun, BearingSide, JointKind};
+use calibrig_model::{BeamRun, BearingSide, JointKind};
 
 #[derive(Clone)]
 enum Factor {

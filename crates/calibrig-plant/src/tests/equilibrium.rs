@@ -1,4 +1,4 @@
-//! The pose at rest, found without rapier and without the crate's kinematics: Newton's method on the potential energy
+//! The pose at rest, found without rapier and without our own kinematics: Newton's method on the potential energy
 //! `V(q) = Σ k (q - rest)² / 2 - Σ m g·c(q)`, its derivatives exact.
 //!
 //! With the link matrices `L(q) = F exp(q G)`, G the generator of the joint's motion, a point c carried by joint i has
@@ -6,7 +6,8 @@
 
 use nalgebra::{DMatrix, DVector, Matrix4, Vector3, Vector4};
 
-use super::{AsBuilt, JointKind};
+use super::AsBuilt;
+use calibrig_model::JointKind;
 
 pub(super) struct Equilibrium<'a> {
     pub(super) robot: &'a AsBuilt,
@@ -48,7 +49,8 @@ pub(super) fn point(v: &Vector3<f64>) -> Vector4<f64> {
 }
 
 impl Equilibrium<'_> {
-    fn frames(&self, q: &DVector<f64>) -> Vec<Matrix4<f64>> {
+    /// `base_from_link` of every link.
+    pub(super) fn frames(&self, q: &DVector<f64>) -> Vec<Matrix4<f64>> {
         let mut frame = Matrix4::identity();
         let links = self.robot.kinematics.links.iter().zip(q.iter());
         links

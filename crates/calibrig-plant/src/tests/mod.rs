@@ -1,6 +1,6 @@
 mod constrained;
 mod equilibrium;
-mod prediction;
+mod random_robot;
 mod refusals;
 mod spray_robot;
 mod whole;
@@ -13,13 +13,8 @@ use super::chain::Chain;
 use super::effects::Effects;
 use super::tree::Tree;
 use super::{AsBuilt, ElasticPlace, Plant, PlantError, SettleOptions, SettledPose};
-use calibrig_estimation::kinematics::{link_frames, target_in_base};
 use calibrig_model::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
-use calibrig_model::{
-    ActuatorMap, Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, CraigLink, FourBar, JointKind,
-    KinematicModel, LinkTerm, LinkageArm, LinkageStatics, PointLoad, Section, SegmentLength,
-    StaticProperties,
-};
+use calibrig_model::{ActuatorMap, Body, CraigLink, JointKind, KinematicModel, StaticProperties};
 use equilibrium::Equilibrium;
 use spray_robot::{add_errors, full_robot, spray_robot, working_pose};
 
@@ -76,10 +71,6 @@ fn random_robot(rng: &mut ChaCha8Rng, stiffness: f64) -> AsBuilt {
     }
 }
 
-fn distance(a: &Transform, b: &Transform) -> f64 {
-    (a.to_homogeneous() - b.to_homogeneous()).amax()
-}
-
 /// Every number of a pose, to the bit.
 fn bits(pose: &SettledPose) -> Vec<u64> {
     let mut numbers: Vec<f64> = pose.target.iter().copied().collect();
@@ -103,11 +94,12 @@ fn without_compliance_rapier_gives_the_craig_product_for_any_chain() {
         for _ in 0..3 {
             let q: Vec<f64> = robot.kinematics.links.iter().map(|_| rng.random_range(-4.0..4.0)).collect();
             let pose = plant.settle(&q).expect("it cannot move");
-            for (link, expected) in pose.links.iter().zip(link_frames(&robot.kinematics, &q)) {
-                largest = largest.max(distance(link, &expected));
+            let product = Equilibrium { robot: &robot, rest: &q };
+            let q = DVector::from_column_slice(&q);
+            for (link, expected) in pose.links.iter().zip(product.frames(&q)) {
+                largest = largest.max((link.to_homogeneous() - expected).amax());
             }
-            let target = target_in_base(&robot.kinematics, &q, &robot.target);
-            largest = largest.max((pose.target - target).amax());
+            largest = largest.max((pose.target - product.target(&q)).amax());
             assert_eq!(pose.links.len(), q.len());
         }
     }
@@ -175,7 +167,7 @@ fn the_pose_at_rest_is_the_minimum_of_the_potential_energy() {
                 let deflection = q[joint] - command[joint];
                 assert!((pose.deflection[joint] - deflection).abs() < 1e-10, "joint {joint}");
             }
-            let unloaded = target_in_base(&robot.kinematics, &command, &robot.target);
+            let unloaded = reference.target(&DVector::from_column_slice(&command));
             droops.push((pose.target - unloaded).norm());
             steps = steps.max(pose.steps);
             residual = residual.max(pose.residual);

@@ -2,11 +2,10 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::random_robot::four_bar;
 use super::spray_robot::{full_robot, spray_robot};
-use super::{
-    ActuatorMap, AsBuilt, FourBar, LinkageStatics, Plant, PlantError, PointLoad, Section, SegmentLength,
-    SettleOptions, plant, soft_pendulum,
-};
+use super::{AsBuilt, Plant, PlantError, SettleOptions, plant, soft_pendulum};
+use calibrig_model::{ActuatorMap, LinkageStatics, PointLoad, Section, SegmentLength};
 
 /// The section of the upper arm.
 fn section(robot: &mut AsBuilt) -> &mut Section {
@@ -15,13 +14,6 @@ fn section(robot: &mut AsBuilt) -> &mut Section {
 
 fn linkage(robot: &mut AsBuilt) -> &mut LinkageStatics {
     robot.statics.linkage.as_mut().expect("a four-bar")
-}
-
-pub(super) fn four_bar(robot: &mut AsBuilt) -> &mut FourBar {
-    match &mut robot.actuators {
-        ActuatorMap::Parallelogram { linkage: Some(linkage), .. } => linkage,
-        _ => panic!("the full robot has a four-bar"),
-    }
 }
 
 fn is_not_positive(error: &PlantError, expected: usize, of: &str) -> bool {

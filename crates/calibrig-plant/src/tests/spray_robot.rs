@@ -1,12 +1,14 @@
-//! The seven-joint spray robot of the tests and of the bench, with plausible bodies and drives.
+//! The seven-joint spray robot of the tests (here and in the root's) and of the bench, with plausible bodies and drives.
 
 use nalgebra::{Matrix3, Vector3};
 use rand::RngExt;
 
-use super::{
-    ActuatorMap, AsBuilt, Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, CraigLink, Effects,
-    FourBar, JointKind, KinematicModel, LinkTerm, LinkageArm, LinkageStatics, PointLoad, Section,
-    SegmentLength, StaticProperties, Transform,
+use super::{AsBuilt, Effects};
+use calibrig_model::geometry::Transform;
+use calibrig_model::{
+    ActuatorMap, Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, CraigLink, FourBar, JointKind,
+    KinematicModel, LinkTerm, LinkageArm, LinkageStatics, PointLoad, Section, SegmentLength,
+    StaticProperties,
 };
 
 const CENTRE: [f64; 7] = [2.0, 0.19, -1.71, 0.12, 2.0, -0.16, -0.77];

@@ -2,4 +2,5 @@ mod closed_form;
 mod columns;
 mod equilibrium;
 mod robots;
+mod spray_painter;
 mod states;

@@ -1,13 +1,19 @@
 //! The plant and what identification predicts: two implementations of one definition, which meet nowhere else but in measurements.
 
+#[path = "../../crates/calibrig-plant/src/tests/random_robot.rs"]
+mod random_robot;
+#[path = "../../crates/calibrig-plant/src/tests/spray_robot.rs"]
+mod spray_robot;
+
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use super::plant;
-use super::spray_robot::working_command;
-use super::whole::{random_full_robot, random_shifts};
-use calibrig_estimation::elastostatics::{Deflection, ElasticChain};
-use calibrig_model::{CalibrationModel, TermPlace};
+use calibrig::elastostatics::{Deflection, ElasticChain};
+use calibrig::model::{CalibrationModel, TermPlace};
+use calibrig::plant::effects::Effects;
+use calibrig::plant::{AsBuilt, Plant, SettleOptions};
+use random_robot::{random_full_robot, random_shifts};
+use spray_robot::working_command;
 
 #[test]
 fn elastostatics_predicts_the_whole_robot() {
@@ -30,7 +36,8 @@ fn elastostatics_predicts_the_whole_robot() {
             chain.settle(&command, &corrections, deflection).expect("a stiff robot");
             chain.target(&robot.target)
         };
-        let settled = plant(&robot).settle_displaced(&command, &shifts).expect("a stiff robot").target;
+        let mut plant = Plant::new(&robot, SettleOptions::default()).expect("a sound robot");
+        let settled = plant.settle_displaced(&command, &shifts).expect("a stiff robot").target;
         largest = largest.max((settled - predict(Deflection::Equilibrium)).norm());
         let droop = (settled - predict(Deflection::None)).norm();
         first_order = first_order.max((settled - predict(Deflection::FirstOrder)).norm() / droop);
