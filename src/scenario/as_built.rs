@@ -127,7 +127,7 @@ pub(super) fn as_built(
             "a URDF with inertials, stiffness_* of every joint and [gravity]",
         )
     })?;
-    let target = robot.target.ok_or_else(|| missing("target offset", "[target] in the robot's file"))?;
+    let target = robot.target().ok_or_else(|| missing("target offset", "[target] in the robot's file"))?;
     let (kinematics, actuators) = (robot.model.kinematics.clone(), robot.model.actuators);
     let mut machine = AsBuilt { kinematics, actuators, statics, target, effects };
     let reader = Reader { source };

@@ -65,9 +65,9 @@ fn of_scenario(path: &Path) -> Result<Plan, CliError> {
 fn of_robot(path: &Path) -> Result<Plan, CliError> {
     let robot = load_robot(path)?;
     let poses = structural_poses(&robot.model.kinematics, SPREAD_POSES);
-    let set = planned_at(&robot.model, &poses, robot.target.unwrap_or(MOUNTABLE_TARGET))
+    let set = planned_at(&robot.model, &poses, robot.target().unwrap_or(MOUNTABLE_TARGET))
         .map_err(|error| failed(error, path.to_path_buf()))?;
-    let mut options = file_options(ParameterChoice::Complete, None);
+    let mut options = file_options(ParameterChoice::Complete, None, &set);
     if let Some(sigma) = robot.compliance_sigma {
         options.compliance_sigma = sigma;
     }

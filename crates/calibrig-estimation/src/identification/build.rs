@@ -4,6 +4,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 
 use super::factor::triangular_factor;
 use super::machine::Machine;
+use super::options::is_placed;
 use super::parameters::{Column, columns};
 use super::problem::{CalibrationProblem, Current, Prior, Row};
 use super::{
@@ -213,7 +214,13 @@ fn stations(
         return best_fit_stations(model, set);
     }
     let mut stations = Vec::new();
+    let some_placed = set.stations.iter().any(is_placed);
     for (index, station) in set.stations.iter().enumerate() {
+        if some_placed && !is_placed(station) {
+            parameters.extend(ParameterId::all_of_frame(index));
+            stations.push(best_fit_station(model, set, index)?);
+            continue;
+        }
         let registration = register(station)
             .map_err(|source| IdentifyError::Registration { station: station.name.clone(), source })?;
         if choice == FrameChoice::Nests {
@@ -232,6 +239,7 @@ fn targets(
     parameters: &mut Vec<ParameterId>,
     priors: &mut Vec<Prior>,
 ) -> Result<(), IdentifyError> {
+    let some_measured = set.targets.iter().any(|target| target.covariance.is_some());
     for (index, target) in set.targets.iter().enumerate() {
         match (choice, target.covariance) {
             (TargetChoice::Fixed, _) => continue,
@@ -239,12 +247,14 @@ fn targets(
                 let covariance = DMatrix::from_iterator(3, 3, covariance.iter().copied());
                 priors.push(prior(&format!("target {}", target.name), parameters.len(), covariance)?);
             }
-            (TargetChoice::Measured, None) => {
+            (TargetChoice::Measured, None) if !some_measured => {
                 return Err(IdentifyError::Covariance {
                     what: format!("target {} has no measured uncertainty", target.name),
                 });
             }
-            (TargetChoice::Identified, _) => {}
+            // The fitted observations say nothing of a target that only others saw: it stays where it was stated to be.
+            _ if !set.observations.iter().any(|observation| observation.target == index) => continue,
+            _ => {}
         }
         parameters.extend(ParameterId::all_of_target(index));
     }
@@ -256,22 +266,30 @@ pub(super) fn best_fit_stations(
     model: &CalibrationModel,
     set: &MeasurementSet,
 ) -> Result<Vec<Transform>, IdentifyError> {
+    (0..set.stations.len()).map(|station| best_fit_station(model, set, station)).collect()
+}
+
+fn best_fit_station(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    station: usize,
+) -> Result<Transform, IdentifyError> {
     let mut joints = vec![0.0; model.kinematics.joint_count()];
-    (0..set.stations.len())
-        .map(|station| {
-            let (mut seen, mut nominal) = (Vec::new(), Vec::new());
-            for observation in set.observations.iter().filter(|o| o.station == station) {
-                model.actuators.joints_from_command(&observation.command, &mut joints);
-                seen.push(observation.reading.position());
-                nominal.push(target_in_base(
-                    &model.kinematics,
-                    &joints,
-                    &set.targets[observation.target].in_flange,
-                ));
-            }
-            best_fit_transform(&seen, &nominal).ok_or(IdentifyError::BestFit)
-        })
-        .collect()
+    let (mut seen, mut nominal) = (Vec::new(), Vec::new());
+    for observation in set.observations.iter().filter(|o| o.station == station) {
+        model.actuators.joints_from_command(&observation.command, &mut joints);
+        seen.push(observation.reading.position());
+        let in_flange = &set.targets[observation.target].in_flange;
+        nominal.push(target_in_base(&model.kinematics, &joints, in_flange));
+    }
+    let station = &set.stations[station];
+    if seen.is_empty() && is_placed(station) {
+        // Nothing was measured from there but the nests.
+        return register(station)
+            .map(|registration| registration.tracker_from_base)
+            .map_err(|source| IdentifyError::Registration { station: station.name.clone(), source });
+    }
+    best_fit_transform(&seen, &nominal).ok_or(IdentifyError::BestFit)
 }
 
 fn weighted_rows(

@@ -14,6 +14,7 @@ use std::ops::Range;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use super::limits::shown;
+use super::options::is_placed;
 use super::problem::CalibrationProblem;
 use super::solver::Solution;
 use calibrig_model::measurement::{MeasurementSet, NestSystem, nest_system};
@@ -332,6 +333,7 @@ impl<'a> Checks<'a> {
             .iter()
             .zip(&problem.stations)
             .enumerate()
+            .filter(|(_, (station, _))| is_placed(station))
             .filter_map(|(index, (station, place))| {
                 let system = nest_system(station, place).ok()?;
                 let family = of_nests(&system, index)?;

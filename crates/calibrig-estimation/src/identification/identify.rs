@@ -187,19 +187,20 @@ fn spread((id, sigma): (&ParameterId, &Option<f64>)) -> f64 {
 /// The nominal robot, laid over the measurements.
 ///
 /// Where the target's offset was measured, by the rigid transform that fits best (one a station, equal weights); where it is unknown,
-/// the offset is fitted together with the tracker's place.
+/// the offset is fitted together with the tracker's place, and those that were measured are a prior.
 pub fn without_calibration(
     model: &CalibrationModel,
     set: &MeasurementSet,
 ) -> Result<CalibratedRobot, IdentifyError> {
     if set.targets.iter().any(|target| target.covariance.is_none()) {
-        let options = IdentificationOptions {
+        let mut options = IdentificationOptions {
             mode: Mode::WithoutCalibration,
             parameters: ParameterChoice::Listed(Vec::new()),
             frame: FrameChoice::Free,
-            target: TargetChoice::Identified,
+            target: TargetChoice::Measured,
             ..IdentificationOptions::default()
         };
+        options.fit_to(Some(set));
         return Ok(identify(model, set, &options)?.robot);
     }
     check(model, set)?;

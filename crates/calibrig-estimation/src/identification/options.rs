@@ -1,13 +1,13 @@
 //! What to fit, and how.
 
 use super::{Mode, ParameterBound, SolverOptions};
-use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::measurement::{MeasurementSet, Station};
 use calibrig_model::{Compliance, ParameterId, Unit};
 
 /// What is known of the tracker's place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FrameChoice {
-    /// The base nests place the tracker; their uncertainty is a prior in the fit.
+    /// The base nests place the tracker; their uncertainty is a prior in the fit. Where some stations have nests, those without any are free.
     Nests,
     /// Nothing: six free parameters a station.
     Free,
@@ -15,10 +15,15 @@ pub enum FrameChoice {
     Fixed,
 }
 
+/// Whether a station has nests enough to be placed by them.
+pub(super) fn is_placed(station: &Station) -> bool {
+    station.nests.len() >= 3
+}
+
 /// What is known of the target's offset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TargetChoice {
-    /// It was measured; its uncertainty is a prior in the fit.
+    /// It was measured; its uncertainty is a prior in the fit. Where some targets were, those without an uncertainty are free.
     Measured,
     /// Nothing: three free parameters a target.
     Identified,
@@ -162,14 +167,14 @@ impl Default for IdentificationOptions {
 }
 
 impl IdentificationOptions {
-    /// Frees what `measured` says nothing of: the tracker's place where a station has fewer than three nests, the target's offset where one has
-    /// no stated uncertainty.
+    /// Frees what `measured` says nothing of: the tracker's place where no station has three nests, the target's offset where none has a stated
+    /// uncertainty. Where some have, the fit frees the others itself.
     pub fn fit_to(&mut self, measured: Option<&MeasurementSet>) {
         let Some(set) = measured else { return };
-        if self.frame != FrameChoice::Free && set.stations.iter().any(|station| station.nests.len() < 3) {
+        if self.frame != FrameChoice::Free && !set.stations.iter().any(is_placed) {
             self.frame = FrameChoice::Free;
         }
-        if self.target == TargetChoice::Measured && set.targets.iter().any(|t| t.covariance.is_none()) {
+        if self.target == TargetChoice::Measured && set.targets.iter().all(|t| t.covariance.is_none()) {
             self.target = TargetChoice::Identified;
         }
     }
