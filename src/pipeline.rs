@@ -205,8 +205,10 @@ pub fn calibrate(
         .map_err(|source| PipelineError::Identify { mode: Mode::WithoutCalibration, source })?;
     let rms = accuracy(&errors(&registered, fitted)?).map_or(0.0, |row| row.rms_3d);
     let registration = RegistrationSummary {
-        how: if fitted.targets.iter().any(|t| t.covariance.is_none()) {
+        how: if fitted.targets.iter().all(|t| t.covariance.is_none()) {
             "best fit of the nominal robot to the identification set, tracker frame and target offset free"
+        } else if fitted.targets.iter().any(|t| t.covariance.is_none()) {
+            "best fit of the nominal robot to the identification set, tracker frame and offsets of targets that were not measured free"
         } else {
             "best fit of the nominal robot to the identification set, tracker frame free"
         }

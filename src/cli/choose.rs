@@ -6,12 +6,12 @@ use std::path::{Path, PathBuf};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::{Value, json};
 
-use super::identify::{Loaded, failed, file_options, load};
+use super::identify::{Loaded, failed, load};
 use super::{CliError, Verdict, not_identified, print, say};
 use crate::pipeline::{self, ChosenRow, ModelChoice, PlantKind, SetKind, choose, simulate};
 use crate::scenario::load_scenario;
 use calibrig_estimation::evaluation::{Criteria, Verdict as Worth};
-use calibrig_estimation::identification::{LINKAGE, ParameterChoice, Tolerance};
+use calibrig_estimation::identification::{IdentificationOptions, LINKAGE, Tolerance};
 use calibrig_model::FAMILIES;
 
 /// Compare models on poses that they were not fitted to: does gravity, the linkage, hysteresis pay?
@@ -25,11 +25,11 @@ use calibrig_model::FAMILIES;
   calibrig choose --model models/ur5/robot.toml --measurements grid.csv
 
 A model pays where the 95 % interval of its gain on held-out poses excludes zero. AICc and BIC take the noise as known up to a common
-scale. From files, tracker frame and target offset are identified, and the priors are those that `calibrig identify` has by default.
+scale. From files, what is known of tracker and target and the priors are those that `calibrig identify` has by default.
 Exit code 3 if a fit did not converge or a model could not be fitted.")]
 pub(super) struct Args {
     /// The scenario file, whose identification poses are simulated
-    #[arg(required_unless_present = "model", conflicts_with_all = ["model", "measurements", "columns"])]
+    #[arg(required_unless_present = "model", conflicts_with_all = ["model", "measurements", "columns", "session"])]
     scenario: Option<PathBuf>,
     /// The robot's file
     #[arg(long, value_name = "ROBOT.toml", requires = "measurements")]
@@ -40,6 +40,9 @@ pub(super) struct Args {
     /// Column map of the file, instead of the one that the robot's file names
     #[arg(long, value_name = "MAP.toml", requires = "model")]
     columns: Option<PathBuf>,
+    /// Stations with their nests, and targets with their uncertainty (docs/formats.md)
+    #[arg(long, value_name = "SESSION.toml", requires = "model")]
+    session: Option<PathBuf>,
     /// Parts that are held out in turn; as many as poses hold them out one by one
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..=100_000))]
     folds: u32,
@@ -83,14 +86,19 @@ fn of_scenario(args: &Args, path: &Path) -> Result<(String, ModelChoice), CliErr
 }
 
 fn of_files(args: &Args, model: &Path, measurements: &Path) -> Result<(String, ModelChoice), CliError> {
-    let Loaded { robot, sources, sets } =
-        load(model, args.columns.as_deref(), &[(SetKind::Identification, measurements)])?;
-    let options = file_options(ParameterChoice::Complete, Some(Tolerance { length: 10e-3, angle: 20e-3 }));
+    let files = [(SetKind::Identification, measurements)];
+    let loaded = load(model, args.columns.as_deref(), args.session.as_deref(), &files)?;
+    loaded.check_session()?;
+    let Loaded { robot, sources, sets, statements, .. } = loaded;
+    let tolerance = Some(Tolerance { length: 10e-3, angle: 20e-3 });
+    let options = IdentificationOptions { tolerance, ..IdentificationOptions::default() };
     let seed = args.seed.unwrap_or(1);
     let choice = compare(|progress| {
         choose(&robot.model, &sets[0].measurements, &options, args.folds as usize, seed, progress)
     });
-    Ok((robot.name, choice.map_err(|error| failed(error, measurements, &sources))?))
+    let choice = choice.map_err(|error| failed(error, measurements, &sources))?;
+    statements.remarks.iter().chain(&statements.assumed).for_each(|line| say(line));
+    Ok((robot.name, choice))
 }
 
 fn compare(

@@ -3,14 +3,13 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::identify::{Loaded, load};
+use super::identify::{FileArgs, Loaded};
 use super::output::{Destination, Files, or_removed};
 use super::{CliError, Verdict, say};
-use crate::pipeline::{InputSummary, SetKind, SetOutcome, hash_sources};
+use crate::pipeline::{InputSummary, SetOutcome, hash_sources};
 use crate::recording::{CsvExport, ExportError, Preamble, RecordingError, export_csv, write_sets};
 use calibrig_files::Source;
 use calibrig_files::load_robot;
-use calibrig_files::{LoadedMeasurements, load_session};
 
 /// Turn a recording into files of text, or files of text into a recording
 #[derive(Debug, clap::Args)]
@@ -60,21 +59,8 @@ struct CsvArgs {
 
 What the columns of the files mean is told as for `calibrig identify`.")]
 struct McapArgs {
-    /// The robot's file
-    #[arg(long, value_name = "ROBOT.toml")]
-    model: PathBuf,
-    /// Positions to fit
-    #[arg(long, value_name = "FILE")]
-    measurements: PathBuf,
-    /// Positions to verify on
-    #[arg(long, value_name = "FILE")]
-    verify: Option<PathBuf>,
-    /// Column map of the files, instead of the one that the robot's file names
-    #[arg(long, value_name = "MAP.toml")]
-    columns: Option<PathBuf>,
-    /// Stations with their nests, targets and dropped poses (docs/formats.md) [default: a station and target of unknown place]
-    #[arg(long, value_name = "SESSION.toml")]
-    session: Option<PathBuf>,
+    #[command(flatten)]
+    files: FileArgs,
     /// The recording
     #[arg(long, value_name = "RECORDING.mcap")]
     out: PathBuf,
@@ -151,22 +137,8 @@ fn write(folder: &Path, export: &CsvExport) -> Result<(), CliError> {
 
 fn to_mcap(args: &McapArgs) -> Result<Verdict, CliError> {
     check_name(&args.out, args.force)?;
-    let mut files = vec![(SetKind::Identification, args.measurements.as_path())];
-    files.extend(args.verify.as_deref().map(|path| (SetKind::Verification, path)));
-    let Loaded { robot, mut sources, mut sets } = load(&args.model, args.columns.as_deref(), &files)?;
+    let Loaded { robot, sources, sets, statements, .. } = args.files.read()?;
     refuse_without_readings(&sources, &sets)?;
-    if let Some(path) = &args.session {
-        let (session, source) = load_session(path)?;
-        for set in &mut sets {
-            let mut loaded = LoadedMeasurements {
-                set: std::mem::take(&mut set.measurements),
-                dropped: std::mem::take(&mut set.dropped),
-            };
-            session.complete(&source, set.kind, &mut loaded)?;
-            (set.measurements, set.dropped) = (loaded.set, loaded.dropped);
-        }
-        sources.push(("session".to_owned(), source));
-    }
     let input = InputSummary {
         kind: "files",
         name: robot.name,
@@ -182,6 +154,7 @@ fn to_mcap(args: &McapArgs) -> Result<Verdict, CliError> {
         truth: None,
     };
     write_sets(&args.out, &preamble, &sets)?;
+    statements.remarks.iter().for_each(|remark| say(remark));
     let counts: Vec<String> = sets
         .iter()
         .map(|set| {

@@ -135,12 +135,13 @@ fn failed(args: &Args, error: ModelError) -> CliError {
 fn question(args: &Args) -> Result<Question, CliError> {
     if let Some(path) = &args.model {
         let robot = load_robot(path)?;
+        let target = robot.target().unwrap_or(MOUNTABLE_TARGET);
         let model = robot.model.kinematics;
         return Ok(Question {
             name: robot.name,
             poses: structural_poses(&model, SPREAD_POSES),
             poses_from: spread_poses(),
-            target: robot.target.unwrap_or(MOUNTABLE_TARGET),
+            target,
             model,
             frame_free: true,
             target_free: true,
@@ -149,12 +150,13 @@ fn question(args: &Args) -> Result<Question, CliError> {
     let path = args.scenario.as_deref().unwrap_or(std::path::Path::new(""));
     let scenario = load_scenario(path)?;
     let mut rng = stream(scenario.seed, 0, Source::IdentificationPoses);
+    let target = scenario.robot.target().unwrap_or_else(Vector3::zeros);
     let poses = (0..scenario.identification_poses).map(|_| scenario.region.draw(&mut rng)).collect();
     Ok(Question {
         poses_from: scenario_poses(&scenario),
         name: scenario.name,
         poses,
-        target: scenario.robot.target.unwrap_or_else(Vector3::zeros),
+        target,
         model: scenario.robot.model.kinematics,
         frame_free: scenario.options.frame == FrameChoice::Free,
         target_free: scenario.options.target == TargetChoice::Identified,

@@ -14,18 +14,20 @@ use crate::pipeline::{
     hash_sources, is_default, judge, pose_count, repeat_splits,
 };
 use calibrig_estimation::identification::{
-    ComplianceChoice, DEFAULT_TOLERANCE, FrameChoice, IdentificationOptions, LINKAGE, Loss, Mode,
-    ParameterBound, ParameterChoice, RefusedBound, SolverOptions, TargetChoice, Tolerance, check_bounds,
+    ComplianceChoice, DEFAULT_TOLERANCE, IdentificationOptions, LINKAGE, Loss, Mode, ParameterBound,
+    ParameterChoice, RefusedBound, SolverOptions, Tolerance, check_bounds,
 };
-use calibrig_files::Source;
 use calibrig_files::{ColumnMap, load_column_map, parse_column_map, parse_measurements};
+use calibrig_files::{MeasuredFile, SessionFile, Source, Statements, load_session, state};
 use calibrig_files::{Robot, load_robot};
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, FAMILIES, JointKind, ParameterId, Unit};
 
 /// Calibrate a robot from measured positions in a file, and verify on another file
 ///
-/// Tracker frame and target offset are identified with the links: a file of positions says nothing of either. The parameters are a
+/// A file of positions says nothing of the tracker's place and of the target's offset on the flange: both are identified with the links,
+/// unless a session file (--session) states base nests and measured offsets, or the robot's file the offset of its [target]. What has an
+/// uncertainty is a prior, an offset without one is where the search starts; what was assumed is told. The parameters are a
 /// complete independent set, chosen by rank from the robot's table. A prior of the robot's making tolerance holds the directions that the
 /// measurements hardly show; rank and weak directions are reported without it.
 #[derive(Debug, clap::Args)]
@@ -39,22 +41,13 @@ use calibrig_model::{CalibrationModel, FAMILIES, JointKind, ParameterId, Unit};
   calibrig identify --model robot.toml --measurements m.csv --loss tukey   names outliers
   calibrig identify --model robot.toml --measurements m.csv --bound delta_a4=-5mm..5mm
   calibrig identify --model robot.toml --measurements m.csv --splits 20 --fit 200
+  calibrig identify --model robot.toml --measurements m.csv --session session.toml   nests, targets
 
 What the columns of the file mean is told by --columns MAP.toml, else by the map that the robot's file names, else (and where the file
 has none of the map's joint columns but calibrig's own) it is calibrig's own layout (see docs/formats.md).")]
 pub(super) struct Args {
-    /// The robot's file
-    #[arg(long, value_name = "ROBOT.toml")]
-    model: PathBuf,
-    /// Positions to fit
-    #[arg(long, value_name = "FILE")]
-    measurements: PathBuf,
-    /// Positions to verify on
-    #[arg(long, value_name = "FILE")]
-    verify: Option<PathBuf>,
-    /// Column map of the files, instead of the one that the robot's file names
-    #[arg(long, value_name = "MAP.toml")]
-    columns: Option<PathBuf>,
+    #[command(flatten)]
+    files: FileArgs,
     /// Which link parameters
     #[arg(long, value_enum, default_value_t = Parameters::Complete)]
     parameters: Parameters,
@@ -102,6 +95,35 @@ pub(super) struct Args {
     json: bool,
 }
 
+/// A robot, what was measured of it, and what is stated beforehand.
+#[derive(Debug, clap::Args)]
+pub(super) struct FileArgs {
+    /// The robot's file
+    #[arg(long, value_name = "ROBOT.toml")]
+    model: PathBuf,
+    /// Positions to fit
+    #[arg(long, value_name = "FILE")]
+    measurements: PathBuf,
+    /// Positions to verify on
+    #[arg(long, value_name = "FILE")]
+    verify: Option<PathBuf>,
+    /// Column map of the files, instead of the one that the robot's file names
+    #[arg(long, value_name = "MAP.toml")]
+    columns: Option<PathBuf>,
+    /// Stations with their nests, targets with their uncertainty, and dropped poses (docs/formats.md); its targets hold in place of the
+    /// robot's file's [default: stations of unknown place, and [target] of the robot's file]
+    #[arg(long, value_name = "SESSION.toml")]
+    session: Option<PathBuf>,
+}
+
+impl FileArgs {
+    pub(super) fn read(&self) -> Result<Loaded, CliError> {
+        let mut files = vec![(SetKind::Identification, self.measurements.as_path())];
+        files.extend(self.verify.as_deref().map(|path| (SetKind::Verification, path)));
+        load(&self.model, self.columns.as_deref(), self.session.as_deref(), &files)
+    }
+}
+
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum Parameters {
     /// A complete independent set, by rank
@@ -145,7 +167,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     if let Some(destination) = destination {
         destination.check(Files::Reports)?;
     }
-    let (mut outcome, options) = outcome(args)?;
+    let (mut outcome, options, statements) = outcome(args)?;
     if let (Some(splits), Some(fit)) = (args.splits, args.fit) {
         outcome.splits = Some(split_study(args, &outcome, &options, (splits as usize, fit as usize))?);
     }
@@ -155,6 +177,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     });
     output::show(&outcome, args.json)?;
     written?;
+    statements.remarks.iter().chain(&statements.assumed).for_each(|line| say(line));
     if tolerance(args).is_some() {
         say(&format!(
             "prior on the link parameters: 0 +- {} mm, 0 +- {} mrad (--tolerance-mm, --tolerance-mrad; 0 in both for none)",
@@ -192,7 +215,7 @@ fn split_study(
     let study =
         repeat_splits(&outcome.model, set, &modes, options, plan, |done| bar.set_position(done as u64));
     bar.finish_and_clear();
-    study.map_err(|error| failed(error, &args.measurements, &outcome.sources))
+    study.map_err(|error| failed(error, &args.files.measurements, &outcome.sources))
 }
 
 pub(super) fn fitted_mode(text: &str) -> Result<Mode, String> {
@@ -244,7 +267,7 @@ fn check_flags(
     options: &IdentificationOptions,
     set: &MeasurementSet,
 ) {
-    let checked = check_bounds(model, modes, options, set.stations.len(), set.targets.len());
+    let checked = check_bounds(model, modes, options, &set.stations, &set.targets);
     if let Err(RefusedBound { index, error }) = checked {
         let message = format!("--bound {}: {error}: {}", options.bounds[index].id, error.help());
         Cli::command().error(ErrorKind::ValueValidation, message).exit();
@@ -326,12 +349,28 @@ pub(super) struct Loaded {
     /// Every file by its role.
     pub sources: Vec<(String, Source)>,
     pub sets: Vec<SetOutcome>,
+    /// What the files state beforehand of stations and targets.
+    pub statements: Statements,
+    /// The session file, and its text.
+    session: Option<(SessionFile, Source)>,
 }
 
-/// Reads a robot and files of positions, whose columns `columns` tells, else the robot's file.
+impl Loaded {
+    /// Refuses a session file that states what cannot be used; a recording may hold it.
+    pub(super) fn check_session(&self) -> Result<(), CliError> {
+        match &self.session {
+            Some((session, source)) => Ok(session.check_usable(source)?),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Reads a robot and files of positions, whose columns `columns` tells, else the robot's file, with what `session` and the robot's file state
+/// of stations and targets.
 pub(super) fn load(
     model: &Path,
     columns: Option<&Path>,
+    session: Option<&Path>,
     files: &[(SetKind, &Path)],
 ) -> Result<Loaded, CliError> {
     let mut robot = load_robot(model)?;
@@ -353,29 +392,23 @@ pub(super) fn load(
             None => ColumnMap::default(),
         },
     };
+    let read = |(kind, path): &(SetKind, &Path)| {
+        let source = Source::read(path)?;
+        let loaded = parse_measurements(&source, &columns, &joints)?;
+        Ok(MeasuredFile { kind: *kind, source, loaded })
+    };
+    let mut files = files.iter().map(read).collect::<Result<Vec<_>, CliError>>()?;
+    let session = session.map(load_session).transpose()?;
+    let stated = session.as_ref().map(|(session, source)| (session, source));
+    let statements = state(&robot, stated, &mut files)?;
     let mut sources = robot.sources.clone();
     let mut sets = Vec::new();
-    for (kind, path) in files {
-        let source = Source::read(path)?;
-        let file = parse_measurements(&source, &columns, &joints)?;
+    for MeasuredFile { kind, source, loaded } in files {
         sources.push((kind.key().to_owned(), source));
-        sets.push(SetOutcome { kind: *kind, measurements: file.set, dropped: file.dropped });
+        sets.push(SetOutcome { kind, measurements: loaded.set, dropped: loaded.dropped });
     }
-    Ok(Loaded { robot, sources, sets })
-}
-
-/// What is assumed of a file of positions: it says nothing of the tracker's frame and of the target.
-pub(super) fn file_options(
-    parameters: ParameterChoice,
-    tolerance: Option<Tolerance>,
-) -> IdentificationOptions {
-    IdentificationOptions {
-        parameters,
-        frame: FrameChoice::Free,
-        target: TargetChoice::Identified,
-        tolerance,
-        ..IdentificationOptions::default()
-    }
+    sources.extend(session.as_ref().map(|(_, source)| ("session".to_owned(), source.clone())));
+    Ok(Loaded { robot, sources, sets, statements, session })
 }
 
 /// The failure of an identification from these files, at the last line of the fitted one where more poses are what it needs.
@@ -387,10 +420,11 @@ pub(super) fn failed(error: PipelineError, measurements: &Path, sources: &[(Stri
     }
 }
 
-fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions), CliError> {
-    let mut files = vec![(SetKind::Identification, args.measurements.as_path())];
-    files.extend(args.verify.as_deref().map(|path| (SetKind::Verification, path)));
-    let Loaded { robot, sources, sets } = load(&args.model, args.columns.as_deref(), &files)?;
+fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions, Statements), CliError> {
+    let loaded = args.files.read()?;
+    loaded.check_session()?;
+    let Loaded { robot, sources, sets, statements, .. } = loaded;
+    let measurements = &args.files.measurements;
     let stated = args.compliance_percent.map(|percent| 1e-2 * percent).or(robot.compliance_sigma);
     let compliance_sigma = stated.unwrap_or(IdentificationOptions::default().compliance_sigma);
     let modes = modes(args, &robot, compliance_sigma);
@@ -404,13 +438,15 @@ fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions), CliError> {
         solver: SolverOptions { loss: args.loss.into(), ..SolverOptions::default() },
         terms: args.terms.as_deref().map(terms),
         bounds: args.bound.clone(),
-        ..file_options(parameters, tolerance(args))
+        parameters,
+        tolerance: tolerance(args),
+        ..IdentificationOptions::default()
     };
     check_flags(&robot.model, &modes, &options, &sets[0].measurements);
     let (registration, modes) = calibrate(&robot.model, &sets, &modes, &options)
-        .map_err(|error| failed(error, &args.measurements, &sources))?;
+        .map_err(|error| failed(error, measurements, &sources))?;
     let judgements = judge(&robot.model, &sets, &modes, &options)
-        .map_err(|error| failed(error, &args.measurements, &sources))?;
+        .map_err(|error| failed(error, measurements, &sources))?;
     let outcome = Outcome {
         input: InputSummary {
             kind: "files",
@@ -431,7 +467,7 @@ fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions), CliError> {
         ablation: None,
         splits: None,
     };
-    Ok((outcome, options))
+    Ok((outcome, options, statements))
 }
 
 /// Bytes of the last line with content.

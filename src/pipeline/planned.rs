@@ -19,7 +19,7 @@ pub fn planned(scenario: &Scenario) -> Result<MeasurementSet, PipelineError> {
             kinematics: nominal.kinematics.clone(),
             actuators: nominal.actuators,
             statics: nominal.statics.clone().unwrap_or_else(|| scenario.as_built.statics.clone()),
-            target: scenario.robot.target.unwrap_or(scenario.as_built.target),
+            target: scenario.robot.target().unwrap_or(scenario.as_built.target),
             effects: Effects::default(),
         },
         drawn: None,

@@ -127,7 +127,16 @@ pub(super) fn as_built(
             "a URDF with inertials, stiffness_* of every joint and [gravity]",
         )
     })?;
-    let target = robot.target.ok_or_else(|| missing("target offset", "[target] in the robot's file"))?;
+    if robot.targets.len() > 1 {
+        let message =
+            format!("the robot's file states {} targets, and a simulation measures one", robot.targets.len());
+        return Err(source.error(
+            robot_key.span(),
+            message,
+            Some("expected one [target] in the robot's file".to_owned()),
+        ));
+    }
+    let target = robot.target().ok_or_else(|| missing("target offset", "[target] in the robot's file"))?;
     let (kinematics, actuators) = (robot.model.kinematics.clone(), robot.model.actuators);
     let mut machine = AsBuilt { kinematics, actuators, statics, target, effects };
     let reader = Reader { source };

@@ -9,6 +9,7 @@ use calibrig_estimation::identification::{
 };
 use calibrig_files::Robot;
 use calibrig_files::{InputError, Source, Spanned};
+use calibrig_model::measurement::{Station, Target};
 use calibrig_model::{CalibrationModel, FAMILIES, ParameterId, Unit};
 
 #[derive(Deserialize, Default)]
@@ -312,7 +313,7 @@ impl IdentificationFile {
             options.bounds.push(file.read(source)?);
         }
         // A simulated session has one station and one target.
-        check_bounds(model, &self.modes(source)?, options, 1, 1)
+        check_bounds(model, &self.modes(source)?, options, &[Station::default()], &[Target::default()])
             .map_err(|RefusedBound { index, error }| self.bound[index].refused(source, &error))
     }
 

@@ -1,13 +1,21 @@
 //! What a user knows beforehand: bounds that are kept and told, statements that the measurements contradict, and what a planned session of a
 //! coupled mode can tell.
 
+use std::fmt::Write;
+
+use calibrig::files::load_robot;
 use calibrig::identification::{Mode, Warning, identify};
+use calibrig::kinematics::forward_kinematics;
 use calibrig::pipeline::{PlantKind, simulate};
+use calibrig::random::{Source as Stream, stream};
 use calibrig::scenario::load_scenario;
 use calibrig::statistics::binomial_cdf;
 
+use nalgebra::Point3;
+use rand_distr::{Distribution, StandardNormal};
+
 use crate::a_user_makes_a_mistake::with_measurements;
-use crate::sandbox::{ROBOT, SCENARIO, Sandbox, assert_refused};
+use crate::sandbox::{Ended, ROBOT, SCENARIO, Sandbox, assert_refused};
 
 const MATCHED: &str = "scenarios/matched.toml";
 const IDENTIFICATION: &str = "[identification]";
@@ -374,5 +382,364 @@ fn a_plan_of_what_the_robot_does_not_have_is_refused() {
     assert!(
         [Some(0), Some(3)].contains(&ended.code) && ended.stdout.contains("hysteresis_theta1"),
         "{ended:?}"
+    );
+}
+
+/// The shipped run, told in files of text.
+fn exported() -> Sandbox {
+    let sandbox = bounded("");
+    let ended = sandbox.run(["run", SCENARIO, "--out", "out"]);
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let ended = sandbox.run(["export", "csv", "out/recording.mcap", "--out", "t"]);
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    sandbox
+}
+
+/// What the report says of the measurements; numbers in it read back to the bit.
+fn found(ended: &Ended) -> [serde_json::Value; 4] {
+    let report = ended.json();
+    ["parameters", "estimates", "sets", "registration"].map(|key| report[key].clone())
+}
+
+/// `identify` and, through a recording, `replay` of the same files.
+fn both_ways(sandbox: &Sandbox, files: &[&str]) -> [Ended; 2] {
+    let mode = ["--mode", "only_calibration", "--json"];
+    let identified = sandbox.run([&["identify"], files, &mode].concat());
+    let ended = sandbox.run([&["export", "mcap", "--force", "--out", "again.mcap"], files].concat());
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    [identified, sandbox.run([&["replay", "again.mcap"][..], &mode].concat())]
+}
+
+#[test]
+fn a_session_file_makes_identify_the_replay_of_the_same_recording() {
+    let sandbox = exported();
+    let files = [
+        "--model",
+        "t/robot.toml",
+        "--measurements",
+        "t/identification.csv",
+        "--verify",
+        "t/verification.csv",
+        "--session",
+        "t/session.toml",
+    ];
+    let [identified, replayed] = both_ways(&sandbox, &files);
+    assert_eq!(identified.code, replayed.code, "{identified:?}");
+    assert!(found(&identified) == found(&replayed), "the estimates differ");
+    for line in [
+        "station 1: placed by 7 nests of t/session.toml\n",
+        "target SMR: stated by t/session.toml, +- 0.01 mm an axis\n",
+        "targets are those of t/session.toml, not those of t/robot.toml\n",
+    ] {
+        assert!(identified.stderr.contains(line), "{line}: {}", identified.stderr);
+    }
+    // It is another question than without: the base's own parameters are told by the nests.
+    let [identified, replayed] = both_ways(&sandbox, &files[..6]);
+    assert!(found(&identified) == found(&replayed), "the estimates differ");
+    let told = "target SMR: identified, from the offset that t/robot.toml states without an uncertainty\n";
+    assert!(identified.stderr.contains(told), "{}", identified.stderr);
+    assert!(
+        identified.stderr.contains("station 1: identified, no nests are stated\n"),
+        "{}",
+        identified.stderr
+    );
+    let base =
+        |ended: &Ended| ended.stdout.contains("\"delta_theta1\"") || ended.stdout.contains("\"delta_a1\"");
+    assert!(!base(&identified), "along with the frame it has no meaning");
+}
+
+const UR5: &str = "models/ur5/robot.toml";
+/// Where three reflectors are on the flange, m.
+const REFLECTORS: [(&str, [f64; 3]); 3] =
+    [("A", [0.05, 0.03, 0.12]), ("B", [-0.06, 0.01, 0.08]), ("C", [0.01, -0.07, 0.1])];
+
+/// Readings of these reflectors in turn, with a noise of 20 um that they state, by a UR5 whose upper arm is 1 mm longer than drawn.
+fn write_readings(sandbox: &Sandbox, file: &str, reflectors: &[usize], first: u32, column: bool) {
+    let mut real = load_robot(&sandbox.path(UR5)).expect("the shipped robot").model.kinematics;
+    real.links[2].a += 1e-3;
+    let mut text =
+        "pose,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m".to_owned();
+    text += if column { ",target\n" } else { "\n" };
+    let mut noise = stream(5, first, Stream::IdentificationNoise);
+    for (pose, reflector) in (first..).zip(reflectors) {
+        let q: Vec<f64> = [0.8731, 0.7623, 0.6655, 0.5810, 0.5072, 0.4428]
+            .iter()
+            .map(|step| 2.4 * ((f64::from(pose) * step) % 1.0) - 1.2)
+            .collect();
+        let (name, at) = REFLECTORS[*reflector];
+        let at = forward_kinematics(&real, &q).expect("six joints") * Point3::from(at);
+        let _ = write!(text, "{pose}");
+        for value in q {
+            let _ = write!(text, ",{value:?}");
+        }
+        for value in at.iter() {
+            let error: f64 = StandardNormal.sample(&mut noise);
+            let _ = write!(text, ",{:?}", value + 2e-5 * error);
+        }
+        text += ",2e-5,2e-5,2e-5";
+        let _ = if column { writeln!(text, ",{name}") } else { writeln!(text) };
+    }
+    sandbox.write(file, text);
+}
+
+/// Adds this to the UR5's file.
+fn state(sandbox: &Sandbox, lines: &str) -> String {
+    let text = sandbox.read(UR5);
+    sandbox.write("models/ur5/stated.toml", format!("{text}\n{lines}"));
+    "models/ur5/stated.toml".to_owned()
+}
+
+/// Estimate, standard deviation and that of its prior, of a parameter of a report.
+fn parameter(ended: &Ended, name: &str) -> (f64, Option<f64>) {
+    let report = ended.json();
+    let parameters = report["parameters"].as_array().expect("a list").clone();
+    let one = parameters.iter().find(|p| p["name"] == name).unwrap_or_else(|| panic!("no {name}"));
+    (one["estimate"].as_f64().expect("a number"), one["sigma"].as_f64())
+}
+
+#[test]
+fn measured_targets_are_priors_beside_others_that_are_identified() {
+    let sandbox = Sandbox::new();
+    let turns: Vec<usize> = (0..90).map(|pose| pose % 3).collect();
+    write_readings(&sandbox, "fit.csv", &turns, 1, true);
+    // The order in which they are first seen is another one.
+    let others: Vec<usize> = (0..30).map(|pose| 2 - pose % 3).collect();
+    write_readings(&sandbox, "verify.csv", &others, 200, true);
+    let model = state(
+        &sandbox,
+        "[[target]]\nname = \"A\"\nx_mm = 50.01\ny_mm = 30\nz_mm = 120\nsigma_mm = 0.02\n\
+         [[target]]\nname = \"B\"\nx_mm = -60\ny_mm = 12\nz_mm = 80\n\
+         [[target]]\nname = \"spare\"\nx_mm = 0\ny_mm = 0\nz_mm = 90\nsigma_mm = 0.01\n",
+    );
+    let files = ["--model", &model, "--measurements", "fit.csv", "--verify", "verify.csv"];
+    let [identified, replayed] = both_ways(&sandbox, &files);
+    assert_eq!(identified.code, Some(0), "{identified:?}");
+    assert!(found(&identified) == found(&replayed), "the estimates differ");
+    for line in [
+        "target A: stated by models/ur5/stated.toml, +- 0.02 mm an axis\n",
+        "target B: identified, from the offset that models/ur5/stated.toml states without an uncertainty\n",
+        "target C: identified, nothing is stated of it\n",
+        "target spare of models/ur5/stated.toml: no reading names it, and it is left out\n",
+    ] {
+        assert!(identified.stderr.contains(line), "{line}: {}", identified.stderr);
+    }
+    let (a, sigma) = parameter(&identified, "target_x");
+    assert!(a.abs() < 6e-5 && sigma < Some(2.01e-5), "{a} {sigma:?}");
+    let (b, sigma) = parameter(&identified, "target2_y");
+    assert!((b + 2e-3).abs() < 5.0 * sigma.expect("a regular system"), "{b} {sigma:?}");
+    let (c, sigma) = parameter(&identified, "target3_z");
+    assert!((c - 0.1).abs() < 5.0 * sigma.expect("a regular system"), "{c} {sigma:?}");
+    // 20 um an axis, also of poses that were held out: names tell which target it is.
+    let report = identified.json();
+    let rms = &report["sets"]["verification"]["rows"]["only_calibration"]["rms_3d_m"];
+    assert!(rms.as_f64() < Some(6e-5), "{rms}");
+}
+
+#[test]
+fn the_same_statement_in_either_file_is_the_same() {
+    let sandbox = Sandbox::new();
+    write_readings(&sandbox, "fit.csv", &[0; 60], 1, false);
+    let model = state(&sandbox, "[target]\nx_mm = 50\ny_mm = 30\nz_mm = 120\nsigma_mm = 0.02\n");
+    let of_robot = sandbox.run([
+        "identify",
+        "--json",
+        "--model",
+        &model,
+        "--measurements",
+        "fit.csv",
+        "--mode",
+        "only_calibration",
+    ]);
+    assert!(
+        of_robot.stderr.contains("target 1: stated by models/ur5/stated.toml, +- 0.02 mm an axis\n"),
+        "{of_robot:?}"
+    );
+    sandbox.write(
+        "s.toml",
+        "schema = \"calibrig.session/1\"\n[[target]]\nname = \"SMR\"\nin_flange_m = [0.05, 0.03, 0.12]\nsigma_m = 2e-5\n",
+    );
+    let arguments =
+        ["identify", "--json", "--model", UR5, "--measurements", "fit.csv", "--mode", "only_calibration"];
+    let of_session = sandbox.run([&arguments[..], &["--session", "s.toml"]].concat());
+    assert!(
+        of_session.stderr.contains("target SMR: stated by s.toml, +- 0.02 mm an axis\n"),
+        "{of_session:?}"
+    );
+    assert!(found(&of_robot) == found(&of_session), "the estimates differ");
+    let free = sandbox.run(arguments);
+    assert!(free.stderr.contains("target 1: identified, nothing is stated of it\n"), "{free:?}");
+    assert!(found(&free) != found(&of_robot));
+}
+
+/// Its nominal flange's origin does not move: the stated target does.
+#[test]
+fn a_positioner_with_crossing_axes_starts_from_its_target() {
+    let sandbox = Sandbox::new();
+    let joint = |name: &str, alpha: &str, d: &str| {
+        format!(
+            "[[joint]]\nname = \"{name}\"\ntype = \"revolute\"\na_mm = 0\nalpha_deg = {alpha}\nd_mm = {d}\ntheta_deg = 0\n\
+             min_deg = -360\nmax_deg = 360\n"
+        )
+    };
+    let bare = format!(
+        "schema = \"calibrig.robot/1\"\nname = \"positioner\"\nconvention = \"craig\"\n{}{}[actuators]\nkind = \"direct\"\n",
+        joint("J1", "0", "700"),
+        joint("J2", "-90", "0")
+    );
+    sandbox.write("bare.toml", &bare);
+    sandbox.write("p.toml", format!("{bare}[target]\nx_mm = 400\ny_mm = 100\nz_mm = 200\n"));
+    // The tracker at (-3, 0.5, 0) of the base, turned by nothing; the target 1 mm from where it is stated in x.
+    let mut text = "q1_rad,q2_rad,x_m,y_m,z_m\n".to_owned();
+    for (q1, q2) in (0..12).map(|pose| (f64::from(pose % 3) - 1.0, f64::from(pose / 3) - 1.0)) {
+        let [x, y, z] = [0.401, 0.1, 0.2];
+        let radius = x * q2.cos() - y * q2.sin();
+        let height = 0.7 - (x * q2.sin() + y * q2.cos());
+        let _ = writeln!(
+            text,
+            "{q1},{q2},{:?},{:?},{height:?}",
+            3.0 + radius * q1.cos() - z * q1.sin(),
+            -0.5 + radius * q1.sin() + z * q1.cos()
+        );
+    }
+    sandbox.write("m.csv", text);
+    let ended = sandbox.run(["identify", "--model", "p.toml", "--measurements", "m.csv", "--json"]);
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let report = ended.json();
+    let estimate = &report["estimates"]["only_calibration"];
+    assert_eq!((&estimate["rank"], &estimate["parameter_count"]), (&11.into(), &11.into()));
+    let rms = &report["sets"]["identification"]["rows"]["only_calibration"]["rms_3d_m"];
+    assert!(rms.as_f64() < Some(1e-9), "{rms}");
+}
+
+#[test]
+fn what_is_stated_and_cannot_be_used_is_refused_at_its_line() {
+    let sandbox = Sandbox::new();
+    write_readings(&sandbox, "one.csv", &[0; 40], 1, false);
+    let turns: Vec<usize> = (0..40).map(|pose| pose % 2).collect();
+    write_readings(&sandbox, "two.csv", &turns, 1, true);
+    let nest = |x: u8| {
+        format!(
+            "[[station.nest]]\nname = \"n{x}\"\nin_base_m = [{x}, 0, 0]\nin_base_sigma_m = 1e-5\nposition_m = [{x}, 0, 0]\nsigma_m = 1e-5\n"
+        )
+    };
+    let target = |name: &str, more: &str| {
+        format!("[[target]]\nname = \"{name}\"\nin_flange_m = [0, 0, 0.1]\n{more}\n")
+    };
+    for (measured, session, place, message, expected) in [
+        (
+            "one.csv",
+            format!("[[station]]\nname = \"s\"\n{}{}", nest(1), nest(2)),
+            "s.toml:3: ",
+            "2 base nests were measured, at least 3",
+            "or none",
+        ),
+        (
+            "one.csv",
+            format!("[[station]]\nname = \"s\"\n{}{}{}", nest(1), nest(2), nest(3)),
+            "s.toml:3: ",
+            "the base nests lie on one line",
+            "not on one line",
+        ),
+        ("one.csv", target("A", "sigma_m = -1e-5"), "s.toml:5: ", "sigma_m is -1e-5", "zero or more"),
+        ("one.csv", target("A", "sigma_m = nan"), "s.toml:5: ", "sigma_m is nan", "a finite number"),
+        (
+            "one.csv",
+            target("A", "sigma_m = 0"),
+            "s.toml:3: ",
+            "its uncertainty is not above zero",
+            "or neither",
+        ),
+        ("one.csv", target("A", "sigma_mm = 0.02"), "s.toml:5: ", "unknown key `sigma_mm`", "`sigma_m`"),
+        (
+            "one.csv",
+            target("A", "") + &target("A", ""),
+            "s.toml:7: ",
+            "target \"A\" is there twice",
+            "distinct names",
+        ),
+        (
+            "one.csv",
+            target("A", "") + &target("B", ""),
+            "s.toml:3: ",
+            "does not name its target, and 2 are described",
+            "a column target",
+        ),
+        (
+            "two.csv",
+            target("A", ""),
+            "s.toml:3: ",
+            "target \"B\" of the identification set is not described",
+            "name = \"B\"; described are A",
+        ),
+        (
+            "two.csv",
+            target("SMR-1", ""),
+            "s.toml:3: ",
+            "target \"A\" of the identification set is not described",
+            "described are SMR-1",
+        ),
+    ] {
+        sandbox.write("s.toml", format!("schema = \"calibrig.session/1\"\n{session}"));
+        let arguments = ["identify", "--model", UR5, "--measurements", measured, "--session", "s.toml"];
+        assert_refused(&sandbox, &arguments, place, message, expected);
+    }
+    let arguments = ["identify", "--model", UR5, "--measurements", "one.csv", "--session", "none.toml"];
+    assert_refused(&sandbox, &arguments, "cannot read none.toml", "No such file", "a file of UTF-8 text");
+    let lines = sandbox.read(UR5).lines().count();
+    let at = "x_mm = 1\ny_mm = 2\nz_mm = 3\n";
+    for (measured, stated, line, message, expected) in [
+        ("one.csv", format!("[target]\n{at}sigma_mm = -1\n"), 6, "target.sigma_mm is -1", "above zero"),
+        (
+            "one.csv",
+            format!("[[target]]\nname = \"A\"\n{at}[[target]]\nname = \"B\"\n{at}"),
+            2,
+            "one.csv does not name which one",
+            "a column target",
+        ),
+        (
+            "two.csv",
+            format!("[[target]]\nname = \"SMR\"\n{at}"),
+            2,
+            "no reading names what is stated, SMR; measured are A, B",
+            "--session",
+        ),
+        (
+            "two.csv",
+            format!("[target]\n{at}sigma_mm = 0.02\n"),
+            3,
+            "the target has no name, and 2 are measured: A, B",
+            "name = ",
+        ),
+    ] {
+        let model = state(&sandbox, &stated);
+        let found = sandbox.run(["identify", "--model", &model, "--measurements", measured]);
+        assert_eq!((found.code, found.stdout.as_str()), (Some(1), ""), "{stated}: {found:?}");
+        let first = found.stderr.lines().next().unwrap_or_default();
+        let number = first.split(':').nth(2).and_then(|number| number.parse::<usize>().ok());
+        let number = number.unwrap_or_else(|| panic!("no line in {first}"));
+        assert_eq!(number, lines + line, "{stated}: {first}");
+        assert!(first.contains(message), "{message}: {first}");
+        assert!(found.stderr.contains(expected), "{expected}: {}", found.stderr);
+    }
+    // A shot is no reflector.
+    let text = sandbox.read("two.csv");
+    let mut shot = 0;
+    let named: Vec<String> = text
+        .lines()
+        .map(|line| match line.rsplit_once(',') {
+            Some((rest, "A" | "B")) => {
+                shot += 1;
+                format!("{rest},P{shot}")
+            }
+            _ => line.to_owned(),
+        })
+        .collect();
+    sandbox.write("shots.csv", named.join("\n") + "\n");
+    assert_refused(
+        &sandbox,
+        &["identify", "--model", UR5, "--measurements", "shots.csv"],
+        "shots.csv:1: ",
+        "40 targets with one reading each tell nothing of the robot: the column target names the shot",
+        "no target column",
     );
 }

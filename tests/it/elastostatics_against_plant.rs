@@ -31,7 +31,8 @@ fn elastostatics_predicts_the_whole_robot() {
             actuators: robot.actuators,
             statics: Some(robot.statics.clone()),
             motor_turns: vec![None; 7],
-        });
+        })
+        .expect("a robot");
         let mut predict = |deflection| {
             chain.settle(&command, &corrections, deflection).expect("a stiff robot");
             chain.target(&robot.target)

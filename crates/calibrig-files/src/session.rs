@@ -8,13 +8,14 @@ use std::fmt::Write;
 use std::ops::Range;
 use std::path::Path;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Cholesky, Matrix3, Vector3};
 use serde::Deserialize;
 
 use crate::LoadedMeasurements;
 use crate::input::{InputError, Source, Spanned};
 use calibrig_model::measurement::{
-    MeasurementSet, NestObservation, Reading, SetKind, SphericalReading, Station, Target,
+    MeasurementSet, NestObservation, Reading, RegistrationError, SetKind, SphericalReading, Station, Target,
+    register,
 };
 
 const SCHEMA: &str = "calibrig.session/1";
@@ -24,10 +25,27 @@ const LARGEST: f64 = 1e15;
 /// What a `session.toml` says.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct SessionFile {
-    /// With the set that it belongs to; `None` for both.
-    stations: Vec<(Option<SetKind>, Station)>,
-    targets: Vec<(Option<SetKind>, Target)>,
+    stations: Vec<Described<Station>>,
+    targets: Vec<Described<Target>>,
     dropped: Vec<(SetKind, u32, String)>,
+}
+
+/// A station or a target as the file describes it.
+#[derive(Debug, Clone, PartialEq)]
+struct Described<T> {
+    /// The set that it belongs to; `None` for both.
+    set: Option<SetKind>,
+    item: T,
+    /// Its name in the text.
+    place: Range<usize>,
+    /// Its nests in the text.
+    nests: Vec<Range<usize>>,
+}
+
+impl<T> Described<T> {
+    fn is_of(&self, kind: SetKind) -> bool {
+        self.set.is_none_or(|set| set == kind)
+    }
 }
 
 /// A set as a session file tells it: which, what was measured, and the poses that were not.
@@ -111,17 +129,29 @@ pub fn parse_session(source: &Source) -> Result<SessionFile, InputError> {
     let mut session = SessionFile::default();
     for table in file.station {
         let set = reader.some_set(table.set.as_ref())?;
-        reader.distinct("station", &table.name, set, session.stations.iter().map(|(s, t)| (*s, &*t.name)))?;
+        let others = session.stations.iter().map(|known| (known.set, &*known.item.name));
+        reader.distinct("station", &table.name, set, others)?;
         let nests = table.nest.iter().map(|nest| reader.nest(nest)).collect::<Result<_, _>>()?;
-        session.stations.push((set, Station { name: table.name.into_inner(), nests }));
+        session.stations.push(Described {
+            set,
+            place: table.name.span(),
+            nests: table.nest.iter().map(Spanned::span).collect(),
+            item: Station { name: table.name.into_inner(), nests },
+        });
     }
     for table in file.target {
         let set = reader.some_set(table.set.as_ref())?;
-        reader.distinct("target", &table.name, set, session.targets.iter().map(|(s, t)| (*s, &*t.name)))?;
+        let others = session.targets.iter().map(|known| (known.set, &*known.item.name));
+        reader.distinct("target", &table.name, set, others)?;
         let in_flange = reader.vector("in_flange_m", &table.in_flange_m)?;
         let covariance = reader
             .spread(("sigma_m", table.sigma_m.as_ref()), ("covariance_m2", table.covariance_m2.as_ref()))?;
-        session.targets.push((set, Target { name: table.name.into_inner(), in_flange, covariance }));
+        session.targets.push(Described {
+            set,
+            place: table.name.span(),
+            nests: Vec::new(),
+            item: Target { name: table.name.into_inner(), in_flange, covariance },
+        });
     }
     for table in file.dropped {
         session.dropped.push((reader.set(&table.set)?, table.pose, table.reason));
@@ -285,48 +315,129 @@ impl Reader<'_> {
 
 impl SessionFile {
     /// Adds what this file, whose text is `source`, says of the set `kind` to what a measurement file says. Stations and targets then stand
-    /// in the order of this file. One that describes no station (no target) leaves those of the measurement file.
+    /// in the order of this file. One that describes no station (no target) leaves those of the measurement file. Where that does not name
+    /// its one station (target), the one that is described is meant.
     ///
     /// # Errors
-    /// The measurement file names a station or a target that is not described.
+    /// The measurement file names a station or a target that is not described, or does not name which of several it is.
     pub fn complete(
         &self,
         source: &Source,
         kind: SetKind,
         loaded: &mut LoadedMeasurements,
     ) -> Result<(), InputError> {
-        let missing = |what: &str, name: &str| {
+        let find = |what: &str, name: &str, is_named: bool, described: &[&str]| {
+            let by_name = described.iter().position(|known| *known == name);
+            if let Some(place) = by_name.or((!is_named && described.len() == 1).then_some(0)) {
+                return Ok(place);
+            }
+            if !is_named && described.len() > 1 {
+                let message = format!(
+                    "the {} set does not name its {what}, and {} are described: {}",
+                    kind.key(),
+                    described.len(),
+                    described.join(", ")
+                );
+                let help = format!("expected a column {what} in the measurement file, or one [[{what}]]");
+                return Err(source.error(self.places(what, kind), message, Some(help)));
+            }
             let message = format!("{what} {name:?} of the {} set is not described", kind.key());
-            source.error(0..0, message, Some(format!("expected [[{what}]] with name = {}", quoted(name))))
+            let others = if described.is_empty() {
+                String::new()
+            } else {
+                format!("; described are {}", described.join(", "))
+            };
+            let help = format!("expected [[{what}]] with name = {}{others}", quoted(name));
+            Err(source.error(self.places(what, kind), message, Some(help)))
         };
         let set = &mut loaded.set;
         if let Some(stations) = of_set(&self.stations, kind) {
+            let names: Vec<_> = stations.iter().map(|station| &*station.name).collect();
             for observation in &mut set.observations {
                 let name = &set.stations[observation.station].name;
-                let place = stations.iter().position(|station| station.name == *name);
-                observation.station = place.ok_or_else(|| missing("station", name))?;
+                observation.station = find("station", name, loaded.names_stations, &names)?;
             }
             set.stations = stations;
+            loaded.names_stations = true;
         }
         if let Some(targets) = of_set(&self.targets, kind) {
+            let names: Vec<_> = targets.iter().map(|target| &*target.name).collect();
             for observation in &mut set.observations {
                 let name = &set.targets[observation.target].name;
-                let place = targets.iter().position(|target| target.name == *name);
-                observation.target = place.ok_or_else(|| missing("target", name))?;
+                observation.target = find("target", name, loaded.names_targets, &names)?;
             }
             set.targets = targets;
+            loaded.names_targets = true;
         }
         let dropped = self.dropped.iter().filter(|(set, ..)| *set == kind);
         let dropped = dropped.map(|(_, pose, reason)| (*pose, reason.clone()));
         loaded.dropped = dropped.chain(std::mem::take(&mut loaded.dropped)).collect();
         Ok(())
     }
+
+    /// Where the first station (target) of the set is described; the text's begin where none is.
+    fn places(&self, what: &str, kind: SetKind) -> Range<usize> {
+        let of_set = |(known, place): (bool, &Range<usize>)| known.then(|| place.clone());
+        let first = match what {
+            "station" => self.stations.iter().map(|known| (known.is_of(kind), &known.place)).find_map(of_set),
+            _ => self.targets.iter().map(|known| (known.is_of(kind), &known.place)).find_map(of_set),
+        };
+        first.unwrap_or(0..0)
+    }
+
+    /// Whether it describes targets, which then are all.
+    pub fn describes_targets(&self) -> bool {
+        !self.targets.is_empty()
+    }
+
+    /// Whether it describes stations, which then are all.
+    pub fn describes_stations(&self) -> bool {
+        !self.stations.is_empty()
+    }
+
+    /// Refuses what an identification cannot use, whose text is `source`: nests that do not place their station, and an uncertainty of a target
+    /// that is none.
+    ///
+    /// # Errors
+    /// The station has nests, but fewer than three, or all on one line, or one without an uncertainty; the covariance of the target is not positive definite.
+    pub fn check_usable(&self, source: &Source) -> Result<(), InputError> {
+        for Described { item: station, place, nests, .. } in
+            self.stations.iter().filter(|known| !known.item.nests.is_empty())
+        {
+            let Err(error) = register(station) else { continue };
+            let (place, expected) = match &error {
+                RegistrationError::Covariance { nest } => {
+                    let at = station.nests.iter().position(|known| known.name == *nest);
+                    let at = at.and_then(|at| nests.get(at)).unwrap_or(place);
+                    (
+                        at,
+                        "the uncertainty of the reading or of the certified place above zero in every direction",
+                    )
+                }
+                _ => (
+                    place,
+                    "three nests or more that are not on one line, or none: then the station's place is identified",
+                ),
+            };
+            let message = format!("station {:?}: {error}", station.name);
+            return Err(source.error(place.clone(), message, Some(format!("expected {expected}"))));
+        }
+        for Described { item: target, place, .. } in &self.targets {
+            if target.covariance.is_some_and(|covariance| Cholesky::new(covariance).is_none()) {
+                let message =
+                    format!("target {:?}: its uncertainty is not above zero in every direction", target.name);
+                let expected = "expected sigma_m or covariance_m2 of a measured offset, or neither: then it is identified";
+                return Err(source.error(place.clone(), message, Some(expected.to_owned())));
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Those of one set; `None` where the file describes none at all.
-fn of_set<T: Clone>(described: &[(Option<SetKind>, T)], kind: SetKind) -> Option<Vec<T>> {
-    let own = described.iter().filter(|(set, _)| set.is_none_or(|set| set == kind));
-    (!described.is_empty()).then(|| own.map(|(_, item)| item.clone()).collect())
+fn of_set<T: Clone>(described: &[Described<T>], kind: SetKind) -> Option<Vec<T>> {
+    let own = described.iter().filter(|known| known.is_of(kind));
+    (!described.is_empty()).then(|| own.map(|known| known.item.clone()).collect())
 }
 
 /// The session file of these sets. What is the same in all of them is written once.

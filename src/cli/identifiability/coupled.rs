@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::super::identify::{compliances, file_options, terms};
+use super::super::identify::{compliances, terms};
 use super::{Args, CliError, MOUNTABLE_TARGET, SPREAD_POSES, Verdict, scenario_poses, spread_poses};
 use crate::cli::print;
 use crate::pipeline::{PipelineError, planned, planned_at};
 use crate::scenario::load_scenario;
 use calibrig_estimation::identification::{
-    IdentificationOptions, Mode, ParameterChoice, Prospect, prospect, structural_poses,
+    IdentificationOptions, Mode, Prospect, prospect, structural_poses,
 };
 use calibrig_files::load_robot;
 use calibrig_model::measurement::MeasurementSet;
@@ -65,9 +65,9 @@ fn of_scenario(path: &Path) -> Result<Plan, CliError> {
 fn of_robot(path: &Path) -> Result<Plan, CliError> {
     let robot = load_robot(path)?;
     let poses = structural_poses(&robot.model.kinematics, SPREAD_POSES);
-    let set = planned_at(&robot.model, &poses, robot.target.unwrap_or(MOUNTABLE_TARGET))
+    let set = planned_at(&robot.model, &poses, robot.target().unwrap_or(MOUNTABLE_TARGET))
         .map_err(|error| failed(error, path.to_path_buf()))?;
-    let mut options = file_options(ParameterChoice::Complete, None);
+    let mut options = IdentificationOptions { tolerance: None, ..IdentificationOptions::default() };
     if let Some(sigma) = robot.compliance_sigma {
         options.compliance_sigma = sigma;
     }

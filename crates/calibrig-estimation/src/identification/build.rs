@@ -4,6 +4,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 
 use super::factor::triangular_factor;
 use super::machine::Machine;
+use super::options::is_placed;
 use super::parameters::{Column, columns};
 use super::problem::{CalibrationProblem, Current, Prior, Row};
 use super::{
@@ -42,7 +43,7 @@ pub(super) fn build(
     set: &MeasurementSet,
     options: &IdentificationOptions,
 ) -> Result<Built, IdentifyError> {
-    let mut columns = columns(model, options, options.freedom(set))?;
+    let mut columns = columns(model, options, options.freedom(&set.stations, &set.targets))?;
     let mut built = assemble(model, set, options, &columns)?;
     if !options.mode.is_coupled() && options.redundant != Redundancy::Fix {
         return Ok(built);
@@ -126,7 +127,7 @@ pub(super) fn rebuild(
     options: &IdentificationOptions,
     kept: &[ParameterId],
 ) -> Result<CalibrationProblem, IdentifyError> {
-    let mut columns = columns(model, options, options.freedom(set))?;
+    let mut columns = columns(model, options, options.freedom(&set.stations, &set.targets))?;
     columns.retain(|column| kept.contains(&column.id));
     Ok(assemble(model, set, options, &columns)?.problem)
 }
@@ -246,6 +247,8 @@ fn targets(
                     what: format!("target {} has no measured uncertainty", target.name),
                 });
             }
+            // The fitted observations say nothing of a target that only others saw: it stays where it was stated to be.
+            _ if !set.observations.iter().any(|observation| observation.target == index) => continue,
             (TargetChoice::Identified | TargetChoice::AsStated, _) => {}
         }
         parameters.extend(ParameterId::all_of_target(index));
@@ -272,6 +275,13 @@ fn best_fit_station(
         model.actuators.joints_from_command(&observation.command, &mut joints);
         seen.push(observation.reading.position());
         nominal.push(target(&model.kinematics, &joints, &set.targets[observation.target].in_flange));
+    }
+    let station = &set.stations[station];
+    if seen.is_empty() && is_placed(station) {
+        // Nothing was measured from there but the nests.
+        return register(station)
+            .map(|registration| registration.tracker_from_base)
+            .map_err(|source| IdentifyError::Registration { station: station.name.clone(), source });
     }
     best_fit_transform(&seen, &nominal).ok_or(IdentifyError::BestFit)
 }

@@ -168,7 +168,7 @@ fn spread((id, sigma): (&ParameterId, &Option<f64>)) -> f64 {
 /// The nominal robot, laid over the measurements.
 ///
 /// Where the target's offset was measured, by the rigid transform that fits best (one a station, equal weights); where it is unknown,
-/// the offset is fitted together with the tracker's place.
+/// the offset is fitted together with the tracker's place, and those that were measured are a prior.
 pub fn without_calibration(
     model: &CalibrationModel,
     set: &MeasurementSet,
@@ -178,7 +178,7 @@ pub fn without_calibration(
             mode: Mode::WithoutCalibration,
             parameters: ParameterChoice::Listed(Vec::new()),
             frame: FrameChoice::Free,
-            target: TargetChoice::Identified,
+            target: TargetChoice::AsStated,
             ..IdentificationOptions::published()
         };
         return Ok(identify(model, set, &options)?.robot);

@@ -7,6 +7,7 @@ use thiserror::Error;
 
 use super::parameters::candidate_parameters;
 use super::{FrameChoice, IdentificationOptions, Mode};
+use calibrig_model::measurement::{Station, Target};
 use calibrig_model::{CalibrationModel, ParameterId, Unit};
 
 /// Limits of a parameter, SI: of its deviation from the nominal, stated or predicted value, as the parameter itself.
@@ -216,8 +217,8 @@ pub fn check_bounds(
     model: &CalibrationModel,
     modes: &[Mode],
     options: &IdentificationOptions,
-    stations: usize,
-    targets: usize,
+    stations: &[Station],
+    targets: &[Target],
 ) -> Result<(), RefusedBound> {
     let bounds = &options.bounds;
     if bounds.is_empty() {
@@ -243,7 +244,10 @@ pub fn check_bounds(
         if bounds[..index].iter().any(|other| other.id == id) {
             return refused(ParameterBoundError::Twice { id });
         }
-        if matches!(id, ParameterId::Frame { .. }) && options.frame == FrameChoice::Free {
+        if let ParameterId::Frame { station, .. } = id
+            && let Some(station) = stations.get(station)
+            && options.frame.of(station) == FrameChoice::Free
+        {
             return refused(ParameterBoundError::NoReference { id });
         }
         if !known.contains(&id) {

@@ -1,7 +1,7 @@
 //! What to fit, and how.
 
 use super::{Mode, ParameterBound, SolverOptions};
-use calibrig_model::measurement::{MeasurementSet, Station, Target};
+use calibrig_model::measurement::{Station, Target};
 use calibrig_model::{Compliance, ParameterId, Unit};
 use serde::{Deserialize, Serialize};
 
@@ -17,6 +17,11 @@ pub enum FrameChoice {
     Free,
     /// The nests' result is taken as exact.
     Fixed,
+}
+
+/// Whether a station has nests enough to be placed by them.
+pub(super) fn is_placed(station: &Station) -> bool {
+    station.nests.len() >= 3
 }
 
 /// What is known of the target's offset.
@@ -37,7 +42,7 @@ impl FrameChoice {
     /// The choice for one station.
     pub(super) fn of(self, station: &Station) -> Self {
         match self {
-            Self::AsStated if station.nests.len() >= 3 => Self::Nests,
+            Self::AsStated if is_placed(station) => Self::Nests,
             Self::AsStated => Self::Free,
             choice => choice,
         }
@@ -217,11 +222,11 @@ impl IdentificationOptions {
         }
     }
 
-    /// What of `set` ties the robot's ends under these options.
-    pub(super) fn freedom(&self, set: &MeasurementSet) -> Freedom {
+    /// What of these stations and targets ties the robot's ends under these options.
+    pub(super) fn freedom(&self, stations: &[Station], targets: &[Target]) -> Freedom {
         let free = |station: &Station| self.frame.of(station) == FrameChoice::Free;
         let identified = |target: &Target| self.target.of(target) == TargetChoice::Identified;
-        Freedom { frame: set.stations.iter().all(free), target: set.targets.iter().all(identified) }
+        Freedom { frame: stations.iter().all(free), target: targets.iter().all(identified) }
     }
 
     /// Whether a family of terms is switched on.

@@ -5,6 +5,7 @@ use super::{
     ComplianceChoice, FrameChoice, IdentificationOptions, IdentifyError, LINKAGE, Mode, ParameterChoice,
     TargetChoice, complete_set, neighbour_axis_rules,
 };
+use calibrig_model::measurement::{Station, Target};
 use calibrig_model::{CalibrationModel, Compliance, FAMILIES, LinkTerm, ParameterId, TermId, Unit};
 
 /// A parameter of the robot with its own prior.
@@ -42,19 +43,16 @@ pub(super) fn columns(
 pub(super) fn candidate_parameters(
     model: &CalibrationModel,
     options: &IdentificationOptions,
-    stations: usize,
-    targets: usize,
+    stations: &[Station],
+    targets: &[Target],
 ) -> Result<Vec<ParameterId>, IdentifyError> {
-    let free = Freedom {
-        frame: options.frame == FrameChoice::Free,
-        target: options.target == TargetChoice::Identified,
-    };
+    let free = options.freedom(stations, targets);
     let mut ids: Vec<_> = columns(model, options, free)?.into_iter().map(|column| column.id).collect();
     if options.frame != FrameChoice::Fixed {
-        ids.extend((0..stations).flat_map(ParameterId::all_of_frame));
+        ids.extend((0..stations.len()).flat_map(ParameterId::all_of_frame));
     }
     if options.target != TargetChoice::Fixed {
-        ids.extend((0..targets).flat_map(ParameterId::all_of_target));
+        ids.extend((0..targets.len()).flat_map(ParameterId::all_of_target));
     }
     Ok(ids)
 }

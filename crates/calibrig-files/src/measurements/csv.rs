@@ -98,6 +98,10 @@ pub struct LoadedMeasurements {
     pub set: MeasurementSet,
     /// Rows that were left out: number of the pose, and why.
     pub dropped: Vec<(u32, String)>,
+    /// Whether the file names the station of every row; without, there is one of a name that nobody gave.
+    pub names_stations: bool,
+    /// The same of targets.
+    pub names_targets: bool,
 }
 
 /// Reads a measurement file. `joints` are the kinds of the robot's joints, in order.
@@ -143,7 +147,11 @@ pub fn parse_measurements(
     let mapping =
         map.resolve(&names, joints).map_err(|message| head.refuse(message, "calibrig's own columns"))?;
     let columns = head.columns(&mapping, joints)?;
-    let mut loaded = LoadedMeasurements::default();
+    let mut loaded = LoadedMeasurements {
+        names_stations: columns.station.is_some(),
+        names_targets: columns.target.is_some(),
+        ..LoadedMeasurements::default()
+    };
     let mut rows = 0;
     for line in lines {
         let cells = split(source, line.clone(), delimiter)?;

@@ -6,6 +6,7 @@ mod joints;
 mod loads;
 mod section;
 mod statics;
+mod targets;
 #[cfg(test)]
 pub(crate) mod tests;
 mod urdf;
@@ -17,10 +18,12 @@ use nalgebra::Vector3;
 use serde::Deserialize;
 
 pub use loads::{LoadTable, read_loads};
+pub use targets::StatedTarget;
 
 use actuators::ActuatorTable;
 use joints::JointTable;
 use statics::GravityTable;
+use targets::{TargetTables, read_targets};
 
 use crate::input::{InputError, Source, Spanned};
 use calibrig_model::{CalibrationModel, Visual};
@@ -38,8 +41,8 @@ pub struct Robot {
     pub model: CalibrationModel,
     /// Shapes to draw, per link (link 0 of the vector is the base, then one an entry per joint); empty without a URDF.
     pub visuals: Vec<Vec<Visual>>,
-    /// Nominal offset of the target in the flange frame, m; `None` where it is not known.
-    pub target: Option<Vector3<f64>>,
+    /// Where targets are on the flange; empty where that is not known.
+    pub targets: Vec<StatedTarget>,
     /// How well the compliances are known: standard deviation relative to the stated ones, where the file says.
     pub compliance_sigma: Option<f64>,
     /// The files read, by role: `robot`, then `urdf` and `columns` where it names them.
@@ -57,7 +60,8 @@ struct RobotFile {
     #[serde(default)]
     joint: Vec<Spanned<JointTable>>,
     actuators: Spanned<ActuatorTable>,
-    target: Option<TargetTable>,
+    #[serde(default)]
+    target: TargetTables,
     #[serde(default)]
     load: Vec<Spanned<LoadTable>>,
     gravity: Option<Spanned<GravityTable>>,
@@ -74,12 +78,11 @@ enum Convention {
     Standard,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct TargetTable {
-    x_mm: Spanned<f64>,
-    y_mm: Spanned<f64>,
-    z_mm: Spanned<f64>,
+impl Robot {
+    /// Offset of the target in the flange frame, m, of the first one where several are stated; `None` where it is not known.
+    pub fn target(&self) -> Option<Vector3<f64>> {
+        self.targets.first().map(|target| target.in_flange)
+    }
 }
 
 /// Reads `robot.toml` and the files it names, which it seeks beside itself.
@@ -117,7 +120,7 @@ pub fn parse_robot(
     let kinematics = reader.kinematics()?;
     let actuators = reader.actuators(&kinematics)?;
     let motor_turns = reader.motor_turns()?;
-    let target = reader.target()?;
+    let targets = read_targets(&robot, &file.target)?;
     let described = match &urdf {
         Some(text) => {
             let described = UrdfRobot::parse(text)?;
@@ -139,7 +142,7 @@ pub fn parse_robot(
         companions.into_iter().filter_map(|(role, source)| source.map(|source| (role.to_owned(), source))),
     );
     let model = CalibrationModel { kinematics, actuators, statics, motor_turns };
-    Ok(Robot { name, model, visuals, target, compliance_sigma, sources })
+    Ok(Robot { name, model, visuals, targets, compliance_sigma, sources })
 }
 
 struct Reader<'a> {
@@ -197,14 +200,5 @@ impl Reader<'_> {
 
     fn degrees(&self, key: &str, value: &Spanned<f64>) -> Result<f64, InputError> {
         Ok(self.source.finite(key, value)?.to_radians())
-    }
-
-    fn target(&self) -> Result<Option<Vector3<f64>>, InputError> {
-        let Some(target) = &self.file.target else { return Ok(None) };
-        Ok(Some(Vector3::new(
-            self.millimetres("x_mm", &target.x_mm)?,
-            self.millimetres("y_mm", &target.y_mm)?,
-            self.millimetres("z_mm", &target.z_mm)?,
-        )))
     }
 }

@@ -76,7 +76,10 @@ fn numbers_are_converted_on_entry() {
     assert!((swing.beta - 0.017_453_292_519_943_295).abs() < 1e-17);
     assert_eq!(swing.limits, [-std::f64::consts::PI, std::f64::consts::FRAC_PI_2]);
     assert_eq!(robot.model.kinematics.last_from_flange, Transform::identity());
-    assert_eq!((robot.model.actuators, robot.model.statics, robot.target), (ActuatorMap::Direct, None, None));
+    assert_eq!(
+        (robot.model.actuators, robot.model.statics, robot.targets.len()),
+        (ActuatorMap::Direct, None, 0)
+    );
     assert!(robot.visuals.is_empty());
 }
 
@@ -231,7 +234,7 @@ fn the_spray_painter_has_the_published_table_and_contains_the_working_region() {
     }
     let (shoulder, elbow, offset, _) = robot.model.actuators.four_bar().expect("a four-bar");
     assert_eq!((shoulder, elbow, offset), (2, 3, 0.0));
-    assert_eq!(robot.target, Some(Vector3::new(0.10, 0.15, 0.20)));
+    assert_eq!(robot.target(), Some(Vector3::new(0.10, 0.15, 0.20)));
     let statics = robot.model.statics.expect("masses, stiffnesses and gravity");
     let masses: Vec<f64> = statics.bodies.iter().map(|body| body.mass).collect();
     assert_eq!(masses, [800.0, 400.0, 250.0, 150.0, 80.0, 25.0, 15.0]);
@@ -426,4 +429,77 @@ proptest! {
             prop_assert!(!drawn.is_empty());
         }
     }
+}
+
+/// `TWO_JOINTS` with this in front of `[actuators]`, at line 24.
+fn with_target(text: &str) -> Result<Robot, InputError> {
+    parse(&TWO_JOINTS.replace("[actuators]", &format!("{text}\n[actuators]")))
+}
+
+#[test]
+fn a_target_is_stated_alone_or_as_one_of_several() {
+    let at = "x_mm = 10\ny_mm = -20\nz_mm = 30.5";
+    let one = with_target(&format!("[target]\n{at}")).expect("valid");
+    assert_eq!(one.target(), Some(Vector3::new(0.01, -0.02, 0.0305)));
+    assert_eq!((&one.targets[0].name, one.targets[0].sigma, one.targets.len()), (&None, None, 1));
+    let sure = with_target(&format!("[target]\nname = \"SMR1\"\n{at}\nsigma_mm = 0.02")).expect("valid");
+    assert_eq!(sure.targets[0].name.as_deref(), Some("SMR1"));
+    assert_eq!(sure.targets[0].sigma, Some(2e-5));
+    let table = |name: &str, more: &str| format!("[[target]]\nname = \"{name}\"\n{at}\n{more}\n");
+    let several = with_target(&(table("A", "sigma_mm = 0.02") + &table("B", ""))).expect("valid");
+    let told: Vec<_> = several.targets.iter().map(|t| (t.name.as_deref(), t.sigma)).collect();
+    assert_eq!(told, [(Some("A"), Some(2e-5)), (Some("B"), None)]);
+}
+
+#[test]
+fn a_target_that_cannot_be_is_refused_at_its_line() {
+    let at = "x_mm = 1\ny_mm = 2\nz_mm = 3";
+    for (text, message, line, help) in [
+        (format!("[target]\n{at}\nsigma_mm = -0.02"), "target.sigma_mm is -0.02", 28, "above zero"),
+        (format!("[target]\n{at}\nsigma_mm = nan"), "target.sigma_mm is nan", 28, "finite"),
+        (format!("[target]\n{at}\nsigma_mm = 0"), "nothing is measured exactly", 28, "no sigma_mm"),
+        (format!("[target]\n{at}\nsigma_um = 20"), "unknown key `sigma_um`", 28, "`sigma_mm`"),
+        (format!("[target]\n{at}\nsigma = 0.02"), "unknown key `sigma`", 28, "unit is part of the key"),
+        (format!("[target]\n{at}\nsigma_mm = \"0.02\""), "target.sigma_mm is \"0.02\"", 28, "a number"),
+        ("[target]\nx_m = 1\ny_mm = 2\nz_mm = 3".to_owned(), "unknown key `x_m`", 25, "`x_mm`"),
+        ("[target]\nx_mm = inf\ny_mm = 2\nz_mm = 3".to_owned(), "target.x_mm is inf", 25, "finite"),
+        (format!("[target]\nname = \" \"\n{at}"), "target.name is empty", 25, "measurement files"),
+        (
+            format!("[[target]]\nname = \"A\"\n{at}\n[[target]]\n{at}"),
+            "2 targets are stated, and this one has no name",
+            29,
+            "target column",
+        ),
+        (
+            format!("[[target]]\nname = \"A\"\n{at}\n[[target]]\nname = \"A\"\n{at}"),
+            "a second target \"A\"",
+            30,
+            "its own",
+        ),
+        (
+            format!("[[target]]\nname = \"A\"\n{at}\n[[target]]\nname = \"B\"\nx_mm = 1\ny_mm = 2"),
+            "missing key `z_mm` in [target]",
+            29,
+            "unit",
+        ),
+        (
+            format!("[[target]]\nname = \"A\"\n{at}\n[[target]]\nname = \"B\"\n{at}\nsigma_um = 1"),
+            "unknown key `sigma_um`",
+            34,
+            "`sigma_mm`",
+        ),
+        (format!("[target]\n{at}\n[[target]]\n{at}"), "target", 28, ""),
+    ] {
+        match with_target(&text) {
+            Err(InputError::Invalid { message: found, line: at, help: expected, .. }) => {
+                assert!(found.contains(message), "{text}: {found}");
+                assert_eq!(at, line, "{text}: {found}");
+                assert!(expected.unwrap_or_default().contains(help), "{text}: {found}");
+            }
+            other => panic!("{text}: {other:?}"),
+        }
+    }
+    let text = TWO_JOINTS.replace("convention", "target = 3\nconvention");
+    let error = parse(&text).expect_err("no table").to_string();
+    assert!(error.contains("robot.toml:4: target is 3"), "{error}");
 }

@@ -89,12 +89,12 @@ fn standard_deviations_do_instead_of_covariances() {
          [[target]]\nname = \"t\"\nset = \"verification\"\nin_flange_m = [0, 0, 0.1]\nsigma_m = 0.5\n",
     )
     .expect("valid");
-    let nest = &session.stations[0].1.nests[0];
+    let nest = &session.stations[0].item.nests[0];
     assert_eq!(nest.in_base_covariance, Matrix3::from_diagonal_element(1e-3 * 1e-3));
     let Reading::Spherical(reading) = &nest.reading else { panic!("spherical") };
     assert_eq!(reading.covariance.m22, 2e-6 * 2e-6);
-    assert_eq!(session.targets[0].0, Some(SetKind::Verification));
-    assert_eq!(session.targets[0].1.covariance, Some(Matrix3::from_diagonal_element(0.25)));
+    assert_eq!(session.targets[0].set, Some(SetKind::Verification));
+    assert_eq!(session.targets[0].item.covariance, Some(Matrix3::from_diagonal_element(0.25)));
 }
 
 #[test]
@@ -118,7 +118,9 @@ fn stations_are_found_by_their_names() {
             targets: vec![Target { name: "t".to_owned(), in_flange: Vector3::zeros(), covariance: None }],
             observations: vec![observation.clone()],
         },
-        dropped: Vec::new(),
+        names_stations: true,
+        names_targets: true,
+        ..LoadedMeasurements::default()
     };
     let mut known = loaded("front");
     session.complete(&source, SetKind::Identification, &mut known).expect("described");
@@ -164,4 +166,45 @@ fn refusals_name_line_and_key() {
     let error =
         parse_session(&Source::new("session.toml", "schema = \"calibrig.session/2\"")).expect_err("newer");
     assert!(error.to_string().contains("session.toml:1: schema is"), "{error}");
+}
+
+#[test]
+fn what_no_identification_can_use_is_refused_at_its_line() {
+    let nest = |at: &str, sigma: &str| {
+        format!(
+            "[[station.nest]]\nname = \"n{at}\"\nin_base_m = [{at}]\nin_base_sigma_m = {sigma}\nposition_m = [{at}]\nsigma_m = {sigma}\n"
+        )
+    };
+    let station = |places: [&str; 3], sigma: &str| {
+        let nests: String = places.iter().map(|at| nest(at, sigma)).collect();
+        format!("[[station]]\nname = \"s\"\n{nests}")
+    };
+    let sound = ["0, 0, 0", "1, 0, 0", "0, 1, 0"];
+    let check = |text: &str| {
+        let source = Source::new("session.toml", format!("schema = \"calibrig.session/1\"\n{text}"));
+        parse_session(&source).expect("readable").check_usable(&source).map_err(|error| error.to_string())
+    };
+    assert_eq!(check(&station(sound, "1e-5")), Ok(()));
+    assert_eq!(check("[[station]]\nname = \"s\"\n"), Ok(()), "none is no mistake");
+    let target = |spread: &str| format!("[[target]]\nname = \"t\"\nin_flange_m = [0, 0, 0.1]\n{spread}\n");
+    assert_eq!(check(&target("")), Ok(()));
+    for (text, expected) in [
+        (
+            format!("[[station]]\nname = \"s\"\n{}{}", nest("0, 0, 0", "1e-5"), nest("1, 0, 0", "1e-5")),
+            "session.toml:3: station \"s\": 2 base nests were measured, at least 3",
+        ),
+        (
+            station(["0, 0, 0", "1, 0, 0", "2, 0, 0"], "1e-5"),
+            "session.toml:3: station \"s\": the base nests lie on one line",
+        ),
+        (station(sound, "0"), "session.toml:4: station \"s\": nest n0, 0, 0: the covariance is missing"),
+        (target("sigma_m = 0"), "session.toml:3: target \"t\": its uncertainty is not above zero"),
+        (
+            target("covariance_m2 = [[1, 2, 0], [2, 1, 0], [0, 0, 1]]"),
+            "session.toml:3: target \"t\": its uncertainty is not above zero",
+        ),
+    ] {
+        let error = check(&text).expect_err(expected);
+        assert!(error.contains(expected), "{error} lacks {expected}");
+    }
 }

@@ -75,7 +75,7 @@ pub struct NestObservation {
 }
 
 /// A target (SMR) on the flange.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Target {
     /// Name for people.
     pub name: String,

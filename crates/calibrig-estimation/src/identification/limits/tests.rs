@@ -106,7 +106,14 @@ fn bounds_that_cannot_be_are_refused_in_words() {
     let frame = ParameterId::Frame { station: 0, component: 0 };
     let check = |bounds: &[ParameterBound], choice: FrameChoice| {
         let options = IdentificationOptions { frame: choice, ..with(bounds, Mode::OnlyCalibration) };
-        let refused = check_bounds(&nominal, &[Mode::OnlyCalibration], &options, 1, 1).expect_err("refused");
+        let refused = check_bounds(
+            &nominal,
+            &[Mode::OnlyCalibration],
+            &options,
+            &[Station::default()],
+            &[Target::default()],
+        )
+        .expect_err("refused");
         (refused.index, refused.to_string(), refused.error.help())
     };
     let wide = bound(A4, -1.0, 1.0);
@@ -144,7 +151,10 @@ fn bounds_that_cannot_be_are_refused_in_words() {
         assert!(said.contains(message) && told.contains(help), "{said} / {told}");
     }
     let fine = with(&[wide, bound(frame, -1.0, 1.0)], Mode::OnlyCalibration);
-    assert_eq!(check_bounds(&nominal, &[Mode::OnlyCalibration], &fine, 1, 1), Ok(()));
+    assert_eq!(
+        check_bounds(&nominal, &[Mode::OnlyCalibration], &fine, &[Station::default()], &[Target::default()]),
+        Ok(())
+    );
     let set = measure(&truth(&nominal, &[], Vec::new()), 40, 1.0);
     let excluded = with(&[bound(A4, 5e-3, 6e-3)], Mode::OnlyCalibration);
     let error = identify(&nominal, &set, &excluded).expect_err("refused");

@@ -152,7 +152,7 @@ fn coupled() -> CalibrationProblem {
         })
         .collect();
     let stations = vec![translation(1.0, 2.0, 3.0) * rotation_x(0.3)];
-    let targets = vec![robot.target.expect("a target")];
+    let targets = vec![robot.target().expect("a target")];
     CalibrationProblem {
         rows,
         priors: Vec::new(),

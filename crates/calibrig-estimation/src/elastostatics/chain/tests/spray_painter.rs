@@ -17,8 +17,8 @@ fn lowered(robot: &Robot, q: &[f64], change: impl Fn(&mut StaticProperties)) -> 
     let mut model = robot.model.clone();
     model.statics.as_mut().map(change).expect("masses, stiffnesses and gravity");
     let command = model.actuators.command_from_joints(q);
-    let target = robot.target.expect("stated");
-    let mut chain = ElasticChain::new(&model);
+    let target = robot.target().expect("stated");
+    let mut chain = ElasticChain::of(&model);
     let mut height = |deflection| {
         chain.settle(&command, &[], deflection).expect("a pose at rest");
         chain.target(&target).y

@@ -1,0 +1,126 @@
+//! `[target]`, or `[[target]]` for each of several: where the reflector is on the flange, and how well that is known.
+
+use std::fmt;
+use std::ops::Range;
+
+use nalgebra::{Matrix3, Vector3};
+use serde::Deserialize;
+use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
+use serde::de::{Deserializer, MapAccess, SeqAccess, Visitor};
+
+use crate::input::{InputError, Source, Spanned};
+
+/// A target as the robot's file states it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StatedTarget {
+    /// As the measurement files have it; `None` for one alone that needs none.
+    pub name: Option<String>,
+    /// Offset in the flange frame, m.
+    pub in_flange: Vector3<f64>,
+    /// Standard deviation of it along every axis, m; `None` for a nominal value of unknown uncertainty.
+    pub sigma: Option<f64>,
+    /// Where the file states it, for messages.
+    pub place: Range<usize>,
+}
+
+impl StatedTarget {
+    /// Covariance of the offset, m².
+    pub fn covariance(&self) -> Option<Matrix3<f64>> {
+        self.sigma.map(|sigma| Matrix3::from_diagonal_element(sigma * sigma))
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TargetTable {
+    name: Option<Spanned<String>>,
+    x_mm: Spanned<f64>,
+    y_mm: Spanned<f64>,
+    z_mm: Spanned<f64>,
+    sigma_mm: Option<Spanned<f64>>,
+}
+
+/// One table or several. No untagged enum: that would lose where a mistake is.
+#[derive(Default)]
+pub(super) struct TargetTables(Vec<Spanned<TargetTable>>);
+
+impl<'de> Deserialize<'de> for TargetTables {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Tables;
+        impl<'de> Visitor<'de> for Tables {
+            type Value = TargetTables;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a table [target], or a table [[target]] for each of several")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<TargetTables, A::Error> {
+                let table = TargetTable::deserialize(MapAccessDeserializer::new(map))?;
+                let place = table.x_mm.span().start..table.z_mm.span().end;
+                Ok(TargetTables(vec![Spanned::new(place, table)]))
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, tables: A) -> Result<TargetTables, A::Error> {
+                Deserialize::deserialize(SeqAccessDeserializer::new(tables)).map(TargetTables)
+            }
+        }
+        deserializer.deserialize_any(Tables)
+    }
+}
+
+/// The targets of `tables`, whose names are distinct; all have one where there are several.
+pub(super) fn read_targets(source: &Source, tables: &TargetTables) -> Result<Vec<StatedTarget>, InputError> {
+    let mut targets: Vec<StatedTarget> = Vec::new();
+    for table in &tables.0 {
+        let (target, span) = (table.get_ref(), table.span());
+        let refused = |span: Range<usize>, message: String, expected: &str| {
+            source.error(span, message, Some(format!("expected {expected}")))
+        };
+        let name = target.name.as_ref().map(|name| name.get_ref().trim());
+        match (&target.name, name) {
+            (None, _) if tables.0.len() > 1 => {
+                let message = format!("{} targets are stated, and this one has no name", tables.0.len());
+                return Err(refused(
+                    span,
+                    message,
+                    "name = \"...\", as in the target column of the measurement files",
+                ));
+            }
+            (Some(key), Some("")) => {
+                return Err(refused(
+                    key.span(),
+                    "target.name is empty".to_owned(),
+                    "a name, as in the measurement files",
+                ));
+            }
+            (Some(key), Some(name)) if targets.iter().any(|known| known.name.as_deref() == Some(name)) => {
+                return Err(refused(key.span(), format!("a second target {name:?}"), "a name of its own"));
+            }
+            _ => {}
+        }
+        let millimetres =
+            |key: &str, value: &Spanned<f64>| Ok::<_, InputError>(source.finite(key, value)? / 1e3);
+        let sigma = target.sigma_mm.as_ref().map(|sigma| {
+            if *sigma.get_ref() == 0.0 {
+                let message = "target.sigma_mm is 0, and nothing is measured exactly".to_owned();
+                return Err(refused(
+                    sigma.span(),
+                    message,
+                    "the standard deviation along every axis, or no sigma_mm where it is not known",
+                ));
+            }
+            Ok(source.positive("target.sigma_mm", sigma)? / 1e3)
+        });
+        targets.push(StatedTarget {
+            name: name.map(str::to_owned),
+            in_flange: Vector3::new(
+                millimetres("target.x_mm", &target.x_mm)?,
+                millimetres("target.y_mm", &target.y_mm)?,
+                millimetres("target.z_mm", &target.z_mm)?,
+            ),
+            sigma: sigma.transpose()?,
+            place: span,
+        });
+    }
+    Ok(targets)
+}
