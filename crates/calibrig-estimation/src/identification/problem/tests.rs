@@ -113,7 +113,7 @@ fn evaluation_takes_no_memory() {
 /// The spray painter with all that yields, its four-bar and every term.
 fn coupled() -> CalibrationProblem {
     let robot = load_robot(Path::new("../../models/spray_painter/robot.toml")).expect("the shipped robot");
-    let mut nominal = robot.model;
+    let mut nominal = robot.model.clone();
     nominal.motor_turns.iter_mut().for_each(|turns| *turns = turns.or(Some(5.0)));
     let links = nominal.kinematics.joint_count();
     let mut parameters = ParameterId::all_of_links(links);
