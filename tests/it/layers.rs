@@ -175,16 +175,21 @@ fn sinks_are_used_by_none_but_those_that_drive_them() {
             continue;
         }
         let uses = found.entry(module.clone()).or_default();
+        // How often `super` leads to the root.
+        let depth = below.iter().filter(|name| *name != "mod").count();
         for line in code(&fs::read_to_string(&file).expect("UTF-8")) {
             for path in line.split(|c: char| !(c.is_alphanumeric() || c == '_' || c == ':')) {
-                match path.split("::").collect::<Vec<_>>()[..] {
-                    ["crate" | "calibrig", to, ..] => {
-                        assert!(!to.is_empty(), "{}: a path that tells no module: {line}", file.display());
-                        uses.extend((to != module).then(|| to.to_owned()));
-                    }
-                    ["calibrig_plant", ..] => uses.extend(["calibrig_plant".to_owned()]),
-                    _ => {}
-                }
+                let names: Vec<&str> = path.split("::").collect();
+                let after = match names[0] {
+                    "crate" | "calibrig" if names.len() > 1 => 1,
+                    "super" if names.iter().take_while(|name| **name == "super").count() == depth => depth,
+                    "calibrig_plant" => 0,
+                    _ => continue,
+                };
+                let to = names.get(after).filter(|to| !to.is_empty());
+                let to =
+                    to.unwrap_or_else(|| panic!("{}: a path that tells no module: {line}", file.display()));
+                uses.extend((*to != module).then(|| (*to).to_owned()));
             }
         }
     }

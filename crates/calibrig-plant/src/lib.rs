@@ -59,7 +59,7 @@
 //!
 //! The estimator, and the model that it fits: data that were simulated with it would fit too well. This does not compile:
 //!
-//! ```compile_fail,E0432
+//! ```compile_fail,E0433
 //! use calibrig_estimation::identification::identify;
 //! ```
 

@@ -574,8 +574,8 @@ impl Row<'_> {
 
 /// Writes a measurement file in calibrig's own columns (see [`ColumnMap`]); every number reads back to the same bits.
 ///
-/// Nests and target offsets are not part of the format (see [`session_text`](super::session_text)). The uncertainty is written as standard deviations where these give the
-/// covariances exactly, else as covariances.
+/// Nests and target offsets are not part of the format (see [`session_text`](crate::session_text)). The uncertainty is written as standard
+/// deviations where these give the covariances exactly, else as covariances.
 pub fn write_measurements(path: &Path, set: &MeasurementSet, joints: &[JointKind]) -> Result<(), CsvError> {
     let text = measurements_text(set, joints)?;
     std::fs::write(path, text)
