@@ -7,13 +7,13 @@
 // The functions that criterion generates have no docs; a bench may stop at its first error.
 #![allow(missing_docs, clippy::expect_used)]
 
-#[path = "../crates/calibrig-plant/src/tests/spray_robot.rs"]
+#[path = "../src/tests/spray_robot.rs"]
 mod spray_robot;
 
 use std::hint::black_box;
 
-use calibrig::plant::effects::Effects;
-use calibrig::plant::{AsBuilt, Plant, SettleOptions};
+use calibrig_plant::effects::Effects;
+use calibrig_plant::{AsBuilt, Plant, SettleOptions};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;

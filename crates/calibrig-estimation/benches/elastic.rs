@@ -6,9 +6,9 @@
 
 use std::hint::black_box;
 
-use calibrig::elastostatics::{Deflection, ElasticChain};
-use calibrig::geometry::Transform;
-use calibrig::model::{
+use calibrig_estimation::elastostatics::{Deflection, ElasticChain};
+use calibrig_model::geometry::Transform;
+use calibrig_model::{
     ActuatorMap, Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, CalibrationModel, Compliance,
     CraigLink, FourBar, JointKind, KinematicModel, LinkageArm, LinkageLength, LinkageStatics, ParameterId,
     Section, SegmentLength, StaticProperties,
