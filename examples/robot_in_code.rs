@@ -1,5 +1,4 @@
 //! A robot stated in code, measured and identified: what was found, how sure it is, and where the robot goes.
-//!
 //! `cargo run --release --no-default-features --example robot_in_code`
 
 use std::error::Error;
@@ -46,12 +45,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     println!("taken to be so:");
     estimate.assumptions.iter().for_each(|assumption| println!("  {assumption}"));
-    estimate.warnings.iter().for_each(|warning| println!("warning: {warning}"));
 
     let command = [0.5, -0.4, 0.9, 0.0];
     let there = estimate.predict(&command)?;
     let nominal = target_in_base(&robot.kinematics, &command, &Vector3::new(0.10, 0.05, 0.20))?;
-    println!("at {command:?} rad, in the base frame:");
+    println!("at {command:?} rad:");
     println!("  predicted {:9.3?} mm", (1e3 * there.position).as_slice());
     println!("  nominal   {:9.3?} mm", (1e3 * nominal).as_slice());
     if let Some(sigma) = there.sigma() {

@@ -66,7 +66,8 @@
 //! }
 //! estimate.assumptions.iter().for_each(|assumption| println!("{assumption}"));
 //! let there = estimate.predict(&[0.5, -0.4, 0.9, 0.0])?;
-//! println!("at {:.4?} m, +- {:.1e?} m", there.position, there.sigma());
+//! let sigma = there.sigma().unwrap_or_default();
+//! println!("at {:.5?} m, +- {:.6?} m", there.position.as_slice(), sigma.as_slice());
 //! # let upper_arm = estimate.parameters.iter().find(|p| p.id.to_string() == "delta_a3").unwrap();
 //! # assert!((upper_arm.value - 1.5e-3).abs() < 4.0 * upper_arm.sigma.unwrap(), "{upper_arm:?}");
 //! # assert!(upper_arm.sigma.unwrap() < 20e-6 && estimate.is_sound(), "{:?}", estimate.warnings);

@@ -40,7 +40,8 @@
 //! }
 //! estimate.assumptions.iter().for_each(|assumption| println!("{assumption}"));
 //! let there = estimate.predict(&[1.0, 0.3, -0.8, 0.5])?;
-//! println!("at {:.4?} m, +- {:.1e?} m", there.position, there.sigma());
+//! let sigma = there.sigma().unwrap_or_default();
+//! println!("at {:.5?} m, +- {:.6?} m", there.position.as_slice(), sigma.as_slice());
 //! # let elbow = estimate.parameters.iter().find(|p| p.id.to_string() == "delta_theta3").unwrap();
 //! # assert!((elbow.value - 2e-3).abs() < 4.0 * elbow.sigma.unwrap(), "{elbow:?}");
 //! # assert!(elbow.sigma.unwrap() < 100e-6 && estimate.is_sound(), "{:?}", estimate.warnings);

@@ -1,4 +1,4 @@
-//! How one machine differs from another of its kind.
+//! How one machine differs from another of its kind. Of a link that is not there nothing changes.
 
 use nalgebra::{Rotation3, Vector3};
 
