@@ -28,29 +28,101 @@
 //! | mᵢ, Wᵢ | reading, and the inverse Cholesky factor of its covariance | [`measurement`] |
 //! | Lₖ | priors: base nests, measured target, making tolerance | [`identification`] |
 //!
-//! # Example
+//! # A robot in code
 //!
-//! Two revolute joints with parallel axes: the offsets d of the two do the same, so the rules keep one of them and add Hayati's beta.
+//! An arm of four joints is stated, measured and identified. Nothing is known of the tracker's place, nor of where the target sits on the
+//! flange: the default options identify both, with a complete independent set of link parameters, and tell what they took to be so.
 //!
 //! ```
-//! use calibrig::geometry::Transform;
-//! use calibrig::identification::neighbour_axis_rules;
-//! use calibrig::model::{CraigLink, JointKind, KinematicModel};
+//! use calibrig::identification::{IdentificationOptions, identify};
+//! use calibrig::kinematics::target_in_base;
+//! use calibrig::measurement::MeasurementSet;
+//! use calibrig::model::{CalibrationModel, CraigLink};
+//! use calibrig::nalgebra::Vector3;
+//! use std::f64::consts::FRAC_PI_2;
 //!
-//! let link = |name: &str, a: f64| CraigLink {
-//!     name: name.to_owned(),
-//!     kind: JointKind::Revolute,
-//!     a,
-//!     alpha: 0.0,
-//!     beta: 0.0,
-//!     d: 0.0,
-//!     theta: 0.0,
-//!     limits: [-3.0, 3.0],
-//! };
-//! let links = vec![link("shoulder", 0.0), link("elbow", 1.35)];
-//! let (kept, groups) = neighbour_axis_rules(&KinematicModel { links, last_from_flange: Transform::identity() });
-//! assert_eq!(groups[0].to_string(), "delta_d1 with delta_d2");
-//! assert!(kept.iter().any(|id| id.to_string() == "delta_beta2"));
+//! // Rows of Craig's table: a (m), alpha (rad), d (m), theta (rad); limits in rad.
+//! let robot = CalibrationModel::new(vec![
+//!     CraigLink::revolute("waist").row(0.0, 0.0, 0.8, 0.0).limits(-3.0, 3.0),
+//!     CraigLink::revolute("shoulder").row(0.3, -FRAC_PI_2, 0.0, 0.0).limits(-2.0, 2.0),
+//!     CraigLink::revolute("elbow").row(1.1, 0.0, 0.0, 0.0).limits(-2.0, 2.0),
+//!     CraigLink::revolute("wrist").row(0.2, -FRAC_PI_2, 1.2, 0.0).limits(-3.0, 3.0),
+//! ])?;
+//! // Instead of a tracker: an upper arm 1.5 mm longer than drawn, seen with errors of up to 20 um.
+//! let mut real = robot.kinematics.clone();
+//! real.links[2].a += 1.5e-3;
+//! let mut points = Vec::new();
+//! for k in 0..50 {
+//!     let command = [0.7, 1.1, 1.9, 2.3].map(|pace| 1.8 * (pace * f64::from(k)).sin());
+//!     let target = target_in_base(&real, &command, &Vector3::new(0.10, 0.05, 0.20))?;
+//!     let error = [5.3, 6.1, 7.7].map(|pace| 20e-6 * (pace * f64::from(k)).sin());
+//!     points.push((command.to_vec(), target + Vector3::from(error)));
+//! }
+//! let set = MeasurementSet::of_points(points).with_sigma(15e-6);
+//!
+//! let estimate = identify(&robot, &set, &IdentificationOptions::default())?;
+//! for p in &estimate.parameters {
+//!     println!("{:14} {:10.6} +- {:.6} {}", p.id, p.value, p.sigma.unwrap_or(f64::NAN), p.id.unit());
+//! }
+//! estimate.assumptions.iter().for_each(|assumption| println!("{assumption}"));
+//! let there = estimate.predict(&[0.5, -0.4, 0.9, 0.0])?;
+//! let sigma = there.sigma().unwrap_or_default();
+//! println!("at {:.5?} m, +- {:.6?} m", there.position.as_slice(), sigma.as_slice());
+//! # let upper_arm = estimate.parameters.iter().find(|p| p.id.to_string() == "delta_a3").unwrap();
+//! # assert!((upper_arm.value - 1.5e-3).abs() < 4.0 * upper_arm.sigma.unwrap(), "{upper_arm:?}");
+//! # assert!(upper_arm.sigma.unwrap() < 20e-6 && estimate.is_sound(), "{:?}", estimate.warnings);
+//! # assert!(there.sigma().is_some_and(|sigma| sigma.norm() < 100e-6), "{there:?}");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # The same from files
+//!
+//! A robot's file states its table, limits and, where known, masses and stiffnesses, with the unit in every key; a file of measurements has
+//! calibrig's own columns, or those that a [`ColumnMap`](files::ColumnMap) names. Everything becomes SI and radians on the way in.
+//!
+//! ```
+//! use calibrig::files::{ColumnMap, Source, load_robot, parse_measurements};
+//! use calibrig::identification::{IdentificationOptions, identify};
+//! use calibrig::kinematics::target_in_base;
+//! use calibrig::nalgebra::Vector3;
+//! use std::path::Path;
+//!
+//! let robot = load_robot(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/models/ur5/robot.toml")))?;
+//! let links = &robot.model.kinematics.links;
+//! let kinds: Vec<_> = links.iter().map(|link| link.kind).collect();
+//!
+//! // What a tracker's program would have written: a forearm 0.8 mm longer than drawn, rounded to 10 um.
+//! let mut real = robot.model.kinematics.clone();
+//! real.links[3].a -= 0.8e-3;
+//! let mut text = "q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad,x_m,y_m,z_m\n".to_owned();
+//! for k in 0..60 {
+//!     let q = [0.7, 1.1, 1.9, 2.3, 2.9, 3.7].map(|pace| 2.5 * (pace * f64::from(k)).sin());
+//!     let p = target_in_base(&real, &q, &Vector3::new(0.05, 0.03, 0.10))?;
+//!     text += &q.map(|q| format!("{q:.9},")).concat();
+//!     text += &format!("{:.5},{:.5},{:.5}\n", p.x, p.y, p.z);
+//! }
+//! let file = Source::new("measured.csv", text); // from a disk: read_measurements(path, ...)
+//! let measured = parse_measurements(&file, &ColumnMap::default(), &kinds)?;
+//!
+//! let estimate = identify(&robot.model, &measured.set, &IdentificationOptions::default())?;
+//! for p in estimate.parameters.iter().filter(|p| p.id.to_string() == "delta_a4") {
+//!     println!("{} = {:.3} +- {:.3} mm", p.id, 1e3 * p.value, 1e3 * p.sigma.unwrap_or(f64::NAN));
+//!     assert!((p.value + 0.8e-3).abs() < 10e-6);
+//! }
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # More
+//!
+//! The programs in `examples/` run from the root of the repository: `cargo run --release --no-default-features --example robot_in_code`,
+//! and so on. `ARCHITECTURE.md` shows which crate is behind which module; vectors and matrices are those of the [`nalgebra`] that is
+//! re-exported here.
+//!
+//! ```
+//! // The same type as everywhere in the interface, without a dependency of one's own that could be of another version.
+//! let up = calibrig::nalgebra::Vector3::z();
+//! let set = calibrig::measurement::MeasurementSet::of_points([(vec![0.0], up)]);
+//! assert_eq!(set.observations[0].reading.position(), up);
 //! ```
 
 pub use calibrig_estimation::{elastostatics, evaluation, identification, kinematics, validation};

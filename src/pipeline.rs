@@ -38,6 +38,7 @@ pub use calibrig_model::measurement::{SetKind, SetOutcome};
 use calibrig_model::{CalibrationModel, Visual};
 use calibrig_plant::PlantError;
 use calibrig_plant::effects::EffectError;
+use calibrig_plant::experiment::RegionError;
 use calibrig_plant::session::{BesideRigid, SessionError, counting};
 pub use calibrig_plant::session::{MeasuredPose, SessionEvent, SessionListener, Simulation, Truth};
 use calibrig_plant::tracker::TrackerError;
@@ -122,6 +123,9 @@ pub enum PipelineError {
     /// The machine's effects are none that a machine has.
     #[error("the machine's effects: {0}")]
     Effects(#[from] EffectError),
+    /// No pose of the machine can be drawn.
+    #[error("the working region: {0}")]
+    Region(#[from] RegionError),
     /// The analytic machine does not come to rest.
     #[error("the analytic plant: {0}")]
     Analytic(#[from] calibrig_estimation::elastostatics::ElasticError),
@@ -181,6 +185,7 @@ impl<E: Into<Self>> From<SessionError<E>> for PipelineError {
     fn from(error: SessionError<E>) -> Self {
         match error {
             SessionError::Effects(error) => Self::Effects(error),
+            SessionError::Region(error) => Self::Region(error),
             SessionError::Pose { set, pose, source } => {
                 Self::Pose { set, pose, source: Box::new(source.into()) }
             }

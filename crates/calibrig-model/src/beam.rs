@@ -13,7 +13,7 @@ pub enum BeamError {
     #[error("the beam has no segments")]
     Empty,
     /// A segment without length, at some joint variable.
-    #[error("beam segment {} is {length} m long at the joint variable {q}; its length must be positive", segment + 1)]
+    #[error("beam segment {} is {length} m long at the joint variable {q}; its length must be positive", segment.saturating_add(1))]
     Length {
         /// Index of the segment.
         segment: usize,
@@ -23,13 +23,13 @@ pub enum BeamError {
         q: f64,
     },
     /// A segment that grows with a joint that turns.
-    #[error("beam segment {} follows the extension of a joint that is not prismatic", segment + 1)]
+    #[error("beam segment {} follows the extension of a joint that is not prismatic", segment.saturating_add(1))]
     ExtensionOfRevolute {
         /// Index of the segment.
         segment: usize,
     },
     /// A stiffness that is not positive.
-    #[error("beam segment {} has the {property} {value}; it must be positive (infinite where rigid)", segment + 1)]
+    #[error("beam segment {} has the {property} {value}; it must be positive (infinite where rigid)", segment.saturating_add(1))]
     Stiffness {
         /// Index of the segment.
         segment: usize,
@@ -39,7 +39,7 @@ pub enum BeamError {
         value: f64,
     },
     /// A mass that is negative or infinite.
-    #[error("beam segment {} has {value} kg/m; it must be finite and not negative", segment + 1)]
+    #[error("beam segment {} has {value} kg/m; it must be finite and not negative", segment.saturating_add(1))]
     MassPerLength {
         /// Index of the segment.
         segment: usize,
@@ -114,13 +114,27 @@ impl Beam {
     ///
     /// [`BeamError`].
     pub fn check(&self, link: &CraigLink) -> Result<(), BeamError> {
+        self.check_sections()?;
+        let extends = |segment: &BeamSegment| matches!(segment.length, SegmentLength::Extension(_));
+        if link.kind != JointKind::Prismatic
+            && let Some(segment) = self.segments.iter().position(extends)
+        {
+            return Err(BeamError::ExtensionOfRevolute { segment });
+        }
+        // A length is linear in the joint variable: the limits are the extremes.
+        link.limits.iter().try_for_each(|q| self.lengths(*q).map(drop))
+    }
+
+    /// Whether its sections can be, whatever link carries it.
+    ///
+    /// # Errors
+    ///
+    /// [`BeamError`] of a beam without segments, or of a stiffness or mass that cannot be.
+    pub fn check_sections(&self) -> Result<(), BeamError> {
         if self.segments.is_empty() {
             return Err(BeamError::Empty);
         }
-        for (segment, BeamSegment { length, section }) in self.segments.iter().enumerate() {
-            if matches!(length, SegmentLength::Extension(_)) && link.kind != JointKind::Prismatic {
-                return Err(BeamError::ExtensionOfRevolute { segment });
-            }
+        for (segment, BeamSegment { section, .. }) in self.segments.iter().enumerate() {
             if let Some((property, value)) = section.named().into_iter().find(|(_, value)| !(*value > 0.0)) {
                 return Err(BeamError::Stiffness { segment, property, value });
             }
@@ -129,8 +143,7 @@ impl Beam {
                 return Err(BeamError::MassPerLength { segment, value });
             }
         }
-        // A length is linear in the joint variable: the limits are the extremes.
-        link.limits.iter().try_for_each(|q| self.lengths(*q).map(drop))
+        Ok(())
     }
 }
 

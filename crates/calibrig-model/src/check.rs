@@ -38,7 +38,7 @@ pub enum ModelError {
         expected: &'static str,
     },
     /// Limits that leave no joint variable.
-    #[error("the limits of joint {} cross: {low} to {high}", joint + 1)]
+    #[error("the limits of joint {} cross: {low} to {high}", joint.saturating_add(1))]
     Limits {
         /// Index of the joint.
         joint: usize,
@@ -48,7 +48,7 @@ pub enum ModelError {
         high: f64,
     },
     /// Something that belongs to a joint which is not there.
-    #[error("{field} is of joint {}: the robot has {joints}", joint + 1)]
+    #[error("{field} is of joint {}: the robot has {joints}", joint.saturating_add(1))]
     Joint {
         /// What it is.
         field: &'static str,
@@ -60,7 +60,7 @@ pub enum ModelError {
     /// An elbow that does not follow its shoulder.
     #[error(
         "the parallelogram joins joints {} and {}: expected an elbow that follows its shoulder",
-        shoulder + 1, elbow + 1
+        shoulder.saturating_add(1), elbow.saturating_add(1)
     )]
     Parallelogram {
         /// Index of the shoulder.
@@ -69,7 +69,7 @@ pub enum ModelError {
         elbow: usize,
     },
     /// A flexible link that cannot be.
-    #[error("the beam of link {}: {source}", link + 1)]
+    #[error("the beam of link {}: {source}", link.saturating_add(1))]
     Beam {
         /// Index of the link.
         link: usize,
@@ -102,7 +102,7 @@ pub enum ModelError {
 }
 
 fn of_joint(joint: Option<usize>) -> String {
-    joint.map_or_else(String::new, |joint| format!(" of joint {}", joint + 1))
+    joint.map_or_else(String::new, |joint| format!(" of joint {}", joint.saturating_add(1)))
 }
 
 const FINITE: &str = "a finite number";
@@ -206,14 +206,19 @@ impl CalibrationModel {
 }
 
 impl ActuatorMap {
-    fn check(&self, joints: usize) -> Result<(), ModelError> {
+    /// Whether the map can be that of a robot with so many joints.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError`] with the field, for joints that are not there, an elbow in front of its shoulder, or a four-bar whose lengths cannot be.
+    pub fn check(&self, joints: usize) -> Result<(), ModelError> {
         let Self::Parallelogram { shoulder, elbow, offset, linkage } = *self else { return Ok(()) };
         for (field, joint) in [("actuators.shoulder", shoulder), ("actuators.elbow", elbow)] {
             if joint >= joints {
                 return Err(ModelError::Joint { field, joint, joints });
             }
         }
-        if shoulder >= elbow || (linkage.is_some() && shoulder + 1 != elbow) {
+        if shoulder >= elbow || (linkage.is_some() && shoulder.saturating_add(1) != elbow) {
             return Err(ModelError::Parallelogram { shoulder, elbow });
         }
         finite("actuators.offset", None, [offset])?;

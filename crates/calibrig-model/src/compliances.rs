@@ -18,16 +18,17 @@ impl StaticProperties {
     fn compliances(&self, kinematics: &KinematicModel) -> Vec<Compliance> {
         let mut all = Vec::new();
         for (joint, link) in kinematics.links.iter().enumerate() {
-            if self.drive_stiffness[joint].is_finite() {
+            if self.drive_stiffness.get(joint).is_some_and(|k| k.is_finite()) {
                 all.push(Compliance::Drive { joint });
             }
             let own = match link.kind {
                 JointKind::Prismatic => 2,
                 JointKind::Revolute => 5,
             };
-            let yields = |axis: &usize| *axis != own && self.bearings[joint].stiffness[*axis].is_finite();
+            let bearing = self.bearings.get(joint).copied().unwrap_or_default();
+            let yields = |axis: &usize| *axis != own && bearing.stiffness[*axis].is_finite();
             all.extend((0..6).filter(yields).map(|axis| Compliance::Bearing { joint, axis }));
-            let beam = self.beams[joint].iter().flat_map(|beam| &beam.segments);
+            let beam = self.beams.get(joint).into_iter().flatten().flat_map(|beam| &beam.segments);
             if beam.map(|segment| segment.section).any(|section| !section.is_rigid()) {
                 all.push(Compliance::Beam { link: joint });
             }

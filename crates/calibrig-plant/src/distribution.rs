@@ -60,7 +60,7 @@ impl AsBuiltDistribution {
     /// A machine that deviates from `base`.
     ///
     /// Every machine takes the same numbers from `rng` in the same order, whatever the sizes and the listed parameters are: another size
-    /// of one kind changes no deviation of another.
+    /// of one kind changes no deviation of another. Of a machine that cannot be one, what is there deviates.
     pub fn draw(&self, base: &AsBuilt, rng: &mut impl Rng) -> AsBuilt {
         let mut machine = base.clone();
         for (index, link) in machine.kinematics.links.iter_mut().enumerate() {
@@ -73,10 +73,16 @@ impl AsBuiltDistribution {
         }
         let mut factor = |size: f64| (1.0 + size * self.spread.draw(rng)).max(LEAST_FACTOR);
         for joint in 0..machine.statics.bodies.len() {
-            machine.statics.drive_stiffness[joint] /=
-                factor(self.size_of_compliance(Compliance::Drive { joint }));
-            for (axis, stiffness) in machine.statics.bearings[joint].stiffness.iter_mut().enumerate() {
-                *stiffness /= factor(self.size_of_compliance(Compliance::Bearing { joint, axis }));
+            let drive = factor(self.size_of_compliance(Compliance::Drive { joint }));
+            if let Some(stiffness) = machine.statics.drive_stiffness.get_mut(joint) {
+                *stiffness /= drive;
+            }
+            let bearing: [f64; 6] = std::array::from_fn(|axis| {
+                factor(self.size_of_compliance(Compliance::Bearing { joint, axis }))
+            });
+            let stiffness = machine.statics.bearings.get_mut(joint).map(|bearing| &mut bearing.stiffness);
+            for (stiffness, factor) in stiffness.into_iter().flatten().zip(bearing) {
+                *stiffness /= factor;
             }
             machine
                 .scale_beam(joint, 1.0 / factor(self.size_of_compliance(Compliance::Beam { link: joint })));

@@ -10,7 +10,7 @@ use calibrig_model::{CalibrationModel, Compliance, LinkageLength, ModelError, Pa
 ///
 /// # Errors
 ///
-/// [`ModelError`], where one of the two cannot be a robot or has no such parameter.
+/// [`ModelError`], where one of the two cannot be a robot or has no such parameter, or the parameter cannot have that value.
 pub fn apply(
     model: &mut CalibrationModel,
     reference: &CalibrationModel,
@@ -19,6 +19,15 @@ pub fn apply(
 ) -> Result<(), ModelError> {
     for robot in [&*model, reference] {
         ElasticChain::new(robot)?.column(id)?;
+    }
+    let (holds, expected) = match id {
+        ParameterId::Compliance(_) | ParameterId::Mass { .. } => {
+            ((-1.0..f64::INFINITY).contains(&value), "a finite number of -1 or more")
+        }
+        _ => (value.is_finite(), "a finite number"),
+    };
+    if !holds {
+        return Err(ModelError::Number { field: "the parameter's value", joint: None, value, expected });
     }
     put(model, reference, id, value);
     Ok(())

@@ -92,10 +92,13 @@ pub fn chi2_band(dof: f64, level: f64) -> (f64, f64) {
 }
 
 /// The normalised estimation error squared `eᵀ C⁻¹ e`: chi-square with n degrees of freedom if the n x n covariance C of the error e is
-/// the true one. `None` if C is not positive definite.
+/// the true one. `None` if C is not n x n and positive definite.
 ///
 /// Source: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation" (2001), section 5.4.2.
 pub fn nees(error: &DVector<f64>, covariance: &DMatrix<f64>) -> Option<f64> {
+    if covariance.shape() != (error.len(), error.len()) {
+        return None;
+    }
     // Parameters have different units: scaled, the factorisation cannot lose the small ones.
     let scale = covariance.diagonal().map(|v| 1.0 / v.sqrt());
     let scaled = DMatrix::from_fn(error.len(), error.len(), |i, j| covariance[(i, j)] * scale[i] * scale[j]);
@@ -106,7 +109,7 @@ pub fn nees(error: &DVector<f64>, covariance: &DMatrix<f64>) -> Option<f64> {
 
 /// The band that holds the mean NEES of `trials` estimates of `parameters` numbers each with probability `level`.
 pub fn mean_nees_band(trials: usize, parameters: usize, level: f64) -> (f64, f64) {
-    let (low, high) = chi2_band((trials * parameters) as f64, level);
+    let (low, high) = chi2_band(trials as f64 * parameters as f64, level);
     (low * parameters as f64, high * parameters as f64)
 }
 

@@ -48,6 +48,16 @@ pub enum IdentifyError {
         /// Whose.
         what: String,
     },
+    /// An option, or a value of an estimate, that cannot be.
+    #[error("{field} is {value}: expected {expected}")]
+    Number {
+        /// Which.
+        field: &'static str,
+        /// Its value, SI.
+        value: f64,
+        /// What it has to be.
+        expected: &'static str,
+    },
     /// A mode that needs what the model does not have.
     #[error("\"{}\" needs masses, stiffnesses and gravity, and the robot's files give none", .mode.title())]
     NoStatics {
@@ -106,6 +116,7 @@ pub fn identify(
     options: &IdentificationOptions,
 ) -> Result<Estimate, IdentifyError> {
     check(model, set)?;
+    options.check()?;
     if options.mode.needs_statics() && model.statics.is_none() {
         return Err(IdentifyError::NoStatics { mode: options.mode });
     }

@@ -16,8 +16,10 @@ pub struct ParameterBound {
     /// Which.
     pub id: ParameterId,
     /// Lowest value; minus infinity where that end is open.
+    #[serde(with = "calibrig_model::float::scalar")]
     pub lower: f64,
     /// Highest value; infinite where that end is open.
+    #[serde(with = "calibrig_model::float::scalar")]
     pub upper: f64,
 }
 

@@ -27,7 +27,7 @@ pub struct Linearisation {
 ///
 /// # Errors
 ///
-/// [`IdentifyError`], where the estimate does not belong to model, set and options.
+/// [`IdentifyError`], where the estimate does not belong to model, set and options, or the estimated robot cannot take a pose.
 pub fn linearise(
     model: &CalibrationModel,
     set: &MeasurementSet,
@@ -35,6 +35,11 @@ pub fn linearise(
     estimate: &Estimate,
 ) -> Result<Linearisation, IdentifyError> {
     check(model, set)?;
+    options.check()?;
+    if let Some(parameter) = estimate.parameters.iter().find(|p| !p.value.is_finite()) {
+        let (field, value) = ("a value of estimate.parameters", parameter.value);
+        return Err(IdentifyError::Number { field, value, expected: "a finite number" });
+    }
     let (mut problem, x) = solved(model, set, options, estimate)?;
     let (m, n) = (problem.rows(), problem.parameters());
     let mut linearisation = Linearisation {
@@ -44,6 +49,10 @@ pub fn linearise(
         whitening: Vec::new(),
     };
     problem.evaluate(&x, &mut linearisation.residuals, Some(&mut linearisation.jacobian));
+    let failed = (0..problem.rows.len()).find(|row| !linearisation.residuals[3 * row].is_finite());
+    if let Some((pose, source)) = failed.and_then(|row| problem.failure(row)) {
+        return Err(IdentifyError::Machine { pose, source });
+    }
     linearisation.whitening = (0..problem.rows.len()).map(|row| problem.whitening(row)).collect();
     Ok(linearisation)
 }
@@ -59,8 +68,11 @@ fn solved(
     let mut problem = rebuild(model, set, options, &kept)?;
     if problem.parameters != kept {
         let names = problem.parameters.iter().chain(&kept);
-        let foreign = names.filter(|id| !(problem.parameters.contains(id) && kept.contains(id)));
-        let name = foreign.map(ToString::to_string).collect::<Vec<_>>().join(", ");
+        let foreign: Vec<_> =
+            names.filter(|id| !(problem.parameters.contains(id) && kept.contains(id))).collect();
+        // The same ones in another order, or one of them twice, are not this estimate's, either.
+        let named = if foreign.is_empty() { kept.iter().collect() } else { foreign };
+        let name = named.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
         return Err(IdentifyError::UnknownParameter { name });
     }
     if let NoiseScale::Residuals(sigma) = estimate.noise

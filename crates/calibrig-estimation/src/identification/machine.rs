@@ -128,7 +128,7 @@ impl Machine {
             Kind::Joints { predicted, joints, .. } => {
                 self.nominal.actuators.joints_from_command(pose.command, joints);
                 if let Some(predicted) = predicted {
-                    predicted.settle(pose.command, &[], Deflection::Equilibrium)?;
+                    predicted.rest(pose.command, &[], Deflection::Equilibrium)?;
                     for (q, deflection) in joints.iter_mut().zip(predicted.deflections()) {
                         *q += deflection;
                     }
@@ -136,8 +136,8 @@ impl Machine {
                 told.command.copy_from_slice(joints);
             }
             Kind::Frozen { ideal, predicted, .. } => {
-                predicted.settle(pose.command, &[], Deflection::Equilibrium)?;
-                ideal.settle_at(pose.command, &[], predicted.deflections())?;
+                predicted.rest(pose.command, &[], Deflection::Equilibrium)?;
+                ideal.hold(pose.command, &[], predicted.deflections())?;
                 told.motions = motions(&self.nominal.kinematics, ideal.link_frames());
             }
             Kind::Elastic { .. } => {
@@ -154,7 +154,7 @@ impl Machine {
             Kind::Frozen { chain, .. } => chain.place_at(&told.motions),
             Kind::Elastic { chain } => {
                 self.terms.displace(&told.basis);
-                chain.settle(&told.command, &self.terms.corrections, Deflection::Equilibrium)?;
+                chain.rest(&told.command, &self.terms.corrections, Deflection::Equilibrium)?;
             }
         }
         Ok(())
@@ -180,7 +180,7 @@ impl Machine {
         match &mut self.kind {
             Kind::Joints { .. } | Kind::Frozen { .. } => {}
             Kind::Elastic { chain } => {
-                chain.prepare(in_flange)?;
+                chain.differentiate(in_flange)?;
                 self.terms.differentiate(chain, &told.basis);
             }
         }

@@ -1,6 +1,6 @@
 //! What to fit, and how.
 
-use super::{Mode, ParameterBound, SolverOptions};
+use super::{IdentifyError, Loss, LossScale, Mode, ParameterBound, SolverOptions};
 use calibrig_model::measurement::{Station, Target};
 use calibrig_model::{Compliance, ParameterId, Unit};
 use serde::{Deserialize, Serialize};
@@ -220,6 +220,36 @@ impl IdentificationOptions {
             bounds: Vec::new(),
             solver: SolverOptions::default(),
         }
+    }
+
+    /// Whether the numbers that hold in every mode can be; those of priors are looked at where a mode has them.
+    pub(super) fn check(&self) -> Result<(), IdentifyError> {
+        let SolverOptions { loss, loss_scale, relative_decrease, absolute_decrease, gradient, .. } = self.solver;
+        let not_negative = |value: f64| value >= 0.0 && value.is_finite();
+        for (field, value) in [
+            ("unmodelled_sigma", self.unmodelled_sigma),
+            ("solver.relative_decrease", relative_decrease),
+            ("solver.absolute_decrease", absolute_decrease),
+            ("solver.gradient", gradient),
+        ] {
+            if !not_negative(value) {
+                return Err(IdentifyError::Number { field, value, expected: "a finite number of zero or more" });
+            }
+        }
+        let constant = match loss {
+            Loss::Squared => None,
+            Loss::Huber { k } | Loss::Cauchy { k } | Loss::Tukey { k } => Some(("solver.loss", k)),
+        };
+        let scale = match loss_scale {
+            LossScale::Estimated => None,
+            LossScale::Fixed(scale) => Some(("solver.loss_scale", scale)),
+        };
+        for (field, value) in constant.into_iter().chain(scale) {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(IdentifyError::Number { field, value, expected: "a finite number above zero" });
+            }
+        }
+        Ok(())
     }
 
     /// What of these stations and targets ties the robot's ends under these options.

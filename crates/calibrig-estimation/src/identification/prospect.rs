@@ -39,6 +39,7 @@ pub fn prospect(
     options: &IdentificationOptions,
 ) -> Result<Prospect, IdentifyError> {
     check(model, set)?;
+    options.check()?;
     if options.mode.needs_statics() && model.statics.is_none() {
         return Err(IdentifyError::NoStatics { mode: options.mode });
     }

@@ -9,7 +9,7 @@ use super::problem::in_base_column;
 use super::{Estimate, Mode, PositionJacobian};
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{MeasurementSet, Observation};
-use calibrig_model::{CalibrationModel, ModelError, PoseQuery, TermId};
+use calibrig_model::{CalibrationModel, Compliance, ModelError, ParameterId, PoseQuery, TermId};
 
 /// A robot as a mode believes it to be: all that is needed to predict where a target is seen.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -26,6 +26,39 @@ pub struct CalibratedRobot {
     pub stations: Vec<Transform>,
     /// Offsets in the flange frame, m, one a target.
     pub targets: Vec<Vector3<f64>>,
+}
+
+impl CalibratedRobot {
+    /// What it has beside its models.
+    fn numbers(&self) -> impl Iterator<Item = (&'static str, f64)> + '_ {
+        let terms = self.terms.iter().map(|(_, amplitude)| ("an amplitude of terms", *amplitude));
+        let targets = self.targets.iter().flat_map(|offset| offset.iter()).map(|v| ("an offset of targets", *v));
+        let placed = |station: &Transform| {
+            let rotation = station.rotation.matrix().iter().copied().collect::<Vec<_>>();
+            rotation.into_iter().chain(station.translation.vector.iter().copied().collect::<Vec<_>>())
+        };
+        let stations = self.stations.iter().flat_map(placed).map(|v| ("a place of stations", v));
+        terms.chain(targets).chain(stations)
+    }
+
+    /// Whether a parameter is one that an estimate of this robot can have; `terms` counts the terms before it.
+    fn has(&self, id: ParameterId, terms: &mut usize) -> bool {
+        let joints = self.nominal.kinematics.joint_count();
+        match id {
+            ParameterId::Link { link, .. }
+            | ParameterId::Mass { link }
+            | ParameterId::Compliance(Compliance::Beam { link }) => link < joints,
+            ParameterId::Compliance(Compliance::Drive { joint }) => joint < joints,
+            ParameterId::Compliance(Compliance::Bearing { joint, axis }) => joint < joints && axis < 6,
+            ParameterId::Compliance(Compliance::Rod) | ParameterId::Linkage(_) => true,
+            ParameterId::Frame { station, component } => station < self.stations.len() && component < 6,
+            ParameterId::Target { target, axis } => target < self.targets.len() && axis < 3,
+            ParameterId::Term(term) => {
+                *terms += 1;
+                self.mode == Mode::Extended && self.terms.get(*terms - 1).is_some_and(|(own, _)| *own == term)
+            }
+        }
+    }
 }
 
 /// Where a robot cannot be predicted to be.
@@ -79,11 +112,18 @@ impl<'a> Predictor<'a> {
     /// [`PredictionError::Model`], where the robot or what was known of it cannot be one, or the two are not of the same structure.
     pub fn new(robot: &'a CalibratedRobot) -> Result<Self, PredictionError> {
         robot.nominal.check()?;
+        for (field, value) in robot.numbers() {
+            if !value.is_finite() {
+                return Err(
+                    ModelError::Number { field, joint: None, value, expected: "a finite number" }.into()
+                );
+            }
+        }
         let mut machine = Machine::new(robot.mode, &robot.nominal);
         machine.fits(&robot.model)?;
         let joints = robot.nominal.kinematics.joint_count();
         if let Some((term, _)) = robot.terms.iter().find(|(term, _)| term.joint() >= joints) {
-            return Err(ModelError::Parameter { id: calibrig_model::ParameterId::Term(*term) }.into());
+            return Err(ModelError::Parameter { id: ParameterId::Term(*term) }.into());
         }
         machine.set_terms(robot.terms.iter().map(|(id, _)| *id));
         machine.set_model(&robot.model, robot.terms.iter().map(|(_, amplitude)| *amplitude));
@@ -170,8 +210,17 @@ impl Estimate {
     }
 
     /// The same for many poses.
+    ///
+    /// # Errors
+    ///
+    /// As [`Predictor::new`]; and [`PredictionError::Model`] where a parameter is none of the robot's.
     pub fn predictor(&self) -> Result<EstimatePredictor<'_>, PredictionError> {
-        Ok(EstimatePredictor { estimate: self, predictor: Predictor::new(&self.robot)? })
+        let predictor = Predictor::new(&self.robot)?;
+        let mut terms = 0;
+        if let Some(parameter) = self.parameters.iter().find(|p| !self.robot.has(p.id, &mut terms)) {
+            return Err(ModelError::Parameter { id: parameter.id }.into());
+        }
+        Ok(EstimatePredictor { estimate: self, predictor })
     }
 }
 

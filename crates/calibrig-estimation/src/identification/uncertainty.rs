@@ -203,7 +203,8 @@ pub fn cramer_rao_bound(jacobian: &DMatrix<f64>, parameters: &[ParameterId]) -> 
 }
 
 /// The Bayesian Cramér-Rao bound on the mean squared error of any estimator, the truth being drawn from the normal prior whose whitening
-/// is `prior` (rows x n): `(E[Jᵀ J] + Lᵀ L)⁻¹`, with the mean over the data's Jacobians J at truths that were drawn from it.
+/// is `prior` (rows x n): `(E[Jᵀ J] + Lᵀ L)⁻¹`, with the mean over the data's Jacobians J at truths that were drawn from it. `None` where the
+/// two together do not determine all parameters, or a matrix has another number of columns.
 ///
 /// Source: H. L. Van Trees, "Detection, Estimation, and Modulation Theory, Part I" (1968), section 2.4.3.
 pub fn bayesian_cramer_rao_bound<'a>(
@@ -212,9 +213,15 @@ pub fn bayesian_cramer_rao_bound<'a>(
     parameters: &[ParameterId],
 ) -> Option<DMatrix<f64>> {
     let count = jacobians.len() as f64;
+    if prior.ncols() != parameters.len() || parameters.is_empty() {
+        return None;
+    }
     // Triangular factors instead of normal matrices: those would halve the digits of weak directions.
     let mut stacked = prior.clone();
     for jacobian in jacobians {
+        if jacobian.ncols() != stacked.ncols() {
+            return None;
+        }
         let below = jacobian / count.sqrt();
         let rows = stacked.nrows();
         let mut joined = stacked.insert_rows(rows, below.nrows(), 0.0);
@@ -227,7 +234,7 @@ pub fn bayesian_cramer_rao_bound<'a>(
 /// `S` with `S Sᵀ = (Jᵀ J)⁻¹`; `None` where that is singular.
 fn inverse_factor(jacobian: &DMatrix<f64>, parameters: &[ParameterId]) -> Option<DMatrix<f64>> {
     let n = jacobian.ncols();
-    if n != parameters.len() || jacobian.nrows() < n || jacobian.iter().any(|v| !v.is_finite()) {
+    if n != parameters.len() || n == 0 || jacobian.nrows() < n || jacobian.iter().any(|v| !v.is_finite()) {
         return None;
     }
     let scale = DVector::from_iterator(n, jacobian.column_iter().map(|c| c.norm()));

@@ -3,9 +3,11 @@
 use nalgebra::Vector3;
 use thiserror::Error;
 
+use super::JOINTS;
 use calibrig_model::geometry::{Transform, rotation_x, rotation_z};
 use calibrig_model::{
-    ActuatorMap, KinematicModel, LEAST_TRANSMISSION_ANGLE, LinkTerm, LinkageArm, LinkageLength, ParameterId,
+    ActuatorMap, KinematicModel, LEAST_TRANSMISSION_ANGLE, LinkTerm, LinkageArm, LinkageLength, ModelError,
+    ParameterId,
 };
 
 /// Why a four-bar gives no joint angle.
@@ -39,13 +41,16 @@ pub enum ClosureError {
         nearest: f64,
     },
     /// The four-bar spans other joints.
-    #[error("the four-bar joins joints {} and {}, which are not neighbours", shoulder + 1, elbow + 1)]
+    #[error("the four-bar joins joints {} and {}, which are not neighbours", shoulder.saturating_add(1), elbow.saturating_add(1))]
     NotNeighbours {
         /// Index of the shoulder.
         shoulder: usize,
         /// Index of the elbow.
         elbow: usize,
     },
+    /// A chain that cannot be one, or a command or joint variables that are not one finite number a joint.
+    #[error(transparent)]
+    Model(#[from] ModelError),
 }
 
 /// An arm turned about its axis until the rod fits.
@@ -144,6 +149,7 @@ fn out_of_reach(rod: f64, middle: f64, range: f64) -> ClosureError {
 /// angle, and all is computed there.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ElbowLinkage {
+    joints: usize,
     shoulder: usize,
     elbow: usize,
     offset: f64,
@@ -213,10 +219,11 @@ impl ElbowLinkage {
             return Ok(None);
         };
         let link = match kinematics.links.get(elbow) {
-            Some(link) if elbow == shoulder + 1 => link,
+            Some(link) if elbow == shoulder.saturating_add(1) => link,
             _ => return Err(ClosureError::NotNeighbours { shoulder, elbow }),
         };
         Ok(Some(Self {
+            joints: kinematics.joint_count(),
             shoulder,
             elbow,
             offset,
@@ -230,6 +237,15 @@ impl ElbowLinkage {
             elbow_alpha: link.alpha,
             theta: link.theta,
         }))
+    }
+
+    /// The shoulder's and the elbow's entry of a list with one a joint.
+    fn pair(&self, field: &'static str, values: &[f64]) -> Result<(f64, f64), ModelError> {
+        let length = ModelError::Length { field, found: values.len(), expected: self.joints };
+        match (values.get(self.shoulder), values.get(self.elbow)) {
+            (Some(&shoulder), Some(&elbow)) if values.len() == self.joints => Ok((shoulder, elbow)),
+            _ => Err(length),
+        }
     }
 
     fn crank(&self, psi: f64) -> Transform {
@@ -252,7 +268,8 @@ impl ElbowLinkage {
     ///
     /// [`ClosureError`].
     pub fn q_elbow(&self, command: &[f64]) -> Result<f64, ClosureError> {
-        Ok(self.close(command[self.elbow], command[self.shoulder])?.angle)
+        let (q_shoulder, psi) = self.pair("command", command)?;
+        Ok(self.close(psi, q_shoulder)?.angle)
     }
 
     /// The elbow's command psi that sets the joint variables (as long as the chain), rad.
@@ -261,7 +278,7 @@ impl ElbowLinkage {
     ///
     /// [`ClosureError`].
     pub fn psi(&self, joints: &[f64]) -> Result<f64, ClosureError> {
-        let (q_shoulder, q_elbow) = (joints[self.shoulder], joints[self.elbow]);
+        let (q_shoulder, q_elbow) = self.pair(JOINTS, joints)?;
         let anchor =
             (self.pivot(q_shoulder) * rotation_z(q_elbow)).transform_point(&self.lever_end.into()).coords;
         let ideal = q_shoulder + q_elbow + self.theta;
@@ -281,7 +298,7 @@ impl ElbowLinkage {
     ///
     /// [`ClosureError`].
     pub fn closure(&self, command: &[f64]) -> Result<ElbowClosure, ClosureError> {
-        let (psi, q_shoulder) = (command[self.elbow], command[self.shoulder]);
+        let (q_shoulder, psi) = self.pair("command", command)?;
         let closure = self.close(psi, q_shoulder)?;
         let (crank, pivot) = (self.crank(psi), self.pivot(q_shoulder));
         let end = closure.end;
@@ -323,13 +340,21 @@ impl ElbowLinkage {
 ///
 /// # Errors
 ///
-/// [`ClosureError`]; then the elbow's entry is the ideal map's.
+/// [`ClosureError`]: of a four-bar that does not close, with the elbow's entry that of the ideal map; or of a chain, a map, a command or a
+/// list `joints` that do not belong together, with `joints` as they were.
 pub fn joints_from_command(
     kinematics: &KinematicModel,
     actuators: &ActuatorMap,
     command: &[f64],
     joints: &mut [f64],
 ) -> Result<(), ClosureError> {
+    kinematics.check()?;
+    actuators.check(kinematics.joint_count())?;
+    kinematics.check_joints("command", command)?;
+    let (found, expected) = (joints.len(), kinematics.joint_count());
+    if found != expected {
+        return Err(ModelError::Length { field: JOINTS, found, expected }.into());
+    }
     actuators.joints_from_command(command, joints);
     if let Some(linkage) = ElbowLinkage::new(kinematics, actuators)? {
         joints[linkage.elbow] = linkage.q_elbow(command)?;
@@ -341,12 +366,15 @@ pub fn joints_from_command(
 ///
 /// # Errors
 ///
-/// [`ClosureError`], also where the command would take the machine elsewhere.
+/// [`ClosureError`], also where the command would take the machine elsewhere, or chain, map and joint variables do not belong together.
 pub fn command_from_joints(
     kinematics: &KinematicModel,
     actuators: &ActuatorMap,
     joints: &[f64],
 ) -> Result<Vec<f64>, ClosureError> {
+    kinematics.check()?;
+    actuators.check(kinematics.joint_count())?;
+    kinematics.check_joints(JOINTS, joints)?;
     let mut command = actuators.command_from_joints(joints);
     if let Some(linkage) = ElbowLinkage::new(kinematics, actuators)? {
         command[linkage.elbow] = linkage.psi(joints)?;

@@ -19,8 +19,9 @@ const JOINTS: &str = "joint variables";
 ///
 /// # Errors
 ///
-/// [`ModelError`], where `q` is not one finite number a joint.
+/// [`ModelError`], where the chain cannot be one, or `q` is not one finite number a joint.
 pub fn forward_kinematics(model: &KinematicModel, q: &[f64]) -> Result<Transform, ModelError> {
+    model.check()?;
     model.check_joints(JOINTS, q)?;
     Ok(flange(model, q))
 }
@@ -39,6 +40,7 @@ fn flange(model: &KinematicModel, q: &[f64]) -> Transform {
 ///
 /// As [`forward_kinematics`].
 pub fn link_frames(model: &KinematicModel, q: &[f64]) -> Result<Vec<Transform>, ModelError> {
+    model.check()?;
     model.check_joints(JOINTS, q)?;
     Ok(frames(model, q))
 }
@@ -61,14 +63,26 @@ pub(crate) fn frames(model: &KinematicModel, q: &[f64]) -> Vec<Transform> {
 ///
 /// # Errors
 ///
-/// As [`forward_kinematics`].
+/// As [`forward_kinematics`], and for a target at no finite place.
 pub fn target_in_base(
     model: &KinematicModel,
     q: &[f64],
     in_flange: &Vector3<f64>,
 ) -> Result<Vector3<f64>, ModelError> {
+    model.check()?;
     model.check_joints(JOINTS, q)?;
+    check_target(in_flange)?;
     Ok(target(model, q, in_flange))
+}
+
+/// Whether a target is at a finite place of the flange.
+fn check_target(in_flange: &Vector3<f64>) -> Result<(), ModelError> {
+    match in_flange.iter().find(|value| !value.is_finite()) {
+        Some(&value) => {
+            Err(ModelError::Number { field: "the target's offset", joint: None, value, expected: "a finite number" })
+        }
+        None => Ok(()),
+    }
 }
 
 /// [`target_in_base`] at a pose of the robot.
@@ -300,7 +314,9 @@ pub fn stacked_jacobian(
     in_flange: &Vector3<f64>,
     parameters: &[ParameterId],
 ) -> Result<DMatrix<f64>, ModelError> {
+    model.check()?;
     poses.iter().try_for_each(|q| model.check_joints(JOINTS, q.as_ref()))?;
+    check_target(in_flange)?;
     let is_foreign = |id: &&ParameterId| match id {
         ParameterId::Link { link, .. } => *link >= model.joint_count(),
         ParameterId::Frame { component, .. } => *component >= 6,

@@ -1,6 +1,6 @@
 //! Beta, F, Student's t and binomial distribution.
 
-use super::{continued_fraction, invert, ln_gamma, terms_for};
+use super::{continued_fraction, invert, ln_gamma, normal_quantile, terms_for};
 
 /// Logarithm of the regularised incomplete beta function of `a`, `b` at `x`, for x on the side where its fraction converges fast.
 ///
@@ -21,6 +21,9 @@ fn ln_beta_by_fraction(a: f64, b: f64, x: f64) -> f64 {
 
 /// Logarithm of the regularised incomplete beta function `I_x(a, b)`; accurate where it is small.
 fn ln_beta_regularised(a: f64, b: f64, x: f64) -> f64 {
+    if !(a > 0.0 && b > 0.0) {
+        return f64::NAN;
+    }
     if !(x > 0.0) {
         return if x.is_nan() { x } else { f64::NEG_INFINITY };
     }
@@ -34,7 +37,7 @@ fn ln_beta_regularised(a: f64, b: f64, x: f64) -> f64 {
     }
 }
 
-/// The regularised incomplete beta function `I_x(a, b)`, for a, b > 0 and x in 0..1.
+/// The regularised incomplete beta function `I_x(a, b)`, for a, b > 0 and x in 0..1; not a number for other a and b.
 pub fn beta_regularised(a: f64, b: f64, x: f64) -> f64 {
     ln_beta_regularised(a, b, x).exp()
 }
@@ -51,8 +54,16 @@ pub fn f_ln_survival(f: f64, d1: f64, d2: f64) -> f64 {
     ln_beta_regularised(0.5 * d2, 0.5 * d1, d2 / (d2 + d1 * f))
 }
 
-/// The point below which Student's t with `dof` degrees of freedom lies with probability `p`.
+/// The point below which Student's t with `dof` degrees of freedom lies with probability `p`. Not a number where `p` is none or `dof` is not
+/// above zero.
 pub fn student_t_quantile(p: f64, dof: f64) -> f64 {
+    if p.is_nan() || !(dof > 0.0) {
+        return f64::NAN;
+    }
+    // From here on it is the normal distribution, to more digits than the beta function keeps.
+    if dof > 1e8 {
+        return normal_quantile(p);
+    }
     if p < 0.5 {
         return -student_t_quantile(1.0 - p, dof);
     }

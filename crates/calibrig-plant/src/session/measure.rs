@@ -57,7 +57,8 @@ impl MeasuringSession<'_> {
         trial: u32,
         listener: &mut SessionListener<'_>,
     ) -> Result<Simulation, SessionError<M::Error>> {
-        let total = self.identification_poses + self.verification_poses;
+        let total = self.identification_poses.saturating_add(self.verification_poses);
+        self.region.check(self.as_built.kinematics.joint_count())?;
         self.as_built.check_effects(SECONDS_PER_POSE * f64::from(total))?;
         let station = self.measure_nests(seed, trial)?;
         let target = self.measure_target(seed, trial);

@@ -12,6 +12,7 @@ use nalgebra::Vector3;
 use thiserror::Error;
 
 use super::effects::{EffectError, PoseEffects};
+use super::experiment::RegionError;
 use super::tracker::TrackerError;
 use super::{AsBuilt, Plant, PlantError, SettledPose};
 use calibrig_model::geometry::Transform;
@@ -68,6 +69,9 @@ pub enum SessionError<E> {
     /// The machine's effects are none that a machine has.
     #[error("the machine's effects: {0}")]
     Effects(#[from] EffectError),
+    /// No pose of the machine can be drawn.
+    #[error("the working region: {0}")]
+    Region(#[from] RegionError),
     /// The machine cannot take a pose.
     #[error("{} set, pose {pose}: {source}", set.key())]
     Pose {

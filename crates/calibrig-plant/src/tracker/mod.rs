@@ -58,6 +58,14 @@ pub enum TrackerError {
         /// m
         range: f64,
     },
+    /// An instrument whose random errors have no standard deviation.
+    #[error("the instrument's standard deviation of the {quantity} is {value}: expected a finite number of zero or more")]
+    Instrument {
+        /// `range` or `angles`.
+        quantity: &'static str,
+        /// m or rad
+        value: f64,
+    },
 }
 
 /// A tracker at its place.
@@ -94,6 +102,11 @@ impl LaserTracker {
         let fraction = self.instrument.random_fraction;
         let sigma_range = fraction * self.instrument.range.at(range);
         let sigma_angle = fraction * self.instrument.transverse.at(range) / range;
+        for (quantity, value) in [("range", sigma_range), ("angles", sigma_angle)] {
+            if !(value >= 0.0 && value.is_finite()) {
+                return Err(TrackerError::Instrument { quantity, value });
+            }
+        }
         // Drawn whether used or not, so that switching the noise off moves no other number of the stream.
         let mut error = |sigma: f64| {
             let unit: f64 = StandardNormal.sample(rng);

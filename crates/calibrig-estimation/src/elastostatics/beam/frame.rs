@@ -39,6 +39,14 @@ pub enum FrameError {
         /// How many there are.
         count: usize,
     },
+    /// A load or a mass that is no number.
+    #[error("{what} is {value}: expected a finite number")]
+    NotFinite {
+        /// What it is.
+        what: &'static str,
+        /// The number.
+        value: f64,
+    },
     /// It can move without being strained.
     #[error("the frame is a mechanism: its supports and elements do not hold it")]
     Mechanism,
@@ -103,6 +111,9 @@ impl Frame {
     ) -> Result<usize, FrameError> {
         let degenerate = FrameError::Degenerate { from, to };
         let run = self.nodes[self.node(to)?] - self.nodes[self.node(from)?];
+        if !(run.norm().is_finite() && second_axis.norm().is_finite()) {
+            return Err(degenerate);
+        }
         let along = run.try_normalize(0.0).ok_or(degenerate)?;
         let across = second_axis - along.dot(second_axis) * along;
         let second = across.try_normalize(1e-9 * second_axis.norm()).ok_or(degenerate)?;
@@ -175,6 +186,7 @@ impl Frame {
     /// Adds a force and a moment (N, N m) at a node.
     pub fn add_load(&mut self, node: usize, load: &Vector6<f64>) -> Result<(), FrameError> {
         let node = self.node(node)?;
+        finite("a load at a node", load.as_slice())?;
         self.loads[node] += load;
         Ok(())
     }
@@ -184,6 +196,7 @@ impl Frame {
         let count = self.elements.len();
         let missing = FrameError::Missing { what: "element", index: element, count };
         let element = self.elements.get(element).ok_or(missing)?;
+        finite("a load along an element", force.as_slice())?;
         let load = element::turn(&element.frame_from_element)
             * element::uniform_load(&element.frame_from_element.tr_mul(force), element.length);
         for (half, node) in element.nodes.into_iter().enumerate() {
@@ -260,6 +273,13 @@ impl Frame {
         condensed.stiffness -= coupling.tr_mul(&solved.columns(0, ends.len()));
         condensed.load -= coupling.tr_mul(&solved.column(ends.len()));
         Ok(condensed)
+    }
+}
+
+fn finite(what: &'static str, values: &[f64]) -> Result<(), FrameError> {
+    match values.iter().find(|value| !value.is_finite()) {
+        Some(&value) => Err(FrameError::NotFinite { what, value }),
+        None => Ok(()),
     }
 }
 

@@ -41,8 +41,9 @@ pub struct SegmentGroup {
 ///
 /// # Errors
 ///
-/// [`BeamError::Length`].
+/// [`BeamError`], where a segment has no length at `q`, or the beam cannot be one.
 pub fn segment_groups(beam: &Beam, q: f64) -> Result<Vec<SegmentGroup>, BeamError> {
+    beam.check_sections()?;
     let mut root = 0.0;
     let lengths = beam.lengths(q)?;
     let groups = beam.segments.iter().zip(lengths).map(|(segment, length)| {
@@ -85,7 +86,7 @@ pub struct EndCompliance {
 ///
 /// # Errors
 ///
-/// [`BeamError::Length`].
+/// As [`segment_groups`].
 pub fn end_compliance(beam: &Beam, q: f64) -> Result<EndCompliance, BeamError> {
     let groups = segment_groups(beam, q)?;
     let tip = beam.point(beam.length(q), q);
@@ -136,6 +137,7 @@ pub struct EndStiffness {
 ///
 /// [`FrameError`], also for a section that is rigid but for shear: its elements have no stiffness matrix.
 pub fn end_stiffness(beam: &Beam, q: f64, pieces: usize) -> Result<EndStiffness, FrameError> {
+    beam.check_sections()?;
     let mut weight = Matrix6x3::zeros();
     let mut stiffness = Matrix6::zeros();
     for axis in 0..3 {

@@ -10,6 +10,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::parts::Slot;
+use super::place::finite;
 use super::screw::{Loads, Screw};
 use super::{Deflection, ElasticChain, ElasticError, MOST_ITERATIONS};
 use calibrig_model::{ActuatorMap, Compliance, LinkTerm, LinkageLength, ModelError, ParameterId, TermPlace};
@@ -105,8 +106,14 @@ impl ElasticChain {
     ///
     /// # Errors
     ///
-    /// [`ElasticError::NotSettled`] if the equilibrium is hardly stable.
+    /// [`ElasticError::NotSettled`] if the equilibrium is hardly stable; [`ElasticError::Model`] for a target at no finite place.
     pub fn prepare(&mut self, in_flange: &Vector3<f64>) -> Result<(), ElasticError> {
+        finite("the target's offset", None, in_flange.as_slice())?;
+        self.differentiate(in_flange)
+    }
+
+    /// [`prepare`](Self::prepare) for a target that is known to be at a finite place.
+    pub(crate) fn differentiate(&mut self, in_flange: &Vector3<f64>) -> Result<(), ElasticError> {
         self.adjoint.target = self.target(in_flange);
         self.adjoint.coupled = self.deflection != Deflection::None;
         self.adjoint.lambda.fill(Vector3::zeros());

@@ -27,7 +27,7 @@ use thiserror::Error;
 
 use self::adjoint::Adjoint;
 use self::parts::{FixedPart, Loop, Part, Slot, Structure, body_of};
-use self::place::{LoopPlace, TermsPlace};
+use self::place::{LoopPlace, TermsPlace, finite};
 use self::screw::{Lump, Screw};
 use crate::kinematics::ClosureError;
 use calibrig_model::geometry::Transform;
@@ -73,8 +73,16 @@ pub enum ElasticError {
     /// A command or a correction that is not of this robot.
     #[error(transparent)]
     Model(#[from] ModelError),
+    /// Deflections of another chain.
+    #[error("deflections has {found} entries: expected {expected}, one a spring of the chain")]
+    Deflections {
+        /// Their number.
+        found: usize,
+        /// The number of springs, without those of a four-bar.
+        expected: usize,
+    },
     /// A telescope is drawn in farther than its beam begins.
-    #[error("the exposed length of link {} would be {length:.6} m", link + 1)]
+    #[error("the exposed length of link {} would be {length:.6} m", link.saturating_add(1))]
     Housed {
         /// Index of the link.
         link: usize,
@@ -266,6 +274,17 @@ impl ElasticChain {
         corrections: &[(TermPlace, f64)],
         deflection: Deflection,
     ) -> Result<Settled, ElasticError> {
+        self.check(command, corrections)?;
+        self.rest(command, corrections, deflection)
+    }
+
+    /// [`settle`](Self::settle) for a command and corrections that are known to be of this chain.
+    pub(crate) fn rest(
+        &mut self,
+        command: &[f64],
+        corrections: &[(TermPlace, f64)],
+        deflection: Deflection,
+    ) -> Result<Settled, ElasticError> {
         self.start(command, corrections)?;
         self.deflection = deflection;
         self.u.fill(0.0);
@@ -309,8 +328,25 @@ impl ElasticChain {
     ///
     /// # Errors
     ///
-    /// [`ElasticError`].
+    /// [`ElasticError`], also for deflections that are not one finite number a spring.
     pub fn settle_at(
+        &mut self,
+        command: &[f64],
+        corrections: &[(TermPlace, f64)],
+        deflections: &[f64],
+    ) -> Result<(), ElasticError> {
+        self.check(command, corrections)?;
+        let expected = self.slots.iter().filter(|slot| **slot == Slot::Elastic).count();
+        let found = deflections.len();
+        if found != expected && found != expected + 2 {
+            return Err(ElasticError::Deflections { found, expected });
+        }
+        finite("deflections", None, deflections)?;
+        self.hold(command, corrections, deflections)
+    }
+
+    /// [`settle_at`](Self::settle_at) for what is known to be of this chain.
+    pub(crate) fn hold(
         &mut self,
         command: &[f64],
         corrections: &[(TermPlace, f64)],

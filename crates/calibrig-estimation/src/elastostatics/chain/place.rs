@@ -228,7 +228,6 @@ impl ElasticChain {
         command: &[f64],
         corrections: &[(TermPlace, f64)],
     ) -> Result<(), ElasticError> {
-        self.check(command, corrections)?;
         self.actuators.joints_from_command(command, &mut self.joints);
         for (index, part) in self.parts.iter_mut().enumerate() {
             part.correction = [0.0; 6];
@@ -246,12 +245,17 @@ impl ElasticChain {
         Ok(())
     }
 
-    fn check(&self, command: &[f64], corrections: &[(TermPlace, f64)]) -> Result<(), ModelError> {
+    /// Whether command and corrections are of this chain, and finite numbers.
+    pub(super) fn check(&self, command: &[f64], corrections: &[(TermPlace, f64)]) -> Result<(), ModelError> {
         let joints = self.parts.len();
         if command.len() != joints {
             return Err(ModelError::Length { field: "command", found: command.len(), expected: joints });
         }
-        corrections.iter().try_for_each(|(place, _)| self.has(*place))
+        (0..).zip(command).try_for_each(|(joint, value)| finite("command", Some(joint), &[*value]))?;
+        corrections.iter().try_for_each(|(place, value)| {
+            self.has(*place)?;
+            finite("a correction", None, &[*value])
+        })
     }
 
     /// Whether a correction is of this chain.
@@ -352,6 +356,14 @@ impl ElasticChain {
         closed.length = rod;
         closed.rate = closure.rate;
         Ok(closure.angle)
+    }
+}
+
+/// Refuses what is no finite number.
+pub(super) fn finite(field: &'static str, joint: Option<usize>, values: &[f64]) -> Result<(), ModelError> {
+    match values.iter().find(|value| !value.is_finite()) {
+        Some(&value) => Err(ModelError::Number { field, joint, value, expected: "a finite number" }),
+        None => Ok(()),
     }
 }
 
