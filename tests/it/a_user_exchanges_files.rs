@@ -421,7 +421,7 @@ fn files_that_cannot_become_a_recording_are_refused() {
     refused(&["--measurements", "none.csv"], "cannot read none.csv", "No such file", "a file of UTF-8 text");
     let with = ["--measurements", "own.csv", "--session"];
     let missing = "station \"back\" of the identification set is not described";
-    refused(&[&with[..], &["session.toml"]].concat(), "session.toml:1: ", missing, "name = \"back\"");
+    refused(&[&with[..], &["session.toml"]].concat(), "session.toml:3: ", missing, "name = \"back\"");
     refused(&[&with[..], &["typo.toml"]].concat(), "typo.toml:4: ", "unknown key `nests`", "nest");
     let nowhere = ["export", "mcap", "--model", "arm.toml", "--measurements", "own.csv", "--out"];
     let to = |name| [&nowhere[..], &[name]].concat();

@@ -1,3 +1,5 @@
+use std::fmt::Write;
+
 use super::*;
 use crate::{ColumnMap, parse_measurements, parse_robot, parse_session};
 use calibrig_model::JointKind;
@@ -14,7 +16,8 @@ fn robot(targets: &[(&str, f64, &str)]) -> Robot {
             if value.is_empty() { String::new() } else { format!("{key} = {value}\n") }
         };
         let name = if name.is_empty() { String::new() } else { format!("{name:?}") };
-        text += &format!(
+        let _ = write!(
+            text,
             "[[target]]\n{}x_mm = {x}\ny_mm = 0\nz_mm = 0\n{}",
             key("name", &name),
             key("sigma_mm", sigma)
@@ -29,9 +32,9 @@ fn file(kind: SetKind, targets: &[&str], stations: &[&str]) -> MeasuredFile {
     text += if targets.is_empty() { "" } else { ",target" };
     text += if stations.is_empty() { "\n" } else { ",station\n" };
     for row in 0..targets.len().max(stations.len()).max(2) {
-        text += &format!("0.{row},1,2,{row}");
+        let _ = write!(text, "0.{row},1,2,{row}");
         for names in [targets, stations].into_iter().filter(|names| !names.is_empty()) {
-            text += &format!(",{}", names[row % names.len()]);
+            let _ = write!(text, ",{}", names[row % names.len()]);
         }
         text += "\n";
     }

@@ -113,7 +113,8 @@ fn evaluation_takes_no_memory() {
 /// The spray painter with all that yields, its four-bar and every term.
 fn coupled() -> CalibrationProblem {
     let robot = load_robot(Path::new("../../models/spray_painter/robot.toml")).expect("the shipped robot");
-    let mut nominal = robot.model.clone();
+    let target = robot.target().expect("a target");
+    let mut nominal = robot.model;
     nominal.motor_turns.iter_mut().for_each(|turns| *turns = turns.or(Some(5.0)));
     let links = nominal.kinematics.joint_count();
     let mut parameters = ParameterId::all_of_links(links);
@@ -152,7 +153,7 @@ fn coupled() -> CalibrationProblem {
         })
         .collect();
     let stations = vec![translation(1.0, 2.0, 3.0) * rotation_x(0.3)];
-    let targets = vec![robot.target().expect("a target")];
+    let targets = vec![target];
     CalibrationProblem {
         rows,
         priors: Vec::new(),
