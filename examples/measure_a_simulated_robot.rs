@@ -27,7 +27,6 @@ fn main() -> Result<(), Box<dyn Error>> {
     machine.kinematics.links[2].a += 0.4e-3;
     machine.statics.drive_stiffness[1] /= 3.0;
     let mut plant = Plant::new(&machine, SettleOptions::default())?;
-
     // Maximum permissible errors of a data sheet; an eighth of them is random from one reading to the next.
     let line = |offset, per_metre| ErrorLine { offset, per_metre };
     let (transverse, range) = (line(15e-6, 6e-6), line(10e-6, 0.3e-6));
@@ -42,7 +41,6 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let mut set = MeasurementSet::of_points(points);
     set.observations.iter_mut().zip(readings).for_each(|(seen, reading)| seen.reading = reading);
-
     for mode in [Mode::OnlyCalibration, Mode::ElastoGeometric] {
         // The stiffnesses in the robot's file are guesses, known to about their own size.
         let options = IdentificationOptions { mode, compliance_sigma: 1.0, ..Default::default() };
@@ -54,7 +52,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let asked = ["delta_a3", "compliance_drive2"].map(ParameterId::parse);
         for p in estimate.parameters.iter().filter(|p| asked.contains(&Some(p.id))) {
             let sigma = p.sigma.unwrap_or(f64::NAN);
-            println!("  {:18} {:+.6} +- {sigma:.6} {}", p.id, p.value, p.id.unit());
+            println!("  {:18} {:+.6} +- {sigma:.0e} {}", p.id, p.value, p.id.unit());
         }
     }
     Ok(())

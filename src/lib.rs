@@ -22,11 +22,11 @@
 //! | term | meaning | module |
 //! | --- | --- | --- |
 //! | uᵢ, q | actuator command, and the joint variables that it sets | [`model::ActuatorMap`] |
-//! | δq | deflection of the drives under gravity, predicted from the nominal robot | [`elastostatics`] |
+//! | δq | deflection under gravity: predicted from the nominal robot, or in the coupled modes that of the robot at x | [`elastostatics`] |
 //! | p | target in the base frame: Craig/Hayati chain and target offset | [`kinematics`] |
 //! | T | `tracker_from_base` | [`geometry`] |
 //! | mᵢ, Wᵢ | reading, and the inverse Cholesky factor of its covariance | [`measurement`] |
-//! | Lₖ | priors: base nests, measured target, making tolerance | [`identification`] |
+//! | Lₖ | priors: base nests, measured target, making tolerance, compliances, terms | [`identification`] |
 //!
 //! # A robot in code
 //!

@@ -258,7 +258,8 @@ impl<'de> Deserialize<'de> for ParameterId {
 
 impl fmt::Display for ParameterId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let counted = |index: usize| if index == 0 { String::new() } else { index.saturating_add(1).to_string() };
+        let counted =
+            |index: usize| if index == 0 { String::new() } else { index.saturating_add(1).to_string() };
         let name = match *self {
             Self::Link { link, term } => {
                 let term = match term {
@@ -276,11 +277,15 @@ impl fmt::Display for ParameterId {
             Self::Target { target, axis } => {
                 format!("target{}_{}", counted(target), frame_name(axis))
             }
-            Self::Compliance(Compliance::Drive { joint }) => format!("compliance_drive{}", joint.saturating_add(1)),
+            Self::Compliance(Compliance::Drive { joint }) => {
+                format!("compliance_drive{}", joint.saturating_add(1))
+            }
             Self::Compliance(Compliance::Bearing { joint, axis }) => {
                 format!("compliance_bearing{}_{}", joint.saturating_add(1), frame_name(axis))
             }
-            Self::Compliance(Compliance::Beam { link }) => format!("compliance_beam{}", link.saturating_add(1)),
+            Self::Compliance(Compliance::Beam { link }) => {
+                format!("compliance_beam{}", link.saturating_add(1))
+            }
             Self::Compliance(Compliance::Rod) => "compliance_rod".to_owned(),
             Self::Mass { link } => format!("mass{}", link.saturating_add(1)),
             Self::Linkage(length) => format!("linkage_{}", length.name()),

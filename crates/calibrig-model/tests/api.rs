@@ -1,9 +1,9 @@
 //! What the public functions do with numbers and names that cannot be: they return, with an error, `None` or no number.
 
-use calibrig_model::geometry::{best_fit_transform, rotation_vector, rotation_x, rotation_z, small_displacement};
-use calibrig_model::measurement::{
-    MeasurementSet, NestObservation, Reading, Station, nest_system, register,
+use calibrig_model::geometry::{
+    best_fit_transform, rotation_vector, rotation_x, rotation_z, small_displacement,
 };
+use calibrig_model::measurement::{MeasurementSet, NestObservation, Reading, Station, nest_system, register};
 use calibrig_model::nalgebra::{Matrix3, Vector3, Vector6};
 use calibrig_model::statistics::{
     beta_regularised, binomial_cdf, chi2_cdf, chi2_quantile, chi2_survival, clopper_pearson, f_ln_survival,

@@ -40,8 +40,7 @@ fn machine() -> impl Strategy<Value = AsBuilt> {
         }
         let gravity = Vector3::new(0.0, -9.80665, 0.0);
         let mut statics = StaticProperties::of_drives(vec![body(); joints], vec![2e6; joints], gravity);
-        statics.linkage =
-            linked.then(|| LinkageStatics { rod_stiffness: 1e7, rod_mass: 1.0, crank: body() });
+        statics.linkage = linked.then(|| LinkageStatics { rod_stiffness: 1e7, rod_mass: 1.0, crank: body() });
         AsBuilt {
             kinematics: KinematicModel { links, last_from_flange: Transform::identity() },
             actuators,

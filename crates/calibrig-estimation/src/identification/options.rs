@@ -224,7 +224,8 @@ impl IdentificationOptions {
 
     /// Whether the numbers that hold in every mode can be; those of priors are looked at where a mode has them.
     pub(super) fn check(&self) -> Result<(), IdentifyError> {
-        let SolverOptions { loss, loss_scale, relative_decrease, absolute_decrease, gradient, .. } = self.solver;
+        let SolverOptions { loss, loss_scale, relative_decrease, absolute_decrease, gradient, .. } =
+            self.solver;
         let not_negative = |value: f64| value >= 0.0 && value.is_finite();
         for (field, value) in [
             ("unmodelled_sigma", self.unmodelled_sigma),
@@ -233,7 +234,11 @@ impl IdentificationOptions {
             ("solver.gradient", gradient),
         ] {
             if !not_negative(value) {
-                return Err(IdentifyError::Number { field, value, expected: "a finite number of zero or more" });
+                return Err(IdentifyError::Number {
+                    field,
+                    value,
+                    expected: "a finite number of zero or more",
+                });
             }
         }
         let constant = match loss {

@@ -32,7 +32,8 @@ impl CalibratedRobot {
     /// What it has beside its models.
     fn numbers(&self) -> impl Iterator<Item = (&'static str, f64)> + '_ {
         let terms = self.terms.iter().map(|(_, amplitude)| ("an amplitude of terms", *amplitude));
-        let targets = self.targets.iter().flat_map(|offset| offset.iter()).map(|v| ("an offset of targets", *v));
+        let targets =
+            self.targets.iter().flat_map(|offset| offset.iter()).map(|v| ("an offset of targets", *v));
         let placed = |station: &Transform| {
             let rotation = station.rotation.matrix().iter().copied().collect::<Vec<_>>();
             rotation.into_iter().chain(station.translation.vector.iter().copied().collect::<Vec<_>>())

@@ -78,9 +78,12 @@ pub fn target_in_base(
 /// Whether a target is at a finite place of the flange.
 fn check_target(in_flange: &Vector3<f64>) -> Result<(), ModelError> {
     match in_flange.iter().find(|value| !value.is_finite()) {
-        Some(&value) => {
-            Err(ModelError::Number { field: "the target's offset", joint: None, value, expected: "a finite number" })
-        }
+        Some(&value) => Err(ModelError::Number {
+            field: "the target's offset",
+            joint: None,
+            value,
+            expected: "a finite number",
+        }),
         None => Ok(()),
     }
 }

@@ -249,7 +249,8 @@ const SET_FAULTS: [ModelFault; 13] = [
         Some("station or a target")
     },
     |case| {
-        case.set.observations[0].reading = Reading::Cartesian { position: Vector3::x() * case.bad, covariance: None };
+        case.set.observations[0].reading =
+            Reading::Cartesian { position: Vector3::x() * case.bad, covariance: None };
         Some("not a finite number")
     },
     |case| {
@@ -375,7 +376,8 @@ const OPTION_FAULTS: [ModelFault; 20] = [
     |case| {
         let zero = Some(Matrix3::zeros());
         for observation in &mut case.set.observations {
-            observation.reading = Reading::Cartesian { position: observation.reading.position(), covariance: zero };
+            observation.reading =
+                Reading::Cartesian { position: observation.reading.position(), covariance: zero };
         }
         Some("pose 1: the covariance")
     },

@@ -3,8 +3,8 @@
 
 use calibrig_estimation::evaluation::{
     ChiSquareTest, Coverage, Fit, NoiseLevel, PoseConditions, ResidualSet, Split, Variant, accuracy,
-    check_consistency, chi2_band, compare_variants, find_patterns, k_fold, leave_one_out, mean_nees_band, nees,
-    paired_rms_difference, repeated_splits, resampled_difference,
+    check_consistency, chi2_band, compare_variants, find_patterns, k_fold, leave_one_out, mean_nees_band,
+    nees, paired_rms_difference, repeated_splits, resampled_difference,
 };
 use calibrig_estimation::identification::{
     PositionJacobian, Uncertainty, bayesian_cramer_rao_bound, cramer_rao_bound,

@@ -41,7 +41,11 @@ fn poses_of_another_robot_are_refused() {
     }
     names(estimate.predict(PoseQuery::at(&COMMAND).approached(&[1, 1])), "approach", "Estimate::predict");
     names(estimate.predict(PoseQuery::at(&COMMAND).with_target(1)), "target index 1", "Estimate::predict");
-    names(many.in_base(PoseQuery::at(&COMMAND).with_target(usize::MAX)), "target index", "Predictor::in_base");
+    names(
+        many.in_base(PoseQuery::at(&COMMAND).with_target(usize::MAX)),
+        "target index",
+        "Predictor::in_base",
+    );
     let mut observation = EXTENDED.1.observations[0].clone();
     observation.station = 3;
     names(many.error_in_base(&observation), "station index 3", "Predictor::error_in_base");
@@ -99,15 +103,17 @@ const ROBOT_FAULTS: [RobotFault; 13] = [
     (|robot, bad| robot.nominal.kinematics.links[3].a = bad, "a of joint 4"),
     (|robot, _| robot.nominal.kinematics.links.clear(), "no joints"),
     (|robot, _| robot.model.motor_turns.clear(), "motor_turns"),
+    (|robot, _| robot.model.statics.as_mut().expect("statics").bodies.clear(), "statics.bodies"),
     (
-        |robot, _| robot.model.statics.as_mut().expect("statics").bodies.clear(),
-        "statics.bodies",
-    ),
-    (
-        |robot, _| robot.model = CalibrationModel::new(robot.model.kinematics.links[..2].to_vec()).expect("a chain"),
+        |robot, _| {
+            robot.model = CalibrationModel::new(robot.model.kinematics.links[..2].to_vec()).expect("a chain")
+        },
         "links",
     ),
-    (|robot, _| robot.model.kinematics.links[0].kind = calibrig_model::JointKind::Revolute, "kinds of joints"),
+    (
+        |robot, _| robot.model.kinematics.links[0].kind = calibrig_model::JointKind::Revolute,
+        "kinds of joints",
+    ),
     (|robot, _| robot.model.statics.as_mut().expect("statics").loads.clear(), "statics.loads"),
     (|robot, _| robot.model.statics.as_mut().expect("statics").beams[0] = None, "statics.beams"),
 ];

@@ -42,7 +42,8 @@ pub fn case() -> impl Strategy<Value = Case> {
     let mode = prop::sample::select(Mode::ALL.to_vec());
     (model(), 4..20_u32, any::<[bool; 4]>(), mode, any::<prop::sample::Index>(), bad()).prop_map(
         |(model, poses, [nests, target, spherical, stated], mode, joint, bad)| {
-            let mode = if mode.needs_statics() && model.statics.is_none() { Mode::OnlyCalibration } else { mode };
+            let mode =
+                if mode.needs_statics() && model.statics.is_none() { Mode::OnlyCalibration } else { mode };
             Case {
                 set: measured(&model, poses, nests, target, spherical, stated),
                 options: IdentificationOptions { mode, ..IdentificationOptions::default() },
@@ -112,14 +113,12 @@ pub fn body() -> Body {
 }
 
 pub fn beam() -> Beam {
-    let section = Section {
-        axial: 4e8,
-        shear: [8e7, 9e7],
-        torsion: 5e5,
-        bending: [6e5, 7e5],
-        mass_per_length: 2.0,
-    };
-    Beam { run: BeamRun::AlongX, segments: vec![BeamSegment { length: SegmentLength::Constant(0.5), section }] }
+    let section =
+        Section { axial: 4e8, shear: [8e7, 9e7], torsion: 5e5, bending: [6e5, 7e5], mass_per_length: 2.0 };
+    Beam {
+        run: BeamRun::AlongX,
+        segments: vec![BeamSegment { length: SegmentLength::Constant(0.5), section }],
+    }
 }
 
 fn statics(model: &CalibrationModel, drive: Drive, with_beam: bool, with_load: bool) -> StaticProperties {

@@ -59,7 +59,9 @@ pub enum TrackerError {
         range: f64,
     },
     /// An instrument whose random errors have no standard deviation.
-    #[error("the instrument's standard deviation of the {quantity} is {value}: expected a finite number of zero or more")]
+    #[error(
+        "the instrument's standard deviation of the {quantity} is {value}: expected a finite number of zero or more"
+    )]
     Instrument {
         /// `range` or `angles`.
         quantity: &'static str,
