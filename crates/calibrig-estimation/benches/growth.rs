@@ -10,12 +10,12 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use calibrig_estimation::elastostatics::apply;
-use calibrig_files::load_robot;
-use calibrig_model::geometry::{rotation_x, translation};
 use calibrig_estimation::identification::{
     CalibratedRobot, ComplianceChoice, Estimate, FrameChoice, IdentificationOptions, Mode, Predictor,
     TargetChoice, identify, neighbour_axis_rules, structural_poses,
 };
+use calibrig_files::load_robot;
+use calibrig_model::geometry::{rotation_x, translation};
 use calibrig_model::measurement::{MeasurementSet, NestObservation, Observation, Reading, Station, Target};
 use calibrig_model::{CalibrationModel, Compliance, ParameterId, PoseQuery};
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -133,7 +133,8 @@ fn main() {
         let whole = arguments.iter().any(|a| a == "--bench");
         counts.extend(&POSES[..if whole { POSES.len() } else { 1 }]);
     }
-    let nominal = load_robot(Path::new("../../models/spray_painter/robot.toml")).expect("the shipped robot").model;
+    let nominal =
+        load_robot(Path::new("../../models/spray_painter/robot.toml")).expect("the shipped robot").model;
     let geometric = IdentificationOptions {
         mode: Mode::OnlyCalibration,
         frame: FrameChoice::Nests,

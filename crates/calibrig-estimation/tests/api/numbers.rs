@@ -106,11 +106,11 @@ proptest! {
     }
 
     #[test]
-    fn bands_and_tests_return(chi2 in number(), dof in number(), level in number(), hits in 0..50_u64, trials in 0..40_u64) {
+    fn bands_and_tests_return(chi2 in number(), dof in number(), level in number(), hits in 0..50_u64, trials in 0..40_u64, sizes in (0..50_usize, 0..40_usize)) {
         prop_assert_eq!(ChiSquareTest::new(chi2, dof).is_none(), !(dof > 0.0));
         let _ = chi2_band(dof, level);
         let _ = mean_nees_band(usize::MAX, 3, 0.95);
-        let _ = mean_nees_band(hits as usize, trials as usize, level);
+        let _ = mean_nees_band(sizes.0, sizes.1, level);
         let coverage = Coverage { hits, trials };
         let _ = (coverage.fraction(), coverage.interval(level), coverage.p_value(level));
     }

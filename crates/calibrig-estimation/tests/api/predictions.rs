@@ -6,7 +6,7 @@ use calibrig_estimation::identification::{
     CalibratedRobot, Estimate, IdentificationOptions, Mode, Predictor, identify, linearise,
 };
 use calibrig_model::measurement::MeasurementSet;
-use calibrig_model::nalgebra::{DMatrix, Vector3};
+use calibrig_model::nalgebra::{DMatrix, Matrix3, Vector3};
 use calibrig_model::{CalibrationModel, Compliance, LinkTerm, ParameterId, PoseQuery, TermId};
 use proptest::prelude::*;
 
@@ -106,7 +106,7 @@ const ROBOT_FAULTS: [RobotFault; 13] = [
     (|robot, _| robot.model.statics.as_mut().expect("statics").bodies.clear(), "statics.bodies"),
     (
         |robot, _| {
-            robot.model = CalibrationModel::new(robot.model.kinematics.links[..2].to_vec()).expect("a chain")
+            robot.model = CalibrationModel::new(robot.model.kinematics.links[..2].to_vec()).expect("a chain");
         },
         "links",
     ),
@@ -155,9 +155,9 @@ fn the_covariance_of_a_prediction_is_that_of_its_jacobian() {
     let (model, set, options, estimate) = &*EXTENDED;
     let there = estimate.predict(&COMMAND).expect("a pose");
     let covariance = estimate.covariance.as_ref().expect("full rank");
-    let expected = &there.jacobian * covariance * there.jacobian.transpose();
+    let expected: Matrix3<f64> = &there.jacobian * covariance * there.jacobian.transpose();
     let found = there.covariance.expect("full rank");
-    assert!((found - &expected).norm() <= 1e-9 * expected.norm(), "{found} {expected}");
+    assert!((found - expected).norm() <= 1e-9 * expected.norm(), "{found} {expected}");
     assert!(there.sigma().is_some_and(|sigma| sigma.iter().all(|s| *s > 0.0 && *s < 1e-3)));
     let told = linearise(model, set, options, estimate).expect("its own");
     assert_eq!(told.jacobian.ncols(), estimate.parameters.len());

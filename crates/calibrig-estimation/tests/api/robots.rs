@@ -41,11 +41,11 @@ enum Drive {
 pub fn case() -> impl Strategy<Value = Case> {
     let mode = prop::sample::select(Mode::ALL.to_vec());
     (model(), 4..20_u32, any::<[bool; 4]>(), mode, any::<prop::sample::Index>(), bad()).prop_map(
-        |(model, poses, [nests, target, spherical, stated], mode, joint, bad)| {
+        |(model, poses, known, mode, joint, bad)| {
             let mode =
                 if mode.needs_statics() && model.statics.is_none() { Mode::OnlyCalibration } else { mode };
             Case {
-                set: measured(&model, poses, nests, target, spherical, stated),
+                set: measured(&model, poses, known),
                 options: IdentificationOptions { mode, ..IdentificationOptions::default() },
                 joint: joint.index(model.kinematics.joint_count()),
                 model,
@@ -161,14 +161,9 @@ pub fn command(model: &CalibrationModel, pose: u32) -> Vec<f64> {
     model.actuators.command_from_joints(&joints)
 }
 
-fn measured(
-    model: &CalibrationModel,
-    poses: u32,
-    nests: bool,
-    target: bool,
-    spherical: bool,
-    stated: bool,
-) -> MeasurementSet {
+/// `known`: whether nests and the target's uncertainty are stated, readings are spherical, and Cartesian ones state their covariance.
+fn measured(model: &CalibrationModel, poses: u32, known: [bool; 4]) -> MeasurementSet {
+    let [nests, target, spherical, stated] = known;
     let covariance = Matrix3::identity() * 1e-10;
     let in_flange = Vector3::new(0.1, 0.05, 0.2);
     let away = Vector3::new(4.0, 1.0, 1.5);
@@ -200,9 +195,9 @@ fn measured(
         };
         Observation {
             pose,
-            approach: if pose % 3 == 0 { Vec::new() } else { vec![1; command.len()] },
+            approach: if pose.is_multiple_of(3) { Vec::new() } else { vec![1; command.len()] },
             command,
-            temperature: (pose % 2 == 0).then_some(20.0),
+            temperature: (pose.is_multiple_of(2)).then_some(20.0),
             time: f64::from(pose),
             station: 0,
             target: 0,
@@ -226,6 +221,6 @@ pub fn arm() -> (CalibrationModel, MeasurementSet) {
     ])
     .expect("a chain");
     let model = CalibrationModel { statics: Some(statics(&model, Drive::Direct, true, true)), ..model };
-    let set = measured(&model, 40, true, true, true, true);
+    let set = measured(&model, 40, [true; 4]);
     (model, set)
 }
