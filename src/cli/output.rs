@@ -106,49 +106,58 @@ impl Destination<'_> {
 
 const RUNS: &str = "runs";
 
+/// Completes a recording that lies in its folder already.
+pub(super) type Complete<'a> = Box<dyn FnOnce() -> Result<UnfinishedFile, RecordingError> + 'a>;
+
 /// Writes the files of `outcome` to `folder` and says where they are. They are all complete before the first one takes its name, and what
-/// cannot be written does not keep the others from it.
+/// cannot be written does not keep the others from it. What Rerun shows is put together meanwhile, and written when the rest is.
 pub(super) fn write(
     outcome: &Outcome,
     folder: &Path,
-    recording: Option<Result<UnfinishedFile, RecordingError>>,
+    recording: Option<Complete<'_>>,
 ) -> Result<(), CliError> {
-    #[cfg(not(feature = "rerun"))]
-    let recorded = recording.is_some();
-    let mut staged = Staged { folder, files: Vec::new(), failures: Vec::new() };
-    let staging = tempfile::Builder::new().prefix(".calibrig-").tempdir_in(folder);
-    match &staging {
-        Ok(staging) => match report::write_reports(outcome, staging.path()) {
-            Ok(()) => {
-                let file = |name: &'static str| (name, Finished::Staged(staging.path().join(name)));
-                staged.files.extend(Files::Reports.names().iter().map(|&name| file(name)));
-            }
-            Err(error) => staged.failed(&Files::Reports.names().join(", "), &error),
-        },
-        Err(error) => staged.failed(&Files::Reports.names().join(", "), error),
-    }
-    if let Some(recording) = recording {
+    std::thread::scope(|scope| {
+        #[cfg(feature = "rerun")]
+        let pictures = recording.is_some().then(|| scope.spawn(|| recording::rrd_of(outcome)));
+        #[cfg(not(feature = "rerun"))]
+        let (_, recorded) = (scope, recording.is_some());
+
+        let recording = recording.map(|complete| complete());
+        let mut staged = Staged { folder, files: Vec::new(), failures: Vec::new() };
+        let staging = tempfile::Builder::new().prefix(".calibrig-").tempdir_in(folder);
+        match &staging {
+            Ok(staging) => match report::write_reports(outcome, staging.path()) {
+                Ok(()) => {
+                    let file = |name: &'static str| (name, Finished::Staged(staging.path().join(name)));
+                    staged.files.extend(Files::Reports.names().iter().map(|&name| file(name)));
+                }
+                Err(error) => staged.failed(&Files::Reports.names().join(", "), &error),
+            },
+            Err(error) => staged.failed(&Files::Reports.names().join(", "), error),
+        }
         match recording {
-            Ok(file) => staged.files.push(("recording.mcap", Finished::Recording(file))),
-            Err(error) => staged.failed("recording.mcap", &error),
+            Some(Ok(file)) => staged.files.push(("recording.mcap", Finished::Recording(file))),
+            Some(Err(error)) => staged.failed("recording.mcap", &error),
+            None => {}
         }
         #[cfg(feature = "rerun")]
-        if let Ok(staging) = &staging {
+        if let (Some(pictures), Ok(staging)) = (pictures, &staging) {
             let path = staging.path().join("recording.rrd");
-            match recording::write_rrd(outcome, &path) {
+            let made = pictures.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+            match made.and_then(|bytes| recording::save_rrd(&bytes, &path)) {
                 Ok(()) => staged.files.push(("recording.rrd", Finished::Staged(path))),
                 Err(error) => staged.failed("recording.rrd", &error),
             }
         }
-    }
-    let result = staged.put_in_place();
-    #[cfg(not(feature = "rerun"))]
-    if recorded {
-        say(
-            "recording.rrd is not written: this build has no Rerun (build with `--features rerun`); recording.mcap opens in Rerun and Foxglove",
-        );
-    }
-    result
+        let result = staged.put_in_place();
+        #[cfg(not(feature = "rerun"))]
+        if recorded {
+            say(
+                "recording.rrd is not written: this build has no Rerun (build with `--features rerun`); recording.mcap opens in Rerun and Foxglove",
+            );
+        }
+        result
+    })
 }
 
 /// `result`, behind which a new folder that nothing came into is removed.

@@ -87,12 +87,16 @@ fn run_into(args: &Args, scenario: &Scenario, folder: &Path) -> Result<Verdict, 
             return Err(not_identified(error, &args.scenario, source, place));
         }
     };
-    let recording = recording.complete(&outcome);
-    if args.ablate {
+    let complete: output::Complete<'_> = if args.ablate {
+        // Before the runs without a part: an interrupt of them leaves a whole recording.
+        let completed = recording.complete(&outcome);
         outcome.ablation = Some(ablate(scenario, seed, &outcome));
-    }
+        Box::new(|| completed)
+    } else {
+        Box::new(|| recording.complete(&outcome))
+    };
     // Before the tables: whoever reads only their first lines gets the files. But what cannot be written does not keep the tables back.
-    let written = output::write(&outcome, folder, Some(recording));
+    let written = output::write(&outcome, folder, Some(complete));
     let shown = output::show(&outcome, args.json);
     live.complete(&outcome);
     shown?;

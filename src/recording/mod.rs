@@ -26,6 +26,8 @@ mod recover;
 #[cfg(feature = "rerun")]
 mod rerun_analysis;
 #[cfg(feature = "rerun")]
+mod rerun_columns;
+#[cfg(feature = "rerun")]
 mod rerun_layout;
 #[cfg(feature = "rerun")]
 mod rerun_live;
@@ -66,7 +68,7 @@ pub use recover::{Recovered, recover};
 #[cfg(feature = "rerun")]
 pub use rerun_live::{LiveRecorder, VIEWER_URL, Viewer, viewer_url};
 #[cfg(feature = "rerun")]
-pub use rerun_sink::{RerunRecorder, write_rrd};
+pub use rerun_sink::{RerunRecorder, rrd_of, save_rrd, write_rrd};
 pub use scene::{Chain, ChainKind, Sighting};
 pub use story::{
     LogEntry, LogLevel, Measured, PoseStep, Preamble, Recorder, Residuals, record, record_evaluation,

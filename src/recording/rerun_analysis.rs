@@ -1,12 +1,11 @@
 //! What Rerun shows of errors and estimates as a whole.
 
 use nalgebra::Vector3;
-use rerun::archetypes::{
-    BarChart, Boxes2D, LineStrips2D, Points2D, Scalars, SeriesLines, SeriesPoints, TextDocument,
-};
+use rerun::archetypes::{BarChart, Boxes2D, LineStrips2D, Points2D, SeriesLines, SeriesPoints, TextDocument};
 use rerun::components::{Length, MarkerShape, Radius};
 
 use super::figures::{Bins, Correlations, approaches, group};
+use super::rerun_columns::Shown;
 use super::rerun_scene::{color, single};
 use super::rerun_sink::{AXES, NORM, RerunRecorder};
 use super::scene::{self, Colour};
@@ -57,7 +56,7 @@ pub(super) fn histogram_path(set: SetKind, mode: Mode, axis: &str) -> String {
 
 impl RerunRecorder {
     /// Errors of all modes on all sets, in 3-D and per axis.
-    pub(super) fn histograms(&self, outcome: &Outcome) -> Result<(), RecordingError> {
+    pub(super) fn histograms(&mut self, outcome: &Outcome) -> Result<(), RecordingError> {
         for mode in &outcome.modes {
             let Some(bins) = bins(outcome, mode) else { continue };
             for (set, errors) in outcome.sets.iter().zip(&mode.errors) {
@@ -81,7 +80,7 @@ impl RerunRecorder {
     }
 
     /// The correlations of a mode's parameters: discs where positive, squares where negative, area by strength.
-    pub(super) fn correlations(&self, mode: Mode, estimate: &Estimate) -> Result<(), RecordingError> {
+    pub(super) fn correlations(&mut self, mode: Mode, estimate: &Estimate) -> Result<(), RecordingError> {
         let root = format!("{CORRELATION}/{}", mode.key());
         let text = tables::correlations(mode, estimate, STRONGEST);
         self.fixed(&format!("tables/{root}"), &TextDocument::from_markdown(text))?;
@@ -120,7 +119,7 @@ impl RerunRecorder {
     }
 
     /// The diagonal, with what its parameters belong to.
-    fn labelled_groups(&self, root: &str, estimate: &Estimate) -> Result<(), RecordingError> {
+    fn labelled_groups(&mut self, root: &str, estimate: &Estimate) -> Result<(), RecordingError> {
         let groups: Vec<_> = estimate.parameters.iter().map(|p| group(p.id)).collect();
         let (mut labels, mut places, mut steps) = (Vec::new(), Vec::new(), Vec::new());
         let mut start = 0_usize;
@@ -145,7 +144,7 @@ impl RerunRecorder {
     }
 
     /// The cost of a mode and the distance of its slowest parameters from their final values, on the timeline `iteration`.
-    pub(super) fn convergence(&self, mode: Mode, estimate: &Estimate) -> Result<(), RecordingError> {
+    pub(super) fn convergence(&mut self, mode: Mode, estimate: &Estimate) -> Result<(), RecordingError> {
         let ways = approaches(estimate);
         let root = format!("{CONVERGENCE}/{}", mode.key());
         let slowest: Vec<_> = ways
@@ -156,9 +155,9 @@ impl RerunRecorder {
         for ((path, way), (colour, mark)) in slowest.iter().zip(COLOURS.into_iter().zip(MARKS)) {
             let name = estimate.parameters[way.parameter].id.to_string();
             let line = SeriesLines::new().with_names([name.as_str()]).with_colors([color(colour)]);
-            self.fixed(path, &line.with_widths([1.5]))?;
+            self.curve(path, &line.with_widths([1.5]))?;
             let points = SeriesPoints::new().with_names([name]).with_colors([color(colour)]);
-            self.fixed(path, &points.with_markers([mark]).with_marker_sizes([4.0]))?;
+            self.curve(path, &points.with_markers([mark]).with_marker_sizes([4.0]))?;
         }
         for (index, iteration) in estimate.iterations.iter().enumerate() {
             self.at_iteration(index);
@@ -172,8 +171,8 @@ impl RerunRecorder {
     }
 
     /// The decimal logarithm of `value`, where it has one.
-    fn logarithm(&self, path: &str, value: f64) -> Result<(), RecordingError> {
+    fn logarithm(&mut self, path: &str, value: f64) -> Result<(), RecordingError> {
         let exponent = value.log10();
-        if exponent.is_finite() { self.put(path, &Scalars::single(exponent)) } else { Ok(()) }
+        if exponent.is_finite() { self.put(path, Shown::Value(exponent)) } else { Ok(()) }
     }
 }

@@ -1,13 +1,18 @@
-//! How a Rerun recording is laid out on the screen.
+//! How a Rerun recording is laid out on the screen: views, in groups.
 
-use rerun::blueprint::components::{PanelState, PlayState};
-use rerun::blueprint::{Blueprint, BlueprintActivation, BlueprintPanel, SelectionPanel, TimePanel};
-use rerun::log::LogMsg;
-use rerun::{RecordingStream, RecordingStreamBuilder, StoreId};
+use rerun::blueprint::components::{ContainerKind, PanelState, PlayState};
+use rerun::external::re_log_types::BlueprintActivationCommand;
+use rerun::external::re_sdk_types::blueprint::archetypes::{
+    ContainerBlueprint, PanelBlueprint, TimePanelBlueprint, ViewBlueprint, ViewContents, ViewportBlueprint,
+};
+use rerun::external::re_sdk_types::datatypes::Uuid;
+use rerun::log::{LogMsg, TimeColumn};
+use rerun::{AsComponents, EntityPath, RecordingStreamBuilder, SerializedComponentBatch, StoreId};
 
 use super::RecordingError;
+use super::rerun_columns::{chunk, message, opening, whole};
 use super::rerun_sink::APPLICATION;
-use super::rerun_views::{self, Property, Setting, Views};
+use super::rerun_views::{self, Setting};
 use crate::pipeline::Outcome;
 
 /// Of the viewer's playback.
@@ -20,64 +25,192 @@ pub(super) enum Force {
     Active,
 }
 
+/// A view, or what holds several.
+pub(super) enum Node {
+    View(View),
+    Group(Group),
+}
+
+/// Something to look at.
+pub(super) struct View {
+    class: &'static str,
+    name: String,
+    origin: String,
+    contents: Vec<String>,
+    /// What is set beneath it: name, values.
+    properties: Vec<(String, Vec<SerializedComponentBatch>)>,
+}
+
+/// Views and groups side by side, one upon the other, in a grid or in tabs.
+pub(super) struct Group {
+    kind: ContainerKind,
+    name: Option<String>,
+    /// Of the width or the height.
+    shares: Vec<f32>,
+    columns: Option<u32>,
+    contents: Vec<Node>,
+}
+
+impl View {
+    /// Shows `origin` and what lies under it, as Rerun's views of class `class` do.
+    pub(super) fn new(class: &'static str, name: impl Into<String>, origin: impl Into<String>) -> Self {
+        let contents = vec!["$origin/**".to_owned()];
+        Self { class, name: name.into(), origin: origin.into(), contents, properties: Vec::new() }
+    }
+
+    /// Shows something else.
+    pub(super) fn with_contents(mut self, contents: impl IntoIterator<Item = String>) -> Self {
+        self.contents = contents.into_iter().collect();
+        self
+    }
+
+    pub(super) fn set(mut self, name: impl Into<String>, value: &impl AsComponents) -> Self {
+        self.properties.push((name.into(), value.as_serialized_batches()));
+        self
+    }
+}
+
+impl Group {
+    pub(super) fn new(kind: ContainerKind, contents: impl IntoIterator<Item = Node>) -> Self {
+        let contents = contents.into_iter().collect();
+        Self { kind, name: None, shares: Vec::new(), columns: None, contents }
+    }
+
+    pub(super) fn named(self, name: impl Into<String>) -> Self {
+        Self { name: Some(name.into()), ..self }
+    }
+
+    pub(super) fn shared(self, shares: [f32; 2]) -> Self {
+        Self { shares: shares.to_vec(), ..self }
+    }
+
+    pub(super) fn in_columns(self, columns: u32) -> Self {
+        Self { columns: Some(columns), ..self }
+    }
+}
+
+impl From<View> for Node {
+    fn from(view: View) -> Self {
+        Self::View(view)
+    }
+}
+
+impl From<Group> for Node {
+    fn from(group: Group) -> Self {
+        Self::Group(group)
+    }
+}
+
 /// The messages of the layout for `outcome`. They are told before the recording.
 pub(super) fn messages(outcome: &Outcome, force: Force) -> Result<Vec<LogMsg>, RecordingError> {
-    let mut views = Views::of(outcome);
-    let root = views.tabs();
-    messages_of(Blueprint::new(root), &views.properties, force)
+    messages_of(rerun_views::tabs(outcome), force)
 }
 
 /// The same for a session while it is measured.
 pub(super) fn session(setting: &Setting) -> Result<Vec<LogMsg>, RecordingError> {
-    let (root, properties) = rerun_views::session(setting);
-    messages_of(Blueprint::new(root), &properties, Force::Active)
+    messages_of(rerun_views::session(setting), Force::Active)
 }
 
-fn messages_of(
-    blueprint: Blueprint,
-    properties: &[Property],
-    force: Force,
-) -> Result<Vec<LogMsg>, RecordingError> {
+fn messages_of(root: Group, force: Force) -> Result<Vec<LogMsg>, RecordingError> {
+    let (_, store, ..) = RecordingStreamBuilder::new(APPLICATION).blueprint().into_args();
+    let mut plan = Plan { messages: vec![opening(&store)], store: store.store_id, places: 0 };
+    let (_, root) = plan.group(&root)?;
+    plan.put("viewport", &ViewportBlueprint::new().with_root_container(root).with_auto_views(false))?;
+    let collapsed = PanelState::Collapsed;
+    for panel in ["blueprint_panel", "selection_panel"] {
+        plan.put(panel, &PanelBlueprint::new().with_state(collapsed))?;
+    }
     let mut time =
-        TimePanel::new().with_state(PanelState::Collapsed).with_timeline("pose").with_fps(POSES_PER_SECOND);
+        TimePanelBlueprint::new().with_state(collapsed).with_timeline("pose").with_fps(POSES_PER_SECOND);
     if force == Force::Active {
         // What is shown live is shown at its end.
         time = time.with_play_state(PlayState::Following);
     }
-    let blueprint = blueprint
-        .with_auto_views(false)
-        .with_blueprint_panel(BlueprintPanel::from_state(PanelState::Collapsed))
-        .with_selection_panel(SelectionPanel::from_state(PanelState::Collapsed))
-        .with_time_panel(time);
-    let activation = BlueprintActivation { make_active: force == Force::Active, make_default: true };
-    let (scratch, messages) = memory(RecordingStreamBuilder::new(APPLICATION))?;
-    blueprint.send(&scratch, activation).map_err(RecordingError::unrecordable)?;
-    let is_layout = |message: &LogMsg| message.store_id().is_blueprint();
-    let mut messages: Vec<_> = messages.take().into_iter().filter(is_layout).collect();
+    plan.put("time_panel", &time)?;
     // The last one puts it into force.
-    let Some(last) = messages.pop() else { return Ok(messages) };
-    messages.extend(property_messages(last.store_id(), properties)?);
-    messages.push(last);
-    Ok(messages)
+    plan.messages.push(LogMsg::BlueprintActivationCommand(BlueprintActivationCommand {
+        blueprint_id: plan.store,
+        make_active: force == Force::Active,
+        make_default: true,
+    }));
+    Ok(plan.messages)
 }
 
-fn memory(
-    builder: RecordingStreamBuilder,
-) -> Result<(RecordingStream, rerun::sink::MemorySinkStorage), RecordingError> {
-    let (stream, storage) =
-        builder.enabled(true).send_properties(false).memory().map_err(RecordingError::unrecordable)?;
-    stream.set_log_time_enabled(false);
-    stream.set_log_tick_enabled(false);
-    Ok((stream, storage))
+/// A layout while it is put into messages.
+struct Plan {
+    store: StoreId,
+    messages: Vec<LogMsg>,
+    /// Views and groups so far.
+    places: u128,
 }
 
-/// The messages that set `properties` in the layout `id`.
-fn property_messages(id: &StoreId, properties: &[Property]) -> Result<Vec<LogMsg>, RecordingError> {
-    let (stream, messages) = memory(RecordingStreamBuilder::from_store_id(id))?;
-    // The timeline on which viewers expect layouts.
-    stream.set_time_sequence("blueprint", 0);
-    for (path, property) in properties {
-        stream.log(path.clone(), property.as_ref()).map_err(RecordingError::unrecordable)?;
+impl Plan {
+    fn put(&mut self, path: &str, value: &impl AsComponents) -> Result<(), RecordingError> {
+        self.put_all(path, value.as_serialized_batches())
     }
-    Ok(messages.take().into_iter().filter(|message| matches!(message, LogMsg::ArrowMsg(..))).collect())
+
+    fn put_all(&mut self, path: &str, values: Vec<SerializedComponentBatch>) -> Result<(), RecordingError> {
+        // The timeline on which viewers expect layouts.
+        let time = TimeColumn::new_sequence("blueprint", [0_i64]);
+        let chunk = chunk(EntityPath::from(path), vec![time], whole(values))?;
+        self.messages.push(message(&self.store, &chunk)?);
+        Ok(())
+    }
+
+    /// A path under `root` that no other place has, and its identity.
+    fn place(&mut self, root: &str) -> (String, Uuid) {
+        self.places += 1;
+        let bytes = self.places.to_be_bytes();
+        let digits = format!("{:032x}", self.places);
+        let parts = [0..8, 8..12, 12..16, 16..20, 20..32].map(|part| &digits[part]);
+        (format!("/{root}/{}", parts.join("-")), Uuid { bytes })
+    }
+
+    fn node(&mut self, node: &Node) -> Result<String, RecordingError> {
+        match node {
+            Node::View(view) => self.view(view),
+            Node::Group(group) => self.group(group).map(|(path, _)| path),
+        }
+    }
+
+    fn view(&mut self, view: &View) -> Result<String, RecordingError> {
+        let (path, _) = self.place("view");
+        let looks = ViewBlueprint::new(view.class)
+            .with_display_name(view.name.as_str())
+            .with_space_origin(format!("/{}", view.origin));
+        self.put(&path, &looks)?;
+        let contents = view.contents.iter().map(String::as_str);
+        self.put(&format!("{path}/ViewContents"), &ViewContents::new(contents))?;
+        for (name, values) in &view.properties {
+            self.put_all(&format!("{path}/{name}"), values.clone())?;
+        }
+        Ok(path)
+    }
+
+    fn group(&mut self, group: &Group) -> Result<(String, Uuid), RecordingError> {
+        let mut contents = Vec::with_capacity(group.contents.len());
+        for node in &group.contents {
+            contents.push(self.node(node)?);
+        }
+        let mut looks = ContainerBlueprint::new(group.kind);
+        if let Some(name) = &group.name {
+            looks = looks.with_display_name(name.as_str());
+        }
+        if !contents.is_empty() {
+            looks = looks.with_contents(contents);
+        }
+        if !group.shares.is_empty() {
+            let shares = group.shares.iter().copied();
+            looks = match group.kind {
+                ContainerKind::Vertical => looks.with_row_shares(shares),
+                _ => looks.with_col_shares(shares),
+            };
+        }
+        if let Some(columns) = group.columns {
+            looks = looks.with_grid_columns(columns);
+        }
+        let (path, id) = self.place("container");
+        self.put(&path, &looks)?;
+        Ok((path, id))
+    }
 }

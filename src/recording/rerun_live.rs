@@ -216,7 +216,7 @@ impl LiveRecorder {
 
     fn close(&mut self) {
         let Some(recorder) = self.recorder.take() else { return };
-        let stream = recorder.into_stream();
+        let Some(stream) = recorder.into_stream() else { return };
         if self.lost.is_none() {
             let flushed = stream.flush_with_timeout(LAST_PATIENCE).map_err(RecordingError::unrecordable);
             self.note(flushed);

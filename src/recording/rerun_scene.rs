@@ -1,12 +1,10 @@
 //! What Rerun draws in space.
 
-use nalgebra::{UnitQuaternion, Vector3};
-use rerun::Quaternion;
-use rerun::archetypes::{
-    Arrows3D, Boxes3D, Cylinders3D, Ellipsoids3D, LineStrips3D, Points3D, Transform3D, ViewCoordinates,
-};
+use nalgebra::Vector3;
+use rerun::archetypes::{Arrows3D, Boxes3D, Cylinders3D, Ellipsoids3D, Points3D, ViewCoordinates};
 use rerun::components::{Color, FillMode, Radius};
 
+use super::rerun_columns::{Shown, quaternion};
 use super::rerun_sink::{ARROWS, DEFLECTED, RerunRecorder, SCENE};
 use super::scene::{self, Arrow, Colour, Sighting};
 use super::{Chain, ChainKind, DEFLECTION_SCALE, Measured, RESIDUAL_SCALE, RecordingError};
@@ -21,7 +19,7 @@ const SCALE_BAR: f64 = 0.5;
 impl RerunRecorder {
     /// What does not move, and which way is up: trackers at `trackers`, nests.
     pub(super) fn surroundings(
-        &self,
+        &mut self,
         up: &Vector3<f64>,
         trackers: &[Transform],
         nests: Vec<(String, Vector3<f64>)>,
@@ -46,7 +44,7 @@ impl RerunRecorder {
     }
 
     /// The links' shapes, on the robot that `kind` shows.
-    pub(super) fn robot(&self, kind: ChainKind, visuals: &[Vec<Visual>]) -> Result<(), RecordingError> {
+    pub(super) fn robot(&mut self, kind: ChainKind, visuals: &[Vec<Visual>]) -> Result<(), RecordingError> {
         for (i, visuals) in visuals.iter().enumerate() {
             let link = if i == 0 { format!("{SCENE}/base") } else { link_path(kind, i - 1) };
             self.shapes(&link, visuals)?;
@@ -54,7 +52,7 @@ impl RerunRecorder {
         Ok(())
     }
 
-    fn shapes(&self, link: &str, visuals: &[Visual]) -> Result<(), RecordingError> {
+    fn shapes(&mut self, link: &str, visuals: &[Visual]) -> Result<(), RecordingError> {
         let grey = color(scene::SHELL);
         for (i, visual) in visuals.iter().enumerate() {
             let path = format!("{link}/shape{}", i + 1);
@@ -88,8 +86,8 @@ impl RerunRecorder {
     }
 
     /// Bars over `place` that show how long an error or a deflection is drawn.
-    fn scales(&self, up: &Vector3<f64>, place: Vector3<f64>) -> Result<(), RecordingError> {
-        let bar = |path: &str, what: &str, scale: f64, colour: Colour| {
+    fn scales(&mut self, up: &Vector3<f64>, place: Vector3<f64>) -> Result<(), RecordingError> {
+        let mut bar = |path: &str, what: &str, scale: f64, colour: Colour| {
             let along = SCALE_BAR * scene::across(up).into_inner();
             let bar = Arrows3D::from_vectors([xyz(&along)])
                 .with_origins([xyz(&(place + 0.5 * up))])
@@ -104,7 +102,7 @@ impl RerunRecorder {
     }
 
     /// All measured points and all arrows: they do not change with the pose.
-    pub(super) fn all_measured(&self, outcome: &Outcome) -> Result<(), RecordingError> {
+    pub(super) fn all_measured(&mut self, outcome: &Outcome) -> Result<(), RecordingError> {
         for (index, set) in outcome.sets.iter().enumerate() {
             let key = set.kind.key();
             let points = scene::measured_points(outcome, &set.measurements);
@@ -125,61 +123,59 @@ impl RerunRecorder {
     }
 
     /// A robot: with its links' shapes, or as a line alone.
-    pub(super) fn chain(&self, chain: &Chain, ghost: bool) -> Result<(), RecordingError> {
+    pub(super) fn chain(&mut self, chain: &Chain, ghost: bool) -> Result<(), RecordingError> {
         for (i, link) in chain.links.iter().enumerate().filter(|_| !ghost) {
-            let place =
-                Transform3D::from_translation_rotation(xyz(&link.translation.vector), quaternion(link));
-            self.put(&link_path(chain.kind, i), &place)?;
+            self.put(&link_path(chain.kind, i), Shown::Place(*link))?;
         }
         // Beside the machine, the calibrated robot has to be told from it.
         let beside = ghost && chain.kind == ChainKind::Calibrated;
         let colour = if beside { scene::mode_colour(Mode::Extended) } else { chain.kind.colour() };
-        let colour = [color(colour)];
         let root = format!("{SCENE}/{}", chain.kind.key());
         let thickness = if chain.kind == ChainKind::Nominal { 1.0 } else { 2.5 };
-        let strip = |points: &[Vector3<f64>]| LineStrips3D::new([points.iter().map(xyz).collect::<Vec<_>>()]);
-        let line =
-            strip(&chain.polyline()).with_colors(colour).with_radii([Radius::new_ui_points(thickness)]);
-        self.put(&format!("{root}/chain"), &line)?;
+        let strip = |points: &[Vector3<f64>], radius| {
+            let strips = vec![points.iter().map(xyz).collect()];
+            Shown::Lines { strips, colour, radius }
+        };
+        let thin = Radius::new_ui_points(thickness);
+        self.put(&format!("{root}/chain"), strip(&chain.polyline(), thin))?;
         if let Some(linkage) = &chain.linkage {
-            let radius = if ghost {
-                Radius::new_ui_points(thickness)
-            } else {
-                Radius::new_scene_units(single(scene::ROD_RADIUS))
-            };
-            self.put(&format!("{root}/linkage"), &strip(linkage).with_colors(colour).with_radii([radius]))?;
+            let radius = if ghost { thin } else { Radius::new_scene_units(single(scene::ROD_RADIUS)) };
+            self.put(&format!("{root}/linkage"), strip(linkage, radius))?;
         }
         Ok(())
     }
 
     /// How far the target gives way, as long as the machine larger than life has it.
-    pub(super) fn deflection(&self, measured: &Measured<'_>) -> Result<(), RecordingError> {
+    pub(super) fn deflection(&mut self, measured: &Measured<'_>) -> Result<(), RecordingError> {
         let (Some(deflection), Some(rigid)) = (measured.deflection(0), measured.rigid.first()) else {
             return Ok(());
         };
         let drawn = DEFLECTION_SCALE * deflection;
         let label =
             format!("{:.1} mm of deflection, drawn as {:.2} m", 1e3 * deflection.norm(), drawn.norm());
-        let arrow = Arrows3D::from_vectors([xyz(&drawn)])
-            .with_origins([xyz(&rigid.target)])
-            .with_labels([label])
-            .with_show_labels(true)
-            .with_colors([color(scene::DEFLECTED)])
-            .with_radii([Radius::new_ui_points(2.5)]);
-        self.put(&format!("{DEFLECTED}/at_target"), &arrow)
+        let arrow = Shown::Arrows {
+            arrows: vec![Arrow { origin: rigid.target, vector: drawn }],
+            colour: scene::DEFLECTED,
+            radius: Radius::new_ui_points(2.5),
+            label: Some(label),
+        };
+        self.put(&format!("{DEFLECTED}/at_target"), arrow)
     }
 
     /// From the trackers to the targets.
-    pub(super) fn sightings(&self, sightings: &[Sighting]) -> Result<(), RecordingError> {
-        let lines = sightings.iter().map(|s| vec![xyz(&s.tracker), xyz(&s.point)]);
-        let beams = LineStrips3D::new(lines.collect::<Vec<_>>())
-            .with_colors([color(scene::BEAM)])
-            .with_radii([Radius::new_ui_points(1.0)]);
-        self.put(&format!("{SCENE}/line_of_sight"), &beams)?;
-        let targets = Points3D::new(sightings.iter().map(|s| xyz(&s.point)))
-            .with_colors([color(scene::BEAM)])
-            .with_radii([0.05]);
-        self.put(&format!("{SCENE}/target"), &targets)
+    pub(super) fn sightings(&mut self, sightings: &[Sighting]) -> Result<(), RecordingError> {
+        let beams = Shown::Lines {
+            strips: sightings.iter().map(|s| vec![xyz(&s.tracker), xyz(&s.point)]).collect(),
+            colour: scene::BEAM,
+            radius: Radius::new_ui_points(1.0),
+        };
+        self.put(&format!("{SCENE}/line_of_sight"), beams)?;
+        let targets = Shown::Points {
+            points: sightings.iter().map(|s| xyz(&s.point)).collect(),
+            colour: scene::BEAM,
+            radius: Radius::new_scene_units(0.05),
+        };
+        self.put(&format!("{SCENE}/target"), targets)
     }
 }
 
@@ -187,7 +183,7 @@ fn link_path(kind: ChainKind, index: usize) -> String {
     format!("{SCENE}/{}/link{}", kind.key(), index + 1)
 }
 
-pub(super) fn arrows3d(arrows: &[Arrow], rgba: Colour, thickness: f32) -> Arrows3D {
+fn arrows3d(arrows: &[Arrow], rgba: Colour, thickness: f32) -> Arrows3D {
     Arrows3D::from_vectors(arrows.iter().map(|a| xyz(&a.vector)))
         .with_origins(arrows.iter().map(|a| xyz(&a.origin)))
         .with_colors([color(rgba)])
@@ -202,11 +198,6 @@ pub(super) fn single(value: f64) -> f32 {
 
 pub(super) fn xyz(v: &Vector3<f64>) -> [f32; 3] {
     [single(v.x), single(v.y), single(v.z)]
-}
-
-fn quaternion(transform: &Transform) -> Quaternion {
-    let q = UnitQuaternion::from_rotation_matrix(&transform.rotation);
-    Quaternion::from_xyzw([q.i, q.j, q.k, q.w].map(single))
 }
 
 pub(super) fn color([r, g, b, a]: Colour) -> Color {

@@ -1,16 +1,13 @@
 //! The views of a Rerun recording, in tabs.
 
 use nalgebra::{Rotation3, Unit, Vector3};
-use rerun::blueprint::{
-    BarChartView, ContainerLike, Grid, Horizontal, Spatial2DView, Spatial3DView, Tabs, TextDocumentView,
-    TextLogView, TimeSeriesView, Vertical,
-};
+use rerun::blueprint::components::ContainerKind::{Grid, Horizontal, Tabs, Vertical};
 use rerun::external::re_sdk_types::blueprint::archetypes::{EntityBehavior, EyeControls3D, PlotLegend};
 use rerun::external::re_sdk_types::blueprint::components::Corner2D;
-use rerun::{AsComponents, EntityPath};
 
 use super::figures::Correlations;
 use super::rerun_analysis::{CONVERGENCE, CORRELATION, COST, bins, histogram_path};
+use super::rerun_layout::{Group, Node, View};
 use super::rerun_scene::xyz;
 use super::rerun_sink::{
     ARROWS, AXES, CALIBRATED, DEFLECTED, DEFLECTION, NORM, ROD_FORCE, SCENE, TEMPERATURE,
@@ -21,212 +18,182 @@ use calibrig_estimation::identification::{Estimate, Mode};
 
 /// Half the angle that the eye is taken to see.
 const HALF_VIEW: f64 = 0.55;
+/// Left and right of a tab.
+const SHARES: [f32; 2] = [3.0, 2.0];
 
-/// What a place of the layout is set to beyond what the views' builders can say.
-pub(super) type Property = (EntityPath, Box<dyn AsComponents>);
-
-/// The views that suit an outcome.
-pub(super) struct Views<'a> {
-    outcome: &'a Outcome,
-    pub properties: Vec<Property>,
+/// All views that suit `outcome`. The first tab is what one sees on opening.
+pub(super) fn tabs(outcome: &Outcome) -> Group {
+    let mut tabs = vec![robot(outcome)];
+    tabs.extend(histograms(outcome));
+    tabs.extend(machine(outcome));
+    tabs.extend(estimates(outcome));
+    Group::new(Tabs, tabs)
 }
 
-impl<'a> Views<'a> {
-    pub(super) fn of(outcome: &'a Outcome) -> Self {
-        Self { outcome, properties: Vec::new() }
-    }
+fn identified(outcome: &Outcome) -> impl Iterator<Item = (Mode, &Estimate)> {
+    outcome.modes.iter().filter_map(|m| Some((m.mode, m.estimate.as_ref()?)))
+}
 
-    /// All views. The first tab is what one sees on opening.
-    pub(super) fn tabs(&mut self) -> Tabs {
-        let mut tabs = vec![self.robot()];
-        tabs.extend(self.histograms());
-        tabs.extend(self.machine());
-        tabs.extend(self.estimates());
-        Tabs::new(tabs)
-    }
+fn page(title: &str, origin: impl Into<String>) -> Node {
+    View::new("TextDocument", title, origin).into()
+}
 
-    fn identified(&self) -> impl Iterator<Item = (Mode, &'a Estimate)> {
-        self.outcome.modes.iter().filter_map(|m| Some((m.mode, m.estimate.as_ref()?)))
-    }
+fn curves(title: impl Into<String>, origin: impl Into<String>) -> View {
+    View::new("TimeSeries", title, origin)
+}
 
-    fn set(&mut self, view: &ContainerLike, name: &str, value: impl AsComponents + 'static) {
-        self.properties.extend(property(view, name, value));
-    }
+/// Rerun's picture in space, seen by an eye that has all of `setting` before it.
+fn picture(title: &str, setting: &Setting, drawn: Vec<String>) -> View {
+    View::new("3D", title, SCENE).with_contents(drawn).set("EyeControls3D", &eye(setting))
+}
 
-    fn without_legend(&mut self, view: &ContainerLike) {
-        self.set(view, "PlotLegend", PlotLegend::new().with_visible(false));
-    }
+fn without_legend(view: View) -> View {
+    view.set("PlotLegend", &PlotLegend::new().with_visible(false))
+}
 
-    /// The robot on the left, residuals over poses and tables on the right.
-    fn robot(&mut self) -> ContainerLike {
-        let mut drawn = self.shown(ARROWS);
-        drawn[0] = format!("+ /{SCENE}/**");
-        drawn.push(format!("- /{DEFLECTED}/**"));
-        let picture: ContainerLike = Spatial3DView::new("Robot; arrows: residuals x100, 10 cm for 1 mm")
-            .with_origin(SCENE)
-            .with_contents(drawn)
-            .into();
-        self.set(&picture, "EyeControls3D", eye(&Setting::of(self.outcome)));
-        if self.outcome.truth.is_some() {
-            // On the machine's, but for millimetres: a click on its eye in the blueprint panel shows it.
-            let place = format!("ViewContents/overrides/{CALIBRATED}/visualizers");
-            self.set(&picture, &place, EntityBehavior::new().with_visible(false));
-        }
-        let log = TextLogView::new("Log").with_origin("log").into();
-        let left = Vertical::new([picture, log]).with_row_shares([4.0, 1.0]);
-        let right = Vertical::new([self.residuals(), Self::pages()]).with_row_shares([3.0, 2.0]);
-        Horizontal::new([left.into(), right.into()])
-            .with_column_shares([3.0, 2.0])
-            .with_name("Robot and residuals")
-            .into()
+/// The robot on the left, residuals over poses and tables on the right.
+fn robot(outcome: &Outcome) -> Node {
+    let mut drawn = shown(outcome, ARROWS);
+    drawn[0] = format!("+ /{SCENE}/**");
+    drawn.push(format!("- /{DEFLECTED}/**"));
+    let title = "Robot; arrows: residuals x100, 10 cm for 1 mm";
+    let mut picture = picture(title, &Setting::of(outcome), drawn);
+    if outcome.truth.is_some() {
+        // On the machine's, but for millimetres: a click on its eye in the blueprint panel shows it.
+        let place = format!("ViewContents/overrides/{CALIBRATED}/visualizers");
+        picture = picture.set(place, &EntityBehavior::new().with_visible(false));
     }
+    let log = View::new("TextLog", "Log", "log");
+    let left = Group::new(Vertical, [picture.into(), log.into()]).shared([4.0, 1.0]);
+    let right = Group::new(Vertical, [residuals(outcome), pages()]).shared([3.0, 2.0]);
+    Group::new(Horizontal, [left.into(), right.into()]).shared(SHARES).named("Robot and residuals").into()
+}
 
-    /// What lies under `root`, but for the modes before identification: their errors would hide what is left after it.
-    fn shown(&self, root: &str) -> Vec<String> {
-        let uncalibrated = self.outcome.modes.iter().filter(|m| m.estimate.is_none());
-        let mut contents = vec![format!("+ /{root}/**")];
-        if self.identified().next().is_some() {
-            contents.extend(uncalibrated.map(|m| format!("- /{root}/{}/**", m.mode.key())));
-        }
-        contents
+/// What lies under `root`, but for the modes before identification: their errors would hide what is left after it.
+fn shown(outcome: &Outcome, root: &str) -> Vec<String> {
+    let uncalibrated = outcome.modes.iter().filter(|m| m.estimate.is_none());
+    let mut contents = vec![format!("+ /{root}/**")];
+    if identified(outcome).next().is_some() {
+        contents.extend(uncalibrated.map(|m| format!("- /{root}/{}/**", m.mode.key())));
     }
+    contents
+}
 
-    fn residuals(&mut self) -> ContainerLike {
-        let axes = AXES.map(|axis| -> ContainerLike {
-            let root = format!("residual_mm/{axis}");
-            TimeSeriesView::new(format!("Residual {axis}, mm"))
-                .with_contents(self.shown(&root))
-                .with_origin(root)
-                .into()
-        });
+fn residuals(outcome: &Outcome) -> Node {
+    let axes = AXES.iter().enumerate().map(|(index, axis)| -> Node {
+        let root = format!("residual_mm/{axis}");
+        let contents = shown(outcome, &root);
+        let view = curves(format!("Residual {axis}, mm"), root).with_contents(contents);
         // The three have the same curves: one legend serves them.
-        for view in &axes[1..] {
-            self.without_legend(view);
-        }
-        let all = TimeSeriesView::new("3-D error of all modes, mm").with_origin("residual_mm/norm").into();
-        Tabs::new([Vertical::new(axes).with_name("Residuals").into(), all]).into()
-    }
+        if index == 0 { view.into() } else { without_legend(view).into() }
+    });
+    let axes = Group::new(Vertical, axes).named("Residuals").into();
+    Group::new(Tabs, [axes, curves("3-D error of all modes, mm", "residual_mm/norm").into()]).into()
+}
 
-    fn pages() -> ContainerLike {
-        let pages = [
-            ("Accuracy", "tables/accuracy"),
-            ("This pose", "tables/pose"),
-            ("Parameters", "tables/parameters"),
-            ("Identification", "tables/identification"),
-        ];
-        Tabs::new(pages.map(|(title, path)| TextDocumentView::new(title).with_origin(path).into())).into()
-    }
+fn pages() -> Node {
+    let pages = [
+        ("Accuracy", "tables/accuracy"),
+        ("This pose", "tables/pose"),
+        ("Parameters", "tables/parameters"),
+        ("Identification", "tables/identification"),
+    ];
+    Group::new(Tabs, pages.map(|(title, path)| page(title, path))).into()
+}
 
-    /// A row a mode: its errors in 3-D and per axis; the set that the fit has not seen first.
-    fn histograms(&mut self) -> Option<ContainerLike> {
-        let outcome = self.outcome;
-        let mut sets: Vec<&SetOutcome> =
-            outcome.sets.iter().filter(|set| !set.measurements.observations.is_empty()).collect();
-        sets.reverse();
-        let mut tabs = Vec::new();
-        for set in sets {
-            let mut charts = Vec::new();
-            for mode in &outcome.modes {
-                let Some(bins) = bins(outcome, mode) else { continue };
-                let width = 1e3 * bins.width;
-                for axis in [NORM].into_iter().chain(AXES) {
-                    let title = match axis {
-                        NORM => format!("{}: 3-D error, mm", mode.mode.title()),
-                        axis => format!("{axis}, mm (poses per {width} mm)"),
-                    };
-                    let chart: ContainerLike = BarChartView::new(title)
-                        .with_origin(histogram_path(set.kind, mode.mode, axis))
-                        .into();
-                    self.without_legend(&chart);
-                    charts.push(chart);
-                }
-            }
-            let poses = set.measurements.observations.len();
-            let name = format!("{} set, {poses} observations", set.kind.key());
-            tabs.push(Grid::new(charts).with_grid_columns(4).with_name(name).into());
-        }
-        (!tabs.is_empty()).then(|| Tabs::new(tabs).with_name("Error histograms").into())
-    }
-
-    /// How the simulated machine gives way.
-    fn machine(&mut self) -> Option<ContainerLike> {
-        let truth = self.outcome.truth.as_ref()?;
-        let drawn = [
-            format!("+ /{SCENE}/**"),
-            format!("- /{ARROWS}/**"),
-            format!("- /{SCENE}/measured/**"),
-            format!("- /{SCENE}/nests/**"),
-            format!("- /{SCENE}/line_of_sight/**"),
-            format!("- /{CALIBRATED}/**"),
-        ];
-        let picture: ContainerLike =
-            Spatial3DView::new("Machine, and its deflection drawn x100 (magenta): 10 cm for 1 mm")
-                .with_origin(SCENE)
-                .with_contents(drawn)
-                .into();
-        self.set(&picture, "EyeControls3D", eye(&Setting::of(self.outcome)));
-        let rod = truth.poses.iter().flatten().any(|settled| settled.rod_force.is_some());
-        let temperature = truth.effects.iter().flatten().any(|effects| effects.temperature.is_some());
-        let curves = Vertical::new(machine_curves(rod, temperature));
-        let page = TextDocumentView::new("Machine at this pose").with_origin("tables/machine").into();
-        let right = Vertical::new([curves.into(), page]).with_row_shares([3.0, 2.0]);
-        let tab = Horizontal::new([picture, right.into()]).with_column_shares([3.0, 2.0]);
-        Some(tab.with_name("Deflection x100").into())
-    }
-
-    fn estimates(&mut self) -> Vec<ContainerLike> {
-        let modes: Vec<_> = self.identified().collect();
-        if modes.is_empty() {
-            return Vec::new();
-        }
-        let curves = |title: String, path: String| TimeSeriesView::new(title).with_origin(path).into();
-        let cost: ContainerLike = curves("log10 of the cost, all modes".to_owned(), COST.to_owned());
-        let ways = modes.iter().map(|(mode, _)| {
-            let title = format!("log10 of σ to go, {}", mode.title());
-            curves(title, format!("{CONVERGENCE}/{}", mode.key()))
+/// A row a mode: its errors in 3-D and per axis; the set that the fit has not seen first.
+fn histograms(outcome: &Outcome) -> Option<Node> {
+    let bins: Vec<_> =
+        outcome.modes.iter().filter_map(|mode| Some((mode.mode, bins(outcome, mode)?))).collect();
+    let measured = |set: &&SetOutcome| !set.measurements.observations.is_empty();
+    let tabs = outcome.sets.iter().rev().filter(measured).map(|set| -> Node {
+        let charts = bins.iter().flat_map(|(mode, bins)| {
+            let width = 1e3 * bins.width;
+            [NORM].into_iter().chain(AXES).map(move |axis| -> Node {
+                let title = match axis {
+                    NORM => format!("{}: 3-D error, mm", mode.title()),
+                    axis => format!("{axis}, mm (poses per {width} mm)"),
+                };
+                let path = histogram_path(set.kind, *mode, axis);
+                without_legend(View::new("BarChart", title, path)).into()
+            })
         });
-        let plots: Vec<ContainerLike> = std::iter::once(cost).chain(ways).collect();
-        for plot in &plots {
-            self.set(plot, "PlotLegend", PlotLegend::new().with_corner(Corner2D::RightTop));
-        }
-        let page = TextDocumentView::new("The way to the minimum").with_origin("tables/convergence").into();
-        let plots = Grid::new(plots).with_grid_columns(2);
-        let convergence = Horizontal::new([plots.into(), page])
-            .with_column_shares([3.0, 2.0])
-            .with_name("Convergence (timeline: iteration)");
+        let poses = set.measurements.observations.len();
+        let name = format!("{} set, {poses} observations", set.kind.key());
+        Group::new(Grid, charts).in_columns(4).named(name).into()
+    });
+    let tabs: Vec<_> = tabs.collect();
+    (!tabs.is_empty()).then(|| Group::new(Tabs, tabs).named("Error histograms").into())
+}
 
-        let known = modes.iter().filter(|(_, estimate)| Correlations::of(estimate).is_some());
-        let pictures: Vec<ContainerLike> = known.map(|(mode, _)| correlations(*mode)).collect();
-        let mut tabs = vec![convergence.into()];
-        if !pictures.is_empty() {
-            tabs.push(Tabs::new(pictures).with_name("Correlations").into());
-        }
-        tabs
+/// How the simulated machine gives way.
+fn machine(outcome: &Outcome) -> Option<Node> {
+    let truth = outcome.truth.as_ref()?;
+    let drawn = vec![
+        format!("+ /{SCENE}/**"),
+        format!("- /{ARROWS}/**"),
+        format!("- /{SCENE}/measured/**"),
+        format!("- /{SCENE}/nests/**"),
+        format!("- /{SCENE}/line_of_sight/**"),
+        format!("- /{CALIBRATED}/**"),
+    ];
+    let title = "Machine, and its deflection drawn x100 (magenta): 10 cm for 1 mm";
+    let picture = picture(title, &Setting::of(outcome), drawn);
+    let rod = truth.poses.iter().flatten().any(|settled| settled.rod_force.is_some());
+    let temperature = truth.effects.iter().flatten().any(|effects| effects.temperature.is_some());
+    let tab = beside_machine(picture, rod, temperature);
+    Some(tab.named("Deflection x100").into())
+}
+
+/// A picture of the machine, and beside it its curves and its table.
+fn beside_machine(picture: View, rod: bool, temperature: bool) -> Group {
+    let deflection = Some(("Deflection at the target by elasticity, mm", DEFLECTION));
+    let rod = rod.then_some(("Tension of the four-bar's rod, N", ROD_FORCE));
+    let temperature = temperature.then_some(("Temperature of the air, °C", TEMPERATURE));
+    let plots = [deflection, rod, temperature].into_iter().flatten();
+    let plots = Group::new(Vertical, plots.map(|(title, path)| curves(title, path).into()));
+    let right = Group::new(Vertical, [plots.into(), page("Machine at this pose", "tables/machine")]);
+    Group::new(Horizontal, [picture.into(), right.shared([3.0, 2.0]).into()]).shared(SHARES)
+}
+
+fn estimates(outcome: &Outcome) -> Vec<Node> {
+    let modes: Vec<_> = identified(outcome).collect();
+    if modes.is_empty() {
+        return Vec::new();
     }
+    let ways = modes.iter().map(|(mode, _)| {
+        let title = format!("log10 of σ to go, {}", mode.title());
+        curves(title, format!("{CONVERGENCE}/{}", mode.key()))
+    });
+    let plots = std::iter::once(curves("log10 of the cost, all modes", COST)).chain(ways);
+    let legend = PlotLegend::new().with_corner(Corner2D::RightTop);
+    let plots = Group::new(Grid, plots.map(|plot| plot.set("PlotLegend", &legend).into())).in_columns(2);
+    let convergence =
+        Group::new(Horizontal, [plots.into(), page("The way to the minimum", "tables/convergence")])
+            .shared(SHARES)
+            .named("Convergence (timeline: iteration)");
+
+    let known = modes.iter().filter(|(_, estimate)| Correlations::of(estimate).is_some());
+    let pictures: Vec<_> = known.map(|(mode, _)| correlations(*mode)).collect();
+    let mut tabs = vec![convergence.into()];
+    if !pictures.is_empty() {
+        tabs.push(Group::new(Tabs, pictures).named("Correlations").into());
+    }
+    tabs
 }
 
-fn property(view: &ContainerLike, name: &str, value: impl AsComponents + 'static) -> Option<Property> {
-    let ContainerLike::View(view) = view else { return None };
-    Some((view.blueprint_path().join(&name.into()), Box::new(value)))
-}
-
-fn correlations(mode: Mode) -> ContainerLike {
+fn correlations(mode: Mode) -> Node {
     let root = format!("{CORRELATION}/{}", mode.key());
-    let page = TextDocumentView::new("Strongest correlations").with_origin(format!("tables/{root}")).into();
-    let picture = Spatial2DView::new("disc +, square -, area: strength").with_origin(root).into();
-    Horizontal::new([picture, page]).with_column_shares([3.0, 2.0]).with_name(mode.title()).into()
+    let page = page("Strongest correlations", format!("tables/{root}"));
+    let picture = View::new("2D", "disc +, square -, area: strength", root).into();
+    Group::new(Horizontal, [picture, page]).shared(SHARES).named(mode.title()).into()
 }
 
-/// The view of a session while it is measured: the machine, and how it gives way.
-pub(super) fn session(setting: &Setting) -> (Horizontal, Vec<Property>) {
-    let drawn = [format!("+ /{SCENE}/**"), format!("- /{DEFLECTED}/**"), format!("- /{ARROWS}/**")];
-    let picture: ContainerLike =
-        Spatial3DView::new("Robot while it is measured").with_origin(SCENE).with_contents(drawn).into();
-    let properties = property(&picture, "EyeControls3D", eye(setting)).into_iter().collect();
-    let page = TextDocumentView::new("Machine at this pose").with_origin("tables/machine").into();
-    let curves = Vertical::new(machine_curves(setting.rod, false)).into();
-    let right = Vertical::new([curves, page]).with_row_shares([3.0, 2.0]);
-    (Horizontal::new([picture, right.into()]).with_column_shares([3.0, 2.0]), properties)
+/// The views of a session while it is measured: the machine, and how it gives way.
+pub(super) fn session(setting: &Setting) -> Group {
+    let drawn = vec![format!("+ /{SCENE}/**"), format!("- /{DEFLECTED}/**"), format!("- /{ARROWS}/**")];
+    let picture = picture("Robot while it is measured", setting, drawn);
+    beside_machine(picture, setting.rod, false)
 }
 
 /// What is known of the surroundings before anything was measured.
@@ -251,14 +218,6 @@ impl Setting {
             rod: false,
         }
     }
-}
-
-fn machine_curves(rod: bool, temperature: bool) -> Vec<ContainerLike> {
-    let deflection = Some(("Deflection at the target by elasticity, mm", DEFLECTION));
-    let rod = rod.then_some(("Tension of the four-bar's rod, N", ROD_FORCE));
-    let temperature = temperature.then_some(("Temperature of the air, °C", TEMPERATURE));
-    let curves = [deflection, rod, temperature].into_iter().flatten();
-    curves.map(|(title, path)| TimeSeriesView::new(title).with_origin(path).into()).collect()
 }
 
 /// An eye that sees the base, the trackers and all measured points, from the trackers' side.
