@@ -542,6 +542,30 @@ mod tests {
     }
 
     #[test]
+    fn the_same_run_is_told_in_the_same_order() {
+        let outcome = synthetic::outcome(6, 3, true);
+        let told = || {
+            let mut recorder = RerunRecorder::new(&outcome).expect("begun");
+            record(&outcome, &mut recorder).expect("recorded");
+            let messages = recorder.messages().expect("told");
+            let chunks = messages.into_iter().filter_map(|message| match message {
+                LogMsg::ArrowMsg(_, message) => Some(Chunk::from_arrow_msg(&message).expect("sound")),
+                _ => None,
+            });
+            // Without their identities and the time of day.
+            let recorded = chunks.filter(|chunk| chunk.entity_path().to_string() != "/__properties");
+            recorded.collect::<Vec<_>>()
+        };
+        let (one, other) = (told(), told());
+        assert_eq!(one.len(), other.len());
+        for (one, other) in one.iter().zip(&other) {
+            if let Err(difference) = Chunk::ensure_similar(one, other) {
+                panic!("{}: {difference}", one.entity_path());
+            }
+        }
+    }
+
+    #[test]
     fn a_file_is_written_even_of_nothing_but_a_model() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("recording.rrd");
