@@ -12,7 +12,7 @@ use calibrig_files::load_robot;
 use calibrig_model::geometry::{rotation_x, translation};
 use calibrig_model::measurement::{MeasurementSet, NestObservation, Observation, Reading, Station, Target};
 use calibrig_model::random::{Source, stream};
-use calibrig_model::{CalibrationModel, Compliance, LinkageLength, ParameterId, TermId};
+use calibrig_model::{CalibrationModel, Compliance, LinkageLength, ParameterId, PointLoad, TermId};
 
 const SIGMA: f64 = 1e-5;
 /// Shoulder, elbow (which turns the crank) and waist by index.
@@ -238,8 +238,11 @@ fn a_compliance_that_was_asked_for_and_is_not_loaded_is_handled_as_chosen() {
 #[test]
 fn what_the_measurements_leave_open_is_fixed_held_or_counted_as_lacking() {
     let mut nominal = painter();
-    // Without weight nothing bends: the compliance has no effect at all.
-    nominal.statics.as_mut().expect("statics").gravity = Vector3::zeros();
+    // Without weight, and with a force on the rail alone, the shoulder does not bend: its compliance has no effect at all.
+    let statics = nominal.statics.as_mut().expect("statics");
+    statics.gravity = Vector3::zeros();
+    let (at, force) = (Vector3::zeros(), Vector3::x());
+    statics.loads.push(PointLoad { name: "push".to_owned(), link: 0, at, mass: 0.0, force });
     let set = measure(&truth(&nominal, &[], Vec::new()), 40, 1.0);
     let id = ParameterId::Compliance(SHOULDER);
     let with = |redundant| IdentificationOptions {
