@@ -349,6 +349,7 @@ pub fn joints_from_command(
     joints: &mut [f64],
 ) -> Result<(), ClosureError> {
     kinematics.check()?;
+    let linkage = ElbowLinkage::new(kinematics, actuators)?;
     actuators.check(kinematics.joint_count())?;
     kinematics.check_joints("command", command)?;
     let (found, expected) = (joints.len(), kinematics.joint_count());
@@ -356,7 +357,7 @@ pub fn joints_from_command(
         return Err(ModelError::Length { field: JOINTS, found, expected }.into());
     }
     actuators.joints_from_command(command, joints);
-    if let Some(linkage) = ElbowLinkage::new(kinematics, actuators)? {
+    if let Some(linkage) = linkage {
         joints[linkage.elbow] = linkage.q_elbow(command)?;
     }
     Ok(())
@@ -373,10 +374,11 @@ pub fn command_from_joints(
     joints: &[f64],
 ) -> Result<Vec<f64>, ClosureError> {
     kinematics.check()?;
+    let linkage = ElbowLinkage::new(kinematics, actuators)?;
     actuators.check(kinematics.joint_count())?;
     kinematics.check_joints(JOINTS, joints)?;
     let mut command = actuators.command_from_joints(joints);
-    if let Some(linkage) = ElbowLinkage::new(kinematics, actuators)? {
+    if let Some(linkage) = linkage {
         command[linkage.elbow] = linkage.psi(joints)?;
     }
     Ok(command)

@@ -445,7 +445,7 @@ fn faulty(faults: &'static [ModelFault]) -> impl Strategy<Value = (Case, Case, &
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 32, ..ProptestConfig::default() })]
 
     #[test]
     fn a_chain_that_cannot_be_is_refused((sound, case, field) in faulty(&CHAIN_FAULTS)) {
@@ -487,7 +487,7 @@ proptest! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 40, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
 
     /// What is valid gives an estimate, or an error that says what is missing of it; either way everything that follows from it returns.
     #[test]

@@ -19,6 +19,18 @@ const ZERO: f64 = 1e-9;
 /// one that is not the offset of its joint's own variable, then the one farthest from the base.
 ///
 /// Source: Y. Wang et al., Machines 11 (2023) 20, the redundancy rules; which one is kept is chosen so as to give the published set.
+///
+/// ```
+/// use calibrig_estimation::identification::neighbour_axis_rules;
+/// use calibrig_model::{CraigLink, KinematicModel};
+///
+/// // Parallel axes: the offsets d of the two do the same, so the rules keep one of them and add Hayati's beta.
+/// let elbow = CraigLink::revolute("elbow").row(1.35, 0.0, 0.0, 0.0);
+/// let (kept, groups) = neighbour_axis_rules(&KinematicModel::new(vec![CraigLink::revolute("shoulder"), elbow])?);
+/// assert_eq!(groups[0].to_string(), "delta_d1 with delta_d2");
+/// assert!(kept.iter().any(|id| id.to_string() == "delta_beta2"));
+/// # Ok::<(), calibrig_model::ModelError>(())
+/// ```
 pub fn neighbour_axis_rules(model: &KinematicModel) -> (Vec<ParameterId>, Vec<DependentGroup>) {
     let links = &model.links;
     let groups: Vec<_> = LinkTerm::ALL.into_iter().flat_map(|term| groups_of(links, term)).collect();
