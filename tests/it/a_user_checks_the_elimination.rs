@@ -21,6 +21,9 @@ fn geometric() -> Scenario {
     if let ActuatorMap::Parallelogram { linkage, .. } = &mut scenario.robot.model.actuators {
         *linkage = None;
     }
+    if let Some(statics) = &mut scenario.robot.model.statics {
+        statics.linkage = None;
+    }
     scenario.options.mode = Mode::OnlyCalibration;
     scenario.options.unmodelled_sigma = 0.0;
     scenario

@@ -9,9 +9,9 @@ use calibrig::recording::{Recording, RecordingError, read_recording};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::repeated;
 use crate::sandbox::{Ended, SCENARIO, Sandbox};
 
-const KILLS: u32 = 50;
 /// What the fitted mode needs at least, with room.
 const ENOUGH: usize = 40;
 
@@ -45,13 +45,14 @@ fn what_was_measured_before_a_kill_is_saved() {
 
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let mut counts = Counts::default();
-    for number in 0..KILLS {
+    let kills = repeated(50, 12);
+    for number in 0..kills {
         let out = format!("killed{number}");
         kill_a_run(&sandbox, &out, duration.mul_f64(rng.random_range(0.0..1.0)));
         check(&sandbox, &out, &bytes, &sound, &mut counts);
     }
-    println!("{KILLS} kills within {duration:?}: {counts:?}");
-    assert!(counts.session + counts.evaluation >= 10, "{counts:?}");
+    println!("{kills} kills within {duration:?}: {counts:?}");
+    assert!(counts.session + counts.evaluation >= kills as usize / 5, "{counts:?}");
 }
 
 fn kill_a_run(sandbox: &Sandbox, out: &str, after: Duration) {

@@ -1,6 +1,7 @@
 //! The published experiment: all rows about as published, and what a model with more terms makes of the same machine.
 
 use std::path::Path;
+use std::sync::LazyLock;
 
 use calibrig::evaluation::AccuracyRow;
 use calibrig::identification::{Mode, neighbour_axis_rules};
@@ -60,7 +61,7 @@ fn average(outcomes: &[Outcome], set: usize, mode: Mode) -> [f64; 6] {
 
 #[test]
 fn the_rows_over_20_seeds_are_about_the_published() {
-    let outcomes = over_20_seeds(&paper());
+    let outcomes = &*PAPER_OVER_20_SEEDS;
     let limits = [
         // Means of row one were what the working region was chosen by; those of the other rows, what the effects were sized by.
         (Mode::WithoutCalibration, 0.15),
@@ -70,7 +71,7 @@ fn the_rows_over_20_seeds_are_about_the_published() {
     let scenario = paper();
     for (set, kind) in SetKind::ALL.into_iter().enumerate() {
         for (mode, tolerance) in limits {
-            let found = average(&outcomes, set, mode);
+            let found = average(outcomes, set, mode);
             println!("{} {}: {:?} mm", kind.key(), mode.key(), found.map(|v| (v * 1e5).round() / 100.0));
             let published = scenario.published.iter().find(|(s, m, _)| (*s, *m) == (kind, mode));
             let published = published.expect("the published row").2;
@@ -84,7 +85,7 @@ fn the_rows_over_20_seeds_are_about_the_published() {
                 );
             }
         }
-        let [without, only, gravity] = limits.map(|(mode, _)| average(&outcomes, set, mode));
+        let [without, only, gravity] = limits.map(|(mode, _)| average(outcomes, set, mode));
         assert!([1, 3, 5].iter().all(|&i| only[i] < without[i]), "{}", kind.key());
         assert!(gravity[1] < only[1] && gravity[3] < only[3], "{}: {gravity:?} {only:?}", kind.key());
         assert!(gravity[5] <= 1.05 * only[5], "{}: {gravity:?} {only:?}", kind.key());
@@ -94,7 +95,7 @@ fn the_rows_over_20_seeds_are_about_the_published() {
 #[test]
 fn the_extended_model_comes_near_the_floor_of_the_machine() {
     let [all, floor] =
-        [paper(), floor()].map(|scenario| average(&over_20_seeds(&scenario), 1, Mode::Extended));
+        [&*PAPER_OVER_20_SEEDS, &over_20_seeds(&floor())].map(|runs| average(runs, 1, Mode::Extended));
     for entry in [1, 3, 5] {
         let ratio = all[entry] / floor[entry];
         println!(
@@ -118,6 +119,9 @@ fn the_floor_is_the_same_robot_with_less_on() {
     floor.sources.clone_from(&all.sources);
     assert_eq!(floor, all);
 }
+
+/// Two tests look at the same runs.
+static PAPER_OVER_20_SEEDS: LazyLock<Vec<Outcome>> = LazyLock::new(|| over_20_seeds(&paper()));
 
 fn over_20_seeds(scenario: &Scenario) -> Vec<Outcome> {
     (0..20).map(|seed| pipeline::run(scenario, seed, |_, _| {}).expect("a run")).collect()

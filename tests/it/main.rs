@@ -21,3 +21,8 @@ mod cli;
 mod elastostatics_against_plant;
 mod layers;
 mod sandbox;
+
+/// How often a test repeats what a few repetitions decide as well: `usual` times, or with `CALIBRIG_FULL=1` as often as the documents say.
+fn repeated(full: u32, usual: u32) -> u32 {
+    if std::env::var_os("CALIBRIG_FULL").is_some() { full } else { usual }
+}
