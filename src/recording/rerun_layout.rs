@@ -103,18 +103,18 @@ impl From<Group> for Node {
 
 /// The messages of the layout for `outcome`. They are told before the recording.
 pub(super) fn messages(outcome: &Outcome, force: Force) -> Result<Vec<LogMsg>, RecordingError> {
-    messages_of(rerun_views::tabs(outcome), force)
+    messages_of(&rerun_views::tabs(outcome), force)
 }
 
 /// The same for a session while it is measured.
 pub(super) fn session(setting: &Setting) -> Result<Vec<LogMsg>, RecordingError> {
-    messages_of(rerun_views::session(setting), Force::Active)
+    messages_of(&rerun_views::session(setting), Force::Active)
 }
 
-fn messages_of(root: Group, force: Force) -> Result<Vec<LogMsg>, RecordingError> {
+fn messages_of(root: &Group, force: Force) -> Result<Vec<LogMsg>, RecordingError> {
     let (_, store, ..) = RecordingStreamBuilder::new(APPLICATION).blueprint().into_args();
     let mut plan = Plan { messages: vec![opening(&store)], store: store.store_id, places: 0 };
-    let (_, root) = plan.group(&root)?;
+    let (_, root) = plan.group(root)?;
     plan.put("viewport", &ViewportBlueprint::new().with_root_container(root).with_auto_views(false))?;
     let collapsed = PanelState::Collapsed;
     for panel in ["blueprint_panel", "selection_panel"] {

@@ -74,7 +74,7 @@ enum Way {
     /// To a viewer, at once.
     Stream(RecordingStream),
     /// Into a file, when all is told. The layout comes first.
-    File { layout: Vec<LogMsg>, columns: Columns },
+    File { layout: Vec<LogMsg>, columns: Box<Columns> },
 }
 
 /// A pose that was told.
@@ -104,7 +104,7 @@ impl RerunRecorder {
     pub fn new(outcome: &Outcome) -> Result<Self, RecordingError> {
         let layout = rerun_layout::messages(outcome, Force::Default)?;
         let (_, store, properties, ..) = builder(&outcome.input.name).into_args();
-        let columns = Columns::new(store, &properties.unwrap_or_default())?;
+        let columns = Box::new(Columns::new(store, &properties.unwrap_or_default())?);
         Ok(Self::on(Way::File { layout, columns }))
     }
 
