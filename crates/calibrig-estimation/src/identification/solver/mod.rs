@@ -57,7 +57,7 @@ pub struct SolverOptions {
     pub loss: Loss,
     /// What the loss calls large.
     pub loss_scale: LossScale,
-    /// Number of starting points: the caller's, and others drawn about it. Only [`minimise_within`] can draw.
+    /// Number of starting points: the one given, and others drawn about it.
     pub starts: u32,
     /// Seed of the drawn starts.
     pub seed: u64,
