@@ -3,8 +3,8 @@
 use thiserror::Error;
 
 use super::{
-    ActuatorMap, BeamError, Bearing, Body, CalibrationModel, CraigLink, KinematicModel, LinkageArm,
-    ParameterId, PointLoad, StaticProperties,
+    ActuatorMap, BeamError, Bearing, Body, CalibrationModel, CraigLink, JointKind, KinematicModel,
+    LinkageArm, ParameterId, PointLoad, StaticProperties,
 };
 use crate::geometry::Transform;
 
@@ -245,7 +245,13 @@ impl StaticProperties {
             check_body("statics.bodies", of, &self.bodies[joint])?;
             stiff("statics.drive_stiffness", of, self.drive_stiffness[joint])?;
             let Bearing { stiffness, at, .. } = &self.bearings[joint];
-            stiffness.iter().try_for_each(|k| stiff("statics.bearings.stiffness", of, *k))?;
+            // The joint's own axis is its drive's: what stands there counts for nothing.
+            let own = match link.kind {
+                JointKind::Prismatic => 2,
+                JointKind::Revolute => 5,
+            };
+            let mut others = stiffness.iter().enumerate().filter(|(axis, _)| *axis != own);
+            others.try_for_each(|(_, k)| stiff("statics.bearings.stiffness", of, *k))?;
             finite("statics.bearings.at", of, [*at])?;
             if let Some(beam) = &self.beams[joint] {
                 beam.check(link).map_err(|source| ModelError::Beam { link: joint, source })?;
