@@ -76,12 +76,9 @@ pub enum ModelError {
         /// Why.
         source: BeamError,
     },
-    /// Statics of a four-bar that the actuators do not have, or the reverse.
-    #[error("statics.linkage is {}: expected it where actuators has the lengths of a four-bar, and only there", if *stated { "stated" } else { "missing" })]
-    Linkage {
-        /// Whether the statics have one.
-        stated: bool,
-    },
+    /// Statics of a four-bar that the actuators do not have.
+    #[error("statics.linkage is stated: expected it only where actuators has the lengths of a four-bar")]
+    Linkage,
     /// Masses and stiffnesses that nothing loads.
     #[error(
         "statics.gravity is zero and no load has a force: nothing deflects; state gravity (m/s², in the base frame), or leave statics out"
@@ -196,12 +193,9 @@ impl CalibrationModel {
         }
         let Some(statics) = &self.statics else { return Ok(()) };
         statics.check(&self.kinematics)?;
-        let stated = statics.linkage.is_some();
-        if stated == self.actuators.four_bar().is_some() {
-            Ok(())
-        } else {
-            Err(ModelError::Linkage { stated })
-        }
+        // A four-bar without statics is rigid and weighs nothing; statics without a four-bar are a mistake.
+        let stray = statics.linkage.is_some() && self.actuators.four_bar().is_none();
+        if stray { Err(ModelError::Linkage) } else { Ok(()) }
     }
 }
 
@@ -254,7 +248,8 @@ impl StaticProperties {
             others.try_for_each(|(_, k)| stiff("statics.bearings.stiffness", of, *k))?;
             finite("statics.bearings.at", of, [*at])?;
             if let Some(beam) = &self.beams[joint] {
-                beam.check(link).map_err(|source| ModelError::Beam { link: joint, source })?;
+                // Whether it is long enough is a question of the pose: limits may be wider than what is ever commanded.
+                beam.check_sections().map_err(|source| ModelError::Beam { link: joint, source })?;
             }
         }
         if let Some(linkage) = &self.linkage {

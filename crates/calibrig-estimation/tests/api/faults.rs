@@ -209,10 +209,10 @@ const MODEL_FAULTS: [ModelFault; 28] = [
     },
     |case| {
         let statics = case.model.statics.as_mut()?;
-        statics.linkage = match statics.linkage {
-            Some(_) => None,
-            None => Some(LinkageStatics { rod_stiffness: 1e7, rod_mass: 1.0, crank: body() }),
-        };
+        if statics.linkage.is_some() {
+            return None;
+        }
+        statics.linkage = Some(LinkageStatics { rod_stiffness: 1e7, rod_mass: 1.0, crank: body() });
         Some("statics.linkage")
     },
 ];
