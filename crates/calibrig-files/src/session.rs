@@ -396,7 +396,7 @@ impl SessionFile {
     }
 
     /// Refuses what an identification cannot use, whose text is `source`: nests that do not place their station, and an uncertainty of a target
-    /// that is none.
+    /// that is not positive definite.
     ///
     /// # Errors
     /// The station has nests, but fewer than three, or all on one line, or one without an uncertainty; the covariance of the target is not positive definite.

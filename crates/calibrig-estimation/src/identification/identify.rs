@@ -42,7 +42,7 @@ pub enum IdentifyError {
     /// The nominal robot cannot be laid over the measurements.
     #[error("the measured points do not determine the tracker's place: fewer than three, or all on one line")]
     BestFit,
-    /// A covariance that is none.
+    /// A covariance that is not positive definite.
     #[error("{what}: the covariance is not positive definite")]
     Covariance {
         /// Whose.

@@ -27,7 +27,7 @@ pub struct ParameterBound {
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum ParameterBoundError {
-    /// A limit that is none.
+    /// A limit that is NaN.
     #[error("a limit of {id} is not a number")]
     NotANumber {
         /// Whose.

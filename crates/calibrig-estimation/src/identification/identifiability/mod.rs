@@ -32,7 +32,7 @@ pub struct Spectrum {
     /// Largest over smallest scaled singular value (infinite where the rank is deficient).
     #[serde(with = "calibrig_model::float::scalar")]
     pub condition: f64,
-    /// Scaled singular values, largest first; not numbers where the system holds one that is none.
+    /// Scaled singular values, largest first; NaN where the system holds a number that is not finite.
     #[serde(with = "calibrig_model::float::list")]
     pub singular_values: Vec<f64>,
     /// Directions that the data determine, but poorly, best first.

@@ -46,7 +46,7 @@ pub enum BoundsError {
         /// Upper limit.
         upper: f64,
     },
-    /// A width that is none.
+    /// A width that starting points cannot be drawn from.
     #[error("parameter {parameter}: starting points cannot be spread by {spread}")]
     Spread {
         /// Its index.
