@@ -1,5 +1,4 @@
-//! `identify` on 100 poses with 24 + 6 parameters, beside five QR factorisations of that size; and with stiffness, at the robot's own
-//! equilibrium.
+//! `identify` on 100 poses with 24 + 6 parameters; and with stiffness, at the robot's own equilibrium.
 //!
 //! `cargo bench --bench identify`
 
@@ -12,7 +11,6 @@ use calibrig::identification::{ComplianceChoice, FrameChoice, Mode, TargetChoice
 use calibrig::pipeline::{PlantKind, simulate};
 use calibrig::scenario::load_scenario;
 use criterion::{Criterion, criterion_group, criterion_main};
-use nalgebra::DMatrix;
 
 fn benches(c: &mut Criterion) {
     let mut scenario = load_scenario(Path::new("scenarios/paper.toml")).expect("the shipped scenario");
@@ -34,14 +32,6 @@ fn benches(c: &mut Criterion) {
             });
         });
     }
-    let system = DMatrix::from_fn(306, 30, |i, j| ((i * 31 + j * 17) as f64).sin());
-    group.bench_function("5 QR of 306 x 30 (nalgebra)", |b| {
-        b.iter(|| {
-            for _ in 0..5 {
-                black_box(black_box(&system).clone().qr());
-            }
-        });
-    });
     group.finish();
 
     options.mode = Mode::ElastoGeometric;

@@ -131,11 +131,11 @@ pub use calibrig_model as model;
 pub use calibrig_model::{geometry, measurement, nalgebra, random, statistics};
 pub use calibrig_plant as plant;
 pub use calibrig_plant::{experiment, tracker};
+pub use calibrig_recording as recording;
 
 pub mod cli;
 pub mod montecarlo;
 pub mod pipeline;
-pub mod recording;
 pub mod replay;
 pub mod report;
 pub mod scenario;

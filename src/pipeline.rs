@@ -14,7 +14,6 @@ pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
 pub use choice::{ChosenRow, FailedVariant, ModelChoice, choose};
 pub use defaults::{default_modes, default_options, is_default};
 pub use judgement::{Confidence, FALSE_ALARM, Judgement, PredictedPosition, judge};
-pub use machine::PlantKind;
 pub use planned::{planned, planned_at};
 pub use simulate::{measure_session, simulate};
 pub use splits::{SplitMode, SplitPlan, SplitStudy, pose_count, repeat_splits};
@@ -27,10 +26,11 @@ use sha2::{Digest, Sha256};
 use thiserror::Error;
 
 use crate::scenario::Scenario;
-use calibrig_estimation::evaluation::{AccuracyRow, accuracy};
+use calibrig_estimation::evaluation::accuracy;
+pub use calibrig_estimation::evaluation::{ModeOutcome, RegistrationSummary};
 use calibrig_estimation::identification::{
-    CalibratedRobot, Estimate, IdentificationOptions, IdentifyError, Mode, PredictionError, Predictor,
-    identify, without_calibration,
+    CalibratedRobot, IdentificationOptions, IdentifyError, Mode, PredictionError, Predictor, identify,
+    without_calibration,
 };
 use calibrig_files::Source;
 use calibrig_model::measurement::MeasurementSet;
@@ -40,49 +40,11 @@ use calibrig_plant::PlantError;
 use calibrig_plant::effects::EffectError;
 use calibrig_plant::experiment::RegionError;
 use calibrig_plant::session::{BesideRigid, SessionError, counting};
-pub use calibrig_plant::session::{MeasuredPose, SessionEvent, SessionListener, Simulation, Truth};
+pub use calibrig_plant::session::{
+    MeasuredPose, PlantKind, SessionEvent, SessionListener, Simulation, Truth,
+};
 use calibrig_plant::tracker::TrackerError;
-
-/// Where the measurements came from.
-#[derive(Debug, Clone, PartialEq)]
-pub struct InputSummary {
-    /// `scenario`, `files` or `recording`.
-    pub kind: &'static str,
-    /// Its name for people.
-    pub name: String,
-    /// Hash over every input file, hexadecimal.
-    pub sha256: String,
-    /// The seed of a simulation.
-    pub seed: Option<u64>,
-    /// Number of the trial and what stood for the machine, of a simulation.
-    pub trial: Option<(u32, PlantKind)>,
-}
-
-/// How the tracker's frame was tied to the robot's for the row "without calibration".
-#[derive(Debug, Clone, PartialEq)]
-pub struct RegistrationSummary {
-    /// In words.
-    pub how: String,
-    /// Poses used.
-    pub poses: usize,
-    /// RMS of the 3-D residual of the fit, m.
-    pub rms: f64,
-}
-
-/// What one mode made of the measurements.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ModeOutcome {
-    /// Which.
-    pub mode: Mode,
-    /// The robot that predicts.
-    pub robot: CalibratedRobot,
-    /// How it was identified; `None` for "without calibration".
-    pub estimate: Option<Estimate>,
-    /// Measured minus predicted in the base frame, m: one vector a set of [`Outcome::sets`], one entry an observation.
-    pub errors: Vec<Vec<Vector3<f64>>>,
-    /// The rows of the tables, one a set.
-    pub rows: Vec<Option<AccuracyRow>>,
-}
+pub use calibrig_recording::{InputSummary, Story};
 
 /// Everything that a run leaves behind.
 #[derive(Debug, Clone, PartialEq)]
@@ -111,6 +73,23 @@ pub struct Outcome {
     pub ablation: Option<Ablation>,
     /// The modes on random splits of the identification set, where that was asked for.
     pub splits: Option<SplitStudy>,
+}
+
+impl Outcome {
+    /// What recorders are told of it.
+    pub fn story(&self) -> Story<'_> {
+        Story {
+            input: &self.input,
+            sources: &self.sources,
+            model: &self.model,
+            visuals: &self.visuals,
+            registration: &self.registration,
+            sets: &self.sets,
+            modes: &self.modes,
+            truth: self.truth.as_ref(),
+            published: &self.published,
+        }
+    }
 }
 
 /// A run that cannot be carried out.

@@ -9,10 +9,6 @@ use crate::pipeline::{
     InputSummary, ModeOutcome, Outcome, PipelineError, SetKind, SetOutcome, Truth, calibrate, default_modes,
     default_options, judge,
 };
-use crate::recording::{
-    MissingPart, ReadOptions, RecordedEstimate, RecordedMachine, Recording, RecordingError,
-    read_recorded_machine, read_recording_with,
-};
 use crate::scenario::{Scenario, parse_scenario};
 use calibrig_estimation::identification::{
     Estimate, FrameChoice, IdentificationOptions, Loss, Mode, TargetChoice,
@@ -21,6 +17,10 @@ use calibrig_files::InputError;
 use calibrig_files::Robot;
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, Visual};
+use calibrig_recording::{
+    MissingPart, ReadOptions, RecordedEstimate, RecordedMachine, Recording, RecordingError,
+    read_recorded_machine, read_recording_with,
+};
 
 /// A recording that cannot be replayed.
 #[derive(Debug, Error, Diagnostic)]

@@ -7,9 +7,9 @@ use super::identify::{FileArgs, Loaded};
 use super::output::{Destination, Files, or_removed};
 use super::{CliError, Verdict, say};
 use crate::pipeline::{InputSummary, SetOutcome, hash_sources};
-use crate::recording::{CsvExport, ExportError, Preamble, RecordingError, export_csv, write_sets};
 use calibrig_files::Source;
 use calibrig_files::load_robot;
+use calibrig_recording::{CsvExport, ExportError, Preamble, RecordingError, export_csv, write_sets};
 
 /// Turn a recording into files of text, or files of text into a recording
 #[derive(Debug, clap::Args)]

@@ -7,9 +7,9 @@ use std::time::Duration;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use super::{CliError, Verdict, print};
-use crate::recording::{
-    EstimateReport, Health, Inspection, Part, ProvenanceReport, ProvenanceState, RecordingError, SetReport,
-    State, TopicReport, inspect,
+use calibrig_recording::{
+    EstimateReport, Health, Inspection, ProvenanceReport, ProvenanceState, RecordingError, SetReport, State,
+    TopicReport, inspect,
 };
 
 /// Say what is in a recording, or in any MCAP file, and whether it is sound
@@ -125,7 +125,7 @@ fn state_words(health: &Health) -> String {
 /// The faults of a file, a line each.
 pub(super) fn write_faults(health: &Health, text: &mut String) -> std::fmt::Result {
     for fault in health.faults.iter().take(10) {
-        let part = part_words(fault.part);
+        let part = fault.part.title();
         writeln!(text, "  byte {}: {part} of {} bytes: {}", fault.offset, fault.bytes, fault.reason)?;
     }
     let all: u64 = health.lost.values().sum();
@@ -137,17 +137,6 @@ pub(super) fn write_faults(health: &Health, text: &mut String) -> std::fmt::Resu
         writeln!(text, "  {} bytes are not readable", health.bytes_unread)?;
     }
     Ok(())
-}
-
-fn part_words(part: Part) -> &'static str {
-    match part {
-        Part::Chunk => "a chunk of messages",
-        Part::OpaqueChunk => "a chunk of messages that is not looked into",
-        Part::Attachment => "an attachment",
-        Part::Metadata => "a metadata record",
-        Part::Record => "a record",
-        Part::Framing => "what cannot be told",
-    }
 }
 
 fn checksum_words(health: &Health) -> String {

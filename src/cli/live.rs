@@ -9,13 +9,13 @@ pub(super) use without_rerun::{HERE, Live, address};
 mod with_rerun {
     use crate::cli::{CliError, say};
     use crate::pipeline::{Outcome, SessionEvent};
-    use crate::recording::{LiveRecorder, Preamble, RecordingError, SessionRecorder, Viewer};
+    use calibrig_recording::{LiveRecorder, Preamble, RecordingError, SessionRecorder, Viewer};
 
-    pub(in crate::cli) use crate::recording::VIEWER_URL as HERE;
+    pub(in crate::cli) use calibrig_recording::VIEWER_URL as HERE;
 
     /// The address of a viewer, as given on the command line.
     pub(in crate::cli) fn address(text: &str) -> Result<String, RecordingError> {
-        crate::recording::viewer_url(text)
+        calibrig_recording::viewer_url(text)
     }
 
     /// The viewer that was asked for, if any.
@@ -38,7 +38,7 @@ mod with_rerun {
         /// Shows what was made of the session. A viewer that is gone is a remark, no failure.
         pub(in crate::cli) fn complete(self, outcome: &Outcome) {
             let Some(recorder) = self.0 else { return };
-            if let Err(error) = recorder.evaluated(outcome).and_then(LiveRecorder::finish) {
+            if let Err(error) = recorder.evaluated(&outcome.story()).and_then(LiveRecorder::finish) {
                 say(&format!("{error}; the run itself is complete"));
             }
         }
@@ -51,7 +51,7 @@ mod without_rerun {
 
     use crate::cli::CliError;
     use crate::pipeline::{Outcome, SessionEvent};
-    use crate::recording::Preamble;
+    use calibrig_recording::Preamble;
 
     pub(in crate::cli) const HERE: &str = "";
 

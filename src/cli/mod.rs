@@ -28,12 +28,12 @@ use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, So
 use thiserror::Error;
 
 use crate::pipeline::PipelineError;
-use crate::recording::{ExportError, RecordingError};
 use crate::replay::ReplayError;
 use crate::report::ReportError;
 use calibrig_estimation::identification::IdentifyError;
 use calibrig_files::{InputError, Source};
 use calibrig_model::measurement::MeasurementError;
+use calibrig_recording::{ExportError, RecordingError};
 
 /// Calibrate large robots with a laser tracker: on a simulated machine whose truth is known, and on real measurements.
 #[derive(Debug, Parser)]

@@ -4,11 +4,9 @@ use std::path::{Path, PathBuf};
 
 use super::{CliError, Verdict, colours, print, say};
 use crate::pipeline::Outcome;
-#[cfg(feature = "rerun")]
-use crate::recording;
-use crate::recording::{RecordingError, UnfinishedFile};
 use crate::report;
 use calibrig_estimation::identification::Warning;
+use calibrig_recording::{RecordingError, UnfinishedFile};
 
 /// Which files a command leaves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -118,7 +116,8 @@ pub(super) fn write(
 ) -> Result<(), CliError> {
     std::thread::scope(|scope| {
         #[cfg(feature = "rerun")]
-        let pictures = recording.is_some().then(|| scope.spawn(|| recording::rrd_of(outcome)));
+        let pictures =
+            recording.is_some().then(|| scope.spawn(|| calibrig_recording::rrd_of(&outcome.story())));
         #[cfg(not(feature = "rerun"))]
         let (_, recorded) = (scope, recording.is_some());
 
@@ -144,7 +143,7 @@ pub(super) fn write(
         if let (Some(pictures), Ok(staging)) = (pictures, &staging) {
             let path = staging.path().join("recording.rrd");
             let made = pictures.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-            match made.and_then(|bytes| recording::save_rrd(&bytes, &path)) {
+            match made.and_then(|bytes| calibrig_recording::save_rrd(&bytes, &path)) {
                 Ok(()) => staged.files.push(("recording.rrd", Finished::Staged(path))),
                 Err(error) => staged.failed("recording.rrd", &error),
             }

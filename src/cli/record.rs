@@ -1,14 +1,13 @@
 //! The recording of a run while it goes on.
 
-use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use super::say;
 use crate::pipeline::{Outcome, SessionEvent};
-use crate::recording::{McapRecorder, Preamble, RecordingError, SessionRecorder, UnfinishedFile};
+use calibrig_recording::{McapRecorder, Preamble, RecordingError, SessionRecorder, UnfinishedFile};
 
-type Recorder<'a> = SessionRecorder<'a, McapRecorder<BufWriter<File>>>;
+type Recorder<'a> = SessionRecorder<'a, McapRecorder<'static>>;
 
 /// `recording.mcap` while it is written. A failure ends the recording, not the run.
 pub(super) struct Recording<'a> {
@@ -41,12 +40,10 @@ impl<'a> Recording<'a> {
     /// Adds what was made of the session. The file is whole, and waits for its name.
     pub(super) fn complete(self, outcome: &Outcome) -> Result<UnfinishedFile, RecordingError> {
         let Self { file, recorder } = self;
-        let completed = recorder
-            .and_then(|recorder| recorder.evaluated(outcome))
-            .and_then(McapRecorder::finish)
-            .and_then(|sink| sink.into_inner().map_err(|error| RecordingError::from(error.into_error())));
+        let completed =
+            recorder.and_then(|recorder| recorder.evaluated(&outcome.story())).and_then(McapRecorder::finish);
         match completed {
-            Ok(_) => Ok(file),
+            Ok(()) => Ok(file),
             Err(error) => {
                 file.discard();
                 Err(error)

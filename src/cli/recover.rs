@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::inspect::{named, with_progress, write_faults, write_sets};
 use super::{CliError, Verdict, print};
-use crate::recording::{Inspection, ProvenanceState, Recovered, State, recover};
+use calibrig_recording::{Inspection, ProvenanceState, Recovered, State, recover};
 
 /// Save what is sound of a damaged, truncated or unfinished recording into a new file
 #[derive(Debug, clap::Args)]

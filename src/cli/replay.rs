@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 
 use super::identify::{LossArg, fitted_mode};
 use super::{CliError, Verdict, output, print, say};
-use crate::recording::{MissingPart, RecordingError};
 use crate::replay::{Change, Difference, ReplayError, ReplayOptions, Replayed, replay};
 use calibrig_estimation::identification::Mode;
 use calibrig_files::load_robot;
+use calibrig_recording::{MissingPart, RecordingError};
 
 /// Identify again from a recording alone, and compare with the recorded estimates bit for bit
 ///

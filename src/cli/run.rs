@@ -13,8 +13,8 @@ use super::output::{self, Destination, Files};
 use super::record::Recording;
 use super::{CliError, Verdict, not_identified};
 use crate::pipeline::{self, Ablation, Outcome, PipelineError, SessionEvent};
-use crate::recording::Preamble;
 use crate::scenario::{Scenario, load_scenario};
+use calibrig_recording::Preamble;
 
 /// Simulate a measuring session, identify in every mode, evaluate, record and report
 #[derive(Debug, clap::Args)]

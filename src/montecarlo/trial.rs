@@ -147,12 +147,8 @@ fn predictions(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Esti
     let Ok(told) = linearise(&campaign.scenario.robot.model, &truth, &options, estimate) else {
         return (0, 0);
     };
-    let (mut inside, mut all) = (0, 0);
-    for row in 0..told.data_rows {
-        let jacobian = told.jacobian.row(row);
-        let variance = (jacobian * covariance).dot(&jacobian);
-        inside += u64::from(told.residuals[row].abs() <= NORMAL_95 * variance.sqrt());
-        all += 1;
-    }
-    (inside, all)
+    let Some(sigmas) = told.predicted_sigmas(covariance) else { return (0, 0) };
+    let inside =
+        told.residuals.iter().zip(&sigmas).filter(|(error, sigma)| error.abs() <= NORMAL_95 * *sigma);
+    (inside.count() as u64, sigmas.len() as u64)
 }

@@ -7,29 +7,6 @@ use calibrig_model::{CalibrationModel, TermPlace};
 use calibrig_plant::session::Machine;
 use calibrig_plant::{AsBuilt, SettledPose};
 
-/// What stands for the machine.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum PlantKind {
-    /// The multibody simulation, which shares nothing with the identification.
-    #[default]
-    Rapier,
-    /// The identification's own elastostatics with the real parameters: a matched model, for tests of the estimator alone.
-    Analytic,
-}
-
-impl PlantKind {
-    /// Both.
-    pub const ALL: [Self; 2] = [Self::Rapier, Self::Analytic];
-
-    /// The key on the command line and in JSON.
-    pub fn key(self) -> &'static str {
-        match self {
-            Self::Rapier => "rapier",
-            Self::Analytic => "analytic",
-        }
-    }
-}
-
 /// The machine by the identification's own elastostatics.
 pub(super) struct AnalyticMachine {
     chain: ElasticChain,

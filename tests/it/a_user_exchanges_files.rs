@@ -71,7 +71,7 @@ fn a_recording_comes_back_from_text_bit_for_bit() {
     let path = folder.path().join("recording.mcap");
     let mut outcome = pipeline::run(&paper(), 3, |_, _| {}).expect("a run");
     outcome.sets[1].dropped.push((999, "a \"quoted\", long\nreason".to_owned()));
-    write_mcap(&outcome, &path).expect("a recording");
+    write_mcap(&outcome.story(), &path).expect("a recording");
     let export = export_csv(&path, None).expect("exported");
     let files = files(&export);
     let names = [

@@ -21,7 +21,7 @@ fn replay_finds_the_same_bits_for_every_seed() {
     for seed in 0..u64::from(repeated(20, 5)) {
         let outcome = pipeline::run(&scenario, seed, |_, _| {}).expect("a run");
         let path = folder.path().join(format!("{seed}.mcap"));
-        write_mcap(&outcome, &path).expect("a recording");
+        write_mcap(&outcome.story(), &path).expect("a recording");
         let replayed = replay(&path, &ReplayOptions::default()).expect("a replay");
         assert_eq!(replayed.compared, 4);
         assert!(replayed.differences.is_empty(), "{:?}", replayed.differences);
@@ -38,7 +38,7 @@ fn one_seed_gives_one_recording() {
     let write = |name: &str| {
         let path = folder.path().join(name);
         let outcome = pipeline::run(&paper(), 3, |_, _| {}).expect("a run");
-        write_mcap(&outcome, &path).expect("a recording");
+        write_mcap(&outcome.story(), &path).expect("a recording");
         std::fs::read(path).expect("the recording")
     };
     assert!(write("a.mcap") == write("b.mcap"), "the bytes differ");
@@ -127,17 +127,19 @@ fn a_session_recorded_while_it_is_measured_gives_the_same_bytes() {
         visuals: &scenario.robot.visuals,
         truth: None,
     };
-    let mcap = McapRecorder::new(Cursor::new(Vec::new())).expect("begun");
+    let mut live = Cursor::new(Vec::new());
+    let mcap = McapRecorder::new(&mut live).expect("begun");
     let mut recorder = SessionRecorder::new(preamble, mcap);
     let outcome = pipeline::run_trial(&scenario, seed, 0, PlantKind::Rapier, &mut |event| {
         recorder.hear(event).expect("recorded");
         ControlFlow::Continue(())
     })
     .expect("a run");
-    let live = recorder.evaluated(&outcome).and_then(McapRecorder::finish).expect("finished").into_inner();
+    recorder.evaluated(&outcome.story()).and_then(McapRecorder::finish).expect("finished");
+    let live = live.into_inner();
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("recording.mcap");
-    write_mcap(&outcome, &path).expect("a recording");
+    write_mcap(&outcome.story(), &path).expect("a recording");
     assert!(live == std::fs::read(path).expect("the recording"), "the bytes differ");
 }
 

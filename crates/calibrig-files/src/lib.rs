@@ -5,8 +5,8 @@
 //! What is written reads back to the same bits. Every refusal names file, line and key and says what was expected; no file can cause a panic.
 //! Keys and columns are described in `docs/formats.md`.
 //!
-//! Not in here: what is made of a robot and its measurements, which this crate does not see; scenarios, which describe the truth as well,
-//! and recordings. Both of these are in the root package.
+//! Not in here: what is made of a robot and its measurements, which this crate does not see; scenarios, which describe the truth as well
+//! and are in the root package; and recordings, which are in `calibrig-recording`.
 //!
 //! ```
 //! use calibrig_files::{Source, parse_robot};

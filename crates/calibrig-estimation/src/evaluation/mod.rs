@@ -4,6 +4,7 @@ mod comparison;
 mod consistency;
 mod criteria;
 mod model_choice;
+mod outcome;
 mod patterns;
 mod splits;
 
@@ -13,6 +14,7 @@ pub use consistency::{
 };
 pub use criteria::{Criteria, Fit, NoiseLevel};
 pub use model_choice::{Variant, VariantRow, Verdict, compare_variants};
+pub use outcome::{ModeOutcome, RegistrationSummary};
 pub use patterns::{Cause, PatternReport, PoseConditions, ResidualPattern, ResidualSet, find_patterns};
 use serde::{Deserialize, Serialize};
 pub use splits::{Split, k_fold, leave_one_out, repeated_splits};

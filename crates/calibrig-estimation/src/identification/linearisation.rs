@@ -22,6 +22,21 @@ pub struct Linearisation {
     pub whitening: Vec<Matrix3<f64>>,
 }
 
+impl Linearisation {
+    /// Standard deviations that the parameters' `covariance` (n x n) predicts for the data rows; `None` where it is of another size.
+    pub fn predicted_sigmas(&self, covariance: &DMatrix<f64>) -> Option<Vec<f64>> {
+        let n = self.jacobian.ncols();
+        if covariance.shape() != (n, n) {
+            return None;
+        }
+        let sigma = |row| {
+            let row = self.jacobian.row(row);
+            (row * covariance).dot(&row).sqrt()
+        };
+        Some((0..self.data_rows.min(self.jacobian.nrows())).map(sigma).collect())
+    }
+}
+
 /// The system that `estimate` solves, evaluated where it ended: with the noise that it was given or found, and without the weights of a
 /// robust loss.
 ///

@@ -232,8 +232,12 @@ impl EstimatePredictor<'_> {
     ///
     /// As [`Estimate::predict`].
     pub fn predict<'q>(&mut self, pose: impl Into<PoseQuery<'q>>) -> Result<Prediction, PredictionError> {
-        let pose = pose.into();
-        let (target, told) = self.predictor.place(&pose)?;
+        self.predict_at(&pose.into())
+    }
+
+    /// Not generic: what a generic function computes is compiled where it is called, as fast as the caller is.
+    fn predict_at(&mut self, pose: &PoseQuery<'_>) -> Result<Prediction, PredictionError> {
+        let (target, told) = self.predictor.place(pose)?;
         let machine = &mut self.predictor.machine;
         machine.differentiate(&target, &told)?;
         let position = machine.target(&target);

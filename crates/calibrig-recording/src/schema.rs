@@ -2,9 +2,9 @@
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
-use crate::pipeline::{SetKind, SetOutcome};
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{NestObservation, Observation, Reading, SphericalReading, Station, Target};
+use calibrig_model::measurement::{SetKind, SetOutcome};
 
 /// The generated types.
 #[allow(missing_docs, clippy::all, clippy::pedantic)]
@@ -249,7 +249,7 @@ pub(super) fn to_observation(message: &v1::Observation, set: &SetOutcome) -> Res
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recording::synthetic;
+    use crate::synthetic;
     use prost::Message;
 
     #[test]

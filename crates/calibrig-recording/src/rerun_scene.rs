@@ -4,11 +4,11 @@ use nalgebra::Vector3;
 use rerun::archetypes::{Arrows3D, Boxes3D, Cylinders3D, Ellipsoids3D, Points3D, ViewCoordinates};
 use rerun::components::{Color, FillMode, Radius};
 
+use super::Story;
 use super::rerun_columns::{Shown, quaternion};
 use super::rerun_sink::{ARROWS, DEFLECTED, RerunRecorder, SCENE};
 use super::scene::{self, Arrow, Colour, Sighting};
 use super::{Chain, ChainKind, DEFLECTION_SCALE, Measured, RESIDUAL_SCALE, RecordingError};
-use crate::pipeline::Outcome;
 use calibrig_estimation::identification::Mode;
 use calibrig_model::geometry::Transform;
 use calibrig_model::{Visual, VisualShape};
@@ -102,15 +102,15 @@ impl RerunRecorder {
     }
 
     /// All measured points and all arrows: they do not change with the pose.
-    pub(super) fn all_measured(&mut self, outcome: &Outcome) -> Result<(), RecordingError> {
-        for (index, set) in outcome.sets.iter().enumerate() {
+    pub(super) fn all_measured(&mut self, story: &Story<'_>) -> Result<(), RecordingError> {
+        for (index, set) in story.sets.iter().enumerate() {
             let key = set.kind.key();
-            let points = scene::measured_points(outcome, &set.measurements);
+            let points = scene::measured_points(story, &set.measurements);
             let points = Points3D::new(points.iter().map(xyz))
                 .with_colors([color(scene::POINT)])
                 .with_radii([Radius::new_ui_points(2.0)]);
             self.fixed(&format!("{SCENE}/measured/{key}"), &points)?;
-            for mode in &outcome.modes {
+            for mode in story.modes {
                 let observations = &set.measurements.observations;
                 let errors = mode.errors.get(index).map_or(&[][..], Vec::as_slice);
                 let arrows: Vec<_> =

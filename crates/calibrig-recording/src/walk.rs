@@ -50,6 +50,20 @@ pub enum Part {
     Framing,
 }
 
+impl Part {
+    /// Name for people.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::Chunk => "a chunk of messages",
+            Self::OpaqueChunk => "a chunk of messages that is not looked into",
+            Self::Attachment => "an attachment",
+            Self::Metadata => "a metadata record",
+            Self::Record => "a record",
+            Self::Framing => "what cannot be told",
+        }
+    }
+}
+
 /// How a file ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum End {

@@ -3,7 +3,7 @@
 use std::error::Error;
 use std::path::PathBuf;
 
-const FOLDER: &str = "src/recording";
+const FOLDER: &str = "src";
 const SCHEMA: &str = "calibrig.proto";
 
 fn main() -> Result<(), Box<dyn Error>> {

@@ -5,9 +5,9 @@ use std::path::Path;
 
 use sha2::{Digest, Sha256};
 
-use super::RecordingError;
-use crate::pipeline::{InputSummary, PlantKind};
+use super::{InputSummary, RecordingError};
 use calibrig_files::Source;
+use calibrig_plant::session::PlantKind;
 
 /// Name and version of the recording's layout: topics, messages and metadata.
 pub const SCHEMA: &str = "calibrig.recording/2";
@@ -180,7 +180,7 @@ fn check_attachments(stated: &str, inputs: &[AttachedInput]) -> Result<(), Recor
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recording::synthetic;
+    use crate::synthetic;
 
     fn parts() -> (BTreeMap<String, String>, Vec<AttachedInput>) {
         let outcome = synthetic::outcome(3, 2, true);

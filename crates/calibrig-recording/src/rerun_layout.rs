@@ -10,10 +10,10 @@ use rerun::log::{LogMsg, TimeColumn};
 use rerun::{AsComponents, EntityPath, RecordingStreamBuilder, SerializedComponentBatch, StoreId};
 
 use super::RecordingError;
+use super::Story;
 use super::rerun_columns::{chunk, message, opening, whole};
 use super::rerun_sink::APPLICATION;
 use super::rerun_views::{self, Setting};
-use crate::pipeline::Outcome;
 
 /// Of the viewer's playback.
 const POSES_PER_SECOND: f64 = 4.0;
@@ -101,9 +101,9 @@ impl From<Group> for Node {
     }
 }
 
-/// The messages of the layout for `outcome`. They are told before the recording.
-pub(super) fn messages(outcome: &Outcome, force: Force) -> Result<Vec<LogMsg>, RecordingError> {
-    messages_of(&rerun_views::tabs(outcome), force)
+/// The messages of the layout for `story`. They are told before the recording.
+pub(super) fn messages(story: &Story<'_>, force: Force) -> Result<Vec<LogMsg>, RecordingError> {
+    messages_of(&rerun_views::tabs(story), force)
 }
 
 /// The same for a session while it is measured.

@@ -13,10 +13,10 @@ use super::provenance::{AttachedInput, METADATA, RECOVERED, source_of};
 use super::scan::{ReadError, check_attachment, check_integrity, check_magic, scan};
 use super::schema::{self, v1};
 use super::{Provenance, RecordingError};
-use crate::pipeline::{SetKind, SetOutcome};
 use calibrig_files::{InputError, Source};
 use calibrig_files::{Robot, parse_robot};
 use calibrig_model::geometry::Transform;
+use calibrig_model::measurement::{SetKind, SetOutcome};
 
 /// A recording, as far as a replay needs it.
 #[derive(Debug, Clone, PartialEq)]
@@ -417,8 +417,8 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    use crate::pipeline::Outcome;
-    use crate::recording::{synthetic, write_mcap};
+    use crate::synthetic::Outcome;
+    use crate::{synthetic, write_mcap};
 
     fn bytes_of(outcome: &Outcome) -> Vec<u8> {
         synthetic::recorded(outcome)
@@ -514,7 +514,7 @@ mod tests {
             let outcome = synthetic::outcome(12, 5, truth);
             let folder = tempfile::tempdir().expect("a folder");
             let path = folder.path().join("recording.mcap");
-            write_mcap(&outcome, &path).expect("written");
+            write_mcap(&outcome.story(), &path).expect("written");
             let recording = read_recording(&path).expect("read");
             // `{:?}` tells -0.0 from 0.0 and prints enough digits for every bit.
             assert_eq!(format!("{:?}", recording.sets), format!("{:?}", outcome.sets));
@@ -809,7 +809,7 @@ mod tests {
 
     #[test]
     fn recordings_of_the_first_schema_are_still_read() {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/recording/schema1.mcap");
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/recording/schema1.mcap");
         let recording = read_recording(&path).expect("read");
         let counts = recording.sets.iter().map(|set| (set.kind, set.measurements.observations.len()));
         assert_eq!(counts.collect::<Vec<_>>(), [(SetKind::Identification, 12), (SetKind::Verification, 4)]);

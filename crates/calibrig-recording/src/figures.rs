@@ -146,7 +146,7 @@ pub(super) fn approaches(estimate: &Estimate) -> Vec<Approach> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recording::synthetic;
+    use crate::synthetic;
 
     #[test]
     fn every_error_falls_into_one_bin_of_a_round_width() {

@@ -3,34 +3,35 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
+use super::Story;
 use super::figures::{Correlations, approaches};
 use super::{Measured, PoseStep, Provenance, scene};
-use crate::pipeline::{Outcome, SetKind};
 use calibrig_estimation::evaluation::AccuracyRow;
 use calibrig_estimation::identification::{Estimate, Mode};
+use calibrig_model::measurement::SetKind;
 use calibrig_model::{ParameterId, Unit};
 
 // Writing to a String does not fail: its results are dropped below.
 
 /// Accuracy of every mode on every set, with the published figures.
-pub(super) fn accuracy(outcome: &Outcome) -> String {
+pub(super) fn accuracy(story: &Story<'_>) -> String {
     let mut text = String::new();
-    for (index, set) in outcome.sets.iter().enumerate() {
+    for (index, set) in story.sets.iter().enumerate() {
         let _ = writeln!(text, "## {} set: error at the target, mm\n", capitalised(set.kind.key()));
         let _ = writeln!(text, "| | max x | mean x | max y | mean y | max z | mean z | RMS 3-D | max 3-D |");
         let _ = writeln!(text, "|---|--:|--:|--:|--:|--:|--:|--:|--:|");
-        for mode in &outcome.modes {
+        for mode in story.modes {
             if let Some(Some(row)) = mode.rows.get(index) {
                 let _ = writeln!(text, "| {} |{}|", mode.mode.title(), cells(row));
             }
-            if let Some(figures) = published(outcome, set.kind, mode.mode) {
+            if let Some(figures) = published(story, set.kind, mode.mode) {
                 let cells: Vec<_> = figures.iter().map(|m| format!(" *{:.1}* ", 1e3 * m)).collect();
                 let _ = writeln!(text, "| *published* |{}| | |", cells.join("|"));
             }
         }
         text.push('\n');
     }
-    let registration = &outcome.registration;
+    let registration = &story.registration;
     let _ = writeln!(
         text,
         "Registration of the first row: {}, {} poses, RMS {:.3} mm.",
@@ -51,8 +52,8 @@ fn cells(row: &AccuracyRow) -> String {
     axes.chain([row.rms_3d, row.max_3d]).map(|m| format!(" {:.3} ", 1e3 * m)).collect::<Vec<_>>().join("|")
 }
 
-fn published(outcome: &Outcome, kind: SetKind, mode: Mode) -> Option<[f64; 6]> {
-    outcome.published.iter().find(|(k, m, _)| (*k, *m) == (kind, mode)).map(|(_, _, figures)| *figures)
+fn published(story: &Story<'_>, kind: SetKind, mode: Mode) -> Option<[f64; 6]> {
+    story.published.iter().find(|(k, m, _)| (*k, *m) == (kind, mode)).map(|(_, _, figures)| *figures)
 }
 
 /// One pose: what was commanded, and what each mode left over.
@@ -117,12 +118,12 @@ pub(super) fn machine(measured: &Measured<'_>) -> String {
 }
 
 /// How every identification went.
-pub(super) fn estimates(outcome: &Outcome) -> String {
+pub(super) fn estimates(story: &Story<'_>) -> String {
     let mut text = String::from("## Identification\n\n");
     text.push_str(
         "| mode | ended with | iterations | rank | condition | chi² / dof |\n|---|---|--:|--:|--:|--:|\n",
     );
-    for mode in &outcome.modes {
+    for mode in story.modes {
         let Some(estimate) = &mode.estimate else { continue };
         let ratio = estimate.chi2_per_dof().map_or_else(|| "–".to_owned(), |r| format!("{r:.3}"));
         let _ = writeln!(
@@ -136,7 +137,7 @@ pub(super) fn estimates(outcome: &Outcome) -> String {
             estimate.spectrum.condition,
         );
     }
-    let estimates = outcome.modes.iter().filter_map(|m| Some((m.mode, m.estimate.as_ref()?)));
+    let estimates = story.modes.iter().filter_map(|m| Some((m.mode, m.estimate.as_ref()?)));
     let warnings: Vec<_> = estimates
         .flat_map(|(mode, e)| e.warnings.iter().map(move |w| format!("- {}: {w}", mode.title())))
         .collect();
@@ -168,14 +169,14 @@ pub(super) fn correlations(mode: Mode, estimate: &Estimate, most: usize) -> Stri
 }
 
 /// How every mode came to its minimum, an iteration a row.
-pub(super) fn convergence(outcome: &Outcome) -> String {
+pub(super) fn convergence(story: &Story<'_>) -> String {
     let mut text = String::from(
         "## The way to the minimum\n\n\
          The curves lie on the timeline **iteration**: choose it at the bottom of the window, where it says *pose*. \
          A parameter's curve is the logarithm (base 10) of its distance from its final value in standard deviations of the result: \
          below 0, less than one standard deviation is left. The slowest parameters are shown.\n",
     );
-    for mode in &outcome.modes {
+    for mode in story.modes {
         let Some(estimate) = &mode.estimate else { continue };
         let ways = approaches(estimate);
         let _ =
@@ -204,11 +205,11 @@ pub(super) fn convergence(outcome: &Outcome) -> String {
 }
 
 /// Every parameter with its standard deviation per mode, beside the truth where it is known. Lengths in mm, angles in mrad.
-pub(super) fn parameters(outcome: &Outcome) -> String {
+pub(super) fn parameters(story: &Story<'_>) -> String {
     let estimates: Vec<(Mode, &Estimate)> =
-        outcome.modes.iter().filter_map(|m| Some((m.mode, m.estimate.as_ref()?))).collect();
-    let truth: Option<BTreeMap<ParameterId, f64>> = outcome.truth.as_ref().map(|truth| {
-        scene::deviations(&outcome.model.kinematics, &truth.as_built.kinematics).into_iter().collect()
+        story.modes.iter().filter_map(|m| Some((m.mode, m.estimate.as_ref()?))).collect();
+    let truth: Option<BTreeMap<ParameterId, f64>> = story.truth.map(|truth| {
+        scene::deviations(&story.model.kinematics, &truth.as_built.kinematics).into_iter().collect()
     });
     let mut ids: Vec<ParameterId> =
         estimates.iter().flat_map(|(_, e)| e.parameters.iter().map(|p| p.id)).collect();
@@ -247,8 +248,8 @@ pub(super) fn parameters(outcome: &Outcome) -> String {
 }
 
 /// What the recording is of.
-pub(super) fn about(outcome: &Outcome) -> String {
-    let input = &outcome.input;
+pub(super) fn about(story: &Story<'_>) -> String {
+    let input = &story.input;
     let seed = input.seed.map_or_else(|| "–".to_owned(), |seed| seed.to_string());
     format!(
         "# {}\n\n{} · {} · seed {seed} · sha256 `{}`\n\n",
@@ -262,12 +263,12 @@ pub(super) fn about(outcome: &Outcome) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recording::synthetic;
+    use crate::synthetic;
 
     #[test]
     fn figures_are_in_millimetres_beside_the_published_ones() {
         let outcome = synthetic::outcome(6, 2, true);
-        let text = accuracy(&outcome);
+        let text = accuracy(&outcome.story());
         let row = outcome.modes[1].rows[0].expect("a row");
         assert!(text.contains(&format!("| only calibration | {:.3} |", 1e3 * row.max.x)), "{text}");
         assert!(
@@ -301,7 +302,7 @@ mod tests {
         let mut outcome = synthetic::outcome(3, 1, true);
         let estimate = outcome.modes[1].estimate.as_mut().expect("identified");
         estimate.iterations[2].accepted = false;
-        let text = convergence(&outcome);
+        let text = convergence(&outcome.story());
         assert_eq!(text.matches("| 5 |").count(), 4, "{text}");
         assert_eq!(text.matches("| 3 (refused) |").count(), 1);
         // All of them end where the estimate is.
@@ -311,10 +312,10 @@ mod tests {
     #[test]
     fn parameters_stand_beside_their_truth_where_there_is_one() {
         let mut outcome = synthetic::outcome(3, 1, true);
-        let text = parameters(&outcome);
+        let text = parameters(&outcome.story());
         assert!(text.contains("| delta_theta4 | mrad | -17.1000 | -16.2450 ± 0.0162 |"), "{text}");
         outcome.truth = None;
-        let text = parameters(&outcome);
+        let text = parameters(&outcome.story());
         assert!(text.contains("| delta_theta4 | mrad |  | -16.2450 ± 0.0162 |"), "{text}");
     }
 }

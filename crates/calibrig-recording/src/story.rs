@@ -8,14 +8,54 @@ use nalgebra::Vector3;
 use super::clock::Clock;
 use super::scene::{self, Arrow, Chain, Sighting};
 use super::{Provenance, RecordingError};
-use crate::pipeline::{InputSummary, ModeOutcome, Outcome, SetKind, SetOutcome, Truth};
+use calibrig_estimation::evaluation::{ModeOutcome, RegistrationSummary};
 use calibrig_estimation::identification::Mode;
 use calibrig_files::Source;
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::Observation;
+use calibrig_model::measurement::{SetKind, SetOutcome};
 use calibrig_model::{CalibrationModel, Visual};
 use calibrig_plant::effects::PoseEffects;
+use calibrig_plant::session::{PlantKind, Truth};
 use calibrig_plant::{AsBuilt, SettledPose};
+
+/// All that a recorder is told of a run.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Story<'a> {
+    /// Where the measurements came from.
+    pub input: &'a InputSummary,
+    /// The input files by role (`scenario`, `robot`, `urdf`, ...), as read.
+    pub sources: &'a [(String, Source)],
+    /// What identification was told beforehand.
+    pub model: &'a CalibrationModel,
+    /// What the links look like; empty where unknown.
+    pub visuals: &'a [Vec<Visual>],
+    /// How the row "without calibration" was registered.
+    pub registration: &'a RegistrationSummary,
+    /// The sets, identification first.
+    pub sets: &'a [SetOutcome],
+    /// The modes in table order.
+    pub modes: &'a [ModeOutcome],
+    /// Only where simulated.
+    pub truth: Option<&'a Truth>,
+    /// Published figures beside them, m: (set, mode, [max x, mean x, max y, mean y, max z, mean z]).
+    pub published: &'a [(SetKind, Mode, [f64; 6])],
+}
+
+/// Where the measurements came from.
+#[derive(Debug, Clone, PartialEq)]
+pub struct InputSummary {
+    /// `scenario`, `files` or `recording`.
+    pub kind: &'static str,
+    /// Its name for people.
+    pub name: String,
+    /// Hash over every input file, hexadecimal.
+    pub sha256: String,
+    /// The seed of a simulation.
+    pub seed: Option<u64>,
+    /// Number of the trial and what stood for the machine, of a simulation.
+    pub trial: Option<(u32, PlantKind)>,
+}
 
 /// A sink for the story of a run. What the session alone does not need is not told to it by default.
 pub trait Recorder {
@@ -31,11 +71,11 @@ pub trait Recorder {
     fn set_end(&mut self, time: u64, kind: SetKind, observations: usize) -> Result<(), RecordingError>;
 
     /// What holds for all of the evaluation.
-    fn begin(&mut self, outcome: &Outcome) -> Result<(), RecordingError>;
+    fn begin(&mut self, story: &Story<'_>) -> Result<(), RecordingError>;
     /// One pose, evaluated.
     fn pose(&mut self, step: &PoseStep<'_>) -> Result<(), RecordingError>;
     /// What a mode made of the measurements, at `time` ns.
-    fn estimate(&mut self, time: u64, outcome: &Outcome, mode: &ModeOutcome) -> Result<(), RecordingError>;
+    fn estimate(&mut self, time: u64, story: &Story<'_>, mode: &ModeOutcome) -> Result<(), RecordingError>;
     /// A line for people.
     fn log(&mut self, entry: &LogEntry) -> Result<(), RecordingError>;
 }
@@ -133,23 +173,23 @@ impl Measured<'_> {
     }
 }
 
-/// Tells `outcome` to `recorder`, from the first pose on.
-pub fn record(outcome: &Outcome, recorder: &mut dyn Recorder) -> Result<(), RecordingError> {
-    record_session(outcome, recorder)?;
-    record_evaluation(outcome, recorder)
+/// Tells `story` to `recorder`, from the first pose on.
+pub fn record(story: &Story<'_>, recorder: &mut dyn Recorder) -> Result<(), RecordingError> {
+    record_session(story, recorder)?;
+    record_evaluation(story, recorder)
 }
 
-/// Tells the session of `outcome` as it was told, or would have been, while it was measured.
-fn record_session(outcome: &Outcome, recorder: &mut dyn Recorder) -> Result<(), RecordingError> {
-    let truth = outcome.truth.as_ref();
+/// Tells the session of `story` as it was told, or would have been, while it was measured.
+fn record_session(story: &Story<'_>, recorder: &mut dyn Recorder) -> Result<(), RecordingError> {
+    let truth = story.truth;
     let preamble = Preamble {
-        input: &outcome.input,
-        sources: &outcome.sources,
-        model: &outcome.model,
-        visuals: &outcome.visuals,
+        input: story.input,
+        sources: story.sources,
+        model: story.model,
+        visuals: story.visuals,
         truth: truth.map(|truth| (&truth.as_built, &truth.tracker_from_base)),
     };
-    record_sets(&preamble, &outcome.sets, truth, recorder)
+    record_sets(&preamble, story.sets, truth, recorder)
 }
 
 /// Tells `recorder` of sets that were measured somewhere else, of which nothing was made yet.
@@ -185,28 +225,28 @@ pub(super) fn record_sets(
 }
 
 /// Tells what was made of the session: the story goes through its poses once more.
-pub fn record_evaluation(outcome: &Outcome, recorder: &mut dyn Recorder) -> Result<(), RecordingError> {
-    recorder.begin(outcome)?;
-    for message in opening(outcome) {
+pub fn record_evaluation(story: &Story<'_>, recorder: &mut dyn Recorder) -> Result<(), RecordingError> {
+    recorder.begin(story)?;
+    for message in opening(story) {
         recorder.log(&LogEntry { time: 0, level: LogLevel::Info, message })?;
     }
-    let times = times(&outcome.sets);
+    let times = times(story.sets);
     let mut number = 0;
-    for (index, (set, times)) in outcome.sets.iter().zip(&times).enumerate() {
+    for (index, (set, times)) in story.sets.iter().zip(&times).enumerate() {
         let start = times.first().copied().unwrap_or(0);
         for (pose, reason) in &set.dropped {
             let message = format!("{} pose {pose} was dropped: {reason}", set.kind.key());
             recorder.log(&LogEntry { time: start, level: LogLevel::Warning, message })?;
         }
         for range in poses(&set.measurements.observations) {
-            recorder.pose(&step(outcome, index, range, number, times))?;
+            recorder.pose(&step(story, index, range, number, times))?;
             number += 1;
         }
     }
     let end = times.iter().flatten().max().map_or(0, |last| last.saturating_add(super::clock::SECOND));
-    for mode in &outcome.modes {
-        recorder.estimate(end, outcome, mode)?;
-        for (level, message) in closing(outcome, mode) {
+    for mode in story.modes {
+        recorder.estimate(end, story, mode)?;
+        for (level, message) in closing(story, mode) {
             recorder.log(&LogEntry { time: end, level, message })?;
         }
     }
@@ -250,16 +290,16 @@ fn measured<'a>(
 }
 
 fn step<'a>(
-    outcome: &'a Outcome,
+    story: &'a Story<'a>,
     set_index: usize,
     range: Range<usize>,
     number: u32,
     times: &'a [u64],
 ) -> PoseStep<'a> {
-    let set = &outcome.sets[set_index];
-    let measured = measured(set, outcome.truth.as_ref(), set_index, range.clone(), times);
+    let set = &story.sets[set_index];
+    let measured = measured(set, story.truth, set_index, range.clone(), times);
     let observations = measured.observations;
-    let observer = scene::observer(outcome);
+    let observer = scene::observer(story);
     let sightings =
         observer.map(|robot| observations.iter().filter_map(|o| scene::sighting(robot, o)).collect());
     let residuals = |mode: &'a ModeOutcome| {
@@ -271,9 +311,9 @@ fn step<'a>(
         number,
         set,
         measured,
-        chains: scene::chains(outcome, set_index, range.start),
+        chains: scene::chains(story, set_index, range.start),
         sightings: sightings.unwrap_or_default(),
-        residuals: outcome.modes.iter().filter_map(residuals).collect(),
+        residuals: story.modes.iter().filter_map(residuals).collect(),
     }
 }
 
@@ -281,11 +321,11 @@ fn part<'a, T>(sets: &'a [Vec<T>], set: usize, range: &Range<usize>) -> &'a [T] 
     sets.get(set).and_then(|set| set.get(range.clone())).unwrap_or_default()
 }
 
-fn opening(outcome: &Outcome) -> Vec<String> {
-    let input = &outcome.input;
+fn opening(story: &Story<'_>) -> Vec<String> {
+    let input = story.input;
     let seed = input.seed.map(|seed| format!(", seed {seed}")).unwrap_or_default();
     let hash: String = input.sha256.chars().take(12).collect();
-    let registration = &outcome.registration;
+    let registration = story.registration;
     let mut lines = vec![
         format!("{}: {} {}{seed}, sha256 {hash}", Provenance::software(), input.kind, input.name),
         format!(
@@ -295,7 +335,7 @@ fn opening(outcome: &Outcome) -> Vec<String> {
             1e3 * registration.rms
         ),
     ];
-    for set in &outcome.sets {
+    for set in story.sets {
         let measurements = &set.measurements;
         lines.push(format!(
             "{} set: observations {}, stations {}, targets {}, dropped poses {}",
@@ -309,7 +349,7 @@ fn opening(outcome: &Outcome) -> Vec<String> {
     lines
 }
 
-fn closing(outcome: &Outcome, mode: &ModeOutcome) -> Vec<(LogLevel, String)> {
+fn closing(story: &Story<'_>, mode: &ModeOutcome) -> Vec<(LogLevel, String)> {
     let title = mode.mode.title();
     let mut lines = Vec::new();
     if let Some(estimate) = &mode.estimate {
@@ -328,7 +368,7 @@ fn closing(outcome: &Outcome, mode: &ModeOutcome) -> Vec<(LogLevel, String)> {
         lines.push((level, line));
         lines.extend(estimate.warnings.iter().map(|w| (LogLevel::Warning, format!("{title}: {w}"))));
     }
-    for (set, row) in outcome.sets.iter().zip(&mode.rows) {
+    for (set, row) in story.sets.iter().zip(&mode.rows) {
         let Some(row) = row else { continue };
         let kind: SetKind = set.kind;
         lines.push((
@@ -347,7 +387,7 @@ fn closing(outcome: &Outcome, mode: &ModeOutcome) -> Vec<(LogLevel, String)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recording::synthetic;
+    use crate::synthetic::{self, Outcome};
 
     #[derive(Default)]
     struct Listener {
@@ -379,7 +419,7 @@ mod tests {
             self.session.push(format!("{} ends with {observations}", kind.key()));
             Ok(())
         }
-        fn begin(&mut self, _: &Outcome) -> Result<(), RecordingError> {
+        fn begin(&mut self, _: &Story<'_>) -> Result<(), RecordingError> {
             assert!(self.poses.is_empty() && self.estimates.is_empty() && self.log.is_empty());
             Ok(())
         }
@@ -392,7 +432,7 @@ mod tests {
             assert_eq!(step.sightings.len(), measured.observations.len());
             Ok(())
         }
-        fn estimate(&mut self, time: u64, _: &Outcome, mode: &ModeOutcome) -> Result<(), RecordingError> {
+        fn estimate(&mut self, time: u64, _: &Story<'_>, mode: &ModeOutcome) -> Result<(), RecordingError> {
             assert!(time > self.last_time);
             self.estimates.push(mode.mode);
             Ok(())
@@ -405,7 +445,7 @@ mod tests {
 
     fn listen(outcome: &Outcome) -> Listener {
         let mut listener = Listener::default();
-        record(outcome, &mut listener).expect("no sink to fail");
+        record(&outcome.story(), &mut listener).expect("no sink to fail");
         listener
     }
 

@@ -9,6 +9,7 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, WriteOptions, Writer};
 use prost::{Message, Name};
 
+use super::Story;
 use super::estimate::estimate;
 use super::file::write_whole;
 use super::foxglove_scene::{arrows, cloud, fixed_frames, log_line, moving_frames, moving_lines, shapes};
@@ -16,7 +17,8 @@ use super::provenance::{METADATA, attached_inputs, metadata_of};
 use super::scene;
 use super::schema::{self, v1};
 use super::{LogEntry, Measured, PoseStep, Preamble, Provenance, Recorder, RecordingError, record, truth};
-use crate::pipeline::{ModeOutcome, Outcome, SetKind, SetOutcome};
+use calibrig_estimation::evaluation::ModeOutcome;
+use calibrig_model::measurement::{SetKind, SetOutcome};
 
 /// The longest record that is read back, bytes.
 pub(super) const RECORD_LIMIT: usize = 64 << 20;
@@ -24,22 +26,25 @@ pub(super) const RECORD_LIMIT: usize = 64 << 20;
 /// kept, and a long session is not cut into many chunks.
 const BATCHES: u32 = 100;
 
-/// Writes an MCAP recording of `outcome`. The file is whole or not there.
+/// Writes an MCAP recording of `story`. The file is whole or not there.
 ///
 /// # Errors
 /// The file cannot be written, or an input file is longer than 64 MiB.
-pub fn write_mcap(outcome: &Outcome, path: &Path) -> Result<(), RecordingError> {
+pub fn write_mcap(story: &Story<'_>, path: &Path) -> Result<(), RecordingError> {
     write_whole(path, |file| {
         let mut recorder = McapRecorder::new(file)?;
-        record(outcome, &mut recorder)?;
-        recorder.finish()?;
-        Ok(())
+        record(story, &mut recorder)?;
+        recorder.finish()
     })
 }
 
-/// Writes MCAP to any seekable sink.
-pub struct McapRecorder<W: Write + Seek> {
-    writer: Writer<W>,
+/// Where a recording goes.
+trait Sink: Write + Seek {}
+impl<T: Write + Seek> Sink for T {}
+
+/// Writes MCAP to any seekable sink. It is not generic over the sink: what it does is compiled here, for speed, and not where it is called.
+pub struct McapRecorder<'a> {
+    writer: Writer<Box<dyn Sink + 'a>>,
     /// Channel number and messages so far, by topic.
     channels: BTreeMap<String, (u16, u32)>,
     /// A message in the making.
@@ -61,9 +66,13 @@ pub(super) fn writer<W: Write + Seek>(sink: W, profile: &str) -> Result<Writer<W
     options.create(sink).map_err(RecordingError::unwritten)
 }
 
-impl<W: Write + Seek> McapRecorder<W> {
+impl<'a> McapRecorder<'a> {
     /// Begins a file.
-    pub fn new(sink: W) -> Result<Self, RecordingError> {
+    pub fn new(sink: impl Write + Seek + 'a) -> Result<Self, RecordingError> {
+        Self::begin(Box::new(sink))
+    }
+
+    fn begin(sink: Box<dyn Sink + 'a>) -> Result<Self, RecordingError> {
         Ok(Self {
             writer: writer(sink, "")?,
             channels: BTreeMap::new(),
@@ -73,12 +82,10 @@ impl<W: Write + Seek> McapRecorder<W> {
         })
     }
 
-    /// Ends the file and gives the sink back.
-    pub fn finish(mut self) -> Result<W, RecordingError> {
+    /// Ends the file: all of it is handed to the sink, which is flushed.
+    pub fn finish(mut self) -> Result<(), RecordingError> {
         self.writer.finish().map_err(RecordingError::unwritten)?;
-        let mut sink = self.writer.into_inner();
-        sink.flush().map_err(RecordingError::unrecordable)?;
-        Ok(sink)
+        self.writer.into_inner().flush().map_err(RecordingError::unrecordable)
     }
 
     /// Publishes a message; `schema` is asked for on the first one of a topic.
@@ -179,7 +186,7 @@ impl<W: Write + Seek> McapRecorder<W> {
     }
 }
 
-impl<W: Write + Seek> Recorder for McapRecorder<W> {
+impl Recorder for McapRecorder<'_> {
     fn open(&mut self, preamble: &Preamble<'_>) -> Result<(), RecordingError> {
         self.provenance(preamble)?;
         self.machine = preamble.truth.map(|truth| truth::as_built(&preamble.model.kinematics, truth));
@@ -233,11 +240,11 @@ impl<W: Write + Seek> Recorder for McapRecorder<W> {
         self.flush()
     }
 
-    fn begin(&mut self, outcome: &Outcome) -> Result<(), RecordingError> {
-        self.foxglove("/tf_static", 0, &fixed_frames(outcome))?;
-        self.foxglove("/scene/robot", 0, &shapes(outcome))?;
-        for set in &outcome.sets {
-            let points = scene::measured_points(outcome, &set.measurements);
+    fn begin(&mut self, story: &Story<'_>) -> Result<(), RecordingError> {
+        self.foxglove("/tf_static", 0, &fixed_frames(story))?;
+        self.foxglove("/scene/robot", 0, &shapes(story))?;
+        for set in story.sets {
+            let points = scene::measured_points(story, &set.measurements);
             self.foxglove(&format!("/targets/{}", set.kind.key()), 0, &cloud(0, &points))?;
         }
         Ok(())
@@ -257,8 +264,8 @@ impl<W: Write + Seek> Recorder for McapRecorder<W> {
         self.residuals(step)
     }
 
-    fn estimate(&mut self, time: u64, outcome: &Outcome, mode: &ModeOutcome) -> Result<(), RecordingError> {
-        self.own(&format!("/estimate/{}", mode.mode.key()), time, &estimate(&outcome.sets, mode))
+    fn estimate(&mut self, time: u64, story: &Story<'_>, mode: &ModeOutcome) -> Result<(), RecordingError> {
+        self.own(&format!("/estimate/{}", mode.mode.key()), time, &estimate(&story.sets, mode))
     }
 
     fn log(&mut self, entry: &LogEntry) -> Result<(), RecordingError> {
@@ -284,8 +291,9 @@ mod tests {
     use mcap::MessageStream;
     use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
-    use crate::recording::foxglove_scene::BASE;
-    use crate::recording::{RESIDUAL_SCALE, synthetic};
+    use crate::RESIDUAL_SCALE;
+    use crate::foxglove_scene::BASE;
+    use crate::synthetic::{self, Outcome};
     use calibrig_model::geometry::Transform;
 
     fn bytes_of(outcome: &Outcome) -> Vec<u8> {
@@ -332,7 +340,7 @@ mod tests {
     fn the_truth_of_a_pose_is_told_whole() {
         let outcome = synthetic::outcome(3, 2, true);
         let bytes = bytes_of(&outcome);
-        let known = outcome.truth.as_ref().expect("simulated");
+        let known = outcome.truth.expect("simulated");
         let told: Vec<(u64, v1::SettledPose)> = messages(&bytes, "/truth/pose");
         let rest = known.poses.iter().flatten().zip(known.rigid.iter().flatten());
         assert_eq!(told.len(), rest.clone().count());
@@ -384,7 +392,7 @@ mod tests {
         let outcome = synthetic::outcome(3, 1, true);
         let bytes = bytes_of(&outcome);
         let clouds: Vec<(u64, PointCloud)> = messages(&bytes, "/targets");
-        let observer = scene::observer(&outcome).expect("a mode");
+        let observer = scene::observer(&outcome.story()).expect("a mode");
         let observations = outcome.sets.iter().flat_map(|set| &set.measurements.observations);
         assert_eq!(clouds.len(), 4);
         for ((_, cloud), observation) in clouds.iter().zip(observations) {
@@ -428,7 +436,7 @@ mod tests {
         let mut outcome = synthetic::outcome(1, 0, false);
         outcome.sources[0].1.text = " ".repeat(RECORD_LIMIT);
         let mut recorder = McapRecorder::new(Cursor::new(Vec::new())).expect("begun");
-        let error = record(&outcome, &mut recorder).expect_err("too long");
+        let error = record(&outcome.story(), &mut recorder).expect_err("too long");
         assert!(matches!(error, RecordingError::AttachmentTooLong { .. }));
         assert!(error.to_string().contains("scenario/synthetic.toml"), "{error}");
     }

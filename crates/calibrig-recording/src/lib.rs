@@ -1,11 +1,28 @@
 //! Recordings of a run: for viewers, and as the only thing that a replay needs.
 //!
 //! A [`Recorder`] is told a run in two parts: the session while it is measured ([`SessionRecorder`]), then what was made of it, pose by
-//! pose ([`record_evaluation`]). [`record`] tells both of a finished [`Outcome`](crate::pipeline::Outcome): every sink holds the same story.
+//! pose ([`record_evaluation`]). [`record`] tells both of a finished [`Story`]: every sink holds the same story.
 //! There are two: MCAP ([`McapRecorder`]), which Foxglove and Rerun open and [`read_recording`] reads back without loss, and, with the
 //! feature `rerun`, Rerun's own format with a layout of its views (`write_rrd`).
 //!
-//! Times are simulated: the observations' own where they increase, else one second a pose. The same outcome gives the same bytes of MCAP.
+//! Times are simulated: the observations' own where they increase, else one second a pose. The same story gives the same bytes of MCAP.
+//!
+//! Not in here: what is made of measurements (`calibrig-estimation`), and the simulated machine itself (`calibrig-plant`); both are only shown.
+//!
+//! ```
+//! use std::path::Path;
+//!
+//! use calibrig_recording::read_recording;
+//!
+//! // From a disk, whole: every chunk has its checksum, and every input file lies in it with its hash.
+//! let recording = read_recording(Path::new("../../recordings/paper.mcap"))?;
+//! for set in &recording.sets {
+//!     println!("{}: {} observations", set.kind.key(), set.measurements.observations.len());
+//! }
+//! assert!(recording.missing.is_empty());
+//! assert!(recording.sources.iter().any(|(role, _)| role == "robot"));
+//! # Ok::<(), calibrig_recording::RecordingError>(())
+//! ```
 
 mod clock;
 mod directory;
@@ -71,7 +88,8 @@ pub use rerun_live::{LiveRecorder, VIEWER_URL, Viewer, viewer_url};
 pub use rerun_sink::{RerunRecorder, rrd_of, save_rrd, write_rrd};
 pub use scene::{Chain, ChainKind, Sighting};
 pub use story::{
-    LogEntry, LogLevel, Measured, PoseStep, Preamble, Recorder, Residuals, record, record_evaluation,
+    InputSummary, LogEntry, LogLevel, Measured, PoseStep, Preamble, Recorder, Residuals, Story, record,
+    record_evaluation,
 };
 pub use walk::{Fault, Part};
 

@@ -5,6 +5,7 @@ use rerun::blueprint::components::ContainerKind::{Grid, Horizontal, Tabs, Vertic
 use rerun::external::re_sdk_types::blueprint::archetypes::{EntityBehavior, EyeControls3D, PlotLegend};
 use rerun::external::re_sdk_types::blueprint::components::Corner2D;
 
+use super::Story;
 use super::figures::Correlations;
 use super::rerun_analysis::{CONVERGENCE, CORRELATION, COST, bins, histogram_path};
 use super::rerun_layout::{Group, Node, View};
@@ -13,25 +14,25 @@ use super::rerun_sink::{
     ARROWS, AXES, CALIBRATED, DEFLECTED, DEFLECTION, NORM, ROD_FORCE, SCENE, TEMPERATURE,
 };
 use super::scene;
-use crate::pipeline::{Outcome, SetOutcome};
 use calibrig_estimation::identification::{Estimate, Mode};
+use calibrig_model::measurement::SetOutcome;
 
 /// Half the angle that the eye is taken to see.
 const HALF_VIEW: f64 = 0.55;
 /// Left and right of a tab.
 const SHARES: [f32; 2] = [3.0, 2.0];
 
-/// All views that suit `outcome`. The first tab is what one sees on opening.
-pub(super) fn tabs(outcome: &Outcome) -> Group {
-    let mut tabs = vec![robot(outcome)];
-    tabs.extend(histograms(outcome));
-    tabs.extend(machine(outcome));
-    tabs.extend(estimates(outcome));
+/// All views that suit `story`. The first tab is what one sees on opening.
+pub(super) fn tabs(story: &Story<'_>) -> Group {
+    let mut tabs = vec![robot(story)];
+    tabs.extend(histograms(story));
+    tabs.extend(machine(story));
+    tabs.extend(estimates(story));
     Group::new(Tabs, tabs)
 }
 
-fn identified(outcome: &Outcome) -> impl Iterator<Item = (Mode, &Estimate)> {
-    outcome.modes.iter().filter_map(|m| Some((m.mode, m.estimate.as_ref()?)))
+fn identified<'a>(story: &Story<'a>) -> impl Iterator<Item = (Mode, &'a Estimate)> {
+    story.modes.iter().filter_map(|m| Some((m.mode, m.estimate.as_ref()?)))
 }
 
 fn page(title: &str, origin: impl Into<String>) -> Node {
@@ -52,37 +53,37 @@ fn without_legend(view: View) -> View {
 }
 
 /// The robot on the left, residuals over poses and tables on the right.
-fn robot(outcome: &Outcome) -> Node {
-    let mut drawn = shown(outcome, ARROWS);
+fn robot(story: &Story<'_>) -> Node {
+    let mut drawn = shown(story, ARROWS);
     drawn[0] = format!("+ /{SCENE}/**");
     drawn.push(format!("- /{DEFLECTED}/**"));
     let title = "Robot; arrows: residuals x100, 10 cm for 1 mm";
-    let mut picture = picture(title, &Setting::of(outcome), drawn);
-    if outcome.truth.is_some() {
+    let mut picture = picture(title, &Setting::of(story), drawn);
+    if story.truth.is_some() {
         // On the machine's, but for millimetres: a click on its eye in the blueprint panel shows it.
         let place = format!("ViewContents/overrides/{CALIBRATED}/visualizers");
         picture = picture.set(place, &EntityBehavior::new().with_visible(false));
     }
     let log = View::new("TextLog", "Log", "log");
     let left = Group::new(Vertical, [picture.into(), log.into()]).shared([4.0, 1.0]);
-    let right = Group::new(Vertical, [residuals(outcome), pages()]).shared([3.0, 2.0]);
+    let right = Group::new(Vertical, [residuals(story), pages()]).shared([3.0, 2.0]);
     Group::new(Horizontal, [left.into(), right.into()]).shared(SHARES).named("Robot and residuals").into()
 }
 
 /// What lies under `root`, but for the modes before identification: their errors would hide what is left after it.
-fn shown(outcome: &Outcome, root: &str) -> Vec<String> {
-    let uncalibrated = outcome.modes.iter().filter(|m| m.estimate.is_none());
+fn shown(story: &Story<'_>, root: &str) -> Vec<String> {
+    let uncalibrated = story.modes.iter().filter(|m| m.estimate.is_none());
     let mut contents = vec![format!("+ /{root}/**")];
-    if identified(outcome).next().is_some() {
+    if identified(story).next().is_some() {
         contents.extend(uncalibrated.map(|m| format!("- /{root}/{}/**", m.mode.key())));
     }
     contents
 }
 
-fn residuals(outcome: &Outcome) -> Node {
+fn residuals(story: &Story<'_>) -> Node {
     let axes = AXES.iter().enumerate().map(|(index, axis)| -> Node {
         let root = format!("residual_mm/{axis}");
-        let contents = shown(outcome, &root);
+        let contents = shown(story, &root);
         let view = curves(format!("Residual {axis}, mm"), root).with_contents(contents);
         // The three have the same curves: one legend serves them.
         if index == 0 { view.into() } else { without_legend(view).into() }
@@ -102,11 +103,10 @@ fn pages() -> Node {
 }
 
 /// A row a mode: its errors in 3-D and per axis; the set that the fit has not seen first.
-fn histograms(outcome: &Outcome) -> Option<Node> {
-    let bins: Vec<_> =
-        outcome.modes.iter().filter_map(|mode| Some((mode.mode, bins(outcome, mode)?))).collect();
+fn histograms(story: &Story<'_>) -> Option<Node> {
+    let bins: Vec<_> = story.modes.iter().filter_map(|mode| Some((mode.mode, bins(story, mode)?))).collect();
     let measured = |set: &&SetOutcome| !set.measurements.observations.is_empty();
-    let tabs = outcome.sets.iter().rev().filter(measured).map(|set| -> Node {
+    let tabs = story.sets.iter().rev().filter(measured).map(|set| -> Node {
         let charts = bins.iter().flat_map(|(mode, bins)| {
             let width = 1e3 * bins.width;
             [NORM].into_iter().chain(AXES).map(move |axis| -> Node {
@@ -127,8 +127,8 @@ fn histograms(outcome: &Outcome) -> Option<Node> {
 }
 
 /// How the simulated machine gives way.
-fn machine(outcome: &Outcome) -> Option<Node> {
-    let truth = outcome.truth.as_ref()?;
+fn machine(story: &Story<'_>) -> Option<Node> {
+    let truth = story.truth?;
     let drawn = vec![
         format!("+ /{SCENE}/**"),
         format!("- /{ARROWS}/**"),
@@ -138,7 +138,7 @@ fn machine(outcome: &Outcome) -> Option<Node> {
         format!("- /{CALIBRATED}/**"),
     ];
     let title = "Machine, and its deflection drawn x100 (magenta): 10 cm for 1 mm";
-    let picture = picture(title, &Setting::of(outcome), drawn);
+    let picture = picture(title, &Setting::of(story), drawn);
     let rod = truth.poses.iter().flatten().any(|settled| settled.rod_force.is_some());
     let temperature = truth.effects.iter().flatten().any(|effects| effects.temperature.is_some());
     let tab = beside_machine(picture, rod, temperature);
@@ -156,8 +156,8 @@ fn beside_machine(picture: View, rod: bool, temperature: bool) -> Group {
     Group::new(Horizontal, [picture.into(), right.shared([3.0, 2.0]).into()]).shared(SHARES)
 }
 
-fn estimates(outcome: &Outcome) -> Vec<Node> {
-    let modes: Vec<_> = identified(outcome).collect();
+fn estimates(story: &Story<'_>) -> Vec<Node> {
+    let modes: Vec<_> = identified(story).collect();
     if modes.is_empty() {
         return Vec::new();
     }
@@ -209,11 +209,11 @@ pub(super) struct Setting {
 }
 
 impl Setting {
-    fn of(outcome: &Outcome) -> Self {
-        let measured = outcome.sets.iter().flat_map(|set| scene::measured_points(outcome, &set.measurements));
+    fn of(story: &Story<'_>) -> Self {
+        let measured = story.sets.iter().flat_map(|set| scene::measured_points(story, &set.measurements));
         Self {
-            up: scene::up(outcome),
-            trackers: scene::trackers(outcome).iter().map(|t| t.translation.vector).collect(),
+            up: scene::up(story),
+            trackers: scene::trackers(story).iter().map(|t| t.translation.vector).collect(),
             seen: measured.collect(),
             rod: false,
         }

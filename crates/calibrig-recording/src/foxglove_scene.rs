@@ -7,9 +7,9 @@ use foxglove::messages::{
 };
 use nalgebra::{UnitQuaternion, Vector3};
 
+use super::Story;
 use super::scene::{self, Arrow, Colour};
 use super::{Chain, LogEntry, LogLevel, PoseStep};
-use crate::pipeline::Outcome;
 use calibrig_model::geometry::Transform;
 use calibrig_model::{Visual, VisualShape};
 
@@ -78,12 +78,12 @@ fn frame(time: u64, parent: &str, child: String, parent_from_child: &Transform) 
 }
 
 /// World, base and trackers, on a topic of their own: after a jump in time viewers are given the last message of every topic.
-pub(super) fn fixed_frames(outcome: &Outcome) -> FrameTransforms {
+pub(super) fn fixed_frames(story: &Story<'_>) -> FrameTransforms {
     let world_from_base = Transform::from_parts(
         nalgebra::Translation3::identity(),
-        scene::world_from_base(outcome).to_rotation_matrix(),
+        scene::world_from_base(story).to_rotation_matrix(),
     );
-    let trackers = scene::trackers(outcome);
+    let trackers = scene::trackers(story);
     let stations =
         trackers.iter().zip(1..).map(|(place, number)| frame(0, BASE, format!("station{number}"), place));
     let transforms = std::iter::once(frame(0, WORLD, BASE.to_owned(), &world_from_base)).chain(stations);
@@ -147,11 +147,11 @@ fn label(place: &Vector3<f64>, text: &str) -> TextPrimitive {
 }
 
 /// The links' shapes, each in its moving frame, the trackers and the nests: sent once.
-pub(super) fn shapes(outcome: &Outcome) -> SceneUpdate {
-    let shown = scene::chains(outcome, 0, 0);
+pub(super) fn shapes(story: &Story<'_>) -> SceneUpdate {
+    let shown = scene::chains(story, 0, 0);
     let mut entities = Vec::new();
     if let Some(chain) = shown.iter().find(|c| !c.kind.is_ghost()) {
-        for (i, visuals) in outcome.visuals.iter().enumerate() {
+        for (i, visuals) in story.visuals.iter().enumerate() {
             let frame = if i == 0 { BASE.to_owned() } else { chain.frame(i - 1) };
             let mut body = entity(0, &frame, format!("{frame} shape"));
             for visual in visuals {
@@ -161,13 +161,13 @@ pub(super) fn shapes(outcome: &Outcome) -> SceneUpdate {
         }
     }
     let mut instruments = entity(0, BASE, "trackers");
-    for (place, number) in scene::trackers(outcome).iter().zip(1..) {
+    for (place, number) in scene::trackers(story).iter().zip(1..) {
         let place = place.translation.vector;
         instruments.spheres.push(ball(&place, 0.25, scene::TRACKER));
         instruments.texts.push(label(&place, &format!("station {number}")));
     }
     let mut nests = entity(0, BASE, "nests");
-    for (name, place) in scene::nests(&outcome.sets) {
+    for (name, place) in scene::nests(&story.sets) {
         nests.spheres.push(ball(&place, 0.06, scene::NEST));
         nests.texts.push(label(&place, &name));
     }

@@ -11,6 +11,7 @@ use rerun::log::LogMsg;
 use rerun::sink::LogSink;
 use rerun::{AsComponents, RecordingStream, RecordingStreamBuilder, SerializedComponentBatch};
 
+use super::Story;
 use super::file::write_whole;
 use super::rerun_analysis::COST;
 use super::rerun_columns::{self, Columns, Shown, Time};
@@ -21,8 +22,9 @@ use super::{
     Chain, ChainKind, LogEntry, Measured, PoseStep, Preamble, Recorder, RecordingError, record_evaluation,
     tables,
 };
-use crate::pipeline::{ModeOutcome, Outcome, SetKind, SetOutcome};
+use calibrig_estimation::evaluation::ModeOutcome;
 use calibrig_estimation::identification::Mode;
+use calibrig_model::measurement::{SetKind, SetOutcome};
 
 pub(super) const APPLICATION: &str = "calibrig";
 /// Root of all that is drawn in the base frame.
@@ -41,15 +43,15 @@ pub(super) const DEFLECTION: &str = "machine/deflection_mm";
 pub(super) const ROD_FORCE: &str = "machine/rod_force_n";
 pub(super) const TEMPERATURE: &str = "machine/temperature_c";
 
-/// Writes a Rerun recording of `outcome`. The file is whole or not there.
-pub fn write_rrd(outcome: &Outcome, path: &Path) -> Result<(), RecordingError> {
-    save_rrd(&rrd_of(outcome)?, path)
+/// Writes a Rerun recording of `story`. The file is whole or not there.
+pub fn write_rrd(story: &Story<'_>, path: &Path) -> Result<(), RecordingError> {
+    save_rrd(&rrd_of(story)?, path)
 }
 
-/// The bytes of a Rerun recording of `outcome`.
-pub fn rrd_of(outcome: &Outcome) -> Result<Vec<u8>, RecordingError> {
-    let mut recorder = RerunRecorder::new(outcome)?;
-    record_evaluation(outcome, &mut recorder)?;
+/// The bytes of a Rerun recording of `story`.
+pub fn rrd_of(story: &Story<'_>) -> Result<Vec<u8>, RecordingError> {
+    let mut recorder = RerunRecorder::new(story)?;
+    record_evaluation(story, &mut recorder)?;
     recorder.finish()
 }
 
@@ -100,10 +102,10 @@ impl Told {
 }
 
 impl RerunRecorder {
-    /// Begins a recording in memory, with views that suit `outcome`.
-    pub fn new(outcome: &Outcome) -> Result<Self, RecordingError> {
-        let layout = rerun_layout::messages(outcome, Force::Default)?;
-        let (_, store, properties, ..) = builder(&outcome.input.name).into_args();
+    /// Begins a recording in memory, with views that suit `story`.
+    pub fn new(story: &Story<'_>) -> Result<Self, RecordingError> {
+        let layout = rerun_layout::messages(story, Force::Default)?;
+        let (_, store, properties, ..) = builder(&story.input.name).into_args();
         let columns = Box::new(Columns::new(store, &properties.unwrap_or_default())?);
         Ok(Self::on(Way::File { layout, columns }))
     }
@@ -215,8 +217,8 @@ impl RerunRecorder {
     }
 
     /// Names and colours of the curves.
-    fn curves(&mut self, outcome: &Outcome) -> Result<(), RecordingError> {
-        for mode in &outcome.modes {
+    fn curves(&mut self, story: &Story<'_>) -> Result<(), RecordingError> {
+        for mode in story.modes {
             let (key, title) = (mode.mode.key(), mode.mode.title());
             let curve = SeriesLines::new()
                 .with_names([title])
@@ -229,7 +231,7 @@ impl RerunRecorder {
                 self.curve(&format!("{COST}/{key}"), &curve)?;
             }
         }
-        if outcome.truth.is_some() { self.machine_curves() } else { Ok(()) }
+        if story.truth.is_some() { self.machine_curves() } else { Ok(()) }
     }
 
     /// The same of the simulated machine.
@@ -294,18 +296,18 @@ impl RerunRecorder {
     }
 
     /// The robot before calibration and as identified at every pose, beside what was told of the pose itself.
-    fn robots(&mut self, outcome: &Outcome) -> Result<(), RecordingError> {
+    fn robots(&mut self, story: &Story<'_>) -> Result<(), RecordingError> {
         for told in self.poses.clone() {
-            let Some(set) = outcome.sets.iter().find(|set| set.kind == told.set) else { continue };
+            let Some(set) = story.sets.iter().find(|set| set.kind == told.set) else { continue };
             let Some(observation) = set.measurements.observations.get(told.first) else { continue };
             self.at(told.time());
-            if outcome.truth.is_some() {
-                if let Some(calibrated) = scene::calibrated_chain(outcome, observation) {
+            if story.truth.is_some() {
+                if let Some(calibrated) = scene::calibrated_chain(story, observation) {
                     self.chain(&calibrated, true)?;
                 }
             } else if let Some(target) = set.measurements.targets.get(observation.target)
                 // The calibrated one stands for the machine and was told with the pose.
-                && let Some(nominal) = scene::nominal_chain(&outcome.model, &target.in_flange, observation)
+                && let Some(nominal) = scene::nominal_chain(&story.model, &target.in_flange, observation)
             {
                 self.chain(&nominal, true)?;
             }
@@ -351,15 +353,15 @@ impl Recorder for RerunRecorder {
         Ok(())
     }
 
-    fn begin(&mut self, outcome: &Outcome) -> Result<(), RecordingError> {
-        let solid = if outcome.truth.is_some() { ChainKind::True } else { ChainKind::Calibrated };
-        self.surroundings(&scene::up(outcome), &scene::trackers(outcome), scene::nests(&outcome.sets))?;
-        self.robot(solid, &outcome.visuals)?;
-        self.all_measured(outcome)?;
-        self.curves(outcome)?;
-        self.document("tables/accuracy", tables::about(outcome) + &tables::accuracy(outcome))?;
-        self.document("tables/parameters", tables::parameters(outcome))?;
-        self.document("tables/identification", tables::estimates(outcome))
+    fn begin(&mut self, story: &Story<'_>) -> Result<(), RecordingError> {
+        let solid = if story.truth.is_some() { ChainKind::True } else { ChainKind::Calibrated };
+        self.surroundings(&scene::up(story), &scene::trackers(story), scene::nests(&story.sets))?;
+        self.robot(solid, &story.visuals)?;
+        self.all_measured(story)?;
+        self.curves(story)?;
+        self.document("tables/accuracy", tables::about(story) + &tables::accuracy(story))?;
+        self.document("tables/parameters", tables::parameters(story))?;
+        self.document("tables/identification", tables::estimates(story))
     }
 
     fn pose(&mut self, step: &PoseStep<'_>) -> Result<(), RecordingError> {
@@ -373,15 +375,15 @@ impl Recorder for RerunRecorder {
         self.put("tables/pose", Shown::Page(tables::pose(step)))
     }
 
-    fn estimate(&mut self, _: u64, outcome: &Outcome, mode: &ModeOutcome) -> Result<(), RecordingError> {
+    fn estimate(&mut self, _: u64, story: &Story<'_>, mode: &ModeOutcome) -> Result<(), RecordingError> {
         if let Some(estimate) = &mode.estimate {
             self.correlations(mode.mode, estimate)?;
             self.convergence(mode.mode, estimate)?;
         }
-        if outcome.modes.last().is_some_and(|last| last.mode == mode.mode) {
-            self.histograms(outcome)?;
-            self.document("tables/convergence", tables::convergence(outcome))?;
-            self.robots(outcome)?;
+        if story.modes.last().is_some_and(|last| last.mode == mode.mode) {
+            self.histograms(story)?;
+            self.document("tables/convergence", tables::convergence(story))?;
+            self.robots(story)?;
         }
         Ok(())
     }
@@ -410,7 +412,8 @@ mod tests {
 
     use rerun::log::Chunk;
 
-    use crate::recording::{record, synthetic};
+    use crate::record;
+    use crate::synthetic::{self, Outcome};
 
     /// Rows by entity, over all times, and the names of all timelines.
     struct Contents {
@@ -421,8 +424,8 @@ mod tests {
     }
 
     fn contents(outcome: &Outcome) -> Contents {
-        let mut recorder = RerunRecorder::new(outcome).expect("begun");
-        record(outcome, &mut recorder).expect("recorded");
+        let mut recorder = RerunRecorder::new(&outcome.story()).expect("begun");
+        record(&outcome.story(), &mut recorder).expect("recorded");
         let mut contents = Contents {
             rows: BTreeMap::new(),
             layout: BTreeSet::new(),
@@ -532,8 +535,8 @@ mod tests {
     #[test]
     fn a_viewer_reads_the_layout_before_the_recording() {
         let outcome = synthetic::outcome(3, 1, true);
-        let mut recorder = RerunRecorder::new(&outcome).expect("begun");
-        record(&outcome, &mut recorder).expect("recorded");
+        let mut recorder = RerunRecorder::new(&outcome.story()).expect("begun");
+        record(&outcome.story(), &mut recorder).expect("recorded");
         let messages = recorder.messages().expect("told");
         let first = messages.iter().position(|m| !m.store_id().is_blueprint()).expect("a recording");
         assert!(messages[first..].iter().all(|m| !m.store_id().is_blueprint()));
@@ -545,8 +548,8 @@ mod tests {
     fn the_same_run_is_told_in_the_same_order() {
         let outcome = synthetic::outcome(6, 3, true);
         let told = || {
-            let mut recorder = RerunRecorder::new(&outcome).expect("begun");
-            record(&outcome, &mut recorder).expect("recorded");
+            let mut recorder = RerunRecorder::new(&outcome.story()).expect("begun");
+            record(&outcome.story(), &mut recorder).expect("recorded");
             let messages = recorder.messages().expect("told");
             let chunks = messages.into_iter().filter_map(|message| match message {
                 LogMsg::ArrowMsg(_, message) => Some(Chunk::from_arrow_msg(&message).expect("sound")),
@@ -570,12 +573,12 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("recording.rrd");
         let mut outcome = synthetic::outcome(0, 0, false);
-        write_rrd(&outcome, &path).expect("written");
+        write_rrd(&outcome.story(), &path).expect("written");
         outcome.sets.clear();
         outcome.modes.clear();
         outcome.visuals.clear();
         outcome.model.statics = None;
-        write_rrd(&outcome, &path).expect("written");
+        write_rrd(&outcome.story(), &path).expect("written");
         assert!(std::fs::read(&path).expect("read").starts_with(b"RRF"));
         assert_eq!(std::fs::read_dir(folder.path()).expect("listed").count(), 1);
     }

@@ -4,14 +4,16 @@ use nalgebra::Vector3;
 use rerun::archetypes::{BarChart, Boxes2D, LineStrips2D, Points2D, SeriesLines, SeriesPoints, TextDocument};
 use rerun::components::{Length, MarkerShape, Radius};
 
+use super::Story;
 use super::figures::{Bins, Correlations, approaches, group};
 use super::rerun_columns::Shown;
 use super::rerun_scene::{color, single};
 use super::rerun_sink::{AXES, NORM, RerunRecorder};
 use super::scene::{self, Colour};
 use super::{RecordingError, tables};
-use crate::pipeline::{ModeOutcome, Outcome, SetKind};
+use calibrig_estimation::evaluation::ModeOutcome;
 use calibrig_estimation::identification::{Estimate, Mode};
+use calibrig_model::measurement::SetKind;
 
 pub(super) const HISTOGRAM: &str = "error_histogram";
 pub(super) const CORRELATION: &str = "correlation";
@@ -44,8 +46,8 @@ const MARKS: [MarkerShape; SLOWEST] = [
 ];
 
 /// The bins of a mode's errors, the same for all modes that were identified: the others' errors are many times as large.
-pub(super) fn bins(outcome: &Outcome, mode: &ModeOutcome) -> Option<Bins> {
-    let alike = outcome.modes.iter().filter(|m| m.estimate.is_some() == mode.estimate.is_some());
+pub(super) fn bins(story: &Story<'_>, mode: &ModeOutcome) -> Option<Bins> {
+    let alike = story.modes.iter().filter(|m| m.estimate.is_some() == mode.estimate.is_some());
     Bins::around(alike.flat_map(|m| m.errors.iter().flatten()))
 }
 
@@ -56,10 +58,10 @@ pub(super) fn histogram_path(set: SetKind, mode: Mode, axis: &str) -> String {
 
 impl RerunRecorder {
     /// Errors of all modes on all sets, in 3-D and per axis.
-    pub(super) fn histograms(&mut self, outcome: &Outcome) -> Result<(), RecordingError> {
-        for mode in &outcome.modes {
-            let Some(bins) = bins(outcome, mode) else { continue };
-            for (set, errors) in outcome.sets.iter().zip(&mode.errors) {
+    pub(super) fn histograms(&mut self, story: &Story<'_>) -> Result<(), RecordingError> {
+        for mode in story.modes {
+            let Some(bins) = bins(story, mode) else { continue };
+            for (set, errors) in story.sets.iter().zip(&mode.errors) {
                 let norms = bins.lengths(errors.iter().map(Vector3::norm));
                 let axes = AXES
                     .iter()

@@ -16,7 +16,6 @@ use super::scan::{ReadError, scan};
 use super::schema::{self, v1};
 use super::story::record_sets;
 use super::{McapRecorder, Preamble, Recording, RecordingError, read_recording};
-use crate::pipeline::{SetKind, SetOutcome};
 use calibrig_files::Robot;
 use calibrig_files::{
     ColumnMap, CsvError, LoadedMeasurements, SessionSet, measurements_text, parse_measurements,
@@ -25,6 +24,7 @@ use calibrig_files::{
 use calibrig_files::{InputError, Source};
 use calibrig_model::JointKind;
 use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::measurement::{SetKind, SetOutcome};
 
 /// A recording that cannot be told in files of text.
 #[derive(Debug, Error, Diagnostic)]
@@ -357,9 +357,9 @@ fn free_name(role: &str, name: &str, taken: &[&str]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pipeline::SetOutcome;
-    use crate::recording::synthetic;
+    use crate::synthetic;
     use calibrig_model::measurement::Reading;
+    use calibrig_model::measurement::SetOutcome;
     use nalgebra::Vector3;
 
     fn written_and_read(set: &SetOutcome, joints: &[JointKind]) -> Result<(), ExportError> {

@@ -1,9 +1,10 @@
 //! A session told to a recorder while it is measured.
 
+use super::Story;
 use super::clock::Clock;
 use super::story::{Measured, Preamble, Recorder};
 use super::{RecordingError, record_evaluation};
-use crate::pipeline::{MeasuredPose, Outcome, SessionEvent};
+use calibrig_plant::session::{MeasuredPose, SessionEvent};
 
 /// Tells a recorder what happens in a session. It leaves the same recording as [`record`](super::record) of the finished run.
 pub struct SessionRecorder<'a, R> {
@@ -51,8 +52,8 @@ impl<'a, R: Recorder> SessionRecorder<'a, R> {
     }
 
     /// Tells what was made of the session, and gives the recorder back.
-    pub fn evaluated(mut self, outcome: &Outcome) -> Result<R, RecordingError> {
-        record_evaluation(outcome, &mut self.recorder)?;
+    pub fn evaluated(mut self, story: &Story<'_>) -> Result<R, RecordingError> {
+        record_evaluation(story, &mut self.recorder)?;
         Ok(self.recorder)
     }
 }

@@ -1,8 +1,9 @@
 //! What a mode made of the measurements, as a message.
 
 use super::schema::{self, v1};
-use crate::pipeline::{ModeOutcome, SetOutcome};
+use calibrig_estimation::evaluation::ModeOutcome;
 use calibrig_estimation::identification::{Estimate, IterationRecord, NoiseScale, ParameterEstimate};
+use calibrig_model::measurement::SetOutcome;
 
 /// The message of `mode`, whose rows belong to `sets`.
 pub(super) fn estimate(sets: &[SetOutcome], mode: &ModeOutcome) -> v1::Estimate {

@@ -10,11 +10,11 @@ use mcap::{MessageStream, WriteOptions};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::pipeline::SetKind;
-use crate::recording::mcap_reader::read_from;
-use crate::recording::scan::scan;
-use crate::recording::{McapRecorder, Measured, Preamble, ReadOptions, Recorder, Recording, synthetic};
+use crate::mcap_reader::read_from;
+use crate::scan::scan;
+use crate::{McapRecorder, Measured, Preamble, ReadOptions, Recorder, Recording, synthetic};
 use calibrig_estimation::identification::Estimate;
+use calibrig_model::measurement::SetKind;
 
 fn inspected(bytes: &[u8]) -> Result<Inspection, ReadError> {
     inspect_file(&mut Cursor::new(bytes), "bad.mcap".to_owned())
@@ -423,10 +423,7 @@ fn a_file_is_saved_beside_itself() {
         .expect("recovered");
     assert!(!recovered.copied);
     assert!(told.is_sorted() && told.iter().all(|(done, total)| done <= total), "{told:?}");
-    assert_eq!(
-        crate::recording::read_recording(&path("new")).expect("read").sets[0].kind,
-        SetKind::Identification
-    );
+    assert_eq!(crate::read_recording(&path("new")).expect("read").sets[0].kind, SetKind::Identification);
     let recovered = recover(&path("good"), &path("copy"), false, &mut |_, _| {}).expect("copied");
     assert!(recovered.copied);
     assert_eq!(std::fs::read(path("copy")).expect("read"), original);

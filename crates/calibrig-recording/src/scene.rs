@@ -2,11 +2,13 @@
 
 use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
 
+use super::Story;
 use super::{DEFLECTION_SCALE, RESIDUAL_SCALE};
-use crate::pipeline::{ModeOutcome, Outcome, SetOutcome};
+use calibrig_estimation::evaluation::ModeOutcome;
 use calibrig_estimation::identification::{CalibratedRobot, Mode, Predictor};
 use calibrig_estimation::kinematics::{joints_from_command, link_frames};
 use calibrig_model::geometry::{Transform, rotation_vector, rotation_z};
+use calibrig_model::measurement::SetOutcome;
 use calibrig_model::measurement::{MeasurementSet, Observation};
 use calibrig_model::{CalibrationModel, KinematicModel, LinkTerm, ParameterId};
 use calibrig_plant::{AsBuilt, SettledPose};
@@ -87,16 +89,16 @@ impl Chain {
 }
 
 /// The chains to show at one pose: the truth, larger than life, and nominal; or else the calibrated one.
-pub(super) fn chains(outcome: &Outcome, set: usize, index: usize) -> Vec<Chain> {
-    let Some(measurements) = outcome.sets.get(set).map(|s| &s.measurements) else { return Vec::new() };
+pub(super) fn chains(story: &Story<'_>, set: usize, index: usize) -> Vec<Chain> {
+    let Some(measurements) = story.sets.get(set).map(|s| &s.measurements) else { return Vec::new() };
     let Some(observation) = measurements.observations.get(index) else { return Vec::new() };
-    let machine = outcome.truth.as_ref().and_then(|truth| {
+    let machine = story.truth.and_then(|truth| {
         let settled = truth.poses.get(set)?.get(index)?;
         let rigid = truth.rigid.get(set).and_then(|set| set.get(index));
         let target = measurements.targets.get(observation.target).map(|target| &target.in_flange);
-        machine_chains(&truth.as_built, settled, rigid, &outcome.model, target, observation)
+        machine_chains(&truth.as_built, settled, rigid, &story.model, target, observation)
     });
-    machine.unwrap_or_else(|| calibrated_chain(outcome, observation).into_iter().collect())
+    machine.unwrap_or_else(|| calibrated_chain(story, observation).into_iter().collect())
 }
 
 /// The machine at rest, the nominal robot where its target is known, and the machine larger than life where it is known without deflection.
@@ -187,8 +189,8 @@ pub(super) fn reach(model: &KinematicModel) -> Vec<Vector3<f64>> {
 }
 
 /// The last mode's robot.
-pub(super) fn calibrated_chain(outcome: &Outcome, observation: &Observation) -> Option<Chain> {
-    let robot = observer(outcome)?;
+pub(super) fn calibrated_chain(story: &Story<'_>, observation: &Observation) -> Option<Chain> {
+    let robot = observer(story)?;
     let target = robot.targets.get(observation.target)?;
     let links = Predictor::new(robot).ok()?.links(observation).ok()?;
     chain_of(ChainKind::Calibrated, &robot.model, &observation.command, links, target)
@@ -225,8 +227,8 @@ fn linkage(model: &CalibrationModel, command: &[f64], links: &[Transform]) -> Op
 }
 
 /// The robot whose stations place the measurements in the base frame: the last mode's.
-pub(super) fn observer(outcome: &Outcome) -> Option<&CalibratedRobot> {
-    outcome.modes.last().map(|mode| &mode.robot)
+pub(super) fn observer<'a>(story: &Story<'a>) -> Option<&'a CalibratedRobot> {
+    story.modes.last().map(|mode| &mode.robot)
 }
 
 /// A reading in the base frame, m.
@@ -251,14 +253,14 @@ pub(super) fn sighting_from(tracker_from_base: &Transform, observation: &Observa
 }
 
 /// All points of a set in the base frame, m.
-pub(super) fn measured_points(outcome: &Outcome, measurements: &MeasurementSet) -> Vec<Vector3<f64>> {
-    let Some(robot) = observer(outcome) else { return Vec::new() };
+pub(super) fn measured_points(story: &Story<'_>, measurements: &MeasurementSet) -> Vec<Vector3<f64>> {
+    let Some(robot) = observer(story) else { return Vec::new() };
     measurements.observations.iter().filter_map(|o| sighting(robot, o)).map(|s| s.point).collect()
 }
 
 /// `base_from_tracker` of every station.
-pub(super) fn trackers(outcome: &Outcome) -> Vec<Transform> {
-    observer(outcome).map(|r| r.stations.iter().map(Transform::inverse).collect()).unwrap_or_default()
+pub(super) fn trackers(story: &Story<'_>) -> Vec<Transform> {
+    observer(story).map(|r| r.stations.iter().map(Transform::inverse).collect()).unwrap_or_default()
 }
 
 /// The certified base nests of all stations, each once, m.
@@ -287,11 +289,11 @@ pub(super) fn arrow(mode: &ModeOutcome, observation: &Observation, error: &Vecto
 }
 
 /// The base axis that points up, against gravity; z where gravity is not known.
-pub(super) fn up(outcome: &Outcome) -> Vector3<f64> {
-    up_of(&outcome.model, outcome.truth.as_ref().map(|truth| &truth.as_built))
+pub(super) fn up(story: &Story<'_>) -> Vector3<f64> {
+    up_of(&story.model, story.truth.map(|truth| &truth.as_built))
 }
 
-/// The same before there is an outcome.
+/// The same before there is an story.
 pub(super) fn up_of(model: &CalibrationModel, as_built: Option<&AsBuilt>) -> Vector3<f64> {
     let as_built = as_built.map(|machine| machine.statics.gravity);
     let gravity = model.statics.as_ref().map(|statics| statics.gravity).or(as_built);
@@ -303,8 +305,8 @@ pub(super) fn up_of(model: &CalibrationModel, as_built: Option<&AsBuilt>) -> Vec
 }
 
 /// The rotation of a world whose z points up: viewers without a choice of axis take z for up.
-pub(super) fn world_from_base(outcome: &Outcome) -> UnitQuaternion<f64> {
-    turn(&Vector3::z(), &up(outcome))
+pub(super) fn world_from_base(story: &Story<'_>) -> UnitQuaternion<f64> {
+    turn(&Vector3::z(), &up(story))
 }
 
 /// The shortest rotation that takes `from` to `to`.
@@ -369,7 +371,7 @@ pub(super) const NEST: Colour = [86, 180, 233, 255];
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recording::synthetic;
+    use crate::synthetic::{self, Outcome};
     use calibrig_files::load_robot;
     use calibrig_plant::effects::Effects;
     use calibrig_plant::{Plant, SettleOptions};
@@ -377,7 +379,7 @@ mod tests {
     #[test]
     fn the_chain_ends_at_the_settled_or_predicted_target() {
         let simulated = synthetic::outcome(4, 3, true);
-        let chains_of = |outcome: &Outcome, index| chains(outcome, 0, index);
+        let chains_of = |outcome: &Outcome, index| chains(&outcome.story(), 0, index);
         for index in 0..4 {
             let shown = chains_of(&simulated, index);
             assert_eq!(
@@ -392,7 +394,7 @@ mod tests {
         let shown = chains_of(&measured, 1);
         assert_eq!(shown.iter().map(|c| c.kind).collect::<Vec<_>>(), [ChainKind::Calibrated]);
         let observation = &measured.sets[0].measurements.observations[1];
-        let robot = observer(&measured).expect("a mode");
+        let robot = observer(&measured.story()).expect("a mode");
         let predicted = Predictor::new(robot).expect("a robot").in_base(observation).expect("a pose");
         assert!((shown[0].target - predicted).norm() < 1e-12);
     }
@@ -403,7 +405,7 @@ mod tests {
         let known = outcome.truth.as_ref().expect("simulated");
         for index in 0..4 {
             let [settled, rigid] = [&known.poses[0][index], &known.rigid[0][index]];
-            let shown = chains(&outcome, 0, index);
+            let shown = chains(&outcome.story(), 0, index);
             let [truth, deflection] = [&shown[0], &shown[2]];
             let shrunk =
                 |rigid: &Vector3<f64>, shown: &Vector3<f64>| rigid + (shown - rigid) / DEFLECTION_SCALE;
@@ -424,7 +426,8 @@ mod tests {
 
     #[test]
     fn the_nominal_four_bar_is_closed_where_the_rigid_plant_closes_it() {
-        let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("models/spray_painter/robot.toml");
+        let file =
+            std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/spray_painter/robot.toml");
         let robot = load_robot(&file).expect("a robot");
         let model = robot.model;
         let mut statics = model.statics.clone().expect("statics");
@@ -466,13 +469,13 @@ mod tests {
     #[test]
     fn up_is_against_gravity_and_becomes_the_worlds_z() {
         let mut outcome = synthetic::outcome(2, 1, true);
-        assert_eq!(up(&outcome), Vector3::y());
-        assert!((world_from_base(&outcome) * Vector3::y() - Vector3::z()).norm() < 1e-15);
+        assert_eq!(up(&outcome.story()), Vector3::y());
+        assert!((world_from_base(&outcome.story()) * Vector3::y() - Vector3::z()).norm() < 1e-15);
         if let Some(statics) = &mut outcome.model.statics {
             statics.gravity = Vector3::new(0.0, 0.0, 9.81);
         }
-        assert_eq!(up(&outcome), -Vector3::z());
-        assert!((world_from_base(&outcome) * -Vector3::z() - Vector3::z()).norm() < 1e-15);
+        assert_eq!(up(&outcome.story()), -Vector3::z());
+        assert!((world_from_base(&outcome.story()) * -Vector3::z() - Vector3::z()).norm() < 1e-15);
     }
 
     #[test]
@@ -480,9 +483,9 @@ mod tests {
         let mut outcome = synthetic::outcome(2, 1, false);
         let observation = &mut outcome.sets[0].measurements.observations[0];
         observation.command.truncate(1);
-        assert!(chains(&outcome, 0, 0).is_empty());
-        assert!(chains(&outcome, 5, 0).is_empty());
+        assert!(chains(&outcome.story(), 0, 0).is_empty());
+        assert!(chains(&outcome.story(), 5, 0).is_empty());
         outcome.sets[0].measurements.observations[0].station = 4;
-        assert_eq!(measured_points(&outcome, &outcome.sets[0].measurements).len(), 1);
+        assert_eq!(measured_points(&outcome.story(), &outcome.sets[0].measurements).len(), 1);
     }
 }

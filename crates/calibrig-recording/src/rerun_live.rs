@@ -10,14 +10,16 @@ use rerun::external::re_uri::ProxyUri;
 use rerun::log::{ChunkBatcherConfig, LogMsg};
 use rerun::sink::{GrpcSink, GrpcSinkConnectionState, LogSink, SinkFlushError};
 
+use super::Story;
 use super::rerun_layout::{self, Force};
 use super::rerun_sink::RerunRecorder;
 use super::rerun_views::Setting;
 use super::scene::{self, Sighting};
 use super::{Chain, ChainKind, LogEntry, Measured, PoseStep, Preamble, Recorder, RecordingError};
-use crate::pipeline::{ModeOutcome, Outcome, SetKind, SetOutcome};
+use calibrig_estimation::evaluation::ModeOutcome;
 use calibrig_model::CalibrationModel;
 use calibrig_model::geometry::Transform;
+use calibrig_model::measurement::{SetKind, SetOutcome};
 use calibrig_plant::AsBuilt;
 
 /// Where a viewer listens unless told otherwise.
@@ -282,12 +284,12 @@ impl Recorder for LiveRecorder {
         Ok(())
     }
 
-    fn begin(&mut self, outcome: &Outcome) -> Result<(), RecordingError> {
+    fn begin(&mut self, story: &Story<'_>) -> Result<(), RecordingError> {
         if self.lost.is_none() {
-            let layout = rerun_layout::messages(outcome, Force::Active);
+            let layout = rerun_layout::messages(story, Force::Active);
             self.tell(|recorder| layout.map(|messages| recorder.lay_out(messages)));
         }
-        self.tell(|recorder| recorder.begin(outcome));
+        self.tell(|recorder| recorder.begin(story));
         Ok(())
     }
 
@@ -296,8 +298,8 @@ impl Recorder for LiveRecorder {
         Ok(())
     }
 
-    fn estimate(&mut self, time: u64, outcome: &Outcome, mode: &ModeOutcome) -> Result<(), RecordingError> {
-        self.tell(|recorder| recorder.estimate(time, outcome, mode));
+    fn estimate(&mut self, time: u64, story: &Story<'_>, mode: &ModeOutcome) -> Result<(), RecordingError> {
+        self.tell(|recorder| recorder.estimate(time, story, mode));
         Ok(())
     }
 
@@ -316,7 +318,7 @@ mod tests {
 
     use rerun::log::Chunk;
 
-    use crate::recording::{record, synthetic};
+    use crate::{record, synthetic};
 
     /// A viewer that is closed when it has so many messages.
     struct Listener {
@@ -351,7 +353,7 @@ mod tests {
     fn a_viewer_is_told_its_layout_first_and_every_pose_once() {
         let outcome = synthetic::outcome(6, 3, true);
         let (listener, mut live) = listener(usize::MAX);
-        record(&outcome, &mut live).expect("told");
+        record(&outcome.story(), &mut live).expect("told");
         live.finish().expect("heard");
         let heard = listener.heard.lock().expect("not poisoned");
         let is_layout = |message: &&LogMsg| message.store_id().is_blueprint();
@@ -383,7 +385,7 @@ mod tests {
     fn a_viewer_that_is_closed_stops_nothing_and_is_told_of_at_the_end() {
         let outcome = synthetic::outcome(6, 3, true);
         let (listener, mut live) = listener(60);
-        record(&outcome, &mut live).expect("goes on");
+        record(&outcome.story(), &mut live).expect("goes on");
         let error = live.finish().expect_err("closed");
         assert!(matches!(&error, RecordingError::ViewerLost { reason, .. } if reason == "closed"), "{error}");
         assert_eq!(listener.heard.lock().expect("not poisoned").len(), 60);

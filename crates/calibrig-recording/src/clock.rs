@@ -1,7 +1,7 @@
 //! Simulated time of a recording, which never runs back.
 
-use crate::pipeline::SetKind;
 use calibrig_model::measurement::Observation;
+use calibrig_model::measurement::SetKind;
 
 pub(super) const SECOND: u64 = 1_000_000_000;
 /// Between one set and the next, where their own times do not tell.
@@ -53,7 +53,7 @@ fn own_time(seconds: f64) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recording::synthetic;
+    use crate::synthetic;
 
     /// Times in s, given as (set, pose, own time in s).
     fn times(observations: &[(SetKind, u32, f64)]) -> Vec<f64> {

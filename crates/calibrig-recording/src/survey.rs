@@ -12,7 +12,7 @@ use super::inspect::{
 use super::mcap_writer::RECORD_LIMIT;
 use super::provenance::{AttachedInput, METADATA};
 use super::schema::{set_kind, v1};
-use crate::pipeline::SetKind;
+use calibrig_model::measurement::SetKind;
 
 /// What has been seen of a file.
 pub(super) struct Survey {

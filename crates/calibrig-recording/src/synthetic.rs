@@ -6,9 +6,9 @@ use nalgebra::{DMatrix, Matrix3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::pipeline::{InputSummary, ModeOutcome, Outcome, RegistrationSummary, SetKind, SetOutcome, Truth};
-use crate::recording::{McapRecorder, record};
+use crate::{InputSummary, McapRecorder, Story, record};
 use calibrig_estimation::evaluation::accuracy;
+use calibrig_estimation::evaluation::{ModeOutcome, RegistrationSummary};
 use calibrig_estimation::identification::{
     CalibratedRobot, Estimate, IterationRecord, Mode, NoiseScale, ParameterEstimate, Predictor, Spectrum,
     TerminationReason, Warning,
@@ -19,18 +19,52 @@ use calibrig_model::geometry::{Transform, rotation_x, rotation_y, rotation_z, tr
 use calibrig_model::measurement::{
     MeasurementSet, NestObservation, Observation, Reading, SphericalReading, Station, Target,
 };
+use calibrig_model::measurement::{SetKind, SetOutcome};
 use calibrig_model::{
     ActuatorMap, Body, CalibrationModel, CraigLink, JointKind, KinematicModel, LinkTerm, ParameterId,
     StaticProperties, Visual, VisualShape,
 };
 use calibrig_plant::effects::{Effects, PoseEffects};
+use calibrig_plant::session::Truth;
 use calibrig_plant::{AsBuilt, ElasticDeflection, ElasticPlace, SettledPose};
+
+/// What a [`Story`] is told from.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Outcome {
+    pub(crate) input: InputSummary,
+    pub(crate) sources: Vec<(String, Source)>,
+    pub(crate) model: CalibrationModel,
+    pub(crate) visuals: Vec<Vec<Visual>>,
+    pub(crate) registration: RegistrationSummary,
+    pub(crate) sets: Vec<SetOutcome>,
+    pub(crate) modes: Vec<ModeOutcome>,
+    pub(crate) truth: Option<Truth>,
+    pub(crate) published: Vec<(SetKind, Mode, [f64; 6])>,
+}
+
+impl Outcome {
+    pub(crate) fn story(&self) -> Story<'_> {
+        Story {
+            input: &self.input,
+            sources: &self.sources,
+            model: &self.model,
+            visuals: &self.visuals,
+            registration: &self.registration,
+            sets: &self.sets,
+            modes: &self.modes,
+            truth: self.truth.as_ref(),
+            published: &self.published,
+        }
+    }
+}
 
 /// The MCAP recording of `outcome`.
 pub(crate) fn recorded(outcome: &Outcome) -> Vec<u8> {
-    let mut recorder = McapRecorder::new(Cursor::new(Vec::new())).expect("begun");
-    record(outcome, &mut recorder).expect("recorded");
-    recorder.finish().expect("finished").into_inner()
+    let mut bytes = Cursor::new(Vec::new());
+    let mut recorder = McapRecorder::new(&mut bytes).expect("begun");
+    record(&outcome.story(), &mut recorder).expect("recorded");
+    recorder.finish().expect("finished");
+    bytes.into_inner()
 }
 
 const IN_FLANGE: [f64; 3] = [0.10, 0.15, 0.20];
@@ -122,9 +156,6 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
             ),
             (SetKind::Identification, Mode::WithGravity, [0.0017, 0.0007, 0.0015, 0.0004, 0.0023, 0.0007]),
         ],
-        judgements: Vec::new(),
-        ablation: None,
-        splits: None,
     }
 }
 
