@@ -167,7 +167,7 @@ pub(super) fn shapes(story: &Story<'_>) -> SceneUpdate {
         instruments.texts.push(label(&place, &format!("station {number}")));
     }
     let mut nests = entity(0, BASE, "nests");
-    for (name, place) in scene::nests(&story.sets) {
+    for (name, place) in scene::nests(story.sets) {
         nests.spheres.push(ball(&place, 0.06, scene::NEST));
         nests.texts.push(label(&place, &name));
     }

@@ -265,7 +265,7 @@ impl Recorder for McapRecorder<'_> {
     }
 
     fn estimate(&mut self, time: u64, story: &Story<'_>, mode: &ModeOutcome) -> Result<(), RecordingError> {
-        self.own(&format!("/estimate/{}", mode.mode.key()), time, &estimate(&story.sets, mode))
+        self.own(&format!("/estimate/{}", mode.mode.key()), time, &estimate(story.sets, mode))
     }
 
     fn log(&mut self, entry: &LogEntry) -> Result<(), RecordingError> {

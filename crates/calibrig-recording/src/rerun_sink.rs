@@ -307,7 +307,7 @@ impl RerunRecorder {
                 }
             } else if let Some(target) = set.measurements.targets.get(observation.target)
                 // The calibrated one stands for the machine and was told with the pose.
-                && let Some(nominal) = scene::nominal_chain(&story.model, &target.in_flange, observation)
+                && let Some(nominal) = scene::nominal_chain(story.model, &target.in_flange, observation)
             {
                 self.chain(&nominal, true)?;
             }
@@ -355,8 +355,8 @@ impl Recorder for RerunRecorder {
 
     fn begin(&mut self, story: &Story<'_>) -> Result<(), RecordingError> {
         let solid = if story.truth.is_some() { ChainKind::True } else { ChainKind::Calibrated };
-        self.surroundings(&scene::up(story), &scene::trackers(story), scene::nests(&story.sets))?;
-        self.robot(solid, &story.visuals)?;
+        self.surroundings(&scene::up(story), &scene::trackers(story), scene::nests(story.sets))?;
+        self.robot(solid, story.visuals)?;
         self.all_measured(story)?;
         self.curves(story)?;
         self.document("tables/accuracy", tables::about(story) + &tables::accuracy(story))?;

@@ -96,7 +96,7 @@ pub(super) fn chains(story: &Story<'_>, set: usize, index: usize) -> Vec<Chain> 
         let settled = truth.poses.get(set)?.get(index)?;
         let rigid = truth.rigid.get(set).and_then(|set| set.get(index));
         let target = measurements.targets.get(observation.target).map(|target| &target.in_flange);
-        machine_chains(&truth.as_built, settled, rigid, &story.model, target, observation)
+        machine_chains(&truth.as_built, settled, rigid, story.model, target, observation)
     });
     machine.unwrap_or_else(|| calibrated_chain(story, observation).into_iter().collect())
 }
@@ -290,7 +290,7 @@ pub(super) fn arrow(mode: &ModeOutcome, observation: &Observation, error: &Vecto
 
 /// The base axis that points up, against gravity; z where gravity is not known.
 pub(super) fn up(story: &Story<'_>) -> Vector3<f64> {
-    up_of(&story.model, story.truth.map(|truth| &truth.as_built))
+    up_of(story.model, story.truth.map(|truth| &truth.as_built))
 }
 
 /// The same before there is an story.
