@@ -448,6 +448,27 @@ fn a_session_file_makes_identify_the_replay_of_the_same_recording() {
     assert!(!base(&identified), "along with the frame it has no meaning");
 }
 
+#[test]
+fn a_session_file_tells_choose_what_it_tells_identify() {
+    let sandbox = exported();
+    let files = ["--model", "t/robot.toml", "--measurements", "t/identification.csv"];
+    let session = ["--session", "t/session.toml"];
+    let [with, without] = [&session[..], &[]]
+        .map(|session| sandbox.run([&["choose"], &files, session, &["--folds", "3", "--json"]].concat()));
+    for ended in [&with, &without] {
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+    }
+    for line in [
+        "station 1: placed by 7 nests of t/session.toml\n",
+        "target SMR: stated by t/session.toml, +- 0.01 mm",
+    ] {
+        assert!(with.stderr.contains(line) && !without.stderr.contains(line), "{line}: {with:?}");
+    }
+    // The nests tell the base's own parameters from the frame: without them they have no meaning.
+    let parameters = |ended: &Ended| ended.json()["models"][0]["parameters"].as_u64().expect("a number");
+    assert!(parameters(&with) > parameters(&without), "{with:?}");
+}
+
 const UR5: &str = "models/ur5/robot.toml";
 /// Where three reflectors are on the flange, m.
 const REFLECTORS: [(&str, [f64; 3]); 3] =
