@@ -454,7 +454,7 @@ fn a_session_file_tells_choose_what_it_tells_identify() {
     let files = ["--model", "t/robot.toml", "--measurements", "t/identification.csv"];
     let session = ["--session", "t/session.toml"];
     let [with, without] = [&session[..], &[]]
-        .map(|session| sandbox.run([&["choose"], &files, session, &["--folds", "3", "--json"]].concat()));
+        .map(|session| sandbox.run([&["choose"][..], &files, session, &["--folds", "3", "--json"]].concat()));
     for ended in [&with, &without] {
         assert_eq!(ended.code, Some(0), "{ended:?}");
     }
