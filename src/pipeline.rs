@@ -99,7 +99,7 @@ pub enum PipelineError {
     /// The plant cannot be built, or a pose does not come to rest.
     #[error("the plant: {0}")]
     Plant(#[from] PlantError),
-    /// The machine's effects are none that a machine has.
+    /// No machine can have these effects.
     #[error("the machine's effects: {0}")]
     Effects(#[from] EffectError),
     /// No pose of the machine can be drawn.

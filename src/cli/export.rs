@@ -187,7 +187,7 @@ fn check_name(path: &Path, force: bool) -> Result<(), CliError> {
     Ok(())
 }
 
-/// A recording without any is none that could be read.
+/// A recording without readings could not be read back.
 fn refuse_without_readings(sources: &[(String, Source)], sets: &[SetOutcome]) -> Result<(), CliError> {
     for set in sets.iter().filter(|set| set.measurements.observations.is_empty()) {
         if let Some((_, source)) = sources.iter().find(|(role, _)| role == set.kind.key()) {

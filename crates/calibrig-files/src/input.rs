@@ -84,7 +84,7 @@ impl Source {
         }
     }
 
-    /// Bytes of the value of a TOML key, such as `poses.identification`; the text's begin where there is none.
+    /// Bytes of the value of a TOML key, such as `poses.identification`; the start of the text where the key is not there.
     pub fn place_of(&self, key: &str) -> Range<usize> {
         toml_text::place_of(&self.text, key)
     }

@@ -69,10 +69,10 @@ pub(super) fn writer<W: Write + Seek>(sink: W, profile: &str) -> Result<Writer<W
 impl<'a> McapRecorder<'a> {
     /// Begins a file.
     pub fn new(sink: impl Write + Seek + 'a) -> Result<Self, RecordingError> {
-        Self::begin(Box::new(sink))
+        Self::on(Box::new(sink))
     }
 
-    fn begin(sink: Box<dyn Sink + 'a>) -> Result<Self, RecordingError> {
+    fn on(sink: Box<dyn Sink + 'a>) -> Result<Self, RecordingError> {
         Ok(Self {
             writer: writer(sink, "")?,
             channels: BTreeMap::new(),

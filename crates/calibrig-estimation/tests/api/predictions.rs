@@ -86,7 +86,7 @@ fn parameters_that_are_not_the_robots_are_refused() {
     let mut other = estimate.clone();
     other.parameters.swap(0, 1);
     names(linearise(model, set, options, &other), "delta_", "linearise");
-    // A covariance of another estimate is none.
+    // The factor of another estimate says nothing of this one.
     let mut other = estimate.clone();
     other.factor = Some(DMatrix::identity(2, 2));
     assert_eq!(other.predict(&COMMAND).expect("a position").sigma(), None);

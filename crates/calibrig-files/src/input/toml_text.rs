@@ -14,7 +14,7 @@ struct Value {
     span: Range<usize>,
 }
 
-/// Bytes of the value of `key`; the text's begin where there is none.
+/// Bytes of the value of `key`; the start of the text where the key is not there.
 pub(super) fn place_of(text: &str, key: &str) -> Range<usize> {
     values(text).into_iter().find(|value| value.key == key).map_or(0..0, |value| value.span)
 }

@@ -33,7 +33,7 @@ pub enum RegistrationError {
     /// On one line.
     #[error("the base nests lie on one line and do not determine the tracker's place")]
     OnOneLine,
-    /// A covariance that is none.
+    /// A covariance that is missing or not positive definite.
     #[error("nest {nest}: the covariance is missing or not positive definite")]
     Covariance {
         /// Name of the nest.

@@ -70,7 +70,7 @@ impl<'a, 'b> BesideRigid<'a, 'b> {
         ControlFlow::Break(())
     }
 
-    /// The rigid machine at every measured pose, or why there is none.
+    /// The rigid machine at every measured pose, or why it could not be brought to rest.
     pub fn finish(self) -> Result<Vec<Vec<SettledPose>>, PlantError> {
         self.failure.map_or(Ok(self.poses), Err)
     }

@@ -66,7 +66,7 @@ impl Machine for Plant {
 /// whoever runs a session has to pass every case on.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum SessionError<E> {
-    /// The machine's effects are none that a machine has.
+    /// No machine can have these effects.
     #[error("the machine's effects: {0}")]
     Effects(#[from] EffectError),
     /// No pose of the machine can be drawn.
