@@ -1,16 +1,15 @@
 //! One trial: a machine is drawn, measured, identified and judged.
 
-use nalgebra::{DVector, Matrix3};
+use nalgebra::DVector;
 
 use super::Campaign;
 use crate::pipeline::{KnownTruth, PipelineError, Simulation, calibrate, simulate};
 use calibrig_estimation::evaluation::{AccuracyRow, nees};
 use calibrig_estimation::identification::{
-    Estimate, IdentificationOptions, Mode, TerminationReason, linearise,
+    Estimate, IdentificationOptions, Mode, PredictedReading, TerminationReason, predict_readings,
 };
 use calibrig_model::ParameterId;
 use calibrig_model::measurement::{MeasurementSet, Reading, SetKind};
-use calibrig_model::statistics::NORMAL_95;
 
 /// What came of one trial.
 #[derive(Debug, Clone, PartialEq)]
@@ -123,32 +122,29 @@ fn nees_of(estimate: &Estimate, parameters: &[ParameterResult]) -> Option<f64> {
     nees(&DVector::from_vec(error?), estimate.covariance.as_ref()?)
 }
 
-/// How many true coordinates of the held-out poses lie inside the 95 % intervals that the covariance of the parameters predicts, and of how
-/// many. In the tracker's frame, so that the uncertainty of its place counts as well.
+/// How many true coordinates of the held-out poses lie inside the 95 % intervals of the robot's mean position, and of how many. In the tracker's
+/// frame, so that the uncertainty of its place counts as well.
 fn predictions(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Estimate) -> (u64, u64) {
     let held_out = simulation
         .sets
         .iter()
         .zip(&simulation.truth.poses)
         .find(|(set, _)| set.kind == SetKind::Verification);
-    let (Some(covariance), Some((set, settled))) = (&estimate.covariance, held_out) else { return (0, 0) };
+    let Some((set, settled)) = held_out else { return (0, 0) };
     let tracker_from_base = simulation.truth.tracker_from_base;
     let mut truth: MeasurementSet = set.measurements.clone();
     for (observation, pose) in truth.observations.iter_mut().zip(settled) {
         let position = tracker_from_base.rotation * pose.target + tracker_from_base.translation.vector;
-        // Weighted with one, residuals and Jacobian are in metres.
-        observation.reading = Reading::Cartesian { position, covariance: Some(Matrix3::identity()) };
+        observation.reading = Reading::Cartesian { position, covariance: None };
     }
-    let options = IdentificationOptions {
-        mode: estimate.robot.mode,
-        unmodelled_sigma: 0.0,
-        ..campaign.scenario.options.clone()
+    let options = IdentificationOptions { mode: estimate.robot.mode, ..campaign.scenario.options.clone() };
+    let model = &campaign.scenario.robot.model;
+    let Ok(Some(predicted)) = predict_readings(model, &truth, &options, estimate) else { return (0, 0) };
+    let factor = estimate.interval_factor(0.95);
+    let inside = |reading: &PredictedReading| {
+        let variance = (reading.of_parameters + reading.of_machine).diagonal();
+        let held = reading.error.iter().zip(&variance).filter(|(error, v)| error.abs() <= factor * v.sqrt());
+        held.count() as u64
     };
-    let Ok(told) = linearise(&campaign.scenario.robot.model, &truth, &options, estimate) else {
-        return (0, 0);
-    };
-    let Some(sigmas) = told.predicted_sigmas(covariance) else { return (0, 0) };
-    let inside =
-        told.residuals.iter().zip(&sigmas).filter(|(error, sigma)| error.abs() <= NORMAL_95 * *sigma);
-    (inside.count() as u64, sigmas.len() as u64)
+    (predicted.iter().map(inside).sum(), 3 * predicted.len() as u64)
 }

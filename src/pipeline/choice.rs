@@ -191,7 +191,7 @@ fn fit(
     let estimate = identify(model, set, &candidate.options).map_err(failed)?;
     let system = linearise(model, set, &candidate.options, &estimate).map_err(failed)?;
     let ids: Vec<_> = estimate.parameters.iter().map(|p| p.id).collect();
-    let determined = Uncertainty::new(&system.jacobian, system.data_rows, &ids);
+    let determined = Uncertainty::of(&system, &ids);
     let mut not_converged = usize::from(!estimate.termination.converged());
     let held_out = held_out_errors(set, splits, |fitted, held_out| {
         let estimate = identify(model, fitted, &candidate.options).map_err(failed)?;

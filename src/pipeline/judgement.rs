@@ -1,10 +1,10 @@
 //! How far an estimate can be trusted: what its residuals still contain, what every parameter rests on, and how well it predicts.
 
-use nalgebra::Vector3;
+use nalgebra::{DVector, Vector3};
 
 use super::{ModeOutcome, PipelineError, SetOutcome};
 use calibrig_estimation::evaluation::{
-    ConsistencyReport, NoiseLevel, PoseConditions, ResidualSet, check_consistency,
+    ChiSquareTest, ConsistencyReport, PoseConditions, ResidualSet, check_consistency,
 };
 use calibrig_estimation::identification::{
     Estimate, IdentificationOptions, Linearisation, Mode, NoiseScale, ParameterSupport, PoseInfluence,
@@ -120,7 +120,7 @@ fn uncertainty(system: &Linearisation, estimate: &Estimate) -> Option<Uncertaint
     // What the estimate does not state, for want of rank without the tolerance, is not stated here either.
     estimate.covariance.as_ref()?;
     let ids: Vec<_> = estimate.parameters.iter().map(|p| p.id).collect();
-    Uncertainty::new(&system.jacobian, system.data_rows, &ids)
+    Uncertainty::of(system, &ids)
 }
 
 fn confidence(
@@ -131,17 +131,14 @@ fn confidence(
 ) -> Confidence {
     let place = |prediction: &Option<Prediction>| {
         let prediction = prediction.as_ref()?;
-        let covariance = uncertainty.position_covariance(&prediction.jacobian)?;
+        let covariance = uncertainty.position_covariance(&prediction.jacobian)? + prediction.of_machine;
         let sigma = covariance.diagonal().map(|v| v.max(0.0).sqrt());
         let finite = sigma.iter().chain(prediction.position.iter()).all(|v| v.is_finite());
         finite.then_some(PredictedPosition { position: prediction.position, sigma })
     };
-    let influences = uncertainty.influences(&system.jacobian, system.residuals.as_slice(), system.data_rows);
-    let left_out = influences
-        .iter()
-        .zip(&system.whitening)
-        .map(|(influence, whitening)| whitening.lu().solve(&-influence.left_out?))
-        .collect();
+    let residuals = system.residuals.as_slice();
+    let influences = uncertainty.influences(&system.jacobian, residuals, system.data_rows, &system.poses);
+    let left_out = left_out(system, &influences);
     let map: Vec<_> = map.iter().map(place).collect();
     Confidence {
         support: uncertainty.support(),
@@ -153,6 +150,16 @@ fn confidence(
         out_of_reach: map.iter().filter(|p| p.is_none()).count(),
         map: map.into_iter().flatten().collect(),
     }
+}
+
+/// Errors of observations that were left out of the fit, m; `None` where a pose alone determines a direction.
+fn left_out(system: &Linearisation, influences: &[PoseInfluence]) -> Vec<Option<Vector3<f64>>> {
+    let mut rows = DVector::zeros(system.data_rows);
+    for (i, influence) in influences.iter().enumerate() {
+        rows.fixed_rows_mut::<3>(3 * i).copy_from(&-influence.left_out.unwrap_or_default());
+    }
+    let errors = system.whitening.displacements(&rows);
+    influences.iter().zip(errors).map(|(influence, error)| influence.left_out.map(|_| error)).collect()
 }
 
 fn consistency(
@@ -169,31 +176,34 @@ fn consistency(
     let poses: Vec<_> = set
         .observations
         .iter()
-        .zip(&system.whitening)
         .enumerate()
-        .map(|(i, (observation, whitening))| PoseConditions {
+        .map(|(i, observation)| PoseConditions {
             command: &observation.command,
             approach: &observation.approach,
             time: observation.time,
             temperature: observation.temperature,
             position: predictor.as_mut().and_then(|p| p.in_base(observation).ok()).unwrap_or_default(),
             sensitivity: sensitivity.get(i).map_or(&[][..], Vec::as_slice),
-            whitening: *whitening,
+            pose: observation.pose,
+            seen: (observation.target, observation.station),
         })
         .collect();
     let names: Vec<_> = model.kinematics.links.iter().map(|link| link.name.clone()).collect();
     let residuals = ResidualSet {
         residuals: &system.residuals,
         jacobian: &system.jacobian,
+        measured_rows: system.measured_rows,
+        freedom: system.freedom(),
+        whitening: &system.whitening,
         poses: &poses,
         joint_names: &names,
         motor_turns: &model.motor_turns,
     };
-    let noise = match estimate.noise {
-        NoiseScale::Stated => NoiseLevel::Known,
-        NoiseScale::Residuals(_) => NoiseLevel::Estimated,
+    let size = match estimate.noise {
+        NoiseScale::Stated => ChiSquareTest::new(estimate.chi2, estimate.degrees_of_freedom),
+        NoiseScale::Residuals(_) => None,
     };
-    check_consistency(&residuals, noise, FALSE_ALARM)
+    check_consistency(&residuals, size, FALSE_ALARM)
 }
 
 /// Change of every observation's target with every actuator, by central differences; `None` where the robot cannot take one of the poses.

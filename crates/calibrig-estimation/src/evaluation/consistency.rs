@@ -5,8 +5,8 @@ use std::fmt;
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
-use super::{NoiseLevel, PatternReport, ResidualSet, find_patterns};
-use calibrig_model::statistics::{binomial_cdf, chi2_quantile, chi2_survival, clopper_pearson};
+use super::{PatternReport, ResidualSet, find_patterns};
+use calibrig_model::statistics::{binomial_cdf, chi2_cdf, chi2_quantile, chi2_survival, clopper_pearson};
 
 /// A chi-square with the probability of a larger one.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -25,6 +25,11 @@ impl ChiSquareTest {
         (dof > 0.0).then(|| Self { chi2, dof, p_value: chi2_survival(chi2, dof) })
     }
 
+    /// Probability of a smaller chi-square if the statement holds.
+    pub fn p_of_less(&self) -> f64 {
+        chi2_cdf(self.chi2, self.dof)
+    }
+
     /// Actual over stated standard deviation.
     pub fn ratio(&self) -> f64 {
         (self.chi2 / self.dof).sqrt()
@@ -34,33 +39,40 @@ impl ChiSquareTest {
 /// Whether residuals are what the stated noise leaves, in size and in shape.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ConsistencyReport {
-    /// Their size; `None` where the noise was taken from the residuals themselves, or without a degree of freedom.
+    /// Their size in the noise that was stated; `None` where it was taken from the residuals themselves, or without a degree of freedom.
     pub size: Option<ChiSquareTest>,
     /// Their shape; `None` without a degree of freedom.
     pub shape: Option<PatternReport>,
-    /// Probability of a false alarm, in either.
+    /// Probability of a false alarm, in either; that of the size is shared by both of its tails.
     pub level: f64,
 }
 
-/// Tests size and shape of the residuals of a fit at the false-alarm rate `level` (such as 0.001) each.
-pub fn check_consistency(set: &ResidualSet<'_>, noise: NoiseLevel, level: f64) -> ConsistencyReport {
-    let dof = set.residuals.len() as f64 - set.jacobian.ncols() as f64;
-    let size = match noise {
-        NoiseLevel::Known => ChiSquareTest::new(set.residuals.norm_squared(), dof),
-        NoiseLevel::Estimated => None,
-    };
+/// Tests size and shape of the residuals of a fit at the false-alarm rate `level` (such as 0.001) each. `size` is theirs in the noise that
+/// was stated, where any was.
+pub fn check_consistency(
+    set: &ResidualSet<'_>,
+    size: Option<ChiSquareTest>,
+    level: f64,
+) -> ConsistencyReport {
     ConsistencyReport { size, shape: find_patterns(set, level), level }
 }
 
 impl ConsistencyReport {
     /// Whether the residuals are larger than stated.
     pub fn too_large(&self) -> bool {
-        self.size.is_some_and(|test| test.p_value < self.level)
+        self.size.is_some_and(|test| test.p_value < 0.5 * self.level)
+    }
+
+    /// Whether they are smaller than stated: the stated noise is too large.
+    pub fn too_small(&self) -> bool {
+        self.size.is_some_and(|test| test.p_of_less() < 0.5 * self.level)
     }
 
     /// Whether nothing speaks against the model and the stated noise.
     pub fn is_consistent(&self) -> bool {
-        !self.too_large() && self.shape.as_ref().is_none_or(|shape| shape.patterns.is_empty())
+        !self.too_large()
+            && !self.too_small()
+            && self.shape.as_ref().is_none_or(|shape| shape.patterns.is_empty())
     }
 }
 
@@ -69,6 +81,12 @@ impl fmt::Display for ConsistencyReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(size) = self.size.filter(|_| self.too_large()) {
             write!(f, "the residuals are {:.1} times what the stated noise explains", size.ratio())?;
+        } else if let Some(size) = self.size.filter(|_| self.too_small()) {
+            write!(
+                f,
+                "the residuals are {:.2} times what the stated noise leaves: it is stated too large",
+                size.ratio()
+            )?;
         } else {
             f.write_str(match self.size {
                 Some(_) => "the residuals are as large as the stated noise explains",

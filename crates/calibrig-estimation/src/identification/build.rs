@@ -4,6 +4,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 
 use super::factor::triangular_factor;
 use super::machine::Machine;
+use super::noise::{MachineNoise, MachineNoiseChoice, Noise, poses};
 use super::options::is_placed;
 use super::parameters::{Column, columns};
 use super::problem::{CalibrationProblem, Current, Prior, Row};
@@ -13,11 +14,8 @@ use super::{
 };
 use crate::kinematics::target;
 use calibrig_model::geometry::{Transform, best_fit_transform};
-use calibrig_model::measurement::{MeasurementSet, register};
+use calibrig_model::measurement::{MeasurementSet, Observation, register};
 use calibrig_model::{CalibrationModel, ParameterId};
-
-/// Standard deviation that readings without a stated one are given before the residuals tell, m: only ratios matter then.
-pub(super) const UNSTATED_SIGMA: f64 = 1e-4;
 
 /// A compliance whose prior's standard deviation moves the whitened measurements by less than this in all, beside what the geometry can
 /// do as well, is not told by them: its own standard deviation stays above 0.89 of its prior's.
@@ -187,9 +185,9 @@ fn assemble(
         ParameterId::Term(term) => Some(term),
         _ => None,
     }));
-    let problem = CalibrationProblem {
+    let mut problem = CalibrationProblem {
         nominal: model.clone(),
-        rows: weighted_rows(set, options.unmodelled_sigma, &mut machine)?,
+        rows: rows(set, options.unmodelled_sigma, &mut machine)?,
         current: Current::new(model, machine, &stations, &targets),
         parameters,
         priors,
@@ -197,8 +195,22 @@ fn assemble(
         tolerances,
         stations,
         targets,
+        poses: poses(set),
+        motions: Vec::new(),
+        unmodelled: options.unmodelled_sigma,
+        stated_actuators: stated_actuators(options),
+        noise: Noise::default(),
+        joined: Vec::new(),
         start: None,
     };
+    if problem.stated_actuators.is_some() {
+        problem.prepare_motions(set);
+    }
+    if let Some(row) = problem.rows.iter().find(|row| row.reading.is_some_and(|c| Cholesky::new(c).is_none()))
+    {
+        return Err(IdentifyError::Covariance { what: format!("pose {}", row.pose) });
+    }
+    problem.weigh(&Noise::default())?;
     Ok(Built { problem, sigmas, unexcited: Vec::new(), fixed: Vec::new(), left_out: Vec::new() })
 }
 
@@ -286,35 +298,34 @@ fn best_fit_station(
     best_fit_transform(&seen, &nominal).ok_or(IdentifyError::BestFit)
 }
 
-fn weighted_rows(
+/// What the options state of the actuators' errors.
+fn stated_actuators(options: &IdentificationOptions) -> Option<MachineNoise> {
+    let MachineNoiseChoice::Stated(sigmas) = &options.machine_noise else { return None };
+    let stated = MachineNoise { position: 0.0, actuators: sigmas.clone(), freedom: None };
+    sigmas.iter().any(|sigma| *sigma > 0.0).then_some(stated)
+}
+
+fn rows(
     set: &MeasurementSet,
     unmodelled_sigma: f64,
     machine: &mut Machine,
 ) -> Result<Vec<Row>, IdentifyError> {
-    let stated = set.observations.iter().all(|o| o.reading.position_covariance().is_some());
-    set.observations
-        .iter()
-        .map(|observation| {
-            let pose = observation.pose;
-            let reading = observation.reading.position_covariance().filter(|_| stated);
-            let covariance = reading.unwrap_or(Matrix3::identity() * UNSTATED_SIGMA * UNSTATED_SIGMA)
-                + Matrix3::identity() * unmodelled_sigma * unmodelled_sigma;
-            let whitening = Cholesky::new(covariance)
-                .and_then(|c| c.l().try_inverse())
-                .filter(|w| w.iter().all(|v| v.is_finite()))
-                .ok_or_else(|| IdentifyError::Covariance { what: format!("pose {pose}") })?;
-            Ok(Row {
-                pose,
-                told: machine
-                    .prepare(&observation.into())
-                    .map_err(|source| IdentifyError::Machine { pose, source })?,
-                seen: observation.reading.position(),
-                whitening,
-                station: observation.station,
-                target: observation.target,
-            })
+    let row = |observation: &Observation| {
+        let pose = observation.pose;
+        let unmodelled = Matrix3::identity() * unmodelled_sigma * unmodelled_sigma;
+        Ok(Row {
+            pose,
+            told: machine
+                .prepare(&observation.into())
+                .map_err(|source| IdentifyError::Machine { pose, source })?,
+            seen: observation.reading.position(),
+            reading: observation.reading.position_covariance().map(|covariance| covariance + unmodelled),
+            whitening: Matrix3::identity(),
+            station: observation.station,
+            target: observation.target,
         })
-        .collect()
+    };
+    set.observations.iter().map(row).collect()
 }
 
 fn prior(what: &str, column: usize, covariance: DMatrix<f64>) -> Result<Prior, IdentifyError> {

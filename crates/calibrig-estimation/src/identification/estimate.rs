@@ -6,8 +6,10 @@ use thiserror::Error;
 
 use super::limits::shown;
 use super::{
-    CONTRADICTION_LEVEL, CalibratedRobot, Contradiction, DependentGroup, ParameterBound, Spectrum, Tolerance,
+    CONTRADICTION_LEVEL, CalibratedRobot, Contradiction, DependentGroup, MachineNoise, ParameterBound,
+    Spectrum, Tolerance,
 };
+use calibrig_model::statistics::{normal_quantile, student_t_quantile};
 use calibrig_model::{ParameterId, Unit};
 
 /// One identified parameter.
@@ -17,8 +19,10 @@ pub struct ParameterEstimate {
     pub id: ParameterId,
     /// Deviation from the nominal (links), prior (frame), stated (target) or predicted (compliances) value, SI.
     pub value: f64,
-    /// Standard deviation, SI; `None` where the system is singular.
+    /// Standard deviation, SI, from the noise that the fit was weighed with; `None` where the system is singular.
     pub sigma: Option<f64>,
+    /// The one that the readings' stated noise leaves by itself, SI, where the fit was weighed with more.
+    pub stated_sigma: Option<f64>,
     /// Standard deviation of its own zero-mean prior, SI; `None` where it has none. Frame and target share theirs with others.
     pub prior_sigma: Option<f64>,
 }
@@ -145,6 +149,9 @@ pub enum Assumption {
     /// Links are about as drawn.
     #[error("links: within +- {:.1} mm and +- {:.1} mrad of their nominal values (standard deviations of a prior)", 1e3 * .0.length, 1e3 * .0.angle)]
     LinksWithin(Tolerance),
+    /// The machine does more than its model.
+    #[error("machine: errors of single poses beside the model, {}", noise_in_words(.0))]
+    NoiseOfMachine(MachineNoise),
     /// The readings state no covariance.
     #[error("noise: the readings state none; it is taken from the residuals, {:.3} mm a coordinate", 1e3 * sigma)]
     NoiseOfResiduals {
@@ -236,17 +243,6 @@ pub enum Warning {
          that a shift of the base stands in for"
     )]
     Moved(Contradiction),
-    /// Priors that do not fit the measurements, where these do not fit the model either.
-    #[error(
-        "the measurements contradict what was stated of {worst}{}, too: as the model lacks something, that may be all there is to it; \
-         complete the model before doubting what was stated", and_more(*.count)
-    )]
-    Strained {
-        /// Their number.
-        count: usize,
-        /// The one that fits worst.
-        worst: Contradiction,
-    },
     /// A compliance that ended at none at all.
     #[error(
         "{name} ended at its bound -1: no compliance can be seen there, rigid fits best, which may hide what the model lacks"
@@ -266,20 +262,41 @@ pub enum Warning {
     },
     /// The residuals are larger than the stated noise explains.
     #[error(
-        "the residuals are {ratio:.1} times what the stated noise explains: the model lacks something, and the standard deviations do not include it"
+        "the residuals are {ratio:.1} times what the stated noise explains: the model lacks something{}",
+        if *.accounted { "; the standard deviations include it, as errors of single poses" } else { ", and the standard deviations do not include it" }
     )]
     Inconsistent {
+        /// Square root of chi-square per degree of freedom.
+        ratio: f64,
+        /// Whether the fit was weighed with an estimate of it.
+        accounted: bool,
+    },
+    /// The residuals are smaller than the stated noise leaves.
+    #[error(
+        "the residuals are {ratio:.2} times what the stated noise leaves: it is stated too large, and the standard deviations are wider than they need to be"
+    )]
+    Overstated {
         /// Square root of chi-square per degree of freedom.
         ratio: f64,
     },
 }
 
-fn in_words(contradictions: &[Contradiction]) -> String {
-    contradictions.iter().map(ToString::to_string).collect::<Vec<_>>().join(", and of ")
+fn noise_in_words(noise: &MachineNoise) -> String {
+    let shown = |sigma: f64| format!("{sigma:.1e}");
+    let actuators = noise.actuators.iter().enumerate().filter(|(_, sigma)| **sigma > 0.0);
+    let actuators: Vec<_> = actuators.map(|(j, sigma)| format!("J{} {}", j + 1, shown(*sigma))).collect();
+    let place = match noise.position {
+        0.0 => "no displacement of the flange".to_owned(),
+        sigma => format!("{:.3} mm an axis at the flange", 1e3 * sigma),
+    };
+    match actuators.as_slice() {
+        [] => format!("{place}; the data show none of the actuators"),
+        some => format!("{place}; of the actuators, in m or rad: {}", some.join(", ")),
+    }
 }
 
-fn and_more(count: usize) -> String {
-    if count > 1 { format!(" and of {} more", count - 1) } else { String::new() }
+fn in_words(contradictions: &[Contradiction]) -> String {
+    contradictions.iter().map(ToString::to_string).collect::<Vec<_>>().join(", and of ")
 }
 
 fn poses_in_words(outliers: &[Outlier]) -> String {
@@ -313,13 +330,19 @@ pub struct Estimate {
     pub factor: Option<DMatrix<f64>>,
     /// What every observation counts for, 1 down to 0; empty where no robust loss was asked for and all count alike.
     pub weights: Vec<f64>,
-    /// What scales the covariance.
+    /// The noise of the readings.
     pub noise: NoiseScale,
-    /// Weighted sum of squares at the minimum, priors included.
+    /// What the machine does beside the model, in independent parts, as stated and (with its degrees of freedom) as estimated: it is in the
+    /// weights of the fit, in the covariance, and in the covariance of what is predicted.
+    pub machine_noise: Vec<MachineNoise>,
+    /// Degrees of freedom of Student's distribution for intervals; `None` where nothing of the noise was estimated and intervals are normal.
+    pub interval_freedom: Option<f64>,
+    /// Sum of squares of the residuals of observations, nests and targets, in the noise that was stated (where none was: in that of the residuals).
     #[serde(with = "calibrig_model::float::scalar")]
     pub chi2: f64,
-    /// Rows (data and priors) minus parameters.
-    pub degrees_of_freedom: usize,
+    /// Their effective degrees of freedom: rows less the trace of their part of the hat matrix.
+    #[serde(with = "calibrig_model::float::scalar")]
+    pub degrees_of_freedom: f64,
     /// Why the solver stopped.
     pub termination: TerminationReason,
     /// Its history.
@@ -347,7 +370,7 @@ pub struct Estimate {
 impl Estimate {
     /// Chi-square per degree of freedom, about 1 where model and stated noise are right.
     pub fn chi2_per_dof(&self) -> Option<f64> {
-        (self.degrees_of_freedom > 0).then(|| self.chi2 / self.degrees_of_freedom as f64)
+        (self.degrees_of_freedom > 0.0).then(|| self.chi2 / self.degrees_of_freedom)
     }
 
     /// Whether it may be used without a second look: converged, of full rank, at no bound, and not against what was
@@ -357,6 +380,17 @@ impl Estimate {
             && self.spectrum.rank == self.parameters.len()
             && self.at_bound.is_empty()
             && self.contradicted.is_empty()
+    }
+
+    /// Half the width of an interval that holds a value with probability `level`, in standard deviations: Student's where the noise was
+    /// estimated. Not finite where no degree of freedom is left to estimate it.
+    pub fn interval_factor(&self, level: f64) -> f64 {
+        let tail = 0.5 + 0.5 * level;
+        match self.interval_freedom {
+            None => normal_quantile(tail),
+            Some(freedom) if freedom.is_infinite() => normal_quantile(tail),
+            Some(freedom) => student_t_quantile(tail, freedom),
+        }
     }
 
     /// The value of a parameter, if it was identified.

@@ -2,13 +2,16 @@
 
 use thiserror::Error;
 
-use super::build::{Built, UNSTATED_SIGMA, best_fit_stations, build};
+use super::build::{Built, best_fit_stations, build};
 use super::limits::limits;
 use super::machine::MachineError;
-use super::summary::summarise;
+use super::noise::{Unknown, find};
+use super::problem::CalibrationProblem;
+use super::summary::{Size, is_misfit, sigmas, summarise};
 use super::{
-    Bounds, BoundsError, CalibratedRobot, Estimate, FrameChoice, IdentificationOptions, LeastSquares, Mode,
-    NoiseScale, ParameterBoundError, ParameterChoice, Solution, TargetChoice, minimise, minimise_within,
+    Bounds, BoundsError, CalibratedRobot, Estimate, FrameChoice, IdentificationOptions, LeastSquares,
+    MachineNoiseChoice, Mode, ParameterBoundError, ParameterChoice, Solution, TargetChoice, minimise,
+    minimise_within,
 };
 use calibrig_model::measurement::{MeasurementError, MeasurementSet, RegistrationError};
 use calibrig_model::{CalibrationModel, ModelError, ParameterId, Unit};
@@ -117,6 +120,7 @@ pub fn identify(
 ) -> Result<Estimate, IdentifyError> {
     check(model, set)?;
     options.check()?;
+    options.machine_noise.check(model.kinematics.joint_count())?;
     if options.mode.needs_statics() && model.statics.is_none() {
         return Err(IdentifyError::NoStatics { mode: options.mode });
     }
@@ -132,39 +136,49 @@ pub fn identify(
         return Err(IdentifyError::TooFewRows { rows: measured, parameters });
     }
     let solution = solve(&mut built, vec![0.0; parameters], options)?;
-    let stated = set.observations.iter().all(|o| o.reading.position_covariance().is_some());
-    if stated || rows == parameters {
-        return Ok(summarise(built, solution, NoiseScale::Stated, set, options));
+    let stated = Size::of(&built.problem, &solution);
+    let mut unknown = Unknown::of(&built.problem, options);
+    let as_needed = options.machine_noise == MachineNoiseChoice::AsNeeded;
+    unknown.machine |= as_needed && !unknown.readings && is_misfit(&built.problem, set, &solution, options);
+    if !unknown.any() || !solution.cost.is_finite() {
+        return Ok(summarise(built, solution, stated, None, set, options));
     }
-    // The first pass tells the noise that the readings do not state; the second weighs the priors against it.
-    let sigma = UNSTATED_SIGMA
-        * if solution.weights.is_empty() {
-            (solution.cost / (rows - parameters) as f64).sqrt()
-        } else {
-            solution.scale
-        };
-    if !(sigma.is_finite() && sigma > 0.0) {
-        return Ok(summarise(built, solution, NoiseScale::Residuals(sigma), set, options));
+    if unknown.machine {
+        built.problem.prepare_motions(set);
     }
-    for row in &mut built.problem.rows {
-        row.whitening *= UNSTATED_SIGMA / sigma;
-    }
-    let first = solution.iterations;
-    let mut solution = solve(&mut built, solution.x, options)?;
-    solution.iterations.splice(0..0, first);
-    Ok(summarise(built, solution, NoiseScale::Residuals(sigma), set, options))
+    let stated_sigmas =
+        unknown.machine.then(|| sigmas(&built.problem, &solution, options.redundant)).flatten();
+    let (parameters, sigmas) = (built.problem.parameters.clone(), built.sigmas.clone());
+    let (solution, noise) =
+        find(&mut built.problem, solution, unknown, options.solver.loss, |problem, x| {
+            solve_problem(problem, &parameters, &sigmas, x, options)
+        })?;
+    built.problem.noise = noise;
+    // Where nothing is stated, the size says nothing of what was stated.
+    let size = if unknown.readings { Size::of(&built.problem, &solution) } else { stated };
+    Ok(summarise(built, solution, size, stated_sigmas, set, options))
 }
 
 fn solve(built: &mut Built, x: Vec<f64>, options: &IdentificationOptions) -> Result<Solution, IdentifyError> {
-    let parameters = &built.problem.parameters;
+    let parameters = built.problem.parameters.clone();
+    solve_problem(&mut built.problem, &parameters, &built.sigmas, x, options)
+}
+
+fn solve_problem(
+    problem: &mut CalibrationProblem,
+    parameters: &[ParameterId],
+    sigmas: &[Option<f64>],
+    x: Vec<f64>,
+    options: &IdentificationOptions,
+) -> Result<Solution, IdentifyError> {
     let is_bounded = options.bounds.iter().any(|bound| parameters.contains(&bound.id));
     if !options.mode.is_coupled() && options.solver.starts <= 1 && !is_bounded {
-        return Ok(minimise(&mut built.problem, x, &options.solver));
+        return Ok(minimise(problem, x, &options.solver));
     }
     let (lower, upper) = limits(parameters, &options.bounds);
-    let spread: Vec<f64> = parameters.iter().zip(&built.sigmas).map(spread).collect();
+    let spread: Vec<f64> = parameters.iter().zip(sigmas).map(spread).collect();
     let bounds = Bounds::new(lower, upper)?;
-    Ok(minimise_within(&mut built.problem, x, &options.solver, &bounds, &spread)?)
+    Ok(minimise_within(problem, x, &options.solver, &bounds, &spread)?)
 }
 
 /// How far about the start other starts are drawn: two standard deviations of the parameter's own prior, else what a machine can be off.

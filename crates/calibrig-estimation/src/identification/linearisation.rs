@@ -1,13 +1,18 @@
 //! The whitened system at an estimate, for what is read from it: uncertainty, leverage, residual patterns.
 
-use nalgebra::{DMatrix, DVector, Matrix3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
-use super::build::{UNSTATED_SIGMA, rebuild};
+use super::build::rebuild;
 use super::identify::check;
-use super::problem::CalibrationProblem;
-use super::{Estimate, IdentificationOptions, IdentifyError, LeastSquares, NoiseScale};
+use super::noise::{ActuatorMotions, Noise};
+use super::problem::{CalibrationProblem, whiten_together};
+use super::summary::determined;
+use super::{
+    Estimate, IdentificationOptions, IdentifyError, LeastSquares, MachineNoise, MachineNoiseChoice,
+    NoiseScale,
+};
 use calibrig_model::CalibrationModel;
-use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::measurement::{MeasurementSet, Observation, Reading};
 
 /// Residuals and Jacobian of a fit at its estimate. A residual of 1 is one standard deviation.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,22 +23,84 @@ pub struct Linearisation {
     pub residuals: DVector<f64>,
     /// The first rows: three an observation.
     pub data_rows: usize,
-    /// One an observation: takes a displacement of its target in the base frame, m, to standard deviations.
-    pub whitening: Vec<Matrix3<f64>>,
+    /// Those, and the rows of nests and targets behind them.
+    pub measured_rows: usize,
+    /// The observations of every pose.
+    pub poses: Vec<Vec<usize>>,
+    /// Takes displacements of the observations' targets to standard deviations.
+    pub whitening: Whitening,
+    /// Columns that a bound holds: they have no spread.
+    pub bounded: Vec<usize>,
+}
+
+/// Takes displacements of targets in the base frame, m, to the standard deviations that the data rows count in. The observations of a pose
+/// share its errors, and are taken to rows that do not depend on each other.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Whitening {
+    /// One an observation.
+    pub(super) single: Vec<Matrix3<f64>>,
+    /// Poses whose observations depend on each other: which, and what takes their rows further.
+    pub(super) joined: Vec<(Vec<usize>, DMatrix<f64>)>,
+}
+
+impl Whitening {
+    /// Of observations that do not depend on each other: one matrix each.
+    pub fn apart(single: Vec<Matrix3<f64>>) -> Self {
+        Self { single, joined: Vec::new() }
+    }
+
+    /// Number of observations.
+    pub fn observations(&self) -> usize {
+        self.single.len()
+    }
+
+    /// The data rows of displacements, one an observation, m; those that are missing are zero.
+    pub fn rows(&self, displacements: impl Iterator<Item = Vector3<f64>>) -> DVector<f64> {
+        let mut rows = DVector::zeros(3 * self.single.len());
+        for (i, (whitening, displacement)) in self.single.iter().zip(displacements).enumerate() {
+            rows.fixed_rows_mut::<3>(3 * i).copy_from(&(whitening * displacement));
+        }
+        for (pose, whitening) in &self.joined {
+            let count = rows.len();
+            whiten_together(pose, whitening, rows.as_mut_slice(), count);
+        }
+        rows
+    }
+
+    /// The displacements of data rows, m: the inverse of [`rows`](Self::rows). Rows beyond the observations are left aside.
+    pub fn displacements(&self, rows: &DVector<f64>) -> Vec<Vector3<f64>> {
+        let mut rows = rows.rows(0, rows.len().min(3 * self.single.len())).into_owned();
+        for (pose, whitening) in &self.joined {
+            let inverse =
+                whitening.solve_lower_triangular(&DMatrix::identity(whitening.nrows(), whitening.nrows()));
+            if let Some(inverse) = inverse.filter(|_| pose.iter().all(|i| 3 * i + 3 <= rows.len())) {
+                let count = rows.len();
+                whiten_together(pose, &inverse, rows.as_mut_slice(), count);
+            }
+        }
+        let of = |(i, whitening): (usize, &Matrix3<f64>)| {
+            let row: Vector3<f64> = rows.fixed_rows::<3>(3 * i).into_owned();
+            whitening.lu().solve(&row).unwrap_or_else(|| Vector3::repeat(f64::NAN))
+        };
+        self.single.iter().enumerate().take(rows.len() / 3).map(of).collect()
+    }
+
+    /// The observations of every pose whose observations depend on each other.
+    pub fn poses(&self) -> impl Iterator<Item = &[usize]> {
+        self.joined.iter().map(|(pose, _)| pose.as_slice())
+    }
 }
 
 impl Linearisation {
-    /// Standard deviations that the parameters' `covariance` (n x n) predicts for the data rows; `None` where it is of another size.
-    pub fn predicted_sigmas(&self, covariance: &DMatrix<f64>) -> Option<Vec<f64>> {
-        let n = self.jacobian.ncols();
-        if covariance.shape() != (n, n) {
-            return None;
-        }
-        let sigma = |row| {
-            let row = self.jacobian.row(row);
-            (row * covariance).dot(&row).sqrt()
-        };
-        Some((0..self.data_rows.min(self.jacobian.nrows())).map(sigma).collect())
+    /// Columns that are free.
+    pub(super) fn free(&self) -> Vec<usize> {
+        (0..self.jacobian.ncols()).filter(|column| !self.bounded.contains(column)).collect()
+    }
+
+    /// Degrees of freedom of the measured rows: their number less the trace of their part of the hat matrix.
+    pub fn freedom(&self) -> f64 {
+        let determined = determined(&self.jacobian, self.measured_rows, &self.free());
+        (self.measured_rows as f64 - determined).max(0.0)
     }
 }
 
@@ -61,15 +128,96 @@ pub fn linearise(
         jacobian: DMatrix::zeros(m, n),
         residuals: DVector::zeros(m),
         data_rows: 3 * problem.rows.len(),
-        whitening: Vec::new(),
+        measured_rows: problem.measured_rows(),
+        poses: problem.poses.clone(),
+        whitening: Whitening::default(),
+        bounded: Vec::new(),
     };
     problem.evaluate(&x, &mut linearisation.residuals, Some(&mut linearisation.jacobian));
     let failed = (0..problem.rows.len()).find(|row| !linearisation.residuals[3 * row].is_finite());
     if let Some((pose, source)) = failed.and_then(|row| problem.failure(row)) {
         return Err(IdentifyError::Machine { pose, source });
     }
-    linearisation.whitening = (0..problem.rows.len()).map(|row| problem.whitening(row)).collect();
+    linearisation.whitening = problem.whitening();
+    let is_bounded = |place: &usize| estimate.at_bound.contains(&problem.parameters[*place]);
+    linearisation.bounded = (0..n).filter(is_bounded).collect();
     Ok(linearisation)
+}
+
+/// A reading beside what an estimate predicts of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PredictedReading {
+    /// Predicted minus measured position in the tracker's frame, m.
+    pub error: Vector3<f64>,
+    /// Covariance of the prediction that the estimate's parameters make, the tracker's place among them, m².
+    pub of_parameters: Matrix3<f64>,
+    /// Covariance that the machine makes beside its model, m².
+    pub of_machine: Matrix3<f64>,
+}
+
+/// What `estimate` predicts of the readings of any `set` of the same robot, stations and targets, and how sure it is of the robot's place there;
+/// the readings' own noise is in none of it. `None` from an estimate without a covariance.
+///
+/// # Errors
+///
+/// As [`linearise`].
+pub fn predict_readings(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    estimate: &Estimate,
+) -> Result<Option<Vec<PredictedReading>>, IdentifyError> {
+    let Some(factor) = &estimate.factor else { return Ok(None) };
+    let mut in_metres = set.clone();
+    for observation in &mut in_metres.observations {
+        let position = observation.reading.position();
+        // Weighed with one, residuals and Jacobian are in metres.
+        observation.reading = Reading::Cartesian { position, covariance: Some(Matrix3::identity()) };
+    }
+    let plain = IdentificationOptions {
+        unmodelled_sigma: 0.0,
+        machine_noise: MachineNoiseChoice::Stated(Vec::new()),
+        ..options.clone()
+    };
+    let bare = Estimate { machine_noise: Vec::new(), noise: NoiseScale::Stated, ..estimate.clone() };
+    let told = linearise(model, &in_metres, &plain, &bare)?;
+    let beside = estimate.beside();
+    let mut motions = ActuatorMotions::new(model);
+    let of = |(i, observation): (usize, &Observation)| {
+        let spread = told.jacobian.fixed_rows::<3>(3 * i) * factor;
+        let axes = told.whitening.single.get(i).copied().unwrap_or_else(Matrix3::identity);
+        let motions = motions.at(&observation.command, &set.targets[observation.target].in_flange);
+        let of_machine = beside.iter().map(|machine| machine.covariance(&motions)).sum::<Matrix3<f64>>();
+        PredictedReading {
+            error: told.residuals.fixed_rows::<3>(3 * i).into_owned(),
+            of_parameters: &spread * spread.transpose(),
+            of_machine: axes * of_machine * axes.transpose(),
+        }
+    };
+    Ok(Some(set.observations.iter().enumerate().map(of).collect()))
+}
+
+impl Estimate {
+    /// Independent parts of what the machine is taken to do beside the model. Where the readings state no noise, all that the residuals have
+    /// counts, since nothing tells the two apart.
+    pub(super) fn beside(&self) -> Vec<MachineNoise> {
+        let mut parts = self.machine_noise.clone();
+        if let NoiseScale::Residuals(sigma) = self.noise
+            && self.found_machine().is_none()
+        {
+            parts.push(MachineNoise {
+                position: sigma,
+                actuators: Vec::new(),
+                freedom: self.interval_freedom,
+            });
+        }
+        parts
+    }
+
+    /// The part that was estimated.
+    pub fn found_machine(&self) -> Option<&MachineNoise> {
+        self.machine_noise.iter().find(|part| part.freedom.is_some())
+    }
 }
 
 /// The problem that `estimate` solves, and its parameters.
@@ -90,13 +238,26 @@ fn solved(
         let name = named.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
         return Err(IdentifyError::UnknownParameter { name });
     }
-    if let NoiseScale::Residuals(sigma) = estimate.noise
-        && sigma > 0.0
-        && sigma.is_finite()
-    {
-        for row in &mut problem.rows {
-            row.whitening *= UNSTATED_SIGMA / sigma;
-        }
-    }
+    weigh_as(&mut problem, set, estimate)?;
     Ok((problem, estimate.parameters.iter().map(|p| p.value).collect()))
+}
+
+/// Weighs a problem with the noise that an estimate was given or found.
+fn weigh_as(
+    problem: &mut CalibrationProblem,
+    set: &MeasurementSet,
+    estimate: &Estimate,
+) -> Result<(), IdentifyError> {
+    let unstated = match estimate.noise {
+        NoiseScale::Residuals(sigma) if sigma > 0.0 && sigma.is_finite() => Some(sigma),
+        _ => None,
+    };
+    let machine = estimate.found_machine().cloned();
+    if unstated.is_none() && machine.is_none() {
+        return Ok(());
+    }
+    if machine.is_some() {
+        problem.prepare_motions(set);
+    }
+    problem.weigh(&Noise { unstated, machine, freedom: estimate.interval_freedom })
 }

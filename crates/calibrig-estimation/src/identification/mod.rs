@@ -12,6 +12,7 @@ mod limits;
 mod linearisation;
 mod machine;
 mod mode;
+mod noise;
 mod options;
 mod parameters;
 mod problem;
@@ -22,6 +23,7 @@ mod summary;
 #[cfg(test)]
 mod tests;
 mod uncertainty;
+mod variance;
 
 pub use contradiction::{CONTRADICTION_LEVEL, Contradiction, Stated};
 pub use estimate::{
@@ -35,9 +37,10 @@ pub use identifiability::{
 use identifiability::{analyse_r, select_independent};
 pub use identify::{IdentifyError, identify, without_calibration};
 pub use limits::{ParameterBound, ParameterBoundError, RefusedBound, check_bounds};
-pub use linearisation::{Linearisation, linearise};
+pub use linearisation::{Linearisation, PredictedReading, Whitening, linearise, predict_readings};
 pub use machine::MachineError;
 pub use mode::Mode;
+pub use noise::{MachineNoise, MachineNoiseChoice};
 pub use options::{
     ComplianceChoice, DEFAULT_TOLERANCE, FrameChoice, IdentificationOptions, LINKAGE, ParameterChoice,
     Redundancy, TargetChoice, TermPrior, Tolerance,

@@ -1,6 +1,6 @@
 //! What to fit, and how.
 
-use super::{IdentifyError, Loss, LossScale, Mode, ParameterBound, SolverOptions};
+use super::{IdentifyError, Loss, LossScale, MachineNoiseChoice, Mode, ParameterBound, SolverOptions};
 use calibrig_model::measurement::{Station, Target};
 use calibrig_model::{Compliance, ParameterId, Unit};
 use serde::{Deserialize, Serialize};
@@ -171,6 +171,8 @@ pub struct IdentificationOptions {
     pub target: TargetChoice,
     /// Standard deviation of what the model leaves out, per axis, m; added to the readings' covariance. A stated choice.
     pub unmodelled_sigma: f64,
+    /// What the machine does beside its model, pose by pose.
+    pub machine_noise: MachineNoiseChoice,
     /// A prior on every link parameter, where stated.
     pub tolerance: Option<Tolerance>,
     /// Limits of single parameters; each holds in the modes that have the parameter.
@@ -216,6 +218,7 @@ impl IdentificationOptions {
             frame: FrameChoice::Nests,
             target: TargetChoice::Measured,
             unmodelled_sigma: 0.0,
+            machine_noise: MachineNoiseChoice::AsNeeded,
             tolerance: None,
             bounds: Vec::new(),
             solver: SolverOptions::default(),

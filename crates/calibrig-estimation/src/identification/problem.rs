@@ -3,9 +3,12 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3, Vector6};
 
 use super::LeastSquares;
+use super::linearisation::Whitening;
 use super::machine::{Machine, MachineError, Prepared};
+use super::noise::{ActuatorMotions, MachineNoise, Noise};
 use crate::elastostatics::put;
 use calibrig_model::geometry::{Transform, cross_matrix, small_displacement};
+use calibrig_model::measurement::{MeasurementSet, Observation};
 use calibrig_model::{CalibrationModel, ParameterId};
 
 /// One observation, ready for the fit.
@@ -17,6 +20,8 @@ pub(super) struct Row {
     pub told: Prepared,
     /// Measured position in the tracker's frame, m.
     pub seen: Vector3<f64>,
+    /// Covariance of the reading as stated, with what the options add to it, m².
+    pub reading: Option<Matrix3<f64>>,
     /// Inverse Cholesky factor of its covariance: turns a difference in metres into standard deviations.
     pub whitening: Matrix3<f64>,
     pub station: usize,
@@ -50,6 +55,18 @@ pub(super) struct CalibrationProblem {
     pub stations: Vec<Transform>,
     /// Offsets that the target parameters change.
     pub targets: Vec<Vector3<f64>>,
+    /// The observations of every pose.
+    pub poses: Vec<Vec<usize>>,
+    /// Of every observation, its target's derivatives by the actuators in the base frame; empty where no noise of actuators is looked at.
+    pub motions: Vec<Vec<Vector3<f64>>>,
+    /// Standard deviation of what the model leaves out, stated for every reading, m.
+    pub unmodelled: f64,
+    /// What the options state of the actuators.
+    pub stated_actuators: Option<MachineNoise>,
+    /// What was found.
+    pub noise: Noise,
+    /// Poses whose observations depend on each other, with the inverse Cholesky factor of their covariance, once each is whitened by itself.
+    pub joined: Vec<(Vec<usize>, DMatrix<f64>)>,
     pub current: Current,
     /// Residuals and Jacobian at zero, until they are asked for.
     pub start: Option<(DVector<f64>, DMatrix<f64>)>,
@@ -147,10 +164,19 @@ impl CalibrationProblem {
         ready.err().map(|error| (row.pose, error))
     }
 
-    /// Takes a displacement of an observation's target in the base frame, m, to standard deviations.
-    pub fn whitening(&self, index: usize) -> Matrix3<f64> {
-        let row = &self.rows[index];
-        row.whitening * self.current.stations[row.station].rotation.matrix()
+    /// Takes displacements of the observations' targets in the base frame, m, to standard deviations.
+    pub fn whitening(&self) -> Whitening {
+        let of = |row: &Row| row.whitening * self.current.stations[row.station].rotation.matrix();
+        Whitening { single: self.rows.iter().map(of).collect(), joined: self.joined.clone() }
+    }
+
+    /// Makes the derivatives by the actuators ready, at the nominal robot.
+    pub fn prepare_motions(&mut self, set: &MeasurementSet) {
+        if self.motions.is_empty() {
+            let mut motions = ActuatorMotions::new(&self.nominal);
+            let of = |o: &Observation| motions.at(&o.command, &self.targets[o.target]);
+            self.motions = set.observations.iter().map(of).collect();
+        }
     }
 
     /// Rows of observations, nests and targets.
@@ -249,7 +275,29 @@ impl LeastSquares for CalibrationProblem {
         for index in 0..self.rows.len() {
             self.fill_observation(index, residuals, jacobian.as_deref_mut());
         }
+        for (pose, whitening) in &self.joined {
+            let rows = residuals.len();
+            whiten_together(pose, whitening, residuals.as_mut_slice(), rows);
+            if let Some(jacobian) = jacobian.as_deref_mut() {
+                whiten_together(pose, whitening, jacobian.as_mut_slice(), rows);
+            }
+        }
         self.fill_priors(x, residuals, jacobian);
+    }
+}
+
+/// Takes the rows of a pose's observations, which are whitened each by itself, to rows that do not depend on each other; in every column of
+/// `rows` numbers.
+pub(super) fn whiten_together(pose: &[usize], whitening: &DMatrix<f64>, columns: &mut [f64], rows: usize) {
+    let places: Vec<usize> = pose.iter().flat_map(|i| 3 * i..3 * i + 3).collect();
+    let mut own = DVector::zeros(places.len());
+    for column in columns.chunks_exact_mut(rows) {
+        for (own, place) in own.iter_mut().zip(&places) {
+            *own = column[*place];
+        }
+        for (whitened, place) in (whitening * &own).iter().zip(&places) {
+            column[*place] = *whitened;
+        }
     }
 }
 

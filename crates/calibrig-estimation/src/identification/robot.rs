@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::machine::{Machine, MachineError, Prepared};
+use super::noise::{ActuatorMotions, MachineNoise};
 use super::problem::in_base_column;
 use super::{Estimate, Mode, PositionJacobian};
 use calibrig_model::geometry::Transform;
@@ -180,8 +181,11 @@ impl<'a> Predictor<'a> {
 pub struct Prediction {
     /// m
     pub position: Vector3<f64>,
-    /// Covariance of the position, m², as far as the parameters' own reaches; `None` where the estimate has none.
+    /// Covariance of the robot's mean position, m²: of the parameters and of what the machine does beside its model. The noise of a reading
+    /// there comes on top. `None` where the estimate has none.
     pub covariance: Option<Matrix3<f64>>,
+    /// The part of it that the machine makes beside its model, m².
+    pub of_machine: Matrix3<f64>,
     /// Derivative of the position with respect to the estimate's parameters, 3 x n.
     pub jacobian: PositionJacobian,
 }
@@ -198,6 +202,8 @@ impl Prediction {
 pub struct EstimatePredictor<'a> {
     estimate: &'a Estimate,
     predictor: Predictor<'a>,
+    beside: Vec<MachineNoise>,
+    motions: ActuatorMotions,
 }
 
 impl Estimate {
@@ -221,7 +227,8 @@ impl Estimate {
         if let Some(parameter) = self.parameters.iter().find(|p| !self.robot.has(p.id, &mut terms)) {
             return Err(ModelError::Parameter { id: parameter.id }.into());
         }
-        Ok(EstimatePredictor { estimate: self, predictor })
+        let motions = ActuatorMotions::new(&self.robot.nominal);
+        Ok(EstimatePredictor { estimate: self, predictor, beside: self.beside(), motions })
     }
 }
 
@@ -248,10 +255,12 @@ impl EstimatePredictor<'_> {
             column.copy_from(&in_base_column(machine, parameter.id, pose.target, &position, &mut term));
         }
         let factor = self.estimate.factor.as_ref().filter(|factor| factor.nrows() == parameters.len());
+        let motions = self.motions.at(pose.command, &target);
+        let of_machine = self.beside.iter().map(|part| part.covariance(&motions)).sum::<Matrix3<f64>>();
         let covariance = factor.map(|factor| {
             let spread = &jacobian * factor;
-            &spread * spread.transpose()
+            &spread * spread.transpose() + of_machine
         });
-        Ok(Prediction { position, covariance, jacobian })
+        Ok(Prediction { position, covariance, of_machine, jacobian })
     }
 }

@@ -6,31 +6,131 @@ use super::build::{Built, redundant};
 use super::contradiction::{Checks, Found};
 use super::factor::{extended, triangular_factor, triangular_factor_of_all};
 use super::limits::lowest;
+use super::noise::{Noise, is_doubted};
 use super::problem::CalibrationProblem;
 use super::solver::Solution;
 use super::{
     Assumption, CalibratedRobot, Contradiction, DependentGroup, Estimate, FrameChoice, IdentificationOptions,
-    LeastSquares, NoiseScale, Outlier, ParameterEstimate, Redundancy, Spectrum, Stated, TargetChoice,
-    Warning, analyse_r,
+    NoiseScale, Outlier, ParameterEstimate, Redundancy, Spectrum, Stated, TargetChoice, Warning, analyse_r,
 };
 use calibrig_model::ParameterId;
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::statistics::chi2_survival;
 
-/// Probability of a larger chi-square below which the residuals are larger than the stated noise explains.
+/// Probability, in both tails together, of residuals as large or as small as these, below which they are not what the stated noise leaves.
 const INCONSISTENT: f64 = 1e-3;
 
+/// How large the residuals of observations, nests and targets are, in the standard deviations that they were weighed with.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Size {
+    /// Sum of squares; with a loss, what its scale makes of it.
+    pub chi2: f64,
+    /// Rows less what the fit takes of them: the trace of their part of the hat matrix. What priors hold takes nothing, nor what a bound does.
+    pub freedom: f64,
+}
+
+impl Size {
+    pub fn of(problem: &CalibrationProblem, solution: &Solution) -> Self {
+        Self::of_rows(problem.measured_rows(), solution)
+    }
+
+    /// Of the first rows.
+    fn of_rows(rows: usize, solution: &Solution) -> Self {
+        let is_free = |j: &usize| solution.at_bound.iter().all(|at| at.parameter != *j);
+        let free: Vec<usize> = (0..solution.jacobian.ncols()).filter(is_free).collect();
+        let freedom = (rows as f64 - determined(&solution.jacobian, rows, &free)).max(0.0);
+        let chi2 = if solution.weights.is_empty() {
+            solution.residuals.rows(0, rows).norm_squared()
+        } else {
+            // A loss tells the noise of the good observations by its scale.
+            solution.scale * solution.scale * freedom
+        };
+        Self { chi2, freedom }
+    }
+
+    fn ratio(self) -> f64 {
+        (self.chi2 / self.freedom.max(1.0)).sqrt()
+    }
+
+    /// Whether there is no more of it than chance leaves in one of a thousand.
+    fn is_too_large(self) -> bool {
+        self.freedom > 0.0 && chi2_survival(self.chi2, self.freedom) < 0.5 * INCONSISTENT
+    }
+
+    fn is_too_small(self) -> bool {
+        self.freedom > 0.0 && 1.0 - chi2_survival(self.chi2, self.freedom) < 0.5 * INCONSISTENT
+    }
+}
+
+/// How many parameters the first `rows` of a whitened `jacobian` determine, of those that are `free`; the others are held by what is below them.
+pub(super) fn determined(jacobian: &DMatrix<f64>, rows: usize, free: &[usize]) -> f64 {
+    let all = triangular_factor(jacobian.as_view(), free);
+    let above = triangular_factor(jacobian.rows(0, rows), free);
+    let share = all.is_square().then(|| all.transpose().solve_lower_triangular(&above.transpose())).flatten();
+    match share.map(|share| share.norm_squared()) {
+        Some(determined) if determined.is_finite() => determined,
+        // Of a singular system: none too many.
+        _ => free.len().min(rows) as f64,
+    }
+}
+
+/// The standard deviations of a solution; `None` from a singular system.
+pub(super) fn sigmas(
+    problem: &CalibrationProblem,
+    solution: &Solution,
+    redundant: Redundancy,
+) -> Option<Vec<f64>> {
+    let (covariance, _) = spread(problem, solution, redundant)?;
+    Some(covariance.diagonal().iter().map(|v| v.sqrt()).collect())
+}
+
+fn spread(
+    problem: &CalibrationProblem,
+    solution: &Solution,
+    redundant: Redundancy,
+) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
+    let factors = Factors::new(problem, &solution.jacobian);
+    let spectrum = factors.spectrum(problem, redundant);
+    let bounded: Vec<usize> = solution.at_bound.iter().map(|at| at.parameter).collect();
+    covariance(factors.all, &spectrum, &bounded)
+}
+
+/// Whether the residuals are larger than the readings' stated noise explains, and it is not what was stated of parameters, nests and targets
+/// that makes them so.
+pub(super) fn is_misfit(
+    problem: &CalibrationProblem,
+    set: &MeasurementSet,
+    solution: &Solution,
+    options: &IdentificationOptions,
+) -> bool {
+    let size = Size::of(problem, solution);
+    if !is_doubted(size.chi2, size.freedom) {
+        return false;
+    }
+    let Some((covariance, _)) = spread(problem, solution, options.redundant) else { return true };
+    let bounded: Vec<usize> = solution.at_bound.iter().map(|at| at.parameter).collect();
+    let found = Checks::new(problem, set, solution, &covariance, &bounded, options.frame).of_priors(1.0);
+    let stated = Size::of_rows(problem.measured_rows() + problem.own_priors.len(), solution);
+    is_doubted(stated.chi2 - found.chi2, (stated.freedom - found.freedom as f64).max(0.0))
+}
+
+/// Of a solution at its final weights. `size` is that of the residuals in the noise that was stated, `stated_sigmas` the standard deviations
+/// that it leaves where the fit was weighed with another.
 pub(super) fn summarise(
     built: Built,
     solution: Solution,
-    noise: NoiseScale,
+    size: Size,
+    stated_sigmas: Option<Vec<f64>>,
     set: &MeasurementSet,
     options: &IdentificationOptions,
 ) -> Estimate {
     let Built { mut problem, sigmas, unexcited, fixed, left_out } = built;
-    let rows = problem.rows();
     let n = problem.parameters.len();
-    let degrees_of_freedom = rows - n;
+    let noise = match problem.noise.unstated {
+        Some(sigma) => NoiseScale::Residuals(sigma),
+        None if problem.rows.iter().any(|row| row.reading.is_none()) => NoiseScale::Residuals(0.0),
+        None => NoiseScale::Stated,
+    };
     let factors = Factors::new(&problem, &solution.jacobian);
     let spectrum = factors.spectrum(&problem, options.redundant);
     let held = factors.held(&problem, options.redundant);
@@ -38,7 +138,8 @@ pub(super) fn summarise(
     let (covariance, factor) = covariance(factors.all, &spectrum, &bounded).unzip();
     let checks =
         covariance.as_ref().map(|c| Checks::new(&problem, set, &solution, c, &bounded, options.frame));
-    let (contradicted, doubts) = doubts(&solution, noise, degrees_of_freedom, checks.as_ref());
+    let is_stated = noise == NoiseScale::Stated;
+    let (contradicted, doubts) = doubts(size, is_stated, problem.noise.machine.is_some(), checks.as_ref());
     problem.set(&solution.x);
     let mut warnings = Vec::new();
     if !solution.termination.converged() {
@@ -64,6 +165,8 @@ pub(super) fn summarise(
         warnings.push(Warning::SeveralMinima { minima: solution.minima });
     }
     warnings.extend(left_open_warnings(&held, &fixed, &unexcited));
+    let assumptions = assumptions(set, options, noise, &problem.noise);
+    let machine_noise = problem.stated_machine().into_iter().chain(problem.noise.machine.clone()).collect();
     let values = problem.parameters.iter().zip(&solution.x);
     let terms = values.filter_map(|(id, value)| match id {
         ParameterId::Term(term) => Some((*term, *value)),
@@ -80,6 +183,10 @@ pub(super) fn summarise(
                 id: *id,
                 value: *value,
                 sigma: covariance.as_ref().filter(|_| !bounded.contains(&i)).map(|c| c[(i, i)].sqrt()),
+                stated_sigma: stated_sigmas
+                    .as_ref()
+                    .and_then(|s| s.get(i).copied())
+                    .filter(|_| !bounded.contains(&i)),
                 prior_sigma: sigmas[i],
             })
             .collect(),
@@ -91,13 +198,15 @@ pub(super) fn summarise(
             stations: problem.current.stations,
             targets: problem.current.targets,
         },
-        assumptions: assumptions(set, options, noise),
+        assumptions,
         covariance,
         factor,
         weights: solution.weights,
         noise,
-        chi2: solution.cost,
-        degrees_of_freedom,
+        machine_noise,
+        interval_freedom: problem.noise.freedom,
+        chi2: size.chi2,
+        degrees_of_freedom: size.freedom,
         termination: solution.termination,
         iterations: solution.iterations,
         spectrum,
@@ -154,7 +263,12 @@ fn covariance(
 }
 
 /// What the options left to the set, and what came of it.
-fn assumptions(set: &MeasurementSet, options: &IdentificationOptions, noise: NoiseScale) -> Vec<Assumption> {
+fn assumptions(
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    noise: NoiseScale,
+    found: &Noise,
+) -> Vec<Assumption> {
     let mut made = Vec::new();
     for station in set.stations.iter().filter(|_| options.frame == FrameChoice::AsStated) {
         let (name, nests) = (station.name.clone(), station.nests.len());
@@ -177,6 +291,7 @@ fn assumptions(set: &MeasurementSet, options: &IdentificationOptions, noise: Noi
     if let NoiseScale::Residuals(sigma) = noise {
         made.push(Assumption::NoiseOfResiduals { sigma });
     }
+    made.extend(found.machine.clone().map(Assumption::NoiseOfMachine));
     made
 }
 
@@ -264,59 +379,28 @@ pub(super) fn left_open_warnings(
     warnings
 }
 
-/// Whether it is the model or what was stated beforehand that does not fit the measurements: what of the latter, and the warnings.
+/// What the measurements contradict of what was stated, and the warnings of that and of the residuals' size.
 ///
-/// Priors that are contradicted make chi-square large, too. So the model is doubted only where chi-square fails without them; and where it
-/// is, priors are looked at with the noise that the residuals have, told in one sentence, and not held against the estimate: what a model
-/// lacks pulls at all of them. The place of a station is not held against it either: its nests confirm each other, and a shift of the base
-/// stands in for much that a model can lack.
+/// Priors are tested in the noise that the fit was weighed with. The place of a station is not held against an estimate: its nests confirm
+/// each other, and a shift of the base stands in for much that a model can lack.
 fn doubts(
-    solution: &Solution,
-    noise: NoiseScale,
-    degrees_of_freedom: usize,
+    size: Size,
+    is_stated: bool,
+    accounted: bool,
     checks: Option<&Checks>,
 ) -> (Vec<Contradiction>, Vec<Warning>) {
-    // A loss tells the noise of the good observations by its scale.
-    let per_dof = |chi2: f64, freedom: usize| {
-        if solution.weights.is_empty() {
-            chi2 / freedom.max(1) as f64
-        } else {
-            solution.scale * solution.scale
-        }
-    };
-    let fits = |chi2: f64, freedom: usize| {
-        let dof = freedom as f64;
-        noise != NoiseScale::Stated
-            || freedom == 0
-            || chi2_survival(per_dof(chi2, freedom) * dof, dof) >= INCONSISTENT
-    };
     let found = checks.map_or_else(Found::default, |checks| checks.of_priors(1.0));
-    let left = |chi2: f64, out: usize| (solution.cost - chi2, degrees_of_freedom.saturating_sub(out));
-    let (chi2, freedom) = left(found.chi2, found.freedom);
     let is_place = |c: &Contradiction| matches!(c.stated, Stated::Nests { .. });
+    let (places, mut contradicted): (Vec<_>, Vec<_>) = found.contradictions.into_iter().partition(is_place);
+    contradicted.extend(checks.map_or_else(Vec::new, Checks::of_nests));
     let mut warnings = Vec::new();
-    let mut contradicted = checks.map_or_else(Vec::new, Checks::of_nests);
-    let inconsistent = Warning::Inconsistent { ratio: per_dof(solution.cost, degrees_of_freedom).sqrt() };
-    if fits(chi2, freedom) {
-        let (places, others): (Vec<_>, Vec<_>) = found.contradictions.into_iter().partition(is_place);
-        let sum = |list: &[Contradiction]| {
-            (list.iter().map(|c| c.chi2).sum(), list.iter().map(|c| c.freedom).sum())
-        };
-        let (of_others, out) = sum(&others);
-        let (chi2, freedom) = left(of_others, out);
-        if !fits(chi2, freedom) {
-            warnings.push(inconsistent);
-        }
-        warnings.extend(places.into_iter().map(Warning::Moved));
-        contradicted.splice(0..0, others);
-    } else {
-        warnings.push(inconsistent);
-        let strained = checks.map_or_else(Vec::new, |c| c.of_priors(per_dof(chi2, freedom)).contradictions);
-        let count = strained.len();
-        warnings.extend(strained.into_iter().next().map(|worst| {
-            if is_place(&worst) { Warning::Moved(worst) } else { Warning::Strained { count, worst } }
-        }));
+    if is_stated && size.is_too_large() && (accounted || contradicted.is_empty()) {
+        warnings.push(Warning::Inconsistent { ratio: size.ratio(), accounted });
     }
+    if is_stated && size.is_too_small() {
+        warnings.push(Warning::Overstated { ratio: size.ratio() });
+    }
+    warnings.extend(places.into_iter().map(Warning::Moved));
     if !contradicted.is_empty() {
         warnings.push(Warning::Contradicted(contradicted.clone()));
     }

@@ -5,8 +5,8 @@
 use nalgebra::{DMatrix, DVector, Dyn, Matrix3, OMatrix, SymmetricEigen, U3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::analyse_r;
 use super::factor::{extended, triangular_factor_of_all};
+use super::{Linearisation, analyse_r};
 use calibrig_model::ParameterId;
 
 /// A position's derivative with respect to the parameters, 3 x n.
@@ -58,9 +58,9 @@ pub struct PoseInfluence {
     /// `eᵀ (1 - H)⁻¹ e`: chi-square with three degrees of freedom if the stated noise is right. `None` where the observation alone
     /// determines a direction.
     pub chi2: Option<f64>,
-    /// Whitened residual that it would have, had it been left out of the fit (to first order).
+    /// Whitened residual that it would have, had its pose been left out of the fit (to first order).
     pub left_out: Option<Vector3<f64>>,
-    /// Cook's distance: by how much, in the estimate's own uncertainty and per parameter, leaving it out would move the estimate.
+    /// Cook's distance: by how much, in the estimate's own uncertainty and per parameter, leaving its pose out would move the estimate.
     pub cook: Option<f64>,
 }
 
@@ -85,6 +85,34 @@ impl Uncertainty {
             prior_sigmas: marginal_sigmas(&priors.tr_mul(&priors)),
             factor,
             covariance,
+        })
+    }
+
+    /// That of a solved system: what a bound holds has no spread, and none of it is in the others'.
+    pub fn of(system: &Linearisation, parameters: &[ParameterId]) -> Option<Self> {
+        if system.bounded.is_empty() {
+            return Self::new(&system.jacobian, system.data_rows, parameters);
+        }
+        let n = parameters.len();
+        let free: Vec<usize> = system.free();
+        let names: Option<Vec<_>> = free.iter().map(|place| parameters.get(*place).copied()).collect();
+        let of_free = Self::new(&system.jacobian.select_columns(&free), system.data_rows, &names?)?;
+        let rows = |matrix: &DMatrix<f64>| {
+            let mut all = DMatrix::zeros(n, matrix.ncols());
+            free.iter().zip(matrix.row_iter()).for_each(|(place, row)| all.row_mut(*place).copy_from(&row));
+            all
+        };
+        let both = |matrix: &DMatrix<f64>| rows(&rows(matrix).transpose());
+        let mut prior_sigmas = vec![None; n];
+        free.iter().zip(&of_free.prior_sigmas).for_each(|(place, sigma)| prior_sigmas[*place] = *sigma);
+        Some(Self {
+            parameters: parameters.to_vec(),
+            factor: rows(&of_free.factor),
+            covariance: both(&of_free.covariance),
+            data_covariance: of_free.data_covariance.as_ref().map(both),
+            prior_part: both(&of_free.prior_part),
+            prior_sigmas,
+            effective_parameters: of_free.effective_parameters,
         })
     }
 
@@ -164,23 +192,51 @@ impl Uncertainty {
     }
 
     /// The influence of every observation on the estimate, from the same `jacobian` and the whitened `residuals` at the minimum; whole
-    /// observations of the data rows only; none where the Jacobian is of other parameters.
+    /// observations of the data rows only; none where the Jacobian is of other parameters. Those of one of the `poses` share its errors and are
+    /// left out together; what is in none of them is a pose of its own.
     pub fn influences(
         &self,
         jacobian: &DMatrix<f64>,
         residuals: &[f64],
         data_rows: usize,
+        poses: &[Vec<usize>],
     ) -> Vec<PoseInfluence> {
         let rows = if jacobian.ncols() == self.parameters.len() { jacobian.nrows() } else { 0 };
         let observations = data_rows.min(rows).min(residuals.len()) / 3;
-        (0..observations)
+        let mut influences: Vec<PoseInfluence> = (0..observations)
             .map(|i| {
                 let spread = jacobian.fixed_rows::<3>(3 * i) * &self.factor;
                 let hat: Matrix3<f64> = &spread * spread.transpose();
                 let residual = Vector3::from_column_slice(&residuals[3 * i..3 * i + 3]);
                 self.influence(&hat, &residual)
             })
-            .collect()
+            .collect();
+        for pose in poses.iter().filter(|pose| pose.len() > 1 && pose.iter().all(|i| *i < observations)) {
+            self.leave_out(pose, jacobian, residuals, &mut influences);
+        }
+        influences
+    }
+
+    /// What comes of leaving out the observations of a pose together.
+    fn leave_out(
+        &self,
+        pose: &[usize],
+        jacobian: &DMatrix<f64>,
+        residuals: &[f64],
+        influences: &mut [PoseInfluence],
+    ) {
+        let rows: Vec<usize> = pose.iter().flat_map(|i| 3 * i..3 * i + 3).collect();
+        let spread = jacobian.select_rows(&rows) * &self.factor;
+        let hat = &spread * spread.transpose();
+        let residual = DVector::from_iterator(rows.len(), rows.iter().map(|row| residuals[*row]));
+        let rest = DMatrix::identity(rows.len(), rows.len()) - &hat;
+        let left_out =
+            rest.cholesky().map(|c| c.solve(&residual)).filter(|v| v.iter().all(|v| v.is_finite()));
+        let cook = left_out.as_ref().map(|v| v.dot(&(hat * v)) / self.parameters.len() as f64);
+        for (k, i) in pose.iter().enumerate() {
+            influences[*i].left_out = left_out.as_ref().map(|v| v.fixed_rows::<3>(3 * k).into_owned());
+            influences[*i].cook = cook;
+        }
     }
 
     fn influence(&self, hat: &Matrix3<f64>, residual: &Vector3<f64>) -> PoseInfluence {

@@ -74,10 +74,10 @@ proptest! {
         let wrong = PositionJacobian::zeros(asked + 1);
         prop_assert!(uncertainty.position_covariance(&wrong).is_none());
         prop_assert!(uncertainty.position_covariance(&PositionJacobian::zeros(asked)).is_some());
-        let influences = uncertainty.influences(&jacobian, &residuals, data_rows + 7);
+        let influences = uncertainty.influences(&jacobian, &residuals, data_rows + 7, &[]);
         prop_assert!(influences.len() <= jacobian.nrows().min(residuals.len()) / 3);
         if other.ncols() != asked {
-            prop_assert!(uncertainty.influences(&other, &residuals, data_rows).is_empty());
+            prop_assert!(uncertainty.influences(&other, &residuals, data_rows, &[]).is_empty());
         }
         let _ = uncertainty.strongest_correlations(0.5);
         let _ = (uncertainty.effective_parameters(), uncertainty.data_covariance(), uncertainty.prior_part());

@@ -79,11 +79,9 @@ struct Columns<'a> {
 
 impl Columns<'_> {
     fn push(&mut self, displacement: impl Fn(usize, &PoseConditions<'_>) -> Vector3<f64>) {
-        let mut column = DVector::zeros(self.set.residuals.len());
-        for (i, pose) in self.set.poses.iter().enumerate() {
-            column.fixed_rows_mut::<3>(3 * i).copy_from(&(pose.whitening * displacement(i, pose)));
-        }
-        self.columns.push(column);
+        let displacements = self.set.poses.iter().enumerate().map(|(i, pose)| displacement(i, pose));
+        let rows = self.set.whitening.rows(displacements);
+        self.columns.push(rows.resize_vertically(self.set.residuals.len(), 0.0));
     }
 
     /// A displacement of the target along each axis of the base.

@@ -14,11 +14,12 @@ mod tests;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector, Vector3};
 
 use self::basis::{causes, regressors};
 use self::regression::ProjectedResidual;
 use self::serial::serial_correlation;
+use crate::identification::Whitening;
 
 /// What was set and known at one observation.
 #[derive(Debug, Clone, Copy)]
@@ -36,8 +37,10 @@ pub struct PoseConditions<'a> {
     /// Derivative of that place with respect to every actuator, m/m or m/rad; empty where unknown. It makes the tests sharp for errors of
     /// a transmission, whose direction changes with the pose.
     pub sensitivity: &'a [Vector3<f64>],
-    /// Takes a displacement in the base frame, m, to standard deviations.
-    pub whitening: Matrix3<f64>,
+    /// Number of the pose: its observations share its errors.
+    pub pose: u32,
+    /// What was seen, and from where: target and station.
+    pub seen: (usize, usize),
 }
 
 /// Residuals at the minimum and all that they may depend on.
@@ -47,6 +50,12 @@ pub struct ResidualSet<'a> {
     pub residuals: &'a DVector<f64>,
     /// Their derivatives with respect to the fitted parameters (as many rows); no columns for a set that was not fitted.
     pub jacobian: &'a DMatrix<f64>,
+    /// Rows, the first ones, whose size tells the noise: observations, nests and targets, but not the other priors.
+    pub measured_rows: usize,
+    /// What the fit leaves of them: rows less the trace of their part of the hat matrix.
+    pub freedom: f64,
+    /// Takes displacements to the rows of the observations.
+    pub whitening: &'a Whitening,
     /// One an observation.
     pub poses: &'a [PoseConditions<'a>],
     /// Names of the actuators.
@@ -152,10 +161,12 @@ impl fmt::Display for ResidualPattern {
 /// `None` where the residuals leave no degree of freedom or do not belong together.
 pub fn find_patterns(set: &ResidualSet<'_>, level: f64) -> Option<PatternReport> {
     let rows = set.residuals.len();
-    if set.jacobian.nrows() != rows || rows < 3 * set.poses.len() || set.poses.is_empty() {
+    let observations = set.poses.len();
+    let fits = set.jacobian.nrows() == rows && (3 * observations..=rows).contains(&set.measured_rows);
+    if !fits || observations == 0 || set.whitening.observations() != observations {
         return None;
     }
-    let mut residual = ProjectedResidual::new(set.residuals.clone(), set.jacobian)?;
+    let mut residual = ProjectedResidual::new(set)?;
     let total = residual.sum_of_squares();
     let mut open: Vec<_> = causes(set).into_iter().map(|cause| (cause, regressors(set, cause))).collect();
     let mut tested = Vec::new();
@@ -208,13 +219,5 @@ pub fn find_patterns(set: &ResidualSet<'_>, level: f64) -> Option<PatternReport>
 
 /// Largest displacement of a whitened pattern, m.
 fn peak(set: &ResidualSet<'_>, fitted: &DVector<f64>) -> f64 {
-    set.poses
-        .iter()
-        .enumerate()
-        .filter_map(|(i, pose)| {
-            let whitened: Vector3<f64> = fitted.fixed_rows::<3>(3 * i).into_owned();
-            pose.whitening.lu().solve(&whitened)
-        })
-        .map(|displacement| displacement.norm())
-        .fold(0.0, f64::max)
+    set.whitening.displacements(fitted).iter().map(Vector3::norm).fold(0.0, f64::max)
 }

@@ -1,7 +1,8 @@
 //! The F test of a group of columns that is added to a fitted model.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 
+use super::ResidualSet;
 use calibrig_model::statistics::f_ln_survival;
 
 /// A column of which less than this fraction is outside of the span of the others says nothing new.
@@ -13,6 +14,9 @@ pub(super) struct ProjectedResidual {
     /// Orthonormal columns of the model.
     basis: Vec<DVector<f64>>,
     residual: DVector<f64>,
+    /// Rows whose size tells the noise, and their degrees of freedom.
+    measured_rows: usize,
+    freedom: f64,
 }
 
 /// What a group explains.
@@ -27,23 +31,25 @@ pub(super) struct GroupTest {
 
 impl ProjectedResidual {
     /// `None` where the model leaves no degree of freedom or something is not a finite number.
-    pub fn new(residual: DVector<f64>, jacobian: &DMatrix<f64>) -> Option<Self> {
-        let mut this = Self { basis: Vec::new(), residual };
-        for column in jacobian.column_iter() {
+    pub fn new(set: &ResidualSet<'_>) -> Option<Self> {
+        let (measured_rows, freedom) = (set.measured_rows, set.freedom);
+        let mut this = Self { basis: Vec::new(), residual: set.residuals.clone(), measured_rows, freedom };
+        for column in set.jacobian.column_iter() {
             if let Some(column) = orthonormal(&[&this.basis], &column.into_owned()) {
                 this.take_out_direction(column);
             }
         }
-        let usable = this.degrees_of_freedom() > 0 && this.sum_of_squares().is_finite();
+        let usable = freedom > 0.0 && this.sum_of_squares().is_finite();
         (usable && this.sum_of_squares() > 0.0).then_some(this)
     }
 
     pub fn sum_of_squares(&self) -> f64 {
-        self.residual.norm_squared()
+        self.residual.rows(0, self.measured_rows).norm_squared()
     }
 
-    pub fn degrees_of_freedom(&self) -> usize {
-        self.residual.len().saturating_sub(self.basis.len())
+    /// Priors that hold what the data do not tell cost none.
+    pub fn degrees_of_freedom(&self) -> f64 {
+        self.freedom
     }
 
     pub fn residual(&self) -> &DVector<f64> {
@@ -62,8 +68,8 @@ impl ProjectedResidual {
                 added.push(column);
             }
         }
-        let left = self.degrees_of_freedom().saturating_sub(added.len());
-        if added.is_empty() || left == 0 {
+        let left = self.freedom - added.len() as f64;
+        if added.is_empty() || !(left > 0.0) {
             return None;
         }
         let mut fitted = DVector::zeros(self.residual.len());
@@ -72,14 +78,15 @@ impl ProjectedResidual {
         }
         let explained = fitted.norm_squared();
         // By difference of vectors: the sums of squares cancel where the group explains all.
-        let rest = (&self.residual - &fitted).norm_squared();
-        let (d1, d2) = (added.len() as f64, left as f64);
+        let rest = (&self.residual - &fitted).rows(0, self.measured_rows).norm_squared();
+        let (d1, d2) = (added.len() as f64, left);
         let ln_p = f_ln_survival(explained / d1 / (rest / d2), d1, d2);
         (!ln_p.is_nan()).then_some(GroupTest { ln_p, fitted, columns: added })
     }
 
     /// Adds a tested group to the model.
     pub fn take_out(&mut self, group: GroupTest) {
+        self.freedom -= group.columns.len() as f64;
         for column in group.columns {
             self.take_out_direction(column);
         }

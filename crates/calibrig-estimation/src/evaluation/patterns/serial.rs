@@ -2,11 +2,11 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::ResidualSet;
 use super::regression::ProjectedResidual;
+use super::{PoseConditions, ResidualSet};
 use calibrig_model::statistics::normal_survival;
 
-/// Correlation of the whitened residuals of one observation and the next.
+/// Correlation of the whitened residuals of one pose and the next.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SerialCorrelation {
     pub correlation: f64,
@@ -22,17 +22,16 @@ pub(super) fn serial_correlation(
     residual: &ProjectedResidual,
     set: &ResidualSet<'_>,
 ) -> Option<SerialCorrelation> {
-    if set.poses.len() < 3 {
+    let pairs = neighbours(set.poses);
+    if pairs.len() < 2 {
         return None;
     }
-    let mut order: Vec<_> = (0..set.poses.len()).collect();
-    order.sort_by(|a, b| set.poses[*a].time.total_cmp(&set.poses[*b].time));
-    // L couples every coordinate with that of the observation before and behind: half of each product.
+    // L couples every coordinate with that of the pose before and behind: half of each product.
     let neighbours = |v: &DVector<f64>| {
         let mut sum = DVector::zeros(v.len());
-        for pair in order.windows(2) {
+        for (one, other) in &pairs {
             for axis in 0..3 {
-                let (a, b) = (3 * pair[0] + axis, 3 * pair[1] + axis);
+                let (a, b) = (3 * one + axis, 3 * other + axis);
                 sum[a] += 0.5 * v[b];
                 sum[b] += 0.5 * v[a];
             }
@@ -45,12 +44,12 @@ pub(super) fn serial_correlation(
     let coupled: Vec<_> = residual.basis().iter().map(neighbours).collect();
     let k = coupled.len();
     let projected = DMatrix::from_fn(k, k, |i, j| residual.basis()[i].dot(&coupled[j]));
-    let trace_of_squares = 1.5 * (set.poses.len() - 1) as f64;
+    let trace_of_squares = 1.5 * pairs.len() as f64;
     let first = -projected.trace();
     let second = trace_of_squares - 2.0 * coupled.iter().map(DVector::norm_squared).sum::<f64>()
         + projected.norm_squared();
 
-    let dof = residual.degrees_of_freedom() as f64;
+    let dof = residual.degrees_of_freedom();
     let mean = first / dof;
     let variance = (2.0 * second + first * first) / (dof * (dof + 2.0)) - mean * mean;
     if !(variance > 0.0) {
@@ -59,4 +58,27 @@ pub(super) fn serial_correlation(
     let z = (ratio - mean) / variance.sqrt();
     let ln_p = (2.0 * normal_survival(z.abs())).ln();
     Some(SerialCorrelation { correlation: ratio - mean, ln_p })
+}
+
+/// Pairs of observations of the same target from the same station at one pose and the next, in the order of time. Observations of one pose
+/// share its errors, and are no neighbours of each other.
+fn neighbours(observations: &[PoseConditions<'_>]) -> Vec<(usize, usize)> {
+    let mut order: Vec<usize> = (0..observations.len()).collect();
+    order.sort_by(|a, b| observations[*a].time.total_cmp(&observations[*b].time));
+    let mut poses: Vec<(u32, Vec<usize>)> = Vec::new();
+    for i in order {
+        let pose = observations[i].pose;
+        match poses.iter().rposition(|(known, _)| *known == pose) {
+            Some(place) => poses[place].1.push(i),
+            None => poses.push((pose, vec![i])),
+        }
+    }
+    let mut pairs = Vec::new();
+    for pair in poses.windows(2) {
+        for one in &pair[0].1 {
+            let same = |other: &&usize| observations[**other].seen == observations[*one].seen;
+            pairs.extend(pair[1].1.iter().find(same).map(|other| (*one, *other)));
+        }
+    }
+    pairs
 }

@@ -1,0 +1,416 @@
+//! The noise that measurements are weighed with: of the readings as stated, or from the residuals; and of the machine, where its model
+//! does not bring it.
+//!
+//! What a machine does beside its model is common to all targets of a pose: a displacement of the whole flange, and errors of the
+//! actuators, `J Σ_q Jᵀ` with J the target's derivative by the commands. Errors of single poses are taken as independent of each other.
+
+use nalgebra::{Cholesky, DMatrix, Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::problem::CalibrationProblem;
+use super::solver::Solution;
+use super::variance::{Block, Components, System};
+use super::{IdentificationOptions, IdentifyError, LeastSquares, Loss};
+use crate::kinematics::PlacedChain;
+use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::statistics::chi2_survival;
+use calibrig_model::{CalibrationModel, JointKind, LinkTerm, ParameterId};
+
+/// Standard deviation that readings without a stated one are given before the residuals tell, m: only ratios matter then.
+pub(super) const UNSTATED_SIGMA: f64 = 1e-4;
+
+/// Stated noise is taken as it is unless residuals as large as they are have a probability below this.
+const DOUBTED: f64 = 0.01;
+
+/// Variances that change less than this in all have come to rest.
+const SETTLED: f64 = 0.02;
+const MOST_ROUNDS: usize = 6;
+
+/// What a machine does beside its model, as standard deviations of independent errors of single poses.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MachineNoise {
+    /// Displacement of the flange, along each axis, m.
+    pub position: f64,
+    /// Of every actuator, m or rad; empty where it is not looked at by actuators.
+    pub actuators: Vec<f64>,
+    /// Degrees of freedom that an estimate of them has; `None` where they were stated.
+    pub freedom: Option<f64>,
+}
+
+/// What is known of the machine's error beside its model.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub enum MachineNoiseChoice {
+    /// Estimated with the parameters where the residuals are larger than the readings' stated noise explains, or where a pose's readings
+    /// depend on each other.
+    #[default]
+    AsNeeded,
+    /// Estimated.
+    Estimated,
+    /// Known: standard deviations of the actuators, m or rad, one each; none for an error that is the same in all directions
+    /// ([`IdentificationOptions::unmodelled_sigma`]).
+    Stated(Vec<f64>),
+}
+
+impl MachineNoiseChoice {
+    /// Whether the numbers can be; there are as many actuators as `joints`.
+    pub(super) fn check(&self, joints: usize) -> Result<(), IdentifyError> {
+        let Self::Stated(sigmas) = self else { return Ok(()) };
+        let field = "machine_noise";
+        if !sigmas.is_empty() && sigmas.len() != joints {
+            let value = sigmas.len() as f64;
+            return Err(IdentifyError::Number {
+                field,
+                value,
+                expected: "a standard deviation for every actuator, or none",
+            });
+        }
+        let wrong = sigmas.iter().find(|s| !(**s >= 0.0 && s.is_finite()));
+        wrong.map_or(Ok(()), |value| {
+            Err(IdentifyError::Number {
+                field,
+                value: *value,
+                expected: "finite standard deviations of zero or more",
+            })
+        })
+    }
+}
+
+impl MachineNoise {
+    /// Covariance of a target's place, m², whose derivative by every actuator is `motions`, in the axes of those.
+    pub fn covariance(&self, motions: &[Vector3<f64>]) -> Matrix3<f64> {
+        let isotropic = Matrix3::identity() * self.position * self.position;
+        motions.iter().zip(&self.actuators).fold(isotropic, |sum, (motion, sigma)| {
+            let shift = motion * *sigma;
+            sum + shift * shift.transpose()
+        })
+    }
+
+    fn is_none(&self) -> bool {
+        self.position == 0.0 && self.actuators.iter().all(|sigma| *sigma == 0.0)
+    }
+}
+
+/// How an actuator moves a target: the nominal robot, ideal and rigid, which is near enough for the size of an error.
+#[derive(Debug, Clone)]
+pub(super) struct ActuatorMotions {
+    model: CalibrationModel,
+    chain: PlacedChain,
+    /// Change of the joint variables per unit of every actuator.
+    joints: Vec<Vec<f64>>,
+}
+
+impl ActuatorMotions {
+    pub fn new(model: &CalibrationModel) -> Self {
+        let count = model.kinematics.joint_count();
+        let at = |command: &[f64]| {
+            let mut joints = vec![0.0; count];
+            model.actuators.joints_from_command(command, &mut joints);
+            joints
+        };
+        let still = at(&vec![0.0; count]);
+        // Ideal maps are linear: a step of one is the derivative.
+        let by = |actuator: usize| {
+            let mut command = vec![0.0; count];
+            command[actuator] = 1.0;
+            at(&command).iter().zip(&still).map(|(to, from)| to - from).collect()
+        };
+        Self {
+            chain: PlacedChain::new(&model.kinematics),
+            joints: (0..count).map(by).collect(),
+            model: model.clone(),
+        }
+    }
+
+    /// Derivatives of a target at `in_flange` by every actuator, in the base frame, m/m or m/rad.
+    pub fn at(&mut self, command: &[f64], in_flange: &Vector3<f64>) -> Vec<Vector3<f64>> {
+        let mut joints = vec![0.0; self.joints.len()];
+        self.model.actuators.joints_from_command(command, &mut joints);
+        self.chain.place(&joints);
+        let target = self.chain.target(in_flange);
+        let of_joint = |link: usize| {
+            let term = match self.model.kinematics.links[link].kind {
+                JointKind::Prismatic => LinkTerm::D,
+                JointKind::Revolute => LinkTerm::Theta,
+            };
+            self.chain.column(ParameterId::Link { link, term }, &target)
+        };
+        let columns: Vec<_> = (0..joints.len()).map(of_joint).collect();
+        let sum =
+            |shares: &Vec<f64>| shares.iter().zip(&columns).map(|(share, column)| *share * column).sum();
+        self.joints.iter().map(sum).collect()
+    }
+}
+
+/// The noise of a fit.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(super) struct Noise {
+    /// Of readings that state none, m.
+    pub unstated: Option<f64>,
+    pub machine: Option<MachineNoise>,
+    /// Of Student's distribution; `None` where nothing was estimated.
+    pub freedom: Option<f64>,
+}
+
+/// The observations of every pose, in the order of the poses' first.
+pub(super) fn poses(set: &MeasurementSet) -> Vec<Vec<usize>> {
+    let mut places = std::collections::HashMap::new();
+    let mut poses: Vec<Vec<usize>> = Vec::new();
+    for (index, observation) in set.observations.iter().enumerate() {
+        let place = *places.entry(observation.pose).or_insert(poses.len());
+        if place == poses.len() {
+            poses.push(Vec::new());
+        }
+        poses[place].push(index);
+    }
+    poses
+}
+
+/// What of the noise is to be found with the fit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Unknown {
+    pub readings: bool,
+    pub machine: bool,
+}
+
+impl Unknown {
+    /// Of a set under some options, before anything is fitted.
+    pub fn of(problem: &CalibrationProblem, options: &IdentificationOptions) -> Self {
+        let unstated = problem.rows.iter().filter(|row| row.reading.is_none()).count();
+        let several = problem.poses.iter().any(|pose| pose.len() > 1);
+        let mixed = unstated > 0 && unstated < problem.rows.len();
+        Self {
+            readings: unstated > 0,
+            machine: match options.machine_noise {
+                MachineNoiseChoice::Stated(_) => false,
+                MachineNoiseChoice::Estimated => true,
+                MachineNoiseChoice::AsNeeded => unstated > 0 && (several || mixed),
+            },
+        }
+    }
+
+    pub fn any(self) -> bool {
+        self.readings || self.machine
+    }
+}
+
+/// Whether residuals are larger than their stated noise explains.
+pub(super) fn is_doubted(chi2: f64, freedom: f64) -> bool {
+    freedom > 0.0 && chi2_survival(chi2, freedom) < DOUBTED
+}
+
+/// Finds what is `unknown` of the noise with the fit, by turns: the variances that explain the residuals of a fit, and the fit that they
+/// weigh.
+pub(super) fn find(
+    problem: &mut CalibrationProblem,
+    mut solution: Solution,
+    unknown: Unknown,
+    loss: Loss,
+    mut fit: impl FnMut(&mut CalibrationProblem, Vec<f64>) -> Result<Solution, IdentifyError>,
+) -> Result<(Solution, Noise), IdentifyError> {
+    let mut noise = Noise::default();
+    let mut before: Option<Vec<f64>> = None;
+    for _ in 0..MOST_ROUNDS {
+        let system = system(problem, &solution, unknown, loss);
+        let Some(found) = system.components(before.as_deref()) else { break };
+        let settled = before.as_ref().is_some_and(|before| is_settled(before, &found.variances, &system));
+        noise = named(&found, unknown);
+        problem.weigh(&noise)?;
+        let first = std::mem::take(&mut solution.iterations);
+        solution = fit(problem, solution.x)?;
+        solution.iterations.splice(0..0, first);
+        if settled {
+            break;
+        }
+        before = Some(found.variances);
+    }
+    Ok((solution, noise))
+}
+
+/// Whether the variance that blocks have on the whole stands still.
+fn is_settled(before: &[f64], now: &[f64], system: &System) -> bool {
+    let units = system.mean_squares();
+    let total: f64 = now.iter().zip(&units).map(|(v, u)| v * u).sum();
+    let moved: f64 = now.iter().zip(before).zip(&units).map(|((a, b), u)| (a - b).abs() * u).sum();
+    moved <= SETTLED * total
+}
+
+fn named(found: &Components, unknown: Unknown) -> Noise {
+    let mut sigmas = found.variances.iter().map(|variance| variance.sqrt());
+    let unstated = if unknown.readings { sigmas.next() } else { None };
+    let machine = unknown.machine.then(|| MachineNoise {
+        position: sigmas.next().unwrap_or(0.0),
+        actuators: sigmas.collect(),
+        freedom: Some(found.freedom),
+    });
+    Noise { unstated, machine, freedom: Some(found.freedom) }
+}
+
+/// Observations with a smaller weight are no sign of the noise.
+const REJECTED: f64 = 0.5;
+
+/// The system at a solution, in metres, with the shapes of what is unknown.
+fn system(problem: &mut CalibrationProblem, solution: &Solution, unknown: Unknown, loss: Loss) -> System {
+    let (residuals, jacobian) = problem.in_metres(&solution.x);
+    let data = 3 * problem.rows.len();
+    let below = residuals.len() - data;
+    let used = |index: &usize| {
+        loss == Loss::Squared || solution.weights.get(*index).is_none_or(|weight| *weight >= REJECTED)
+    };
+    let poses = problem.poses.iter().map(|pose| pose.iter().copied().filter(used).collect::<Vec<_>>());
+    let blocks = poses.filter(|pose| !pose.is_empty()).map(|pose| block(problem, pose, unknown)).collect();
+    System {
+        prior_residuals: residuals.rows(data, below).into_owned(),
+        prior_jacobian: jacobian.rows(data, below).into_owned(),
+        residuals,
+        jacobian,
+        blocks,
+    }
+}
+
+fn block(problem: &CalibrationProblem, observations: Vec<usize>, unknown: Unknown) -> Block {
+    let size = 3 * observations.len();
+    let stated = problem.stated_actuators.as_ref().map(|machine| problem.common(&observations, machine));
+    let mut known = stated.unwrap_or_else(|| DMatrix::zeros(size, size));
+    let unstated: Vec<_> = observations.iter().map(|i| problem.rows[*i].reading.is_none()).collect();
+    for (k, i) in observations.iter().enumerate() {
+        if let Some(reading) = &problem.rows[*i].reading {
+            let mut own = known.fixed_view_mut::<3, 3>(3 * k, 3 * k);
+            own += reading;
+        }
+    }
+    let mut shapes = Vec::new();
+    if unknown.readings {
+        let columns: Vec<usize> = (0..size).filter(|row| unstated[row / 3]).collect();
+        shapes.push(DMatrix::<f64>::identity(size, size).select_columns(&columns));
+    }
+    if unknown.machine {
+        let rows = observations.iter().map(|i| &problem.rows[*i]);
+        let axes: Vec<_> = rows.map(|row| problem.stations[row.station].rotation).collect();
+        let mut place = DMatrix::zeros(size, 3);
+        for (k, axes) in axes.iter().enumerate() {
+            place.fixed_view_mut::<3, 3>(3 * k, 0).copy_from(axes.matrix());
+        }
+        shapes.push(place);
+        let count = observations.first().map_or(0, |i| problem.motions[*i].len());
+        for actuator in 0..count {
+            let mut motion = DMatrix::zeros(size, 1);
+            for (k, (i, axes)) in observations.iter().zip(&axes).enumerate() {
+                motion.fixed_view_mut::<3, 1>(3 * k, 0).copy_from(&(axes * problem.motions[*i][actuator]));
+            }
+            shapes.push(motion);
+        }
+    }
+    Block { observations, known, shapes }
+}
+
+impl CalibrationProblem {
+    /// Weighs the observations with `noise`.
+    pub(super) fn weigh(&mut self, noise: &Noise) -> Result<(), IdentifyError> {
+        self.noise = noise.clone();
+        self.start = None;
+        self.joined.clear();
+        for place in 0..self.poses.len() {
+            let pose = self.poses[place].clone();
+            let known = pose.iter().map(|i| self.own_covariance(*i)).collect::<Vec<_>>();
+            let common = self.common_covariance(&pose);
+            let weighed = match (pose.as_slice(), common) {
+                ([i], Some(common)) => inverse_factor(known[0] + common.fixed_view::<3, 3>(0, 0))
+                    .map(|w| self.rows[*i].whitening = w),
+                (_, None) => self.weigh_apart(&pose, &known),
+                (_, Some(common)) => self.weigh_together(&pose, &known, common),
+            };
+            weighed.ok_or_else(|| IdentifyError::Covariance {
+                what: format!("pose {}", self.rows[pose[0]].pose),
+            })?;
+        }
+        Ok(())
+    }
+
+    fn weigh_apart(&mut self, pose: &[usize], known: &[Matrix3<f64>]) -> Option<()> {
+        pose.iter()
+            .zip(known)
+            .try_for_each(|(i, known)| Some(self.rows[*i].whitening = inverse_factor(*known)?))
+    }
+
+    fn weigh_together(
+        &mut self,
+        pose: &[usize],
+        known: &[Matrix3<f64>],
+        mut common: DMatrix<f64>,
+    ) -> Option<()> {
+        self.weigh_apart(pose, known)?;
+        for (k, i) in pose.iter().enumerate() {
+            let whitening = self.rows[*i].whitening;
+            let rows = whitening * common.fixed_rows::<3>(3 * k);
+            common.fixed_rows_mut::<3>(3 * k).copy_from(&rows);
+            let columns = common.fixed_columns::<3>(3 * k) * whitening.transpose();
+            common.fixed_columns_mut::<3>(3 * k).copy_from(&columns);
+        }
+        let n = common.nrows();
+        let factor = Cholesky::new(common + DMatrix::identity(n, n))?.l();
+        let whitening = factor.solve_lower_triangular(&DMatrix::identity(n, n))?;
+        self.joined.push((pose.to_vec(), whitening));
+        Some(())
+    }
+
+    /// What an observation does not share with the others of its pose, m².
+    fn own_covariance(&self, index: usize) -> Matrix3<f64> {
+        let sigma = self.noise.unstated.filter(|sigma| *sigma > 0.0).unwrap_or(UNSTATED_SIGMA);
+        let unstated = || Matrix3::identity() * (sigma * sigma + self.unmodelled * self.unmodelled);
+        self.rows[index].reading.unwrap_or_else(unstated)
+    }
+
+    /// What the options state of the machine.
+    pub(super) fn stated_machine(&self) -> Vec<MachineNoise> {
+        let position = self.unmodelled;
+        let isotropic = MachineNoise { position, actuators: Vec::new(), freedom: None };
+        (position > 0.0).then_some(isotropic).into_iter().chain(self.stated_actuators.clone()).collect()
+    }
+
+    /// What observations of one pose share, m²; `None` where they share nothing.
+    fn common_covariance(&self, observations: &[usize]) -> Option<DMatrix<f64>> {
+        let found = self.noise.machine.iter().filter(|machine| !machine.is_none());
+        let parts =
+            self.stated_actuators.iter().chain(found).map(|machine| self.common(observations, machine));
+        parts.reduce(|sum, part| sum + part)
+    }
+
+    /// What some noise of the machine gives observations of one pose, in the trackers' axes, m².
+    fn common(&self, observations: &[usize], machine: &MachineNoise) -> DMatrix<f64> {
+        let size = 3 * observations.len();
+        let mut spread = DMatrix::zeros(size, 3 + machine.actuators.len());
+        for (k, i) in observations.iter().enumerate() {
+            let axes = self.stations[self.rows[*i].station].rotation;
+            spread.fixed_view_mut::<3, 3>(3 * k, 0).copy_from(&(axes.matrix() * machine.position));
+            for (j, (motion, sigma)) in self.motions[*i].iter().zip(&machine.actuators).enumerate() {
+                spread.fixed_view_mut::<3, 1>(3 * k, 3 + j).copy_from(&(axes * motion * *sigma));
+            }
+        }
+        &spread * spread.transpose()
+    }
+
+    /// Residuals and Jacobian with the observations in metres, in the trackers' axes; priors as they are.
+    fn in_metres(&mut self, x: &[f64]) -> (nalgebra::DVector<f64>, DMatrix<f64>) {
+        let whitenings: Vec<_> = self
+            .rows
+            .iter_mut()
+            .map(|row| std::mem::replace(&mut row.whitening, Matrix3::identity()))
+            .collect();
+        let joined = std::mem::take(&mut self.joined);
+        let mut residuals = nalgebra::DVector::zeros(self.rows());
+        let mut jacobian = DMatrix::zeros(self.rows(), self.parameters());
+        self.start = None;
+        self.evaluate(x, &mut residuals, Some(&mut jacobian));
+        for (row, whitening) in self.rows.iter_mut().zip(whitenings) {
+            row.whitening = whitening;
+        }
+        self.joined = joined;
+        (residuals, jacobian)
+    }
+}
+
+/// W with `W C Wᵀ = 1`.
+fn inverse_factor(covariance: Matrix3<f64>) -> Option<Matrix3<f64>> {
+    let whitening = Cholesky::new(covariance)?.l().try_inverse()?;
+    whitening.iter().all(|v| v.is_finite()).then_some(whitening)
+}

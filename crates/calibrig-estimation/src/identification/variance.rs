@@ -1,0 +1,328 @@
+//! Variance components of a linearised system: how large errors of stated shapes are, by restricted maximum likelihood.
+//!
+//! The data have the covariance `V = Σ_known + Σ_k v_k Z_k Z_kᵀ`, block by block, and the parameters a normal prior (flat where there is none).
+//! With both parameters and priors integrated out, what is left is the likelihood of the variances `v_k` alone, so that fitted parameters cost
+//! the degrees of freedom that they take. It is climbed by steps with the average information, and where such a step would go down by a step
+//! that never does.
+//!
+//! Source: H. D. Patterson, R. Thompson, "Recovery of inter-block information when block sizes are unequal", Biometrika 58 (1971), 545-554
+//! (the likelihood); A. R. Gilmour, R. Thompson, B. R. Cullis, "Average information REML", Biometrics 51 (1995), 1440-1450 (the step);
+//! H. Zhou et al., "MM algorithms for variance components models", J. Comput. Graph. Stat. 28 (2019), 350-361 (the other step).
+
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+
+/// Observations whose errors depend on each other, and on those of no other block.
+#[derive(Debug, Clone)]
+pub(super) struct Block {
+    /// Their places in the system, three rows each.
+    pub observations: Vec<usize>,
+    /// What of their covariance is known, m².
+    pub known: DMatrix<f64>,
+    /// `Z_k` of every component, one row a coordinate.
+    pub shapes: Vec<DMatrix<f64>>,
+}
+
+/// A system at one place: rows of data in metres, and whitened rows of priors.
+#[derive(Debug, Clone)]
+pub(super) struct System {
+    pub residuals: DVector<f64>,
+    pub jacobian: DMatrix<f64>,
+    pub prior_residuals: DVector<f64>,
+    pub prior_jacobian: DMatrix<f64>,
+    /// Observations that are in none are not looked at.
+    pub blocks: Vec<Block>,
+}
+
+/// The variances that explain the residuals best.
+#[derive(Debug, Clone)]
+pub(super) struct Components {
+    /// In the order of the shapes, in the square of their units; zero where the data show none.
+    pub variances: Vec<f64>,
+    /// Degrees of freedom of their sum, as a mean square over the coordinates: twice its square over its own variance (F. E. Satterthwaite, "An
+    /// approximate distribution of estimates of variance components", Biometrics Bulletin 2 (1946), 110-114).
+    pub freedom: f64,
+}
+
+/// The likelihood need not be known better than this: a variance is then off by a few per cent of its own standard deviation.
+const NEGLIGIBLE: f64 = 1e-3;
+const MOST_STEPS: usize = 50;
+/// What a normal matrix with a unit diagonal cannot tell from zero is added to it: no direction is free.
+const LEAST: f64 = 1e-12;
+
+impl System {
+    fn coordinates(&self) -> usize {
+        self.blocks.iter().map(|block| 3 * block.observations.len()).sum()
+    }
+
+    /// Mean square of the residuals of those coordinates, m².
+    fn mean_square(&self) -> f64 {
+        let rows = self.blocks.iter().flat_map(|block| &block.observations);
+        let sum: f64 = rows.map(|i| self.residuals.fixed_rows::<3>(3 * i).norm_squared()).sum();
+        sum / self.coordinates() as f64
+    }
+
+    /// Mean square that a unit of every component makes.
+    pub fn mean_squares(&self) -> Vec<f64> {
+        let count = self.blocks.first().map_or(0, |block| block.shapes.len());
+        let of = |k: usize| self.blocks.iter().map(|block| block.shapes[k].norm_squared()).sum::<f64>();
+        (0..count).map(|k| of(k) / self.coordinates() as f64).collect()
+    }
+
+    /// Equal shares of the residuals' mean square.
+    fn shares(&self) -> Vec<f64> {
+        let units = self.mean_squares();
+        let share = self.mean_square() / units.iter().filter(|unit| **unit > 0.0).count().max(1) as f64;
+        units.iter().map(|unit| if *unit > 0.0 { share / unit } else { 0.0 }).collect()
+    }
+
+    /// The variances of largest likelihood; `start` where they were before, if that is known. `None` where residuals and shapes do not
+    /// determine any, or rounding is all that is left.
+    pub fn components(&self, start: Option<&[f64]>) -> Option<Components> {
+        let units = self.mean_squares();
+        if !(self.mean_square() > 0.0 && self.mean_square().is_finite()) || units.iter().all(|u| !(*u > 0.0))
+        {
+            return None;
+        }
+        let start = start.map_or_else(|| self.shares(), <[f64]>::to_vec);
+        let mut now = self.state(&start).or_else(|| self.state(&self.shares()))?;
+        for _ in 0..MOST_STEPS {
+            let Some((step, gain)) = now.newton() else { break };
+            if gain < NEGLIGIBLE {
+                break;
+            }
+            let ahead = |share: f64| -> Vec<f64> {
+                now.variances.iter().zip(&step).map(|(v, s)| (v + share * s).max(0.0)).collect()
+            };
+            let better = |next: &State| next.likelihood >= now.likelihood;
+            let next = self
+                .state(&ahead(1.0))
+                .filter(better)
+                .or_else(|| self.state(&ahead(0.25)).filter(better))
+                .or_else(|| self.state(&now.uphill()).filter(better));
+            let Some(next) = next else { break };
+            let negligible = next.likelihood - now.likelihood < NEGLIGIBLE;
+            now = next;
+            if negligible {
+                break;
+            }
+        }
+        Some(Components { freedom: self.freedom(&now, &units), variances: now.variances })
+    }
+
+    fn freedom(&self, now: &State, units: &[f64]) -> f64 {
+        let known: f64 = self.blocks.iter().map(|block| block.known.trace()).sum();
+        let known = known / self.coordinates() as f64;
+        let free: Vec<usize> = (0..units.len()).filter(|k| now.variances[*k] > 0.0).collect();
+        let total = known + free.iter().map(|k| now.variances[*k] * units[*k]).sum::<f64>();
+        let weights = DVector::from_iterator(free.len(), free.iter().map(|k| units[*k] * now.variances[*k]));
+        // In relative units of each, so that metres and radians do not mix.
+        let information = DMatrix::from_fn(free.len(), free.len(), |i, j| {
+            now.information[(free[i], free[j])] * now.variances[free[i]] * now.variances[free[j]]
+        });
+        let variance = Cholesky::new(information).map(|c| weights.dot(&c.solve(&weights)));
+        match variance {
+            Some(variance) if variance > 0.0 => 2.0 * total * total / variance,
+            _ => f64::INFINITY,
+        }
+    }
+
+    /// Likelihood and its derivatives at some variances; `None` where these leave a block without noise, or are no numbers.
+    fn state(&self, variances: &[f64]) -> Option<State> {
+        let (n, count) = (self.jacobian.ncols(), variances.len());
+        let rows = self.coordinates();
+        // Transposed, so that what belongs to an observation lies together.
+        let mut whitened = DMatrix::zeros(n, rows);
+        let mut residuals = DVector::zeros(rows);
+        let mut shapes: Vec<Vec<DMatrix<f64>>> = Vec::with_capacity(self.blocks.len());
+        let mut determinant = 0.0;
+        let mut first = 0;
+        for block in &self.blocks {
+            let factor = block.factor(variances)?;
+            determinant += 2.0 * factor.diagonal().iter().map(|v| v.ln()).sum::<f64>();
+            let size = factor.nrows();
+            let mut own = DMatrix::zeros(size, n);
+            let mut seen = DVector::zeros(size);
+            for (k, i) in block.observations.iter().enumerate() {
+                own.fixed_rows_mut::<3>(3 * k).copy_from(&self.jacobian.fixed_rows::<3>(3 * i));
+                seen.fixed_rows_mut::<3>(3 * k).copy_from(&self.residuals.fixed_rows::<3>(3 * i));
+            }
+            factor.solve_lower_triangular_mut(&mut own).then_some(())?;
+            factor.solve_lower_triangular_mut(&mut seen).then_some(())?;
+            own.transpose_to(&mut whitened.columns_mut(first, size));
+            residuals.rows_mut(first, size).copy_from(&seen);
+            shapes.push(
+                block.shapes.iter().map(|z| factor.solve_lower_triangular(z)).collect::<Option<Vec<_>>>()?,
+            );
+            first += size;
+        }
+        let fit = Fit::new(&whitened, &mut residuals, &self.prior_jacobian, &self.prior_residuals)?;
+        let likelihood = -0.5 * (determinant + fit.determinant + residuals.norm_squared() + fit.priors);
+        let mut state = State {
+            variances: variances.to_vec(),
+            likelihood,
+            explained: vec![0.0; count],
+            expected: vec![0.0; count],
+            information: DMatrix::zeros(count, count),
+        };
+        likelihood.is_finite().then_some(())?;
+        // Qᵀ with Q Qᵀ the part of the hat matrix between the data.
+        let mut hat = whitened;
+        fit.root.solve_lower_triangular_mut(&mut hat).then_some(())?;
+        let mut working = DMatrix::zeros(rows, count);
+        let mut first = 0;
+        for own in &shapes {
+            let size = own.first().map_or(0, DMatrix::nrows);
+            let (hat, seen) = (hat.columns(first, size), residuals.rows(first, size));
+            for (k, shape) in own.iter().enumerate().filter(|(_, shape)| shape.ncols() > 0) {
+                let along = shape.tr_mul(&seen);
+                state.explained[k] += along.norm_squared();
+                state.expected[k] += shape.norm_squared() - (hat * shape).norm_squared();
+                working.column_mut(k).rows_mut(first, size).gemv(1.0, shape, &along, 0.0);
+            }
+            first += size;
+        }
+        let fitted = hat * &working;
+        state.information = 0.5 * (working.tr_mul(&working) - fitted.tr_mul(&fitted));
+        Some(state)
+    }
+}
+
+impl Block {
+    /// The lower Cholesky factor of the covariance.
+    fn factor(&self, variances: &[f64]) -> Option<DMatrix<f64>> {
+        let mut covariance = self.known.clone();
+        for (shape, variance) in self.shapes.iter().zip(variances).filter(|(z, v)| z.ncols() > 0 && **v > 0.0)
+        {
+            covariance.gemm(*variance, shape, &shape.transpose(), 1.0);
+        }
+        Some(Cholesky::new(covariance)?.unpack())
+    }
+}
+
+/// The least-squares solution of a whitened system.
+struct Fit {
+    /// Lower factor of the scaled normal matrix, in the parameters' own units.
+    root: DMatrix<f64>,
+    /// Logarithm of its determinant, but for a constant.
+    determinant: f64,
+    /// Sum of squares of the priors at the solution.
+    priors: f64,
+}
+
+impl Fit {
+    /// Leaves in `residuals` what the solution leaves; `whitened` is the transposed Jacobian.
+    fn new(
+        whitened: &DMatrix<f64>,
+        residuals: &mut DVector<f64>,
+        prior_jacobian: &DMatrix<f64>,
+        prior_residuals: &DVector<f64>,
+    ) -> Option<Self> {
+        let n = whitened.nrows();
+        let mut normal = DMatrix::zeros(n, n);
+        normal.gemm(1.0, whitened, &whitened.transpose(), 0.0);
+        normal.gemm(1.0, &prior_jacobian.transpose(), prior_jacobian, 1.0);
+        let gradient = whitened * &*residuals + prior_jacobian.tr_mul(prior_residuals);
+        let scale: Vec<f64> =
+            (0..n).map(|j| if normal[(j, j)] > 0.0 { normal[(j, j)].sqrt() } else { 1.0 }).collect();
+        for (j, mut column) in normal.column_iter_mut().enumerate() {
+            for (i, entry) in column.iter_mut().enumerate() {
+                *entry /= scale[i] * scale[j];
+            }
+            column[j] += LEAST;
+        }
+        let cholesky: Cholesky<f64, Dyn> = Cholesky::new(normal)?;
+        let scaled = DVector::from_iterator(n, gradient.iter().zip(&scale).map(|(g, s)| g / s));
+        let mut step = -cholesky.solve(&scaled);
+        for (step, scale) in step.iter_mut().zip(&scale) {
+            *step /= *scale;
+        }
+        residuals.gemv_tr(1.0, whitened, &step, 1.0);
+        let mut root = cholesky.unpack();
+        let determinant = root.diagonal().iter().zip(&scale).map(|(v, s)| 2.0 * (v.ln() + s.ln())).sum();
+        for (mut row, scale) in root.row_iter_mut().zip(&scale) {
+            row *= *scale;
+        }
+        let priors = (prior_jacobian * &step + prior_residuals).norm_squared();
+        Some(Self { root, determinant, priors })
+    }
+}
+
+/// The likelihood at some variances.
+struct State {
+    variances: Vec<f64>,
+    likelihood: f64,
+    /// `uᵀ Z Zᵀ u` with `u = V⁻¹ r`, a component each ...
+    explained: Vec<f64>,
+    /// ... and its expectation, were the variances right.
+    expected: Vec<f64>,
+    /// Average information.
+    information: DMatrix<f64>,
+}
+
+impl State {
+    fn slope(&self, k: usize) -> f64 {
+        0.5 * (self.explained[k] - self.expected[k])
+    }
+
+    /// The step with the average information, and the gain that it promises: a component that would become negative goes to zero, and stays
+    /// there while the likelihood falls behind it.
+    fn newton(&self) -> Option<(Vec<f64>, f64)> {
+        let count = self.variances.len();
+        let mut free: Vec<usize> = (0..count)
+            .filter(|k| self.expected[*k] > 0.0 && (self.variances[*k] > 0.0 || self.slope(*k) > 0.0))
+            .collect();
+        let mut step = vec![0.0; count];
+        let mut held: Vec<usize> = Vec::new();
+        loop {
+            if free.is_empty() && held.is_empty() {
+                return None;
+            }
+            let size: Vec<f64> = free.iter().map(|k| self.information[(*k, *k)].sqrt()).collect();
+            if size.iter().any(|s| !(*s > 0.0)) {
+                return None;
+            }
+            let matrix = DMatrix::from_fn(free.len(), free.len(), |i, j| {
+                let ridge = if i == j { 1e-9 } else { 0.0 };
+                self.information[(free[i], free[j])] / (size[i] * size[j]) + ridge
+            });
+            // Those that go to zero take their part of the slope along.
+            let right = DVector::from_iterator(
+                free.len(),
+                free.iter().zip(&size).map(|(k, s)| {
+                    let moved: f64 = held.iter().map(|h| self.information[(*k, *h)] * step[*h]).sum();
+                    (self.slope(*k) - moved) / s
+                }),
+            );
+            let found = Cholesky::new(matrix)?.solve(&right);
+            for ((k, found), size) in free.iter().zip(&found).zip(&size) {
+                step[*k] = found / size;
+            }
+            let negative = |k: &usize| self.variances[*k] + step[*k] < 0.0;
+            let Some(place) = free.iter().position(negative) else { break };
+            // All that would be negative at once would hold too many: the worst first.
+            let depth = |k: usize| {
+                (self.variances[k] + step[k]) / (self.variances[k] - step[k]).abs().max(f64::MIN_POSITIVE)
+            };
+            let worst = (place..free.len())
+                .filter(|i| negative(&free[*i]))
+                .min_by(|a, b| depth(free[*a]).total_cmp(&depth(free[*b])))?;
+            let k = free.remove(worst);
+            step[k] = -self.variances[k];
+            held.push(k);
+        }
+        let gain: f64 = (0..count).map(|k| self.slope(k) * step[k]).sum::<f64>() * 0.5;
+        Some((step, gain.abs()))
+    }
+
+    /// A step that never lowers the likelihood.
+    fn uphill(&self) -> Vec<f64> {
+        let of = |k: usize| {
+            if self.expected[k] > 0.0 {
+                self.variances[k] * (self.explained[k] / self.expected[k]).sqrt()
+            } else {
+                0.0
+            }
+        };
+        (0..self.variances.len()).map(of).collect()
+    }
+}
