@@ -272,6 +272,8 @@ fn a_compliance_stops_at_rigid_and_says_so() {
     let options = IdentificationOptions {
         compliances: ComplianceChoice::Listed(vec![SHOULDER, ELBOW]),
         compliance_sigma: 10.0,
+        // The bounds alone are looked at, not the misfit that they leave.
+        machine_noise: MachineNoiseChoice::Stated(Vec::new()),
         ..options(Mode::ElastoGeometric)
     };
     let estimate = identify(&nominal, &set, &options).expect("an estimate");
@@ -353,7 +355,9 @@ fn the_linearisation_is_that_of_the_estimate() {
         assert_eq!(estimate.iterations.last().map(|last| &last.parameters), Some(&values));
         let system = linearise(&nominal, &set, &options, &estimate).expect("the same system");
         assert_eq!(system.data_rows, 3 * set.observations.len());
-        assert!((system.residuals.norm_squared() / estimate.chi2 - 1.0).abs() < 1e-9);
+        let measured = system.residuals.rows(0, system.measured_rows);
+        assert!((measured.norm_squared() / estimate.chi2 - 1.0).abs() < 1e-9);
+        assert!((system.freedom() / estimate.degrees_of_freedom - 1.0).abs() < 1e-9);
         let covariance = estimate.covariance.as_ref().expect("full rank");
         let n = covariance.nrows();
         let scale = DMatrix::from_diagonal(&covariance.diagonal().map(f64::sqrt));

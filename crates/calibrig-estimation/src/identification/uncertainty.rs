@@ -456,7 +456,7 @@ mod tests {
         let x = solve(&jacobian, &right);
         let residuals = &right - &jacobian * &x;
         let uncertainty = Uncertainty::new(&jacobian, 3 * POSES, &ids).expect("full rank");
-        let influences = uncertainty.influences(&jacobian, residuals.as_slice(), 3 * POSES);
+        let influences = uncertainty.influences(&jacobian, residuals.as_slice(), 3 * POSES, &[]);
         assert_eq!(influences.len(), POSES);
         let information = jacobian.tr_mul(&jacobian);
         for (i, influence) in influences.iter().enumerate() {
@@ -496,7 +496,7 @@ mod tests {
             let moved = &point * &x;
             position += moved.component_mul(&moved);
             let residuals = errors - &jacobian * x;
-            let first = uncertainty.influences(&jacobian, residuals.as_slice(), 3 * POSES)[0];
+            let first = uncertainty.influences(&jacobian, residuals.as_slice(), 3 * POSES, &[])[0];
             chi2 += first.chi2.expect("others determine all");
             standardised += first.standardised[1].powi(2);
         }

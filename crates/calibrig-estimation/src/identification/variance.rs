@@ -326,3 +326,160 @@ impl State {
         (0..self.variances.len()).map(of).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    fn normal(rows: usize, columns: usize, rng: &mut ChaCha8Rng) -> DMatrix<f64> {
+        DMatrix::from_fn(rows, columns, |_, _| StandardNormal.sample(rng))
+    }
+
+    /// Observations by twos, with a common shape of each pair, a common direction and noise of their own; three parameters, one with a prior.
+    fn system(pairs: usize, sigmas: [f64; 3], rng: &mut ChaCha8Rng) -> System {
+        let rows = 6 * pairs;
+        let jacobian = normal(rows, 3, rng);
+        let mut residuals = DVector::zeros(rows);
+        let mut blocks = Vec::new();
+        for pair in 0..pairs {
+            let own = DMatrix::identity(6, 6);
+            let common = DMatrix::from_fn(6, 3, |i, j| if i % 3 == j { 1.0 } else { 0.0 });
+            let shapes = vec![own, common, normal(6, 1, rng)];
+            let mut error = DVector::zeros(6);
+            for (shape, sigma) in shapes.iter().zip(sigmas) {
+                error += sigma * shape * normal(shape.ncols(), 1, rng);
+            }
+            residuals.rows_mut(6 * pair, 6).copy_from(&error);
+            blocks.push(Block {
+                observations: vec![2 * pair, 2 * pair + 1],
+                known: DMatrix::identity(6, 6) * 1e-4,
+                shapes,
+            });
+        }
+        let mut prior_jacobian = DMatrix::zeros(1, 3);
+        prior_jacobian[(0, 2)] = 2.0;
+        System { residuals, jacobian, prior_residuals: DVector::from_element(1, 0.3), prior_jacobian, blocks }
+    }
+
+    /// From whole matrices: minus half of `ln |V| + ln |A| + rᵀ P r`, with the priors as rows of data of known variance.
+    fn dense(system: &System, variances: &[f64]) -> f64 {
+        let rows = system.residuals.len();
+        let mut v = DMatrix::identity(rows + 1, rows + 1);
+        for block in &system.blocks {
+            let first = 3 * block.observations[0];
+            let mut own = block.known.clone();
+            for (shape, variance) in block.shapes.iter().zip(variances) {
+                own += *variance * shape * shape.transpose();
+            }
+            v.view_mut((first, first), own.shape()).copy_from(&own);
+        }
+        let mut jacobian = system.jacobian.clone().insert_rows(rows, 1, 0.0);
+        jacobian.row_mut(rows).copy_from(&system.prior_jacobian.row(0));
+        let residuals = system.residuals.clone().insert_row(rows, system.prior_residuals[0]);
+        let inverse = v.clone().try_inverse().expect("regular");
+        let normal = jacobian.transpose() * &inverse * &jacobian;
+        let p = &inverse
+            - &inverse
+                * &jacobian
+                * normal.clone().try_inverse().expect("regular")
+                * jacobian.transpose()
+                * &inverse;
+        -0.5 * (v.determinant().ln()
+            + normal.determinant().ln()
+            + (residuals.transpose() * p * &residuals)[(0, 0)])
+    }
+
+    #[test]
+    fn the_likelihood_and_its_slope_are_those_of_whole_matrices() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let system = system(5, [0.5, 0.8, 0.3], &mut rng);
+        let at = [0.3, 0.5, 0.2];
+        let state = system.state(&at).expect("regular");
+        assert!(
+            (state.likelihood - dense(&system, &at)).abs() < 1e-8,
+            "{} {}",
+            state.likelihood,
+            dense(&system, &at)
+        );
+        for k in 0..3 {
+            let moved = |step: f64| {
+                let mut moved = at;
+                moved[k] += step;
+                dense(&system, &moved)
+            };
+            let slope = (moved(1e-5) - moved(-1e-5)) / 2e-5;
+            assert!(
+                (state.slope(k) - slope).abs() < 1e-5 * slope.abs().max(1.0),
+                "{k}: {} {slope}",
+                state.slope(k)
+            );
+        }
+    }
+
+    /// Without priors, one variance is the sum of squares over rows less parameters.
+    #[test]
+    fn one_variance_is_the_mean_square_per_degree_of_freedom() {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let mut system = system(8, [0.7, 0.0, 0.0], &mut rng);
+        system.prior_jacobian.fill(0.0);
+        for block in &mut system.blocks {
+            block.known.fill(0.0);
+            block.shapes.truncate(1);
+        }
+        let (q, _) = system.jacobian.clone().qr().unpack();
+        let left = &system.residuals - &q * q.tr_mul(&system.residuals);
+        let expected = left.norm_squared() / 45.0;
+        let found = system.components(None).expect("residuals");
+        assert!((found.variances[0] / expected - 1.0).abs() < 1e-2, "{found:?} {expected}");
+        assert!((found.freedom / 45.0 - 1.0).abs() < 1e-2, "{found:?}");
+    }
+
+    /// The maximum is one: no step along any component leads higher, and one that would be negative is zero. Over many draws the mean
+    /// is what was put in, and the scatter what the average information says.
+    #[test]
+    fn variances_are_those_that_were_put_in() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let truth = [0.25, 0.64, 0.09];
+        let trials = 300;
+        let mut sums = [0.0; 3];
+        let mut squares = [0.0; 3];
+        for _ in 0..trials {
+            let system = system(30, truth.map(f64::sqrt), &mut rng);
+            let found = system.components(None).expect("residuals").variances;
+            let most = dense(&system, &found);
+            for k in 0..3 {
+                for factor in [0.9, 1.1] {
+                    let mut moved = found.clone();
+                    moved[k] = (moved[k] * factor).max(1e-3);
+                    assert!(dense(&system, &moved) <= most + 1e-3, "{found:?} {moved:?}");
+                }
+                sums[k] += found[k];
+                squares[k] += found[k] * found[k];
+            }
+        }
+        for k in 0..3 {
+            let mean = sums[k] / f64::from(trials);
+            let deviation = (squares[k] / f64::from(trials) - mean * mean).sqrt();
+            // Four standard deviations of the mean; cut at zero, the smallest is a little larger on average.
+            let bound = 4.0 * deviation / f64::from(trials).sqrt() + if k == 2 { 0.01 } else { 0.0 };
+            assert!((mean - truth[k]).abs() < bound, "{k}: {mean} {bound}");
+        }
+        let none = system(30, [0.5, 0.0, 0.0], &mut rng).components(None).expect("residuals").variances;
+        assert!(none[1] < 0.03 && none[2] < 0.05 && none.iter().all(|v| *v >= 0.0), "{none:?}");
+    }
+
+    #[test]
+    fn nothing_is_found_where_nothing_is() {
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let mut silent = system(3, [0.0; 3], &mut rng);
+        silent.residuals.fill(0.0);
+        assert!(silent.components(None).is_none());
+        silent.residuals.fill(f64::NAN);
+        assert!(silent.components(None).is_none());
+        silent.blocks.clear();
+        assert!(silent.components(None).is_none());
+    }
+}

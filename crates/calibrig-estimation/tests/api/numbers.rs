@@ -7,7 +7,7 @@ use calibrig_estimation::evaluation::{
     nees, paired_rms_difference, repeated_splits, resampled_difference,
 };
 use calibrig_estimation::identification::{
-    PositionJacobian, Uncertainty, bayesian_cramer_rao_bound, cramer_rao_bound,
+    PositionJacobian, Uncertainty, Whitening, bayesian_cramer_rao_bound, cramer_rao_bound,
 };
 use calibrig_estimation::validation::{held_out_errors, in_order, subset};
 use calibrig_model::ParameterId;
@@ -149,7 +149,7 @@ proptest! {
         poses in 0..6_usize, residuals in prop::collection::vec(number(), 0..20), columns in 0..4_usize, level in number(),
         commands in prop::collection::vec(prop::collection::vec(number(), 0..3), 6), odd in number(), turns in 0..4_usize
     ) {
-        let whitening = Matrix3::identity() * odd;
+        let whitening = Whitening::apart(vec![Matrix3::identity() * odd; poses]);
         let approach = [1, -1, 0];
         let sensitivity = [Vector3::x(), Vector3::new(odd, 0.0, 1.0)];
         let conditions: Vec<_> = commands[..poses]
@@ -162,7 +162,8 @@ proptest! {
                 temperature: (i % 2 == 0).then_some(odd),
                 position: Vector3::new(1.0, odd, i as f64),
                 sensitivity: &sensitivity[..i % 3],
-                whitening,
+                pose: 7 * (i as u32 / 2),
+                seen: (i % 2, 0),
             })
             .collect();
         let rows = residuals.len();
@@ -171,14 +172,17 @@ proptest! {
         let set = ResidualSet {
             residuals: &residuals,
             jacobian: &jacobian,
+            measured_rows: rows,
+            freedom: rows as f64 - odd,
+            whitening: &whitening,
             poses: &conditions,
             joint_names: &[],
             motor_turns: &vec![Some(odd); turns],
         };
         let found = find_patterns(&set, level);
         prop_assert!(found.is_none() || (jacobian.nrows() == rows && poses > 0 && 3 * poses <= rows));
-        for noise in [NoiseLevel::Known, NoiseLevel::Estimated] {
-            let report = check_consistency(&set, noise, level);
+        for size in [None, ChiSquareTest::new(odd, rows as f64)] {
+            let report = check_consistency(&set, size, level);
             prop_assert!(!report.to_string().is_empty());
             let _ = report.is_consistent();
         }

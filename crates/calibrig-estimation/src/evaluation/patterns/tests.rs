@@ -6,7 +6,8 @@ use rand_distr::{Distribution, StandardNormal};
 use super::basis::regressors;
 use super::regression::ProjectedResidual;
 use super::*;
-use crate::evaluation::{NoiseLevel, check_consistency};
+use crate::evaluation::{ChiSquareTest, check_consistency};
+use crate::identification::Whitening;
 use calibrig_model::statistics::binomial_cdf;
 
 const JOINTS: usize = 4;
@@ -26,7 +27,7 @@ struct Session {
     commands: Vec<[f64; JOINTS]>,
     approaches: Vec<[i8; JOINTS]>,
     sensitivities: Vec<[Vector3<f64>; JOINTS]>,
-    whitening: Vec<Matrix3<f64>>,
+    whitening: Whitening,
     /// Three rows a pose, then one a parameter for its prior.
     jacobian: DMatrix<f64>,
     names: Vec<String>,
@@ -87,7 +88,7 @@ fn session(poses: usize, rng: &mut ChaCha8Rng) -> Session {
         jacobian[(3 * poses + k, k)] = 1e4;
     }
     let names = ["rail", "pan", "shoulder", "elbow"].map(str::to_owned).to_vec();
-    Session { commands, approaches, sensitivities, whitening, jacobian, names }
+    Session { commands, approaches, sensitivities, whitening: Whitening::apart(whitening), jacobian, names }
 }
 
 impl Session {
@@ -95,10 +96,8 @@ impl Session {
     fn residuals(&self, rng: &mut ChaCha8Rng, effect: impl Fn(usize) -> Vector3<f64>) -> DVector<f64> {
         let mut errors =
             DVector::from_fn(self.jacobian.nrows(), |_, _| -> f64 { StandardNormal.sample(rng) });
-        for (i, whitening) in self.whitening.iter().enumerate() {
-            let mut rows = errors.fixed_rows_mut::<3>(3 * i);
-            rows += whitening * effect(i);
-        }
+        let mut rows = errors.rows_mut(0, 3 * self.commands.len());
+        rows += self.whitening.rows((0..self.commands.len()).map(&effect));
         let normal = self.jacobian.tr_mul(&self.jacobian).cholesky().expect("full rank");
         let x = normal.solve(&self.jacobian.tr_mul(&errors));
         errors - &self.jacobian * x
@@ -117,7 +116,8 @@ impl Session {
                 temperature: None,
                 position: place(&self.commands[i]),
                 sensitivity: &self.sensitivities[i],
-                whitening: self.whitening[i],
+                pose: u32::try_from(i).expect("few poses"),
+                seen: (0, 0),
             })
             .collect()
     }
@@ -127,11 +127,19 @@ impl Session {
         find_patterns(&self.set(residuals, &poses), level).expect("degrees of freedom")
     }
 
+    fn size(&self, residuals: &DVector<f64>) -> Option<ChiSquareTest> {
+        ChiSquareTest::new(residuals.norm_squared(), (residuals.len() - self.jacobian.ncols()) as f64)
+    }
+
     fn set<'a>(&'a self, residuals: &'a DVector<f64>, poses: &'a [PoseConditions<'a>]) -> ResidualSet<'a> {
         const TURNS: &[Option<f64>] = &[Some(50.0), None, Some(16.0), Some(16.0)];
         ResidualSet {
             residuals,
             jacobian: &self.jacobian,
+            // The truth is drawn from the priors: every row counts, and every parameter costs one.
+            measured_rows: residuals.len(),
+            freedom: (residuals.len() - self.jacobian.ncols()) as f64,
+            whitening: &self.whitening,
             poses,
             joint_names: &self.names,
             motor_turns: TURNS,
@@ -164,9 +172,7 @@ fn the_test_is_the_f_test_of_two_fits() {
     let dof = (residuals.len() - 7 - 4) as f64;
     let f = (without - with) / 4.0 / (with / dof);
     let expected = calibrig_model::statistics::f_ln_survival(f, 4.0, dof);
-    let found = ProjectedResidual::new(residuals.clone(), set.jacobian)
-        .and_then(|r| r.test(&columns))
-        .expect("a test");
+    let found = ProjectedResidual::new(&set).and_then(|r| r.test(&columns)).expect("a test");
     assert!((found.ln_p - expected).abs() < 1e-8, "{} {expected}", found.ln_p);
     assert!((found.fitted.norm_squared() - (without - with)).abs() < 1e-8);
 }
@@ -186,10 +192,10 @@ fn noise_has_no_pattern() {
         if report.patterns.is_empty() {
             // Chi-square with all rows less the parameters: the fit is linear, and the model right.
             let poses = session.poses();
-            let check = check_consistency(&session.set(&residuals, &poses), NoiseLevel::Known, 1e-6);
+            let check = check_consistency(&session.set(&residuals, &poses), session.size(&residuals), 1e-6);
             assert!(check.is_consistent(), "{check}");
             assert!(check.to_string().ends_with("no pattern against joints, approach, time or sequence"));
-            let unstated = check_consistency(&session.set(&residuals, &poses), NoiseLevel::Estimated, 1e-6);
+            let unstated = check_consistency(&session.set(&residuals, &poses), None, 1e-6);
             assert_eq!(unstated.size, None);
             assert!(report.tested.iter().any(|(cause, _)| *cause == Cause::Sequence));
         }
@@ -260,7 +266,7 @@ fn one_effect_is_named() {
         assert!(first.share > 0.05 && first.share < 1.0);
         assert_eq!(report.patterns.len(), 1, "{:#?}", report.patterns);
         let poses = session.poses();
-        let check = check_consistency(&session.set(&residuals, &poses), NoiseLevel::Known, 0.001);
+        let check = check_consistency(&session.set(&residuals, &poses), session.size(&residuals), 0.001);
         // Also where the size of the residuals alone does not tell yet.
         assert!(!check.is_consistent(), "{check}");
         assert!(check.to_string().contains(&format!("\nthe residual {words} (p = ")), "{check}");
@@ -296,7 +302,7 @@ fn serial_correlation_of_noise_is_standard() {
     for _ in 0..trials {
         let residuals = session.residuals(&mut rng, |_| Vector3::zeros());
         let set = session.set(&residuals, &poses);
-        let projected = ProjectedResidual::new(residuals.clone(), set.jacobian).expect("a residual");
+        let projected = ProjectedResidual::new(&set).expect("a residual");
         let serial = serial_correlation(&projected, &set).expect("enough poses");
         small += u64::from(serial.ln_p.exp() < 0.05);
     }

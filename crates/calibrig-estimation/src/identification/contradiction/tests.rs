@@ -227,18 +227,18 @@ fn a_tracker_that_moved_after_its_nests_were_measured_is_told() {
     assert!(has_inconsistent(&estimate));
 }
 
+/// Gravity is in the data and not in the model, and links are off by four times their stated tolerance: both are told.
 #[test]
-fn where_the_model_itself_does_not_fit_one_sentence_tells_of_the_priors_and_none_is_held_against_it() {
+fn where_the_model_itself_does_not_fit_priors_are_tested_in_the_noise_that_it_leaves() {
     let nominal = painter();
     let set = measure(&truth(&nominal, &geometric_errors(&nominal), Vec::new()), 60, 1.0);
-    let options = IdentificationOptions {
-        tolerance: Some(Tolerance { length: 1e-3, angle: 1e-3 }),
+    let tight = |length, angle| IdentificationOptions {
+        tolerance: Some(Tolerance { length, angle }),
         ..options(Mode::OnlyCalibration)
     };
-    let estimate = identify(&nominal, &set, &options).expect("an estimate");
-    assert!(has_inconsistent(&estimate) && estimate.contradicted.is_empty() && estimate.is_sound());
-    let strained = estimate.warnings.iter().filter(|w| matches!(w, Warning::Strained { .. })).count();
-    let moved = estimate.warnings.iter().filter(|w| matches!(w, Warning::Moved(_))).count();
-    assert!(strained + moved <= 1 && estimate.warnings.len() <= 2 + estimate.spectrum.weak.len());
-    println!("{:#?}", estimate.warnings.iter().map(ToString::to_string).collect::<Vec<_>>());
+    let estimate = identify(&nominal, &set, &tight(1e-3, 1e-3)).expect("an estimate");
+    assert!(has_inconsistent(&estimate) && !estimate.contradicted.is_empty() && !estimate.is_sound());
+    assert_eq!(estimate.warnings.iter().filter(|w| matches!(w, Warning::Contradicted(_))).count(), 1);
+    let loose = identify(&nominal, &set, &tight(10e-3, 20e-3)).expect("an estimate");
+    assert!(has_inconsistent(&loose) && loose.contradicted.is_empty(), "{:?}", loose.warnings);
 }

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::identification::tests::{SHOULDER, WAIST, geometric_errors, measure, options, painter, truth};
-use crate::identification::{ComplianceChoice, IdentifyError, Warning, identify};
+use crate::identification::{ComplianceChoice, IdentifyError, MachineNoiseChoice, Warning, identify};
 use calibrig_model::LinkTerm;
 
 const A4: ParameterId = ParameterId::link(3, LinkTerm::A);
@@ -13,7 +13,9 @@ fn bound(id: ParameterId, lower: f64, upper: f64) -> ParameterBound {
 }
 
 fn with(bounds: &[ParameterBound], mode: Mode) -> IdentificationOptions {
-    IdentificationOptions { bounds: bounds.to_vec(), ..options(mode) }
+    // What a bound leaves is not to be taken for noise of the machine.
+    let machine_noise = MachineNoiseChoice::Stated(Vec::new());
+    IdentificationOptions { bounds: bounds.to_vec(), machine_noise, ..options(mode) }
 }
 
 #[test]

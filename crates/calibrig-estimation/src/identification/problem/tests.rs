@@ -50,6 +50,7 @@ fn problem() -> CalibrationProblem {
             .prepare(&PoseQuery::at(&command).approached(&signs(&command)))
             .expect("an ideal machine"),
         seen,
+        reading: None,
         whitening: Matrix3::new(3.0, 0.0, 0.0, 1.0, 2.0, 0.0, -0.5, 0.3, 4.0),
         station,
         target: 0,
@@ -71,6 +72,12 @@ fn problem() -> CalibrationProblem {
         parameters,
         stations,
         targets,
+        poses: Vec::new(),
+        motions: Vec::new(),
+        unmodelled: 0.0,
+        stated_actuators: None,
+        noise: Noise::default(),
+        joined: Vec::new(),
         start: None,
     }
 }
@@ -146,6 +153,7 @@ fn coupled() -> CalibrationProblem {
                     .prepare(&PoseQuery::at(&command).approached(&signs(&command)))
                     .expect("a machine that stands"),
                 seen: Vector3::zeros(),
+                reading: None,
                 whitening: Matrix3::identity(),
                 station: 0,
                 target: 0,
@@ -164,6 +172,12 @@ fn coupled() -> CalibrationProblem {
         parameters,
         stations,
         targets,
+        poses: Vec::new(),
+        motions: Vec::new(),
+        unmodelled: 0.0,
+        stated_actuators: None,
+        noise: Noise::default(),
+        joined: Vec::new(),
         start: None,
     }
 }
