@@ -1,0 +1,181 @@
+//! Robots that are as their model: how often stated intervals hold what was put in, and how often the size of residuals is doubted.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use calibrig_estimation::evaluation::ChiSquareTest;
+use calibrig_estimation::identification::{Estimate, IdentificationOptions, identify};
+use calibrig_estimation::kinematics::target_in_base;
+use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::nalgebra::Vector3;
+use calibrig_model::random::{Source, stream};
+use calibrig_model::statistics::binomial_cdf;
+use calibrig_model::{CalibrationModel, CraigLink, LinkTerm, ParameterId};
+use rand::RngExt;
+use rand_distr::{Distribution, Normal};
+
+const NOISE: f64 = 20e-6;
+const TARGET: Vector3<f64> = Vector3::new(0.05, 0.08, 0.12);
+
+/// Six and seven axes, in the shape of common arms; m and rad.
+fn robots() -> [CalibrationModel; 2] {
+    let arm = |rows: &[[f64; 3]]| {
+        let link = |(i, [a, alpha, d]): (usize, &[f64; 3])| {
+            CraigLink::revolute(format!("j{}", i + 1)).row(*a, *alpha, *d, 0.0).limits(-2.8, 2.8)
+        };
+        CalibrationModel::new(rows.iter().enumerate().map(link).collect()).expect("a robot")
+    };
+    let turn = FRAC_PI_2;
+    [
+        arm(&[
+            [0.0, 0.0, 0.4],
+            [0.05, -turn, 0.0],
+            [0.5, 0.0, 0.0],
+            [0.04, -turn, 0.6],
+            [0.0, turn, 0.0],
+            [0.0, -turn, 0.1],
+        ]),
+        arm(&[
+            [0.0, 0.0, 0.34],
+            [0.0, -turn, 0.0],
+            [0.0, turn, 0.4],
+            [0.0, turn, 0.0],
+            [0.0, -turn, 0.4],
+            [0.0, -turn, 0.0],
+            [0.0, turn, 0.126],
+        ]),
+    ]
+}
+
+/// What of the links is identified, in the order of every estimate.
+fn links(estimate: &Estimate) -> Vec<ParameterId> {
+    let ids = estimate.parameters.iter().map(|p| p.id);
+    ids.filter(|id| matches!(id, ParameterId::Link { .. })).collect()
+}
+
+/// A session of a robot whose identified links are off by draws of 0.5 mm and 1 mrad.
+fn session(
+    model: &CalibrationModel,
+    ids: &[ParameterId],
+    poses: usize,
+    trial: u32,
+) -> (Vec<f64>, MeasurementSet) {
+    let mut rng = stream(11, trial, Source::AsBuilt);
+    let mut machine = model.kinematics.clone();
+    let mut truth = Vec::new();
+    for id in ids {
+        let ParameterId::Link { term, .. } = id else { continue };
+        let size = if matches!(term, LinkTerm::A | LinkTerm::D) { 0.5e-3 } else { 1e-3 };
+        let value = Normal::new(0.0, size).expect("a width").sample(&mut rng);
+        machine.add(*id, value);
+        truth.push(value);
+    }
+    let noise = Normal::new(0.0, NOISE).expect("a width");
+    let joints = model.kinematics.joint_count();
+    let point = |_| {
+        let command: Vec<f64> = (0..joints).map(|_| rng.random_range(-0.8 * PI..0.8 * PI)).collect();
+        let position = target_in_base(&machine, &command, &TARGET).expect("a pose");
+        (command, position + Vector3::from_fn(|_, _| noise.sample(&mut rng)))
+    };
+    (truth, MeasurementSet::of_points((0..poses).map(point).collect::<Vec<_>>()))
+}
+
+/// Intervals that held the truth of each parameter, and sizes that were doubted as too small and too large at 5 % each.
+struct Counts {
+    trials: u64,
+    held: Vec<u64>,
+    small: u64,
+    large: u64,
+}
+
+fn count(model: &CalibrationModel, poses: usize, stated: bool, trials: u32) -> Counts {
+    let options = IdentificationOptions::default();
+    let any = session(model, &[], 60, 0).1.with_sigma(NOISE);
+    let ids = links(&identify(model, &any, &options).expect("an estimate"));
+    let mut counts = Counts { trials: u64::from(trials), held: vec![0; ids.len()], small: 0, large: 0 };
+    for trial in 0..trials {
+        let (truth, mut set) = session(model, &ids, poses, trial);
+        if stated {
+            set = set.with_sigma(NOISE);
+        }
+        let estimate = identify(model, &set, &options).expect("an estimate");
+        let factor = estimate.interval_factor(0.95);
+        for ((held, id), truth) in counts.held.iter_mut().zip(&ids).zip(&truth) {
+            let parameter = estimate.parameters.iter().find(|p| p.id == *id).expect("identified");
+            *held +=
+                u64::from((parameter.value - truth).abs() <= factor * parameter.sigma.expect("full rank"));
+        }
+        if let Some(size) = ChiSquareTest::new(estimate.chi2, estimate.degrees_of_freedom).filter(|_| stated)
+        {
+            counts.small += u64::from(size.p_of_less() < 0.05);
+            counts.large += u64::from(size.p_value < 0.05);
+        }
+    }
+    counts
+}
+
+/// Two-sided: so seldom are as many or as few hits.
+fn p_value(hits: u64, trials: u64, p: f64) -> f64 {
+    let less = binomial_cdf(hits, trials, p);
+    let more = if hits == 0 { 1.0 } else { 1.0 - binomial_cdf(hits - 1, trials, p) };
+    2.0 * less.min(more)
+}
+
+/// With the default tolerance, which is far looser than the robots are made. The tests of a table share one false alarm in a thousand.
+#[test]
+fn intervals_of_matched_robots_hold_as_often_as_stated() {
+    let trials = if std::env::var_os("CALIBRIG_FULL").is_some() { 1000 } else { 150 };
+    let mut tests = Vec::new();
+    for model in robots() {
+        for poses in [20, 30, 60] {
+            for stated in [true, false] {
+                let counts = count(&model, poses, stated, trials);
+                let all: u64 = counts.held.iter().sum();
+                let (n, joints) = (counts.held.len() as u64, model.kinematics.joint_count());
+                let share = |hits: u64, of: u64| 1e2 * hits as f64 / of as f64;
+                println!(
+                    "{joints}R, {poses} poses, noise {}: {:.1} % ({:.1} .. {:.1}) of {n} parameters inside; size too small {:.1} %, too large {:.1} %",
+                    if stated { "stated" } else { "estimated" },
+                    share(all, n * counts.trials),
+                    share(*counts.held.iter().min().expect("some"), counts.trials),
+                    share(*counts.held.iter().max().expect("some"), counts.trials),
+                    share(counts.small, counts.trials),
+                    share(counts.large, counts.trials),
+                );
+                let case = format!("{joints}R {poses} {stated}");
+                tests.extend(
+                    counts.held.iter().map(|hits| (p_value(*hits, counts.trials, 0.95), case.clone())),
+                );
+                if stated {
+                    tests.push((p_value(counts.small, counts.trials, 0.05), format!("{case}: too small")));
+                    tests.push((p_value(counts.large, counts.trials, 0.05), format!("{case}: too large")));
+                }
+            }
+        }
+    }
+    let level = 1e-3 / tests.len() as f64;
+    let failed: Vec<_> = tests.iter().filter(|(p, _)| *p < level).collect();
+    assert!(failed.is_empty(), "{failed:?}");
+}
+
+/// Few poses: every parameter costs a degree of freedom, and hardly any are left.
+#[test]
+fn intervals_hold_from_few_poses() {
+    let trials = if std::env::var_os("CALIBRIG_FULL").is_some() { 1000 } else { 200 };
+    for model in robots() {
+        // Coordinates for every parameter, of which the arm with seven axes has 31.
+        let fewest = if model.kinematics.joint_count() == 7 { 11 } else { 10 };
+        for poses in [fewest, 14] {
+            for stated in [true, false] {
+                let counts = count(&model, poses, stated, trials);
+                let share = counts.held.iter().sum::<u64>() as f64
+                    / (counts.held.len() as u64 * counts.trials) as f64;
+                println!(
+                    "{}R, {poses} poses, stated {stated}: {:.1} % inside",
+                    model.kinematics.joint_count(),
+                    1e2 * share
+                );
+                assert!((0.90..=0.99).contains(&share), "{share}");
+            }
+        }
+    }
+}
