@@ -16,7 +16,7 @@ use super::{
 };
 use crate::pipeline::{Outcome, PlantKind, SetKind};
 use calibrig_estimation::identification::{
-    DependentGroup, Estimate, Mode, NoiseScale, Warning, WeakDirection,
+    Assumption, DependentGroup, Estimate, Mode, NoiseScale, Warning, WeakDirection,
 };
 use calibrig_model::statistics::NORMAL_95;
 use calibrig_model::{ParameterId, Unit};
@@ -467,7 +467,7 @@ fn estimate_table(fitted: &[(Mode, &Estimate)]) -> Markup {
                                 NoiseScale::Stated => td { (significant(estimate.chi2)) },
                                 NoiseScale::Residuals(_) => td { "\u{2013}" },
                             }
-                            td { (estimate.degrees_of_freedom) }
+                            td { (format!("{:.1}", estimate.degrees_of_freedom)) }
                             td {
                                 @if let Some(ratio) = consistency_ratio(estimate) { (significant(ratio)) } @else { "\u{2013}" }
                             }
@@ -494,6 +494,7 @@ fn mode_trust(mode: Mode, estimate: &Estimate) -> Markup {
         @if !estimate.bounds.is_empty() {
             p { "Held within bounds: " (estimate.bounds.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")) "." }
         }
+        (machine_noise(estimate))
         @if let NoiseScale::Residuals(sigma) = estimate.noise {
             p { "The readings state no uncertainty; from the residuals, one coordinate has a standard deviation of " (length_words(sigma)) "." }
         }
@@ -507,6 +508,20 @@ fn mode_trust(mode: Mode, estimate: &Estimate) -> Markup {
         }
         @if !(spectrum.dependent.is_empty() && spectrum.weak.is_empty()) {
             p.note { code { "calibrig identifiability" } " says what to fix or to measure." }
+        }
+    }
+}
+
+/// What the machine was found to do beside the model, and what that makes of intervals.
+fn machine_noise(estimate: &Estimate) -> Markup {
+    let found = estimate.assumptions.iter().find(|a| matches!(a, Assumption::NoiseOfMachine(_)));
+    html! {
+        @if let Some(found) = found { p { (found) "." } }
+        @if let Some(freedom) = estimate.interval_freedom.filter(|freedom| freedom.is_finite()) {
+            p {
+                "A 95 % interval is " (format!("{:.2}", estimate.interval_factor(0.95))) " standard deviations to either side (Student\u{2019}s t, "
+                (format!("{freedom:.1}")) " degrees of freedom of the estimated noise)."
+            }
         }
     }
 }

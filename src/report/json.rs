@@ -166,6 +166,15 @@ pub struct JsonEstimate {
     /// Standard deviation of one coordinate from the residuals, m; absent where the readings state their noise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub residual_sigma_m: Option<f64>,
+    /// Effective degrees of freedom of the residuals.
+    #[serde(default)]
+    pub degrees_of_freedom: Option<f64>,
+    /// What the machine was found to do beside the model; absent where that was not estimated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub machine_noise: Option<JsonMachineNoise>,
+    /// Half the width of a 95 % interval, in standard deviations; null where no degree of freedom is left to estimate the noise.
+    #[serde(default)]
+    pub interval_factor_95: Option<f64>,
     /// What a user must know, in words.
     pub warnings: Vec<String>,
     /// Parameters that the measurements alone cannot tell from others and that rest on their priors, in words; absent where none.
@@ -186,6 +195,17 @@ pub struct JsonEstimate {
     /// What speaks for and against it; absent where it was not judged.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub judgement: Option<JsonJudgement>,
+}
+
+/// Errors of single poses beside the model, standard deviations.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonMachineNoise {
+    /// Displacement of the flange, along each axis.
+    pub position_m: Option<f64>,
+    /// Of every actuator, m or rad.
+    pub actuators: Vec<Option<f64>>,
+    /// Degrees of freedom of the estimate.
+    pub degrees_of_freedom: Option<f64>,
 }
 
 /// Limits of a parameter, in the unit of `unit`.
@@ -240,6 +260,9 @@ pub struct JsonParameter {
     pub estimate: Option<f64>,
     /// Standard deviation; null from a singular system, and of a parameter at its bound.
     pub sigma: Option<f64>,
+    /// The one that the readings' stated noise leaves by itself; absent where the fit was not weighed with more.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stated_sigma: Option<f64>,
     /// Standard deviation of its own zero-mean prior; absent where it has none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prior_sigma: Option<f64>,
@@ -286,6 +309,7 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
                     truth: truth_of(outcome, estimate, p.id),
                     estimate: finite(p.value),
                     sigma: p.sigma.and_then(finite),
+                    stated_sigma: p.stated_sigma.and_then(finite),
                     prior_sigma: p.prior_sigma,
                 })
             })
@@ -380,6 +404,13 @@ fn json_estimate(estimate: &Estimate) -> JsonEstimate {
         chi2_per_dof,
         condition: finite(estimate.spectrum.condition),
         residual_sigma_m: residual_sigma,
+        degrees_of_freedom: finite(estimate.degrees_of_freedom),
+        machine_noise: estimate.found_machine().map(|found| JsonMachineNoise {
+            position_m: finite(found.position),
+            actuators: found.actuators.iter().copied().map(finite).collect(),
+            degrees_of_freedom: found.freedom.and_then(finite),
+        }),
+        interval_factor_95: finite(estimate.interval_factor(0.95)),
         warnings: estimate.warnings.iter().map(ToString::to_string).collect(),
         held: estimate.held.iter().map(ToString::to_string).collect(),
         fixed: estimate.fixed.iter().map(ToString::to_string).collect(),

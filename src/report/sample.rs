@@ -382,6 +382,7 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
                 id: *id,
                 value: truth + 1.6 * sigma * normal(rng),
                 sigma: Some(sigma),
+                stated_sigma: None,
                 prior_sigma: None,
             }
         })
@@ -393,7 +394,7 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
         kinematics.add(parameter.id, parameter.value);
     }
     let n = parameters.len();
-    let degrees_of_freedom = 3 * 60 + 9 - n;
+    let degrees_of_freedom = (3 * 60 + 9 - n) as f64;
     let weak = WeakDirection {
         singular_value: 1.9e-3,
         members: vec![
@@ -407,7 +408,7 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
             singular_value: weak.singular_value,
             direction: "0.71 delta_d2 - 0.58 delta_alpha3 + 0.31 delta_d4".to_owned(),
         },
-        Warning::Inconsistent { ratio },
+        Warning::Inconsistent { ratio, accounted: false },
     ];
     let iteration = |parameters: &[ParameterEstimate]| IterationRecord {
         cost: 1.0,
@@ -434,7 +435,9 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
         weights: Vec::new(),
         assumptions: Vec::new(),
         noise: NoiseScale::Stated,
-        chi2: ratio * ratio * degrees_of_freedom as f64,
+        machine_noise: Vec::new(),
+        interval_freedom: None,
+        chi2: ratio * ratio * degrees_of_freedom,
         degrees_of_freedom,
         termination: TerminationReason::SmallStep,
         iterations: vec![iteration(&parameters); 5],

@@ -207,10 +207,10 @@ fn consistency(mode: &ModeOutcome, say: &mut Vec<String>) {
     }
     let Some(ratio) = consistency_ratio(estimate) else { return };
     // Three standard deviations of sqrt(chi2 / dof) for normal errors.
-    let tolerance = 3.0 / (2.0 * estimate.degrees_of_freedom as f64).sqrt();
+    let tolerance = 3.0 / (2.0 * estimate.degrees_of_freedom).sqrt();
     say.push(if ratio > 1.0 + tolerance {
         format!(
-            "The residuals are {} times what the stated noise explains: the rest is what the model lacks, and the standard deviations of the parameters do not include it.",
+            "The residuals are {} times what the stated noise explains: the rest is what the model lacks. Where it was estimated, as errors of single poses, the standard deviations include it.",
             significant(ratio)
         )
     } else if ratio < 1.0 - tolerance {

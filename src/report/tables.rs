@@ -8,7 +8,7 @@ use super::splits::split_lines;
 use super::{condition_words, consistency_ratio, counted, pose_words, published, set_title};
 use crate::pipeline::{Outcome, SetOutcome};
 use calibrig_estimation::evaluation::AccuracyRow;
-use calibrig_estimation::identification::{Estimate, NoiseScale, Warning};
+use calibrig_estimation::identification::{Assumption, Estimate, NoiseScale, Warning};
 
 /// Whether escape sequences may be used. The caller decides, from the terminal and `NO_COLOR`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -188,6 +188,15 @@ fn state(estimate: &Estimate, style: Style) -> Vec<String> {
     if !estimate.bounds.is_empty() {
         let bounds: Vec<_> = estimate.bounds.iter().map(ToString::to_string).collect();
         say(Ink::Good, &format!("  held within bounds: {}", bounds.join(", ")), "    ");
+    }
+    for found in estimate.assumptions.iter().filter(|a| matches!(a, Assumption::NoiseOfMachine(_))) {
+        say(Ink::Dim, &format!("  {}", printable(&found.to_string())), "    ");
+    }
+    if let Some(freedom) = estimate.interval_freedom.filter(|freedom| freedom.is_finite()) {
+        let factor = estimate.interval_factor(0.95);
+        let words =
+            format!("  95 % intervals: +- {factor:.2} sigma ({freedom:.1} degrees of freedom of the noise)");
+        say(Ink::Dim, &words, "    ");
     }
     for warning in estimate.warnings.iter().map(Warning::to_string) {
         say(Ink::Warning, &format!("  warning: {}", printable(&warning)), "           ");

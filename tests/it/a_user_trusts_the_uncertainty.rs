@@ -59,7 +59,7 @@ fn exact_measurements_give_the_24_parameters() {
 fn noise_gives_the_stated_chi_square_and_coverage() {
     let scenario = matched();
     let trials = 1000;
-    let (mut chi2, mut dof, mut doubted) = (0.0, 0, 0);
+    let (mut chi2, mut dof, mut doubted) = (0.0, 0.0, 0);
     let mut covered = [0_u32; 24];
     for trial in 0..trials {
         let simulation =
@@ -78,9 +78,9 @@ fn noise_gives_the_stated_chi_square_and_coverage() {
     // What was stated is doubted at a level of 0.1 %: 1 of 1000 is expected, 6 and more come once in 1700 such tests.
     println!("{doubted} of {trials} doubted");
     assert!(doubted <= 5, "{doubted}");
-    let per_dof = chi2 / dof as f64;
+    let per_dof = chi2 / dof;
     // The sum of all trials is chi-square with `dof` degrees of freedom, which is normal for so many: 99.9 % band.
-    let band = 3.291 * (2.0 / dof as f64).sqrt();
+    let band = 3.291 * (2.0_f64 / dof).sqrt();
     println!("pooled chi-square per degree of freedom {per_dof:.4}, band 1 +- {band:.4}");
     assert!((per_dof - 1.0).abs() <= band, "{per_dof} +- {band}");
     let coverage: Vec<_> = covered.iter().map(|hits| f64::from(*hits) / f64::from(trials)).collect();

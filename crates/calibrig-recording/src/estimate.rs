@@ -39,6 +39,7 @@ fn with_identification(robot: v1::Estimate, estimate: &Estimate) -> v1::Estimate
         value: Some(p.value),
         sigma: p.sigma,
         prior_sigma: p.prior_sigma,
+        stated_sigma: p.stated_sigma,
     };
     let iteration = |i: &IterationRecord| v1::Iteration {
         cost: i.cost,
@@ -56,7 +57,11 @@ fn with_identification(robot: v1::Estimate, estimate: &Estimate) -> v1::Estimate
             .map(|c| c.transpose().iter().copied().collect())
             .unwrap_or_default(),
         chi2: Some(estimate.chi2),
-        degrees_of_freedom: Some(estimate.degrees_of_freedom as u64),
+        degrees_of_freedom: None,
+        effective_degrees_of_freedom: Some(estimate.degrees_of_freedom),
+        machine_position_sigma: estimate.found_machine().map(|found| found.position),
+        machine_actuator_sigmas: estimate.found_machine().map(|f| f.actuators.clone()).unwrap_or_default(),
+        interval_degrees_of_freedom: estimate.interval_freedom,
         termination: estimate.termination.key().to_owned(),
         iterations: estimate.iterations.iter().map(iteration).collect(),
         rank: Some(estimate.spectrum.rank as u64),
@@ -70,4 +75,9 @@ fn with_identification(robot: v1::Estimate, estimate: &Estimate) -> v1::Estimate
         },
         ..robot
     }
+}
+
+/// Degrees of freedom of a recorded chi-square, whichever way it was recorded.
+pub(super) fn freedom_of(estimate: &v1::Estimate) -> Option<f64> {
+    estimate.effective_degrees_of_freedom.or(estimate.degrees_of_freedom.map(|freedom| freedom as f64))
 }

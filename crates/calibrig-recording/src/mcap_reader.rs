@@ -9,6 +9,7 @@ use mcap::records::{self, Record, op};
 use nalgebra::Vector3;
 use prost::{Message, Name};
 
+use super::estimate::freedom_of;
 use super::provenance::{AttachedInput, METADATA, RECOVERED, source_of};
 use super::scan::{ReadError, check_attachment, check_integrity, check_magic, scan};
 use super::schema::{self, v1};
@@ -69,8 +70,8 @@ pub struct RecordedEstimate {
     pub parameters: Vec<RecordedParameter>,
     /// Weighted sum of squares at the minimum; `None` where nothing was identified.
     pub chi2: Option<f64>,
-    /// Rows minus parameters.
-    pub degrees_of_freedom: Option<u64>,
+    /// Its degrees of freedom.
+    pub degrees_of_freedom: Option<f64>,
     /// Key of the termination reason; empty where nothing was identified.
     pub termination: String,
     /// Number of iterations.
@@ -327,10 +328,10 @@ impl<'a> Contents<'a> {
         };
         let rms = |row: &v1::Accuracy| Ok::<_, String>((schema::set_kind(&row.set)?, row.rms_3d));
         self.estimates.push(RecordedEstimate {
+            degrees_of_freedom: freedom_of(&message),
             mode: message.mode,
             parameters: message.parameters.into_iter().map(parameter).collect::<Result<_, _>>()?,
             chi2: message.chi2,
-            degrees_of_freedom: message.degrees_of_freedom,
             termination: message.termination,
             iterations: message.iterations.len(),
             stations: message.stations.iter().map(schema::to_pose).collect::<Result<_, _>>()?,

@@ -6,6 +6,7 @@ use mcap::records::{MessageHeader, Record};
 use prost::{Message, Name};
 
 use super::directory::{Definitions, Directory};
+use super::estimate::freedom_of;
 use super::inspect::{
     AttachmentReport, EstimateReport, ProvenanceReport, ProvenanceState, SetReport, TopicReport,
 };
@@ -270,9 +271,9 @@ fn holds(topic: &str, schema: &str) -> Holds {
 }
 
 fn estimate_of(message: v1::Estimate) -> EstimateReport {
-    let freedom = message.degrees_of_freedom.filter(|&freedom| freedom > 0);
+    let freedom = freedom_of(&message).filter(|&freedom| freedom > 0.0);
     EstimateReport {
-        chi2_per_dof: message.chi2.zip(freedom).map(|(chi2, freedom)| chi2 / freedom as f64),
+        chi2_per_dof: message.chi2.zip(freedom).map(|(chi2, freedom)| chi2 / freedom),
         parameters: message.parameters.len() as u64,
         termination: message.termination,
         iterations: message.iterations.len() as u64,

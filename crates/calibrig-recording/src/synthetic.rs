@@ -326,6 +326,7 @@ fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
             id,
             value,
             sigma: Some(1e-3 * value.abs()),
+            stated_sigma: None,
             prior_sigma: None,
         })
         .collect();
@@ -350,7 +351,9 @@ fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
         assumptions: Vec::new(),
         noise: NoiseScale::Stated,
         chi2: 151.25,
-        degrees_of_freedom: 120,
+        degrees_of_freedom: 120.0,
+        machine_noise: Vec::new(),
+        interval_freedom: None,
         termination: TerminationReason::SmallStep,
         iterations,
         spectrum: Spectrum { rank: n, condition: 41.5, ..Spectrum::default() },
@@ -360,7 +363,7 @@ fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
         at_bound: Vec::new(),
         contradicted: Vec::new(),
         outliers: Vec::new(),
-        warnings: vec![Warning::Inconsistent { ratio: 1.12 }],
+        warnings: vec![Warning::Inconsistent { ratio: 1.12, accounted: false }],
     }
 }
 

@@ -29,6 +29,7 @@ pub(super) fn as_built(nominal: &KinematicModel, truth: (&AsBuilt, &Transform)) 
                 value: Some(*value),
                 sigma: None,
                 prior_sigma: None,
+                stated_sigma: None,
             })
             .collect(),
         target: schema::vector(&machine.target),

@@ -57,9 +57,6 @@ pub(super) fn judgement_lines(outcome: &Outcome, mode: Mode, style: Style) -> Ve
         if let Some([median, _, most]) = quantiles(&confidence.map) {
             let (usual, worst) = (length_words(median), length_words(most));
             words = format!("{words}; predicted position +- {usual} over the region, {worst} at worst");
-            if !judgement.consistency.is_consistent() {
-                words += ", if the model lacked nothing";
-            }
         }
         say(Ink::Dim, &words, "    ");
     }
@@ -131,7 +128,7 @@ fn verdict(judgement: &Judgement) -> Markup {
             p {
                 strong { "The model lacks something. " }
                 @if let Some(size) = consistency.size.filter(|_| consistency.too_large()) {
-                    "The residuals are " (significant(size.ratio())) " times what the stated noise explains, and standard deviations do not include it. "
+                    "The residuals are " (significant(size.ratio())) " times what the stated noise explains. "
                 }
                 @if found.is_empty() { "They have no pattern that was looked for." }
             }
@@ -152,7 +149,7 @@ pub(super) fn sure_section(outcome: &Outcome) -> Result<Markup, ReportError> {
         section #sure {
             h2 { "How sure" }
             p {
-                "One standard deviation of the predicted target position, from the covariance of the fit: it takes model and stated noise for right."
+                "One standard deviation of the predicted mean position of the target: what the parameters leave open, and what the machine does beside the model, as errors of single poses. The noise of a reading comes on top."
             }
             (overview(&sure))
             @if let Some(map) = &map {

@@ -271,6 +271,16 @@ pub enum Warning {
         /// Whether the fit was weighed with an estimate of it.
         accounted: bool,
     },
+    /// Too few readings to tell their noise.
+    #[error(
+        "no degrees of freedom remain: the parameters take all that was measured, and the residuals say nothing of the noise. It is taken to be \
+         {:.3} mm a coordinate, which is all that the nominal robot leaves and the most that it can be: measure more poses, or state the noise of \
+         the readings", 1e3 * sigma
+    )]
+    NoFreedom {
+        /// Standard deviation of one coordinate, m.
+        sigma: f64,
+    },
     /// The residuals are smaller than the stated noise leaves.
     #[error(
         "the residuals are {ratio:.2} times what the stated noise leaves: it is stated too large, and the standard deviations are wider than they need to be"

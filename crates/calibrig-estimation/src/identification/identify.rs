@@ -5,7 +5,7 @@ use thiserror::Error;
 use super::build::{Built, best_fit_stations, build};
 use super::limits::limits;
 use super::machine::MachineError;
-use super::noise::{Unknown, find};
+use super::noise::{Unknown, bound_without_freedom, find};
 use super::problem::CalibrationProblem;
 use super::summary::{Size, is_misfit, sigmas, summarise};
 use super::{
@@ -149,11 +149,10 @@ pub fn identify(
     let stated_sigmas =
         unknown.machine.then(|| sigmas(&built.problem, &solution, options.redundant)).flatten();
     let (parameters, sigmas) = (built.problem.parameters.clone(), built.sigmas.clone());
-    let (solution, noise) =
-        find(&mut built.problem, solution, unknown, options.solver.loss, |problem, x| {
-            solve_problem(problem, &parameters, &sigmas, x, options)
-        })?;
-    built.problem.noise = noise;
+    let mut fit =
+        |problem: &mut CalibrationProblem, x| solve_problem(problem, &parameters, &sigmas, x, options);
+    let solution = find(&mut built.problem, solution, unknown, options.solver.loss, &mut fit)?;
+    let solution = bound_without_freedom(&mut built.problem, solution, unknown, &mut fit)?;
     // Where nothing is stated, the size says nothing of what was stated.
     let size = if unknown.readings { Size::of(&built.problem, &solution) } else { stated };
     Ok(summarise(built, solution, size, stated_sigmas, set, options))

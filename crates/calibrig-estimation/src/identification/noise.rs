@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::problem::CalibrationProblem;
 use super::solver::Solution;
+use super::summary::Size;
 use super::variance::{Block, Components, System};
 use super::{IdentificationOptions, IdentifyError, LeastSquares, Loss};
 use crate::kinematics::PlacedChain;
@@ -25,6 +26,8 @@ const DOUBTED: f64 = 0.01;
 /// Variances that change less than this in all have come to rest.
 const SETTLED: f64 = 0.02;
 const MOST_ROUNDS: usize = 6;
+/// With less than one degree of freedom residuals say nothing of the noise.
+const LEAST_FREEDOM: f64 = 1.0;
 
 /// What a machine does beside its model, as standard deviations of independent errors of single poses.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -205,16 +208,14 @@ pub(super) fn find(
     mut solution: Solution,
     unknown: Unknown,
     loss: Loss,
-    mut fit: impl FnMut(&mut CalibrationProblem, Vec<f64>) -> Result<Solution, IdentifyError>,
-) -> Result<(Solution, Noise), IdentifyError> {
-    let mut noise = Noise::default();
+    fit: &mut impl FnMut(&mut CalibrationProblem, Vec<f64>) -> Result<Solution, IdentifyError>,
+) -> Result<Solution, IdentifyError> {
     let mut before: Option<Vec<f64>> = None;
     for _ in 0..MOST_ROUNDS {
         let system = system(problem, &solution, unknown, loss);
         let Some(found) = system.components(before.as_deref()) else { break };
         let settled = before.as_ref().is_some_and(|before| is_settled(before, &found.variances, &system));
-        noise = named(&found, unknown);
-        problem.weigh(&noise)?;
+        problem.weigh(&named(&found, unknown))?;
         let first = std::mem::take(&mut solution.iterations);
         solution = fit(problem, solution.x)?;
         solution.iterations.splice(0..0, first);
@@ -223,7 +224,29 @@ pub(super) fn find(
         }
         before = Some(found.variances);
     }
-    Ok((solution, noise))
+    Ok(solution)
+}
+
+/// Where a fit leaves no degree of freedom to tell the noise from, it is taken to be as large as it can be: all that the nominal robot leaves
+/// once tracker and targets are fitted.
+pub(super) fn bound_without_freedom(
+    problem: &mut CalibrationProblem,
+    solution: Solution,
+    unknown: Unknown,
+    fit: &mut impl FnMut(&mut CalibrationProblem, Vec<f64>) -> Result<Solution, IdentifyError>,
+) -> Result<Solution, IdentifyError> {
+    let is_left = Size::of(problem, &solution).freedom >= LEAST_FREEDOM;
+    if is_left || !unknown.readings || unknown.machine {
+        return Ok(solution);
+    }
+    let sigma = problem.most_noise();
+    if !(sigma.is_finite() && sigma > 0.0) {
+        return Ok(solution);
+    }
+    problem.weigh(&Noise { unstated: Some(sigma), machine: None, freedom: None })?;
+    let mut bounded = fit(problem, solution.x)?;
+    bounded.iterations.splice(0..0, solution.iterations);
+    Ok(bounded)
 }
 
 /// Whether the variance that blocks have on the whole stands still.
@@ -387,6 +410,23 @@ impl CalibrationProblem {
             }
         }
         &spread * spread.transpose()
+    }
+
+    /// Standard deviation of a coordinate that the nominal robot leaves once tracker and targets are fitted, m.
+    fn most_noise(&mut self) -> f64 {
+        let (residuals, jacobian) = self.in_metres(&vec![0.0; self.parameters.len()]);
+        let is_placing =
+            |id: &ParameterId| matches!(id, ParameterId::Frame { .. } | ParameterId::Target { .. });
+        let placing: Vec<usize> =
+            (0..self.parameters.len()).filter(|column| is_placing(&self.parameters[*column])).collect();
+        let data = 3 * self.rows.len();
+        let columns = jacobian.rows(0, data).select_columns(&placing);
+        let seen = residuals.rows(0, data).into_owned();
+        let left = match columns.clone().svd(true, true).solve(&seen, 1e-12) {
+            Ok(shift) => (&seen - columns * shift).norm_squared(),
+            Err(_) => seen.norm_squared(),
+        };
+        (left / data.saturating_sub(placing.len()).max(1) as f64).sqrt()
     }
 
     /// Residuals and Jacobian with the observations in metres, in the trackers' axes; priors as they are.

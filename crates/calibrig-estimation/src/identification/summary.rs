@@ -140,11 +140,17 @@ pub(super) fn summarise(
         covariance.as_ref().map(|c| Checks::new(&problem, set, &solution, c, &bounded, options.frame));
     let is_stated = noise == NoiseScale::Stated;
     let (contradicted, doubts) = doubts(size, is_stated, problem.noise.machine.is_some(), checks.as_ref());
+    // The size that residuals have in an upper bound of their noise says nothing of it.
+    let no_freedom = match noise {
+        NoiseScale::Residuals(sigma) if sigma > 0.0 && problem.noise.freedom.is_none() => Some(sigma),
+        _ => None,
+    };
     problem.set(&solution.x);
     let mut warnings = Vec::new();
     if !solution.termination.converged() {
         warnings.push(Warning::NotConverged(solution.termination));
     }
+    warnings.extend(no_freedom.map(|sigma| Warning::NoFreedom { sigma }));
     warnings.extend(rank_warnings(&spectrum, n));
     warnings.extend(doubts);
     let at_bound: Vec<_> = bounded.iter().map(|place| problem.parameters[*place]).collect();
