@@ -14,8 +14,8 @@ use crate::pipeline::{
     hash_sources, is_default, judge, pose_count, repeat_splits,
 };
 use calibrig_estimation::identification::{
-    ComplianceChoice, DEFAULT_TOLERANCE, IdentificationOptions, LINKAGE, Loss, Mode, ParameterBound,
-    ParameterChoice, RefusedBound, SolverOptions, Tolerance, check_bounds,
+    ComplianceChoice, DEFAULT_TOLERANCE, IdentificationOptions, LINKAGE, Loss, MachineNoiseChoice, Mode,
+    ParameterBound, ParameterChoice, RefusedBound, SolverOptions, Tolerance, check_bounds,
 };
 use calibrig_files::{ColumnMap, load_column_map, parse_column_map, parse_measurements};
 use calibrig_files::{MeasuredFile, SessionFile, Source, Statements, load_session, state};
@@ -65,6 +65,13 @@ pub(super) struct Args {
     /// `compliance_drive2=0..`. May be repeated
     #[arg(long, value_name = "NAME=MIN..MAX", value_parser = bound)]
     bound: Vec<ParameterBound>,
+    /// What the machine does beside its model, pose by pose: estimated where the residuals call for it, always, or as stated with --actuator-sigma
+    /// (without it: nothing)
+    #[arg(long, value_enum, default_value_t = MachineNoiseArg::AsNeeded)]
+    machine_noise: MachineNoiseArg,
+    /// Standard deviation of an actuator, in mm or mrad, such as waist=0.05mrad; with --machine-noise stated. May be repeated
+    #[arg(long, value_name = "NAME=VALUE")]
+    actuator_sigma: Vec<String>,
     /// What a measurement far off the others costs: its square, or less
     #[arg(long, value_enum, default_value_t = LossArg::Squared)]
     loss: LossArg,
@@ -130,6 +137,46 @@ enum Parameters {
     Complete,
     /// What the published rules on neighbouring axes keep
     Rules,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, ValueEnum)]
+enum MachineNoiseArg {
+    /// Where residuals are larger than the readings' noise explains, or readings of a pose depend on each other
+    AsNeeded,
+    /// Always
+    Estimated,
+    /// Only what --actuator-sigma says
+    Stated,
+}
+
+/// What `--machine-noise` and `--actuator-sigma` say. A wrong one is a wrong use of the command line.
+fn machine_noise(args: &Args, model: &CalibrationModel) -> MachineNoiseChoice {
+    let refuse = |message: String| -> ! { Cli::command().error(ErrorKind::ValueValidation, message).exit() };
+    let links = &model.kinematics.links;
+    let mut sigmas = vec![0.0; links.len()];
+    for text in &args.actuator_sigma {
+        let Some((name, value)) = text.split_once('=') else {
+            refuse(format!("--actuator-sigma {text}: expected a name and a value, such as waist=0.05mrad"))
+        };
+        let Some(place) = links.iter().position(|link| link.name == name) else {
+            let names = links.iter().map(|link| link.name.as_str()).collect::<Vec<_>>().join(", ");
+            refuse(format!("--actuator-sigma {text}: expected one of the robot's actuators: {names}"))
+        };
+        let unit = if links[place].kind == JointKind::Prismatic { "mm" } else { "mrad" };
+        let number = value.strip_suffix(unit).and_then(|number| number.parse::<f64>().ok());
+        let Some(number) = number.filter(|number| (0.0..=1e6).contains(number)) else {
+            refuse(format!("--actuator-sigma {text}: expected a number of {unit}, zero or more"))
+        };
+        sigmas[place] = 1e-3 * number;
+    }
+    match args.machine_noise {
+        MachineNoiseArg::Stated => MachineNoiseChoice::Stated(sigmas),
+        _ if !args.actuator_sigma.is_empty() => {
+            refuse("--actuator-sigma: expected --machine-noise stated beside it".to_owned())
+        }
+        MachineNoiseArg::AsNeeded => MachineNoiseChoice::AsNeeded,
+        MachineNoiseArg::Estimated => MachineNoiseChoice::Estimated,
+    }
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -440,6 +487,7 @@ fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions, Statements), 
         bounds: args.bound.clone(),
         parameters,
         tolerance: tolerance(args),
+        machine_noise: machine_noise(args, &robot.model),
         ..IdentificationOptions::default()
     };
     check_flags(&robot.model, &modes, &options, &sets[0].measurements);

@@ -1,16 +1,18 @@
 //! `[identification]` of a scenario: what is fitted, and how.
 
+use std::collections::BTreeMap;
+
 use serde::Deserialize;
 
 use calibrig_estimation::identification::{
-    ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Loss, Mode, ParameterBound,
-    ParameterBoundError, ParameterChoice, Redundancy, RefusedBound, SolverOptions, TargetChoice, TermPrior,
-    Tolerance, check_bounds,
+    ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Loss, MachineNoiseChoice, Mode,
+    ParameterBound, ParameterBoundError, ParameterChoice, Redundancy, RefusedBound, SolverOptions,
+    TargetChoice, TermPrior, Tolerance, check_bounds,
 };
 use calibrig_files::Robot;
 use calibrig_files::{InputError, Source, Spanned};
 use calibrig_model::measurement::{Station, Target};
-use calibrig_model::{CalibrationModel, FAMILIES, ParameterId, Unit};
+use calibrig_model::{CalibrationModel, FAMILIES, JointKind, ParameterId, Unit};
 
 #[derive(Deserialize, Default)]
 #[serde(deny_unknown_fields)]
@@ -33,9 +35,20 @@ pub(super) struct IdentificationFile {
     frame: Option<FrameFile>,
     target: Option<TargetFile>,
     unmodelled_sigma_um: Option<Spanned<f64>>,
+    machine_noise: Option<Spanned<MachineNoiseFile>>,
+    actuator_sigma_um: Option<Spanned<BTreeMap<String, Spanned<f64>>>>,
+    actuator_sigma_mrad: Option<Spanned<BTreeMap<String, Spanned<f64>>>>,
     max_iterations: Option<Spanned<usize>>,
     loss: Option<LossFile>,
     starts: Option<Spanned<u32>>,
+}
+
+#[derive(Deserialize, Clone, Copy, PartialEq)]
+#[serde(rename_all = "snake_case")]
+enum MachineNoiseFile {
+    AsNeeded,
+    Estimated,
+    Stated,
 }
 
 #[derive(Deserialize, Clone, Copy)]
@@ -198,6 +211,48 @@ fn wrong_unit(source: &Source, id: ParameterId, key: &str, value: &Spanned<f64>)
 }
 
 impl IdentificationFile {
+    /// What is known of the machine's error beside its model.
+    fn machine_noise(
+        &self,
+        source: &Source,
+        model: &CalibrationModel,
+    ) -> Result<MachineNoiseChoice, InputError> {
+        let links = &model.kinematics.links;
+        let mut sigmas = vec![0.0; links.len()];
+        let groups = [
+            (&self.actuator_sigma_um, "actuator_sigma_um", JointKind::Prismatic, 1e-6),
+            (&self.actuator_sigma_mrad, "actuator_sigma_mrad", JointKind::Revolute, 1e-3),
+        ];
+        let mut any = false;
+        for (table, key, kind, size) in groups {
+            for (name, sigma) in table.iter().flat_map(|table| table.get_ref()) {
+                let of_kind = links.iter().position(|link| link.name == *name && link.kind == kind);
+                let Some(place) = of_kind else {
+                    let known = links.iter().filter(|link| link.kind == kind).map(|link| link.name.as_str());
+                    let known = known.collect::<Vec<_>>().join(", ");
+                    let help = Some(format!("expected some of: {known}"));
+                    let text = format!("identification.{key}: no actuator of that unit is called \"{name}\"");
+                    return Err(source.error(sigma.span(), text, help));
+                };
+                sigmas[place] = size * source.not_negative(&format!("identification.{key}.{name}"), sigma)?;
+                any = true;
+            }
+        }
+        let Some(choice) = &self.machine_noise else {
+            return Ok(if any { MachineNoiseChoice::Stated(sigmas) } else { MachineNoiseChoice::AsNeeded });
+        };
+        match choice.get_ref() {
+            MachineNoiseFile::Stated => Ok(MachineNoiseChoice::Stated(sigmas)),
+            _ if any => Err(source.error(
+                choice.span(),
+                "identification.machine_noise leaves to the fit what actuator_sigma_* states",
+                Some("expected \"stated\" beside standard deviations of actuators".to_owned()),
+            )),
+            MachineNoiseFile::AsNeeded => Ok(MachineNoiseChoice::AsNeeded),
+            MachineNoiseFile::Estimated => Ok(MachineNoiseChoice::Estimated),
+        }
+    }
+
     /// The rows of the tables.
     pub(super) fn modes(&self, source: &Source) -> Result<Vec<Mode>, InputError> {
         let Some(modes) = &self.modes else { return Ok(Mode::ALL.to_vec()) };
@@ -274,6 +329,7 @@ impl IdentificationFile {
             options.unmodelled_sigma =
                 1e-6 * source.not_negative("identification.unmodelled_sigma_um", sigma)?;
         }
+        options.machine_noise = self.machine_noise(source, model)?;
         if let Some(limit) = &self.max_iterations {
             let max_iterations = *limit.get_ref();
             if max_iterations == 0 {

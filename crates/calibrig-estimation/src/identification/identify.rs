@@ -1,17 +1,18 @@
 //! The one way from measurements to parameters, for simulated, replayed and real data alike.
 
+use nalgebra::Vector3;
 use thiserror::Error;
 
 use super::build::{Built, best_fit_stations, build};
 use super::limits::limits;
 use super::machine::MachineError;
-use super::noise::{Unknown, bound_without_freedom, find};
+use super::noise::{Noise, UNSTATED_SIGMA, Unknown, find, is_without_freedom};
 use super::problem::CalibrationProblem;
 use super::summary::{Size, is_misfit, sigmas, summarise};
 use super::{
     Bounds, BoundsError, CalibratedRobot, Estimate, FrameChoice, IdentificationOptions, LeastSquares,
-    MachineNoiseChoice, Mode, ParameterBoundError, ParameterChoice, Solution, TargetChoice, minimise,
-    minimise_within,
+    MachineNoiseChoice, Mode, ParameterBoundError, ParameterChoice, Predictor, Solution, TargetChoice,
+    minimise, minimise_within,
 };
 use calibrig_model::measurement::{MeasurementError, MeasurementSet, RegistrationError};
 use calibrig_model::{CalibrationModel, ModelError, ParameterId, Unit};
@@ -152,7 +153,15 @@ pub fn identify(
     let mut fit =
         |problem: &mut CalibrationProblem, x| solve_problem(problem, &parameters, &sigmas, x, options);
     let solution = find(&mut built.problem, solution, unknown, options.solver.loss, &mut fit)?;
-    let solution = bound_without_freedom(&mut built.problem, solution, unknown, &mut fit)?;
+    // The nominal robot alone has nothing below it that could tell more.
+    let is_nominal = options.mode == Mode::WithoutCalibration;
+    let solution = if !is_nominal && is_without_freedom(&built.problem, &solution, unknown) {
+        let most = most_noise(model, set)?;
+        built.problem.weigh(&Noise { unstated: Some(most), machine: None, freedom: None })?;
+        fit(&mut built.problem, solution.x)?
+    } else {
+        solution
+    };
     // Where nothing is stated, the size says nothing of what was stated.
     let size = if unknown.readings { Size::of(&built.problem, &solution) } else { stated };
     Ok(summarise(built, solution, size, stated_sigmas, set, options))
@@ -187,6 +196,16 @@ fn spread((id, sigma): (&ParameterId, &Option<f64>)) -> f64 {
         (None, Unit::Metre | Unit::Radian) => 0.02,
         (None, Unit::One) => 0.5,
     }
+}
+
+/// Standard deviation of a coordinate that the nominal robot leaves where it lies best on the measurements, m: the noise is no larger.
+fn most_noise(model: &CalibrationModel, set: &MeasurementSet) -> Result<f64, IdentifyError> {
+    let robot = without_calibration(model, set)?;
+    let errors = Predictor::new(&robot).and_then(|mut predictor| predictor.errors(set)).unwrap_or_default();
+    let fitted = 6 * set.stations.len() + 3 * set.targets.len();
+    let freedom = (3 * errors.len()).saturating_sub(fitted).max(1);
+    let sigma = (errors.iter().map(Vector3::norm_squared).sum::<f64>() / freedom as f64).sqrt();
+    Ok(if sigma > 0.0 && sigma.is_finite() { sigma } else { UNSTATED_SIGMA })
 }
 
 /// The nominal robot, laid over the measurements.

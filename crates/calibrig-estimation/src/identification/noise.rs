@@ -227,26 +227,13 @@ pub(super) fn find(
     Ok(solution)
 }
 
-/// Where a fit leaves no degree of freedom to tell the noise from, it is taken to be as large as it can be: all that the nominal robot leaves
-/// once tracker and targets are fitted.
-pub(super) fn bound_without_freedom(
-    problem: &mut CalibrationProblem,
-    solution: Solution,
+/// Whether a fit leaves no degree of freedom to tell the noise of the readings from.
+pub(super) fn is_without_freedom(
+    problem: &CalibrationProblem,
+    solution: &Solution,
     unknown: Unknown,
-    fit: &mut impl FnMut(&mut CalibrationProblem, Vec<f64>) -> Result<Solution, IdentifyError>,
-) -> Result<Solution, IdentifyError> {
-    let is_left = Size::of(problem, &solution).freedom >= LEAST_FREEDOM;
-    if is_left || !unknown.readings || unknown.machine {
-        return Ok(solution);
-    }
-    let sigma = problem.most_noise();
-    if !(sigma.is_finite() && sigma > 0.0) {
-        return Ok(solution);
-    }
-    problem.weigh(&Noise { unstated: Some(sigma), machine: None, freedom: None })?;
-    let mut bounded = fit(problem, solution.x)?;
-    bounded.iterations.splice(0..0, solution.iterations);
-    Ok(bounded)
+) -> bool {
+    unknown.readings && !unknown.machine && Size::of(problem, solution).freedom < LEAST_FREEDOM
 }
 
 /// Whether the variance that blocks have on the whole stands still.
@@ -410,23 +397,6 @@ impl CalibrationProblem {
             }
         }
         &spread * spread.transpose()
-    }
-
-    /// Standard deviation of a coordinate that the nominal robot leaves once tracker and targets are fitted, m.
-    fn most_noise(&mut self) -> f64 {
-        let (residuals, jacobian) = self.in_metres(&vec![0.0; self.parameters.len()]);
-        let is_placing =
-            |id: &ParameterId| matches!(id, ParameterId::Frame { .. } | ParameterId::Target { .. });
-        let placing: Vec<usize> =
-            (0..self.parameters.len()).filter(|column| is_placing(&self.parameters[*column])).collect();
-        let data = 3 * self.rows.len();
-        let columns = jacobian.rows(0, data).select_columns(&placing);
-        let seen = residuals.rows(0, data).into_owned();
-        let left = match columns.clone().svd(true, true).solve(&seen, 1e-12) {
-            Ok(shift) => (&seen - columns * shift).norm_squared(),
-            Err(_) => seen.norm_squared(),
-        };
-        (left / data.saturating_sub(placing.len()).max(1) as f64).sqrt()
     }
 
     /// Residuals and Jacobian with the observations in metres, in the trackers' axes; priors as they are.
