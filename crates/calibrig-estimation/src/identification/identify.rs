@@ -2,9 +2,10 @@
 
 use thiserror::Error;
 
-use super::build::{Built, UNSTATED_SIGMA, best_fit_stations, build};
+use super::build::{Built, UNSTATED_SIGMA, build};
 use super::limits::limits;
 use super::machine::MachineError;
+use super::place::best_fit_stations;
 use super::summary::summarise;
 use super::{
     Bounds, BoundsError, CalibratedRobot, Estimate, FrameChoice, IdentificationOptions, LeastSquares, Mode,
@@ -131,7 +132,8 @@ pub fn identify(
     if measured < parameters {
         return Err(IdentifyError::TooFewRows { rows: measured, parameters });
     }
-    let solution = solve(&mut built, vec![0.0; parameters], options)?;
+    let x = built.x.clone();
+    let solution = solve(&mut built, x, options)?;
     let stated = set.observations.iter().all(|o| o.reading.position_covariance().is_some());
     if stated || rows == parameters {
         return Ok(summarise(built, solution, NoiseScale::Stated, set, options));
@@ -195,13 +197,14 @@ pub fn without_calibration(
         return Ok(identify(model, set, &options)?.robot);
     }
     check(model, set)?;
+    let targets: Vec<_> = set.targets.iter().map(|target| target.in_flange).collect();
     Ok(CalibratedRobot {
         mode: Mode::WithoutCalibration,
         nominal: model.clone(),
         model: model.clone(),
         terms: Vec::new(),
-        stations: best_fit_stations(model, set)?,
-        targets: set.targets.iter().map(|t| t.in_flange).collect(),
+        stations: best_fit_stations(model, set, &targets)?,
+        targets,
     })
 }
 

@@ -27,7 +27,7 @@ pub(super) fn summarise(
     set: &MeasurementSet,
     options: &IdentificationOptions,
 ) -> Estimate {
-    let Built { mut problem, sigmas, unexcited, fixed, left_out } = built;
+    let Built { mut problem, sigmas, unexcited, fixed, left_out, .. } = built;
     let rows = problem.rows();
     let n = problem.parameters.len();
     let degrees_of_freedom = rows - n;

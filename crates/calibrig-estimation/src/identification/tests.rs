@@ -421,3 +421,4 @@ fn with_gravity_an_exact_machine_is_predicted_exactly() {
 }
 
 mod valleys;
+mod ends;
