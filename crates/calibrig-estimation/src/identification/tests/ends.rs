@@ -52,7 +52,12 @@ fn chain(links: Vec<CraigLink>) -> CalibrationModel {
 }
 
 /// The robot with errors of 0.5 mm and 1 mrad in its links, and one target at every offset, seen in every pose from one of the stations.
-fn measured(nominal: &CalibrationModel, offsets: &[Vector3<f64>], stations: usize, noise: f64) -> MeasurementSet {
+fn measured(
+    nominal: &CalibrationModel,
+    offsets: &[Vector3<f64>],
+    stations: usize,
+    noise: f64,
+) -> MeasurementSet {
     let mut random = stream(11, 0, Source::AsBuilt);
     let mut normal = move || -> f64 { StandardNormal.sample(&mut random) };
     let mut real = nominal.kinematics.clone();
