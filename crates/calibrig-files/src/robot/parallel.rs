@@ -20,7 +20,9 @@ const NEARLY_PARALLEL: f64 = 0.05;
 pub(super) fn rewrite_far_normals(chain: &mut KinematicModel) -> Vec<Range<usize>> {
     let runs = runs(&chain.links);
     let mut near = chain.clone();
-    runs.iter().for_each(|run| rewrite(&mut near.links, run));
+    for run in &runs {
+        rewrite(&mut near.links, run);
+    }
     let reach = near.characteristic_length();
     let is_far = |run: &Range<usize>| chain.links[run.clone()].iter().any(|link| link.d.abs() > reach);
     let far: Vec<_> = runs.into_iter().filter(is_far).collect();
@@ -140,7 +142,7 @@ mod tests {
         let mut vector = |size: f64| Vector3::from_fn(|_, _| random.random_range(-size..size));
         let mut axes = vec![(vector(0.5), vector(1.0).normalize())];
         for i in 1..6 {
-            let sign = if (i + number as usize) % 2 == 0 { 1.0 } else { -1.0 };
+            let sign = if (i + number as usize).is_multiple_of(2) { 1.0 } else { -1.0 };
             let direction =
                 if parallel.contains(&i) { sign * axes[i - 1].1 + vector(5e-4) } else { vector(1.0) };
             axes.push((axes[i - 1].0 + vector(0.5), direction.normalize()));

@@ -132,16 +132,16 @@ impl ElasticChain {
             return Ok(());
         }
         self.set_curvature();
-        let mut share = 1.0;
+        let (mut share, mut most) = (1.0, MOST_ITERATIONS);
         loop {
-            match self.solve(share) {
+            match self.solve(share, most) {
                 Ok(()) => {
                     self.sum_up();
                     return Ok(());
                 }
                 Err(error) if share <= LEAST_SHARE => return Err(error),
                 Err(_) => {
-                    share *= 0.5;
+                    (share, most) = (0.5 * share, 2 * most);
                     self.adjoint.lambda.fill(Vector3::zeros());
                     self.adjoint.next.copy_from_slice(&self.adjoint.direct);
                     self.adjoint.rod.fill(0.0);
@@ -150,10 +150,9 @@ impl ElasticChain {
         }
     }
 
-    /// Sweeps until nothing changes, taking a `share` of every change. With all of it, what a soft and hanging load turns back is overshot;
+    /// Sweeps until nothing changes, at `most` so often, taking a `share` of every change. With all of it, what a soft and hanging load turns back is overshot;
     /// the eigenvalues of the sweep are real and, in a stable chain, below one, so that a small enough share always converges.
-    fn solve(&mut self, share: f64) -> Result<(), ElasticError> {
-        let most = (MOST_ITERATIONS as f64 / share) as usize;
+    fn solve(&mut self, share: f64, most: usize) -> Result<(), ElasticError> {
         let mut change = self.take_over(1.0);
         for iterations in 1..=most {
             self.sweep();

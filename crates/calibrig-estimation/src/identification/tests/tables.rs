@@ -15,18 +15,25 @@ use calibrig_model::random::{Source, stream};
 use calibrig_model::{CraigLink, KinematicModel, LinkTerm};
 
 /// a mm, alpha deg, d mm, theta deg of a 6R like a UR, calculated from axes that are parallel to within 1 mrad.
-const TABLE: [[f64; 4]; 6] = [
-    [0.0, 0.0, 130.0, 0.0],
-    [0.0, 90.0, -412162.1168985784, -35.53768226336827],
-    [-496.37738976641793, 0.04928769182017715, 850623.6995938465, 170.68688693861372],
-    [316.17903961360395, 0.061974858696288576, -438301.6866952867, -146.60838607448594],
-    [0.0, 90.0, 115.00000000000021, -162.81126614607533],
-    [0.0, 90.0, 92.00000000005988, -174.27042204869176],
-];
+const TABLE: &str = "
+0 0 130 0
+0 90 -412162.1168985784 -35.53768226336827
+-496.37738976641793 0.04928769182017715 850623.6995938465 170.68688693861372
+316.17903961360395 0.061974858696288576 -438301.6866952867 -146.60838607448594
+0 90 115.00000000000021 -162.81126614607533
+0 90 92.00000000005988 -174.27042204869176";
+
+fn rows() -> Vec<[f64; 4]> {
+    let row = |line: &str| {
+        let numbers: Vec<f64> = line.split(' ').map(|number| number.parse().expect("a number")).collect();
+        numbers.try_into().expect("four numbers")
+    };
+    TABLE.trim().lines().map(row).collect()
+}
 
 fn text() -> String {
     let mut text = "schema = \"calibrig.robot/1\"\nname = \"far\"\nconvention = \"craig\"\n".to_owned();
-    for (i, [a, alpha, d, theta]) in TABLE.iter().enumerate() {
+    for (i, [a, alpha, d, theta]) in rows().iter().enumerate() {
         write!(
             text,
             "[[joint]]\nname = \"J{i}\"\ntype = \"revolute\"\na_mm = {a:?}\nalpha_deg = {alpha:?}\nd_mm = {d:?}\ntheta_deg = {theta:?}\n\
@@ -45,7 +52,7 @@ fn a_table_with_far_normals_is_identified_as_any_other() {
     let row = |(i, [a, alpha, d, theta]): (usize, &[f64; 4])| {
         CraigLink::revolute(format!("J{i}")).row(a / 1e3, alpha.to_radians(), d / 1e3, theta.to_radians())
     };
-    let stated = KinematicModel::new(TABLE.iter().enumerate().map(row).collect()).expect("a chain");
+    let stated = KinematicModel::new(rows().iter().enumerate().map(row).collect()).expect("a chain");
     let mut random = stream(21, 0, Source::AsBuilt);
     let joints = |random: &mut rand_chacha::ChaCha8Rng| -> Vec<f64> {
         (0..6).map(|_| random.random_range(-3.0..3.0)).collect()

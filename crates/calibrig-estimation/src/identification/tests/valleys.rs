@@ -23,7 +23,7 @@ fn normal(random: &mut impl Rng) -> f64 {
 fn robot(number: u32, random: &mut impl Rng) -> CalibrationModel {
     let twists = [0.0, FRAC_PI_2, 0.0, FRAC_PI_2, -FRAC_PI_2, FRAC_PI_2];
     let row = |(i, twist): (usize, f64)| {
-        let alpha = if number % 2 == 0 { twist } else { random.random_range(-PI..PI) };
+        let alpha = if number.is_multiple_of(2) { twist } else { random.random_range(-PI..PI) };
         let (a, d) = (random.random_range(-0.5..0.5), random.random_range(-0.5..0.5));
         CraigLink::revolute(format!("j{i}")).row(a, alpha, d, random.random_range(-PI..PI)).limits(-2.5, 2.5)
     };
