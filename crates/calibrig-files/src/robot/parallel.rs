@@ -105,7 +105,7 @@ mod tests {
         links.fold(Transform::identity(), |at, (link, q)| at * link.transform(*q)) * chain.last_from_flange
     }
 
-    /// The classic rows, with the common normal wherever it is, of axes given by a point and a direction each; without the flange.
+    /// The classic rows, with the common normal wherever it is, of axes given by a point and a direction each.
     fn classic(axes: &[(Vector3<f64>, Vector3<f64>)]) -> KinematicModel {
         let mut frame = Transform::identity();
         let mut links: Vec<CraigLink> = Vec::new();
@@ -132,6 +132,10 @@ mod tests {
             }
             frame *= link.fixed_part();
             links.push(link);
+        }
+        // The flange is at the last axis's point.
+        if let (Some(last), Some((point, direction))) = (links.last_mut(), axes.last()) {
+            last.d = (point - frame.translation.vector).dot(direction);
         }
         KinematicModel::new(links).expect("a chain")
     }

@@ -150,8 +150,8 @@ impl ElasticChain {
         }
     }
 
-    /// Sweeps until nothing changes, at `most` so often, taking a `share` of every change. With all of it, what a soft and hanging load turns back is overshot;
-    /// the eigenvalues of the sweep are real and, in a stable chain, below one, so that a small enough share always converges.
+    /// Sweeps until nothing changes, at `most` so often, taking a `share` of every change. With all of it, what a soft and hanging load turns
+    /// back is overshot; the eigenvalues of the sweep are real and, in a stable chain, below one, so that a small enough share converges.
     fn solve(&mut self, share: f64, most: usize) -> Result<(), ElasticError> {
         let mut change = self.take_over(1.0);
         for iterations in 1..=most {

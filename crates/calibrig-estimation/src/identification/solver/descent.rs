@@ -91,7 +91,7 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
                 }
                 continue;
             };
-            let moved = self.moved(&step);
+            let mut moved = self.moved(&step);
             let curvature = normal.curvature(&step.scaled);
             let predicted = normal.predicted_decrease(&step.scaled, curvature);
             let negligible = self.is_negligible(&normal, curvature, damping);
@@ -101,7 +101,6 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
                 return TerminationReason::SmallDecrease;
             }
             self.trial.place(self.problem, &moved, robust);
-            let mut moved = moved;
             let mut gain = self.gain(predicted);
             if !negligible && !self.suffices(gain, predicted) {
                 easy = false;
