@@ -5,9 +5,9 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
-use super::{CliError, Verdict, print};
+use super::{CliError, Verdict, print, read_scenario};
 use crate::pipeline::hash_sources;
-use crate::scenario::{Scenario, load_scenario};
+use crate::scenario::Scenario;
 use calibrig_estimation::identification::{
     ComplianceChoice, FrameChoice, Mode, ParameterChoice, TargetChoice,
 };
@@ -27,7 +27,7 @@ pub(super) struct Args {
 }
 
 pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
-    let scenario = load_scenario(&args.scenario)?;
+    let scenario = read_scenario(&args.scenario)?;
     let text = if args.json { as_json(&scenario) } else { as_text(&scenario) };
     print(&text)?;
     Ok(Verdict::Done)

@@ -7,9 +7,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::{Value, json};
 
 use super::identify::{Loaded, failed, load};
-use super::{CliError, Verdict, not_identified, print, say};
+use super::{CliError, Verdict, not_identified, print, read_scenario, say};
 use crate::pipeline::{self, ChosenRow, ModelChoice, PlantKind, SetKind, choose, simulate};
-use crate::scenario::load_scenario;
 use calibrig_estimation::evaluation::{Criteria, Verdict as Worth};
 use calibrig_estimation::identification::{IdentificationOptions, LINKAGE, Tolerance};
 use calibrig_model::FAMILIES;
@@ -66,7 +65,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
 }
 
 fn of_scenario(args: &Args, path: &Path) -> Result<(String, ModelChoice), CliError> {
-    let mut scenario = load_scenario(path)?;
+    let mut scenario = read_scenario(path)?;
     scenario.verification_poses = 0;
     let seed = args.seed.unwrap_or(scenario.seed);
     let bar = bar("simulating pose {pos}/{len} {bar:40} {elapsed}");

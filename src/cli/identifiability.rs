@@ -11,9 +11,9 @@ use nalgebra::Vector3;
 use serde_json::json;
 
 use super::identify::family;
-use super::{Cli, CliError, Verdict, print};
+use super::{Cli, CliError, Verdict, print, read_scenario, say};
 use crate::pipeline::PipelineError;
-use crate::scenario::{Scenario, load_scenario};
+use crate::scenario::Scenario;
 use calibrig_estimation::identification::{
     Explanation, Finding, FrameChoice, IdentifiabilityReport, Mode, TargetChoice, explain, identifiability,
     neighbour_axis_rules, spectrum, structural_poses,
@@ -135,6 +135,7 @@ fn failed(args: &Args, error: ModelError) -> CliError {
 fn question(args: &Args) -> Result<Question, CliError> {
     if let Some(path) = &args.model {
         let robot = load_robot(path)?;
+        robot.remarks.iter().for_each(|remark| say(remark));
         let target = robot.target().unwrap_or(MOUNTABLE_TARGET);
         let model = robot.model.kinematics;
         return Ok(Question {
@@ -148,7 +149,7 @@ fn question(args: &Args) -> Result<Question, CliError> {
         });
     }
     let path = args.scenario.as_deref().unwrap_or(std::path::Path::new(""));
-    let scenario = load_scenario(path)?;
+    let scenario = read_scenario(path)?;
     let mut rng = stream(scenario.seed, 0, Source::IdentificationPoses);
     let target = scenario.robot.target().unwrap_or_else(Vector3::zeros);
     let poses = (0..scenario.identification_poses).map(|_| scenario.region.draw(&mut rng)).collect();

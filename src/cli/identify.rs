@@ -85,6 +85,9 @@ pub(super) struct Args {
     /// How well the links' angles are known beforehand: standard deviation of a prior, mrad; 0 in both for none
     #[arg(long, value_name = "MRAD", default_value_t = 1e3 * DEFAULT_TOLERANCE.angle, allow_negative_numbers = true, value_parser = tolerance_value)]
     tolerance_mrad: f64,
+    /// Most iterations of a fit, refused steps included
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    max_iterations: u32,
     /// Split the measurements at random this many times, fit a part and verify on the rest, and compare every mode with the one before
     #[arg(long, value_name = "N", requires = "fit", value_parser = clap::value_parser!(u32).range(2..=100_000))]
     splits: Option<u32>,
@@ -482,7 +485,11 @@ fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions, Statements), 
     let options = IdentificationOptions {
         compliances: compliances(&args.compliances, &robot.model),
         compliance_sigma,
-        solver: SolverOptions { loss: args.loss.into(), ..SolverOptions::default() },
+        solver: SolverOptions {
+            loss: args.loss.into(),
+            max_iterations: args.max_iterations as usize,
+            ..SolverOptions::default()
+        },
         terms: args.terms.as_deref().map(terms),
         bounds: args.bound.clone(),
         parameters,

@@ -30,6 +30,7 @@ use thiserror::Error;
 use crate::pipeline::PipelineError;
 use crate::replay::ReplayError;
 use crate::report::ReportError;
+use crate::scenario::{Scenario, load_scenario};
 use calibrig_estimation::identification::IdentifyError;
 use calibrig_files::{InputError, Source};
 use calibrig_model::measurement::MeasurementError;
@@ -255,6 +256,13 @@ fn print(text: &str) -> Result<(), CliError> {
         Err(source) => Err(CliError::Output { what: "standard output".to_owned(), source }),
         Ok(()) => Ok(()),
     }
+}
+
+/// A scenario; what was made of its robot's table is said.
+fn read_scenario(path: &Path) -> Result<Scenario, InputError> {
+    let scenario = load_scenario(path)?;
+    scenario.robot.remarks.iter().for_each(|remark| say(remark));
+    Ok(scenario)
 }
 
 /// Says something to the person at the terminal, beside the result.

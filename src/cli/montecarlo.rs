@@ -7,10 +7,9 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::interrupt::stop_on_interrupt;
 use super::output::{Destination, Files};
-use super::{CliError, Verdict, print, say};
+use super::{CliError, Verdict, print, read_scenario, say};
 use crate::montecarlo::{self, Campaign, Trial};
 use crate::pipeline::PlantKind;
-use crate::scenario::load_scenario;
 
 /// Repeat a scenario with other draws, and see how accuracy and parameters scatter
 #[derive(Debug, clap::Args)]
@@ -68,7 +67,7 @@ pub(super) fn trial_number() -> clap::builder::RangedI64ValueParser<u32> {
 }
 
 pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
-    let scenario = load_scenario(&args.scenario)?;
+    let scenario = read_scenario(&args.scenario)?;
     let name = format!("{}-montecarlo", scenario.name);
     let destination = args.out.as_deref().map_or(Destination::New(&name), Destination::Asked);
     destination.check(Files::Campaign)?;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::{CliError, Verdict, colours, print, say};
 use crate::pipeline::Outcome;
 use crate::report;
-use calibrig_estimation::identification::Warning;
+use calibrig_estimation::identification::{Estimate, Warning};
 use calibrig_recording::{RecordingError, UnfinishedFile};
 
 /// Which files a command leaves.
@@ -244,11 +244,7 @@ pub(super) fn verdict(outcome: &Outcome) -> Verdict {
         for warning in &estimate.warnings {
             match warning {
                 Warning::NotConverged(_) => {
-                    let names: Vec<_> = estimate.parameters.iter().map(|p| p.id.to_string()).collect();
-                    say(&format!(
-                        "doubtful: {title}: {warning}; not at their best values: {}",
-                        names.join(", ")
-                    ));
+                    say(&format!("doubtful: {title}: {warning}{}", still_moving(estimate)));
                 }
                 Warning::RankDeficient { .. }
                 | Warning::AtBound { .. }
@@ -261,4 +257,17 @@ pub(super) fn verdict(outcome: &Outcome) -> Verdict {
         }
     }
     verdict
+}
+
+/// Parameters that are told to move still.
+const MOST_MOVING: usize = 3;
+
+/// Which way a fit that was stopped still moved.
+fn still_moving(estimate: &Estimate) -> String {
+    let moved: Vec<_> = estimate
+        .last_moved(MOST_MOVING)
+        .into_iter()
+        .map(|(id, sigmas)| format!("{id} by {sigmas:+.1} standard deviations"))
+        .collect();
+    if moved.is_empty() { String::new() } else { format!(". The last step moved {}", moved.join(", ")) }
 }

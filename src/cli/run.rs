@@ -11,9 +11,9 @@ use super::live::{self, Live};
 use super::montecarlo::{Plant, trial_number};
 use super::output::{self, Destination, Files};
 use super::record::Recording;
-use super::{CliError, Verdict, not_identified};
+use super::{CliError, Verdict, not_identified, read_scenario};
 use crate::pipeline::{self, Ablation, Outcome, PipelineError, SessionEvent};
-use crate::scenario::{Scenario, load_scenario};
+use crate::scenario::Scenario;
 use calibrig_recording::Preamble;
 
 /// Simulate a measuring session, identify in every mode, evaluate, record and report
@@ -52,7 +52,7 @@ pub(super) struct Args {
 }
 
 pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
-    let scenario = load_scenario(&args.scenario)?;
+    let scenario = read_scenario(&args.scenario)?;
     let destination = args.out.as_deref().map_or(Destination::New(&scenario.name), Destination::Asked);
     destination.check(Files::ReportsAndRecordings)?;
     let (folder, new) = destination.make()?;

@@ -292,7 +292,7 @@ fn redundant_parameters_end_with_3_and_are_named() {
 }
 
 #[test]
-fn an_unconverged_fit_ends_with_3_and_names_its_parameters() {
+fn an_unconverged_fit_ends_with_3_and_says_what_moves_and_what_to_do() {
     let sandbox = Sandbox::new();
     sandbox.set("[identification]", "max_iterations", "1");
     let modes = [
@@ -303,7 +303,13 @@ fn an_unconverged_fit_ends_with_3_and_names_its_parameters() {
     let report = assert_doubtful(
         &sandbox,
         &modes,
-        &["not converged: iteration_limit", "delta_alpha1", "delta_theta7", "target_z"],
+        &[
+            "not converged: iteration_limit",
+            "--max-iterations",
+            "weak directions",
+            "the tool's offset",
+            "The last step moved",
+        ],
     );
     assert_eq!(report["estimates"]["with_gravity"]["termination"], "iteration_limit");
     assert_eq!(report["estimates"]["with_gravity"]["iterations"], 1);

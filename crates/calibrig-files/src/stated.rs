@@ -28,7 +28,7 @@ pub struct MeasuredFile {
 pub struct Statements {
     /// What an identification takes as known of every station and target, those alike in one line.
     pub assumed: Vec<String>,
-    /// What of the statements is not used.
+    /// What was made of the robot's table, and what of the statements is not used.
     pub remarks: Vec<String>,
 }
 
@@ -50,7 +50,7 @@ pub fn state(
     session: Option<(&SessionFile, &Source)>,
     files: &mut [MeasuredFile],
 ) -> Result<Statements, InputError> {
-    let mut remarks = Vec::new();
+    let mut remarks = robot.remarks.clone();
     if let Some((session, source)) = session {
         for file in &mut *files {
             session.complete(source, file.kind, &mut file.loaded)?;

@@ -29,6 +29,8 @@ pub enum Source {
     Splits = 10,
     /// Which poses are held out together when models are compared.
     Folds = 11,
+    /// Starting points of a solver; the start's number is in the place of the trial's.
+    SolverStarts = 12,
 }
 
 /// The stream of `(seed, trial, source)`. `ChaCha8` with the seed as key and (trial, source) as stream number.

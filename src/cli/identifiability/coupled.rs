@@ -64,6 +64,7 @@ fn of_scenario(path: &Path) -> Result<Plan, CliError> {
 
 fn of_robot(path: &Path) -> Result<Plan, CliError> {
     let robot = load_robot(path)?;
+    robot.remarks.iter().for_each(|remark| super::say(remark));
     let poses = structural_poses(&robot.model.kinematics, SPREAD_POSES);
     let set = planned_at(&robot.model, &poses, robot.target().unwrap_or(MOUNTABLE_TARGET))
         .map_err(|error| failed(error, path.to_path_buf()))?;

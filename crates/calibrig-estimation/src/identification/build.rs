@@ -5,15 +5,14 @@ use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 use super::factor::triangular_factor;
 use super::machine::Machine;
 use super::noise::{MachineNoise, MachineNoiseChoice, Noise, poses};
-use super::options::is_placed;
-use super::parameters::{Column, columns};
+use super::parameters::{Column, Columns, columns};
+use super::place::{Ends, best_fit_station, starting_offsets};
 use super::problem::{CalibrationProblem, Current, Prior, Row};
 use super::{
     DependentGroup, FrameChoice, IdentificationOptions, IdentifyError, LeastSquares, Redundancy,
     TargetChoice, select_independent,
 };
-use crate::kinematics::target;
-use calibrig_model::geometry::{Transform, best_fit_transform};
+use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{MeasurementSet, Observation, register};
 use calibrig_model::{CalibrationModel, ParameterId};
 
@@ -33,6 +32,8 @@ pub(super) struct Built {
     pub fixed: Vec<DependentGroup>,
     /// All parameters that were left out: those, and what gravity does not load.
     pub left_out: Vec<ParameterId>,
+    /// Where the search starts: zero, but for targets whose nominal place tells nothing of the tracker's.
+    pub x: Vec<f64>,
 }
 
 /// The problem of `options`, with what gravity does not excite left out, and what is redundant where it shall be fixed.
@@ -41,12 +42,14 @@ pub(super) fn build(
     set: &MeasurementSet,
     options: &IdentificationOptions,
 ) -> Result<Built, IdentifyError> {
-    let mut columns = columns(model, options, options.freedom(&set.stations, &set.targets))?;
-    let mut built = assemble(model, set, options, &columns)?;
+    let Columns { robot: mut columns, redundant_ends } =
+        columns(model, options, options.freedom(&set.stations, &set.targets))?;
+    let ends = Ends::new(set, options, &redundant_ends);
+    let mut built = assemble(model, set, options, &columns, &ends)?;
     if !options.mode.is_coupled() && options.redundant != Redundancy::Fix {
         return Ok(built);
     }
-    let (residuals, mut jacobian) = start(&mut built.problem)?;
+    let (residuals, mut jacobian) = start(&mut built.problem, &built.x)?;
     let measured = Measured::new(&built.problem, &jacobian);
     let effects = measured.effects_beyond_geometry();
     let is_unexcited = |(column, effect): (&Column, &f64)| {
@@ -64,18 +67,22 @@ pub(super) fn build(
     };
     let stays: Vec<bool> = columns.iter().zip(&unexcited).map(stays).collect();
     let dropped: Vec<usize> = (0..columns.len()).filter(|place| !stays[*place]).collect();
-    let left_out = dropped.iter().map(|place| columns[*place].id).collect();
+    let dropped_ids: Vec<_> = dropped.iter().map(|place| columns[*place].id).collect();
     if !dropped.is_empty() {
         let mut stays = stays.iter();
         columns.retain(|_| stays.next() == Some(&true));
-        built = assemble(model, set, options, &columns)?;
+        built = assemble(model, set, options, &columns, &ends)?;
         // The robot's own parameters are the first.
         jacobian = jacobian.remove_columns_at(&dropped);
     }
     // What is left of a group are the robot's own parameters: frame and target stay in the fit.
     fixed.retain(|group| !columns.iter().any(|column| column.id == group.redundant));
-    built.problem.start_from(residuals, jacobian);
-    Ok(Built { unexcited: named, fixed, left_out, ..built })
+    if built.x.iter().all(|value| *value == 0.0) {
+        built.problem.start_from(residuals, jacobian);
+    }
+    built.fixed.extend(fixed);
+    built.left_out.extend(dropped_ids);
+    Ok(Built { unexcited: named, ..built })
 }
 
 /// The triangular factor of observations, nests and targets, with the columns of links, frame and target first.
@@ -125,9 +132,10 @@ pub(super) fn rebuild(
     options: &IdentificationOptions,
     kept: &[ParameterId],
 ) -> Result<CalibrationProblem, IdentifyError> {
-    let mut columns = columns(model, options, options.freedom(&set.stations, &set.targets))?;
+    let Columns { robot: mut columns, redundant_ends } =
+        columns(model, options, options.freedom(&set.stations, &set.targets))?;
     columns.retain(|column| kept.contains(&column.id));
-    Ok(assemble(model, set, options, &columns)?.problem)
+    Ok(assemble(model, set, options, &columns, &Ends::new(set, options, &redundant_ends))?.problem)
 }
 
 /// The robot's parameters that the observations, nests and targets alone cannot tell from the others; of two that do the same, the one
@@ -148,12 +156,15 @@ pub(super) fn redundant(measured: &DMatrix<f64>, parameters: &[ParameterId]) -> 
     select_independent(&measured.select_columns(&order), &ids).1
 }
 
-/// Residuals and Jacobian of the nominal robot.
-pub(super) fn start(problem: &mut CalibrationProblem) -> Result<(DVector<f64>, DMatrix<f64>), IdentifyError> {
+/// Residuals and Jacobian of the nominal robot, with the targets of the start `x`.
+pub(super) fn start(
+    problem: &mut CalibrationProblem,
+    x: &[f64],
+) -> Result<(DVector<f64>, DMatrix<f64>), IdentifyError> {
     let (m, n) = (problem.rows(), problem.parameters());
     let mut residuals = DVector::zeros(m);
     let mut jacobian = DMatrix::zeros(m, n);
-    problem.evaluate(&vec![0.0; n], &mut residuals, Some(&mut jacobian));
+    problem.evaluate(x, &mut residuals, Some(&mut jacobian));
     let failed = (0..problem.rows.len()).find(|row| !residuals[3 * row].is_finite());
     match failed.and_then(|row| problem.failure(row)) {
         Some((pose, source)) => Err(IdentifyError::Machine { pose, source }),
@@ -166,6 +177,7 @@ fn assemble(
     set: &MeasurementSet,
     options: &IdentificationOptions,
     columns: &[Column],
+    ends: &Ends,
 ) -> Result<Built, IdentifyError> {
     let mut parameters: Vec<ParameterId> = columns.iter().map(|column| column.id).collect();
     let mut sigmas: Vec<Option<f64>> = columns.iter().map(|column| column.sigma).collect();
@@ -176,10 +188,16 @@ fn assemble(
     };
     let (own_priors, tolerances) = (weights(false), weights(true));
     let mut priors = Vec::new();
-    let stations = stations(model, set, options.frame, &mut parameters, &mut priors)?;
-    targets(set, options.target, &mut parameters, &mut priors)?;
+    let offsets = starting_offsets(model, set, options.target, &ends.target_axes);
+    let stations = stations(model, set, options.frame, (&offsets, ends), &mut parameters, &mut priors)?;
+    targets(set, options.target, ends, &mut parameters, &mut priors)?;
     sigmas.resize(parameters.len(), None);
     let targets: Vec<Vector3<f64>> = set.targets.iter().map(|t| t.in_flange).collect();
+    let x = parameters.iter().map(|id| match *id {
+        ParameterId::Target { target, axis } => offsets[target][axis] - targets[target][axis],
+        _ => 0.0,
+    });
+    let x = x.collect();
     let mut machine = Machine::new(options.mode, model);
     machine.set_terms(columns.iter().filter_map(|column| match column.id {
         ParameterId::Term(term) => Some(term),
@@ -211,13 +229,16 @@ fn assemble(
         return Err(IdentifyError::Covariance { what: format!("pose {}", row.pose) });
     }
     problem.weigh(&Noise::default())?;
-    Ok(Built { problem, sigmas, unexcited: Vec::new(), fixed: Vec::new(), left_out: Vec::new() })
+    let fixed = ends.fixed.clone();
+    let left_out = fixed.iter().map(|group| group.redundant).collect();
+    Ok(Built { problem, sigmas, unexcited: Vec::new(), fixed, left_out, x })
 }
 
 fn stations(
     model: &CalibrationModel,
     set: &MeasurementSet,
     choice: FrameChoice,
+    (offsets, ends): (&[Vector3<f64>], &Ends),
     parameters: &mut Vec<ParameterId>,
     priors: &mut Vec<Prior>,
 ) -> Result<Vec<Transform>, IdentifyError> {
@@ -225,8 +246,9 @@ fn stations(
     for (index, station) in set.stations.iter().enumerate() {
         let choice = choice.of(station);
         if choice == FrameChoice::Free {
-            parameters.extend(ParameterId::all_of_frame(index));
-            stations.push(best_fit_station(model, set, index)?);
+            let told = ParameterId::all_of_frame(index).into_iter().zip(ends.frame_components);
+            parameters.extend(told.filter(|(_, told)| *told).map(|(id, _)| id));
+            stations.push(best_fit_station(model, set, offsets, index)?);
             continue;
         }
         let registration = register(station)
@@ -244,6 +266,7 @@ fn stations(
 fn targets(
     set: &MeasurementSet,
     choice: TargetChoice,
+    ends: &Ends,
     parameters: &mut Vec<ParameterId>,
     priors: &mut Vec<Prior>,
 ) -> Result<(), IdentifyError> {
@@ -263,39 +286,10 @@ fn targets(
             _ if !set.observations.iter().any(|observation| observation.target == index) => continue,
             (TargetChoice::Identified | TargetChoice::AsStated, _) => {}
         }
-        parameters.extend(ParameterId::all_of_target(index));
+        let told = ParameterId::all_of_target(index).into_iter().zip(ends.target_axes[index]);
+        parameters.extend(told.filter(|(_, told)| *told).map(|(id, _)| id));
     }
     Ok(())
-}
-
-/// `tracker_from_base` of every station that lays the nominal robot, ideal and rigid, over the measurements.
-pub(super) fn best_fit_stations(
-    model: &CalibrationModel,
-    set: &MeasurementSet,
-) -> Result<Vec<Transform>, IdentifyError> {
-    (0..set.stations.len()).map(|station| best_fit_station(model, set, station)).collect()
-}
-
-fn best_fit_station(
-    model: &CalibrationModel,
-    set: &MeasurementSet,
-    station: usize,
-) -> Result<Transform, IdentifyError> {
-    let mut joints = vec![0.0; model.kinematics.joint_count()];
-    let (mut seen, mut nominal) = (Vec::new(), Vec::new());
-    for observation in set.observations.iter().filter(|o| o.station == station) {
-        model.actuators.joints_from_command(&observation.command, &mut joints);
-        seen.push(observation.reading.position());
-        nominal.push(target(&model.kinematics, &joints, &set.targets[observation.target].in_flange));
-    }
-    let station = &set.stations[station];
-    if seen.is_empty() && is_placed(station) {
-        // Nothing was measured from there but the nests.
-        return register(station)
-            .map(|registration| registration.tracker_from_base)
-            .map_err(|source| IdentifyError::Registration { station: station.name.clone(), source });
-    }
-    best_fit_transform(&seen, &nominal).ok_or(IdentifyError::BestFit)
 }
 
 /// What the options state of the actuators' errors.

@@ -64,6 +64,21 @@ impl TerminationReason {
         }
     }
 
+    /// What to do where the minimum was not reached; nothing where it was.
+    pub fn advice(self) -> &'static str {
+        match self {
+            Self::SmallGradient | Self::SmallStep | Self::SmallDecrease => "",
+            Self::IterationLimit => {
+                "Allow more iterations (--max-iterations; max_iterations in a scenario); where that does not help, look at the weak \
+                 directions: state the tool's offset, fix the parameters that still move, or measure poses that show them"
+            }
+            Self::NoDecrease | Self::NotFinite => {
+                "Look for gross errors and wrong units in the measurements and in the robot's table; then at the weak directions: state the \
+                 tool's offset, or fix the parameters that still move"
+            }
+        }
+    }
+
     /// The key in JSON and recordings.
     pub fn key(self) -> &'static str {
         match self {
@@ -167,7 +182,7 @@ pub enum Assumption {
 #[non_exhaustive]
 pub enum Warning {
     /// The solver stopped before the minimum.
-    #[error("not converged: {}", .0.key())]
+    #[error("not converged: {} ({}). {}", .0.key(), .0.words(), .0.advice())]
     NotConverged(TerminationReason),
     /// The parameters cannot all be determined.
     #[error("rank {rank} of {parameters} parameters: {} cannot be told apart", .groups.join("; "))]
@@ -401,6 +416,25 @@ impl Estimate {
             Some(freedom) if freedom.is_infinite() => normal_quantile(tail),
             Some(freedom) => student_t_quantile(tail, freedom),
         }
+    }
+
+    /// The parameters that the last step moved most, in their standard deviations, at most `most`; the farthest first. A parameter without a
+    /// standard deviation counts in that of its prior, and is left out where it has none, either.
+    pub fn last_moved(&self, most: usize) -> Vec<(ParameterId, f64)> {
+        let mut before = self.iterations.iter().rev().skip_while(|record| !record.accepted);
+        let Some(last) = before.next() else { return Vec::new() };
+        let start = vec![0.0; last.parameters.len()];
+        let from = before.next().map_or(&start, |record| &record.parameters);
+        let moves = self.parameters.iter().zip(last.parameters.iter().zip(from));
+        let in_sigmas = |(parameter, (to, from)): (&ParameterEstimate, (&f64, &f64))| {
+            let sigma = parameter.sigma.or(parameter.prior_sigma)?;
+            let moved = (to - from) / sigma;
+            (moved.is_finite() && moved != 0.0).then_some((parameter.id, moved))
+        };
+        let mut moved: Vec<_> = moves.filter_map(in_sigmas).collect();
+        moved.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
+        moved.truncate(most);
+        moved
     }
 
     /// The value of a parameter, if it was identified.

@@ -3,10 +3,11 @@
 use nalgebra::Vector3;
 use thiserror::Error;
 
-use super::build::{Built, best_fit_stations, build};
+use super::build::{Built, build};
 use super::limits::limits;
 use super::machine::MachineError;
 use super::noise::{Noise, UNSTATED_SIGMA, Unknown, find, is_without_freedom};
+use super::place::best_fit_stations;
 use super::problem::CalibrationProblem;
 use super::summary::{Size, is_misfit, sigmas, summarise};
 use super::{
@@ -136,7 +137,8 @@ pub fn identify(
     if measured < parameters {
         return Err(IdentifyError::TooFewRows { rows: measured, parameters });
     }
-    let solution = solve(&mut built, vec![0.0; parameters], options)?;
+    let x = built.x.clone();
+    let solution = solve(&mut built, x, options)?;
     let stated = Size::of(&built.problem, &solution);
     let mut unknown = Unknown::of(&built.problem, options);
     let as_needed = options.machine_noise == MachineNoiseChoice::AsNeeded;
@@ -227,13 +229,14 @@ pub fn without_calibration(
         return Ok(identify(model, set, &options)?.robot);
     }
     check(model, set)?;
+    let targets: Vec<_> = set.targets.iter().map(|target| target.in_flange).collect();
     Ok(CalibratedRobot {
         mode: Mode::WithoutCalibration,
         nominal: model.clone(),
         model: model.clone(),
         terms: Vec::new(),
-        stations: best_fit_stations(model, set)?,
-        targets: set.targets.iter().map(|t| t.in_flange).collect(),
+        stations: best_fit_stations(model, set, &targets)?,
+        targets,
     })
 }
 

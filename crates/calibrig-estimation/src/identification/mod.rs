@@ -15,6 +15,7 @@ mod mode;
 mod noise;
 mod options;
 mod parameters;
+mod place;
 mod problem;
 mod prospect;
 mod robot;
@@ -34,7 +35,7 @@ pub use identifiability::{
     WEAK_TOLERANCE, WeakDirection, complete_set, explain, identifiability, neighbour_axis_rules, spectrum,
     structural_poses,
 };
-use identifiability::{analyse_r, select_independent};
+use identifiability::{analyse_r, dependent_ends, select_independent};
 pub use identify::{IdentifyError, identify, without_calibration};
 pub use limits::{ParameterBound, ParameterBoundError, RefusedBound, check_bounds};
 pub use linearisation::{Linearisation, PredictedReading, Whitening, linearise, predict_readings};

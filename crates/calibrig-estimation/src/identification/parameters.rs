@@ -2,8 +2,9 @@
 
 use super::options::Freedom;
 use super::{
-    ComplianceChoice, FrameChoice, IdentificationOptions, IdentifyError, LINKAGE, Mode, ParameterChoice,
-    TargetChoice, complete_set, neighbour_axis_rules,
+    ComplianceChoice, DependentGroup, FrameChoice, IdentifiabilityReport, IdentificationOptions,
+    IdentifyError, LINKAGE, Mode, ParameterChoice, TargetChoice, complete_set, dependent_ends,
+    neighbour_axis_rules,
 };
 use calibrig_model::measurement::{Station, Target};
 use calibrig_model::{CalibrationModel, Compliance, FAMILIES, LinkTerm, ParameterId, TermId, Unit};
@@ -18,6 +19,15 @@ pub(super) struct Column {
     pub named: bool,
 }
 
+/// The robot's parameters, and what of frame and target cannot be told beside each other.
+#[derive(Debug, Clone)]
+pub(super) struct Columns {
+    /// In their order.
+    pub robot: Vec<Column>,
+    /// Components of a free station's frame (of station 0) and of an unknown target (0) that the structure of the chain makes redundant.
+    pub redundant_ends: Vec<DependentGroup>,
+}
+
 /// How far the four-bar's lengths are from their drawing, where the options do not say, m.
 const LINKAGE_SIGMA: f64 = 1e-3;
 
@@ -26,8 +36,8 @@ pub(super) fn columns(
     model: &CalibrationModel,
     options: &IdentificationOptions,
     free: Freedom,
-) -> Result<Vec<Column>, IdentifyError> {
-    let mut columns = links(model, options, free)?;
+) -> Result<Columns, IdentifyError> {
+    let (mut columns, redundant_ends) = links(model, options, free)?;
     if options.mode.is_coupled() {
         columns.extend(compliances(model, options)?);
         columns.extend(masses(model, options)?);
@@ -36,7 +46,7 @@ pub(super) fn columns(
         columns.extend(linkage(model, options)?);
         columns.extend(terms(model, options)?);
     }
-    Ok(columns)
+    Ok(Columns { robot: columns, redundant_ends })
 }
 
 /// All parameters that a fit with these options can have, before the measurements tell which of them gravity excites.
@@ -47,7 +57,7 @@ pub(super) fn candidate_parameters(
     targets: &[Target],
 ) -> Result<Vec<ParameterId>, IdentifyError> {
     let free = options.freedom(stations, targets);
-    let mut ids: Vec<_> = columns(model, options, free)?.into_iter().map(|column| column.id).collect();
+    let mut ids: Vec<_> = columns(model, options, free)?.robot.into_iter().map(|column| column.id).collect();
     if options.frame != FrameChoice::Fixed {
         ids.extend((0..stations.len()).flat_map(ParameterId::all_of_frame));
     }
@@ -61,17 +71,21 @@ fn links(
     model: &CalibrationModel,
     options: &IdentificationOptions,
     free: Freedom,
-) -> Result<Vec<Column>, IdentifyError> {
+) -> Result<(Vec<Column>, Vec<DependentGroup>), IdentifyError> {
     let joints = model.kinematics.joint_count();
     let choice =
         if options.mode == Mode::Extended { &options.extended_parameters } else { &options.parameters };
-    let mut chosen = match choice {
-        ParameterChoice::NeighbourAxisRules => neighbour_axis_rules(&model.kinematics).0,
+    let ends = || dependent_ends(&model.kinematics, free.frame, free.target);
+    let (mut chosen, redundant_ends) = match choice {
+        ParameterChoice::NeighbourAxisRules => (neighbour_axis_rules(&model.kinematics).0, ends()?),
         ParameterChoice::Complete => {
-            let report = complete_set(&model.kinematics, free.frame, free.target)?;
-            report.selected.into_iter().filter(|id| matches!(id, ParameterId::Link { .. })).collect()
+            let IdentifiabilityReport { mut selected, mut dependent, .. } =
+                complete_set(&model.kinematics, free.frame, free.target)?;
+            selected.retain(|id| matches!(id, ParameterId::Link { .. }));
+            dependent.retain(|group| !matches!(group.redundant, ParameterId::Link { .. }));
+            (selected, dependent)
         }
-        ParameterChoice::Listed(listed) => listed.clone(),
+        ParameterChoice::Listed(listed) => (listed.clone(), ends()?),
     };
     for id in &chosen {
         match *id {
@@ -86,13 +100,15 @@ fn links(
     chosen.sort_by_key(order);
     chosen.dedup();
     let Some(tolerance) = options.tolerance else {
-        return Ok(chosen.into_iter().map(|id| Column { id, sigma: None, named: true }).collect());
+        let columns = chosen.into_iter().map(|id| Column { id, sigma: None, named: true });
+        return Ok((columns.collect(), redundant_ends));
     };
     let [length, angle] = [tolerance.length, tolerance.angle]
         .map(|sigma| positive(sigma, "the tolerance of the link parameters"));
     let (length, angle) = (length?, angle?);
     let sigma = |id: &ParameterId| if id.unit() == Unit::Metre { length } else { angle };
-    Ok(chosen.into_iter().map(|id| Column { id, sigma: Some(sigma(&id)), named: true }).collect())
+    let columns = chosen.into_iter().map(|id| Column { id, sigma: Some(sigma(&id)), named: true });
+    Ok((columns.collect(), redundant_ends))
 }
 
 fn compliances(

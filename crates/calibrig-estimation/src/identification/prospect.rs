@@ -43,8 +43,8 @@ pub fn prospect(
     if options.mode.needs_statics() && model.statics.is_none() {
         return Err(IdentifyError::NoStatics { mode: options.mode });
     }
-    let Built { mut problem, unexcited, fixed, left_out, .. } = build(model, set, options)?;
-    let (_, jacobian) = start(&mut problem)?;
+    let Built { mut problem, unexcited, fixed, left_out, x, .. } = build(model, set, options)?;
+    let (_, jacobian) = start(&mut problem, &x)?;
     let factors = Factors::new(&problem, &jacobian);
     let spectrum = factors.spectrum(&problem, options.redundant);
     let held = factors.held(&problem, options.redundant);

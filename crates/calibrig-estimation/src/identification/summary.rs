@@ -124,7 +124,7 @@ pub(super) fn summarise(
     set: &MeasurementSet,
     options: &IdentificationOptions,
 ) -> Estimate {
-    let Built { mut problem, sigmas, unexcited, fixed, left_out } = built;
+    let Built { mut problem, sigmas, unexcited, fixed, left_out, .. } = built;
     let n = problem.parameters.len();
     let noise = match problem.noise.unstated {
         Some(sigma) => NoiseScale::Residuals(sigma),

@@ -423,3 +423,7 @@ fn with_gravity_an_exact_machine_is_predicted_exactly() {
     let only = identify(&nominal, &set, &options(Mode::OnlyCalibration)).expect("an estimate");
     assert!(only.chi2 > 1e4 * gravity.chi2.max(1e-12), "{} {}", only.chi2, gravity.chi2);
 }
+
+mod ends;
+mod tables;
+mod valleys;

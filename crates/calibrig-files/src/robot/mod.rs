@@ -4,6 +4,7 @@ mod actuators;
 mod flexibility;
 mod joints;
 mod loads;
+mod parallel;
 mod section;
 mod statics;
 mod targets;
@@ -12,6 +13,7 @@ pub(crate) mod tests;
 mod urdf;
 mod urdf_text;
 
+use std::ops::Range;
 use std::path::Path;
 
 use nalgebra::Vector3;
@@ -22,11 +24,12 @@ pub use targets::StatedTarget;
 
 use actuators::ActuatorTable;
 use joints::JointTable;
+use parallel::rewrite_far_normals;
 use statics::GravityTable;
 use targets::{TargetTables, read_targets};
 
 use crate::input::{InputError, Source, Spanned};
-use calibrig_model::{CalibrationModel, Visual};
+use calibrig_model::{CalibrationModel, KinematicModel, Visual};
 use urdf::UrdfRobot;
 
 /// The only schema that is read.
@@ -45,6 +48,8 @@ pub struct Robot {
     pub targets: Vec<StatedTarget>,
     /// How well the compliances are known: standard deviation relative to the stated ones, where the file says.
     pub compliance_sigma: Option<f64>,
+    /// What was made of the table, in words.
+    pub remarks: Vec<String>,
     /// The files read, by role: `robot`, then `urdf` and `columns` where it names them.
     pub sources: Vec<(String, Source)>,
 }
@@ -117,7 +122,7 @@ pub fn parse_robot(
     reader.check_head()?;
     reader.check_companion("urdf", file.urdf.as_ref(), urdf.as_ref())?;
     reader.check_companion("columns", file.columns.as_ref(), columns.as_ref())?;
-    let kinematics = reader.kinematics()?;
+    let mut kinematics = reader.kinematics()?;
     let actuators = reader.actuators(&kinematics)?;
     let motor_turns = reader.motor_turns()?;
     let targets = read_targets(&robot, &file.target)?;
@@ -131,6 +136,8 @@ pub fn parse_robot(
     };
     let statics = reader.statics(&kinematics, &actuators, described.as_ref())?;
     let compliance_sigma = reader.compliance_sigma()?;
+    let in_frames = described.is_some() || statics.is_some() || actuators.four_bar().is_some();
+    let remarks = reader.near_normals(&mut kinematics, in_frames);
     let visuals = described.map_or_else(Vec::new, |described| {
         let joints = described.joints.into_iter().map(|joint| joint.visuals);
         std::iter::once(described.base_visuals).chain(joints).collect()
@@ -142,7 +149,7 @@ pub fn parse_robot(
         companions.into_iter().filter_map(|(role, source)| source.map(|source| (role.to_owned(), source))),
     );
     let model = CalibrationModel { kinematics, actuators, statics, motor_turns };
-    Ok(Robot { name, model, visuals, targets, compliance_sigma, sources })
+    Ok(Robot { name, model, visuals, targets, compliance_sigma, remarks, sources })
 }
 
 struct Reader<'a> {
@@ -158,6 +165,35 @@ impl Reader<'_> {
         expected: &str,
     ) -> Result<T, InputError> {
         Err(self.source.error(span, message, Some(format!("expected {expected}"))))
+    }
+
+    /// Rewrites rows whose common normals lie far away, and says so; not where other things are stated in the frames of such rows.
+    fn near_normals(&self, kinematics: &mut KinematicModel, in_frames: bool) -> Vec<String> {
+        let mut near = kinematics.clone();
+        let runs = rewrite_far_normals(&mut near);
+        let remark = |run: Range<usize>| {
+            let links = &kinematics.links[run];
+            let names = links.iter().map(|link| link.name.as_str()).collect::<Vec<_>>().join(", ");
+            let far = links.iter().map(|link| link.d.abs()).fold(0.0, f64::max);
+            let what = format!(
+                "{}: the axes of {names} are nearly parallel, and their rows go out {far:.0} m to the common normals",
+                self.source.name
+            );
+            if in_frames {
+                format!(
+                    "{what}: these parameters are poorly determined. State the rows with beta_deg and a small d_mm (convention = \"craig\"); they are not rewritten, because masses, loads or a URDF refer to their frames"
+                )
+            } else {
+                format!(
+                    "{what}: they are rewritten with beta and a small d, for the same motions; parameters are of the rewritten rows"
+                )
+            }
+        };
+        let remarks = runs.into_iter().map(remark).collect();
+        if !in_frames {
+            *kinematics = near;
+        }
+        remarks
     }
 
     fn check_head(&self) -> Result<(), InputError> {

@@ -12,11 +12,15 @@ use nalgebra::{Matrix3, Vector3};
 use super::parts::Slot;
 use super::place::finite;
 use super::screw::{Loads, Screw};
-use super::{Deflection, ElasticChain, ElasticError, MOST_ITERATIONS};
+use super::{Deflection, ElasticChain, ElasticError, MOST_ITERATIONS, ROUNDED};
 use calibrig_model::{ActuatorMap, Compliance, LinkTerm, LinkageLength, ModelError, ParameterId, TermPlace};
 
 /// Change of a sweep, relative to the largest entry, below which the adjoint has converged: what is left is a hundredth of it.
 const ADJOINT_CONVERGED: f64 = 1e-10;
+/// Sweeps in which the change may grow before a smaller share of it is taken.
+const GROWS_AT_FIRST: usize = 3;
+/// The smallest share: for loads that turn back 64 times what the springs do.
+const LEAST_SHARE: f64 = 1.0 / 64.0;
 
 /// Sums along the chain inboard of a slot.
 #[derive(Debug, Clone, Copy)]
@@ -124,20 +128,44 @@ impl ElasticChain {
         self.adjoint.rod.fill(0.0);
         if !self.adjoint.coupled {
             self.closed.force = 0.0;
-            self.take_over();
+            self.take_over(1.0);
             return Ok(());
         }
         self.set_curvature();
-        let mut change = self.take_over();
-        for _ in 0..MOST_ITERATIONS {
-            self.sweep();
-            change = self.take_over();
-            if change <= ADJOINT_CONVERGED {
-                self.sum_up();
-                return Ok(());
+        let (mut share, mut most) = (1.0, MOST_ITERATIONS);
+        loop {
+            match self.solve(share, most) {
+                Ok(()) => {
+                    self.sum_up();
+                    return Ok(());
+                }
+                Err(error) if share <= LEAST_SHARE => return Err(error),
+                Err(_) => {
+                    (share, most) = (0.5 * share, 2 * most);
+                    self.adjoint.lambda.fill(Vector3::zeros());
+                    self.adjoint.next.copy_from_slice(&self.adjoint.direct);
+                    self.adjoint.rod.fill(0.0);
+                }
             }
         }
-        Err(ElasticError::NotSettled { iterations: MOST_ITERATIONS, residual: change })
+    }
+
+    /// Sweeps until nothing changes, at `most` so often, taking a `share` of every change. With all of it, what a soft and hanging load turns
+    /// back is overshot; the eigenvalues of the sweep are real and, in a stable chain, below one, so that a small enough share converges.
+    fn solve(&mut self, share: f64, most: usize) -> Result<(), ElasticError> {
+        let mut change = self.take_over(1.0);
+        for iterations in 1..=most {
+            self.sweep();
+            let before = std::mem::replace(&mut change, self.take_over(share));
+            // What is left is the change over one minus the contraction.
+            if change <= ADJOINT_CONVERGED * share * share {
+                return Ok(());
+            }
+            if iterations > GROWS_AT_FIRST && !(change < before || change <= ROUNDED) {
+                break;
+            }
+        }
+        Err(ElasticError::NotSettled { iterations: most, residual: change })
     }
 
     fn set_direct(&mut self) {
@@ -239,8 +267,8 @@ impl ElasticChain {
         }
     }
 
-    /// μ, λ and ρ from `next`; tells the largest change of μ relative to its largest entry.
-    fn take_over(&mut self) -> f64 {
+    /// μ, ρ and a `share` of the change of λ from `next`; tells the largest change of μ relative to its largest entry.
+    fn take_over(&mut self, share: f64) -> f64 {
         let a = &mut self.adjoint;
         let elbow = self.four_bar.as_ref().map(|f| self.parts[f.elbow].drive);
         a.rho = elbow.map_or_else(Vector3::zeros, |slot| a.next[slot] / self.closed.rate);
@@ -255,15 +283,24 @@ impl ElasticChain {
             *mu = now;
         }
         let (change, largest) = (changes.max(), most.max());
-        if a.coupled {
-            for ((lambda, compliance), mu) in a.lambda.iter_mut().zip(&self.compliance).zip(&a.mu) {
-                *lambda = *compliance * mu;
-            }
+        if !a.coupled {
+            return change / largest.max(f64::MIN_POSITIVE);
         }
-        if let (true, Some(four_bar), Some(elbow)) = (a.coupled, &self.four_bar, elbow) {
+        let towards = |from: Vector3<f64>, to: Vector3<f64>| {
+            if share < 1.0 { from + share * (to - from) } else { to }
+        };
+        let before = elbow.map(|slot| a.lambda[slot]);
+        let mut stretch = Vector3::zeros();
+        for (((lambda, compliance), mu), rod) in
+            a.lambda.iter_mut().zip(&self.compliance).zip(&a.mu).zip(&a.rod_stretch)
+        {
+            let now = *compliance * mu;
+            stretch += now * *rod;
+            *lambda = towards(*lambda, now);
+        }
+        if let (Some(four_bar), Some(elbow), Some(before)) = (&self.four_bar, elbow, before) {
             // The elbow's own compliance is zero: its λ is not in the sum.
-            let stretch: Vector3<f64> = a.lambda.iter().zip(&a.rod_stretch).map(|(l, s)| l * *s).sum();
-            a.lambda[elbow] = (four_bar.compliance * a.rho - stretch) / self.closed.rate;
+            a.lambda[elbow] = towards(before, (four_bar.compliance * a.rho - stretch) / self.closed.rate);
         }
         change / largest.max(f64::MIN_POSITIVE)
     }

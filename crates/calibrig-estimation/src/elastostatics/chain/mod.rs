@@ -16,6 +16,7 @@
 
 mod adjoint;
 mod balance;
+mod newton;
 mod parts;
 mod place;
 mod screw;
@@ -95,11 +96,16 @@ pub enum ElasticError {
 const CONVERGED: f64 = 1e-13;
 /// Iterations before giving up. A robot contracts by a factor of about 100 in each.
 const MOST_ITERATIONS: usize = 100;
+/// A chain that contracts by less is too soft for the iteration, m or rad beyond [`ROUNDED`] ...
+const SLOW: f64 = 0.5;
+/// ... below which the digits run out.
+const ROUNDED: f64 = 1e-9;
 
 /// The robot as a chain of elementary screw motions with springs and loads.
 ///
 /// It is made once, given values by [`set_model`](Self::set_model), settled at a command, and then asked for the target, and after
-/// [`prepare`](Self::prepare) for the columns of the Jacobian. After it is made, no memory is taken.
+/// [`prepare`](Self::prepare) for the columns of the Jacobian. After it is made, no memory is taken but where a load hangs on springs so
+/// soft that successive substitution does not settle it.
 #[derive(Debug, Clone)]
 pub struct ElasticChain {
     parts: Vec<Part>,
@@ -310,12 +316,18 @@ impl ElasticChain {
         let mut residual = f64::INFINITY;
         for iterations in 1..=MOST_ITERATIONS {
             self.balance();
-            residual = self.residual();
+            let before = std::mem::replace(&mut residual, self.residual());
             if residual <= CONVERGED {
                 return Ok(Settled { iterations, residual });
             }
+            let contracts = residual <= SLOW * before || residual <= ROUNDED;
+            if !contracts {
+                return self.descend();
+            }
             self.yield_to_loads();
-            self.place()?;
+            if let Err(error) = self.place() {
+                return self.descend().map_err(|_| error);
+            }
         }
         Err(ElasticError::NotSettled { iterations: MOST_ITERATIONS, residual })
     }

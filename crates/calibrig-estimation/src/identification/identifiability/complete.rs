@@ -2,8 +2,8 @@
 
 use nalgebra::Vector3;
 
-use super::rank::{RANK_TOLERANCE, analyse_columns, select_in_rounds};
-use super::{IdentifiabilityReport, Spectrum, neighbour_axis_rules};
+use super::rank::{RANK_TOLERANCE, analyse_columns, select_in_rounds, select_independent};
+use super::{DependentGroup, IdentifiabilityReport, Spectrum, neighbour_axis_rules};
 use crate::kinematics::{stack, stacked_jacobian};
 use calibrig_model::{CraigLink, JointKind, KinematicModel, LinkTerm, ModelError, ParameterId};
 
@@ -35,6 +35,23 @@ pub fn complete_set(
     let selected = in_table_order(model, &kept);
     let spectrum = analyse_columns(&stack(model, &poses, &target, &selected), &selected);
     Ok(IdentifiabilityReport { candidates, selected, spectrum, dependent })
+}
+
+/// What of a free frame and an unknown target cannot be told beside each other, whichever link parameters are fitted: what
+/// [`complete_set`] leaves out of them.
+pub(in crate::identification) fn dependent_ends(
+    model: &KinematicModel,
+    frame_free: bool,
+    target_free: bool,
+) -> Result<Vec<DependentGroup>, ModelError> {
+    model.check()?;
+    let mut ends = candidates(model, frame_free, target_free);
+    ends.retain(|id| !matches!(id, ParameterId::Link { .. }));
+    if ends.is_empty() {
+        return Ok(Vec::new());
+    }
+    let poses = structural_poses(model, ends.len());
+    Ok(select_independent(&stack(model, &poses, &generic_target(model), &ends), &ends).1)
 }
 
 /// [`complete_set`], with the spectrum that it has at `poses` (joint variables, one vector a pose) and for a target at `target` (flange

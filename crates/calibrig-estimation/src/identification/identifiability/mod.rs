@@ -10,6 +10,7 @@ mod rules;
 #[cfg(test)]
 mod tests;
 
+pub(super) use complete::dependent_ends;
 pub use complete::{complete_set, identifiability, spectrum, structural_poses};
 pub use explain::{Explanation, Finding, Remedy, explain};
 #[cfg(test)]

@@ -1,4 +1,8 @@
 //! The iteration: damping by the gain ratio, inside bounds, on the true cost of a loss at a fixed scale.
+//!
+//! A step that is refused is bent along the valley before it is shortened: geodesic acceleration, M. K. Transtrum, J. P. Sethna, "Improvements
+//! to the Levenberg-Marquardt algorithm for nonlinear least-squares minimization" (2012), arXiv:1201.5885, sections 2.3 and 3.1. Where no step
+//! is refused, that costs nothing.
 
 use nalgebra::DVector;
 
@@ -14,6 +18,14 @@ const MOST_DAMPING: f64 = 1e12;
 const SHORTENING_DAMPING: f64 = 1e-3;
 /// A step whose gain differs from one by less showed the problem to be linear for what remains.
 const EXACT_GAIN: f64 = 1e-2;
+/// Least share of the predicted decrease that a step is taken for: Moré (1978), algorithm 7.1, p0001 of MINPACK's lmder.
+const SUFFICIENT_GAIN: f64 = 1e-4;
+/// A predicted decrease below this share of the cost is lost in the rounding of its sum, and so is the gain.
+const ROUNDING: f64 = 64.0 * f64::EPSILON;
+/// The share of a refused step at which its second derivative is taken, as the source has it.
+const BEND_AT: f64 = 0.1;
+/// Twice the bend over the step: beyond, the step is too long for its second order to mean anything (the source's alpha).
+const MOST_BEND: f64 = 0.75;
 
 /// A search from one start. One object serves all passes of a robust fit, so that they share their memory.
 pub(super) struct Descent<'a, P> {
@@ -61,7 +73,7 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
         self.now.weigh(robust);
         self.scale.fill(0.0);
         let mut damping = FIRST_DAMPING;
-        let mut model_holds = false;
+        let (mut model_holds, mut easy) = (false, true);
         let Some(mut normal) = self.now.cost.is_finite().then(|| self.normal_equations()).flatten() else {
             return TerminationReason::NotFinite;
         };
@@ -79,7 +91,7 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
                 }
                 continue;
             };
-            let moved = self.moved(&step);
+            let mut moved = self.moved(&step);
             let curvature = normal.curvature(&step.scaled);
             let predicted = normal.predicted_decrease(&step.scaled, curvature);
             let negligible = self.is_negligible(&normal, curvature, damping);
@@ -89,9 +101,17 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
                 return TerminationReason::SmallDecrease;
             }
             self.trial.place(self.problem, &moved, robust);
-            let gain = if predicted > 0.0 { (self.now.cost - self.trial.cost) / predicted } else { 0.0 };
-            // A cost that is not a number compares as no decrease.
-            let accepted = self.trial.cost <= self.now.cost && self.go_on(&mut normal, negligible);
+            let mut gain = self.gain(predicted);
+            if !negligible && !self.suffices(gain, predicted) {
+                easy = false;
+                if let Some(bent) = self.bent(&normal, damping, &step, &moved) {
+                    self.trial.place(self.problem, &bent, robust);
+                    (moved, gain) = (bent, self.gain(predicted));
+                }
+            }
+            let falls =
+                if negligible { self.trial.cost <= self.now.cost } else { self.suffices(gain, predicted) };
+            let accepted = falls && self.go_on(&mut normal, negligible);
             if accepted {
                 self.x = moved;
             }
@@ -101,7 +121,7 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
                 if negligible {
                     return TerminationReason::SmallDecrease;
                 }
-                damping = next_damping(damping, gain);
+                damping = next_damping(damping, gain, easy);
             } else if negligible {
                 // The cost is at the floor of its rounding errors.
                 return TerminationReason::SmallStep;
@@ -112,6 +132,49 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
                 }
             }
         }
+    }
+
+    /// Actual over predicted decrease of the trial.
+    fn gain(&self, predicted: f64) -> f64 {
+        if predicted > 0.0 { (self.now.cost - self.trial.cost) / predicted } else { 0.0 }
+    }
+
+    /// Whether the cost falls enough at the trial. One that is not a number compares as no decrease.
+    fn suffices(&self, gain: f64, predicted: f64) -> bool {
+        self.trial.cost <= self.now.cost && (gain >= SUFFICIENT_GAIN || predicted <= ROUNDING * self.now.cost)
+    }
+
+    /// Where a step leads that follows the curvature of the residuals along it; `None` where it is no small addition to the step. The
+    /// trial's residuals are lost.
+    fn bent(
+        &mut self,
+        normal: &NormalEquations,
+        damping: f64,
+        step: &Step,
+        moved: &[f64],
+    ) -> Option<Vec<f64>> {
+        let part = DVector::from_iterator(
+            moved.len(),
+            moved.iter().zip(&self.x).map(|(to, from)| BEND_AT * (to - from)),
+        );
+        let at: Vec<f64> = self.x.iter().zip(&part).map(|(x, part)| x + part).collect();
+        // Half of the second derivative along the whole step.
+        let curvature = &mut self.trial.residuals;
+        self.problem.evaluate(&at, curvature, None);
+        *curvature -= &self.now.residuals;
+        curvature.gemv(-1.0, &self.now.jacobian, &part, 1.0);
+        *curvature /= BEND_AT * BEND_AT;
+        let pull = (0..at.len()).map(|j| -self.now.against(j, &self.trial.residuals) / self.scale[j]);
+        let bend = normal.solve(damping, &DVector::from_iterator(at.len(), pull), &step.held)?;
+        if 2.0 * bend.norm() > MOST_BEND * step.scaled.norm() {
+            return None;
+        }
+        let bent =
+            moved.iter().zip(bend.iter().zip(&self.scale)).enumerate().map(|(j, (x, (bend, scale)))| {
+                let x = x + bend / scale;
+                self.bounds.map_or(x, |bounds| bounds.nearest(j, x))
+            });
+        Some(bent.collect())
     }
 
     fn record(&mut self, damping: f64, step: &Step, gain: f64, accepted: bool) {
@@ -230,9 +293,10 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
     }
 }
 
-fn next_damping(damping: f64, gain: f64) -> f64 {
+/// `easy`: no step was refused so far.
+fn next_damping(damping: f64, gain: f64, easy: bool) -> f64 {
     if gain > 0.75 {
-        (damping * 1e-3).max(LEAST_DAMPING)
+        (damping * if easy { 1e-3 } else { 0.1 }).max(LEAST_DAMPING)
     } else if gain < 0.25 {
         damping * 4.0
     } else {

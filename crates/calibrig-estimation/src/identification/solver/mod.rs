@@ -1,8 +1,8 @@
 //! Levenberg-Marquardt on a weighted problem, with column scaling and the gain ratio taken on the true cost; bounds, robust losses and
 //! several starts where they are asked for.
 //!
-//! Source of the method: J. J. Moré, "The Levenberg-Marquardt algorithm: implementation and theory" (1978), for the scaling; the damping
-//! follows the gain ratio. In bounds, a step is the minimum of the damped quadratic model inside them, so that where no step is left the
+//! Source of the method: J. J. Moré, "The Levenberg-Marquardt algorithm: implementation and theory" (1978), for the scaling and the decrease
+//! that a step is taken for; the damping follows the gain ratio; refused steps are bent (geodesic acceleration). In bounds, a step is the minimum of the damped quadratic model inside them, so that where no step is left the
 //! first-order conditions hold. Priors (MAP, Tikhonov) are rows of the problem like any other.
 
 mod bounds;

@@ -3,6 +3,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Vector3};
 
 use super::LeastSquares;
+use super::bounds::Side;
 use super::loss::Loss;
 
 /// A loss with the scale that it is used at.
@@ -64,9 +65,14 @@ impl Point {
 
     /// Derivative of half the cost by one parameter.
     pub fn gradient(&self, parameter: usize) -> f64 {
+        self.against(parameter, &self.residuals)
+    }
+
+    /// The weighted product of one parameter's column with `rows`, one number a residual.
+    pub fn against(&self, parameter: usize, rows: &DVector<f64>) -> f64 {
         let weight = |row: usize| self.weights.get(row / 3).copied().unwrap_or(1.0);
         let column = self.jacobian.column(parameter);
-        column.iter().zip(&self.residuals).enumerate().map(|(row, (j, r))| weight(row) * j * r).sum()
+        column.iter().zip(rows).enumerate().map(|(row, (j, r))| weight(row) * j * r).sum()
     }
 
     /// Number of parameters that the blocks determine: the trace of their part of the hat matrix. What priors determine does not count, nor
@@ -159,6 +165,20 @@ impl NormalEquations {
     pub fn damped_step(&self, damping: f64) -> Option<DVector<f64>> {
         let step = -Cholesky::new(self.damped(damping))?.solve(&self.gradient);
         step.iter().all(|v| v.is_finite()).then_some(step)
+    }
+
+    /// The scaled p of `(JᵀWJ + damping) p = right`, zero where a side is `held` (none where that is empty); `None` as in
+    /// [`damped_step`](Self::damped_step).
+    pub fn solve(&self, damping: f64, right: &DVector<f64>, held: &[Option<Side>]) -> Option<DVector<f64>> {
+        let (mut matrix, mut right) = (self.damped(damping), right.clone());
+        for j in (0..held.len()).filter(|j| held[*j].is_some()) {
+            matrix.row_mut(j).fill(0.0);
+            matrix.column_mut(j).fill(0.0);
+            matrix[(j, j)] = 1.0;
+            right[j] = 0.0;
+        }
+        let solution = Cholesky::new(matrix)?.solve(&right);
+        solution.iter().all(|v| v.is_finite()).then_some(solution)
     }
 
     /// Decrease of the cost if the problem were linear and the weights stayed: `curvature` is that of [`curvature`](Self::curvature).

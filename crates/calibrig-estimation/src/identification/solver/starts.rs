@@ -1,12 +1,12 @@
 //! Several starts: for problems that may have more than one minimum.
 
 use nalgebra::DVector;
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::RngExt;
 
 use super::bounds::{Bounds, BoundsError};
 use super::robust::solve;
 use super::{LeastSquares, Solution, SolverOptions};
+use calibrig_model::random::{Source, stream};
 
 /// Two ends are one minimum where the residuals between them change, to first order, by less than this many times what the solver stops at.
 const SAME: f64 = 100.0;
@@ -64,10 +64,9 @@ pub(super) fn best_of_many(
     }
 }
 
-/// Start number k, the same for any number of starts.
+/// Start number k, the same for any number of starts: its number takes the place of a trial's.
 fn draw(x: &[f64], spread: &[f64], bounds: &Bounds, seed: u64, k: u32) -> Vec<f64> {
-    let mut random = ChaCha8Rng::seed_from_u64(seed);
-    random.set_stream(u64::from(k));
+    let mut random = stream(seed, k, Source::SolverStarts);
     x.iter()
         .zip(spread)
         .enumerate()

@@ -108,3 +108,28 @@ fn starts_need_a_width_for_every_parameter() {
     );
     assert_eq!(spread(&[0.0, 1.0]), Ok(()));
 }
+
+/// Start k is what the counted stream of (seed, k) gives, whatever else is drawn.
+#[test]
+fn starts_are_drawn_from_their_counted_streams() {
+    use calibrig_model::random::{Source, stream};
+    use rand::RngExt;
+
+    let tried = std::cell::RefCell::new(Vec::new());
+    let mut flat = Formula {
+        n: 2,
+        m: 2,
+        blocks: 0,
+        f: |x: &[f64]| {
+            tried.borrow_mut().push(x.to_vec());
+            vec![(1.0, vec![0.0, 0.0]), (1.0, vec![0.0, 0.0])]
+        },
+    };
+    minimise_within(&mut flat, vec![1.0, 2.0], &options(4), &Bounds::none(2), &[0.5, 0.25]).unwrap();
+    let expected = (1..4).map(|k| {
+        let mut random = stream(3, k, Source::SolverStarts);
+        [(1.0, 0.5), (2.0, 0.25)].map(|(x, spread)| x + spread * random.random_range(-1.0..=1.0)).to_vec()
+    });
+    let expected: Vec<_> = std::iter::once(vec![1.0, 2.0]).chain(expected).collect();
+    assert_eq!(*tried.borrow(), expected);
+}

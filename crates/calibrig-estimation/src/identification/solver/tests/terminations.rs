@@ -115,6 +115,86 @@ fn wrong_derivatives_are_no_convergence_unless_the_whole_step_is_small() {
     assert_eq!(near.x[0], 1e-5);
 }
 
+/// Derivatives a million times too large: every step falls, by next to nothing of what it promised.
+#[test]
+fn a_step_that_hardly_keeps_its_promise_is_not_taken() {
+    let mut creeping = scalar(|x| vec![(1.0 - 1e-6 * x, -1.0), (1.0, 0.0)], 2);
+    let solution = minimise(&mut creeping, vec![0.0], &SolverOptions::default());
+    assert_eq!(solution.termination, TerminationReason::NoDecrease);
+    assert!(solution.iterations.iter().all(|r| !r.accepted && r.gain < 1e-4));
+    assert_eq!(solution.x, [0.0]);
+}
+
+/// At the floor of rounding, where neither the decrease nor its prediction is more than noise, a fit still ends converged.
+#[test]
+fn rounding_is_no_failure() {
+    for offset in [1.0, 1e3, 1e6] {
+        let mut line = Formula {
+            n: 2,
+            m: 40,
+            blocks: 0,
+            f: move |x: &[f64]| {
+                (0..40)
+                    .map(|i| {
+                        let t = 0.1 * f64::from(i);
+                        (
+                            offset * (7.0 * t).sin() + x[0] + x[1] * t + (x[1] * t).sin(),
+                            vec![1.0, t + t * (x[1] * t).cos()],
+                        )
+                    })
+                    .collect()
+            },
+        };
+        let solution = minimise(&mut line, vec![0.3, 0.2], &tight());
+        assert!(solution.termination.converged(), "{offset}: {:?}", solution.termination);
+    }
+}
+
+/// Along a narrow valley that bends, refused steps are bent with it: the first is a parabola, the second a circle, a thousand times as steep
+/// across as along.
+#[test]
+fn a_bending_valley_is_followed() {
+    let mut parabola = Formula {
+        n: 2,
+        m: 2,
+        blocks: 0,
+        f: |x: &[f64]| {
+            vec![(1e3 * (x[1] - x[0] * x[0]), vec![-2e3 * x[0], 1e3]), (1.0 - x[0], vec![-1.0, 0.0])]
+        },
+    };
+    let mut circle = Formula {
+        n: 2,
+        m: 2,
+        blocks: 0,
+        f: |x: &[f64]| {
+            let r = x[0].hypot(x[1]);
+            vec![(1e3 * (r - 1.0), vec![1e3 * x[0] / r, 1e3 * x[1] / r]), (x[1] - 1.0, vec![0.0, 1.0])]
+        },
+    };
+    let of = |solution: Solution, end: [f64; 2]| {
+        assert!(solution.termination.converged());
+        assert!(
+            (solution.x[0] - end[0]).abs() < 1e-4 && (solution.x[1] - end[1]).abs() < 1e-4,
+            "{:?}",
+            solution.x
+        );
+        solution.iterations.len()
+    };
+    let counts = [
+        of(minimise(&mut parabola, vec![-1.2, 1.44], &SolverOptions::default()), [1.0, 1.0]),
+        of(
+            minimise(
+                &mut circle,
+                vec![1.0, 0.1],
+                &SolverOptions { relative_decrease: 0.0, ..SolverOptions::default() },
+            ),
+            [0.0, 1.0],
+        ),
+    ];
+    println!("{counts:?}");
+    assert!(counts[0] <= 40 && counts[1] <= 60, "{counts:?}");
+}
+
 #[test]
 fn numbers_that_are_not_end_the_search_with_their_reason() {
     for bad in [f64::NAN, f64::INFINITY] {

@@ -1,0 +1,245 @@
+//! Where stations and targets are before the fit, and what of both cannot be told.
+
+use nalgebra::Vector3;
+
+use super::options::is_placed;
+use super::{DependentGroup, FrameChoice, IdentificationOptions, IdentifyError, TargetChoice};
+use crate::kinematics::{forward_kinematics, target};
+use calibrig_model::geometry::{Transform, best_fit_transform};
+use calibrig_model::measurement::{MeasurementSet, register};
+use calibrig_model::{CalibrationModel, ParameterId};
+
+/// Which components of free stations and unknown targets are parameters of the fit.
+#[derive(Debug, Clone)]
+pub(super) struct Ends {
+    /// Of every free station.
+    pub frame_components: [bool; 6],
+    /// Of every target.
+    pub target_axes: Vec<[bool; 3]>,
+    /// The others.
+    pub fixed: Vec<DependentGroup>,
+}
+
+impl Ends {
+    /// `redundant` by the structure of the chain, of station and target 0. What a shift of the frame can do as well is left out of one target
+    /// of those that share stations; the others are relative to it.
+    pub fn new(set: &MeasurementSet, options: &IdentificationOptions, redundant: &[DependentGroup]) -> Self {
+        let mut ends = Self {
+            frame_components: [true; 6],
+            target_axes: vec![[true; 3]; set.targets.len()],
+            fixed: Vec::new(),
+        };
+        if redundant.is_empty() {
+            return ends;
+        }
+        let firsts = firsts(set);
+        for group in redundant {
+            match group.redundant {
+                ParameterId::Frame { component, .. } => {
+                    ends.frame_components[component] = false;
+                    let free =
+                        |station: &usize| options.frame.of(&set.stations[*station]) == FrameChoice::Free;
+                    let stations = (0..set.stations.len()).filter(free);
+                    ends.fixed.extend(stations.map(|station| of(group, station, 0)));
+                }
+                ParameterId::Target { axis, .. } => {
+                    for (target, station) in &firsts {
+                        if options.target.of(&set.targets[*target]) == TargetChoice::Identified {
+                            ends.target_axes[*target][axis] = false;
+                            ends.fixed.push(of(group, *station, *target));
+                        }
+                    }
+                }
+                _ => {}
+            }
+        }
+        ends
+    }
+}
+
+/// The same of another station and target.
+fn of(group: &DependentGroup, station: usize, target: usize) -> DependentGroup {
+    let id = |id: ParameterId| match id {
+        ParameterId::Frame { component, .. } => ParameterId::Frame { station, component },
+        ParameterId::Target { axis, .. } => ParameterId::Target { target, axis },
+        other => other,
+    };
+    DependentGroup {
+        redundant: id(group.redundant),
+        with: group.with.iter().map(|(with, factor)| (id(*with), *factor)).collect(),
+        singular_value: group.singular_value,
+    }
+}
+
+/// Of all measured targets that stations tie to each other, the first, with a station that saw it.
+fn firsts(set: &MeasurementSet) -> Vec<(usize, usize)> {
+    let mut first: Vec<usize> = (0..set.targets.len()).collect();
+    let mut seen_by: Vec<Option<usize>> = vec![None; set.targets.len()];
+    for observation in &set.observations {
+        seen_by[observation.target].get_or_insert(observation.station);
+    }
+    // As many rounds as there are links in the longest row of targets.
+    for _ in 0..set.targets.len() {
+        for station in 0..set.stations.len() {
+            let targets = || set.observations.iter().filter(|o| o.station == station).map(|o| o.target);
+            let Some(least) = targets().map(|target| first[target]).min() else { continue };
+            targets().for_each(|target| first[target] = least);
+        }
+    }
+    let of_first = |(target, station): (usize, Option<usize>)| {
+        Some((target, station?)).filter(|_| first[target] == target)
+    };
+    seen_by.into_iter().enumerate().filter_map(of_first).collect()
+}
+
+/// `tracker_from_base` of every station that lays the nominal robot, ideal and rigid, with its targets at `offsets`, over the measurements.
+pub(super) fn best_fit_stations(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    offsets: &[Vector3<f64>],
+) -> Result<Vec<Transform>, IdentifyError> {
+    (0..set.stations.len()).map(|station| best_fit_station(model, set, offsets, station)).collect()
+}
+
+pub(super) fn best_fit_station(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    offsets: &[Vector3<f64>],
+    station: usize,
+) -> Result<Transform, IdentifyError> {
+    let mut joints = vec![0.0; model.kinematics.joint_count()];
+    let (mut seen, mut nominal) = (Vec::new(), Vec::new());
+    for observation in set.observations.iter().filter(|o| o.station == station) {
+        model.actuators.joints_from_command(&observation.command, &mut joints);
+        seen.push(observation.reading.position());
+        nominal.push(target(&model.kinematics, &joints, &offsets[observation.target]));
+    }
+    let station = &set.stations[station];
+    if seen.is_empty() && is_placed(station) {
+        // Nothing was measured from there but the nests.
+        return register(station)
+            .map(|registration| registration.tracker_from_base)
+            .map_err(|source| IdentifyError::Registration { station: station.name.clone(), source });
+    }
+    best_fit_transform(&seen, &nominal).ok_or(IdentifyError::BestFit)
+}
+
+/// A nominal target that moves by less than this share of what was seen tells nothing of the tracker's place: its offset is missing.
+const HARDLY_MOVES: f64 = 0.3;
+/// Rounds of placing stations and targets in turn.
+const ROUNDS: usize = 30;
+
+/// Offsets of the targets to start from, m: as stated, but where unknown ones (with any of the axes `told`) leave the nominal target nearly at
+/// rest while the measured one moves, as of a positioner with crossing axes. Then several trial offsets are improved, stations and targets in turn, and
+/// the one that fits best is taken.
+pub(super) fn starting_offsets(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    choice: TargetChoice,
+    told: &[[bool; 3]],
+) -> Vec<Vector3<f64>> {
+    let stated: Vec<Vector3<f64>> = set.targets.iter().map(|target| target.in_flange).collect();
+    let unknown: Vec<bool> =
+        set.targets.iter().map(|target| choice.of(target) == TargetChoice::Identified).collect();
+    if !unknown.contains(&true) {
+        return stated;
+    }
+    let axes = |(target, axes): (usize, &[bool; 3])| axes.map(|told| told && unknown[target]);
+    let told: Vec<[bool; 3]> = told.iter().enumerate().map(axes).collect();
+    let flanges = Flanges::new(model, set);
+    let (seen, nominal) = flanges.spreads(set, &stated);
+    if nominal > HARDLY_MOVES * seen {
+        return stated;
+    }
+    let tries = (0..8).map(|corner: usize| {
+        let sign = |bit: usize| if corner >> bit & 1 == 0 { 1.0 } else { -1.0 };
+        let trial = seen * Vector3::new(0.7 * sign(0), 0.5 * sign(1), 0.6 * sign(2));
+        let offset = |(target, at): (usize, &Vector3<f64>)| {
+            Vector3::from_fn(|axis, _| if told[target][axis] { at[axis] + trial[axis] } else { at[axis] })
+        };
+        stated.iter().enumerate().map(offset).collect::<Vec<_>>()
+    });
+    let improved = tries.filter_map(|offsets| flanges.improved(set, offsets, &told));
+    let best = improved.min_by(|a, b| a.1.total_cmp(&b.1));
+    best.map_or(stated, |(offsets, _)| offsets)
+}
+
+/// `base_from_flange` of the nominal robot at every observation.
+struct Flanges(Vec<Transform>);
+
+impl Flanges {
+    fn new(model: &CalibrationModel, set: &MeasurementSet) -> Self {
+        let mut joints = vec![0.0; model.kinematics.joint_count()];
+        let flange = |command: &[f64]| {
+            model.actuators.joints_from_command(command, &mut joints);
+            // Commands have been checked.
+            forward_kinematics(&model.kinematics, &joints).unwrap_or_else(|_| Transform::identity())
+        };
+        Self(set.observations.iter().map(|o| o.command.as_slice()).map(flange).collect())
+    }
+
+    /// Root mean square distances of seen and nominal points from their middle, the widest of the stations.
+    fn spreads(&self, set: &MeasurementSet, offsets: &[Vector3<f64>]) -> (f64, f64) {
+        let of = |station: usize| {
+            let of_station =
+                || set.observations.iter().zip(&self.0).filter(move |(o, _)| o.station == station);
+            let seen: Vec<_> = of_station().map(|(o, _)| o.reading.position()).collect();
+            let nominal: Vec<_> = of_station().map(|(o, flange)| at(flange, &offsets[o.target])).collect();
+            (spread(&seen), spread(&nominal))
+        };
+        let spreads = (0..set.stations.len()).map(of);
+        spreads.fold(
+            (0.0, 0.0),
+            |widest, (seen, nominal)| if seen > widest.0 { (seen, nominal) } else { widest },
+        )
+    }
+
+    /// Offsets from which stations and targets were placed in turn, and the sum of squares that they leave, m².
+    fn improved(
+        &self,
+        set: &MeasurementSet,
+        mut offsets: Vec<Vector3<f64>>,
+        told: &[[bool; 3]],
+    ) -> Option<(Vec<Vector3<f64>>, f64)> {
+        let mut left = f64::INFINITY;
+        for _ in 0..ROUNDS {
+            let stations: Vec<_> =
+                (0..set.stations.len()).map(|station| self.station(set, &offsets, station)).collect();
+            let mut sums = vec![(0.0_f64, Vector3::zeros()); offsets.len()];
+            left = 0.0;
+            for (observation, flange) in set.observations.iter().zip(&self.0) {
+                let station = stations[observation.station]?;
+                let target = observation.target;
+                let seen = observation.reading.position();
+                let missing = seen - station.transform_point(&at(flange, &offsets[target]).into()).coords;
+                left += missing.norm_squared();
+                let turn = (station.rotation * flange.rotation).inverse();
+                sums[target].0 += 1.0;
+                sums[target].1 += turn * missing;
+            }
+            for ((offset, (count, missing)), told) in offsets.iter_mut().zip(&sums).zip(told) {
+                for axis in (0..3).filter(|axis| told[*axis] && *count > 0.0) {
+                    offset[axis] += missing[axis] / count;
+                }
+            }
+        }
+        left.is_finite().then_some((offsets, left))
+    }
+
+    fn station(&self, set: &MeasurementSet, offsets: &[Vector3<f64>], station: usize) -> Option<Transform> {
+        let of_station = || set.observations.iter().zip(&self.0).filter(|(o, _)| o.station == station);
+        let seen: Vec<_> = of_station().map(|(o, _)| o.reading.position()).collect();
+        let nominal: Vec<_> = of_station().map(|(o, flange)| at(flange, &offsets[o.target])).collect();
+        best_fit_transform(&seen, &nominal)
+    }
+}
+
+fn at(flange: &Transform, offset: &Vector3<f64>) -> Vector3<f64> {
+    flange.rotation * offset + flange.translation.vector
+}
+
+fn spread(points: &[Vector3<f64>]) -> f64 {
+    let n = points.len().max(1) as f64;
+    let middle = points.iter().sum::<Vector3<f64>>() / n;
+    (points.iter().map(|point| (point - middle).norm_squared()).sum::<f64>() / n).sqrt()
+}
