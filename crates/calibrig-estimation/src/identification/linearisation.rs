@@ -18,6 +18,8 @@ pub struct Linearisation {
     pub residuals: DVector<f64>,
     /// The first rows: three an observation.
     pub data_rows: usize,
+    /// Rows of all that was measured: those, and of nests and target.
+    pub measured_rows: usize,
     /// One an observation: takes a displacement of its target in the base frame, m, to standard deviations.
     pub whitening: Vec<Matrix3<f64>>,
 }
@@ -49,21 +51,34 @@ pub fn linearise(
     options: &IdentificationOptions,
     estimate: &Estimate,
 ) -> Result<Linearisation, IdentifyError> {
+    let x: Vec<_> = estimate.parameters.iter().map(|p| p.value).collect();
+    linearise_at(model, set, options, estimate, &x)
+}
+
+/// The same system at `x`, values of the estimate's parameters in their order, SI.
+pub(super) fn linearise_at(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    estimate: &Estimate,
+    x: &[f64],
+) -> Result<Linearisation, IdentifyError> {
     check(model, set)?;
     options.check()?;
-    if let Some(parameter) = estimate.parameters.iter().find(|p| !p.value.is_finite()) {
-        let (field, value) = ("a value of estimate.parameters", parameter.value);
+    if let Some(value) = x.iter().copied().find(|value| !value.is_finite()) {
+        let field = "a value of the parameters";
         return Err(IdentifyError::Number { field, value, expected: "a finite number" });
     }
-    let (mut problem, x) = solved(model, set, options, estimate)?;
+    let mut problem = solved(model, set, options, estimate)?;
     let (m, n) = (problem.rows(), problem.parameters());
     let mut linearisation = Linearisation {
         jacobian: DMatrix::zeros(m, n),
         residuals: DVector::zeros(m),
         data_rows: 3 * problem.rows.len(),
+        measured_rows: problem.measured_rows(),
         whitening: Vec::new(),
     };
-    problem.evaluate(&x, &mut linearisation.residuals, Some(&mut linearisation.jacobian));
+    problem.evaluate(x, &mut linearisation.residuals, Some(&mut linearisation.jacobian));
     let failed = (0..problem.rows.len()).find(|row| !linearisation.residuals[3 * row].is_finite());
     if let Some((pose, source)) = failed.and_then(|row| problem.failure(row)) {
         return Err(IdentifyError::Machine { pose, source });
@@ -72,13 +87,13 @@ pub fn linearise(
     Ok(linearisation)
 }
 
-/// The problem that `estimate` solves, and its parameters.
+/// The problem that `estimate` solves.
 fn solved(
     model: &CalibrationModel,
     set: &MeasurementSet,
     options: &IdentificationOptions,
     estimate: &Estimate,
-) -> Result<(CalibrationProblem, Vec<f64>), IdentifyError> {
+) -> Result<CalibrationProblem, IdentifyError> {
     let kept: Vec<_> = estimate.parameters.iter().map(|p| p.id).collect();
     let mut problem = rebuild(model, set, options, &kept)?;
     if problem.parameters != kept {
@@ -98,5 +113,5 @@ fn solved(
             row.whitening *= UNSTATED_SIGMA / sigma;
         }
     }
-    Ok((problem, estimate.parameters.iter().map(|p| p.value).collect()))
+    Ok(problem)
 }

@@ -8,6 +8,7 @@ mod estimate;
 mod factor;
 mod identifiability;
 mod identify;
+mod information;
 mod limits;
 mod linearisation;
 mod machine;
@@ -34,6 +35,7 @@ pub use identifiability::{
 };
 use identifiability::{analyse_r, select_independent};
 pub use identify::{IdentifyError, identify, without_calibration};
+pub use information::{Information, information_at};
 pub use limits::{ParameterBound, ParameterBoundError, RefusedBound, check_bounds};
 pub use linearisation::{Linearisation, linearise};
 pub use machine::MachineError;
