@@ -9,7 +9,6 @@ use calibrig::pipeline::{self, Outcome, PlantKind, calibrate};
 use calibrig::recording::{McapRecorder, Preamble, SessionRecorder, write_mcap};
 use calibrig::replay::{Change, ReplayOptions, recorded_truth, replay};
 use calibrig::report::json_report;
-use calibrig::scenario::Scenario;
 
 use crate::a_user_reproduces_the_paper::{paper, rigid_paper};
 use crate::repeated;
@@ -97,9 +96,7 @@ fn what_another_version_estimated_is_compared_and_no_difference_is_doubted() {
 #[test]
 fn a_difference_within_a_version_is_doubted() {
     let sandbox = Sandbox::new();
-    let scenario = Scenario { identification_poses: 30, verification_poses: 5, ..rigid_paper() };
-    let scenario = Scenario { modes: vec![Mode::WithoutCalibration, Mode::OnlyCalibration], ..scenario };
-    let mut outcome = pipeline::run(&scenario, 3, |_, _| {}).expect("a run");
+    let mut outcome = pipeline::run(&paper(), 3, |_, _| {}).expect("a run");
     let path = sandbox.path("same.mcap");
     write_mcap(&outcome.story(), &path).expect("a recording");
     let replayed = replay(&path, &ReplayOptions::default()).expect("a replay");
