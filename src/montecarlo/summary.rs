@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use super::{Campaign, ModeResult, ParameterResult, Trial, trial::Fit};
 use calibrig_estimation::evaluation::{Coverage, mean_nees_band};
-use calibrig_estimation::identification::{Information, Mode};
+use calibrig_estimation::identification::Mode;
 use calibrig_model::measurement::SetKind;
 use calibrig_model::statistics::{NORMAL_95, student_t_quantile};
 use calibrig_model::{ParameterId, Unit};
@@ -82,8 +82,8 @@ pub struct ParameterSummary {
     /// Root of the mean Cramér-Rao bound at the truth of every trial: no unbiased estimator that knows the measurements alone has a smaller RMSE.
     /// One with priors may have. `None` where the truth of a parameter is not known, or the measurements alone do not determine all.
     pub cramer_rao: Option<f64>,
-    /// The Bayesian Cramér-Rao bound: no estimator has a smaller RMSE over machines that are drawn from the priors. `None` where no machines are
-    /// drawn, no parameter has a prior, or the truth of one is not known.
+    /// The Bayesian Cramér-Rao bound, root of its mean over the trials, whose poses every estimator knows: none has a smaller RMSE over machines that
+    /// are drawn from the priors. `None` where no machines are drawn, no parameter has a prior, or the truth of one is not known.
     pub bayesian: Option<f64>,
     /// How often the stated 95 % interval held the truth.
     pub coverage: Coverage,
@@ -251,9 +251,7 @@ fn summarise_nees(fits: &[&Fit]) -> Option<NeesSummary> {
     })
 }
 
-/// With the Bayesian bound where the machines are drawn.
 fn summarise_parameters(fits: &[&Fit], is_drawn: bool) -> Vec<ParameterSummary> {
-    let bayesian: Vec<_> = if is_drawn { bayesian_bounds(fits) } else { Vec::new() };
     let mut ids: Vec<ParameterId> = Vec::new();
     for parameter in fits.iter().flat_map(|f| &f.parameters) {
         if !ids.contains(&parameter.id) {
@@ -264,29 +262,28 @@ fn summarise_parameters(fits: &[&Fit], is_drawn: bool) -> Vec<ParameterSummary> 
         .filter_map(|id| {
             let results: Vec<_> =
                 fits.iter().filter_map(|f| f.parameters.iter().find(|p| p.id == id)).copied().collect();
-            let bayesian = bayesian.iter().find(|(known, _)| *known == id).map(|(_, sigma)| *sigma);
-            Some(ParameterSummary { bayesian, ..summarise_parameter(id, &results)? })
+            summarise_parameter(id, is_drawn, &results)
         })
         .collect()
 }
 
-/// The Bayesian bound of every parameter, from the information that is kept; empty where it is not known, or no parameter has a prior.
-fn bayesian_bounds(fits: &[&Fit]) -> Vec<(ParameterId, f64)> {
-    let all: Vec<&Information> = fits.iter().filter_map(|f| f.information.as_ref()).collect();
-    let Some(first) = all.first().filter(|first| first.has_prior()) else { return Vec::new() };
-    let sigmas = Information::bayesian_cramer_rao_sigmas(&all).unwrap_or_default();
-    first.parameters().iter().copied().zip(sigmas).collect()
-}
-
-/// Of one parameter, from the trials in which its truth and a standard deviation are known; `None` without any. The Bayesian bound is left open.
-fn summarise_parameter(id: ParameterId, results: &[ParameterResult]) -> Option<ParameterSummary> {
+/// Of one parameter, from the trials in which its truth and a standard deviation are known; `None` without any. With
+/// the Bayesian bound where the machines are drawn.
+fn summarise_parameter(
+    id: ParameterId,
+    is_drawn: bool,
+    results: &[ParameterResult],
+) -> Option<ParameterSummary> {
     let known: Vec<_> = results.iter().filter(|p| p.truth.is_some() && p.sigma.is_some()).collect();
     let errors: Vec<(f64, f64)> = known.iter().filter_map(|p| Some((p.value - p.truth?, p.sigma?))).collect();
     if errors.is_empty() {
         return None;
     }
     let n = errors.len() as f64;
-    let least: Option<Vec<f64>> = known.iter().map(|p| p.cramer_rao.map(|sigma| sigma * sigma)).collect();
+    let root_mean = |bound: fn(&ParameterResult) -> Option<f64>| {
+        let variances: Option<Vec<f64>> = known.iter().map(|p| bound(p).map(|sigma| sigma * sigma)).collect();
+        variances.map(|variances| (variances.iter().sum::<f64>() / n).sqrt())
+    };
     let mut coverage = Coverage::default();
     for (error, sigma) in &errors {
         coverage.count(error.abs() <= NORMAL_95 * sigma);
@@ -296,8 +293,8 @@ fn summarise_parameter(id: ParameterId, results: &[ParameterResult]) -> Option<P
         bias: errors.iter().map(|(error, _)| error).sum::<f64>() / n,
         rmse: (errors.iter().map(|(error, _)| error * error).sum::<f64>() / n).sqrt(),
         stated: (errors.iter().map(|(_, sigma)| sigma * sigma).sum::<f64>() / n).sqrt(),
-        cramer_rao: least.map(|variances| (variances.iter().sum::<f64>() / n).sqrt()),
-        bayesian: None,
+        cramer_rao: root_mean(|p| p.cramer_rao),
+        bayesian: root_mean(|p| p.bayesian).filter(|_| is_drawn),
         coverage,
     })
 }
@@ -562,14 +559,17 @@ mod tests {
             value,
             sigma,
             cramer_rao: Some(least),
+            bayesian: Some(0.1),
         };
         let unknown = ParameterResult { truth: None, ..result(9.0, Some(1.0), 9.0) };
         let results =
             [result(4.0, Some(1.0), 0.6), result(0.0, Some(1.0), 0.8), result(9.0, None, 9.0), unknown];
-        let p = summarise_parameter(id, &results).expect("two errors");
+        let p = summarise_parameter(id, false, &results).expect("two errors");
         assert_eq!((p.bias, p.rmse, p.stated), (1.0, 5.0_f64.sqrt(), 1.0));
         assert_eq!((p.consistency(), p.bayesian), (5.0_f64.sqrt(), None));
         assert!((p.least().expect("a bound") - 0.5_f64.sqrt()).abs() < 1e-15);
+        let drawn = summarise_parameter(id, true, &results).expect("two errors");
+        assert!((drawn.least().expect("a bound") - 0.1).abs() < 1e-15);
         assert_eq!(p.coverage, Coverage { hits: 1, trials: 2 });
     }
 }

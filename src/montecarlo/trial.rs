@@ -57,8 +57,6 @@ pub struct Fit {
     /// Squared error over the bound: of all parameters, with the information at their truth; `None` where one truth is not known. In the mean at
     /// least the number of parameters, where the machine is drawn from the priors and the model is right.
     pub squared_over_bound: Option<f64>,
-    /// What the campaign's Bayesian bound is made of: the information at the truth, of some trials.
-    pub information: Option<Information>,
     /// The parameters beside their truth.
     pub parameters: Vec<ParameterResult>,
     /// True positions of the verification poses inside the stated 95 % intervals (per coordinate), and their number.
@@ -78,11 +76,9 @@ pub struct ParameterResult {
     pub sigma: Option<f64>,
     /// The Cramér-Rao bound at the truth: what no unbiased estimator is below that knows the measurements of this trial alone.
     pub cramer_rao: Option<f64>,
+    /// The Bayesian Cramér-Rao bound, with the information at this truth for its mean over machines at these poses; `None` without priors.
+    pub bayesian: Option<f64>,
 }
-
-/// The first trials whose information is kept, and of the others one in so many: the mean over more is the same, and takes memory.
-const KEPT_TRIALS: u32 = 1000;
-const KEPT_ONE_IN: u32 = 10;
 
 pub(super) fn carry_out(campaign: &Campaign<'_>, index: u32) -> Result<TrialOutcome, PipelineError> {
     let scenario = campaign.scenario;
@@ -95,13 +91,13 @@ pub(super) fn carry_out(campaign: &Campaign<'_>, index: u32) -> Result<TrialOutc
         .map(|outcome| ModeResult {
             mode: outcome.mode,
             rows: kinds.iter().zip(&outcome.rows).filter_map(|(kind, row)| Some((*kind, (*row)?))).collect(),
-            fit: outcome.estimate.as_ref().map(|estimate| fit(campaign, index, &simulation, estimate)),
+            fit: outcome.estimate.as_ref().map(|estimate| fit(campaign, &simulation, estimate)),
         })
         .collect();
     Ok(TrialOutcome { modes, dropped: simulation.sets.iter().map(|set| set.dropped.len()).sum() })
 }
 
-fn fit(campaign: &Campaign<'_>, index: u32, simulation: &Simulation, estimate: &Estimate) -> Fit {
+fn fit(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Estimate) -> Fit {
     let known = KnownTruth {
         as_built: &simulation.truth.as_built,
         nominal: &campaign.scenario.robot.model,
@@ -111,7 +107,9 @@ fn fit(campaign: &Campaign<'_>, index: u32, simulation: &Simulation, estimate: &
     let fitted = simulation.sets.first().map(|set| &set.measurements);
     let information =
         fitted.and_then(|set| information_at_truth(&known, set, &campaign.scenario.options, estimate));
-    let least = information.as_ref().and_then(Information::cramer_rao_sigmas);
+    let cramer_rao = information.as_ref().and_then(Information::cramer_rao_sigmas);
+    let bayesian = information.as_ref().and_then(Information::bayesian_cramer_rao_sigmas);
+    let at = |sigmas: &Option<Vec<f64>>, place: usize| sigmas.as_ref()?.get(place).copied();
     let parameters: Vec<_> = estimate
         .parameters
         .iter()
@@ -121,11 +119,11 @@ fn fit(campaign: &Campaign<'_>, index: u32, simulation: &Simulation, estimate: &
             truth: known.of(estimate, p.id),
             value: p.value,
             sigma: p.sigma,
-            cramer_rao: least.as_ref().and_then(|least| least.get(place).copied()),
+            cramer_rao: at(&cramer_rao, place),
+            bayesian: at(&bayesian, place),
         })
         .collect();
     let errors: Option<Vec<f64>> = parameters.iter().map(|p| Some(p.value - p.truth?)).collect();
-    let is_kept = index < KEPT_TRIALS || index.is_multiple_of(KEPT_ONE_IN);
     Fit {
         termination: estimate.termination,
         sound: estimate.is_sound(),
@@ -134,7 +132,6 @@ fn fit(campaign: &Campaign<'_>, index: u32, simulation: &Simulation, estimate: &
         nees: nees_of(estimate, &parameters),
         predictions: predictions(campaign, simulation, estimate),
         squared_over_bound: information.as_ref().zip(errors).and_then(|(i, errors)| i.squared(&errors)),
-        information: information.filter(|_| is_kept),
         parameters,
     }
 }

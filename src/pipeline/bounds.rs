@@ -40,13 +40,11 @@ pub fn bounds_at_truth(
     };
     let bounds = |outcome: &ModeOutcome| {
         let information = information_at_truth(&known, fitted, options, outcome.estimate.as_ref()?)?;
-        let bayesian =
-            information.has_prior().then(|| Information::bayesian_cramer_rao_sigmas(&[&information]));
         Some(TruthBounds {
             mode: outcome.mode,
             parameters: information.parameters().to_vec(),
             cramer_rao: information.cramer_rao_sigmas(),
-            bayesian: bayesian.flatten(),
+            bayesian: information.bayesian_cramer_rao_sigmas(),
         })
     };
     modes.iter().filter_map(bounds).collect()

@@ -82,12 +82,10 @@ impl KnownTruth<'_> {
         if term != own {
             return 0.0;
         }
-        // The elbow's motor stands on the waist: where the shoulder's is off, the ideal parallelogram turns the elbow back, and a four-bar that is
-        // closed at every pose does so by itself.
+        // The elbow's motor stands on the waist: where the shoulder's is off, the parallelogram turns the elbow back, and the shoulder's own theta
+        // turns both.
         let shoulder = match self.nominal.actuators {
-            ActuatorMap::Parallelogram { shoulder, elbow, linkage, .. }
-                if elbow == link && !(linkage.is_some() && estimate.robot.mode.is_coupled()) =>
-            {
+            ActuatorMap::Parallelogram { shoulder, elbow, .. } if elbow == link => {
                 self.actuator_zero(estimate, shoulder)
             }
             _ => 0.0,

@@ -27,9 +27,12 @@ fn with(effects: Effects, families: &[&str]) -> Scenario {
     scenario
 }
 
-/// Every parameter with its truth; the estimates are off by at most `within` m or rad, and by at most a thousandth of the named ones.
+/// What priors may pull an estimate off, m, rad or share: the effects are a hundred times as large.
+const PULL: f64 = 2e-6;
+
+/// Every parameter with its truth; the named ones are known in advance, and found within a thousandth.
 #[track_caller]
-fn assert_found(effects: Effects, families: &[&str], within: f64, named: &[(&str, f64)]) {
+fn assert_found(effects: Effects, families: &[&str], named: &[(&str, f64)]) {
     let scenario = with(effects, families);
     let simulation = simulate(&scenario, 1, 0, PlantKind::Analytic, |_, _| {}).expect("a session");
     let set = &simulation.sets[0].measurements;
@@ -43,7 +46,7 @@ fn assert_found(effects: Effects, families: &[&str], within: f64, named: &[(&str
     };
     for p in &estimate.parameters {
         let truth = known.of(&estimate, p.id).unwrap_or_else(|| panic!("{}: no truth", p.id));
-        assert!((p.value - truth).abs() <= within, "{}: {:e} is {:e}", p.id, truth, p.value);
+        assert!((p.value - truth).abs() <= PULL, "{}: {:e} is {:e}", p.id, truth, p.value);
     }
     for (name, expected) in named {
         let id = ParameterId::parse(name).expect(name);
@@ -66,7 +69,7 @@ fn half_the_play_is_the_amplitude_of_hysteresis() {
     let effects = Effects { backlash: Some(Backlash { gap }), ..Effects::default() };
     let named =
         [("hysteresis_d1", -2e-4), ("hysteresis_theta3", -0.5 * ARCMIN), ("hysteresis_theta4", -ARCMIN)];
-    assert_found(effects, &["hysteresis"], 1e-7, &named);
+    assert_found(effects, &["hysteresis"], &named);
 }
 
 /// Friction that depends on nothing but the sign of the motion; one that grows with the load has no counterpart.
@@ -77,7 +80,7 @@ fn friction_is_hysteresis_where_it_depends_on_the_direction_alone() {
     let scenario = with(Effects::default(), &[]);
     let expected = -60.0 / scenario.as_built.statics.drive_stiffness[2];
     let effects = Effects { friction: Some(friction.clone()), ..Effects::default() };
-    assert_found(effects, &["hysteresis"], 1e-7, &[("hysteresis_theta3", expected)]);
+    assert_found(effects, &["hysteresis"], &[("hysteresis_theta3", expected)]);
 
     let loaded = Friction { per_load: of_joints(&[(2, 0.01)]), ..friction };
     let scenario = with(Effects { friction: Some(loaded), ..Effects::default() }, &["hysteresis"]);
@@ -113,7 +116,7 @@ fn a_ratio_error_is_its_displacement_at_the_end_and_a_shift_of_the_zero() {
         ("ratio_d5", -3e-4 * half(4)),
         ("delta_d5", off(4) - 3e-4 * middle(4)),
     ];
-    assert_found(effects, &["ratio"], 2e-7, &named);
+    assert_found(effects, &["ratio"], &named);
 }
 
 #[test]
@@ -139,7 +142,7 @@ fn the_waves_of_a_transmission_are_sines_and_cosines_of_its_motor_turns() {
         ("harmonic_d5_sin2", 0.5e-4 * (-1.9_f64).cos()),
         ("harmonic_d5_cos2", 0.5e-4 * (-1.9_f64).sin()),
     ];
-    assert_found(effects, &["harmonic"], 2e-7, &named);
+    assert_found(effects, &["harmonic"], &named);
 }
 
 #[test]
@@ -150,8 +153,9 @@ fn an_encoder_offset_is_an_error_of_its_joints_zero() {
     let off = |joint: usize| {
         scenario.as_built.kinematics.links[joint].theta - scenario.robot.model.kinematics.links[joint].theta
     };
-    let named = [("delta_theta3", off(2) + 3e-4), ("delta_theta4", off(3) - 4e-4)];
-    assert_found(effects, &[], 1e-7, &named);
+    // The shoulder's turns the elbow back.
+    let named = [("delta_theta3", off(2) + 3e-4), ("delta_theta4", off(3) - 4e-4 - 3e-4)];
+    assert_found(effects, &[], &named);
 }
 
 #[test]
@@ -178,7 +182,7 @@ fn a_bent_rail_is_its_legendre_polynomials() {
         ("rail_d1_rx2", -2e-5),
         ("rail_d1_ry1", -2e-5),
     ];
-    assert_found(effects, &["rail"], 2e-7, &named);
+    assert_found(effects, &["rail"], &named);
 }
 
 /// The text of a scenario without what begins with one of these tables.

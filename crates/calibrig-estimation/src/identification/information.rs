@@ -61,16 +61,15 @@ impl Information {
         sigmas(&cramer_rao_bound(&self.measured, &self.parameters)?)
     }
 
-    /// The least root mean squared errors, SI, of any estimator, over parameters that are drawn from the priors: the Bayesian Cramér-Rao bound
-    /// from the mean information of `all`, each at parameters that were so drawn. `None` where measurements and priors together do not
-    /// determine all parameters, or where those of `all` are not the same.
-    pub fn bayesian_cramer_rao_sigmas(all: &[&Self]) -> Option<Vec<f64>> {
-        let (first, others) = all.split_first()?;
-        if others.iter().any(|other| (&other.parameters, &other.prior) != (&first.parameters, &first.prior)) {
+    /// The least root mean squared errors, SI, of any estimator, over parameters that are drawn from the priors: the Bayesian Cramér-Rao bound,
+    /// with the information at these values for its mean over the priors, from which it differs in second order. `None` where no parameter has a
+    /// prior, or where measurements and priors together do not determine all parameters.
+    pub fn bayesian_cramer_rao_sigmas(&self) -> Option<Vec<f64>> {
+        if !self.has_prior() {
             return None;
         }
-        let measured = all.iter().map(|information| &information.measured);
-        sigmas(&bayesian_cramer_rao_bound(measured, &first.prior, &first.parameters)?)
+        let measured = std::iter::once(&self.measured);
+        sigmas(&bayesian_cramer_rao_bound(measured, &self.prior, &self.parameters)?)
     }
 
     /// `eᵀ I e` of an `error` of the parameters (SI, in their order), with the information of measurements and priors: in the mean at least
@@ -144,13 +143,13 @@ mod tests {
         assert!((found / expected - 1.0).abs() < 1e-6, "{found} against {expected}");
 
         let covariance = numeric.tr_mul(&numeric).try_inverse().expect("regular");
-        let bayesian = Information::bayesian_cramer_rao_sigmas(&[&information]).expect("determined");
+        let bayesian = information.bayesian_cramer_rao_sigmas().expect("determined");
         for (i, sigma) in bayesian.iter().enumerate() {
             assert!((sigma / covariance[(i, i)].sqrt() - 1.0).abs() < 1e-4, "{}", estimate.parameters[i].id);
         }
         let there: Vec<_> = estimate.parameters.iter().map(|p| p.value).collect();
         let elsewhere = information_at(&model, &set, &options, &estimate, &there).expect("known");
-        let elsewhere = Information::bayesian_cramer_rao_sigmas(&[&elsewhere]).expect("determined");
+        let elsewhere = elsewhere.bayesian_cramer_rao_sigmas().expect("determined");
         let off = bayesian.iter().zip(&elsewhere).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max);
         assert!(off > 1e-3, "the values make a difference: {off}");
         for sigma in bayesian.iter().zip(information.cramer_rao_sigmas().unwrap_or(vec![f64::INFINITY; n])) {
@@ -170,11 +169,11 @@ mod tests {
         let mut values = vec![0.0; estimate.parameters.len()];
         let information = information_at(&model, &set, &options, &estimate, &values).expect("known");
         assert_eq!((information.squared(&[1.0]), information.has_prior()), (None, false));
+        assert_eq!(information.bayesian_cramer_rao_sigmas(), None);
         assert!(information.cramer_rao_sigmas().is_some_and(|s| s.iter().all(|s| *s > 0.0)));
         values[0] = f64::NAN;
         assert!(information_at(&model, &set, &options, &estimate, &values).is_err());
         values.pop();
         assert!(information_at(&model, &set, &options, &estimate, &values).is_err());
-        assert_eq!(Information::bayesian_cramer_rao_sigmas(&[]), None);
     }
 }
