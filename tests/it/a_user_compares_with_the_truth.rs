@@ -29,8 +29,8 @@ fn with(effects: Effects, families: &[&str]) -> Scenario {
 
 /// What priors may pull an estimate off, m or rad: the effects are a hundred times as large.
 const PULL: f64 = 2e-6;
-/// The same of compliances, a thousandth of their prior's standard deviation.
-const PULL_OF_COMPLIANCES: f64 = 1e-4;
+/// The same of compliances, a hundredth of their prior's standard deviation.
+const PULL_OF_COMPLIANCES: f64 = 1e-3;
 
 /// Every parameter with its truth; the named ones are known in advance, and found within a thousandth.
 #[track_caller]
