@@ -56,8 +56,11 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     output::show(&replayed.outcome, args.json)?;
     let another = replayed.made_by_another.as_ref().filter(|_| !replayed.differences.is_empty());
     match another {
-        Some(made_by) if args.json => say(of_another_version(&replayed, made_by).trim_end()),
-        Some(made_by) => print(&of_another_version(&replayed, made_by))?,
+        Some(made_by) => {
+            let Replayed { parameters, differences, changes, .. } = &replayed;
+            let told = of_another_version(made_by, parameters, differences, changes);
+            if args.json { say(told.trim_end()) } else { print(&told)? }
+        }
         None => replayed.differences.iter().for_each(|difference| say(&describe(difference))),
     }
     if !args.json {
@@ -117,24 +120,29 @@ fn comparison(replayed: &Replayed) -> String {
 const LISTED: f64 = 0.0005;
 
 /// What another version made otherwise: parameters in standard deviations, errors in mm.
-fn of_another_version(replayed: &Replayed, made_by: &MadeBy) -> String {
+fn of_another_version(
+    made_by: &MadeBy,
+    parameters: &[ParameterChange],
+    differences: &[Difference],
+    changes: &[Change],
+) -> String {
+    let this = MadeBy::this();
     let mut text = format!(
-        "Replay: the recorded estimates were made by another version ({made_by}; this is {}). What differs, parameters in standard deviations:\n",
-        MadeBy::this()
+        "Replay: the recorded estimates were made by another version ({made_by}; this is {this}).\n\
+         What differs, replayed less recorded, parameters in standard deviations:\n"
     );
-    let modes = Mode::ALL.into_iter().filter_map(|mode| {
-        let changes: Vec<_> = replayed.parameters.iter().filter(|change| change.mode == mode).collect();
-        (!changes.is_empty()).then_some((mode, changes))
-    });
-    for (mode, changes) in modes {
-        add_changes(&mut text, mode, &changes);
+    for mode in Mode::ALL {
+        let changes: Vec<_> = parameters.iter().filter(|change| change.mode == mode).collect();
+        if !changes.is_empty() {
+            add_changes(&mut text, mode, &changes);
+        }
     }
-    for difference in &replayed.differences {
+    for difference in differences {
         if let Difference::Missing { mode } = difference {
             text += &format!("  the recording holds no estimate of mode {mode}\n");
         }
     }
-    text + &errors_beside("rms 3-D error, mm", &replayed.changes)
+    text + &errors_beside("rms 3-D error, mm", changes)
 }
 
 fn add_changes(text: &mut String, mode: Mode, changes: &[&ParameterChange]) {
@@ -217,5 +225,52 @@ fn describe(difference: &Difference) -> String {
         Difference::ChiSquare { mode, recorded, replayed } => {
             format!("replay differs: {mode}, chi-square: recorded {recorded:e}, replayed {replayed:e}")
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_another_version_made_is_told_in_standard_deviations() {
+        let change = |name: &str, values, sigmas| ParameterChange {
+            mode: Mode::OnlyCalibration,
+            name: name.to_owned(),
+            values,
+            sigmas,
+        };
+        let alike = [Some(1e-5); 2];
+        let parameters = [
+            change("delta_a2", [Some(1e-3), Some(1.02e-3)], alike),
+            change("delta_a3", [Some(1e-3), Some(1e-3 + 1e-9)], alike),
+            change("delta_a4", [Some(1e-3), Some(1e-3)], [Some(1e-5), Some(1.5e-5)]),
+            change("delta_d5", [Some(1e-3), None], [Some(1e-5), None]),
+            change("delta_d6", [None, Some(1e-3)], [None, Some(1e-5)]),
+            change("delta_d7", [Some(1e-3), Some(2e-3)], [None, None]),
+        ];
+        let made_by = MadeBy { software: "calibrig 0.0.9".to_owned(), method: 1 };
+        let differences = [Difference::Missing { mode: "extended" }];
+        let changes = [Change {
+            mode: Mode::OnlyCalibration,
+            kind: crate::pipeline::SetKind::Verification,
+            recorded: Some(1e-3),
+            replayed: Some(1.1e-3),
+        }];
+        let text = of_another_version(&made_by, &parameters, &differences, &changes);
+        for line in [
+            "(calibrig 0.0.9, method 1; this is calibrig",
+            "only calibration: 6 parameters, 1 of them by less than 0.0005",
+            "delta_a2                    +2.000\n",
+            "delta_a4                    +0.000   standard deviation +50.0 %\n",
+            "delta_d5                 is not identified any more",
+            "delta_d6                 was not identified",
+            "delta_d7                         -\n",
+            "the recording holds no estimate of mode extended",
+            "1.0000     1.1000   +10.0 %",
+        ] {
+            assert!(text.contains(line), "{line:?} is not in\n{text}");
+        }
+        assert!(!text.contains("delta_a3"), "{text}");
     }
 }
