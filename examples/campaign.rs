@@ -36,7 +36,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                 Unit::Radian => (1e3, "mrad"),
                 Unit::One => (1e2, "%"),
             };
-            let (rmse, stated) = (scale * p.rmse, scale * p.bound);
+            let (rmse, stated) = (scale * p.rmse, scale * p.stated);
             let share = 1e2 * p.coverage.fraction();
             println!("  {:22} {rmse:10.4} {stated:10.4} {unit:5} {share:5.1} %", p.id);
         }

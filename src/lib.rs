@@ -125,6 +125,7 @@
 //! assert_eq!(set.observations[0].reading.position(), up);
 //! ```
 
+pub use calibrig_estimation::METHOD;
 pub use calibrig_estimation::{elastostatics, evaluation, identification, kinematics, validation};
 pub use calibrig_files as files;
 pub use calibrig_model as model;

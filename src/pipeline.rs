@@ -1,6 +1,7 @@
 //! The short story of a run: simulate, identify, evaluate.
 
 mod ablation;
+mod bounds;
 mod choice;
 mod defaults;
 mod judgement;
@@ -11,6 +12,8 @@ mod splits;
 mod truth;
 
 pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
+pub(crate) use bounds::information_at_truth;
+pub use bounds::{TruthBounds, bounds_at_truth};
 pub use choice::{ChosenRow, FailedVariant, ModelChoice, choose};
 pub use defaults::{default_modes, default_options, is_default};
 pub use judgement::{Confidence, FALSE_ALARM, Judgement, PredictedPosition, judge};
@@ -65,6 +68,8 @@ pub struct Outcome {
     pub modes: Vec<ModeOutcome>,
     /// Only where simulated.
     pub truth: Option<Truth>,
+    /// How small errors could be, one entry a mode whose parameters all have a known truth; empty where nothing is known of it.
+    pub bounds: Vec<TruthBounds>,
     /// Published figures to print beside, metres: (set, mode, [max x, mean x, max y, mean y, max z, mean z]).
     pub published: Vec<(SetKind, Mode, [f64; 6])>,
     /// How far the estimates can be trusted, one entry a mode with an estimate.
@@ -266,6 +271,7 @@ pub fn run_trial(
     let model = &scenario.robot.model;
     let (registration, modes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;
     let judgements = judge(model, &simulation.sets, &modes, &scenario.options)?;
+    let bounds = bounds_at_truth(model, &simulation.sets, &modes, &scenario.options, &simulation.truth);
     Ok(Outcome {
         input: input_of(scenario, seed, trial, plant),
         sources: scenario.sources.clone(),
@@ -275,6 +281,7 @@ pub fn run_trial(
         sets: simulation.sets,
         modes,
         truth: Some(simulation.truth),
+        bounds,
         published: scenario.published.clone(),
         judgements,
         ablation: None,

@@ -1,5 +1,6 @@
 //! Identification from a recording alone: no scenario, no model folder, the same `calibrate`, the same bits.
 
+use std::fmt;
 use std::path::Path;
 
 use miette::Diagnostic;
@@ -10,6 +11,7 @@ use crate::pipeline::{
     default_options, judge,
 };
 use crate::scenario::{Scenario, parse_scenario};
+use calibrig_estimation::METHOD;
 use calibrig_estimation::identification::{
     Estimate, FrameChoice, IdentificationOptions, Loss, Mode, TargetChoice,
 };
@@ -18,7 +20,7 @@ use calibrig_files::Robot;
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, Visual};
 use calibrig_recording::{
-    MissingPart, ReadOptions, RecordedEstimate, RecordedMachine, Recording, RecordingError,
+    MissingPart, Provenance, ReadOptions, RecordedEstimate, RecordedMachine, Recording, RecordingError,
     read_recorded_machine, read_recording_with,
 };
 
@@ -77,7 +79,7 @@ pub enum Difference {
         /// Key of the mode.
         mode: &'static str,
     },
-    /// Another value or standard deviation.
+    /// Another value or standard deviation of a parameter that both have.
     Parameter {
         /// Key of the mode.
         mode: &'static str,
@@ -99,17 +101,67 @@ pub enum Difference {
     },
 }
 
+/// What made the recorded estimates.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct MadeBy {
+    /// Name and version of the program.
+    pub software: String,
+    /// Number of its method of estimation ([`calibrig_estimation::METHOD`]).
+    pub method: u32,
+}
+
+impl MadeBy {
+    /// This version.
+    pub fn this() -> Self {
+        Self { software: Provenance::software().to_owned(), method: METHOD }
+    }
+}
+
+impl fmt::Display for MadeBy {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}, method {}", self.software, self.method)
+    }
+}
+
+/// A parameter as recorded and as replayed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ParameterChange {
+    /// The mode.
+    pub mode: Mode,
+    /// Name of the parameter.
+    pub name: String,
+    /// Recorded and replayed value, SI; `None` where that estimate does not have the parameter.
+    pub values: [Option<f64>; 2],
+    /// Recorded and replayed standard deviation, SI; `None` from a singular system as well.
+    pub sigmas: [Option<f64>; 2],
+}
+
+impl ParameterChange {
+    /// Replayed minus recorded value, in replayed standard deviations, or recorded ones where there are no others.
+    pub fn in_sigmas(&self) -> Option<f64> {
+        let [recorded, replayed] = self.values;
+        let sigma = self.sigmas[1].or(self.sigmas[0]).filter(|sigma| *sigma > 0.0)?;
+        Some((replayed? - recorded?) / sigma)
+    }
+}
+
 /// A replay and its comparison.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Replayed {
     /// As of a run, without the truth.
     pub outcome: Outcome,
+    /// What the measurements were identified with.
+    pub options: IdentificationOptions,
+    /// What made the recorded estimates, where it is not this version: then other bits are to be expected.
+    pub made_by_another: Option<MadeBy>,
     /// Whether the options ask for something else than what was recorded: then nothing is compared bit for bit.
     pub what_if: bool,
     /// Number of estimates compared.
     pub compared: usize,
     /// Empty if every bit is the same.
     pub differences: Vec<Difference>,
+    /// The parameters of the estimates compared that are not the same to the bit.
+    pub parameters: Vec<ParameterChange>,
     /// The recorded and the replayed error of the same mode and set.
     pub changes: Vec<Change>,
     /// Sets that were not recorded to their end.
@@ -207,7 +259,7 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
     let (registration, modes) = calibrate(&model, &sets, &modes, &fit)?;
     let judgements = judge(&model, &sets, &modes, &fit)?;
     let whole = missing.is_empty() && !options.changes_anything();
-    let (mut differences, mut compared) = (Vec::new(), 0);
+    let (mut differences, mut parameters, mut compared) = (Vec::new(), Vec::new(), 0);
     for outcome in modes.iter().filter(|_| whole && !estimates.is_empty()) {
         let Some(estimate) = &outcome.estimate else { continue };
         let mode = outcome.mode.key();
@@ -215,6 +267,7 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
             Some(recorded) => {
                 compared += 1;
                 compare(mode, recorded, estimate, &mut differences);
+                parameters.extend(parameter_changes(outcome.mode, recorded, estimate));
             }
             // A mode that was asked for beside the recorded ones is no difference.
             None if options.modes.is_empty() => differences.push(Difference::Missing { mode }),
@@ -222,6 +275,7 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
         }
     }
     let changes = changes(&estimates, &sets, &modes);
+    let made_by_another = made_by_another(provenance.as_ref(), &estimates);
     let outcome = Outcome {
         input: InputSummary {
             kind: "recording",
@@ -237,13 +291,55 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
         sets,
         modes,
         truth: None,
+        bounds: Vec::new(),
         published,
         judgements,
         ablation: None,
         splits: None,
     };
     let what_if = options.changes_anything() || !options.modes.is_empty();
-    Ok(Replayed { outcome, what_if, compared, differences, changes, missing })
+    Ok(Replayed {
+        outcome,
+        options: fit,
+        made_by_another,
+        what_if,
+        compared,
+        differences,
+        parameters,
+        changes,
+        missing,
+    })
+}
+
+/// What made the `estimates`, if it was not this version.
+fn made_by_another(provenance: Option<&Provenance>, estimates: &[RecordedEstimate]) -> Option<MadeBy> {
+    if estimates.is_empty() {
+        return None;
+    }
+    let made_by = match provenance {
+        Some(provenance) => MadeBy { software: provenance.software.clone(), method: provenance.method },
+        None => MadeBy { software: "a program that is not stated".to_owned(), method: 1 },
+    };
+    (made_by != MadeBy::this()).then_some(made_by)
+}
+
+/// The parameters that differ in any bit, those that only one of the two has among them.
+fn parameter_changes(mode: Mode, recorded: &RecordedEstimate, replayed: &Estimate) -> Vec<ParameterChange> {
+    let now: Vec<_> = replayed.parameters.iter().map(|p| (p.id.to_string(), p.value, p.sigma)).collect();
+    let before = &recorded.parameters;
+    let gone = before.iter().filter(|p| !now.iter().any(|(name, ..)| *name == p.name));
+    let gone = gone.map(|p| (p.name.clone(), [Some(p.value), None], [p.sigma, None]));
+    let there = now.iter().map(|(name, value, sigma)| {
+        let known = before.iter().find(|p| p.name == *name);
+        (name.clone(), [known.map(|p| p.value), Some(*value)], [known.and_then(|p| p.sigma), *sigma])
+    });
+    let bits = |pair: [Option<f64>; 2]| pair.map(|value| value.map(f64::to_bits));
+    let is_other = |pair: [Option<f64>; 2]| bits(pair)[0] != bits(pair)[1];
+    there
+        .chain(gone)
+        .filter(|(_, values, sigmas)| is_other(*values) || is_other(*sigmas))
+        .map(|(name, values, sigmas)| ParameterChange { mode, name, values, sigmas })
+        .collect()
 }
 
 fn changes(estimates: &[RecordedEstimate], sets: &[SetOutcome], modes: &[ModeOutcome]) -> Vec<Change> {

@@ -183,6 +183,7 @@ fn write_provenance(provenance: &ProvenanceReport, text: &mut String) -> std::fm
         writeln!(text, "  {problem}")?;
     }
     let numbers = [
+        provenance.method.map(|method| format!("method {method}")),
         provenance.seed.map(|seed| format!("seed {seed}")),
         provenance.trial.map(|trial| format!("trial {trial}")),
         provenance.plant.as_ref().map(|plant| format!("plant {plant}")),

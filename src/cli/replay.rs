@@ -5,12 +5,14 @@ use std::path::{Path, PathBuf};
 
 use super::identify::{LossArg, fitted_mode};
 use super::{CliError, Verdict, output, print, say};
-use crate::replay::{Change, Difference, ReplayError, ReplayOptions, Replayed, replay};
+use crate::replay::{
+    Change, Difference, MadeBy, ParameterChange, ReplayError, ReplayOptions, Replayed, replay,
+};
 use calibrig_estimation::identification::Mode;
 use calibrig_files::load_robot;
 use calibrig_recording::{MissingPart, RecordingError};
 
-/// Identify again from a recording alone, and compare with the recorded estimates bit for bit
+/// Identify again from a recording alone, and compare with the recorded estimates, bit for bit where the same version made them
 ///
 /// With other options than the recorded ones the question is "what if": the errors are printed beside the recorded ones.
 #[derive(Debug, clap::Args)]
@@ -21,7 +23,8 @@ use calibrig_recording::{MissingPart, RecordingError};
   calibrig replay recording.mcap --mode extended --json      other rows, the report as JSON
   calibrig replay session.mcap --model ur5/robot.toml        recorded by another program
 
-Exit code 3 if an estimate differs from the recorded one in any bit, or if the recording is cut short.")]
+Exit code 3 if an estimate differs in any bit from the recorded one that this version of calibrig made, or if the recording is cut short. Where
+another version made the estimates, what differs is told (parameters in standard deviations, errors in mm), and is no reason for doubt.")]
 pub(super) struct Args {
     /// The recording
     recording: PathBuf,
@@ -51,8 +54,14 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     };
     let replayed = replay(&args.recording, &options).map_err(|error| failed(error, &args.recording))?;
     output::show(&replayed.outcome, args.json)?;
-    for difference in &replayed.differences {
-        say(&describe(difference));
+    let another = replayed.made_by_another.as_ref().filter(|_| !replayed.differences.is_empty());
+    match another {
+        Some(made_by) => {
+            let Replayed { parameters, differences, changes, .. } = &replayed;
+            let told = of_another_version(made_by, parameters, differences, changes);
+            if args.json { say(told.trim_end()) } else { print(&told)? }
+        }
+        None => replayed.differences.iter().for_each(|difference| say(&describe(difference))),
     }
     if !args.json {
         print(&comparison(&replayed))?;
@@ -62,7 +71,8 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         say(&cut_short(part));
         verdict = Verdict::Doubtful;
     }
-    Ok(if replayed.differences.is_empty() { verdict } else { Verdict::Doubtful })
+    let as_expected = replayed.differences.is_empty() || another.is_some();
+    Ok(if as_expected { verdict } else { Verdict::Doubtful })
 }
 
 /// The failure of a replay of `file`.
@@ -106,8 +116,85 @@ fn comparison(replayed: &Replayed) -> String {
     }
 }
 
+/// Smaller changes of a parameter, in standard deviations, are counted and not listed.
+const LISTED: f64 = 0.0005;
+
+/// What another version made otherwise: parameters in standard deviations, errors in mm.
+fn of_another_version(
+    made_by: &MadeBy,
+    parameters: &[ParameterChange],
+    differences: &[Difference],
+    changes: &[Change],
+) -> String {
+    let this = MadeBy::this();
+    let mut text = format!(
+        "Replay: the recorded estimates were made by another version ({made_by}; this is {this}).\n\
+         What differs, replayed less recorded, parameters in standard deviations:\n"
+    );
+    for mode in Mode::ALL {
+        let changes: Vec<_> = parameters.iter().filter(|change| change.mode == mode).collect();
+        if !changes.is_empty() {
+            add_changes(&mut text, mode, &changes);
+        }
+    }
+    for difference in differences {
+        if let Difference::Missing { mode } = difference {
+            text += &format!("  the recording holds no estimate of mode {mode}\n");
+        }
+    }
+    text + &errors_beside("rms 3-D error, mm", changes)
+}
+
+fn add_changes(text: &mut String, mode: Mode, changes: &[&ParameterChange]) {
+    let (mut small, mut lines) = (0, String::new());
+    for change in changes {
+        let name = &change.name;
+        lines += &match (change.values, change.in_sigmas()) {
+            ([Some(_), None], _) => format!("    {name:<24} is not identified any more\n"),
+            ([None, _], _) => format!("    {name:<24} was not identified\n"),
+            (_, Some(share)) if share.abs() < LISTED && !sigma_changed(change) => {
+                small += 1;
+                continue;
+            }
+            (_, Some(share)) => format!("    {name:<24} {share:>+9.3}{}\n", sigmas(change)),
+            (_, None) => format!("    {name:<24} {:>9}{}\n", "-", sigmas(change)),
+        };
+    }
+    let count = changes.len();
+    let s = if count == 1 { "" } else { "s" };
+    *text += &format!("  {}: {count} parameter{s}", mode.title());
+    if small > 0 {
+        *text += &format!(", {small} of them by less than {LISTED} and alike in their standard deviation");
+    }
+    *text += "\n";
+    *text += &lines;
+}
+
+/// Whether the standard deviation is another by more than a thousandth.
+fn sigma_changed(change: &ParameterChange) -> bool {
+    match change.sigmas {
+        [Some(before), Some(now)] => !((now - before).abs() <= 1e-3 * before),
+        [before, now] => before.is_some() != now.is_some(),
+    }
+}
+
+fn sigmas(change: &ParameterChange) -> String {
+    match change.sigmas {
+        [Some(before), Some(now)] if sigma_changed(change) => {
+            format!("   standard deviation {:+.1} %", 1e2 * (now / before - 1.0))
+        }
+        [Some(_), None] => "   no standard deviation any more".to_owned(),
+        [None, Some(_)] => "   had no standard deviation".to_owned(),
+        _ => String::new(),
+    }
+}
+
 fn what_if(changes: &[Change]) -> String {
-    let mut text = "What if: rms 3-D error, mm\n".to_owned();
+    errors_beside("What if: rms 3-D error, mm", changes)
+}
+
+fn errors_beside(title: &str, changes: &[Change]) -> String {
+    let mut text = format!("{title}\n");
     let rms = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |m| format!("{:.4}", 1e3 * m));
     // Writing to a String cannot fail.
     let _ =
@@ -138,5 +225,52 @@ fn describe(difference: &Difference) -> String {
         Difference::ChiSquare { mode, recorded, replayed } => {
             format!("replay differs: {mode}, chi-square: recorded {recorded:e}, replayed {replayed:e}")
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_another_version_made_is_told_in_standard_deviations() {
+        let change = |name: &str, values, sigmas| ParameterChange {
+            mode: Mode::OnlyCalibration,
+            name: name.to_owned(),
+            values,
+            sigmas,
+        };
+        let alike = [Some(1e-5); 2];
+        let parameters = [
+            change("delta_a2", [Some(1e-3), Some(1.02e-3)], alike),
+            change("delta_a3", [Some(1e-3), Some(1e-3 + 1e-9)], alike),
+            change("delta_a4", [Some(1e-3), Some(1e-3)], [Some(1e-5), Some(1.5e-5)]),
+            change("delta_d5", [Some(1e-3), None], [Some(1e-5), None]),
+            change("delta_d6", [None, Some(1e-3)], [None, Some(1e-5)]),
+            change("delta_d7", [Some(1e-3), Some(2e-3)], [None, None]),
+        ];
+        let made_by = MadeBy { software: "calibrig 0.0.9".to_owned(), method: 1 };
+        let differences = [Difference::Missing { mode: "extended" }];
+        let changes = [Change {
+            mode: Mode::OnlyCalibration,
+            kind: crate::pipeline::SetKind::Verification,
+            recorded: Some(1e-3),
+            replayed: Some(1.1e-3),
+        }];
+        let text = of_another_version(&made_by, &parameters, &differences, &changes);
+        for line in [
+            "(calibrig 0.0.9, method 1; this is calibrig",
+            "only calibration: 6 parameters, 1 of them by less than 0.0005",
+            "delta_a2                    +2.000\n",
+            "delta_a4                    +0.000   standard deviation +50.0 %\n",
+            "delta_d5                 is not identified any more",
+            "delta_d6                 was not identified",
+            "delta_d7                         -\n",
+            "the recording holds no estimate of mode extended",
+            "1.0000     1.1000   +10.0 %",
+        ] {
+            assert!(text.contains(line), "{line:?} is not in\n{text}");
+        }
+        assert!(!text.contains("delta_a3"), "{text}");
     }
 }

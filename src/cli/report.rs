@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use super::output::{self, Destination, Files};
 use super::replay::{cut_short, failed};
 use super::{CliError, Verdict, say};
+use crate::pipeline::{Outcome, bounds_at_truth};
 use crate::replay::{NoTruth, ReplayOptions, recorded_truth, replay};
 
 /// Make report.html and report.json again from a recording
@@ -33,7 +34,11 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     let refused = |error| failed(error, &args.recording);
     let mut replayed = replay(&args.recording, &ReplayOptions::default()).map_err(refused)?;
     match recorded_truth(&args.recording).map_err(refused)? {
-        Ok(truth) => replayed.outcome.truth = Some(truth),
+        Ok(truth) => {
+            let Outcome { model, sets, modes, .. } = &replayed.outcome;
+            replayed.outcome.bounds = bounds_at_truth(model, sets, modes, &replayed.options, &truth);
+            replayed.outcome.truth = Some(truth);
+        }
         Err(NoTruth::Real) => {}
         Err(NoTruth::OtherMachine) => say(
             "the truth is left out: this version of calibrig makes another machine of the recorded scenario than the recorded one",

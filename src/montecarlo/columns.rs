@@ -11,8 +11,15 @@ pub fn header(campaign: &Campaign<'_>) -> Vec<String> {
         let key = mode.key();
         if *mode != Mode::WithoutCalibration {
             names.extend(
-                ["termination", "iterations", "chi2_per_dof", "nees", "nees_parameters"]
-                    .map(|name| format!("{key}.{name}")),
+                [
+                    "termination",
+                    "iterations",
+                    "chi2_per_dof",
+                    "nees",
+                    "nees_parameters",
+                    "squared_over_bound",
+                ]
+                .map(|name| format!("{key}.{name}")),
             );
         }
         for kind in SetKind::ALL {
@@ -52,6 +59,7 @@ pub fn row(campaign: &Campaign<'_>, trial: &Trial) -> Vec<String> {
             cells.push(number(fit.and_then(|f| f.chi2_per_dof)));
             cells.push(number(fit.and_then(|f| f.nees)));
             cells.push(fit.map_or_else(String::new, |f| f.parameters.len().to_string()));
+            cells.push(number(fit.and_then(|f| f.squared_over_bound)));
         }
         for kind in SetKind::ALL {
             let row = found.and_then(|m| m.rows.iter().find(|(k, _)| *k == kind)).map(|(_, row)| row);

@@ -77,10 +77,28 @@ pub struct ParameterSummary {
     pub bias: f64,
     /// Root mean square of estimate minus truth.
     pub rmse: f64,
-    /// Root of the mean stated variance. With a matched model and the truth drawn from the priors it is the (Bayesian) Cramér-Rao bound.
-    pub bound: f64,
+    /// Root of the mean stated variance.
+    pub stated: f64,
+    /// Root of the mean Cramér-Rao bound at the truth of every trial: no unbiased estimator that knows the measurements alone has a smaller RMSE.
+    /// One with priors may have. `None` where the truth of a parameter is not known, or the measurements alone do not determine all.
+    pub cramer_rao: Option<f64>,
+    /// The Bayesian Cramér-Rao bound, root of its mean over the trials, whose poses every estimator knows: none has a smaller RMSE over machines that
+    /// are drawn from the priors. `None` where no machines are drawn, no parameter has a prior, or the truth of one is not known.
+    pub bayesian: Option<f64>,
     /// How often the stated 95 % interval held the truth.
     pub coverage: Coverage,
+}
+
+impl ParameterSummary {
+    /// RMSE over what is stated: about 1 where the stated uncertainty is the real one.
+    pub fn consistency(&self) -> f64 {
+        self.rmse / self.stated
+    }
+
+    /// The bound that holds for this estimator: the Bayesian one, or, where there are no priors, that of the measurements alone.
+    pub fn least(&self) -> Option<f64> {
+        self.bayesian.or(self.cramer_rao)
+    }
 }
 
 /// A mode over the trials.
@@ -98,6 +116,9 @@ pub struct ModeSummary {
     pub chi2_per_dof: Option<MeanWithInterval>,
     /// NEES over its number of parameters, where every truth is known: about 1 for an honest covariance.
     pub nees: Option<NeesSummary>,
+    /// Squared error over the bound, a parameter, where every truth is known: in the mean at least 1 for machines that are drawn from the priors
+    /// and are what the model says, and 1 for the best estimator.
+    pub squared_over_bound: Option<MeanWithInterval>,
     /// Parameter by parameter.
     pub parameters: Vec<ParameterSummary>,
     /// How often the stated 95 % interval of a predicted coordinate held the true one.
@@ -175,17 +196,19 @@ pub fn summarise(campaign: &Campaign<'_>, trials: &[Trial]) -> CampaignSummary {
                 .iter()
                 .filter_map(|t| t.outcome.as_ref().ok()?.modes.iter().find(|m| m.mode == *mode))
                 .collect();
-            summarise_mode(*mode, &results)
+            summarise_mode(*mode, campaign.scenario.drawn.is_some(), &results)
         })
         .collect();
     CampaignSummary { trials: trials.len(), failures, modes }
 }
 
-fn summarise_mode(mode: Mode, results: &[&ModeResult]) -> ModeSummary {
+fn summarise_mode(mode: Mode, is_drawn: bool, results: &[&ModeResult]) -> ModeSummary {
     let fits: Vec<&Fit> = results.iter().filter_map(|r| r.fit.as_ref()).collect();
     let predictions: Vec<(u64, u64)> = fits.iter().map(|f| f.predictions).collect();
     let iterations: Vec<f64> = fits.iter().map(|f| f.iterations as f64).collect();
     let chi2: Vec<f64> = fits.iter().filter_map(|f| f.chi2_per_dof).collect();
+    let share = |f: &&Fit| Some(f.squared_over_bound? / f.parameters.len() as f64);
+    let squared: Vec<f64> = fits.iter().filter_map(share).collect();
     ModeSummary {
         mode,
         sets: SetKind::ALL.into_iter().filter_map(|kind| summarise_set(kind, results)).collect(),
@@ -193,7 +216,8 @@ fn summarise_mode(mode: Mode, results: &[&ModeResult]) -> ModeSummary {
         iterations: MeanWithInterval::of(&iterations),
         chi2_per_dof: MeanWithInterval::of(&chi2),
         nees: summarise_nees(&fits),
-        parameters: summarise_parameters(&fits),
+        squared_over_bound: MeanWithInterval::of(&squared),
+        parameters: summarise_parameters(&fits, is_drawn),
         predictions: PredictionCoverage::of(&predictions),
     }
 }
@@ -227,7 +251,7 @@ fn summarise_nees(fits: &[&Fit]) -> Option<NeesSummary> {
     })
 }
 
-fn summarise_parameters(fits: &[&Fit]) -> Vec<ParameterSummary> {
+fn summarise_parameters(fits: &[&Fit], is_drawn: bool) -> Vec<ParameterSummary> {
     let mut ids: Vec<ParameterId> = Vec::new();
     for parameter in fits.iter().flat_map(|f| &f.parameters) {
         if !ids.contains(&parameter.id) {
@@ -236,31 +260,41 @@ fn summarise_parameters(fits: &[&Fit]) -> Vec<ParameterSummary> {
     }
     ids.into_iter()
         .filter_map(|id| {
-            let known = |p: &ParameterResult| Some((p.value - p.truth?, p.sigma?));
-            let errors: Vec<(f64, f64)> = fits
-                .iter()
-                .filter_map(|f| f.parameters.iter().find(|p| p.id == id).and_then(known))
-                .collect();
-            summarise_parameter(id, &errors)
+            let results: Vec<_> =
+                fits.iter().filter_map(|f| f.parameters.iter().find(|p| p.id == id)).copied().collect();
+            summarise_parameter(id, is_drawn, &results)
         })
         .collect()
 }
 
-/// From (error, stated standard deviation) of every trial; `None` without any.
-fn summarise_parameter(id: ParameterId, errors: &[(f64, f64)]) -> Option<ParameterSummary> {
+/// Of one parameter, from the trials in which its truth and a standard deviation are known; `None` without any. With
+/// the Bayesian bound where the machines are drawn.
+fn summarise_parameter(
+    id: ParameterId,
+    is_drawn: bool,
+    results: &[ParameterResult],
+) -> Option<ParameterSummary> {
+    let known: Vec<_> = results.iter().filter(|p| p.truth.is_some() && p.sigma.is_some()).collect();
+    let errors: Vec<(f64, f64)> = known.iter().filter_map(|p| Some((p.value - p.truth?, p.sigma?))).collect();
     if errors.is_empty() {
         return None;
     }
     let n = errors.len() as f64;
+    let root_mean = |bound: fn(&ParameterResult) -> Option<f64>| {
+        let variances: Option<Vec<f64>> = known.iter().map(|p| bound(p).map(|sigma| sigma * sigma)).collect();
+        variances.map(|variances| (variances.iter().sum::<f64>() / n).sqrt())
+    };
     let mut coverage = Coverage::default();
-    for (error, sigma) in errors {
+    for (error, sigma) in &errors {
         coverage.count(error.abs() <= NORMAL_95 * sigma);
     }
     Some(ParameterSummary {
         id,
         bias: errors.iter().map(|(error, _)| error).sum::<f64>() / n,
         rmse: (errors.iter().map(|(error, _)| error * error).sum::<f64>() / n).sqrt(),
-        bound: (errors.iter().map(|(_, sigma)| sigma * sigma).sum::<f64>() / n).sqrt(),
+        stated: (errors.iter().map(|(_, sigma)| sigma * sigma).sum::<f64>() / n).sqrt(),
+        cramer_rao: root_mean(|p| p.cramer_rao),
+        bayesian: root_mean(|p| p.bayesian).filter(|_| is_drawn),
         coverage,
     })
 }
@@ -319,7 +353,11 @@ fn mode_json(mode: &ModeSummary) -> Value {
         .map(|p| {
             json!({
                 "name": p.id.to_string(), "unit": p.id.unit().to_string(), "bias": p.bias, "rmse": p.rmse,
-                "bound": p.bound, "rmse_over_bound": p.rmse / p.bound, "coverage": coverage_json(p.coverage),
+                "stated_sigma": p.stated, "consistency": p.consistency(),
+                "cramer_rao_bound": p.cramer_rao, "rmse_over_cramer_rao_bound": p.cramer_rao.map(|bound| p.rmse / bound),
+                "bayesian_cramer_rao_bound": p.bayesian,
+                "rmse_over_bayesian_cramer_rao_bound": p.bayesian.map(|bound| p.rmse / bound),
+                "coverage": coverage_json(p.coverage),
             })
         })
         .collect();
@@ -330,6 +368,7 @@ fn mode_json(mode: &ModeSummary) -> Value {
         "iterations": mode.iterations.as_ref().map(mean_json),
         "chi2_per_dof": mode.chi2_per_dof.as_ref().map(mean_json),
         "nees": mode.nees.map(|n| json!({ "mean": n.mean, "parameters": n.parameters, "trials": n.trials, "band_99_9": [n.band.0, n.band.1] })),
+        "squared_over_bound": mode.squared_over_bound.as_ref().map(mean_json),
         "parameters": parameters,
         "prediction_coverage": mode.predictions.as_ref().map(predictions_json),
     })
@@ -426,6 +465,10 @@ fn consistency_text(text: &mut String, summary: &CampaignSummary) {
                 nees.band.1 / n
             );
         }
+        if let Some(squared) = &mode.squared_over_bound {
+            let _ =
+                write!(text, "; squared error over the bound at the truth {:.4} a parameter", squared.mean);
+        }
         if let Some(predictions) = mode.predictions {
             let share = 100.0 * predictions.coverage.fraction();
             let _ = write!(text, "; {share:.2} %");
@@ -444,12 +487,19 @@ fn consistency_text(text: &mut String, summary: &CampaignSummary) {
 fn parameters_text(text: &mut String, mode: &ModeSummary) {
     let _ = writeln!(
         text,
-        "\n{}: parameters\n{:<24} {:>6} {:>12} {:>12} {:>12} {:>11} {:>10}",
+        "\n{}: parameters; consistency is RMSE over stated standard deviation, bound the {}\n{:<24} {:>6} {:>12} {:>12} {:>12} {:>11} {:>12} {:>10} {:>10}",
         mode.mode.title(),
+        if mode.parameters.iter().any(|p| p.bayesian.is_some()) {
+            "Bayesian Cramér-Rao bound"
+        } else {
+            "Cramér-Rao bound of the measurements alone"
+        },
         "",
         "unit",
         "bias",
         "RMSE",
+        "stated",
+        "consistency",
         "bound",
         "RMSE/bound",
         "in 95 %"
@@ -462,12 +512,14 @@ fn parameters_text(text: &mut String, mode: &ModeSummary) {
         };
         let _ = writeln!(
             text,
-            "{:<24} {unit:>6} {:>12.5} {:>12.5} {:>12.5} {:>11.3} {:>8.1} %",
+            "{:<24} {unit:>6} {:>12.5} {:>12.5} {:>12.5} {:>11.3} {:>12} {:>10} {:>8.1} %",
             p.id.to_string(),
             scale * p.bias,
             scale * p.rmse,
-            scale * p.bound,
-            p.rmse / p.bound,
+            scale * p.stated,
+            p.consistency(),
+            p.least().map_or_else(|| "-".to_owned(), |bound| format!("{:.5}", scale * bound)),
+            p.least().map_or_else(|| "-".to_owned(), |bound| format!("{:.3}", p.rmse / bound)),
             100.0 * p.coverage.fraction()
         );
     }
@@ -501,8 +553,23 @@ mod tests {
     #[test]
     fn a_parameter_by_hand() {
         let id = ParameterId::Mass { link: 0 };
-        let p = summarise_parameter(id, &[(3.0, 1.0), (-1.0, 1.0)]).expect("two errors");
-        assert_eq!((p.bias, p.rmse, p.bound), (1.0, 5.0_f64.sqrt(), 1.0));
+        let result = |value, sigma, least| ParameterResult {
+            id,
+            truth: Some(1.0),
+            value,
+            sigma,
+            cramer_rao: Some(least),
+            bayesian: Some(0.1),
+        };
+        let unknown = ParameterResult { truth: None, ..result(9.0, Some(1.0), 9.0) };
+        let results =
+            [result(4.0, Some(1.0), 0.6), result(0.0, Some(1.0), 0.8), result(9.0, None, 9.0), unknown];
+        let p = summarise_parameter(id, false, &results).expect("two errors");
+        assert_eq!((p.bias, p.rmse, p.stated), (1.0, 5.0_f64.sqrt(), 1.0));
+        assert_eq!((p.consistency(), p.bayesian), (5.0_f64.sqrt(), None));
+        assert!((p.least().expect("a bound") - 0.5_f64.sqrt()).abs() < 1e-15);
+        let drawn = summarise_parameter(id, true, &results).expect("two errors");
+        assert!((drawn.least().expect("a bound") - 0.1).abs() < 1e-15);
         assert_eq!(p.coverage, Coverage { hits: 1, trials: 2 });
     }
 }

@@ -3,10 +3,10 @@
 use nalgebra::DVector;
 
 use super::Campaign;
-use crate::pipeline::{KnownTruth, PipelineError, Simulation, calibrate, simulate};
+use crate::pipeline::{KnownTruth, PipelineError, Simulation, calibrate, information_at_truth, simulate};
 use calibrig_estimation::evaluation::{AccuracyRow, nees};
 use calibrig_estimation::identification::{
-    Estimate, IdentificationOptions, Mode, PredictedReading, TerminationReason, predict_readings,
+    Estimate, IdentificationOptions, Information, Mode, PredictedReading, TerminationReason, predict_readings,
 };
 use calibrig_model::ParameterId;
 use calibrig_model::measurement::{MeasurementSet, Reading, SetKind};
@@ -53,6 +53,9 @@ pub struct Fit {
     pub chi2_per_dof: Option<f64>,
     /// Normalised estimation error squared over all parameters, where the truth of every one is known.
     pub nees: Option<f64>,
+    /// Squared error over the bound: of all parameters, with the information at their truth; `None` where one truth is not known. In the mean at
+    /// least the number of parameters, where the machine is drawn from the priors and the model is right.
+    pub squared_over_bound: Option<f64>,
     /// The parameters beside their truth.
     pub parameters: Vec<ParameterResult>,
     /// True positions of the verification poses inside the stated 95 % intervals (per coordinate), and their number.
@@ -70,6 +73,10 @@ pub struct ParameterResult {
     pub value: f64,
     /// Its stated standard deviation.
     pub sigma: Option<f64>,
+    /// The Cramér-Rao bound at the truth: what no unbiased estimator is below that knows the measurements of this trial alone.
+    pub cramer_rao: Option<f64>,
+    /// The Bayesian Cramér-Rao bound, with the information at this truth for its mean over machines at these poses; `None` without priors.
+    pub bayesian: Option<f64>,
 }
 
 pub(super) fn carry_out(campaign: &Campaign<'_>, index: u32) -> Result<TrialOutcome, PipelineError> {
@@ -96,16 +103,26 @@ fn fit(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Estimate) ->
         tracker_from_base: &simulation.truth.tracker_from_base,
         targets: simulation.sets.first().map_or(&[], |set| &set.measurements.targets),
     };
+    let fitted = simulation.sets.first().map(|set| &set.measurements);
+    let information =
+        fitted.and_then(|set| information_at_truth(&known, set, &campaign.scenario.options, estimate));
+    let cramer_rao = information.as_ref().and_then(Information::cramer_rao_sigmas);
+    let bayesian = information.as_ref().and_then(Information::bayesian_cramer_rao_sigmas);
+    let at = |sigmas: &Option<Vec<f64>>, place: usize| sigmas.as_ref()?.get(place).copied();
     let parameters: Vec<_> = estimate
         .parameters
         .iter()
-        .map(|p| ParameterResult {
+        .enumerate()
+        .map(|(place, p)| ParameterResult {
             id: p.id,
             truth: known.of(estimate, p.id),
             value: p.value,
             sigma: p.sigma,
+            cramer_rao: at(&cramer_rao, place),
+            bayesian: at(&bayesian, place),
         })
         .collect();
+    let errors: Option<Vec<f64>> = parameters.iter().map(|p| Some(p.value - p.truth?)).collect();
     Fit {
         termination: estimate.termination,
         sound: estimate.is_sound(),
@@ -113,6 +130,7 @@ fn fit(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Estimate) ->
         chi2_per_dof: estimate.chi2_per_dof(),
         nees: nees_of(estimate, &parameters),
         predictions: predictions(campaign, simulation, estimate),
+        squared_over_bound: information.as_ref().zip(errors).and_then(|(i, errors)| i.squared(&errors)),
         parameters,
     }
 }

@@ -5,8 +5,12 @@ use nalgebra::Vector6;
 use calibrig_estimation::identification::Estimate;
 use calibrig_model::geometry::{Transform, rotation_vector, small_displacement};
 use calibrig_model::measurement::Target;
-use calibrig_model::{CalibrationModel, ParameterId, StaticProperties};
+use calibrig_model::{
+    ActuatorMap, CalibrationModel, JointKind, LinkTerm, ParameterId, PoseQuery, StaticProperties, TermId,
+    TermPlace,
+};
 use calibrig_plant::AsBuilt;
+use calibrig_plant::effects::{Rail, RailProfile};
 
 /// The truth beside what was known beforehand.
 #[derive(Debug, Clone, Copy)]
@@ -24,13 +28,15 @@ pub struct KnownTruth<'a> {
 impl KnownTruth<'_> {
     /// What the parameter really is, SI; `None` where the truth is not known or has no counterpart.
     ///
-    /// - link, four-bar: as-built minus nominal; compliance, mass: as-built over nominal, minus one;
+    /// - link, four-bar: as-built minus nominal; to an actuator's own theta or d comes what its encoder is off by and, where the estimate has
+    ///   the term of its ratio, that error in the middle of the travel; compliance, mass: as-built over nominal, minus one;
+    /// - term: what the machine's effect of that shape amounts to; zero where it has none;
     /// - frame: the estimate holds `station = prior · exp(value)` for the station's six components (absent ones are zero), so the prior
     ///   is recovered exactly and the truth is the `xi` of `prior · exp(xi) = tracker_from_base`. Known for a single station only;
     /// - target: as-built minus stated offset. Known for a single target only.
     pub fn of(&self, estimate: &Estimate, id: ParameterId) -> Option<f64> {
         let value = match id {
-            ParameterId::Link { .. } => self.link(id),
+            ParameterId::Link { link, term } => Some(self.link(id)? + self.zero_error(estimate, link, term)),
             ParameterId::Frame { station: 0, component } => self.frame(estimate)?.get(component).copied(),
             ParameterId::Target { target: 0, axis } => {
                 let [stated] = self.targets else { return None };
@@ -47,8 +53,8 @@ impl KnownTruth<'_> {
             ParameterId::Linkage(length) => {
                 Some(self.as_built.actuators.length(length)? - self.nominal.actuators.length(length)?)
             }
-            // A term's amplitude has no single counterpart: what a machine really does is of no such shape.
-            ParameterId::Frame { .. } | ParameterId::Target { .. } | ParameterId::Term(_) => None,
+            ParameterId::Term(term) => self.term(term),
+            ParameterId::Frame { .. } | ParameterId::Target { .. } => None,
         };
         value.filter(|v| v.is_finite())
     }
@@ -59,6 +65,98 @@ impl KnownTruth<'_> {
         let as_built = self.as_built.kinematics.links.get(link)?;
         let nominal = self.nominal.kinematics.links.get(link)?;
         Some(as_built.term(term) - nominal.term(term))
+    }
+
+    /// The truth of all parameters of an estimate in their order, SI; `None` where that of one is not known.
+    pub fn values(&self, estimate: &Estimate) -> Option<Vec<f64>> {
+        estimate.parameters.iter().map(|p| self.of(estimate, p.id)).collect()
+    }
+
+    /// What the machine's effects add to the zero of an actuator that has this link parameter as its own variable, m or rad.
+    fn zero_error(&self, estimate: &Estimate, link: usize, term: LinkTerm) -> f64 {
+        let own = match self.nominal.kinematics.links.get(link).map(|link| link.kind) {
+            Some(JointKind::Revolute) => LinkTerm::Theta,
+            Some(JointKind::Prismatic) => LinkTerm::D,
+            None => return 0.0,
+        };
+        if term != own {
+            return 0.0;
+        }
+        // The elbow's motor stands on the waist: where the shoulder's is off, the parallelogram turns the elbow back, and the shoulder's own theta
+        // turns both.
+        let shoulder = match self.nominal.actuators {
+            ActuatorMap::Parallelogram { shoulder, elbow, .. } if elbow == link => {
+                self.actuator_zero(estimate, shoulder)
+            }
+            _ => 0.0,
+        };
+        self.actuator_zero(estimate, link) - shoulder
+    }
+
+    /// What an actuator is off by everywhere.
+    fn actuator_zero(&self, estimate: &Estimate, actuator: usize) -> f64 {
+        let effects = &self.as_built.effects;
+        let ratio = effects.ratio.as_ref().and_then(|ratio| {
+            let is_its_own = |term: &TermId| term.family().key() == "ratio" && term.joint() == actuator;
+            let term = estimate.robot.terms.iter().map(|(term, _)| *term).find(is_its_own)?;
+            let [low, high] = travel_of(term, self.nominal)?;
+            Some(ratio.error(actuator, 0.5 * (low + high)))
+        });
+        self.encoder_offset(actuator) + ratio.unwrap_or(0.0)
+    }
+
+    fn encoder_offset(&self, actuator: usize) -> f64 {
+        let encoder = self.as_built.effects.encoder.as_ref();
+        encoder.and_then(|encoder| encoder.offset.get(actuator).copied()).unwrap_or(0.0)
+    }
+
+    /// The amplitude of the term that is the machine's effect of the same shape, m or rad; `None` where its effect of that kind is of another.
+    fn term(&self, term: TermId) -> Option<f64> {
+        let effects = &self.as_built.effects;
+        match (term.family().key(), term.place()) {
+            ("hysteresis", TermPlace::Actuator(actuator)) => {
+                let stiffness = self.as_built.statics.drive_stiffness[actuator];
+                let lag = effects
+                    .friction
+                    .as_ref()
+                    .map_or(Some(0.0), |friction| friction.lag(actuator, stiffness))?;
+                let gap = effects.backlash.as_ref().map_or(0.0, |backlash| backlash.gap[actuator]);
+                Some(0.0 - 0.5 * gap - lag)
+            }
+            ("harmonic", TermPlace::Actuator(actuator)) => {
+                let harmonic = effects.harmonics.as_ref().and_then(|harmonics| harmonics.actuators[actuator]);
+                let Some(harmonic) = harmonic else { return Some(0.0) };
+                let turns = self.nominal.motor_turns.get(actuator).copied().flatten()?;
+                if harmonic.amplitude != [0.0; 2] && (harmonic.turns / turns - 1.0).abs() > 1e-9 {
+                    return None;
+                }
+                // Equidistant points of one turn are orthogonal for all waves that are here.
+                let points = (0..16).map(|k| (f64::from(k) / 16.0 / turns, 1.0));
+                let offset = self.encoder_offset(actuator);
+                projection(term, self.nominal, points, |command| harmonic.error(command + offset))
+            }
+            ("ratio", TermPlace::Actuator(actuator)) => {
+                let Some(ratio) = &effects.ratio else { return Some(0.0) };
+                let [low, high] = travel_of(term, self.nominal)?;
+                Some(ratio.error(actuator, 0.5 * (high - low)))
+            }
+            ("rail", TermPlace::Frame { joint, component }) => {
+                let Some(rail) = effects.rail.as_ref().filter(|rail| rail.joint == joint) else {
+                    return Some(0.0);
+                };
+                let limits = self.nominal.kinematics.links.get(joint)?.limits;
+                let length = limits[1] - limits[0];
+                if rail.range.iter().zip(limits).any(|(a, b)| !((a - b).abs() <= 1e-9 * length)) {
+                    return None;
+                }
+                // The wave is left out: no polynomial of low order contains it.
+                let smooth = without_wave(rail);
+                let points =
+                    gauss_legendre().map(|(x, weight)| (0.5 * (limits[0] + limits[1] + x * length), weight));
+                projection(term, self.nominal, points, |position| smooth.displacement(position)[component])
+            }
+            _ => None,
+        }
     }
 
     fn frame(&self, estimate: &Estimate) -> Option<Vector6<f64>> {
@@ -72,4 +170,59 @@ impl KnownTruth<'_> {
         let (along, about) = (displacement.translation.vector, rotation_vector(&displacement.rotation));
         Some(Vector6::new(along.x, along.y, along.z, about.x, about.y, about.z))
     }
+}
+
+/// The coefficient of the term in `effect`, a function of its actuator's command, by least squares over weighted `points`.
+fn projection(
+    term: TermId,
+    model: &CalibrationModel,
+    points: impl Iterator<Item = (f64, f64)>,
+    effect: impl Fn(f64) -> f64,
+) -> Option<f64> {
+    let (mut product, mut square) = (0.0, 0.0);
+    for (command, weight) in points {
+        let basis = basis_at(term, model, command);
+        product += weight * basis * effect(command);
+        square += weight * basis * basis;
+    }
+    (square > 0.0).then_some(product / square)
+}
+
+/// The term's displacement per unit of amplitude with its own actuator at `command`.
+fn basis_at(term: TermId, model: &CalibrationModel, command: f64) -> f64 {
+    let mut commands = vec![0.0; model.kinematics.joint_count()];
+    if let Some(own) = commands.get_mut(term.joint()) {
+        *own = command;
+    }
+    term.basis(model, &PoseQuery::at(&commands))
+}
+
+/// The commands at which a term that is linear in the command of its actuator is -1 and 1.
+fn travel_of(term: TermId, model: &CalibrationModel) -> Option<[f64; 2]> {
+    let at_zero = basis_at(term, model, 0.0);
+    let slope = basis_at(term, model, 1.0) - at_zero;
+    (slope > 0.0).then(|| [-1.0, 1.0].map(|end| (end - at_zero) / slope))
+}
+
+fn without_wave(rail: &Rail) -> Rail {
+    let smooth = |profile: &RailProfile| RailProfile { wave: 0.0, ..profile.clone() };
+    Rail {
+        horizontal_error: smooth(&rail.horizontal_error),
+        vertical_error: smooth(&rail.vertical_error),
+        roll: smooth(&rail.roll),
+        pitch: smooth(&rail.pitch),
+        yaw: smooth(&rail.yaw),
+        ..rail.clone()
+    }
+}
+
+/// Points and weights of the Gauss-Legendre quadrature of five points, exact to order nine.
+///
+/// Source: M. Abramowitz, I. A. Stegun, "Handbook of Mathematical Functions" (1964), equation 25.4.29.
+fn gauss_legendre() -> impl Iterator<Item = (f64, f64)> {
+    let root = 2.0 * (10.0_f64 / 7.0).sqrt();
+    let (near, far) = ((5.0 - root).sqrt() / 3.0, (5.0 + root).sqrt() / 3.0);
+    let share = 13.0 * 70.0_f64.sqrt();
+    let (inner, outer) = ((322.0 + share) / 900.0, (322.0 - share) / 900.0);
+    [(-far, outer), (-near, inner), (0.0, 128.0 / 225.0), (near, inner), (far, outer)].into_iter()
 }

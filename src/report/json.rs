@@ -266,6 +266,14 @@ pub struct JsonParameter {
     /// Standard deviation of its own zero-mean prior; absent where it has none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prior_sigma: Option<f64>,
+    /// The Cramér-Rao bound at the truth: no unbiased estimator that knows the measurements alone has a smaller standard deviation. Absent where
+    /// a truth is not known, or the measurements alone do not determine all parameters.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cramer_rao_bound: Option<f64>,
+    /// The Bayesian Cramér-Rao bound, with the information at the truth and the priors: no estimator has a smaller root mean squared error, if
+    /// the truth is drawn from the priors. Absent where a truth is not known, or no parameter has a prior.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bayesian_cramer_rao_bound: Option<f64>,
 }
 
 /// The document of a run.
@@ -302,7 +310,8 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
         parameters: fitted
             .iter()
             .flat_map(|(mode, estimate)| {
-                estimate.parameters.iter().map(|p| JsonParameter {
+                let bounds = outcome.bounds.iter().find(|bounds| bounds.mode == *mode);
+                estimate.parameters.iter().enumerate().map(move |(place, p)| JsonParameter {
                     name: p.id.to_string(),
                     unit: p.id.unit().to_string(),
                     mode: mode.key().to_owned(),
@@ -311,6 +320,8 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
                     sigma: p.sigma.and_then(finite),
                     stated_sigma: p.stated_sigma.and_then(finite),
                     prior_sigma: p.prior_sigma,
+                    cramer_rao_bound: bounds.and_then(|b| b.cramer_rao.as_ref()?.get(place).copied()),
+                    bayesian_cramer_rao_bound: bounds.and_then(|b| b.bayesian.as_ref()?.get(place).copied()),
                 })
             })
             .collect(),

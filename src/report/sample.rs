@@ -144,6 +144,7 @@ pub(super) fn simulated() -> Outcome {
             outliers: Vec::new(),
             rigid: Vec::new(),
         }),
+        bounds: Vec::new(),
         published: PUBLISHED.to_vec(),
         judgements: Vec::new(),
         ablation: None,

@@ -2,11 +2,11 @@
 
 use nalgebra::Vector3;
 
-use super::parameters::{fitted, parameter_rows, printed_unit, unfitted_deviations};
+use super::parameters::{fitted, parameter_rows, printed_unit, truth_of, unfitted_deviations};
 use super::{consistency_ratio, counted, published};
 use crate::pipeline::{ModeOutcome, Outcome, SetKind};
 use calibrig_estimation::evaluation::AccuracyRow;
-use calibrig_estimation::identification::{Mode, NoiseScale};
+use calibrig_estimation::identification::{Estimate, Mode, NoiseScale, ParameterEstimate};
 use calibrig_model::statistics::NORMAL_95;
 
 const AXES: [&str; 3] = ["x", "y", "z"];
@@ -226,9 +226,29 @@ fn consistency(mode: &ModeOutcome, say: &mut Vec<String>) {
     });
 }
 
+/// The errors beside what is possible at all.
+fn errors_over_bound(outcome: &Outcome, estimate: &Estimate) -> Option<String> {
+    let bounds = outcome.bounds.iter().find(|bounds| bounds.mode == estimate.robot.mode)?;
+    let (name, least) = match (&bounds.bayesian, &bounds.cramer_rao) {
+        (Some(sigmas), _) => ("the Bayesian Cramér-Rao bound", sigmas),
+        (None, Some(sigmas)) => ("the Cramér-Rao bound", sigmas),
+        (None, None) => return None,
+    };
+    let ratio =
+        |(p, least): (&ParameterEstimate, &f64)| Some((p.value - truth_of(outcome, estimate, p.id)?) / least);
+    let ratios: Option<Vec<f64>> = estimate.parameters.iter().zip(least).map(ratio).collect();
+    let ratios = ratios.filter(|ratios| !ratios.is_empty())?;
+    let rms = (ratios.iter().map(|r| r * r).sum::<f64>() / ratios.len() as f64).sqrt();
+    Some(format!(
+        "Its errors are {} times {name} at the truth (RMS): what the readings' noise alone leaves to the best estimator of a machine that the \
+         model contains.",
+        significant(rms)
+    ))
+}
+
 fn parameters_against_truth(outcome: &Outcome, say: &mut Vec<String>) {
     let rows = parameter_rows(outcome);
-    for (index, (mode, _)) in fitted(outcome).iter().enumerate() {
+    for (index, (mode, estimate)) in fitted(outcome).iter().enumerate() {
         let ratios: Vec<f64> = rows
             .iter()
             .filter_map(|row| row.cells.get(index).copied().flatten()?.error_over_sigma())
@@ -245,6 +265,7 @@ fn parameters_against_truth(outcome: &Outcome, say: &mut Vec<String>) {
             0.95 * ratios.len() as f64,
             significant(rms)
         ));
+        say.extend(errors_over_bound(outcome, estimate));
     }
     let unfitted = unfitted_deviations(outcome);
     if !unfitted.is_empty() {

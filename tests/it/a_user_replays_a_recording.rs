@@ -2,7 +2,7 @@
 
 use std::io::Cursor;
 use std::ops::ControlFlow;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use calibrig::identification::{Loss, Mode, Warning};
 use calibrig::pipeline::{self, Outcome, PlantKind, calibrate};
@@ -57,6 +57,69 @@ fn the_golden_recording_is_replayed_bit_for_bit() {
     let outcome = Outcome { truth: Some(truth), ..replayed.outcome };
     let json = json_report(&outcome);
     assert!(json.parameters.iter().filter(|parameter| parameter.truth.is_some()).count() > 30);
+}
+
+fn fixture(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/recording").join(name)
+}
+
+/// Estimates of an earlier version, other in their last bits or by much: told in standard deviations and mm, and no reason for doubt.
+#[test]
+fn what_another_version_estimated_is_compared_and_no_difference_is_doubted() {
+    let sandbox = Sandbox::new();
+    for (name, modes) in [("schema1.mcap", 1), ("method1.mcap", 4)] {
+        let path = fixture(name);
+        let replayed = replay(&path, &ReplayOptions::default()).expect("a replay");
+        let made_by = replayed.made_by_another.as_ref().expect("an earlier version");
+        assert_eq!((made_by.method, replayed.compared), (1, modes), "{name}");
+        assert!(calibrig::METHOD > 1 && replayed.missing.is_empty());
+        let ended = sandbox.run(["replay".as_ref(), path.as_os_str()]);
+        assert_eq!(ended.code, Some(0), "{name}: {ended:?}");
+        if replayed.differences.is_empty() {
+            assert!(ended.stdout.contains("identical bit for bit"), "{name}: {ended:?}");
+            continue;
+        }
+        for told in ["made by another version", "method 1", "standard deviations", "rms 3-D error, mm"] {
+            assert!(ended.stdout.contains(told), "{name}: {told}: {ended:?}");
+        }
+        let json = sandbox.run(["replay".as_ref(), path.as_os_str(), "--json".as_ref()]);
+        assert!(json.code == Some(0) && json.stderr.contains("made by another version"), "{name}: {json:?}");
+        json.json();
+    }
+    // Its estimates are known to be others than today's.
+    assert!(
+        !replay(&fixture("schema1.mcap"), &ReplayOptions::default()).expect("read").differences.is_empty()
+    );
+}
+
+/// The shift of one value: exit code 3 where this version recorded it. In the words of a replay of another version, its size.
+#[test]
+fn a_difference_within_a_version_is_doubted() {
+    let sandbox = Sandbox::new();
+    let mut outcome = pipeline::run(&paper(), 3, |_, _| {}).expect("a run");
+    let path = sandbox.path("same.mcap");
+    write_mcap(&outcome.story(), &path).expect("a recording");
+    let replayed = replay(&path, &ReplayOptions::default()).expect("a replay");
+    assert!(
+        replayed.made_by_another.is_none() && replayed.parameters.is_empty(),
+        "{:?}",
+        replayed.made_by_another
+    );
+
+    let estimate = outcome.modes[1].estimate.as_mut().expect("an estimate");
+    let p = &mut estimate.parameters[4];
+    p.value += 0.25 * p.sigma.expect("regular");
+    let name = p.id.to_string();
+    let path = sandbox.path("moved.mcap");
+    write_mcap(&outcome.story(), &path).expect("a recording");
+    let replayed = replay(&path, &ReplayOptions::default()).expect("a replay");
+    let [change] = replayed.parameters.as_slice() else { panic!("{:?}", replayed.parameters) };
+    assert_eq!((&change.name, change.mode, replayed.differences.len()), (&name, Mode::OnlyCalibration, 1));
+    assert!((change.in_sigmas().expect("regular") + 0.25).abs() < 1e-6, "{change:?}");
+    let ended = sandbox.run(["replay", "moved.mcap"]);
+    assert!(
+        ended.code == Some(3) && ended.stderr.contains(&format!("replay differs: only_calibration, {name}"))
+    );
 }
 
 #[test]

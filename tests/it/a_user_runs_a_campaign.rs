@@ -12,6 +12,7 @@ use calibrig::pipeline::{KnownTruth, PlantKind, Simulation, simulate};
 use calibrig::scenario::{Scenario, load_scenario};
 use calibrig::tracker::Outliers;
 
+use crate::a_user_reproduces_the_paper::rigid_paper;
 use crate::sandbox::{Sandbox, assert_refused};
 
 const MATCHED: &str = "scenarios/matched.toml";
@@ -53,12 +54,22 @@ fn errors_are_as_large_as_the_bound_and_as_stated() {
     // Errors are normal with the stated variance: (RMSE / bound)² is chi-square over its degrees of freedom.
     let (low, high) = chi2_band(f64::from(trials), 1.0 - each);
     for p in &mode.parameters {
-        let ratio = p.rmse / p.bound;
-        assert!((low.sqrt()..=high.sqrt()).contains(&ratio), "{}: RMSE / bound {ratio}", p.id);
+        let ratio = p.consistency();
+        assert!((low.sqrt()..=high.sqrt()).contains(&ratio), "{}: RMSE / stated {ratio}", p.id);
+        // No estimator is below the bound; this one is hardly above it.
+        let bound = p.bayesian.expect("machines drawn from the priors");
+        let ratio = p.rmse / bound;
+        assert!((low.sqrt()..=1.02 * high.sqrt()).contains(&ratio), "{}: RMSE / bound {ratio}", p.id);
+        // The measurements alone tell less.
+        assert!(p.cramer_rao.is_some_and(|alone| alone > bound * (1.0 - 1e-3)), "{}: {p:?}", p.id);
         assert_eq!(p.coverage.trials, u64::from(trials));
         assert!(p.coverage.p_value(0.95) >= each, "{}: {:?}", p.id, p.coverage);
     }
-    let ratios = || mode.parameters.iter().map(|p| p.rmse / p.bound);
+    // The square of a normal vector of that length, over all trials.
+    let (low_square, high_square) = chi2_band(f64::from(trials) * parameters as f64, 1.0 - LEVEL);
+    let squared = mode.squared_over_bound.expect("every truth is known").mean;
+    assert!((low_square..=1.02 * high_square).contains(&squared), "{squared}");
+    let ratios = || mode.parameters.iter().filter_map(|p| Some(p.rmse / p.bayesian?));
     let (least, most) = (ratios().fold(f64::INFINITY, f64::min), ratios().fold(0.0, f64::max));
     println!("RMSE / bound {least:.3} to {most:.3}, bounds {:.3} to {:.3}", low.sqrt(), high.sqrt());
 
@@ -77,6 +88,26 @@ fn errors_are_as_large_as_the_bound_and_as_stated() {
     );
     let half = predictions.half_width.expect("many trials");
     assert!(half < 0.01 && (predictions.coverage.fraction() - 0.95).abs() <= half, "{predictions:?}");
+}
+
+/// One machine, without priors: the bound is that of the measurements alone.
+#[test]
+fn errors_without_priors_are_as_large_as_the_cramer_rao_bound() {
+    let trials = 400;
+    let mut scenario = Scenario { verification_poses: 0, ..rigid_paper() };
+    scenario.options.unmodelled_sigma = 0.0;
+    scenario.modes = vec![Mode::OnlyCalibration];
+    let campaign = analytic(&scenario);
+    let done = campaign.run(0..trials, 0, &AtomicBool::new(false), |_| {}).expect("threads");
+    let mode = &summarise(&campaign, &done).modes[0];
+    let each = LEVEL / mode.parameters.len() as f64;
+    let (low, high) = chi2_band(f64::from(trials), 1.0 - each);
+    assert_eq!(mode.parameters.len(), 24 + 6 + 3);
+    for p in &mode.parameters {
+        let ratio = p.rmse / p.cramer_rao.expect("determined");
+        assert!((low.sqrt()..=high.sqrt()).contains(&ratio), "{}: RMSE / bound {ratio}", p.id);
+        assert_eq!((p.bayesian, p.least()), (None, p.cramer_rao));
+    }
 }
 
 #[test]

@@ -51,6 +51,7 @@ pub fn state(
     files: &mut [MeasuredFile],
 ) -> Result<Statements, InputError> {
     let mut remarks = robot.remarks.clone();
+    remarks.extend(files.iter().filter_map(partly_stated));
     if let Some((session, source)) = session {
         for file in &mut *files {
             session.complete(source, file.kind, &mut file.loaded)?;
@@ -81,6 +82,26 @@ pub fn state(
     let placed_by = session.map_or("", |(_, source)| source.name.as_str());
     let assumed = fitted.map_or_else(Vec::new, |set| in_words(set, &stated, placed_by, by));
     Ok(Statements { assumed, remarks })
+}
+
+/// That some readings of a file state their uncertainty, and others do not.
+fn partly_stated(file: &MeasuredFile) -> Option<String> {
+    let observations = &file.loaded.set.observations;
+    let unstated: Vec<_> = observations
+        .iter()
+        .filter(|observation| observation.reading.position_covariance().is_none())
+        .map(|observation| observation.pose.to_string())
+        .collect();
+    if unstated.is_empty() || unstated.len() == observations.len() {
+        return None;
+    }
+    let (count, all) = (unstated.len(), observations.len());
+    let (s, poses) = if count == 1 { ("s", "pose") } else { ("", "poses") };
+    let name = &file.source.name;
+    Some(format!(
+        "{name}: {count} of {all} readings state{s} no uncertainty ({poses} {}); the others state theirs",
+        listed(&unstated)
+    ))
 }
 
 /// A station or a target.
@@ -247,16 +268,21 @@ fn keep<T: Named>(items: &mut Vec<T>, wanted: &BTreeSet<String>, left: &mut BTre
     places
 }
 
-/// Targets with one reading each tell nothing of the robot: three coordinates for three unknowns.
+/// Targets with one reading each tell nothing of the robot: three coordinates for three unknowns. Where they are most of all readings, their
+/// names are those of shots.
 fn refuse_named_shots(
     files: &[MeasuredFile],
     columns: Option<&Source>,
     stated: &BTreeSet<String>,
 ) -> Result<(), InputError> {
     let Some(MeasuredFile { source, loaded, .. }) = files.first() else { return Ok(()) };
-    let count = loaded.set.targets.len();
+    let mut readings = vec![0_usize; loaded.set.targets.len()];
+    for observation in &loaded.set.observations {
+        readings[observation.target] += 1;
+    }
+    let count = readings.iter().filter(|readings| **readings == 1).count();
     let is_stated = loaded.set.targets.iter().any(|target| stated.contains(&target.name));
-    if count < 2 || count < loaded.set.observations.len() || is_stated {
+    if count < 2 || 2 * count <= loaded.set.observations.len() || is_stated {
         return Ok(());
     }
     let key =

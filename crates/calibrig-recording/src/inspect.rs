@@ -115,6 +115,8 @@ pub struct ProvenanceReport {
     pub schema: String,
     /// The program.
     pub software: String,
+    /// Number of the method that made its estimates; 1 where it is not stated, `None` where it is no number.
+    pub method: Option<u32>,
     /// `scenario`, `files` or `recording`.
     pub input_kind: String,
     /// Name of the input.
@@ -373,6 +375,7 @@ impl ProvenanceReport {
             problem,
             schema: text("schema"),
             software: text("software"),
+            method: metadata.get("method").map_or(Some(1), |method| method.parse().ok()),
             input_kind: text("input_kind"),
             input_name: text("input_name"),
             input_sha256: text("input_sha256"),

@@ -6,6 +6,7 @@ use std::path::Path;
 use sha2::{Digest, Sha256};
 
 use super::{InputSummary, RecordingError};
+use calibrig_estimation::METHOD;
 use calibrig_files::Source;
 use calibrig_plant::session::PlantKind;
 
@@ -25,6 +26,8 @@ pub(super) const ALTERED: &str = "calibrig_altered";
 pub struct Provenance {
     /// Name and version of the program that wrote it.
     pub software: String,
+    /// Number of the method that made its estimates ([`calibrig_estimation::METHOD`]); 1 where it is not stated.
+    pub method: u32,
     /// `scenario`, `files` or `recording`.
     pub input_kind: String,
     /// Name of the input for people.
@@ -67,6 +70,7 @@ pub(super) fn metadata_of(input: &InputSummary, inputs: &[AttachedInput]) -> BTr
     let mut metadata: BTreeMap<String, String> = [
         ("schema", SCHEMA.to_owned()),
         ("software", Provenance::software().to_owned()),
+        ("method", METHOD.to_string()),
         ("input_kind", input.kind.to_owned()),
         ("input_name", input.name.clone()),
         ("input_sha256", input.sha256.clone()),
@@ -136,8 +140,13 @@ impl Provenance {
             let known = PlantKind::ALL.into_iter().find(|kind| plant.is_some_and(|key| key == kind.key()));
             Ok::<_, RecordingError>((number, known.ok_or_else(|| bad("plant", plant, "rapier or analytic"))?))
         });
+        let method = metadata.get("method").map_or(Ok(1), |method| {
+            let number = method.parse().ok().filter(|number| *number > 0);
+            number.ok_or_else(|| bad("method", Some(method), "a whole number from 1 to 4294967295"))
+        });
         Ok(Self {
             software: text(metadata, "software")?,
+            method: method?,
             input_kind: text(metadata, "input_kind")?,
             input_name: text(metadata, "input_name")?,
             input_sha256: text(metadata, "input_sha256")?,
@@ -194,6 +203,7 @@ mod tests {
         let provenance = Provenance::check(&metadata, &inputs).expect("sound");
         assert_eq!(provenance.seed, Some(7));
         assert_eq!(provenance.input_kind, "scenario");
+        assert_eq!(provenance.method, METHOD);
         assert_eq!(provenance.provenance_sha256.len(), 64);
         let (role, source) = source_of(inputs[0].clone());
         assert_eq!((role.as_str(), source.name.as_str()), ("scenario", "synthetic.toml"));
@@ -202,7 +212,7 @@ mod tests {
     #[test]
     fn every_change_of_metadata_or_inputs_is_noticed() {
         let (metadata, inputs) = parts();
-        for key in ["software", "input_name", "input_sha256", "seed", "provenance_sha256"] {
+        for key in ["software", "method", "input_name", "input_sha256", "seed", "provenance_sha256"] {
             let mut altered = metadata.clone();
             altered.insert(key.to_owned(), "8".to_owned());
             assert!(
@@ -223,6 +233,25 @@ mod tests {
             Provenance::check(&metadata, &altered),
             Err(RecordingError::AlteredProvenance { .. })
         ));
+    }
+
+    #[test]
+    fn a_recording_from_before_the_method_had_a_number_has_the_first() {
+        let (mut metadata, inputs) = parts();
+        let with = |metadata: &mut BTreeMap<String, String>| {
+            let hash = hash(metadata, &inputs);
+            metadata.insert("provenance_sha256".to_owned(), hash);
+            Provenance::check(metadata, &inputs)
+        };
+        metadata.remove("method");
+        assert_eq!(with(&mut metadata).expect("older").method, 1);
+        metadata.insert("method".to_owned(), "7".to_owned());
+        assert_eq!(with(&mut metadata).expect("newer").method, 7);
+        for nonsense in ["0", "-1", "two", ""] {
+            metadata.insert("method".to_owned(), nonsense.to_owned());
+            let error = with(&mut metadata).expect_err("no number");
+            assert!(error.to_string().contains("method"), "{error}");
+        }
     }
 
     #[test]

@@ -258,7 +258,7 @@ fn measure(
         Reading::Spherical(SphericalReading {
             range: range + 3e-6 * rng.random_range(-1.0..1.0),
             azimuth: p.y.atan2(p.x),
-            elevation: (p.z / range).asin(),
+            elevation: p.z.atan2(p.x.hypot(p.y)),
             covariance,
         })
     };

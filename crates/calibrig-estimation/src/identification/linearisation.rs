@@ -116,13 +116,25 @@ pub fn linearise(
     options: &IdentificationOptions,
     estimate: &Estimate,
 ) -> Result<Linearisation, IdentifyError> {
+    let x: Vec<_> = estimate.parameters.iter().map(|p| p.value).collect();
+    linearise_at(model, set, options, estimate, &x)
+}
+
+/// The same system at `x`, values of the estimate's parameters in their order, SI.
+pub(super) fn linearise_at(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    estimate: &Estimate,
+    x: &[f64],
+) -> Result<Linearisation, IdentifyError> {
     check(model, set)?;
     options.check()?;
-    if let Some(parameter) = estimate.parameters.iter().find(|p| !p.value.is_finite()) {
-        let (field, value) = ("a value of estimate.parameters", parameter.value);
+    if let Some(value) = x.iter().copied().find(|value| !value.is_finite()) {
+        let field = "a value of the parameters";
         return Err(IdentifyError::Number { field, value, expected: "a finite number" });
     }
-    let (mut problem, x) = solved(model, set, options, estimate)?;
+    let mut problem = solved(model, set, options, estimate)?;
     let (m, n) = (problem.rows(), problem.parameters());
     let mut linearisation = Linearisation {
         jacobian: DMatrix::zeros(m, n),
@@ -133,7 +145,7 @@ pub fn linearise(
         whitening: Whitening::default(),
         bounded: Vec::new(),
     };
-    problem.evaluate(&x, &mut linearisation.residuals, Some(&mut linearisation.jacobian));
+    problem.evaluate(x, &mut linearisation.residuals, Some(&mut linearisation.jacobian));
     let failed = (0..problem.rows.len()).find(|row| !linearisation.residuals[3 * row].is_finite());
     if let Some((pose, source)) = failed.and_then(|row| problem.failure(row)) {
         return Err(IdentifyError::Machine { pose, source });
@@ -220,13 +232,13 @@ impl Estimate {
     }
 }
 
-/// The problem that `estimate` solves, and its parameters.
+/// The problem that `estimate` solves.
 fn solved(
     model: &CalibrationModel,
     set: &MeasurementSet,
     options: &IdentificationOptions,
     estimate: &Estimate,
-) -> Result<(CalibrationProblem, Vec<f64>), IdentifyError> {
+) -> Result<CalibrationProblem, IdentifyError> {
     let kept: Vec<_> = estimate.parameters.iter().map(|p| p.id).collect();
     let mut problem = rebuild(model, set, options, &kept)?;
     if problem.parameters != kept {
@@ -239,7 +251,7 @@ fn solved(
         return Err(IdentifyError::UnknownParameter { name });
     }
     weigh_as(&mut problem, set, estimate)?;
-    Ok((problem, estimate.parameters.iter().map(|p| p.value).collect()))
+    Ok(problem)
 }
 
 /// Weighs a problem with the noise that an estimate was given or found.

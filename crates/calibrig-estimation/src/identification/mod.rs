@@ -8,6 +8,7 @@ mod estimate;
 mod factor;
 mod identifiability;
 mod identify;
+mod information;
 mod limits;
 mod linearisation;
 mod machine;
@@ -37,6 +38,7 @@ pub use identifiability::{
 };
 use identifiability::{analyse_r, dependent_ends, select_independent};
 pub use identify::{IdentifyError, identify, without_calibration};
+pub use information::{Information, information_at};
 pub use limits::{ParameterBound, ParameterBoundError, RefusedBound, check_bounds};
 pub use linearisation::{Linearisation, PredictedReading, Whitening, linearise, predict_readings};
 pub use machine::MachineError;

@@ -187,7 +187,7 @@ fn measured(model: &CalibrationModel, poses: u32, known: [bool; 4]) -> Measureme
             Reading::Spherical(SphericalReading {
                 range,
                 azimuth: position.y.atan2(position.x),
-                elevation: (position.z / range).asin(),
+                elevation: position.z.atan2(position.x.hypot(position.y)),
                 covariance,
             })
         } else {

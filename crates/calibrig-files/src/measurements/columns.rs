@@ -17,7 +17,7 @@
 //! # or: system = "spherical", range = "R", range_unit = "m", azimuth = "Az", angle_unit = "deg" (arcsec, deg or rad), and
 //! # either elevation = "El" (above the tracker's x-y plane) or zenith = "Ze" (from its z axis)
 //!
-//! [sigma]                           # optional: standard deviations, in the system of the position
+//! [sigma]                           # optional: standard deviations above 0, in the system of the position
 //! unit = "um"                       # spherical: range_unit and angle_unit
 //! x = "sx"                          # spherical: range, azimuth, and elevation or zenith
 //! y = "sy"
@@ -26,7 +26,7 @@
 //! [columns]                         # each optional
 //! pose = "No"
 //! station = "Station"
-//! target = "Point"
+//! target = "SMR"                    # the reflector, the same name in all its rows; not the name of the shot
 //! time_s = "t"
 //! temperature_c = "T"
 //! approach = ["dir1", "dir2", "dir3"]  # -1, 0 or 1, one an actuator

@@ -451,9 +451,9 @@ impl Columns {
                 }
                 let mut variances = Vector3::zeros();
                 for ((variance, column), factor) in variances.iter_mut().zip(columns).zip(factors) {
-                    let sigma = row.not_negative(*column)? * factor;
+                    let sigma = row.above_zero(*column, "standard deviation")? * factor;
                     *variance = sigma * sigma;
-                    row.check_size(*column, *variance)?;
+                    row.check_variance(*column, *variance)?;
                 }
                 Ok(Some(Matrix3::from_diagonal(&variances)))
             }
@@ -466,9 +466,13 @@ impl Columns {
                     *value = row.number(*column)?;
                 }
                 for axis in 0..3 {
-                    row.not_negative(columns[TRIANGLE[axis][axis]])?;
+                    row.above_zero(columns[TRIANGLE[axis][axis]], "variance")?;
                 }
-                Ok(Some(Matrix3::from_fn(|i, j| values[TRIANGLE[i][j]])))
+                let covariance = Matrix3::from_fn(|i, j| values[TRIANGLE[i][j]]);
+                if covariance.cholesky().is_none() {
+                    return Err(row.refuse_covariance(columns));
+                }
+                Ok(Some(covariance))
             }
         }
     }
@@ -535,9 +539,41 @@ impl Row<'_> {
         columns.iter().all(|column| self.cells[*column].text.is_empty())
     }
 
-    fn not_negative(&self, column: usize) -> Result<f64, InputError> {
+    /// `what` is a measure of uncertainty.
+    fn above_zero(&self, column: usize, what: &str) -> Result<f64, InputError> {
         let number = self.number(column)?;
-        if number >= 0.0 { Ok(number) } else { Err(self.refuse_cell(column, "zero or more")) }
+        if number == 0.0 {
+            return Err(self.refuse_zero(column, what));
+        }
+        let expected = format!("a {what} above zero");
+        if number > 0.0 { Ok(number) } else { Err(self.refuse_cell(column, &expected)) }
+    }
+
+    fn refuse_zero(&self, column: usize, what: &str) -> InputError {
+        let cell = &self.cells[column];
+        let message =
+            format!("column {} is {:?}: a {what} of 0 was read", self.names[column], cell.text.as_ref());
+        let help = format!(
+            "a {what} above zero, since no reading is exact: where the instrument rounds, what it rounds to or more; \
+             or the cells of the row's uncertainty empty, so that it counts as not stated"
+        );
+        refuse(self.source, cell.span.clone(), message, &help)
+    }
+
+    fn refuse_covariance(&self, columns: &[usize; 6]) -> InputError {
+        let names: Vec<_> = columns.iter().map(|column| self.names[*column]).collect();
+        let message = format!("the covariance of {} is not positive definite", names.join(", "));
+        let span = self.cells[columns[0]].span.clone();
+        refuse(self.source, span, message, "correlations between -1 and 1 that do not contradict each other")
+    }
+
+    fn check_variance(&self, column: usize, variance: f64) -> Result<(), InputError> {
+        // The square of a very small number is zero.
+        if variance == 0.0 {
+            Err(self.refuse_zero(column, "variance"))
+        } else {
+            self.check_size(column, variance)
+        }
     }
 
     fn check_size(&self, column: usize, value: f64) -> Result<(), InputError> {
@@ -549,9 +585,11 @@ impl Row<'_> {
     }
 
     fn whole_number(&self, column: usize) -> Result<u32, InputError> {
-        let number = self.number(column)?;
         // Tables that went through a spreadsheet say 3.0 for 3.
-        if number.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&number) {
+        if let Ok(number) = self.cells[column].text.parse::<f64>()
+            && number.fract() == 0.0
+            && (0.0..=f64::from(u32::MAX)).contains(&number)
+        {
             #[expect(
                 clippy::cast_possible_truncation,
                 clippy::cast_sign_loss,
@@ -559,14 +597,16 @@ impl Row<'_> {
             )]
             return Ok(number as u32);
         }
-        Err(self.refuse_cell(column, "a whole number from 0 to 4294967295"))
+        let expected = "a whole number from 0 to 4294967295, the number of the pose; where the column holds names, no pose column (in a \
+                        column map: leave `pose` out): the rows then count from 1";
+        Err(self.refuse_cell(column, expected))
     }
 
     fn direction(&self, column: usize) -> Result<i8, InputError> {
-        match self.number(column)? {
-            -1.0 => Ok(-1),
-            0.0 => Ok(0),
-            1.0 => Ok(1),
+        match self.cells[column].text.parse::<f64>() {
+            Ok(-1.0) => Ok(-1),
+            Ok(0.0) => Ok(0),
+            Ok(1.0) => Ok(1),
             _ => Err(self.refuse_cell(column, "-1, 0 or 1")),
         }
     }
@@ -839,6 +879,27 @@ mod tests {
     }
 
     #[test]
+    fn covariances_that_no_scatter_has_are_refused_at_their_row() {
+        let head = "q1_m,q2_rad,x_m,y_m,z_m,cov_xx_m2,cov_xy_m2,cov_xz_m2,cov_yy_m2,cov_yz_m2,cov_zz_m2\n\
+                    0,0,1,0,0,4e-10,1e-10,0,1e-10,0,1e-10\n";
+        for (row, message, place) in [
+            ("4e-10,2.1e-10,0,1e-10,0,1e-10", "cov_zz_m2 is not positive definite", "4e-10"),
+            ("4e-10,0,0,0,0,1e-10", "cov_yy_m2 is \"0\": a variance of 0 was read", "0"),
+            ("4e-10,0,0,1e-10,0,-1e-10", "cov_zz_m2 is \"-1e-10\"", "-1e-10"),
+        ] {
+            let text = format!("{head}0,0,2,0,0,{row}\n");
+            match own(&text) {
+                Err(InputError::Invalid { message: found, line: 3, span, .. }) => {
+                    assert!(found.contains(message), "{found}");
+                    assert_eq!(&text[span.offset()..span.offset() + span.len()], place);
+                }
+                other => panic!("{row}: {other:?}"),
+            }
+        }
+        own(head).expect("a correlation of one half");
+    }
+
+    #[test]
     fn missed_shots_are_left_out_and_reported() {
         let loaded =
             own("pose,q1_m,q2_rad,range_m,az_rad,el_rad\n4,0,0,0,0,0\n5,0,0,1,0,0\n").expect("valid");
@@ -897,7 +958,19 @@ mod tests {
                 "7,front",
             ),
             ("1,-1\n", "1,-1,5\n", "the row has 16 columns, the header 15", 2, "15 values", "5"),
-            ("2e-6", "-2e-6", "column sigma_az_rad is \"-2e-6\"", 2, "zero or more", "-2e-6"),
+            ("7,front", "P7,front", "column pose is \"P7\"", 2, "holds names, no pose column", "P7"),
+            ("1,-1\n", "1,left\n", "column approach2 is \"left\"", 2, "-1, 0 or 1", "left"),
+            ("2e-6", "-2e-6", "column sigma_az_rad is \"-2e-6\"", 2, "deviation above zero", "-2e-6"),
+            ("2e-6", "NaN", "column sigma_az_rad is \"NaN\"", 2, "finite", "NaN"),
+            (
+                "2e-6",
+                "0.000",
+                "sigma_az_rad is \"0.000\": a standard deviation of 0 was read",
+                2,
+                "rounds",
+                "0.000",
+            ),
+            ("2e-6", "1e-200", "sigma_az_rad is \"1e-200\": a variance of 0 was read", 2, "empty", "1e-200"),
             ("2e-6", "2e200", "column sigma_az_rad is \"2e200\"", 2, "size", "2e200"),
             (",3e-6", ",", "column sigma_el_rad is empty", 2, "number", "7,front"),
             ("front", "\"front", "the quote is not closed", 2, "pairs", "\"front"),
@@ -1020,10 +1093,14 @@ mod tests {
             any::<bool>(),
         );
         parts.prop_map(move |((pose, command, approach), (temperature, time, place, c), stated)| {
+            let c = c.map(|value| value + f64::copysign(1e-9, value));
             let covariance = if diagonal {
                 Matrix3::from_diagonal(&Vector3::new(c[0] * c[0], c[1] * c[1], c[2] * c[2]))
             } else {
-                Matrix3::new(c[0].abs(), c[1], c[2], c[1], c[3].abs(), c[4], c[2], c[4], c[5].abs())
+                // A diagonal that outweighs its rows makes it positive definite.
+                let least = c[1].abs() + c[2].abs() + c[4].abs();
+                let [x, y, z] = [c[0], c[3], c[5]].map(|value| least + value.abs());
+                Matrix3::new(x, c[1], c[2], c[1], y, c[4], c[2], c[4], z)
             };
             let [x, y, z] = place;
             let reading = if spherical {

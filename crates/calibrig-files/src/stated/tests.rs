@@ -3,6 +3,7 @@ use std::fmt::Write;
 use super::*;
 use crate::{ColumnMap, parse_measurements, parse_robot, parse_session};
 use calibrig_model::JointKind;
+use calibrig_model::measurement::Observation;
 use nalgebra::{Matrix3, Vector3};
 
 const JOINT: &str = "schema = \"calibrig.robot/1\"\nname = \"one\"\nconvention = \"craig\"\n[actuators]\nkind = \"direct\"\n\
@@ -121,6 +122,26 @@ fn targets_are_matched_by_name() {
 }
 
 #[test]
+fn readings_that_state_no_uncertainty_among_others_that_do_are_read_and_told() {
+    let read = |sigmas: [&str; 3]| {
+        let rows = sigmas.map(|sigma| format!("0.1,1,2,3,{sigma},{sigma},{sigma}\n")).concat();
+        let text = format!("q1_rad,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m\n{rows}");
+        let source = Source::new("set.csv", text);
+        let loaded =
+            parse_measurements(&source, &ColumnMap::default(), &[JointKind::Revolute]).expect("valid");
+        let mut files = [MeasuredFile { kind: SetKind::Identification, source, loaded }];
+        let told = state(&robot(&[]), None, &mut files).expect("nothing is stated");
+        let stated = |o: &Observation| o.reading.position_covariance().map(|c| c.m22);
+        (files[0].loaded.set.observations.iter().map(stated).collect::<Vec<_>>(), told.remarks)
+    };
+    let (some, told) = read(["2e-5", "", "3e-5"]);
+    assert_eq!(some, [Some(2e-5 * 2e-5), None, Some(3e-5 * 3e-5)]);
+    assert_eq!(told, ["set.csv: 1 of 3 readings states no uncertainty (pose 2); the others state theirs"]);
+    assert!(read(["2e-5", "", ""]).1[0].contains("2 of 3 readings state no uncertainty (poses 2, 3)"));
+    assert!(read(["2e-5"; 3]).1.is_empty() && read([""; 3]).1.is_empty());
+}
+
+#[test]
 fn targets_that_cannot_be_matched_are_refused() {
     let sure = refused(&robot(&[("", 100.0, "0.02")]), None, fitted(&["A", "B", "A"]));
     assert_has(&sure, &["robot.toml:15: ", "the target has no name", "[[target]] for each"]);
@@ -144,6 +165,11 @@ fn targets_that_cannot_be_matched_are_refused() {
         &shots,
         &["identification.csv:1: ", "3 targets with one reading each", "names the shot", "no target column"],
     );
+    // One that was shot twice.
+    let shots = refused(&robot(&[]), None, fitted(&["P1", "P2", "P3", "P3", "P4"]));
+    assert_has(&shots, &["identification.csv:1: ", "3 targets with one reading each", "no target column"]);
+    let mut files = fitted(&["A", "A", "A", "A", "B", "C"]);
+    state(&robot(&[]), None, &mut files).expect("a reflector, and two that were tried once");
 }
 
 const NESTS: &str = "[[station.nest]]\nname = \"a\"\nin_base_m = [0, 0, 0]\nin_base_sigma_m = 1e-5\nposition_m = [1, 0, 0]\nsigma_m = 1e-5\n\

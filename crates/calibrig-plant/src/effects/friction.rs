@@ -34,6 +34,13 @@ impl Friction {
         self.per_load.iter().any(|share| *share > 0.0)
     }
 
+    /// What the drive of `stiffness` (N/m or N m/rad) stays behind after any motion, m or rad; `None` where that depends on load or motion.
+    pub fn lag(&self, actuator: usize, stiffness: f64) -> Option<f64> {
+        let (constant, per_load) = (self.constant[actuator], self.per_load[actuator]);
+        let is_constant = per_load == 0.0 && (self.presliding[actuator] == 0.0 || constant == 0.0);
+        is_constant.then(|| constant / stiffness)
+    }
+
     /// Friction force as a share of its limit, -1 to 1, after a motion (m or rad), from that before it.
     pub fn share_after(&self, actuator: usize, share: f64, motion: f64) -> f64 {
         if motion == 0.0 {

@@ -90,12 +90,15 @@ impl LaserTracker {
         Self { instrument, tracker_from_base: base_from_tracker.inverse() }
     }
 
-    /// Observes a point of the base frame (m). The stated covariance is the one of the random part.
+    /// Observes a point of the base frame (m). The stated covariance is the one of the random part. Takes the same numbers from `rng`
+    /// whatever the point and the instrument are.
     pub fn measure(
         &self,
         in_base: &Vector3<f64>,
         rng: &mut impl Rng,
     ) -> Result<SphericalReading, TrackerError> {
+        // Drawn whether used or not, so that neither the noise nor a point out of range moves another number of the stream.
+        let units: [f64; 3] = std::array::from_fn(|_| StandardNormal.sample(rng));
         let point = self.tracker_from_base.rotation * in_base + self.tracker_from_base.translation.vector;
         let range = point.norm();
         if !(WORKING_RANGE[0]..=WORKING_RANGE[1]).contains(&range) {
@@ -109,15 +112,13 @@ impl LaserTracker {
                 return Err(TrackerError::Instrument { quantity, value });
             }
         }
-        // Drawn whether used or not, so that switching the noise off moves no other number of the stream.
-        let mut error = |sigma: f64| {
-            let unit: f64 = StandardNormal.sample(rng);
-            if self.instrument.noise { sigma * unit } else { 0.0 }
-        };
+        let sigmas = [sigma_range, sigma_angle, sigma_angle];
+        let error = |index: usize| if self.instrument.noise { sigmas[index] * units[index] } else { 0.0 };
         Ok(SphericalReading {
-            range: range + error(sigma_range),
-            azimuth: point.y.atan2(point.x) + error(sigma_angle),
-            elevation: (point.z / range).asin() + error(sigma_angle),
+            range: range + error(0),
+            azimuth: point.y.atan2(point.x) + error(1),
+            // An arcsine would lose half of the digits near the zenith.
+            elevation: point.z.atan2(point.x.hypot(point.y)) + error(2),
             covariance: Matrix3::from_diagonal(&Vector3::new(
                 sigma_range.powi(2),
                 sigma_angle.powi(2),
@@ -167,8 +168,37 @@ mod tests {
         let tracker = LaserTracker::levelled(exact, Vector3::new(1.0, 0.5, -3.0), 0.4, &up);
         let mut rng = stream(3, 0, Source::IdentificationNoise);
         let above = tracker.measure(&Vector3::new(1.0, 2.5, -3.0), &mut rng).expect("2 m");
-        assert!((above.elevation - std::f64::consts::FRAC_PI_2).abs() < 1e-7);
+        assert!((above.elevation - std::f64::consts::FRAC_PI_2).abs() < 1e-15);
         assert!((above.range - 2.0).abs() < 1e-15);
         assert!(tracker.measure(&Vector3::new(1.0, 0.5, -3.05), &mut rng).is_err());
+    }
+
+    #[test]
+    fn readings_near_the_zenith_are_as_exact_as_others() {
+        let exact = Instrument { noise: false, ..INSTRUMENT };
+        let tracker = LaserTracker { instrument: exact, tracker_from_base: Transform::identity() };
+        let mut rng = stream(3, 0, Source::IdentificationNoise);
+        for off in [1e-8, 1e-6, 1e-3] {
+            let point = Vector3::new(3.0 * off, 4.0 * off, 2.0);
+            let reading = tracker.measure(&point, &mut rng).expect("2 m");
+            let from_zenith = (5.0 * off / 2.0).atan();
+            assert!((std::f64::consts::FRAC_PI_2 - reading.elevation - from_zenith).abs() < 1e-14, "{off}");
+            assert!((reading.position() - point).norm() < 1e-15, "{off}");
+        }
+    }
+
+    #[test]
+    fn a_point_out_of_range_moves_no_later_reading() {
+        let tracker = LaserTracker { instrument: INSTRUMENT, tracker_from_base: Transform::identity() };
+        let after = |first: f64| {
+            let mut rng = stream(3, 0, Source::IdentificationNoise);
+            let first = tracker.measure(&Vector3::new(first, 0.0, 0.0), &mut rng);
+            (first.is_ok(), tracker.measure(&Vector3::new(2.0, 1.0, 0.5), &mut rng).expect("2 m"))
+        };
+        let (in_range, later) = after(5.0);
+        assert!(in_range);
+        for out_of_range in [0.05, 31.0, f64::INFINITY, f64::NAN] {
+            assert_eq!(after(out_of_range), (false, later.clone()));
+        }
     }
 }
