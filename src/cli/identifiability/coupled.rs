@@ -81,7 +81,7 @@ fn kinds(parameters: &[ParameterId]) -> Vec<(&'static str, Vec<String>)> {
         ParameterId::Frame { .. } => "frame",
         ParameterId::Target { .. } => "target",
         ParameterId::Compliance(_) => "compliances",
-        ParameterId::Mass { .. } => "masses",
+        ParameterId::Mass { .. } | ParameterId::Centre { .. } => "masses",
         ParameterId::Linkage(_) => "linkage",
         ParameterId::Term(_) => "terms",
     };

@@ -2,11 +2,13 @@
 
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
+use std::fmt;
 use thiserror::Error;
 
 use super::limits::shown;
 use super::{
     CONTRADICTION_LEVEL, CalibratedRobot, Contradiction, DependentGroup, ParameterBound, Spectrum, Tolerance,
+    UNKNOWN_STIFFNESS,
 };
 use calibrig_model::{ParameterId, Unit};
 
@@ -145,6 +147,20 @@ pub enum Assumption {
     /// Links are about as drawn.
     #[error("links: within +- {:.1} mm and +- {:.1} mrad of their nominal values (standard deviations of a prior)", 1e3 * .0.length, 1e3 * .0.angle)]
     LinksWithin(Tolerance),
+    /// Compliances are fitted, and nobody said how well the masses that load them are known.
+    #[error(
+        "masses and centres of gravity: taken as exact, as no uncertainty of them is stated; the standard deviations of the compliances do \
+         not contain theirs (mass_percent and centre_mm in the robot's file, or --mass-percent and --centre-mm)"
+    )]
+    BodiesExact,
+    /// How well masses and centres are known was stated.
+    #[error(
+        "masses and centres of gravity: their stated uncertainty is a prior, and is in the standard deviations of the compliances"
+    )]
+    BodiesStated,
+    /// Nothing is known of the stiffnesses.
+    #[error("stiffnesses: unknown; each is taken within a factor of {:.0} of the stated one (standard deviation of a prior)", UNKNOWN_STIFFNESS.exp())]
+    StiffnessUnknown,
     /// The readings state no covariance.
     #[error("noise: the readings state none; it is taken from the residuals, {:.3} mm a coordinate", 1e3 * sigma)]
     NoiseOfResiduals {
@@ -152,6 +168,64 @@ pub enum Assumption {
         #[serde(with = "calibrig_model::float::scalar")]
         sigma: f64,
     },
+}
+
+/// A parameter that could have been fitted and was not.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct LeftOut {
+    /// Which.
+    pub id: ParameterId,
+    /// Why.
+    pub reason: LeftOutReason,
+}
+
+/// Why a parameter is left out.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum LeftOutReason {
+    /// Gravity hardly loads a compliance, or always alike.
+    Unloaded {
+        /// By how many standard deviations of their noise its prior's standard deviation moves all measurements together, beside what the
+        /// geometry can do as well.
+        #[serde(with = "calibrig_model::float::scalar")]
+        effect: f64,
+    },
+    /// No measurement has what it acts on, such as an approach.
+    NoBasis,
+    /// It cannot be told from others.
+    Redundant,
+}
+
+impl LeftOutReason {
+    /// The key in JSON.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Unloaded { .. } => "unloaded",
+            Self::NoBasis => "no_basis",
+            Self::Redundant => "redundant",
+        }
+    }
+}
+
+/// Without the name of the parameter.
+impl fmt::Display for LeftOutReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Unloaded { effect } if *effect < 1e-6 => {
+                f.write_str("gravity does not load it in these poses, or loads it always alike")
+            }
+            Self::Unloaded { effect } => write!(
+                f,
+                "gravity hardly loads it in these poses: what its prior leaves open moves all measurements together by {effect:.2} of their \
+                 noise"
+            ),
+            Self::NoBasis => {
+                f.write_str("nothing that was measured has what it acts on, such as an approach, a time or a motion of its joint")
+            }
+            Self::Redundant => f.write_str("the measurements cannot tell it from others"),
+        }
+    }
 }
 
 /// What a user must know of an estimate before trusting it.
@@ -330,6 +404,9 @@ pub struct Estimate {
     pub held: Vec<DependentGroup>,
     /// Parameters that were left out of the fit for the same reason.
     pub fixed: Vec<DependentGroup>,
+    /// All parameters that could have been fitted and were left out, with the reason; those that are `fixed` among them.
+    #[serde(default)]
+    pub left_out: Vec<LeftOut>,
     /// Stated bounds of the parameters that were fitted.
     pub bounds: Vec<ParameterBound>,
     /// Parameters that ended at a bound.

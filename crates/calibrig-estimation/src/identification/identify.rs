@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::build::{Built, UNSTATED_SIGMA, best_fit_stations, build};
+use super::build::{Built, UNSTATED_SIGMA, best_fit_stations, build, reconsider};
 use super::limits::limits;
 use super::machine::MachineError;
 use super::summary::summarise;
@@ -124,6 +124,26 @@ pub fn identify(
         bound.check()?;
     }
     let mut built = build(model, set, options)?;
+    let start = vec![0.0; built.problem.parameters()];
+    let (mut solution, mut noise) = fit(&mut built, start, set, options)?;
+    for round in 0..MOST_ROUNDS {
+        let Some((next, x)) = reconsider(model, set, options, &built, &solution, round == 0)? else { break };
+        built = next;
+        (solution, noise) = fit(&mut built, x, set, options)?;
+    }
+    Ok(summarise(built, solution, noise, set, options))
+}
+
+/// Fits after which the compliances that they left out, or should have, are looked at again.
+const MOST_ROUNDS: usize = 4;
+
+/// The minimum from `x`, and the noise: as the readings state it, else as the residuals tell it.
+fn fit(
+    built: &mut Built,
+    x: Vec<f64>,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+) -> Result<(Solution, NoiseScale), IdentifyError> {
     let rows = built.problem.rows();
     let parameters = built.problem.parameters();
     // A tolerance holds weak directions; it does not stand for poses that are not there.
@@ -131,10 +151,10 @@ pub fn identify(
     if measured < parameters {
         return Err(IdentifyError::TooFewRows { rows: measured, parameters });
     }
-    let solution = solve(&mut built, vec![0.0; parameters], options)?;
+    let solution = solve(built, x, options)?;
     let stated = set.observations.iter().all(|o| o.reading.position_covariance().is_some());
     if stated || rows == parameters {
-        return Ok(summarise(built, solution, NoiseScale::Stated, set, options));
+        return Ok((solution, NoiseScale::Stated));
     }
     // The first pass tells the noise that the readings do not state; the second weighs the priors against it.
     let sigma = UNSTATED_SIGMA
@@ -144,15 +164,15 @@ pub fn identify(
             solution.scale
         };
     if !(sigma.is_finite() && sigma > 0.0) {
-        return Ok(summarise(built, solution, NoiseScale::Residuals(sigma), set, options));
+        return Ok((solution, NoiseScale::Residuals(sigma)));
     }
     for row in &mut built.problem.rows {
         row.whitening *= UNSTATED_SIGMA / sigma;
     }
     let first = solution.iterations;
-    let mut solution = solve(&mut built, solution.x, options)?;
+    let mut solution = solve(built, solution.x, options)?;
     solution.iterations.splice(0..0, first);
-    Ok(summarise(built, solution, NoiseScale::Residuals(sigma), set, options))
+    Ok((solution, NoiseScale::Residuals(sigma)))
 }
 
 fn solve(built: &mut Built, x: Vec<f64>, options: &IdentificationOptions) -> Result<Solution, IdentifyError> {
@@ -161,11 +181,17 @@ fn solve(built: &mut Built, x: Vec<f64>, options: &IdentificationOptions) -> Res
     if !options.mode.is_coupled() && options.solver.starts <= 1 && !is_bounded {
         return Ok(minimise(&mut built.problem, x, &options.solver));
     }
-    let (lower, upper) = limits(parameters, &options.bounds);
+    let (mut lower, upper) = limits(parameters, &options.bounds);
+    for column in &built.problem.logarithmic {
+        lower[*column] = lower[*column].max(LEAST_OF_UNKNOWN);
+    }
     let spread: Vec<f64> = parameters.iter().zip(&built.sigmas).map(spread).collect();
     let bounds = Bounds::new(lower, upper)?;
     Ok(minimise_within(&mut built.problem, x, &options.solver, &bounds, &spread)?)
 }
+
+/// The lowest value of a compliance whose logarithm has a prior: a millionth of the stated one.
+pub(super) const LEAST_OF_UNKNOWN: f64 = 1e-6 - 1.0;
 
 /// How far about the start other starts are drawn: two standard deviations of the parameter's own prior, else what a machine can be off.
 fn spread((id, sigma): (&ParameterId, &Option<f64>)) -> f64 {

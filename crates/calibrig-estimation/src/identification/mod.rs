@@ -25,7 +25,8 @@ mod uncertainty;
 
 pub use contradiction::{CONTRADICTION_LEVEL, Contradiction, Stated};
 pub use estimate::{
-    Assumption, Estimate, IterationRecord, NoiseScale, Outlier, ParameterEstimate, TerminationReason, Warning,
+    Assumption, Estimate, IterationRecord, LeftOut, LeftOutReason, NoiseScale, Outlier, ParameterEstimate,
+    TerminationReason, Warning,
 };
 pub use identifiability::{
     DependentGroup, Explanation, Finding, IdentifiabilityReport, RANK_TOLERANCE, Remedy, Spectrum,
@@ -40,7 +41,7 @@ pub use machine::MachineError;
 pub use mode::Mode;
 pub use options::{
     ComplianceChoice, DEFAULT_TOLERANCE, FrameChoice, IdentificationOptions, LINKAGE, ParameterChoice,
-    Redundancy, TargetChoice, TermPrior, Tolerance,
+    Redundancy, TargetChoice, TermPrior, Tolerance, UNKNOWN_STIFFNESS,
 };
 pub use prospect::{Prospect, prospect};
 pub use robot::{CalibratedRobot, EstimatePredictor, Prediction, PredictionError, Predictor};

@@ -5,7 +5,7 @@ use nalgebra::DMatrix;
 use super::build::{Built, redundant};
 use super::contradiction::{Checks, Found};
 use super::factor::{extended, triangular_factor, triangular_factor_of_all};
-use super::limits::lowest;
+use super::identify::LEAST_OF_UNKNOWN;
 use super::problem::CalibrationProblem;
 use super::solver::Solution;
 use super::{
@@ -13,9 +13,9 @@ use super::{
     LeastSquares, NoiseScale, Outlier, ParameterEstimate, Redundancy, Spectrum, Stated, TargetChoice,
     Warning, analyse_r,
 };
-use calibrig_model::ParameterId;
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::statistics::chi2_survival;
+use calibrig_model::{BodyUncertainty, ParameterId};
 
 /// Probability of a larger chi-square below which the residuals are larger than the stated noise explains.
 const INCONSISTENT: f64 = 1e-3;
@@ -27,7 +27,7 @@ pub(super) fn summarise(
     set: &MeasurementSet,
     options: &IdentificationOptions,
 ) -> Estimate {
-    let Built { mut problem, sigmas, unexcited, fixed, left_out } = built;
+    let Built { mut problem, sigmas, named, fixed, left_out, .. } = built;
     let rows = problem.rows();
     let n = problem.parameters.len();
     let degrees_of_freedom = rows - n;
@@ -53,7 +53,9 @@ pub(super) fn summarise(
         .bounds
         .iter()
         .copied()
-        .filter(|bound| problem.parameters.contains(&bound.id) || left_out.contains(&bound.id))
+        .filter(|bound| {
+            problem.parameters.contains(&bound.id) || left_out.iter().any(|left| left.id == bound.id)
+        })
         .partition(|bound| problem.parameters.contains(&bound.id));
     warnings.extend(unused.into_iter().map(|bound| Warning::UnusedBound { bound }));
     let outliers = outliers(&solution, set);
@@ -63,6 +65,7 @@ pub(super) fn summarise(
     if solution.minima > 1 {
         warnings.push(Warning::SeveralMinima { minima: solution.minima });
     }
+    let unexcited = unexcited(&problem, &named, covariance.as_ref(), &sigmas, &solution.x);
     warnings.extend(left_open_warnings(&held, &fixed, &unexcited));
     let values = problem.parameters.iter().zip(&solution.x);
     let terms = values.filter_map(|(id, value)| match id {
@@ -91,7 +94,7 @@ pub(super) fn summarise(
             stations: problem.current.stations,
             targets: problem.current.targets,
         },
-        assumptions: assumptions(set, options, noise),
+        assumptions: assumptions(&problem.parameters, set, options, noise),
         covariance,
         factor,
         weights: solution.weights,
@@ -103,6 +106,7 @@ pub(super) fn summarise(
         spectrum,
         held,
         fixed,
+        left_out,
         bounds,
         at_bound,
         contradicted,
@@ -154,7 +158,12 @@ fn covariance(
 }
 
 /// What the options left to the set, and what came of it.
-fn assumptions(set: &MeasurementSet, options: &IdentificationOptions, noise: NoiseScale) -> Vec<Assumption> {
+fn assumptions(
+    parameters: &[ParameterId],
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    noise: NoiseScale,
+) -> Vec<Assumption> {
     let mut made = Vec::new();
     for station in set.stations.iter().filter(|_| options.frame == FrameChoice::AsStated) {
         let (name, nests) = (station.name.clone(), station.nests.len());
@@ -174,16 +183,40 @@ fn assumptions(set: &MeasurementSet, options: &IdentificationOptions, noise: Noi
         });
     }
     made.extend(options.tolerance.map(Assumption::LinksWithin));
+    if parameters.iter().any(|id| matches!(id, ParameterId::Compliance(_))) {
+        made.extend(options.stiffness_unknown.then_some(Assumption::StiffnessUnknown));
+        let stated = options.bodies.iter().any(|body| *body != BodyUncertainty::default());
+        made.push(if stated { Assumption::BodiesStated } else { Assumption::BodiesExact });
+    }
     if let NoiseScale::Residuals(sigma) = noise {
         made.push(Assumption::NoiseOfResiduals { sigma });
     }
     made
 }
 
+/// A named compliance of which the measurements tell less than this share of what is known is told to be its prior's.
+const LITTLE: f64 = 0.2;
+
+/// Those of the `named` compliances that the fit leaves to their priors.
+fn unexcited(
+    problem: &CalibrationProblem,
+    named: &[ParameterId],
+    covariance: Option<&DMatrix<f64>>,
+    sigmas: &[Option<f64>],
+    x: &[f64],
+) -> Vec<ParameterId> {
+    let is_left = |(place, id): &(usize, &ParameterId)| {
+        let (Some(covariance), Some(sigma)) = (covariance, sigmas[*place]) else { return false };
+        let slope = if problem.logarithmic.contains(place) { 1.0 + x[*place] } else { 1.0 };
+        named.contains(id) && 1.0 - covariance[(*place, *place)] / (sigma * slope).powi(2) < LITTLE
+    };
+    problem.parameters.iter().enumerate().filter(is_left).map(|(_, id)| *id).collect()
+}
+
 fn at_bound_warning(id: ParameterId, bound: f64) -> Warning {
     let name = id.to_string();
     match id {
-        ParameterId::Compliance(_) if bound <= lowest(id) => Warning::Rigid { name },
+        ParameterId::Compliance(_) if bound <= LEAST_OF_UNKNOWN => Warning::Rigid { name },
         _ => Warning::AtBound { name, bound, unit: id.unit() },
     }
 }
