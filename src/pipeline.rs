@@ -9,15 +9,17 @@ mod planned;
 mod simulate;
 mod splits;
 mod truth;
+mod worth;
 
 pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
 pub use choice::{ChosenRow, FailedVariant, ModelChoice, choose};
-pub use defaults::{default_modes, default_options, is_default};
+pub use defaults::{default_modes, default_options, is_default, with_stated_of};
 pub use judgement::{Confidence, FALSE_ALARM, Judgement, PredictedPosition, judge};
 pub use planned::{planned, planned_at};
 pub use simulate::{measure_session, simulate};
 pub use splits::{SplitMode, SplitPlan, SplitStudy, pose_count, repeat_splits};
 pub use truth::KnownTruth;
+pub use worth::Worse;
 
 use std::fmt::Write;
 

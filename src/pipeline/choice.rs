@@ -216,14 +216,17 @@ fn fit(
     Ok(Fitted { variant, sigma, not_converged })
 }
 
-fn errors(estimate: &Estimate, set: &MeasurementSet) -> Result<Vec<nalgebra::Vector3<f64>>, PipelineError> {
+pub(super) fn errors(
+    estimate: &Estimate,
+    set: &MeasurementSet,
+) -> Result<Vec<nalgebra::Vector3<f64>>, PipelineError> {
     Predictor::new(&estimate.robot)
         .and_then(|mut predictor| predictor.errors(set))
         .map_err(|source| PipelineError::Predict { mode: estimate.robot.mode, source })
 }
 
 /// Splits of the observations that keep those of one pose together: they share its errors.
-fn pose_folds(set: &MeasurementSet, folds: usize, seed: u64) -> Vec<Split> {
+pub(super) fn pose_folds(set: &MeasurementSet, folds: usize, seed: u64) -> Vec<Split> {
     let poses = distinct_poses(set);
     let mut rng = stream(seed, 0, Source::Folds);
     let observations = |part: &[usize]| {

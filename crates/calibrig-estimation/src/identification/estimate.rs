@@ -7,8 +7,8 @@ use thiserror::Error;
 
 use super::limits::shown;
 use super::{
-    CONTRADICTION_LEVEL, CalibratedRobot, Contradiction, DependentGroup, ParameterBound, Spectrum, Tolerance,
-    UNKNOWN_STIFFNESS,
+    CONTRADICTION_LEVEL, CalibratedRobot, Contradiction, DependentGroup, ParameterBound, Spectrum, Stated,
+    Tolerance, UNKNOWN_STIFFNESS,
 };
 use calibrig_model::{ParameterId, Unit};
 
@@ -300,8 +300,8 @@ pub enum Warning {
     /// Priors that do not fit the measurements, and nests that do not fit each other.
     #[error(
         "the measurements contradict what was stated of {}. Check these values and their standard deviations; where they are certain, the \
-         model lacks what would have to give way instead (tested at a level of {} % for all that was stated)",
-        in_words(.0), 1e2 * CONTRADICTION_LEVEL
+         model lacks what would have to give way instead (tested at a level of {} % for all that was stated){}",
+        in_words(.0), 1e2 * CONTRADICTION_LEVEL, softer(.0)
     )]
     Contradicted(Vec<Contradiction>),
     /// A station that the measurements of the robot put elsewhere than its nests.
@@ -350,6 +350,29 @@ pub enum Warning {
 
 fn in_words(contradictions: &[Contradiction]) -> String {
     contradictions.iter().map(ToString::to_string).collect::<Vec<_>>().join(", and of ")
+}
+
+/// What to do where it is the stiffness of drives that is off by far.
+fn softer(contradictions: &[Contradiction]) -> String {
+    let softer = |contradiction: &Contradiction| match contradiction.stated {
+        Stated::Parameter { id: id @ ParameterId::Compliance(_), found, prior_sigma, .. } if found > 0.0 => {
+            let allowed = 1.0 + prior_sigma;
+            Some(format!(
+                "{id} {:.1} times the stated one, where the prior allows {allowed:.1} times",
+                1.0 + found
+            ))
+        }
+        _ => None,
+    };
+    let softer: Vec<_> = contradictions.iter().filter_map(softer).collect();
+    if softer.is_empty() {
+        return String::new();
+    }
+    format!(
+        ". The data ask for far softer drives than the prior allows: {}. If the stiffness is not known, say so: compliance_percent = \
+         \"unknown\" in the robot's file, or --compliance-percent unknown",
+        softer.join("; ")
+    )
 }
 
 fn and_more(count: usize) -> String {

@@ -28,6 +28,7 @@ pub use estimate::{
     Assumption, Estimate, IterationRecord, LeftOut, LeftOutReason, NoiseScale, Outlier, ParameterEstimate,
     TerminationReason, Warning,
 };
+pub(crate) use factor::triangular_factor_of_all;
 pub use identifiability::{
     DependentGroup, Explanation, Finding, IdentifiabilityReport, RANK_TOLERANCE, Remedy, Spectrum,
     WEAK_TOLERANCE, WeakDirection, complete_set, explain, identifiability, neighbour_axis_rules, spectrum,

@@ -37,7 +37,7 @@ pub(super) fn summarise(
     let bounded: Vec<usize> = solution.at_bound.iter().map(|at| at.parameter).collect();
     let (covariance, factor) = covariance(factors.all, &spectrum, &bounded).unzip();
     let checks =
-        covariance.as_ref().map(|c| Checks::new(&problem, set, &solution, c, &bounded, options.frame));
+        covariance.as_ref().map(|c| Checks::new(&problem, set, &solution, c, &bounded, options.frame, noise));
     let (contradicted, doubts) = doubts(&solution, noise, degrees_of_freedom, checks.as_ref());
     problem.set(&solution.x);
     let mut warnings = Vec::new();
