@@ -479,3 +479,6 @@ fn prior(what: &str, column: usize, covariance: DMatrix<f64>) -> Result<Prior, I
         .ok_or_else(|| IdentifyError::Covariance { what: what.to_owned() })?;
     Ok(Prior { column, whitening })
 }
+
+#[cfg(test)]
+mod tests;

@@ -356,11 +356,9 @@ fn in_words(contradictions: &[Contradiction]) -> String {
 fn softer(contradictions: &[Contradiction]) -> String {
     let softer = |contradiction: &Contradiction| match contradiction.stated {
         Stated::Parameter { id: id @ ParameterId::Compliance(_), found, prior_sigma, .. } if found > 0.0 => {
-            let allowed = 1.0 + prior_sigma;
-            Some(format!(
-                "{id} {:.1} times the stated one, where the prior allows {allowed:.1} times",
-                1.0 + found
-            ))
+            let about = |ratio: f64| format!("{ratio:.1e}").parse().unwrap_or(ratio);
+            let (asked, allowed) = (about(1.0 + found), about(1.0 + prior_sigma));
+            Some(format!("{id} about {asked} times the stated one, where the prior allows {allowed} times"))
         }
         _ => None,
     };
