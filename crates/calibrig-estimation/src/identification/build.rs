@@ -137,7 +137,7 @@ pub(super) fn reconsider(
     whole.rows.clone_from(&built.problem.rows);
     let value = |id: &ParameterId| fitted.iter().position(|own| own == id).map_or(0.0, |at| solution.x[at]);
     let x: Vec<f64> = whole.parameters.iter().map(value).collect();
-    let (residuals, jacobian) = if whole.parameters == *fitted {
+    let (residuals, jacobian) = if whole.parameters == *fitted && solution.weights.is_empty() {
         (solution.residuals.clone(), solution.jacobian.clone())
     } else {
         evaluated(&mut whole, &x, &solution.weights)

@@ -29,6 +29,10 @@ pub const CONTRADICTION_LEVEL: f64 = 1e-3;
 /// A direction of a prior of which the rest tells less than this share cannot be contradicted by it.
 const CHECKED: f64 = 1e-3;
 
+/// The same of a prior on one parameter, which is as easily told by what it would have to be without it: a stiffness can be stated a thousand
+/// times too high.
+const CHECKED_ALONE: f64 = 1e-6;
+
 /// Two priors that share more than this of what speaks against them cannot be told apart.
 const SHARED: f64 = 0.9;
 
@@ -144,11 +148,13 @@ fn rounded(value: f64) -> f64 {
 }
 
 /// Rows that belong together, with what they are.
+#[derive(Clone)]
 struct Group {
     rows: Range<usize>,
     kind: Kind,
 }
 
+#[derive(Clone)]
 enum Kind {
     /// Index in the problem's priors.
     Block(usize),
@@ -204,7 +210,7 @@ impl Block {
         }
         let eigen = SymmetricEigen::new(own);
         for (value, vector) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
-            if *value > CHECKED {
+            if *value > if n == 1 { CHECKED_ALONE } else { CHECKED } {
                 block.inverse += vector * vector.transpose() / *value;
                 block.freedom += 1;
             }
@@ -369,6 +375,12 @@ impl<'a> Checks<'a> {
     /// The priors where the measurements have `variance` times the noise that they were weighted with, and what was stated has the noise that
     /// was stated: the minimum moves. To first order; `None` where that has no full rank.
     fn with_noise(&self, variance: f64) -> Option<Family> {
+        if !self.solution.weights.is_empty() {
+            // A loss has no minimum of squares to move: all that was weighed has that noise.
+            let Family { residuals, covariance, groups } = &self.priors;
+            let (residuals, groups) = (residuals / variance.sqrt(), groups.clone());
+            return Some(Family { residuals, covariance: covariance.clone(), groups });
+        }
         let data = 3 * self.problem.rows.len();
         let (mut residuals, mut jacobian) = (self.solution.residuals.clone(), self.solution.jacobian.clone());
         residuals.rows_mut(0, data).scale_mut(1.0 / variance.sqrt());
@@ -496,6 +508,9 @@ const LOOSE: f64 = 1e-3;
 /// The variance that the residuals have where the priors of compliances do not hold them, relative to the one that they were weighted with:
 /// a prior that keeps a drive from yielding as it does leaves its sag in the residuals. `None` where that is not significant (F test).
 fn noise_without_priors(problem: &CalibrationProblem, solution: &Solution, bounded: &[usize]) -> Option<f64> {
+    if !solution.weights.is_empty() {
+        return None;
+    }
     let first = problem.measured_rows();
     let of_compliances: Vec<usize> = (first..)
         .zip(&problem.own_priors)
