@@ -127,23 +127,11 @@ fn counted(n: usize, noun: &str) -> String {
 /// What was left out of a fit, reason by reason. What cannot be told from others is a warning of its own.
 fn left_out_words(estimate: &Estimate) -> Vec<String> {
     let mut reasons: Vec<(&str, Vec<String>)> = Vec::new();
-    for left in &estimate.left_out {
-        let (reason, name) = match left.reason {
-            LeftOutReason::Redundant => continue,
-            LeftOutReason::Unloaded { effect } => (
-                "gravity hardly loads it in these poses, or loads it always alike (in brackets: by how much of their noise what its prior leaves open \
-                  moves all measurements together)",
-                format!("{} ({effect:.2})", left.id),
-            ),
-            LeftOutReason::NoBasis => (
-                "nothing that was measured has what it acts on, such as an approach, a time or a motion of its joint",
-                left.id.to_string(),
-            ),
-            _ => ("another reason", left.id.to_string()),
-        };
-        match reasons.iter_mut().find(|(known, _)| *known == reason) {
+    for left in estimate.left_out.iter().filter(|left| left.reason != LeftOutReason::Redundant) {
+        let (name, words) = (left.id.to_string(), left.reason.words());
+        match reasons.iter_mut().find(|(known, _)| *known == words) {
             Some((_, names)) => names.push(name),
-            None => reasons.push((reason, vec![name])),
+            None => reasons.push((words, vec![name])),
         }
     }
     reasons.into_iter().map(|(reason, names)| format!("{}: {reason}", names.join(", "))).collect()

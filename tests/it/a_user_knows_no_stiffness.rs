@@ -114,7 +114,7 @@ fn drives_far_from_what_the_file_states_are_found_and_what_is_left_out_is_listed
         );
         assert_eq!(left.as_array().map(Vec::len), Some(1));
         let text = identify(&sandbox, &flags).stdout;
-        assert!(text.contains("left out: compliance_drive1 (0.00): gravity hardly loads it"), "{text}");
+        assert!(text.contains("left out: compliance_drive1: gravity hardly loads it"), "{text}");
         assert!(!text.contains("hardly loads compliance"), "{text}");
     }
     write_robot(&sandbox, 100.0 * STIFFNESS, "compliance_percent = 100");

@@ -206,24 +206,31 @@ impl LeftOutReason {
             Self::Redundant => "redundant",
         }
     }
+
+    /// In words, without figures.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Unloaded { .. } => "gravity hardly loads it in these poses, or loads it always alike",
+            Self::NoBasis => {
+                "nothing that was measured has what it acts on, such as an approach, a time or a motion of its joint"
+            }
+            Self::Redundant => "the measurements cannot tell it from others",
+        }
+    }
 }
 
 /// Without the name of the parameter.
 impl fmt::Display for LeftOutReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.words())?;
         match self {
-            Self::Unloaded { effect } if *effect < 1e-6 => {
-                f.write_str("gravity does not load it in these poses, or loads it always alike")
+            Self::Unloaded { effect } => {
+                write!(
+                    f,
+                    ": what its prior leaves open moves all measurements together by {effect:.2} of their noise"
+                )
             }
-            Self::Unloaded { effect } => write!(
-                f,
-                "gravity hardly loads it in these poses: what its prior leaves open moves all measurements together by {effect:.2} of their \
-                 noise"
-            ),
-            Self::NoBasis => {
-                f.write_str("nothing that was measured has what it acts on, such as an approach, a time or a motion of its joint")
-            }
-            Self::Redundant => f.write_str("the measurements cannot tell it from others"),
+            Self::NoBasis | Self::Redundant => Ok(()),
         }
     }
 }
