@@ -1,5 +1,7 @@
 //! Does gravity, the linkage, hysteresis pay? Nested models, each fitted to all poses and to all but a held-out part.
 
+use std::collections::BTreeSet;
+
 use super::PipelineError;
 use calibrig_estimation::evaluation::{
     Fit, NoiseLevel, Split, Variant, VariantRow, compare_variants, k_fold,
@@ -230,7 +232,7 @@ pub(super) fn pose_folds(set: &MeasurementSet, folds: usize, seed: u64) -> Vec<S
     let poses = distinct_poses(set);
     let mut rng = stream(seed, 0, Source::Folds);
     let observations = |part: &[usize]| {
-        let chosen: Vec<_> = part.iter().map(|place| poses[*place]).collect();
+        let chosen: BTreeSet<_> = part.iter().map(|place| poses[*place]).collect();
         let all = set.observations.iter().enumerate();
         all.filter(|(_, o)| chosen.contains(&o.pose)).map(|(i, _)| i).collect()
     };
@@ -242,11 +244,6 @@ pub(super) fn pose_folds(set: &MeasurementSet, folds: usize, seed: u64) -> Vec<S
 
 /// Numbers of the poses, in the order in which they were taken.
 fn distinct_poses(set: &MeasurementSet) -> Vec<u32> {
-    let mut poses: Vec<u32> = Vec::new();
-    for observation in &set.observations {
-        if poses.last() != Some(&observation.pose) && !poses.contains(&observation.pose) {
-            poses.push(observation.pose);
-        }
-    }
-    poses
+    let mut seen = BTreeSet::new();
+    set.observations.iter().map(|observation| observation.pose).filter(|pose| seen.insert(*pose)).collect()
 }
