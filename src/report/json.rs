@@ -302,7 +302,7 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
                 let judgement = outcome.judgements.iter().find(|judgement| judgement.mode == *mode);
                 let worse = judgement.iter().flat_map(|judgement| &judgement.worse).map(json_worse).collect();
                 let judgement = judgement.map(|judgement| json_judgement(outcome, judgement));
-                (mode.key().to_owned(), JsonEstimate { judgement, worse, ..json_estimate(estimate) })
+                (mode.key().to_owned(), JsonEstimate { worse, judgement, ..json_estimate(estimate) })
             })
             .collect(),
         parameters: fitted

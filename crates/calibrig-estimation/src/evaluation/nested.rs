@@ -201,7 +201,7 @@ mod tests {
             + basis.column(5) * 0.4;
         let (system, values) = fitted(&basis, &y, 1, 0.5);
         let splits = k_fold(OBSERVATIONS, 10, &mut rng);
-        let poses: Vec<u32> = (0..OBSERVATIONS as u32).collect();
+        let poses: Vec<u32> = (0..).take(OBSERVATIONS).collect();
         let nested = NestedFits::new(&system, &values, &[], &[], &poses, &splits).expect("a system");
         for (group, columns) in [(vec![], 6), (vec![5], 5)] {
             let found = nested.held_out(&group).expect("errors");
@@ -233,7 +233,7 @@ mod tests {
             + basis.column(3) * 2.0;
         let (system, values) = fitted(&basis, &y, 40, 100.0);
         let splits = k_fold(OBSERVATIONS, 10, &mut rng);
-        let poses: Vec<u32> = (0..OBSERVATIONS as u32).collect();
+        let poses: Vec<u32> = (0..).take(OBSERVATIONS).collect();
         let nested = NestedFits::new(&system, &values, &[], &[], &poses, &splits).expect("a system");
         assert!(nested.gain(&[3], 0.95).expect("an interval").low > 0.0);
         let useless: Vec<usize> = (4..44).collect();
