@@ -10,17 +10,19 @@ mod planned;
 mod simulate;
 mod splits;
 mod truth;
+mod worth;
 
 pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
 pub(crate) use bounds::information_at_truth;
 pub use bounds::{TruthBounds, bounds_at_truth};
 pub use choice::{ChosenRow, FailedVariant, ModelChoice, choose};
-pub use defaults::{default_modes, default_options, is_default};
+pub use defaults::{default_modes, default_options, is_default, with_stated_of};
 pub use judgement::{Confidence, FALSE_ALARM, Judgement, PredictedPosition, judge};
 pub use planned::{planned, planned_at};
 pub use simulate::{measure_session, simulate};
 pub use splits::{SplitMode, SplitPlan, SplitStudy, pose_count, repeat_splits};
 pub use truth::KnownTruth;
+pub use worth::Worse;
 
 use std::fmt::Write;
 

@@ -125,8 +125,12 @@ fn write_text(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
             ComplianceChoice::All => "all that gravity loads".to_owned(),
             ComplianceChoice::Listed(list) => format!("{} listed", list.len()),
         };
-        let percent = 100.0 * options.compliance_sigma;
-        writeln!(text, "  compliances  {compliances}, prior 0 +- {percent} %")?;
+        let prior = if options.stiffness_unknown {
+            "unknown".to_owned()
+        } else {
+            format!("prior 0 +- {} %", 100.0 * options.compliance_sigma)
+        };
+        writeln!(text, "  compliances  {compliances}, {prior}")?;
     }
     if scenario.modes.contains(&Mode::Extended) {
         let terms =

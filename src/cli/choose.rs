@@ -8,9 +8,9 @@ use serde_json::{Value, json};
 
 use super::identify::{Loaded, failed, load};
 use super::{CliError, Verdict, not_identified, print, read_scenario, say};
-use crate::pipeline::{self, ChosenRow, ModelChoice, PlantKind, SetKind, choose, simulate};
+use crate::pipeline::{self, ChosenRow, ModelChoice, PlantKind, SetKind, choose, default_options, simulate};
 use calibrig_estimation::evaluation::{Criteria, Verdict as Worth};
-use calibrig_estimation::identification::{IdentificationOptions, LINKAGE, Tolerance};
+use calibrig_estimation::identification::LINKAGE;
 use calibrig_model::FAMILIES;
 
 /// Compare models on poses that they were not fitted to: does gravity, the linkage, hysteresis pay?
@@ -24,7 +24,8 @@ use calibrig_model::FAMILIES;
   calibrig choose --model models/ur5/robot.toml --measurements grid.csv
 
 A model pays where the 95 % interval of its gain on held-out poses excludes zero. AICc and BIC take the noise as known up to a common
-scale. From files, what is known of tracker and target and the priors are those that `calibrig identify` has by default.
+scale. From files, what is known of tracker and target and the priors are those that `calibrig identify` has by default, with what the
+robot's file states of its stiffnesses, masses and centres (compliance_percent, mass_percent, centre_mm).
 Exit code 3 if a fit did not converge or a model could not be fitted.")]
 pub(super) struct Args {
     /// The scenario file, whose identification poses are simulated
@@ -89,8 +90,7 @@ fn of_files(args: &Args, model: &Path, measurements: &Path) -> Result<(String, M
     let loaded = load(model, args.columns.as_deref(), args.session.as_deref(), &files)?;
     loaded.check_session()?;
     let Loaded { robot, sources, sets, statements, .. } = loaded;
-    let tolerance = Some(Tolerance { length: 10e-3, angle: 20e-3 });
-    let options = IdentificationOptions { tolerance, ..IdentificationOptions::default() };
+    let options = default_options(&robot);
     let seed = args.seed.unwrap_or(1);
     let choice = compare(|progress| {
         choose(&robot.model, &sets[0].measurements, &options, args.folds as usize, seed, progress)

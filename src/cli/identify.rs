@@ -11,17 +11,18 @@ use super::output::{self, Destination, Files};
 use super::{Cli, CliError, Verdict, not_identified, say};
 use crate::pipeline::{
     InputSummary, Outcome, PipelineError, SetKind, SetOutcome, SplitPlan, SplitStudy, calibrate,
-    hash_sources, is_default, judge, pose_count, repeat_splits,
+    default_options, hash_sources, is_default, judge, pose_count, repeat_splits,
 };
 use calibrig_estimation::identification::{
-    ComplianceChoice, DEFAULT_TOLERANCE, IdentificationOptions, LINKAGE, Loss, MachineNoiseChoice, Mode,
-    ParameterBound, ParameterChoice, RefusedBound, SolverOptions, Tolerance, check_bounds,
+    Assumption, ComplianceChoice, DEFAULT_TOLERANCE, IdentificationOptions, LINKAGE, Loss,
+    MachineNoiseChoice, Mode, ParameterBound, ParameterChoice, RefusedBound, SolverOptions, Tolerance,
+    UNKNOWN_STIFFNESS, check_bounds,
 };
 use calibrig_files::{ColumnMap, load_column_map, parse_column_map, parse_measurements};
 use calibrig_files::{MeasuredFile, SessionFile, Source, Statements, load_session, state};
 use calibrig_files::{Robot, load_robot};
 use calibrig_model::measurement::MeasurementSet;
-use calibrig_model::{CalibrationModel, FAMILIES, JointKind, ParameterId, Unit};
+use calibrig_model::{BodyUncertainty, CalibrationModel, FAMILIES, JointKind, ParameterId, Unit};
 
 /// Calibrate a robot from measured positions in a file, and verify on another file
 ///
@@ -75,10 +76,18 @@ pub(super) struct Args {
     /// What a measurement far off the others costs: its square, or less
     #[arg(long, value_enum, default_value_t = LossArg::Squared)]
     loss: LossArg,
-    /// How well the compliances are known beforehand: standard deviation of a prior, per cent of the predicted value [default: as the
-    /// robot's file says, else 10]
-    #[arg(long, value_name = "PERCENT", value_parser = percent)]
-    compliance_percent: Option<f64>,
+    /// How well the compliances are known beforehand: standard deviation of a prior, per cent of the predicted value; "unknown" for a prior on
+    /// their logarithms, a factor of 100 wide [default: as the robot's file says, else 10]
+    #[arg(long, value_name = "PERCENT", value_parser = compliance_percent)]
+    compliance_percent: Option<CompliancePercent>,
+    /// How well the masses of the links are known beforehand: standard deviation of a prior, per cent of each; 0 for exactly [default: as the
+    /// robot's file says, else exactly]
+    #[arg(long, value_name = "PERCENT", value_parser = not_negative)]
+    mass_percent: Option<f64>,
+    /// How well their centres of mass are known beforehand: standard deviation of a prior along each axis, mm; 0 for exactly [default: as the
+    /// robot's file says, else exactly]
+    #[arg(long, value_name = "MM", value_parser = not_negative)]
+    centre_mm: Option<f64>,
     /// How well the links' lengths are known beforehand: standard deviation of a prior, mm; 0 in both for none
     #[arg(long, value_name = "MM", default_value_t = 1e3 * DEFAULT_TOLERANCE.length, allow_negative_numbers = true, value_parser = tolerance_value)]
     tolerance_mm: f64,
@@ -235,10 +244,19 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         ));
     }
     if outcome.modes.iter().any(|mode| mode.mode.is_coupled()) {
-        say(&format!(
-            "prior on the compliances: predicted value +- {} % (--compliance-percent)",
-            1e2 * options.compliance_sigma
-        ));
+        let prior = if options.stiffness_unknown {
+            format!("unknown, within a factor of {:.0} of the predicted value", UNKNOWN_STIFFNESS.exp())
+        } else {
+            format!("predicted value +- {} %", 1e2 * options.compliance_sigma)
+        };
+        say(&format!("prior on the compliances: {prior} (--compliance-percent)"));
+        let assumptions =
+            outcome.modes.iter().filter_map(|mode| mode.estimate.as_ref()).flat_map(|e| &e.assumptions);
+        let is_of_bodies =
+            |made: &&Assumption| matches!(made, Assumption::BodiesExact | Assumption::BodiesStated);
+        if let Some(made) = assumptions.clone().find(is_of_bodies) {
+            say(&made.to_string());
+        }
     }
     Ok(output::verdict(&outcome))
 }
@@ -340,11 +358,39 @@ pub(super) fn family(text: &str) -> Result<String, String> {
     Err(format!("expected some of: {}", known.join(", ")))
 }
 
-fn percent(text: &str) -> Result<f64, String> {
+/// How well stiffnesses are known.
+#[derive(Debug, Clone, Copy)]
+enum CompliancePercent {
+    Within(f64),
+    Unknown,
+}
+
+fn compliance_percent(text: &str) -> Result<CompliancePercent, String> {
     match text.parse::<f64>() {
-        Ok(number) if (1e-6..=1e6).contains(&number) => Ok(number),
-        _ => Err("expected a number from 0.000001 to 1000000".to_owned()),
+        _ if text == "unknown" => Ok(CompliancePercent::Unknown),
+        Ok(number) if (1e-6..=1e6).contains(&number) => Ok(CompliancePercent::Within(number)),
+        _ => Err("expected a number from 0.000001 to 1000000, or \"unknown\"".to_owned()),
     }
+}
+
+fn not_negative(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(number) if (0.0..=1e6).contains(&number) => Ok(number),
+        _ => Err("expected a number from 0 to 1000000".to_owned()),
+    }
+}
+
+/// The bodies' uncertainties with those that the flags state of all of them.
+fn bodies(args: &Args, robot: &Robot) -> Vec<BodyUncertainty> {
+    let mut bodies = robot.bodies.clone();
+    if args.mass_percent.is_some() || args.centre_mm.is_some() {
+        bodies.resize(robot.model.statics.as_ref().map_or(0, |s| s.bodies.len()), BodyUncertainty::default());
+    }
+    for body in &mut bodies {
+        body.mass = args.mass_percent.map_or(body.mass, |percent| 1e-2 * percent);
+        body.centre = args.centre_mm.map_or(body.centre, |mm| 1e-3 * mm);
+    }
+    bodies
 }
 
 /// What `--compliances` asks for. A wrong name is a wrong use of the command line.
@@ -384,11 +430,11 @@ fn tolerance(args: &Args) -> Option<Tolerance> {
         .then_some(Tolerance { length: 1e-3 * args.tolerance_mm, angle: 1e-3 * args.tolerance_mrad })
 }
 
-fn modes(args: &Args, robot: &Robot, compliance_sigma: f64) -> Vec<Mode> {
+fn modes(args: &Args, robot: &Robot, options: &IdentificationOptions) -> Vec<Mode> {
     let wanted = |mode: &Mode| match mode {
         Mode::WithoutCalibration => true,
         _ if !args.mode.is_empty() => args.mode.contains(mode),
-        _ => is_default(*mode, robot, compliance_sigma),
+        _ => is_default(*mode, robot, options),
     };
     Mode::ALL.into_iter().filter(wanted).collect()
 }
@@ -475,16 +521,13 @@ fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions, Statements), 
     loaded.check_session()?;
     let Loaded { robot, sources, sets, statements, .. } = loaded;
     let measurements = &args.files.measurements;
-    let stated = args.compliance_percent.map(|percent| 1e-2 * percent).or(robot.compliance_sigma);
-    let compliance_sigma = stated.unwrap_or(IdentificationOptions::default().compliance_sigma);
-    let modes = modes(args, &robot, compliance_sigma);
     let parameters = match args.parameters {
         Parameters::Complete => ParameterChoice::Complete,
         Parameters::Rules => ParameterChoice::NeighbourAxisRules,
     };
-    let options = IdentificationOptions {
+    let mut options = IdentificationOptions {
         compliances: compliances(&args.compliances, &robot.model),
-        compliance_sigma,
+        bodies: bodies(args, &robot),
         solver: SolverOptions {
             loss: args.loss.into(),
             max_iterations: args.max_iterations as usize,
@@ -495,8 +538,16 @@ fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions, Statements), 
         parameters,
         tolerance: tolerance(args),
         machine_noise: machine_noise(args, &robot.model),
-        ..IdentificationOptions::default()
+        ..default_options(&robot)
     };
+    match args.compliance_percent {
+        Some(CompliancePercent::Within(percent)) => {
+            (options.compliance_sigma, options.stiffness_unknown) = (1e-2 * percent, false);
+        }
+        Some(CompliancePercent::Unknown) => options.stiffness_unknown = true,
+        None => {}
+    }
+    let modes = modes(args, &robot, &options);
     check_flags(&robot.model, &modes, &options, &sets[0].measurements);
     let (registration, modes) = calibrate(&robot.model, &sets, &modes, &options)
         .map_err(|error| failed(error, measurements, &sources))?;

@@ -237,6 +237,12 @@ pub(super) fn verdict(outcome: &Outcome) -> Verdict {
         verdict = Verdict::Doubtful;
         say(&format!("doubtful: {}: {} of {} splits", mode.mode.title(), mode.doubtful, mode.rms.len()));
     }
+    for judgement in &outcome.judgements {
+        for worse in &judgement.worse {
+            verdict = Verdict::Doubtful;
+            say(&format!("doubtful: {}: {worse}", judgement.mode.title()));
+        }
+    }
     for mode in &outcome.modes {
         let Some(estimate) = mode.estimate.as_ref().filter(|estimate| !estimate.is_sound()) else { continue };
         verdict = Verdict::Doubtful;

@@ -1,5 +1,7 @@
 //! Does gravity, the linkage, hysteresis pay? Nested models, each fitted to all poses and to all but a held-out part.
 
+use std::collections::BTreeSet;
+
 use super::PipelineError;
 use calibrig_estimation::evaluation::{
     Fit, NoiseLevel, Split, Variant, VariantRow, compare_variants, k_fold,
@@ -216,18 +218,21 @@ fn fit(
     Ok(Fitted { variant, sigma, not_converged })
 }
 
-fn errors(estimate: &Estimate, set: &MeasurementSet) -> Result<Vec<nalgebra::Vector3<f64>>, PipelineError> {
+pub(super) fn errors(
+    estimate: &Estimate,
+    set: &MeasurementSet,
+) -> Result<Vec<nalgebra::Vector3<f64>>, PipelineError> {
     Predictor::new(&estimate.robot)
         .and_then(|mut predictor| predictor.errors(set))
         .map_err(|source| PipelineError::Predict { mode: estimate.robot.mode, source })
 }
 
 /// Splits of the observations that keep those of one pose together: they share its errors.
-fn pose_folds(set: &MeasurementSet, folds: usize, seed: u64) -> Vec<Split> {
+pub(super) fn pose_folds(set: &MeasurementSet, folds: usize, seed: u64) -> Vec<Split> {
     let poses = distinct_poses(set);
     let mut rng = stream(seed, 0, Source::Folds);
     let observations = |part: &[usize]| {
-        let chosen: Vec<_> = part.iter().map(|place| poses[*place]).collect();
+        let chosen: BTreeSet<_> = part.iter().map(|place| poses[*place]).collect();
         let all = set.observations.iter().enumerate();
         all.filter(|(_, o)| chosen.contains(&o.pose)).map(|(i, _)| i).collect()
     };
@@ -239,11 +244,6 @@ fn pose_folds(set: &MeasurementSet, folds: usize, seed: u64) -> Vec<Split> {
 
 /// Numbers of the poses, in the order in which they were taken.
 fn distinct_poses(set: &MeasurementSet) -> Vec<u32> {
-    let mut poses: Vec<u32> = Vec::new();
-    for observation in &set.observations {
-        if poses.last() != Some(&observation.pose) && !poses.contains(&observation.pose) {
-            poses.push(observation.pose);
-        }
-    }
-    poses
+    let mut seen = BTreeSet::new();
+    set.observations.iter().map(|observation| observation.pose).filter(|pose| seen.insert(*pose)).collect()
 }

@@ -8,26 +8,33 @@ const GUESS: f64 = 1.0;
 
 /// The options that hold for any robot, with what its files say of its compliances.
 pub fn default_options(robot: &Robot) -> IdentificationOptions {
-    let defaults = IdentificationOptions::default();
+    with_stated_of(robot, IdentificationOptions::default())
+}
+
+/// `options` with what the robot's files say of its compliances, masses and centres.
+pub fn with_stated_of(robot: &Robot, options: IdentificationOptions) -> IdentificationOptions {
     IdentificationOptions {
-        compliance_sigma: robot.compliance_sigma.unwrap_or(defaults.compliance_sigma),
-        ..defaults
+        compliance_sigma: robot.compliance_sigma.unwrap_or(options.compliance_sigma),
+        stiffness_unknown: robot.stiffness_unknown,
+        bodies: robot.bodies.clone(),
+        ..options
     }
 }
 
 /// Geometry alone; and where the robot's files give masses and stiffnesses, gravity, or the stiffnesses where they are a guess.
 pub fn default_modes(robot: &Robot) -> Vec<Mode> {
-    let sigma = robot.compliance_sigma.unwrap_or(IdentificationOptions::default().compliance_sigma);
-    Mode::ALL.into_iter().filter(|mode| is_default(*mode, robot, sigma)).collect()
+    let options = default_options(robot);
+    Mode::ALL.into_iter().filter(|mode| is_default(*mode, robot, &options)).collect()
 }
 
-/// Whether a mode is among the [`default_modes`] where compliances are known to `compliance_sigma`.
-pub fn is_default(mode: Mode, robot: &Robot, compliance_sigma: f64) -> bool {
+/// Whether a mode is among the [`default_modes`] where compliances are known as `options` say.
+pub fn is_default(mode: Mode, robot: &Robot, options: &IdentificationOptions) -> bool {
+    let is_guess = options.stiffness_unknown || options.compliance_sigma >= GUESS;
     let bends = robot.model.statics.is_some();
     match mode {
         Mode::WithoutCalibration | Mode::OnlyCalibration => true,
-        Mode::WithGravity => bends && compliance_sigma < GUESS,
-        Mode::ElastoGeometric => bends && compliance_sigma >= GUESS,
+        Mode::WithGravity => bends && !is_guess,
+        Mode::ElastoGeometric => bends && is_guess,
         Mode::Extended => false,
     }
 }

@@ -2,6 +2,7 @@
 
 use nalgebra::{DVector, Vector3};
 
+use super::worth::{Worse, worse};
 use super::{ModeOutcome, PipelineError, SetOutcome};
 use calibrig_estimation::evaluation::{
     ChiSquareTest, ConsistencyReport, PoseConditions, ResidualSet, check_consistency,
@@ -32,6 +33,8 @@ pub struct Judgement {
     /// Change of the target's place in the base frame with every actuator, one vector an observation of the identification set, m/m or
     /// m/rad; empty where the robot cannot take the poses beside.
     pub sensitivity: Vec<Vec<Vector3<f64>>>,
+    /// Compliances and terms whose identification makes poses that were not fitted worse.
+    pub worse: Vec<Worse>,
     /// How sure; `None` from a singular system.
     pub confidence: Option<Confidence>,
 }
@@ -111,7 +114,8 @@ pub fn judge(
                 confidence(&system, &uncertainty, &at_poses, &map)
             });
             let consistency = consistency(model, fitted, estimate, &system, &sensitivity);
-            Ok(Judgement { mode, consistency, sensitivity, confidence })
+            let worse = worse(model, &sets[0], &options, estimate, &system);
+            Ok(Judgement { mode, consistency, sensitivity, worse, confidence })
         })
         .collect()
 }

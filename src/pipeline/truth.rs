@@ -50,6 +50,11 @@ impl KnownTruth<'_> {
                 let mass = |statics: &StaticProperties| Some(statics.bodies.get(link)?.mass);
                 Some(mass(&self.as_built.statics)? / mass(self.nominal.statics.as_ref()?)? - 1.0)
             }
+            ParameterId::Centre { link, axis } => {
+                let centre =
+                    |statics: &StaticProperties| statics.bodies.get(link)?.centre_of_mass.get(axis).copied();
+                Some(centre(&self.as_built.statics)? - centre(self.nominal.statics.as_ref()?)?)
+            }
             ParameterId::Linkage(length) => {
                 Some(self.as_built.actuators.length(length)? - self.nominal.actuators.length(length)?)
             }

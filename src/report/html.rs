@@ -11,8 +11,8 @@ use super::plots::{self, GRID, INK, LOOKS, Look, Marker, hex, look};
 use super::splits::split_section;
 use super::summary::{factor_words, judged_set, length_words, row, significant, summarise};
 use super::{
-    ReportError, condition_words, consistency_ratio, counted, forest, pose_words, published, region,
-    set_title,
+    ReportError, condition_words, consistency_ratio, counted, forest, left_out_words, pose_words, published,
+    region, set_title,
 };
 use crate::pipeline::{Outcome, PlantKind, SetKind};
 use calibrig_estimation::identification::{
@@ -491,6 +491,7 @@ fn mode_trust(mode: Mode, estimate: &Estimate) -> Markup {
         @if !warnings.is_empty() {
             ul.warnings { @for warning in &warnings { li { (warning) } } }
         }
+        @for words in left_out_words(estimate) { p { "Left out: " (words) "." } }
         @if !estimate.bounds.is_empty() {
             p { "Held within bounds: " (estimate.bounds.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")) "." }
         }

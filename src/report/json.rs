@@ -9,7 +9,7 @@ use super::judgement::{JsonJudgement, json_judgement};
 use super::parameters::{fitted, truth_of};
 use super::pose_count;
 use super::splits::{JsonSplits, json_splits};
-use crate::pipeline::{AblatedPart, Ablation, Outcome, SetOutcome};
+use crate::pipeline::{AblatedPart, Ablation, Outcome, SetOutcome, Worse};
 use calibrig_estimation::evaluation::AccuracyRow;
 use calibrig_estimation::identification::{Estimate, Mode, NoiseScale};
 
@@ -146,6 +146,28 @@ pub struct JsonRow {
     pub n: usize,
 }
 
+/// A parameter that was left out of a fit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonLeftOut {
+    /// Which.
+    pub name: String,
+    /// `unloaded`, `no_basis` or `redundant`.
+    pub reason: String,
+    /// The same in words.
+    pub words: String,
+}
+
+/// Parameters that are better left alone.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonWorse {
+    /// Which.
+    pub names: Vec<String>,
+    /// By how much the RMS of held-out poses is smaller with them identified, m: below zero.
+    pub gain_m: f64,
+    /// Its interval, m.
+    pub gain_interval_m: [f64; 2],
+}
+
 /// How an identification ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct JsonEstimate {
@@ -183,6 +205,12 @@ pub struct JsonEstimate {
     /// Parameters that were left out of the fit for the same reason, in words; absent where none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub fixed: Vec<String>,
+    /// All parameters that could have been fitted and were left out, with the reason; absent where none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub left_out: Vec<JsonLeftOut>,
+    /// Compliances and terms whose identification makes poses that were not fitted worse; absent where none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub worse: Vec<JsonWorse>,
     /// Stated bounds of its parameters; absent where none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub bounds: Vec<JsonBound>,
@@ -303,8 +331,9 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
             .iter()
             .map(|(mode, estimate)| {
                 let judgement = outcome.judgements.iter().find(|judgement| judgement.mode == *mode);
+                let worse = judgement.iter().flat_map(|judgement| &judgement.worse).map(json_worse).collect();
                 let judgement = judgement.map(|judgement| json_judgement(outcome, judgement));
-                (mode.key().to_owned(), JsonEstimate { judgement, ..json_estimate(estimate) })
+                (mode.key().to_owned(), JsonEstimate { worse, judgement, ..json_estimate(estimate) })
             })
             .collect(),
         parameters: fitted
@@ -327,6 +356,14 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
             .collect(),
         ablation: outcome.ablation.as_ref().map(json_ablation),
         splits: outcome.splits.as_ref().map(json_splits),
+    }
+}
+
+fn json_worse(worse: &Worse) -> JsonWorse {
+    JsonWorse {
+        names: worse.parameters.iter().map(ToString::to_string).collect(),
+        gain_m: worse.gain.value,
+        gain_interval_m: [worse.gain.low, worse.gain.high],
     }
 }
 
@@ -425,6 +462,16 @@ fn json_estimate(estimate: &Estimate) -> JsonEstimate {
         warnings: estimate.warnings.iter().map(ToString::to_string).collect(),
         held: estimate.held.iter().map(ToString::to_string).collect(),
         fixed: estimate.fixed.iter().map(ToString::to_string).collect(),
+        left_out: estimate
+            .left_out
+            .iter()
+            .map(|left| JsonLeftOut {
+                name: left.id.to_string(),
+                reason: left.reason.key().to_owned(),
+                words: left.reason.to_string(),
+            })
+            .collect(),
+        worse: Vec::new(),
         bounds: estimate
             .bounds
             .iter()

@@ -34,7 +34,7 @@ use tempfile::NamedTempFile;
 use thiserror::Error;
 
 use crate::pipeline::{Outcome, SetKind, SetOutcome};
-use calibrig_estimation::identification::{Estimate, Mode};
+use calibrig_estimation::identification::{Estimate, LeftOutReason, Mode};
 
 /// A report that could not be made or written.
 #[derive(Debug, Error)]
@@ -122,6 +122,19 @@ fn pose_words(set: &SetOutcome) -> String {
 /// "1 pose", "2 poses".
 fn counted(n: usize, noun: &str) -> String {
     if n == 1 { format!("1 {noun}") } else { format!("{n} {noun}s") }
+}
+
+/// What was left out of a fit, reason by reason. What cannot be told from others is a warning of its own.
+fn left_out_words(estimate: &Estimate) -> Vec<String> {
+    let mut reasons: Vec<(&str, Vec<String>)> = Vec::new();
+    for left in estimate.left_out.iter().filter(|left| left.reason != LeftOutReason::Redundant) {
+        let (name, words) = (left.id.to_string(), left.reason.words());
+        match reasons.iter_mut().find(|(known, _)| *known == words) {
+            Some((_, names)) => names.push(name),
+            None => reasons.push((words, vec![name])),
+        }
+    }
+    reasons.into_iter().map(|(reason, names)| format!("{}: {reason}", names.join(", "))).collect()
 }
 
 fn set_title(kind: SetKind) -> &'static str {

@@ -139,6 +139,9 @@ pub(super) fn parameter_words(id: ParameterId) -> String {
         ParameterId::Compliance(Compliance::Beam { link }) => format!("compliance of link {}", link + 1),
         ParameterId::Compliance(Compliance::Rod) => "compliance of the coupler rod".to_owned(),
         ParameterId::Mass { link } => format!("mass of link {}", link + 1),
+        ParameterId::Centre { link, axis } => {
+            format!("centre of mass of link {}, {}", link + 1, AXES[axis % 3])
+        }
         ParameterId::Linkage(LinkageLength::Crank) => "length of the crank".to_owned(),
         ParameterId::Linkage(LinkageLength::Lever) => "length of the lever".to_owned(),
         ParameterId::Linkage(LinkageLength::Rod) => "length of the coupler rod".to_owned(),

@@ -450,6 +450,7 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
             dependent: Vec::new(),
         },
         held: Vec::new(),
+        left_out: Vec::new(),
         fixed: Vec::new(),
         bounds: Vec::new(),
         at_bound: Vec::new(),

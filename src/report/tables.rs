@@ -5,7 +5,7 @@ use std::fmt::Write;
 use super::ablation::ablation_lines;
 use super::judgement::judgement_lines;
 use super::splits::split_lines;
-use super::{condition_words, consistency_ratio, counted, pose_words, published, set_title};
+use super::{condition_words, consistency_ratio, counted, left_out_words, pose_words, published, set_title};
 use crate::pipeline::{Outcome, SetOutcome};
 use calibrig_estimation::evaluation::AccuracyRow;
 use calibrig_estimation::identification::{Assumption, Estimate, NoiseScale, Warning};
@@ -197,6 +197,9 @@ fn state(estimate: &Estimate, style: Style) -> Vec<String> {
         let words =
             format!("  95 % intervals: +- {factor:.2} sigma ({freedom:.1} degrees of freedom of the noise)");
         say(Ink::Dim, &words, "    ");
+    }
+    for words in left_out_words(estimate) {
+        say(Ink::Good, &format!("  left out: {words}"), "           ");
     }
     for warning in estimate.warnings.iter().map(Warning::to_string) {
         say(Ink::Warning, &format!("  warning: {}", printable(&warning)), "           ");

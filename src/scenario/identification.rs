@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
+use crate::pipeline::with_stated_of;
 use calibrig_estimation::identification::{
     ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Loss, MachineNoiseChoice, Mode,
     ParameterBound, ParameterBoundError, ParameterChoice, Redundancy, RefusedBound, SolverOptions,
@@ -271,11 +272,7 @@ impl IdentificationFile {
         robot: &Robot,
     ) -> Result<IdentificationOptions, InputError> {
         let model = &robot.model;
-        let defaults = IdentificationOptions::published();
-        let mut options = IdentificationOptions {
-            compliance_sigma: robot.compliance_sigma.unwrap_or(defaults.compliance_sigma),
-            ..defaults
-        };
+        let mut options = with_stated_of(robot, IdentificationOptions::published());
         let links = model.kinematics.joint_count();
         if let Some(parameters) = &self.parameters {
             options.parameters = parameter_choice(source, "parameters", parameters, links)?;
@@ -289,6 +286,7 @@ impl IdentificationFile {
         }
         if let Some(sigma) = &self.compliance_sigma {
             options.compliance_sigma = source.positive("identification.compliance_sigma", sigma)?;
+            options.stiffness_unknown = false;
         }
         if let Some(masses) = &self.masses {
             options.masses = self::masses(source, masses, links)?;

@@ -3,12 +3,15 @@
 use std::f64::consts::PI;
 
 use calibrig::evaluation::{Cause, Verdict, leave_one_out};
-use calibrig::identification::{IdentificationOptions, Mode, Predictor, identify};
+use calibrig::identification::{
+    ComplianceChoice, IdentificationOptions, Mode, Predictor, TermPrior, identify,
+};
 use calibrig::pipeline::{self, Judgement, Outcome, PlantKind, calibrate, choose, judge, simulate};
 use calibrig::plant::effects::{Backlash, Effects, Harmonic, Harmonics};
 use calibrig::report::{Style, html_report, json_report, render_tables};
 use calibrig::scenario::Scenario;
 use calibrig::validation::held_out_errors;
+use calibrig_model::{FAMILIES, ParameterId};
 
 use crate::a_user_reproduces_the_paper::{paper, rigid_paper};
 
@@ -173,4 +176,31 @@ fn a_term_pays_where_the_machine_has_what_it_describes() {
     assert_eq!(verdict("gravity"), Verdict::Pays);
     assert_eq!(verdict("hysteresis"), Verdict::Pays);
     assert!(matches!(verdict("harmonic"), Verdict::DoesNotPay | Verdict::Hurts), "{:?}", verdict("harmonic"));
+}
+
+/// A machine without any of the effects that the extended model has terms for: with their own priors they do no harm; with priors that let
+/// them be anything they follow the noise, which poses that were not fitted show.
+#[test]
+fn terms_that_make_other_poses_worse_are_named() {
+    let mut scenario = rigid(Effects::default());
+    scenario.modes = vec![Mode::WithoutCalibration, Mode::Extended];
+    scenario.options.compliances = ComplianceChoice::Listed(Vec::new());
+    let sound = run(&scenario);
+    assert!(sound.judgements[0].worse.is_empty(), "{:?}", sound.judgements[0].worse);
+
+    let families = FAMILIES.iter().map(|family| family.key());
+    let loose = families.map(|key| TermPrior { family: key.to_owned(), length: Some(1.0), angle: Some(1.0) });
+    scenario.options.term_priors = loose.collect();
+    let outcome = run(&scenario);
+    let [judgement] = outcome.judgements.as_slice() else { panic!("one mode has an estimate") };
+    assert!(!judgement.worse.is_empty());
+    for worse in &judgement.worse {
+        assert!(worse.parameters.iter().all(|id| matches!(id, ParameterId::Term(_))), "{worse}");
+        assert!(worse.gain.low <= worse.gain.value && worse.gain.high < 0.0, "{worse}");
+    }
+    let text = render_tables(&outcome, Style::Plain);
+    assert!(text.contains("makes poses that were not fitted worse"), "{text}");
+    let json = serde_json::to_value(json_report(&outcome)).expect("a document");
+    let named = &json["estimates"]["extended"]["worse"][0];
+    assert!(named["names"].is_array() && named["gain_m"].as_f64() < Some(0.0), "{json:#}");
 }

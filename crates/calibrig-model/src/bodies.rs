@@ -16,6 +16,15 @@ pub struct Body {
     pub inertia: Matrix3<f64>,
 }
 
+/// How well the mass and the centre of a body are known: standard deviations about what is stated, zero where that is exact.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct BodyUncertainty {
+    /// Of the mass, relative to it.
+    pub mass: f64,
+    /// Of the centre of mass along each axis of the link's frame, m.
+    pub centre: f64,
+}
+
 /// Six stiffnesses along and about the axes of a frame: N/m along x, y, z, then N m/rad about x, y, z. Infinite where rigid.
 pub type SixStiffness = [f64; 6];
 

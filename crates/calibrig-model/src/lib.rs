@@ -51,8 +51,8 @@ mod terms;
 pub use actuators::{ActuatorMap, FourBar, LinkageArm};
 pub use beam::BeamError;
 pub use bodies::{
-    Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, LinkageStatics, PointLoad, RIGID, Section,
-    SegmentLength, SixStiffness, StaticProperties, Visual, VisualShape,
+    Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, BodyUncertainty, LinkageStatics, PointLoad,
+    RIGID, Section, SegmentLength, SixStiffness, StaticProperties, Visual, VisualShape,
 };
 pub use check::ModelError;
 pub use closure::{LEAST_TRANSMISSION_ANGLE, LinkageFault, linkage_fault};

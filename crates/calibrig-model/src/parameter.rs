@@ -134,6 +134,13 @@ pub enum ParameterId {
         /// Index of the link.
         link: usize,
     },
+    /// Displacement of the centre of mass of a link's body from its stated place, along an axis of the link's frame.
+    Centre {
+        /// Index of the link.
+        link: usize,
+        /// 0..3 for x, y, z
+        axis: usize,
+    },
     /// Deviation of a length of the four-bar.
     Linkage(LinkageLength),
     /// Amplitude of a correction that depends on the pose, its approach or its time.
@@ -155,7 +162,7 @@ impl ParameterId {
         match self {
             Self::Link { term, .. } => term.unit(),
             Self::Frame { component, .. } if component >= 3 => Unit::Radian,
-            Self::Frame { .. } | Self::Target { .. } | Self::Linkage(_) => Unit::Metre,
+            Self::Frame { .. } | Self::Target { .. } | Self::Centre { .. } | Self::Linkage(_) => Unit::Metre,
             Self::Compliance(_) | Self::Mass { .. } => Unit::One,
             Self::Term(term) => term.unit(),
         }
@@ -211,9 +218,12 @@ impl ParameterId {
             let component = FRAME_NAMES.iter().position(|n| *n == component)?;
             return Some(Self::Frame { station, component });
         }
+        let axis = FRAME_NAMES[..3].iter().position(|n| *n == component)?;
+        if let Some(index) = group.strip_prefix("centre") {
+            return number(index).map(|link| Self::Centre { link, axis });
+        }
         let index = group.strip_prefix("target")?;
         let target = if index.is_empty() { 0 } else { number(index)? };
-        let axis = FRAME_NAMES[..3].iter().position(|n| *n == component)?;
         Some(Self::Target { target, axis })
     }
 }
@@ -288,6 +298,7 @@ impl fmt::Display for ParameterId {
             }
             Self::Compliance(Compliance::Rod) => "compliance_rod".to_owned(),
             Self::Mass { link } => format!("mass{}", link.saturating_add(1)),
+            Self::Centre { link, axis } => format!("centre{}_{}", link.saturating_add(1), frame_name(axis)),
             Self::Linkage(length) => format!("linkage_{}", length.name()),
             Self::Term(term) => term.to_string(),
         };
@@ -312,6 +323,8 @@ mod tests {
             ParameterId::Compliance(Compliance::Beam { link: 4 }),
             ParameterId::Compliance(Compliance::Rod),
             ParameterId::Mass { link: 6 },
+            ParameterId::Centre { link: 0, axis: 0 },
+            ParameterId::Centre { link: 11, axis: 2 },
         ]);
         all.extend(LinkageLength::ALL.map(ParameterId::Linkage));
         for id in all {
@@ -326,6 +339,8 @@ mod tests {
             "delta_",
             "beta4",
             "mass0",
+            "centre_x",
+            "centre2_rx",
             "linkage_x",
             "compliance_drive",
             "compliance_bearing2_q",

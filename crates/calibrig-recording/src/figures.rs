@@ -109,7 +109,7 @@ pub(super) fn group(id: ParameterId) -> String {
         ParameterId::Frame { station, .. } => format!("frame {}", station + 1),
         ParameterId::Target { target, .. } => format!("target {}", target + 1),
         ParameterId::Compliance(_) => "compliances".to_owned(),
-        ParameterId::Mass { .. } => "masses".to_owned(),
+        ParameterId::Mass { .. } | ParameterId::Centre { .. } => "masses".to_owned(),
         ParameterId::Linkage(_) => "linkage".to_owned(),
         ParameterId::Term(term) => term.family().key().to_owned(),
     }

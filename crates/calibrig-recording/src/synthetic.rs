@@ -358,6 +358,7 @@ fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
         iterations,
         spectrum: Spectrum { rank: n, condition: 41.5, ..Spectrum::default() },
         held: Vec::new(),
+        left_out: Vec::new(),
         fixed: Vec::new(),
         bounds: Vec::new(),
         at_bound: Vec::new(),

@@ -8,7 +8,7 @@ use serde_json::json;
 use super::super::identify::{compliances, terms};
 use super::{Args, CliError, MOUNTABLE_TARGET, SPREAD_POSES, Verdict, scenario_poses, spread_poses};
 use crate::cli::print;
-use crate::pipeline::{PipelineError, planned, planned_at};
+use crate::pipeline::{PipelineError, default_options, planned, planned_at};
 use crate::scenario::load_scenario;
 use calibrig_estimation::identification::{
     IdentificationOptions, Mode, Prospect, prospect, structural_poses,
@@ -68,10 +68,7 @@ fn of_robot(path: &Path) -> Result<Plan, CliError> {
     let poses = structural_poses(&robot.model.kinematics, SPREAD_POSES);
     let set = planned_at(&robot.model, &poses, robot.target().unwrap_or(MOUNTABLE_TARGET))
         .map_err(|error| failed(error, path.to_path_buf()))?;
-    let mut options = IdentificationOptions { tolerance: None, ..IdentificationOptions::default() };
-    if let Some(sigma) = robot.compliance_sigma {
-        options.compliance_sigma = sigma;
-    }
+    let options = IdentificationOptions { tolerance: None, ..default_options(&robot) };
     Ok(Plan { name: robot.name, poses_from: spread_poses(), model: robot.model, set, options })
 }
 
@@ -82,7 +79,7 @@ fn kinds(parameters: &[ParameterId]) -> Vec<(&'static str, Vec<String>)> {
         ParameterId::Frame { .. } => "frame",
         ParameterId::Target { .. } => "target",
         ParameterId::Compliance(_) => "compliances",
-        ParameterId::Mass { .. } => "masses",
+        ParameterId::Mass { .. } | ParameterId::Centre { .. } => "masses",
         ParameterId::Linkage(_) => "linkage",
         ParameterId::Term(_) => "terms",
     };

@@ -60,6 +60,9 @@ pub(super) fn judgement_lines(outcome: &Outcome, mode: Mode, style: Style) -> Ve
         }
         say(Ink::Dim, &words, "    ");
     }
+    for worse in &judgement.worse {
+        say(Ink::Warning, &format!("  warning: {worse}"), "           ");
+    }
     let found = patterns(judgement);
     for pattern in found.iter().take(NAMED) {
         say(Ink::Warning, &format!("  warning: {}", printable(&pattern.to_string())), "           ");

@@ -42,6 +42,11 @@ pub(crate) fn put(model: &mut CalibrationModel, reference: &CalibrationModel, id
         }
         ParameterId::Compliance(compliance) => apply_compliance(model, reference, compliance, 1.0 + value),
         ParameterId::Mass { link } => apply_mass(model, reference, link, 1.0 + value),
+        ParameterId::Centre { link, axis } => {
+            if let (Some(to), Some(from)) = (&mut model.statics, &reference.statics) {
+                to.bodies[link].centre_of_mass[axis] = from.bodies[link].centre_of_mass[axis] + value;
+            }
+        }
         ParameterId::Linkage(length) => apply_length(model, reference, length, value),
         ParameterId::Frame { .. } | ParameterId::Target { .. } | ParameterId::Term(_) => {}
     }

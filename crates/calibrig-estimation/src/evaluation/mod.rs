@@ -4,6 +4,7 @@ mod comparison;
 mod consistency;
 mod criteria;
 mod model_choice;
+mod nested;
 mod outcome;
 mod patterns;
 mod splits;
@@ -14,6 +15,7 @@ pub use consistency::{
 };
 pub use criteria::{Criteria, Fit, NoiseLevel};
 pub use model_choice::{Variant, VariantRow, Verdict, compare_variants};
+pub use nested::{NestedFits, paired_by_pose};
 pub use outcome::{ModeOutcome, RegistrationSummary};
 pub use patterns::{Cause, PatternReport, PoseConditions, ResidualPattern, ResidualSet, find_patterns};
 use serde::{Deserialize, Serialize};

@@ -5,12 +5,12 @@ use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 use super::factor::triangular_factor;
 use super::machine::Machine;
 use super::noise::{MachineNoise, MachineNoiseChoice, Noise, poses};
-use super::parameters::{Column, Columns, columns};
+use super::parameters::{Column, Columns, PriorKind, columns};
 use super::place::{Ends, best_fit_station, starting_offsets};
 use super::problem::{CalibrationProblem, Current, Prior, Row};
 use super::{
-    DependentGroup, FrameChoice, IdentificationOptions, IdentifyError, LeastSquares, Redundancy,
-    TargetChoice, select_independent,
+    DependentGroup, FrameChoice, IdentificationOptions, IdentifyError, LeastSquares, LeftOut, LeftOutReason,
+    Redundancy, Solution, TargetChoice, select_independent,
 };
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{MeasurementSet, Observation, register};
@@ -20,18 +20,29 @@ use calibrig_model::{CalibrationModel, ParameterId};
 /// do as well, is not told by them: its own standard deviation stays above 0.89 of its prior's.
 const UNEXCITED: f64 = 0.5;
 
+/// The same of a term that no measurement moves, and of a mass or a centre that none feels.
+const NEGLIGIBLE: f64 = 1e-3;
+
+/// The least noise that measurements without a stated one can have, relative to [`UNSTATED_SIGMA`]: 1 um.
+const LEAST_NOISE: f64 = 1e-2;
+
+/// A compliance that its prior holds is fitted all the same where the residuals ask for it by more than this chi-square of one: 0.1 %.
+const ASKED: f64 = 10.83;
+
 /// A problem, and what was decided on the way to it.
 #[derive(Debug, Clone)]
 pub(super) struct Built {
     pub problem: CalibrationProblem,
     /// Standard deviation of every parameter's own prior.
     pub sigmas: Vec<Option<f64>>,
-    /// Compliances that the user named and gravity does not load.
+    /// Compliances that the user named.
+    pub named: Vec<ParameterId>,
+    /// Those of them that gravity does not load at the nominal robot.
     pub unexcited: Vec<ParameterId>,
     /// Parameters that were left out as redundant.
     pub fixed: Vec<DependentGroup>,
-    /// All parameters that were left out: those, and what gravity does not load.
-    pub left_out: Vec<ParameterId>,
+    /// All parameters that were left out: those, and what the measurements do not excite.
+    pub left_out: Vec<LeftOut>,
     /// Where the search starts: zero, but for targets whose nominal place tells nothing of the tracker's.
     pub x: Vec<f64>,
 }
@@ -50,27 +61,50 @@ pub(super) fn build(
         return Ok(built);
     }
     let (residuals, mut jacobian) = start(&mut built.problem, &built.x)?;
-    let measured = Measured::new(&built.problem, &jacobian);
+    let measured = Measured::new(&built.problem, &jacobian, &residuals);
     let effects = measured.effects_beyond_geometry();
-    let is_unexcited = |(column, effect): (&Column, &f64)| {
-        matches!(column.id, ParameterId::Compliance(_)) && effect * column.sigma.unwrap_or(1.0) < UNEXCITED
+    // What noise is unknown is looked at again when the residuals tell it.
+    let noise = if has_stated_noise(set) { 1.0 } else { LEAST_NOISE };
+    let rows = 3 * built.problem.rows.len();
+    let reason = |(place, column): (usize, &Column)| match column.id {
+        ParameterId::Compliance(_) => {
+            let effect = effects[place] * column.reach() / noise;
+            (effect < UNEXCITED).then_some(LeftOutReason::Unloaded { effect })
+        }
+        ParameterId::Term(_) => {
+            let size = jacobian.view((0, place), (rows, 1)).norm();
+            (size * column.reach() < f64::EPSILON).then_some(LeftOutReason::NoBasis)
+        }
+        _ => None,
     };
-    let unexcited: Vec<bool> = columns.iter().zip(&effects).map(is_unexcited).collect();
-    let named = columns.iter().zip(&unexcited).filter(|(column, unexcited)| column.named && **unexcited);
-    let named: Vec<_> = named.map(|(column, _)| column.id).collect();
+    let reasons: Vec<_> = columns.iter().enumerate().map(reason).collect();
+    let named = columns.iter().zip(&reasons).filter(|(column, reason)| column.named && reason.is_some());
+    let unexcited: Vec<_> = named.map(|(column, _)| column.id).collect();
     let mut fixed = Vec::new();
     if options.redundant == Redundancy::Fix {
-        fixed = redundant(&measured.r, &measured.parameters);
+        fixed = redundant(&measured.factor(), &measured.parameters);
     }
-    let stays = |(column, unexcited): (&Column, &bool)| {
-        !fixed.iter().any(|group| group.redundant == column.id) && (column.named || !unexcited)
+    let is_unfelt = |place: usize, column: &Column| {
+        let size = || jacobian.view((0, place), (rows, 1)).norm();
+        column.prior == PriorKind::Stated && size() * column.reach() < NEGLIGIBLE
     };
-    let stays: Vec<bool> = columns.iter().zip(&unexcited).map(stays).collect();
-    let dropped: Vec<usize> = (0..columns.len()).filter(|place| !stays[*place]).collect();
-    let dropped_ids: Vec<_> = dropped.iter().map(|place| columns[*place].id).collect();
+    let mut left_out = Vec::new();
+    let mut dropped = Vec::new();
+    for (place, (column, reason)) in columns.iter().zip(reasons).enumerate() {
+        let id = column.id;
+        let reason = if fixed.iter().any(|group| group.redundant == id) {
+            Some(LeftOutReason::Redundant)
+        } else {
+            reason.filter(|_| !column.named)
+        };
+        if reason.is_some() || is_unfelt(place, column) {
+            dropped.push(place);
+            left_out.extend(reason.map(|reason| LeftOut { id, reason }));
+        }
+    }
     if !dropped.is_empty() {
-        let mut stays = stays.iter();
-        columns.retain(|_| stays.next() == Some(&true));
+        let mut place = 0..;
+        columns.retain(|_| place.next().is_none_or(|place| !dropped.contains(&place)));
         built = assemble(model, set, options, &columns, &ends)?;
         // The robot's own parameters are the first.
         jacobian = jacobian.remove_columns_at(&dropped);
@@ -81,36 +115,130 @@ pub(super) fn build(
         built.problem.start_from(residuals, jacobian);
     }
     built.fixed.extend(fixed);
-    built.left_out.extend(dropped_ids);
-    Ok(Built { unexcited: named, ..built })
+    built.left_out.extend(left_out);
+    Ok(Built { unexcited, ..built })
 }
 
-/// The triangular factor of observations, nests and targets, with the columns of links, frame and target first.
+/// The problem with the compliances that the measurements excite after all, now that the fit of `built` tells how they are and what the noise
+/// is, and where to start it; `None` where they are those that were fitted. Only the first time (`may_drop`) some are left out.
+pub(super) fn reconsider(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    built: &Built,
+    solution: &Solution,
+    may_drop: bool,
+) -> Result<Option<(Built, Vec<f64>)>, IdentifyError> {
+    let is_compliance = |id: &ParameterId| matches!(id, ParameterId::Compliance(_));
+    let is_unloaded = |left: &LeftOut| matches!(left.reason, LeftOutReason::Unloaded { .. });
+    let fitted = &built.problem.parameters;
+    if !fitted.iter().any(is_compliance) && !built.left_out.iter().any(is_unloaded) {
+        return Ok(None);
+    }
+    let Columns { robot: mut columns, redundant_ends } =
+        columns(model, options, options.freedom(&set.stations, &set.targets))?;
+    let ends = Ends::new(set, options, &redundant_ends);
+    let returns = |id| built.left_out.iter().any(|left| left.id == id && is_unloaded(left));
+    columns.retain(|column| fitted.contains(&column.id) || returns(column.id));
+    let mut whole = assemble(model, set, options, &columns, &ends)?.problem;
+    whole.motions.clone_from(&built.problem.motions);
+    whole.weigh(&built.problem.noise)?;
+    let value = |id: &ParameterId| fitted.iter().position(|own| own == id).map_or(0.0, |at| solution.x[at]);
+    let x: Vec<f64> = whole.parameters.iter().map(value).collect();
+    let (residuals, jacobian) = if whole.parameters == *fitted && solution.weights.is_empty() {
+        (solution.residuals.clone(), solution.jacobian.clone())
+    } else {
+        evaluated(&mut whole, &x, &solution.weights)
+    };
+    if residuals.iter().chain(jacobian.iter()).any(|v| !v.is_finite()) {
+        return Ok(None);
+    }
+    let measured = Measured::new(&whole, &jacobian, &residuals);
+    let effects = measured.effects_beyond_geometry();
+    let asked = measured.asked_beyond_geometry(&x);
+    let mut left_out: Vec<_> = built.left_out.iter().copied().filter(|left| !is_unloaded(left)).collect();
+    let mut place = 0..;
+    columns.retain(|column| {
+        let place = place.next().unwrap_or_default();
+        let was_fitted = fitted.contains(&column.id);
+        if !is_compliance(&column.id) || column.named || was_fitted && !may_drop {
+            return true;
+        }
+        let effect = effects[place] * column.reach();
+        let stays = effect >= UNEXCITED || asked[place] * asked[place] >= ASKED;
+        if !stays {
+            left_out.push(LeftOut { id: column.id, reason: LeftOutReason::Unloaded { effect } });
+        }
+        stays
+    });
+    let mut next = assemble(model, set, options, &columns, &ends)?;
+    if next.problem.parameters == *fitted {
+        return Ok(None);
+    }
+    next.unexcited.clone_from(&built.unexcited);
+    next.fixed.clone_from(&built.fixed);
+    let x = next.problem.parameters.iter().map(value).collect();
+    Ok(Some((Built { left_out, ..next }, x)))
+}
+
+/// Residuals and Jacobian at `x`, weighted as a robust loss has it.
+fn evaluated(problem: &mut CalibrationProblem, x: &[f64], weights: &[f64]) -> (DVector<f64>, DMatrix<f64>) {
+    let (m, n) = (problem.rows(), problem.parameters());
+    let (mut residuals, mut jacobian) = (DVector::zeros(m), DMatrix::zeros(m, n));
+    problem.evaluate(x, &mut residuals, Some(&mut jacobian));
+    for (observation, weight) in weights.iter().enumerate() {
+        residuals.rows_mut(3 * observation, 3).scale_mut(weight.sqrt());
+        jacobian.rows_mut(3 * observation, 3).scale_mut(weight.sqrt());
+    }
+    (residuals, jacobian)
+}
+
+fn has_stated_noise(set: &MeasurementSet) -> bool {
+    set.observations.iter().all(|o| o.reading.position_covariance().is_some())
+}
+
+/// The triangular factor of observations and of what was stated, with the columns of links, frame, target and stated bodies first, and the
+/// residuals last.
 struct Measured {
     r: DMatrix<f64>,
-    /// Of the columns of `r`, in their order; the first `geometric` are of links, frame and target.
+    /// Of the columns of `r`, in their order; the first `geometric` are of links, frame, target and stated bodies.
     parameters: Vec<ParameterId>,
     geometric: usize,
-    /// Of every column of `r`, its place in the problem.
+    /// Of every column of `r` but the last, its place in the problem.
     places: Vec<usize>,
+    rows: usize,
 }
 
 impl Measured {
-    fn new(problem: &CalibrationProblem, jacobian: &DMatrix<f64>) -> Self {
-        let is_geometric = |column: &usize| {
-            let id = problem.parameters[*column];
-            matches!(id, ParameterId::Link { .. } | ParameterId::Frame { .. } | ParameterId::Target { .. })
+    fn new(problem: &CalibrationProblem, jacobian: &DMatrix<f64>, residuals: &DVector<f64>) -> Self {
+        let is_geometric = |column: &usize| match problem.parameters[*column] {
+            ParameterId::Link { .. } | ParameterId::Frame { .. } | ParameterId::Target { .. } => true,
+            ParameterId::Mass { .. } | ParameterId::Centre { .. } => {
+                problem.own_priors.iter().all(|(own, _)| own != column)
+            }
+            _ => false,
         };
-        let (mut places, others): (Vec<usize>, Vec<usize>) =
-            (0..problem.parameters.len()).partition(is_geometric);
+        let n = problem.parameters.len();
+        let (mut places, others): (Vec<usize>, Vec<usize>) = (0..n).partition(is_geometric);
         let geometric = places.len();
         places.extend(others);
+        let rows = problem.measured_rows();
+        let mut system = jacobian.rows(0, rows).insert_column(n, 0.0);
+        system.column_mut(n).copy_from(&residuals.rows(0, rows));
+        let columns: Vec<usize> = places.iter().copied().chain([n]).collect();
         Self {
-            r: triangular_factor(jacobian.rows(0, problem.measured_rows()).as_view(), &places),
+            r: triangular_factor(system.as_view(), &columns),
             parameters: places.iter().map(|place| problem.parameters[*place]).collect(),
             geometric,
             places,
+            rows,
         }
+    }
+
+    /// Without the residuals.
+    fn factor(&self) -> DMatrix<f64> {
+        let n = self.places.len();
+        self.r.view((0, 0), (n.min(self.r.nrows()), n)).into_owned()
     }
 
     /// What a unit of every parameter of the problem does to the whitened measurements that links, frame and target cannot do as well; zero
@@ -122,6 +250,26 @@ impl Measured {
             effects[*place] = self.r.column(column).rows_range(first..).norm();
         }
         effects
+    }
+
+    /// The value that the measurements ask for of every parameter that geometry cannot stand in for, the others held at `x` and without its
+    /// own prior, in the standard deviations of that value; the noise is at least what the residuals show.
+    fn asked_beyond_geometry(&self, x: &[f64]) -> Vec<f64> {
+        let first = self.geometric.min(self.r.nrows());
+        let left = self.r.column(self.places.len());
+        let left = left.rows_range(first..);
+        let freedom = (self.rows - first).max(1) as f64;
+        let noise = (left.norm_squared() / freedom).sqrt().max(1.0);
+        let mut asked = vec![0.0; self.places.len()];
+        for (column, place) in self.places.iter().enumerate().skip(self.geometric) {
+            let column = self.r.column(column);
+            let own = column.rows_range(first..);
+            let size = own.norm();
+            if size > 0.0 {
+                asked[*place] = (x[*place] * size - own.dot(&left) / size) / noise;
+            }
+        }
+        asked
     }
 }
 
@@ -146,7 +294,7 @@ pub(super) fn redundant(measured: &DMatrix<f64>, parameters: &[ParameterId]) -> 
         ParameterId::Target { .. } => 1,
         ParameterId::Link { .. } => 2,
         ParameterId::Compliance(_) => 3,
-        ParameterId::Mass { .. } => 4,
+        ParameterId::Mass { .. } | ParameterId::Centre { .. } => 4,
         ParameterId::Linkage(_) => 5,
         ParameterId::Term(_) => 6,
     };
@@ -183,11 +331,19 @@ fn assemble(
     let mut sigmas: Vec<Option<f64>> = columns.iter().map(|column| column.sigma).collect();
     let weights = |links: bool| {
         let of_links = move |id: &ParameterId| matches!(id, ParameterId::Link { .. }) == links;
-        let columns = columns.iter().enumerate().filter(move |(_, column)| of_links(&column.id));
+        let is_own = move |column: &Column| column.prior != PriorKind::Stated && of_links(&column.id);
+        let columns = columns.iter().enumerate().filter(move |(_, column)| is_own(column));
         columns.filter_map(|(place, column)| Some((place, 1.0 / column.sigma?))).collect::<Vec<_>>()
     };
     let (own_priors, tolerances) = (weights(false), weights(true));
-    let mut priors = Vec::new();
+    let is_logarithmic =
+        |(place, column): (usize, &Column)| (column.prior == PriorKind::Logarithm).then_some(place);
+    let logarithmic = columns.iter().enumerate().filter_map(is_logarithmic).collect();
+    let stated = columns.iter().enumerate().filter(|(_, column)| column.prior == PriorKind::Stated);
+    let body = |(column, of): (usize, &Column)| {
+        Some(Prior { column, whitening: DMatrix::from_element(1, 1, 1.0 / of.sigma?) })
+    };
+    let mut priors: Vec<_> = stated.filter_map(body).collect();
     let offsets = starting_offsets(model, set, options.target, &ends.target_axes);
     let stations = stations(model, set, options.frame, (&offsets, ends), &mut parameters, &mut priors)?;
     targets(set, options.target, ends, &mut parameters, &mut priors)?;
@@ -210,6 +366,7 @@ fn assemble(
         parameters,
         priors,
         own_priors,
+        logarithmic,
         tolerances,
         stations,
         targets,
@@ -229,9 +386,12 @@ fn assemble(
         return Err(IdentifyError::Covariance { what: format!("pose {}", row.pose) });
     }
     problem.weigh(&Noise::default())?;
+    let is_named = |column: &&Column| column.named && matches!(column.id, ParameterId::Compliance(_));
+    let named = columns.iter().filter(is_named).map(|column| column.id).collect();
     let fixed = ends.fixed.clone();
-    let left_out = fixed.iter().map(|group| group.redundant).collect();
-    Ok(Built { problem, sigmas, unexcited: Vec::new(), fixed, left_out, x })
+    let of_ends = |group: &DependentGroup| LeftOut { id: group.redundant, reason: LeftOutReason::Redundant };
+    let left_out = fixed.iter().map(of_ends).collect();
+    Ok(Built { problem, sigmas, named, unexcited: Vec::new(), fixed, left_out, x })
 }
 
 fn stations(
@@ -328,3 +488,6 @@ fn prior(what: &str, column: usize, covariance: DMatrix<f64>) -> Result<Prior, I
         .ok_or_else(|| IdentifyError::Covariance { what: what.to_owned() })?;
     Ok(Prior { column, whitening })
 }
+
+#[cfg(test)]
+mod tests;

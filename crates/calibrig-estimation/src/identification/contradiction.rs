@@ -14,12 +14,13 @@ use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
-use super::FrameChoice;
+use super::factor::triangular_factor_of_all;
 use super::limits::shown;
 use super::problem::CalibrationProblem;
 use super::solver::Solution;
+use super::{FrameChoice, NoiseScale};
 use calibrig_model::measurement::{MeasurementSet, NestSystem, nest_system};
-use calibrig_model::statistics::chi2_survival;
+use calibrig_model::statistics::{chi2_survival, f_ln_survival};
 use calibrig_model::{ParameterId, Unit};
 
 /// Probability of naming any prior or nest of an estimate although all that was stated is right.
@@ -27,6 +28,10 @@ pub const CONTRADICTION_LEVEL: f64 = 1e-3;
 
 /// A direction of a prior of which the rest tells less than this share cannot be contradicted by it.
 const CHECKED: f64 = 1e-3;
+
+/// The same of a prior on one parameter, which is as easily told by what it would have to be without it: a stiffness can be stated a thousand
+/// times too high.
+const CHECKED_ALONE: f64 = 1e-6;
 
 /// Two priors that share more than this of what speaks against them cannot be told apart.
 const SHARED: f64 = 0.9;
@@ -143,11 +148,13 @@ fn rounded(value: f64) -> f64 {
 }
 
 /// Rows that belong together, with what they are.
+#[derive(Clone)]
 struct Group {
     rows: Range<usize>,
     kind: Kind,
 }
 
+#[derive(Clone)]
 enum Kind {
     /// Index in the problem's priors.
     Block(usize),
@@ -203,7 +210,7 @@ impl Block {
         }
         let eigen = SymmetricEigen::new(own);
         for (value, vector) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
-            if *value > CHECKED {
+            if *value > if n == 1 { CHECKED_ALONE } else { CHECKED } {
                 block.inverse += vector * vector.transpose() / *value;
                 block.freedom += 1;
             }
@@ -218,17 +225,15 @@ impl Family {
         self.groups.iter().filter(|group| Block::of(&self.covariance, &group.rows).freedom > 0).count()
     }
 
-    /// The groups whose residuals are too large at `level` each, where one standard deviation is `variance.sqrt()`; the worst first, each
-    /// without those before it.
-    fn outcasts(&self, level: f64, variance: f64) -> Vec<Outcast> {
+    /// The groups whose residuals are too large at `level` each; the worst first, each without those before it.
+    fn outcasts(&self, level: f64) -> Vec<Outcast> {
         let (mut residuals, mut covariance) = (self.residuals.clone(), self.covariance.clone());
         let mut left: Vec<usize> = (0..self.groups.len()).collect();
         let mut outcasts: Vec<Outcast> = Vec::new();
         loop {
-            let unlikely = self.unlikely(&left, &residuals, &covariance, level, variance);
+            let unlikely = self.unlikely(&left, &residuals, &covariance, level);
             let Some(worst) = unlikely.iter().min_by(|a, b| {
-                let p =
-                    |suspect: &Suspect| chi2_survival(suspect.chi2 / variance, suspect.block.freedom as f64);
+                let p = |suspect: &Suspect| chi2_survival(suspect.chi2, suspect.block.freedom as f64);
                 p(a).total_cmp(&p(b)).then(b.chi2.total_cmp(&a.chi2))
             }) else {
                 return outcasts;
@@ -283,7 +288,6 @@ impl Family {
         residuals: &DVector<f64>,
         covariance: &DMatrix<f64>,
         level: f64,
-        variance: f64,
     ) -> Vec<Suspect> {
         let test = |group: &usize| {
             let rows = &self.groups[*group].rows;
@@ -291,8 +295,7 @@ impl Family {
             let own = residuals.rows_range(rows.clone());
             let left_out = &block.inverse * own;
             let chi2 = own.dot(&left_out);
-            let p =
-                if block.freedom > 0 { chi2_survival(chi2 / variance, block.freedom as f64) } else { 1.0 };
+            let p = if block.freedom > 0 { chi2_survival(chi2, block.freedom as f64) } else { 1.0 };
             (p < level).then_some(Suspect { group: *group, block, left_out, chi2 })
         };
         left.iter().filter_map(test).collect()
@@ -303,7 +306,12 @@ impl Family {
 pub(super) struct Checks<'a> {
     problem: &'a CalibrationProblem,
     set: &'a MeasurementSet,
+    solution: &'a Solution,
+    bounded: &'a [usize],
     priors: Family,
+    /// Variance of the measurements' noise relative to the one that they were weighted with: less where that was taken from residuals that a
+    /// prior on compliances made larger.
+    noise: f64,
     /// A family a station.
     nests: Vec<(NestSystem, Family)>,
     level: f64,
@@ -322,12 +330,17 @@ impl<'a> Checks<'a> {
     pub fn new(
         problem: &'a CalibrationProblem,
         set: &'a MeasurementSet,
-        solution: &Solution,
+        solution: &'a Solution,
         covariance: &DMatrix<f64>,
-        bounded: &[usize],
+        bounded: &'a [usize],
         frame: FrameChoice,
+        noise: NoiseScale,
     ) -> Self {
-        let priors = priors(problem, solution, covariance, bounded);
+        let priors = priors(problem, &solution.residuals, &solution.jacobian, covariance, bounded);
+        let noise = match noise {
+            NoiseScale::Residuals(_) => noise_without_priors(problem, solution, bounded).unwrap_or(1.0),
+            NoiseScale::Stated => 1.0,
+        };
         // Where nests cannot place a station, the fit has not come so far.
         let nests: Vec<_> = set
             .stations
@@ -343,23 +356,51 @@ impl<'a> Checks<'a> {
             .collect();
         let tests = priors.tests() + nests.iter().map(|(_, family)| family.tests()).sum::<usize>();
         let level = CONTRADICTION_LEVEL / tests.max(1) as f64;
-        Self { problem, set, priors, nests, level }
+        Self { problem, set, solution, bounded, priors, noise, nests, level }
     }
 
-    /// The priors of parameters, nests and target against the measurements, whose noise has `variance` times the stated variance.
+    /// The priors of parameters, nests and target, as stated, against the measurements, whose noise has `variance` times the stated variance.
     pub fn of_priors(&self, variance: f64) -> Found {
-        let outcasts = self.priors.outcasts(self.level, variance);
+        let variance = variance * self.noise;
+        let again = (variance != 1.0).then(|| self.with_noise(variance)).flatten();
+        let priors = again.as_ref().unwrap_or(&self.priors);
+        let outcasts = priors.outcasts(self.level);
         Found {
             chi2: outcasts.iter().map(|outcast| outcast.chi2).sum(),
             freedom: outcasts.iter().map(|outcast| outcast.freedom).sum(),
-            contradictions: outcasts.iter().map(|outcast| self.describe(&self.priors, outcast)).collect(),
+            contradictions: outcasts.iter().map(|outcast| self.describe(priors, outcast)).collect(),
         }
+    }
+
+    /// The priors where the measurements have `variance` times the noise that they were weighted with, and what was stated has the noise that
+    /// was stated: the minimum moves. To first order; `None` where that has no full rank.
+    fn with_noise(&self, variance: f64) -> Option<Family> {
+        if !self.solution.weights.is_empty() {
+            // A loss has no minimum of squares to move: all that was weighed has that noise.
+            let Family { residuals, covariance, groups } = &self.priors;
+            let (residuals, groups) = (residuals / variance.sqrt(), groups.clone());
+            return Some(Family { residuals, covariance: covariance.clone(), groups });
+        }
+        let data = 3 * self.problem.rows.len();
+        let (mut residuals, mut jacobian) = (self.solution.residuals.clone(), self.solution.jacobian.clone());
+        residuals.rows_mut(0, data).scale_mut(1.0 / variance.sqrt());
+        jacobian.rows_mut(0, data).scale_mut(1.0 / variance.sqrt());
+        let free = free_columns(&jacobian, self.bounded);
+        let minimum = Minimum::of(&residuals, &jacobian, &free)?;
+        let inverse = minimum.r.solve_upper_triangular(&DMatrix::identity(free.len(), free.len()))?;
+        let n = jacobian.ncols();
+        let mut spread = DMatrix::zeros(n, free.len());
+        for (row, column) in free.iter().enumerate() {
+            spread.row_mut(*column).copy_from(&inverse.row(row));
+        }
+        let covariance = &spread * spread.transpose();
+        Some(priors(self.problem, &minimum.residuals, &jacobian, &covariance, self.bounded))
     }
 
     /// The nests of each station against each other.
     pub fn of_nests(&self) -> Vec<Contradiction> {
         let of_station = |(_, family): &(NestSystem, Family)| {
-            let outcasts = family.outcasts(self.level, 1.0);
+            let outcasts = family.outcasts(self.level);
             outcasts.iter().map(|outcast| self.describe(family, outcast)).collect::<Vec<_>>()
         };
         self.nests.iter().flat_map(of_station).collect()
@@ -405,7 +446,11 @@ impl<'a> Checks<'a> {
                         length: length(0..3),
                         angle: length(3..6),
                     },
-                    id => Stated::Parameter { id, found: shift[0], sigma: 0.0, prior_sigma: 0.0 },
+                    id => {
+                        let prior_sigma = 1.0 / prior.whitening[(0, 0)];
+                        let sigma = prior_sigma * (spread[(0, 0)] - 1.0).max(0.0).sqrt();
+                        Stated::Parameter { id, found: shift[0], sigma, prior_sigma }
+                    }
                 }
             }
             Kind::Nest(station, nest) => {
@@ -429,9 +474,69 @@ impl<'a> Checks<'a> {
     }
 }
 
+/// A system solved anew, to first order, in some of its columns.
+struct Minimum {
+    /// Triangular factor of these columns.
+    r: DMatrix<f64>,
+    residuals: DVector<f64>,
+}
+
+impl Minimum {
+    fn of(residuals: &DVector<f64>, jacobian: &DMatrix<f64>, free: &[usize]) -> Option<Self> {
+        let n = free.len();
+        let mut system = jacobian.select_columns(free).insert_column(n, 0.0);
+        system.column_mut(n).copy_from(residuals);
+        let r = triangular_factor_of_all(system.as_view());
+        if r.nrows() < n {
+            return None;
+        }
+        let right = r.view((0, n), (n, 1)).into_owned();
+        let r = r.view((0, 0), (n, n)).into_owned();
+        let step = r.solve_upper_triangular(&right)?;
+        let residuals = residuals - jacobian.select_columns(free) * step.column(0);
+        residuals.iter().all(|v| v.is_finite()).then_some(Self { r, residuals })
+    }
+}
+
+fn free_columns(jacobian: &DMatrix<f64>, bounded: &[usize]) -> Vec<usize> {
+    (0..jacobian.ncols()).filter(|column| !bounded.contains(column)).collect()
+}
+
+/// What the priors of compliances keep of their weight where the noise is looked at without them.
+const LOOSE: f64 = 1e-3;
+
+/// The variance that the residuals have where the priors of compliances do not hold them, relative to the one that they were weighted with:
+/// a prior that keeps a drive from yielding as it does leaves its sag in the residuals. `None` where that is not significant (F test).
+fn noise_without_priors(problem: &CalibrationProblem, solution: &Solution, bounded: &[usize]) -> Option<f64> {
+    if !solution.weights.is_empty() {
+        return None;
+    }
+    let first = problem.measured_rows();
+    let of_compliances: Vec<usize> = (first..)
+        .zip(&problem.own_priors)
+        .filter(|(_, (column, _))| matches!(problem.parameters[*column], ParameterId::Compliance(_)))
+        .map(|(row, _)| row)
+        .collect();
+    let (mut residuals, mut jacobian) = (solution.residuals.clone(), solution.jacobian.clone());
+    for row in &of_compliances {
+        residuals[*row] *= LOOSE;
+        jacobian.row_mut(*row).scale_mut(LOOSE);
+    }
+    let free = free_columns(&jacobian, bounded);
+    let loose = Minimum::of(&residuals, &jacobian, &free)?.residuals.norm_squared();
+    let freed = of_compliances.len() as f64;
+    let freedom = residuals.len() as f64 - free.len() as f64 - freed;
+    if !(freedom > 0.0 && freed > 0.0 && loose > 0.0) {
+        return None;
+    }
+    let statistic = (solution.residuals.norm_squared() - loose) / freed * freedom / loose;
+    (f_ln_survival(statistic, freed, freedom) < CONTRADICTION_LEVEL.ln()).then_some(loose / freedom)
+}
+
 fn priors(
     problem: &CalibrationProblem,
-    solution: &Solution,
+    residuals: &DVector<f64>,
+    jacobian: &DMatrix<f64>,
     covariance: &DMatrix<f64>,
     bounded: &[usize],
 ) -> Family {
@@ -454,10 +559,10 @@ fn priors(
     for (row, (column, weight)) in (first..).zip(problem.own_priors.iter().chain(&problem.tolerances)) {
         take(row, *column..column + 1, Kind::Own(*column, 1.0 / weight));
     }
-    let jacobian = solution.jacobian.select_rows(&rows);
+    let jacobian = jacobian.select_rows(&rows);
     let hat = &jacobian * covariance * jacobian.transpose();
     Family {
-        residuals: solution.residuals.select_rows(&rows),
+        residuals: residuals.select_rows(&rows),
         covariance: DMatrix::identity(rows.len(), rows.len()) - hat,
         groups,
     }

@@ -2,12 +2,13 @@
 
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
+use std::fmt;
 use thiserror::Error;
 
 use super::limits::shown;
 use super::{
     CONTRADICTION_LEVEL, CalibratedRobot, Contradiction, DependentGroup, MachineNoise, ParameterBound,
-    Spectrum, Tolerance,
+    Spectrum, Stated, Tolerance, UNKNOWN_STIFFNESS,
 };
 use calibrig_model::statistics::{normal_quantile, student_t_quantile};
 use calibrig_model::{ParameterId, Unit};
@@ -167,6 +168,20 @@ pub enum Assumption {
     /// The machine does more than its model.
     #[error("machine: errors of single poses beside the model, {}", noise_in_words(.0))]
     NoiseOfMachine(MachineNoise),
+    /// Compliances are fitted, and nobody said how well the masses that load them are known.
+    #[error(
+        "masses and centres of gravity: taken as exact, as no uncertainty of them is stated; the standard deviations of the compliances do \
+         not contain theirs (mass_percent and centre_mm in the robot's file, or --mass-percent and --centre-mm)"
+    )]
+    BodiesExact,
+    /// How well masses and centres are known was stated.
+    #[error(
+        "masses and centres of gravity: their stated uncertainty is a prior, and is in the standard deviations of the compliances"
+    )]
+    BodiesStated,
+    /// Nothing is known of the stiffnesses.
+    #[error("stiffnesses: unknown; each is taken within a factor of {:.0} of the stated one (standard deviation of a prior)", UNKNOWN_STIFFNESS.exp())]
+    StiffnessUnknown,
     /// The readings state no covariance.
     #[error("noise: the readings state none; it is taken from the residuals, {:.3} mm a coordinate", 1e3 * sigma)]
     NoiseOfResiduals {
@@ -174,6 +189,71 @@ pub enum Assumption {
         #[serde(with = "calibrig_model::float::scalar")]
         sigma: f64,
     },
+}
+
+/// A parameter that could have been fitted and was not.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct LeftOut {
+    /// Which.
+    pub id: ParameterId,
+    /// Why.
+    pub reason: LeftOutReason,
+}
+
+/// Why a parameter is left out.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum LeftOutReason {
+    /// Gravity hardly loads a compliance, or always alike.
+    Unloaded {
+        /// By how many standard deviations of their noise its prior's standard deviation moves all measurements together, beside what the
+        /// geometry can do as well.
+        #[serde(with = "calibrig_model::float::scalar")]
+        effect: f64,
+    },
+    /// No measurement has what it acts on, such as an approach.
+    NoBasis,
+    /// It cannot be told from others.
+    Redundant,
+}
+
+impl LeftOutReason {
+    /// The key in JSON.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Unloaded { .. } => "unloaded",
+            Self::NoBasis => "no_basis",
+            Self::Redundant => "redundant",
+        }
+    }
+
+    /// In words, without figures.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Unloaded { .. } => "gravity hardly loads it in these poses, or loads it always alike",
+            Self::NoBasis => {
+                "nothing that was measured has what it acts on, such as an approach, a time or a motion of its joint"
+            }
+            Self::Redundant => "the measurements cannot tell it from others",
+        }
+    }
+}
+
+/// Without the name of the parameter.
+impl fmt::Display for LeftOutReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.words())?;
+        match self {
+            Self::Unloaded { effect } => {
+                write!(
+                    f,
+                    ": what its prior leaves open moves all measurements together by {effect:.2} of their noise"
+                )
+            }
+            Self::NoBasis | Self::Redundant => Ok(()),
+        }
+    }
 }
 
 /// What a user must know of an estimate before trusting it.
@@ -248,8 +328,8 @@ pub enum Warning {
     /// Priors that do not fit the measurements, and nests that do not fit each other.
     #[error(
         "the measurements contradict what was stated of {}. Check these values and their standard deviations; where they are certain, the \
-         model lacks what would have to give way instead (tested at a level of {} % for all that was stated)",
-        in_words(.0), 1e2 * CONTRADICTION_LEVEL
+         model lacks what would have to give way instead (tested at a level of {} % for all that was stated){}",
+        in_words(.0), 1e2 * CONTRADICTION_LEVEL, softer(.0)
     )]
     Contradicted(Vec<Contradiction>),
     /// A station that the measurements of the robot put elsewhere than its nests.
@@ -324,6 +404,27 @@ fn in_words(contradictions: &[Contradiction]) -> String {
     contradictions.iter().map(ToString::to_string).collect::<Vec<_>>().join(", and of ")
 }
 
+/// What to do where it is the stiffness of drives that is off by far.
+fn softer(contradictions: &[Contradiction]) -> String {
+    let softer = |contradiction: &Contradiction| match contradiction.stated {
+        Stated::Parameter { id: id @ ParameterId::Compliance(_), found, prior_sigma, .. } if found > 0.0 => {
+            let about = |ratio: f64| format!("{ratio:.1e}").parse().unwrap_or(ratio);
+            let (asked, allowed) = (about(1.0 + found), about(1.0 + prior_sigma));
+            Some(format!("{id} about {asked} times the stated one, where the prior allows {allowed} times"))
+        }
+        _ => None,
+    };
+    let softer: Vec<_> = contradictions.iter().filter_map(softer).collect();
+    if softer.is_empty() {
+        return String::new();
+    }
+    format!(
+        ". The data ask for far softer drives than the prior allows: {}. If the stiffness is not known, say so: compliance_percent = \
+         \"unknown\" in the robot's file, or --compliance-percent unknown",
+        softer.join("; ")
+    )
+}
+
 fn poses_in_words(outliers: &[Outlier]) -> String {
     let words = |o: &Outlier| format!("pose {} ({:.1} sigma, weight {:.2})", o.pose, o.size, o.weight);
     outliers.iter().map(words).collect::<Vec<_>>().join(", ")
@@ -378,6 +479,9 @@ pub struct Estimate {
     pub held: Vec<DependentGroup>,
     /// Parameters that were left out of the fit for the same reason.
     pub fixed: Vec<DependentGroup>,
+    /// All parameters that could have been fitted and were left out, with the reason; those that are `fixed` among them.
+    #[serde(default)]
+    pub left_out: Vec<LeftOut>,
     /// Stated bounds of the parameters that were fitted.
     pub bounds: Vec<ParameterBound>,
     /// Parameters that ended at a bound.

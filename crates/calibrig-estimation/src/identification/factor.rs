@@ -23,7 +23,7 @@ pub(super) fn triangular_factor(matrix: DMatrixView<'_, f64>, columns: &[usize])
 }
 
 /// The factor of all columns of `matrix`.
-pub(super) fn triangular_factor_of_all(matrix: DMatrixView<'_, f64>) -> DMatrix<f64> {
+pub(crate) fn triangular_factor_of_all(matrix: DMatrixView<'_, f64>) -> DMatrix<f64> {
     let all: Vec<usize> = (0..matrix.ncols()).collect();
     triangular_factor(matrix, &all)
 }

@@ -3,13 +3,13 @@
 use nalgebra::Vector3;
 use thiserror::Error;
 
-use super::build::{Built, build};
+use super::build::{Built, build, reconsider};
 use super::limits::limits;
 use super::machine::MachineError;
 use super::noise::{Noise, UNSTATED_SIGMA, Unknown, find, is_without_freedom};
 use super::place::best_fit_stations;
 use super::problem::CalibrationProblem;
-use super::summary::{Size, is_misfit, sigmas, summarise};
+use super::summary::{Fitted, Size, is_misfit, sigmas, summarise};
 use super::{
     Bounds, BoundsError, CalibratedRobot, Estimate, FrameChoice, IdentificationOptions, LeastSquares,
     MachineNoiseChoice, Mode, ParameterBoundError, ParameterChoice, Predictor, Solution, TargetChoice,
@@ -130,6 +130,28 @@ pub fn identify(
         bound.check()?;
     }
     let mut built = build(model, set, options)?;
+    let start = built.x.clone();
+    let mut fitted = fit(&mut built, start, model, set, options)?;
+    for round in 0..MOST_ROUNDS {
+        let next = reconsider(model, set, options, &built, &fitted.solution, round == 0)?;
+        let Some((next, x)) = next else { break };
+        built = next;
+        fitted = fit(&mut built, x, model, set, options)?;
+    }
+    Ok(summarise(built, fitted, set, options))
+}
+
+/// Fits after which the compliances that they left out, or should have, are looked at again.
+const MOST_ROUNDS: usize = 4;
+
+/// The minimum from `x`, and the noise: as the readings state it, else as the residuals tell it.
+fn fit(
+    built: &mut Built,
+    x: Vec<f64>,
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+) -> Result<Fitted, IdentifyError> {
     let rows = built.problem.rows();
     let parameters = built.problem.parameters();
     // A tolerance holds weak directions; it does not stand for poses that are not there.
@@ -137,14 +159,13 @@ pub fn identify(
     if measured < parameters {
         return Err(IdentifyError::TooFewRows { rows: measured, parameters });
     }
-    let x = built.x.clone();
-    let solution = solve(&mut built, x, options)?;
+    let solution = solve(built, x, options)?;
     let stated = Size::of(&built.problem, &solution);
     let mut unknown = Unknown::of(&built.problem, options);
     let as_needed = options.machine_noise == MachineNoiseChoice::AsNeeded;
     unknown.machine |= as_needed && !unknown.readings && is_misfit(&built.problem, set, &solution, options);
     if !unknown.any() || !solution.cost.is_finite() {
-        return Ok(summarise(built, solution, stated, None, set, options));
+        return Ok(Fitted { solution, size: stated, stated_sigmas: None });
     }
     if unknown.machine {
         built.problem.prepare_motions(set);
@@ -166,7 +187,7 @@ pub fn identify(
     };
     // Where nothing is stated, the size says nothing of what was stated.
     let size = if unknown.readings { Size::of(&built.problem, &solution) } else { stated };
-    Ok(summarise(built, solution, size, stated_sigmas, set, options))
+    Ok(Fitted { solution, size, stated_sigmas })
 }
 
 fn solve(built: &mut Built, x: Vec<f64>, options: &IdentificationOptions) -> Result<Solution, IdentifyError> {
@@ -185,11 +206,17 @@ fn solve_problem(
     if !options.mode.is_coupled() && options.solver.starts <= 1 && !is_bounded {
         return Ok(minimise(problem, x, &options.solver));
     }
-    let (lower, upper) = limits(parameters, &options.bounds);
+    let (mut lower, upper) = limits(parameters, &options.bounds);
+    for column in &problem.logarithmic {
+        lower[*column] = lower[*column].max(LEAST_OF_UNKNOWN);
+    }
     let spread: Vec<f64> = parameters.iter().zip(sigmas).map(spread).collect();
     let bounds = Bounds::new(lower, upper)?;
     Ok(minimise_within(problem, x, &options.solver, &bounds, &spread)?)
 }
+
+/// The lowest value of a compliance whose logarithm has a prior: a millionth of the stated one.
+pub(super) const LEAST_OF_UNKNOWN: f64 = 1e-6 - 1.0;
 
 /// How far about the start other starts are drawn: two standard deviations of the parameter's own prior, else what a machine can be off.
 fn spread((id, sigma): (&ParameterId, &Option<f64>)) -> f64 {

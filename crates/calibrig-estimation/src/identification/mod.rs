@@ -29,8 +29,10 @@ mod variance;
 
 pub use contradiction::{CONTRADICTION_LEVEL, Contradiction, Stated};
 pub use estimate::{
-    Assumption, Estimate, IterationRecord, NoiseScale, Outlier, ParameterEstimate, TerminationReason, Warning,
+    Assumption, Estimate, IterationRecord, LeftOut, LeftOutReason, NoiseScale, Outlier, ParameterEstimate,
+    TerminationReason, Warning,
 };
+pub(crate) use factor::triangular_factor_of_all;
 pub use identifiability::{
     DependentGroup, Explanation, Finding, IdentifiabilityReport, RANK_TOLERANCE, Remedy, Spectrum,
     WEAK_TOLERANCE, WeakDirection, complete_set, explain, identifiability, neighbour_axis_rules, spectrum,
@@ -46,7 +48,7 @@ pub use mode::Mode;
 pub use noise::{MachineNoise, MachineNoiseChoice};
 pub use options::{
     ComplianceChoice, DEFAULT_TOLERANCE, FrameChoice, IdentificationOptions, LINKAGE, ParameterChoice,
-    Redundancy, TargetChoice, TermPrior, Tolerance,
+    Redundancy, TargetChoice, TermPrior, Tolerance, UNKNOWN_STIFFNESS,
 };
 pub use prospect::{Prospect, prospect};
 pub use robot::{CalibratedRobot, EstimatePredictor, Prediction, PredictionError, Predictor};

@@ -2,7 +2,7 @@
 
 use super::{IdentifyError, Loss, LossScale, MachineNoiseChoice, Mode, ParameterBound, SolverOptions};
 use calibrig_model::measurement::{Station, Target};
-use calibrig_model::{Compliance, ParameterId, Unit};
+use calibrig_model::{BodyUncertainty, Compliance, ParameterId, Unit};
 use serde::{Deserialize, Serialize};
 
 /// What is known of the tracker's place.
@@ -155,6 +155,12 @@ pub struct IdentificationOptions {
     pub compliances: ComplianceChoice,
     /// Standard deviation of the prior on the relative deviation of a compliance from its predicted value.
     pub compliance_sigma: f64,
+    /// Whether nothing is known of the stiffnesses: in place of `compliance_sigma`, a prior on the logarithm of every compliance over its
+    /// predicted one, with [`UNKNOWN_STIFFNESS`] as its standard deviation.
+    pub stiffness_unknown: bool,
+    /// How well the bodies' masses and centres are known, one entry a link; none where they are taken as exact. In the coupled modes those
+    /// that the measurements feel are parameters of the fit, with these priors, so that what is told of the compliances contains them.
+    pub bodies: Vec<BodyUncertainty>,
     /// Links whose mass is identified in the coupled modes, by index.
     pub masses: Vec<usize>,
     /// Standard deviation of the prior on the relative deviation of a mass.
@@ -180,6 +186,9 @@ pub struct IdentificationOptions {
     /// What the solver minimises, and when it stops.
     pub solver: SolverOptions,
 }
+
+/// Standard deviation of the logarithm of a compliance over its predicted one where nothing is known of it: a factor of 100.
+pub const UNKNOWN_STIFFNESS: f64 = 4.605_170_185_988_092;
 
 /// How well a robot's links are taken to be made where nobody says: 10 mm and 20 mrad, far more than a workshop leaves.
 pub const DEFAULT_TOLERANCE: Tolerance = Tolerance { length: 10e-3, angle: 20e-3 };
@@ -209,6 +218,8 @@ impl IdentificationOptions {
             compliances: ComplianceChoice::Drives,
             // A stiffness from data sheets and finite elements is rarely right within 10 %.
             compliance_sigma: 0.1,
+            stiffness_unknown: false,
+            bodies: Vec::new(),
             masses: Vec::new(),
             // A weighed or computed mass.
             mass_sigma: 0.02,

@@ -3,11 +3,13 @@
 use super::options::Freedom;
 use super::{
     ComplianceChoice, DependentGroup, FrameChoice, IdentifiabilityReport, IdentificationOptions,
-    IdentifyError, LINKAGE, Mode, ParameterChoice, TargetChoice, complete_set, dependent_ends,
-    neighbour_axis_rules,
+    IdentifyError, LINKAGE, Mode, ParameterChoice, TargetChoice, UNKNOWN_STIFFNESS, complete_set,
+    dependent_ends, neighbour_axis_rules,
 };
 use calibrig_model::measurement::{Station, Target};
-use calibrig_model::{CalibrationModel, Compliance, FAMILIES, LinkTerm, ParameterId, TermId, Unit};
+use calibrig_model::{
+    BodyUncertainty, CalibrationModel, Compliance, FAMILIES, LinkTerm, ParameterId, TermId, Unit,
+};
 
 /// A parameter of the robot with its own prior.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -17,6 +19,33 @@ pub(super) struct Column {
     pub sigma: Option<f64>,
     /// Whether the user named it, so that it stays where the measurements do not show it.
     pub named: bool,
+    /// What the prior is on.
+    pub prior: PriorKind,
+}
+
+/// What a parameter's own prior is on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum PriorKind {
+    /// The parameter.
+    Own,
+    /// The logarithm of one and the parameter.
+    Logarithm,
+    /// The parameter, as it was stated of the robot: it counts with nests and targets.
+    Stated,
+}
+
+impl Column {
+    fn new(id: ParameterId, sigma: Option<f64>, named: bool) -> Self {
+        Self { id, sigma, named, prior: PriorKind::Own }
+    }
+
+    /// How far its prior lets the parameter go: one standard deviation.
+    pub fn reach(&self) -> f64 {
+        match (self.sigma, self.prior) {
+            (Some(sigma), PriorKind::Logarithm) => sigma.exp_m1(),
+            (sigma, _) => sigma.unwrap_or(1.0),
+        }
+    }
 }
 
 /// The robot's parameters, and what of frame and target cannot be told beside each other.
@@ -41,6 +70,7 @@ pub(super) fn columns(
     if options.mode.is_coupled() {
         columns.extend(compliances(model, options)?);
         columns.extend(masses(model, options)?);
+        columns.extend(bodies(model, options)?);
     }
     if options.mode == Mode::Extended {
         columns.extend(linkage(model, options)?);
@@ -100,14 +130,14 @@ fn links(
     chosen.sort_by_key(order);
     chosen.dedup();
     let Some(tolerance) = options.tolerance else {
-        let columns = chosen.into_iter().map(|id| Column { id, sigma: None, named: true });
+        let columns = chosen.into_iter().map(|id| Column::new(id, None, true));
         return Ok((columns.collect(), redundant_ends));
     };
     let [length, angle] = [tolerance.length, tolerance.angle]
         .map(|sigma| positive(sigma, "the tolerance of the link parameters"));
     let (length, angle) = (length?, angle?);
     let sigma = |id: &ParameterId| if id.unit() == Unit::Metre { length } else { angle };
-    let columns = chosen.into_iter().map(|id| Column { id, sigma: Some(sigma(&id)), named: true });
+    let columns = chosen.into_iter().map(|id| Column::new(id, Some(sigma(&id)), true));
     Ok((columns.collect(), redundant_ends))
 }
 
@@ -115,7 +145,11 @@ fn compliances(
     model: &CalibrationModel,
     options: &IdentificationOptions,
 ) -> Result<Vec<Column>, IdentifyError> {
-    let sigma = Some(positive(options.compliance_sigma, "the prior of the compliances")?);
+    let (sigma, prior) = if options.stiffness_unknown {
+        (UNKNOWN_STIFFNESS, PriorKind::Logarithm)
+    } else {
+        (positive(options.compliance_sigma, "the prior of the compliances")?, PriorKind::Own)
+    };
     let known = model.compliances();
     let (mut chosen, named) = match &options.compliances {
         ComplianceChoice::Drives => {
@@ -137,7 +171,8 @@ fn compliances(
         seen.push(*compliance);
         new
     });
-    Ok(chosen.into_iter().map(|c| Column { id: ParameterId::Compliance(c), sigma, named }).collect())
+    let column = |c| Column { prior, ..Column::new(ParameterId::Compliance(c), Some(sigma), named) };
+    Ok(chosen.into_iter().map(column).collect())
 }
 
 fn masses(model: &CalibrationModel, options: &IdentificationOptions) -> Result<Vec<Column>, IdentifyError> {
@@ -150,11 +185,35 @@ fn masses(model: &CalibrationModel, options: &IdentificationOptions) -> Result<V
         .map(|link| {
             let id = ParameterId::Mass { link };
             match &model.statics {
-                Some(statics) if link < statics.bodies.len() => Ok(Column { id, sigma, named: true }),
+                Some(statics) if link < statics.bodies.len() => Ok(Column::new(id, sigma, true)),
                 _ => Err(IdentifyError::UnknownParameter { name: id.to_string() }),
             }
         })
         .collect()
+}
+
+/// Masses and centres that are stated with an uncertainty, of the links whose mass is not [identified](masses).
+fn bodies(model: &CalibrationModel, options: &IdentificationOptions) -> Result<Vec<Column>, IdentifyError> {
+    let known = model.statics.as_ref().map_or(0, |statics| statics.bodies.len());
+    if !options.bodies.is_empty() && options.bodies.len() != known {
+        let what = format!("masses and centres: {} uncertainties for {known} bodies", options.bodies.len());
+        return Err(IdentifyError::Covariance { what });
+    }
+    let mut columns = Vec::new();
+    for (link, BodyUncertainty { mass, centre }) in options.bodies.iter().enumerate() {
+        let mut push = |id, sigma: f64| {
+            if sigma != 0.0 {
+                let sigma = positive(sigma, &format!("the uncertainty of {id}"))?;
+                columns.push(Column { prior: PriorKind::Stated, ..Column::new(id, Some(sigma), false) });
+            }
+            Ok::<_, IdentifyError>(())
+        };
+        if !options.masses.contains(&link) {
+            push(ParameterId::Mass { link }, *mass)?;
+        }
+        (0..3).try_for_each(|axis| push(ParameterId::Centre { link, axis }, *centre))?;
+    }
+    Ok(columns)
 }
 
 fn linkage(model: &CalibrationModel, options: &IdentificationOptions) -> Result<Vec<Column>, IdentifyError> {
@@ -164,7 +223,7 @@ fn linkage(model: &CalibrationModel, options: &IdentificationOptions) -> Result<
     let sigma = options.term_sigma(LINKAGE, Unit::Metre).unwrap_or(LINKAGE_SIGMA);
     let sigma = Some(positive(sigma, "the prior of the linkage")?);
     let lengths = model.linkage_lengths().into_iter();
-    Ok(lengths.map(|length| Column { id: ParameterId::Linkage(length), sigma, named: false }).collect())
+    Ok(lengths.map(|length| Column::new(ParameterId::Linkage(length), sigma, false)).collect())
 }
 
 fn terms(model: &CalibrationModel, options: &IdentificationOptions) -> Result<Vec<Column>, IdentifyError> {
@@ -180,7 +239,7 @@ fn terms(model: &CalibrationModel, options: &IdentificationOptions) -> Result<Ve
         for id in TermId::all_of(family.key(), model).unwrap_or_default() {
             let sigma = options.term_sigma(family.key(), id.unit()).unwrap_or_else(|| id.prior_sigma());
             let sigma = Some(positive(sigma, family.key())?);
-            columns.push(Column { id: ParameterId::Term(id), sigma, named: false });
+            columns.push(Column::new(ParameterId::Term(id), sigma, false));
         }
     }
     Ok(columns)

@@ -49,6 +49,8 @@ pub(super) struct CalibrationProblem {
     pub priors: Vec<Prior>,
     /// The next rows: (column, one over the standard deviation) of parameters with a prior of their own that is not the links' tolerance.
     pub own_priors: Vec<(usize, f64)>,
+    /// Columns whose own prior is on the logarithm of one and the parameter.
+    pub logarithmic: Vec<usize>,
     /// The last rows: the same of the links' making tolerance.
     pub tolerances: Vec<(usize, f64)>,
     /// `tracker_from_base` that the frame parameters displace.
@@ -134,6 +136,7 @@ impl CalibrationProblem {
                 ParameterId::Link { .. }
                 | ParameterId::Compliance(_)
                 | ParameterId::Mass { .. }
+                | ParameterId::Centre { .. }
                 | ParameterId::Linkage(_) => put(&mut now.model, &self.nominal, *id, value),
             }
         }
@@ -241,10 +244,15 @@ impl CalibrationProblem {
             first += n;
         }
         for (row, (column, weight)) in (first..).zip(self.own_priors.iter().chain(&self.tolerances)) {
-            residuals[row] = weight * x[*column];
+            let (value, slope) = if self.logarithmic.contains(column) {
+                (x[*column].ln_1p(), 1.0 / (1.0 + x[*column]))
+            } else {
+                (x[*column], 1.0)
+            };
+            residuals[row] = weight * value;
             if let Some(jacobian) = jacobian.as_deref_mut() {
                 jacobian.row_mut(row).fill(0.0);
-                jacobian[(row, *column)] = *weight;
+                jacobian[(row, *column)] = weight * slope;
             }
         }
     }
@@ -321,6 +329,7 @@ pub(super) fn in_base_column(
         | ParameterId::Link { .. }
         | ParameterId::Compliance(_)
         | ParameterId::Mass { .. }
+        | ParameterId::Centre { .. }
         | ParameterId::Linkage(_) => machine.column(id, in_base),
     }
 }

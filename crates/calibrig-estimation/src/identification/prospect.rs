@@ -3,7 +3,9 @@
 use super::build::{Built, build, start};
 use super::identify::check;
 use super::summary::{Factors, left_open_warnings, rank_warnings};
-use super::{DependentGroup, IdentificationOptions, IdentifyError, Redundancy, Spectrum, Warning};
+use super::{
+    DependentGroup, IdentificationOptions, IdentifyError, LeftOutReason, Redundancy, Spectrum, Warning,
+};
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, ParameterId};
 use serde::{Deserialize, Serialize};
@@ -54,7 +56,8 @@ pub fn prospect(
         measured_rank: factors.spectrum(&problem, Redundancy::Keep).rank,
         unloaded: left_out
             .into_iter()
-            .filter(|id| !fixed.iter().any(|group| group.redundant == *id))
+            .filter(|left| matches!(left.reason, LeftOutReason::Unloaded { .. }))
+            .map(|left| left.id)
             .collect(),
         parameters: problem.parameters,
         spectrum,

@@ -53,6 +53,7 @@ impl CalibratedRobot {
             ParameterId::Compliance(Compliance::Drive { joint }) => joint < joints,
             ParameterId::Compliance(Compliance::Bearing { joint, axis }) => joint < joints && axis < 6,
             ParameterId::Compliance(Compliance::Rod) | ParameterId::Linkage(_) => true,
+            ParameterId::Centre { link, axis } => link < joints && axis < 3,
             ParameterId::Frame { station, component } => station < self.stations.len() && component < 6,
             ParameterId::Target { target, axis } => target < self.targets.len() && axis < 3,
             ParameterId::Term(term) => {

@@ -5,7 +5,7 @@ use nalgebra::DMatrix;
 use super::build::{Built, redundant};
 use super::contradiction::{Checks, Found};
 use super::factor::{extended, triangular_factor, triangular_factor_of_all};
-use super::limits::lowest;
+use super::identify::LEAST_OF_UNKNOWN;
 use super::noise::{Noise, is_doubted};
 use super::problem::CalibrationProblem;
 use super::solver::Solution;
@@ -13,9 +13,9 @@ use super::{
     Assumption, CalibratedRobot, Contradiction, DependentGroup, Estimate, FrameChoice, IdentificationOptions,
     NoiseScale, Outlier, ParameterEstimate, Redundancy, Spectrum, Stated, TargetChoice, Warning, analyse_r,
 };
-use calibrig_model::ParameterId;
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::statistics::chi2_survival;
+use calibrig_model::{BodyUncertainty, ParameterId};
 
 /// Probability, in both tails together, of residuals as large or as small as these, below which they are not what the stated noise leaves.
 const INCONSISTENT: f64 = 1e-3;
@@ -109,22 +109,29 @@ pub(super) fn is_misfit(
     }
     let Some((covariance, _)) = spread(problem, solution, options.redundant) else { return true };
     let bounded: Vec<usize> = solution.at_bound.iter().map(|at| at.parameter).collect();
-    let found = Checks::new(problem, set, solution, &covariance, &bounded, options.frame).of_priors(1.0);
+    let found = Checks::new(problem, set, solution, &covariance, &bounded, options.frame, NoiseScale::Stated)
+        .of_priors(1.0);
     let stated = Size::of_rows(problem.measured_rows() + problem.own_priors.len(), solution);
     is_doubted(stated.chi2 - found.chi2, (stated.freedom - found.freedom as f64).max(0.0))
 }
 
-/// Of a solution at its final weights. `size` is that of the residuals in the noise that was stated, `stated_sigmas` the standard deviations
-/// that it leaves where the fit was weighed with another.
+/// A solution at its final weights.
+pub(super) struct Fitted {
+    pub solution: Solution,
+    /// Of the residuals in the noise that was stated.
+    pub size: Size,
+    /// The standard deviations that this leaves, where the fit was weighed with more.
+    pub stated_sigmas: Option<Vec<f64>>,
+}
+
 pub(super) fn summarise(
     built: Built,
-    solution: Solution,
-    size: Size,
-    stated_sigmas: Option<Vec<f64>>,
+    fitted: Fitted,
     set: &MeasurementSet,
     options: &IdentificationOptions,
 ) -> Estimate {
-    let Built { mut problem, sigmas, unexcited, fixed, left_out, .. } = built;
+    let Fitted { solution, size, stated_sigmas } = fitted;
+    let Built { mut problem, sigmas, named, fixed, left_out, .. } = built;
     let n = problem.parameters.len();
     let noise = match problem.noise.unstated {
         Some(sigma) => NoiseScale::Residuals(sigma),
@@ -137,7 +144,7 @@ pub(super) fn summarise(
     let bounded: Vec<usize> = solution.at_bound.iter().map(|at| at.parameter).collect();
     let (covariance, factor) = covariance(factors.all, &spectrum, &bounded).unzip();
     let checks =
-        covariance.as_ref().map(|c| Checks::new(&problem, set, &solution, c, &bounded, options.frame));
+        covariance.as_ref().map(|c| Checks::new(&problem, set, &solution, c, &bounded, options.frame, noise));
     let is_stated = noise == NoiseScale::Stated;
     let (contradicted, doubts) = doubts(size, is_stated, problem.noise.machine.is_some(), checks.as_ref());
     // The size that residuals have in an upper bound of their noise says nothing of it.
@@ -160,7 +167,9 @@ pub(super) fn summarise(
         .bounds
         .iter()
         .copied()
-        .filter(|bound| problem.parameters.contains(&bound.id) || left_out.contains(&bound.id))
+        .filter(|bound| {
+            problem.parameters.contains(&bound.id) || left_out.iter().any(|left| left.id == bound.id)
+        })
         .partition(|bound| problem.parameters.contains(&bound.id));
     warnings.extend(unused.into_iter().map(|bound| Warning::UnusedBound { bound }));
     let outliers = outliers(&solution, set);
@@ -170,8 +179,9 @@ pub(super) fn summarise(
     if solution.minima > 1 {
         warnings.push(Warning::SeveralMinima { minima: solution.minima });
     }
+    let unexcited = unexcited(&problem, &named, covariance.as_ref(), &sigmas, &solution.x);
     warnings.extend(left_open_warnings(&held, &fixed, &unexcited));
-    let assumptions = assumptions(set, options, noise, &problem.noise);
+    let assumptions = assumptions(&problem.parameters, set, options, noise, &problem.noise);
     let machine_noise = problem.stated_machine().into_iter().chain(problem.noise.machine.clone()).collect();
     let values = problem.parameters.iter().zip(&solution.x);
     let terms = values.filter_map(|(id, value)| match id {
@@ -218,6 +228,7 @@ pub(super) fn summarise(
         spectrum,
         held,
         fixed,
+        left_out,
         bounds,
         at_bound,
         contradicted,
@@ -270,6 +281,7 @@ fn covariance(
 
 /// What the options left to the set, and what came of it.
 fn assumptions(
+    parameters: &[ParameterId],
     set: &MeasurementSet,
     options: &IdentificationOptions,
     noise: NoiseScale,
@@ -294,6 +306,11 @@ fn assumptions(
         });
     }
     made.extend(options.tolerance.map(Assumption::LinksWithin));
+    if parameters.iter().any(|id| matches!(id, ParameterId::Compliance(_))) {
+        made.extend(options.stiffness_unknown.then_some(Assumption::StiffnessUnknown));
+        let stated = options.bodies.iter().any(|body| *body != BodyUncertainty::default());
+        made.push(if stated { Assumption::BodiesStated } else { Assumption::BodiesExact });
+    }
     if let NoiseScale::Residuals(sigma) = noise {
         made.push(Assumption::NoiseOfResiduals { sigma });
     }
@@ -301,10 +318,29 @@ fn assumptions(
     made
 }
 
+/// A named compliance of which the measurements tell less than this share of what is known is told to be its prior's.
+const LITTLE: f64 = 0.2;
+
+/// Those of the `named` compliances that the fit leaves to their priors.
+fn unexcited(
+    problem: &CalibrationProblem,
+    named: &[ParameterId],
+    covariance: Option<&DMatrix<f64>>,
+    sigmas: &[Option<f64>],
+    x: &[f64],
+) -> Vec<ParameterId> {
+    let is_left = |(place, id): &(usize, &ParameterId)| {
+        let (Some(covariance), Some(sigma)) = (covariance, sigmas[*place]) else { return false };
+        let slope = if problem.logarithmic.contains(place) { 1.0 + x[*place] } else { 1.0 };
+        named.contains(id) && 1.0 - covariance[(*place, *place)] / (sigma * slope).powi(2) < LITTLE
+    };
+    problem.parameters.iter().enumerate().filter(is_left).map(|(_, id)| *id).collect()
+}
+
 fn at_bound_warning(id: ParameterId, bound: f64) -> Warning {
     let name = id.to_string();
     match id {
-        ParameterId::Compliance(_) if bound <= lowest(id) => Warning::Rigid { name },
+        ParameterId::Compliance(_) if bound <= LEAST_OF_UNKNOWN => Warning::Rigid { name },
         _ => Warning::AtBound { name, bound, unit: id.unit() },
     }
 }

@@ -284,6 +284,7 @@ impl PlacedChain {
             }
             ParameterId::Compliance(_)
             | ParameterId::Mass { .. }
+            | ParameterId::Centre { .. }
             | ParameterId::Linkage(_)
             | ParameterId::Term(_) => Vector3::zeros(),
         }

@@ -33,6 +33,8 @@ pub(super) struct JointTable {
     pub max_deg: Option<Spanned<f64>>,
     pub stiffness_n_per_m: Option<Spanned<f64>>,
     pub stiffness_nm_per_rad: Option<Spanned<f64>>,
+    pub mass_percent: Option<Spanned<f64>>,
+    pub centre_mm: Option<Spanned<f64>>,
     pub motor_turns_per_rev: Option<Spanned<f64>>,
     pub motor_turns_per_m: Option<Spanned<f64>>,
     pub bearing: Option<Spanned<BearingTable>>,

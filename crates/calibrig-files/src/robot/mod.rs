@@ -25,11 +25,11 @@ pub use targets::StatedTarget;
 use actuators::ActuatorTable;
 use joints::JointTable;
 use parallel::rewrite_far_normals;
-use statics::GravityTable;
+use statics::{CompliancePercent, GravityTable};
 use targets::{TargetTables, read_targets};
 
 use crate::input::{InputError, Source, Spanned};
-use calibrig_model::{CalibrationModel, KinematicModel, Visual};
+use calibrig_model::{BodyUncertainty, CalibrationModel, KinematicModel, Visual};
 use urdf::UrdfRobot;
 
 /// The only schema that is read.
@@ -48,6 +48,10 @@ pub struct Robot {
     pub targets: Vec<StatedTarget>,
     /// How well the compliances are known: standard deviation relative to the stated ones, where the file says.
     pub compliance_sigma: Option<f64>,
+    /// Whether the file says that its stiffnesses are not known at all.
+    pub stiffness_unknown: bool,
+    /// How well the bodies' masses and centres are known, one entry a joint; none where the file does not say.
+    pub bodies: Vec<BodyUncertainty>,
     /// What was made of the table, in words.
     pub remarks: Vec<String>,
     /// The files read, by role: `robot`, then `urdf` and `columns` where it names them.
@@ -70,7 +74,9 @@ struct RobotFile {
     #[serde(default)]
     load: Vec<Spanned<LoadTable>>,
     gravity: Option<Spanned<GravityTable>>,
-    compliance_percent: Option<Spanned<f64>>,
+    compliance_percent: Option<Spanned<CompliancePercent>>,
+    mass_percent: Option<Spanned<f64>>,
+    centre_mm: Option<Spanned<f64>>,
 }
 
 /// Whose D-H table it is.
@@ -135,7 +141,8 @@ pub fn parse_robot(
         None => None,
     };
     let statics = reader.statics(&kinematics, &actuators, described.as_ref())?;
-    let compliance_sigma = reader.compliance_sigma()?;
+    let (compliance_sigma, stiffness_unknown) = reader.compliance_sigma()?;
+    let bodies = reader.body_uncertainties()?;
     let in_frames = described.is_some() || statics.is_some() || actuators.four_bar().is_some();
     let remarks = reader.near_normals(&mut kinematics, in_frames);
     let visuals = described.map_or_else(Vec::new, |described| {
@@ -149,7 +156,7 @@ pub fn parse_robot(
         companions.into_iter().filter_map(|(role, source)| source.map(|source| (role.to_owned(), source))),
     );
     let model = CalibrationModel { kinematics, actuators, statics, motor_turns };
-    Ok(Robot { name, model, visuals, targets, compliance_sigma, remarks, sources })
+    Ok(Robot { name, model, visuals, targets, compliance_sigma, stiffness_unknown, bodies, remarks, sources })
 }
 
 struct Reader<'a> {

@@ -7,7 +7,7 @@ use super::Reader;
 use super::loads::read_loads;
 use super::urdf::UrdfRobot;
 use crate::input::{InputError, Spanned};
-use calibrig_model::{ActuatorMap, Beam, Body, KinematicModel, StaticProperties};
+use calibrig_model::{ActuatorMap, Beam, Body, BodyUncertainty, KinematicModel, StaticProperties};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -16,6 +16,17 @@ pub(super) struct GravityTable {
     y_m_per_s2: Spanned<f64>,
     z_m_per_s2: Spanned<f64>,
 }
+
+/// `compliance_percent`: a number, or the word for no knowledge at all.
+#[derive(Deserialize)]
+#[serde(untagged)]
+pub(super) enum CompliancePercent {
+    Within(f64),
+    Word(String),
+}
+
+/// The word for a stiffness of which nothing is known.
+const UNKNOWN: &str = "unknown";
 
 impl Reader<'_> {
     pub(super) fn gravity(&self) -> Result<Option<Vector3<f64>>, InputError> {
@@ -28,9 +39,49 @@ impl Reader<'_> {
         )))
     }
 
-    pub(super) fn compliance_sigma(&self) -> Result<Option<f64>, InputError> {
-        let Some(percent) = &self.file.compliance_percent else { return Ok(None) };
-        Ok(Some(self.source.positive("compliance_percent", percent)? / 100.0))
+    /// How well the stiffnesses are known, relative; and whether they are said to be unknown.
+    pub(super) fn compliance_sigma(&self) -> Result<(Option<f64>, bool), InputError> {
+        let Some(stated) = &self.file.compliance_percent else { return Ok((None, false)) };
+        match stated.get_ref() {
+            CompliancePercent::Within(percent) => {
+                let percent = Spanned::new(stated.span(), *percent);
+                Ok((Some(self.source.positive("compliance_percent", &percent)? / 100.0), false))
+            }
+            CompliancePercent::Word(word) if word == UNKNOWN => Ok((None, true)),
+            CompliancePercent::Word(word) => self.error(
+                stated.span(),
+                format!("compliance_percent is {word:?}"),
+                &format!("a number above zero, or {UNKNOWN:?}"),
+            ),
+        }
+    }
+
+    /// How well every body's mass and centre are known: as its joint's table says, else as the file says for all; none where neither does.
+    pub(super) fn body_uncertainties(&self) -> Result<Vec<BodyUncertainty>, InputError> {
+        let mut stated = Vec::new();
+        let mut bodies = Vec::new();
+        for table in &self.file.joint {
+            let joint = table.get_ref();
+            let mass = joint.mass_percent.as_ref().or(self.file.mass_percent.as_ref());
+            let centre = joint.centre_mm.as_ref().or(self.file.centre_mm.as_ref());
+            stated.extend([mass, centre].into_iter().flatten().map(Spanned::span));
+            let number = |key, value: Option<&Spanned<f64>>| {
+                value.map_or(Ok(0.0), |value| self.source.not_negative(key, value))
+            };
+            bodies.push(BodyUncertainty {
+                mass: number("mass_percent", mass)? / 100.0,
+                centre: number("centre_mm", centre)? / 1e3,
+            });
+        }
+        match stated.first() {
+            None => Ok(Vec::new()),
+            Some(span) if self.file.urdf.is_none() => self.error(
+                span.clone(),
+                "there is a mass_percent or centre_mm, but no masses",
+                "urdf = \"robot.urdf\" with the inertials",
+            ),
+            Some(_) => Ok(bodies),
+        }
     }
 
     /// Deflections need stiffness, gravity and masses together: some of them without the others are a mistake.

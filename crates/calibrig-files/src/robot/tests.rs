@@ -503,3 +503,43 @@ fn a_target_that_cannot_be_is_refused_at_its_line() {
     let error = parse(&text).expect_err("no table").to_string();
     assert!(error.contains("robot.toml:4: target is 3"), "{error}");
 }
+
+#[test]
+fn how_well_stiffnesses_masses_and_centres_are_known_is_read_for_all_and_for_one() {
+    let silent = spray_painter();
+    assert!(!silent.stiffness_unknown && silent.bodies.is_empty());
+    let head = "schema = \"calibrig.robot/1\"";
+    let unknown = painter_with(head, &format!("{head}\ncompliance_percent = \"unknown\"")).expect("valid");
+    assert!(unknown.stiffness_unknown && unknown.compliance_sigma.is_none());
+
+    let text = spray_painter().sources[0].1.text.clone();
+    let name =
+        text.lines().filter(|line| line.starts_with("name = ")).nth(2).expect("a second joint").to_owned();
+    let both = text
+        .replace(head, &format!("{head}\nmass_percent = 3\ncentre_mm = 5"))
+        .replace(&name, &format!("{name}\nmass_percent = 0\ncentre_mm = 1.5"));
+    let urdf = spray_painter().sources.into_iter().find(|(role, _)| role == "urdf").map(|(_, source)| source);
+    let robot = parse_robot(Source::new("robot.toml", both), urdf, None).expect("valid");
+    let stated: Vec<_> = robot.bodies.iter().map(|body| (body.mass, body.centre)).collect();
+    let mut expected = vec![(0.03, 0.005); 7];
+    expected[1] = (0.0, 0.0015);
+    assert_eq!(stated, expected);
+
+    for (line, message, help) in [
+        ("compliance_percent = \"none\"", "compliance_percent is \"none\"", "\"unknown\""),
+        ("compliance_percent = 0", "compliance_percent", "above zero"),
+        ("mass_percent = -1", "mass_percent", "zero or more"),
+        ("centre_mm = inf", "centre_mm", "finite"),
+    ] {
+        match painter_with(head, &format!("{head}\n{line}")) {
+            Err(InputError::Invalid { message: found, help: expected, .. }) => {
+                assert!(found.contains(message), "{line}: {found}");
+                assert!(expected.is_some_and(|expected| expected.contains(help)), "{line}");
+            }
+            other => panic!("{line}: {other:?}"),
+        }
+    }
+    let error =
+        parse(&TWO_JOINTS.replace(head, &format!("{head}\nmass_percent = 3"))).expect_err("no masses");
+    assert!(error.to_string().contains("no masses"), "{error}");
+}

@@ -351,6 +351,7 @@ impl ElasticChain {
             }
             ParameterId::Compliance(compliance) => self.compliance_column(compliance),
             ParameterId::Mass { link } => self.mass_column(link),
+            ParameterId::Centre { link, axis } => self.centre_column(link, axis),
             ParameterId::Linkage(length) => self.linkage_column(length),
             ParameterId::Frame { .. } | ParameterId::Term(_) => Vector3::zeros(),
         }
@@ -463,6 +464,16 @@ impl ElasticChain {
             inboard.turns * moment.cross(&self.gravity) + inboard.shifts * (mass * self.gravity)
         };
         self.parts[link].body_lumps().map(by_lump).sum()
+    }
+
+    fn centre_column(&self, link: usize, axis: usize) -> Vector3<f64> {
+        let a = &self.adjoint;
+        if !a.coupled {
+            return Vector3::zeros();
+        }
+        let part = &self.parts[link];
+        let inboard = &a.inboard[self.lumps[part.first_lump].inboard];
+        inboard.turns * (part.body.0 * self.terms[link].body[axis]).cross(&self.gravity)
     }
 
     fn linkage_column(&self, length: LinkageLength) -> Vector3<f64> {

@@ -228,6 +228,8 @@ impl ElasticChain {
             part.fixed = FixedPart::new(link);
             let Some(statics) = statics else { continue };
             part.body = body_of(Some(statics), index);
+            // A change of the mass acts where the centre is now.
+            part.reference_body.1 = part.reference_body.0 * statics.bodies[index].centre_of_mass;
             part.bearing_at = statics.bearings[index].at;
             self.compliance[part.drive] = 1.0 / statics.drive_stiffness[index];
             for (slot, component) in part.bearing.slots().zip(&part.bearing.components) {

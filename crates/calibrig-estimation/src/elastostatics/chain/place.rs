@@ -23,12 +23,15 @@ pub(super) struct TermsPlace {
     pub origin: Vector3<f64>,
     /// Components of the frame's correction.
     pub frame: [Screw; 6],
+    /// The axes that the body's centre of mass is told in.
+    pub body: [Vector3<f64>; 3],
 }
 
 impl Default for TermsPlace {
     fn default() -> Self {
         let zero = Vector3::zeros();
-        Self { x: zero, previous_origin: zero, y: zero, z: zero, origin: zero, frame: [Screw::NONE; 6] }
+        let (frame, body) = ([Screw::NONE; 6], [zero; 3]);
+        Self { x: zero, previous_origin: zero, y: zero, z: zero, origin: zero, frame, body }
     }
 }
 
@@ -197,6 +200,7 @@ impl Part {
         if self.side == BearingSide::Moving {
             through(walk, &self.bearing, &self.bearing_point(), u, screws);
         }
+        terms.body = walk.axes;
         let in_base = |(mass, moment): (f64, Vector3<f64>)| (mass, mass * walk.origin + walk.turned(&moment));
         let rigid = &mut lumps[self.first_lump];
         (rigid.scale, rigid.arm) = in_base(self.rigid);
@@ -284,6 +288,7 @@ impl ElasticChain {
             ParameterId::Compliance(Compliance::Drive { joint }) => joint < joints,
             ParameterId::Compliance(Compliance::Bearing { joint, axis }) => joint < joints && axis < 6,
             ParameterId::Target { axis, .. } => axis < 3,
+            ParameterId::Centre { link, axis } => link < joints && axis < 3,
             ParameterId::Compliance(Compliance::Rod)
             | ParameterId::Frame { .. }
             | ParameterId::Linkage(_)

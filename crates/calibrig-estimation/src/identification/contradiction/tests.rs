@@ -50,7 +50,7 @@ fn a_wrong_prior_is_told_with_what_a_fit_without_it_finds() {
     for (wrong, group, rows) in [(1, 1, 1..2), (4, 3, 3..6)] {
         let mut errors = DVector::from_column_slice(normal(DATA + PARAMETERS, 1, &mut rng).as_slice());
         errors[DATA + wrong] += 12.0;
-        let outcasts = family(&jacobian, &errors).outcasts(1e-3 / 4.0, 1.0);
+        let outcasts = family(&jacobian, &errors).outcasts(1e-3 / 4.0);
         let [outcast] = outcasts.as_slice() else { panic!("{} of one", outcasts.len()) };
         assert_eq!((outcast.group, outcast.freedom), (group, rows.len()));
         // The same from the system without these rows.
@@ -88,7 +88,7 @@ fn sound_priors_are_named_as_seldom_as_the_level_says() {
     for _ in 0..DRAWS {
         let errors = DVector::from_column_slice(normal(DATA + PARAMETERS, 1, &mut rng).as_slice());
         let family = family(&jacobian, &errors);
-        any += u32::from(!family.outcasts(LEVEL / 4.0, 1.0).is_empty());
+        any += u32::from(!family.outcasts(LEVEL / 4.0).is_empty());
         let block = Block::of(&family.covariance, &(0..1));
         first +=
             u32::from(family.residuals[0].powi(2) * block.inverse[(0, 0)] > chi2_quantile(1.0 - LEVEL, 1.0));
@@ -117,7 +117,7 @@ fn what_the_rest_cannot_tell_apart_is_named_together_and_what_it_tells_nothing_o
     }
     let family = family(&jacobian, &errors);
     assert_eq!(family.tests(), 3);
-    let outcasts = family.outcasts(1e-3, 1.0);
+    let outcasts = family.outcasts(1e-3);
     assert_eq!(outcasts.len(), 1);
     let mut both = [outcasts[0].group, outcasts[0].rivals[0]];
     both.sort_unstable();

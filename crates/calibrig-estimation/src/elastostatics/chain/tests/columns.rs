@@ -20,6 +20,7 @@ fn every_parameter(model: &CalibrationModel) -> Vec<ParameterId> {
     ids.extend(ParameterId::all_of_target(0));
     for joint in 0..joints {
         ids.push(ParameterId::Mass { link: joint });
+        ids.extend((0..3).map(|axis| ParameterId::Centre { link: joint, axis }));
         ids.push(ParameterId::Compliance(Compliance::Drive { joint }));
         ids.push(ParameterId::Compliance(Compliance::Beam { link: joint }));
         let bearing = |axis| ParameterId::Compliance(Compliance::Bearing { joint, axis });
@@ -157,6 +158,7 @@ fn columns_exist_where_a_compliance_vanishes() {
     let half = |id| match id {
         ParameterId::Mass { link } if link % 2 == 0 => -1.0,
         ParameterId::Mass { .. } => 0.3,
+        ParameterId::Centre { .. } => 0.02,
         ParameterId::Linkage(_) => 0.002,
         _ => 0.0,
     };

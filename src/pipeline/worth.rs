@@ -1,0 +1,180 @@
+//! Is a compliance or term worth identifying? Nested fits with and without it, on poses that neither has seen.
+
+use std::fmt;
+
+use nalgebra::Vector3;
+
+use super::choice::{errors, pose_folds};
+use super::{PipelineError, SetOutcome};
+use calibrig_estimation::evaluation::{Interval, NestedFits, Split, paired_by_pose};
+use calibrig_estimation::identification::{
+    ComplianceChoice, Estimate, IdentificationOptions, LINKAGE, Linearisation, identify,
+};
+use calibrig_estimation::validation::{held_out_errors, in_order};
+use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::{CalibrationModel, ParameterId};
+
+/// Confidence of all intervals of an estimate together.
+const LEVEL: f64 = 0.95;
+/// Parts of the poses that are held out in turn, and the seed of their draw.
+const FOLDS: usize = 10;
+const SEED: u64 = 1;
+
+/// Parameters whose identification makes poses that were not fitted worse than leaving them at their prior means.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Worse {
+    /// Which.
+    pub parameters: Vec<ParameterId>,
+    /// By how much the RMS of held-out poses is smaller with them identified, m: below zero throughout.
+    pub gain: Interval,
+}
+
+impl fmt::Display for Worse {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names: Vec<_> = self.parameters.iter().map(ToString::to_string).collect();
+        let mm = |metres: f64| -1e3 * metres;
+        write!(
+            f,
+            "identifying {} makes poses that were not fitted worse, by {:.4} mm RMS (interval {:.4} to {:.4} mm), than leaving it where it was \
+             predicted: leave it out, or state a tighter prior",
+            names.join(", "),
+            mm(self.gain.value),
+            mm(self.gain.high),
+            mm(self.gain.low)
+        )
+    }
+}
+
+/// What of the compliances and terms of an estimate, which `system` is the linearisation of, is worse identified than left alone.
+///
+/// The compliances are looked at all together, and so are the terms; single ones only where their identification is not clearly better.
+/// The linearised fits tell first: what they find is fitted again before it is named.
+pub(super) fn worse(
+    model: &CalibrationModel,
+    set: &SetOutcome,
+    options: &IdentificationOptions,
+    estimate: &Estimate,
+    system: &Linearisation,
+) -> Vec<Worse> {
+    let set = &set.measurements;
+    let groups = groups(estimate);
+    if groups.is_empty() {
+        return Vec::new();
+    }
+    let splits = pose_folds(set, FOLDS, SEED);
+    let poses: Vec<u32> = set.observations.iter().map(|observation| observation.pose).collect();
+    let values: Vec<f64> = estimate.parameters.iter().map(|parameter| parameter.value).collect();
+    let bounded: Vec<usize> =
+        (0..values.len()).filter(|i| estimate.at_bound.contains(&estimate.parameters[*i].id)).collect();
+    let nested = NestedFits::new(system, &values, &bounded, &estimate.weights, &poses, &splits);
+    let Some(nested) = nested else { return Vec::new() };
+    let tests: usize = groups.iter().map(|group| 1 + group.members.len()).sum();
+    let level = 1.0 - (1.0 - LEVEL) / tests as f64;
+    let confirmed = |columns: &[usize]| {
+        nested.gain(columns, level).filter(|gain| gain.high < 0.0)?;
+        let parameters: Vec<_> = columns.iter().map(|column| estimate.parameters[*column].id).collect();
+        let gain = fitted_gain(model, set, options, estimate, &parameters, &splits, level);
+        gain.filter(|gain| gain.high < 0.0).map(|gain| Worse { parameters, gain })
+    };
+    let mut found = Vec::new();
+    for group in groups {
+        if nested.gain(&group.all(), level).is_some_and(|gain| gain.low > 0.0) {
+            continue;
+        }
+        let members: Vec<_> = group.members.iter().filter_map(|member| confirmed(member)).collect();
+        if members.is_empty() && group.members.len() > 1 {
+            found.extend(confirmed(&group.all()));
+        }
+        found.extend(members);
+    }
+    found
+}
+
+/// Columns that are looked at together, and what of them can be left out by itself.
+struct Group {
+    members: Vec<Vec<usize>>,
+}
+
+impl Group {
+    fn all(&self) -> Vec<usize> {
+        self.members.concat()
+    }
+}
+
+/// The compliances, each by itself; the terms, family by family.
+fn groups(estimate: &Estimate) -> Vec<Group> {
+    let ids = || estimate.parameters.iter().map(|parameter| parameter.id).enumerate();
+    let compliances = ids().filter(|(_, id)| matches!(id, ParameterId::Compliance(_)));
+    let compliances = compliances.map(|(column, _)| vec![column]).collect();
+    let mut families: Vec<(&str, Vec<usize>)> = Vec::new();
+    for (column, id) in ids() {
+        let Some(family) = family(id) else { continue };
+        match families.iter_mut().find(|(known, _)| *known == family) {
+            Some((_, columns)) => columns.push(column),
+            None => families.push((family, vec![column])),
+        }
+    }
+    let terms = families.into_iter().map(|(_, columns)| columns).collect();
+    [compliances, terms]
+        .into_iter()
+        .map(|members| Group { members })
+        .filter(|g| !g.members.is_empty())
+        .collect()
+}
+
+/// Of the extended mode.
+fn family(id: ParameterId) -> Option<&'static str> {
+    match id {
+        ParameterId::Linkage(_) => Some(LINKAGE),
+        ParameterId::Term(term) => Some(term.family().key()),
+        _ => None,
+    }
+}
+
+/// The gain of identifying `parameters` by fits that are really made, `None` where one of them cannot be.
+fn fitted_gain(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    estimate: &Estimate,
+    parameters: &[ParameterId],
+    splits: &[Split],
+    level: f64,
+) -> Option<Interval> {
+    let poses: Vec<u32> = set.observations.iter().map(|observation| observation.pose).collect();
+    let errors_of = |without: &[ParameterId]| -> Option<Vec<Vector3<f64>>> {
+        let options = fitting(options, estimate, without);
+        let failed = |source| PipelineError::Identify { mode: options.mode, source };
+        let held_out = held_out_errors(set, splits, |fitted, held_out| {
+            errors(&identify(model, fitted, &options).map_err(failed)?, held_out)
+        });
+        in_order(splits, &held_out.ok()?, set.observations.len())
+    };
+    let mut without = errors_of(parameters)?;
+    let mut with = errors_of(&[])?;
+    for (i, weight) in estimate.weights.iter().enumerate() {
+        without[i] *= weight.max(0.0).sqrt();
+        with[i] *= weight.max(0.0).sqrt();
+    }
+    paired_by_pose(&without, &with, &poses, level)
+}
+
+/// The options that fit what `estimate` has, but for some compliances and families of terms.
+fn fitting(
+    options: &IdentificationOptions,
+    estimate: &Estimate,
+    without: &[ParameterId],
+) -> IdentificationOptions {
+    let kept = || estimate.parameters.iter().map(|parameter| parameter.id).filter(|id| !without.contains(id));
+    let compliances = kept().filter_map(|id| match id {
+        ParameterId::Compliance(compliance) => Some(compliance),
+        _ => None,
+    });
+    let mut terms: Vec<String> = kept().filter_map(family).map(str::to_owned).collect();
+    terms.dedup();
+    IdentificationOptions {
+        compliances: ComplianceChoice::Listed(compliances.collect()),
+        terms: Some(terms),
+        ..options.clone()
+    }
+}
