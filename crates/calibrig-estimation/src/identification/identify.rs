@@ -7,8 +7,9 @@ use super::limits::limits;
 use super::machine::MachineError;
 use super::summary::summarise;
 use super::{
-    Bounds, BoundsError, CalibratedRobot, Estimate, FrameChoice, IdentificationOptions, LeastSquares, Mode,
-    NoiseScale, ParameterBoundError, ParameterChoice, Solution, TargetChoice, minimise, minimise_within,
+    Bounds, BoundsError, CalibratedRobot, Estimate, FrameChoice, IdentificationOptions, LeastSquares, Loss,
+    Mode, NoiseScale, ParameterBoundError, ParameterChoice, Solution, SolverOptions, TargetChoice, minimise,
+    minimise_within,
 };
 use calibrig_model::measurement::{MeasurementError, MeasurementSet, RegistrationError};
 use calibrig_model::{CalibrationModel, ModelError, ParameterId, Unit};
@@ -179,17 +180,20 @@ fn spread((id, sigma): (&ParameterId, &Option<f64>)) -> f64 {
 /// The nominal robot, laid over the measurements.
 ///
 /// Where the target's offset was measured, by the rigid transform that fits best (one a station, equal weights); where it is unknown,
-/// the offset is fitted together with the tracker's place, and those that were measured are a prior.
+/// the offset is fitted together with the tracker's place, and those that were measured are a prior. A robust `loss` is that of both.
 pub fn without_calibration(
     model: &CalibrationModel,
     set: &MeasurementSet,
+    loss: Loss,
 ) -> Result<CalibratedRobot, IdentifyError> {
-    if set.targets.iter().any(|target| target.covariance.is_none()) {
+    let is_unknown = set.targets.iter().any(|target| target.covariance.is_none());
+    if is_unknown || loss != Loss::Squared {
         let options = IdentificationOptions {
             mode: Mode::WithoutCalibration,
             parameters: ParameterChoice::Listed(Vec::new()),
             frame: FrameChoice::Free,
-            target: TargetChoice::AsStated,
+            target: if is_unknown { TargetChoice::AsStated } else { TargetChoice::Fixed },
+            solver: SolverOptions { loss, ..SolverOptions::default() },
             ..IdentificationOptions::published()
         };
         return Ok(identify(model, set, &options)?.robot);

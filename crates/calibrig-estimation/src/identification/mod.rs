@@ -6,6 +6,7 @@ mod build;
 mod contradiction;
 mod estimate;
 mod factor;
+mod gross;
 mod identifiability;
 mod identify;
 mod limits;
@@ -22,11 +23,13 @@ mod summary;
 #[cfg(test)]
 mod tests;
 mod uncertainty;
+mod verdict;
 
 pub use contradiction::{CONTRADICTION_LEVEL, Contradiction, Stated};
 pub use estimate::{
     Assumption, Estimate, IterationRecord, NoiseScale, Outlier, ParameterEstimate, TerminationReason, Warning,
 };
+pub use gross::held_out_outliers;
 pub use identifiability::{
     DependentGroup, Explanation, Finding, IdentifiabilityReport, RANK_TOLERANCE, Remedy, Spectrum,
     WEAK_TOLERANCE, WeakDirection, complete_set, explain, identifiability, neighbour_axis_rules, spectrum,
@@ -44,6 +47,7 @@ pub use options::{
 };
 pub use prospect::{Prospect, prospect};
 pub use robot::{CalibratedRobot, EstimatePredictor, Prediction, PredictionError, Predictor};
+pub(crate) use solver::scale_of;
 use solver::{Bounds, LeastSquares, Solution, minimise, minimise_within};
 pub use solver::{BoundsError, Loss, LossScale, SolverOptions};
 pub use uncertainty::{
