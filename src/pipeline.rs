@@ -18,7 +18,7 @@ pub use judgement::{Confidence, FALSE_ALARM, Judgement, PredictedPosition, judge
 pub use planned::{planned, planned_at};
 pub use plausible::{Implausible, check_plausible, commands_beyond_limits};
 pub use simulate::{measure_session, simulate};
-pub use splits::{SplitMode, SplitPlan, SplitStudy, pose_count, repeat_splits};
+pub use splits::{SplitMode, SplitPlan, SplitStudy, pose_count, repeat_splits, without_gross_errors};
 pub use truth::KnownTruth;
 
 use std::fmt::Write;

@@ -11,7 +11,7 @@ use super::{CliError, Verdict, not_identified, output, print, say};
 use crate::pipeline::{self, ChosenRow, ModelChoice, PlantKind, SetKind, choose, simulate};
 use crate::scenario::load_scenario;
 use calibrig_estimation::evaluation::{Criteria, Verdict as Worth};
-use calibrig_estimation::identification::{IdentificationOptions, LINKAGE, Tolerance};
+use calibrig_estimation::identification::{IdentificationOptions, LINKAGE, Outlier, Tolerance};
 use calibrig_model::FAMILIES;
 
 /// Compare models on poses that they were not fitted to: does gravity, the linkage, hysteresis pay?
@@ -145,6 +145,18 @@ fn verdict(choice: &ModelChoice) -> Verdict {
         let (name, count, fits) = (&row.row.name, row.not_converged, choice.folds + 1);
         say(&format!("doubtful: {name}: {count} of {fits} fits did not converge"));
     }
+    if !choice.gross_errors.is_empty() {
+        let named: Vec<_> = choice.gross_errors.iter().map(ToString::to_string).collect();
+        let named = named.join(", ");
+        if choice.gross_errors.iter().any(Outlier::counts) {
+            verdict = Verdict::Doubtful;
+            say(&format!(
+                "doubtful: gross errors count in every fit: {named}; `--loss tukey` leaves them out"
+            ));
+        } else {
+            say(&format!("left out as gross errors: {named}"));
+        }
+    }
     for failure in &choice.failures {
         verdict = Verdict::Doubtful;
         say(&format!("doubtful: {} could not be fitted: {}", failure.name, failure.why));
@@ -274,6 +286,9 @@ fn as_json(name: &str, choice: &ModelChoice) -> String {
         "poses": choice.poses,
         "folds": choice.folds,
         "models": choice.rows.iter().map(row).collect::<Vec<_>>(),
+        "gross_errors": choice.gross_errors.iter().map(|o| json!({
+            "pose": o.pose, "distance_m": finite(o.distance), "size": finite(o.size), "weight": finite(o.weight),
+        })).collect::<Vec<_>>(),
         "failures": choice.failures.iter().map(|f| json!({ "name": f.name, "why": f.why })).collect::<Vec<_>>(),
         "advice": advice(choice),
     });

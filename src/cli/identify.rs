@@ -11,7 +11,7 @@ use super::output::{self, Destination, Files};
 use super::{Cli, CliError, Verdict, not_identified, say};
 use crate::pipeline::{
     InputSummary, Outcome, PipelineError, SetKind, SetOutcome, SplitPlan, SplitStudy, calibrate,
-    commands_beyond_limits, hash_sources, is_default, judge, pose_count, repeat_splits,
+    commands_beyond_limits, hash_sources, is_default, judge, pose_count, repeat_splits, without_gross_errors,
 };
 use calibrig_estimation::identification::{
     ComplianceChoice, DEFAULT_TOLERANCE, IdentificationOptions, LINKAGE, Loss, Mode, ParameterBound,
@@ -207,6 +207,8 @@ fn split_study(
 ) -> Result<SplitStudy, CliError> {
     let empty = MeasurementSet::default();
     let set = outcome.sets.first().map_or(&empty, |set| &set.measurements);
+    let largest = outcome.modes.iter().rev().find_map(|mode| mode.estimate.as_ref());
+    let set = &largest.map_or_else(|| set.clone(), |estimate| without_gross_errors(set, estimate));
     let poses = pose_count(set);
     if fitted >= poses {
         let message = format!("--fit {fitted}: expected fewer poses than the measurements have, {poses}");

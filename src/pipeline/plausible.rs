@@ -22,8 +22,10 @@ pub struct Implausible {
     /// Why.
     pub found: Plausibility,
     links: Vec<CraigLink>,
-    /// Of every observation: its row where rows are numbered through, else its pose.
-    labels: Vec<String>,
+    /// What observations are called: rows where they are numbered through, else poses.
+    called: &'static str,
+    /// Number of every observation's pose.
+    poses: Vec<u32>,
     targets: Vec<String>,
     /// Largest span of a revolute joint's commands, rad.
     span: f64,
@@ -76,7 +78,6 @@ impl Implausible {
     fn new(kind: SetKind, found: Plausibility, model: &CalibrationModel, set: &MeasurementSet) -> Self {
         let observations = &set.observations;
         let are_rows = observations.iter().zip(1..).all(|(observation, row)| observation.pose == row);
-        let what = if are_rows { "row" } else { "pose" };
         let links = model.kinematics.links.clone();
         let span = |(joint, _): (usize, &CraigLink)| {
             let commands = observations.iter().filter_map(|o| o.command.get(joint));
@@ -87,7 +88,8 @@ impl Implausible {
         Self {
             kind,
             span: revolute.map(span).fold(0.0, f64::max),
-            labels: observations.iter().map(|observation| format!("{what} {}", observation.pose)).collect(),
+            called: if are_rows { "row" } else { "pose" },
+            poses: observations.iter().map(|observation| observation.pose).collect(),
             targets: set.targets.iter().map(|target| target.name.clone()).collect(),
             found,
             links,
@@ -102,7 +104,10 @@ impl Implausible {
         if !found.unreachable.is_empty() {
             help.push(
                 "a code of shots that were missed? Leave these rows out: no loss can weigh such a point"
-                    .to_owned(),
+                    .to_owned()
+                    + &found.rms.map_or_else(String::new, |rms| {
+                        format!(" (without them the nominal robot leaves an RMS of {})", mm(rms))
+                    }),
             );
         }
         if let Some(few) = &found.few_rows {
@@ -128,8 +133,8 @@ impl Implausible {
         let is_exchanged =
             |far: &&FarOff| few.exchanged.iter().any(|(a, b)| [a, b].contains(&&far.observation));
         for (a, b) in few.exchanged.iter().take(LISTED) {
-            let (a, b) = (&self.labels[*a], &self.labels[*b]);
-            words.push(format!("{a} and {b} have each other's points: they are exchanged"));
+            let (called, a, b) = (self.called, self.poses[*a], self.poses[*b]);
+            words.push(format!("{called}s {a} and {b} have each other's points: they are exchanged"));
         }
         let others: Vec<FarOff> = few.rows.iter().filter(|far| !is_exchanged(far)).copied().collect();
         if !others.is_empty() {
@@ -140,7 +145,8 @@ impl Implausible {
 
     /// Rows with their distances.
     fn listed(&self, rows: &[FarOff]) -> String {
-        let words = |far: &FarOff| format!("{} by {}", self.labels[far.observation], mm(far.distance));
+        let words =
+            |far: &FarOff| format!("{} {} by {}", self.called, self.poses[far.observation], mm(far.distance));
         let mut list: Vec<_> = rows.iter().take(LISTED).map(words).collect();
         if rows.len() > LISTED {
             list.push(format!("{} more", rows.len() - LISTED));
@@ -191,9 +197,9 @@ impl Implausible {
                 format!("the columns of {} and {} exchanged: RMS {rms}{before}", joint(at), joint(other))
             }
             Convention::SeveralTargets { target, count } => format!(
-                "the points of target {} are those of {count} targets at different offsets: told apart they leave an RMS of {rms}{before}. \
+                "the points of {} are those of {count} targets at different offsets: told apart they leave an RMS of {rms}{before}. \
                  Name them in a column (`target`)",
-                self.targets[target]
+                named("target", &self.targets[target])
             ),
             _ => format!("read otherwise: RMS {rms}{before}"),
         }
@@ -207,10 +213,10 @@ impl fmt::Display for Implausible {
             write!(f, "{} set: ", self.kind.key())?;
         }
         if !found.unreachable.is_empty() {
+            let which = self.listed(&found.unreachable);
             return write!(
                 f,
-                "no point that the robot could reach, so far from the middle of the others: {}",
-                self.listed(&found.unreachable)
+                "no point that the robot could reach, by the distance from the middle of the others: {which}"
             );
         }
         let rms = found.rms.unwrap_or_default();
@@ -219,10 +225,15 @@ impl fmt::Display for Implausible {
             "the nominal robot does not lie on the points: with tracker and target fitted, it leaves an RMS of {}, {:.0} % of their \
              spread ({})",
             mm(rms),
-            1e2 * found.share().unwrap_or_default(),
+            1e2 * found.share.unwrap_or_default(),
             mm(found.spread)
         )
     }
+}
+
+/// A name that need not say what it is the name of.
+fn named(what: &str, name: &str) -> String {
+    if name.starts_with(what) { name.to_owned() } else { format!("{what} {name}") }
 }
 
 fn mm(metres: f64) -> String {

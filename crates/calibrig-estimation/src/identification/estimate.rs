@@ -300,6 +300,8 @@ fn and_more(count: usize) -> String {
 
 /// What is to be done where they count in the fit.
 const COUNTED: &str = ". They count in the fit as they are: look at these readings and leave out what is wrong with them, or use a robust loss (`--loss tukey`)";
+/// Standard deviations from which on it is no tail of what a machine does.
+const CERTAIN: f64 = 10.0;
 /// More are counted, not listed.
 const LISTED: usize = 12;
 
@@ -336,8 +338,14 @@ pub struct Outlier {
 
 impl Outlier {
     /// Whether it carries weight in the fit. A robust loss leaves one of this size less than half.
-    pub fn counts(&self) -> bool {
+    pub fn carries_weight(&self) -> bool {
         self.weight > 0.5
+    }
+
+    /// Whether it carries weight and is a gross error for certain: up to ten standard deviations, what a machine does now and then (a
+    /// backlash that was taken up or not) looks alike.
+    pub fn counts(&self) -> bool {
+        self.carries_weight() && self.size >= CERTAIN
     }
 }
 
@@ -346,11 +354,12 @@ impl fmt::Display for Outlier {
         write!(f, "pose {}", self.pose)?;
         for (what, name) in [("target", &self.target), ("station", &self.station)] {
             if let Some(name) = name {
-                write!(f, ", {what} {name}")?;
+                let what = if name.starts_with(what) { "" } else { what };
+                write!(f, ", {}", format!("{what} {name}").trim_start())?;
             }
         }
         write!(f, " ({:.3} mm, {:.0} sigma", 1e3 * self.distance, self.size)?;
-        if !self.counts() {
+        if !self.carries_weight() {
             write!(f, ", weight {:.2}", self.weight)?;
         }
         if let Some(pose) = self.exchanged_with {

@@ -21,6 +21,8 @@ const FALSE_ALARM: f64 = 2e-4;
 const LEAST: f64 = 5.0;
 /// Readings beyond so many are candidates.
 const CANDIDATE: f64 = 3.5;
+/// A model that lacks something predicts worse than it says where it extrapolates: there its variance counts so many times.
+const EXTRAPOLATED: f64 = 4.0;
 /// Largest share of readings that can be candidates: beyond it, it is not for a scale from the others to say.
 const MOST: f64 = 0.4;
 /// Passes with Huber's weights, from which Tukey's start, and with those.
@@ -51,10 +53,21 @@ pub(super) struct LinearFit<'a> {
     pub is_stated: bool,
 }
 
+/// A block against a fit without it.
+#[derive(Debug, Clone, Copy)]
+struct LeftOut {
+    /// Its residual.
+    error: Vector3<f64>,
+    /// The square of its size, in standard deviations of reading and prediction.
+    square: f64,
+    /// The same where the model may lack something.
+    cautious: f64,
+}
+
 /// Residuals against one set of weights.
 struct Fitted {
-    /// Of every block, the residual against a fit without it, and the square of its size in standard deviations that are one.
-    left_out: Vec<(Vector3<f64>, f64)>,
+    /// Of every block.
+    left_out: Vec<LeftOut>,
     /// Variance of a coordinate in the blocks of weight one, and its degrees of freedom.
     variance: f64,
     freedom: f64,
@@ -84,14 +97,14 @@ impl LinearFit<'_> {
         for (loss, passes) in [Loss::huber(), Loss::tukey()].into_iter().zip(PASSES) {
             for _ in 0..passes {
                 let scale = now.scale().max(f64::MIN_POSITIVE);
-                let weight = |(_, square): &(Vector3<f64>, f64)| loss.weight(square / (scale * scale));
+                let weight = |out: &LeftOut| loss.weight(out.square / (scale * scale));
                 let weights: Vec<f64> = now.left_out.iter().map(weight).collect();
                 now = self.fitted(&weights, scale, true)?;
             }
         }
         let limit = (CANDIDATE * now.scale()).powi(2);
-        let mut far: Vec<usize> = (0..self.blocks).filter(|i| now.left_out[*i].1 > limit).collect();
-        far.sort_by(|a, b| now.left_out[*b].1.total_cmp(&now.left_out[*a].1));
+        let mut far: Vec<usize> = (0..self.blocks).filter(|i| now.left_out[*i].square > limit).collect();
+        far.sort_by(|a, b| now.left_out[*b].square.total_cmp(&now.left_out[*a].square));
         let enough = (3 * self.blocks).saturating_sub(self.jacobian.ncols() + 6) / 3;
         far.truncate(enough.min((MOST * self.blocks as f64) as usize));
         Some(far)
@@ -108,7 +121,7 @@ impl LinearFit<'_> {
             let variance = fitted.variance.max(least);
             scale = variance.sqrt();
             let is_gross = |i: &usize| {
-                let square = fitted.left_out[*i].1 / variance;
+                let square = fitted.left_out[*i].cautious / variance;
                 let ln_p = f_ln_survival(square / 3.0, 3.0, fitted.freedom);
                 square > LEAST * LEAST && ln_p + (self.blocks as f64).ln() < FALSE_ALARM.ln()
             };
@@ -116,8 +129,8 @@ impl LinearFit<'_> {
             candidates.retain(is_gross);
             if candidates.len() == before {
                 let gross = |&observation: &usize| {
-                    let (left_out, square) = fitted.left_out[observation];
-                    GrossError { observation, size: (square / variance).sqrt(), left_out }
+                    let LeftOut { error, square, .. } = fitted.left_out[observation];
+                    GrossError { observation, size: (square / variance).sqrt(), left_out: error }
                 };
                 let mut found: Vec<_> = candidates.iter().map(gross).collect();
                 found.sort_by(|a, b| b.size.total_cmp(&a.size));
@@ -174,26 +187,30 @@ impl LinearFit<'_> {
     }
 }
 
-/// The residual against a fit without the block, and its squared size: `e = (1 - wH)⁻¹ r` and `eᵀ (1 + (1 - wH)⁻¹ H)⁻¹ e`.
-fn without(hat: &Matrix3<f64>, weight: f64, residual: &Vector3<f64>) -> (Vector3<f64>, f64) {
+/// The block of these weights and hat matrix: `e = (1 - wH)⁻¹ r`, whose covariance is `1 + S` with `S = (1 - wH)⁻¹ H` that of its prediction.
+fn without(hat: &Matrix3<f64>, weight: f64, residual: &Vector3<f64>) -> LeftOut {
     // A block that determines a direction by itself says nothing against itself there.
-    let rest = Matrix3::identity() - hat * weight + Matrix3::identity() * 1e-9;
-    let found = rest.lu().solve(residual).zip(rest.lu().solve(hat)).and_then(|(error, beside)| {
-        let square = error.dot(&(Matrix3::identity() + beside).lu().solve(&error)?);
-        square.is_finite().then_some((error, square.max(0.0)))
+    let rest = (Matrix3::identity() * (1.0 + 1e-9) - hat * weight).lu();
+    let found = rest.solve(residual).zip(rest.solve(hat)).and_then(|(error, spread)| {
+        let square = |times: f64| {
+            let square = error.dot(&(Matrix3::identity() + spread * times).lu().solve(&error)?);
+            square.is_finite().then_some(square.max(0.0))
+        };
+        Some(LeftOut { error, square: square(1.0)?, cautious: square(EXTRAPOLATED)? })
     });
-    found.unwrap_or((*residual, residual.norm_squared()))
+    let square = residual.norm_squared();
+    found.unwrap_or(LeftOut { error: *residual, square, cautious: square })
 }
 
 impl Fitted {
     /// Standard deviation of a coordinate, from the median.
     fn scale(&self) -> f64 {
         // The sizes are those of single readings: no parameter has made them smaller.
-        scale_of(&mut self.left_out.iter().map(|(_, square)| square.sqrt()).collect::<Vec<_>>(), 0.0)
+        scale_of(&mut self.left_out.iter().map(|out| out.square.sqrt()).collect::<Vec<_>>(), 0.0)
     }
 
     fn largest(&self) -> f64 {
-        self.left_out.iter().map(|(_, square)| square.sqrt()).fold(0.0, f64::max)
+        self.left_out.iter().map(|out| out.square.sqrt()).fold(0.0, f64::max)
     }
 }
 

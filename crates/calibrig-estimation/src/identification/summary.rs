@@ -61,7 +61,7 @@ pub(super) fn summarise(
     if !outliers.is_empty() {
         warnings.push(Warning::Outliers(outliers.clone()));
     }
-    warnings.extend(off_the_points(&problem, &solution, set));
+    warnings.extend(off_the_points(&problem, &solution, set, &outliers));
     if solution.minima > 1 {
         warnings.push(Warning::SeveralMinima { minima: solution.minima });
     }
@@ -184,14 +184,18 @@ const NEAR_PARTNER: f64 = 0.1;
 /// Share of the robot's reach, and of the points' spread, that no robot leaves which was measured as it was commanded.
 const OFF_THE_POINTS: (f64, f64) = (0.02, 0.03);
 
-/// That the identified robot does not lie on the points either.
+/// That the identified robot does not lie on the points either, gross errors aside.
 fn off_the_points(
     problem: &CalibrationProblem,
     solution: &Solution,
     set: &MeasurementSet,
+    outliers: &[Outlier],
 ) -> Option<Warning> {
     let (mut squares, mut sum) = (0.0, 0.0);
     for (i, row) in problem.rows.iter().enumerate() {
+        if outliers.iter().any(|outlier| outlier.observation == i) {
+            continue;
+        }
         let weight = solution.weights.get(i).copied().unwrap_or(1.0);
         let off = row.whitening.lu().solve(&solution.residuals.fixed_rows::<3>(3 * i).into_owned());
         squares += weight * off.map_or(0.0, |off| off.norm_squared());

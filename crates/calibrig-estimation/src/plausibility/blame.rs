@@ -63,8 +63,10 @@ pub(super) fn few_rows(points: &Points, start: &Placement) -> Option<FewRows> {
     far.sort_by(|a, b| lengths[*b].total_cmp(&lengths[*a]));
     let rest = points.part(&near);
     let placed = rest.fit(best.clone(), &vec![1.0; near.len()]);
+    let rms_without = rest.rms(&placed)?;
     Some(FewRows {
-        rms_without: rest.rms(&placed)?,
+        rms_without,
+        share_without: rest.share(rms_without),
         exchanged: exchanged(points, &placed, &far, FAR * least),
         rows: far
             .iter()

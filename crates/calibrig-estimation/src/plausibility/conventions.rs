@@ -15,6 +15,8 @@ const TRIED: usize = 100;
 const EXPLAINS: f64 = 0.2;
 /// And less than this share of the points' spread.
 const FITS: f64 = 0.1;
+/// So many times what the best convention leaves, another one does as well.
+const ALIKE: f64 = 1.5;
 /// A whole turn read in the other unit: commands in rad read as degrees span less, commands in degrees read as rad span more.
 const TURN: f64 = 2.0 * PI;
 /// Units of a length, seen from another one.
@@ -24,14 +26,15 @@ const MOST_TARGETS: usize = 3;
 /// A target needs as many observations before it is taken for several.
 const LEAST_OF_TARGET: usize = 10;
 
-/// The conventions that explain the points, best first; `rms` is what they leave without any.
-pub(super) fn explanations(model: &CalibrationModel, set: &MeasurementSet, rms: f64) -> Vec<Explanation> {
+/// The conventions that explain the points, best first; `share` of their spread is what they leave without any.
+pub(super) fn explanations(model: &CalibrationModel, set: &MeasurementSet, share: f64) -> Vec<Explanation> {
     let step = set.observations.len().div_ceil(TRIED).max(1);
     let part = MeasurementSet {
         observations: set.observations.iter().step_by(step).cloned().collect(),
         ..set.clone()
     };
-    let mut found: Vec<Explanation> = candidates(model, &part)
+    let limit = FITS.min(EXPLAINS * share);
+    let mut found: Vec<(f64, Explanation)> = candidates(model, &part)
         .into_iter()
         .filter_map(|convention| {
             // What shifts rows against each other needs all of them in their order.
@@ -39,18 +42,15 @@ pub(super) fn explanations(model: &CalibrationModel, set: &MeasurementSet, rms: 
             let changed = convention.applied(model, if whole { set } else { &part })?;
             let points = points_of(model, &changed);
             let rms = points.rms(&points.best())?;
-            let fits = rms < FITS * points.spread();
-            fits.then_some(Explanation { convention, rms })
+            let left = points.share(rms);
+            (left < limit).then_some((left, Explanation { convention, rms }))
         })
-        .chain(several_targets(&points_of(model, &part)))
-        .filter(|explanation| explanation.rms < EXPLAINS * rms)
+        .chain(several_targets(&points_of(model, &part), limit))
         .collect();
-    found.sort_by(|a, b| a.rms.total_cmp(&b.rms));
+    found.sort_by(|a, b| a.0.total_cmp(&b.0));
     // Others that do nearly as well could be meant as well; a worse one only resembles it.
-    if let Some(least) = found.first().map(|best| best.rms) {
-        found.retain(|explanation| explanation.rms <= 1.5 * least);
-    }
-    found
+    let least = found.first().map_or(0.0, |best| best.0);
+    found.into_iter().filter(|(left, _)| *left <= ALIKE * least).map(|(_, explanation)| explanation).collect()
 }
 
 fn candidates(model: &CalibrationModel, set: &MeasurementSet) -> Vec<Convention> {
@@ -143,8 +143,8 @@ impl MovePoints for MeasurementSet {
 }
 
 /// Whether the observations of one target are of several, at offsets of their own: clusters of what the residuals are in the flange's
-/// frame, fitted and assigned in turn (k-means).
-fn several_targets(points: &Points) -> Vec<Explanation> {
+/// frame, fitted and assigned in turn (k-means). The fewest that leave less than the share `limit` of the points' spread.
+fn several_targets(points: &Points, limit: f64) -> Vec<(f64, Explanation)> {
     let one = points.best();
     let mut found = Vec::new();
     for target in 0..points.offsets.len() {
@@ -178,9 +178,11 @@ fn several_targets(points: &Points) -> Vec<Explanation> {
             let mut sizes: Vec<_> =
                 places.iter().map(|place| split.target.iter().filter(|t| *t == place).count()).collect();
             sizes.sort_unstable();
-            if let Some(rms) = split.rms(&placed).filter(|_| sizes[0] > 2) {
+            let rms = split.rms(&placed).filter(|rms| sizes[0] > 2 && split.share(*rms) < limit);
+            if let Some(rms) = rms {
                 let convention = Convention::SeveralTargets { target, count };
-                found.push(Explanation { convention, rms });
+                found.push((split.share(rms), Explanation { convention, rms }));
+                break;
             }
         }
     }

@@ -84,11 +84,17 @@ impl Points {
         (0..self.len()).map(|i| self.residual(placement, i).norm()).collect()
     }
 
-    /// RMS length of what is left, for as many degrees of freedom as are left, m; `None` where none is.
+    /// RMS length of what is left, m; `None` where tracker and targets explain whatever was measured.
     pub fn rms(&self, placement: &Placement) -> Option<f64> {
-        let freedom = self.freedom() as f64;
         let squares: f64 = self.lengths(placement).iter().map(|v| v * v).sum();
-        (freedom > 0.0).then(|| (3.0 * squares / freedom).sqrt()).filter(|rms| rms.is_finite())
+        let rms = (squares / self.len() as f64).sqrt();
+        (self.freedom() > 0 && rms.is_finite()).then_some(rms)
+    }
+
+    /// This RMS length over the points' spread, for as many degrees of freedom as are left.
+    pub fn share(&self, rms: f64) -> f64 {
+        let factor = (3.0 * self.len() as f64 / self.freedom().max(1) as f64).sqrt();
+        factor * rms / self.spread().max(f64::MIN_POSITIVE)
     }
 
     /// The least squares placement from the first start: nearly always the best one where the robot lies on the points.

@@ -33,9 +33,11 @@ const BEYOND: f64 = 0.02;
 pub struct Plausibility {
     /// Observations that were looked at.
     pub observations: usize,
-    /// RMS distance of the points from the nominal robot, with the tracker's place and the targets' offsets fitted, m (per degree of freedom);
-    /// `None` where these explain whatever was measured.
+    /// RMS distance of the points from the nominal robot, with the tracker's place and the targets' offsets fitted, m; `None` where these
+    /// explain whatever was measured.
     pub rms: Option<f64>,
+    /// The same as a share of the points' spread, for as many degrees of freedom as are left: one where the robot explains nothing.
+    pub share: Option<f64>,
     /// RMS distance of the points from their mean, m.
     pub spread: f64,
     /// Points that no pose of the robot reaches; the other figures are without them.
@@ -64,8 +66,10 @@ pub struct FewRows {
     pub rows: Vec<FarOff>,
     /// Pairs of observations that have each other's points.
     pub exchanged: Vec<(usize, usize)>,
-    /// What the nominal robot leaves of the others, m.
+    /// RMS distance of the others from the nominal robot, m.
     pub rms_without: f64,
+    /// The same as a share of their spread.
+    pub share_without: f64,
 }
 
 /// A convention, and what the nominal robot leaves where the file is read by it.
@@ -142,19 +146,14 @@ pub struct BeyondLimits {
 }
 
 impl Plausibility {
-    /// Share of the points' spread that the nominal robot leaves: one where it explains nothing.
-    pub fn share(&self) -> Option<f64> {
-        self.rms.map(|rms| rms / self.spread.max(f64::MIN_POSITIVE))
-    }
-
     /// Whether there is any use in fitting. With a `robust` loss, a few rows do not count.
     pub fn is_plausible(&self, robust: bool) -> bool {
         let few = self.few_rows.as_ref();
-        let rms = if robust { few.map(|few| few.rms_without).or(self.rms) } else { self.rms };
+        let share = if robust { few.map(|few| few.share_without).or(self.share) } else { self.share };
         self.unreachable.is_empty()
             && self.explanations.is_empty()
             && (robust || few.is_none_or(|few| few.exchanged.is_empty()))
-            && rms.is_none_or(|rms| rms <= LARGEST_SHARE * self.spread)
+            && share.is_none_or(|share| share <= LARGEST_SHARE)
     }
 }
 
@@ -173,6 +172,7 @@ pub fn plausibility(model: &CalibrationModel, set: &MeasurementSet) -> Result<Pl
     let mut found = Plausibility {
         observations: set.observations.len(),
         rms: None,
+        share: None,
         spread: points.spread(),
         unreachable,
         few_rows: None,
@@ -180,21 +180,22 @@ pub fn plausibility(model: &CalibrationModel, set: &MeasurementSet) -> Result<Pl
         beyond_limits: beyond_limits(model, set),
     };
     let placed = match points.nearest() {
-        Some(placed) if points.rms(&placed).is_none_or(|rms| rms <= SUSPICIOUS * found.spread) => placed,
+        Some(placed) if points.rms(&placed).is_none_or(|rms| points.share(rms) <= SUSPICIOUS) => placed,
         _ => points.best(),
     };
     let Some(rms) = points.rms(&placed) else { return Ok(found) };
-    found.rms = Some(rms);
-    let suspicious = rms > SUSPICIOUS * found.spread;
+    let share = points.share(rms);
+    (found.rms, found.share) = (Some(rms), Some(share));
+    let suspicious = share > SUSPICIOUS;
     if suspicious || stands_out(points.lengths(&placed), found.spread) {
         found.few_rows = blame::few_rows(&points, &placed)
             .map(|few| few.of(&kept))
-            .filter(|few| few.rms_without <= 0.5 * rms && few.rms_without <= LARGEST_SHARE * found.spread);
+            .filter(|few| few.share_without <= LARGEST_SHARE.min(0.5 * share));
     }
     if suspicious && found.few_rows.is_none() {
         let mut part = set.clone();
         part.observations = kept.iter().map(|i| set.observations[*i].clone()).collect();
-        found.explanations = conventions::explanations(model, &part, rms);
+        found.explanations = conventions::explanations(model, &part, share);
     }
     Ok(found)
 }
