@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::{CliError, Verdict, colours, print, say};
 use crate::pipeline::{Implausible, Outcome, PipelineError, SetOutcome, check_plausible};
 use crate::report;
-use calibrig_estimation::identification::IdentificationOptions;
+use calibrig_estimation::identification::{Estimate, IdentificationOptions, Warning};
 use calibrig_model::CalibrationModel;
 use calibrig_recording::{RecordingError, UnfinishedFile};
 
@@ -269,6 +269,15 @@ pub(super) fn command_line() -> String {
     words.join(" ")
 }
 
+/// A reason, with the parameters that it is one for where it does not name them.
+fn in_full(estimate: &Estimate, reason: &Warning) -> String {
+    if !matches!(reason, Warning::NotConverged(_)) {
+        return reason.to_string();
+    }
+    let names: Vec<_> = estimate.parameters.iter().map(|p| p.id.to_string()).collect();
+    format!("{reason}; not at their best values: {}", names.join(", "))
+}
+
 /// Doubtful as soon as there is a reason to look at one of the estimates; says each (ADR 0015).
 pub(super) fn verdict(outcome: &Outcome) -> Verdict {
     let mut reasons = Vec::new();
@@ -276,8 +285,9 @@ pub(super) fn verdict(outcome: &Outcome) -> Verdict {
         reasons.push((mode.mode, format!("{} of {} splits", mode.doubtful, mode.rms.len())));
     }
     for mode in &outcome.modes {
-        let told = mode.estimate.iter().flat_map(|estimate| estimate.reasons());
-        reasons.extend(told.map(|reason| (mode.mode, reason.to_string())));
+        for estimate in &mode.estimate {
+            reasons.extend(estimate.reasons().map(|reason| (mode.mode, in_full(estimate, reason))));
+        }
     }
     for (mode, reason) in &reasons {
         say(&format!("doubtful: {}: {reason}", mode.title()));

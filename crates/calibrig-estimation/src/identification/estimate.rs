@@ -405,7 +405,7 @@ pub struct Estimate {
     pub at_bound: Vec<ParameterId>,
     /// What was stated beforehand and does not fit the measurements, although these fit the model.
     pub contradicted: Vec<Contradiction>,
-    /// Observations far off what the others say of them, farthest first.
+    /// Observations far off what the others say of them, in their order.
     pub outliers: Vec<Outlier>,
     /// What was taken to be so.
     pub assumptions: Vec<Assumption>,

@@ -74,7 +74,7 @@ struct Fitted {
 }
 
 impl LinearFit<'_> {
-    /// The gross errors, largest first.
+    /// The gross errors, in the order of the observations.
     pub fn gross_errors(&self) -> Vec<GrossError> {
         let n = self.jacobian.ncols();
         if self.blocks < 4 || 3 * self.blocks < n + 6 || self.residuals.iter().any(|v| !v.is_finite()) {
@@ -132,9 +132,8 @@ impl LinearFit<'_> {
                     let LeftOut { error, square, .. } = fitted.left_out[observation];
                     GrossError { observation, size: (square / variance).sqrt(), left_out: error }
                 };
-                let mut found: Vec<_> = candidates.iter().map(gross).collect();
-                found.sort_by(|a, b| b.size.total_cmp(&a.size));
-                return found;
+                candidates.sort_unstable();
+                return candidates.iter().map(gross).collect();
             }
         }
         Vec::new()

@@ -41,7 +41,7 @@ pub(super) fn explanations(model: &CalibrationModel, set: &MeasurementSet, share
             let whole = matches!(convention, Convention::ShiftedRows { .. });
             let changed = convention.applied(model, if whole { set } else { &part })?;
             let points = points_of(model, &changed);
-            let rms = points.rms(&points.best())?;
+            let rms = points.rms(&points.best(false))?;
             let left = points.share(rms);
             (left < limit).then_some((left, Explanation { convention, rms }))
         })
@@ -145,7 +145,7 @@ impl MovePoints for MeasurementSet {
 /// Whether the observations of one target are of several, at offsets of their own: clusters of what the residuals are in the flange's
 /// frame, fitted and assigned in turn (k-means). The fewest that leave less than the share `limit` of the points' spread.
 fn several_targets(points: &Points, limit: f64) -> Vec<(f64, Explanation)> {
-    let one = points.best();
+    let one = points.best(false);
     let mut found = Vec::new();
     for target in 0..points.offsets.len() {
         let own: Vec<usize> = (0..points.len()).filter(|i| points.target[*i] == target).collect();

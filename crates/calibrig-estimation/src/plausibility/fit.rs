@@ -6,6 +6,8 @@ use calibrig_model::geometry::{Transform, best_fit_transform, cross_matrix};
 
 /// Iterations of one fit; few are enough where it fits at all.
 const ITERATIONS: usize = 40;
+/// Observations that starts are tried on.
+const SOUGHT_ON: usize = 300;
 /// Relative decrease of the sum of squares that ends a fit.
 const DECREASE: f64 = 1e-6;
 /// Damping that keeps directions without any effect in place, relative to the largest diagonal entry.
@@ -103,16 +105,19 @@ impl Points {
         Some(self.fit(Placement { stations, offsets: self.offsets.clone() }, &vec![1.0; self.len()]))
     }
 
-    /// What is left by the best placement that is found from several starts.
-    pub fn best(&self) -> Placement {
-        let weights = vec![1.0; self.len()];
-        let cost = |placement: &Placement| self.cost(placement, &weights);
-        let fitted = self.starts().into_iter().map(|start| self.fit(start, &weights));
-        let best = fitted.min_by(|a, b| cost(a).total_cmp(&cost(b)));
-        best.unwrap_or_else(|| Placement {
+    /// The best placement that is found from several starts; from a turn of every kind, too, if `every_turn` is asked for.
+    pub fn best(&self, every_turn: bool) -> Placement {
+        let step = self.len().div_ceil(SOUGHT_ON).max(1);
+        let part = self.part(&(0..self.len()).step_by(step).collect::<Vec<_>>());
+        let weights = vec![1.0; part.len()];
+        let fitted = part.starts(every_turn).into_iter().map(|start| part.fit(start, &weights));
+        let fitted = fitted.map(|placement| (part.cost(&placement, &weights), placement));
+        let best = fitted.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, placement)| placement);
+        let best = best.unwrap_or_else(|| Placement {
             stations: vec![Transform::identity(); self.stations],
             offsets: self.offsets.clone(),
-        })
+        });
+        if step > 1 { self.fit(best, &vec![1.0; self.len()]) } else { best }
     }
 
     /// The least squares placement from `start`, by Levenberg and Marquardt's method.
@@ -171,8 +176,9 @@ impl Points {
     }
 
     /// Places to start from: the rigid transform that fits best with the offsets as they start; the one of a linear system with any
-    /// matrix in the place of the rotation; and where there is a single station, a turn of every kind, since an axis or two say little.
-    fn starts(&self) -> Vec<Placement> {
+    /// matrix in the place of the rotation; and where there is a single station, a turn of every kind: where an axis or two say little, the
+    /// other two can both lead to a wrong place.
+    fn starts(&self, every_turn: bool) -> Vec<Placement> {
         let with = |stations: Vec<Transform>, offsets| Placement { stations, offsets };
         let mut starts = Vec::new();
         if let Some(stations) = (0..self.stations).map(|s| self.rigid(s)).collect() {
@@ -181,7 +187,7 @@ impl Points {
         if let Some((stations, offsets)) = self.relaxed() {
             starts.push(with(stations, offsets));
         }
-        if self.stations == 1 {
+        if self.stations == 1 && (every_turn || starts.is_empty()) {
             let centre = self.seen.iter().sum::<Vector3<f64>>() / self.len().max(1) as f64;
             let nominal = self.flange.iter().map(|f| f.translation.vector).sum::<Vector3<f64>>();
             let nominal = nominal / self.len().max(1) as f64;

@@ -25,6 +25,8 @@ pub const LARGEST_SHARE: f64 = 0.25;
 const SUSPICIOUS: f64 = 0.02;
 /// So many times the median distance, a point is looked at.
 const STANDS_OUT: f64 = 6.0;
+/// Share of the robot's length that points which are all one may be apart.
+const NO_MOTION: f64 = 1e-5;
 /// How far beyond its limits a command draws a remark, as a share of the travel.
 const BEYOND: f64 = 0.02;
 
@@ -179,9 +181,13 @@ pub fn plausibility(model: &CalibrationModel, set: &MeasurementSet) -> Result<Pl
         explanations: Vec::new(),
         beyond_limits: beyond_limits(model, set),
     };
+    // Points that are all one say nothing of the robot.
+    if found.spread <= NO_MOTION * model.kinematics.characteristic_length() {
+        return Ok(found);
+    }
     let placed = match points.nearest() {
         Some(placed) if points.rms(&placed).is_none_or(|rms| points.share(rms) <= SUSPICIOUS) => placed,
-        _ => points.best(),
+        _ => points.best(true),
     };
     let Some(rms) = points.rms(&placed) else { return Ok(found) };
     let share = points.share(rms);

@@ -32,7 +32,7 @@ fn normal_noise_raises_a_false_alarm_in_less_than_one_set_of_a_thousand() {
     let sizes = [(8, 11), (20, 11), (40, 27), (60, 30), (200, 27)];
     let (mut alarms, mut sets) = (0, 0);
     for (blocks, n) in sizes {
-        for _ in 0..400 {
+        for _ in 0..200 {
             let jacobian = system(blocks, n, &mut rng);
             let noise = DVector::from_fn(3 * blocks, |_, _| 0.02 * normal(&mut rng));
             alarms += u64::from(!gross(&jacobian, &fitted(&jacobian, &noise), false).is_empty());
