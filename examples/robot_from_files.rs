@@ -9,7 +9,7 @@ use std::path::Path;
 
 use calibrig::evaluation::accuracy;
 use calibrig::files::{ColumnMap, load_robot, read_measurements, write_measurements};
-use calibrig::identification::{IdentificationOptions, Mode, Predictor, identify, without_calibration};
+use calibrig::identification::{IdentificationOptions, Loss, Mode, Predictor, identify, without_calibration};
 use calibrig::recording::read_recording;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -31,7 +31,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let row = accuracy(&predictor.errors(verification)?).ok_or("no poses")?;
         Ok(1e3 * row.rms_3d)
     };
-    let nominal = without_calibration(&robot.model, identification)?;
+    let nominal = without_calibration(&robot.model, identification, Loss::Squared)?;
     println!("  {:32} {:7.3} mm", Mode::WithoutCalibration.title(), rms(&mut Predictor::new(&nominal)?)?);
     for mode in [Mode::OnlyCalibration, Mode::WithGravity, Mode::Extended] {
         // The tracker's noise is a few micrometres; what the machine does beside every model is about 0.1 mm.

@@ -7,6 +7,7 @@ mod defaults;
 mod judgement;
 mod machine;
 mod planned;
+mod plausible;
 mod simulate;
 mod splits;
 mod truth;
@@ -19,8 +20,9 @@ pub use choice::{ChosenRow, FailedVariant, ModelChoice, choose};
 pub use defaults::{default_modes, default_options, is_default, with_stated_of};
 pub use judgement::{Confidence, FALSE_ALARM, Judgement, PredictedPosition, judge};
 pub use planned::{planned, planned_at};
+pub use plausible::{Implausible, check_plausible, commands_beyond_limits};
 pub use simulate::{measure_session, simulate};
-pub use splits::{SplitMode, SplitPlan, SplitStudy, pose_count, repeat_splits};
+pub use splits::{SplitMode, SplitPlan, SplitStudy, pose_count, repeat_splits, without_gross_errors};
 pub use truth::KnownTruth;
 pub use worth::Worse;
 
@@ -80,6 +82,8 @@ pub struct Outcome {
     pub ablation: Option<Ablation>,
     /// The modes on random splits of the identification set, where that was asked for.
     pub splits: Option<SplitStudy>,
+    /// The command line that gives the report, where the other fields do not tell it.
+    pub command: Option<String>,
 }
 
 impl Outcome {
@@ -157,6 +161,9 @@ pub enum PipelineError {
         /// Why.
         source: Box<PipelineError>,
     },
+    /// The nominal robot does not lie on the points: the fit does not start.
+    #[error("{0}")]
+    Implausible(Box<Implausible>),
     /// A mode cannot be identified.
     #[error("{}: {source}", mode.title())]
     Identify {
@@ -192,7 +199,7 @@ pub fn calibrate(
 ) -> Result<(RegistrationSummary, Vec<ModeOutcome>), PipelineError> {
     let empty = MeasurementSet::default();
     let fitted = sets.first().map_or(&empty, |set| &set.measurements);
-    let registered = without_calibration(model, fitted)
+    let registered = without_calibration(model, fitted, options.solver.loss)
         .map_err(|source| PipelineError::Identify { mode: Mode::WithoutCalibration, source })?;
     let rms = accuracy(&errors(&registered, fitted)?).map_or(0.0, |row| row.rms_3d);
     let registration = RegistrationSummary {
@@ -288,6 +295,7 @@ pub fn run_trial(
         judgements,
         ablation: None,
         splits: None,
+        command: None,
     })
 }
 

@@ -7,8 +7,8 @@ use miette::Diagnostic;
 use thiserror::Error;
 
 use crate::pipeline::{
-    InputSummary, ModeOutcome, Outcome, PipelineError, SetKind, SetOutcome, Truth, calibrate, default_modes,
-    default_options, judge,
+    Implausible, InputSummary, ModeOutcome, Outcome, PipelineError, SetKind, SetOutcome, Truth, calibrate,
+    check_plausible, default_modes, default_options, judge,
 };
 use crate::scenario::{Scenario, parse_scenario};
 use calibrig_estimation::METHOD;
@@ -40,6 +40,10 @@ pub enum ReplayError {
     #[error("the recording holds no attachment \"robot/...\", which says what robot was measured")]
     #[diagnostic(help("expected a recording that holds its robot's file, or --model ROBOT.toml"))]
     NoRobot,
+    /// The nominal robot does not lie on the recorded points.
+    #[error("{0}")]
+    #[diagnostic(help("{}", .0.help()))]
+    Implausible(Box<Implausible>),
     /// The identification.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
@@ -56,6 +60,8 @@ pub struct ReplayOptions {
     pub dropped_topics: Vec<String>,
     /// The robot, instead of the recorded one.
     pub robot: Option<Robot>,
+    /// Whether to identify although the nominal robot does not lie on the recorded points.
+    pub fit_anyway: bool,
 }
 
 impl ReplayOptions {
@@ -166,6 +172,8 @@ pub struct Replayed {
     pub changes: Vec<Change>,
     /// Sets that were not recorded to their end.
     pub missing: Vec<MissingPart>,
+    /// Why there was no use in identifying, where it was done anyway.
+    pub implausible: Option<Box<Implausible>>,
 }
 
 /// Root mean square of the 3-D errors of a mode over a set, m.
@@ -256,6 +264,11 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
     let recording = read_recording_with(path, &read)?;
     let Plan { name, model, visuals, options: fit, modes, published } = Plan::new(&recording, options)?;
     let Recording { provenance, sources, sets, missing, estimates, .. } = recording;
+    let implausible = match check_plausible(&model, &sets, &fit) {
+        Err(PipelineError::Implausible(why)) if options.fit_anyway => Some(why),
+        Err(PipelineError::Implausible(why)) => return Err(ReplayError::Implausible(why)),
+        checked => checked.map(|()| None)?,
+    };
     let (registration, modes) = calibrate(&model, &sets, &modes, &fit)?;
     let judgements = judge(&model, &sets, &modes, &fit)?;
     let whole = missing.is_empty() && !options.changes_anything();
@@ -296,6 +309,7 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
         judgements,
         ablation: None,
         splits: None,
+        command: None,
     };
     let what_if = options.changes_anything() || !options.modes.is_empty();
     Ok(Replayed {
@@ -308,6 +322,7 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
         parameters,
         changes,
         missing,
+        implausible,
     })
 }
 

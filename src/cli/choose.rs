@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::{Value, json};
 
-use super::identify::{Loaded, failed, load};
-use super::{CliError, Verdict, not_identified, print, read_scenario, say};
+use super::identify::{Loaded, LossArg, failed, load};
+use super::{CliError, Verdict, not_identified, output, print, read_scenario, say};
 use crate::pipeline::{self, ChosenRow, ModelChoice, PlantKind, SetKind, choose, default_options, simulate};
 use calibrig_estimation::evaluation::{Criteria, Verdict as Worth};
-use calibrig_estimation::identification::LINKAGE;
+use calibrig_estimation::identification::{LINKAGE, Outlier};
 use calibrig_model::FAMILIES;
 
 /// Compare models on poses that they were not fitted to: does gravity, the linkage, hysteresis pay?
@@ -49,25 +49,34 @@ pub(super) struct Args {
     /// Seed of the random parts, and of a scenario's draws instead of its own [default: the scenario's, or 1]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
+    /// What a measurement far off the others costs: its square, or less [default: as the scenario says, else squared]
+    #[arg(long, value_enum)]
+    loss: Option<LossArg>,
+    /// Fit although the nominal robot does not lie on the points; ends with exit code 3
+    #[arg(long, requires = "model")]
+    fit_anyway: bool,
     /// Print as JSON (schema calibrig.choice/1)
     #[arg(long)]
     json: bool,
 }
 
 pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
-    let (name, choice) = match (&args.scenario, &args.model, &args.measurements) {
+    let (name, choice, plausible) = match (&args.scenario, &args.model, &args.measurements) {
         (Some(scenario), _, _) => of_scenario(args, scenario)?,
         (None, Some(model), Some(measurements)) => of_files(args, model, measurements)?,
         // Refused by the argument parser.
         _ => return Ok(Verdict::Doubtful),
     };
     print(&if args.json { as_json(&name, &choice) } else { as_text(&name, &choice) })?;
-    Ok(verdict(&choice))
+    Ok(plausible.and(verdict(&choice)))
 }
 
-fn of_scenario(args: &Args, path: &Path) -> Result<(String, ModelChoice), CliError> {
+fn of_scenario(args: &Args, path: &Path) -> Result<(String, ModelChoice, Verdict), CliError> {
     let mut scenario = read_scenario(path)?;
     scenario.verification_poses = 0;
+    if let Some(loss) = args.loss {
+        scenario.options.solver.loss = loss.into();
+    }
     let seed = args.seed.unwrap_or(scenario.seed);
     let bar = bar("simulating pose {pos}/{len} {bar:40} {elapsed}");
     let simulation = simulate(&scenario, seed, 0, PlantKind::Rapier, |done, total| {
@@ -82,22 +91,29 @@ fn of_scenario(args: &Args, path: &Path) -> Result<(String, ModelChoice), CliErr
         let measured = &simulation.sets[0].measurements;
         choose(&scenario.robot.model, measured, &scenario.options, args.folds as usize, seed, progress)
     });
-    Ok((scenario.name.clone(), choice.map_err(refused)?))
+    Ok((scenario.name.clone(), choice.map_err(refused)?, Verdict::Done))
 }
 
-fn of_files(args: &Args, model: &Path, measurements: &Path) -> Result<(String, ModelChoice), CliError> {
+fn of_files(
+    args: &Args,
+    model: &Path,
+    measurements: &Path,
+) -> Result<(String, ModelChoice, Verdict), CliError> {
     let files = [(SetKind::Identification, measurements)];
     let loaded = load(model, args.columns.as_deref(), args.session.as_deref(), &files)?;
     loaded.check_session()?;
     let Loaded { robot, sources, sets, statements, .. } = loaded;
-    let options = default_options(&robot);
+    let mut options = default_options(&robot);
+    options.solver.loss = args.loss.map_or(options.solver.loss, Into::into);
+    let plausible = output::plausible(&robot.model, &sets, &options, args.fit_anyway)
+        .map_err(|error| failed(error, measurements, &sources))?;
     let seed = args.seed.unwrap_or(1);
     let choice = compare(|progress| {
         choose(&robot.model, &sets[0].measurements, &options, args.folds as usize, seed, progress)
     });
     let choice = choice.map_err(|error| failed(error, measurements, &sources))?;
     statements.remarks.iter().chain(&statements.assumed).for_each(|line| say(line));
-    Ok((robot.name, choice))
+    Ok((robot.name, choice, plausible))
 }
 
 fn compare(
@@ -127,6 +143,18 @@ fn verdict(choice: &ModelChoice) -> Verdict {
         verdict = Verdict::Doubtful;
         let (name, count, fits) = (&row.row.name, row.not_converged, choice.folds + 1);
         say(&format!("doubtful: {name}: {count} of {fits} fits did not converge"));
+    }
+    if !choice.gross_errors.is_empty() {
+        let named: Vec<_> = choice.gross_errors.iter().map(ToString::to_string).collect();
+        let named = named.join(", ");
+        if choice.gross_errors.iter().any(Outlier::counts) {
+            verdict = Verdict::Doubtful;
+            say(&format!(
+                "doubtful: gross errors count in every fit: {named}; `--loss tukey` leaves them out"
+            ));
+        } else {
+            say(&format!("left out as gross errors: {named}"));
+        }
     }
     for failure in &choice.failures {
         verdict = Verdict::Doubtful;
@@ -257,6 +285,9 @@ fn as_json(name: &str, choice: &ModelChoice) -> String {
         "poses": choice.poses,
         "folds": choice.folds,
         "models": choice.rows.iter().map(row).collect::<Vec<_>>(),
+        "gross_errors": choice.gross_errors.iter().map(|o| json!({
+            "pose": o.pose, "distance_m": finite(o.distance), "size": finite(o.size), "weight": finite(o.weight),
+        })).collect::<Vec<_>>(),
         "failures": choice.failures.iter().map(|f| json!({ "name": f.name, "why": f.why })).collect::<Vec<_>>(),
         "advice": advice(choice),
     });

@@ -11,7 +11,8 @@ use super::output::{self, Destination, Files};
 use super::{Cli, CliError, Verdict, not_identified, say};
 use crate::pipeline::{
     InputSummary, Outcome, PipelineError, SetKind, SetOutcome, SplitPlan, SplitStudy, calibrate,
-    default_options, hash_sources, is_default, judge, pose_count, repeat_splits,
+    commands_beyond_limits, default_options, hash_sources, is_default, judge, pose_count, repeat_splits,
+    without_gross_errors,
 };
 use calibrig_estimation::identification::{
     Assumption, ComplianceChoice, DEFAULT_TOLERANCE, IdentificationOptions, LINKAGE, Loss,
@@ -106,6 +107,9 @@ pub(super) struct Args {
     /// Seed of the splits' draws
     #[arg(long, value_name = "N", requires = "splits", default_value_t = 1)]
     seed: u64,
+    /// Fit although the nominal robot does not lie on the points; ends with exit code 3
+    #[arg(long)]
+    fit_anyway: bool,
     /// Folder for report.html and report.json, which are written over [default: no files]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -226,7 +230,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     if let Some(destination) = destination {
         destination.check(Files::Reports)?;
     }
-    let (mut outcome, options, statements) = outcome(args)?;
+    let (mut outcome, options, statements, plausible) = outcome(args)?;
     if let (Some(splits), Some(fit)) = (args.splits, args.fit) {
         outcome.splits = Some(split_study(args, &outcome, &options, (splits as usize, fit as usize))?);
     }
@@ -237,6 +241,9 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     output::show(&outcome, args.json)?;
     written?;
     statements.remarks.iter().chain(&statements.assumed).for_each(|line| say(line));
+    for set in &outcome.sets {
+        commands_beyond_limits(&outcome.model, &set.measurements).iter().for_each(|line| say(line));
+    }
     if tolerance(args).is_some() {
         say(&format!(
             "prior on the link parameters: 0 +- {} mm, 0 +- {} mrad (--tolerance-mm, --tolerance-mrad; 0 in both for none)",
@@ -258,7 +265,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
             say(&made.to_string());
         }
     }
-    Ok(output::verdict(&outcome))
+    Ok(plausible.and(output::verdict(&outcome)))
 }
 
 fn split_study(
@@ -269,6 +276,8 @@ fn split_study(
 ) -> Result<SplitStudy, CliError> {
     let empty = MeasurementSet::default();
     let set = outcome.sets.first().map_or(&empty, |set| &set.measurements);
+    let largest = outcome.modes.iter().rev().find_map(|mode| mode.estimate.as_ref());
+    let set = &largest.map_or_else(|| set.clone(), |estimate| without_gross_errors(set, estimate));
     let poses = pose_count(set);
     if fitted >= poses {
         let message = format!("--fit {fitted}: expected fewer poses than the measurements have, {poses}");
@@ -516,7 +525,7 @@ pub(super) fn failed(error: PipelineError, measurements: &Path, sources: &[(Stri
     }
 }
 
-fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions, Statements), CliError> {
+fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions, Statements, Verdict), CliError> {
     let loaded = args.files.read()?;
     loaded.check_session()?;
     let Loaded { robot, sources, sets, statements, .. } = loaded;
@@ -549,6 +558,8 @@ fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions, Statements), 
     }
     let modes = modes(args, &robot, &options);
     check_flags(&robot.model, &modes, &options, &sets[0].measurements);
+    let plausible = output::plausible(&robot.model, &sets, &options, args.fit_anyway)
+        .map_err(|error| failed(error, measurements, &sources))?;
     let (registration, modes) = calibrate(&robot.model, &sets, &modes, &options)
         .map_err(|error| failed(error, measurements, &sources))?;
     let judgements = judge(&robot.model, &sets, &modes, &options)
@@ -573,8 +584,9 @@ fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions, Statements), 
         judgements,
         ablation: None,
         splits: None,
+        command: Some(output::command_line()),
     };
-    Ok((outcome, options, statements))
+    Ok((outcome, options, statements, plausible))
 }
 
 /// Bytes of the last line with content.

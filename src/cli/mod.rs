@@ -44,9 +44,15 @@ struct Cli {
     command: Command,
 }
 
-const EXIT_CODES: &str =
-    "Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done but doubtful (rank-deficient, not converged, at a
-bound, against what was stated beforehand, replay differs, recording damaged).
+const EXIT_CODES: &str = "Exit codes:
+  0  done: the stated intervals hold as far as the data can tell; warnings may stand, also of a misfit that the intervals
+     account for, and of drives without visible compliance
+  1  no result: input refused, or the nominal robot does not lie on the points (RMS after best fit at a large share of the
+     robot's size; the fit does not start; --fit-anyway goes on and then ends with 3)
+  2  wrong usage
+  3  a result that a person must look at: not converged; rank-deficient in what was asked for; a stated prior, nest or
+     target contradicted; a bound of the user reached; a parameter whose identification makes held-out poses worse than
+     leaving it; gross errors that carry weight in the fit; replay differs; acceptance missed; shards missing
 Set NO_COLOR=1 for plain text.";
 
 #[derive(Debug, Subcommand)]
@@ -64,13 +70,20 @@ enum Command {
     Export(export::Args),
 }
 
-/// How a command ended that did end.
+/// How a command ended that has a result (ADR 0015).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Verdict {
     /// Done.
     Done,
-    /// Done, but the result must not be used without a second look.
+    /// A result that a person must look at.
     Doubtful,
+}
+
+impl Verdict {
+    /// Done only where both are.
+    fn and(self, other: Self) -> Self {
+        if self == Self::Done { other } else { self }
+    }
 }
 
 /// Why a command failed.
@@ -129,6 +142,10 @@ fn not_identified(error: PipelineError, file: &Path, source: &Source, place: Ran
         PipelineError::Split { source, .. } => source.as_ref(),
         error => error,
     };
+    if let PipelineError::Implausible(why) = inner {
+        let help = why.help();
+        return source.error(0..0, error, Some(help)).into();
+    }
     let PipelineError::Identify { source: cause, .. } = inner else {
         return CliError::Pipeline { file: file.to_path_buf(), source: error };
     };

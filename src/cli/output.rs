@@ -3,9 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use super::{CliError, Verdict, colours, print, say};
-use crate::pipeline::Outcome;
+use crate::pipeline::{Implausible, Outcome, PipelineError, SetOutcome, check_plausible};
 use crate::report;
-use calibrig_estimation::identification::{Estimate, Warning};
+use calibrig_estimation::identification::{Estimate, IdentificationOptions, Warning};
+use calibrig_model::CalibrationModel;
 use calibrig_recording::{RecordingError, UnfinishedFile};
 
 /// Which files a command leaves.
@@ -230,39 +231,70 @@ pub(super) fn show(outcome: &Outcome, json: bool) -> Result<(), CliError> {
     print(&text)
 }
 
-/// Doubtful as soon as one estimate is; says why, and of which parameters.
-pub(super) fn verdict(outcome: &Outcome) -> Verdict {
-    let mut verdict = Verdict::Done;
-    for mode in outcome.splits.iter().flat_map(|study| &study.modes).filter(|mode| mode.doubtful > 0) {
-        verdict = Verdict::Doubtful;
-        say(&format!("doubtful: {}: {} of {} splits", mode.mode.title(), mode.doubtful, mode.rms.len()));
+/// Whether the fit may start. Measurements that the nominal robot does not lie on are the error, or where the fit goes on `anyway`, said.
+pub(super) fn plausible(
+    model: &CalibrationModel,
+    sets: &[SetOutcome],
+    options: &IdentificationOptions,
+    anyway: bool,
+) -> Result<Verdict, PipelineError> {
+    match check_plausible(model, sets, options) {
+        Err(PipelineError::Implausible(why)) if anyway => Ok(doubtful(&why)),
+        checked => checked.map(|()| Verdict::Done),
     }
-    for judgement in &outcome.judgements {
-        for worse in &judgement.worse {
-            verdict = Verdict::Doubtful;
-            say(&format!("doubtful: {}: {worse}", judgement.mode.title()));
+}
+
+/// Says why there was no use in fitting.
+pub(super) fn doubtful(why: &Implausible) -> Verdict {
+    say(&format!("doubtful: {why}; {}", why.help()));
+    Verdict::Doubtful
+}
+
+/// The command line of this process for a POSIX shell, with `DIR` for the folder of its files and without what only chooses the form of
+/// the output.
+pub(super) fn command_line() -> String {
+    let mut words = vec!["calibrig".to_owned()];
+    let mut arguments = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned());
+    while let Some(word) = arguments.next() {
+        match word.as_str() {
+            "--json" => {}
+            "--out" => {
+                arguments.next();
+                words.push("--out DIR".to_owned());
+            }
+            _ if word.starts_with("--out=") => words.push("--out DIR".to_owned()),
+            _ => words.push(report::quoted(&word)),
         }
+    }
+    words.join(" ")
+}
+
+/// A reason, with what a fit that was stopped was still doing.
+fn in_full(estimate: &Estimate, reason: &Warning) -> String {
+    match reason {
+        Warning::NotConverged(_) => format!("{reason}{}", still_moving(estimate)),
+        _ => reason.to_string(),
+    }
+}
+
+/// Doubtful as soon as there is a reason to look at one of the estimates; says each (ADR 0015).
+pub(super) fn verdict(outcome: &Outcome) -> Verdict {
+    let mut reasons = Vec::new();
+    for mode in outcome.splits.iter().flat_map(|study| &study.modes).filter(|mode| mode.doubtful > 0) {
+        reasons.push((mode.mode, format!("{} of {} splits", mode.doubtful, mode.rms.len())));
     }
     for mode in &outcome.modes {
-        let Some(estimate) = mode.estimate.as_ref().filter(|estimate| !estimate.is_sound()) else { continue };
-        verdict = Verdict::Doubtful;
-        let title = mode.mode.title();
-        for warning in &estimate.warnings {
-            match warning {
-                Warning::NotConverged(_) => {
-                    say(&format!("doubtful: {title}: {warning}{}", still_moving(estimate)));
-                }
-                Warning::RankDeficient { .. }
-                | Warning::AtBound { .. }
-                | Warning::Rigid { .. }
-                | Warning::Contradicted(_) => {
-                    say(&format!("doubtful: {title}: {warning}"));
-                }
-                _ => {}
-            }
+        if let Some(estimate) = &mode.estimate {
+            reasons.extend(estimate.reasons().map(|reason| (mode.mode, in_full(estimate, reason))));
         }
     }
-    verdict
+    for judgement in &outcome.judgements {
+        reasons.extend(judgement.worse.iter().map(|worse| (judgement.mode, worse.to_string())));
+    }
+    for (mode, reason) in &reasons {
+        say(&format!("doubtful: {}: {reason}", mode.title()));
+    }
+    if reasons.is_empty() { Verdict::Done } else { Verdict::Doubtful }
 }
 
 /// Parameters that are told to move still.

@@ -40,6 +40,9 @@ pub(super) struct Args {
     /// The robot's file, instead of the recorded one
     #[arg(long, value_name = "ROBOT.toml")]
     model: Option<PathBuf>,
+    /// Identify although the nominal robot does not lie on the points; ends with exit code 3
+    #[arg(long)]
+    fit_anyway: bool,
     /// Print the report as JSON (schema calibrig.report/1) instead of the tables
     #[arg(long)]
     json: bool,
@@ -51,6 +54,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         loss: args.robust.map(Into::into),
         dropped_topics: args.drop_topic.clone(),
         robot: args.model.as_deref().map(load_robot).transpose()?,
+        fit_anyway: args.fit_anyway,
     };
     let replayed = replay(&args.recording, &options).map_err(|error| failed(error, &args.recording))?;
     output::show(&replayed.outcome, args.json)?;
@@ -67,6 +71,9 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         print(&comparison(&replayed))?;
     }
     let mut verdict = output::verdict(&replayed.outcome);
+    if let Some(why) = &replayed.implausible {
+        verdict = output::doubtful(why);
+    }
     for part in &replayed.missing {
         say(&cut_short(part));
         verdict = Verdict::Doubtful;

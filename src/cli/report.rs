@@ -32,7 +32,9 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         Destination::Asked(out).check(Files::Reports)?;
     }
     let refused = |error| failed(error, &args.recording);
-    let mut replayed = replay(&args.recording, &ReplayOptions::default()).map_err(refused)?;
+    let mut replayed =
+        replay(&args.recording, &ReplayOptions { fit_anyway: true, ..ReplayOptions::default() })
+            .map_err(refused)?;
     match recorded_truth(&args.recording).map_err(refused)? {
         Ok(truth) => {
             let Outcome { model, sets, modes, .. } = &replayed.outcome;
@@ -52,6 +54,9 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     output::show(outcome, args.json)?;
     written?;
     let mut verdict = output::verdict(outcome);
+    if let Some(why) = &replayed.implausible {
+        verdict = output::doubtful(why);
+    }
     for part in &replayed.missing {
         say(&cut_short(part));
         verdict = Verdict::Doubtful;

@@ -2,13 +2,13 @@
 
 use std::collections::BTreeSet;
 
-use super::PipelineError;
+use super::{PipelineError, without_gross_errors};
 use calibrig_estimation::evaluation::{
     Fit, NoiseLevel, Split, Variant, VariantRow, compare_variants, k_fold,
 };
 use calibrig_estimation::identification::{
-    Estimate, IdentificationOptions, LINKAGE, Mode, NoiseScale, ParameterChoice, Predictor, Uncertainty,
-    identify, linearise,
+    Estimate, IdentificationOptions, LINKAGE, Mode, NoiseScale, Outlier, ParameterChoice, Predictor,
+    Uncertainty, identify, linearise,
 };
 use calibrig_estimation::validation::{held_out_errors, in_order};
 use calibrig_model::measurement::MeasurementSet;
@@ -29,6 +29,8 @@ pub struct ModelChoice {
     pub rows: Vec<ChosenRow>,
     /// Models that could not be fitted.
     pub failures: Vec<FailedVariant>,
+    /// Gross errors against the simplest model. With a robust loss they are left out of the fits and of the held-out errors.
+    pub gross_errors: Vec<Outlier>,
 }
 
 /// A model in the table.
@@ -86,8 +88,12 @@ pub fn choose(
     seed: u64,
     mut progress: impl FnMut(usize, usize, &str),
 ) -> Result<ModelChoice, PipelineError> {
-    let splits = pose_folds(set, folds, seed);
     let candidates = candidates(model, options);
+    let simplest = identify(model, set, &candidates[0].options)
+        .map_err(|source| PipelineError::Identify { mode: candidates[0].options.mode, source })?;
+    let set = &without_gross_errors(set, &simplest);
+    let gross_errors = simplest.outliers;
+    let splits = pose_folds(set, folds, seed);
     let (mut keys, mut fitted, mut failures) = (Vec::new(), Vec::<Fitted>::new(), Vec::new());
     // Where a candidate went; of one that failed, where the one went that it would have been compared with.
     let mut places: Vec<Option<usize>> = Vec::new();
@@ -124,6 +130,7 @@ pub fn choose(
             .map(|((key, row), fit)| ChosenRow { key, row, not_converged: fit.not_converged })
             .collect(),
         failures,
+        gross_errors,
     })
 }
 

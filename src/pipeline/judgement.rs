@@ -3,13 +3,13 @@
 use nalgebra::{DVector, Vector3};
 
 use super::worth::{Worse, worse};
-use super::{ModeOutcome, PipelineError, SetOutcome};
+use super::{ModeOutcome, PipelineError, SetKind, SetOutcome};
 use calibrig_estimation::evaluation::{
     ChiSquareTest, ConsistencyReport, PoseConditions, ResidualSet, check_consistency,
 };
 use calibrig_estimation::identification::{
-    Estimate, IdentificationOptions, Linearisation, Mode, NoiseScale, ParameterSupport, PoseInfluence,
-    Prediction, Predictor, Uncertainty, linearise,
+    Estimate, IdentificationOptions, Linearisation, Mode, NoiseScale, Outlier, ParameterSupport,
+    PoseInfluence, Prediction, Predictor, Uncertainty, Warning, held_out_outliers, linearise,
 };
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, ParameterId, PoseQuery};
@@ -37,6 +37,18 @@ pub struct Judgement {
     pub worse: Vec<Worse>,
     /// How sure; `None` from a singular system.
     pub confidence: Option<Confidence>,
+    /// Whether the residuals are of one robot and its noise: no gross error counts in the fit, and the robot lies on the points. Else their
+    /// size and shape are not tested, since they say nothing of what the model lacks.
+    pub makes_sense: bool,
+    /// Gross errors in what was held out.
+    pub held_out: Vec<(SetKind, Vec<Outlier>)>,
+}
+
+impl Judgement {
+    /// Whether nothing speaks against the model and the stated noise.
+    pub fn is_consistent(&self) -> bool {
+        self.makes_sense && self.consistency.is_consistent()
+    }
 }
 
 /// How sure an estimate is, if the stated noise is right.
@@ -95,8 +107,9 @@ pub fn judge(
     let region = region(model, sets);
     modes
         .iter()
-        .filter_map(|outcome| Some((outcome.mode, outcome.estimate.as_ref()?)))
-        .map(|(mode, estimate)| {
+        .filter_map(|outcome| Some((outcome, outcome.estimate.as_ref()?)))
+        .map(|(outcome, estimate)| {
+            let mode = outcome.mode;
             let options = IdentificationOptions { mode, ..options.clone() };
             let failed = |source| PipelineError::Identify { mode, source };
             let system = linearise(model, fitted, &options, estimate).map_err(failed)?;
@@ -113,11 +126,33 @@ pub fn judge(
                 let map: Vec<_> = region.iter().map(|pose| predictor.predict(pose.query()).ok()).collect();
                 confidence(&system, &uncertainty, &at_poses, &map)
             });
-            let consistency = consistency(model, fitted, estimate, &system, &sensitivity);
             let worse = worse(model, &sets[0], &options, estimate, &system);
-            Ok(Judgement { mode, consistency, sensitivity, worse, confidence })
+            let makes_sense = !estimate
+                .reasons()
+                .any(|reason| matches!(reason, Warning::Outliers(_) | Warning::OffThePoints { .. }));
+            let consistency = if makes_sense {
+                consistency(model, fitted, estimate, &weighted(system, &estimate.weights), &sensitivity)
+            } else {
+                ConsistencyReport { size: None, shape: None, level: FALSE_ALARM }
+            };
+            let held_out = sets
+                .iter()
+                .zip(&outcome.errors)
+                .skip(1)
+                .map(|(set, errors)| (set.kind, held_out_outliers(&set.measurements, errors)));
+            let held_out = held_out.filter(|(_, outliers)| !outliers.is_empty()).collect();
+            Ok(Judgement { mode, consistency, sensitivity, worse, confidence, makes_sense, held_out })
         })
         .collect()
+}
+
+/// The system with the weights of a robust loss in it: what does not count in the fit does not count in what its residuals are tested for.
+fn weighted(mut system: Linearisation, weights: &[f64]) -> Linearisation {
+    for (i, weight) in weights.iter().enumerate() {
+        system.residuals.rows_mut(3 * i, 3).scale_mut(weight.sqrt());
+        system.jacobian.rows_mut(3 * i, 3).scale_mut(weight.sqrt());
+    }
+    system
 }
 
 fn uncertainty(system: &Linearisation, estimate: &Estimate) -> Option<Uncertainty> {

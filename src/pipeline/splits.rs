@@ -69,6 +69,18 @@ fn poses(set: &MeasurementSet) -> Vec<u32> {
     numbers.into_iter().collect()
 }
 
+/// The set without the gross errors that carry no weight in `estimate`, which is fitted to it: held out, they would count in full.
+pub fn without_gross_errors(set: &MeasurementSet, estimate: &Estimate) -> MeasurementSet {
+    let mut set = set.clone();
+    let mut place = 0;
+    set.observations.retain(|_| {
+        let here = place;
+        place += 1;
+        !estimate.outliers.iter().any(|outlier| outlier.observation == here && !outlier.carries_weight())
+    });
+    set
+}
+
 /// Fits every mode to random parts of `set` and verifies it on the rest. All observations of a pose go the same way, so that nothing of a
 /// held-out pose is fitted. `progress` is told how many splits are done.
 pub fn repeat_splits(

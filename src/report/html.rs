@@ -125,14 +125,7 @@ fn doubts(outcome: &Outcome) -> Markup {
             aside.doubt role="note" {
                 strong { "Doubtful. " }
                 @for (mode, estimate) in unsound {
-                    "\u{201c}" (mode.title()) "\u{201d}: "
-                    @if !estimate.termination.converged() {
-                        "not converged (" (estimate.termination.words()) "). "
-                    }
-                    @if estimate.spectrum.rank < estimate.parameters.len() {
-                        "rank " (estimate.spectrum.rank) " of " (estimate.parameters.len())
-                        ": not every parameter is determined by itself; positions predicted near the measured poses are. "
-                    }
+                    @for reason in estimate.reasons() { "\u{201c}" (mode.title()) "\u{201d}: " (reason) ". " }
                 }
                 a href="#trust" { "Details" }
             }
@@ -614,29 +607,18 @@ fn command(outcome: &Outcome) -> String {
                 None | Some((0, PlantKind::Rapier)) => String::new(),
                 Some((trial, plant)) => format!(" --trial {trial} --plant {}", plant.key()),
             };
-            format!("calibrig run {scenario}{seed}{trial} --out DIR")
+            let ablate = if outcome.ablation.is_some() { " --ablate" } else { "" };
+            format!("calibrig run {scenario}{seed}{trial}{ablate} --out DIR")
         }
         "recording" => {
             format!("calibrig replay {}", source("recording").unwrap_or_else(|| "RECORDING.mcap".to_owned()))
         }
-        _ => {
-            let mut words = "calibrig identify".to_owned();
-            for (flag, role) in [
-                ("--model", "robot"),
-                ("--measurements", SetKind::Identification.key()),
-                ("--verify", SetKind::Verification.key()),
-                ("--columns", "columns"),
-            ] {
-                if let Some(path) = source(role) {
-                    let _ = write!(words, " {flag} {path}");
-                }
-            }
-            words
-        }
+        _ => outcome.command.clone().unwrap_or_else(|| "calibrig identify".to_owned()),
     }
 }
 
-fn quoted(word: &str) -> String {
+/// A word of a command line as a POSIX shell takes it.
+pub fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:@%".contains(c);
     if !word.is_empty() && word.chars().all(plain) {
         word.to_owned()

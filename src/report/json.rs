@@ -11,7 +11,7 @@ use super::pose_count;
 use super::splits::{JsonSplits, json_splits};
 use crate::pipeline::{AblatedPart, Ablation, Outcome, SetOutcome, Worse};
 use calibrig_estimation::evaluation::AccuracyRow;
-use calibrig_estimation::identification::{Estimate, Mode, NoiseScale};
+use calibrig_estimation::identification::{Estimate, Mode, NoiseScale, Outlier, Warning};
 
 /// The schema's name.
 pub const SCHEMA: &str = "calibrig.report/1";
@@ -199,6 +199,9 @@ pub struct JsonEstimate {
     pub interval_factor_95: Option<f64>,
     /// What a user must know, in words.
     pub warnings: Vec<String>,
+    /// Those of the warnings that a person must look at: with any, exit code 3; absent where none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub reasons: Vec<String>,
     /// Parameters that the measurements alone cannot tell from others and that rest on their priors, in words; absent where none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub held: Vec<String>,
@@ -217,7 +220,7 @@ pub struct JsonEstimate {
     /// What was stated beforehand and does not fit the measurements; absent where none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub contradicted: Vec<JsonContradiction>,
-    /// Observations that a robust loss found far off the others; absent where none.
+    /// Gross errors: observations far off what the others say of them; absent where none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub outliers: Vec<JsonOutlier>,
     /// What speaks for and against it; absent where it was not judged.
@@ -267,10 +270,36 @@ pub struct JsonContradiction {
 pub struct JsonOutlier {
     /// Number of its pose.
     pub pose: u32,
-    /// Length of its residual in standard deviations of a coordinate.
+    /// Name of its target, where there are several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub target: Option<String>,
+    /// Name of its station, where there are several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub station: Option<String>,
+    /// How far it is from where a fit without it predicts it, m.
+    #[serde(default)]
+    pub distance_m: Option<f64>,
+    /// The same in standard deviations of a coordinate.
     pub size: Option<f64>,
-    /// What it still counts for, from 1 down to 0.
+    /// What it still counts for in the fit, from 1 down to 0.
     pub weight: Option<f64>,
+    /// The pose that it has exchanged its point with.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exchanged_with: Option<u32>,
+}
+
+impl From<&Outlier> for JsonOutlier {
+    fn from(o: &Outlier) -> Self {
+        Self {
+            pose: o.pose,
+            target: o.target.clone(),
+            station: o.station.clone(),
+            distance_m: finite(o.distance),
+            size: finite(o.size),
+            weight: finite(o.weight),
+            exchanged_with: o.exchanged_with,
+        }
+    }
 }
 
 /// A parameter of a mode, in the unit of `unit`.
@@ -428,17 +457,7 @@ fn json_row(row: &AccuracyRow) -> JsonRow {
 }
 
 fn json_estimate(estimate: &Estimate) -> JsonEstimate {
-    let status = if !estimate.termination.converged() {
-        "not_converged"
-    } else if estimate.spectrum.rank < estimate.parameters.len() {
-        "rank_deficient"
-    } else if !estimate.at_bound.is_empty() {
-        "at_bound"
-    } else if estimate.contradicted.is_empty() {
-        "ok"
-    } else {
-        "contradicted"
-    };
+    let status = estimate.reasons().find_map(Warning::reason).unwrap_or("ok");
     let (chi2_per_dof, residual_sigma) = match estimate.noise {
         NoiseScale::Stated => (estimate.chi2_per_dof().and_then(finite), None),
         NoiseScale::Residuals(sigma) => (None, finite(sigma)),
@@ -492,11 +511,8 @@ fn json_estimate(estimate: &Estimate) -> JsonEstimate {
                 coordinates: contradiction.freedom,
             })
             .collect(),
-        outliers: estimate
-            .outliers
-            .iter()
-            .map(|o| JsonOutlier { pose: o.pose, size: finite(o.size), weight: finite(o.weight) })
-            .collect(),
+        outliers: estimate.outliers.iter().map(JsonOutlier::from).collect(),
+        reasons: estimate.reasons().map(ToString::to_string).collect(),
         judgement: None,
     }
 }

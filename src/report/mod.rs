@@ -14,7 +14,7 @@ mod splits;
 mod summary;
 mod tables;
 
-pub use html::html_report;
+pub use html::{html_report, quoted};
 pub use json::{
     JsonAblated, JsonAblation, JsonAblationRow, JsonDropped, JsonEstimate, JsonInput, JsonParameter,
     JsonRegistration, JsonReport, JsonRow, JsonSet, JsonSoftware, SCHEMA, json_report,

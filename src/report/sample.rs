@@ -149,6 +149,7 @@ pub(super) fn simulated() -> Outcome {
         judgements: Vec::new(),
         ablation: None,
         splits: None,
+        command: None,
     }
 }
 

@@ -66,4 +66,5 @@ pub mod elastostatics;
 pub mod evaluation;
 pub mod identification;
 pub mod kinematics;
+pub mod plausibility;
 pub mod validation;

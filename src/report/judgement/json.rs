@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use super::super::json::JsonOutlier;
 use super::quantiles;
 use crate::pipeline::{Confidence, Judgement, Outcome, PredictedPosition};
 
@@ -21,6 +22,9 @@ pub struct JsonJudgement {
     pub patterns: Vec<JsonPattern>,
     /// Correlation of the residuals of one observation and the next; null where not known.
     pub serial_correlation: Option<f64>,
+    /// Gross errors in the sets that were held out, by set; absent where none.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub held_out_outliers: BTreeMap<String, Vec<JsonOutlier>>,
     /// How sure; absent from a singular system.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub confidence: Option<JsonConfidence>,
@@ -135,7 +139,7 @@ pub(in crate::report) fn json_judgement(outcome: &Outcome, judgement: &Judgement
     let consistency = &judgement.consistency;
     let patterns = consistency.shape.iter().flat_map(|shape| &shape.patterns);
     JsonJudgement {
-        consistent: consistency.is_consistent(),
+        consistent: judgement.is_consistent(),
         level: consistency.level,
         size_p_value: consistency.size.and_then(|size| finite(size.p_value)),
         patterns: patterns
@@ -146,6 +150,11 @@ pub(in crate::report) fn json_judgement(outcome: &Outcome, judgement: &Judgement
                 peak_m: finite(pattern.peak),
                 share: finite(pattern.share),
             })
+            .collect(),
+        held_out_outliers: judgement
+            .held_out
+            .iter()
+            .map(|(kind, outliers)| (kind.key().to_owned(), outliers.iter().map(JsonOutlier::from).collect()))
             .collect(),
         serial_correlation: consistency.shape.as_ref().and_then(|s| s.serial_correlation).and_then(finite),
         confidence: judgement.confidence.as_ref().map(|confidence| json_confidence(outcome, confidence)),

@@ -18,9 +18,9 @@ use super::parameters::{parameter_words, printed_unit};
 use super::summary::{length_words, significant};
 use super::tables::{Ink, Style, printable, wrap};
 use super::{ReportError, counted};
-use crate::pipeline::{Confidence, Judgement, Outcome, PredictedPosition};
+use crate::pipeline::{Confidence, Judgement, Outcome, PredictedPosition, SetKind};
 use calibrig_estimation::evaluation::{Cause, ResidualPattern};
-use calibrig_estimation::identification::Mode;
+use calibrig_estimation::identification::{Mode, Outlier};
 use calibrig_model::ParameterId;
 
 /// Patterns that are named on the terminal, and those that are drawn, a mode.
@@ -39,6 +39,20 @@ fn quantiles(map: &[PredictedPosition]) -> Option<[f64; 3]> {
     lengths.sort_by(f64::total_cmp);
     let last = lengths.len().checked_sub(1)?;
     Some([lengths[last / 2], lengths[last * 95 / 100], lengths[last]])
+}
+
+const UNTESTED: &str =
+    "the residual is not searched for what the model lacks: what is wrong with the readings comes first";
+
+/// Gross errors in what was held out.
+fn held_out_words(judgement: &Judgement) -> Vec<String> {
+    let words = |(kind, outliers): &(SetKind, Vec<Outlier>)| {
+        let named: Vec<_> = outliers.iter().take(LISTED).map(ToString::to_string).collect();
+        let more = outliers.len() - named.len();
+        let more = if more > 0 { format!(", and {more} more") } else { String::new() };
+        format!("{} set, far off what the others say: {}{more}", kind.key(), named.join(", "))
+    };
+    judgement.held_out.iter().map(words).collect()
 }
 
 /// What a user must know beside how the estimate ended.
@@ -71,7 +85,13 @@ pub(super) fn judgement_lines(outcome: &Outcome, mode: Mode, style: Style) -> Ve
         let more = counted(found.len() - NAMED, "more pattern");
         say(Ink::Warning, &format!("  and {more} in the residual: see report.html"), "    ");
     }
-    if judgement.consistency.is_consistent() && judgement.consistency.shape.is_some() {
+    if !judgement.makes_sense {
+        say(Ink::Warning, &format!("  {UNTESTED}"), "    ");
+    }
+    for words in held_out_words(judgement) {
+        say(Ink::Warning, &format!("  warning: {}", printable(&words)), "           ");
+    }
+    if judgement.is_consistent() && judgement.consistency.shape.is_some() {
         say(Ink::Good, "  the residual has no pattern against joints, approach, time or sequence", "    ");
     }
     lines
@@ -123,7 +143,9 @@ fn verdict(judgement: &Judgement) -> Markup {
     let consistency = &judgement.consistency;
     let found = patterns(judgement);
     html! {
-        @if consistency.shape.is_none() {
+        @if !judgement.makes_sense {
+            p { strong { (UNTESTED) "." } }
+        } @else if consistency.shape.is_none() {
             p { "Not tested: the fit leaves no degree of freedom." }
         } @else if consistency.is_consistent() {
             p { "Nothing that chance does not explain." }
@@ -139,6 +161,7 @@ fn verdict(judgement: &Judgement) -> Markup {
         @if !found.is_empty() {
             ul.warnings { @for pattern in found { li { (pattern) } } }
         }
+        @for words in held_out_words(judgement) { p { (words) "." } }
     }
 }
 

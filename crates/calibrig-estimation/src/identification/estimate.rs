@@ -1,8 +1,9 @@
 //! What an identification returns.
 
+use std::fmt;
+
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
-use std::fmt;
 use thiserror::Error;
 
 use super::limits::shown;
@@ -347,8 +348,22 @@ pub enum Warning {
         name: String,
     },
     /// Observations far off the others.
-    #[error("far off the others: {}", poses_in_words(.0))]
+    #[error("far off what the others say: {}{}", in_poses(.0), if .0.iter().any(Outlier::counts) { COUNTED } else { "" })]
     Outliers(Vec<Outlier>),
+    /// The identified robot does not lie on the points.
+    #[error(
+        "the identified robot leaves an RMS of {:.3} mm, {:.0} % of the spread of the points ({:.0} mm): it does not lie on them, and the \
+         standard deviations mean nothing. Check the joints' columns, the targets' names and the order of the rows",
+        1e3 * rms, 1e2 * rms / spread, 1e3 * spread
+    )]
+    OffThePoints {
+        /// RMS of the 3-D residual, m.
+        #[serde(with = "calibrig_model::float::scalar")]
+        rms: f64,
+        /// RMS distance of the points from their mean, m.
+        #[serde(with = "calibrig_model::float::scalar")]
+        spread: f64,
+    },
     /// The starts led to several minima.
     #[error("{minima} minima were found, and the lowest is given: another start could find a lower one")]
     SeveralMinima {
@@ -425,22 +440,75 @@ fn softer(contradictions: &[Contradiction]) -> String {
     )
 }
 
-fn poses_in_words(outliers: &[Outlier]) -> String {
-    let words = |o: &Outlier| format!("pose {} ({:.1} sigma, weight {:.2})", o.pose, o.size, o.weight);
-    outliers.iter().map(words).collect::<Vec<_>>().join(", ")
+/// What is to be done where they count in the fit.
+const COUNTED: &str = ". They count in the fit as they are: look at these readings and leave out what is wrong with them, or use a robust loss (`--loss tukey`)";
+/// Standard deviations from which on it is no tail of what a machine does.
+const CERTAIN: f64 = 10.0;
+/// More are counted, not listed.
+const LISTED: usize = 12;
+
+fn in_poses(outliers: &[Outlier]) -> String {
+    let mut words: Vec<_> = outliers.iter().take(LISTED).map(ToString::to_string).collect();
+    if outliers.len() > LISTED {
+        words.push(format!("and {} more", outliers.len() - LISTED));
+    }
+    words.join(", ")
 }
 
-/// An observation that a robust loss found to be far off the others.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+/// A gross error: an observation far off what the others say of it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Outlier {
     /// Number of its pose.
     pub pose: u32,
     /// Index of the observation in its set.
     pub observation: usize,
-    /// Length of its residual, in standard deviations of a coordinate.
+    /// Name of its target, where there are several.
+    pub target: Option<String>,
+    /// Name of its station, where there are several.
+    pub station: Option<String>,
+    /// How far it is from where a fit without it predicts it, m.
+    #[serde(with = "calibrig_model::float::scalar")]
+    pub distance: f64,
+    /// The same in standard deviations of a coordinate, those of noise and prediction.
+    #[serde(with = "calibrig_model::float::scalar")]
     pub size: f64,
-    /// What it still counts for, from 1 down to 0.
+    /// What it still counts for in the fit, from 1 down to 0.
     pub weight: f64,
+    /// The pose whose point it has, where that one has its point.
+    pub exchanged_with: Option<u32>,
+}
+
+impl Outlier {
+    /// Whether it carries weight in the fit. A robust loss leaves one of this size less than half.
+    pub fn carries_weight(&self) -> bool {
+        self.weight > 0.5
+    }
+
+    /// Whether it carries weight and is a gross error for certain: up to ten standard deviations, what a machine does now and then (a
+    /// backlash that was taken up or not) looks alike.
+    pub fn counts(&self) -> bool {
+        self.carries_weight() && self.size >= CERTAIN
+    }
+}
+
+impl fmt::Display for Outlier {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "pose {}", self.pose)?;
+        for (what, name) in [("target", &self.target), ("station", &self.station)] {
+            if let Some(name) = name {
+                let what = if name.starts_with(what) { "" } else { what };
+                write!(f, ", {}", format!("{what} {name}").trim_start())?;
+            }
+        }
+        write!(f, " ({:.3} mm, {:.0} sigma", 1e3 * self.distance, self.size)?;
+        if !self.carries_weight() {
+            write!(f, ", weight {:.2}", self.weight)?;
+        }
+        if let Some(pose) = self.exchanged_with {
+            write!(f, ", its point and that of pose {pose} are exchanged")?;
+        }
+        f.write_str(")")
+    }
 }
 
 /// The result of an identification. Non-convergence and rank deficiency are in here as data, not errors.
@@ -488,7 +556,7 @@ pub struct Estimate {
     pub at_bound: Vec<ParameterId>,
     /// What was stated beforehand and does not fit the measurements, although these fit the model.
     pub contradicted: Vec<Contradiction>,
-    /// Observations beyond five standard deviations; known where a robust loss was asked for.
+    /// Observations far off what the others say of them, in their order.
     pub outliers: Vec<Outlier>,
     /// What was taken to be so.
     pub assumptions: Vec<Assumption>,
@@ -500,15 +568,6 @@ impl Estimate {
     /// Chi-square per degree of freedom, about 1 where model and stated noise are right.
     pub fn chi2_per_dof(&self) -> Option<f64> {
         (self.degrees_of_freedom > 0.0).then(|| self.chi2 / self.degrees_of_freedom)
-    }
-
-    /// Whether it may be used without a second look: converged, of full rank, at no bound, and not against what was
-    /// stated beforehand.
-    pub fn is_sound(&self) -> bool {
-        self.termination.converged()
-            && self.spectrum.rank == self.parameters.len()
-            && self.at_bound.is_empty()
-            && self.contradicted.is_empty()
     }
 
     /// Half the width of an interval that holds a value with probability `level`, in standard deviations: Student's where the noise was

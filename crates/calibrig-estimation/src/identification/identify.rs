@@ -11,9 +11,9 @@ use super::place::best_fit_stations;
 use super::problem::CalibrationProblem;
 use super::summary::{Fitted, Size, is_misfit, sigmas, summarise};
 use super::{
-    Bounds, BoundsError, CalibratedRobot, Estimate, FrameChoice, IdentificationOptions, LeastSquares,
-    MachineNoiseChoice, Mode, ParameterBoundError, ParameterChoice, Predictor, Solution, TargetChoice,
-    minimise, minimise_within,
+    Bounds, BoundsError, CalibratedRobot, Estimate, FrameChoice, IdentificationOptions, LeastSquares, Loss,
+    MachineNoiseChoice, Mode, ParameterBoundError, ParameterChoice, Predictor, Solution, SolverOptions,
+    TargetChoice, minimise, minimise_within,
 };
 use calibrig_model::measurement::{MeasurementError, MeasurementSet, RegistrationError};
 use calibrig_model::{CalibrationModel, ModelError, ParameterId, Unit};
@@ -229,7 +229,7 @@ fn spread((id, sigma): (&ParameterId, &Option<f64>)) -> f64 {
 
 /// Standard deviation of a coordinate that the nominal robot leaves where it lies best on the measurements, m: the noise is no larger.
 fn most_noise(model: &CalibrationModel, set: &MeasurementSet) -> Result<f64, IdentifyError> {
-    let robot = without_calibration(model, set)?;
+    let robot = without_calibration(model, set, Loss::Squared)?;
     let errors = Predictor::new(&robot).and_then(|mut predictor| predictor.errors(set)).unwrap_or_default();
     let fitted = 6 * set.stations.len() + 3 * set.targets.len();
     let freedom = (3 * errors.len()).saturating_sub(fitted).max(1);
@@ -240,17 +240,20 @@ fn most_noise(model: &CalibrationModel, set: &MeasurementSet) -> Result<f64, Ide
 /// The nominal robot, laid over the measurements.
 ///
 /// Where the target's offset was measured, by the rigid transform that fits best (one a station, equal weights); where it is unknown,
-/// the offset is fitted together with the tracker's place, and those that were measured are a prior.
+/// the offset is fitted together with the tracker's place, and those that were measured are a prior. A robust `loss` is that of both.
 pub fn without_calibration(
     model: &CalibrationModel,
     set: &MeasurementSet,
+    loss: Loss,
 ) -> Result<CalibratedRobot, IdentifyError> {
-    if set.targets.iter().any(|target| target.covariance.is_none()) {
+    let is_unknown = set.targets.iter().any(|target| target.covariance.is_none());
+    if is_unknown || loss != Loss::Squared {
         let options = IdentificationOptions {
             mode: Mode::WithoutCalibration,
             parameters: ParameterChoice::Listed(Vec::new()),
             frame: FrameChoice::Free,
-            target: TargetChoice::AsStated,
+            target: if is_unknown { TargetChoice::AsStated } else { TargetChoice::Fixed },
+            solver: SolverOptions { loss, ..SolverOptions::default() },
             ..IdentificationOptions::published()
         };
         return Ok(identify(model, set, &options)?.robot);

@@ -6,6 +6,7 @@ mod build;
 mod contradiction;
 mod estimate;
 mod factor;
+mod gross;
 mod identifiability;
 mod identify;
 mod information;
@@ -26,6 +27,7 @@ mod summary;
 mod tests;
 mod uncertainty;
 mod variance;
+mod verdict;
 
 pub use contradiction::{CONTRADICTION_LEVEL, Contradiction, Stated};
 pub use estimate::{
@@ -33,6 +35,7 @@ pub use estimate::{
     TerminationReason, Warning,
 };
 pub(crate) use factor::triangular_factor_of_all;
+pub use gross::held_out_outliers;
 pub use identifiability::{
     DependentGroup, Explanation, Finding, IdentifiabilityReport, RANK_TOLERANCE, Remedy, Spectrum,
     WEAK_TOLERANCE, WeakDirection, complete_set, explain, identifiability, neighbour_axis_rules, spectrum,
@@ -52,6 +55,7 @@ pub use options::{
 };
 pub use prospect::{Prospect, prospect};
 pub use robot::{CalibratedRobot, EstimatePredictor, Prediction, PredictionError, Predictor};
+pub(crate) use solver::scale_of;
 use solver::{Bounds, LeastSquares, Solution, minimise, minimise_within};
 pub use solver::{BoundsError, Loss, LossScale, SolverOptions};
 pub use uncertainty::{

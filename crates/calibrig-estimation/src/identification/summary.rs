@@ -1,17 +1,19 @@
 //! What a solution tells: parameters, covariance, what is determined and what is not.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, Vector3};
 
 use super::build::{Built, redundant};
 use super::contradiction::{Checks, Found};
 use super::factor::{extended, triangular_factor, triangular_factor_of_all};
+use super::gross::{GrossError, LinearFit};
 use super::identify::LEAST_OF_UNKNOWN;
 use super::noise::{Noise, is_doubted};
 use super::problem::CalibrationProblem;
 use super::solver::Solution;
 use super::{
     Assumption, CalibratedRobot, Contradiction, DependentGroup, Estimate, FrameChoice, IdentificationOptions,
-    NoiseScale, Outlier, ParameterEstimate, Redundancy, Spectrum, Stated, TargetChoice, Warning, analyse_r,
+    LeastSquares, NoiseScale, Outlier, ParameterEstimate, Redundancy, Spectrum, Stated, TargetChoice,
+    Warning, analyse_r,
 };
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::statistics::chi2_survival;
@@ -172,10 +174,11 @@ pub(super) fn summarise(
         })
         .partition(|bound| problem.parameters.contains(&bound.id));
     warnings.extend(unused.into_iter().map(|bound| Warning::UnusedBound { bound }));
-    let outliers = outliers(&solution, set);
+    let outliers = gross_errors(&mut problem, &solution, &bounded, noise, set);
     if !outliers.is_empty() {
         warnings.push(Warning::Outliers(outliers.clone()));
     }
+    warnings.extend(off_the_points(&problem, &solution, set, &outliers));
     if solution.minima > 1 {
         warnings.push(Warning::SeveralMinima { minima: solution.minima });
     }
@@ -237,17 +240,99 @@ pub(super) fn summarise(
     }
 }
 
-/// Residuals longer than this many standard deviations of a coordinate are named: one in 65,000 is where the noise is normal.
-const OUTLIER: f64 = 5.0;
-
-fn outliers(solution: &Solution, set: &MeasurementSet) -> Vec<Outlier> {
-    let outlier = |observation: usize| Outlier {
-        pose: set.observations[observation].pose,
-        observation,
-        size: solution.residuals.fixed_rows::<3>(3 * observation).norm() / solution.scale,
-        weight: solution.weights[observation],
+/// Readings far off what the others say of them, whatever the loss.
+fn gross_errors(
+    problem: &mut CalibrationProblem,
+    solution: &Solution,
+    bounded: &[usize],
+    noise: NoiseScale,
+    set: &MeasurementSet,
+) -> Vec<Outlier> {
+    let (residuals, mut jacobian) = (&solution.residuals, solution.jacobian.clone());
+    if !solution.weights.is_empty() {
+        // The rows of the solution's Jacobian have the weights of the loss in them.
+        let mut again = residuals.clone();
+        problem.evaluate(&solution.x, &mut again, Some(&mut jacobian));
+    }
+    bounded.iter().for_each(|column| jacobian.column_mut(*column).fill(0.0));
+    let fit = LinearFit {
+        jacobian: &jacobian,
+        residuals,
+        blocks: set.observations.len(),
+        weights: &solution.weights,
+        is_stated: noise == NoiseScale::Stated,
     };
-    solution.outliers(OUTLIER).into_iter().map(outlier).collect()
+    let place = |error: &GrossError| {
+        let whitening = problem.rows[error.observation].whitening;
+        // Measured minus predicted, in the tracker's frame.
+        let off = whitening.lu().solve(&-error.left_out).unwrap_or_default();
+        (*error, off, solution.weights.get(error.observation).copied().unwrap_or(1.0))
+    };
+    outliers(set, &fit.gross_errors().iter().map(place).collect::<Vec<_>>())
+}
+
+/// Gross errors in words that a person finds in the file: the error, what the reading is off by in the tracker's frame (m), and its weight.
+pub(super) fn outliers(set: &MeasurementSet, found: &[(GrossError, Vector3<f64>, f64)]) -> Vec<Outlier> {
+    let seen = |error: &GrossError| set.observations[error.observation].reading.position();
+    let exchanged = |(error, off, _): &(GrossError, Vector3<f64>, f64)| {
+        let observation = &set.observations[error.observation];
+        // The point lies where the other's should be, and the other's where this one should be.
+        let partner = found.iter().filter(|(other, ..)| other.observation != error.observation);
+        let mut partner = partner.filter(|(other, other_off, _)| {
+            let apart = seen(error) - seen(other);
+            let near = NEAR_PARTNER * off.norm().min(other_off.norm());
+            set.observations[other.observation].station == observation.station
+                && (apart - off).norm() < near
+                && (apart + other_off).norm() < near
+        });
+        partner.next().map(|(other, ..)| set.observations[other.observation].pose)
+    };
+    let outlier = |entry: &(GrossError, Vector3<f64>, f64)| {
+        let (error, off, weight) = entry;
+        let observation = &set.observations[error.observation];
+        let of_several = |name: &str, count: usize| (count > 1).then(|| name.to_owned());
+        Outlier {
+            pose: observation.pose,
+            observation: error.observation,
+            target: of_several(&set.targets[observation.target].name, set.targets.len()),
+            station: of_several(&set.stations[observation.station].name, set.stations.len()),
+            distance: off.norm(),
+            size: error.size,
+            weight: *weight,
+            exchanged_with: exchanged(entry),
+        }
+    };
+    found.iter().map(outlier).collect()
+}
+
+/// How near to each other's place two readings are that were exchanged, as a share of what they are off by.
+const NEAR_PARTNER: f64 = 0.1;
+
+/// Share of the robot's reach, and of the points' spread, that no robot leaves which was measured as it was commanded.
+const OFF_THE_POINTS: (f64, f64) = (0.02, 0.03);
+
+/// That the identified robot does not lie on the points either, gross errors aside.
+fn off_the_points(
+    problem: &CalibrationProblem,
+    solution: &Solution,
+    set: &MeasurementSet,
+    outliers: &[Outlier],
+) -> Option<Warning> {
+    let (mut squares, mut sum) = (0.0, 0.0);
+    for (i, row) in problem.rows.iter().enumerate() {
+        if outliers.iter().any(|outlier| outlier.observation == i) {
+            continue;
+        }
+        let weight = solution.weights.get(i).copied().unwrap_or(1.0);
+        let off = row.whitening.lu().solve(&solution.residuals.fixed_rows::<3>(3 * i).into_owned());
+        squares += weight * off.map_or(0.0, |off| off.norm_squared());
+        sum += weight;
+    }
+    let rms = (squares / sum).sqrt();
+    let size = problem.nominal.kinematics.characteristic_length();
+    let spread = set.spread();
+    let is_off = rms > OFF_THE_POINTS.0 * size && rms > OFF_THE_POINTS.1 * spread;
+    is_off.then_some(Warning::OffThePoints { rms, spread })
 }
 
 /// `(Jᵀ J)⁻¹` from `J = Q R`, and S with `S Sᵀ` equal to it; only from a system of full rank. What is `bounded` is held there: it has no

@@ -277,7 +277,8 @@ fn a_compliance_stops_at_rigid_and_says_so() {
         ..options(Mode::ElastoGeometric)
     };
     let estimate = identify(&nominal, &set, &options).expect("an estimate");
-    assert!(!estimate.at_bound.is_empty() && !estimate.is_sound());
+    // No visible compliance is a warning, and no reason to doubt the rest.
+    assert!(!estimate.at_bound.is_empty() && estimate.is_sound());
     for id in &estimate.at_bound {
         assert_eq!(estimate.value(*id), Some(-1.0));
     }

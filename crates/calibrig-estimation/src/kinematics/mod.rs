@@ -26,7 +26,8 @@ pub fn forward_kinematics(model: &KinematicModel, q: &[f64]) -> Result<Transform
     Ok(flange(model, q))
 }
 
-fn flange(model: &KinematicModel, q: &[f64]) -> Transform {
+/// [`forward_kinematics`] of a pose of the robot.
+pub(crate) fn flange(model: &KinematicModel, q: &[f64]) -> Transform {
     let mut base_from_link = Transform::identity();
     for (link, &q) in model.links.iter().zip(q) {
         base_from_link *= link.transform(q);

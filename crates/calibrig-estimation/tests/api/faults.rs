@@ -420,7 +420,7 @@ fn model_is_refused(case: &Case, sound: &Case, field: &str) {
     let Case { model, set, options, .. } = case;
     names(model.check(), field, "check");
     names(identify(model, set, options), field, "identify");
-    names(without_calibration(model, set), field, "without_calibration");
+    names(without_calibration(model, set, Loss::Squared), field, "without_calibration");
     names(prospect(model, set, options), field, "prospect");
     names(ElasticChain::new(model), field, "ElasticChain::new");
     let mut chain = ElasticChain::new(&sound.model).expect("a robot");
@@ -472,14 +472,14 @@ proptest! {
         let Case { model, set, options, .. } = &case;
         names(set.check(model.kinematics.joint_count()), field, "MeasurementSet::check");
         names(identify(model, set, options), field, "identify");
-        names(without_calibration(model, set), field, "without_calibration");
+        names(without_calibration(model, set, Loss::Squared), field, "without_calibration");
         names(prospect(model, set, options), field, "prospect");
     }
 
     #[test]
     fn options_that_cannot_be_are_refused((sound, case, field) in faulty(&OPTION_FAULTS)) {
         // A robot whose points are all on one line is refused for that.
-        prop_assume!(without_calibration(&sound.model, &sound.set).is_ok());
+        prop_assume!(without_calibration(&sound.model, &sound.set, Loss::Squared).is_ok());
         let Case { model, set, options, .. } = &case;
         names(identify(model, set, options), field, "identify");
         names(prospect(model, set, options), field, "prospect");
@@ -496,7 +496,7 @@ proptest! {
         // Not to wait for robots that some drawings are: a few iterations show a panic as well.
         case.options.solver.max_iterations = 8;
         let Case { model, set, options, .. } = &case;
-        let _ = without_calibration(model, set).map_err(|error| assert!(!error.to_string().is_empty()));
+        let _ = without_calibration(model, set, Loss::Squared).map_err(|error| assert!(!error.to_string().is_empty()));
         if let Ok(prospect) = prospect(model, set, options) {
             prop_assert!(prospect.measured_rank <= prospect.parameters.len());
         }

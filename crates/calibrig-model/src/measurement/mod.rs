@@ -217,6 +217,18 @@ impl MeasurementSet {
         self
     }
 
+    /// RMS distance of the points from their mean (those of every station from their own), m.
+    pub fn spread(&self) -> f64 {
+        let of_station = |station: usize| {
+            let own = self.observations.iter().filter(move |o| o.station == station);
+            let points: Vec<_> = own.map(|o| o.reading.position()).collect();
+            let mean = points.iter().sum::<Vector3<f64>>() / points.len().max(1) as f64;
+            points.iter().map(|point| (point - mean).norm_squared()).sum::<f64>()
+        };
+        let squares: f64 = (0..self.stations.len()).map(of_station).sum();
+        (squares / self.observations.len().max(1) as f64).sqrt()
+    }
+
     /// Whether the set can be one of a robot with this number of joints. Whatever identifies from a set asks this first.
     pub fn check(&self, joints: usize) -> Result<(), MeasurementError> {
         if self.observations.is_empty() {

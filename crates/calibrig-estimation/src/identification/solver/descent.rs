@@ -74,6 +74,7 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
         self.scale.fill(0.0);
         let mut damping = FIRST_DAMPING;
         let (mut model_holds, mut easy) = (false, true);
+        let first = self.iterations.len();
         let Some(mut normal) = self.now.cost.is_finite().then(|| self.normal_equations()).flatten() else {
             return TerminationReason::NotFinite;
         };
@@ -81,7 +82,7 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
             if self.steepest(&normal) <= self.options.gradient * self.now.cost.sqrt() {
                 return TerminationReason::SmallGradient;
             }
-            if self.iterations.len() >= self.options.max_iterations {
+            if self.iterations.len() - first >= self.options.max_iterations {
                 return TerminationReason::IterationLimit;
             }
             let Some(step) = self.step(&normal, damping) else {

@@ -101,7 +101,7 @@ const MEDIAN_NORM: f64 = 1.538_172_254_455_052_2;
 
 /// Standard deviation of one coordinate from the norms of blocks of three: consistent where the noise is normal, and finite until half of
 /// the blocks are in error. `fitted` parameters have made the residuals smaller than the noise.
-pub(super) fn scale_of(norms: &mut [f64], fitted: f64) -> f64 {
+pub(crate) fn scale_of(norms: &mut [f64], fitted: f64) -> f64 {
     let count = norms.len();
     if count == 0 {
         return f64::NAN;

@@ -20,6 +20,7 @@ pub use bounds::BoundsError;
 #[cfg(test)]
 use bounds::Side;
 pub(crate) use bounds::{AtBound, Bounds};
+pub(crate) use loss::scale_of;
 pub use loss::{Loss, LossScale};
 
 use super::{IterationRecord, TerminationReason};
@@ -45,7 +46,7 @@ pub trait LeastSquares {
 /// What is minimised, and when the solver stops.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SolverOptions {
-    /// Most iterations from one start, rejected steps included.
+    /// Most iterations from one start, rejected steps included; with a robust loss, of each of its passes.
     pub max_iterations: usize,
     /// Stop when the step changes the residual vector by less than this fraction of it ...
     pub relative_decrease: f64,
@@ -112,6 +113,7 @@ pub struct Solution {
 impl Solution {
     /// Blocks whose residual is longer than `limit` times the scale. Where the noise is normal, a share of chi's upper tail (three degrees
     /// of freedom) is: 1.5e-5 above 5.
+    #[cfg(test)]
     pub fn outliers(&self, limit: f64) -> Vec<usize> {
         (0..self.weights.len())
             .filter(|&i| self.residuals.fixed_rows::<3>(3 * i).norm() > limit * self.scale)

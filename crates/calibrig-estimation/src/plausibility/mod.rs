@@ -1,0 +1,299 @@
+//! Whether measurements can be of this robot at all, before anything of it is fitted.
+//!
+//! The nominal robot is laid over the points by the tracker's place and the target's offset alone. What that leaves is compared with the
+//! points' spread about their mean: a robot that explains nothing leaves all of it, one that is a centimetre off a hundredth. Where a
+//! few rows are to blame they are found by a robust fit, where a convention is (units, signs, a home offset) by trying it.
+
+mod blame;
+mod conventions;
+mod fit;
+#[cfg(test)]
+mod tests;
+
+use nalgebra::Vector3;
+
+use crate::identification::IdentifyError;
+use crate::kinematics::flange;
+use calibrig_model::measurement::{MeasurementSet, Reading};
+use calibrig_model::{CalibrationModel, JointKind};
+use fit::Points;
+
+/// Share of the points' spread that the nominal robot may leave. Robots off by several per cent of their size are badly drawn and can be
+/// fitted; exchanged rows, wrong units, signs and offsets leave a third to all.
+pub const LARGEST_SHARE: f64 = 0.25;
+/// Share from which on a reason is looked for.
+const SUSPICIOUS: f64 = 0.02;
+/// So many times the median distance, a point is looked at.
+const STANDS_OUT: f64 = 6.0;
+/// Share of the robot's length that points which are all one may be apart.
+const NO_MOTION: f64 = 1e-5;
+/// How far beyond its limits a command draws a remark, as a share of the travel.
+const BEYOND: f64 = 0.02;
+
+/// How the nominal robot lies on measured points.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plausibility {
+    /// Observations that were looked at.
+    pub observations: usize,
+    /// RMS distance of the points from the nominal robot, with the tracker's place and the targets' offsets fitted, m; `None` where these
+    /// explain whatever was measured.
+    pub rms: Option<f64>,
+    /// The same as a share of the points' spread, for as many degrees of freedom as are left: one where the robot explains nothing.
+    pub share: Option<f64>,
+    /// RMS distance of the points from their mean, m.
+    pub spread: f64,
+    /// Points that no pose of the robot reaches; the other figures are without them.
+    pub unreachable: Vec<FarOff>,
+    /// Rows that are to blame, where the rest lies on the robot much better.
+    pub few_rows: Option<FewRows>,
+    /// Conventions that explain what the robot leaves.
+    pub explanations: Vec<Explanation>,
+    /// Commands beyond the joints' limits.
+    pub beyond_limits: Vec<BeyondLimits>,
+}
+
+/// A point that is not where the others would have it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FarOff {
+    /// Index of the observation in its set.
+    pub observation: usize,
+    /// From where the robot is, or, of a point out of its reach, from the middle of the others, m.
+    pub distance: f64,
+}
+
+/// Rows that are to blame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FewRows {
+    /// Farthest first.
+    pub rows: Vec<FarOff>,
+    /// Pairs of observations that have each other's points.
+    pub exchanged: Vec<(usize, usize)>,
+    /// RMS distance of the others from the nominal robot, m.
+    pub rms_without: f64,
+    /// The same as a share of their spread.
+    pub share_without: f64,
+}
+
+/// A convention, and what the nominal robot leaves where the file is read by it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Explanation {
+    /// Which.
+    pub convention: Convention,
+    /// m
+    pub rms: f64,
+}
+
+/// How a file could be meant other than it was read. Joints are counted from zero.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum Convention {
+    /// The angles are in radians and were read as degrees.
+    RadiansAsDegrees,
+    /// The angles are in degrees and were read as radians.
+    DegreesAsRadians,
+    /// The points are in another unit.
+    PointsScaled {
+        /// What they would have to be multiplied by.
+        factor: f64,
+    },
+    /// The prismatic joints are in another unit.
+    TravelScaled {
+        /// What they would have to be multiplied by.
+        factor: f64,
+    },
+    /// The points are a mirror image, as with x and y exchanged.
+    Mirrored,
+    /// The points stand so many rows above their joints.
+    ShiftedRows {
+        /// Above; below where it is negative.
+        by: isize,
+    },
+    /// A joint's zero is elsewhere.
+    HomeOffset {
+        /// Which.
+        joint: usize,
+        /// What its command would have to be greater by, rad.
+        angle: f64,
+    },
+    /// A joint turns, or moves, the other way.
+    Sign {
+        /// Which.
+        joint: usize,
+    },
+    /// Two columns of joints are exchanged.
+    Columns {
+        /// The first.
+        joint: usize,
+        /// The second.
+        other: usize,
+    },
+    /// Targets at offsets of their own under one name.
+    SeveralTargets {
+        /// Index of the target.
+        target: usize,
+        /// Their number.
+        count: usize,
+    },
+}
+
+/// Commands of a joint beyond its limits.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BeyondLimits {
+    /// Which, from zero.
+    pub joint: usize,
+    /// Smallest and largest, m or rad.
+    pub reached: [f64; 2],
+    /// m or rad
+    pub limits: [f64; 2],
+}
+
+impl Plausibility {
+    /// Whether there is any use in fitting. With a `robust` loss, a few rows do not count.
+    pub fn is_plausible(&self, robust: bool) -> bool {
+        let few = self.few_rows.as_ref();
+        let share = if robust { few.map(|few| few.share_without).or(self.share) } else { self.share };
+        self.unreachable.is_empty()
+            && self.explanations.is_empty()
+            && (robust || few.is_none_or(|few| few.exchanged.is_empty()))
+            && share.is_none_or(|share| share <= LARGEST_SHARE)
+    }
+}
+
+/// Lays the nominal robot over `set`, and looks for reasons where it does not lie on the points.
+///
+/// # Errors
+///
+/// [`IdentifyError`], where model and set do not belong together.
+pub fn plausibility(model: &CalibrationModel, set: &MeasurementSet) -> Result<Plausibility, IdentifyError> {
+    model.check()?;
+    set.check(model.kinematics.joint_count())?;
+    let unreachable = unreachable(model, set);
+    let kept: Vec<usize> =
+        (0..set.observations.len()).filter(|i| unreachable.iter().all(|far| far.observation != *i)).collect();
+    let points = points_of(model, set).part(&kept);
+    let mut found = Plausibility {
+        observations: set.observations.len(),
+        rms: None,
+        share: None,
+        spread: points.spread(),
+        unreachable,
+        few_rows: None,
+        explanations: Vec::new(),
+        beyond_limits: beyond_limits(model, set),
+    };
+    // Points that are all one say nothing of the robot.
+    if found.spread <= NO_MOTION * model.kinematics.characteristic_length() {
+        return Ok(found);
+    }
+    let placed = match points.nearest() {
+        Some(placed) if points.rms(&placed).is_none_or(|rms| points.share(rms) <= SUSPICIOUS) => placed,
+        _ => points.best(true),
+    };
+    let Some(rms) = points.rms(&placed) else { return Ok(found) };
+    let share = points.share(rms);
+    (found.rms, found.share) = (Some(rms), Some(share));
+    let suspicious = share > SUSPICIOUS;
+    if suspicious || stands_out(points.lengths(&placed), found.spread) {
+        found.few_rows = blame::few_rows(&points, &placed)
+            .map(|few| few.of(&kept))
+            .filter(|few| few.share_without <= LARGEST_SHARE.min(0.5 * share));
+    }
+    if suspicious && found.few_rows.is_none() {
+        let mut part = set.clone();
+        part.observations = kept.iter().map(|i| set.observations[*i].clone()).collect();
+        found.explanations = conventions::explanations(model, &part, share);
+    }
+    Ok(found)
+}
+
+impl FewRows {
+    /// The same with the indices of the set that `kept` are of.
+    fn of(mut self, kept: &[usize]) -> Self {
+        self.rows.iter_mut().for_each(|far| far.observation = kept[far.observation]);
+        self.exchanged.iter_mut().for_each(|pair| *pair = (kept[pair.0], kept[pair.1]));
+        self
+    }
+}
+
+/// Whether one is far longer than most, and not small against the points' spread.
+fn stands_out(mut lengths: Vec<f64>, spread: f64) -> bool {
+    let largest = lengths.iter().copied().fold(0.0, f64::max);
+    lengths.retain(|length| length.is_finite());
+    largest > (STANDS_OUT * median(lengths)).max(0.5 * SUSPICIOUS * spread)
+}
+
+/// Where the nominal robot's flange is, and where the tracker saw its target.
+fn points_of(model: &CalibrationModel, set: &MeasurementSet) -> Points {
+    let mut joints = vec![0.0; model.kinematics.joint_count()];
+    let mut points = Points {
+        offsets: set.targets.iter().map(|target| target.in_flange).collect(),
+        stations: set.stations.len(),
+        ..Points::default()
+    };
+    for observation in &set.observations {
+        model.actuators.joints_from_command(&observation.command, &mut joints);
+        points.flange.push(flange(&model.kinematics, &joints));
+        points.seen.push(observation.reading.position());
+        points.station.push(observation.station);
+        points.target.push(observation.target);
+    }
+    points
+}
+
+/// Points farther from the middle of the others than twice the robot's reach, and the tracker's own place: codes of missed shots. As the
+/// offset of a target may be unknown, what the other points span is added.
+fn unreachable(model: &CalibrationModel, set: &MeasurementSet) -> Vec<FarOff> {
+    let reach = reach(model) + set.targets.iter().map(|t| t.in_flange.norm()).fold(0.0, f64::max);
+    let mut far = Vec::new();
+    for station in 0..set.stations.len() {
+        let own = set.observations.iter().enumerate().filter(|(_, o)| o.station == station);
+        let own: Vec<(usize, Vector3<f64>)> = own.map(|(i, o)| (i, o.reading.position())).collect();
+        if own.is_empty() {
+            continue;
+        }
+        let middle =
+            Vector3::from_fn(|axis, _| median(own.iter().map(|(_, seen)| seen[axis]).collect::<Vec<_>>()));
+        let distance = |seen: &Vector3<f64>| (seen - middle).norm();
+        let limit = 2.0 * reach + 6.0 * median(own.iter().map(|(_, seen)| distance(seen)).collect());
+        let is_origin = |i: usize| matches!(set.observations[i].reading, Reading::Cartesian { position, .. } if position == Vector3::zeros());
+        let out = own.iter().filter(|(i, seen)| distance(seen) > limit || is_origin(*i));
+        far.extend(out.map(|(i, seen)| FarOff { observation: *i, distance: distance(seen) }));
+    }
+    far
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// Longest distance of the flange from the first moving axis, at most, m.
+fn reach(model: &CalibrationModel) -> f64 {
+    let length = |(index, link): (usize, &calibrig_model::CraigLink)| match link.kind {
+        JointKind::Prismatic => link.a.hypot(link.d.abs() + link.limits[0].abs().max(link.limits[1].abs())),
+        // What lies in front of the first axis moves nothing.
+        JointKind::Revolute if index == 0 => 0.0,
+        JointKind::Revolute => link.a.hypot(link.d),
+    };
+    let links: f64 = model.kinematics.links.iter().enumerate().map(length).sum();
+    links + model.kinematics.last_from_flange.translation.vector.norm()
+}
+
+fn beyond_limits(model: &CalibrationModel, set: &MeasurementSet) -> Vec<BeyondLimits> {
+    let mut joints = vec![0.0; model.kinematics.joint_count()];
+    let mut reached = vec![[f64::INFINITY, f64::NEG_INFINITY]; joints.len()];
+    for observation in &set.observations {
+        model.actuators.joints_from_command(&observation.command, &mut joints);
+        for ([low, high], value) in reached.iter_mut().zip(&joints) {
+            (*low, *high) = (low.min(*value), high.max(*value));
+        }
+    }
+    let beyond = reached.into_iter().zip(&model.kinematics.links).enumerate();
+    beyond
+        .filter_map(|(joint, (reached, link))| {
+            let slack = BEYOND * (link.limits[1] - link.limits[0]).abs();
+            let out = reached[0] < link.limits[0] - slack || reached[1] > link.limits[1] + slack;
+            out.then_some(BeyondLimits { joint, reached, limits: link.limits })
+        })
+        .collect()
+}
