@@ -51,6 +51,7 @@ pub fn state(
     files: &mut [MeasuredFile],
 ) -> Result<Statements, InputError> {
     let mut remarks = robot.remarks.clone();
+    remarks.extend(files.iter_mut().filter_map(count_identical_once));
     remarks.extend(files.iter().filter_map(partly_stated));
     if let Some((session, source)) = session {
         for file in &mut *files {
@@ -82,6 +83,31 @@ pub fn state(
     let placed_by = session.map_or("", |(_, source)| source.name.as_str());
     let assumed = fitted.map_or_else(Vec::new, |set| in_words(set, &stated, placed_by, by));
     Ok(Statements { assumed, remarks })
+}
+
+/// Leaves out readings that repeat another to the last digit, command and all: they are copies, and no measurements of their own.
+fn count_identical_once(file: &mut MeasuredFile) -> Option<String> {
+    let mut seen = BTreeSet::new();
+    let mut copies = Vec::new();
+    file.loaded.set.observations.retain(|observation| {
+        let position = observation.reading.position();
+        let numbers: Vec<_> =
+            observation.command.iter().chain(position.iter()).map(|v| v.to_bits()).collect();
+        let is_new =
+            seen.insert((observation.station, observation.target, observation.approach.clone(), numbers));
+        if !is_new {
+            copies.push(observation.pose.to_string());
+        }
+        is_new
+    });
+    let (s, poses) = if copies.len() == 1 { ("s", "pose") } else { ("", "poses") };
+    let words = format!(
+        "{}: {} of the readings repeat{s} another to the last digit and count{s} once with it ({poses} {})",
+        file.source.name,
+        copies.len(),
+        listed(&copies)
+    );
+    (!copies.is_empty()).then_some(words)
 }
 
 /// That some readings of a file state their uncertainty, and others do not.

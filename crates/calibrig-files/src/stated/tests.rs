@@ -269,3 +269,16 @@ fn an_uncertainty_of_the_robots_file_is_that_of_every_axis() {
     assert_eq!(target.covariance(), Some(Matrix3::from_diagonal_element(5e-4 * 5e-4)));
     assert_eq!(target.in_flange, Vector3::new(1e-3, 0.0, 0.0));
 }
+
+#[test]
+fn rows_that_repeat_another_to_the_last_digit_count_once_and_are_told() {
+    let text = "q1_rad,x_m,y_m,z_m\n0.1,1,2,3\n0.2,1,2,3\n0.1,1,2,3\n0.1,1,2,3.000001\n0.1,1,2,3\n";
+    let source = Source::new("m.csv", text.to_owned());
+    let loaded = parse_measurements(&source, &ColumnMap::default(), &[JointKind::Revolute]).expect("valid");
+    let mut files = vec![MeasuredFile { kind: SetKind::Identification, source, loaded }];
+    let told = state(&robot(&[]), None, &mut files).expect("valid").remarks;
+    assert_eq!(files[0].loaded.set.observations.len(), 3);
+    let expected =
+        "m.csv: 2 of the readings repeat another to the last digit and count once with it (poses 3, 5)";
+    assert!(told.iter().any(|line| line == expected), "{told:?}");
+}
