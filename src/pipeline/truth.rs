@@ -105,7 +105,7 @@ impl KnownTruth<'_> {
             let is_its_own = |term: &TermId| term.family().key() == "ratio" && term.joint() == actuator;
             let term = estimate.robot.terms.iter().map(|(term, _)| *term).find(is_its_own)?;
             let [low, high] = travel_of(term, self.nominal)?;
-            Some(ratio.error(actuator, 0.5 * (low + high)))
+            Some(ratio.relative.get(actuator)? * 0.5 * (low + high))
         });
         self.encoder_offset(actuator) + ratio.unwrap_or(0.0)
     }
@@ -118,18 +118,21 @@ impl KnownTruth<'_> {
     /// The amplitude of the term that is the machine's effect of the same shape, m or rad; `None` where its effect of that kind is of another.
     fn term(&self, term: TermId) -> Option<f64> {
         let effects = &self.as_built.effects;
+        effects.check(self.nominal.kinematics.joint_count(), true).ok()?;
         match (term.family().key(), term.place()) {
             ("hysteresis", TermPlace::Actuator(actuator)) => {
-                let stiffness = self.as_built.statics.drive_stiffness[actuator];
+                let stiffness = *self.as_built.statics.drive_stiffness.get(actuator)?;
                 let lag = effects
                     .friction
                     .as_ref()
                     .map_or(Some(0.0), |friction| friction.lag(actuator, stiffness))?;
-                let gap = effects.backlash.as_ref().map_or(0.0, |backlash| backlash.gap[actuator]);
+                let gap =
+                    effects.backlash.as_ref().map_or(Some(&0.0), |backlash| backlash.gap.get(actuator))?;
                 Some(0.0 - 0.5 * gap - lag)
             }
             ("harmonic", TermPlace::Actuator(actuator)) => {
-                let harmonic = effects.harmonics.as_ref().and_then(|harmonics| harmonics.actuators[actuator]);
+                let harmonic =
+                    effects.harmonics.as_ref().and_then(|harmonics| *harmonics.actuators.get(actuator)?);
                 let Some(harmonic) = harmonic else { return Some(0.0) };
                 let turns = self.nominal.motor_turns.get(actuator).copied().flatten()?;
                 if harmonic.amplitude != [0.0; 2] && (harmonic.turns / turns - 1.0).abs() > 1e-9 {
@@ -143,7 +146,7 @@ impl KnownTruth<'_> {
             ("ratio", TermPlace::Actuator(actuator)) => {
                 let Some(ratio) = &effects.ratio else { return Some(0.0) };
                 let [low, high] = travel_of(term, self.nominal)?;
-                Some(ratio.error(actuator, 0.5 * (high - low)))
+                Some(ratio.relative.get(actuator)? * 0.5 * (high - low))
             }
             ("rail", TermPlace::Frame { joint, component }) => {
                 let Some(rail) = effects.rail.as_ref().filter(|rail| rail.joint == joint) else {

@@ -36,8 +36,8 @@ impl Friction {
 
     /// What the drive of `stiffness` (N/m or N m/rad) stays behind after any motion, m or rad; `None` where that depends on load or motion.
     pub fn lag(&self, actuator: usize, stiffness: f64) -> Option<f64> {
-        let (constant, per_load) = (self.constant[actuator], self.per_load[actuator]);
-        let is_constant = per_load == 0.0 && (self.presliding[actuator] == 0.0 || constant == 0.0);
+        let (constant, per_load) = (*self.constant.get(actuator)?, *self.per_load.get(actuator)?);
+        let is_constant = per_load == 0.0 && (*self.presliding.get(actuator)? == 0.0 || constant == 0.0);
         is_constant.then(|| constant / stiffness)
     }
 

@@ -16,7 +16,7 @@ impl Ratio {
     }
 
     /// What the actuator is off by at its position `motor`, m or rad.
-    pub fn error(&self, actuator: usize, motor: f64) -> f64 {
+    pub(super) fn error(&self, actuator: usize, motor: f64) -> f64 {
         self.relative[actuator] * motor
     }
 }
