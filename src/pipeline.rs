@@ -13,7 +13,7 @@ mod worth;
 
 pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
 pub use choice::{ChosenRow, FailedVariant, ModelChoice, choose};
-pub use defaults::{default_modes, default_options, is_default, with_stated_of};
+pub use defaults::{default_modes, default_options, is_default};
 pub use judgement::{Confidence, FALSE_ALARM, Judgement, PredictedPosition, judge};
 pub use planned::{planned, planned_at};
 pub use simulate::{measure_session, simulate};

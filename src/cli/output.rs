@@ -238,7 +238,7 @@ pub(super) fn verdict(outcome: &Outcome) -> Verdict {
         say(&format!("doubtful: {}: {} of {} splits", mode.mode.title(), mode.doubtful, mode.rms.len()));
     }
     for judgement in &outcome.judgements {
-        for worse in &judgement.worse {
+        for worse in judgement.worse.iter().filter(|worse| worse.is_doubtful) {
             verdict = Verdict::Doubtful;
             say(&format!("doubtful: {}: {worse}", judgement.mode.title()));
         }
