@@ -17,7 +17,7 @@ pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
 pub(crate) use bounds::information_at_truth;
 pub use bounds::{TruthBounds, bounds_at_truth};
 pub use choice::{ChosenRow, FailedVariant, ModelChoice, choose};
-pub use defaults::{default_modes, default_options, is_default, with_stated_of};
+pub use defaults::{default_modes, default_options, is_default};
 pub use judgement::{Confidence, FALSE_ALARM, Judgement, PredictedPosition, judge};
 pub use planned::{planned, planned_at};
 pub use plausible::{Implausible, check_plausible, commands_beyond_limits};

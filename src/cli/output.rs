@@ -289,7 +289,8 @@ pub(super) fn verdict(outcome: &Outcome) -> Verdict {
         }
     }
     for judgement in &outcome.judgements {
-        reasons.extend(judgement.worse.iter().map(|worse| (judgement.mode, worse.to_string())));
+        let worse = judgement.worse.iter().filter(|worse| worse.is_doubtful);
+        reasons.extend(worse.map(|worse| (judgement.mode, worse.to_string())));
     }
     for (mode, reason) in &reasons {
         say(&format!("doubtful: {}: {reason}", mode.title()));

@@ -1,5 +1,6 @@
 //! How measurements are identified where nobody says how.
 
+use crate::scenario::with_stated_of;
 use calibrig_estimation::identification::{IdentificationOptions, Mode};
 use calibrig_files::Robot;
 
@@ -9,16 +10,6 @@ const GUESS: f64 = 1.0;
 /// The options that hold for any robot, with what its files say of its compliances.
 pub fn default_options(robot: &Robot) -> IdentificationOptions {
     with_stated_of(robot, IdentificationOptions::default())
-}
-
-/// `options` with what the robot's files say of its compliances, masses and centres.
-pub fn with_stated_of(robot: &Robot, options: IdentificationOptions) -> IdentificationOptions {
-    IdentificationOptions {
-        compliance_sigma: robot.compliance_sigma.unwrap_or(options.compliance_sigma),
-        stiffness_unknown: robot.stiffness_unknown,
-        bodies: robot.bodies.clone(),
-        ..options
-    }
 }
 
 /// Geometry alone; and where the robot's files give masses and stiffnesses, gravity, or the stiffnesses where they are a guess.

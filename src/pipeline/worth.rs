@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 
 use super::choice::{errors, pose_folds};
 use super::{PipelineError, SetOutcome};
-use calibrig_estimation::evaluation::{Interval, NestedFits, Split, paired_by_pose};
+use calibrig_estimation::evaluation::{Interval, NestedFits, Split, accuracy, paired_by_pose};
 use calibrig_estimation::identification::{
     ComplianceChoice, Estimate, IdentificationOptions, LINKAGE, Linearisation, identify,
 };
@@ -19,6 +19,8 @@ const LEVEL: f64 = 0.95;
 /// Parts of the poses that are held out in turn, and the seed of their draw.
 const FOLDS: usize = 10;
 const SEED: u64 = 1;
+/// A loss below this share of the RMS is of no consequence: nested fits differ by as much through their own noise.
+const SMALL: f64 = 0.01;
 
 /// Parameters whose identification makes poses that were not fitted worse than leaving them at their prior means.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,6 +29,8 @@ pub struct Worse {
     pub parameters: Vec<ParameterId>,
     /// By how much the RMS of held-out poses is smaller with them identified, m: below zero throughout.
     pub gain: Interval,
+    /// Whether all of the interval is of consequence, so that the estimate must not be used without a second look.
+    pub is_doubtful: bool,
 }
 
 impl fmt::Display for Worse {
@@ -73,8 +77,9 @@ pub(super) fn worse(
     let confirmed = |columns: &[usize]| {
         nested.gain(columns, level).filter(|gain| gain.high < 0.0)?;
         let parameters: Vec<_> = columns.iter().map(|column| estimate.parameters[*column].id).collect();
-        let gain = fitted_gain(model, set, options, estimate, &parameters, &splits, level);
-        gain.filter(|gain| gain.high < 0.0).map(|gain| Worse { parameters, gain })
+        let (gain, rms) = fitted_gain(model, set, options, estimate, &parameters, &splits, level)?;
+        let is_worse = gain.high < 0.0 && -gain.value >= SMALL * rms;
+        is_worse.then(|| Worse { parameters, gain, is_doubtful: -gain.high >= SMALL * rms })
     };
     let mut found = Vec::new();
     for group in groups {
@@ -131,7 +136,7 @@ fn family(id: ParameterId) -> Option<&'static str> {
     }
 }
 
-/// The gain of identifying `parameters` by fits that are really made, `None` where one of them cannot be.
+/// The gain of identifying `parameters` by fits that are really made, and the RMS with them; `None` where one of the fits cannot be.
 fn fitted_gain(
     model: &CalibrationModel,
     set: &MeasurementSet,
@@ -140,7 +145,7 @@ fn fitted_gain(
     parameters: &[ParameterId],
     splits: &[Split],
     level: f64,
-) -> Option<Interval> {
+) -> Option<(Interval, f64)> {
     let poses: Vec<u32> = set.observations.iter().map(|observation| observation.pose).collect();
     let errors_of = |without: &[ParameterId]| -> Option<Vec<Vector3<f64>>> {
         let options = fitting(options, estimate, without);
@@ -156,7 +161,7 @@ fn fitted_gain(
         without[i] *= weight.max(0.0).sqrt();
         with[i] *= weight.max(0.0).sqrt();
     }
-    paired_by_pose(&without, &with, &poses, level)
+    Some((paired_by_pose(&without, &with, &poses, level)?, accuracy(&with)?.rms_3d))
 }
 
 /// The options that fit what `estimate` has, but for some compliances and families of terms.

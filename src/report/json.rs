@@ -166,6 +166,8 @@ pub struct JsonWorse {
     pub gain_m: f64,
     /// Its interval, m.
     pub gain_interval_m: [f64; 2],
+    /// Whether all of the interval is of consequence: then the result is doubtful.
+    pub doubtful: bool,
 }
 
 /// How an identification ended.
@@ -393,6 +395,7 @@ fn json_worse(worse: &Worse) -> JsonWorse {
         names: worse.parameters.iter().map(ToString::to_string).collect(),
         gain_m: worse.gain.value,
         gain_interval_m: [worse.gain.low, worse.gain.high],
+        doubtful: worse.is_doubtful,
     }
 }
 

@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
-use crate::pipeline::with_stated_of;
 use calibrig_estimation::identification::{
     ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Loss, MachineNoiseChoice, Mode,
     ParameterBound, ParameterBoundError, ParameterChoice, Redundancy, RefusedBound, SolverOptions,
@@ -209,6 +208,16 @@ fn wrong_unit(source: &Source, id: ParameterId, key: &str, value: &Spanned<f64>)
         format!("identification.bound.{key}: {id} is {what}"),
         Some(format!("expected {}", keys_of(id.unit()))),
     )
+}
+
+/// `options` with what the robot's files say of its compliances, masses and centres.
+pub fn with_stated_of(robot: &Robot, options: IdentificationOptions) -> IdentificationOptions {
+    IdentificationOptions {
+        compliance_sigma: robot.compliance_sigma.unwrap_or(options.compliance_sigma),
+        stiffness_unknown: robot.stiffness_unknown,
+        bodies: robot.bodies.clone(),
+        ..options
+    }
 }
 
 impl IdentificationFile {

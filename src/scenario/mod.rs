@@ -4,6 +4,7 @@ mod as_built;
 mod effects;
 mod file;
 mod identification;
+pub use identification::with_stated_of;
 
 pub use file::{load_scenario, parse_scenario};
 

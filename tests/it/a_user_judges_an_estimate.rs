@@ -3,9 +3,7 @@
 use std::f64::consts::PI;
 
 use calibrig::evaluation::{Cause, Verdict, leave_one_out};
-use calibrig::identification::{
-    ComplianceChoice, IdentificationOptions, Mode, Predictor, TermPrior, identify,
-};
+use calibrig::identification::{IdentificationOptions, Mode, Predictor, TermPrior, identify};
 use calibrig::pipeline::{self, Judgement, Outcome, PlantKind, calibrate, choose, judge, simulate};
 use calibrig::plant::effects::{Backlash, Effects, Harmonic, Harmonics};
 use calibrig::report::{Style, html_report, json_report, render_tables};
@@ -184,7 +182,7 @@ fn a_term_pays_where_the_machine_has_what_it_describes() {
 fn terms_that_make_other_poses_worse_are_named() {
     let mut scenario = rigid(Effects::default());
     scenario.modes = vec![Mode::WithoutCalibration, Mode::Extended];
-    scenario.options.compliances = ComplianceChoice::Listed(Vec::new());
+    scenario.robot.model.statics = None;
     let sound = run(&scenario);
     assert!(sound.judgements[0].worse.is_empty(), "{:?}", sound.judgements[0].worse);
 
@@ -197,6 +195,7 @@ fn terms_that_make_other_poses_worse_are_named() {
     for worse in &judgement.worse {
         assert!(worse.parameters.iter().all(|id| matches!(id, ParameterId::Term(_))), "{worse}");
         assert!(worse.gain.low <= worse.gain.value && worse.gain.high < 0.0, "{worse}");
+        assert!(worse.is_doubtful, "{worse}");
     }
     let text = render_tables(&outcome, Style::Plain);
     assert!(text.contains("makes poses that were not fitted worse"), "{text}");
