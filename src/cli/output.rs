@@ -285,7 +285,7 @@ pub(super) fn verdict(outcome: &Outcome) -> Verdict {
         reasons.push((mode.mode, format!("{} of {} splits", mode.doubtful, mode.rms.len())));
     }
     for mode in &outcome.modes {
-        for estimate in &mode.estimate {
+        if let Some(estimate) = &mode.estimate {
             reasons.extend(estimate.reasons().map(|reason| (mode.mode, in_full(estimate, reason))));
         }
     }
