@@ -242,7 +242,9 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     written?;
     statements.remarks.iter().chain(&statements.assumed).for_each(|line| say(line));
     for set in &outcome.sets {
-        commands_beyond_limits(&outcome.model, &set.measurements).iter().for_each(|line| say(line));
+        for line in commands_beyond_limits(&outcome.model, &set.measurements) {
+            say(&line);
+        }
     }
     if tolerance(args).is_some() {
         say(&format!(

@@ -5,7 +5,7 @@ use std::fmt;
 use super::{PipelineError, SetKind, SetOutcome};
 use calibrig_estimation::identification::{IdentificationOptions, Loss, Mode};
 use calibrig_estimation::plausibility::{
-    BeyondLimits, Convention, Explanation, FarOff, FewRows, Plausibility, plausibility,
+    BeyondLimits, Convention, Explanation, FarOff, FewRows, Plausibility, beyond_limits, plausibility,
 };
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, CraigLink, JointKind};
@@ -59,8 +59,8 @@ pub fn check_plausible(
 
 /// Commands beyond the limits that the robot's file states, in words.
 pub fn commands_beyond_limits(model: &CalibrationModel, set: &MeasurementSet) -> Vec<String> {
-    let Ok(found) = plausibility(model, set) else { return Vec::new() };
-    found.beyond_limits.iter().map(|beyond| beyond_words(beyond, &model.kinematics.links)).collect()
+    let links = &model.kinematics.links;
+    beyond_limits(model, set).iter().map(|beyond| beyond_words(beyond, links)).collect()
 }
 
 fn beyond_words(beyond: &BeyondLimits, links: &[CraigLink]) -> String {

@@ -22,7 +22,7 @@ fn data(files: [&str; 2]) -> Option<[PathBuf; 2]> {
     Some(paths)
 }
 
-/// In the modes of the default, with random splits. A drive that shows no compliance makes it doubtful, and says so.
+/// In the modes of the default, with random splits. A drive that shows no compliance is told, and no reason to doubt the rest.
 fn identify(model: &str, [fit, verify]: [PathBuf; 2], fitted: &str) -> JsonReport {
     let output = Command::new(env!("CARGO_BIN_EXE_calibrig"))
         .args(["identify", "--json", "--model", model, "--splits", "20", "--fit", fitted, "--measurements"])
@@ -32,10 +32,18 @@ fn identify(model: &str, [fit, verify]: [PathBuf; 2], fitted: &str) -> JsonRepor
         .output()
         .expect("the binary runs");
     let said = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(3), "{said}");
-    assert!(said.contains("doubtful: geometry and stiffness: compliance_drive"), "{said}");
-    assert!(said.contains("no compliance can be seen there") && !said.contains("doubtful: only"), "{said}");
-    serde_json::from_slice(&output.stdout).expect("a calibrig.report/1 document")
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    assert!(!said.contains("doubtful"), "{said}");
+    let report: JsonReport = serde_json::from_slice(&output.stdout).expect("a calibrig.report/1 document");
+    let warnings = &report.estimates["elasto_geometric"].warnings;
+    assert!(
+        warnings.iter().any(|warning| warning.contains("no compliance can be seen there")),
+        "{warnings:?}"
+    );
+    // The readings of real robots have tails, and no gross errors.
+    let mut judged = report.estimates.values();
+    assert!(judged.all(|estimate| estimate.outliers.is_empty() && estimate.reasons.is_empty()));
+    report
 }
 
 /// RMS of the 3-D error of the verification set, mm.

@@ -322,7 +322,7 @@ fn the_published_experiment_ends_with_0() {
 #[test]
 fn a_robust_loss_converges_where_the_model_lacks_something() {
     let mut lines = session(60);
-    for ([_, b, c], point) in &mut lines {
+    for ([_, b, c], point) in lines.iter_mut().map(|(deg, point)| (*deg, point)) {
         let sag = 0.6 * b.to_radians().cos() + 0.3 * (b + c).to_radians().cos();
         point[2] -= sag;
         point[0] += 0.5 * (3.0 * c.to_radians()).sin();

@@ -24,7 +24,7 @@ const CANDIDATE: f64 = 3.5;
 /// A model that lacks something predicts worse than it says where it extrapolates: there its variance counts so many times.
 const EXTRAPOLATED: f64 = 4.0;
 /// Largest share of readings that can be candidates: beyond it, it is not for a scale from the others to say.
-const MOST: f64 = 0.4;
+const MOST: (usize, usize) = (2, 5);
 /// Passes with Huber's weights, from which Tukey's start, and with those.
 const PASSES: [usize; 2] = [8, 12];
 /// Ridge, relative to a column's norm: columns that depend on each other must not end the test.
@@ -106,7 +106,7 @@ impl LinearFit<'_> {
         let mut far: Vec<usize> = (0..self.blocks).filter(|i| now.left_out[*i].square > limit).collect();
         far.sort_by(|a, b| now.left_out[*b].square.total_cmp(&now.left_out[*a].square));
         let enough = (3 * self.blocks).saturating_sub(self.jacobian.ncols() + 6) / 3;
-        far.truncate(enough.min((MOST * self.blocks as f64) as usize));
+        far.truncate(enough.min(self.blocks * MOST.0 / MOST.1));
         Some(far)
     }
 
@@ -115,7 +115,9 @@ impl LinearFit<'_> {
         let mut scale = 1.0;
         while !candidates.is_empty() {
             let mut weights = vec![1.0; self.blocks];
-            candidates.iter().for_each(|i| weights[*i] = 0.0);
+            for i in &candidates {
+                weights[*i] = 0.0;
+            }
             let Some(fitted) = self.fitted(&weights, scale, true) else { return Vec::new() };
             let least = if self.is_stated { 1.0 } else { f64::MIN_POSITIVE };
             let variance = fitted.variance.max(least);

@@ -254,7 +254,9 @@ fn gross_errors(
         let mut again = residuals.clone();
         problem.evaluate(&solution.x, &mut again, Some(&mut jacobian));
     }
-    bounded.iter().for_each(|column| jacobian.column_mut(*column).fill(0.0));
+    for column in bounded {
+        jacobian.column_mut(*column).fill(0.0);
+    }
     let fit = LinearFit {
         jacobian: &jacobian,
         residuals,

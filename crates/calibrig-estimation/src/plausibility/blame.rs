@@ -90,15 +90,15 @@ fn exchanged(points: &Points, placed: &Placement, far: &[usize], near: f64) -> V
 
 /// Indices of a subset, spread evenly over the rows: multiples of the golden ratio, which meet no period of a file.
 fn drawn(subset: usize, n: usize) -> Vec<usize> {
-    const GOLDEN: f64 = 0.618_033_988_749_894_9;
-    (0..)
-        .map(|k| ((GOLDEN * (1 + subset * 64 + k) as f64).fract() * n as f64) as usize % n)
-        .scan(Vec::new(), |seen, i| {
-            let new = !seen.contains(&i);
-            seen.push(i);
-            Some((i, new))
-        })
-        .filter_map(|(i, new)| new.then_some(i))
-        .take(SUBSET)
-        .collect()
+    const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
+    let mut drawn = Vec::with_capacity(SUBSET);
+    let mut turns = GOLDEN.wrapping_mul(1 + 64 * subset as u64);
+    while drawn.len() < SUBSET.min(n) {
+        let i = usize::try_from(((turns >> 32) * n as u64) >> 32).unwrap_or(0);
+        if !drawn.contains(&i) {
+            drawn.push(i);
+        }
+        turns = turns.wrapping_add(GOLDEN);
+    }
+    drawn
 }

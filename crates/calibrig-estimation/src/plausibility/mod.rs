@@ -279,7 +279,8 @@ fn reach(model: &CalibrationModel) -> f64 {
     links + model.kinematics.last_from_flange.translation.vector.norm()
 }
 
-fn beyond_limits(model: &CalibrationModel, set: &MeasurementSet) -> Vec<BeyondLimits> {
+/// Commands of a set that is one of the robot's, beyond the limits of its joints by more than a little.
+pub fn beyond_limits(model: &CalibrationModel, set: &MeasurementSet) -> Vec<BeyondLimits> {
     let mut joints = vec![0.0; model.kinematics.joint_count()];
     let mut reached = vec![[f64::INFINITY, f64::NEG_INFINITY]; joints.len()];
     for observation in &set.observations {

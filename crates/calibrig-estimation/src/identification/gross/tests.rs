@@ -21,7 +21,8 @@ fn gross(jacobian: &DMatrix<f64>, residuals: &DVector<f64>, is_stated: bool) -> 
 
 /// Sessions of any size, columns of any unit, a few poses of high leverage.
 fn system(blocks: usize, n: usize, rng: &mut ChaCha8Rng) -> DMatrix<f64> {
-    let mut jacobian = DMatrix::from_fn(3 * blocks, n, |_, j| normal(rng) * 10.0_f64.powi(j as i32 % 7 - 3));
+    let units = [1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3];
+    let mut jacobian = DMatrix::from_fn(3 * blocks, n, |_, j| normal(rng) * units[j % 7]);
     jacobian.rows_mut(0, 3).scale_mut(3.0);
     jacobian
 }
