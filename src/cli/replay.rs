@@ -134,47 +134,45 @@ fn of_another_version(
     changes: &[Change],
 ) -> String {
     let this = MadeBy::this();
-    let mut text = format!(
-        "Replay: the recorded estimates were made by another version ({made_by}; this is {this}).\n\
-         What differs, replayed less recorded, parameters in standard deviations:\n"
-    );
+    let mut lines = vec![
+        format!("Replay: the recorded estimates were made by another version ({made_by}; this is {this})."),
+        "What differs, replayed less recorded, parameters in standard deviations:".to_owned(),
+    ];
     for mode in Mode::ALL {
         let changes: Vec<_> = parameters.iter().filter(|change| change.mode == mode).collect();
         if !changes.is_empty() {
-            add_changes(&mut text, mode, &changes);
+            lines.extend(changes_of(mode, &changes));
         }
     }
-    for difference in differences {
-        if let Difference::Missing { mode } = difference {
-            text += &format!("  the recording holds no estimate of mode {mode}\n");
-        }
-    }
-    text + &errors_beside("rms 3-D error, mm", changes)
+    lines.extend(differences.iter().filter_map(|difference| match difference {
+        Difference::Missing { mode } => Some(format!("  the recording holds no estimate of mode {mode}")),
+        _ => None,
+    }));
+    lines.push(errors_beside("rms 3-D error, mm", changes));
+    lines.join("\n")
 }
 
-fn add_changes(text: &mut String, mode: Mode, changes: &[&ParameterChange]) {
-    let (mut small, mut lines) = (0, String::new());
-    for change in changes {
-        let name = &change.name;
-        lines += &match (change.values, change.in_sigmas()) {
-            ([Some(_), None], _) => format!("    {name:<24} is not identified any more\n"),
-            ([None, _], _) => format!("    {name:<24} was not identified\n"),
-            (_, Some(share)) if share.abs() < LISTED && !sigma_changed(change) => {
-                small += 1;
-                continue;
-            }
-            (_, Some(share)) => format!("    {name:<24} {share:>+9.3}{}\n", sigmas(change)),
-            (_, None) => format!("    {name:<24} {:>9}{}\n", "-", sigmas(change)),
-        };
-    }
-    let count = changes.len();
+fn changes_of(mode: Mode, changes: &[&ParameterChange]) -> Vec<String> {
+    let lines: Vec<_> = changes.iter().filter_map(|change| line_of(change)).collect();
+    let (count, small) = (changes.len(), changes.len() - lines.len());
     let s = if count == 1 { "" } else { "s" };
-    *text += &format!("  {}: {count} parameter{s}", mode.title());
-    if small > 0 {
-        *text += &format!(", {small} of them by less than {LISTED} and alike in their standard deviation");
+    let small = match small {
+        0 => String::new(),
+        _ => format!(", {small} of them by less than {LISTED} and alike in their standard deviation"),
+    };
+    std::iter::once(format!("  {}: {count} parameter{s}{small}", mode.title())).chain(lines).collect()
+}
+
+/// `None` of a change that is too small to be listed.
+fn line_of(change: &ParameterChange) -> Option<String> {
+    let name = &change.name;
+    match (change.values, change.in_sigmas()) {
+        ([Some(_), None], _) => Some(format!("    {name:<24} is not identified any more")),
+        ([None, _], _) => Some(format!("    {name:<24} was not identified")),
+        (_, Some(share)) if share.abs() < LISTED && !sigma_changed(change) => None,
+        (_, Some(share)) => Some(format!("    {name:<24} {share:>+9.3}{}", sigmas(change))),
+        (_, None) => Some(format!("    {name:<24} {:>9}{}", "-", sigmas(change))),
     }
-    *text += "\n";
-    *text += &lines;
 }
 
 /// Whether the standard deviation is another by more than a thousandth.
