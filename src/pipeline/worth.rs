@@ -106,7 +106,7 @@ impl Group {
     }
 }
 
-/// The compliances, each by itself; the terms, family by family.
+/// The compliances, each by itself; the linkage, which is geometry and would hide terms beside it; the terms, family by family.
 fn groups(estimate: &Estimate) -> Vec<Group> {
     let ids = || estimate.parameters.iter().map(|parameter| parameter.id).enumerate();
     let compliances = ids().filter(|(_, id)| matches!(id, ParameterId::Compliance(_)));
@@ -119,8 +119,10 @@ fn groups(estimate: &Estimate) -> Vec<Group> {
             None => families.push((family, vec![column])),
         }
     }
-    let terms = families.into_iter().map(|(_, columns)| columns).collect();
-    [compliances, terms]
+    let (linkage, terms): (Vec<_>, Vec<_>) = families.into_iter().partition(|(family, _)| *family == LINKAGE);
+    let [linkage, terms] =
+        [linkage, terms].map(|families| families.into_iter().map(|(_, columns)| columns).collect());
+    [compliances, linkage, terms]
         .into_iter()
         .map(|members| Group { members })
         .filter(|g| !g.members.is_empty())
