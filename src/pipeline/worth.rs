@@ -19,7 +19,8 @@ const LEVEL: f64 = 0.95;
 /// Parts of the poses that are held out in turn, and the seed of their draw.
 const FOLDS: usize = 10;
 const SEED: u64 = 1;
-/// A loss below this share of the RMS is of no consequence: nested fits differ by as much through their own noise.
+/// A loss below this share of the RMS, or of the noise that the measurements were given, is of no consequence: nested fits differ by as
+/// much through their own noise.
 const SMALL: f64 = 0.01;
 
 /// Parameters whose identification makes poses that were not fitted worse than leaving them at their prior means.
@@ -78,8 +79,9 @@ pub(super) fn worse(
         nested.gain(columns, level).filter(|gain| gain.high < 0.0)?;
         let parameters: Vec<_> = columns.iter().map(|column| estimate.parameters[*column].id).collect();
         let (gain, rms) = fitted_gain(model, set, options, estimate, &parameters, &splits, level)?;
-        let is_worse = gain.high < 0.0 && -gain.value >= SMALL * rms;
-        is_worse.then(|| Worse { parameters, gain, is_doubtful: -gain.high >= SMALL * rms })
+        let small = SMALL * rms.max(noise(system));
+        let is_worse = gain.high < 0.0 && -gain.value >= small;
+        is_worse.then(|| Worse { parameters, gain, is_doubtful: -gain.high >= small })
     };
     let mut found = Vec::new();
     for group in groups {
@@ -95,6 +97,13 @@ pub(super) fn worse(
     found
 }
 
+/// Root of the mean squared length of the noise of a reading, m.
+fn noise(system: &Linearisation) -> f64 {
+    let squares =
+        system.whitening.iter().filter_map(|w| w.try_inverse()).map(|inverse| inverse.norm_squared());
+    (squares.sum::<f64>() / system.whitening.len().max(1) as f64).sqrt()
+}
+
 /// Columns that are looked at together, and what of them can be left out by itself.
 struct Group {
     members: Vec<Vec<usize>>,
@@ -106,7 +115,7 @@ impl Group {
     }
 }
 
-/// The compliances, each by itself; the terms, family by family.
+/// The compliances, each by itself; the linkage, which is geometry and would hide terms beside it; the terms, family by family.
 fn groups(estimate: &Estimate) -> Vec<Group> {
     let ids = || estimate.parameters.iter().map(|parameter| parameter.id).enumerate();
     let compliances = ids().filter(|(_, id)| matches!(id, ParameterId::Compliance(_)));
@@ -119,8 +128,10 @@ fn groups(estimate: &Estimate) -> Vec<Group> {
             None => families.push((family, vec![column])),
         }
     }
-    let terms = families.into_iter().map(|(_, columns)| columns).collect();
-    [compliances, terms]
+    let (linkage, terms): (Vec<_>, Vec<_>) = families.into_iter().partition(|(family, _)| *family == LINKAGE);
+    let [linkage, terms] =
+        [linkage, terms].map(|families| families.into_iter().map(|(_, columns)| columns).collect());
+    [compliances, linkage, terms]
         .into_iter()
         .map(|members| Group { members })
         .filter(|g| !g.members.is_empty())
