@@ -79,7 +79,7 @@ pub(super) fn worse(
         nested.gain(columns, level).filter(|gain| gain.high < 0.0)?;
         let parameters: Vec<_> = columns.iter().map(|column| estimate.parameters[*column].id).collect();
         let (gain, rms) = fitted_gain(model, set, options, estimate, &parameters, &splits, level)?;
-        let small = SMALL * rms.max(noise(system));
+        let small = SMALL * rms.max(system.whitening.noise());
         let is_worse = gain.high < 0.0 && -gain.value >= small;
         is_worse.then(|| Worse { parameters, gain, is_doubtful: -gain.high >= small })
     };
@@ -95,13 +95,6 @@ pub(super) fn worse(
         found.extend(members);
     }
     found
-}
-
-/// Root of the mean squared length of the noise of a reading, m.
-fn noise(system: &Linearisation) -> f64 {
-    let squares =
-        system.whitening.iter().filter_map(|w| w.try_inverse()).map(|inverse| inverse.norm_squared());
-    (squares.sum::<f64>() / system.whitening.len().max(1) as f64).sqrt()
 }
 
 /// Columns that are looked at together, and what of them can be left out by itself.

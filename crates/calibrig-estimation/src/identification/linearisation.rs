@@ -85,6 +85,13 @@ impl Whitening {
         self.single.iter().enumerate().take(rows.len() / 3).map(of).collect()
     }
 
+    /// Root of the mean squared length of what is taken for noise of a reading by itself, m.
+    pub fn noise(&self) -> f64 {
+        let inverses = self.single.iter().filter_map(|whitening| whitening.try_inverse());
+        let squares: f64 = inverses.map(|inverse| inverse.norm_squared()).sum();
+        (squares / self.single.len().max(1) as f64).sqrt()
+    }
+
     /// The observations of every pose whose observations depend on each other.
     pub fn poses(&self) -> impl Iterator<Item = &[usize]> {
         self.joined.iter().map(|(pose, _)| pose.as_slice())

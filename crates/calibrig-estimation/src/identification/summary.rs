@@ -148,7 +148,10 @@ pub(super) fn summarise(
     let checks =
         covariance.as_ref().map(|c| Checks::new(&problem, set, &solution, c, &bounded, options.frame, noise));
     let is_stated = noise == NoiseScale::Stated;
-    let (contradicted, doubts) = doubts(size, is_stated, problem.noise.machine.is_some(), checks.as_ref());
+    let accounted = problem.noise.machine.is_some();
+    let is_misfit =
+        is_stated && !accounted && size.is_too_large() && is_misfit(&problem, set, &solution, options);
+    let (contradicted, doubts) = doubts(size, is_stated, (accounted, is_misfit), checks.as_ref());
     // The size that residuals have in an upper bound of their noise says nothing of it.
     let no_freedom = match noise {
         NoiseScale::Residuals(sigma) if sigma > 0.0 && problem.noise.freedom.is_none() => Some(sigma),
@@ -511,19 +514,25 @@ pub(super) fn left_open_warnings(
 /// What the measurements contradict of what was stated, and the warnings of that and of the residuals' size.
 ///
 /// Priors are tested in the noise that the fit was weighed with. The place of a station is not held against an estimate: its nests confirm
-/// each other, and a shift of the base stands in for much that a model can lack.
+/// each other, and a shift of the base stands in for much that a model can lack. Where the fit was not weighed with the misfit that there
+/// is, nothing of the parameters is held against it, either.
 fn doubts(
     size: Size,
     is_stated: bool,
-    accounted: bool,
+    (accounted, is_misfit): (bool, bool),
     checks: Option<&Checks>,
 ) -> (Vec<Contradiction>, Vec<Warning>) {
     let found = checks.map_or_else(Found::default, |checks| checks.of_priors(1.0));
     let is_place = |c: &Contradiction| matches!(c.stated, Stated::Nests { .. });
     let (places, mut contradicted): (Vec<_>, Vec<_>) = found.contradictions.into_iter().partition(is_place);
-    contradicted.extend(checks.map_or_else(Vec::new, Checks::of_nests));
     let mut warnings = Vec::new();
-    if is_stated && size.is_too_large() && (accounted || contradicted.is_empty()) {
+    let is_too_large = is_stated && size.is_too_large();
+    if is_too_large && !accounted && is_misfit {
+        // What a model lacks pulls at all that was stated, and nothing says how strongly.
+        contradicted.clear();
+    }
+    contradicted.extend(checks.map_or_else(Vec::new, Checks::of_nests));
+    if is_too_large && (accounted || contradicted.is_empty()) {
         warnings.push(Warning::Inconsistent { ratio: size.ratio(), accounted });
     }
     if is_stated && size.is_too_small() {
