@@ -67,6 +67,10 @@ struct Fitted {
     variant: Variant,
     /// m, where the noise comes from the residuals.
     sigma: Option<f64>,
+    /// Of the errors, m².
+    squares: f64,
+    /// Whether it was weighed with what the machine does beside this very model.
+    is_misfit: bool,
     not_converged: usize,
 }
 
@@ -111,6 +115,12 @@ pub fn choose(
                 places.push(against);
                 failures.push(FailedVariant { name: candidate.name.clone(), why: error.to_string() });
             }
+        }
+    }
+    if fitted.iter().any(|fit| fit.is_misfit) {
+        // Weighed each with its own misfit, every model would look as good; lengths are the same for all.
+        for fit in &mut fitted {
+            (fit.variant.fit.chi2, fit.sigma) = (fit.squares, None);
         }
     }
     let reference = fitted.first().and_then(|first| first.sigma);
@@ -222,7 +232,9 @@ fn fit(
         NoiseScale::Stated => None,
         NoiseScale::Residuals(sigma) => Some(sigma),
     };
-    Ok(Fitted { variant, sigma, not_converged })
+    let squares = errors(&estimate, set)?.iter().map(nalgebra::Vector3::norm_squared).sum();
+    let is_misfit = estimate.found_machine().is_some();
+    Ok(Fitted { variant, sigma, squares, is_misfit, not_converged })
 }
 
 pub(super) fn errors(

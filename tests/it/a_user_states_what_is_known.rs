@@ -265,6 +265,9 @@ fn a_planned_session_tells_what_the_estimate_will() {
     let sandbox = Sandbox::new();
     for mode in ["elasto_geometric", "extended"] {
         sandbox.set(IDENTIFICATION, "modes", &format!("[\"{mode}\"]"));
+        // What a plan knows: the noise that is stated.
+        sandbox.set(IDENTIFICATION, "unmodelled_sigma_um", "100");
+        sandbox.set(IDENTIFICATION, "machine_noise", "\"stated\"");
         let planned = sandbox.run(["identifiability", SCENARIO, "--mode", mode, "--json"]);
         assert_eq!(planned.code, Some(0), "{planned:?}");
         let planned = planned.json();

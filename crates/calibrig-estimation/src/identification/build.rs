@@ -19,6 +19,9 @@ use calibrig_model::{CalibrationModel, ParameterId};
 /// A compliance whose prior's standard deviation moves the whitened measurements by less than this in all, beside what the geometry can
 /// do as well, is not told by them: its own standard deviation stays above 0.89 of its prior's.
 const UNEXCITED: f64 = 0.5;
+/// Where the model lacks something, the measurements must tell as much as the prior: what it lacks is alike in neighbouring poses, so that these
+/// tell less than as many independent ones.
+const UNEXCITED_IN_MISFIT: f64 = 1.0;
 
 /// The same of a term that no measurement moves, and of a mass or a centre that none feels.
 const NEGLIGIBLE: f64 = 1e-3;
@@ -156,6 +159,7 @@ pub(super) fn reconsider(
     let measured = Measured::new(&whole, &jacobian, &residuals);
     let effects = measured.effects_beyond_geometry();
     let asked = measured.asked_beyond_geometry(&x);
+    let least = if built.problem.noise.machine.is_some() { UNEXCITED_IN_MISFIT } else { UNEXCITED };
     let mut left_out: Vec<_> = built.left_out.iter().copied().filter(|left| !is_unloaded(left)).collect();
     let mut place = 0..;
     columns.retain(|column| {
@@ -165,7 +169,7 @@ pub(super) fn reconsider(
             return true;
         }
         let effect = effects[place] * column.reach();
-        let stays = effect >= UNEXCITED || asked[place] * asked[place] >= ASKED;
+        let stays = effect >= least || asked[place] * asked[place] >= ASKED;
         if !stays {
             left_out.push(LeftOut { id: column.id, reason: LeftOutReason::Unloaded { effect } });
         }

@@ -164,6 +164,8 @@ fn fit(
     let mut unknown = Unknown::of(&built.problem, options);
     let as_needed = options.machine_noise == MachineNoiseChoice::AsNeeded;
     unknown.machine |= as_needed && !unknown.readings && is_misfit(&built.problem, set, &solution, options);
+    // Short of the minimum, residuals say more of the way there than of the noise.
+    unknown.machine &= solution.termination.converged() || unknown.readings;
     if !unknown.any() || !solution.cost.is_finite() {
         return Ok(Fitted { solution, size: stated, stated_sigmas: None });
     }
