@@ -383,7 +383,8 @@ fn assemble(
         start: None,
     };
     if problem.stated_actuators.is_some() {
-        problem.prepare_motions(set);
+        let targets = problem.targets.clone();
+        problem.prepare_motions(set, &targets);
     }
     if let Some(row) = problem.rows.iter().find(|row| row.reading.is_some_and(|c| Cholesky::new(c).is_none()))
     {

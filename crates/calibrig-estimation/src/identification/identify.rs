@@ -159,7 +159,13 @@ fn fit(
     if measured < parameters {
         return Err(IdentifyError::TooFewRows { rows: measured, parameters });
     }
-    let solution = solve(built, x, options)?;
+    let mut solution = solve(built, x, options)?;
+    if built.problem.stated_actuators.is_some() {
+        // Where a target was not known beforehand, its place decides how actuators move it.
+        built.problem.prepare_motions_at(set, &solution.x);
+        built.problem.weigh(&Noise::default())?;
+        solution = solve(built, solution.x, options)?;
+    }
     let stated = Size::of(&built.problem, &solution);
     let mut unknown = Unknown::of(&built.problem, options);
     let as_needed = options.machine_noise == MachineNoiseChoice::AsNeeded;
@@ -170,7 +176,7 @@ fn fit(
         return Ok(Fitted { solution, size: stated, stated_sigmas: None });
     }
     if unknown.machine {
-        built.problem.prepare_motions(set);
+        built.problem.prepare_motions_at(set, &solution.x);
     }
     let stated_sigmas =
         unknown.machine.then(|| sigmas(&built.problem, &solution, options.redundant)).flatten();

@@ -138,7 +138,7 @@ pub(super) fn linearise_at(
     check(model, set)?;
     options.check()?;
     if let Some(value) = x.iter().copied().find(|value| !value.is_finite()) {
-        let field = "a value of the parameters";
+        let field = "a value of estimate.parameters";
         return Err(IdentifyError::Number { field, value, expected: "a finite number" });
     }
     let mut problem = solved(model, set, options, estimate)?;
@@ -205,7 +205,8 @@ pub fn predict_readings(
     let of = |(i, observation): (usize, &Observation)| {
         let spread = told.jacobian.fixed_rows::<3>(3 * i) * factor;
         let axes = told.whitening.single.get(i).copied().unwrap_or_else(Matrix3::identity);
-        let motions = motions.at(&observation.command, &set.targets[observation.target].in_flange);
+        let target = estimate.robot.targets.get(observation.target).copied().unwrap_or_default();
+        let motions = motions.at(&observation.command, &target);
         let of_machine = beside.iter().map(|machine| machine.covariance(&motions)).sum::<Matrix3<f64>>();
         PredictedReading {
             error: told.residuals.fixed_rows::<3>(3 * i).into_owned(),
@@ -276,7 +277,7 @@ fn weigh_as(
         return Ok(());
     }
     if machine.is_some() {
-        problem.prepare_motions(set);
+        problem.prepare_motions(set, &estimate.robot.targets);
     }
     problem.weigh(&Noise { unstated, machine, freedom: estimate.interval_freedom })
 }

@@ -275,6 +275,7 @@ fn system(problem: &mut CalibrationProblem, solution: &Solution, unknown: Unknow
         jacobian,
         blocks,
     }
+    .without_unseen()
 }
 
 fn block(problem: &CalibrationProblem, observations: Vec<usize>, unknown: Unknown) -> Block {

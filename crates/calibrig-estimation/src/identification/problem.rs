@@ -8,7 +8,7 @@ use super::machine::{Machine, MachineError, Prepared};
 use super::noise::{ActuatorMotions, MachineNoise, Noise};
 use crate::elastostatics::put;
 use calibrig_model::geometry::{Transform, cross_matrix, small_displacement};
-use calibrig_model::measurement::{MeasurementSet, Observation};
+use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, ParameterId};
 
 /// One observation, ready for the fit.
@@ -173,13 +173,18 @@ impl CalibrationProblem {
         Whitening { single: self.rows.iter().map(of).collect(), joined: self.joined.clone() }
     }
 
-    /// Makes the derivatives by the actuators ready, at the nominal robot.
-    pub fn prepare_motions(&mut self, set: &MeasurementSet) {
-        if self.motions.is_empty() {
-            let mut motions = ActuatorMotions::new(&self.nominal);
-            let of = |o: &Observation| motions.at(&o.command, &self.targets[o.target]);
-            self.motions = set.observations.iter().map(of).collect();
-        }
+    /// Makes the derivatives by the actuators ready, of the nominal robot with the given `targets`.
+    pub fn prepare_motions(&mut self, set: &MeasurementSet, targets: &[Vector3<f64>]) {
+        let mut motions = ActuatorMotions::new(&self.nominal);
+        let at = |index: usize| targets.get(index).copied().unwrap_or_default();
+        self.motions = set.observations.iter().map(|o| motions.at(&o.command, &at(o.target))).collect();
+    }
+
+    /// The same with the targets of the parameters `x`.
+    pub fn prepare_motions_at(&mut self, set: &MeasurementSet, x: &[f64]) {
+        self.set(x);
+        let targets = self.current.targets.clone();
+        self.prepare_motions(set, &targets);
     }
 
     /// Rows of observations, nests and targets.

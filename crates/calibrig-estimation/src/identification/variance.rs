@@ -43,6 +43,8 @@ pub(super) struct Components {
     pub freedom: f64,
 }
 
+/// An error that moves targets by less than this mean square, m² per unit, is not seen: an actuator whose axis they lie on.
+const UNSEEN: f64 = 1e-9;
 /// The likelihood need not be known better than this: a variance is then off by a few per cent of its own standard deviation.
 const NEGLIGIBLE: f64 = 1e-3;
 const MOST_STEPS: usize = 50;
@@ -66,6 +68,17 @@ impl System {
         let count = self.blocks.first().map_or(0, |block| block.shapes.len());
         let of = |k: usize| self.blocks.iter().map(|block| block.shapes[k].norm_squared()).sum::<f64>();
         (0..count).map(|k| of(k) / self.coordinates() as f64).collect()
+    }
+
+    /// The system without the shapes that hardly move anything.
+    pub fn without_unseen(mut self) -> Self {
+        let units = self.mean_squares();
+        for block in &mut self.blocks {
+            for (shape, _) in block.shapes.iter_mut().zip(&units).filter(|(_, unit)| **unit < UNSEEN) {
+                *shape = DMatrix::zeros(shape.nrows(), 0);
+            }
+        }
+        self
     }
 
     /// Equal shares of the residuals' mean square.

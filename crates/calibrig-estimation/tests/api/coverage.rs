@@ -5,7 +5,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use calibrig_estimation::evaluation::ChiSquareTest;
 use calibrig_estimation::identification::{Estimate, IdentificationOptions, identify};
 use calibrig_estimation::kinematics::target_in_base;
-use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::measurement::{MeasurementSet, Observation, Reading, Target};
 use calibrig_model::nalgebra::Vector3;
 use calibrig_model::random::{Source, stream};
 use calibrig_model::statistics::binomial_cdf;
@@ -178,4 +178,70 @@ fn intervals_hold_from_few_poses() {
             }
         }
     }
+}
+
+/// Three targets, seen at every pose of an arm whose joints repeat to 0.2 mrad.
+fn three_targets(model: &CalibrationModel, ids: &[ParameterId], trial: u32) -> (Vec<f64>, MeasurementSet) {
+    let (truth, plain) = session(model, ids, 40, trial);
+    let mut machine = model.kinematics.clone();
+    ids.iter().zip(&truth).for_each(|(id, value)| machine.add(*id, *value));
+    let mut rng = stream(12, trial, Source::IdentificationNoise);
+    let (joints, noise) =
+        (Normal::new(0.0, 0.2e-3).expect("a width"), Normal::new(0.0, NOISE).expect("a width"));
+    let targets = [TARGET, Vector3::new(-0.1, 0.05, 0.05), Vector3::new(0.0, -0.1, 0.15)];
+    let mut set = MeasurementSet { observations: Vec::new(), ..plain.clone() };
+    set.targets = (1..=3).map(|k| Target { name: format!("T{k}"), ..plain.targets[0].clone() }).collect();
+    for observation in &plain.observations {
+        let there: Vec<f64> = observation.command.iter().map(|q| q + joints.sample(&mut rng)).collect();
+        for (target, in_flange) in targets.iter().enumerate() {
+            let position = target_in_base(&machine, &there, in_flange).expect("a pose");
+            let position = position + Vector3::from_fn(|_, _| noise.sample(&mut rng));
+            let reading = Reading::Cartesian { position, covariance: None };
+            set.observations.push(Observation {
+                target,
+                reading,
+                time: f64::from(observation.pose),
+                ..observation.clone()
+            });
+        }
+    }
+    (truth, set)
+}
+
+/// An error of a pose is common to its targets: taken for three, sigmas would be 1.3 to 2.3 times too small.
+#[test]
+fn targets_of_one_pose_share_its_error() {
+    let trials = if std::env::var_os("CALIBRIG_FULL").is_some() { 500 } else { 100 };
+    let [model, _] = robots();
+    let options = IdentificationOptions::default();
+    let ids = links(&identify(&model, &three_targets(&model, &[], 0).1, &options).expect("an estimate"));
+    let mut held = vec![0; ids.len()];
+    let mut joints = 0.0;
+    for trial in 0..trials {
+        let (truth, set) = three_targets(&model, &ids, trial);
+        let estimate = identify(&model, &set, &options).expect("an estimate");
+        let factor = estimate.interval_factor(0.95);
+        for ((held, id), truth) in held.iter_mut().zip(&ids).zip(&truth) {
+            let parameter = estimate.parameters.iter().find(|p| p.id == *id).expect("identified");
+            *held +=
+                u64::from((parameter.value - truth).abs() <= factor * parameter.sigma.expect("full rank"));
+        }
+        let found = estimate.found_machine().expect("readings of a pose depend on each other");
+        joints += found.actuators.iter().map(|sigma| sigma * sigma).sum::<f64>() / 6.0 / f64::from(trials);
+        if trial == 0 {
+            let mut sorted = set.clone();
+            sorted.observations.sort_by_key(|observation| observation.target);
+            let again = identify(&model, &sorted, &options).expect("an estimate");
+            for (a, b) in estimate.parameters.iter().zip(&again.parameters) {
+                // The order of rows is the order of sums, and of when the variances are found to stand still.
+                assert!((a.value - b.value).abs() <= 1e-3 * a.sigma.expect("full rank"), "{}", a.id);
+            }
+        }
+    }
+    println!("joints {:.3} mrad; held {held:?} of {trials}", 1e3 * joints.sqrt());
+    assert!((joints.sqrt() / 0.2e-3 - 1.0).abs() < 0.1, "{joints}");
+    let level = 1e-3 / held.len() as f64;
+    let failed: Vec<_> =
+        held.iter().zip(&ids).filter(|(hits, _)| p_value(**hits, u64::from(trials), 0.95) < level).collect();
+    assert!(failed.is_empty(), "{failed:?}");
 }
