@@ -24,7 +24,7 @@ pub(super) const UNSTATED_SIGMA: f64 = 1e-4;
 const DOUBTED: f64 = 0.01;
 
 /// Variances that change less than this in all have come to rest.
-const SETTLED: f64 = 0.02;
+const SETTLED: f64 = 0.05;
 const MOST_ROUNDS: usize = 6;
 /// With less than one degree of freedom residuals say nothing of the noise.
 const LEAST_FREEDOM: f64 = 1.0;
@@ -214,14 +214,13 @@ pub(super) fn find(
     for _ in 0..MOST_ROUNDS {
         let system = system(problem, &solution, unknown, loss);
         let Some(found) = system.components(before.as_deref()) else { break };
-        let settled = before.as_ref().is_some_and(|before| is_settled(before, &found.variances, &system));
+        if before.as_ref().is_some_and(|before| is_settled(before, &found.variances, &system)) {
+            break;
+        }
         problem.weigh(&named(&found, unknown))?;
         let first = std::mem::take(&mut solution.iterations);
         solution = fit(problem, solution.x)?;
         solution.iterations.splice(0..0, first);
-        if settled {
-            break;
-        }
         before = Some(found.variances);
     }
     Ok(solution)
@@ -260,7 +259,11 @@ const REJECTED: f64 = 0.5;
 
 /// The system at a solution, in metres, with the shapes of what is unknown.
 fn system(problem: &mut CalibrationProblem, solution: &Solution, unknown: Unknown, loss: Loss) -> System {
-    let (residuals, jacobian) = problem.in_metres(&solution.x);
+    let (residuals, jacobian) = if solution.weights.is_empty() && problem.joined.is_empty() {
+        problem.unweighed(solution)
+    } else {
+        problem.in_metres(&solution.x)
+    };
     let data = 3 * problem.rows.len();
     let below = residuals.len() - data;
     let used = |index: &usize| {
@@ -398,6 +401,22 @@ impl CalibrationProblem {
             }
         }
         &spread * spread.transpose()
+    }
+
+    /// Residuals and Jacobian of a solution with the observations in metres, in the trackers' axes; priors as they are.
+    fn unweighed(&self, solution: &Solution) -> (nalgebra::DVector<f64>, DMatrix<f64>) {
+        let (mut residuals, mut jacobian) = (solution.residuals.clone(), solution.jacobian.clone());
+        for (i, row) in self.rows.iter().enumerate() {
+            // Whitening is the inverse of a factor.
+            let Some(factor) = row.whitening.try_inverse() else { continue };
+            let own = factor * residuals.fixed_rows::<3>(3 * i);
+            residuals.fixed_rows_mut::<3>(3 * i).copy_from(&own);
+            for mut column in jacobian.column_iter_mut() {
+                let own = factor * column.fixed_rows::<3>(3 * i);
+                column.fixed_rows_mut::<3>(3 * i).copy_from(&own);
+            }
+        }
+        (residuals, jacobian)
     }
 
     /// Residuals and Jacobian with the observations in metres, in the trackers' axes; priors as they are.

@@ -234,7 +234,7 @@ fn targets_of_one_pose_share_its_error() {
             let again = identify(&model, &sorted, &options).expect("an estimate");
             for (a, b) in estimate.parameters.iter().zip(&again.parameters) {
                 // The order of rows is the order of sums, and of when the variances are found to stand still.
-                assert!((a.value - b.value).abs() <= 1e-3 * a.sigma.expect("full rank"), "{}", a.id);
+                assert!((a.value - b.value).abs() <= 1e-2 * a.sigma.expect("full rank"), "{}", a.id);
             }
         }
     }
