@@ -281,7 +281,11 @@ fn in_full(estimate: &Estimate, reason: &Warning) -> String {
 pub(super) fn verdict(outcome: &Outcome) -> Verdict {
     let mut reasons = Vec::new();
     for mode in outcome.splits.iter().flat_map(|study| &study.modes).filter(|mode| mode.doubtful > 0) {
-        reasons.push((mode.mode, format!("{} of {} splits", mode.doubtful, mode.rms.len())));
+        let why: Vec<_> = mode.reasons.iter().map(|(reason, count)| format!("{reason}: {count}")).collect();
+        reasons.push((
+            mode.mode,
+            format!("{} of {} splits ({})", mode.doubtful, mode.rms.len(), why.join(", ")),
+        ));
     }
     for mode in &outcome.modes {
         if let Some(estimate) = &mode.estimate {

@@ -1,10 +1,10 @@
 //! Is a mode better than the one before it on poses that neither has seen? Random splits of one measured set, again and again.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::{PipelineError, SetKind, SetOutcome, calibrate};
 use calibrig_estimation::evaluation::{Interval, repeated_splits, resampled_difference};
-use calibrig_estimation::identification::{Estimate, IdentificationOptions, Mode};
+use calibrig_estimation::identification::{Estimate, IdentificationOptions, Mode, Warning};
 use calibrig_model::CalibrationModel;
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::random::{Source, stream};
@@ -43,6 +43,8 @@ pub struct SplitMode {
     pub rms: Vec<f64>,
     /// Splits whose estimate is not sound.
     pub doubtful: usize,
+    /// Why, by the keys of the reasons; a split can have several.
+    pub reasons: BTreeMap<&'static str, usize>,
     /// By how much its RMS is smaller than that of the mode before it, m, on the same splits; 95 % interval.
     pub gain: Option<Interval>,
 }
@@ -100,7 +102,13 @@ pub fn repeat_splits(
     };
     let mut study: Vec<_> = modes
         .iter()
-        .map(|mode| SplitMode { mode: *mode, rms: Vec::with_capacity(plan.splits), doubtful: 0, gain: None })
+        .map(|mode| SplitMode {
+            mode: *mode,
+            rms: Vec::with_capacity(plan.splits),
+            doubtful: 0,
+            reasons: BTreeMap::new(),
+            gain: None,
+        })
         .collect();
     let splits =
         repeated_splits(poses.len(), plan.fitted, plan.splits, &mut stream(plan.seed, 0, Source::Splits));
@@ -111,7 +119,12 @@ pub fn repeat_splits(
             .map_err(|source| PipelineError::Split { split: done + 1, source: Box::new(source) })?;
         for (mode, outcome) in study.iter_mut().zip(outcomes) {
             mode.rms.extend(outcome.rows[1].map(|row| row.rms_3d));
-            mode.doubtful += usize::from(outcome.estimate.as_ref().is_some_and(|e: &Estimate| !e.is_sound()));
+            let reasons: BTreeSet<_> =
+                outcome.estimate.iter().flat_map(Estimate::reasons).filter_map(Warning::reason).collect();
+            mode.doubtful += usize::from(!reasons.is_empty());
+            for reason in reasons {
+                *mode.reasons.entry(reason).or_insert(0) += 1;
+            }
         }
         progress(done + 1);
     }

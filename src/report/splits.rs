@@ -178,8 +178,13 @@ mod tests {
     #[test]
     fn splits_are_in_every_form_of_the_report() {
         let mut outcome = sample::measured();
-        let mode =
-            |mode, rms: [f64; 2], doubtful, gain| SplitMode { mode, rms: rms.to_vec(), doubtful, gain };
+        let mode = |mode, rms: [f64; 2], doubtful, gain| SplitMode {
+            mode,
+            rms: rms.to_vec(),
+            doubtful,
+            reasons: std::collections::BTreeMap::new(),
+            gain,
+        };
         let gain = Interval { value: 3e-4, low: -1e-5, high: 6.1e-4 };
         outcome.splits = Some(SplitStudy {
             plan: SplitPlan { splits: 2, fitted: 20, seed: 7 },

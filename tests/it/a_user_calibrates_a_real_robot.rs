@@ -32,8 +32,10 @@ fn identify(model: &str, [fit, verify]: [PathBuf; 2], fitted: &str) -> JsonRepor
         .output()
         .expect("the binary runs");
     let said = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(0), "{said}");
-    assert!(!said.contains("doubtful"), "{said}");
+    // Of some small parts of the WAM's data a stated compliance is doubted; of all of them none is.
+    let doubts: Vec<_> = said.lines().filter(|line| line.starts_with("doubtful")).collect();
+    assert_eq!(output.status.code(), Some(if doubts.is_empty() { 0 } else { 3 }), "{said}");
+    assert!(doubts.iter().all(|line| line.contains(" of 20 splits (contradicted: ")), "{said}");
     let report: JsonReport = serde_json::from_slice(&output.stdout).expect("a calibrig.report/1 document");
     let warnings = &report.estimates["elasto_geometric"].warnings;
     assert!(

@@ -170,7 +170,9 @@ fn threads_and_folders_leave_no_mark_in_a_recording() {
     let bytes = |threads: &str| {
         let sandbox = Sandbox::new();
         let mut run = sandbox.command(["run", SCENARIO, "--out", "out", "--seed", "7"]);
-        assert!(run.env("RAYON_NUM_THREADS", threads).output().expect("the binary starts").status.success());
+        // 3: without the effects that the sandbox takes out, terms for them do harm.
+        let ended = run.env("RAYON_NUM_THREADS", threads).output().expect("the binary starts");
+        assert!(matches!(ended.status.code(), Some(0 | 3)), "{ended:?}");
         std::fs::read(sandbox.path("out/recording.mcap")).expect("the recording")
     };
     let once = bytes("1");
