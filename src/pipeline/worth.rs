@@ -22,8 +22,6 @@ const SEED: u64 = 1;
 /// A loss below this share of the RMS, or of the noise that the measurements were given, is of no consequence: nested fits differ by as
 /// much through their own noise.
 const SMALL: f64 = 0.01;
-/// Beyond this share, for certain, a person must look at it.
-const DOUBTFUL: f64 = 0.03;
 
 /// Parameters whose identification makes poses that were not fitted worse than leaving them at their prior means.
 #[derive(Debug, Clone, PartialEq)]
@@ -81,9 +79,9 @@ pub(super) fn worse(
         nested.gain(columns, level).filter(|gain| gain.high < 0.0)?;
         let parameters: Vec<_> = columns.iter().map(|column| estimate.parameters[*column].id).collect();
         let (gain, rms) = fitted_gain(model, set, options, estimate, &parameters, &splits, level)?;
-        let size = rms.max(system.whitening.noise());
-        let is_worse = gain.high < 0.0 && -gain.value >= SMALL * size;
-        is_worse.then(|| Worse { parameters, gain, is_doubtful: -gain.high >= DOUBTFUL * size })
+        let small = SMALL * rms.max(system.whitening.noise());
+        let is_worse = gain.high < 0.0 && -gain.value >= small;
+        is_worse.then(|| Worse { parameters, gain, is_doubtful: -gain.high >= small })
     };
     let mut found = Vec::new();
     for group in groups {
