@@ -59,7 +59,7 @@ Set NO_COLOR=1 for plain text.";
 enum Command {
     Run(run::Args),
     Check(check::Args),
-    Identify(identify::Args),
+    Identify(Box<identify::Args>),
     Identifiability(identifiability::Args),
     Choose(choose::Args),
     Montecarlo(montecarlo::Args),

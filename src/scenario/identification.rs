@@ -235,7 +235,7 @@ impl IdentificationFile {
         ];
         let mut any = false;
         for (table, key, kind, size) in groups {
-            for (name, sigma) in table.iter().flat_map(|table| table.get_ref()) {
+            for (name, sigma) in table.iter().flat_map(Spanned::get_ref) {
                 let of_kind = links.iter().position(|link| link.name == *name && link.kind == kind);
                 let Some(place) = of_kind else {
                     let known = links.iter().filter(|link| link.kind == kind).map(|link| link.name.as_str());

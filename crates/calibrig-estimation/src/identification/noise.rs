@@ -341,9 +341,10 @@ impl CalibrationProblem {
     }
 
     fn weigh_apart(&mut self, pose: &[usize], known: &[Matrix3<f64>]) -> Option<()> {
-        pose.iter()
-            .zip(known)
-            .try_for_each(|(i, known)| Some(self.rows[*i].whitening = inverse_factor(*known)?))
+        for (i, known) in pose.iter().zip(known) {
+            self.rows[*i].whitening = inverse_factor(*known)?;
+        }
+        Some(())
     }
 
     fn weigh_together(

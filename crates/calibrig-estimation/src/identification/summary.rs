@@ -12,8 +12,8 @@ use super::problem::CalibrationProblem;
 use super::solver::Solution;
 use super::{
     Assumption, CalibratedRobot, Contradiction, DependentGroup, Estimate, FrameChoice, IdentificationOptions,
-    LeastSquares, NoiseScale, Outlier, ParameterEstimate, Redundancy, Spectrum, Stated, TargetChoice,
-    Warning, analyse_r,
+    LeastSquares, NoiseScale, Outlier, ParameterBound, ParameterEstimate, Redundancy, Spectrum, Stated,
+    TargetChoice, Warning, analyse_r,
 };
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::statistics::chi2_survival;
@@ -135,11 +135,7 @@ pub(super) fn summarise(
     let Fitted { solution, size, stated_sigmas } = fitted;
     let Built { mut problem, sigmas, named, fixed, left_out, .. } = built;
     let n = problem.parameters.len();
-    let noise = match problem.noise.unstated {
-        Some(sigma) => NoiseScale::Residuals(sigma),
-        None if problem.rows.iter().any(|row| row.reading.is_none()) => NoiseScale::Residuals(0.0),
-        None => NoiseScale::Stated,
-    };
+    let noise = noise_scale(&problem);
     let factors = Factors::new(&problem, &solution.jacobian);
     let spectrum = factors.spectrum(&problem, options.redundant);
     let held = factors.held(&problem, options.redundant);
@@ -168,14 +164,9 @@ pub(super) fn summarise(
     let at_bound: Vec<_> = bounded.iter().map(|place| problem.parameters[*place]).collect();
     warnings
         .extend(bounded.iter().map(|place| at_bound_warning(problem.parameters[*place], solution.x[*place])));
-    let (bounds, unused): (Vec<_>, Vec<_>) = options
-        .bounds
-        .iter()
-        .copied()
-        .filter(|bound| {
-            problem.parameters.contains(&bound.id) || left_out.iter().any(|left| left.id == bound.id)
-        })
-        .partition(|bound| problem.parameters.contains(&bound.id));
+    let has = |bound: &ParameterBound| problem.parameters.contains(&bound.id);
+    let known = |bound: &&ParameterBound| has(bound) || left_out.iter().any(|left| left.id == bound.id);
+    let (bounds, unused): (Vec<_>, Vec<_>) = options.bounds.iter().filter(known).copied().partition(has);
     warnings.extend(unused.into_iter().map(|bound| Warning::UnusedBound { bound }));
     let outliers = gross_errors(&mut problem, &solution, &bounded, noise, set);
     if !outliers.is_empty() {
@@ -195,23 +186,18 @@ pub(super) fn summarise(
         _ => None,
     });
     let terms = terms.collect();
+    let parameter = |(i, (id, value)): (usize, (&ParameterId, &f64))| {
+        let is_free = !bounded.contains(&i);
+        ParameterEstimate {
+            id: *id,
+            value: *value,
+            sigma: covariance.as_ref().filter(|_| is_free).map(|c| c[(i, i)].sqrt()),
+            stated_sigma: stated_sigmas.as_ref().filter(|_| is_free).and_then(|s| s.get(i).copied()),
+            prior_sigma: sigmas[i],
+        }
+    };
     Estimate {
-        parameters: problem
-            .parameters
-            .iter()
-            .zip(&solution.x)
-            .enumerate()
-            .map(|(i, (id, value))| ParameterEstimate {
-                id: *id,
-                value: *value,
-                sigma: covariance.as_ref().filter(|_| !bounded.contains(&i)).map(|c| c[(i, i)].sqrt()),
-                stated_sigma: stated_sigmas
-                    .as_ref()
-                    .and_then(|s| s.get(i).copied())
-                    .filter(|_| !bounded.contains(&i)),
-                prior_sigma: sigmas[i],
-            })
-            .collect(),
+        parameters: problem.parameters.iter().zip(&solution.x).enumerate().map(parameter).collect(),
         robot: CalibratedRobot {
             mode: options.mode,
             nominal: problem.nominal,
@@ -240,6 +226,14 @@ pub(super) fn summarise(
         contradicted,
         outliers,
         warnings,
+    }
+}
+
+fn noise_scale(problem: &CalibrationProblem) -> NoiseScale {
+    match problem.noise.unstated {
+        Some(sigma) => NoiseScale::Residuals(sigma),
+        None if problem.rows.iter().any(|row| row.reading.is_none()) => NoiseScale::Residuals(0.0),
+        None => NoiseScale::Stated,
     }
 }
 
