@@ -3,7 +3,9 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use calibrig_estimation::evaluation::ChiSquareTest;
-use calibrig_estimation::identification::{Estimate, IdentificationOptions, identify};
+use calibrig_estimation::identification::{
+    Estimate, IdentificationOptions, NoiseScale, identify, predict_readings,
+};
 use calibrig_estimation::kinematics::target_in_base;
 use calibrig_model::measurement::{MeasurementSet, Observation, Reading, Target};
 use calibrig_model::nalgebra::Vector3;
@@ -244,4 +246,62 @@ fn targets_of_one_pose_share_its_error() {
     let failed: Vec<_> =
         held.iter().zip(&ids).filter(|(hits, _)| p_value(**hits, u64::from(trials), 0.95) < level).collect();
     assert!(failed.is_empty(), "{failed:?}");
+}
+
+/// As many coordinates as parameters: nothing tells the noise, which is said, and what is predicted is as unsure as it is.
+#[test]
+fn without_a_degree_of_freedom_that_is_said_and_intervals_still_hold() {
+    let [model, _] = robots();
+    let options = IdentificationOptions::default();
+    let ids = links(&identify(&model, &session(&model, &[], 60, 0).1, &options).expect("an estimate"));
+    let (mut held, mut all) = (0_u32, 0_u32);
+    for trial in 0..20 {
+        let (_, set) = session(&model, &ids, 49, trial);
+        let fitted = MeasurementSet { observations: set.observations[..9].to_vec(), ..set.clone() };
+        let estimate = identify(&model, &fitted, &options).expect("an estimate");
+        assert!(3 * fitted.observations.len() == estimate.parameters.len());
+        let told =
+            estimate.warnings.iter().any(|w| w.to_string().starts_with("no degrees of freedom remain"));
+        assert!(told, "{:?}", estimate.warnings);
+        let factor = estimate.interval_factor(0.95);
+        let held_out = MeasurementSet { observations: set.observations[9..].to_vec(), ..set };
+        let predicted =
+            predict_readings(&model, &held_out, &options, &estimate).expect("poses").expect("a covariance");
+        for reading in predicted {
+            let variance = (reading.of_parameters + reading.of_machine).diagonal();
+            held += u32::from(reading.error.iter().zip(&variance).all(|(e, v)| e.abs() <= factor * v.sqrt()));
+            all += 1;
+        }
+    }
+    // An upper bound of the noise makes intervals that are too wide, never too narrow.
+    assert!(held * 100 >= all * 95, "{held} of {all}");
+}
+
+/// Of a pose whose readings state their noise beside others that do not, each keeps what it has.
+#[test]
+fn readings_that_state_their_noise_keep_it_beside_others() {
+    let [model, _] = robots();
+    let options = IdentificationOptions::default();
+    let (_, set) = session(&model, &[], 60, 3);
+    let mut mixed = set.clone().with_sigma(NOISE);
+    for observation in mixed.observations.iter_mut().skip(30) {
+        let position = observation.reading.position();
+        // Twenty times as noisy, and nothing said of it.
+        let odd = f64::from(observation.pose);
+        let off = Vector3::new((3.1 * odd).sin(), (4.7 * odd).sin(), (5.9 * odd).sin())
+            * 20.0
+            * NOISE
+            * 2.0_f64.sqrt();
+        observation.reading = Reading::Cartesian { position: position + off, covariance: None };
+    }
+    let estimate = identify(&model, &mixed, &options).expect("an estimate");
+    let NoiseScale::Residuals(sigma) = estimate.noise else { panic!("{:?}", estimate.noise) };
+    // 60 poses leave 153 coordinates; the sines have a standard deviation of one over the root of two.
+    assert!((sigma / (20.0 * NOISE) - 1.0).abs() < 0.3, "{sigma}");
+    let stated = MeasurementSet { observations: mixed.observations[..30].to_vec(), ..mixed.clone() };
+    let alone = identify(&model, &stated, &options).expect("an estimate");
+    for (both, one) in estimate.parameters.iter().zip(&alone.parameters) {
+        let (both, one) = (both.sigma.expect("full rank"), one.sigma.expect("full rank"));
+        assert!(both <= 1.3 * one, "{both} {one}");
+    }
 }

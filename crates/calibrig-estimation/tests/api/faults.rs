@@ -4,10 +4,10 @@ use std::slice::from_ref;
 
 use calibrig_estimation::elastostatics::{Deflection, ElasticChain, apply};
 use calibrig_estimation::identification::{
-    ComplianceChoice, FrameChoice, IdentificationOptions, Loss, LossScale, Mode, ParameterBound,
-    ParameterChoice, Redundancy, TargetChoice, TermPrior, Tolerance, check_bounds, complete_set, explain,
-    identifiability, identify, linearise, neighbour_axis_rules, prospect, spectrum, structural_poses,
-    without_calibration,
+    ComplianceChoice, FrameChoice, IdentificationOptions, Loss, LossScale, MachineNoiseChoice, Mode,
+    ParameterBound, ParameterChoice, Redundancy, TargetChoice, TermPrior, Tolerance, check_bounds,
+    complete_set, explain, identifiability, identify, linearise, neighbour_axis_rules, prospect, spectrum,
+    structural_poses, without_calibration,
 };
 use calibrig_estimation::kinematics::{
     command_from_joints, forward_kinematics, identification_jacobian, joints_from_command, link_frames,
@@ -289,7 +289,7 @@ fn fitted(case: &mut Case) -> Option<()> {
     (case.options.mode != Mode::WithoutCalibration && case.options.mode != Mode::Extended).then_some(())
 }
 
-const OPTION_FAULTS: [ModelFault; 20] = [
+const OPTION_FAULTS: [ModelFault; 23] = [
     |case| {
         case.options.unmodelled_sigma = case.bad;
         Some("unmodelled_sigma")
@@ -297,6 +297,21 @@ const OPTION_FAULTS: [ModelFault; 20] = [
     |case| {
         case.options.unmodelled_sigma = -1e-6;
         Some("unmodelled_sigma")
+    },
+    |case| {
+        let joints = case.model.kinematics.joint_count();
+        case.options.machine_noise = MachineNoiseChoice::Stated(vec![-1e-6; joints]);
+        Some("machine_noise")
+    },
+    |case| {
+        let joints = case.model.kinematics.joint_count();
+        case.options.machine_noise = MachineNoiseChoice::Stated(vec![case.bad; joints]);
+        Some("machine_noise")
+    },
+    |case| {
+        let joints = case.model.kinematics.joint_count();
+        case.options.machine_noise = MachineNoiseChoice::Stated(vec![1e-6; joints + 1]);
+        Some("machine_noise")
     },
     |case| {
         case.options.solver.gradient = case.bad;
