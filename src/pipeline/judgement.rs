@@ -116,6 +116,8 @@ pub fn judge(
             let sensitivity = sensitivity(estimate, fitted).unwrap_or_default();
             let mut predictor =
                 estimate.predictor().map_err(|source| PipelineError::Predict { mode, source })?;
+            let worse = worse(model, &sets[0], &options, estimate, &system);
+            let system = system.weighted(estimate);
             let confidence = uncertainty(&system, estimate).map(|uncertainty| {
                 let at_poses: Vec<Vec<_>> = sets
                     .iter()
@@ -126,12 +128,11 @@ pub fn judge(
                 let map: Vec<_> = region.iter().map(|pose| predictor.predict(pose.query()).ok()).collect();
                 confidence(&system, &uncertainty, &at_poses, &map)
             });
-            let worse = worse(model, &sets[0], &options, estimate, &system);
             let makes_sense = !estimate
                 .reasons()
                 .any(|reason| matches!(reason, Warning::Outliers(_) | Warning::OffThePoints { .. }));
             let consistency = if makes_sense {
-                consistency(model, fitted, estimate, &weighted(system, &estimate.weights), &sensitivity)
+                consistency(model, fitted, estimate, &system, &sensitivity)
             } else {
                 ConsistencyReport { size: None, shape: None, level: FALSE_ALARM }
             };
@@ -144,15 +145,6 @@ pub fn judge(
             Ok(Judgement { mode, consistency, sensitivity, worse, confidence, makes_sense, held_out })
         })
         .collect()
-}
-
-/// The system with the weights of a robust loss in it: what does not count in the fit does not count in what its residuals are tested for.
-fn weighted(mut system: Linearisation, weights: &[f64]) -> Linearisation {
-    for (i, weight) in weights.iter().enumerate() {
-        system.residuals.rows_mut(3 * i, 3).scale_mut(weight.sqrt());
-        system.jacobian.rows_mut(3 * i, 3).scale_mut(weight.sqrt());
-    }
-    system
 }
 
 fn uncertainty(system: &Linearisation, estimate: &Estimate) -> Option<Uncertainty> {

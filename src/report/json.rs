@@ -567,6 +567,8 @@ mod tests {
             [
                 "chi2_per_dof",
                 "condition",
+                "degrees_of_freedom",
+                "interval_factor_95",
                 "iterations",
                 "parameter_count",
                 "rank",

@@ -201,6 +201,10 @@ pub(super) fn measured() -> Outcome {
         ("robot".to_owned(), InputText::new(format!("{HOSTILE}.toml"), "")),
         ("identification".to_owned(), InputText::new("grid.csv", "")),
     ];
+    outcome.command = Some(format!(
+        "calibrig identify --model {} --measurements grid.csv --out DIR",
+        super::quoted(&format!("{HOSTILE}.toml"))
+    ));
     outcome.registration.how = format!("best fit {HOSTILE}");
     outcome.registration.rms = f64::NAN;
     outcome.sets.truncate(1);
@@ -435,6 +439,7 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
         covariance: Some(DMatrix::identity(n, n)),
         factor: Some(DMatrix::identity(n, n)),
         weights: Vec::new(),
+        weight_unit: 1.0,
         assumptions: Vec::new(),
         noise: NoiseScale::Stated,
         machine_noise: Vec::new(),

@@ -348,6 +348,7 @@ fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
         covariance: Some(DMatrix::from_fn(n, n, |i, j| if i == j { 1e-9 } else { 1e-12 * i as f64 })),
         factor: None,
         weights: Vec::new(),
+        weight_unit: 1.0,
         assumptions: Vec::new(),
         noise: NoiseScale::Stated,
         chi2: 151.25,

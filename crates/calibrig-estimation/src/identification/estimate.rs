@@ -524,6 +524,9 @@ pub struct Estimate {
     pub factor: Option<DMatrix<f64>>,
     /// What every observation counts for, 1 down to 0; empty where no robust loss was asked for and all count alike.
     pub weights: Vec<f64>,
+    /// What these are divided by in the covariance, for what the loss costs; 1 without a loss.
+    #[serde(with = "calibrig_model::float::scalar")]
+    pub weight_unit: f64,
     /// The noise of the readings.
     pub noise: NoiseScale,
     /// What the machine does beside the model, in independent parts, as stated and (with its degrees of freedom) as estimated: it is in the

@@ -33,6 +33,8 @@ pub struct Linearisation {
     pub bounded: Vec<usize>,
 }
 
+const LEAST_WEIGHT: f64 = 1e-12;
+
 /// Takes displacements of targets in the base frame, m, to the standard deviations that the data rows count in. The observations of a pose
 /// share its errors, and are taken to rows that do not depend on each other.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -102,6 +104,21 @@ impl Linearisation {
     /// Columns that are free.
     pub(super) fn free(&self) -> Vec<usize> {
         (0..self.jacobian.ncols()).filter(|column| !self.bounded.contains(column)).collect()
+    }
+
+    /// The system as it was solved, with the weights of the estimate's robust loss: its covariance is the estimate's.
+    pub fn weighted(mut self, estimate: &Estimate) -> Self {
+        for (i, weight) in estimate.weights.iter().enumerate().take(self.data_rows / 3) {
+            // What counts for nothing still has an error by itself.
+            let factor = (weight.max(LEAST_WEIGHT) / estimate.weight_unit).sqrt();
+            let factor = if factor.is_finite() { factor } else { LEAST_WEIGHT };
+            self.residuals.rows_mut(3 * i, 3).scale_mut(factor);
+            self.jacobian.rows_mut(3 * i, 3).scale_mut(factor);
+            if let Some(whitening) = self.whitening.single.get_mut(i) {
+                *whitening *= factor;
+            }
+        }
+        self
     }
 
     /// Degrees of freedom of the measured rows: their number less the trace of their part of the hat matrix.

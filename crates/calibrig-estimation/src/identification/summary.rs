@@ -209,6 +209,7 @@ pub(super) fn summarise(
         assumptions,
         covariance,
         factor,
+        weight_unit: weight_unit(&solution),
         weights: solution.weights,
         noise,
         machine_noise,
@@ -227,6 +228,12 @@ pub(super) fn summarise(
         outliers,
         warnings,
     }
+}
+
+/// What weights are divided by in the covariance: the rows that it is made of are those of the Jacobian times the root of the quotient.
+fn weight_unit(solution: &Solution) -> f64 {
+    let mean = solution.weights.iter().sum::<f64>() / solution.weights.len().max(1) as f64;
+    if solution.weights.is_empty() { 1.0 } else { mean * solution.variance_factor }
 }
 
 fn noise_scale(problem: &CalibrationProblem) -> NoiseScale {

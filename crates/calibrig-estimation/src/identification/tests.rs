@@ -428,3 +428,35 @@ fn with_gravity_an_exact_machine_is_predicted_exactly() {
 mod ends;
 mod tables;
 mod valleys;
+
+/// What is judged is the system that was solved: under a robust loss, and with a parameter at its bound.
+#[test]
+fn the_solved_system_has_the_covariance_of_its_estimate() {
+    let nominal = painter();
+    let mut set = measure(&truth(&nominal, &[], Vec::new()), 60, 1.0);
+    for pose in [5, 40] {
+        let Reading::Cartesian { position, .. } = &mut set.observations[pose].reading else { continue };
+        position.z += 2e-3;
+    }
+    let a4 = ParameterId::link(3, calibrig_model::LinkTerm::A);
+    let bound = ParameterBound { id: a4, lower: 0.0, upper: 1e-9 };
+    for (loss, bounds) in
+        [(Loss::huber(), Vec::new()), (Loss::tukey(), vec![bound]), (Loss::Squared, vec![bound])]
+    {
+        let mut options = IdentificationOptions { bounds, ..options(Mode::ElastoGeometric) };
+        options.machine_noise = MachineNoiseChoice::Stated(Vec::new());
+        options.solver.loss = loss;
+        let estimate = identify(&nominal, &set, &options).expect("an estimate");
+        let system = linearise(&nominal, &set, &options, &estimate).expect("its system").weighted(&estimate);
+        let ids: Vec<_> = estimate.parameters.iter().map(|p| p.id).collect();
+        let solved = Uncertainty::of(&system, &ids).expect("full rank");
+        let stated = estimate.covariance.as_ref().expect("full rank");
+        let size = stated.diagonal().map(f64::sqrt);
+        for i in 0..ids.len() {
+            for j in 0..ids.len() {
+                let apart = (solved.covariance()[(i, j)] - stated[(i, j)]).abs();
+                assert!(apart <= 1e-4 * size[i] * size[j], "{loss:?} {} {}: {apart}", ids[i], ids[j]);
+            }
+        }
+    }
+}

@@ -104,7 +104,6 @@ pub struct Solution {
     /// Variance that the loss leaves over the least that the stated noise allows: `b / a²` with `a` and `b` as in [`Loss`] but taken from
     /// the residuals, b in units of the stated variance and per degree of freedom. Never below 1; 1 without a loss; infinite where the loss
     /// rejects so much that the rest determines nothing.
-    #[cfg_attr(not(test), expect(dead_code, reason = "its effect is in the Jacobian; tests look at it"))]
     pub variance_factor: f64,
     /// Number of distinct minima that the starts led to, this one included; 0 where none converged.
     pub minima: u32,
