@@ -91,8 +91,14 @@ fn count_identical_once(file: &mut MeasuredFile) -> Option<String> {
     let mut copies = Vec::new();
     file.loaded.set.observations.retain(|observation| {
         let position = observation.reading.position();
-        let numbers: Vec<_> =
-            observation.command.iter().chain(position.iter()).map(|v| v.to_bits()).collect();
+        let covariance = observation.reading.position_covariance();
+        let numbers: Vec<_> = observation
+            .command
+            .iter()
+            .chain(position.iter())
+            .chain(covariance.iter().flatten())
+            .map(|v| v.to_bits())
+            .collect();
         let is_new =
             seen.insert((observation.station, observation.target, observation.approach.clone(), numbers));
         if !is_new {

@@ -331,6 +331,7 @@ fn assemble(
     columns: &[Column],
     ends: &Ends,
 ) -> Result<Built, IdentifyError> {
+    options.machine_noise.check(model.kinematics.joint_count())?;
     let mut parameters: Vec<ParameterId> = columns.iter().map(|column| column.id).collect();
     let mut sigmas: Vec<Option<f64>> = columns.iter().map(|column| column.sigma).collect();
     let weights = |links: bool| {

@@ -122,7 +122,6 @@ pub fn identify(
 ) -> Result<Estimate, IdentifyError> {
     check(model, set)?;
     options.check()?;
-    options.machine_noise.check(model.kinematics.joint_count())?;
     if options.mode.needs_statics() && model.statics.is_none() {
         return Err(IdentifyError::NoStatics { mode: options.mode });
     }

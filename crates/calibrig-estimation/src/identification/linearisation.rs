@@ -1,6 +1,6 @@
 //! The whitened system at an estimate, for what is read from it: uncertainty, leverage, residual patterns.
 
-use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3, Vector6};
 
 use super::build::rebuild;
 use super::identify::check;
@@ -11,8 +11,9 @@ use super::{
     Estimate, IdentificationOptions, IdentifyError, LeastSquares, MachineNoise, MachineNoiseChoice,
     NoiseScale,
 };
-use calibrig_model::CalibrationModel;
+use calibrig_model::geometry::{Transform, small_displacement};
 use calibrig_model::measurement::{MeasurementSet, Observation, Reading};
+use calibrig_model::{CalibrationModel, ParameterId};
 
 /// Residuals and Jacobian of a fit at its estimate. A residual of 1 is one standard deviation.
 #[derive(Debug, Clone, PartialEq)]
@@ -216,17 +217,29 @@ pub fn predict_readings(
         ..options.clone()
     };
     let bare = Estimate { machine_noise: Vec::new(), noise: NoiseScale::Stated, ..estimate.clone() };
-    let told = linearise(model, &in_metres, &plain, &bare)?;
+    check(model, set)?;
+    let mut problem = solved(model, &in_metres, &plain, &bare)?;
+    // Where nothing places a station, its frame was displaced from where the fitted set had it.
+    problem.stations = estimate.frame_origins();
+    let x: Vec<f64> = estimate.parameters.iter().map(|parameter| parameter.value).collect();
+    let mut residuals = DVector::zeros(problem.rows());
+    let mut jacobian = DMatrix::zeros(problem.rows(), x.len());
+    problem.evaluate(&x, &mut residuals, Some(&mut jacobian));
+    let failed = (0..problem.rows.len()).find(|row| !residuals[3 * row].is_finite());
+    if let Some((pose, source)) = failed.and_then(|row| problem.failure(row)) {
+        return Err(IdentifyError::Machine { pose, source });
+    }
     let beside = estimate.beside();
     let mut motions = ActuatorMotions::new(model);
     let of = |(i, observation): (usize, &Observation)| {
-        let spread = told.jacobian.fixed_rows::<3>(3 * i) * factor;
-        let axes = told.whitening.single.get(i).copied().unwrap_or_else(Matrix3::identity);
+        let spread = jacobian.fixed_rows::<3>(3 * i) * factor;
+        let axes = estimate.robot.stations.get(observation.station).map(|place| *place.rotation.matrix());
+        let axes = axes.unwrap_or_else(Matrix3::identity);
         let target = estimate.robot.targets.get(observation.target).copied().unwrap_or_default();
         let motions = motions.at(&observation.command, &target);
         let of_machine = beside.iter().map(|machine| machine.covariance(&motions)).sum::<Matrix3<f64>>();
         PredictedReading {
-            error: told.residuals.fixed_rows::<3>(3 * i).into_owned(),
+            error: residuals.fixed_rows::<3>(3 * i).into_owned(),
             of_parameters: &spread * spread.transpose(),
             of_machine: axes * of_machine * axes.transpose(),
         }
@@ -235,6 +248,15 @@ pub fn predict_readings(
 }
 
 impl Estimate {
+    /// What the frame parameters displace, one a station.
+    fn frame_origins(&self) -> Vec<Transform> {
+        let origin = |(station, place): (usize, &Transform)| {
+            let value = |component| self.value(ParameterId::Frame { station, component }).unwrap_or(0.0);
+            place * small_displacement(&Vector6::from_fn(|component, _| value(component))).inverse()
+        };
+        self.robot.stations.iter().enumerate().map(origin).collect()
+    }
+
     /// Independent parts of what the machine is taken to do beside the model. Where the readings state no noise, all that the residuals have
     /// counts, since nothing tells the two apart.
     pub(super) fn beside(&self) -> Vec<MachineNoise> {

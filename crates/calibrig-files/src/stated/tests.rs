@@ -124,7 +124,8 @@ fn targets_are_matched_by_name() {
 #[test]
 fn readings_that_state_no_uncertainty_among_others_that_do_are_read_and_told() {
     let read = |sigmas: [&str; 3]| {
-        let rows = sigmas.map(|sigma| format!("0.1,1,2,3,{sigma},{sigma},{sigma}\n")).concat();
+        let row = |(i, sigma): (usize, &str)| format!("0.{i},1,2,3,{sigma},{sigma},{sigma}\n");
+        let rows: String = sigmas.into_iter().enumerate().map(row).collect();
         let text = format!("q1_rad,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m\n{rows}");
         let source = Source::new("set.csv", text);
         let loaded =
