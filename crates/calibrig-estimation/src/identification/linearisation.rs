@@ -108,6 +108,7 @@ impl Linearisation {
     }
 
     /// The system as it was solved, with the weights of the estimate's robust loss: its covariance is the estimate's.
+    #[must_use]
     pub fn weighted(mut self, estimate: &Estimate) -> Self {
         for (i, weight) in estimate.weights.iter().enumerate().take(self.data_rows / 3) {
             // What counts for nothing still has an error by itself.
