@@ -182,7 +182,7 @@ fn fit(
     let (parameters, sigmas) = (built.problem.parameters.clone(), built.sigmas.clone());
     let mut fit =
         |problem: &mut CalibrationProblem, x| solve_problem(problem, &parameters, &sigmas, x, options);
-    let solution = find(&mut built.problem, solution, unknown, options.solver.loss, &mut fit)?;
+    let solution = find(&mut built.problem, solution, unknown, &mut fit)?;
     // The nominal robot alone has nothing below it that could tell more.
     let is_nominal = options.mode == Mode::WithoutCalibration;
     let solution = if !is_nominal && is_without_freedom(&built.problem, &solution, unknown) {

@@ -2,15 +2,12 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3, Vector6};
 
-use super::build::rebuild;
+use super::build::{rebuild, start};
 use super::identify::check;
 use super::noise::{ActuatorMotions, Noise};
 use super::problem::{CalibrationProblem, whiten_together};
 use super::summary::determined;
-use super::{
-    Estimate, IdentificationOptions, IdentifyError, LeastSquares, MachineNoise, MachineNoiseChoice,
-    NoiseScale,
-};
+use super::{Estimate, IdentificationOptions, IdentifyError, MachineNoise, MachineNoiseChoice, NoiseScale};
 use calibrig_model::geometry::{Transform, small_displacement};
 use calibrig_model::measurement::{MeasurementSet, Observation, Reading};
 use calibrig_model::{CalibrationModel, ParameterId};
@@ -94,11 +91,6 @@ impl Whitening {
         let squares: f64 = inverses.map(|inverse| inverse.norm_squared()).sum();
         (squares / self.single.len().max(1) as f64).sqrt()
     }
-
-    /// The observations of every pose whose observations depend on each other.
-    pub fn poses(&self) -> impl Iterator<Item = &[usize]> {
-        self.joined.iter().map(|(pose, _)| pose.as_slice())
-    }
 }
 
 impl Linearisation {
@@ -161,24 +153,19 @@ pub(super) fn linearise_at(
         return Err(IdentifyError::Number { field, value, expected: "a finite number" });
     }
     let mut problem = solved(model, set, options, estimate)?;
-    let (m, n) = (problem.rows(), problem.parameters());
+    let (residuals, jacobian) = start(&mut problem, x)?;
     let mut linearisation = Linearisation {
-        jacobian: DMatrix::zeros(m, n),
-        residuals: DVector::zeros(m),
+        jacobian,
+        residuals,
         data_rows: 3 * problem.rows.len(),
         measured_rows: problem.measured_rows(),
         poses: problem.poses.clone(),
         whitening: Whitening::default(),
         bounded: Vec::new(),
     };
-    problem.evaluate(x, &mut linearisation.residuals, Some(&mut linearisation.jacobian));
-    let failed = (0..problem.rows.len()).find(|row| !linearisation.residuals[3 * row].is_finite());
-    if let Some((pose, source)) = failed.and_then(|row| problem.failure(row)) {
-        return Err(IdentifyError::Machine { pose, source });
-    }
     linearisation.whitening = problem.whitening();
     let is_bounded = |place: &usize| estimate.at_bound.contains(&problem.parameters[*place]);
-    linearisation.bounded = (0..n).filter(is_bounded).collect();
+    linearisation.bounded = (0..x.len()).filter(is_bounded).collect();
     Ok(linearisation)
 }
 
@@ -223,13 +210,7 @@ pub fn predict_readings(
     // Where nothing places a station, its frame was displaced from where the fitted set had it.
     problem.stations = estimate.frame_origins();
     let x: Vec<f64> = estimate.parameters.iter().map(|parameter| parameter.value).collect();
-    let mut residuals = DVector::zeros(problem.rows());
-    let mut jacobian = DMatrix::zeros(problem.rows(), x.len());
-    problem.evaluate(&x, &mut residuals, Some(&mut jacobian));
-    let failed = (0..problem.rows.len()).find(|row| !residuals[3 * row].is_finite());
-    if let Some((pose, source)) = failed.and_then(|row| problem.failure(row)) {
-        return Err(IdentifyError::Machine { pose, source });
-    }
+    let (residuals, jacobian) = start(&mut problem, &x)?;
     let beside = estimate.beside();
     let mut motions = ActuatorMotions::new(model);
     let of = |(i, observation): (usize, &Observation)| {

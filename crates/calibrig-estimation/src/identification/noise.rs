@@ -11,7 +11,7 @@ use super::problem::CalibrationProblem;
 use super::solver::Solution;
 use super::summary::Size;
 use super::variance::{Block, Components, System};
-use super::{IdentificationOptions, IdentifyError, LeastSquares, Loss};
+use super::{IdentificationOptions, IdentifyError, LeastSquares};
 use crate::kinematics::PlacedChain;
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::statistics::chi2_survival;
@@ -207,12 +207,11 @@ pub(super) fn find(
     problem: &mut CalibrationProblem,
     mut solution: Solution,
     unknown: Unknown,
-    loss: Loss,
     fit: &mut impl FnMut(&mut CalibrationProblem, Vec<f64>) -> Result<Solution, IdentifyError>,
 ) -> Result<Solution, IdentifyError> {
     let mut before: Option<Vec<f64>> = None;
     for _ in 0..MOST_ROUNDS {
-        let system = system(problem, &solution, unknown, loss);
+        let system = system(problem, &solution, unknown);
         let Some(found) = system.components(before.as_deref()) else { break };
         if before.as_ref().is_some_and(|before| is_settled(before, &found.variances, &system)) {
             break;
@@ -258,7 +257,7 @@ fn named(found: &Components, unknown: Unknown) -> Noise {
 const REJECTED: f64 = 0.5;
 
 /// The system at a solution, in metres, with the shapes of what is unknown.
-fn system(problem: &mut CalibrationProblem, solution: &Solution, unknown: Unknown, loss: Loss) -> System {
+fn system(problem: &mut CalibrationProblem, solution: &Solution, unknown: Unknown) -> System {
     let (residuals, jacobian) = if solution.weights.is_empty() && problem.joined.is_empty() {
         problem.unweighed(solution)
     } else {
@@ -266,9 +265,7 @@ fn system(problem: &mut CalibrationProblem, solution: &Solution, unknown: Unknow
     };
     let data = 3 * problem.rows.len();
     let below = residuals.len() - data;
-    let used = |index: &usize| {
-        loss == Loss::Squared || solution.weights.get(*index).is_none_or(|weight| *weight >= REJECTED)
-    };
+    let used = |index: &usize| solution.weights.get(*index).is_none_or(|weight| *weight >= REJECTED);
     let poses = problem.poses.iter().map(|pose| pose.iter().copied().filter(used).collect::<Vec<_>>());
     let blocks = poses.filter(|pose| !pose.is_empty()).map(|pose| block(problem, pose, unknown)).collect();
     System {

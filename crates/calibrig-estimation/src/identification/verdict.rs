@@ -6,7 +6,7 @@ impl Warning {
     /// The key of the reason that it is to look at the result; `None` for what is only to be known of it.
     ///
     /// The stated intervals do not hold, or what was asked for was not done: that is a reason. A misfit that the intervals account for, a
-    /// weak direction, a prior that a parameter rests on, or a drive without visible compliance is none.
+    /// weak direction, a prior that a parameter rests on, or a drive without visible compliance is not a reason.
     pub fn reason(&self) -> Option<&'static str> {
         match self {
             Self::NotConverged(_) => Some("not_converged"),
