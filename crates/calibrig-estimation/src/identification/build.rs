@@ -19,9 +19,9 @@ use calibrig_model::{CalibrationModel, ParameterId};
 /// A compliance whose prior's standard deviation moves the whitened measurements by less than this in all, beside what the geometry can
 /// do as well, is not told by them: its own standard deviation stays above 0.89 of its prior's.
 const UNEXCITED: f64 = 0.5;
-/// Where the model lacks something, the measurements must tell as much as the prior: what it lacks is alike in neighbouring poses, so that these
-/// tell less than as many independent ones.
-const UNEXCITED_IN_MISFIT: f64 = 1.0;
+/// Where the model lacks something, what it lacks is alike in neighbouring poses, so that these tell less than as many independent ones: what
+/// they say of a compliance counts with so many times its standard deviation.
+const ALIKE: f64 = 2.0;
 
 /// The same of a term that no measurement moves, and of a mass or a centre that none feels.
 const NEGLIGIBLE: f64 = 1e-3;
@@ -48,6 +48,8 @@ pub(super) struct Built {
     pub left_out: Vec<LeftOut>,
     /// Where the search starts: zero, but for targets whose nominal place tells nothing of the tracker's.
     pub x: Vec<f64>,
+    /// Whether it is weighed with the machine's noise that a fit of other compliances found.
+    pub goes_on: bool,
 }
 
 /// The problem of `options`, with what gravity does not excite left out, and what is redundant where it shall be fixed.
@@ -114,9 +116,7 @@ pub(super) fn build(
     }
     // What is left of a group are the robot's own parameters: frame and target stay in the fit.
     fixed.retain(|group| !columns.iter().any(|column| column.id == group.redundant));
-    if built.x.iter().all(|value| *value == 0.0) {
-        built.problem.start_from(residuals, jacobian);
-    }
+    built.problem.start_from(&built.x, residuals, jacobian);
     built.fixed.extend(fixed);
     built.left_out.extend(left_out);
     Ok(Built { unexcited, ..built })
@@ -159,7 +159,7 @@ pub(super) fn reconsider(
     let measured = Measured::new(&whole, &jacobian, &residuals);
     let effects = measured.effects_beyond_geometry();
     let asked = measured.asked_beyond_geometry(&x);
-    let least = if built.problem.noise.machine.is_some() { UNEXCITED_IN_MISFIT } else { UNEXCITED };
+    let spread = if built.problem.noise.machine.is_some() { ALIKE } else { 1.0 };
     let mut left_out: Vec<_> = built.left_out.iter().copied().filter(|left| !is_unloaded(left)).collect();
     let mut place = 0..;
     columns.retain(|column| {
@@ -169,7 +169,7 @@ pub(super) fn reconsider(
             return true;
         }
         let effect = effects[place] * column.reach();
-        let stays = effect >= least || asked[place] * asked[place] >= ASKED;
+        let stays = effect >= UNEXCITED * spread || (asked[place] / spread).powi(2) >= ASKED;
         if !stays {
             left_out.push(LeftOut { id: column.id, reason: LeftOutReason::Unloaded { effect } });
         }
@@ -181,8 +181,17 @@ pub(super) fn reconsider(
     }
     next.unexcited.clone_from(&built.unexcited);
     next.fixed.clone_from(&built.fixed);
-    let x = next.problem.parameters.iter().map(value).collect();
-    Ok(Some((Built { left_out, ..next }, x)))
+    let values: Vec<f64> = next.problem.parameters.iter().map(value).collect();
+    let noise = &built.problem.noise;
+    if solution.weights.is_empty() && next.problem.stated_actuators.is_none() && noise.unstated.is_none() {
+        next.goes_on = noise.machine.is_some();
+        next.problem.motions = whole.motions;
+        next.problem.weigh(noise)?;
+        let place = |id: &ParameterId| whole.parameters.iter().position(|own| own == id);
+        let places: Vec<usize> = next.problem.parameters.iter().filter_map(place).collect();
+        next.problem.start_from(&values, residuals, jacobian.select_columns(&places));
+    }
+    Ok(Some((Built { left_out, ..next }, values)))
 }
 
 /// Residuals and Jacobian at `x`, weighted as a robust loss has it.
@@ -397,7 +406,7 @@ fn assemble(
     let fixed = ends.fixed.clone();
     let of_ends = |group: &DependentGroup| LeftOut { id: group.redundant, reason: LeftOutReason::Redundant };
     let left_out = fixed.iter().map(of_ends).collect();
-    Ok(Built { problem, sigmas, named, unexcited: Vec::new(), fixed, left_out, x })
+    Ok(Built { problem, sigmas, named, unexcited: Vec::new(), fixed, left_out, x, goes_on: false })
 }
 
 fn stations(

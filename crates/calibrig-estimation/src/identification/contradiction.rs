@@ -475,14 +475,14 @@ impl<'a> Checks<'a> {
 }
 
 /// A system solved anew, to first order, in some of its columns.
-struct Minimum {
+pub(super) struct Minimum {
     /// Triangular factor of these columns.
     r: DMatrix<f64>,
-    residuals: DVector<f64>,
+    pub residuals: DVector<f64>,
 }
 
 impl Minimum {
-    fn of(residuals: &DVector<f64>, jacobian: &DMatrix<f64>, free: &[usize]) -> Option<Self> {
+    pub fn of(residuals: &DVector<f64>, jacobian: &DMatrix<f64>, free: &[usize]) -> Option<Self> {
         let n = free.len();
         let mut system = jacobian.select_columns(free).insert_column(n, 0.0);
         system.column_mut(n).copy_from(residuals);

@@ -12,7 +12,7 @@ use super::scale_of;
 use super::summary::outliers;
 use super::{Loss, Outlier};
 use calibrig_model::measurement::MeasurementSet;
-use calibrig_model::statistics::f_ln_survival;
+use calibrig_model::statistics::{chi2_survival, f_ln_survival};
 
 /// Probability that any of a set's readings is called a gross error where the noise is normal. The candidates are chosen by what is tested,
 /// which multiplies it by up to about two.
@@ -23,6 +23,15 @@ const LEAST: f64 = 5.0;
 const CANDIDATE: f64 = 3.5;
 /// A model that lacks something predicts worse than it says where it extrapolates: there its variance counts so many times.
 const EXTRAPOLATED: f64 = 4.0;
+/// Readings beyond so many look large, and so many of them are looked at without each other.
+const LARGE: f64 = 2.5;
+const MOST_LARGE: usize = 20;
+/// Where no crowd of gross errors can hide any, a largest reading that one set of twenty has by chance is none ...
+const SUSPICIOUS: f64 = 0.05;
+/// ... which is where the readings scatter by less than this over what was stated.
+const UNCROWDED: f64 = 1.25;
+/// Weights that change less are at rest.
+const AT_REST: f64 = 1e-2;
 /// Largest share of readings that can be candidates: beyond it, it is not for a scale from the others to say.
 const MOST: (usize, usize) = (2, 5);
 /// Passes with Huber's weights, from which Tukey's start, and with those.
@@ -75,31 +84,75 @@ struct Fitted {
 
 impl LinearFit<'_> {
     /// The gross errors, in the order of the observations.
-    pub fn gross_errors(&self) -> Vec<GrossError> {
+    ///
+    /// `spread` is S with `S Sᵀ` the covariance of the fit where all blocks count alike, if it is known.
+    pub fn gross_errors(&self, spread: Option<&DMatrix<f64>>) -> Vec<GrossError> {
         let n = self.jacobian.ncols();
         if self.blocks < 4 || 3 * self.blocks < n + 6 || self.residuals.iter().any(|v| !v.is_finite()) {
             return Vec::new();
         }
         let ones = vec![1.0; self.blocks];
         let weights = if self.weights.is_empty() { &ones } else { self.weights };
-        let Some(now) = self.fitted(weights, 1.0, false) else { return Vec::new() };
-        let scale = now.scale();
-        // What even the fit that it draws shows nothing of is no gross error.
-        if !(now.largest() > CANDIDATE * scale) {
-            return Vec::new();
-        }
+        let spread = spread.filter(|_| self.weights.is_empty());
+        let now = match spread {
+            Some(spread) => Some(self.seen(&ones, spread, None)),
+            None => self.fitted(weights, 1.0, false),
+        };
+        let Some(now) = now.filter(|now| self.is_suspicious(now, spread)) else { return Vec::new() };
         let Some(candidates) = self.candidates(now) else { return Vec::new() };
         self.tested(candidates)
+    }
+
+    /// Whether the fit that gross errors draw shows anything of them. `spread` is as in [`gross_errors`](Self::gross_errors).
+    fn is_suspicious(&self, now: &Fitted, spread: Option<&DMatrix<f64>>) -> bool {
+        let scale = now.scale();
+        if !(now.largest() > CANDIDATE * scale) {
+            return false;
+        }
+        // Residuals no larger than stated hold no crowd of gross errors, and a few show without each other.
+        let is_crowded = !self.is_stated || scale > UNCROWDED;
+        let Some(spread) = spread.filter(|_| !is_crowded) else { return true };
+        self.largest_without_each_other(now, scale, spread)
+            .is_none_or(|size| self.blocks as f64 * chi2_survival((size / scale).powi(2), 3.0) < SUSPICIOUS)
+    }
+
+    /// The largest size that those of the readings which look largest have against a fit without all of them; `None` where they determine
+    /// something by themselves.
+    fn largest_without_each_other(&self, now: &Fitted, scale: f64, spread: &DMatrix<f64>) -> Option<f64> {
+        let mut large: Vec<(usize, f64)> = now.left_out.iter().map(|out| out.square).enumerate().collect();
+        large.retain(|(_, square)| *square > (LARGE * scale).powi(2));
+        large.sort_by(|a, b| b.1.total_cmp(&a.1));
+        large.truncate(MOST_LARGE);
+        let rows: Vec<usize> = large.iter().flat_map(|(i, _)| 3 * i..3 * i + 3).collect();
+        let count = rows.len();
+        let spread = self.jacobian.select_rows(&rows) * spread;
+        let hat = &spread * spread.transpose();
+        let rest = (DMatrix::identity(count, count) - &hat).lu();
+        let (errors, hat) = (rest.solve(&self.residuals.select_rows(&rows))?, rest.solve(&hat)?);
+        let square = |first: usize| {
+            let error: Vector3<f64> = errors.fixed_rows::<3>(first).into_owned();
+            let spread: Matrix3<f64> = hat.fixed_view::<3, 3>(first, first).into_owned();
+            Some(error.dot(&(Matrix3::identity() + spread).lu().solve(&error)?))
+        };
+        let largest =
+            (0..count).step_by(3).map(square).try_fold(0.0, |most, one| Some(f64::max(most, one?)))?;
+        largest.is_finite().then(|| largest.sqrt())
     }
 
     /// Readings far off a fit with weights that they do not move; `None` where no such fit is found.
     fn candidates(&self, mut now: Fitted) -> Option<Vec<usize>> {
         for (loss, passes) in [Loss::huber(), Loss::tukey()].into_iter().zip(PASSES) {
+            let mut before: Vec<f64> = Vec::new();
             for _ in 0..passes {
                 let scale = now.scale().max(f64::MIN_POSITIVE);
                 let weight = |out: &LeftOut| loss.weight(out.square / (scale * scale));
                 let weights: Vec<f64> = now.left_out.iter().map(weight).collect();
+                let still = |(a, b): (&f64, &f64)| (a - b).abs() < AT_REST;
+                if !before.is_empty() && before.iter().zip(&weights).all(still) {
+                    break;
+                }
                 now = self.fitted(&weights, scale, true)?;
+                before = weights;
             }
         }
         let limit = (CANDIDATE * now.scale()).powi(2);
@@ -162,30 +215,55 @@ impl LinearFit<'_> {
             });
             r = extended(r, part.as_view());
         }
-        let inverse = match n {
+        let mut spread = match n {
             0 => DMatrix::zeros(0, 0),
             _ => r.view((0, 0), (n, n)).solve_upper_triangular(&DMatrix::identity(n, n))?,
         };
-        let step = -&inverse * r.view((0, n), (n, 1));
+        let mut step = -&spread * r.view((0, n), (n, 1)).column(0);
+        for (i, norm) in norms.iter().enumerate() {
+            spread.row_mut(i).scale_mut(1.0 / norm);
+            step[i] /= norm;
+        }
+        Some(self.seen(weights, &spread, moves.then_some(&step)))
+    }
+
+    /// The blocks against the fit whose covariance is `S Sᵀ`, S the `spread`; a `step` from where the residuals were taken.
+    fn seen(&self, weights: &[f64], spread: &DMatrix<f64>, step: Option<&DVector<f64>>) -> Fitted {
         let (mut sum, mut leverage, mut count) = (0.0, 0.0, 0.0);
         let mut left_out = Vec::with_capacity(self.blocks);
-        for (i, weight) in weights.iter().enumerate().take(self.blocks) {
-            let mut rows = self.jacobian.fixed_rows::<3>(3 * i).into_owned();
-            rows.column_iter_mut().zip(&norms).for_each(|(mut column, norm)| column /= *norm);
-            let mut residual = self.residuals.fixed_rows::<3>(3 * i).into_owned();
-            if moves {
-                residual += &rows * &step;
+        for first in (0..self.blocks).step_by(PART / 3) {
+            let blocks = (PART / 3).min(self.blocks - first);
+            let rows = self.jacobian.rows(3 * first, 3 * blocks);
+            let spread = rows * spread;
+            let mut residuals = self.residuals.rows(3 * first, 3 * blocks).into_owned();
+            if let Some(step) = step {
+                residuals.gemv(1.0, &rows, step, 1.0);
             }
-            let spread = rows * &inverse;
-            let hat: Matrix3<f64> = &spread * spread.transpose();
-            if *weight >= 1.0 {
-                (sum, leverage, count) = (sum + residual.norm_squared(), leverage + hat.trace(), count + 3.0);
+            for i in 0..blocks {
+                let weight = weights[first + i];
+                let residual: Vector3<f64> = residuals.fixed_rows::<3>(3 * i).into_owned();
+                let hat = hat(&spread, 3 * i);
+                if weight >= 1.0 {
+                    sum += residual.norm_squared();
+                    leverage += hat.trace();
+                    count += 3.0;
+                }
+                left_out.push(without(&hat, weight, &residual));
             }
-            left_out.push(without(&hat, *weight, &residual));
         }
         let freedom = count - leverage;
-        Some(Fitted { left_out, variance: sum / freedom.max(f64::MIN_POSITIVE), freedom })
+        Fitted { left_out, variance: sum / freedom.max(f64::MIN_POSITIVE), freedom }
     }
+}
+
+/// Three rows of a matrix by themselves, from `first`.
+fn hat(spread: &DMatrix<f64>, first: usize) -> Matrix3<f64> {
+    let mut hat = Matrix3::zeros();
+    for column in spread.column_iter() {
+        let own: Vector3<f64> = column.fixed_rows::<3>(first).into_owned();
+        hat.ger(1.0, &own, &own, 1.0);
+    }
+    hat
 }
 
 /// The block of these weights and hat matrix: `e = (1 - wH)⁻¹ r`, whose covariance is `1 + S` with `S = (1 - wH)⁻¹ H` that of its prediction.
@@ -231,7 +309,7 @@ pub fn held_out_outliers(set: &MeasurementSet, errors: &[Vector3<f64>]) -> Vec<O
         weights: &[],
         is_stated: false,
     };
-    let found: Vec<_> = fit.gross_errors().into_iter().map(|e| (e, e.left_out, 0.0)).collect();
+    let found: Vec<_> = fit.gross_errors(None).into_iter().map(|e| (e, e.left_out, 0.0)).collect();
     outliers(set, &found)
 }
 

@@ -4,12 +4,13 @@ use nalgebra::Vector3;
 use thiserror::Error;
 
 use super::build::{Built, build, reconsider};
+use super::factorised::Factorised;
 use super::limits::limits;
 use super::machine::MachineError;
 use super::noise::{Noise, UNSTATED_SIGMA, Unknown, find, is_without_freedom};
 use super::place::best_fit_stations;
 use super::problem::CalibrationProblem;
-use super::summary::{Fitted, Size, is_misfit, sigmas, summarise};
+use super::summary::{Fitted, Size, is_misfit, summarise};
 use super::{
     Bounds, BoundsError, CalibratedRobot, Estimate, FrameChoice, IdentificationOptions, LeastSquares, Loss,
     MachineNoiseChoice, Mode, ParameterBoundError, ParameterChoice, Predictor, Solution, SolverOptions,
@@ -158,6 +159,12 @@ fn fit(
     if measured < parameters {
         return Err(IdentifyError::TooFewRows { rows: measured, parameters });
     }
+    if built.goes_on {
+        if let Some(fitted) = fit_on(built, x.clone(), set, options)? {
+            return Ok(fitted);
+        }
+        built.problem.weigh(&Noise::default())?;
+    }
     let mut solution = solve(built, x, options)?;
     if built.problem.stated_actuators.is_some() {
         // Where a target was not known beforehand, its place decides how actuators move it.
@@ -165,36 +172,75 @@ fn fit(
         built.problem.weigh(&Noise::default())?;
         solution = solve(built, solution.x, options)?;
     }
-    let stated = Size::of(&built.problem, &solution);
+    let factorised = Factorised::new(&built.problem, &solution, options.redundant);
+    let stated = Size::of(&built.problem, &solution, &factorised);
     let mut unknown = Unknown::of(&built.problem, options);
     let as_needed = options.machine_noise == MachineNoiseChoice::AsNeeded;
-    unknown.machine |= as_needed && !unknown.readings && is_misfit(&built.problem, set, &solution, options);
+    let is_misfit = || is_misfit(&built.problem, set, (&solution, &factorised), options.frame);
+    unknown.machine |= as_needed && !unknown.readings && is_misfit();
     // Short of the minimum, residuals say more of the way there than of the noise.
     unknown.machine &= solution.termination.converged() || unknown.readings;
     if !unknown.any() || !solution.cost.is_finite() {
-        return Ok(Fitted { solution, size: stated, stated_sigmas: None });
+        return Ok(Fitted { solution, factorised, size: stated, stated_sigmas: None });
     }
     if unknown.machine {
         built.problem.prepare_motions_at(set, &solution.x);
     }
-    let stated_sigmas =
-        unknown.machine.then(|| sigmas(&built.problem, &solution, options.redundant)).flatten();
-    let (parameters, sigmas) = (built.problem.parameters.clone(), built.sigmas.clone());
-    let mut fit =
-        |problem: &mut CalibrationProblem, x| solve_problem(problem, &parameters, &sigmas, x, options);
-    let solution = find(&mut built.problem, solution, unknown, &mut fit)?;
+    let stated_sigmas = unknown.machine.then(|| factorised.sigmas()).flatten();
+    let solution = find_noise(built, solution, unknown, options)?;
     // The nominal robot alone has nothing below it that could tell more.
     let is_nominal = options.mode == Mode::WithoutCalibration;
-    let solution = if !is_nominal && is_without_freedom(&built.problem, &solution, unknown) {
+    let solution = if !is_nominal && is_without_freedom(&built.problem, &solution, unknown, options.redundant)
+    {
         let most = most_noise(model, set)?;
         built.problem.weigh(&Noise { unstated: Some(most), machine: None, freedom: None })?;
-        fit(&mut built.problem, solution.x)?
+        solve(built, solution.x, options)?
     } else {
         solution
     };
+    let factorised = Factorised::new(&built.problem, &solution, options.redundant);
     // Where nothing is stated, the size says nothing of what was stated.
-    let size = if unknown.readings { Size::of(&built.problem, &solution) } else { stated };
-    Ok(Fitted { solution, size, stated_sigmas })
+    let size = if unknown.readings { Size::of(&built.problem, &solution, &factorised) } else { stated };
+    Ok(Fitted { solution, factorised, size, stated_sigmas })
+}
+
+/// The fit of other compliances than were fitted before, weighed from the start with the machine's noise that was found then. `None` where
+/// that cannot be, or where with these compliances the readings' own noise explains the residuals.
+fn fit_on(
+    built: &mut Built,
+    x: Vec<f64>,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+) -> Result<Option<Fitted>, IdentifyError> {
+    let solution = solve(built, x, options)?;
+    if !solution.termination.converged() {
+        return Ok(None);
+    }
+    let solution = find_noise(built, solution, Unknown { readings: false, machine: true }, options)?;
+    let found = built.problem.noise.clone();
+    let Some(plain) = built.problem.in_stated_noise(&solution)? else { return Ok(None) };
+    let factorised = Factorised::new(&built.problem, &plain, options.redundant);
+    let is_needed = options.machine_noise == MachineNoiseChoice::Estimated
+        || is_misfit(&built.problem, set, (&plain, &factorised), options.frame);
+    if !is_needed {
+        return Ok(None);
+    }
+    let (size, stated_sigmas) = (Size::of(&built.problem, &plain, &factorised), factorised.sigmas());
+    built.problem.weigh(&found)?;
+    let factorised = Factorised::new(&built.problem, &solution, options.redundant);
+    Ok(Some(Fitted { solution, factorised, size, stated_sigmas }))
+}
+
+fn find_noise(
+    built: &mut Built,
+    solution: Solution,
+    unknown: Unknown,
+    options: &IdentificationOptions,
+) -> Result<Solution, IdentifyError> {
+    let (parameters, sigmas) = (built.problem.parameters.clone(), built.sigmas.clone());
+    let mut fit =
+        |problem: &mut CalibrationProblem, x| solve_problem(problem, &parameters, &sigmas, x, options);
+    find(&mut built.problem, solution, unknown, &mut fit)
 }
 
 fn solve(built: &mut Built, x: Vec<f64>, options: &IdentificationOptions) -> Result<Solution, IdentifyError> {

@@ -3,10 +3,10 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3, Vector6};
 
 use super::build::{rebuild, start};
+use super::factorised::determined_by;
 use super::identify::check;
 use super::noise::{ActuatorMotions, Noise};
 use super::problem::{CalibrationProblem, whiten_together};
-use super::summary::determined;
 use super::{Estimate, IdentificationOptions, IdentifyError, MachineNoise, MachineNoiseChoice, NoiseScale};
 use calibrig_model::geometry::{Transform, small_displacement};
 use calibrig_model::measurement::{MeasurementSet, Observation, Reading};
@@ -117,7 +117,7 @@ impl Linearisation {
 
     /// Degrees of freedom of the measured rows: their number less the trace of their part of the hat matrix.
     pub fn freedom(&self) -> f64 {
-        let determined = determined(&self.jacobian, self.measured_rows, &self.free());
+        let determined = determined_by(&self.jacobian, self.measured_rows, &self.free());
         (self.measured_rows as f64 - determined).max(0.0)
     }
 }

@@ -6,6 +6,7 @@ mod build;
 mod contradiction;
 mod estimate;
 mod factor;
+mod factorised;
 mod gross;
 mod identifiability;
 mod identify;

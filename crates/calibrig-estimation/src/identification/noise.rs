@@ -7,11 +7,13 @@
 use nalgebra::{Cholesky, DMatrix, Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::problem::CalibrationProblem;
+use super::contradiction::Minimum;
+use super::factorised::Factorised;
+use super::problem::{CalibrationProblem, Row};
 use super::solver::Solution;
 use super::summary::Size;
 use super::variance::{Block, Components, System};
-use super::{IdentificationOptions, IdentifyError, LeastSquares};
+use super::{IdentificationOptions, IdentifyError, LeastSquares, Redundancy};
 use crate::kinematics::PlacedChain;
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::statistics::chi2_survival;
@@ -154,6 +156,22 @@ pub(super) struct Noise {
     pub freedom: Option<f64>,
 }
 
+impl Noise {
+    /// What [`find`] found, in its order; `None` where it found nothing of what is `unknown`.
+    fn variances(&self, unknown: Unknown) -> Option<Vec<f64>> {
+        let mut sigmas = Vec::new();
+        if unknown.readings {
+            sigmas.push(self.unstated?);
+        }
+        if unknown.machine {
+            let machine = self.machine.as_ref()?;
+            sigmas.push(machine.position);
+            sigmas.extend(&machine.actuators);
+        }
+        Some(sigmas.iter().map(|sigma| sigma * sigma).collect())
+    }
+}
+
 /// The observations of every pose, in the order of the poses' first.
 pub(super) fn poses(set: &MeasurementSet) -> Vec<Vec<usize>> {
     let mut places = std::collections::HashMap::new();
@@ -209,7 +227,7 @@ pub(super) fn find(
     unknown: Unknown,
     fit: &mut impl FnMut(&mut CalibrationProblem, Vec<f64>) -> Result<Solution, IdentifyError>,
 ) -> Result<Solution, IdentifyError> {
-    let mut before: Option<Vec<f64>> = None;
+    let mut before = problem.noise.variances(unknown);
     for _ in 0..MOST_ROUNDS {
         let system = system(problem, &solution, unknown);
         let Some(found) = system.components(before.as_deref()) else { break };
@@ -217,6 +235,9 @@ pub(super) fn find(
             break;
         }
         problem.weigh(&named(&found, unknown))?;
+        let System { mut residuals, mut jacobian, .. } = system;
+        problem.whiten(&mut residuals, &mut jacobian);
+        problem.start_from(&solution.x, residuals, jacobian);
         let first = std::mem::take(&mut solution.iterations);
         solution = fit(problem, solution.x)?;
         solution.iterations.splice(0..0, first);
@@ -230,8 +251,10 @@ pub(super) fn is_without_freedom(
     problem: &CalibrationProblem,
     solution: &Solution,
     unknown: Unknown,
+    redundant: Redundancy,
 ) -> bool {
-    unknown.readings && !unknown.machine && Size::of(problem, solution).freedom < LEAST_FREEDOM
+    let freedom = || Size::of(problem, solution, &Factorised::new(problem, solution, redundant)).freedom;
+    unknown.readings && !unknown.machine && freedom() < LEAST_FREEDOM
 }
 
 /// Whether the variance that blocks have on the whole stands still.
@@ -258,11 +281,7 @@ const REJECTED: f64 = 0.5;
 
 /// The system at a solution, in metres, with the shapes of what is unknown.
 fn system(problem: &mut CalibrationProblem, solution: &Solution, unknown: Unknown) -> System {
-    let (residuals, jacobian) = if solution.weights.is_empty() && problem.joined.is_empty() {
-        problem.unweighed(solution)
-    } else {
-        problem.in_metres(&solution.x)
-    };
+    let (residuals, jacobian) = problem.metres(solution);
     let data = 3 * problem.rows.len();
     let below = residuals.len() - data;
     let used = |index: &usize| solution.weights.get(*index).is_none_or(|weight| *weight >= REJECTED);
@@ -402,14 +421,42 @@ impl CalibrationProblem {
     }
 
     /// Residuals and Jacobian of a solution with the observations in metres, in the trackers' axes; priors as they are.
+    fn metres(&mut self, solution: &Solution) -> (nalgebra::DVector<f64>, DMatrix<f64>) {
+        if solution.weights.is_empty() && self.joined.is_empty() {
+            self.unweighed(solution)
+        } else {
+            self.in_metres(&solution.x)
+        }
+    }
+
+    /// Where a solution of least squares would be in the noise that is stated, to first order from where it is; the problem is weighed with that
+    /// noise from now on. `None` where the system is singular.
+    pub(super) fn in_stated_noise(&mut self, solution: &Solution) -> Result<Option<Solution>, IdentifyError> {
+        let (mut residuals, mut jacobian) = self.metres(solution);
+        self.weigh(&Noise::default())?;
+        self.whiten(&mut residuals, &mut jacobian);
+        let is_free = |column: &usize| solution.at_bound.iter().all(|at| at.parameter != *column);
+        let free: Vec<usize> = (0..jacobian.ncols()).filter(is_free).collect();
+        let minimum = Minimum::of(&residuals, &jacobian, &free);
+        Ok(minimum.map(|minimum| Solution {
+            cost: minimum.residuals.norm_squared(),
+            residuals: minimum.residuals,
+            jacobian,
+            ..solution.clone()
+        }))
+    }
+
     fn unweighed(&self, solution: &Solution) -> (nalgebra::DVector<f64>, DMatrix<f64>) {
         let (mut residuals, mut jacobian) = (solution.residuals.clone(), solution.jacobian.clone());
-        for (i, row) in self.rows.iter().enumerate() {
-            // Whitening is the inverse of a factor.
-            let Some(factor) = row.whitening.try_inverse() else { continue };
+        // Whitening is the inverse of a factor.
+        let factor = |row: &Row| row.whitening.try_inverse().unwrap_or_else(Matrix3::identity);
+        let factors: Vec<_> = self.rows.iter().map(factor).collect();
+        for (i, factor) in factors.iter().enumerate() {
             let own = factor * residuals.fixed_rows::<3>(3 * i);
             residuals.fixed_rows_mut::<3>(3 * i).copy_from(&own);
-            for mut column in jacobian.column_iter_mut() {
+        }
+        for mut column in jacobian.column_iter_mut() {
+            for (i, factor) in factors.iter().enumerate() {
                 let own = factor * column.fixed_rows::<3>(3 * i);
                 column.fixed_rows_mut::<3>(3 * i).copy_from(&own);
             }

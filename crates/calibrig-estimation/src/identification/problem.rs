@@ -70,8 +70,16 @@ pub(super) struct CalibrationProblem {
     /// Poses whose observations depend on each other, with the inverse Cholesky factor of their covariance, once each is whitened by itself.
     pub joined: Vec<(Vec<usize>, DMatrix<f64>)>,
     pub current: Current,
-    /// Residuals and Jacobian at zero, until they are asked for.
-    pub start: Option<(DVector<f64>, DMatrix<f64>)>,
+    /// What is known already, until it is asked for.
+    pub start: Option<Start>,
+}
+
+/// Residuals and Jacobian at some parameters.
+#[derive(Debug, Clone)]
+pub(super) struct Start {
+    x: Vec<f64>,
+    residuals: DVector<f64>,
+    jacobian: DMatrix<f64>,
 }
 
 /// The model at the parameters of one evaluation.
@@ -148,14 +156,39 @@ impl CalibrationProblem {
         }
     }
 
-    /// Keeps what an evaluation at zero gave, for the next one there: the first rows of both are those of the observations, and the columns
+    /// Keeps what an evaluation at `x` gave, for the next one there: the first rows of both are those of the observations, and the columns
     /// those of the parameters.
-    pub fn start_from(&mut self, residuals: DVector<f64>, jacobian: DMatrix<f64>) {
+    pub fn start_from(&mut self, x: &[f64], residuals: DVector<f64>, jacobian: DMatrix<f64>) {
         let m = self.rows();
         let mut residuals = residuals.resize_vertically(m, 0.0);
         let mut jacobian = jacobian.resize_vertically(m, 0.0);
-        self.fill_priors(&vec![0.0; self.parameters.len()], &mut residuals, Some(&mut jacobian));
-        self.start = Some((residuals, jacobian));
+        self.fill_priors(x, &mut residuals, Some(&mut jacobian));
+        self.start = Some(Start { x: x.to_vec(), residuals, jacobian });
+    }
+
+    /// Takes rows of observations in metres, in the trackers' axes, to the rows that the fit has.
+    pub fn whiten(&self, residuals: &mut DVector<f64>, jacobian: &mut DMatrix<f64>) {
+        for (i, row) in self.rows.iter().enumerate() {
+            let own = row.whitening * residuals.fixed_rows::<3>(3 * i);
+            residuals.fixed_rows_mut::<3>(3 * i).copy_from(&own);
+        }
+        for mut column in jacobian.column_iter_mut() {
+            for (i, row) in self.rows.iter().enumerate() {
+                let own = row.whitening * column.fixed_rows::<3>(3 * i);
+                column.fixed_rows_mut::<3>(3 * i).copy_from(&own);
+            }
+        }
+        self.whiten_joined(residuals, Some(jacobian));
+    }
+
+    fn whiten_joined(&self, residuals: &mut DVector<f64>, mut jacobian: Option<&mut DMatrix<f64>>) {
+        let rows = residuals.len();
+        for (pose, whitening) in &self.joined {
+            whiten_together(pose, whitening, residuals.as_mut_slice(), rows);
+            if let Some(jacobian) = jacobian.as_deref_mut() {
+                whiten_together(pose, whitening, jacobian.as_mut_slice(), rows);
+            }
+        }
     }
 
     /// Why the robot at the current parameters cannot take the pose of an observation: the pose's number, and the reason.
@@ -279,22 +312,15 @@ impl LeastSquares for CalibrationProblem {
     fn evaluate(&mut self, x: &[f64], residuals: &mut DVector<f64>, mut jacobian: Option<&mut DMatrix<f64>>) {
         self.set(x);
         if let Some(jacobian) = jacobian.as_deref_mut()
-            && x.iter().all(|value| *value == 0.0)
-            && let Some(start) = self.start.take()
+            && let Some(start) = self.start.take_if(|start| start.x == x)
         {
-            (*residuals, *jacobian) = start;
+            (*residuals, *jacobian) = (start.residuals, start.jacobian);
             return;
         }
         for index in 0..self.rows.len() {
             self.fill_observation(index, residuals, jacobian.as_deref_mut());
         }
-        for (pose, whitening) in &self.joined {
-            let rows = residuals.len();
-            whiten_together(pose, whitening, residuals.as_mut_slice(), rows);
-            if let Some(jacobian) = jacobian.as_deref_mut() {
-                whiten_together(pose, whitening, jacobian.as_mut_slice(), rows);
-            }
-        }
+        self.whiten_joined(residuals, jacobian.as_deref_mut());
         self.fill_priors(x, residuals, jacobian);
     }
 }

@@ -1,8 +1,9 @@
 //! What measurements could tell, before they are made.
 
 use super::build::{Built, build, start};
+use super::factorised::Factors;
 use super::identify::check;
-use super::summary::{Factors, left_open_warnings, rank_warnings};
+use super::summary::{left_open_warnings, rank_warnings};
 use super::{
     DependentGroup, IdentificationOptions, IdentifyError, LeftOutReason, Redundancy, Spectrum, Warning,
 };

@@ -196,6 +196,11 @@ impl Prediction {
     pub fn sigma(&self) -> Option<Vector3<f64>> {
         self.covariance.map(|covariance| covariance.diagonal().map(f64::sqrt))
     }
+
+    /// Covariance of a new reading about the position, m², where `noise` is that of the reading by itself in the base frame, m².
+    pub fn reading_covariance(&self, noise: &Matrix3<f64>) -> Option<Matrix3<f64>> {
+        self.covariance.map(|covariance| covariance + noise)
+    }
 }
 
 /// What an [`Estimate`] predicts, and how sure that is. It is made once for many poses.

@@ -2,9 +2,9 @@
 
 use nalgebra::{DMatrix, Vector3};
 
-use super::build::{Built, redundant};
+use super::build::Built;
 use super::contradiction::{Checks, Found};
-use super::factor::{extended, triangular_factor, triangular_factor_of_all};
+use super::factorised::Factorised;
 use super::gross::{GrossError, LinearFit};
 use super::identify::LEAST_OF_UNKNOWN;
 use super::noise::{Noise, is_doubted};
@@ -12,8 +12,8 @@ use super::problem::CalibrationProblem;
 use super::solver::Solution;
 use super::{
     Assumption, CalibratedRobot, Contradiction, DependentGroup, Estimate, FrameChoice, IdentificationOptions,
-    LeastSquares, NoiseScale, Outlier, ParameterBound, ParameterEstimate, Redundancy, Spectrum, Stated,
-    TargetChoice, Warning, analyse_r,
+    LeastSquares, NoiseScale, Outlier, ParameterBound, ParameterEstimate, Spectrum, Stated, TargetChoice,
+    Warning,
 };
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::statistics::chi2_survival;
@@ -32,15 +32,19 @@ pub(super) struct Size {
 }
 
 impl Size {
-    pub fn of(problem: &CalibrationProblem, solution: &Solution) -> Self {
-        Self::of_rows(problem.measured_rows(), solution)
+    pub fn of(problem: &CalibrationProblem, solution: &Solution, factorised: &Factorised) -> Self {
+        Self::of_rows(problem, solution, factorised, false)
     }
 
-    /// Of the first rows.
-    fn of_rows(rows: usize, solution: &Solution) -> Self {
-        let is_free = |j: &usize| solution.at_bound.iter().all(|at| at.parameter != *j);
-        let free: Vec<usize> = (0..solution.jacobian.ncols()).filter(is_free).collect();
-        let freedom = (rows as f64 - determined(&solution.jacobian, rows, &free)).max(0.0);
+    /// Of observations, nests and targets, and `with_priors` of what was stated of the parameters.
+    fn of_rows(
+        problem: &CalibrationProblem,
+        solution: &Solution,
+        factorised: &Factorised,
+        with_priors: bool,
+    ) -> Self {
+        let rows = problem.measured_rows() + if with_priors { problem.own_priors.len() } else { 0 };
+        let freedom = (rows as f64 - factorised.determined(problem, with_priors)).max(0.0);
         let chi2 = if solution.weights.is_empty() {
             solution.residuals.rows(0, rows).norm_squared()
         } else {
@@ -64,62 +68,30 @@ impl Size {
     }
 }
 
-/// How many parameters the first `rows` of a whitened `jacobian` determine, of those that are `free`; the others are held by what is below them.
-pub(super) fn determined(jacobian: &DMatrix<f64>, rows: usize, free: &[usize]) -> f64 {
-    let all = triangular_factor(jacobian.as_view(), free);
-    let above = triangular_factor(jacobian.rows(0, rows), free);
-    let share = all.is_square().then(|| all.transpose().solve_lower_triangular(&above.transpose())).flatten();
-    match share.map(|share| share.norm_squared()) {
-        Some(determined) if determined.is_finite() => determined,
-        // Of a singular system: none too many.
-        _ => free.len().min(rows) as f64,
-    }
-}
-
-/// The standard deviations of a solution; `None` from a singular system.
-pub(super) fn sigmas(
-    problem: &CalibrationProblem,
-    solution: &Solution,
-    redundant: Redundancy,
-) -> Option<Vec<f64>> {
-    let (covariance, _) = spread(problem, solution, redundant)?;
-    Some(covariance.diagonal().iter().map(|v| v.sqrt()).collect())
-}
-
-fn spread(
-    problem: &CalibrationProblem,
-    solution: &Solution,
-    redundant: Redundancy,
-) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
-    let factors = Factors::new(problem, &solution.jacobian);
-    let spectrum = factors.spectrum(problem, redundant);
-    let bounded: Vec<usize> = solution.at_bound.iter().map(|at| at.parameter).collect();
-    covariance(factors.all, &spectrum, &bounded)
-}
-
 /// Whether the residuals are larger than the readings' stated noise explains, and it is not what was stated of parameters, nests and targets
 /// that makes them so.
 pub(super) fn is_misfit(
     problem: &CalibrationProblem,
     set: &MeasurementSet,
-    solution: &Solution,
-    options: &IdentificationOptions,
+    (solution, factorised): (&Solution, &Factorised),
+    frame: FrameChoice,
 ) -> bool {
-    let size = Size::of(problem, solution);
+    let size = Size::of(problem, solution, factorised);
     if !is_doubted(size.chi2, size.freedom) {
         return false;
     }
-    let Some((covariance, _)) = spread(problem, solution, options.redundant) else { return true };
-    let bounded: Vec<usize> = solution.at_bound.iter().map(|at| at.parameter).collect();
-    let found = Checks::new(problem, set, solution, &covariance, &bounded, options.frame, NoiseScale::Stated)
-        .of_priors(1.0);
-    let stated = Size::of_rows(problem.measured_rows() + problem.own_priors.len(), solution);
+    let Some(covariance) = factorised.covariance() else { return true };
+    let bounded = &factorised.bounded;
+    let found =
+        Checks::new(problem, set, solution, &covariance, bounded, frame, NoiseScale::Stated).of_priors(1.0);
+    let stated = Size::of_rows(problem, solution, factorised, true);
     is_doubted(stated.chi2 - found.chi2, (stated.freedom - found.freedom as f64).max(0.0))
 }
 
 /// A solution at its final weights.
 pub(super) struct Fitted {
     pub solution: Solution,
+    pub factorised: Factorised,
     /// Of the residuals in the noise that was stated.
     pub size: Size,
     /// The standard deviations that this leaves, where the fit was weighed with more.
@@ -132,21 +104,21 @@ pub(super) fn summarise(
     set: &MeasurementSet,
     options: &IdentificationOptions,
 ) -> Estimate {
-    let Fitted { solution, size, stated_sigmas } = fitted;
+    let Fitted { solution, factorised, size, stated_sigmas } = fitted;
     let Built { mut problem, sigmas, named, fixed, left_out, .. } = built;
     let n = problem.parameters.len();
     let noise = noise_scale(&problem);
-    let factors = Factors::new(&problem, &solution.jacobian);
-    let spectrum = factors.spectrum(&problem, options.redundant);
-    let held = factors.held(&problem, options.redundant);
-    let bounded: Vec<usize> = solution.at_bound.iter().map(|at| at.parameter).collect();
-    let (covariance, factor) = covariance(factors.all, &spectrum, &bounded).unzip();
+    let held = factorised.factors.held(&problem, options.redundant);
+    let bounded = &factorised.bounded;
+    let covariance = factorised.covariance();
     let checks =
-        covariance.as_ref().map(|c| Checks::new(&problem, set, &solution, c, &bounded, options.frame, noise));
+        covariance.as_ref().map(|c| Checks::new(&problem, set, &solution, c, bounded, options.frame, noise));
     let is_stated = noise == NoiseScale::Stated;
     let accounted = problem.noise.machine.is_some();
-    let is_misfit =
-        is_stated && !accounted && size.is_too_large() && is_misfit(&problem, set, &solution, options);
+    let is_misfit = is_stated
+        && !accounted
+        && size.is_too_large()
+        && is_misfit(&problem, set, (&solution, &factorised), options.frame);
     let (contradicted, doubts) = doubts(size, is_stated, (accounted, is_misfit), checks.as_ref());
     // The size that residuals have in an upper bound of their noise says nothing of it.
     let no_freedom = match noise {
@@ -159,7 +131,7 @@ pub(super) fn summarise(
         warnings.push(Warning::NotConverged(solution.termination));
     }
     warnings.extend(no_freedom.map(|sigma| Warning::NoFreedom { sigma }));
-    warnings.extend(rank_warnings(&spectrum, n));
+    warnings.extend(rank_warnings(&factorised.spectrum, n));
     warnings.extend(doubts);
     let at_bound: Vec<_> = bounded.iter().map(|place| problem.parameters[*place]).collect();
     warnings
@@ -168,7 +140,7 @@ pub(super) fn summarise(
     let known = |bound: &&ParameterBound| has(bound) || left_out.iter().any(|left| left.id == bound.id);
     let (bounds, unused): (Vec<_>, Vec<_>) = options.bounds.iter().filter(known).copied().partition(has);
     warnings.extend(unused.into_iter().map(|bound| Warning::UnusedBound { bound }));
-    let outliers = gross_errors(&mut problem, &solution, &bounded, noise, set);
+    let outliers = gross_errors(&mut problem, &solution, &factorised, noise, set);
     if !outliers.is_empty() {
         warnings.push(Warning::Outliers(outliers.clone()));
     }
@@ -207,8 +179,8 @@ pub(super) fn summarise(
             targets: problem.current.targets,
         },
         assumptions,
+        factor: factorised.spread().cloned(),
         covariance,
-        factor,
         weight_unit: weight_unit(&solution),
         weights: solution.weights,
         noise,
@@ -218,7 +190,7 @@ pub(super) fn summarise(
         degrees_of_freedom: size.freedom,
         termination: solution.termination,
         iterations: solution.iterations,
-        spectrum,
+        spectrum: factorised.spectrum,
         held,
         fixed,
         left_out,
@@ -248,7 +220,7 @@ fn noise_scale(problem: &CalibrationProblem) -> NoiseScale {
 fn gross_errors(
     problem: &mut CalibrationProblem,
     solution: &Solution,
-    bounded: &[usize],
+    factorised: &Factorised,
     noise: NoiseScale,
     set: &MeasurementSet,
 ) -> Vec<Outlier> {
@@ -258,7 +230,7 @@ fn gross_errors(
         let mut again = residuals.clone();
         problem.evaluate(&solution.x, &mut again, Some(&mut jacobian));
     }
-    for column in bounded {
+    for column in &factorised.bounded {
         jacobian.column_mut(*column).fill(0.0);
     }
     let fit = LinearFit {
@@ -274,7 +246,7 @@ fn gross_errors(
         let off = whitening.lu().solve(&-error.left_out).unwrap_or_default();
         (*error, off, solution.weights.get(error.observation).copied().unwrap_or(1.0))
     };
-    outliers(set, &fit.gross_errors().iter().map(place).collect::<Vec<_>>())
+    outliers(set, &fit.gross_errors(factorised.spread()).iter().map(place).collect::<Vec<_>>())
 }
 
 /// Gross errors in words that a person finds in the file: the error, what the reading is off by in the tracker's frame (m), and its weight.
@@ -341,35 +313,6 @@ fn off_the_points(
     is_off.then_some(Warning::OffThePoints { rms, spread })
 }
 
-/// `(Jᵀ J)⁻¹` from `J = Q R`, and S with `S Sᵀ` equal to it; only from a system of full rank. What is `bounded` is held there: it has no
-/// spread, and none of it is in the others'.
-fn covariance(
-    r: DMatrix<f64>,
-    spectrum: &Spectrum,
-    bounded: &[usize],
-) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
-    let n = r.ncols();
-    if spectrum.rank < n {
-        return None;
-    }
-    let free: Vec<usize> = (0..n).filter(|place| !bounded.contains(place)).collect();
-    let r = if bounded.is_empty() { r } else { triangular_factor(r.as_view(), &free) };
-    let inverse = r.solve_upper_triangular(&DMatrix::identity(free.len(), free.len()))?;
-    let of_free = &inverse * inverse.transpose();
-    if bounded.is_empty() {
-        return Some((of_free, inverse));
-    }
-    let mut covariance = DMatrix::zeros(n, n);
-    let mut factor = DMatrix::zeros(n, free.len());
-    for (i, row) in free.iter().enumerate() {
-        factor.row_mut(*row).copy_from(&inverse.row(i));
-        for (j, column) in free.iter().enumerate() {
-            covariance[(*row, *column)] = of_free[(i, j)];
-        }
-    }
-    Some((covariance, factor))
-}
-
 /// What the options left to the set, and what came of it.
 fn assumptions(
     parameters: &[ParameterId],
@@ -433,48 +376,6 @@ fn at_bound_warning(id: ParameterId, bound: f64) -> Warning {
     match id {
         ParameterId::Compliance(_) if bound <= LEAST_OF_UNKNOWN => Warning::Rigid { name },
         _ => Warning::AtBound { name, bound, unit: id.unit() },
-    }
-}
-
-/// Triangular factors of the rows of a Jacobian.
-pub(super) struct Factors {
-    /// Observations, nests and targets.
-    measured: DMatrix<f64>,
-    /// The same with the parameters' own priors.
-    with_priors: DMatrix<f64>,
-    /// All rows, the making's tolerances too.
-    all: DMatrix<f64>,
-}
-
-impl Factors {
-    pub(super) fn new(problem: &CalibrationProblem, jacobian: &DMatrix<f64>) -> Self {
-        let below = |first: usize, count: usize| jacobian.rows(first, count);
-        let (measured_rows, priors) = (problem.measured_rows(), problem.own_priors.len());
-        let measured = triangular_factor_of_all(below(0, measured_rows).as_view());
-        let with_priors = extended(measured.clone(), below(measured_rows, priors).as_view());
-        let tolerances = below(measured_rows + priors, problem.tolerances.len());
-        let all = extended(with_priors.clone(), tolerances.as_view());
-        Self { measured, with_priors, all }
-    }
-
-    /// Spectrum of the rows that a fit is judged by.
-    pub(super) fn spectrum(&self, problem: &CalibrationProblem, redundant: Redundancy) -> Spectrum {
-        let judged = match redundant {
-            Redundancy::Keep => &self.measured,
-            Redundancy::Fix | Redundancy::Prior => &self.with_priors,
-        };
-        analyse_r(judged, &problem.parameters)
-    }
-
-    /// What the measurements leave to its prior.
-    pub(super) fn held(&self, problem: &CalibrationProblem, choice: Redundancy) -> Vec<DependentGroup> {
-        if problem.own_priors.is_empty() || choice != Redundancy::Prior {
-            return Vec::new();
-        }
-        let has_prior = |group: &DependentGroup| {
-            problem.own_priors.iter().any(|(column, _)| problem.parameters[*column] == group.redundant)
-        };
-        redundant(&self.measured, &problem.parameters).into_iter().filter(has_prior).collect()
     }
 }
 

@@ -197,13 +197,14 @@ fn the_first_system_of_the_solver_is_that_of_the_start() {
             tolerance: Some(Tolerance { length: 0.1, angle: 0.1 }),
             ..options(Mode::ElastoGeometric)
         };
-        let mut problem = build::build(&nominal, &set, &options).expect("a problem").problem;
+        let build::Built { mut problem, x: start, .. } =
+            build::build(&nominal, &set, &options).expect("a problem");
         let n = problem.parameters.len();
         assert!(n < 24 + nominal.compliances().len(), "some are not loaded");
         let mut evaluate = || {
             let mut residuals = DVector::zeros(LeastSquares::rows(&problem));
             let mut jacobian = DMatrix::zeros(residuals.len(), n);
-            problem.evaluate(&vec![0.0; n], &mut residuals, Some(&mut jacobian));
+            problem.evaluate(&start, &mut residuals, Some(&mut jacobian));
             (residuals, jacobian, problem.start.is_some())
         };
         let (kept, anew) = (evaluate(), evaluate());

@@ -96,8 +96,8 @@ impl System {
         {
             return None;
         }
-        let transposed = self.jacobian.transpose();
-        let state = |variances: &[f64]| self.state(&transposed, variances);
+        let stacked = Stacked::new(self);
+        let state = |variances: &[f64]| self.state(&stacked, variances);
         let start = start.map_or_else(|| self.shares(), <[f64]>::to_vec);
         let mut now = state(&start).or_else(|| state(&self.shares()))?;
         for _ in 0..MOST_STEPS {
@@ -140,82 +140,136 @@ impl System {
         }
     }
 
-    /// Likelihood and its derivatives at some variances; `None` where these leave a block without noise, or are no numbers. `transposed` is the
-    /// Jacobian's: what belongs to an observation lies together.
-    fn state(&self, transposed: &DMatrix<f64>, variances: &[f64]) -> Option<State> {
-        let (n, count) = (self.jacobian.ncols(), variances.len());
-        let rows = self.coordinates();
-        let mut whitened = DMatrix::zeros(n, rows);
-        let mut residuals = DVector::zeros(rows);
-        let mut shapes = Vec::with_capacity(self.blocks.len());
-        let mut determinant = 0.0;
-        let mut first = 0;
-        for block in &self.blocks {
-            let factor = block.factor(variances)?;
-            let size = factor.nrows();
-            determinant += 2.0 * factor.diagonal().iter().map(|v| v.ln()).sum::<f64>();
-            for row in 0..size {
-                let from = 3 * block.observations[row / 3] + row % 3;
-                let (above, mut own) = whitened.columns_range_pair_mut(first..first + row, first + row);
-                own.copy_from(&transposed.column(from));
-                let mut seen = self.residuals[from];
-                for (k, column) in above.column_iter().enumerate() {
-                    own.axpy(-factor[(row, k)], &column, 1.0);
-                    seen -= factor[(row, k)] * residuals[first + k];
-                }
-                own /= factor[(row, row)];
-                residuals[first + row] = seen / factor[(row, row)];
-            }
-            let whitened: Option<Vec<_>> =
-                block.shapes.iter().map(|z| factor.solve_lower_triangular(z)).collect();
-            shapes.push(whitened?);
-            first += size;
-        }
-        let fit = Fit::new(&whitened, &mut residuals, &self.prior_jacobian, &self.prior_residuals)?;
+    /// Likelihood and its derivatives at some variances; `None` where these leave a block without noise, or are no numbers.
+    fn state(&self, stacked: &Stacked, variances: &[f64]) -> Option<State> {
+        let n = self.jacobian.ncols();
+        let (whitened, determinant) = stacked.whitened(variances)?;
+        let jacobian = whitened.rows(0, n).into_owned();
+        let mut residuals = whitened.row(n).transpose();
+        let fit = Fit::new(&jacobian, &mut residuals, &self.prior_jacobian, &self.prior_residuals)?;
         let likelihood = -0.5 * (determinant + fit.determinant + residuals.norm_squared() + fit.priors);
         likelihood.is_finite().then_some(())?;
-        let mut state = State {
-            variances: variances.to_vec(),
-            likelihood,
-            explained: vec![0.0; count],
-            expected: vec![0.0; count],
-            information: DMatrix::zeros(count, count),
-        };
         // Qᵀ with Q Qᵀ the part of the hat matrix between the data; a product is several times as fast as a solution with as many columns.
-        let hat = fit.root.solve_lower_triangular(&DMatrix::identity(n, n))? * whitened;
-        let mut working = DMatrix::zeros(rows, count);
-        let mut taken = DVector::zeros(n);
-        let mut first = 0;
-        for own in &shapes {
-            let size = own.first().map_or(0, DMatrix::nrows);
-            let (hat, seen) = (hat.columns(first, size), residuals.rows(first, size));
-            for (k, shape) in own.iter().enumerate() {
-                for column in shape.column_iter() {
-                    let along = column.dot(&seen);
-                    taken.gemv(1.0, &hat, &column, 0.0);
-                    state.explained[k] += along * along;
-                    state.expected[k] += column.norm_squared() - taken.norm_squared();
-                    working.column_mut(k).rows_mut(first, size).axpy(along, &column, 1.0);
-                }
-            }
-            first += size;
-        }
+        let hat = fit.root.solve_lower_triangular(&DMatrix::identity(n, n))? * jacobian;
+        let (explained, expected, working) = stacked.scores(&whitened, &residuals, &hat, variances.len());
         let fitted = hat * &working;
-        state.information = 0.5 * (working.tr_mul(&working) - fitted.tr_mul(&fitted));
-        Some(state)
+        let information = 0.5 * (working.tr_mul(&working) - fitted.tr_mul(&fitted));
+        Some(State { variances: variances.to_vec(), likelihood, explained, expected, information })
     }
 }
 
-impl Block {
-    /// The lower Cholesky factor of the covariance.
-    fn factor(&self, variances: &[f64]) -> Option<DMatrix<f64>> {
-        let mut covariance = self.known.clone();
-        for (shape, variance) in self.shapes.iter().zip(variances).filter(|(_, v)| **v > 0.0) {
-            for column in shape.column_iter() {
-                covariance.ger(*variance, &column, &column, 1.0);
+/// `Jᵀ`, `rᵀ` and the `Zᵀ` of every block above each other, the blocks beside each other: what belongs to a coordinate lies together.
+struct Stacked<'a> {
+    /// Columns are coordinates.
+    rows: DMatrix<f64>,
+    /// Row of the residuals; those of the shapes are behind it.
+    residuals: usize,
+    blocks: Vec<Slice<'a>>,
+}
+
+/// The coordinates of a block.
+struct Slice<'a> {
+    first: usize,
+    known: &'a DMatrix<f64>,
+    /// Of every row of its `Zᵀ`, the component.
+    components: Vec<usize>,
+}
+
+impl<'a> Stacked<'a> {
+    fn new(system: &'a System) -> Self {
+        let n = system.jacobian.ncols();
+        let width = |block: &Block| block.shapes.iter().map(DMatrix::ncols).sum::<usize>();
+        let most = system.blocks.iter().map(width).max().unwrap_or(0);
+        let transposed = system.jacobian.transpose();
+        let mut rows = DMatrix::zeros(n + 1 + most, system.coordinates());
+        let mut blocks = Vec::with_capacity(system.blocks.len());
+        let mut first = 0;
+        for block in &system.blocks {
+            for (k, observation) in block.observations.iter().enumerate() {
+                let (from, to) = (3 * observation, first + 3 * k);
+                rows.view_mut((0, to), (n, 3)).copy_from(&transposed.columns(from, 3));
+                rows.view_mut((n, to), (1, 3)).tr_copy_from(&system.residuals.rows(from, 3));
+            }
+            let mut components = Vec::with_capacity(most);
+            for (component, shape) in block.shapes.iter().enumerate() {
+                let place = (n + 1 + components.len(), first);
+                rows.view_mut(place, (shape.ncols(), shape.nrows())).tr_copy_from(shape);
+                components.extend(std::iter::repeat_n(component, shape.ncols()));
+            }
+            blocks.push(Slice { first, known: &block.known, components });
+            first += 3 * block.observations.len();
+        }
+        Self { rows, residuals: n, blocks }
+    }
+
+    /// All rows in standard deviations, and the logarithm of the covariance's determinant; `None` where a block is left without noise.
+    fn whitened(&self, variances: &[f64]) -> Option<(DMatrix<f64>, f64)> {
+        let mut rows = self.rows.clone();
+        let mut determinant = 0.0;
+        for block in &self.blocks {
+            let factor = Cholesky::new(self.covariance(block, variances))?;
+            let factor = factor.l_dirty();
+            for row in 0..factor.nrows() {
+                let place = block.first + row;
+                let (above, mut own) = rows.columns_range_pair_mut(block.first..place, place);
+                for (k, column) in above.column_iter().enumerate() {
+                    own.axpy(-factor[(row, k)], &column, 1.0);
+                }
+                own /= factor[(row, row)];
+                determinant += 2.0 * factor[(row, row)].ln();
             }
         }
-        Some(Cholesky::new(covariance)?.unpack())
+        Some((rows, determinant))
+    }
+
+    fn covariance(&self, block: &Slice<'_>, variances: &[f64]) -> DMatrix<f64> {
+        let mut covariance = block.known.clone();
+        let size = covariance.nrows();
+        for (row, component) in (self.residuals + 1..).zip(&block.components) {
+            let variance = variances[*component];
+            if variance > 0.0 {
+                for j in 0..size {
+                    let scaled = variance * self.rows[(row, block.first + j)];
+                    for i in j..size {
+                        covariance[(i, j)] += scaled * self.rows[(row, block.first + i)];
+                    }
+                }
+            }
+        }
+        covariance
+    }
+
+    /// From whitened rows, the `residuals` that the fit leaves and the hat matrix's root: `uᵀ Z Zᵀ u` of each component, its expectation, and the
+    /// working variates of the average information.
+    fn scores(
+        &self,
+        whitened: &DMatrix<f64>,
+        residuals: &DVector<f64>,
+        hat: &DMatrix<f64>,
+        count: usize,
+    ) -> (Vec<f64>, Vec<f64>, DMatrix<f64>) {
+        let (mut explained, mut expected) = (vec![0.0; count], vec![0.0; count]);
+        let mut working = DMatrix::zeros(residuals.len(), count);
+        for block in &self.blocks {
+            let (first, size) = (block.first, block.known.nrows());
+            let own = hat.columns(first, size);
+            // What the fit leaves of a unit of noise of each coordinate.
+            let left = DMatrix::from_fn(size, size, |i, j| {
+                let kept = if i == j { 1.0 } else { 0.0 };
+                if i < j { 0.0 } else { kept - own.column(i).dot(&own.column(j)) }
+            });
+            for (row, component) in (self.residuals + 1..).zip(&block.components) {
+                let shape = |i: usize| whitened[(row, first + i)];
+                let along: f64 = (0..size).map(|i| shape(i) * residuals[first + i]).sum();
+                explained[*component] += along * along;
+                for i in 0..size {
+                    let across: f64 = (0..i).map(|j| left[(i, j)] * shape(j)).sum();
+                    expected[*component] += shape(i) * (left[(i, i)] * shape(i) + 2.0 * across);
+                    working[(first + i, *component)] += along * shape(i);
+                }
+            }
+        }
+        (explained, expected, working)
     }
 }
 
@@ -417,7 +471,7 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let system = system(5, [0.5, 0.8, 0.3], &mut rng);
         let at = [0.3, 0.5, 0.2];
-        let state = system.state(&system.jacobian.transpose(), &at).expect("regular");
+        let state = system.state(&Stacked::new(&system), &at).expect("regular");
         assert!(
             (state.likelihood - dense(&system, &at)).abs() < 1e-8,
             "{} {}",
