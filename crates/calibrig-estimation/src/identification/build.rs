@@ -189,7 +189,10 @@ pub(super) fn reconsider(
         next.problem.weigh(noise)?;
         let place = |id: &ParameterId| whole.parameters.iter().position(|own| own == id);
         let places: Vec<usize> = next.problem.parameters.iter().filter_map(place).collect();
-        next.problem.start_from(&values, residuals, jacobian.select_columns(&places));
+        // Where nothing was fitted that is left out now, the robot is the same.
+        if (0..x.len()).all(|place| x[place] == 0.0 || places.contains(&place)) {
+            next.problem.start_from(&values, residuals, jacobian.select_columns(&places));
+        }
     }
     Ok(Some((Built { left_out, ..next }, values)))
 }

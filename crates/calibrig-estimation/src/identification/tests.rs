@@ -461,3 +461,42 @@ fn the_solved_system_has_the_covariance_of_its_estimate() {
         }
     }
 }
+
+/// A drive is fitted at first and left out once the misfit is known: what was fitted of it must not stay in the system that goes on.
+#[test]
+fn a_fit_that_goes_on_with_other_parameters_ends_at_its_own_minimum() {
+    let nominal = painter();
+    let off = [(ParameterId::link(2, calibrig_model::LinkTerm::A), 2e-3)];
+    let mut set = measure(&truth(&nominal, &off, Vec::new()), 60, 1.0);
+    for observation in &mut set.observations {
+        let Reading::Cartesian { position, .. } = &mut observation.reading else { continue };
+        let q = &observation.command;
+        *position += 1e-3 * Vector3::new((3.0 * q[1]).sin(), (4.0 * q[2]).cos(), (3.0 * q[3]).sin());
+    }
+    let drives = [SHOULDER, ELBOW].map(ParameterId::Compliance);
+    let mut dropped = 0;
+    for compliance_sigma in [0.03, 0.01, 0.003] {
+        let options = IdentificationOptions { compliance_sigma, ..options(Mode::ElastoGeometric) };
+        let estimate = identify(&nominal, &set, &options).expect("an estimate");
+        assert!(estimate.found_machine().is_some());
+        dropped += estimate.left_out.iter().filter(|left| drives.contains(&left.id)).count();
+        let system = linearise(&nominal, &set, &options, &estimate).expect("its system");
+        for (column, parameter) in system.jacobian.column_iter().zip(&estimate.parameters) {
+            let cosine = column.dot(&system.residuals) / (column.norm() * system.residuals.norm());
+            assert!(cosine.abs() < 1e-3, "{compliance_sigma} {}: {cosine}", parameter.id);
+        }
+        // In the stated noise, the residuals have the size of a fit that knows nothing of the others.
+        let left = estimate.parameters.iter().filter_map(|p| match p.id {
+            ParameterId::Compliance(compliance) => Some(compliance),
+            _ => None,
+        });
+        let alone = IdentificationOptions {
+            machine_noise: MachineNoiseChoice::Stated(Vec::new()),
+            compliances: ComplianceChoice::Listed(left.collect()),
+            ..options
+        };
+        let alone = identify(&nominal, &set, &alone).expect("an estimate");
+        assert!((alone.chi2 / estimate.chi2 - 1.0).abs() < 1e-3, "{} {}", alone.chi2, estimate.chi2);
+    }
+    assert!(dropped > 0);
+}
