@@ -89,13 +89,19 @@ impl KnownTruth<'_> {
         }
         // The elbow's motor stands on the waist: where the shoulder's is off, the parallelogram turns the elbow back, and the shoulder's own theta
         // turns both.
-        let shoulder = match self.nominal.actuators {
-            ActuatorMap::Parallelogram { shoulder, elbow, .. } if elbow == link => {
-                self.actuator_zero(estimate, shoulder)
-            }
+        let zero = |actuator: usize| -> f64 {
+            let commands = 0..self.nominal.kinematics.joint_count();
+            commands
+                .map(|command| (self.nominal.actuators.rate(actuator, command), command))
+                .filter(|(rate, _)| *rate != 0.0)
+                .map(|(rate, command)| rate * self.actuator_zero(estimate, command))
+                .sum()
+        };
+        let shoulder = match self.nominal.actuators.elbow() {
+            Some(drive) if drive.elbow == link => zero(drive.shoulder),
             _ => 0.0,
         };
-        self.actuator_zero(estimate, link) - shoulder
+        zero(link) - shoulder
     }
 
     /// What an actuator is off by everywhere.

@@ -112,6 +112,9 @@ impl CraigLink {
 pub struct KinematicModel {
     /// The links in order from the base.
     pub links: Vec<CraigLink>,
+    /// From the base to the frame that the first row starts from; the identity for a table whose first row starts at the base. An axis
+    /// anywhere in the base needs it: a row of its own reaches those that meet the base's x axis.
+    pub base_from_first: Transform,
     /// From the last link's frame to the flange; the identity but for tables that end with a link of their own (standard D-H).
     pub last_from_flange: Transform,
 }
@@ -123,7 +126,8 @@ impl KinematicModel {
     ///
     /// [`ModelError`], for a chain without joints, a number that is not finite, or limits that cross.
     pub fn new(links: Vec<CraigLink>) -> Result<Self, ModelError> {
-        let chain = Self { links, last_from_flange: Transform::identity() };
+        let identity = Transform::identity();
+        let chain = Self { links, base_from_first: identity, last_from_flange: identity };
         chain.check()?;
         Ok(chain)
     }

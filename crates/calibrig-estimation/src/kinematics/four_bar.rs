@@ -262,7 +262,7 @@ impl ElbowLinkage {
         swing_to(&self.pivot(q_shoulder), &self.lever_end, &anchor, self.rod, ideal)
     }
 
-    /// The elbow's joint variable at a command (as long as the chain), rad.
+    /// The elbow's joint variable at these [positions of the actuators](ActuatorMap::actuators_from_command) (as long as the chain), rad.
     ///
     /// # Errors
     ///
@@ -272,7 +272,7 @@ impl ElbowLinkage {
         Ok(self.close(psi, q_shoulder)?.angle)
     }
 
-    /// The elbow's command psi that sets the joint variables (as long as the chain), rad.
+    /// The position psi of the elbow's actuator that sets the joint variables (as long as the chain), rad.
     ///
     /// # Errors
     ///
@@ -292,7 +292,7 @@ impl ElbowLinkage {
         Ok(psi)
     }
 
-    /// The elbow's angle at a command (as long as the chain), with its derivatives.
+    /// The elbow's angle at these [positions of the actuators](ActuatorMap::actuators_from_command) (as long as the chain), with its derivatives.
     ///
     /// # Errors
     ///
@@ -358,7 +358,9 @@ pub fn joints_from_command(
     }
     actuators.joints_from_command(command, joints);
     if let Some(linkage) = linkage {
-        joints[linkage.elbow] = linkage.q_elbow(command)?;
+        let mut positions = vec![0.0; expected];
+        actuators.actuators_from_command(command, &mut positions);
+        joints[linkage.elbow] = linkage.q_elbow(&positions)?;
     }
     Ok(())
 }
@@ -377,11 +379,10 @@ pub fn command_from_joints(
     let linkage = ElbowLinkage::new(kinematics, actuators)?;
     actuators.check(kinematics.joint_count())?;
     kinematics.check_joints(JOINTS, joints)?;
-    let mut command = actuators.command_from_joints(joints);
-    if let Some(linkage) = linkage {
-        command[linkage.elbow] = linkage.psi(joints)?;
-    }
-    Ok(command)
+    let Some(linkage) = linkage else { return Ok(actuators.command_from_joints(joints)) };
+    let mut positions = joints.to_vec();
+    positions[linkage.elbow] = linkage.psi(joints)?;
+    Ok(actuators.command_from_actuators(&positions))
 }
 
 #[cfg(test)]

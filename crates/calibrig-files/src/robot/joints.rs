@@ -66,7 +66,7 @@ impl Reader<'_> {
             links.push(link);
         }
         let last_from_flange: Transform = translation(behind.0, 0.0, 0.0) * rotation_x(behind.1);
-        Ok(KinematicModel { links, last_from_flange })
+        Ok(KinematicModel { links, base_from_first: Transform::identity(), last_from_flange })
     }
 
     fn link(&self, table: &Spanned<JointTable>) -> Result<CraigLink, InputError> {

@@ -58,8 +58,9 @@ fn random_robot(rng: &mut ChaCha8Rng, stiffness: f64) -> AsBuilt {
         * rotation_x(rng.random_range(-3.0..3.0))
         * rotation_y(rng.random_range(-3.0..3.0))
         * rotation_z(rng.random_range(-3.0..3.0));
+    let base_from_first = translation(-0.3, 0.2, 0.4) * rotation_y(0.8) * rotation_z(-0.5);
     AsBuilt {
-        kinematics: KinematicModel { links, last_from_flange },
+        kinematics: KinematicModel { links, base_from_first, last_from_flange },
         actuators: ActuatorMap::Direct,
         statics: StaticProperties::of_drives(
             (0..joints).map(|_| random_body(rng)).collect(),
@@ -254,6 +255,7 @@ fn soft_pendulum() -> AsBuilt {
                 theta: 0.0,
                 limits: [-4.0, 4.0],
             }],
+            base_from_first: Transform::identity(),
             last_from_flange: Transform::identity(),
         },
         actuators: ActuatorMap::Direct,
