@@ -11,6 +11,7 @@ use nalgebra::Vector3;
 use serde_json::json;
 
 use super::identify::family;
+use super::model::ChainArgs;
 use super::{Cli, CliError, Verdict, print, read_scenario, say};
 use crate::pipeline::PipelineError;
 use crate::scenario::Scenario;
@@ -18,7 +19,6 @@ use calibrig_estimation::identification::{
     Explanation, Finding, FrameChoice, IdentifiabilityReport, Mode, TargetChoice, explain, identifiability,
     neighbour_axis_rules, spectrum, structural_poses,
 };
-use calibrig_files::load_robot;
 use calibrig_model::random::{Source, stream};
 use calibrig_model::{KinematicModel, ModelError, ParameterId};
 
@@ -26,7 +26,7 @@ use calibrig_model::{KinematicModel, ModelError, ParameterId};
 ///
 /// The nominal robot alone is looked at; nothing is measured.
 #[derive(Debug, clap::Args)]
-#[command(group(ArgGroup::new("subject").required(true).args(["scenario", "model"])), after_help = "Examples:
+#[command(group(ArgGroup::new("subject").required(true).args(["scenario", "model", "urdf"])), after_help = "Examples:
   calibrig identifiability scenarios/paper.toml            at the scenario's poses and target
   calibrig identifiability --model models/ur5/robot.toml   anywhere, base and target unknown
   calibrig identifiability scenarios/paper.toml --mode elasto_geometric
@@ -40,6 +40,11 @@ pub(super) struct Args {
     /// The robot's file, instead of a scenario
     #[arg(long, value_name = "ROBOT.toml")]
     model: Option<PathBuf>,
+    /// The robot's URDF in place of a file of its own; read as `calibrig model from-urdf` does
+    #[arg(long, value_name = "FILE")]
+    urdf: Option<PathBuf>,
+    #[command(flatten)]
+    chain: ChainArgs,
     /// Which parameters: of the rigid chain, or of a mode that couples geometry and stiffness
     #[arg(long, value_enum, default_value_t = Analysed::Geometry)]
     mode: Analysed,
@@ -127,20 +132,29 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
 }
 
 fn failed(args: &Args, error: ModelError) -> CliError {
-    let file = args.model.as_ref().or(args.scenario.as_ref()).cloned().unwrap_or_default();
+    let file = args.model.as_ref().or(args.urdf.as_ref()).or(args.scenario.as_ref()).cloned().unwrap_or_default();
     let source = PipelineError::Identify { mode: Mode::OnlyCalibration, source: error.into() };
     CliError::Pipeline { file, source }
 }
 
 fn question(args: &Args) -> Result<Question, CliError> {
-    if let Some(path) = &args.model {
-        let robot = load_robot(path)?;
+    if args.scenario.is_none() {
+        let robot = args.chain.robot(args.model.as_deref(), args.urdf.as_deref())?;
         robot.remarks.iter().for_each(|remark| say(remark));
         let target = robot.target().unwrap_or(MOUNTABLE_TARGET);
+        let poses = structural_poses(&robot.model.kinematics, SPREAD_POSES);
         let model = robot.model.kinematics;
+        // Joints that follow others go nowhere by themselves.
+        let reached = |joints: Vec<f64>| {
+            let mut reached = joints.clone();
+            let command = robot.model.actuators.command_from_joints(&joints);
+            robot.model.actuators.joints_from_command(&command, &mut reached);
+            reached
+        };
+        let follows = (0..model.joint_count()).any(|joint| !robot.model.actuators.is_commanded(joint));
         return Ok(Question {
             name: robot.name,
-            poses: structural_poses(&model, SPREAD_POSES),
+            poses: if follows { poses.into_iter().map(reached).collect() } else { poses },
             poses_from: spread_poses(),
             target,
             model,

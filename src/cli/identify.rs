@@ -7,6 +7,7 @@ use clap::error::ErrorKind;
 use clap::{CommandFactory, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::model::ChainArgs;
 use super::output::{self, Destination, Files};
 use super::{Cli, CliError, Verdict, not_identified, say};
 use crate::pipeline::{
@@ -21,7 +22,7 @@ use calibrig_estimation::identification::{
 };
 use calibrig_files::{ColumnMap, load_column_map, parse_column_map, parse_measurements};
 use calibrig_files::{MeasuredFile, SessionFile, Source, Statements, load_session, state};
-use calibrig_files::{Robot, load_robot};
+use calibrig_files::Robot;
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{BodyUncertainty, CalibrationModel, FAMILIES, JointKind, ParameterId, Unit};
 
@@ -44,6 +45,7 @@ use calibrig_model::{BodyUncertainty, CalibrationModel, FAMILIES, JointKind, Par
   calibrig identify --model robot.toml --measurements m.csv --bound delta_a4=-5mm..5mm
   calibrig identify --model robot.toml --measurements m.csv --splits 20 --fit 200
   calibrig identify --model robot.toml --measurements m.csv --session session.toml   nests, targets
+  calibrig identify --urdf ur5.urdf --tip tool0 --measurements grid.csv --columns map.toml
 
 What the columns of the file mean is told by --columns MAP.toml, else by the map that the robot's file names, else (and where the file
 has none of the map's joint columns but calibrig's own) it is calibrig's own layout (see docs/formats.md).")]
@@ -122,8 +124,13 @@ pub(super) struct Args {
 #[derive(Debug, clap::Args)]
 pub(super) struct FileArgs {
     /// The robot's file
-    #[arg(long, value_name = "ROBOT.toml")]
-    model: PathBuf,
+    #[arg(long, value_name = "ROBOT.toml", required_unless_present = "urdf")]
+    model: Option<PathBuf>,
+    /// The robot's URDF in place of a file of its own; read as `calibrig model from-urdf` does
+    #[arg(long, value_name = "FILE", conflicts_with = "model")]
+    urdf: Option<PathBuf>,
+    #[command(flatten)]
+    chain: ChainArgs,
     /// Positions to fit
     #[arg(long, value_name = "FILE")]
     measurements: PathBuf,
@@ -141,9 +148,10 @@ pub(super) struct FileArgs {
 
 impl FileArgs {
     pub(super) fn read(&self) -> Result<Loaded, CliError> {
+        let robot = self.chain.robot(self.model.as_deref(), self.urdf.as_deref())?;
         let mut files = vec![(SetKind::Identification, self.measurements.as_path())];
         files.extend(self.verify.as_deref().map(|path| (SetKind::Verification, path)));
-        load(&self.model, self.columns.as_deref(), self.session.as_deref(), &files)
+        load(robot, self.columns.as_deref(), self.session.as_deref(), &files)
     }
 }
 
@@ -475,13 +483,12 @@ impl Loaded {
 /// Reads a robot and files of positions, whose columns `columns` tells, else the robot's file, with what `session` and the robot's file state
 /// of stations and targets.
 pub(super) fn load(
-    model: &Path,
+    mut robot: Robot,
     columns: Option<&Path>,
     session: Option<&Path>,
     files: &[(SetKind, &Path)],
 ) -> Result<Loaded, CliError> {
-    let mut robot = load_robot(model)?;
-    let joints: Vec<JointKind> = robot.model.kinematics.links.iter().map(|link| link.kind).collect();
+    let joints = commanded(&robot.model);
     let columns = match columns {
         Some(path) => {
             let (map, source) = load_column_map(path)?;
@@ -501,7 +508,8 @@ pub(super) fn load(
     };
     let read = |(kind, path): &(SetKind, &Path)| {
         let source = Source::read(path)?;
-        let loaded = parse_measurements(&source, &columns, &joints)?;
+        let mut loaded = parse_measurements(&source, &columns, &joints)?;
+        add_followers(&robot.model, &mut loaded.set);
         Ok(MeasuredFile { kind: *kind, source, loaded })
     };
     let mut files = files.iter().map(read).collect::<Result<Vec<_>, CliError>>()?;
@@ -516,6 +524,32 @@ pub(super) fn load(
     }
     sources.extend(session.as_ref().map(|(_, source)| ("session".to_owned(), source.clone())));
     Ok(Loaded { robot, sources, sets, statements, session })
+}
+
+/// Kinds of the joints that are commanded, in their order: the columns of a measurement file.
+fn commanded(model: &CalibrationModel) -> Vec<JointKind> {
+    let links = model.kinematics.links.iter().enumerate();
+    links.filter(|(joint, _)| model.actuators.is_commanded(*joint)).map(|(_, link)| link.kind).collect()
+}
+
+/// Puts the commands of joints that follow others, which are always zero, where the columns of a file leave them out.
+fn add_followers(model: &CalibrationModel, set: &mut MeasurementSet) {
+    let count = model.kinematics.joint_count();
+    if (0..count).all(|joint| model.actuators.is_commanded(joint)) {
+        return;
+    }
+    for observation in &mut set.observations {
+        let mut commands = std::mem::take(&mut observation.command).into_iter();
+        let mut approaches = std::mem::take(&mut observation.approach).into_iter();
+        let told = approaches.len() > 0;
+        for joint in 0..count {
+            let commanded = model.actuators.is_commanded(joint);
+            observation.command.push(if commanded { commands.next().unwrap_or(0.0) } else { 0.0 });
+            if told {
+                observation.approach.push(if commanded { approaches.next().unwrap_or(0) } else { 0 });
+            }
+        }
+    }
 }
 
 /// The failure of an identification from these files, at the last line of the fitted one where more poses are what it needs.

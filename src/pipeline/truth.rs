@@ -6,7 +6,7 @@ use calibrig_estimation::identification::Estimate;
 use calibrig_model::geometry::{Transform, rotation_vector, small_displacement};
 use calibrig_model::measurement::Target;
 use calibrig_model::{
-    ActuatorMap, CalibrationModel, JointKind, LinkTerm, ParameterId, PoseQuery, StaticProperties, TermId,
+    CalibrationModel, JointKind, LinkTerm, ParameterId, PoseQuery, StaticProperties, TermId,
     TermPlace,
 };
 use calibrig_plant::AsBuilt;

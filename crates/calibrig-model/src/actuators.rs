@@ -67,6 +67,8 @@ pub struct AxisMap {
     actuators_by_shown: DMatrix<f64>,
     /// What is shown where all actuators are at zero.
     zero: DVector<f64>,
+    /// Axes that the controller does not command, because their joint follows others: what is shown of them is always zero.
+    followers: Vec<bool>,
 }
 
 impl AxisMap {
@@ -102,7 +104,20 @@ impl AxisMap {
             return Err(ModelError::Coupling);
         }
         let actuators_by_shown = shown_by_actuators.clone().try_inverse().ok_or(ModelError::Coupling)?;
-        Ok(Self { shown_by_actuators, actuators_by_shown, zero })
+        let followers = vec![false; expected];
+        Ok(Self { shown_by_actuators, actuators_by_shown, zero, followers })
+    }
+
+    /// The same with these axes, by index, as followers: their rows say what is zero of them, as `q3 + q2` of a joint that turns back what the
+    /// second one turns. Indices of axes that there are not are left out.
+    #[must_use]
+    pub fn with_followers(mut self, followers: &[usize]) -> Self {
+        for follower in followers {
+            if let Some(follows) = self.followers.get_mut(*follower) {
+                *follows = true;
+            }
+        }
+        self
     }
 
     /// Number of axes.
@@ -120,9 +135,12 @@ impl AxisMap {
         }
     }
 
-    /// What is shown of actuators at these positions.
+    /// What is shown of actuators at these positions; zero of a follower, wherever it is.
     pub fn shown(&self, actuators: &[f64]) -> Vec<f64> {
         let row = |(axis, zero): (usize, &f64)| {
+            if self.followers[axis] {
+                return 0.0;
+            }
             let shares = self.shown_by_actuators.row(axis);
             zero + shares.iter().zip(actuators).map(|(share, actuator)| share * actuator).sum::<f64>()
         };
@@ -227,6 +245,14 @@ impl ActuatorMap {
         match self {
             Self::Axes { axes, .. } => axes.shown(actuators),
             Self::Direct | Self::Parallelogram { .. } => actuators.to_vec(),
+        }
+    }
+
+    /// Whether the controller commands an axis; not where its joint follows others.
+    pub fn is_commanded(&self, axis: usize) -> bool {
+        match self {
+            Self::Axes { axes, .. } => !axes.followers.get(axis).copied().unwrap_or(false),
+            Self::Direct | Self::Parallelogram { .. } => true,
         }
     }
 
@@ -344,6 +370,20 @@ mod tests {
         for (found, expected) in back.iter().zip(joints) {
             assert!((found - expected).abs() < 1e-15);
         }
+    }
+
+    #[test]
+    fn a_follower_goes_with_its_leader_and_takes_no_command() {
+        // q3 + q2 - 0.2 is zero: the third joint turns back what the second one turns.
+        let shown = DMatrix::from_row_slice(3, 3, &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0]);
+        let axes = AxisMap::new(shown, DVector::from_vec(vec![0.0, 0.0, -0.2])).expect("lower triangular");
+        let map = ActuatorMap::Axes { axes: axes.with_followers(&[2, 7]), elbow: None };
+        assert_eq!([0, 1, 2, 3].map(|axis| map.is_commanded(axis)), [true, true, false, true]);
+        let command = map.command_from_joints(&[0.1, 0.5, 99.0]);
+        assert_eq!(command, [0.1, 0.5, 0.0]);
+        let mut joints = [0.0; 3];
+        map.joints_from_command(&command, &mut joints);
+        assert!((joints[2] - (0.2 - 0.5)).abs() < 1e-15);
     }
 
     #[test]

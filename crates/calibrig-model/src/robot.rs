@@ -60,6 +60,12 @@ impl CraigLink {
         Self { a, alpha, d, theta, ..self }
     }
 
+    /// The same with Hayati's rotation, rad.
+    #[must_use]
+    pub fn with_beta(self, beta: f64) -> Self {
+        Self { beta, ..self }
+    }
+
     /// The same between these joint variables, rad or m.
     #[must_use]
     pub fn limits(self, low: f64, high: f64) -> Self {
