@@ -100,10 +100,7 @@ fn of_scenario(args: &Args, path: &Path) -> Result<(String, ModelChoice, Verdict
     Ok((scenario.name.clone(), choice.map_err(refused)?, Verdict::Done))
 }
 
-fn of_files(
-    args: &Args,
-    measurements: &Path,
-) -> Result<(String, ModelChoice, Verdict), CliError> {
+fn of_files(args: &Args, measurements: &Path) -> Result<(String, ModelChoice, Verdict), CliError> {
     let files = [(SetKind::Identification, measurements)];
     let robot = args.chain.robot(args.model.as_deref(), args.urdf.as_deref())?;
     let loaded = load(robot, args.columns.as_deref(), args.session.as_deref(), &files)?;

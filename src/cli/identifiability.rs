@@ -132,7 +132,8 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
 }
 
 fn failed(args: &Args, error: ModelError) -> CliError {
-    let file = args.model.as_ref().or(args.urdf.as_ref()).or(args.scenario.as_ref()).cloned().unwrap_or_default();
+    let file =
+        args.model.as_ref().or(args.urdf.as_ref()).or(args.scenario.as_ref()).cloned().unwrap_or_default();
     let source = PipelineError::Identify { mode: Mode::OnlyCalibration, source: error.into() };
     CliError::Pipeline { file, source }
 }

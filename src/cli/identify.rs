@@ -20,9 +20,9 @@ use calibrig_estimation::identification::{
     MachineNoiseChoice, Mode, ParameterBound, ParameterChoice, RefusedBound, SolverOptions, Tolerance,
     UNKNOWN_STIFFNESS, check_bounds,
 };
+use calibrig_files::Robot;
 use calibrig_files::{ColumnMap, load_column_map, parse_column_map, parse_measurements};
 use calibrig_files::{MeasuredFile, SessionFile, Source, Statements, load_session, state};
-use calibrig_files::Robot;
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{BodyUncertainty, CalibrationModel, FAMILIES, JointKind, ParameterId, Unit};
 

@@ -9,7 +9,7 @@ use serde_json::json;
 
 use super::{Cli, CliError, Verdict, print, say};
 use calibrig_files::{
-    Converted, Convention, Robot, Source, UrdfOptions, load_robot, robot_from_dh, robot_from_urdf,
+    Convention, Converted, Robot, Source, UrdfOptions, load_robot, robot_from_dh, robot_from_urdf,
 };
 use calibrig_model::nalgebra::Vector3;
 

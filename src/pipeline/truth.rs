@@ -6,8 +6,7 @@ use calibrig_estimation::identification::Estimate;
 use calibrig_model::geometry::{Transform, rotation_vector, small_displacement};
 use calibrig_model::measurement::Target;
 use calibrig_model::{
-    CalibrationModel, JointKind, LinkTerm, ParameterId, PoseQuery, StaticProperties, TermId,
-    TermPlace,
+    CalibrationModel, JointKind, LinkTerm, ParameterId, PoseQuery, StaticProperties, TermId, TermPlace,
 };
 use calibrig_plant::AsBuilt;
 use calibrig_plant::effects::{Rail, RailProfile};

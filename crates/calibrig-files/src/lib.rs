@@ -43,9 +43,7 @@ mod robot;
 mod session;
 mod stated;
 
-pub use convert::{
-    AGREEMENT, Converted, Convention, UrdfOptions, robot_from_dh, robot_from_urdf,
-};
+pub use convert::{AGREEMENT, Convention, Converted, UrdfOptions, robot_from_dh, robot_from_urdf};
 pub use input::{InputError, Source, Spanned};
 pub use measurements::{
     ColumnMap, CsvError, LoadedMeasurements, load_column_map, measurements_text, parse_column_map,

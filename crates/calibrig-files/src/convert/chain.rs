@@ -67,9 +67,8 @@ impl Chain {
     /// `base_from_tip` at these joint variables: the joints of the file, one after the other.
     pub fn tip_at(&self, q: &[f64]) -> Transform {
         let joints = self.joints.iter().zip(q);
-        let last = joints.fold(Transform::identity(), |at, (joint, q)| {
-            at * joint.previous_from_joint * joint.motion(*q)
-        });
+        let last = joints
+            .fold(Transform::identity(), |at, (joint, q)| at * joint.previous_from_joint * joint.motion(*q));
         last * self.last_from_tip
     }
 }
@@ -212,7 +211,8 @@ impl Finder<'_> {
 
     /// Ends of the tree with a joint that moves between them and the base, with the moving joints that lead there.
     fn tips(&self, base: usize) -> Vec<(usize, Vec<usize>)> {
-        let ends = (0..self.tree.links.len()).filter(|link| self.tree.joints.iter().all(|j| j.parent != *link));
+        let ends =
+            (0..self.tree.links.len()).filter(|link| self.tree.joints.iter().all(|j| j.parent != *link));
         let led = |link: usize| {
             let way = self.way(base, link).ok()?;
             let moving: Vec<usize> =
@@ -352,9 +352,8 @@ impl Finder<'_> {
             let message = format!("joint {} follows a joint {leader} that is not there", joint.name);
             return self.error(place, message, "the name of a joint");
         }
-        let number = |name, otherwise: f64| {
-            element.number(self.source, name).map(|value| value.unwrap_or(otherwise))
-        };
+        let number =
+            |name, otherwise: f64| element.number(self.source, name).map(|value| value.unwrap_or(otherwise));
         Ok(Some(Mimic { leader, ratio: number("multiplier", 1.0)?, offset: number("offset", 0.0)? }))
     }
 
@@ -364,6 +363,7 @@ impl Finder<'_> {
         let cut: BTreeSet<usize> =
             steps.iter().map(|(joint, _)| *joint).filter(|joint| self.is_moving(*joint)).collect();
         let (mut bodies, mut faults) = (Vec::new(), Vec::new());
+        let mut massless = Vec::new();
         let mut base_from_link = Transform::identity();
         for (index, upwards) in steps {
             let joint = &self.tree.joints[*index];
@@ -371,8 +371,17 @@ impl Finder<'_> {
             base_from_link *= if *upwards { parent_from_joint.inverse() } else { parent_from_joint };
             if cut.contains(index) {
                 let start = if *upwards { joint.parent } else { joint.child };
-                bodies.push(self.body(start, base_from_link, &cut, &mut faults)?);
+                let body = self.body(start, base_from_link, &cut, &mut faults)?;
+                if body.is_none() {
+                    massless.push(self.tree.links[start].name.as_str());
+                }
+                bodies.push(body);
             }
+        }
+        match massless.as_slice() {
+            [] => {}
+            [link] => faults.push(format!("no mass: link {link} and what is fixed to it")),
+            links => faults.push(format!("no mass: links {} and what is fixed to them", listed(links))),
         }
         Ok((bodies, faults))
     }
@@ -409,11 +418,7 @@ impl Finder<'_> {
                 }
             }
         }
-        let body = joined(&bodies);
-        if body.is_none() {
-            faults.push(format!("link {} and what is fixed to it have no mass", self.tree.links[start].name));
-        }
-        Ok(body)
+        Ok(joined(&bodies))
     }
 
     /// The body of one link, where it has one.

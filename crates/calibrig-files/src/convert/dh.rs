@@ -47,7 +47,12 @@ pub fn robot_from_dh(
     let mut text = String::new();
     let mut remarks = Vec::new();
     let rows = table.rows(convention, &mut remarks)?;
-    line!(text, "# Made by calibrig from {}, a table of the {} convention.", file_name(&source.name), convention.key());
+    line!(
+        text,
+        "# Made by calibrig from {}, a table of the {} convention.",
+        file_name(&source.name),
+        convention.key()
+    );
     line!(text, "# What is marked \"assumed\" the table does not say: look at it.");
     line!(text);
     line!(text, "schema = \"calibrig.robot/1\"");
@@ -185,10 +190,13 @@ impl<'a> Table<'a> {
             start += line.len();
         }
         let Some((&(start, header), rows)) = lines.split_first() else {
-            return refused(0..0, "the table is empty", "a header line such as name,a_mm,alpha_deg,d_mm,theta_deg");
+            return refused(
+                0..0,
+                "the table is empty",
+                "a header line such as name,a_mm,alpha_deg,d_mm,theta_deg",
+            );
         };
-        let delimiter =
-            [';', '\t', ','].into_iter().find(|mark| header.contains(*mark)).unwrap_or(' ');
+        let delimiter = [';', '\t', ','].into_iter().find(|mark| header.contains(*mark)).unwrap_or(' ');
         let span = start..start + header.len();
         let columns: Vec<Column> =
             cells(source, start, header, delimiter).iter().map(|(title, _)| column(title)).collect();
@@ -222,10 +230,20 @@ impl<'a> Table<'a> {
             match found.as_slice() {
                 [column] if fits(column) => {}
                 [_] => {
-                    return refused(span, &format!("the column {name} has no unit, or one of the other kind"), units);
+                    return refused(
+                        span,
+                        &format!("the column {name} has no unit, or one of the other kind"),
+                        units,
+                    );
                 }
                 [] => return refused(span, &format!("there is no column {name}"), units),
-                _ => return refused(span, &format!("there are {} columns {name}", found.len()), "one of them"),
+                _ => {
+                    return refused(
+                        span,
+                        &format!("there are {} columns {name}", found.len()),
+                        "one of them",
+                    );
+                }
             }
         }
         if table.lines.is_empty() {
@@ -302,7 +320,11 @@ impl<'a> Table<'a> {
             }
         }
         if beta.number != 0.0 && convention == Convention::Standard {
-            return self.error(span, "a column beta in a table of the standard convention", "--convention craig");
+            return self.error(
+                span,
+                "a column beta in a table of the standard convention",
+                "--convention craig",
+            );
         }
         let stated = match self.cell(line, What::Type) {
             Some(((text, place), _)) => Some((self.kind(text, place.clone())?, place)),
@@ -310,11 +332,21 @@ impl<'a> Table<'a> {
         };
         let (kind, said) = match (&stated, d.variable, theta.variable) {
             (_, Some(_), Some(_)) => {
-                return self.error(span, &format!("both d and theta of {name} have a variable"), "one joint variable a row");
+                return self.error(
+                    span,
+                    &format!("both d and theta of {name} have a variable"),
+                    "one joint variable a row",
+                );
             }
-            (Some((JointKind::Revolute, place)), Some(_), _) | (Some((JointKind::Prismatic, place)), _, Some(_)) => {
-                let message = format!("the type of {name} and the cell with its variable say different things");
-                return self.error(place.clone(), &message, "revolute with a variable in theta, prismatic with one in d");
+            (Some((JointKind::Revolute, place)), Some(_), _)
+            | (Some((JointKind::Prismatic, place)), _, Some(_)) => {
+                let message =
+                    format!("the type of {name} and the cell with its variable say different things");
+                return self.error(
+                    place.clone(),
+                    &message,
+                    "revolute with a variable in theta, prismatic with one in d",
+                );
             }
             (Some((kind, _)), ..) => (*kind, true),
             (None, Some(_), None) => (JointKind::Prismatic, true),
@@ -367,7 +399,11 @@ impl<'a> Table<'a> {
                     | (Some(Unit::Length(size)), JointKind::Prismatic) => size,
                     (None, _) => {
                         let message = "the column of a limit has no unit";
-                        return self.error(self.header.clone(), message, "min_deg, max_deg, min_mm or max_mm");
+                        return self.error(
+                            self.header.clone(),
+                            message,
+                            "min_deg, max_deg, min_mm or max_mm",
+                        );
                     }
                     _ => continue,
                 };
@@ -379,7 +415,11 @@ impl<'a> Table<'a> {
         }
         if limits[0] >= limits[1] {
             let span = line.first().map_or(0..0, |cell| cell.1.clone());
-            return self.error(span, &format!("max of {name} is not above its min"), "limits that leave a way to go");
+            return self.error(
+                span,
+                &format!("max of {name} is not above its min"),
+                "limits that leave a way to go",
+            );
         }
         Ok((limits, assumed))
     }

@@ -110,11 +110,12 @@ pub fn robot_from_urdf(source: &Source, options: &UrdfOptions) -> Result<Convert
         let message = format!(
             "the table that was made of this URDF differs from it by {difference:.1e} m at some pose: it is not given out"
         );
-        let expected = format!("expected at most {AGREEMENT:.0e} m; lengths in m, and no joint kilometres away");
+        let expected =
+            format!("expected at most {AGREEMENT:.0e} m; lengths in m, and no joint kilometres away");
         return Err(source.error(tree.span.clone(), message, Some(expected)));
     }
     remarks.extend(faults);
-    remarks.extend(assumed);
+    remarks.extend(assumed.iter().map(|line| format!("assumed: {line}")));
     Ok(Converted { source: made, robot, remarks, difference: Some(difference) })
 }
 

@@ -59,7 +59,7 @@ fn what_the_urdf_says_is_taken_over_and_what_not_is_marked() {
     assert!(text.contains("min_deg = -360 # assumed"), "{text}");
     let statics = robot.model.statics.as_ref().expect("masses of both links");
     assert_eq!(statics.bodies.iter().map(|body| body.mass).collect::<Vec<_>>(), [7.0, 2.0]);
-    assert!(robot.stiffness_unknown);
+    assert_eq!(robot.compliance_sigma, Some(10.0));
     // The file that is written says the same as the robot that was read from it.
     let again = parse_robot(Source::new("robot.toml", text.clone()), None, None).expect("as written");
     assert_eq!(again.model, robot.model);
@@ -109,17 +109,19 @@ fn a_chain_may_go_up_the_tree_and_down_again() {
 #[test]
 fn no_masses_cost_gravity_and_not_the_command() {
     for (from, to, said) in [
-        ("<mass value=\"7\"/>", "<mass value=\"0\"/>", "link arm and what is fixed to it have no mass"),
-        ("<mass value=\"2\"/>", "", "link hand and what is fixed to it have no mass"),
+        ("<mass value=\"7\"/>", "<mass value=\"0\"/>", "no mass: link arm and what is fixed to it"),
+        ("<mass value=\"2\"/>", "", "no mass: link hand and what is fixed to it"),
     ] {
         let made = convert(&TWO.replacen(from, to, 1)).expect("kinematics");
         assert!(made.robot.model.statics.is_none());
         assert!(made.remarks.iter().any(|line| line == said), "{:?}", made.remarks);
-        assert!(made.remarks.iter().any(|line| line.starts_with("no gravity modes")));
+        assert!(made.remarks.iter().any(|line| line.contains("no gravity modes")));
     }
     let made = convert(&TWO.replacen("ixx=\"0.1\"", "ixx=\"-3\"", 1)).expect("at rest, inertia is nothing");
     assert!(made.robot.model.statics.is_some());
-    assert!(made.remarks.iter().any(|line| line.contains("the inertia of link arm is not positive definite")));
+    assert!(
+        made.remarks.iter().any(|line| line.contains("the inertia of link arm is not positive definite"))
+    );
 }
 
 #[test]
@@ -152,7 +154,10 @@ fn base_and_tip_choose_and_what_can_be_meant_is_listed() {
         other => panic!("{other:?}"),
     };
     let said = refused(convert(&tree));
-    assert!(said.contains("2 links can be the tip") && said.contains("tool (2 moving joints), probe (2"), "{said}");
+    assert!(
+        said.contains("2 links can be the tip") && said.contains("tool (2 moving joints), probe (2"),
+        "{said}"
+    );
     assert!(between(&tree, "base", "probe").is_ok());
     // The convention of ROS-Industrial decides, and is told.
     let made = convert(&tree.replace("\"tool\"", "\"tool0\"")).expect("tool0");
@@ -170,18 +175,54 @@ fn base_and_tip_choose_and_what_can_be_meant_is_listed() {
 #[test]
 fn mistakes_are_named_with_their_line_and_what_was_expected() {
     for (from, to, message, line, help) in [
-        ("type=\"continuous\"", "type=\"floating\"", "joint twist is floating", 13, "revolute, continuous, prismatic or fixed"),
-        ("type=\"continuous\"", "type=\"planar\"", "joint twist is planar", 13, "--base and --tip may leave it out"),
-        ("<axis xyz=\"0 -1 0\"/>", "<axis xyz=\"0 0 0\"/>", "the axis of joint swing has no direction", 10, "direction"),
-        ("<axis xyz=\"0 -1 0\"/>", "<axis xyz=\"0 -1\"/>", "xyz of <axis> is \"0 -1\"", 10, "3 finite numbers"),
+        (
+            "type=\"continuous\"",
+            "type=\"floating\"",
+            "joint twist is floating",
+            13,
+            "revolute, continuous, prismatic or fixed",
+        ),
+        (
+            "type=\"continuous\"",
+            "type=\"planar\"",
+            "joint twist is planar",
+            13,
+            "--base and --tip may leave it out",
+        ),
+        (
+            "<axis xyz=\"0 -1 0\"/>",
+            "<axis xyz=\"0 0 0\"/>",
+            "the axis of joint swing has no direction",
+            10,
+            "direction",
+        ),
+        (
+            "<axis xyz=\"0 -1 0\"/>",
+            "<axis xyz=\"0 -1\"/>",
+            "xyz of <axis> is \"0 -1\"",
+            10,
+            "3 finite numbers",
+        ),
         ("rpy=\"0.3 0 0\"", "rpy=\"0.3 nan 0\"", "rpy of <origin>", 9, "3 finite numbers"),
         ("<mass value=\"7\"/>", "<mass value=\"-7\"/>", "the mass of link arm is -7 kg", 4, "zero or more"),
         ("<child link=\"arm\"/>", "<child link=\"leg\"/>", "names a link leg that is not there", 8, "link"),
         ("<link name=\"hand\">", "<link name=\"arm\">", "a second link named arm", 5, "one link"),
-        ("<child link=\"tool\"/>", "<child link=\"arm\"/>", "which joint swing carries too", 18, "one joint a link"),
-        ("<child link=\"arm\"/>", "<child link=\"arm\"/", "not the XML of a URDF", 9, "URDF"),
-        ("<gazebo reference=\"arm\"/>", "<xacro:macro name=\"a\"/>", "this is xacro source", 20, "xacro two.urdf > two.urdf"),
-        ("xyz=\"0.8 0 0\"", "xyz=\"${reach} 0 0\"", "this is xacro source", 15, "ros2 run xacro xacro"),
+        (
+            "<child link=\"tool\"/>",
+            "<child link=\"arm\"/>",
+            "which joint swing carries too",
+            18,
+            "one joint a link",
+        ),
+        ("<child link=\"arm\"/>", "<child link=\"arm\"/", "not the XML of a URDF", 8, "URDF"),
+        (
+            "<gazebo reference=\"arm\"/>",
+            "<xacro:macro name=\"a\"/>",
+            "this is xacro source",
+            20,
+            "xacro two.urdf > two.expanded.urdf",
+        ),
+        ("xyz=\"0.8 0 0\"", "xyz=\"${reach} 0 0\"", "this is xacro source", 15, "ros2 run xacro xacro ..."),
     ] {
         let (found, at, expected) = refusal(from, to);
         assert!(found.contains(message), "{to}: {found}");
@@ -190,15 +231,26 @@ fn mistakes_are_named_with_their_line_and_what_was_expected() {
     }
     let undeclared = TWO.replacen(" xmlns:xacro=\"http://www.ros.org/wiki/xacro\"", "", 1);
     assert!(convert(&undeclared).is_ok());
-    assert!(convert(&undeclared.replacen("<gazebo reference=\"arm\"/>", "<xacro:include filename=\"a\"/>", 1)).unwrap_err().to_string().contains("xacro source"));
+    assert!(
+        convert(&undeclared.replacen("<gazebo reference=\"arm\"/>", "<xacro:include filename=\"a\"/>", 1))
+            .unwrap_err()
+            .to_string()
+            .contains("xacro source")
+    );
     // Extensions with prefixes that nobody declares, and what editors leave in front; places stay those of the file.
-    let extended = format!("\u{feff}\n{}", undeclared.replacen("<gazebo reference=\"arm\"/>", "<sensor:camera name=\"c\"/>", 1));
+    let extended = format!(
+        "\u{feff}\n{}",
+        undeclared.replacen("<gazebo reference=\"arm\"/>", "<sensor:camera name=\"c\"/>", 1)
+    );
     assert!(convert(&extended).is_ok());
-    let InputError::Invalid { line, .. } = convert(&extended.replacen("0 -1 0", "0 0 0", 1)).unwrap_err() else {
+    let InputError::Invalid { line, .. } = convert(&extended.replacen("0 -1 0", "0 0 0", 1)).unwrap_err()
+    else {
         panic!("a place")
     };
     assert_eq!(line, 11);
-    for nothing in ["", " \n", "garbage", "<", "<robot", "\u{feff}", "{}", "<a/>", "<robot/>", "<robot name=\"a\"/>"] {
+    for nothing in
+        ["", " \n", "garbage", "<", "<robot", "\u{feff}", "{}", "<a/>", "<robot/>", "<robot name=\"a\"/>"]
+    {
         assert!(convert(nothing).is_err(), "{nothing}");
     }
     let deep = format!("<robot name=\"a\">{}", "<link name=\"a\">".repeat(100_000));
@@ -214,7 +266,9 @@ fn a_table_of_a_manual_becomes_a_robot() {
     let text = "Joint;a [mm];α [deg];d [mm];θ [deg];min_deg;max_deg\nJ1;0;90;89,159;q1;-360;360\nJ2;-425;0;0;q2 - 90;-180;180\nJ3;0;0;0;-θ3;-10;90\n";
     let made = table(text, Convention::Standard).expect("a table");
     let links = &made.robot.model.kinematics.links;
-    assert!((links[0].d - 0.089_159).abs() < 1e-15 && (links[1].theta + 1.570_796_326_794_896_6).abs() < 1e-15);
+    assert!(
+        (links[0].d - 0.089_159).abs() < 1e-15 && (links[1].theta + 1.570_796_326_794_896_6).abs() < 1e-15
+    );
     // Craig's rows count the a and alpha of the row before.
     assert!((links[2].a + 0.425).abs() < 1e-15);
     let mut joints = [0.0; 3];
@@ -282,7 +336,8 @@ proptest! {
         let head = "a_mm,alpha_rad,d_mm,theta_deg\n";
         for text in [text.clone(), format!("{head}{text}")] {
             if let Err(error) = table(&text, Convention::Craig) {
-                prop_assert!(!format!("{:?}", miette::Report::new(error)).is_empty());
+                let drawn = format!("{:?}", miette::Report::new(error));
+                prop_assert!(!drawn.is_empty());
             }
         }
     }

@@ -35,6 +35,9 @@ const SAG: f64 = 1e-3;
 /// The softest drive is taken to be at least this part of the stiffest one of its kind.
 const SOFTEST: f64 = 0.02;
 
+/// How well they are known: drives with gears are about as stiff as that, cables and belts ten times softer.
+const COMPLIANCE_PERCENT: f64 = 1000.0;
+
 const GRAVITY: f64 = 9.80665;
 
 /// Travel of a slide whose limits are not stated, m either way.
@@ -218,10 +221,20 @@ impl Text<'_> {
         let mut more = Vec::new();
         let mut text = String::new();
         let (base, tip) = (&self.chain.base, &self.chain.tip);
-        line!(text, "# Made by calibrig from {}: the chain from link {base} to link {tip}.", one_line(self.file));
+        line!(
+            text,
+            "# Made by calibrig from {}: the chain from link {base} to link {tip}.",
+            one_line(self.file)
+        );
         line!(text, "#");
-        line!(text, "# The rows follow from the joints' axes: Craig's where neighbouring axes cross, with Hayati's beta where they are nearly parallel.");
-        line!(text, "# Joint variables, their signs and their zeros are those of the file; theta_deg (d_mm) holds what its zero is off the table's.");
+        line!(
+            text,
+            "# The rows follow from the joints' axes: Craig's where neighbouring axes cross, with Hayati's beta where they are nearly parallel."
+        );
+        line!(
+            text,
+            "# Joint variables, their signs and their zeros are those of the file; theta_deg (d_mm) holds what its zero is off the table's."
+        );
         for remark in remarks.iter().chain(self.faults) {
             line!(text, "# {}", one_line(remark));
         }
@@ -231,8 +244,11 @@ impl Text<'_> {
         line!(text, "name = {}", quoted(self.name));
         line!(text, "convention = \"craig\"");
         if self.bodies.is_some() {
-            line!(text, "# Assumed: nothing is known of the stiffnesses below, which are only where a search starts.");
-            line!(text, "compliance_percent = \"unknown\"");
+            line!(
+                text,
+                "# Assumed: the stiffnesses below are guesses, and rather too high than too low; drives may be many times softer."
+            );
+            line!(text, "compliance_percent = {COMPLIANCE_PERCENT}");
         }
         let first = format!("From {base} to where the first row starts.");
         frame(&mut text, "base", &one_line(&first), &self.model.base_from_first);
@@ -261,7 +277,7 @@ impl Text<'_> {
                 line!(text, "[gravity]");
                 line!(text, "x_m_per_s2 = 0\ny_m_per_s2 = 0\nz_m_per_s2 = -{GRAVITY}");
                 more.push(format!(
-                    "gravity along -z of {base}; stiffnesses of the drives, of which the file says nothing: {} mrad (mm) of sag under what each carries, and compliance_percent = \"unknown\"",
+                    "gravity along -z of {base}; stiffnesses of the drives, of which the file says nothing: {} mrad (mm) of sag under what each carries, and compliance_percent = {COMPLIANCE_PERCENT}",
                     1e3 * SAG
                 ));
             }
@@ -283,7 +299,9 @@ impl Text<'_> {
             };
             line!(text, "{key} = {} # assumed", bodies.stiffness[index]);
         }
-        if let Some((_, leader, ratio, offset)) = self.follows.iter().find(|(follower, ..)| *follower == index) {
+        if let Some((_, leader, ratio, offset)) =
+            self.follows.iter().find(|(follower, ..)| *follower == index)
+        {
             let leader = &self.chain.joints[*leader];
             line!(text, "# A <mimic>: it takes no command of its own.");
             line!(text, "[joint.follows]");
@@ -311,14 +329,11 @@ fn body(text: &mut String, body: &Body) {
         return;
     }
     let i = &body.inertia;
-    for (key, value) in [
-        ("ixx", i.m11),
-        ("iyy", i.m22),
-        ("izz", i.m33),
-        ("ixy", i.m12),
-        ("ixz", i.m13),
-        ("iyz", i.m23),
-    ] {
+    for (key, value) in
+        [("ixx", i.m11), ("iyy", i.m22), ("izz", i.m33), ("ixy", i.m12), ("ixz", i.m13), ("iyz", i.m23)]
+    {
+        // What the turning of axes leaves of a zero.
+        let value = if value.abs() < 1e-12 * i.amax() { 0.0 } else { value };
         line!(text, "{key}_kg_m2 = {value}");
     }
 }

@@ -161,13 +161,17 @@ fn root_tag_end(text: &str) -> Option<usize> {
 }
 
 fn xacro(source: &Source, at: usize) -> InputError {
-    let name = source.name.strip_suffix(".xacro").unwrap_or("robot");
-    let output = if name.ends_with(".urdf") { name.to_owned() } else { format!("{name}.urdf") };
+    let output = match source.name.strip_suffix(".xacro") {
+        Some(name) if name.ends_with(".urdf") => name.to_owned(),
+        Some(name) => format!("{name}.urdf"),
+        // Not onto the file itself.
+        None => format!("{}.expanded.urdf", source.name.trim_end_matches(".urdf")),
+    };
     source.error(
         at..at + 1,
         "this is xacro source, not a URDF: its macros are not expanded here",
         Some(format!(
-            "expected a URDF: run `xacro {} > {output}` (ROS: `ros2 run xacro xacro`) with the arguments of the robot's package, and give {output}",
+            "expected a URDF: run `xacro {} > {output}` (ROS 2: `ros2 run xacro xacro ...`) with the arguments of the robot's package, and give {output}",
             source.name
         )),
     )
@@ -179,9 +183,13 @@ fn refusal(source: &Source, lead: usize, error: &XmlError) -> InputError {
     let lines = text.split_inclusive('\n').take(position.row.saturating_sub(1) as usize);
     let start: usize = lines.map(str::len).sum();
     let line = text.get(start..).unwrap_or_default();
-    let column = line.chars().take(position.col.saturating_sub(1) as usize).map(char::len_utf8).sum::<usize>();
+    let column =
+        line.chars().take(position.col.saturating_sub(1) as usize).map(char::len_utf8).sum::<usize>();
     let at = lead + start + column;
-    source.error(at..at + 1, format!("not the XML of a URDF: {error}"), Some("expected a URDF".to_owned()))
+    let said = error.to_string();
+    // The place is told by the line of this message.
+    let said = said.split(" at ").next().unwrap_or_default().replace('\n', "the end of the line");
+    source.error(at..at + 1, format!("not the XML of a URDF: {said}"), Some("expected a URDF".to_owned()))
 }
 
 struct Reader<'a> {
@@ -252,11 +260,7 @@ impl Reader<'_> {
         Ok(Tree { name, links, joints, passed_over, span })
     }
 
-    fn joint(
-        &self,
-        node: &Node<'_, '_>,
-        links: &BTreeMap<String, usize>,
-    ) -> Result<Joint, InputError> {
+    fn joint(&self, node: &Node<'_, '_>, links: &BTreeMap<String, usize>) -> Result<Joint, InputError> {
         let (name, kind) = (self.required(node, "name")?, self.required(node, "type")?);
         let end = |role: &str| {
             let Some(at) = child(node, role) else {
@@ -319,7 +323,8 @@ fn child<'a, 'i>(node: &Node<'a, 'i>, name: &str) -> Option<Node<'a, 'i>> {
 fn is_xacro(node: &Node<'_, '_>) -> bool {
     let is_macro = node.tag_name().namespace().is_some_and(|space| space.contains("xacro"));
     let is_open = |value: &str| value.contains("${") || value.contains("$(");
-    let robot = ["robot", "link", "joint", "origin", "axis", "limit", "parent", "child", "mass", "inertia", "mimic"];
+    let robot =
+        ["robot", "link", "joint", "origin", "axis", "limit", "parent", "child", "mass", "inertia", "mimic"];
     node.is_element()
         && (is_macro || robot.contains(&local(node)) && node.attributes().any(|a| is_open(a.value())))
 }
@@ -336,12 +341,7 @@ impl Element {
     }
 
     /// `count` numbers of an attribute; `None` where it is not there.
-    pub fn numbers(
-        &self,
-        source: &Source,
-        name: &str,
-        count: usize,
-    ) -> Result<Option<Vec<f64>>, InputError> {
+    pub fn numbers(&self, source: &Source, name: &str, count: usize) -> Result<Option<Vec<f64>>, InputError> {
         let Some((text, span)) = self.attribute(name) else { return Ok(None) };
         let numbers: Vec<f64> = text
             .split_whitespace()
@@ -380,7 +380,9 @@ impl Element {
 pub(super) fn origin(source: &Source, element: Option<&Element>) -> Result<Transform, InputError> {
     let Some(element) = element else { return Ok(Transform::identity()) };
     let three = |name| {
-        Ok::<_, InputError>(element.numbers(source, name, 3)?.map_or_else(Vector3::zeros, |v| Vector3::from_row_slice(&v)))
+        Ok::<_, InputError>(
+            element.numbers(source, name, 3)?.map_or_else(Vector3::zeros, |v| Vector3::from_row_slice(&v)),
+        )
     };
     let (place, turn) = (three("xyz")?, three("rpy")?);
     let rotation = match element.numbers(source, "quat_xyzw", 4)? {

@@ -62,7 +62,8 @@ impl Reader<'_> {
                     );
                 }
                 (Some(shown), None) => {
-                    zero[axis] = self.offset(joint, &shown.get_ref().offset_deg, &shown.get_ref().offset_mm)?;
+                    zero[axis] =
+                        self.offset(joint, &shown.get_ref().offset_deg, &shown.get_ref().offset_mm)?;
                     self.shown(&joints, axis, shown.get_ref(), &mut rows)?;
                 }
                 (None, Some(follows)) => {
@@ -153,11 +154,7 @@ impl Reader<'_> {
             Some(index) => Ok(index),
             None => {
                 let names: Vec<_> = joints.iter().map(|joint| joint.name.get_ref().as_str()).collect();
-                self.error(
-                    span,
-                    format!("{key}: no joint {name:?}"),
-                    &format!("one of {}", names.join(", ")),
-                )
+                self.error(span, format!("{key}: no joint {name:?}"), &format!("one of {}", names.join(", ")))
             }
         }
     }

@@ -98,7 +98,11 @@ impl Reader<'_> {
             let inertia = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
             if let Some(fault) = inertia_fault(&inertia) {
                 let message = format!("the inertia of joint {name:?} {fault}");
-                return self.error(stated.span(), message, "that of a body, or none: nothing at rest needs it");
+                return self.error(
+                    stated.span(),
+                    message,
+                    "that of a body, or none: nothing at rest needs it",
+                );
             }
             inertia
         } else if moments.iter().chain(&products).any(|value| value.is_some()) {

@@ -290,7 +290,10 @@ impl Reader<'_> {
             let message = format!("the mass of link {link} is {} kg", body.mass);
             return Err(self.error(span("mass"), message, "a mass above zero"));
         }
-        if !(body.inertia.amax().is_finite() && body.mass.is_finite() && body.centre_of_mass.amax().is_finite()) {
+        if !(body.inertia.amax().is_finite()
+            && body.mass.is_finite()
+            && body.centre_of_mass.amax().is_finite())
+        {
             let message = format!("the inertial of link {link} is too large a number");
             return Err(self.error(self.elements[inertial].span.clone(), message, "SI units"));
         }
@@ -298,7 +301,11 @@ impl Reader<'_> {
             None => Ok(()),
             Some(fault) => {
                 let message = format!("the inertia of link {link} {fault}");
-                Err(self.error(span("inertia"), message, "that of a body: moments above zero, none above the sum of the others"))
+                Err(self.error(
+                    span("inertia"),
+                    message,
+                    "that of a body: moments above zero, none above the sum of the others",
+                ))
             }
         }
     }
