@@ -16,11 +16,11 @@ use super::{Cli, CliError, Verdict, print, read_scenario, say};
 use crate::pipeline::PipelineError;
 use crate::scenario::Scenario;
 use calibrig_estimation::identification::{
-    Explanation, Finding, FrameChoice, IdentifiabilityReport, Mode, TargetChoice, explain, identifiability,
-    neighbour_axis_rules, spectrum, structural_poses,
+    Explanation, Finding, FrameChoice, IdentifiabilityReport, Mode, TargetChoice, explain,
+    identifiability_of, neighbour_axis_rules, reachable_poses, spectrum,
 };
 use calibrig_model::random::{Source, stream};
-use calibrig_model::{KinematicModel, ModelError, ParameterId};
+use calibrig_model::{CalibrationModel, KinematicModel, ModelError, ParameterId};
 
 /// Say which parameters position measurements can tell: rank, dependent groups, weak directions, and what would help
 ///
@@ -87,6 +87,7 @@ fn scenario_poses(scenario: &Scenario) -> String {
 struct Question {
     name: String,
     model: KinematicModel,
+    robot: CalibrationModel,
     poses: Vec<Vec<f64>>,
     poses_from: String,
     target: Vector3<f64>,
@@ -111,8 +112,8 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         Analysed::Extended => return coupled::execute(args, Mode::Extended),
     }
     let question = question(args)?;
-    let report = identifiability(
-        &question.model,
+    let report = identifiability_of(
+        &question.robot,
         &question.poses,
         &question.target,
         question.frame_free,
@@ -143,22 +144,13 @@ fn question(args: &Args) -> Result<Question, CliError> {
         let robot = args.chain.robot(args.model.as_deref(), args.urdf.as_deref())?;
         robot.remarks.iter().for_each(|remark| say(remark));
         let target = robot.target().unwrap_or(MOUNTABLE_TARGET);
-        let poses = structural_poses(&robot.model.kinematics, SPREAD_POSES);
-        let model = robot.model.kinematics;
-        // Joints that follow others go nowhere by themselves.
-        let reached = |joints: Vec<f64>| {
-            let mut reached = joints.clone();
-            let command = robot.model.actuators.command_from_joints(&joints);
-            robot.model.actuators.joints_from_command(&command, &mut reached);
-            reached
-        };
-        let follows = (0..model.joint_count()).any(|joint| !robot.model.actuators.is_commanded(joint));
         return Ok(Question {
             name: robot.name,
-            poses: if follows { poses.into_iter().map(reached).collect() } else { poses },
+            poses: reachable_poses(&robot.model, SPREAD_POSES),
             poses_from: spread_poses(),
             target,
-            model,
+            model: robot.model.kinematics.clone(),
+            robot: robot.model,
             frame_free: true,
             target_free: true,
         });
@@ -173,7 +165,8 @@ fn question(args: &Args) -> Result<Question, CliError> {
         name: scenario.name,
         poses,
         target,
-        model: scenario.robot.model.kinematics,
+        model: scenario.robot.model.kinematics.clone(),
+        robot: scenario.robot.model,
         frame_free: scenario.options.frame == FrameChoice::Free,
         target_free: scenario.options.target == TargetChoice::Identified,
     })

@@ -10,9 +10,7 @@ use super::{Args, CliError, MOUNTABLE_TARGET, SPREAD_POSES, Verdict, scenario_po
 use crate::cli::print;
 use crate::pipeline::{PipelineError, default_options, planned, planned_at};
 use crate::scenario::load_scenario;
-use calibrig_estimation::identification::{
-    IdentificationOptions, Mode, Prospect, prospect, structural_poses,
-};
+use calibrig_estimation::identification::{IdentificationOptions, Mode, Prospect, prospect, reachable_poses};
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, ParameterId};
 
@@ -65,7 +63,7 @@ fn of_scenario(path: &Path) -> Result<Plan, CliError> {
 fn of_robot(args: &Args, path: &Path) -> Result<Plan, CliError> {
     let robot = args.chain.robot(args.model.as_deref(), args.urdf.as_deref())?;
     robot.remarks.iter().for_each(|remark| super::say(remark));
-    let poses = structural_poses(&robot.model.kinematics, SPREAD_POSES);
+    let poses = reachable_poses(&robot.model, SPREAD_POSES);
     let set = planned_at(&robot.model, &poses, robot.target().unwrap_or(MOUNTABLE_TARGET))
         .map_err(|error| failed(error, path.to_path_buf()))?;
     let options = IdentificationOptions { tolerance: None, ..default_options(&robot) };
