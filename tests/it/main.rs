@@ -7,6 +7,7 @@ mod a_user_brings_a_robot;
 mod a_user_calibrates_a_real_robot;
 mod a_user_checks_the_elimination;
 mod a_user_compares_with_the_truth;
+mod a_user_counts_axes_otherwise;
 mod a_user_exchanges_files;
 mod a_user_has_a_damaged_recording;
 #[cfg(unix)]

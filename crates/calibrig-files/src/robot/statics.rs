@@ -177,7 +177,10 @@ impl Reader<'_> {
     /// The bodies of `[joint.body]`; those of a URDF are not stated a second time.
     fn stated_bodies(&self, urdf: Option<&UrdfRobot>) -> Result<Vec<Body>, InputError> {
         let in_urdf = urdf.is_some_and(|urdf| urdf.joints.iter().any(|joint| joint.body.is_some()));
-        let stated = |table: &Spanned<JointTable>| match self.stated_body(table)? {
+        // All first, so that a mistake in one is told before that others have none.
+        let bodies: Vec<Option<Body>> =
+            self.file.joint.iter().map(|table| self.stated_body(table)).collect::<Result<_, _>>()?;
+        let stated = |(table, body): (&Spanned<JointTable>, Option<Body>)| match body {
             Some(body) if !in_urdf => Ok(body),
             Some(_) => {
                 let span = table.get_ref().body.as_ref().map_or(0..0, Spanned::span);
@@ -189,7 +192,7 @@ impl Reader<'_> {
                 self.error(table.span(), message, "mass and centre of what every joint carries, or of none")
             }
         };
-        self.file.joint.iter().map(stated).collect()
+        self.file.joint.iter().zip(bodies).map(stated).collect()
     }
 
     /// A beam is a part of its link's body.
