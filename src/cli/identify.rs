@@ -20,9 +20,9 @@ use calibrig_estimation::identification::{
     MachineNoiseChoice, Mode, ParameterBound, ParameterChoice, RefusedBound, SolverOptions, Tolerance,
     UNKNOWN_STIFFNESS, check_bounds,
 };
-use calibrig_files::Robot;
 use calibrig_files::{ColumnMap, load_column_map, parse_column_map, parse_measurements};
 use calibrig_files::{MeasuredFile, SessionFile, Source, Statements, load_session, state};
+use calibrig_files::{Robot, add_followers, commanded_joints};
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{BodyUncertainty, CalibrationModel, FAMILIES, JointKind, ParameterId, Unit};
 
@@ -488,7 +488,7 @@ pub(super) fn load(
     session: Option<&Path>,
     files: &[(SetKind, &Path)],
 ) -> Result<Loaded, CliError> {
-    let joints = commanded(&robot.model);
+    let joints = commanded_joints(&robot.model);
     let columns = match columns {
         Some(path) => {
             let (map, source) = load_column_map(path)?;
@@ -524,32 +524,6 @@ pub(super) fn load(
     }
     sources.extend(session.as_ref().map(|(_, source)| ("session".to_owned(), source.clone())));
     Ok(Loaded { robot, sources, sets, statements, session })
-}
-
-/// Kinds of the joints that are commanded, in their order: the columns of a measurement file.
-fn commanded(model: &CalibrationModel) -> Vec<JointKind> {
-    let links = model.kinematics.links.iter().enumerate();
-    links.filter(|(joint, _)| model.actuators.is_commanded(*joint)).map(|(_, link)| link.kind).collect()
-}
-
-/// Puts the commands of joints that follow others, which are always zero, where the columns of a file leave them out.
-fn add_followers(model: &CalibrationModel, set: &mut MeasurementSet) {
-    let count = model.kinematics.joint_count();
-    if (0..count).all(|joint| model.actuators.is_commanded(joint)) {
-        return;
-    }
-    for observation in &mut set.observations {
-        let mut commands = std::mem::take(&mut observation.command).into_iter();
-        let mut approaches = std::mem::take(&mut observation.approach).into_iter();
-        let told = approaches.len() > 0;
-        for joint in 0..count {
-            let commanded = model.actuators.is_commanded(joint);
-            observation.command.push(if commanded { commands.next().unwrap_or(0.0) } else { 0.0 });
-            if told {
-                observation.approach.push(if commanded { approaches.next().unwrap_or(0) } else { 0 });
-            }
-        }
-    }
 }
 
 /// The failure of an identification from these files, at the last line of the fitted one where more poses are what it needs.

@@ -182,6 +182,10 @@ fn robots_of_all_kinds_are_calibrated_from_their_urdf_alone() {
         ("13_two_arms", Some("left_hand"), Some("right_hand")),
         ("04_industrial_negative_axes", None, Some("cell_tool0")),
         ("02_cobot_along_y", None, None),
+        ("05_elbow_against_horizontal", None, None),
+        ("09_continuous_joints", None, None),
+        ("10_scara", None, None),
+        ("20_cable_arm", None, None),
     ] {
         let file = Path::new(FOLDER).join(name).with_extension("urdf");
         let options =
@@ -205,4 +209,122 @@ fn robots_of_all_kinds_are_calibrated_from_their_urdf_alone() {
             assert!(rms < 40e-6, "{name}: {row} {rms}");
         }
     }
+}
+
+/// What was there is not written over; what is refused leaves nothing.
+#[test]
+fn a_robot_file_is_never_written_over_unasked() {
+    let sandbox = Sandbox::new();
+    sandbox.write("arm.urdf", include_str!("../fixtures/urdf/10_scara.urdf"));
+    let made = ["model", "from-urdf", "arm.urdf", "--out", "arm"];
+    let ended = sandbox.run(made);
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert!(ended.stdout.starts_with("arm/robot.toml: scara_400, 4 joints, at most "), "{ended:?}");
+    sandbox.write("arm/robot.toml", "mine");
+    let ended = sandbox.run(made);
+    assert_eq!((ended.code, sandbox.read("arm/robot.toml").as_str()), (Some(1), "mine"));
+    assert!(
+        ended.stderr.contains("robot.toml is there already") && ended.stderr.contains("--force"),
+        "{ended:?}"
+    );
+    let ended = sandbox.run(made.iter().copied().chain(["--force"]));
+    assert_eq!(ended.code, Some(0));
+    assert!(sandbox.read("arm/robot.toml").contains("[joint.body]"));
+
+    sandbox.write(
+        "arm.urdf.xacro",
+        "<robot name=\"a\" xmlns:xacro=\"http://www.ros.org/wiki/xacro\"><xacro:arm/></robot>",
+    );
+    let ended = sandbox.run(["model", "from-urdf", "arm.urdf.xacro", "--out", "new"]);
+    assert_eq!(ended.code, Some(1));
+    assert!(ended.stderr.contains("run `xacro arm.urdf.xacro > arm.urdf`"), "{ended:?}");
+    assert!(!sandbox.path("new").exists());
+}
+
+#[test]
+fn a_table_of_a_manual_is_calibrated() {
+    let sandbox = Sandbox::new();
+    sandbox.write(
+        "ur.csv",
+        "name,a_mm,alpha_deg,d_mm,theta_deg\nbase,0,90,89.159,q1\nshoulder,-425,0,0,q2\nelbow,-392.25,0,0,q3\nwrist 1,0,90,109.15,q4\n\
+         wrist 2,0,-90,94.65,q5\nwrist 3,0,0,82.3,q6\n",
+    );
+    let ended = sandbox.run([
+        "model",
+        "from-dh",
+        "ur.csv",
+        "--convention",
+        "standard",
+        "--out",
+        "ur",
+        "--target-mm",
+        "0,0,50",
+    ]);
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert!(ended.stderr.contains("assumed: limits of base, shoulder"), "{ended:?}");
+    let made = load_robot(&sandbox.path("ur/robot.toml")).expect("as written");
+    let known = load_robot(Path::new("models/ur5/robot.toml")).expect("the model of the repository");
+    for q in [[0.1, -1.0, 0.7, 2.0, -0.4, 1.3], [2.0, 0.3, -1.2, 0.6, 1.5, -2.2]] {
+        let [one, other] =
+            [&made, &known].map(|robot| forward_kinematics(&robot.model.kinematics, &q).expect("a pose"));
+        assert!((one.to_homogeneous() - other.to_homogeneous()).norm() < 1e-14);
+    }
+    let ended = sandbox.run(["identifiability", "--model", "ur/robot.toml"]);
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+}
+
+/// A robot without masses has no gravity modes; asked for one, the command says why.
+#[test]
+fn gravity_without_masses_is_refused_where_it_is_asked_for() {
+    let file = Path::new(FOLDER).join("04_industrial_negative_axes.urdf");
+    let (_, text) = measured(
+        &file,
+        &UrdfOptions { tip: Some("cell_tool0".to_owned()), ..UrdfOptions::default() },
+        40,
+        2e-5,
+    );
+    let sandbox = Sandbox::new();
+    sandbox.write("m.csv", &text);
+    let mut command = Command::new(env!("CARGO_BIN_EXE_calibrig"));
+    command.args(["identify", "--mode", "with_gravity", "--tip", "cell_tool0", "--urdf"]).arg(&file);
+    let output = command.arg("--measurements").arg(sandbox.path("m.csv")).output().expect("the binary runs");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("no mass: links cell_link_1, cell_link_2") && said.contains("masses"), "{said}");
+}
+
+/// A recording of a robot with followers is a file of text without their columns, and back.
+#[test]
+fn followers_have_no_columns_in_files() {
+    let file = Path::new(FOLDER).join("14_palletizer.urdf");
+    let (_, text) = measured(&file, &UrdfOptions::default(), 30, 2e-5);
+    let sandbox = Sandbox::new();
+    sandbox.write("m.csv", &text);
+    sandbox.write("palletizer.urdf", std::fs::read_to_string(&file).expect("a fixture"));
+    let ended = sandbox.run([
+        "export",
+        "mcap",
+        "--urdf",
+        "palletizer.urdf",
+        "--measurements",
+        "m.csv",
+        "--out",
+        "m.mcap",
+    ]);
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let ended = sandbox.run(["export", "csv", "m.mcap", "--out", "tables"]);
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let header = sandbox.read("tables/identification.csv");
+    let header = header.lines().next().expect("a header");
+    assert!(header.contains("q4_rad") && !header.contains("q5_rad"), "{header}");
+    let ended = sandbox.run([
+        "identify",
+        "--urdf",
+        "palletizer.urdf",
+        "--measurements",
+        "tables/identification.csv",
+        "--mode",
+        "only_calibration",
+    ]);
+    assert_eq!(ended.code, Some(0), "{ended:?}");
 }

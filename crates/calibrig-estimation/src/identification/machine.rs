@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::Mode;
 use crate::elastostatics::{Deflection, ElasticChain, ElasticError};
-use crate::kinematics::{PlacedChain, frames};
+use crate::kinematics::{PlacedChain, frames, nominal_joints};
 use calibrig_model::geometry::Transform;
 use calibrig_model::{
     CalibrationModel, CraigLink, KinematicModel, ModelError, ParameterId, PoseQuery, TermId, TermPlace,
@@ -125,7 +125,10 @@ impl Machine {
         let mut told = Prepared { command: pose.command.to_vec(), ..Prepared::default() };
         match &mut self.kind {
             Kind::Joints { predicted, joints, .. } => {
-                self.nominal.actuators.joints_from_command(pose.command, joints);
+                match predicted {
+                    Some(_) => self.nominal.actuators.joints_from_command(pose.command, joints),
+                    None => nominal_joints(&self.nominal, pose.command, joints)?,
+                }
                 if let Some(predicted) = predicted {
                     predicted.rest(pose.command, &[], Deflection::Equilibrium)?;
                     for (q, deflection) in joints.iter_mut().zip(predicted.deflections()) {

@@ -6,8 +6,8 @@ use thiserror::Error;
 use super::JOINTS;
 use calibrig_model::geometry::{Transform, rotation_x, rotation_z};
 use calibrig_model::{
-    ActuatorMap, KinematicModel, LEAST_TRANSMISSION_ANGLE, LinkTerm, LinkageArm, LinkageLength, ModelError,
-    ParameterId,
+    ActuatorMap, CalibrationModel, CraigLink, FourBar, KinematicModel, LEAST_TRANSMISSION_ANGLE, LinkTerm,
+    LinkageArm, LinkageLength, ModelError, ParameterId,
 };
 
 /// Why a four-bar gives no joint angle.
@@ -363,6 +363,36 @@ pub fn joints_from_command(
         joints[linkage.elbow] = linkage.q_elbow(&positions)?;
     }
     Ok(())
+}
+
+/// Joint variables of the rigid nominal machine, for a command and a list that are known to be of it: those of the ideal map, or where the lengths
+/// of its four-bar are those of no parallelogram, of that four-bar.
+///
+/// # Errors
+///
+/// [`ClosureError`] of a four-bar that does not close, with the elbow's entry that of the ideal map.
+pub(crate) fn nominal_joints(
+    model: &CalibrationModel,
+    command: &[f64],
+    joints: &mut [f64],
+) -> Result<(), ClosureError> {
+    match model.actuators.four_bar() {
+        Some((_, elbow, _, linkage)) if !is_parallelogram(&model.kinematics, elbow, linkage) => {
+            joints_from_command(&model.kinematics, &model.actuators, command, joints)
+        }
+        _ => {
+            model.actuators.joints_from_command(command, joints);
+            Ok(())
+        }
+    }
+}
+
+/// Whether crank and lever are the same, and the rod is as long as the upper arm.
+fn is_parallelogram(kinematics: &KinematicModel, elbow: usize, linkage: &FourBar) -> bool {
+    let is_arm = |link: &CraigLink| {
+        link.a.abs() == linkage.rod && [link.alpha, link.beta, link.d].iter().all(|value| *value == 0.0)
+    };
+    linkage.crank == linkage.lever && kinematics.links.get(elbow).is_some_and(is_arm)
 }
 
 /// The command that takes the rigid machine, with its real four-bar where the lengths are known, to `joints`.

@@ -3,6 +3,7 @@
 
 mod four_bar;
 
+pub(crate) use four_bar::nominal_joints;
 pub use four_bar::{
     Closure, ClosureError, ElbowClosure, ElbowLinkage, command_from_joints, joints_from_command, swing_to,
 };
