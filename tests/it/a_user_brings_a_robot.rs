@@ -258,7 +258,7 @@ fn a_table_of_a_manual_is_calibrated() {
         "--out",
         "ur",
         "--target-mm",
-        "0,0,50",
+        "50,20,60",
     ]);
     assert_eq!(ended.code, Some(0), "{ended:?}");
     assert!(ended.stderr.contains("assumed: limits of base, shoulder"), "{ended:?}");

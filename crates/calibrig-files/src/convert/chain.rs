@@ -143,7 +143,7 @@ impl Finder<'_> {
     }
 
     fn joint_above(&self, link: usize) -> Option<usize> {
-        self.tree.joints.iter().position(|joint| joint.child == link)
+        self.tree.above[link]
     }
 
     /// Joints from a link up to its root.

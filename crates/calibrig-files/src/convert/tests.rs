@@ -267,7 +267,8 @@ fn a_table_of_a_manual_becomes_a_robot() {
     let made = table(text, Convention::Standard).expect("a table");
     let links = &made.robot.model.kinematics.links;
     assert!(
-        (links[0].d - 0.089_159).abs() < 1e-15 && (links[1].theta + 1.570_796_326_794_896_6).abs() < 1e-15
+        (links[0].d - 0.089_159).abs() < 1e-15
+            && (links[1].theta + std::f64::consts::FRAC_PI_2).abs() < 1e-15
     );
     // Craig's rows count the a and alpha of the row before.
     assert!((links[2].a + 0.425).abs() < 1e-15);

@@ -72,11 +72,11 @@ fn stiffness(bodies: &[Body], frames: &[Transform], chain: &Chain) -> Option<Vec
     let load = |joint: usize| {
         let mut way = 0.0;
         let mut torque = 0.0;
-        for outer in joint..bodies.len() {
+        for (outer, body) in bodies.iter().enumerate().skip(joint) {
             if outer > joint {
                 way += (place(outer) - place(outer - 1)).norm();
             }
-            torque += GRAVITY * bodies[outer].mass * (way + bodies[outer].centre_of_mass.norm());
+            torque += GRAVITY * body.mass * (way + body.centre_of_mass.norm());
         }
         match chain.joints[joint].kind {
             JointKind::Revolute => torque / SAG,

@@ -53,6 +53,8 @@ pub(super) struct Tree {
     pub name: String,
     pub links: Vec<Link>,
     pub joints: Vec<Joint>,
+    /// Of every link, the joint that carries it; none of a root.
+    pub above: Vec<Option<usize>>,
     pub passed_over: PassedOver,
     pub span: Range<usize>,
 }
@@ -162,8 +164,7 @@ fn root_tag_end(text: &str) -> Option<usize> {
 
 fn xacro(source: &Source, at: usize) -> InputError {
     let output = match source.name.strip_suffix(".xacro") {
-        Some(name) if name.ends_with(".urdf") => name.to_owned(),
-        Some(name) => format!("{name}.urdf"),
+        Some(name) => format!("{}.urdf", name.trim_end_matches(".urdf")),
         // Not onto the file itself.
         None => format!("{}.expanded.urdf", source.name.trim_end_matches(".urdf")),
     };
@@ -243,21 +244,21 @@ impl Reader<'_> {
             links.push(Link { name, span, inertial });
         }
         let mut joints: Vec<Joint> = Vec::new();
-        let mut carried: Vec<Option<String>> = vec![None; links.len()];
+        let mut above: Vec<Option<usize>> = vec![None; links.len()];
         for node in of("joint") {
             passed_over.add_unread(&node, &["parent", "child", "origin", "axis", "limit", "mimic"]);
             let joint = self.joint(&node, &by_name)?;
-            if let Some(other) = carried[joint.child].replace(joint.name.clone()) {
+            if let Some(other) = above[joint.child].replace(joints.len()) {
                 let message = format!(
-                    "joint {} carries link {}, which joint {other} carries too",
-                    joint.name, links[joint.child].name
+                    "joint {} carries link {}, which joint {} carries too",
+                    joint.name, links[joint.child].name, joints[other].name
                 );
                 return self.error(joint.span, message, "one joint a link: loops are no URDF");
             }
             joints.push(joint);
         }
         let name = root.attribute("name").unwrap_or("robot").to_owned();
-        Ok(Tree { name, links, joints, passed_over, span })
+        Ok(Tree { name, links, joints, above, passed_over, span })
     }
 
     fn joint(&self, node: &Node<'_, '_>, links: &BTreeMap<String, usize>) -> Result<Joint, InputError> {

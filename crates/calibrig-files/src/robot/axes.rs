@@ -62,8 +62,11 @@ impl Reader<'_> {
                     );
                 }
                 (Some(shown), None) => {
-                    zero[axis] =
-                        self.offset(joint, &shown.get_ref().offset_deg, &shown.get_ref().offset_mm)?;
+                    zero[axis] = self.offset(
+                        joint,
+                        shown.get_ref().offset_deg.as_ref(),
+                        shown.get_ref().offset_mm.as_ref(),
+                    )?;
                     self.shown(&joints, axis, shown.get_ref(), &mut rows)?;
                 }
                 (None, Some(follows)) => {
@@ -75,7 +78,7 @@ impl Reader<'_> {
                     }
                     let ratio = self.finite_or_one("follows.ratio", table.ratio.as_ref())?;
                     rows[(axis, leader)] -= ratio * unit(joint) / unit(joints[leader]);
-                    zero[axis] = -self.offset(joint, &table.offset_deg, &table.offset_mm)?;
+                    zero[axis] = -self.offset(joint, table.offset_deg.as_ref(), table.offset_mm.as_ref())?;
                     followers.push(axis);
                 }
                 (None, None) => {}
@@ -162,8 +165,8 @@ impl Reader<'_> {
     fn offset(
         &self,
         joint: &JointTable,
-        degrees: &Option<Spanned<f64>>,
-        millimetres: &Option<Spanned<f64>>,
+        degrees: Option<&Spanned<f64>>,
+        millimetres: Option<&Spanned<f64>>,
     ) -> Result<f64, InputError> {
         let (own, other) = match joint.r#type {
             JointType::Revolute => (("offset_deg", degrees), millimetres),
@@ -174,7 +177,7 @@ impl Reader<'_> {
             return self.error(other.span(), message, own.0);
         }
         let (key, value) = own;
-        value.as_ref().map_or(Ok(0.0), |value| Ok(self.source.finite(key, value)? * unit(joint)))
+        value.map_or(Ok(0.0), |value| Ok(self.source.finite(key, value)? * unit(joint)))
     }
 
     fn finite_or_one(&self, key: &str, value: Option<&Spanned<f64>>) -> Result<f64, InputError> {

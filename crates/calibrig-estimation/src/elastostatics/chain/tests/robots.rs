@@ -104,6 +104,14 @@ impl Draw {
     }
 }
 
+fn mounted(links: Vec<CraigLink>) -> KinematicModel {
+    KinematicModel {
+        links,
+        base_from_first: translation(0.02, -0.01, 0.03) * rotation_x(0.04),
+        last_from_flange: translation(0.0, 0.01, 0.02),
+    }
+}
+
 /// Axes that are shown the other way round, in other units, from another zero, and against the axis before.
 fn axes(joints: usize) -> AxisMap {
     let shown = DMatrix::from_fn(joints, joints, |axis, actuator| match (axis, actuator) {
@@ -296,11 +304,7 @@ pub(super) fn painter(seed: u8) -> Case {
     Case {
         command: actuators.command_from_joints(&joints),
         model: CalibrationModel {
-            kinematics: KinematicModel {
-                links,
-                base_from_first: translation(0.02, -0.01, 0.03) * rotation_x(0.04),
-                last_from_flange: translation(0.0, 0.01, 0.02),
-            },
+            kinematics: mounted(links),
             actuators,
             statics: Some(statics),
             motor_turns: vec![None; 7],
