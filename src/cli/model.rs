@@ -96,6 +96,9 @@ pub(super) struct ChainArgs {
     /// The target in the frame of the tip
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = target)]
     pub target_mm: Option<Target>,
+    /// Gravity in the frame of the base, where its z axis does not stand upright
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = acceleration)]
+    pub gravity_m_per_s2: Option<Acceleration>,
 }
 
 impl ChainArgs {
@@ -107,6 +110,7 @@ impl ChainArgs {
                 ("--base", self.base.is_some()),
                 ("--tip", self.tip.is_some()),
                 ("--target-mm", self.target_mm.is_some()),
+                ("--gravity-m-per-s2", self.gravity_m_per_s2.is_some()),
             ];
             if let Some((flag, _)) = flags.iter().find(|(_, given)| *given) {
                 let message = format!("{flag}: expected --urdf beside it; a robot's file says this itself");
@@ -124,6 +128,7 @@ impl ChainArgs {
             base: self.base.clone(),
             tip: self.tip.clone(),
             target: self.target_mm.map(|target| target.0),
+            gravity: self.gravity_m_per_s2.map(|gravity| gravity.0),
         }
     }
 }
@@ -145,15 +150,30 @@ struct OutputArgs {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Target(Vector3<f64>);
 
-fn target(text: &str) -> Result<Target, String> {
-    let numbers: Vec<f64> = text
-        .split(',')
-        .filter_map(|number| number.trim().parse::<f64>().ok())
-        .filter(|number| number.abs() <= 1e6)
-        .collect();
+/// m/s²
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Acceleration(Vector3<f64>);
+
+/// Three numbers with commas between.
+fn three(text: &str) -> Option<Vector3<f64>> {
+    let numbers: Vec<f64> = text.split(',').filter_map(|number| number.trim().parse().ok()).collect();
     match (numbers.as_slice(), text.split(',').count()) {
-        ([x, y, z], 3) => Ok(Target(Vector3::new(*x, *y, *z) / 1e3)),
-        _ => Err("expected three numbers of mm with commas between, such as 12.5,0,80".to_owned()),
+        ([x, y, z], 3) => Some(Vector3::new(*x, *y, *z)),
+        _ => None,
+    }
+}
+
+fn target(text: &str) -> Result<Target, String> {
+    match three(text).filter(|place| place.iter().all(|number| number.abs() <= 1e6)) {
+        Some(place) => Ok(Target(place / 1e3)),
+        None => Err("expected three numbers of mm with commas between, such as 12.5,0,80".to_owned()),
+    }
+}
+
+fn acceleration(text: &str) -> Result<Acceleration, String> {
+    match three(text).filter(|gravity| (0.1..=100.0).contains(&gravity.norm())) {
+        Some(gravity) => Ok(Acceleration(gravity)),
+        None => Err("expected three numbers of m/s² with commas between, such as 0,-9.81,0".to_owned()),
     }
 }
 

@@ -188,8 +188,11 @@ fn robots_of_all_kinds_are_calibrated_from_their_urdf_alone() {
         ("20_cable_arm", None, None),
     ] {
         let file = Path::new(FOLDER).join(name).with_extension("urdf");
-        let options =
-            UrdfOptions { base: base.map(str::to_owned), tip: tip.map(str::to_owned), target: None };
+        let options = UrdfOptions {
+            base: base.map(str::to_owned),
+            tip: tip.map(str::to_owned),
+            ..UrdfOptions::default()
+        };
         let (_, text) = measured(&file, &options, 60, 20e-6);
         let sandbox = Sandbox::new();
         sandbox.write("m.csv", &text);

@@ -73,6 +73,9 @@ impl Chain {
     }
 }
 
+/// Limits beyond this say that there are none, rad or m.
+const ENDLESS: f64 = 1e5;
+
 /// A step of the way from base to tip: a joint, and whether it is gone through from its child to its parent.
 type Step = (usize, bool);
 
@@ -329,6 +332,14 @@ impl Finder<'_> {
 
     fn limits(&self, joint: &Joint, continuous: bool) -> Result<Option<[f64; 2]>, InputError> {
         let Some(element) = joint.limit.as_ref().filter(|_| !continuous) else { return Ok(None) };
+        // Some write infinity, or a number that stands for it.
+        let endless = |name| {
+            let value = element.attribute(name).and_then(|(text, _)| text.trim().parse::<f64>().ok());
+            value.is_some_and(|value| value.abs() > ENDLESS)
+        };
+        if endless("lower") || endless("upper") {
+            return Ok(None);
+        }
         let number = |name| element.number(self.source, name).map(|value| value.unwrap_or(0.0));
         let [low, high] = [number("lower")?, number("upper")?];
         // A joint that cannot move is one whose limits were never filled in.

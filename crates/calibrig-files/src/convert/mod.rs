@@ -43,6 +43,8 @@ pub struct UrdfOptions {
     pub tip: Option<String>,
     /// The target in the flange's frame, m.
     pub target: Option<Vector3<f64>>,
+    /// Gravity in the base's frame, m/s²; against its z axis without it.
+    pub gravity: Option<Vector3<f64>>,
 }
 
 /// A robot file that was made.
@@ -98,6 +100,7 @@ pub fn robot_from_urdf(source: &Source, options: &UrdfOptions) -> Result<Convert
         follows: &follows,
         bodies: Bodies::of(&bodies, &frames, &chain),
         target: options.target,
+        gravity: options.gravity,
         faults: &faults,
     };
     let (text, more) = text.write(&remarks, &assumed);

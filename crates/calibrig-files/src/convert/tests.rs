@@ -34,6 +34,7 @@ fn between(text: &str, base: &str, tip: &str) -> Result<Converted, InputError> {
         base: Some(base.to_owned()),
         tip: Some(tip.to_owned()),
         target: Some(Vector3::new(0.01, -0.02, 0.03)),
+        gravity: Some(Vector3::new(0.0, -9.81, 0.0)),
     };
     robot_from_urdf(&Source::new("two.urdf", text), &options)
 }
@@ -104,6 +105,7 @@ fn a_chain_may_go_up_the_tree_and_down_again() {
     let and_back = flange(&back, &[-0.7, 0.4]);
     assert!(((there * and_back).to_homogeneous() - nalgebra::Matrix4::identity()).norm() < 1e-12);
     assert_eq!(forth.target(), Some(Vector3::new(0.01, -0.02, 0.03)));
+    assert_eq!(forth.model.statics.expect("masses").gravity, Vector3::new(0.0, -9.81, 0.0));
 }
 
 #[test]
@@ -122,6 +124,20 @@ fn no_masses_cost_gravity_and_not_the_command() {
     assert!(
         made.remarks.iter().any(|line| line.contains("the inertia of link arm is not positive definite"))
     );
+}
+
+#[test]
+fn limits_that_are_none_are_assumed() {
+    for limit in
+        ["lower=\"-inf\" upper=\"inf\"", "lower=\"-1e16\" upper=\"1e16\"", "lower=\"0\" upper=\"0\"", ""]
+    {
+        let text = TWO.replacen("lower=\"-1\" upper=\"1.5\"", limit, 1);
+        let made = convert(&text).expect("a chain");
+        assert!((made.robot.model.kinematics.links[0].limits[1] - std::f64::consts::TAU).abs() < 1e-12);
+        assert!(
+            made.remarks.iter().any(|line| line.contains("limits of joint swing, which states no limits"))
+        );
+    }
 }
 
 #[test]

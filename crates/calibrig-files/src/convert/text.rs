@@ -20,6 +20,8 @@ pub(super) struct Text<'a> {
     pub follows: &'a [(usize, usize, f64, f64)],
     pub bodies: Option<Bodies>,
     pub target: Option<Vector3<f64>>,
+    /// m/s² in the base; against its z axis without it.
+    pub gravity: Option<Vector3<f64>>,
     pub faults: &'a [String],
 }
 
@@ -265,19 +267,26 @@ impl Text<'_> {
         }
         if let Some(target) = self.target {
             line!(text);
-            line!(text, "# As asked for (--target-mm), in the frame of {tip}.");
+            line!(text, "# As asked for (--target-mm), in the frame of {}.", one_line(tip));
             line!(text, "[target]");
             let [x, y, z] = [target.x, target.y, target.z].map(mm);
             line!(text, "x_mm = {x}\ny_mm = {y}\nz_mm = {z}");
         }
         match &self.bodies {
             Some(_) => {
+                let gravity = self.gravity.unwrap_or(Vector3::new(0.0, 0.0, -GRAVITY));
                 line!(text);
-                line!(text, "# Assumed: {base} stands upright, its z axis against gravity.");
+                match self.gravity {
+                    Some(_) => line!(text, "# As asked for (--gravity-m-per-s2), in the frame of {}.", one_line(base)),
+                    None => {
+                        line!(text, "# Assumed: {} stands upright, its z axis against gravity.", one_line(base));
+                        more.push(format!("gravity along -z of {base} (--gravity-m-per-s2)"));
+                    }
+                }
                 line!(text, "[gravity]");
-                line!(text, "x_m_per_s2 = 0\ny_m_per_s2 = 0\nz_m_per_s2 = -{GRAVITY}");
+                line!(text, "x_m_per_s2 = {}\ny_m_per_s2 = {}\nz_m_per_s2 = {}", gravity.x, gravity.y, gravity.z);
                 more.push(format!(
-                    "gravity along -z of {base}; stiffnesses of the drives, of which the file says nothing: {} mrad (mm) of sag under what each carries, and compliance_percent = {COMPLIANCE_PERCENT}",
+                    "stiffnesses of the drives, of which the file says nothing: {} mrad (mm) of sag under what each carries, and compliance_percent = {COMPLIANCE_PERCENT}",
                     1e3 * SAG
                 ));
             }
@@ -340,7 +349,8 @@ fn body(text: &mut String, body: &Body) {
 
 /// A comment stays one.
 fn one_line(text: &str) -> String {
-    text.split_whitespace().collect::<Vec<_>>().join(" ")
+    let plain: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+    plain.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 #[cfg(test)]

@@ -257,7 +257,12 @@ impl Reader<'_> {
             }
             joints.push(joint);
         }
-        let name = root.attribute("name").unwrap_or("robot").to_owned();
+        let name = root
+            .attribute("name")
+            .map(str::trim)
+            .filter(|name| !name.is_empty())
+            .unwrap_or("robot")
+            .to_owned();
         Ok(Tree { name, links, joints, above, passed_over, span })
     }
 
