@@ -18,7 +18,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let robot = load_robot(Path::new("models/ur5/robot.toml"))?.model;
     let mut machine = AsBuilt {
         kinematics: robot.kinematics.clone(),
-        actuators: robot.actuators,
+        actuators: robot.actuators.clone(),
         statics: robot.statics.clone().ok_or("the robot's files give no masses")?,
         target: Vector3::new(0.05, 0.03, 0.10),
         effects: Effects::default(),

@@ -7,6 +7,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::{Value, json};
 
 use super::identify::{Loaded, LossArg, failed, load};
+use super::model::ChainArgs;
 use super::{CliError, Verdict, not_identified, output, print, read_scenario, say};
 use crate::pipeline::{self, ChosenRow, ModelChoice, PlantKind, SetKind, choose, default_options, simulate};
 use calibrig_estimation::evaluation::{Criteria, Verdict as Worth};
@@ -29,19 +30,24 @@ robot's file states of its stiffnesses, masses and centres (compliance_percent, 
 Exit code 3 if a fit did not converge or a model could not be fitted.")]
 pub(super) struct Args {
     /// The scenario file, whose identification poses are simulated
-    #[arg(required_unless_present = "model", conflicts_with_all = ["model", "measurements", "columns", "session"])]
+    #[arg(required_unless_present = "robot", conflicts_with_all = ["robot", "measurements", "columns", "session"])]
     scenario: Option<PathBuf>,
     /// The robot's file
-    #[arg(long, value_name = "ROBOT.toml", requires = "measurements")]
+    #[arg(long, value_name = "ROBOT.toml", group = "robot", requires = "measurements")]
     model: Option<PathBuf>,
+    /// The robot's URDF in place of a file of its own; read as `calibrig model from-urdf` does
+    #[arg(long, value_name = "FILE", group = "robot", requires = "measurements")]
+    urdf: Option<PathBuf>,
+    #[command(flatten)]
+    chain: ChainArgs,
     /// Positions to fit and to hold out
-    #[arg(long, value_name = "FILE", requires = "model")]
+    #[arg(long, value_name = "FILE", requires = "robot")]
     measurements: Option<PathBuf>,
     /// Column map of the file, instead of the one that the robot's file names
-    #[arg(long, value_name = "MAP.toml", requires = "model")]
+    #[arg(long, value_name = "MAP.toml", requires = "robot")]
     columns: Option<PathBuf>,
     /// Stations with their nests, and targets with their uncertainty (docs/formats.md)
-    #[arg(long, value_name = "SESSION.toml", requires = "model")]
+    #[arg(long, value_name = "SESSION.toml", requires = "robot")]
     session: Option<PathBuf>,
     /// Parts that are held out in turn; as many as poses hold them out one by one
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..=100_000))]
@@ -53,7 +59,7 @@ pub(super) struct Args {
     #[arg(long, value_enum)]
     loss: Option<LossArg>,
     /// Fit although the nominal robot does not lie on the points; ends with exit code 3
-    #[arg(long, requires = "model")]
+    #[arg(long, requires = "robot")]
     fit_anyway: bool,
     /// Print as JSON (schema calibrig.choice/1)
     #[arg(long)]
@@ -61,9 +67,9 @@ pub(super) struct Args {
 }
 
 pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
-    let (name, choice, plausible) = match (&args.scenario, &args.model, &args.measurements) {
-        (Some(scenario), _, _) => of_scenario(args, scenario)?,
-        (None, Some(model), Some(measurements)) => of_files(args, model, measurements)?,
+    let (name, choice, plausible) = match (&args.scenario, &args.measurements) {
+        (Some(scenario), _) => of_scenario(args, scenario)?,
+        (None, Some(measurements)) => of_files(args, measurements)?,
         // Refused by the argument parser.
         _ => return Ok(Verdict::Doubtful),
     };
@@ -94,13 +100,10 @@ fn of_scenario(args: &Args, path: &Path) -> Result<(String, ModelChoice, Verdict
     Ok((scenario.name.clone(), choice.map_err(refused)?, Verdict::Done))
 }
 
-fn of_files(
-    args: &Args,
-    model: &Path,
-    measurements: &Path,
-) -> Result<(String, ModelChoice, Verdict), CliError> {
+fn of_files(args: &Args, measurements: &Path) -> Result<(String, ModelChoice, Verdict), CliError> {
     let files = [(SetKind::Identification, measurements)];
-    let loaded = load(model, args.columns.as_deref(), args.session.as_deref(), &files)?;
+    let robot = args.chain.robot(args.model.as_deref(), args.urdf.as_deref())?;
+    let loaded = load(robot, args.columns.as_deref(), args.session.as_deref(), &files)?;
     loaded.check_session()?;
     let Loaded { robot, sources, sets, statements, .. } = loaded;
     let mut options = default_options(&robot);

@@ -11,22 +11,22 @@ use nalgebra::Vector3;
 use serde_json::json;
 
 use super::identify::family;
+use super::model::ChainArgs;
 use super::{Cli, CliError, Verdict, print, read_scenario, say};
 use crate::pipeline::PipelineError;
 use crate::scenario::Scenario;
 use calibrig_estimation::identification::{
-    Explanation, Finding, FrameChoice, IdentifiabilityReport, Mode, TargetChoice, explain, identifiability,
-    neighbour_axis_rules, spectrum, structural_poses,
+    Explanation, Finding, FrameChoice, IdentifiabilityReport, Mode, TargetChoice, explain,
+    identifiability_of, neighbour_axis_rules, reachable_poses, spectrum,
 };
-use calibrig_files::load_robot;
 use calibrig_model::random::{Source, stream};
-use calibrig_model::{KinematicModel, ModelError, ParameterId};
+use calibrig_model::{CalibrationModel, KinematicModel, ModelError, ParameterId};
 
 /// Say which parameters position measurements can tell: rank, dependent groups, weak directions, and what would help
 ///
 /// The nominal robot alone is looked at; nothing is measured.
 #[derive(Debug, clap::Args)]
-#[command(group(ArgGroup::new("subject").required(true).args(["scenario", "model"])), after_help = "Examples:
+#[command(group(ArgGroup::new("subject").required(true).args(["scenario", "model", "urdf"])), after_help = "Examples:
   calibrig identifiability scenarios/paper.toml            at the scenario's poses and target
   calibrig identifiability --model models/ur5/robot.toml   anywhere, base and target unknown
   calibrig identifiability scenarios/paper.toml --mode elasto_geometric
@@ -40,6 +40,11 @@ pub(super) struct Args {
     /// The robot's file, instead of a scenario
     #[arg(long, value_name = "ROBOT.toml")]
     model: Option<PathBuf>,
+    /// The robot's URDF in place of a file of its own; read as `calibrig model from-urdf` does
+    #[arg(long, value_name = "FILE")]
+    urdf: Option<PathBuf>,
+    #[command(flatten)]
+    chain: ChainArgs,
     /// Which parameters: of the rigid chain, or of a mode that couples geometry and stiffness
     #[arg(long, value_enum, default_value_t = Analysed::Geometry)]
     mode: Analysed,
@@ -82,6 +87,7 @@ fn scenario_poses(scenario: &Scenario) -> String {
 struct Question {
     name: String,
     model: KinematicModel,
+    robot: CalibrationModel,
     poses: Vec<Vec<f64>>,
     poses_from: String,
     target: Vector3<f64>,
@@ -106,8 +112,8 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         Analysed::Extended => return coupled::execute(args, Mode::Extended),
     }
     let question = question(args)?;
-    let report = identifiability(
-        &question.model,
+    let report = identifiability_of(
+        &question.robot,
         &question.poses,
         &question.target,
         question.frame_free,
@@ -127,23 +133,24 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
 }
 
 fn failed(args: &Args, error: ModelError) -> CliError {
-    let file = args.model.as_ref().or(args.scenario.as_ref()).cloned().unwrap_or_default();
+    let file =
+        args.model.as_ref().or(args.urdf.as_ref()).or(args.scenario.as_ref()).cloned().unwrap_or_default();
     let source = PipelineError::Identify { mode: Mode::OnlyCalibration, source: error.into() };
     CliError::Pipeline { file, source }
 }
 
 fn question(args: &Args) -> Result<Question, CliError> {
-    if let Some(path) = &args.model {
-        let robot = load_robot(path)?;
+    if args.scenario.is_none() {
+        let robot = args.chain.robot(args.model.as_deref(), args.urdf.as_deref())?;
         robot.remarks.iter().for_each(|remark| say(remark));
         let target = robot.target().unwrap_or(MOUNTABLE_TARGET);
-        let model = robot.model.kinematics;
         return Ok(Question {
             name: robot.name,
-            poses: structural_poses(&model, SPREAD_POSES),
+            poses: reachable_poses(&robot.model, SPREAD_POSES),
             poses_from: spread_poses(),
             target,
-            model,
+            model: robot.model.kinematics.clone(),
+            robot: robot.model,
             frame_free: true,
             target_free: true,
         });
@@ -158,7 +165,8 @@ fn question(args: &Args) -> Result<Question, CliError> {
         name: scenario.name,
         poses,
         target,
-        model: scenario.robot.model.kinematics,
+        model: scenario.robot.model.kinematics.clone(),
+        robot: scenario.robot.model,
         frame_free: scenario.options.frame == FrameChoice::Free,
         target_free: scenario.options.target == TargetChoice::Identified,
     })

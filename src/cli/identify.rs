@@ -7,6 +7,7 @@ use clap::error::ErrorKind;
 use clap::{CommandFactory, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::model::ChainArgs;
 use super::output::{self, Destination, Files};
 use super::{Cli, CliError, Verdict, not_identified, say};
 use crate::pipeline::{
@@ -21,7 +22,7 @@ use calibrig_estimation::identification::{
 };
 use calibrig_files::{ColumnMap, load_column_map, parse_column_map, parse_measurements};
 use calibrig_files::{MeasuredFile, SessionFile, Source, Statements, load_session, state};
-use calibrig_files::{Robot, load_robot};
+use calibrig_files::{Robot, add_followers, commanded_joints};
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{BodyUncertainty, CalibrationModel, FAMILIES, JointKind, ParameterId, Unit};
 
@@ -44,6 +45,7 @@ use calibrig_model::{BodyUncertainty, CalibrationModel, FAMILIES, JointKind, Par
   calibrig identify --model robot.toml --measurements m.csv --bound delta_a4=-5mm..5mm
   calibrig identify --model robot.toml --measurements m.csv --splits 20 --fit 200
   calibrig identify --model robot.toml --measurements m.csv --session session.toml   nests, targets
+  calibrig identify --urdf ur5.urdf --tip tool0 --measurements grid.csv --columns map.toml
 
 What the columns of the file mean is told by --columns MAP.toml, else by the map that the robot's file names, else (and where the file
 has none of the map's joint columns but calibrig's own) it is calibrig's own layout (see docs/formats.md).")]
@@ -122,8 +124,13 @@ pub(super) struct Args {
 #[derive(Debug, clap::Args)]
 pub(super) struct FileArgs {
     /// The robot's file
-    #[arg(long, value_name = "ROBOT.toml")]
-    model: PathBuf,
+    #[arg(long, value_name = "ROBOT.toml", required_unless_present = "urdf")]
+    model: Option<PathBuf>,
+    /// The robot's URDF in place of a file of its own; read as `calibrig model from-urdf` does
+    #[arg(long, value_name = "FILE", conflicts_with = "model")]
+    urdf: Option<PathBuf>,
+    #[command(flatten)]
+    chain: ChainArgs,
     /// Positions to fit
     #[arg(long, value_name = "FILE")]
     measurements: PathBuf,
@@ -141,9 +148,10 @@ pub(super) struct FileArgs {
 
 impl FileArgs {
     pub(super) fn read(&self) -> Result<Loaded, CliError> {
+        let robot = self.chain.robot(self.model.as_deref(), self.urdf.as_deref())?;
         let mut files = vec![(SetKind::Identification, self.measurements.as_path())];
         files.extend(self.verify.as_deref().map(|path| (SetKind::Verification, path)));
-        load(&self.model, self.columns.as_deref(), self.session.as_deref(), &files)
+        load(robot, self.columns.as_deref(), self.session.as_deref(), &files)
     }
 }
 
@@ -475,13 +483,12 @@ impl Loaded {
 /// Reads a robot and files of positions, whose columns `columns` tells, else the robot's file, with what `session` and the robot's file state
 /// of stations and targets.
 pub(super) fn load(
-    model: &Path,
+    mut robot: Robot,
     columns: Option<&Path>,
     session: Option<&Path>,
     files: &[(SetKind, &Path)],
 ) -> Result<Loaded, CliError> {
-    let mut robot = load_robot(model)?;
-    let joints: Vec<JointKind> = robot.model.kinematics.links.iter().map(|link| link.kind).collect();
+    let joints = commanded_joints(&robot.model);
     let columns = match columns {
         Some(path) => {
             let (map, source) = load_column_map(path)?;
@@ -501,7 +508,8 @@ pub(super) fn load(
     };
     let read = |(kind, path): &(SetKind, &Path)| {
         let source = Source::read(path)?;
-        let loaded = parse_measurements(&source, &columns, &joints)?;
+        let mut loaded = parse_measurements(&source, &columns, &joints)?;
+        add_followers(&robot.model, &mut loaded.set);
         Ok(MeasuredFile { kind: *kind, source, loaded })
     };
     let mut files = files.iter().map(read).collect::<Result<Vec<_>, CliError>>()?;

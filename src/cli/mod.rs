@@ -8,6 +8,7 @@ mod identify;
 mod inspect;
 mod interrupt;
 mod live;
+mod model;
 mod montecarlo;
 mod output;
 mod record;
@@ -62,6 +63,7 @@ enum Command {
     Identify(Box<identify::Args>),
     Identifiability(identifiability::Args),
     Choose(choose::Args),
+    Model(model::Args),
     Montecarlo(montecarlo::Args),
     Replay(replay::Args),
     Inspect(inspect::Args),
@@ -170,6 +172,7 @@ pub fn main() -> ExitCode {
         Command::Check(args) => check::execute(args),
         Command::Identify(args) => identify::execute(args),
         Command::Choose(args) => choose::execute(args),
+        Command::Model(args) => model::execute(args),
         Command::Montecarlo(args) => montecarlo::execute(args),
         Command::Identifiability(args) => identifiability::execute(args),
         Command::Replay(args) => replay::execute(args),

@@ -102,7 +102,7 @@ impl Part {
         let predicted = &mut model.statics;
         match self {
             Self::Effect(kind) => machine.effects = machine.effects.without(kind),
-            Self::Linkage => machine.actuators = model.actuators,
+            Self::Linkage => machine.actuators = model.actuators.clone(),
             Self::Geometry => {
                 let links = machine.kinematics.links.iter_mut().zip(&model.kinematics.links);
                 for (link, (real, nominal)) in links.enumerate() {
@@ -300,7 +300,7 @@ mod tests {
                 Part::Linkage => {
                     assert_eq!(real.actuators, model.actuators);
                     assert_ne!(real.actuators, full.as_built.actuators);
-                    real.actuators = full.as_built.actuators;
+                    real.actuators = full.as_built.actuators.clone();
                 }
                 Part::Geometry => {
                     assert_eq!(real.kinematics.links[1].beta, 0.0);

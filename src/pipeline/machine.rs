@@ -17,7 +17,7 @@ impl AnalyticMachine {
     pub(super) fn new(as_built: &AsBuilt) -> Result<Self, ElasticError> {
         let model = CalibrationModel {
             kinematics: as_built.kinematics.clone(),
-            actuators: as_built.actuators,
+            actuators: as_built.actuators.clone(),
             statics: Some(as_built.statics.clone()),
             motor_turns: vec![None; as_built.kinematics.joint_count()],
         };

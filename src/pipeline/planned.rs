@@ -17,7 +17,7 @@ pub fn planned(scenario: &Scenario) -> Result<MeasurementSet, PipelineError> {
     let mut session = Scenario {
         as_built: AsBuilt {
             kinematics: nominal.kinematics.clone(),
-            actuators: nominal.actuators,
+            actuators: nominal.actuators.clone(),
             statics: nominal.statics.clone().unwrap_or_else(|| scenario.as_built.statics.clone()),
             target: scenario.robot.target().unwrap_or(scenario.as_built.target),
             effects: Effects::default(),

@@ -6,8 +6,7 @@ use calibrig_estimation::identification::Estimate;
 use calibrig_model::geometry::{Transform, rotation_vector, small_displacement};
 use calibrig_model::measurement::Target;
 use calibrig_model::{
-    ActuatorMap, CalibrationModel, JointKind, LinkTerm, ParameterId, PoseQuery, StaticProperties, TermId,
-    TermPlace,
+    CalibrationModel, JointKind, LinkTerm, ParameterId, PoseQuery, StaticProperties, TermId, TermPlace,
 };
 use calibrig_plant::AsBuilt;
 use calibrig_plant::effects::{Rail, RailProfile};
@@ -89,13 +88,19 @@ impl KnownTruth<'_> {
         }
         // The elbow's motor stands on the waist: where the shoulder's is off, the parallelogram turns the elbow back, and the shoulder's own theta
         // turns both.
-        let shoulder = match self.nominal.actuators {
-            ActuatorMap::Parallelogram { shoulder, elbow, .. } if elbow == link => {
-                self.actuator_zero(estimate, shoulder)
-            }
+        let zero = |actuator: usize| -> f64 {
+            let commands = 0..self.nominal.kinematics.joint_count();
+            commands
+                .map(|command| (self.nominal.actuators.rate(actuator, command), command))
+                .filter(|(rate, _)| *rate != 0.0)
+                .map(|(rate, command)| rate * self.actuator_zero(estimate, command))
+                .sum()
+        };
+        let shoulder = match self.nominal.actuators.elbow() {
+            Some(drive) if drive.elbow == link => zero(drive.shoulder),
             _ => 0.0,
         };
-        self.actuator_zero(estimate, link) - shoulder
+        zero(link) - shoulder
     }
 
     /// What an actuator is off by everywhere.

@@ -261,6 +261,7 @@ fn nominal() -> KinematicModel {
             link("roll", Revolute, 0.0, 0.0, 0.0),
             link("wrist", Revolute, 0.0, right, 0.0),
         ],
+        base_from_first: Transform::identity(),
         last_from_flange: Transform::identity(),
     }
 }

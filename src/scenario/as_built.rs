@@ -137,7 +137,7 @@ pub(super) fn as_built(
         ));
     }
     let target = robot.target().ok_or_else(|| missing("target offset", "[target] in the robot's file"))?;
-    let (kinematics, actuators) = (robot.model.kinematics.clone(), robot.model.actuators);
+    let (kinematics, actuators) = (robot.model.kinematics.clone(), robot.model.actuators.clone());
     let mut machine = AsBuilt { kinematics, actuators, statics, target, effects };
     let reader = Reader { source };
     let mut seen = vec![false; machine.kinematics.joint_count()];

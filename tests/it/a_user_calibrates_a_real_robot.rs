@@ -138,3 +138,42 @@ fn wam_from_216_poses_to_20_and_from_150_to_66() {
     );
     assert!(gain > 0.0 && low < gain && gain < high);
 }
+
+/// From a URDF in a vendor's manner alone, without a robot file: the drives' stiffnesses are guesses that it makes.
+fn identify_urdf(robot: &str, [fit, verify]: [PathBuf; 2], fitted: &str) -> JsonReport {
+    let output = Command::new(env!("CARGO_BIN_EXE_calibrig"))
+        .args(["identify", "--json", "--splits", "20", "--fit", fitted])
+        .args(["--urdf", &format!("tests/fixtures/urdf/real/{robot}.urdf")])
+        .args(["--columns", &format!("models/{robot}/columns.toml"), "--measurements"])
+        .arg(fit)
+        .arg("--verify")
+        .arg(verify)
+        .output()
+        .expect("the binary runs");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    assert!(said.contains("passed over: ") && said.contains("assumed: gravity along -z"), "{said}");
+    serde_json::from_slice(&output.stdout).expect("a calibrig.report/1 document")
+}
+
+#[test]
+fn ur5_from_its_urdf_alone() {
+    let Some(files) = data(UR5) else { return };
+    let report = identify_urdf("ur5", files, "200");
+    assert_eq!(report.estimates["only_calibration"].rank, 27);
+    let (_, before, _) = split(&report, "only_calibration");
+    let (_, after, [gain, low, _]) = split(&report, "elasto_geometric");
+    println!("UR5 from its URDF, 20 splits 200/800: geometric {before:.4} mm, with stiffness {after:.4} mm");
+    assert!((before - 0.1149).abs() < 0.0005 && (after - 0.108).abs() < 0.001 && low > 0.0 && gain > low);
+}
+
+#[test]
+fn wam_from_its_urdf_alone() {
+    let Some(files) = data(WAM) else { return };
+    let report = identify_urdf("wam", files, "150");
+    assert_eq!(report.estimates["only_calibration"].rank, 31);
+    let (_, before, _) = split(&report, "only_calibration");
+    let (_, after, [gain, low, _]) = split(&report, "elasto_geometric");
+    println!("WAM from its URDF, 20 splits 150/66: geometric {before:.3} mm, with stiffness {after:.3} mm");
+    assert!((before - 2.355).abs() < 0.005 && (after - 2.259).abs() < 0.02 && low > 0.0 && gain > low);
+}

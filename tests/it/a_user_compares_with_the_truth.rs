@@ -18,7 +18,7 @@ fn with(effects: Effects, families: &[&str]) -> Scenario {
     let nominal = &scenario.robot.model;
     scenario.as_built.kinematics = rigid_paper().as_built.kinematics;
     scenario.as_built.statics = nominal.statics.clone().expect("the shipped robot's statics");
-    scenario.as_built.actuators = nominal.actuators;
+    scenario.as_built.actuators = nominal.actuators.clone();
     scenario.as_built.effects = effects;
     scenario.tracker.instrument.noise = false;
     scenario.options.unmodelled_sigma = 0.0;

@@ -155,7 +155,7 @@ fn a_term_pays_where_the_machine_has_what_it_describes() {
     let mut scenario = paper();
     let nominal = &scenario.robot.model;
     scenario.as_built.statics = nominal.statics.clone().expect("the shipped robot's statics");
-    scenario.as_built.actuators = nominal.actuators;
+    scenario.as_built.actuators = nominal.actuators.clone();
     scenario.as_built.effects = backlash(60.0 * ARCSEC);
     // What the published 24 leave of the links would hide so small a backlash.
     scenario.options.parameters = ParameterChoice::Complete;

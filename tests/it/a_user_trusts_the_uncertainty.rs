@@ -160,7 +160,7 @@ fn every_effect_that_the_model_lacks_fails_the_consistency_test() {
     let nominal = &elastic.robot.model;
     elastic.as_built.kinematics = rigid.as_built.kinematics.clone();
     elastic.as_built.statics = nominal.statics.clone().expect("the shipped robot's statics");
-    elastic.as_built.actuators = nominal.actuators;
+    elastic.as_built.actuators = nominal.actuators.clone();
     elastic.options.mode = Mode::ElastoGeometric;
     elastic.options.unmodelled_sigma = 0.0;
     assert!(!doubted_in(&elastic, Effects::default()), "an elastic machine as the model");

@@ -8,8 +8,18 @@ use std::time::Duration;
 use crate::a_user_makes_a_mistake::with_measurements;
 use crate::sandbox::{Ended, ROBOT, SCENARIO, Sandbox, assert_refused};
 
-const COMMANDS: [&str; 9] =
-    ["run", "check", "choose", "identify", "identifiability", "replay", "inspect", "recover", "report"];
+const COMMANDS: [&str; 10] = [
+    "run",
+    "check",
+    "choose",
+    "identify",
+    "identifiability",
+    "model",
+    "replay",
+    "inspect",
+    "recover",
+    "report",
+];
 #[cfg(feature = "rerun")]
 const FILES: &[&str] = &["report.html", "report.json", "recording.mcap", "recording.rrd"];
 #[cfg(not(feature = "rerun"))]
@@ -20,7 +30,10 @@ fn sound_commands() -> (Sandbox, Vec<(&'static str, Vec<&'static str>)>) {
     let sandbox = with_measurements("set.csv");
     let ended = sandbox.run(["run", SCENARIO, "--out", "first"]);
     assert_eq!(ended.code, Some(0), "{ended:?}");
+    sandbox.write("scara.urdf", include_str!("../fixtures/urdf/10_scara.urdf"));
     let commands = vec![
+        ("calibrig.model/1", vec!["model", "from-urdf", "scara.urdf", "--out", "made", "--force"]),
+        ("calibrig.identifiability/1", vec!["identifiability", "--urdf", "scara.urdf"]),
         ("calibrig.report/1", vec!["run", SCENARIO, "--out", "out"]),
         ("calibrig.check/1", vec!["check", SCENARIO]),
         ("calibrig.choice/1", vec!["choose", SCENARIO]),
@@ -59,8 +72,17 @@ fn wrong_usage_ends_with_2_and_says_what_was_expected() {
         (vec!["replay"], "<RECORDING>"),
         (vec!["identify", "--model", ROBOT], "--measurements <FILE>"),
         (vec!["identify", "--measurements", "set.csv"], "--model <ROBOT.toml>"),
-        (vec!["identifiability"], "<SCENARIO|--model <ROBOT.toml>>"),
+        (vec!["identifiability"], "<SCENARIO|--model <ROBOT.toml>|--urdf <FILE>>"),
         (vec!["choose", "--model", ROBOT], "--measurements <FILE>"),
+        (vec!["choose", "--urdf", "a.urdf"], "--measurements <FILE>"),
+        (identify(&["--urdf", "a.urdf"]), "cannot be used with"),
+        (identify(&["--tip", "tool0"]), "--tip: expected --urdf beside it"),
+        (vec!["model", "from-dh", "t.csv", "--out", "o"], "--convention <CONVENTION>"),
+        (vec!["model", "from-urdf", "a.urdf"], "--out <DIR>"),
+        (
+            vec!["model", "from-urdf", "a.urdf", "--out", "o", "--target-mm", "1,2"],
+            "expected three numbers of mm with commas between",
+        ),
         (vec!["choose", SCENARIO, "--folds", "1"], "1 is not in 2.."),
         (vec!["identifiability", SCENARIO, "--model", ROBOT], "cannot be used with"),
         (vec!["run", SCENARIO, "--sed", "3"], "a similar argument exists: '--seed'"),

@@ -28,7 +28,7 @@ fn elastostatics_predicts_the_whole_robot() {
             .collect();
         let mut chain = ElasticChain::new(&CalibrationModel {
             kinematics: robot.kinematics.clone(),
-            actuators: robot.actuators,
+            actuators: robot.actuators.clone(),
             statics: Some(robot.statics.clone()),
             motor_turns: vec![None; 7],
         })

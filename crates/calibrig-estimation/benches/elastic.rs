@@ -69,7 +69,11 @@ fn robot() -> CalibrationModel {
     let arm = LinkageArm { length: 0.35, angle: -1.5, along: 0.1 };
     let linkage = FourBar { crank: arm, lever: arm, rod: 1.352 };
     CalibrationModel {
-        kinematics: KinematicModel { links: links.collect(), last_from_flange: Transform::identity() },
+        kinematics: KinematicModel {
+            links: links.collect(),
+            base_from_first: Transform::identity(),
+            last_from_flange: Transform::identity(),
+        },
         actuators: ActuatorMap::Parallelogram { shoulder: 2, elbow: 3, offset: 0.0, linkage: Some(linkage) },
         statics: Some(statics),
         motor_turns: vec![None; 7],

@@ -36,12 +36,16 @@
 //! # Ok::<(), calibrig_files::InputError>(())
 //! ```
 
+mod convert;
+mod followers;
 mod input;
 mod measurements;
 mod robot;
 mod session;
 mod stated;
 
+pub use convert::{AGREEMENT, Convention, Converted, UrdfOptions, robot_from_dh, robot_from_urdf};
+pub use followers::{add_followers, commanded_joints, without_followers};
 pub use input::{InputError, Source, Spanned};
 pub use measurements::{
     ColumnMap, CsvError, LoadedMeasurements, load_column_map, measurements_text, parse_column_map,

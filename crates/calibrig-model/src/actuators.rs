@@ -1,12 +1,12 @@
 //! From what the controller commands to the joint variables of the link chain.
 
-use nalgebra::Vector3;
+use nalgebra::{DMatrix, DVector, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::LinkageLength;
+use super::{LinkageLength, ModelError};
 
 /// The map from actuator commands to joint variables (SI, one actuator a joint).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum ActuatorMap {
     /// Every actuator moves its own joint.
     Direct,
@@ -23,7 +23,138 @@ pub enum ActuatorMap {
         /// closed by the kinematics.
         linkage: Option<FourBar>,
     },
+    /// The controller counts its axes otherwise than the table: with another sign, from another zero, in other units, or coupled.
+    Axes {
+        /// From commands to what the actuators do.
+        axes: AxisMap,
+        /// The parallelogram that the elbow's actuator drives, where there is one.
+        elbow: Option<ElbowDrive>,
+    },
 }
+
+/// What is known of a parallelogram; as [`ActuatorMap::Parallelogram`].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ElbowDrive {
+    /// Index of the shoulder joint.
+    pub shoulder: usize,
+    /// Index of the elbow joint.
+    pub elbow: usize,
+    /// rad
+    pub offset: f64,
+    /// Lengths of the real mechanism, where known.
+    pub linkage: Option<FourBar>,
+}
+
+/// A linear map between what a controller shows of its axes and the positions of the actuators, `shown = S · actuators + zero`.
+///
+/// Actuators are counted as their joints are: of an axis without a parallelogram its position *is* the joint variable.
+///
+/// ```
+/// use calibrig_model::AxisMap;
+/// use calibrig_model::nalgebra::{DMatrix, DVector};
+///
+/// // The second axis is shown against the horizontal: q2 - q1.
+/// let shown = AxisMap::new(DMatrix::from_row_slice(2, 2, &[1.0, 0.0, -1.0, 1.0]), DVector::zeros(2))?;
+/// let mut actuators = [0.0; 2];
+/// shown.actuators(&[0.3, 0.1], &mut actuators);
+/// assert_eq!(actuators, [0.3, 0.4]);
+/// # Ok::<_, calibrig_model::ModelError>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct AxisMap {
+    /// A row an axis, a column an actuator.
+    shown_by_actuators: DMatrix<f64>,
+    actuators_by_shown: DMatrix<f64>,
+    /// What is shown where all actuators are at zero.
+    zero: DVector<f64>,
+    /// Axes that the controller does not command, because their joint follows others: what is shown of them is always zero.
+    followers: Vec<bool>,
+}
+
+impl AxisMap {
+    /// What is shown of the axes: `shown_by_actuators` (a row an axis, a column an actuator) times the actuators, and `zero`.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError::Number`] for an entry that is not finite, [`ModelError::Length`] where the sizes do not fit, and
+    /// [`ModelError::Coupling`] where what is shown does not tell where the actuators are.
+    pub fn new(shown_by_actuators: DMatrix<f64>, zero: DVector<f64>) -> Result<Self, ModelError> {
+        let expected = shown_by_actuators.nrows();
+        for found in [shown_by_actuators.ncols(), zero.len()] {
+            if found != expected {
+                return Err(ModelError::Length { field: "actuators.axes", found, expected });
+            }
+        }
+        let axis = |index: usize| if expected == 0 { 0 } else { index % expected };
+        let mut entries = shown_by_actuators.iter().chain(&zero).enumerate();
+        if let Some((index, &value)) = entries.find(|(_, value)| !value.is_finite()) {
+            let (field, joint) = ("actuators.axes", Some(axis(index)));
+            return Err(ModelError::Number { field, joint, value, expected: "a finite number" });
+        }
+        // Rows and columns are of like size but for ratios; these say nothing of how far the map is from singular.
+        let mut even = shown_by_actuators.clone();
+        for mut row in even.row_iter_mut() {
+            let size = row.amax();
+            if size > 0.0 {
+                row /= size;
+            }
+        }
+        let singular = even.singular_values();
+        if !(singular.min() > SINGULAR * singular.max()) {
+            return Err(ModelError::Coupling);
+        }
+        let actuators_by_shown = shown_by_actuators.clone().try_inverse().ok_or(ModelError::Coupling)?;
+        let followers = vec![false; expected];
+        Ok(Self { shown_by_actuators, actuators_by_shown, zero, followers })
+    }
+
+    /// The same with these axes, by index, as followers: their rows say what is zero of them, as `q3 + q2` of a joint that turns back what the
+    /// second one turns. Indices of axes that there are not are left out.
+    #[must_use]
+    pub fn with_followers(mut self, followers: &[usize]) -> Self {
+        for follower in followers {
+            if let Some(follows) = self.followers.get_mut(*follower) {
+                *follows = true;
+            }
+        }
+        self
+    }
+
+    /// Number of axes.
+    pub fn axes(&self) -> usize {
+        self.zero.len()
+    }
+
+    /// Writes where the actuators are at what is shown; both one an axis. Where one is shorter, the rest is left as it is.
+    pub fn actuators(&self, shown: &[f64], actuators: &mut [f64]) {
+        for (row, actuator) in self.actuators_by_shown.row_iter().zip(actuators) {
+            let shares = row.iter().zip(&self.zero).zip(shown);
+            *actuator = shares
+                .map(|((share, zero), shown)| if *share == 0.0 { 0.0 } else { share * (shown - zero) })
+                .sum();
+        }
+    }
+
+    /// What is shown of actuators at these positions; zero of a follower, wherever it is.
+    pub fn shown(&self, actuators: &[f64]) -> Vec<f64> {
+        let row = |(axis, zero): (usize, &f64)| {
+            if self.followers[axis] {
+                return 0.0;
+            }
+            let shares = self.shown_by_actuators.row(axis);
+            zero + shares.iter().zip(actuators).map(|(share, actuator)| share * actuator).sum::<f64>()
+        };
+        self.zero.iter().enumerate().map(row).collect()
+    }
+
+    /// How an actuator moves with what is shown of an axis, m or rad each; zero of axes that there are not.
+    pub fn rate(&self, actuator: usize, axis: usize) -> f64 {
+        self.actuators_by_shown.get((actuator, axis)).copied().unwrap_or(0.0)
+    }
+}
+
+/// Below this share of its largest singular value a coupling counts as singular.
+const SINGULAR: f64 = 1e-9;
 
 /// The spatial four-bar that drives the elbow: the crank turns about the shoulder's axis on the waist, the lever is part of the forearm,
 /// and the coupler rod, on spherical joints, keeps their ends at its length.
@@ -61,25 +192,99 @@ impl LinkageArm {
 }
 
 impl ActuatorMap {
+    /// The parallelogram between shoulder and elbow, where there is one.
+    pub fn elbow(&self) -> Option<ElbowDrive> {
+        match *self {
+            Self::Direct => None,
+            Self::Parallelogram { shoulder, elbow, offset, linkage } => {
+                Some(ElbowDrive { shoulder, elbow, offset, linkage })
+            }
+            Self::Axes { elbow, .. } => elbow,
+        }
+    }
+
+    /// The lengths of the four-bar, to change them, where they are known.
+    pub fn linkage_mut(&mut self) -> Option<&mut FourBar> {
+        match self {
+            Self::Direct => None,
+            Self::Parallelogram { linkage, .. } => linkage.as_mut(),
+            Self::Axes { elbow, .. } => elbow.as_mut()?.linkage.as_mut(),
+        }
+    }
+
+    /// The same with the exact parallelogram in place of a four-bar.
+    #[must_use]
+    pub fn without_linkage(mut self) -> Self {
+        match &mut self {
+            Self::Direct => {}
+            Self::Parallelogram { linkage, .. } => *linkage = None,
+            Self::Axes { elbow, .. } => {
+                if let Some(elbow) = elbow {
+                    elbow.linkage = None;
+                }
+            }
+        }
+        self
+    }
+
+    /// Writes where the actuators are at `command`, in the sense and unit of their joints: `psi` of an elbow with a parallelogram, of all others
+    /// the joint variable. Both as long as the chain; where one is shorter, the rest is left as it is.
+    pub fn actuators_from_command(&self, command: &[f64], actuators: &mut [f64]) {
+        match self {
+            Self::Axes { axes, .. } => axes.actuators(command, actuators),
+            Self::Direct | Self::Parallelogram { .. } => {
+                for (actuator, command) in actuators.iter_mut().zip(command) {
+                    *actuator = *command;
+                }
+            }
+        }
+    }
+
+    /// The inverse of [`actuators_from_command`](Self::actuators_from_command).
+    pub fn command_from_actuators(&self, actuators: &[f64]) -> Vec<f64> {
+        match self {
+            Self::Axes { axes, .. } => axes.shown(actuators),
+            Self::Direct | Self::Parallelogram { .. } => actuators.to_vec(),
+        }
+    }
+
+    /// Whether the controller commands an axis; not where its joint follows others.
+    pub fn is_commanded(&self, axis: usize) -> bool {
+        match self {
+            Self::Axes { axes, .. } => !axes.followers.get(axis).copied().unwrap_or(false),
+            Self::Direct | Self::Parallelogram { .. } => true,
+        }
+    }
+
+    /// Change of an actuator, in the sense and unit of its joint, per unit of a command.
+    pub fn rate(&self, actuator: usize, command: usize) -> f64 {
+        match self {
+            Self::Axes { axes, .. } => axes.rate(actuator, command),
+            Self::Direct | Self::Parallelogram { .. } => f64::from(u8::from(actuator == command)),
+        }
+    }
+
     /// Writes the joint variables of `command` to `joints`; both as long as the chain. Where one is shorter, the rest is left as it is.
     pub fn joints_from_command(&self, command: &[f64], joints: &mut [f64]) {
-        for (joint, command) in joints.iter_mut().zip(command) {
-            *joint = *command;
-        }
-        if let Self::Parallelogram { shoulder, elbow, offset, .. } = *self
-            && let (Some(joint), Some(psi), Some(upper)) =
-                (joints.get_mut(elbow), command.get(elbow), command.get(shoulder))
+        self.actuators_from_command(command, joints);
+        if let Some(ElbowDrive { shoulder, elbow, offset, .. }) = self.elbow()
+            && let Some(&upper) = joints.get(shoulder)
+            && shoulder < command.len()
+            && elbow < command.len()
+            && let Some(joint) = joints.get_mut(elbow)
         {
-            *joint = psi + offset - upper;
+            *joint = *joint + offset - upper;
         }
     }
 
     /// The four-bar between shoulder and elbow, where its lengths are known: (shoulder, elbow, offset, linkage).
     pub fn four_bar(&self) -> Option<(usize, usize, f64, &FourBar)> {
         match self {
-            Self::Parallelogram { shoulder, elbow, offset, linkage: Some(linkage) } => {
-                Some((*shoulder, *elbow, *offset, linkage))
-            }
+            Self::Parallelogram { shoulder, elbow, offset, linkage: Some(linkage) }
+            | Self::Axes {
+                elbow: Some(ElbowDrive { shoulder, elbow, offset, linkage: Some(linkage) }),
+                ..
+            } => Some((*shoulder, *elbow, *offset, linkage)),
             _ => None,
         }
     }
@@ -96,14 +301,14 @@ impl ActuatorMap {
 
     /// The command that takes an ideal machine to `joints`.
     pub fn command_from_joints(&self, joints: &[f64]) -> Vec<f64> {
-        let mut command = joints.to_vec();
-        if let Self::Parallelogram { shoulder, elbow, offset, .. } = *self
+        let mut actuators = joints.to_vec();
+        if let Some(ElbowDrive { shoulder, elbow, offset, .. }) = self.elbow()
             && let (Some(psi), Some(upper), Some(joint)) =
-                (command.get_mut(elbow), joints.get(shoulder), joints.get(elbow))
+                (actuators.get_mut(elbow), joints.get(shoulder), joints.get(elbow))
         {
             *psi = upper + joint - offset;
         }
-        command
+        self.command_from_actuators(&actuators)
     }
 }
 
@@ -125,5 +330,72 @@ mod tests {
         map.joints_from_command(&command, &mut back);
         let absolute = joints[2] + joints[3];
         assert!((back[2] + back[3] - absolute).abs() < 1e-15);
+    }
+
+    #[test]
+    fn axes_are_shown_with_sign_ratio_zero_and_coupling() {
+        // J1 counts the other way, J2 is twice the joint from 0.1 on, J3 is shown against the horizontal.
+        let shown = DMatrix::from_row_slice(3, 3, &[-1.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, -1.0, 1.0]);
+        let axes = AxisMap::new(shown, DVector::from_vec(vec![0.0, 0.1, -0.2])).expect("can be turned round");
+        let map = ActuatorMap::Axes { axes, elbow: None };
+        let joints = [0.5, -0.3, 0.9];
+        let command = map.command_from_joints(&joints);
+        for (found, expected) in command.iter().zip([-0.5, -0.5, 1.0]) {
+            assert!((found - expected).abs() < 1e-15, "{command:?}");
+        }
+        let mut back = [0.0; 3];
+        map.joints_from_command(&command, &mut back);
+        for (found, expected) in back.iter().zip(joints) {
+            assert!((found - expected).abs() < 1e-15, "{back:?}");
+        }
+        // A step of what is shown of J2 moves J3 with it.
+        assert_eq!((map.rate(1, 1), map.rate(2, 1), map.rate(0, 0)), (0.5, 0.5, -1.0));
+    }
+
+    #[test]
+    fn axes_lie_in_front_of_a_parallelogram() {
+        let shown = DMatrix::from_row_slice(3, 3, &[1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0]);
+        let axes = AxisMap::new(shown, DVector::from_vec(vec![0.0, 0.2, 0.0])).expect("can be turned round");
+        let drive = ElbowDrive { shoulder: 1, elbow: 2, offset: 0.25, linkage: None };
+        let (plain, map) = (
+            ActuatorMap::Parallelogram { shoulder: 1, elbow: 2, offset: 0.25, linkage: None },
+            ActuatorMap::Axes { axes, elbow: Some(drive) },
+        );
+        let joints = [0.4, 0.7, -1.1];
+        let (of_plain, command) = (plain.command_from_joints(&joints), map.command_from_joints(&joints));
+        assert!((command[1] - (0.2 - of_plain[1])).abs() < 1e-15);
+        assert!((command[2] - of_plain[2]).abs() < 1e-15);
+        let mut back = [0.0; 3];
+        map.joints_from_command(&command, &mut back);
+        for (found, expected) in back.iter().zip(joints) {
+            assert!((found - expected).abs() < 1e-15);
+        }
+    }
+
+    #[test]
+    fn a_follower_goes_with_its_leader_and_takes_no_command() {
+        // q3 + q2 - 0.2 is zero: the third joint turns back what the second one turns.
+        let shown = DMatrix::from_row_slice(3, 3, &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0]);
+        let axes = AxisMap::new(shown, DVector::from_vec(vec![0.0, 0.0, -0.2])).expect("lower triangular");
+        let map = ActuatorMap::Axes { axes: axes.with_followers(&[2, 7]), elbow: None };
+        assert_eq!([0, 1, 2, 3].map(|axis| map.is_commanded(axis)), [true, true, false, true]);
+        let command = map.command_from_joints(&[0.1, 0.5, 99.0]);
+        assert_eq!(command, [0.1, 0.5, 0.0]);
+        let mut joints = [0.0; 3];
+        map.joints_from_command(&command, &mut joints);
+        assert!((joints[2] - (0.2 - 0.5)).abs() < 1e-15);
+    }
+
+    #[test]
+    fn what_does_not_tell_where_the_actuators_are_is_refused() {
+        let refused = |rows: &[f64], zero: &[f64]| {
+            AxisMap::new(DMatrix::from_row_slice(2, 2, rows), DVector::from_column_slice(zero))
+        };
+        assert_eq!(refused(&[1.0, 2.0, 2.0, 4.0], &[0.0, 0.0]), Err(ModelError::Coupling));
+        assert_eq!(refused(&[0.0, 0.0, 0.0, 1.0], &[0.0, 0.0]), Err(ModelError::Coupling));
+        assert!(matches!(refused(&[1.0, f64::NAN, 0.0, 1.0], &[0.0, 0.0]), Err(ModelError::Number { .. })));
+        assert!(matches!(refused(&[1.0, 0.0, 0.0, 1.0], &[0.0]), Err(ModelError::Length { .. })));
+        // Ratios that are far apart are no coupling.
+        assert!(refused(&[1e-5, 0.0, 0.0, 1e6], &[0.0, 0.0]).is_ok());
     }
 }

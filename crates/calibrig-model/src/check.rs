@@ -3,8 +3,8 @@
 use thiserror::Error;
 
 use super::{
-    ActuatorMap, BeamError, Bearing, Body, CalibrationModel, CraigLink, JointKind, KinematicModel,
-    LinkageArm, ParameterId, PointLoad, StaticProperties,
+    ActuatorMap, BeamError, Bearing, Body, CalibrationModel, CraigLink, ElbowDrive, JointKind,
+    KinematicModel, LinkageArm, ParameterId, PointLoad, StaticProperties,
 };
 use crate::geometry::Transform;
 
@@ -68,6 +68,11 @@ pub enum ModelError {
         /// Index of the elbow.
         elbow: usize,
     },
+    /// Axes of which what is shown does not tell where the actuators are.
+    #[error(
+        "the coupling of the axes cannot be turned round: what is shown does not tell where each actuator is"
+    )]
+    Coupling,
     /// A flexible link that cannot be.
     #[error("the beam of link {}: {source}", link.saturating_add(1))]
     Beam {
@@ -159,6 +164,7 @@ impl KinematicModel {
             return Err(ModelError::NoJoints);
         }
         self.links.iter().enumerate().try_for_each(|(joint, link)| check_link(joint, link))?;
+        transform("base_from_first", &self.base_from_first)?;
         transform("last_from_flange", &self.last_from_flange)
     }
 }
@@ -206,7 +212,10 @@ impl ActuatorMap {
     ///
     /// [`ModelError`] with the field, for joints that are not there, an elbow in front of its shoulder, or a four-bar whose lengths cannot be.
     pub fn check(&self, joints: usize) -> Result<(), ModelError> {
-        let Self::Parallelogram { shoulder, elbow, offset, linkage } = *self else { return Ok(()) };
+        if let Self::Axes { axes, .. } = self {
+            length("actuators.axes", axes.axes(), joints)?;
+        }
+        let Some(ElbowDrive { shoulder, elbow, offset, linkage }) = self.elbow() else { return Ok(()) };
         for (field, joint) in [("actuators.shoulder", shoulder), ("actuators.elbow", elbow)] {
             if joint >= joints {
                 return Err(ModelError::Joint { field, joint, joints });

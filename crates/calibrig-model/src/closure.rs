@@ -92,6 +92,7 @@ mod tests {
         change(&mut linkage);
         let kinematics = KinematicModel {
             links: vec![link(0.0, [-150.0, -50.0]), link(1.35, [-45.0, 60.0])],
+            base_from_first: crate::geometry::Transform::identity(),
             last_from_flange: crate::geometry::Transform::identity(),
         };
         let actuators =

@@ -48,7 +48,7 @@ mod pose;
 mod robot;
 mod terms;
 
-pub use actuators::{ActuatorMap, FourBar, LinkageArm};
+pub use actuators::{ActuatorMap, AxisMap, ElbowDrive, FourBar, LinkageArm};
 pub use beam::BeamError;
 pub use bodies::{
     Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, BodyUncertainty, LinkageStatics, PointLoad,

@@ -60,6 +60,12 @@ impl CraigLink {
         Self { a, alpha, d, theta, ..self }
     }
 
+    /// The same with Hayati's rotation, rad.
+    #[must_use]
+    pub fn with_beta(self, beta: f64) -> Self {
+        Self { beta, ..self }
+    }
+
     /// The same between these joint variables, rad or m.
     #[must_use]
     pub fn limits(self, low: f64, high: f64) -> Self {
@@ -112,6 +118,9 @@ impl CraigLink {
 pub struct KinematicModel {
     /// The links in order from the base.
     pub links: Vec<CraigLink>,
+    /// From the base to the frame that the first row starts from; the identity for a table whose first row starts at the base. An axis
+    /// anywhere in the base needs it: a row of its own reaches those that meet the base's x axis.
+    pub base_from_first: Transform,
     /// From the last link's frame to the flange; the identity but for tables that end with a link of their own (standard D-H).
     pub last_from_flange: Transform,
 }
@@ -123,7 +132,8 @@ impl KinematicModel {
     ///
     /// [`ModelError`], for a chain without joints, a number that is not finite, or limits that cross.
     pub fn new(links: Vec<CraigLink>) -> Result<Self, ModelError> {
-        let chain = Self { links, last_from_flange: Transform::identity() };
+        let identity = Transform::identity();
+        let chain = Self { links, base_from_first: identity, last_from_flange: identity };
         chain.check()?;
         Ok(chain)
     }

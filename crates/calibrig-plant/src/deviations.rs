@@ -3,7 +3,7 @@
 use nalgebra::{Rotation3, Vector3};
 
 use super::AsBuilt;
-use calibrig_model::{ActuatorMap, BeamSegment, FourBar};
+use calibrig_model::{BeamSegment, FourBar};
 
 impl AsBuilt {
     /// Multiplies the mass of a link, its beam's included, with its inertia.
@@ -42,9 +42,6 @@ impl AsBuilt {
 
     /// The elbow's four-bar, where the machine has one.
     pub fn linkage_mut(&mut self) -> Option<&mut FourBar> {
-        match &mut self.actuators {
-            ActuatorMap::Parallelogram { linkage, .. } => linkage.as_mut(),
-            ActuatorMap::Direct => None,
-        }
+        self.actuators.linkage_mut()
     }
 }

@@ -33,7 +33,7 @@
 //! let arm = Body { mass: 20.0, centre_of_mass: Vector3::new(0.5, 0.0, 0.0), inertia: Matrix3::identity() };
 //! let gravity = Vector3::new(0.0, -9.80665, 0.0);
 //! let robot = AsBuilt {
-//!     kinematics: KinematicModel { links: vec![link(0.0), link(1.0)], last_from_flange: Transform::identity() },
+//!     kinematics: KinematicModel { links: vec![link(0.0), link(1.0)], base_from_first: Transform::identity(), last_from_flange: Transform::identity() },
 //!     actuators: ActuatorMap::Direct,
 //!     statics: StaticProperties::of_drives(vec![arm.clone(), arm], vec![1e5, 1e5], gravity),
 //!     target: Vector3::new(1.0, 0.0, 0.0),

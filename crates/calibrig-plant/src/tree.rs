@@ -114,7 +114,7 @@ impl Tree {
     pub(super) fn new(robot: &AsBuilt, commanded: &[f64]) -> Self {
         let mut builder = Builder { robot, nodes: Vec::new(), varies: false };
         let (mut links, mut motions) = (Vec::new(), Vec::new());
-        let mut mount = Mount { node: None, from_node: Transform::identity() };
+        let mut mount = Mount { node: None, from_node: robot.kinematics.base_from_first };
         let mut crank_mount = None;
         let four_bar = robot.actuators.four_bar();
         for (joint, q) in commanded.iter().enumerate() {

@@ -4,7 +4,9 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::tree::{axis, beam_mass};
 use super::{AsBuilt, PlantError, SettleOptions};
-use calibrig_model::{ActuatorMap, Body, FourBar, JointKind, KinematicModel, LinkageArm, StaticProperties};
+use calibrig_model::{
+    ActuatorMap, Body, ElbowDrive, FourBar, JointKind, KinematicModel, LinkageArm, StaticProperties,
+};
 
 /// Relative slack of the triangle inequality, for a lamina or a rod whose inertia was rounded.
 const TRIANGLE_SLACK: f64 = 1e-6;
@@ -108,12 +110,22 @@ fn check_kinematics(model: &KinematicModel) -> Result<(), PlantError> {
             check_finite(quantity, Some(joint), &[value])?;
         }
     }
+    check_finite("base_from_first", None, model.base_from_first.to_homogeneous().as_slice())?;
     check_finite("last_from_flange", None, model.last_from_flange.to_homogeneous().as_slice())
 }
 
 fn check_actuators(map: &ActuatorMap, model: &KinematicModel) -> Result<(), PlantError> {
-    let ActuatorMap::Parallelogram { shoulder, elbow, offset, linkage } = *map else { return Ok(()) };
     let joints = model.joint_count();
+    if let ActuatorMap::Axes { axes, .. } = map
+        && axes.axes() != joints
+    {
+        return Err(PlantError::Length {
+            quantity: "axes of the actuators",
+            found: axes.axes(),
+            expected: joints,
+        });
+    }
+    let Some(ElbowDrive { shoulder, elbow, offset, linkage }) = map.elbow() else { return Ok(()) };
     let is_revolute = |joint: usize| model.links[joint].kind == JointKind::Revolute;
     if shoulder >= joints || elbow >= joints || shoulder == elbow {
         return Err(PlantError::Transmission { shoulder, elbow, joints });

@@ -42,7 +42,11 @@ fn machine() -> impl Strategy<Value = AsBuilt> {
         let mut statics = StaticProperties::of_drives(vec![body(); joints], vec![2e6; joints], gravity);
         statics.linkage = linked.then(|| LinkageStatics { rod_stiffness: 1e7, rod_mass: 1.0, crank: body() });
         AsBuilt {
-            kinematics: KinematicModel { links, last_from_flange: Transform::identity() },
+            kinematics: KinematicModel {
+                links,
+                base_from_first: Transform::identity(),
+                last_from_flange: Transform::identity(),
+            },
             actuators,
             statics,
             target: Vector3::new(0.1, 0.05, 0.2),

@@ -18,8 +18,8 @@ use super::story::record_sets;
 use super::{McapRecorder, Preamble, Recording, RecordingError, read_recording};
 use calibrig_files::Robot;
 use calibrig_files::{
-    ColumnMap, CsvError, LoadedMeasurements, SessionSet, measurements_text, parse_measurements,
-    parse_session, session_text,
+    ColumnMap, CsvError, LoadedMeasurements, SessionSet, commanded_joints, measurements_text,
+    parse_measurements, parse_session, session_text, without_followers,
 };
 use calibrig_files::{InputError, Source};
 use calibrig_model::JointKind;
@@ -99,11 +99,16 @@ pub struct CsvExport {
 pub fn export_csv(path: &Path, model: Option<Robot>) -> Result<CsvExport, ExportError> {
     let recording = read_recording(path)?;
     let robot = robot_of(&recording, model)?;
-    let joints: Vec<JointKind> = robot.model.kinematics.links.iter().map(|link| link.kind).collect();
+    let joints = commanded_joints(&robot.model);
+    let in_columns = |set: &SetOutcome| SetOutcome {
+        measurements: without_followers(&robot.model, &set.measurements),
+        ..set.clone()
+    };
+    let sets: Vec<SetOutcome> = recording.sets.iter().map(in_columns).collect();
     let mut export = CsvExport { files: Vec::new(), remarks: Vec::new() };
     let mut told: Vec<SessionSet<'_>> = Vec::new();
     let mut texts = Vec::new();
-    for SetOutcome { kind, measurements, dropped } in &recording.sets {
+    for SetOutcome { kind, measurements, dropped } in &sets {
         let set = kind.key();
         if measurements.observations.is_empty() {
             export.remarks.push(format!("the {set} set has no observations: there is no {set}.csv"));

@@ -212,11 +212,14 @@ fn chain_of(
 /// The four-bar between links that are placed: its crank undeflected, which no picture shows.
 fn linkage(model: &CalibrationModel, command: &[f64], links: &[Transform]) -> Option<[Vector3<f64>; 4]> {
     let (shoulder, elbow, offset, four_bar) = model.actuators.four_bar()?;
-    let waist = shoulder.checked_sub(1).map_or(Some(Transform::identity()), |i| links.get(i).copied())?;
+    let base = model.kinematics.base_from_first;
+    let waist = shoulder.checked_sub(1).map_or(Some(base), |i| links.get(i).copied())?;
+    let mut positions = vec![0.0; links.len()];
+    model.actuators.actuators_from_command(command, &mut positions);
     let rows = &model.kinematics.links;
     let crank = waist
         * rows.get(shoulder)?.fixed_part()
-        * rotation_z(command.get(elbow)? + offset + rows.get(elbow)?.theta);
+        * rotation_z(positions.get(elbow)? + offset + rows.get(elbow)?.theta);
     let lever = links.get(elbow)?;
     Some([
         crank.translation.vector,
@@ -434,7 +437,7 @@ mod tests {
         statics.make_rigid();
         let machine = AsBuilt {
             kinematics: model.kinematics.clone(),
-            actuators: model.actuators,
+            actuators: model.actuators.clone(),
             statics,
             target: Vector3::zeros(),
             effects: Effects::default(),

@@ -180,7 +180,11 @@ fn robot() -> KinematicModel {
         theta: 0.0,
         limits,
     };
-    KinematicModel { links: rows.into_iter().map(link).collect(), last_from_flange: Transform::identity() }
+    KinematicModel {
+        links: rows.into_iter().map(link).collect(),
+        base_from_first: Transform::identity(),
+        last_from_flange: Transform::identity(),
+    }
 }
 
 /// `share` of the made-up errors.

@@ -10,10 +10,7 @@ use super::{Args, CliError, MOUNTABLE_TARGET, SPREAD_POSES, Verdict, scenario_po
 use crate::cli::print;
 use crate::pipeline::{PipelineError, default_options, planned, planned_at};
 use crate::scenario::load_scenario;
-use calibrig_estimation::identification::{
-    IdentificationOptions, Mode, Prospect, prospect, structural_poses,
-};
-use calibrig_files::load_robot;
+use calibrig_estimation::identification::{IdentificationOptions, Mode, Prospect, prospect, reachable_poses};
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, ParameterId};
 
@@ -27,10 +24,11 @@ struct Plan {
 }
 
 pub(super) fn execute(args: &Args, mode: Mode) -> Result<Verdict, CliError> {
-    let file = args.model.as_ref().or(args.scenario.as_ref()).cloned().unwrap_or_default();
-    let mut plan = match &args.model {
-        Some(model) => of_robot(model)?,
-        None => of_scenario(&file)?,
+    let file = args.model.as_ref().or(args.urdf.as_ref()).or(args.scenario.as_ref());
+    let file = file.cloned().unwrap_or_default();
+    let mut plan = match &args.scenario {
+        None => of_robot(args, &file)?,
+        Some(scenario) => of_scenario(scenario)?,
     };
     plan.options.mode = mode;
     if let Some(asked) = &args.compliances {
@@ -62,10 +60,10 @@ fn of_scenario(path: &Path) -> Result<Plan, CliError> {
     })
 }
 
-fn of_robot(path: &Path) -> Result<Plan, CliError> {
-    let robot = load_robot(path)?;
+fn of_robot(args: &Args, path: &Path) -> Result<Plan, CliError> {
+    let robot = args.chain.robot(args.model.as_deref(), args.urdf.as_deref())?;
     robot.remarks.iter().for_each(|remark| super::say(remark));
-    let poses = structural_poses(&robot.model.kinematics, SPREAD_POSES);
+    let poses = reachable_poses(&robot.model, SPREAD_POSES);
     let set = planned_at(&robot.model, &poses, robot.target().unwrap_or(MOUNTABLE_TARGET))
         .map_err(|error| failed(error, path.to_path_buf()))?;
     let options = IdentificationOptions { tolerance: None, ..default_options(&robot) };

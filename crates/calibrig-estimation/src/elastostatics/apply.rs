@@ -96,9 +96,7 @@ fn apply_length(
     length: LinkageLength,
     value: f64,
 ) {
-    use calibrig_model::ActuatorMap::Parallelogram;
-    let (Parallelogram { linkage: Some(to), .. }, Parallelogram { linkage: Some(from), .. }) =
-        (&mut model.actuators, &reference.actuators)
+    let (Some(to), Some((_, _, _, from))) = (model.actuators.linkage_mut(), reference.actuators.four_bar())
     else {
         return;
     };

@@ -4,11 +4,10 @@ use nalgebra::Vector3;
 
 use super::Mode;
 use crate::elastostatics::{Deflection, ElasticChain, ElasticError};
-use crate::kinematics::{PlacedChain, frames};
+use crate::kinematics::{PlacedChain, frames, nominal_joints};
 use calibrig_model::geometry::Transform;
 use calibrig_model::{
-    ActuatorMap, CalibrationModel, CraigLink, KinematicModel, ModelError, ParameterId, PoseQuery, TermId,
-    TermPlace,
+    CalibrationModel, CraigLink, KinematicModel, ModelError, ParameterId, PoseQuery, TermId, TermPlace,
 };
 
 /// Why a robot cannot take a pose.
@@ -126,7 +125,10 @@ impl Machine {
         let mut told = Prepared { command: pose.command.to_vec(), ..Prepared::default() };
         match &mut self.kind {
             Kind::Joints { predicted, joints, .. } => {
-                self.nominal.actuators.joints_from_command(pose.command, joints);
+                match predicted {
+                    Some(_) => self.nominal.actuators.joints_from_command(pose.command, joints),
+                    None => nominal_joints(&self.nominal, pose.command, joints)?,
+                }
                 if let Some(predicted) = predicted {
                     predicted.rest(pose.command, &[], Deflection::Equilibrium)?;
                     for (q, deflection) in joints.iter_mut().zip(predicted.deflections()) {
@@ -232,7 +234,7 @@ impl Terms {
 
 /// What is behind the fixed part of every link of a chain with these `frames` (`base_from_link`).
 fn motions(kinematics: &KinematicModel, frames: &[Transform]) -> Vec<Transform> {
-    let mut previous = Transform::identity();
+    let mut previous = kinematics.base_from_first;
     let links = kinematics.links.iter().zip(frames);
     let motion = |(link, frame): (&CraigLink, &Transform)| {
         let motion = (previous * link.fixed_part()).inverse() * frame;
@@ -244,7 +246,7 @@ fn motions(kinematics: &KinematicModel, frames: &[Transform]) -> Vec<Transform> 
 
 /// The inverse of [`motions`].
 fn frames_behind(kinematics: &KinematicModel, motions: &[Transform]) -> Vec<Transform> {
-    let mut base_from_link = Transform::identity();
+    let mut base_from_link = kinematics.base_from_first;
     let links = kinematics.links.iter().zip(motions);
     let frame = |(link, motion): (&CraigLink, &Transform)| {
         base_from_link *= link.fixed_part() * motion;
@@ -263,8 +265,6 @@ fn is_elastic_in_drives_alone(model: &CalibrationModel) -> bool {
 /// The model with the exact parallelogram in place of the four-bar.
 fn with_ideal_map(model: &CalibrationModel) -> CalibrationModel {
     let mut ideal = model.clone();
-    if let ActuatorMap::Parallelogram { linkage, .. } = &mut ideal.actuators {
-        *linkage = None;
-    }
+    ideal.actuators = ideal.actuators.without_linkage();
     ideal
 }

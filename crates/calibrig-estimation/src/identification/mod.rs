@@ -39,8 +39,8 @@ pub(crate) use factor::triangular_factor_of_all;
 pub use gross::held_out_outliers;
 pub use identifiability::{
     DependentGroup, Explanation, Finding, IdentifiabilityReport, RANK_TOLERANCE, Remedy, Spectrum,
-    WEAK_TOLERANCE, WeakDirection, complete_set, explain, identifiability, neighbour_axis_rules, spectrum,
-    structural_poses,
+    WEAK_TOLERANCE, WeakDirection, complete_set, complete_set_of, explain, identifiability,
+    identifiability_of, neighbour_axis_rules, reachable_poses, spectrum, structural_poses,
 };
 use identifiability::{analyse_r, dependent_ends, select_independent};
 pub use identify::{IdentifyError, identify, without_calibration};

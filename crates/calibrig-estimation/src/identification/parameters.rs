@@ -3,7 +3,7 @@
 use super::options::Freedom;
 use super::{
     ComplianceChoice, DependentGroup, FrameChoice, IdentifiabilityReport, IdentificationOptions,
-    IdentifyError, LINKAGE, Mode, ParameterChoice, TargetChoice, UNKNOWN_STIFFNESS, complete_set,
+    IdentifyError, LINKAGE, Mode, ParameterChoice, TargetChoice, UNKNOWN_STIFFNESS, complete_set_of,
     dependent_ends, neighbour_axis_rules,
 };
 use calibrig_model::measurement::{Station, Target};
@@ -105,12 +105,12 @@ fn links(
     let joints = model.kinematics.joint_count();
     let choice =
         if options.mode == Mode::Extended { &options.extended_parameters } else { &options.parameters };
-    let ends = || dependent_ends(&model.kinematics, free.frame, free.target);
+    let ends = || dependent_ends(model, free.frame, free.target);
     let (mut chosen, redundant_ends) = match choice {
         ParameterChoice::NeighbourAxisRules => (neighbour_axis_rules(&model.kinematics).0, ends()?),
         ParameterChoice::Complete => {
             let IdentifiabilityReport { mut selected, mut dependent, .. } =
-                complete_set(&model.kinematics, free.frame, free.target)?;
+                complete_set_of(model, free.frame, free.target)?;
             selected.retain(|id| matches!(id, ParameterId::Link { .. }));
             dependent.retain(|group| !matches!(group.redundant, ParameterId::Link { .. }));
             (selected, dependent)

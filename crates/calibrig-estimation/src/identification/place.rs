@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::options::is_placed;
 use super::{DependentGroup, FrameChoice, IdentificationOptions, IdentifyError, TargetChoice};
-use crate::kinematics::{forward_kinematics, target};
+use crate::kinematics::{forward_kinematics, nominal_joints, target};
 use calibrig_model::geometry::{Transform, best_fit_transform};
 use calibrig_model::measurement::{MeasurementSet, register};
 use calibrig_model::{CalibrationModel, ParameterId};
@@ -110,7 +110,8 @@ pub(super) fn best_fit_station(
     let mut joints = vec![0.0; model.kinematics.joint_count()];
     let (mut seen, mut nominal) = (Vec::new(), Vec::new());
     for observation in set.observations.iter().filter(|o| o.station == station) {
-        model.actuators.joints_from_command(&observation.command, &mut joints);
+        // A four-bar that does not close is told where the pose is fitted.
+        let _ = nominal_joints(model, &observation.command, &mut joints);
         seen.push(observation.reading.position());
         nominal.push(target(&model.kinematics, &joints, &offsets[observation.target]));
     }
@@ -171,7 +172,7 @@ impl Flanges {
     fn new(model: &CalibrationModel, set: &MeasurementSet) -> Self {
         let mut joints = vec![0.0; model.kinematics.joint_count()];
         let flange = |command: &[f64]| {
-            model.actuators.joints_from_command(command, &mut joints);
+            let _ = nominal_joints(model, command, &mut joints);
             // Commands have been checked.
             forward_kinematics(&model.kinematics, &joints).unwrap_or_else(|_| Transform::identity())
         };

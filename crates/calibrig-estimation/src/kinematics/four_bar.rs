@@ -6,8 +6,8 @@ use thiserror::Error;
 use super::JOINTS;
 use calibrig_model::geometry::{Transform, rotation_x, rotation_z};
 use calibrig_model::{
-    ActuatorMap, KinematicModel, LEAST_TRANSMISSION_ANGLE, LinkTerm, LinkageArm, LinkageLength, ModelError,
-    ParameterId,
+    ActuatorMap, CalibrationModel, CraigLink, FourBar, KinematicModel, LEAST_TRANSMISSION_ANGLE, LinkTerm,
+    LinkageArm, LinkageLength, ModelError, ParameterId,
 };
 
 /// Why a four-bar gives no joint angle.
@@ -262,7 +262,7 @@ impl ElbowLinkage {
         swing_to(&self.pivot(q_shoulder), &self.lever_end, &anchor, self.rod, ideal)
     }
 
-    /// The elbow's joint variable at a command (as long as the chain), rad.
+    /// The elbow's joint variable at these [positions of the actuators](ActuatorMap::actuators_from_command) (as long as the chain), rad.
     ///
     /// # Errors
     ///
@@ -272,7 +272,7 @@ impl ElbowLinkage {
         Ok(self.close(psi, q_shoulder)?.angle)
     }
 
-    /// The elbow's command psi that sets the joint variables (as long as the chain), rad.
+    /// The position psi of the elbow's actuator that sets the joint variables (as long as the chain), rad.
     ///
     /// # Errors
     ///
@@ -292,7 +292,7 @@ impl ElbowLinkage {
         Ok(psi)
     }
 
-    /// The elbow's angle at a command (as long as the chain), with its derivatives.
+    /// The elbow's angle at these [positions of the actuators](ActuatorMap::actuators_from_command) (as long as the chain), with its derivatives.
     ///
     /// # Errors
     ///
@@ -358,9 +358,41 @@ pub fn joints_from_command(
     }
     actuators.joints_from_command(command, joints);
     if let Some(linkage) = linkage {
-        joints[linkage.elbow] = linkage.q_elbow(command)?;
+        let mut positions = vec![0.0; expected];
+        actuators.actuators_from_command(command, &mut positions);
+        joints[linkage.elbow] = linkage.q_elbow(&positions)?;
     }
     Ok(())
+}
+
+/// Joint variables of the rigid nominal machine, for a command and a list that are known to be of it: those of the ideal map, or where the lengths
+/// of its four-bar are those of no parallelogram, of that four-bar.
+///
+/// # Errors
+///
+/// [`ClosureError`] of a four-bar that does not close, with the elbow's entry that of the ideal map.
+pub(crate) fn nominal_joints(
+    model: &CalibrationModel,
+    command: &[f64],
+    joints: &mut [f64],
+) -> Result<(), ClosureError> {
+    match model.actuators.four_bar() {
+        Some((_, elbow, _, linkage)) if !is_parallelogram(&model.kinematics, elbow, linkage) => {
+            joints_from_command(&model.kinematics, &model.actuators, command, joints)
+        }
+        _ => {
+            model.actuators.joints_from_command(command, joints);
+            Ok(())
+        }
+    }
+}
+
+/// Whether crank and lever are the same, and the rod is as long as the upper arm.
+fn is_parallelogram(kinematics: &KinematicModel, elbow: usize, linkage: &FourBar) -> bool {
+    let is_arm = |link: &CraigLink| {
+        link.a.abs() == linkage.rod && [link.alpha, link.beta, link.d].iter().all(|value| *value == 0.0)
+    };
+    linkage.crank == linkage.lever && kinematics.links.get(elbow).is_some_and(is_arm)
 }
 
 /// The command that takes the rigid machine, with its real four-bar where the lengths are known, to `joints`.
@@ -377,11 +409,10 @@ pub fn command_from_joints(
     let linkage = ElbowLinkage::new(kinematics, actuators)?;
     actuators.check(kinematics.joint_count())?;
     kinematics.check_joints(JOINTS, joints)?;
-    let mut command = actuators.command_from_joints(joints);
-    if let Some(linkage) = linkage {
-        command[linkage.elbow] = linkage.psi(joints)?;
-    }
-    Ok(command)
+    let Some(linkage) = linkage else { return Ok(actuators.command_from_joints(joints)) };
+    let mut positions = joints.to_vec();
+    positions[linkage.elbow] = linkage.psi(joints)?;
+    Ok(actuators.command_from_actuators(&positions))
 }
 
 #[cfg(test)]

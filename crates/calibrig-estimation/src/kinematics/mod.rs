@@ -3,6 +3,7 @@
 
 mod four_bar;
 
+pub(crate) use four_bar::nominal_joints;
 pub use four_bar::{
     Closure, ClosureError, ElbowClosure, ElbowLinkage, command_from_joints, joints_from_command, swing_to,
 };
@@ -28,7 +29,7 @@ pub fn forward_kinematics(model: &KinematicModel, q: &[f64]) -> Result<Transform
 
 /// [`forward_kinematics`] of a pose of the robot.
 pub(crate) fn flange(model: &KinematicModel, q: &[f64]) -> Transform {
-    let mut base_from_link = Transform::identity();
+    let mut base_from_link = model.base_from_first;
     for (link, &q) in model.links.iter().zip(q) {
         base_from_link *= link.transform(q);
     }
@@ -48,7 +49,7 @@ pub fn link_frames(model: &KinematicModel, q: &[f64]) -> Result<Vec<Transform>, 
 
 /// [`link_frames`] of a pose of the robot.
 pub(crate) fn frames(model: &KinematicModel, q: &[f64]) -> Vec<Transform> {
-    let mut base_from_link = Transform::identity();
+    let mut base_from_link = model.base_from_first;
     model
         .links
         .iter()
@@ -146,8 +147,9 @@ struct Walk {
 }
 
 impl Walk {
-    fn base() -> Self {
-        Self { x: Vector3::x(), y: Vector3::y(), z: Vector3::z(), origin: Vector3::zeros() }
+    fn from(frame: &Transform) -> Self {
+        let axis = |j: usize| frame.rotation.matrix().column(j).into_owned();
+        Self { x: axis(0), y: axis(1), z: axis(2), origin: frame.translation.vector }
     }
 
     /// Goes through a link with this angle about z and this way along it, and tells what its parameters do.
@@ -196,6 +198,7 @@ impl Walk {
 pub(crate) struct PlacedChain {
     links: Vec<LinkConstants>,
     motions: Vec<LinkMotions>,
+    base_from_first: Transform,
     last_from_flange: Transform,
     base_from_flange: Transform,
 }
@@ -206,6 +209,7 @@ impl PlacedChain {
         let mut chain = Self {
             links: Vec::with_capacity(model.joint_count()),
             motions: Vec::with_capacity(model.joint_count()),
+            base_from_first: Transform::identity(),
             last_from_flange: Transform::identity(),
             base_from_flange: Transform::identity(),
         };
@@ -217,13 +221,14 @@ impl PlacedChain {
     pub fn set_model(&mut self, model: &KinematicModel) {
         self.links.clear();
         self.links.extend(model.links.iter().map(LinkConstants::new));
+        self.base_from_first = model.base_from_first;
         self.last_from_flange = model.last_from_flange;
     }
 
     /// Puts the chain at the joint variables `q`.
     pub fn place(&mut self, q: &[f64]) {
         self.motions.clear();
-        let mut walk = Walk::base();
+        let mut walk = Walk::from(&self.base_from_first);
         for (link, &q) in self.links.iter().zip(q) {
             let (sin_cos_theta, d) = match link.kind {
                 JointKind::Revolute => ((link.theta + q).sin_cos(), link.d),
@@ -238,7 +243,7 @@ impl PlacedChain {
     /// all that yields there.
     pub fn place_at(&mut self, motions: &[Transform]) {
         self.motions.clear();
-        let mut walk = Walk::base();
+        let mut walk = Walk::from(&self.base_from_first);
         for (link, motion) in self.links.iter().zip(motions) {
             self.motions.push(walk.pass(link, link.sin_cos_theta, link.d));
             walk.go(motion);
@@ -384,7 +389,8 @@ mod tests {
         (prop::collection::vec((link(), -3.0..3.0_f64), 1..9), tip, target).prop_map(
             |(joints, last_from_flange, target)| {
                 let (links, q) = joints.into_iter().unzip();
-                (KinematicModel { links, last_from_flange }, q, target)
+                let base_from_first = last_from_flange.inverse() * calibrig_model::geometry::rotation_y(0.7);
+                (KinematicModel { links, base_from_first, last_from_flange }, q, target)
             },
         )
     }
@@ -464,8 +470,11 @@ mod tests {
             theta: 0.0,
             limits: [-3.0, 3.0],
         };
-        let model =
-            KinematicModel { links: vec![link(0.0), link(2.0)], last_from_flange: Transform::identity() };
+        let model = KinematicModel {
+            links: vec![link(0.0), link(2.0)],
+            base_from_first: Transform::identity(),
+            last_from_flange: Transform::identity(),
+        };
         let quarter = std::f64::consts::FRAC_PI_2;
         let tip = target_in_base(&model, &[quarter, -quarter], &Vector3::new(1.0, 0.0, 0.0)).expect("a pose");
         assert!((tip - Vector3::new(1.0, 2.0, 0.0)).norm() < 1e-15);

@@ -13,7 +13,7 @@ mod tests;
 use nalgebra::Vector3;
 
 use crate::identification::IdentifyError;
-use crate::kinematics::flange;
+use crate::kinematics::{flange, nominal_joints};
 use calibrig_model::measurement::{MeasurementSet, Reading};
 use calibrig_model::{CalibrationModel, JointKind};
 use fit::Points;
@@ -231,7 +231,8 @@ fn points_of(model: &CalibrationModel, set: &MeasurementSet) -> Points {
         ..Points::default()
     };
     for observation in &set.observations {
-        model.actuators.joints_from_command(&observation.command, &mut joints);
+        // A four-bar that does not close is told where the pose is fitted.
+        let _ = nominal_joints(model, &observation.command, &mut joints);
         points.flange.push(flange(&model.kinematics, &joints));
         points.seen.push(observation.reading.position());
         points.station.push(observation.station);

@@ -31,7 +31,7 @@ fn link(case: &mut Case) -> &mut CraigLink {
     &mut case.model.kinematics.links[case.joint]
 }
 
-const CHAIN_FAULTS: [ModelFault; 9] = [
+const CHAIN_FAULTS: [ModelFault; 10] = [
     |case| {
         case.model.kinematics.links.clear();
         Some("no joints")
@@ -65,18 +65,18 @@ const CHAIN_FAULTS: [ModelFault; 9] = [
         Some("limits of joint")
     },
     |case| {
+        case.model.kinematics.base_from_first.translation.y = case.bad;
+        Some("base_from_first")
+    },
+    |case| {
         case.model.kinematics.last_from_flange.translation.x = case.bad;
         Some("last_from_flange")
     },
 ];
 
 fn parallelogram(case: &mut Case, [shoulder, elbow]: [usize; 2], offset: f64) {
-    case.model.actuators = match case.model.actuators {
-        ActuatorMap::Direct => ActuatorMap::Parallelogram { shoulder, elbow, offset, linkage: None },
-        ActuatorMap::Parallelogram { linkage, .. } => {
-            ActuatorMap::Parallelogram { shoulder, elbow, offset, linkage }
-        }
-    };
+    let linkage = case.model.actuators.elbow().and_then(|drive| drive.linkage);
+    case.model.actuators = ActuatorMap::Parallelogram { shoulder, elbow, offset, linkage };
 }
 
 const MODEL_FAULTS: [ModelFault; 28] = [
@@ -410,7 +410,7 @@ fn chain_is_refused(chain: &KinematicModel, field: &str) {
     let q = vec![0.1; chain.joint_count()];
     let (target, ids) = (Vector3::new(0.1, 0.0, 0.2), ParameterId::all_of_links(chain.joint_count()));
     names(chain.check(), field, "check");
-    if field != "last_from_flange" {
+    if !["base_from_first", "last_from_flange"].contains(&field) {
         names(KinematicModel::new(chain.links.clone()), field, "KinematicModel::new");
         names(CalibrationModel::new(chain.links.clone()), field, "CalibrationModel::new");
     }

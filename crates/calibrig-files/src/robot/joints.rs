@@ -4,7 +4,9 @@ use std::f64::consts::TAU;
 
 use serde::Deserialize;
 
+use super::axes::{FollowsTable, ShownTable};
 use super::flexibility::{BeamTable, BearingTable};
+use super::frames::BodyTable;
 use super::{Convention, Reader};
 use crate::input::{InputError, Spanned};
 use calibrig_model::geometry::{Transform, rotation_x, translation};
@@ -39,6 +41,9 @@ pub(super) struct JointTable {
     pub motor_turns_per_m: Option<Spanned<f64>>,
     pub bearing: Option<Spanned<BearingTable>>,
     pub beam: Option<Spanned<BeamTable>>,
+    pub body: Option<Spanned<BodyTable>>,
+    pub shown: Option<Spanned<ShownTable>>,
+    pub follows: Option<Spanned<FollowsTable>>,
 }
 
 impl Reader<'_> {
@@ -65,8 +70,11 @@ impl Reader<'_> {
             }
             links.push(link);
         }
-        let last_from_flange: Transform = translation(behind.0, 0.0, 0.0) * rotation_x(behind.1);
-        Ok(KinematicModel { links, last_from_flange })
+        let last_from_flange: Transform = translation(behind.0, 0.0, 0.0)
+            * rotation_x(behind.1)
+            * self.frame("flange", self.file.flange.as_ref())?;
+        let base_from_first = self.frame("base", self.file.base.as_ref())?;
+        Ok(KinematicModel { links, base_from_first, last_from_flange })
     }
 
     fn link(&self, table: &Spanned<JointTable>) -> Result<CraigLink, InputError> {

@@ -1,7 +1,9 @@
 //! `robot.toml`: the D-H table, limits, drives, bearings, beams, actuators, loads, target and gravity, with their units in the keys.
 
 mod actuators;
+mod axes;
 mod flexibility;
+pub(crate) mod frames;
 mod joints;
 mod loads;
 mod parallel;
@@ -23,6 +25,7 @@ pub use loads::{LoadTable, read_loads};
 pub use targets::StatedTarget;
 
 use actuators::ActuatorTable;
+use frames::FrameTable;
 use joints::JointTable;
 use parallel::rewrite_far_normals;
 use statics::{CompliancePercent, GravityTable};
@@ -74,6 +77,8 @@ struct RobotFile {
     #[serde(default)]
     load: Vec<Spanned<LoadTable>>,
     gravity: Option<Spanned<GravityTable>>,
+    base: Option<Spanned<FrameTable>>,
+    flange: Option<Spanned<FrameTable>>,
     compliance_percent: Option<Spanned<CompliancePercent>>,
     mass_percent: Option<Spanned<f64>>,
     centre_mm: Option<Spanned<f64>>,
@@ -129,7 +134,7 @@ pub fn parse_robot(
     reader.check_companion("urdf", file.urdf.as_ref(), urdf.as_ref())?;
     reader.check_companion("columns", file.columns.as_ref(), columns.as_ref())?;
     let mut kinematics = reader.kinematics()?;
-    let actuators = reader.actuators(&kinematics)?;
+    let actuators = reader.axes(reader.actuators(&kinematics)?)?;
     let motor_turns = reader.motor_turns()?;
     let targets = read_targets(&robot, &file.target)?;
     let described = match &urdf {

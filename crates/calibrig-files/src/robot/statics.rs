@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 use serde::Deserialize;
 
 use super::Reader;
+use super::joints::JointTable;
 use super::loads::read_loads;
 use super::urdf::UrdfRobot;
 use crate::input::{InputError, Spanned};
@@ -75,10 +76,10 @@ impl Reader<'_> {
         }
         match stated.first() {
             None => Ok(Vec::new()),
-            Some(span) if self.file.urdf.is_none() => self.error(
+            Some(span) if self.file.urdf.is_none() && !self.states_bodies() => self.error(
                 span.clone(),
                 "there is a mass_percent or centre_mm, but no masses",
-                "urdf = \"robot.urdf\" with the inertials",
+                "[joint.body] of every joint, or urdf = \"robot.urdf\" with the inertials",
             ),
             Some(_) => Ok(bodies),
         }
@@ -100,6 +101,7 @@ impl Reader<'_> {
         let linkage = self.linkage_statics(actuators)?;
         let names: Vec<_> = kinematics.links.iter().map(|link| link.name.as_str()).collect();
         let loads = read_loads(self.source, &self.file.load, &names, &[])?;
+        let stated = self.states_bodies().then(|| self.stated_bodies(urdf)).transpose()?;
         let (drive_stiffness, gravity) = match (drives, gravity) {
             (None, None) => return self.refuse_statics_alone().map(|()| None),
             (Some(drives), Some(gravity)) => (drives, gravity),
@@ -117,7 +119,7 @@ impl Reader<'_> {
                 return self.error(span, "there is [gravity], but no drive has a stiffness", expected);
             }
         };
-        let bodies = self.bodies(urdf)?;
+        let bodies = stated.map_or_else(|| self.bodies(urdf), Ok)?;
         self.check_beam_masses(&limits, &beams, &bodies)?;
         Ok(Some(StaticProperties { bodies, drive_stiffness, bearings, beams, linkage, loads, gravity }))
     }
@@ -126,7 +128,8 @@ impl Reader<'_> {
     fn refuse_statics_alone(&self) -> Result<(), InputError> {
         let of_joint = self.file.joint.iter().map(Spanned::get_ref).find_map(|joint| {
             let bearing = joint.bearing.as_ref().map(|table| (table.span(), "[joint.bearing]"));
-            bearing.or_else(|| joint.beam.as_ref().map(|table| (table.span(), "[joint.beam]")))
+            let beam = || joint.beam.as_ref().map(|table| (table.span(), "[joint.beam]"));
+            bearing.or_else(beam)
         });
         let known = self.file.compliance_percent.as_ref().map(|value| (value.span(), "compliance_percent"));
         let load = || self.file.load.first().map(|table| (table.span(), "[[load]]"));
@@ -145,7 +148,8 @@ impl Reader<'_> {
     fn bodies(&self, urdf: Option<&UrdfRobot>) -> Result<Vec<Body>, InputError> {
         let Some(urdf) = urdf else {
             let message = "there are stiffnesses and [gravity], but no masses";
-            return self.error(0..0, message, "urdf = \"robot.urdf\" with the inertials");
+            let expected = "[joint.body] of every joint, or urdf = \"robot.urdf\" with the inertials";
+            return self.error(0..0, message, expected);
         };
         urdf.joints
             .iter()
@@ -163,6 +167,32 @@ impl Reader<'_> {
                 }
             })
             .collect()
+    }
+
+    /// Whether the file itself says what a joint carries.
+    fn states_bodies(&self) -> bool {
+        self.file.joint.iter().any(|table| table.get_ref().body.is_some())
+    }
+
+    /// The bodies of `[joint.body]`; those of a URDF are not stated a second time.
+    fn stated_bodies(&self, urdf: Option<&UrdfRobot>) -> Result<Vec<Body>, InputError> {
+        let in_urdf = urdf.is_some_and(|urdf| urdf.joints.iter().any(|joint| joint.body.is_some()));
+        // All first, so that a mistake in one is told before that others have none.
+        let bodies: Vec<Option<Body>> =
+            self.file.joint.iter().map(|table| self.stated_body(table)).collect::<Result<_, _>>()?;
+        let stated = |(table, body): (&Spanned<JointTable>, Option<Body>)| match body {
+            Some(body) if !in_urdf => Ok(body),
+            Some(_) => {
+                let span = table.get_ref().body.as_ref().map_or(0..0, Spanned::span);
+                self.error(span, "masses stand here and in the URDF", "one of them")
+            }
+            None => {
+                let message =
+                    format!("joint {:?} has no [joint.body], others have", table.get_ref().name.get_ref());
+                self.error(table.span(), message, "mass and centre of what every joint carries, or of none")
+            }
+        };
+        self.file.joint.iter().zip(bodies).map(stated).collect()
     }
 
     /// A beam is a part of its link's body.

@@ -543,3 +543,115 @@ fn how_well_stiffnesses_masses_and_centres_are_known_is_read_for_all_and_for_one
         parse(&TWO_JOINTS.replace(head, &format!("{head}\nmass_percent = 3"))).expect_err("no masses");
     assert!(error.to_string().contains("no masses"), "{error}");
 }
+
+/// The text of `TWO_JOINTS` with tables behind its second joint and at its end.
+fn with(joint: &str, end: &str) -> String {
+    TWO_JOINTS.replacen("max_deg = 90\n", &format!("max_deg = 90\n{joint}\n"), 1) + end
+}
+
+#[test]
+fn what_the_controller_shows_is_turned_into_joint_variables() {
+    let text = with("[joint.shown]\nsign = -1\nratio = 2\noffset_deg = 10\ncoupling = { slide = 0.5 }", "");
+    let map = parse(&text).expect("valid").model.actuators;
+    // -2 (q + 0.5 deg per mm of the slide) + 10 deg
+    let (slide, swing) = (0.02, 0.3_f64);
+    let shown = map.command_from_joints(&[slide, swing]);
+    let expected = -2.0 * (swing.to_degrees() + 0.5 * 20.0) + 10.0;
+    assert!(
+        (shown[0] - slide).abs() < 1e-15 && (shown[1].to_degrees() - expected).abs() < 1e-12,
+        "{shown:?}"
+    );
+    let mut joints = [0.0; 2];
+    map.joints_from_command(&shown, &mut joints);
+    assert!((joints[0] - slide).abs() < 1e-15 && (joints[1] - swing).abs() < 1e-15);
+    assert!([0, 1].iter().all(|axis| map.is_commanded(*axis)));
+}
+
+#[test]
+fn a_joint_that_follows_has_no_command() {
+    let text = with("[joint.follows]\njoint = \"slide\"\nratio = -0.1\noffset_deg = 5", "");
+    let map = parse(&text).expect("valid").model.actuators;
+    assert_eq!([0, 1].map(|axis| map.is_commanded(axis)), [true, false]);
+    let mut joints = [0.0; 2];
+    map.joints_from_command(&[0.3, 0.0], &mut joints);
+    // -0.1 deg per mm of 300 mm, and 5 deg.
+    assert!((joints[1].to_degrees() + 25.0).abs() < 1e-12, "{joints:?}");
+}
+
+#[test]
+fn frames_at_both_ends_are_those_of_a_urdf() {
+    let text =
+        with("", "[base]\nz_mm = 400\nroll_deg = 90\n[flange]\nx_mm = 10\npitch_deg = 90\nyaw_deg = -90\n");
+    let robot = parse(&text).expect("valid");
+    let chain = &robot.model.kinematics;
+    let base = translation(0.0, 0.0, 0.4) * rotation_x(std::f64::consts::FRAC_PI_2);
+    assert!((chain.base_from_first.to_homogeneous() - base.to_homogeneous()).norm() < 1e-15);
+    let quarter = std::f64::consts::FRAC_PI_2;
+    let flange =
+        translation(0.01, 0.0, 0.0) * rotation_z(-quarter) * calibrig_model::geometry::rotation_y(quarter);
+    assert!((chain.last_from_flange.to_homogeneous() - flange.to_homogeneous()).norm() < 1e-15);
+}
+
+const MASSES: [&str; 2] = [
+    "stiffness_n_per_m = 1e6\n[joint.body]\nmass_kg = 20\nx_mm = 100\ny_mm = 0\nz_mm = -5\n",
+    "stiffness_nm_per_rad = 1e4\n[joint.body]\nmass_kg = 3\nx_mm = 0\ny_mm = 50\nz_mm = 0\nixx_kg_m2 = 0.02\niyy_kg_m2 = 0.01\nizz_kg_m2 = 0.025\n",
+];
+const GRAVITY: &str = "[gravity]\nx_m_per_s2 = 0\ny_m_per_s2 = 0\nz_m_per_s2 = -9.81\n";
+
+#[test]
+fn masses_may_stand_in_the_robots_file() {
+    let text =
+        with(MASSES[1], GRAVITY).replacen("max_mm = 500\n", &format!("max_mm = 500\n{}", MASSES[0]), 1);
+    let robot = parse(&text).expect("no URDF is needed");
+    let statics = robot.model.statics.as_ref().expect("statics");
+    let [slide, swing] = statics.bodies.as_slice() else { panic!("two bodies") };
+    assert_eq!((slide.mass, slide.centre_of_mass), (20.0, nalgebra::Vector3::new(0.1, 0.0, -0.005)));
+    assert!(slide.inertia[(0, 0)] > 0.0 && swing.inertia[(2, 2)] == 0.025);
+    // In a standard table a body is in the frame behind its row, as manufacturers print it.
+    let standard = text.replacen("\"craig\"", "\"standard\"", 1).replacen("beta_deg = 1\n", "", 1);
+    let turned = parse(&standard).expect("valid").model.statics.expect("statics");
+    let behind = translation(0.2505, 0.0, 0.0) * rotation_x(-std::f64::consts::FRAC_PI_2);
+    let expected = behind * nalgebra::Point3::new(0.0, 0.05, 0.0);
+    assert!((turned.bodies[1].centre_of_mass - expected.coords).norm() < 1e-15);
+    assert!((turned.bodies[1].inertia[(1, 1)] - 0.025).abs() < 1e-15);
+    // Masses beside a percentage, and none of one joint.
+    assert!(parse(&text.replacen("name = \"two\"", "name = \"two\"\nmass_percent = 3", 1)).is_ok());
+    let one =
+        with(MASSES[1], GRAVITY).replacen("max_mm = 500\n", "max_mm = 500\nstiffness_n_per_m = 1e6\n", 1);
+    let error = parse(&one).unwrap_err().to_string();
+    assert!(error.contains("joint \"slide\" has no [joint.body], others have"), "{error}");
+}
+
+#[test]
+fn axes_and_bodies_that_cannot_be_are_refused() {
+    for (joint, message) in [
+        ("[joint.shown]\nsign = 2", "shown.sign of joint \"swing\" is 2"),
+        ("[joint.shown]\nratio = 0", "shown.ratio is 0"),
+        ("[joint.shown]\noffset_mm = 3", "an offset in the other unit, of joint \"swing\""),
+        ("[joint.shown]\ncoupling = { slid = 1 }", "shown.coupling: no joint \"slid\""),
+        ("[joint.shown]\ncoupling = { swing = 1 }", "couples joint \"swing\" with itself"),
+        ("[joint.follows]\njoint = \"swing\"", "joint \"swing\" follows joints that follow each other"),
+        ("[joint.follows]\njoint = \"lift\"", "follows.joint: no joint \"lift\""),
+        ("[joint.follows]\njoint = \"slide\"\n[joint.shown]\nsign = -1", "has both shown and follows"),
+        ("[joint.body]\nmass_kg = 0\nx_mm = 0\ny_mm = 0\nz_mm = 0", "body.mass_kg is 0"),
+        (
+            "[joint.body]\nmass_kg = 1\nx_mm = 0\ny_mm = 0\nz_mm = 0\nixx_kg_m2 = 1",
+            "joint \"swing\" has a part of an inertia",
+        ),
+        (
+            "[joint.body]\nmass_kg = 1\nx_mm = 0\ny_mm = 0\nz_mm = 0\nixx_kg_m2 = 1\niyy_kg_m2 = 1\nizz_kg_m2 = 3",
+            "the inertia of joint \"swing\" is that of no body",
+        ),
+    ] {
+        let text = with(joint, "");
+        let error = parse(&text).unwrap_err().to_string();
+        assert!(error.contains(message), "{joint}: {error}");
+    }
+    let circle = with("[joint.shown]\ncoupling = { slide = 2 }", "").replacen(
+        "max_mm = 500\n",
+        "max_mm = 500\n[joint.shown]\ncoupling = { swing = 0.5 }\n",
+        1,
+    );
+    let error = parse(&circle).unwrap_err().to_string();
+    assert!(error.contains("the coupling of the axes cannot be turned round"), "{error}");
+}

@@ -187,9 +187,13 @@ fn middle_of_travel(link: &CraigLink) -> f64 {
 /// The actuator's command with every joint half-way between its limits.
 fn middle_command(model: &CalibrationModel, actuator: usize) -> f64 {
     let middle = |joint: usize| model.kinematics.links.get(joint).map_or(0.0, middle_of_travel);
-    match model.actuators {
-        ActuatorMap::Parallelogram { shoulder, elbow, offset, .. } if elbow == actuator => {
-            middle(shoulder) + middle(elbow) - offset
+    match &model.actuators {
+        ActuatorMap::Parallelogram { shoulder, elbow, offset, .. } if *elbow == actuator => {
+            middle(*shoulder) + middle(*elbow) - offset
+        }
+        ActuatorMap::Axes { .. } => {
+            let middle: Vec<f64> = model.kinematics.links.iter().map(middle_of_travel).collect();
+            model.actuators.command_from_joints(&middle).get(actuator).copied().unwrap_or(0.0)
         }
         _ => middle(actuator),
     }
@@ -220,6 +224,7 @@ mod tests {
                     link(JointKind::Revolute, [-1.0, 2.0]),
                     link(JointKind::Revolute, [f64::NEG_INFINITY, f64::INFINITY]),
                 ],
+                base_from_first: Transform::identity(),
                 last_from_flange: Transform::identity(),
             },
             actuators: ActuatorMap::Parallelogram { shoulder: 1, elbow: 2, offset: 0.25, linkage: None },

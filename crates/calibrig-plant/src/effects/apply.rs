@@ -142,15 +142,18 @@ impl AsBuilt {
     /// of the exact parallelogram.
     fn grow_rod(&self, strain: f64, command: &mut [f64]) {
         let Some((shoulder, elbow, offset, linkage)) = self.actuators.four_bar() else { return };
-        let crank_angle = command[elbow] + offset;
+        let mut positions = command.to_vec();
+        self.actuators.actuators_from_command(command, &mut positions);
+        let crank_angle = positions[elbow] + offset;
         let theta = self.kinematics.links[elbow].theta;
         let end = rotation_z(crank_angle + theta) * Point3::from(linkage.crank.end());
-        let upper_arm = rotation_z(command[shoulder]) * self.kinematics.links[elbow].fixed_part();
+        let upper_arm = rotation_z(positions[shoulder]) * self.kinematics.links[elbow].fixed_part();
         let lever =
-            upper_arm * rotation_z(crank_angle - command[shoulder]) * Point3::from(linkage.lever.end());
+            upper_arm * rotation_z(crank_angle - positions[shoulder]) * Point3::from(linkage.lever.end());
         let along_rod = (end - lever).normalize();
         // z × end
         let motion = nalgebra::Vector3::new(-end.y, end.x, 0.0);
-        command[elbow] -= strain * linkage.rod / along_rod.dot(&motion);
+        positions[elbow] -= strain * linkage.rod / along_rod.dot(&motion);
+        command.copy_from_slice(&self.actuators.command_from_actuators(&positions));
     }
 }

@@ -34,6 +34,7 @@ fn machine() -> AsBuilt {
                 link("shoulder", JointKind::Revolute, 0.25),
                 link("elbow", JointKind::Revolute, 1.35),
             ],
+            base_from_first: Transform::identity(),
             last_from_flange: Transform::identity(),
         },
         actuators: ActuatorMap::Parallelogram {

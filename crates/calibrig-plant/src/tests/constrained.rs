@@ -198,7 +198,7 @@ impl<'a> Constrained<'a> {
 
     /// The frame behind every factor of a chain, beginning with the base.
     fn frames(&self, chain: usize, q: &DVector<f64>) -> Vec<Matrix4<f64>> {
-        let mut frames = vec![Matrix4::identity()];
+        let mut frames = vec![self.robot.kinematics.base_from_first.to_homogeneous()];
         for factor in &self.chains[chain] {
             let step = match *factor {
                 Factor::Constant(matrix) => matrix,

@@ -51,7 +51,7 @@ pub(super) fn point(v: &Vector3<f64>) -> Vector4<f64> {
 impl Equilibrium<'_> {
     /// `base_from_link` of every link.
     pub(super) fn frames(&self, q: &DVector<f64>) -> Vec<Matrix4<f64>> {
-        let mut frame = Matrix4::identity();
+        let mut frame = self.robot.kinematics.base_from_first.to_homogeneous();
         let links = self.robot.kinematics.links.iter().zip(q.iter());
         links
             .map(|(link, q)| {

@@ -5,7 +5,7 @@ mod refusals;
 mod spray_robot;
 mod whole;
 
-use nalgebra::{DVector, Matrix3, Rotation3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -14,7 +14,7 @@ use super::effects::Effects;
 use super::tree::Tree;
 use super::{AsBuilt, ElasticPlace, Plant, PlantError, SettleOptions, SettledPose};
 use calibrig_model::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
-use calibrig_model::{ActuatorMap, Body, CraigLink, JointKind, KinematicModel, StaticProperties};
+use calibrig_model::{ActuatorMap, AxisMap, Body, CraigLink, JointKind, KinematicModel, StaticProperties};
 use equilibrium::Equilibrium;
 use spray_robot::{add_errors, full_robot, spray_robot, working_pose};
 
@@ -58,8 +58,9 @@ fn random_robot(rng: &mut ChaCha8Rng, stiffness: f64) -> AsBuilt {
         * rotation_x(rng.random_range(-3.0..3.0))
         * rotation_y(rng.random_range(-3.0..3.0))
         * rotation_z(rng.random_range(-3.0..3.0));
+    let base_from_first = translation(-0.3, 0.2, 0.4) * rotation_y(0.8) * rotation_z(-0.5);
     AsBuilt {
-        kinematics: KinematicModel { links, last_from_flange },
+        kinematics: KinematicModel { links, base_from_first, last_from_flange },
         actuators: ActuatorMap::Direct,
         statics: StaticProperties::of_drives(
             (0..joints).map(|_| random_body(rng)).collect(),
@@ -238,6 +239,19 @@ fn the_transmission_decides_where_the_drives_rest() {
     let pose = plant(&coupled).settle(&command).expect("a stiff robot");
     assert_eq!(bits(&pose), bits(&expected));
     assert!((joints[3] - command[3]).abs() > 1.0, "the map does something");
+
+    // The third axis is shown the other way round, the fourth against it, in front of the same parallelogram.
+    let shown = DMatrix::from_fn(7, 7, |axis, actuator| match (axis, actuator) {
+        (2, 2) => -1.0,
+        (3, 2) => 0.5,
+        _ => f64::from(u8::from(axis == actuator)),
+    });
+    let axes = AxisMap::new(shown, DVector::from_element(7, 0.1)).expect("lower triangular");
+    let mut shown = direct.clone();
+    shown.actuators = ActuatorMap::Axes { axes, elbow: coupled.actuators.elbow() };
+    let command = shown.actuators.command_from_joints(&joints);
+    let pose = plant(&shown).settle(&command).expect("a stiff robot");
+    assert!((pose.target - expected.target).norm() < 1e-12);
 }
 
 /// A body of 10 kg on a lever of 1 m, with a drive that gravity overpowers.
@@ -254,6 +268,7 @@ fn soft_pendulum() -> AsBuilt {
                 theta: 0.0,
                 limits: [-4.0, 4.0],
             }],
+            base_from_first: Transform::identity(),
             last_from_flange: Transform::identity(),
         },
         actuators: ActuatorMap::Direct,

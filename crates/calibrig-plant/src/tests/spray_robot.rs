@@ -60,7 +60,11 @@ pub(super) fn spray_robot() -> AsBuilt {
         Body { mass, centre_of_mass: Vector3::from(centre), inertia }
     });
     AsBuilt {
-        kinematics: KinematicModel { links: links.collect(), last_from_flange: Transform::identity() },
+        kinematics: KinematicModel {
+            links: links.collect(),
+            base_from_first: Transform::identity(),
+            last_from_flange: Transform::identity(),
+        },
         actuators: ActuatorMap::Direct,
         statics: StaticProperties::of_drives(
             bodies.collect(),

@@ -375,14 +375,18 @@ impl ElasticChain {
             }
             TermPlace::Actuator(joint) => {
                 let mu = |joint: usize| self.adjoint.mu[self.driven(joint)];
-                match self.actuators {
+                let by_actuator = |actuator: usize| match self.actuators.elbow() {
                     // The ideal coupling turns the elbow back.
-                    ActuatorMap::Parallelogram { shoulder, elbow, .. }
-                        if joint == shoulder && self.four_bar.is_none() =>
-                    {
-                        mu(shoulder) - mu(elbow)
+                    Some(drive) if actuator == drive.shoulder && self.four_bar.is_none() => {
+                        mu(drive.shoulder) - mu(drive.elbow)
                     }
-                    _ => mu(joint),
+                    _ => mu(actuator),
+                };
+                match &self.actuators {
+                    ActuatorMap::Axes { axes, .. } => (0..self.parts.len())
+                        .map(|actuator| axes.rate(actuator, joint) * by_actuator(actuator))
+                        .sum(),
+                    _ => by_actuator(joint),
                 }
             }
         }

@@ -114,6 +114,7 @@ pub struct ElasticChain {
     four_bar: Option<Loop>,
     actuators: ActuatorMap,
     gravity: Vector3<f64>,
+    base_from_first: Transform,
     last_from_flange: Transform,
     /// Of every slot: m/N or rad/(N m), and those of the reference model.
     compliance: Vec<f64>,
@@ -121,6 +122,8 @@ pub struct ElasticChain {
 
     /// Commands with corrections, and the joint variables that they set without loads.
     command: Vec<f64>,
+    /// Where they take the actuators, in the sense of their joints.
+    positions: Vec<f64>,
     joints: Vec<f64>,
     /// Deflection of every slot.
     u: Vec<f64>,
@@ -159,6 +162,7 @@ impl ElasticChain {
             terms: vec![TermsPlace::default(); joints],
             frames: vec![Transform::identity(); joints],
             command: vec![0.0; joints],
+            positions: vec![0.0; joints],
             joints: vec![0.0; joints],
             compliance: vec![0.0; n],
             reference: vec![0.0; n],
@@ -168,9 +172,10 @@ impl ElasticChain {
             deflections: vec![0.0; elastic + with_four_bar],
             closed: LoopPlace::default(),
             base_from_flange: Transform::identity(),
+            base_from_first: Transform::identity(),
             last_from_flange: Transform::identity(),
             gravity: Vector3::zeros(),
-            actuators: reference.actuators,
+            actuators: reference.actuators.clone(),
             deflection: Deflection::None,
             parts,
             slots,
@@ -221,9 +226,10 @@ impl ElasticChain {
     /// [`set_model`](Self::set_model) without looking.
     pub(crate) fn take(&mut self, model: &CalibrationModel) {
         let statics = model.statics.as_ref();
+        self.base_from_first = model.kinematics.base_from_first;
         self.last_from_flange = model.kinematics.last_from_flange;
         self.gravity = statics.map_or_else(Vector3::zeros, |s| s.gravity);
-        self.actuators = model.actuators;
+        self.actuators.clone_from(&model.actuators);
         for (index, (part, link)) in self.parts.iter_mut().zip(&model.kinematics.links).enumerate() {
             part.fixed = FixedPart::new(link);
             let Some(statics) = statics else { continue };

@@ -245,6 +245,7 @@ impl ElasticChain {
                 TermPlace::Frame { joint, component } => self.parts[joint].correction[component] += value,
             }
         }
+        self.actuators.actuators_from_command(&self.command, &mut self.positions);
         self.actuators.joints_from_command(&self.command, &mut self.joints);
         Ok(())
     }
@@ -299,7 +300,7 @@ impl ElasticChain {
 
     /// Places the chain at its deflections and closes the four-bar.
     pub(super) fn place(&mut self) -> Result<(), ElasticError> {
-        let mut walk = Walk::base();
+        let mut walk = Walk::from(&self.base_from_first);
         for index in 0..self.parts.len() {
             self.parts[index].place_fixed(&mut walk, &mut self.terms[index]);
             let part = &self.parts[index];
@@ -333,7 +334,7 @@ impl ElasticChain {
     /// Places the crank, in the frame in front of the shoulder's motion.
     fn place_crank(&mut self, mut walk: Walk) {
         let Some(four_bar) = &self.four_bar else { return };
-        let psi = self.command[four_bar.elbow] + four_bar.offset;
+        let psi = self.positions[four_bar.elbow] + four_bar.offset;
         self.screws[four_bar.crank] = walk.step(5, psi + self.u[four_bar.crank]);
         let arm = &four_bar.four_bar.crank;
         let closed = &mut self.closed;

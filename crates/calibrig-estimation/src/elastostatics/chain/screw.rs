@@ -116,8 +116,9 @@ pub(super) struct Walk {
 }
 
 impl Walk {
-    pub fn base() -> Self {
-        Self { axes: [Vector3::x(), Vector3::y(), Vector3::z()], origin: Vector3::zeros() }
+    pub fn from(frame: &Transform) -> Self {
+        let axis = |j: usize| frame.rotation.matrix().column(j).into_owned();
+        Self { axes: [axis(0), axis(1), axis(2)], origin: frame.translation.vector }
     }
 
     #[inline]

@@ -5,7 +5,9 @@ use nalgebra::Vector3;
 use super::rank::{RANK_TOLERANCE, analyse_columns, select_in_rounds, select_independent};
 use super::{DependentGroup, IdentifiabilityReport, Spectrum, neighbour_axis_rules};
 use crate::kinematics::{stack, stacked_jacobian};
-use calibrig_model::{CraigLink, JointKind, KinematicModel, LinkTerm, ModelError, ParameterId};
+use calibrig_model::{
+    CalibrationModel, CraigLink, JointKind, KinematicModel, LinkTerm, ModelError, ParameterId,
+};
 
 /// Parameters that stand out less than this from those before them wait until all others had their chance: axes that are parallel
 /// to within some 10 mrad are to be described by Hayati's beta, not by a pair of d that all but replace each other.
@@ -28,29 +30,54 @@ pub fn complete_set(
     model.check()?;
     let candidates = candidates(model, frame_free, target_free);
     let poses = structural_poses(model, candidates.len());
+    Ok(selected(model, candidates, &poses))
+}
+
+/// [`complete_set`] of a robot whose joints do not all move by themselves: what follows others is looked at where it can go.
+///
+/// # Errors
+///
+/// [`ModelError`], where the robot cannot be one.
+pub fn complete_set_of(
+    robot: &CalibrationModel,
+    frame_free: bool,
+    target_free: bool,
+) -> Result<IdentifiabilityReport, ModelError> {
+    robot.check()?;
+    let candidates = candidates(&robot.kinematics, frame_free, target_free);
+    let poses = reachable_poses(robot, candidates.len());
+    Ok(selected(&robot.kinematics, candidates, &poses))
+}
+
+fn selected(
+    model: &KinematicModel,
+    candidates: Vec<ParameterId>,
+    poses: &[Vec<f64>],
+) -> IdentifiabilityReport {
     let target = generic_target(model);
-    let jacobian = stack(model, &poses, &target, &candidates);
+    let jacobian = stack(model, poses, &target, &candidates);
     let (kept, dependent) = select_in_rounds(&jacobian, &[CLEARLY_INDEPENDENT, RANK_TOLERANCE], &candidates);
     let kept: Vec<_> = kept.into_iter().map(|column| candidates[column]).collect();
     let selected = in_table_order(model, &kept);
-    let spectrum = analyse_columns(&stack(model, &poses, &target, &selected), &selected);
-    Ok(IdentifiabilityReport { candidates, selected, spectrum, dependent })
+    let spectrum = analyse_columns(&stack(model, poses, &target, &selected), &selected);
+    IdentifiabilityReport { candidates, selected, spectrum, dependent }
 }
 
 /// What of a free frame and an unknown target cannot be told beside each other, whichever link parameters are fitted: what
 /// [`complete_set`] leaves out of them.
 pub(in crate::identification) fn dependent_ends(
-    model: &KinematicModel,
+    robot: &CalibrationModel,
     frame_free: bool,
     target_free: bool,
 ) -> Result<Vec<DependentGroup>, ModelError> {
-    model.check()?;
+    robot.check()?;
+    let model = &robot.kinematics;
     let mut ends = candidates(model, frame_free, target_free);
     ends.retain(|id| !matches!(id, ParameterId::Link { .. }));
     if ends.is_empty() {
         return Ok(Vec::new());
     }
-    let poses = structural_poses(model, ends.len());
+    let poses = reachable_poses(robot, ends.len());
     Ok(select_independent(&stack(model, &poses, &generic_target(model), &ends), &ends).1)
 }
 
@@ -65,6 +92,23 @@ pub fn identifiability(
 ) -> Result<IdentifiabilityReport, ModelError> {
     let mut report = complete_set(model, frame_free, target_free)?;
     report.spectrum = spectrum(model, poses, target, &report.selected)?;
+    Ok(report)
+}
+
+/// [`identifiability`] of a robot whose joints do not all move by themselves.
+///
+/// # Errors
+///
+/// [`ModelError`], where the robot cannot be one, or a pose is not one finite number a joint.
+pub fn identifiability_of(
+    robot: &CalibrationModel,
+    poses: &[Vec<f64>],
+    target: &Vector3<f64>,
+    frame_free: bool,
+    target_free: bool,
+) -> Result<IdentifiabilityReport, ModelError> {
+    let mut report = complete_set_of(robot, frame_free, target_free)?;
+    report.spectrum = spectrum(&robot.kinematics, poses, target, &report.selected)?;
     Ok(report)
 }
 
@@ -99,6 +143,20 @@ pub fn structural_poses(model: &KinematicModel, count: usize) -> Vec<Vec<f64>> {
             model.links.iter().map(joint).collect()
         })
         .collect()
+}
+
+/// [`structural_poses`] of a robot, with the joints that follow others where these take them.
+pub fn reachable_poses(robot: &CalibrationModel, count: usize) -> Vec<Vec<f64>> {
+    let mut poses = structural_poses(&robot.kinematics, count);
+    let actuators = &robot.actuators;
+    if (0..robot.kinematics.joint_count()).all(|joint| actuators.is_commanded(joint)) {
+        return poses;
+    }
+    for joints in &mut poses {
+        let command = actuators.command_from_joints(joints);
+        actuators.joints_from_command(&command, joints);
+    }
+    poses
 }
 
 /// A target off every axis, at a distance that its turning about them shows well.

@@ -11,7 +11,10 @@ mod rules;
 mod tests;
 
 pub(super) use complete::dependent_ends;
-pub use complete::{complete_set, identifiability, spectrum, structural_poses};
+pub use complete::{
+    complete_set, complete_set_of, identifiability, identifiability_of, reachable_poses, spectrum,
+    structural_poses,
+};
 pub use explain::{Explanation, Finding, Remedy, explain};
 #[cfg(test)]
 use rank::analyse_columns;

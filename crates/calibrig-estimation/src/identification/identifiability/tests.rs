@@ -72,6 +72,7 @@ fn spray_robot() -> KinematicModel {
             revolute(0.0, 0.0, 0.0),
             revolute(0.0, 90.0, 0.0),
         ],
+        base_from_first: Transform::identity(),
         last_from_flange: Transform::identity(),
     }
 }
@@ -83,6 +84,7 @@ fn ur5() -> KinematicModel {
     let alpha = [0.0, 90.0, 0.0, 0.0, 90.0, -90.0];
     KinematicModel {
         links: (0..6).map(|i| revolute(a[i], alpha[i], d[i])).collect(),
+        base_from_first: Transform::identity(),
         last_from_flange: Transform::identity(),
     }
 }
@@ -172,6 +174,7 @@ fn random_robot(kinds: &[JointKind], trial: u32) -> KinematicModel {
     });
     KinematicModel {
         links: links.collect(),
+        base_from_first: rotation_y(0.6) * translation(0.2, -0.1, 0.3),
         last_from_flange: translation(0.05, -0.1, 0.2) * rotation_x(0.3) * rotation_y(-0.4),
     }
 }
@@ -193,7 +196,11 @@ fn special_robot(joints: usize, trial: u32) -> KinematicModel {
             limits: if locked { [0.0, 0.0] } else { [-1.0, 1.5] },
         }
     });
-    KinematicModel { links: links.collect(), last_from_flange: Transform::identity() }
+    KinematicModel {
+        links: links.collect(),
+        base_from_first: Transform::identity(),
+        last_from_flange: Transform::identity(),
+    }
 }
 
 #[test]

@@ -28,6 +28,7 @@ fn problem() -> CalibrationProblem {
             link(JointKind::Revolute, 0.3, -1.57, 0.6),
             link(JointKind::Revolute, 1.3, 0.0, 0.1),
         ],
+        base_from_first: Transform::identity(),
         last_from_flange: Transform::identity(),
     };
     let nominal = CalibrationModel {

@@ -36,7 +36,11 @@ impl Machine {
         (links[ELBOW].a, links[ELBOW].theta) = (1.35, elbow_theta);
         let arm = |angle: f64| LinkageArm { length: 0.35, angle, along: 0.1 };
         Self {
-            kinematics: KinematicModel { links, last_from_flange: Transform::identity() },
+            kinematics: KinematicModel {
+                links,
+                base_from_first: Transform::identity(),
+                last_from_flange: Transform::identity(),
+            },
             linkage: FourBar { crank: arm(lever_angle), lever: arm(lever_angle), rod: 1.35 },
             offset,
         }

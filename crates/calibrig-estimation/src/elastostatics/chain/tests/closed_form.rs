@@ -36,7 +36,11 @@ fn cantilever(run: BeamRun, gravity: Vector3<f64>, force: Vector3<f64>) -> Calib
         limits: [-3.0, 3.0],
     };
     CalibrationModel {
-        kinematics: KinematicModel { links: vec![link], last_from_flange: Transform::identity() },
+        kinematics: KinematicModel {
+            links: vec![link],
+            base_from_first: Transform::identity(),
+            last_from_flange: Transform::identity(),
+        },
         actuators: ActuatorMap::Direct,
         statics: Some(statics),
         motor_turns: vec![None],

@@ -83,7 +83,7 @@ fn bend(case: &Case, u: &[f64]) -> Bent {
         base_from_flange: Transform::identity(),
     };
     let mut bender = Bender { statics, u, bent };
-    let mut frame = Transform::identity();
+    let mut frame = model.kinematics.base_from_first;
     let place = |frame: &Transform, at: Vector3<f64>| frame.transform_point(&at.into()).coords;
     let mut crank_end = Vector3::zeros();
     for (i, link) in model.kinematics.links.iter().enumerate() {

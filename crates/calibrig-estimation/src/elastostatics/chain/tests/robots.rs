@@ -1,14 +1,14 @@
 //! Random elastic robots, and one like the spray painter.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use calibrig_model::geometry::{rotation_x, translation};
+use calibrig_model::geometry::{rotation_x, rotation_z, translation};
 use calibrig_model::{
-    ActuatorMap, Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, CalibrationModel, CraigLink,
-    FourBar, JointKind, KinematicModel, LinkageArm, LinkageStatics, PointLoad, Section, SegmentLength,
-    StaticProperties,
+    ActuatorMap, AxisMap, Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, CalibrationModel,
+    CraigLink, FourBar, JointKind, KinematicModel, LinkageArm, LinkageStatics, PointLoad, Section,
+    SegmentLength, StaticProperties,
 };
 
 pub(super) struct Case {
@@ -104,6 +104,24 @@ impl Draw {
     }
 }
 
+fn mounted(links: Vec<CraigLink>) -> KinematicModel {
+    KinematicModel {
+        links,
+        base_from_first: translation(0.02, -0.01, 0.03) * rotation_x(0.04),
+        last_from_flange: translation(0.0, 0.01, 0.02),
+    }
+}
+
+/// Axes that are shown the other way round, in other units, from another zero, and against the axis before.
+fn axes(joints: usize) -> AxisMap {
+    let shown = DMatrix::from_fn(joints, joints, |axis, actuator| match (axis, actuator) {
+        _ if axis == actuator => [-1.0, 1.0, 2.0][axis % 3],
+        _ if axis == actuator + 1 => -0.5,
+        _ => 0.0,
+    });
+    AxisMap::new(shown, DVector::from_fn(joints, |axis, _| 0.1 * axis as f64)).expect("lower triangular")
+}
+
 /// A serial robot with bearings, beams and loads of all kinds; every third has the ideal parallelogram.
 pub(super) fn serial(seed: u8) -> Case {
     let mut draw = Draw::new(u64::from(seed));
@@ -138,26 +156,34 @@ pub(super) fn serial(seed: u8) -> Case {
     };
     let actuators = if parallelogram {
         ActuatorMap::Parallelogram { shoulder: 1, elbow: 2, offset: 0.2, linkage: None }
+    } else if joints > 1 {
+        ActuatorMap::Axes { axes: axes(joints), elbow: None }
     } else {
         ActuatorMap::Direct
+    };
+    let command: Vec<f64> = kinds
+        .iter()
+        .map(|kind| match kind {
+            JointKind::Prismatic => draw.within(0.5, 1.0),
+            JointKind::Revolute => draw.within(-1.5, 1.5),
+        })
+        .collect();
+    let command = match &actuators {
+        ActuatorMap::Axes { .. } => actuators.command_from_joints(&command),
+        _ => command,
     };
     Case {
         model: CalibrationModel {
             kinematics: KinematicModel {
                 links,
+                base_from_first: translation(0.3, -0.4, 0.1) * rotation_z(0.7) * rotation_x(-0.6),
                 last_from_flange: translation(0.1, -0.2, 0.05) * rotation_x(0.4),
             },
             actuators,
             statics: Some(statics),
             motor_turns: vec![None; joints],
         },
-        command: kinds
-            .iter()
-            .map(|kind| match kind {
-                JointKind::Prismatic => draw.within(0.5, 1.0),
-                JointKind::Revolute => draw.within(-1.5, 1.5),
-            })
-            .collect(),
+        command,
         in_flange: draw.vector(0.3),
     }
 }
@@ -278,7 +304,7 @@ pub(super) fn painter(seed: u8) -> Case {
     Case {
         command: actuators.command_from_joints(&joints),
         model: CalibrationModel {
-            kinematics: KinematicModel { links, last_from_flange: translation(0.0, 0.01, 0.02) },
+            kinematics: mounted(links),
             actuators,
             statics: Some(statics),
             motor_turns: vec![None; 7],

@@ -1,0 +1,530 @@
+//! A table of Denavit-Hartenberg rows as manuals print it, in delimited text.
+
+use std::f64::consts::{PI, TAU};
+use std::fmt::Write as _;
+use std::ops::Range;
+
+use nalgebra::Vector3;
+
+use super::text::{line, mm, quoted, row};
+use super::{Converted, file_name, made_name};
+use crate::input::{InputError, Source};
+use crate::robot::parse_robot;
+use calibrig_model::{CraigLink, JointKind};
+
+/// Whose table it is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Convention {
+    /// A row's a and alpha stand in front of its joint ("modified").
+    Craig,
+    /// A row's a and alpha stand behind its joint ("classic", "distal").
+    Standard,
+}
+
+impl Convention {
+    fn key(self) -> &'static str {
+        match self {
+            Self::Craig => "craig",
+            Self::Standard => "standard",
+        }
+    }
+}
+
+/// Makes a robot file of a table: a header line with units, and a row a joint from the base.
+///
+/// Columns are `a`, `alpha`, `d` and `theta` with their units (`a_mm`, `alpha [deg]`, `θ (rad)`), and where there are `name`, `type`, `beta`, `min` and
+/// `max`. A cell may say which of theta and d is the joint variable, with its sign and offset: `q2 - 90`, `-θ3`.
+///
+/// # Errors
+///
+/// [`InputError`] that points into the table.
+pub fn robot_from_dh(
+    source: &Source,
+    convention: Convention,
+    target: Option<Vector3<f64>>,
+) -> Result<Converted, InputError> {
+    let table = Table::read(source)?;
+    let mut text = String::new();
+    let mut remarks = Vec::new();
+    let rows = table.rows(convention, &mut remarks)?;
+    line!(
+        text,
+        "# Made by calibrig from {}, a table of the {} convention.",
+        file_name(&source.name),
+        convention.key()
+    );
+    line!(text, "# What is marked \"assumed\" the table does not say: look at it.");
+    line!(text);
+    line!(text, "schema = \"calibrig.robot/1\"");
+    let stem = std::path::Path::new(&source.name).file_stem();
+    line!(text, "name = {}", quoted(&stem.map_or_else(|| "robot".into(), |stem| stem.to_string_lossy())));
+    line!(text, "convention = \"{}\"", convention.key());
+    for found in &rows {
+        let comments = found.assumed.map(|assumed| if assumed { " # assumed" } else { "" });
+        row(&mut text, &found.link, comments);
+        if found.reversed {
+            line!(text, "# The table has the variable with a minus.");
+            line!(text, "[joint.shown]");
+            line!(text, "sign = -1");
+        }
+    }
+    line!(text);
+    line!(text, "[actuators]");
+    line!(text, "kind = \"direct\"");
+    if let Some(target) = target {
+        line!(text);
+        line!(text, "# As asked for (--target-mm), in the last frame of the table.");
+        line!(text, "[target]");
+        let [x, y, z] = [target.x, target.y, target.z].map(mm);
+        line!(text, "x_mm = {x}\ny_mm = {y}\nz_mm = {z}");
+    }
+    let made = Source::new(made_name(&source.name), text);
+    let robot = parse_robot(made.clone(), None, None)?;
+    Ok(Converted { source: made, robot, remarks, difference: None })
+}
+
+/// A row, and what of it the table does not say.
+struct Row {
+    link: CraigLink,
+    reversed: bool,
+    /// Of the lower and the upper limit.
+    assumed: [bool; 2],
+}
+
+/// A cell with its place in the text.
+type Cell<'a> = (&'a str, Range<usize>);
+
+struct Table<'a> {
+    source: &'a Source,
+    columns: Vec<Column>,
+    header: Range<usize>,
+    lines: Vec<Vec<Cell<'a>>>,
+    decimal_comma: bool,
+}
+
+/// What a column holds, and the size of its unit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Column {
+    what: What,
+    unit: Option<Unit>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum What {
+    Name,
+    Type,
+    A,
+    Alpha,
+    Beta,
+    D,
+    Theta,
+    Min,
+    Max,
+    /// A number of the row, a remark.
+    Other,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Unit {
+    Length(f64),
+    Angle(f64),
+}
+
+fn unit(text: &str) -> Option<Unit> {
+    Some(match text {
+        "mm" => Unit::Length(1e-3),
+        "cm" => Unit::Length(1e-2),
+        "m" => Unit::Length(1.0),
+        "in" | "inch" => Unit::Length(0.0254),
+        "deg" | "°" | "degrees" | "degree" => Unit::Angle(PI / 180.0),
+        "rad" | "radians" => Unit::Angle(1.0),
+        _ => return None,
+    })
+}
+
+fn column(title: &str) -> Column {
+    let title = title.to_lowercase().replace('α', "alpha").replace('θ', "theta").replace('β', "beta");
+    let words: Vec<&str> =
+        title.split(|c: char| !(c.is_alphanumeric() || c == '°')).filter(|word| !word.is_empty()).collect();
+    let what = match words.first().copied().unwrap_or_default() {
+        "name" | "joint" | "axis" => What::Name,
+        "type" | "kind" => What::Type,
+        "a" | "r" => What::A,
+        "alpha" => What::Alpha,
+        "beta" => What::Beta,
+        "d" => What::D,
+        "theta" => What::Theta,
+        "min" | "lower" => What::Min,
+        "max" | "upper" => What::Max,
+        _ => What::Other,
+    };
+    Column { what, unit: words.iter().skip(1).rev().find_map(|word| unit(word)) }
+}
+
+/// The cells of a line with their places.
+fn cells(source: &Source, start: usize, line: &str, delimiter: char) -> Vec<(String, Range<usize>)> {
+    let mut cells = Vec::new();
+    let mut at = start;
+    for cell in line.split(delimiter) {
+        let trimmed = cell.trim().trim_matches('"').trim();
+        let offset = cell.find(trimmed).unwrap_or(0);
+        cells.push((trimmed.to_owned(), at + offset..(at + offset + trimmed.len()).min(source.text.len())));
+        at += cell.len() + delimiter.len_utf8();
+    }
+    cells
+}
+
+impl<'a> Table<'a> {
+    fn read(source: &'a Source) -> Result<Self, InputError> {
+        let refused = |span: Range<usize>, message: &str, expected: &str| {
+            Err(source.error(span, message, Some(format!("expected {expected}"))))
+        };
+        let text = source.text.trim_start_matches('\u{feff}');
+        let mut start = source.text.len() - text.len();
+        let mut lines = Vec::new();
+        for line in text.split_inclusive('\n') {
+            let content = line.trim();
+            if !content.is_empty() && !content.starts_with('#') && !content.starts_with("//") {
+                lines.push((start, line.trim_end_matches(['\n', '\r'])));
+            }
+            start += line.len();
+        }
+        let Some((&(start, header), rows)) = lines.split_first() else {
+            return refused(
+                0..0,
+                "the table is empty",
+                "a header line such as name,a_mm,alpha_deg,d_mm,theta_deg",
+            );
+        };
+        let delimiter = [';', '\t', ','].into_iter().find(|mark| header.contains(*mark)).unwrap_or(' ');
+        let span = start..start + header.len();
+        let columns: Vec<Column> =
+            cells(source, start, header, delimiter).iter().map(|(title, _)| column(title)).collect();
+        let place = |range: &Range<usize>| source.text.get(range.clone()).unwrap_or_default();
+        let table = Self {
+            source,
+            header: span.clone(),
+            lines: rows
+                .iter()
+                .map(|(start, line)| {
+                    let cells = cells(source, *start, line, delimiter);
+                    cells.into_iter().map(|(_, range)| (place(&range), range)).collect()
+                })
+                .collect(),
+            decimal_comma: delimiter != ',',
+            columns,
+        };
+        for (what, name, units) in [
+            (What::A, "a", "a_mm or a_m"),
+            (What::Alpha, "alpha", "alpha_deg or alpha_rad"),
+            (What::D, "d", "d_mm or d_m"),
+            (What::Theta, "theta", "theta_deg or theta_rad"),
+        ] {
+            let found: Vec<_> = table.columns.iter().filter(|column| column.what == what).collect();
+            let is_length = matches!(what, What::A | What::D);
+            let fits = |column: &&Column| match column.unit {
+                Some(Unit::Length(_)) => is_length,
+                Some(Unit::Angle(_)) => !is_length,
+                None => false,
+            };
+            match found.as_slice() {
+                [column] if fits(column) => {}
+                [_] => {
+                    return refused(
+                        span,
+                        &format!("the column {name} has no unit, or one of the other kind"),
+                        units,
+                    );
+                }
+                [] => return refused(span, &format!("there is no column {name}"), units),
+                _ => {
+                    return refused(
+                        span,
+                        &format!("there are {} columns {name}", found.len()),
+                        "one of them",
+                    );
+                }
+            }
+        }
+        if table.lines.is_empty() {
+            return refused(span, "the table has no rows", "a row for every joint, from the base");
+        }
+        Ok(table)
+    }
+
+    fn error<T>(&self, span: Range<usize>, message: &str, expected: &str) -> Result<T, InputError> {
+        Err(self.source.error(span, message, Some(format!("expected {expected}"))))
+    }
+
+    fn rows(&self, convention: Convention, remarks: &mut Vec<String>) -> Result<Vec<Row>, InputError> {
+        let mut rows: Vec<Row> = Vec::new();
+        let mut unsaid = Vec::new();
+        for (index, line) in self.lines.iter().enumerate() {
+            let (row, said) = self.row(convention, index, line)?;
+            if !said {
+                unsaid.push(row.link.name.clone());
+            }
+            if let Some(other) = rows.iter().find(|other| other.link.name == row.link.name) {
+                let span = line.first().map_or(0..0, |cell| cell.1.clone());
+                let message = format!("a second joint {:?}", other.link.name);
+                return self.error(span, &message, "a name of its own");
+            }
+            rows.push(row);
+        }
+        if !unsaid.is_empty() {
+            remarks.push(format!(
+                "assumed: the joints {} turn; the table says of none of theirs whether it turns or slides (a column type, or q in the cell of theta or d)",
+                unsaid.join(", ")
+            ));
+        }
+        let without: Vec<_> =
+            rows.iter().filter(|row| row.assumed.contains(&true)).map(|row| row.link.name.as_str()).collect();
+        if !without.is_empty() {
+            remarks.push(format!(
+                "assumed: limits of {}: -360 to 360 deg, -1000 to 1000 mm",
+                without.join(", ")
+            ));
+        }
+        remarks.push("no gravity modes: a table gives no masses ([joint.body], stiffnesses and [gravity] may be added)".to_owned());
+        Ok(rows)
+    }
+
+    fn cell(&self, line: &[Cell<'a>], what: What) -> Option<(Cell<'a>, Column)> {
+        let index = self.columns.iter().position(|column| column.what == what)?;
+        let cell = line.get(index)?.clone();
+        Some((cell, self.columns[index]))
+    }
+
+    /// A row, and whether the table says which kind its joint is.
+    fn row(
+        &self,
+        convention: Convention,
+        index: usize,
+        line: &[Cell<'a>],
+    ) -> Result<(Row, bool), InputError> {
+        let span = line.first().map_or(0, |cell| cell.1.start)..line.last().map_or(0, |cell| cell.1.end);
+        if line.len() != self.columns.len() {
+            let message = format!("{} cells, the header has {}", line.len(), self.columns.len());
+            return self.error(span, &message, "a cell a column");
+        }
+        let name = match self.cell(line, What::Name) {
+            Some(((name, _), _)) if !name.is_empty() => name.to_owned(),
+            _ => format!("J{}", index + 1),
+        };
+        let of = |what| self.value(line, what);
+        let (a, alpha, beta) = (of(What::A)?, of(What::Alpha)?, of(What::Beta)?);
+        let (d, theta) = (of(What::D)?, of(What::Theta)?);
+        for (what, value) in [("a", &a), ("alpha", &alpha), ("beta", &beta)] {
+            if value.variable.is_some() {
+                return self.error(span, &format!("{what} of {name} has a joint variable"), "a number");
+            }
+        }
+        if beta.number != 0.0 && convention == Convention::Standard {
+            return self.error(
+                span,
+                "a column beta in a table of the standard convention",
+                "--convention craig",
+            );
+        }
+        let stated = match self.cell(line, What::Type) {
+            Some(((text, place), _)) => Some((self.kind(text, place.clone())?, place)),
+            None => None,
+        };
+        let (kind, said) = match (&stated, d.variable, theta.variable) {
+            (_, Some(_), Some(_)) => {
+                return self.error(
+                    span,
+                    &format!("both d and theta of {name} have a variable"),
+                    "one joint variable a row",
+                );
+            }
+            (Some((JointKind::Revolute, place)), Some(_), _)
+            | (Some((JointKind::Prismatic, place)), _, Some(_)) => {
+                let message =
+                    format!("the type of {name} and the cell with its variable say different things");
+                return self.error(
+                    place.clone(),
+                    &message,
+                    "revolute with a variable in theta, prismatic with one in d",
+                );
+            }
+            (Some((kind, _)), ..) => (*kind, true),
+            (None, Some(_), None) => (JointKind::Prismatic, true),
+            (None, None, Some(_)) => (JointKind::Revolute, true),
+            (None, None, None) => (JointKind::Revolute, false),
+        };
+        let (mut limits, mut assumed) = self.limits(line, kind, &name)?;
+        let reversed = d.variable.or(theta.variable) == Some(Sign::Minus);
+        if reversed {
+            // A manual's limits are those of what is shown.
+            limits = [-limits[1], -limits[0]];
+            assumed.reverse();
+        }
+        let link = match kind {
+            JointKind::Revolute => CraigLink::revolute(name),
+            JointKind::Prismatic => CraigLink::prismatic(name),
+        };
+        let link = link
+            .row(a.number, alpha.number, d.number, theta.number)
+            .with_beta(beta.number)
+            .limits(limits[0], limits[1]);
+        Ok((Row { link, reversed, assumed }, said))
+    }
+
+    fn kind(&self, text: &str, place: Range<usize>) -> Result<JointKind, InputError> {
+        match text.to_lowercase().as_str() {
+            "r" | "revolute" | "rotary" | "continuous" => Ok(JointKind::Revolute),
+            "p" | "prismatic" | "linear" | "t" => Ok(JointKind::Prismatic),
+            _ => self.error(place, &format!("the type is {text:?}"), "revolute or prismatic (R or P)"),
+        }
+    }
+
+    fn limits(
+        &self,
+        line: &[Cell<'a>],
+        kind: JointKind,
+        name: &str,
+    ) -> Result<([f64; 2], [bool; 2]), InputError> {
+        let mut limits = match kind {
+            JointKind::Revolute => [-TAU, TAU],
+            JointKind::Prismatic => [-1.0, 1.0],
+        };
+        let mut assumed = [true; 2];
+        for (end, what) in [What::Min, What::Max].into_iter().enumerate() {
+            // A column an unit: the one that fits the joint, with something in its cell.
+            let columns = self.columns.iter().zip(line).filter(|(column, _)| column.what == what);
+            for (column, (text, place)) in columns {
+                let size = match (column.unit, kind) {
+                    (Some(Unit::Angle(size)), JointKind::Revolute)
+                    | (Some(Unit::Length(size)), JointKind::Prismatic) => size,
+                    (None, _) => {
+                        let message = "the column of a limit has no unit";
+                        return self.error(
+                            self.header.clone(),
+                            message,
+                            "min_deg, max_deg, min_mm or max_mm",
+                        );
+                    }
+                    _ => continue,
+                };
+                if !text.is_empty() {
+                    limits[end] = size * self.expression(text, place.clone(), size)?.number;
+                    assumed[end] = false;
+                }
+            }
+        }
+        if limits[0] >= limits[1] {
+            let span = line.first().map_or(0..0, |cell| cell.1.clone());
+            return self.error(
+                span,
+                &format!("max of {name} is not above its min"),
+                "limits that leave a way to go",
+            );
+        }
+        Ok((limits, assumed))
+    }
+
+    /// The value of a cell in SI; zero of a column that there is not.
+    fn value(&self, line: &[Cell<'a>], what: What) -> Result<Value, InputError> {
+        let Some(((text, place), column)) = self.cell(line, what) else { return Ok(Value::default()) };
+        let size = match column.unit {
+            Some(Unit::Length(size) | Unit::Angle(size)) => size,
+            None => 1.0,
+        };
+        let value = self.expression(text, place, size)?;
+        Ok(Value { number: value.number * size, ..value })
+    }
+
+    /// A sum of numbers and at most one joint variable, such as `q2 - 90`, `-pi/2` or `θ3*`, in the column's unit, of which there are `size` in
+    /// one of SI.
+    fn expression(&self, text: &str, place: Range<usize>, size: f64) -> Result<Value, InputError> {
+        let mut value = Value::default();
+        let refused = |what: &str| {
+            self.error(
+                place.clone(),
+                what,
+                "a number, or the joint variable with an offset, such as q2 - 90; pi in columns of rad",
+            )
+        };
+        if text.is_empty() {
+            return refused("an empty cell");
+        }
+        for (minus, term) in terms(text) {
+            let sign = if minus { -1.0 } else { 1.0 };
+            if let Some(number) = self.number(&term, size) {
+                value.number += sign * number;
+            } else if is_variable(&term) && value.variable.is_none() {
+                value.variable = Some(if minus { Sign::Minus } else { Sign::Plus });
+            } else {
+                return refused(&format!("{text:?} is no number"));
+            }
+        }
+        if value.number.is_finite() { Ok(value) } else { refused(&format!("{text:?} is no finite number")) }
+    }
+
+    fn number(&self, term: &str, size: f64) -> Option<f64> {
+        let plain = if self.decimal_comma { term.replace(',', ".") } else { term.to_owned() };
+        if let Ok(number) = plain.parse::<f64>() {
+            return number.is_finite().then_some(number);
+        }
+        if size != 1.0 {
+            return None;
+        }
+        // Multiples of pi: pi, 2*pi, 3pi/4.
+        let term = plain.to_lowercase().replace('π', "pi");
+        let (factor, divisor) = term.split_once("pi")?;
+        let factor = factor.trim_end_matches('*');
+        let factor = if factor.is_empty() { 1.0 } else { factor.parse::<f64>().ok()? };
+        let divisor = match divisor.strip_prefix('/') {
+            Some(divisor) => divisor.parse::<f64>().ok()?,
+            None if divisor.is_empty() => 1.0,
+            None => return None,
+        };
+        Some(factor * PI / divisor).filter(|number| number.is_finite())
+    }
+}
+
+/// What a cell says.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Value {
+    number: f64,
+    variable: Option<Sign>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Sign {
+    Plus,
+    Minus,
+}
+
+/// The terms of a sum, each with whether it is subtracted.
+fn terms(text: &str) -> Vec<(bool, String)> {
+    let mut terms: Vec<(bool, String)> = Vec::new();
+    let mut minus = false;
+    let mut term = String::new();
+    for mark in text.chars().map(|c| if c == '−' || c == '–' { '-' } else { c }) {
+        let in_exponent = term.ends_with(['e', 'E']) && term.starts_with(|c: char| c.is_ascii_digit());
+        match mark {
+            '+' | '-' if !in_exponent => {
+                if !term.is_empty() {
+                    terms.push((minus, std::mem::take(&mut term)));
+                    minus = false;
+                }
+                minus ^= mark == '-';
+            }
+            c if c.is_whitespace() => {}
+            c => term.push(c),
+        }
+    }
+    terms.push((minus, term));
+    terms
+}
+
+/// `q`, `q2`, `θ_3`, `theta4*`, `d3`.
+fn is_variable(term: &str) -> bool {
+    let term = term.to_lowercase();
+    let term = term.trim_end_matches('*');
+    ["theta", "θ", "q", "d"].iter().any(|name| {
+        term.strip_prefix(name).is_some_and(|rest| rest.chars().all(|c| c.is_ascii_digit() || c == '_'))
+    })
+}

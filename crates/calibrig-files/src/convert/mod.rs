@@ -1,0 +1,215 @@
+//! Robots in other forms made into robot files: a URDF as vendors have it, and a table of Denavit-Hartenberg rows.
+//!
+//! What is made is the text of a `robot.toml`, with everything that was assumed marked in it; the robot is then read from that text, so that a
+//! file in between changes nothing. The kinematics of the text are compared with those of the URDF before it is given out.
+
+mod chain;
+mod dh;
+mod rows;
+mod text;
+mod tree;
+
+#[cfg(test)]
+mod tests;
+
+use std::path::Path;
+
+use nalgebra::Vector3;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::input::{InputError, Source};
+use crate::robot::{Robot, parse_robot};
+use calibrig_model::JointKind;
+use calibrig_model::geometry::Transform;
+use chain::{Chain, Finder};
+use text::{Bodies, Text};
+use tree::Tree;
+
+pub use dh::{Convention, robot_from_dh};
+
+/// Largest difference between a URDF's kinematics and those of the table that is made of it, m at the tip and at a metre from it.
+pub const AGREEMENT: f64 = 1e-10;
+
+/// Poses at which both are compared.
+const POSES: usize = 1000;
+
+/// What of a URDF is wanted, and what it does not say.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct UrdfOptions {
+    /// Link whose frame is the base; the root without it.
+    pub base: Option<String>,
+    /// Link whose frame is the flange; the end of the tree without it, where there is one.
+    pub tip: Option<String>,
+    /// The target in the flange's frame, m.
+    pub target: Option<Vector3<f64>>,
+    /// Gravity in the base's frame, m/s²; against its z axis without it.
+    pub gravity: Option<Vector3<f64>>,
+}
+
+/// A robot file that was made.
+#[derive(Debug, Clone)]
+pub struct Converted {
+    /// The text of the `robot.toml`.
+    pub source: Source,
+    /// The robot, read from it.
+    pub robot: Robot,
+    /// What was passed over, chosen and assumed, a line each.
+    pub remarks: Vec<String>,
+    /// Largest difference from what it was made of, m, at a metre from the tip; `None` where there is nothing to compare with.
+    pub difference: Option<f64>,
+}
+
+/// What was made of a chain, to compare it.
+struct Compared<'a> {
+    chain: &'a Chain,
+    /// How every joint that follows another one does: (follower, leader, ratio, offset).
+    follows: Vec<(usize, usize, f64, f64)>,
+}
+
+/// Makes a robot file of a URDF.
+///
+/// # Errors
+///
+/// [`InputError`] that points into the URDF: no URDF, no one chain, joints that are none of a chain, and tables whose kinematics differ.
+pub fn robot_from_urdf(source: &Source, options: &UrdfOptions) -> Result<Converted, InputError> {
+    let tree = Tree::read(source)?;
+    let finder = Finder { source, tree: &tree };
+    let (chain, steps) = finder.chain(options.base.as_deref(), options.tip.as_deref())?;
+    let (bodies, faults) = finder.bodies(&steps)?;
+    let follows = followers(source, &tree, &chain)?;
+    let (limits, mut assumed) = text::limits(&chain);
+    let mut remarks = vec![format!("{}: {}", source.name, tree.passed_over)];
+    remarks.extend(chain.chosen.iter().cloned());
+    for joint in chain.joints.iter().filter(|joint| joint.mimic.is_some()) {
+        let index = chain.joints.iter().position(|other| other.name == joint.name);
+        if follows.iter().all(|(follower, ..)| Some(*follower) != index) {
+            assumed.push(format!(
+                "joint {} follows {}, which is outside of the chain: it is an axis of its own here",
+                joint.name,
+                joint.mimic.as_ref().map_or("", |mimic| mimic.leader.as_str())
+            ));
+        }
+    }
+    let (model, frames) = rows::table(&chain, &limits);
+    let text = Text {
+        file: &file_name(&source.name),
+        name: &tree.name,
+        chain: &chain,
+        model: &model,
+        follows: &follows,
+        bodies: Bodies::of(&bodies, &frames, &chain),
+        target: options.target,
+        gravity: options.gravity,
+        faults: &faults,
+    };
+    let (text, more) = text.write(&remarks, &assumed);
+    assumed.extend(more);
+    let made = Source::new(made_name(&source.name), text);
+    let robot = parse_robot(made.clone(), None, None)?;
+    let difference = difference(&robot, &Compared { chain: &chain, follows }, &limits);
+    // Asked this way round, NaN differs too.
+    if !(difference <= AGREEMENT) {
+        let message = format!(
+            "the table that was made of this URDF differs from it by {difference:.1e} m at some pose: it is not given out"
+        );
+        let expected =
+            format!("expected at most {AGREEMENT:.0e} m; lengths in m, and no joint kilometres away");
+        return Err(source.error(tree.span.clone(), message, Some(expected)));
+    }
+    remarks.extend(faults);
+    remarks.extend(assumed.iter().map(|line| format!("assumed: {line}")));
+    Ok(Converted { source: made, robot, remarks, difference: Some(difference) })
+}
+
+/// The joints of the chain that follow others of it, through any that lie between.
+fn followers(
+    source: &Source,
+    tree: &Tree,
+    chain: &Chain,
+) -> Result<Vec<(usize, usize, f64, f64)>, InputError> {
+    let in_chain = |name: &str| chain.joints.iter().position(|joint| joint.name == name);
+    let finder = Finder { source, tree };
+    let mut follows = Vec::new();
+    for (follower, joint) in chain.joints.iter().enumerate() {
+        let Some(mimic) = &joint.mimic else { continue };
+        let mut mimic = mimic.clone();
+        let mut names = vec![joint.name.clone()];
+        let leader = loop {
+            if names.contains(&mimic.leader) {
+                let message = format!("joint {} follows joints that follow each other", joint.name);
+                return Err(source.error(
+                    joint.span.clone(),
+                    message,
+                    Some("expected a <mimic> that ends at a joint of its own".to_owned()),
+                ));
+            }
+            if let Some(leader) = in_chain(&mimic.leader) {
+                break Some(leader);
+            }
+            names.push(mimic.leader.clone());
+            // Outside of the chain, it may follow one of it in turn.
+            let Some(next) = finder.mimic_of(&mimic.leader)? else { break None };
+            mimic = chain::Mimic {
+                leader: next.leader,
+                ratio: mimic.ratio * next.ratio,
+                offset: mimic.ratio * next.offset + mimic.offset,
+            };
+        };
+        if let Some(leader) = leader {
+            follows.push((follower, leader, mimic.ratio, mimic.offset));
+        }
+    }
+    Ok(follows)
+}
+
+/// Largest distance between what table and URDF make of the tip and of points a metre from it, m.
+fn difference(robot: &Robot, compared: &Compared<'_>, limits: &[[f64; 2]]) -> f64 {
+    let model = &robot.model;
+    // Two independent draws of the same poses would compare nothing: the seed is fixed, so that a file is made or refused, whoever asks.
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let mut worst: f64 = 0.0;
+    for _ in 0..POSES {
+        let mut q: Vec<f64> = limits
+            .iter()
+            .zip(&compared.chain.joints)
+            .map(|([low, high], joint)| {
+                let reach = if joint.kind == JointKind::Revolute { std::f64::consts::PI } else { 1e3 };
+                let (low, high) = (low.max(-reach), high.min(reach));
+                if low < high { random.random_range(low..high) } else { low }
+            })
+            .collect();
+        // Followers of followers come to rest in as many passes as there are joints.
+        for _ in &compared.follows {
+            for (follower, leader, ratio, offset) in &compared.follows {
+                q[*follower] = ratio * q[*leader] + offset;
+            }
+        }
+        let command = model.actuators.command_from_joints(&q);
+        let mut joints = vec![0.0; q.len()];
+        model.actuators.joints_from_command(&command, &mut joints);
+        let (table, urdf) = (flange(robot, &joints), compared.chain.tip_at(&q));
+        for point in [Vector3::zeros(), Vector3::x(), Vector3::y(), Vector3::z()] {
+            let at = |frame: &Transform| frame.rotation * point + frame.translation.vector;
+            let apart = (at(&table) - at(&urdf)).norm();
+            worst = if apart > worst || apart.is_nan() { apart } else { worst };
+        }
+    }
+    worst
+}
+
+/// The flange at joint variables, by the table.
+fn flange(robot: &Robot, q: &[f64]) -> Transform {
+    let chain = &robot.model.kinematics;
+    let links = chain.links.iter().zip(q);
+    links.fold(chain.base_from_first, |at, (link, q)| at * link.transform(*q)) * chain.last_from_flange
+}
+
+/// What the robot file is called where none is written: as the file that it was made of, with another ending.
+fn made_name(name: &str) -> String {
+    Path::new(name).with_extension("toml").display().to_string()
+}
+
+fn file_name(name: &str) -> String {
+    Path::new(name).file_name().map_or_else(|| name.to_owned(), |name| name.to_string_lossy().into_owned())
+}

@@ -1,0 +1,438 @@
+//! Any URDF as a tree of links and joints; what is not needed is counted and passed over.
+//!
+//! Values are read where the chain needs them, so that a mistake in a branch that nobody asked for does no harm.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::ops::Range;
+
+use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
+use roxmltree::{Document, Error as XmlError, Node, ParsingOptions};
+
+use crate::input::{InputError, Source};
+use calibrig_model::geometry::Transform;
+
+/// More elements than any robot has: a larger file is refused before it takes the memory.
+const MOST_NODES: u32 = 5_000_000;
+
+/// A link with the elements that say something of its mass.
+#[derive(Debug, Clone)]
+pub(super) struct Link {
+    pub name: String,
+    pub span: Range<usize>,
+    pub inertial: Option<Element>,
+}
+
+/// A joint with the elements that say how it moves.
+#[derive(Debug, Clone)]
+pub(super) struct Joint {
+    pub name: String,
+    pub kind: String,
+    pub parent: usize,
+    pub child: usize,
+    pub span: Range<usize>,
+    pub origin: Option<Element>,
+    pub axis: Option<Element>,
+    pub limit: Option<Element>,
+    pub mimic: Option<Element>,
+}
+
+/// A start tag: its attributes, and the elements in it.
+#[derive(Debug, Clone)]
+pub(super) struct Element {
+    pub name: String,
+    pub span: Range<usize>,
+    /// Name, value and place of the value.
+    pub attributes: Vec<(String, String, Range<usize>)>,
+    pub children: Vec<Element>,
+}
+
+/// The links and joints of a URDF.
+#[derive(Debug, Clone)]
+pub(super) struct Tree {
+    pub name: String,
+    pub links: Vec<Link>,
+    pub joints: Vec<Joint>,
+    /// Of every link, the joint that carries it; none of a root.
+    pub above: Vec<Option<usize>>,
+    pub passed_over: PassedOver,
+    pub span: Range<usize>,
+}
+
+/// How many of what was not needed.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct PassedOver(BTreeMap<String, usize>);
+
+impl fmt::Display for PassedOver {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.0.is_empty() {
+            return f.write_str("passed over: nothing");
+        }
+        let counts: Vec<_> = self.0.iter().map(|(name, count)| format!("{count} <{name}>")).collect();
+        write!(f, "passed over: {}", counts.join(", "))
+    }
+}
+
+impl PassedOver {
+    fn add(&mut self, name: &str) {
+        *self.0.entry(name.to_owned()).or_default() += 1;
+    }
+
+    fn add_unread(&mut self, node: &Node<'_, '_>, read: &[&str]) {
+        for child in node.children().filter(Node::is_element) {
+            if !read.contains(&local(&child)) || child.tag_name().namespace().is_some() {
+                self.add(&qualified(&child));
+            }
+        }
+    }
+}
+
+/// What an element is called, without its prefix.
+fn local<'a>(node: &Node<'a, '_>) -> &'a str {
+    node.tag_name().name()
+}
+
+/// The name as the text has it, with its prefix.
+fn qualified(node: &Node<'_, '_>) -> String {
+    let text = node.document().input_text();
+    let start = node.range().start + 1;
+    let rest = text.get(start..).unwrap_or_default();
+    rest.split(|c: char| c.is_whitespace() || c == '>' || c == '/').next().unwrap_or_default().to_owned()
+}
+
+/// The start tag of an element, in the text as it was parsed.
+fn tag(node: &Node<'_, '_>) -> Range<usize> {
+    let range = node.range();
+    let text = node.document().input_text().get(range.clone()).unwrap_or_default();
+    let length = text.find('>').map_or(text.len(), |at| at + 1);
+    range.start..range.start + length
+}
+
+impl Tree {
+    /// Reads a URDF; every refusal points into `source`.
+    pub fn read(source: &Source) -> Result<Self, InputError> {
+        let (text, changed) = with_namespaces(source)?;
+        let document = Document::parse_with_options(&text, options())
+            .map_err(|error| refusal(source, changed.lead, &error))?;
+        Reader { source, changed }.tree(&document)
+    }
+
+    /// Index of the link of that name.
+    pub fn link(&self, name: &str) -> Option<usize> {
+        self.links.iter().position(|link| link.name == name)
+    }
+}
+
+/// How the text that is parsed differs from the file's: what was left out in front of it, and what was put into the root's tag.
+#[derive(Debug, Clone, Copy)]
+struct Changed {
+    lead: usize,
+    at: usize,
+    inserted: usize,
+}
+
+/// The text without what some editors leave in front, and with a declaration for every prefix that it uses and does not declare, as vendors'
+/// files do with extensions.
+fn with_namespaces(source: &Source) -> Result<(String, Changed), InputError> {
+    let mut text = source.text.trim_start_matches(|c: char| c.is_whitespace() || c == '\u{feff}').to_owned();
+    let mut changed = Changed { lead: source.text.len() - text.len(), at: text.len(), inserted: 0 };
+    for _ in 0..100 {
+        match Document::parse_with_options(&text, options()) {
+            Err(XmlError::UnknownNamespace(prefix, _)) if prefix == "xacro" => {
+                return Err(xacro(source, source.text.find("xacro:").unwrap_or(0)));
+            }
+            Err(XmlError::UnknownNamespace(prefix, _)) => {
+                let Some(at) = root_tag_end(&text) else { break };
+                let declaration = format!(" xmlns:{prefix}=\"{prefix}\"");
+                text.insert_str(at, &declaration);
+                changed = Changed { at, inserted: changed.inserted + declaration.len(), ..changed };
+            }
+            _ => break,
+        }
+    }
+    Ok((text, changed))
+}
+
+fn options<'a>() -> ParsingOptions<'a> {
+    ParsingOptions { allow_dtd: true, nodes_limit: MOST_NODES, ..ParsingOptions::default() }
+}
+
+/// Just behind `<robot`.
+fn root_tag_end(text: &str) -> Option<usize> {
+    Some(text.find("<robot")? + "<robot".len())
+}
+
+fn xacro(source: &Source, at: usize) -> InputError {
+    let output = match source.name.strip_suffix(".xacro") {
+        Some(name) => format!("{}.urdf", name.trim_end_matches(".urdf")),
+        // Not onto the file itself.
+        None => format!("{}.expanded.urdf", source.name.trim_end_matches(".urdf")),
+    };
+    source.error(
+        at..at + 1,
+        "this is xacro source, not a URDF: its macros are not expanded here",
+        Some(format!(
+            "expected a URDF: run `xacro {} > {output}` (ROS 2: `ros2 run xacro xacro ...`) with the arguments of the robot's package, and give {output}",
+            source.name
+        )),
+    )
+}
+
+fn refusal(source: &Source, lead: usize, error: &XmlError) -> InputError {
+    let position = error.pos();
+    let text = &source.text[lead..];
+    let lines = text.split_inclusive('\n').take(position.row.saturating_sub(1) as usize);
+    let start: usize = lines.map(str::len).sum();
+    let line = text.get(start..).unwrap_or_default();
+    let column =
+        line.chars().take(position.col.saturating_sub(1) as usize).map(char::len_utf8).sum::<usize>();
+    let at = lead + start + column;
+    let said = error.to_string();
+    // The place is told by the line of this message.
+    let said = said.split(" at ").next().unwrap_or_default().replace('\n', "the end of the line");
+    source.error(at..at + 1, format!("not the XML of a URDF: {said}"), Some("expected a URDF".to_owned()))
+}
+
+struct Reader<'a> {
+    source: &'a Source,
+    changed: Changed,
+}
+
+impl Reader<'_> {
+    /// A place in the file of one in the text that was parsed.
+    fn place(&self, range: Range<usize>) -> Range<usize> {
+        let Changed { lead, at, inserted } = self.changed;
+        let back = |place: usize| lead + if place > at { place - inserted } else { place };
+        back(range.start)..back(range.end)
+    }
+
+    fn error<T>(
+        &self,
+        span: Range<usize>,
+        message: impl fmt::Display,
+        expected: &str,
+    ) -> Result<T, InputError> {
+        Err(self.source.error(span, message, Some(format!("expected {expected}"))))
+    }
+
+    fn tree(&self, document: &Document<'_>) -> Result<Tree, InputError> {
+        let root = document.root_element();
+        let span = self.place(tag(&root));
+        if let Some(node) = document.descendants().find(is_xacro) {
+            return Err(xacro(self.source, self.place(tag(&node)).start));
+        }
+        if local(&root) != "robot" {
+            let message = format!("the file is a <{}>", qualified(&root));
+            return self.error(span, message, "a URDF, which is a <robot>");
+        }
+        let mut passed_over = PassedOver::default();
+        passed_over.add_unread(&root, &["link", "joint"]);
+        let of = |name: &'static str| {
+            let is = move |node: &Node<'_, '_>| node.is_element() && node.tag_name().name() == name;
+            root.children().filter(move |node| is(node) && node.tag_name().namespace().is_none())
+        };
+        let mut links: Vec<Link> = Vec::new();
+        let mut by_name = BTreeMap::new();
+        for node in of("link") {
+            passed_over.add_unread(&node, &["inertial"]);
+            let name = self.required(&node, "name")?;
+            let span = self.place(tag(&node));
+            if by_name.insert(name.clone(), links.len()).is_some() {
+                return self.error(span, format!("a second link named {name}"), "one link of a name");
+            }
+            let inertial = child(&node, "inertial").map(|node| self.element(&node));
+            links.push(Link { name, span, inertial });
+        }
+        let mut joints: Vec<Joint> = Vec::new();
+        let mut above: Vec<Option<usize>> = vec![None; links.len()];
+        for node in of("joint") {
+            passed_over.add_unread(&node, &["parent", "child", "origin", "axis", "limit", "mimic"]);
+            let joint = self.joint(&node, &by_name)?;
+            if let Some(other) = above[joint.child].replace(joints.len()) {
+                let message = format!(
+                    "joint {} carries link {}, which joint {} carries too",
+                    joint.name, links[joint.child].name, joints[other].name
+                );
+                return self.error(joint.span, message, "one joint a link: loops are no URDF");
+            }
+            joints.push(joint);
+        }
+        let name = root
+            .attribute("name")
+            .map(str::trim)
+            .filter(|name| !name.is_empty())
+            .unwrap_or("robot")
+            .to_owned();
+        Ok(Tree { name, links, joints, above, passed_over, span })
+    }
+
+    fn joint(&self, node: &Node<'_, '_>, links: &BTreeMap<String, usize>) -> Result<Joint, InputError> {
+        let (name, kind) = (self.required(node, "name")?, self.required(node, "type")?);
+        let end = |role: &str| {
+            let Some(at) = child(node, role) else {
+                let message = format!("joint {name} has no <{role}>");
+                return self.error(self.place(tag(node)), message, &format!("<{role} link=\"...\"/>"));
+            };
+            let link = self.required(&at, "link")?;
+            match links.get(&link) {
+                Some(index) => Ok(*index),
+                None => {
+                    let message = format!("joint {name} names a link {link} that is not there");
+                    self.error(self.place(tag(&at)), message, "the name of a link")
+                }
+            }
+        };
+        let (parent, carried) = (end("parent")?, end("child")?);
+        let element = |what: &str| child(node, what).map(|node| self.element(&node));
+        Ok(Joint {
+            parent,
+            child: carried,
+            span: self.place(tag(node)),
+            origin: element("origin"),
+            axis: element("axis"),
+            limit: element("limit"),
+            mimic: element("mimic"),
+            name,
+            kind,
+        })
+    }
+
+    fn required(&self, node: &Node<'_, '_>, attribute: &str) -> Result<String, InputError> {
+        match node.attribute(attribute).map(str::trim) {
+            Some(value) if !value.is_empty() => Ok(value.to_owned()),
+            _ => self.error(
+                self.place(tag(node)),
+                format!("<{}> has no {attribute}", local(node)),
+                &format!("{attribute}=\"...\""),
+            ),
+        }
+    }
+
+    fn element(&self, node: &Node<'_, '_>) -> Element {
+        let attributes = node.attributes().map(|attribute| {
+            (attribute.name().to_owned(), attribute.value().to_owned(), self.place(attribute.range_value()))
+        });
+        Element {
+            name: local(node).to_owned(),
+            span: self.place(tag(node)),
+            attributes: attributes.collect(),
+            children: node.children().filter(Node::is_element).map(|node| self.element(&node)).collect(),
+        }
+    }
+}
+
+fn child<'a, 'i>(node: &Node<'a, 'i>, name: &str) -> Option<Node<'a, 'i>> {
+    node.children().find(|node| node.is_element() && local(node) == name)
+}
+
+/// A macro or its use, or a value that is still to be computed.
+fn is_xacro(node: &Node<'_, '_>) -> bool {
+    let is_macro = node.tag_name().namespace().is_some_and(|space| space.contains("xacro"));
+    let is_open = |value: &str| value.contains("${") || value.contains("$(");
+    let robot =
+        ["robot", "link", "joint", "origin", "axis", "limit", "parent", "child", "mass", "inertia", "mimic"];
+    node.is_element()
+        && (is_macro || robot.contains(&local(node)) && node.attributes().any(|a| is_open(a.value())))
+}
+
+impl Element {
+    /// The value of an attribute with its place.
+    pub fn attribute(&self, name: &str) -> Option<(&str, Range<usize>)> {
+        let found = self.attributes.iter().find(|(known, ..)| known == name)?;
+        Some((&found.1, found.2.clone()))
+    }
+
+    pub fn child(&self, name: &str) -> Option<&Self> {
+        self.children.iter().find(|child| child.name == name)
+    }
+
+    /// `count` numbers of an attribute; `None` where it is not there.
+    pub fn numbers(&self, source: &Source, name: &str, count: usize) -> Result<Option<Vec<f64>>, InputError> {
+        let Some((text, span)) = self.attribute(name) else { return Ok(None) };
+        let numbers: Vec<f64> = text
+            .split_whitespace()
+            .filter_map(|word| word.parse::<f64>().ok())
+            .filter(|number| number.is_finite() && number.abs() <= 1e15)
+            .collect();
+        if numbers.len() != count || text.split_whitespace().count() != count {
+            let expected = match count {
+                1 => "expected a finite number".to_owned(),
+                _ => format!("expected {count} finite numbers with blanks between"),
+            };
+            return Err(source.error(span, format!("{name} of <{}> is {text:?}", self.name), Some(expected)));
+        }
+        Ok(Some(numbers))
+    }
+
+    /// One number; `None` where it is not there.
+    pub fn number(&self, source: &Source, name: &str) -> Result<Option<f64>, InputError> {
+        Ok(self.numbers(source, name, 1)?.map(|numbers| numbers[0]))
+    }
+
+    /// The number, which must be there.
+    pub fn required(&self, source: &Source, name: &str) -> Result<f64, InputError> {
+        match self.number(source, name)? {
+            Some(number) => Ok(number),
+            None => Err(source.error(
+                self.span.clone(),
+                format!("<{}> has no {name}", self.name),
+                Some(format!("expected {name}=\"...\"")),
+            )),
+        }
+    }
+}
+
+/// The frame of an `<origin>`, the identity where there is none: roll, pitch and yaw are about the fixed x, y and z.
+pub(super) fn origin(source: &Source, element: Option<&Element>) -> Result<Transform, InputError> {
+    let Some(element) = element else { return Ok(Transform::identity()) };
+    let three = |name| {
+        Ok::<_, InputError>(
+            element.numbers(source, name, 3)?.map_or_else(Vector3::zeros, |v| Vector3::from_row_slice(&v)),
+        )
+    };
+    let (place, turn) = (three("xyz")?, three("rpy")?);
+    let rotation = match element.numbers(source, "quat_xyzw", 4)? {
+        None => rotation(&turn),
+        Some(q) => {
+            let quaternion = Quaternion::new(q[3], q[0], q[1], q[2]);
+            if element.attribute("rpy").is_some() || !(0.5..2.0).contains(&quaternion.norm()) {
+                let message = "an <origin> with rpy and quat_xyzw, or with a quaternion that is none";
+                return Err(source.error(
+                    element.span.clone(),
+                    message,
+                    Some("expected rpy, or a quaternion of length one".to_owned()),
+                ));
+            }
+            UnitQuaternion::from_quaternion(quaternion).to_rotation_matrix()
+        }
+    };
+    Ok(Transform::from_parts(place.into(), rotation))
+}
+
+/// `Rz(yaw) · Ry(pitch) · Rx(roll)`.
+fn rotation(rpy: &Vector3<f64>) -> Rotation3<f64> {
+    Rotation3::from_euler_angles(rpy.x, rpy.y, rpy.z)
+}
+
+/// Mass (kg), centre of mass (m) and inertia about it (kg m²) of an `<inertial>`, in its link's frame.
+pub(super) fn inertial(
+    source: &Source,
+    element: &Element,
+) -> Result<(f64, Vector3<f64>, Matrix3<f64>), InputError> {
+    let at = origin(source, element.child("origin"))?;
+    let mass = match element.child("mass") {
+        Some(mass) => mass.required(source, "value")?,
+        None => 0.0,
+    };
+    let inertia = match element.child("inertia") {
+        Some(inertia) => {
+            let entry = |name| inertia.number(source, name).map(|value| value.unwrap_or(0.0));
+            let [xx, yy, zz] = [entry("ixx")?, entry("iyy")?, entry("izz")?];
+            let [xy, xz, yz] = [entry("ixy")?, entry("ixz")?, entry("iyz")?];
+            Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
+        }
+        None => Matrix3::zeros(),
+    };
+    let turn = at.rotation.matrix();
+    Ok((mass, at.translation.vector, turn * inertia * turn.transpose()))
+}

@@ -1,0 +1,46 @@
+//! Joints that follow others have no command: files of measurements have no columns for them, measurements in memory a zero.
+
+use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::{CalibrationModel, JointKind};
+
+/// Kinds of the joints that are commanded, in their order: the columns of a measurement file.
+pub fn commanded_joints(model: &CalibrationModel) -> Vec<JointKind> {
+    let links = model.kinematics.links.iter().enumerate();
+    links.filter(|(joint, _)| model.actuators.is_commanded(*joint)).map(|(_, link)| link.kind).collect()
+}
+
+/// Puts zeros where the columns of a file leave out joints that follow others.
+pub fn add_followers(model: &CalibrationModel, set: &mut MeasurementSet) {
+    let joints: Vec<bool> =
+        (0..model.kinematics.joint_count()).map(|joint| model.actuators.is_commanded(joint)).collect();
+    for observation in &mut set.observations {
+        observation.command = spread(&joints, &observation.command);
+        if !observation.approach.is_empty() {
+            observation.approach = spread(&joints, &observation.approach);
+        }
+    }
+}
+
+/// The inverse of [`add_followers`].
+#[must_use]
+pub fn without_followers(model: &CalibrationModel, set: &MeasurementSet) -> MeasurementSet {
+    let mut set = set.clone();
+    for observation in &mut set.observations {
+        let mut joint = 0..;
+        observation.command.retain(|_| joint.next().is_some_and(|joint| model.actuators.is_commanded(joint)));
+        let mut joint = 0..;
+        observation
+            .approach
+            .retain(|_| joint.next().is_some_and(|joint| model.actuators.is_commanded(joint)));
+    }
+    set
+}
+
+/// The values one after the other where a joint is commanded, the default elsewhere.
+fn spread<T: Copy + Default>(commanded: &[bool], values: &[T]) -> Vec<T> {
+    let mut values = values.iter().copied();
+    commanded
+        .iter()
+        .map(|commanded| if *commanded { values.next().unwrap_or_default() } else { T::default() })
+        .collect()
+}
