@@ -331,7 +331,7 @@ pub fn load_column_map(path: &Path) -> Result<(ColumnMap, Source), InputError> {
 
 /// Reads a column map from a text in memory.
 pub fn parse_column_map(source: &Source) -> Result<ColumnMap, InputError> {
-    let file: MapFile = source.toml()?;
+    let file: MapFile = source.toml().map_err(with_the_table_of_a_stray_key)?;
     if file.schema.get_ref() != SCHEMA {
         let message = format!("schema is {:?}", file.schema.get_ref());
         return Err(source.error(file.schema.span(), message, Some(format!("expected {SCHEMA:?}"))));
@@ -385,6 +385,32 @@ pub fn parse_column_map(source: &Source) -> Result<ColumnMap, InputError> {
         table: TableFormat { decimal: reader.decimal(&file.text)?, header: file.text.header },
     };
     Ok(ColumnMap::new(mapping, source.clone()))
+}
+
+/// Says of an unknown key in which table it is known.
+fn with_the_table_of_a_stray_key(mut error: InputError) -> InputError {
+    const TABLES: [(&str, &[&str]); 7] = [
+        ("[joints]", &["revolute_unit", "prismatic_unit"]),
+        ("[position]", &["missed", "unit", "system", "range_unit", "angle_unit"]),
+        ("[sigma]", &["k"]),
+        ("[columns]", &["pose", "station", "time_s", "temperature_c", "approach"]),
+        ("[rows]", &["approach_from", "repeats"]),
+        ("[sets]", &["identification", "verification", "verification_poses"]),
+        ("[text]", &["delimiter", "decimal", "header", "comments", "skip_lines", "widths"]),
+    ];
+    let InputError::Invalid { message, help: Some(help), .. } = &mut error else { return error };
+    let Some(key) = message.strip_prefix("unknown key `").and_then(|rest| rest.strip_suffix('`')) else {
+        return error;
+    };
+    if key == "target" {
+        help.push_str(
+            "; the column with the targets' names is `target` in [columns]; where they are on the flange is stated in the robot's file \
+             ([target], [[target]]) or in a session file",
+        );
+    } else if let Some((table, _)) = TABLES.iter().find(|(_, keys)| keys.contains(&key)) {
+        help.push_str(&format!("; `{key}` stands in {table}"));
+    }
+    error
 }
 
 struct Reader<'a> {

@@ -166,8 +166,10 @@ impl TextRows {
                 if split(&mut row, delimiter).is_err() {
                     return false;
                 }
-                let is_number = |text: &str| Decimal::Comma.parse(text).or(Decimal::Point.parse(text)).is_some();
-                let is_several = |cell: &str| cell.split_whitespace().filter(|part| is_number(part)).count() > 1;
+                let is_number =
+                    |text: &str| Decimal::Comma.parse(text).or(Decimal::Point.parse(text)).is_some();
+                let is_several =
+                    |cell: &str| cell.split_whitespace().filter(|part| is_number(part)).count() > 1;
                 if row.cells().any(is_several) {
                     return false;
                 }
