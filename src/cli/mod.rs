@@ -2,6 +2,7 @@
 
 mod check;
 mod choose;
+mod columns;
 mod export;
 mod identifiability;
 mod identify;
@@ -63,6 +64,7 @@ enum Command {
     Identify(Box<identify::Args>),
     Identifiability(identifiability::Args),
     Choose(choose::Args),
+    Columns(columns::Args),
     Montecarlo(montecarlo::Args),
     Replay(replay::Args),
     Inspect(inspect::Args),
@@ -107,6 +109,9 @@ enum CliError {
     #[error("{} there already", already(paths))]
     #[diagnostic(help("expected other names, or --force to write over them"))]
     AlreadyThere { paths: Vec<PathBuf> },
+    #[error("{} is there already", path.display())]
+    #[diagnostic(help("expected another name"))]
+    NamedAlready { path: PathBuf },
     #[error(transparent)]
     Report(#[from] ReportError),
     #[error("interrupted after {done} of {total} poses; what was measured is in {}", part.display())]
@@ -184,6 +189,7 @@ pub fn main() -> ExitCode {
         Command::Check(args) => check::execute(args),
         Command::Identify(args) => identify::execute(args),
         Command::Choose(args) => choose::execute(args),
+        Command::Columns(args) => columns::execute(args),
         Command::Montecarlo(args) => montecarlo::execute(args),
         Command::Identifiability(args) => identifiability::execute(args),
         Command::Replay(args) => replay::execute(args),

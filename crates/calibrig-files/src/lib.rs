@@ -45,8 +45,9 @@ mod stated;
 pub use input::{Excerpt, InputError, Source, Spanned};
 pub use measurements::{
     ColumnMap, CsvError, LoadedMeasurements, MeasurementFiles, MemoryRows, MissedCode, Place, Places,
-    PointsFile, PoseList, Row, RowOptions, Rows, load_column_map, measurements_text, parse_column_map,
-    parse_measurements, read_files, read_measurements, read_rows, write_measurements,
+    PointsFile, PoseList, Row, RowOptions, Rows, SuggestedMap, load_column_map, measurements_text,
+    parse_column_map, parse_measurements, read_files, read_measurements, read_rows, suggest_columns,
+    write_measurements,
 };
 pub use robot::{LoadTable, Robot, StatedTarget, load_robot, parse_robot, read_loads};
 pub use session::{SessionFile, SessionSet, load_session, parse_session, session_text};

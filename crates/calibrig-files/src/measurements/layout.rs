@@ -1,6 +1,6 @@
 //! Where in a table of rows the header is, where the measurements begin, and how its numbers are written.
 
-use std::collections::VecDeque;
+use std::collections::{HashMap, VecDeque};
 use std::ops::Range;
 
 use super::rows::{Row, Rows};
@@ -173,6 +173,33 @@ impl Table {
             None => table.skip_preamble(wanted, format.header == Some(false)),
         }
         table.decimal = format.decimal.unwrap_or_else(|| table.sniff_decimal());
+        Ok(table)
+    }
+
+    /// A table of which nothing is known beforehand: most of its rows have the same number of cells, and at least a third of these are
+    /// numbers; a row of names in front of the first of them is the header.
+    pub fn find_any(rows: Box<dyn Rows>) -> Result<Self, InputError> {
+        let mut table = Self::find(rows, &Wanted::default(), TableFormat::default())?;
+        let mut counts: HashMap<usize, usize> = HashMap::new();
+        table.ahead.iter().for_each(|row| *counts.entry(row.len()).or_default() += 1);
+        let cells =
+            counts.into_iter().max_by_key(|(cells, count)| (*count, *cells)).map_or(0, |(cells, _)| cells);
+        let numbers = |row: &Row| Wanted::default().numbers_in(row, true);
+        let is_row = |row: &Row| row.len() == cells && 3 * numbers(row) >= cells && numbers(row) > 0;
+        let first = table.ahead.iter().position(is_row).unwrap_or(0);
+        table.found.clear();
+        let is_header =
+            |row: &Row| row.len() >= cells && numbers(row) == 0 && units_row(row, row.len()).is_none();
+        let header = table.ahead.iter().take(first).rposition(is_header);
+        // Nothing but units may stand between names and numbers.
+        match header.filter(|header| first - header <= 2) {
+            Some(header) => table.take_header(header),
+            None => {
+                table.ahead.drain(..first);
+                table.columns = (0..cells).map(Column::numbered).collect();
+            }
+        }
+        table.decimal = table.sniff_decimal();
         Ok(table)
     }
 

@@ -17,6 +17,7 @@ mod places;
 mod reader;
 mod repeats;
 mod rows;
+mod suggest;
 #[cfg(test)]
 mod tests;
 mod text;
@@ -30,4 +31,5 @@ pub use loaded::LoadedMeasurements;
 pub use map_file::{load_column_map, parse_column_map};
 pub use places::Places;
 pub use rows::{MemoryRows, Place, Row, Rows};
+pub use suggest::{SuggestedMap, suggest_columns};
 pub use writer::{CsvError, measurements_text, write_measurements};

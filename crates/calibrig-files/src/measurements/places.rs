@@ -57,13 +57,6 @@ impl Places {
         }
         selected
     }
-
-    /// Adds those of other observations behind these.
-    pub(super) fn extend(&mut self, others: &Self) {
-        for (file, place) in (0..others.count).filter_map(|observation| others.find(observation)) {
-            self.push(file, &place);
-        }
-    }
 }
 
 #[cfg(test)]
@@ -81,8 +74,5 @@ mod tests {
         assert_eq!(of(&places), ["a.csv:2", "a.csv:3", "a.csv:5", "b.csv:6", "b.csv:7"]);
         assert_eq!(places.runs.len(), 3);
         assert_eq!(of(&places.select([0, 2, 4])), ["a.csv:2", "a.csv:5", "b.csv:7"]);
-        let mut twice = places.select([0]);
-        twice.extend(&places.select([1, 3]));
-        assert_eq!(of(&twice), ["a.csv:2", "a.csv:3", "b.csv:6"]);
     }
 }

@@ -95,11 +95,6 @@ impl TextRows {
         Ok(rows)
     }
 
-    /// What stands between the cells.
-    pub fn delimiter(&self) -> &Delimiter {
-        &self.delimiter
-    }
-
     /// Spreadsheets begin a file with `sep=;`.
     fn take_separator_line(&mut self) {
         let Some((_, first)) = self.sample.front() else { return };

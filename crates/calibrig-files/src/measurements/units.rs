@@ -25,8 +25,6 @@ pub(super) enum AngleUnit {
 }
 
 impl LengthUnit {
-    pub const ALL: [Self; 5] = [Self::M, Self::Cm, Self::Mm, Self::Um, Self::Inch];
-
     /// m
     pub fn in_si(self, value: f64) -> f64 {
         match self {
@@ -51,8 +49,6 @@ impl LengthUnit {
 }
 
 impl AngleUnit {
-    pub const ALL: [Self; 5] = [Self::Rad, Self::Mrad, Self::Deg, Self::Gon, Self::Arcsec];
-
     /// rad
     pub fn in_si(self, value: f64) -> f64 {
         match self {
