@@ -119,7 +119,7 @@ impl Implausible {
         let before = found.rms.map_or_else(String::new, |rms| format!(" instead of {}", mm(rms)));
         if !found.unreachable.is_empty() {
             help.push(
-                "a code of shots that were missed? Leave these rows out: no loss can weigh such a point"
+                "a code of shots that were missed? Name it (`--missed CODE`, or `missed` in [position] of the column map): no loss can weigh such a point"
                     .to_owned()
                     + &found.rms.map_or_else(String::new, |rms| {
                         format!(" (without them the nominal robot leaves an RMS of {})", mm(rms))

@@ -139,8 +139,8 @@ pub(super) struct Table {
 }
 
 impl Table {
-    /// Finds the header among the first rows: the row with most of the wanted names, or none where columns are wanted by number alone.
-    pub fn find(mut rows: Box<dyn Rows>, wanted: &Wanted, format: TableFormat) -> Result<Self, InputError> {
+    /// A table whose first rows are read, and nothing of it known.
+    fn begin(mut rows: Box<dyn Rows>) -> Result<Self, InputError> {
         let mut ahead = VecDeque::new();
         while ahead.len() < AHEAD {
             let mut row = Row::default();
@@ -159,7 +159,7 @@ impl Table {
                 help,
             ));
         }
-        let mut table = Self {
+        Ok(Self {
             rows,
             ahead,
             columns: Vec::new(),
@@ -167,7 +167,12 @@ impl Table {
             has_header: false,
             decimal: Decimal::Point,
             found: Vec::new(),
-        };
+        })
+    }
+
+    /// Finds the header among the first rows: the row with most of the wanted names, or none where columns are wanted by number alone.
+    pub fn find(rows: Box<dyn Rows>, wanted: &Wanted, format: TableFormat) -> Result<Self, InputError> {
+        let mut table = Self::begin(rows)?;
         match table.header(wanted, format.header)? {
             Some(index) => table.take_header(index),
             None => table.skip_preamble(wanted, format.header == Some(false)),
@@ -179,7 +184,7 @@ impl Table {
     /// A table of which nothing is known beforehand: most of its rows have the same number of cells, and at least a third of these are
     /// numbers; a row of names in front of the first of them is the header.
     pub fn find_any(rows: Box<dyn Rows>) -> Result<Self, InputError> {
-        let mut table = Self::find(rows, &Wanted::default(), TableFormat::default())?;
+        let mut table = Self::begin(rows)?;
         let mut counts: HashMap<usize, usize> = HashMap::new();
         table.ahead.iter().for_each(|row| *counts.entry(row.len()).or_default() += 1);
         let cells =
@@ -187,7 +192,6 @@ impl Table {
         let numbers = |row: &Row| Wanted::default().numbers_in(row, true);
         let is_row = |row: &Row| row.len() == cells && 3 * numbers(row) >= cells && numbers(row) > 0;
         let first = table.ahead.iter().position(is_row).unwrap_or(0);
-        table.found.clear();
         let is_header =
             |row: &Row| row.len() >= cells && numbers(row) == 0 && units_row(row, row.len()).is_none();
         let header = table.ahead.iter().take(first).rposition(is_header);

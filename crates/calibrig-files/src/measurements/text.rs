@@ -119,14 +119,15 @@ impl TextRows {
         own.chain(["//", "#"]).find_map(|prefix| line.strip_prefix(prefix)).unwrap_or(line)
     }
 
-    /// The delimiter under which most of what is wanted is found; of equals the first in the list that makes most cells of the header.
+    /// The delimiter under which most of what is wanted is found; of equals the one under which most
+    /// rows have as many cells as the header, and of these the first in the list that makes most cells.
     fn sniff(&self, wanted: &Wanted) -> Delimiter {
         if *wanted == Wanted::default() {
             return self.sniff_anything();
         }
         let mut row = Row::default();
         let mut score = |delimiter: &Delimiter| {
-            let (mut hits, mut header_cells, mut numbers) = (0, 0, 0);
+            let (mut hits, mut header_cells, mut numbers, mut alike) = (0, 0, 0, 0);
             for (_, line) in &self.sample {
                 let comment = self.is_comment(line);
                 row.start_line(1, if comment { self.without_prefix(line) } else { line });
@@ -135,13 +136,15 @@ impl TextRows {
                 }
                 let found = wanted.hits(&row);
                 if found > hits || (found == hits && header_cells == 0) {
-                    (hits, header_cells) = (found, row.len());
+                    (hits, header_cells, alike) = (found, row.len(), 0);
+                } else {
+                    alike += usize::from(row.len() == header_cells);
                 }
                 if !comment && !wanted.numbers.is_empty() {
                     numbers += wanted.numbers_in(&row, *delimiter != Delimiter::Character(','));
                 }
             }
-            (hits, numbers, if numbers == 0 { header_cells } else { 0 })
+            (hits, numbers, if hits > 0 { alike } else { 0 }, if numbers == 0 { header_cells } else { 0 })
         };
         // The last of equal maxima is taken: reversed, so that the first in the list wins.
         Delimiter::ALL.into_iter().rev().max_by_key(|delimiter| score(delimiter)).unwrap_or(Delimiter::Blanks)

@@ -235,11 +235,11 @@ fn by_name(columns: &mut [SeenColumn]) {
             "ze" | "zen" | "zenith" | "v" | "vertical" | "verticalangle" | "va" | "zenithangle" => {
                 Role::Zenith
             }
-            "sx" | "sigmax" | "ux" | "stdx" | "stddevx" | "sdx" | "u95x" | "xuncertainty"
+            "sx" | "sigmax" | "ux" | "stdx" | "stddevx" | "sdx" | "u95x" | "ux95" | "xuncertainty"
             | "uncertaintyx" => Role::SigmaX,
-            "sy" | "sigmay" | "uy" | "stdy" | "stddevy" | "sdy" | "u95y" | "yuncertainty"
+            "sy" | "sigmay" | "uy" | "stdy" | "stddevy" | "sdy" | "u95y" | "uy95" | "yuncertainty"
             | "uncertaintyy" => Role::SigmaY,
-            "sz" | "sigmaz" | "uz" | "stdz" | "stddevz" | "sdz" | "u95z" | "zuncertainty"
+            "sz" | "sigmaz" | "uz" | "stdz" | "stddevz" | "sdz" | "u95z" | "uz95" | "zuncertainty"
             | "uncertaintyz" => Role::SigmaZ,
             "pose" | "no" | "nr" | "number" | "posenumber" | "poseno" | "index" => Role::Pose,
             "name" | "point" | "pointname" | "id" | "pointid" | "label" | "nominal" => Role::Name,

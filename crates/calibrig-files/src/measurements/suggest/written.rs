@@ -9,8 +9,8 @@ use crate::measurements::units::{AngleUnit, HeaderUnit, LengthUnit};
 
 /// What a unit was told from.
 enum Told<U> {
-    /// The header says so to the reader as well.
-    Header(U),
+    /// The header says so to the reader as well, column by column.
+    Header(String),
     /// With the reason.
     Seen(U, String),
     /// With what speaks for what.
@@ -123,7 +123,7 @@ impl Writer<'_> {
         let lengths: Vec<_> =
             columns.iter().filter(|column| matches!(unit(column), Some(HeaderUnit::Length(_)))).collect();
         match told {
-            Told::Header(unit) => self.line(&format!("# revolute_unit: {}, as the header says", unit.key())),
+            Told::Header(unit) => self.line(&format!("# revolute_unit: {unit}, as the header says")),
             Told::Seen(unit, reason) => self.key("revolute_unit", &format!("{:?}", unit.key()), &reason),
             Told::Open(why) => self.undecided("revolute_unit", "\"deg\"", &why),
         }
@@ -156,7 +156,7 @@ impl Writer<'_> {
             self.key("system", "\"spherical\"", "");
             self.length("range_unit", &[range]);
             match angle_unit(&[azimuth, polar], "azimuth and elevation") {
-                Told::Header(unit) => self.line(&format!("# angle_unit: {}, as the header says", unit.key())),
+                Told::Header(unit) => self.line(&format!("# angle_unit: {unit}, as the header says")),
                 Told::Seen(unit, reason) => self.key("angle_unit", &format!("{:?}", unit.key()), &reason),
                 Told::Open(why) => self.undecided("angle_unit", "\"deg\"", &why),
             }
@@ -187,7 +187,7 @@ impl Writer<'_> {
             Some((unit.1, format!("{place} says {text:?}")))
         });
         match length_unit(columns, in_comment) {
-            Told::Header(unit) => self.line(&format!("# {key}: {}, as the header says", unit.key())),
+            Told::Header(unit) => self.line(&format!("# {key}: {unit}, as the header says")),
             Told::Seen(unit, reason) => self.key(key, &format!("{:?}", unit.key()), &reason),
             Told::Open(why) => self.undecided(key, "\"mm\"", &why),
         }
@@ -219,10 +219,8 @@ impl Writer<'_> {
         let before = self.text.len();
         self.line("");
         self.line("[sigma]");
-        match (unit(x), header_unit(&[x, y, z])) {
-            (_, Some(HeaderUnit::Length(unit))) => {
-                self.line(&format!("# unit: {}, as the header says", unit.key()))
-            }
+        match (unit(x), header_units(&[x, y, z], is_length)) {
+            (_, Some(unit)) => self.line(&format!("# unit: {unit}, as the header says")),
             (Some(HeaderUnit::Length(unit)), _) => {
                 self.key(
                     "unit",
@@ -394,10 +392,24 @@ fn unit(column: &SeenColumn) -> Option<HeaderUnit> {
     column.unit.or_else(|| unit_of_name(&column.header))
 }
 
-/// The unit in brackets of all these columns.
-fn header_unit(columns: &[&SeenColumn]) -> Option<HeaderUnit> {
-    let first = columns.first()?.unit?;
-    columns.iter().all(|column| column.unit == Some(first)).then_some(first)
+/// The units in brackets of all these columns, where all have one of the kind.
+fn header_units(columns: &[&SeenColumn], is_of_kind: impl Fn(HeaderUnit) -> bool) -> Option<String> {
+    let mut names: Vec<&str> = Vec::new();
+    for column in columns {
+        let unit = column.unit.filter(|unit| is_of_kind(*unit))?;
+        if !names.contains(&unit.key()) {
+            names.push(unit.key());
+        }
+    }
+    (!names.is_empty()).then(|| names.join(" and "))
+}
+
+fn is_length(unit: HeaderUnit) -> bool {
+    matches!(unit, HeaderUnit::Length(_))
+}
+
+fn is_angle(unit: HeaderUnit) -> bool {
+    matches!(unit, HeaderUnit::Angle(_))
 }
 
 fn angle_unit(columns: &[&SeenColumn], what: &str) -> Told<AngleUnit> {
@@ -409,8 +421,8 @@ fn angle_unit(columns: &[&SeenColumn], what: &str) -> Told<AngleUnit> {
     if angles.is_empty() {
         return Told::Open("no column of angles; where the robot has a revolute joint".to_owned());
     }
-    if let Some(HeaderUnit::Angle(unit)) = header_unit(&angles) {
-        return Told::Header(unit);
+    if let Some(units) = header_units(&angles, is_angle) {
+        return Told::Header(units);
     }
     if let Some(HeaderUnit::Angle(unit)) = unit(angles[0]) {
         return Told::Seen(unit, format!("the name {:?} ends with it", angles[0].header));
@@ -434,8 +446,8 @@ fn angle_unit(columns: &[&SeenColumn], what: &str) -> Told<AngleUnit> {
 }
 
 fn length_unit(columns: &[&SeenColumn], comment: Option<(LengthUnit, String)>) -> Told<LengthUnit> {
-    if let Some(HeaderUnit::Length(unit)) = header_unit(columns) {
-        return Told::Header(unit);
+    if let Some(units) = header_units(columns, is_length) {
+        return Told::Header(units);
     }
     if let Some(HeaderUnit::Length(unit)) = unit(columns[0]) {
         return Told::Seen(unit, format!("the name {:?} ends with it", columns[0].header));
