@@ -141,12 +141,19 @@ impl RowReader<'_> {
                     let set = &mut loaded.set;
                     let station_name = cells.name(self.columns.station).unwrap_or("station 1");
                     let target_name = cells.name(self.columns.target).or(self.target).unwrap_or("target 1");
-                    let station = index_of(&mut names.stations, station_name, || {
-                        set.stations.push(Station { name: station_name.to_owned(), nests: Vec::new() });
+                    let last = set.observations.last().map(|last| (last.station, last.target));
+                    let is_last_station = last.filter(|(last, _)| set.stations[*last].name == station_name);
+                    let station = is_last_station.map(|(last, _)| last).unwrap_or_else(|| {
+                        index_of(&mut names.stations, station_name, || {
+                            set.stations.push(Station { name: station_name.to_owned(), nests: Vec::new() });
+                        })
                     });
-                    let target = index_of(&mut names.targets, target_name, || {
-                        let (in_flange, covariance) = (Vector3::zeros(), None);
-                        set.targets.push(Target { name: target_name.to_owned(), in_flange, covariance });
+                    let is_last_target = last.filter(|(_, last)| set.targets[*last].name == target_name);
+                    let target = is_last_target.map(|(_, last)| last).unwrap_or_else(|| {
+                        index_of(&mut names.targets, target_name, || {
+                            let (in_flange, covariance) = (Vector3::zeros(), None);
+                            set.targets.push(Target { name: target_name.to_owned(), in_flange, covariance });
+                        })
                     });
                     set.observations.push(Observation {
                         pose,
@@ -326,7 +333,13 @@ impl<'r> Cells<'r> {
     }
 
     fn command(&self) -> Result<Vec<f64>, InputError> {
-        self.reader.columns.joints.iter().map(|quantity| self.value(quantity)).collect()
+        // Not collected, so that no more room is taken than they need.
+        let quantities = &self.reader.columns.joints;
+        let mut command = Vec::with_capacity(quantities.len());
+        for quantity in quantities {
+            command.push(self.value(quantity)?);
+        }
+        Ok(command)
     }
 
     fn approach(&self, joints: usize) -> Result<Vec<i8>, InputError> {

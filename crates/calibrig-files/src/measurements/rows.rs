@@ -174,6 +174,32 @@ impl Row {
         &mut self.buffer
     }
 
+    /// Cuts the line at every byte that is a delimiter; blanks around a cell are no part of it. `runs` of delimiters count as one, and those at
+    /// the ends as none. For lines of ASCII without quotes, which most are.
+    pub(super) fn cut(&mut self, is_delimiter: impl Fn(u8) -> bool, runs: bool) {
+        let bytes = self.buffer.as_bytes();
+        let is_blank = |byte: u8| matches!(byte, b' ' | b'\t') && !is_delimiter(byte);
+        let mut start = 0;
+        loop {
+            let length = bytes[start..].iter().position(|byte| is_delimiter(*byte));
+            let end = length.map_or(bytes.len(), |length| start + length);
+            let (mut from, mut to) = (start, end);
+            while from < to && is_blank(bytes[from]) {
+                from += 1;
+            }
+            while from < to && is_blank(bytes[to - 1]) {
+                to -= 1;
+            }
+            if !runs || from < to {
+                self.cells.push(CellRange { text: from..to, span: from..to });
+            }
+            if length.is_none() {
+                return;
+            }
+            start = end + 1;
+        }
+    }
+
     /// Adds what stands behind the line.
     pub(super) fn append(&mut self, behind: &str) {
         self.buffer.push_str(behind);
