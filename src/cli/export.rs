@@ -138,7 +138,7 @@ fn write(folder: &Path, export: &CsvExport) -> Result<(), CliError> {
 fn to_mcap(args: &McapArgs) -> Result<Verdict, CliError> {
     check_name(&args.out, args.force)?;
     let Loaded { robot, mut sources, sha256, sets, read, asked, statements, .. } = args.files.read()?;
-    refuse_without_readings(&sets)?;
+    refuse_without_readings(&args.files.first(), &sets)?;
     read.iter().for_each(|line| say(line));
     // The files themselves, in place of their names.
     let (texts, left_out) = texts(&asked);
@@ -190,12 +190,12 @@ fn check_name(path: &Path, force: bool) -> Result<(), CliError> {
 }
 
 /// A recording without readings could not be read back.
-fn refuse_without_readings(sets: &[SetOutcome]) -> Result<(), CliError> {
+fn refuse_without_readings(file: &Path, sets: &[SetOutcome]) -> Result<(), CliError> {
     for set in sets.iter().filter(|set| set.measurements.observations.is_empty()) {
         let first = set.dropped.first().map_or("there is none", |(_, why)| why.as_str());
         return Err(InputError::Place {
-            place: format!("{} set", set.kind.key()),
-            message: format!("every row is a missed shot: {first}"),
+            place: file.display().to_string(),
+            message: format!("every row of the {} set is a missed shot; the first: {first}", set.kind.key()),
             help: Some("expected a position other than (0, 0, 0) in one row at least".to_owned()),
         }
         .into());

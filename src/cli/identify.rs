@@ -146,7 +146,7 @@ pub(super) struct FileArgs {
 
 impl FileArgs {
     /// The first file to fit, for messages.
-    fn first(&self) -> PathBuf {
+    pub(super) fn first(&self) -> PathBuf {
         let sets = self.rows.sets(&self.measurements, &[], None);
         sets.first()
             .and_then(|set| set.files.points.first())

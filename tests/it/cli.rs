@@ -8,8 +8,18 @@ use std::time::Duration;
 use crate::a_user_makes_a_mistake::with_measurements;
 use crate::sandbox::{Ended, ROBOT, SCENARIO, Sandbox, assert_refused};
 
-const COMMANDS: [&str; 9] =
-    ["run", "check", "choose", "identify", "identifiability", "replay", "inspect", "recover", "report"];
+const COMMANDS: [&str; 10] = [
+    "run",
+    "check",
+    "choose",
+    "columns",
+    "identify",
+    "identifiability",
+    "replay",
+    "inspect",
+    "recover",
+    "report",
+];
 #[cfg(feature = "rerun")]
 const FILES: &[&str] = &["report.html", "report.json", "recording.mcap", "recording.rrd"];
 #[cfg(not(feature = "rerun"))]

@@ -633,7 +633,10 @@ fn units_of_header_and_map_do_not_contradict_each_other() {
     let refused = parse("J1,J2,X [deg],Y,Z", BY_NAME).expect_err("an angle").to_string();
     assert!(refused.contains("is in deg, which is no unit of this quantity"), "{refused}");
     let refused = parse("J1,J2,X,Y,Z", BY_HEADER).expect_err("no unit").to_string();
-    assert!(refused.contains("map.toml:2: column J1 has no unit"), "{refused}");
+    assert!(
+        refused.contains("map.toml:2: missing key `revolute_unit` in [joints]: column J1 has no unit"),
+        "{refused}"
+    );
 }
 
 #[test]
