@@ -1,18 +1,18 @@
 //! `calibrig identify`.
 
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use clap::error::ErrorKind;
 use clap::{CommandFactory, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::measured::{AskedSet, RowArgs, hash_files};
 use super::model::ChainArgs;
 use super::output::{self, Destination, Files};
-use super::{Cli, CliError, Verdict, not_identified, say};
+use super::{Cli, CliError, Verdict, not_identified_at, say};
 use crate::pipeline::{
-    InputSummary, Outcome, PipelineError, SetKind, SetOutcome, SplitPlan, SplitStudy, calibrate,
-    commands_beyond_limits, default_options, hash_sources, is_default, judge, pose_count, repeat_splits,
+    InputHash, InputSummary, Outcome, PipelineError, SetOutcome, SplitPlan, SplitStudy, calibrate,
+    commands_beyond_limits, default_options, is_default, judge, pose_count, repeat_splits,
     without_gross_errors,
 };
 use calibrig_estimation::identification::{
@@ -20,9 +20,10 @@ use calibrig_estimation::identification::{
     MachineNoiseChoice, Mode, ParameterBound, ParameterChoice, RefusedBound, SolverOptions, Tolerance,
     UNKNOWN_STIFFNESS, check_bounds,
 };
-use calibrig_files::{ColumnMap, load_column_map, parse_column_map, parse_measurements};
+use calibrig_files::{ColumnMap, Places, load_column_map, parse_column_map};
+use calibrig_files::{InputError, Robot};
 use calibrig_files::{MeasuredFile, SessionFile, Source, Statements, load_session, state};
-use calibrig_files::{Robot, add_followers, commanded_joints};
+use calibrig_files::{add_followers, commanded_joints};
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{BodyUncertainty, CalibrationModel, FAMILIES, JointKind, ParameterId, Unit};
 
@@ -131,12 +132,17 @@ pub(super) struct FileArgs {
     urdf: Option<PathBuf>,
     #[command(flatten)]
     chain: ChainArgs,
-    /// Positions to fit
-    #[arg(long, value_name = "FILE")]
-    measurements: PathBuf,
-    /// Positions to verify on
-    #[arg(long, value_name = "FILE")]
-    verify: Option<PathBuf>,
+    /// Positions to fit; may be repeated, as for one file a target
+    #[arg(long, value_name = "[TARGET=]FILE", required = true)]
+    measurements: Vec<String>,
+    /// Positions to verify on; may be repeated
+    #[arg(long, value_name = "[TARGET=]FILE")]
+    verify: Vec<String>,
+    /// As --joints, for the files of --verify
+    #[arg(long, value_name = "FILE", requires = "verify")]
+    verify_joints: Option<PathBuf>,
+    #[command(flatten)]
+    rows: RowArgs,
     /// Column map of the files, instead of the one that the robot's file names
     #[arg(long, value_name = "MAP.toml")]
     columns: Option<PathBuf>,
@@ -147,11 +153,19 @@ pub(super) struct FileArgs {
 }
 
 impl FileArgs {
+    /// The first file to fit, for messages.
+    pub(super) fn first(&self) -> PathBuf {
+        let sets = self.rows.sets(&self.measurements, &[], None);
+        sets.first()
+            .and_then(|set| set.files.points.first())
+            .map(|file| file.path.clone())
+            .unwrap_or_default()
+    }
+
     pub(super) fn read(&self) -> Result<Loaded, CliError> {
         let robot = self.chain.robot(self.model.as_deref(), self.urdf.as_deref())?;
-        let mut files = vec![(SetKind::Identification, self.measurements.as_path())];
-        files.extend(self.verify.as_deref().map(|path| (SetKind::Verification, path)));
-        load(robot, self.columns.as_deref(), self.session.as_deref(), &files)
+        let sets = self.rows.sets(&self.measurements, &self.verify, self.verify_joints.as_deref());
+        load(robot, self.columns.as_deref(), self.session.as_deref(), &self.rows, sets)
     }
 }
 
@@ -238,9 +252,10 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     if let Some(destination) = destination {
         destination.check(Files::Reports)?;
     }
-    let (mut outcome, options, statements, plausible) = outcome(args)?;
+    let (mut outcome, options, statements, plausible, places) = outcome(args)?;
     if let (Some(splits), Some(fit)) = (args.splits, args.fit) {
-        outcome.splits = Some(split_study(args, &outcome, &options, (splits as usize, fit as usize))?);
+        outcome.splits =
+            Some(split_study(args, &outcome, &options, &places, (splits as usize, fit as usize))?);
     }
     let written = destination.map_or(Ok(()), |destination| {
         let (folder, new) = destination.make()?;
@@ -282,6 +297,7 @@ fn split_study(
     args: &Args,
     outcome: &Outcome,
     options: &IdentificationOptions,
+    places: &[Places],
     (splits, fitted): (usize, usize),
 ) -> Result<SplitStudy, CliError> {
     let empty = MeasurementSet::default();
@@ -302,7 +318,7 @@ fn split_study(
     let study =
         repeat_splits(&outcome.model, set, &modes, options, plan, |done| bar.set_position(done as u64));
     bar.finish_and_clear();
-    study.map_err(|error| failed(error, &args.files.measurements, &outcome.sources))
+    study.map_err(|error| failed(error, &args.files.first(), &outcome.sets, places))
 }
 
 pub(super) fn fitted_mode(text: &str) -> Result<Mode, String> {
@@ -461,9 +477,17 @@ fn modes(args: &Args, robot: &Robot, options: &IdentificationOptions) -> Vec<Mod
 /// A robot and its measurements, as files hold them.
 pub(super) struct Loaded {
     pub robot: Robot,
-    /// Every file by its role.
+    /// Every file by its role; those of measurements by their names alone.
     pub sources: Vec<(String, Source)>,
+    /// One hash over all files.
+    pub sha256: String,
     pub sets: Vec<SetOutcome>,
+    /// Where the observations of every set stand.
+    pub places: Vec<Places>,
+    /// What was found of the measurement files, in words.
+    pub read: Vec<String>,
+    /// The files of measurements.
+    pub asked: Vec<AskedSet>,
     /// What the files state beforehand of stations and targets.
     pub statements: Statements,
     /// The session file, and its text.
@@ -486,7 +510,8 @@ pub(super) fn load(
     mut robot: Robot,
     columns: Option<&Path>,
     session: Option<&Path>,
-    files: &[(SetKind, &Path)],
+    rows: &RowArgs,
+    asked: Vec<AskedSet>,
 ) -> Result<Loaded, CliError> {
     let joints = commanded_joints(&robot.model);
     let columns = match columns {
@@ -506,40 +531,62 @@ pub(super) fn load(
             None => ColumnMap::default(),
         },
     };
-    let read = |(kind, path): &(SetKind, &Path)| {
-        let source = Source::read(path)?;
-        let mut loaded = parse_measurements(&source, &columns, &joints)?;
-        add_followers(&robot.model, &mut loaded.set);
-        Ok(MeasuredFile { kind: *kind, source, loaded })
-    };
-    let mut files = files.iter().map(read).collect::<Result<Vec<_>, CliError>>()?;
+    let mut files = rows.read(&asked, &columns, &joints)?;
+    for file in &mut files {
+        add_followers(&robot.model, &mut file.loaded.set);
+    }
     let session = session.map(load_session).transpose()?;
     let stated = session.as_ref().map(|(session, source)| (session, source));
     let statements = state(&robot, stated, &mut files)?;
     let mut sources = robot.sources.clone();
-    let mut sets = Vec::new();
-    for MeasuredFile { kind, source, loaded } in files {
-        sources.push((kind.key().to_owned(), source));
+    let mut hash = InputHash::default();
+    sources.iter().for_each(|(role, source)| hash.add(role, &source.text));
+    hash_files(&mut hash, &asked)?;
+    for (role, path) in asked.iter().flat_map(AskedSet::paths) {
+        sources.push((role.to_owned(), Source::new(path.display().to_string(), "")));
+    }
+    if let Some((_, source)) = &session {
+        hash.add("session", &source.text);
+        sources.push(("session".to_owned(), source.clone()));
+    }
+    let (mut sets, mut places, mut read) = (Vec::new(), Vec::new(), Vec::new());
+    for MeasuredFile { kind, loaded, .. } in files {
+        places.push(loaded.places);
+        read.extend(loaded.remarks);
         sets.push(SetOutcome { kind, measurements: loaded.set, dropped: loaded.dropped });
     }
-    sources.extend(session.as_ref().map(|(_, source)| ("session".to_owned(), source.clone())));
-    Ok(Loaded { robot, sources, sets, statements, session })
+    Ok(Loaded { robot, sources, sha256: hash.hex(), sets, places, read, asked, statements, session })
 }
 
-/// The failure of an identification from these files, at the last line of the fitted one where more poses are what it needs.
-pub(super) fn failed(error: PipelineError, measurements: &Path, sources: &[(String, Source)]) -> CliError {
-    let fitted = sources.iter().find(|(role, _)| role == SetKind::Identification.key());
-    match fitted {
-        Some((_, source)) => not_identified(error, measurements, source, last_line(&source.text)),
-        None => CliError::Pipeline { file: measurements.to_path_buf(), source: error },
+/// The failure of an identification from these files, at the rows that it names, or at the last one where more poses are what it needs.
+pub(super) fn failed(error: PipelineError, file: &Path, sets: &[SetOutcome], places: &[Places]) -> CliError {
+    let fitted = (sets.first().map_or(0, |set| set.measurements.observations.len()), places.first());
+    let last = fitted.1.and_then(|places| places.of(fitted.0.checked_sub(1)?));
+    let last = last.unwrap_or_else(|| file.display().to_string());
+    match &error {
+        PipelineError::Implausible(why) => {
+            let set = sets.iter().position(|set| set.kind == why.kind).and_then(|index| places.get(index));
+            let rows: Vec<String> =
+                why.named().iter().filter_map(|index| set.and_then(|places| places.of(*index))).collect();
+            let mut help = why.help();
+            if rows.len() > 1 {
+                help = format!("they stand in {}; {help}", rows.join(", "));
+            }
+            let place = rows.first().cloned().unwrap_or_else(|| file.display().to_string());
+            InputError::Place { place, message: error.to_string(), help: Some(help) }.into()
+        }
+        _ => not_identified_at(error, file, last),
     }
 }
 
-fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions, Statements, Verdict), CliError> {
+fn outcome(
+    args: &Args,
+) -> Result<(Outcome, IdentificationOptions, Statements, Verdict, Vec<Places>), CliError> {
     let loaded = args.files.read()?;
     loaded.check_session()?;
-    let Loaded { robot, sources, sets, statements, .. } = loaded;
-    let measurements = &args.files.measurements;
+    let Loaded { robot, sources, sha256, sets, places, read, statements, .. } = loaded;
+    read.iter().for_each(|line| say(line));
+    let measurements = &args.files.first();
     let parameters = match args.parameters {
         Parameters::Complete => ParameterChoice::Complete,
         Parameters::Rules => ParameterChoice::NeighbourAxisRules,
@@ -569,19 +616,13 @@ fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions, Statements, V
     let modes = modes(args, &robot, &options);
     check_flags(&robot.model, &modes, &options, &sets[0].measurements);
     let plausible = output::plausible(&robot.model, &sets, &options, args.fit_anyway)
-        .map_err(|error| failed(error, measurements, &sources))?;
+        .map_err(|error| failed(error, measurements, &sets, &places))?;
     let (registration, modes) = calibrate(&robot.model, &sets, &modes, &options)
-        .map_err(|error| failed(error, measurements, &sources))?;
+        .map_err(|error| failed(error, measurements, &sets, &places))?;
     let judgements = judge(&robot.model, &sets, &modes, &options)
-        .map_err(|error| failed(error, measurements, &sources))?;
+        .map_err(|error| failed(error, measurements, &sets, &places))?;
     let outcome = Outcome {
-        input: InputSummary {
-            kind: "files",
-            name: robot.name,
-            sha256: hash_sources(&sources),
-            seed: None,
-            trial: None,
-        },
+        input: InputSummary { kind: "files", name: robot.name, sha256, seed: None, trial: None },
         sources,
         model: robot.model,
         visuals: robot.visuals,
@@ -596,12 +637,5 @@ fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions, Statements, V
         splits: None,
         command: Some(output::command_line()),
     };
-    Ok((outcome, options, statements, plausible))
-}
-
-/// Bytes of the last line with content.
-fn last_line(text: &str) -> Range<usize> {
-    let end = text.trim_end().len();
-    let start = text[..end].rfind('\n').map_or(0, |at| at + 1);
-    start..end
+    Ok((outcome, options, statements, plausible, places))
 }

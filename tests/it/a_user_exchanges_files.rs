@@ -417,7 +417,8 @@ fn files_that_cannot_become_a_recording_are_refused() {
         "the robot has 3 joints",
         "calibrig's own columns",
     );
-    refused(&["--measurements", "missed.csv"], "missed.csv:1: ", "every row is a missed shot", "(0, 0, 0)");
+    let every = "every row of the identification set is a missed shot; the first: missed shot: the position is (0, 0, 0) (missed.csv:2)";
+    refused(&["--measurements", "missed.csv"], "missed.csv: ", every, "(0, 0, 0)");
     refused(&["--measurements", "none.csv"], "cannot read none.csv", "No such file", "a file of UTF-8 text");
     let with = ["--measurements", "own.csv", "--session"];
     let missing = "station \"back\" of the identification set is not described";

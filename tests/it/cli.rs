@@ -8,10 +8,11 @@ use std::time::Duration;
 use crate::a_user_makes_a_mistake::with_measurements;
 use crate::sandbox::{Ended, ROBOT, SCENARIO, Sandbox, assert_refused};
 
-const COMMANDS: [&str; 10] = [
+const COMMANDS: [&str; 11] = [
     "run",
     "check",
     "choose",
+    "columns",
     "identify",
     "identifiability",
     "model",

@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod a_user_brings_a_robot;
+mod a_user_brings_files;
 mod a_user_calibrates_a_real_robot;
 mod a_user_checks_the_elimination;
 mod a_user_compares_with_the_truth;

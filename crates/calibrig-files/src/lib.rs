@@ -46,10 +46,12 @@ mod stated;
 
 pub use convert::{AGREEMENT, Convention, Converted, UrdfOptions, robot_from_dh, robot_from_urdf};
 pub use followers::{add_followers, commanded_joints, without_followers};
-pub use input::{InputError, Source, Spanned};
+pub use input::{Excerpt, InputError, Source, Spanned};
 pub use measurements::{
-    ColumnMap, CsvError, LoadedMeasurements, load_column_map, measurements_text, parse_column_map,
-    parse_measurements, read_measurements, write_measurements,
+    ColumnMap, CsvError, LoadedMeasurements, MeasurementFiles, MemoryRows, MissedCode, Place, Places,
+    PointsFile, PoseList, Row, RowOptions, Rows, SuggestedMap, load_column_map, measurements_text,
+    parse_column_map, parse_measurements, read_files, read_measurements, read_rows, suggest_columns,
+    write_measurements,
 };
 pub use robot::{LoadTable, Robot, StatedTarget, load_robot, parse_robot, read_loads};
 pub use session::{SessionFile, SessionSet, load_session, parse_session, session_text};
