@@ -242,7 +242,7 @@ fn points_of(model: &CalibrationModel, set: &MeasurementSet) -> Points {
 
 /// Points farther from the middle of the others than twice the robot's reach, and the tracker's own place: codes of missed shots. As the
 /// offset of a target may be unknown, what the other points span is added.
-fn unreachable(model: &CalibrationModel, set: &MeasurementSet) -> Vec<FarOff> {
+pub(crate) fn unreachable(model: &CalibrationModel, set: &MeasurementSet) -> Vec<FarOff> {
     let reach = reach(model) + set.targets.iter().map(|t| t.in_flange.norm()).fold(0.0, f64::max);
     let mut far = Vec::new();
     for station in 0..set.stations.len() {
