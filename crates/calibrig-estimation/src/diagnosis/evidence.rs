@@ -27,10 +27,11 @@ const TAUS: [f64; 2] = [0.02, 20.0];
 const WIDTHS: [f64; 2] = [1.2, 4.0];
 /// An offset is not known better than this, m.
 const LEAST_OFFSET: f64 = 1e-4;
-/// Nor is it as far as this from the flange, m.
-const FARTHEST_OFFSET: f64 = 1e3;
-/// Directions of places below this share of the largest eigenvalue are not determined.
-const OPEN: f64 = 1e-10;
+/// Nor does a step move it as far as this, m.
+const FARTHEST_OFFSET: f64 = 100.0;
+/// Places that nothing determines stay about where they are: as if they were known to a third of a metre or of a radian where a coordinate
+/// is to a tenth of a millimetre.
+const OPEN: f64 = 1e-7;
 
 /// The fit of a hypothesis, and what it says of every row.
 pub(super) struct Fit {
@@ -117,7 +118,12 @@ pub(super) fn fit(view: &View, start: &Placed, kept: &[bool]) -> Option<Fit> {
         chain.set_model(&changed);
         let (system, in_base) = system(view, &layout, &mut chain, &now);
         let solution = system.solve(kept, &held)?;
-        if round == ROUNDS {
+        // Where nothing fits, steps lead anywhere: what was reached before is told.
+        let is_far = (0..view.offsets.len()).any(|t| {
+            let column = layout.targets[t].0;
+            (0..3).any(|k| solution.step[column + k].abs() > FARTHEST_OFFSET)
+        });
+        if round == ROUNDS || is_far {
             return Some(told(now, &system, in_base, &solution, kept));
         }
         let at = |column: usize| solution.step[column];
@@ -134,9 +140,6 @@ pub(super) fn fit(view: &View, start: &Placed, kept: &[bool]) -> Option<Fit> {
                 Some(sigma) => now.offsets[t] = view.offsets[t] + *sigma * by,
                 None => now.offsets[t] += by,
             }
-        }
-        if !now.offsets.iter().all(|o| o.norm() < FARTHEST_OFFSET) {
-            return None;
         }
     }
     None
@@ -191,14 +194,12 @@ impl System {
         let gram = all.tr_mul(&all);
         let xx = gram.view((0, 0), (places, places)).into_owned();
         let eigen = xx.symmetric_eigen();
-        let largest = eigen.eigenvalues.amax();
-        let is_told = |value: f64| value > OPEN * largest;
-        let inverse_values =
-            eigen.eigenvalues.map(|value| if is_told(value) { 1.0 / value } else { 0.0 });
+        let eased = eigen.eigenvalues.map(|value| value.max(0.0) + OPEN);
+        let inverse_values = eased.map(|value| 1.0 / value);
         let inverse =
             &eigen.eigenvectors * DMatrix::from_diagonal(&inverse_values) * eigen.eigenvectors.transpose();
-        let told = eigen.eigenvalues.iter().filter(|value| is_told(**value)).count();
-        let log_places: f64 = eigen.eigenvalues.iter().map(|v| v.max(OPEN * largest).ln()).sum();
+        let told = eigen.eigenvalues.iter().filter(|value| **value > OPEN).count();
+        let log_places: f64 = eased.iter().map(|value| value.ln()).sum();
         let x_rest = gram.view((0, places), (places, of_links + 1)).into_owned();
         let taken = &inverse * &x_rest;
         let rest = gram.view((places, places), (of_links + 1, of_links + 1)) - x_rest.tr_mul(&taken);

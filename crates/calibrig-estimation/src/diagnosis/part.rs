@@ -187,6 +187,17 @@ impl Part {
         }
     }
 
+    /// Whether it is usual enough to be looked for beside another one.
+    pub(super) fn is_usual(&self) -> bool {
+        match self {
+            Self::Order { from, .. } => moved(from) == 2,
+            Self::Coupling { joint, with, .. } => joint.abs_diff(*with) <= 2,
+            Self::ShiftedRows { by } => by.abs() <= 3,
+            Self::TravelUnit { factor, .. } => [1e3, 1e-3].contains(factor),
+            _ => true,
+        }
+    }
+
     /// Where in the reading of a session it comes.
     fn layer(&self) -> u8 {
         match self {

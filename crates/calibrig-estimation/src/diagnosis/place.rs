@@ -44,6 +44,14 @@ pub(super) struct Placed {
     pub share: f64,
 }
 
+impl Placed {
+    /// The same with the offsets of two targets exchanged.
+    pub fn with_exchanged(mut self, a: usize, b: usize) -> Self {
+        self.offsets.swap(a, b);
+        self
+    }
+}
+
 impl Cloud {
     pub fn new(view: &View, chain: &mut PlacedChain) -> Self {
         chain.set_model(&view.chain);
@@ -118,10 +126,20 @@ impl Cloud {
 
     /// Offsets of the targets with an affine map in the place of every station's rotation, m; `None` where nothing tells them.
     pub fn relaxed(&self, weights: Option<&[f64]>) -> Option<Vec<Vector3<f64>>> {
+        self.affine(weights).map(|(offsets, _)| offsets)
+    }
+
+    /// What no rigid placement can be below: the RMS distance with an affine map in its place, m.
+    pub fn bound(&self) -> Option<f64> {
+        self.affine(None).map(|(_, squares)| (squares / self.len().max(1) as f64).sqrt())
+    }
+
+    fn affine(&self, weights: Option<&[f64]>) -> Option<(Vec<Vector3<f64>>, f64)> {
         let targets = self.offsets.len();
         let columns = 3 * targets;
         let mut normal = DMatrix::<f64>::zeros(columns, columns);
         let mut right = DVector::<f64>::zeros(columns);
+        let mut squares = 0.0;
         let weight = |i: usize| weights.map_or(1.0, |w| w[i]).sqrt();
         for station in 0..self.stations {
             let own: Vec<usize> =
@@ -139,6 +157,7 @@ impl Cloud {
             for row in 0..3 {
                 let mut y: Vec<f64> = own.iter().map(|i| weight(*i) * self.x[*i][row]).collect();
                 project(&mut y);
+                squares += y.iter().map(|v| v * v).sum::<f64>();
                 let mut all: Vec<(usize, Vec<f64>)> = Vec::with_capacity(columns);
                 for target in 0..targets {
                     if targets > 1 && own.iter().all(|i| self.target[*i] != target) {
@@ -169,6 +188,7 @@ impl Cloud {
         }
         // Where nothing tells, the offset stays as it is stated.
         let stated = DVector::from_iterator(columns, self.offsets.iter().flat_map(|o| o.iter().copied()));
+        let whole = right.clone();
         let right = right - &normal * &stated;
         let ridge = 1e-9 * normal.diagonal().amax().max(f64::MIN_POSITIVE);
         for i in 0..columns {
@@ -177,8 +197,8 @@ impl Cloud {
         let step = normal.cholesky()?.solve(&right);
         let found = stated + step;
         let is_finite = found.iter().all(|v| v.is_finite());
-        is_finite
-            .then(|| (0..targets).map(|t| Vector3::from_fn(|axis, _| found[3 * t + axis])).collect())
+        let offsets = || (0..targets).map(|t| Vector3::from_fn(|axis, _| found[3 * t + axis])).collect();
+        is_finite.then(|| (offsets(), (squares - whole.dot(&found)).max(0.0)))
     }
 
     /// An orthonormal basis of one and the points' coordinates over the observations `own`.

@@ -13,10 +13,12 @@ use calibrig_model::CalibrationModel;
 use calibrig_model::measurement::MeasurementSet;
 
 /// Observations that everything is tried on, and that what comes near is weighed on.
-const TRIED: usize = 100;
+const TRIED: usize = 60;
 const WEIGHED: usize = 600;
 /// Single parts and pairs that are weighed.
 const NEAREST: [usize; 2] = [40, 60];
+/// Pairs that are placed, of those that could be.
+const PLACED: usize = 1500;
 /// Those that leave so many times what the nearest one leaves are not weighed, beyond the first few.
 const NEAR: f64 = 8.0;
 const FIRST: usize = 12;
@@ -34,6 +36,7 @@ const LEAST_OF_GROUP: usize = 3;
 const MARGIN: f64 = 12.0;
 /// And leave less than this share of what is left without.
 const BETTER: f64 = 0.8;
+const MUCH_BETTER: f64 = 0.5;
 /// Hypotheses that are listed.
 const LISTED: usize = 12;
 /// Two are of one class where each fits the other's points within this share of their spread.
@@ -163,26 +166,48 @@ impl<'a> Search<'a> {
         Some(Part::PointUnit { factor })
     }
 
+    /// Pairs of parts, those first that no placement is known to be worse for.
     fn pairs(&mut self, parts: &[Part]) -> Vec<Near> {
-        let mut found = Vec::new();
+        let parts: Vec<&Part> = parts.iter().filter(|part| part.is_usual()).collect();
+        let mut bounds: Vec<(f64, [&Part; 2])> = Vec::new();
         for (i, a) in parts.iter().enumerate() {
             for b in &parts[i + 1..] {
                 if !go_together(a, b) {
                     continue;
                 }
-                found.extend(self.place(&[a, b]));
+                bounds.extend(self.bound([a, b]));
                 if a.is_twofold_with(b) {
-                    found.extend(self.place(&[b, a]));
+                    bounds.extend(self.bound([b, a]));
                 }
+            }
+        }
+        bounds.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut found: Vec<Near> = Vec::new();
+        let mut least = f64::INFINITY;
+        for (bound, pair) in bounds.into_iter().take(PLACED) {
+            if bound > NEAR * least.max(SAME * self.spread) || bound > NOWHERE * self.spread {
+                break;
+            }
+            if let Some(near) = self.place(&pair) {
+                least = least.min(near.placed.rms);
+                found.push(near);
             }
         }
         found
     }
 
+    fn bound<'p>(&mut self, pair: [&'p Part; 2]) -> Option<(f64, [&'p Part; 2])> {
+        let view = self.few.view(&pair)?;
+        if view.rows.len() < 3 {
+            return None;
+        }
+        Some((Cloud::new(&view, &mut self.chain).bound()?, pair))
+    }
+
     fn weigh_nearest(&mut self, found: &[Near], most: usize) -> Vec<Weighed> {
         let mut order: Vec<&Near> = found.iter().collect();
         order.sort_by(|a, b| a.share.total_cmp(&b.share));
-        let least = order.first().map_or(0.0, |near| near.share);
+        let least = order.first().map_or(0.0, |near| near.share).max(SAME);
         let is_near = |(place, near): &(usize, &Near)| {
             near.parts.is_empty() || near.share < NOWHERE && (*place < FIRST || near.share < NEAR * least)
         };
@@ -222,6 +247,8 @@ impl<'a> Search<'a> {
             Part::GrossErrors { rows } | Part::MissedShots { rows } => usual + 2.0 * rows.len() as f64 * n.ln(),
             // Each row can be of either target.
             Part::SeveralTargets { others, .. } => usual + 2.0 * n * (1.0 + others.len() as f64).ln() + self.cost,
+            // What is likely are the points as they stand in the file.
+            Part::PointUnit { factor } => usual + self.cost - 6.0 * n * factor.ln(),
             _ => usual + self.cost,
         }
     }
@@ -286,7 +313,22 @@ impl<'a> Search<'a> {
         let again: Vec<_> = found.iter().take(3).flat_map(|(_, parts, _)| self.split(parts, false)).collect();
         found.extend(again);
         found.retain(|(share, ..)| *share < NOWHERE);
-        found.into_iter().filter_map(|(_, parts, placed)| self.weigh(&parts, &placed)).collect()
+        let mut weighed = Vec::new();
+        for (_, parts, placed) in found {
+            weighed.extend(self.weigh(&parts, &placed));
+            if parts.len() == 1 && most > 1 {
+                weighed.extend(self.rows_beside_targets(&parts));
+            }
+        }
+        weighed
+    }
+
+    fn rows_beside_targets(&mut self, parts: &[Part]) -> Option<Weighed> {
+        let view = self.all.view(&parts.iter().collect::<Vec<_>>())?;
+        let cloud = Cloud::new(&view, &mut self.chain);
+        let (placed, _) = cloud.robust(ROUNDS);
+        let lengths = cloud.lengths(&placed);
+        self.rows_beside(parts, &placed, &lengths)
     }
 
     /// A target's observations told apart; where `parts` already tell them apart, those of one of its groups.
@@ -305,17 +347,25 @@ impl<'a> Search<'a> {
             }
             for start in &starts {
                 let Some((placed, second)) = cloud.split(target, start) else { continue };
-                let group: Vec<usize> =
-                    (0..view.rows.len()).filter(|row| second[*row]).map(|row| view.rows[row].1).collect();
-                let rest = view.target.iter().zip(&second).filter(|(t, s)| **t == target && !**s).count();
-                if group.len().min(rest) < LEAST_OF_GROUP {
+                let of = |is_second: bool| -> Vec<usize> {
+                    let own = (0..view.rows.len()).filter(|row| view.target[*row] == target);
+                    own.filter(|row| second[*row] == is_second).map(|row| view.rows[row].1).collect()
+                };
+                let [rest, group] = [false, true].map(of);
+                // The fewer ones are the other target's.
+                let (rest, group, placed) = if group.len() > rest.len() {
+                    (group, rest, placed.with_exchanged(target, view.offsets.len()))
+                } else {
+                    (rest, group, placed)
+                };
+                if group.len() < LEAST_OF_GROUP {
                     continue;
                 }
                 let mut parts = parts.to_vec();
                 match parts.iter_mut().find(|part| matches!(part, Part::SeveralTargets { .. })) {
                     Some(Part::SeveralTargets { others, .. }) => {
                         if target >= known {
-                            others[target - known].retain(|i| !group.contains(i));
+                            others[target - known] = rest;
                         }
                         others.push(group);
                     }
@@ -336,7 +386,9 @@ impl<'a> Search<'a> {
         // Nothing is told that the session does not show clearly.
         if sound > 0 && given.is_empty() {
             let (first, without) = (&weighed[0], &weighed[sound]);
-            let is_clear = first.score + MARGIN < without.score && first.rms_links < BETTER * without.rms_links;
+            // Links can be off far enough to explain much: what remains with them, or without, must be less.
+            let is_less = first.rms_links < BETTER * without.rms_links || first.rms < MUCH_BETTER * without.rms;
+            let is_clear = first.score + MARGIN < without.score && is_less;
             if !is_clear {
                 let sound = weighed.remove(sound);
                 let least = weighed[0].score.min(sound.score);
@@ -396,7 +448,11 @@ impl<'a> Search<'a> {
         let mut classes: Vec<usize> = Vec::new();
         let mut firsts: Vec<usize> = Vec::new();
         for i in 0..weighed.len() {
-            let same = firsts.iter().position(|first| self.explains(&weighed[*first], &weighed[i]));
+            let is_same = |first: &usize| {
+                let (one, other) = (&weighed[*first], &weighed[i]);
+                self.explains(one, other) && self.explains(other, one)
+            };
+            let same = firsts.iter().position(is_same);
             classes.push(same.unwrap_or(firsts.len()));
             if same.is_none() {
                 firsts.push(i);

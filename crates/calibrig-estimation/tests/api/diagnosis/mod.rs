@@ -71,6 +71,7 @@ fn rate(count: usize, sessions: u64, seed: u64) -> f64 {
         let of = session(count, &mut rng);
         let before = Instant::now();
         let found = diagnose(&of.model, &of.set).expect("a session");
+        if found.hypotheses.is_empty() { println!("EMPTY {trial} {:?} {:?}", of.truths, of.set.observations.iter().take(5).collect::<Vec<_>>()); continue; }
         slowest = slowest.max(before.elapsed().as_secs_f64());
         if is_right(&of, &found) {
             right += 1;

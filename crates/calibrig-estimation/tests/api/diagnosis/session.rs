@@ -224,7 +224,7 @@ impl Break {
                 15 => {
                     let share = rng.random_range(0.25..0.5);
                     let rows: Vec<usize> = (0..poses).filter(|_| rng.random_bool(share)).collect();
-                    if rows.len() < 4 || 2 * rows.len() > poses {
+                    if rows.len() < 4 || 2 * rows.len() >= poses {
                         continue;
                     }
                     Self::Targets(rows)
