@@ -140,6 +140,11 @@ pub(super) struct FileArgs {
 }
 
 impl FileArgs {
+    /// The first file to fit, for messages.
+    pub(super) fn first(&self) -> PathBuf {
+        self.measurements.clone()
+    }
+
     pub(super) fn read(&self) -> Result<Loaded, CliError> {
         let mut files = vec![(SetKind::Identification, self.measurements.as_path())];
         files.extend(self.verify.as_deref().map(|path| (SetKind::Verification, path)));

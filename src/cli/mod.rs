@@ -2,6 +2,7 @@
 
 mod check;
 mod choose;
+mod diagnose;
 mod export;
 mod identifiability;
 mod identify;
@@ -62,6 +63,7 @@ enum Command {
     Identify(Box<identify::Args>),
     Identifiability(identifiability::Args),
     Choose(choose::Args),
+    Diagnose(diagnose::Args),
     Montecarlo(montecarlo::Args),
     Replay(replay::Args),
     Inspect(inspect::Args),
@@ -170,6 +172,7 @@ pub fn main() -> ExitCode {
         Command::Check(args) => check::execute(args),
         Command::Identify(args) => identify::execute(args),
         Command::Choose(args) => choose::execute(args),
+        Command::Diagnose(args) => diagnose::execute(args),
         Command::Montecarlo(args) => montecarlo::execute(args),
         Command::Identifiability(args) => identifiability::execute(args),
         Command::Replay(args) => replay::execute(args),

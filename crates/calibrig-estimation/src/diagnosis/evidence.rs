@@ -95,6 +95,7 @@ struct Solution {
     covariance: DMatrix<f64>,
     score: f64,
     sigma: f64,
+    freedom: f64,
 }
 
 /// Fits the rows of `view` that `kept` marks, from `start`.
@@ -124,7 +125,13 @@ pub(super) fn fit(view: &View, start: &Placed, kept: &[bool]) -> Option<Fit> {
             (0..3).any(|k| solution.step[column + k].abs() > FARTHEST_OFFSET)
         });
         if round == ROUNDS || is_far {
-            return Some(told(now, &system, in_base, &solution, kept));
+            let mut fit = told(now, &system, in_base, &solution, kept);
+            // The likelihood is that of a linear system: where its solution is elsewhere, what is really left is worse than it says.
+            let freedom = solution.freedom;
+            let rows = kept.iter().filter(|is_kept| **is_kept).count() as f64;
+            let left = (rows * fit.rms * fit.rms / freedom).max(LEAST_SIGMA * LEAST_SIGMA);
+            fit.score = fit.score.max(freedom * ((TAU * left).ln() + 1.0));
+            return Some(fit);
         }
         let at = |column: usize| solution.step[column];
         for (s, (rotation, shift)) in now.stations.iter_mut().enumerate() {
@@ -234,6 +241,7 @@ impl System {
             covariance,
             score,
             sigma,
+            freedom: freedom as f64,
         })
     }
 }

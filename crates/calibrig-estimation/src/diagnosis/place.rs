@@ -4,13 +4,16 @@
 //! is projected out, and the offsets follow from a system of three unknowns a target. From there the rigid transform for given offsets
 //! (K. S. Arun and others, PAMI 9 (1987) 698) and the offsets for a given rotation are taken in turn.
 
-use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 
 use super::part::{LENGTHS, View};
 use crate::kinematics::PlacedChain;
+use calibrig_model::geometry::cross_matrix;
 
 /// Rounds of rotation and offsets in turn.
 const ROUNDS: usize = 5;
+/// Steps of Gauss and Newton behind them, where it matters.
+const REFINED: usize = 12;
 /// A column that is less than this share of its length outside of those before it says nothing of its own.
 const DEPENDENT: f64 = 1e-7;
 /// A unit is looked for where the points are so many times too large or too small.
@@ -247,6 +250,61 @@ impl Cloud {
         placed.rms = (squares / total.max(f64::MIN_POSITIVE)).sqrt();
         placed.share = placed.rms / self.spread().max(f64::MIN_POSITIVE);
         placed
+    }
+
+    /// The placement of least squares next to `placed`, by Gauss and Newton.
+    pub fn refined(&self, mut placed: Placed) -> Placed {
+        for _ in 0..REFINED {
+            let Some(next) = self.stepped(&placed) else { break };
+            if !(next.rms < placed.rms) {
+                break;
+            }
+            let is_there = next.rms > (1.0 - 1e-6) * placed.rms;
+            placed = next;
+            if is_there {
+                break;
+            }
+        }
+        placed
+    }
+
+    fn stepped(&self, placed: &Placed) -> Option<Placed> {
+        let size = 6 * self.stations + 3 * placed.offsets.len();
+        let mut normal = DMatrix::<f64>::zeros(size, size);
+        let mut right = DVector::<f64>::zeros(size);
+        for i in 0..self.len() {
+            let rotation = &placed.stations[self.station[i]].0;
+            let at = self.x[i] + self.axes[i] * placed.offsets[self.target[i]];
+            let left = rotation.tr_mul(&self.residual(placed, i));
+            let (s, t) = (6 * self.station[i], 6 * self.stations + 3 * self.target[i]);
+            // In the base frame: the base shifted and turned, and the target's offset.
+            let blocks = [(s, Matrix3::identity()), (s + 3, -cross_matrix(&at)), (t, self.axes[i])];
+            for (a, block) in &blocks {
+                let mut part = right.fixed_rows_mut::<3>(*a);
+                part += block.tr_mul(&left);
+                for (b, other) in &blocks {
+                    let mut part = normal.fixed_view_mut::<3, 3>(*a, *b);
+                    part += block.tr_mul(other);
+                }
+            }
+        }
+        let ridge = 1e-10 * normal.diagonal().amax().max(f64::MIN_POSITIVE);
+        for i in 0..size {
+            normal[(i, i)] += ridge;
+        }
+        let step = normal.cholesky()?.solve(&right);
+        let part = |at: usize| Vector3::from_fn(|k, _| step[at + k]);
+        let mut next = placed.clone();
+        for (s, (rotation, shift)) in next.stations.iter_mut().enumerate() {
+            *shift += *rotation * part(6 * s);
+            *rotation *= Rotation3::new(part(6 * s + 3)).into_inner();
+        }
+        for (t, offset) in next.offsets.iter_mut().enumerate() {
+            *offset += part(6 * self.stations + 3 * t);
+        }
+        next.rms = (self.lengths(&next).iter().map(|v| v * v).sum::<f64>() / self.len().max(1) as f64).sqrt();
+        next.share = next.rms / self.spread().max(f64::MIN_POSITIVE);
+        next.rms.is_finite().then_some(next)
     }
 
     /// The better of what is found from the stated offsets and from those of the relaxed problem.

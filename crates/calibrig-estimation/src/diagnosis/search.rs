@@ -22,6 +22,8 @@ const PLACED: usize = 1500;
 /// Those that leave so many times what the nearest one leaves are not weighed, beyond the first few.
 const NEAR: f64 = 8.0;
 const FIRST: usize = 12;
+/// A share of the spread that what is placed in a few rounds may be off.
+const FLOOR: f64 = 1e-3;
 /// Nor are those that leave more than this share of the spread.
 const NOWHERE: f64 = 0.4;
 /// Single parts beside which rows are looked for, and several targets.
@@ -185,7 +187,7 @@ impl<'a> Search<'a> {
         let mut found: Vec<Near> = Vec::new();
         let mut least = f64::INFINITY;
         for (bound, pair) in bounds.into_iter().take(PLACED) {
-            if bound > NEAR * least.max(SAME * self.spread) || bound > NOWHERE * self.spread {
+            if bound > NEAR * least.max(FLOOR * self.spread) || bound > NOWHERE * self.spread {
                 break;
             }
             if let Some(near) = self.place(&pair) {
@@ -207,7 +209,7 @@ impl<'a> Search<'a> {
     fn weigh_nearest(&mut self, found: &[Near], most: usize) -> Vec<Weighed> {
         let mut order: Vec<&Near> = found.iter().collect();
         order.sort_by(|a, b| a.share.total_cmp(&b.share));
-        let least = order.first().map_or(0.0, |near| near.share).max(SAME);
+        let least = order.first().map_or(0.0, |near| near.share).max(FLOOR);
         let is_near = |(place, near): &(usize, &Near)| {
             near.parts.is_empty() || near.share < NOWHERE && (*place < FIRST || near.share < NEAR * least)
         };
@@ -223,7 +225,7 @@ impl<'a> Search<'a> {
         let view = self.all.view(&parts.iter().collect::<Vec<_>>())?;
         let cloud = Cloud::new(&view, &mut self.chain);
         let offsets = if start.offsets.len() == view.offsets.len() { start.offsets.clone() } else { view.offsets.clone() };
-        let placed = cloud.placed(offsets, None);
+        let placed = cloud.refined(cloud.placed(offsets, None));
         let fit = fit(&view, &placed, &vec![true; view.rows.len()])?;
         Some(self.weighed(parts, &view, placed, &fit))
     }
@@ -295,7 +297,8 @@ impl<'a> Search<'a> {
             return None;
         }
         let view = self.all.view(&parts.iter().collect::<Vec<_>>())?;
-        let placed = Cloud::new(&view, &mut self.chain).placed(left_out.fit.placed.offsets.clone(), None);
+        let cloud = Cloud::new(&view, &mut self.chain);
+        let placed = cloud.refined(cloud.placed(left_out.fit.placed.offsets.clone(), None));
         let fit = fit(&view, &left_out.fit.placed, &vec![true; view.rows.len()])?;
         Some(self.weighed(&parts, &view, placed, &fit))
     }
@@ -484,7 +487,7 @@ impl<'a> Search<'a> {
             return false;
         }
         let cloud = Cloud::new(&view, &mut self.chain);
-        let placed = cloud.placed(one.placed.offsets.clone(), None);
+        let placed = cloud.refined(cloud.placed(one.placed.offsets.clone(), None));
         let ((factor, hand), (other_factor, other_hand)) = (read(one), read(other));
         again.seen = (0..view.rows.len())
             .map(|i| {
@@ -492,7 +495,8 @@ impl<'a> Search<'a> {
                 Vector3::new(predicted.x, predicted.y, predicted.z * hand * other_hand)
             })
             .collect();
-        Cloud::new(&again, &mut self.chain).best(None).share < SAME
+        let cloud = Cloud::new(&again, &mut self.chain);
+        cloud.refined(cloud.best(None)).share < SAME
     }
 }
 

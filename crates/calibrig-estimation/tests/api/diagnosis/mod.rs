@@ -62,16 +62,30 @@ fn is_right(of: &Told, found: &Diagnosis) -> bool {
     as_good.iter().any(|h| told(h) == truth(&of.truths)) && as_good.iter().any(|h| told(h) == told(first))
 }
 
+fn print_first(found: &Diagnosis) {
+    for h in found.hypotheses.iter().take(6) {
+        println!(
+            "    {:?} rms {:.3} mm, links {:.4} mm, +{:.1}, class {}",
+            told(h),
+            1e3 * h.rms,
+            1e3 * h.rms_links,
+            h.above_first,
+            h.class
+        );
+    }
+}
+
 fn rate(count: usize, sessions: u64, seed: u64) -> f64 {
     let mut right = 0;
     let mut wrong: BTreeMap<&str, usize> = BTreeMap::new();
     let mut slowest = 0.0_f64;
+    let only = std::env::var("ONLY").ok().and_then(|t| t.parse::<u64>().ok());
     for trial in 0..sessions {
+        if only.is_some_and(|only| only != trial) { continue; }
         let mut rng = ChaCha8Rng::seed_from_u64(1000 * seed + trial);
         let of = session(count, &mut rng);
         let before = Instant::now();
         let found = diagnose(&of.model, &of.set).expect("a session");
-        if found.hypotheses.is_empty() { println!("EMPTY {trial} {:?} {:?}", of.truths, of.set.observations.iter().take(5).collect::<Vec<_>>()); continue; }
         slowest = slowest.max(before.elapsed().as_secs_f64());
         if is_right(&of, &found) {
             right += 1;
@@ -79,16 +93,9 @@ fn rate(count: usize, sessions: u64, seed: u64) -> f64 {
             let kinds = of.truths.iter().map(|t| t.kind);
             kinds.for_each(|kind| *wrong.entry(kind).or_default() += 1);
             println!("trial {trial} ({}, {} rows): {:?}", of.table.style, of.set.observations.len(), truth(&of.truths));
-            for h in found.hypotheses.iter().take(4) {
-                println!(
-                    "    {:?} rms {:.3} mm, links {:.4} mm, +{:.1}, class {}",
-                    told(h),
-                    1e3 * h.rms,
-                    1e3 * h.rms_links,
-                    h.above_first,
-                    h.class
-                );
-            }
+            print_first(&found);
+            println!("  of the robot as drawn:");
+            print_first(&diagnose(&of.model, &of.exact).expect("a session"));
         }
     }
     println!("{count} broken: {right} of {sessions} right; slowest {slowest:.2} s; wrong: {wrong:?}");
