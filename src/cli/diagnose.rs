@@ -140,7 +140,9 @@ fn as_json(name: &str, sets: &[Diagnosed]) -> String {
     for set in sets {
         let value = of_set(set);
         match (set.kind, value, &mut document) {
-            (SetKind::Identification, Value::Object(value), Value::Object(document)) => document.extend(value),
+            (SetKind::Identification, Value::Object(value), Value::Object(document)) => {
+                document.extend(value)
+            }
             (kind, value, document) => document[kind.key()] = value,
         }
     }

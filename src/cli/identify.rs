@@ -8,6 +8,7 @@ use clap::{CommandFactory, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::output::{self, Destination, Files};
+use super::reread::RereadArgs;
 use super::{Cli, CliError, Verdict, not_identified, say};
 use crate::pipeline::{
     InputSummary, Outcome, PipelineError, SetKind, SetOutcome, SplitPlan, SplitStudy, calibrate,
@@ -137,6 +138,8 @@ pub(super) struct FileArgs {
     /// robot's file's [default: stations of unknown place, and [target] of the robot's file]
     #[arg(long, value_name = "SESSION.toml")]
     session: Option<PathBuf>,
+    #[command(flatten)]
+    reread: RereadArgs,
 }
 
 impl FileArgs {
@@ -148,7 +151,9 @@ impl FileArgs {
     pub(super) fn read(&self) -> Result<Loaded, CliError> {
         let mut files = vec![(SetKind::Identification, self.measurements.as_path())];
         files.extend(self.verify.as_deref().map(|path| (SetKind::Verification, path)));
-        load(&self.model, self.columns.as_deref(), self.session.as_deref(), &files)
+        let mut loaded = load(&self.model, self.columns.as_deref(), self.session.as_deref(), &files)?;
+        self.reread.apply(&mut loaded.sets);
+        Ok(loaded)
     }
 }
 

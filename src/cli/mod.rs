@@ -15,6 +15,7 @@ mod record;
 mod recover;
 mod replay;
 mod report;
+mod reread;
 mod run;
 
 use std::error::Error as _;

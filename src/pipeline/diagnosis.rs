@@ -60,7 +60,8 @@ impl Names {
         let mut rows: Vec<u32> = rows.iter().map(|row| self.row(*row)).collect();
         rows.sort_unstable();
         let named: Vec<_> = rows.iter().take(LISTED).map(u32::to_string).collect();
-        let more = if rows.len() > LISTED { format!(" and {} more", rows.len() - LISTED) } else { String::new() };
+        let more =
+            if rows.len() > LISTED { format!(" and {} more", rows.len() - LISTED) } else { String::new() };
         let plural = if rows.len() == 1 { "" } else { "s" };
         format!("{}{plural} {}{more}", self.called, and(&named, more.is_empty()))
     }
@@ -75,7 +76,8 @@ impl Names {
 
     /// Rows with their distances.
     pub fn far(&self, rows: &[FarOff]) -> String {
-        let words = |far: &FarOff| format!("{} {} by {}", self.called, self.row(far.observation), mm(far.distance));
+        let words =
+            |far: &FarOff| format!("{} {} by {}", self.called, self.row(far.observation), mm(far.distance));
         let mut list: Vec<_> = rows.iter().take(LISTED).map(words).collect();
         if rows.len() > LISTED {
             list.push(format!("{} more", rows.len() - LISTED));

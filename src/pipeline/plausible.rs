@@ -91,7 +91,8 @@ impl Implausible {
         let mut help: Vec<String> = Vec::new();
         if !found.unreachable.is_empty() {
             help.push(
-                "a code of shots that were missed? Leave these rows out: no loss can weigh such a point".to_owned()
+                "a code of shots that were missed? Leave these rows out: no loss can weigh such a point"
+                    .to_owned()
                     + &found.rms.map_or_else(String::new, |rms| {
                         format!(" (without them the nominal robot leaves an RMS of {})", mm(rms))
                     }),
@@ -105,9 +106,8 @@ impl Implausible {
             };
             let first = diagnosis.hypotheses.first();
             // That rows are out of reach is told already.
-            let is_new = |hypothesis: &&Hypothesis| {
-                found.unreachable.is_empty() || hypothesis.parts.len() > 1
-            };
+            let is_new =
+                |hypothesis: &&Hypothesis| found.unreachable.is_empty() || hypothesis.parts.len() > 1;
             help.extend(first.filter(is_new).map(told));
             help.extend(Names::as_good(diagnosis).take(OTHERS).map(|other| format!("or {}", told(other))));
         } else if help.is_empty() {

@@ -152,7 +152,12 @@ pub(super) fn fit(view: &View, start: &Placed, kept: &[bool]) -> Option<Fit> {
     None
 }
 
-fn system(view: &View, layout: &Layout, chain: &mut PlacedChain, now: &Placed) -> (System, Vec<Vector3<f64>>) {
+fn system(
+    view: &View,
+    layout: &Layout,
+    chain: &mut PlacedChain,
+    now: &Placed,
+) -> (System, Vec<Vector3<f64>>) {
     let n = view.chain.links.len();
     let places = layout.places;
     let mut jacobian = DMatrix::zeros(3 * view.rows.len(), layout.columns);
@@ -263,12 +268,8 @@ impl Sizes {
         directions.sort_by(|a, b| b.0.total_cmp(&a.0));
         directions.truncate(freedom);
         let explained: f64 = directions.iter().map(|(_, square)| square).sum();
-        Some(Self {
-            squares: (squares - explained).max(0.0),
-            freedom: freedom as f64,
-            directions,
-        })
-        .filter(|sizes| sizes.freedom > 0.0)
+        Some(Self { squares: (squares - explained).max(0.0), freedom: freedom as f64, directions })
+            .filter(|sizes| sizes.freedom > 0.0)
     }
 
     fn at(&self, ln_sigma: f64, ln_tau: f64) -> f64 {
@@ -375,4 +376,13 @@ impl Fit {
         let squared = variance.cholesky().map_or(f64::INFINITY, |c| left.dot(&c.solve(&left)));
         (squared, left.norm())
     }
+}
+
+/// The system at a placement with the links as drawn: Jacobian, residuals, and how many of its columns are places.
+#[cfg(test)]
+pub(super) fn dense(view: &View, placed: &Placed) -> (DMatrix<f64>, DVector<f64>, usize) {
+    let layout = Layout::new(view);
+    let (system, _) = system(view, &layout, &mut PlacedChain::new(&view.chain), placed);
+    let y = DVector::from_iterator(3 * system.left.len(), system.left.iter().flat_map(|v| v.iter().copied()));
+    (system.jacobian, y, system.places)
 }

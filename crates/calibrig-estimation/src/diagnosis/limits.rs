@@ -2,8 +2,8 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
-use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::CalibrationModel;
+use calibrig_model::measurement::MeasurementSet;
 
 /// A joint that moves less never moved, rad or m.
 const NO_MOTION: f64 = 1e-6;
@@ -49,7 +49,8 @@ pub(super) fn undetermined(model: &CalibrationModel, set: &MeasurementSet) -> Ve
     let joints: Vec<usize> = (0..model.kinematics.joint_count())
         .filter(|joint| {
             let values = set.observations.iter().map(|o| o.command[*joint]);
-            let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (v.min(l), v.max(h)));
+            let (low, high) =
+                values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (v.min(l), v.max(h)));
             high - low < NO_MOTION
         })
         .collect();
@@ -89,7 +90,8 @@ fn shape(set: &MeasurementSet) -> Option<Undetermined> {
     }
     let mean = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
     let inertia: Matrix3<f64> =
-        points.iter().map(|p| (p - mean) * (p - mean).transpose()).sum::<Matrix3<f64>>() / points.len() as f64;
+        points.iter().map(|p| (p - mean) * (p - mean).transpose()).sum::<Matrix3<f64>>()
+            / points.len() as f64;
     let mut sizes: Vec<f64> = inertia.symmetric_eigenvalues().iter().map(|v| v.max(0.0).sqrt()).collect();
     sizes.sort_by(|a, b| b.total_cmp(a));
     let spread = set.spread();
@@ -110,7 +112,8 @@ fn sphere(points: &[Vector3<f64>], mean: &Vector3<f64>, spread: f64) -> Option<U
     if points.len() < 6 {
         return None;
     }
-    let matrix = DMatrix::from_fn(points.len(), 4, |i, j| if j < 3 { 2.0 * (points[i][j] - mean[j]) } else { 1.0 });
+    let matrix =
+        DMatrix::from_fn(points.len(), 4, |i, j| if j < 3 { 2.0 * (points[i][j] - mean[j]) } else { 1.0 });
     let right = DVector::from_iterator(points.len(), points.iter().map(|p| (p - mean).norm_squared()));
     let solved = matrix.try_svd(true, true, f64::EPSILON, 500)?.solve(&right, 1e-12).ok()?;
     let centre = Vector3::new(solved[0], solved[1], solved[2]);

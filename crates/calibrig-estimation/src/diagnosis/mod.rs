@@ -17,8 +17,8 @@ pub use limits::Undetermined;
 pub use part::Part;
 
 use crate::identification::IdentifyError;
-use crate::plausibility::{BeyondLimits, LARGEST_SHARE, beyond_limits};
 pub use crate::plausibility::FarOff;
+use crate::plausibility::{BeyondLimits, LARGEST_SHARE, beyond_limits};
 use calibrig_model::CalibrationModel;
 use calibrig_model::measurement::MeasurementSet;
 
@@ -77,7 +77,9 @@ impl Diagnosis {
     pub fn finding(&self) -> Finding {
         match self.hypotheses.first() {
             Some(first) if !first.parts.is_empty() => Finding::Explained,
-            Some(first) if first.rms > LARGEST_SHARE * self.spread && self.spread > 0.0 => Finding::Unexplained,
+            Some(first) if first.rms > LARGEST_SHARE * self.spread && self.spread > 0.0 => {
+                Finding::Unexplained
+            }
             _ => Finding::Sound,
         }
     }

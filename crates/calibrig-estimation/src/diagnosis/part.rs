@@ -293,16 +293,15 @@ impl<'a> Session<'a> {
         let observations = &set.observations;
         let spherical = |reading: &Reading| match reading {
             Reading::Spherical(s) => [s.range, s.azimuth, s.elevation],
-            Reading::Cartesian { position: p, .. } => {
-                [p.norm(), p.y.atan2(p.x), p.z.atan2(p.x.hypot(p.y))]
-            }
+            Reading::Cartesian { position: p, .. } => [p.norm(), p.y.atan2(p.x), p.z.atan2(p.x.hypot(p.y))],
         };
         let poses: Vec<isize> = observations.iter().map(|o| o.pose as isize).collect();
         // Numbers that run through, but for rows that were dropped, tell where these were.
         let runs = poses.windows(2).all(|pair| pair[0] < pair[1])
-            && poses.last().zip(poses.first()).is_some_and(|(last, first)| {
-                (last - first) < (poses.len() + poses.len() / 4 + 2) as isize
-            });
+            && poses
+                .last()
+                .zip(poses.first())
+                .is_some_and(|(last, first)| (last - first) < (poses.len() + poses.len() / 4 + 2) as isize);
         let sigma = |target: &calibrig_model::measurement::Target| {
             target.covariance.map(|c| (c.trace() / 3.0).max(0.0).sqrt())
         };
@@ -428,11 +427,8 @@ impl<'a> Session<'a> {
                     let [range, azimuth, elevation] = angles;
                     // An elevation is within a quarter turn, an angle from the zenith above zero.
                     let over = if *zenith { azimuth < 0.0 } else { azimuth.abs() > FRAC_PI_2 };
-                    let (azimuth, elevation) = if !self.raw && over {
-                        (azimuth - PI, PI - elevation)
-                    } else {
-                        (azimuth, elevation)
-                    };
+                    let (azimuth, elevation) =
+                        if !self.raw && over { (azimuth - PI, PI - elevation) } else { (azimuth, elevation) };
                     angles = if *zenith {
                         [range, FRAC_PI_2 - elevation, FRAC_PI_2 - azimuth]
                     } else {
@@ -524,9 +520,8 @@ pub(super) fn structural(session: &Session<'_>) -> Vec<Part> {
     let kind = |joint: usize| links[joint].kind;
     let of_kind = |wanted| (0..n).filter(|joint| kind(*joint) == wanted).collect::<Vec<_>>();
     let (revolute, prismatic) = (of_kind(JointKind::Revolute), of_kind(JointKind::Prismatic));
-    let largest = |joint: usize| {
-        session.kept.iter().map(|i| session.commands[*i][joint].abs()).fold(0.0, f64::max)
-    };
+    let largest =
+        |joint: usize| session.kept.iter().map(|i| session.commands[*i][joint].abs()).fold(0.0, f64::max);
     let mut parts = Vec::new();
     angle_units(&revolute, largest, &mut parts);
     if !prismatic.is_empty() {

@@ -326,11 +326,7 @@ impl Cloud {
         (0..self.len()).map(|i| self.residual(placed, i).norm()).collect()
     }
 
-    fn rigid(
-        &self,
-        offsets: &[Vector3<f64>],
-        weights: Option<&[f64]>,
-    ) -> Vec<(Matrix3<f64>, Vector3<f64>)> {
+    fn rigid(&self, offsets: &[Vector3<f64>], weights: Option<&[f64]>) -> Vec<(Matrix3<f64>, Vector3<f64>)> {
         let place = |station: usize| {
             let own = || (0..self.len()).filter(move |i| self.station[*i] == station);
             let weight = |i: usize| weights.map_or(1.0, |w| w[i]);
@@ -368,7 +364,8 @@ impl Cloud {
             let weight = weights.map_or(1.0, |w| w[i]);
             let (rotation, shift) = &stations[self.station[i]];
             // In the base frame: seen - shift - x = axes offset + (what the shift is off).
-            let left = rotation.tr_mul(&(self.seen[i] - shift)) - self.x[i] - self.axes[i] * stated[self.target[i]];
+            let left =
+                rotation.tr_mul(&(self.seen[i] - shift)) - self.x[i] - self.axes[i] * stated[self.target[i]];
             let (t, s) = (3 * self.target[i], 3 * (targets + self.station[i]));
             let axes = &self.axes[i];
             let mut part = right.fixed_rows_mut::<3>(t);

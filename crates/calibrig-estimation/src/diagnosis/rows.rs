@@ -59,9 +59,8 @@ pub(super) fn without_few(view: &View, robust: &Placed, lengths: &[f64], spread:
             }
         }
     }
-    let score = |fit: &Fit, kept: &[bool]| {
-        fit.score + cost * kept.iter().filter(|is_kept| !**is_kept).count() as f64
-    };
+    let score =
+        |fit: &Fit, kept: &[bool]| fit.score + cost * kept.iter().filter(|is_kept| !**is_kept).count() as f64;
     let mut best = LeftOut { score: score(&now, &kept), fit: now, kept: kept.clone() };
     let mut path = best.fit.placed.clone();
     let mut far = best.fit.far.clone();
@@ -95,7 +94,8 @@ pub(super) fn named(view: &View, left_out: &LeftOut, raw: &[Vector3<f64>]) -> Ve
     // The point that belongs to each.
     let partner = |row: usize| {
         let others = out.iter().copied().filter(|other| *other != row);
-        let nearest = others.map(|other| (other, distance(row, other))).min_by(|a, b| a.1.1.total_cmp(&b.1.1));
+        let nearest =
+            others.map(|other| (other, distance(row, other))).min_by(|a, b| a.1.1.total_cmp(&b.1.1));
         nearest.filter(|(_, (is_there, _))| *is_there).map(|(other, _)| other)
     };
     let partners: Vec<Option<usize>> = out.iter().map(|row| partner(*row)).collect();
@@ -125,7 +125,8 @@ pub(super) fn named(view: &View, left_out: &LeftOut, raw: &[Vector3<f64>]) -> Ve
         observation: point(row),
         distance: left_out.fit.distance(view, row, &view.seen[row]).1,
     };
-    let mut rest: Vec<FarOff> = out.iter().filter(|row| !in_cycle.contains(row)).map(|row| far(*row)).collect();
+    let mut rest: Vec<FarOff> =
+        out.iter().filter(|row| !in_cycle.contains(row)).map(|row| far(*row)).collect();
     rest.sort_by(|a, b| b.distance.total_cmp(&a.distance));
     let (codes, rest): (Vec<FarOff>, Vec<FarOff>) =
         rest.into_iter().partition(|far| is_code(raw, far.observation, &points));

@@ -74,7 +74,9 @@ struct Search<'a> {
 }
 
 pub(super) fn hypotheses(model: &CalibrationModel, set: &MeasurementSet) -> Vec<Hypothesis> {
-    let Some(mut search) = Search::new(model, set) else { return Vec::new() };
+    let Some(mut search) = Search::new(model, set) else {
+        return vec![Hypothesis::certain(Vec::new(), 0.0, 0)];
+    };
     let parts = structural(&search.few);
     search.cost = 2.0 * (parts.len() as f64).ln();
     let singles = search.singles(&parts);
@@ -133,7 +135,11 @@ impl<'a> Search<'a> {
         }
         let placed = Cloud::new(&view, &mut self.chain).best(None);
         let share = placed.share * excess(&view);
-        share.is_finite().then(|| Near { parts: parts.iter().map(|part| (*part).clone()).collect(), placed, share })
+        share.is_finite().then(|| Near {
+            parts: parts.iter().map(|part| (*part).clone()).collect(),
+            placed,
+            share,
+        })
     }
 
     /// Nothing, every part alone, and mirrored or in another unit.
@@ -164,7 +170,8 @@ impl<'a> Search<'a> {
         let view = self.few.view(parts)?;
         let cloud = Cloud::new(&view, &mut self.chain);
         let relaxed = cloud.relaxed(None);
-        let factor = relaxed.and_then(|offsets| cloud.unit(&offsets)).or_else(|| cloud.unit(&view.offsets))?;
+        let factor =
+            relaxed.and_then(|offsets| cloud.unit(&offsets)).or_else(|| cloud.unit(&view.offsets))?;
         Some(Part::PointUnit { factor })
     }
 
@@ -224,7 +231,11 @@ impl<'a> Search<'a> {
     fn weigh(&mut self, parts: &[Part], start: &Placed) -> Option<Weighed> {
         let view = self.all.view(&parts.iter().collect::<Vec<_>>())?;
         let cloud = Cloud::new(&view, &mut self.chain);
-        let offsets = if start.offsets.len() == view.offsets.len() { start.offsets.clone() } else { view.offsets.clone() };
+        let offsets = if start.offsets.len() == view.offsets.len() {
+            start.offsets.clone()
+        } else {
+            view.offsets.clone()
+        };
         let placed = cloud.refined(cloud.placed(offsets, None));
         let fit = fit(&view, &placed, &vec![true; view.rows.len()])?;
         Some(self.weighed(parts, &view, placed, &fit))
@@ -233,7 +244,9 @@ impl<'a> Search<'a> {
     fn weighed(&self, parts: &[Part], view: &View, placed: Placed, fit: &Fit) -> Weighed {
         let n = self.all.kept.len();
         let lost = (n - view.rows.len().min(n)) as f64;
-        let score = fit.score + lost * cost_of_row(self.spread, 1) + parts.iter().map(|part| self.price(part)).sum::<f64>();
+        let score = fit.score
+            + lost * cost_of_row(self.spread, 1)
+            + parts.iter().map(|part| self.price(part)).sum::<f64>();
         Weighed { parts: parts.to_vec(), rms: placed.rms, rms_links: fit.rms, score, placed }
     }
 
@@ -246,9 +259,13 @@ impl<'a> Search<'a> {
                 usual + cycles.iter().map(|cycle| 2.0 * cycle.len() as f64 * n.ln()).sum::<f64>()
             }
             // Which of the rows: the others are counted as rows that were lost.
-            Part::GrossErrors { rows } | Part::MissedShots { rows } => usual + 2.0 * rows.len() as f64 * n.ln(),
+            Part::GrossErrors { rows } | Part::MissedShots { rows } => {
+                usual + 2.0 * rows.len() as f64 * n.ln()
+            }
             // Each row can be of either target.
-            Part::SeveralTargets { others, .. } => usual + 2.0 * n * (1.0 + others.len() as f64).ln() + self.cost,
+            Part::SeveralTargets { others, .. } => {
+                usual + 2.0 * n * (1.0 + others.len() as f64).ln() + self.cost
+            }
             // What is likely are the points as they stand in the file.
             Part::PointUnit { factor } => usual + self.cost - 6.0 * n * factor.ln(),
             _ => usual + self.cost,
@@ -385,12 +402,20 @@ impl<'a> Search<'a> {
         let given = self.given.clone();
         weighed.sort_by(|a, b| a.score.total_cmp(&b.score));
         weighed.dedup_by(|a, b| a.parts == b.parts);
-        let Some(sound) = weighed.iter().position(|w| w.parts.is_empty()) else { return Vec::new() };
+        let Some(sound) = weighed.iter().position(|w| w.parts.is_empty()) else {
+            // Places alone explain whatever was measured: all that is told is what is out of reach.
+            let rms = self.rms_of_all();
+            let first = Hypothesis::certain(given.clone(), if given.is_empty() { rms } else { 0.0 }, 0);
+            let sound = (!given.is_empty())
+                .then(|| Hypothesis { probability: 0.0, ..Hypothesis::certain(Vec::new(), rms, 1) });
+            return std::iter::once(first).chain(sound).collect();
+        };
         // Nothing is told that the session does not show clearly.
         if sound > 0 && given.is_empty() {
             let (first, without) = (&weighed[0], &weighed[sound]);
             // Links can be off far enough to explain much: what remains with them, or without, must be less.
-            let is_less = first.rms_links < BETTER * without.rms_links || first.rms < MUCH_BETTER * without.rms;
+            let is_less =
+                first.rms_links < BETTER * without.rms_links || first.rms < MUCH_BETTER * without.rms;
             let is_clear = first.score + MARGIN < without.score && is_less;
             if !is_clear {
                 let sound = weighed.remove(sound);
@@ -408,7 +433,9 @@ impl<'a> Search<'a> {
         let classes = self.classes(&weighed);
         let mut order: Vec<usize> = (0..weighed.len()).collect();
         // Of one class, the simplest comes first.
-        let simple = |i: usize| (weighed[i].parts.len(), weighed[i].parts.iter().map(|p| u32::from(p.rank())).sum::<u32>());
+        let simple = |i: usize| {
+            (weighed[i].parts.len(), weighed[i].parts.iter().map(|p| u32::from(p.rank())).sum::<u32>())
+        };
         order.sort_by_key(|i| (classes[*i], simple(*i)));
         let of = |i: usize| {
             let w = &weighed[i];
@@ -467,8 +494,13 @@ impl<'a> Search<'a> {
     /// Whether the robot as `other` reads the session lies on all points of the nominal robot as `one` reads it.
     fn explains(&mut self, one: &Weighed, other: &Weighed) -> bool {
         let is_reading = |part: &&Part| {
-            matches!(part, Part::ZenithElevation | Part::AnglesExchanged { .. } | Part::TrackerAngleUnit { .. } | Part::ShiftedRows { .. })
-                || part.is_of_rows()
+            matches!(
+                part,
+                Part::ZenithElevation
+                    | Part::AnglesExchanged { .. }
+                    | Part::TrackerAngleUnit { .. }
+                    | Part::ShiftedRows { .. }
+            ) || part.is_of_rows()
         };
         let beside = |w: &Weighed| w.parts.iter().filter(is_reading).cloned().collect::<Vec<_>>();
         if beside(one) != beside(other) {
@@ -497,6 +529,13 @@ impl<'a> Search<'a> {
             .collect();
         let cloud = Cloud::new(&again, &mut self.chain);
         cloud.refined(cloud.best(None)).share < SAME
+    }
+}
+
+impl Hypothesis {
+    /// The only one that there is.
+    fn certain(parts: Vec<Part>, rms: f64, class: usize) -> Self {
+        Self { parts, rms, rms_links: rms, above_first: 0.0, probability: 1.0, class }
     }
 }
 

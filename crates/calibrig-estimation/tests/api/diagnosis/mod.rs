@@ -81,7 +81,9 @@ fn rate(count: usize, sessions: u64, seed: u64) -> f64 {
     let mut slowest = 0.0_f64;
     let only = std::env::var("ONLY").ok().and_then(|t| t.parse::<u64>().ok());
     for trial in 0..sessions {
-        if only.is_some_and(|only| only != trial) { continue; }
+        if only.is_some_and(|only| only != trial) {
+            continue;
+        }
         let mut rng = ChaCha8Rng::seed_from_u64(1000 * seed + trial);
         let of = session(count, &mut rng);
         let before = Instant::now();
@@ -92,7 +94,12 @@ fn rate(count: usize, sessions: u64, seed: u64) -> f64 {
         } else {
             let kinds = of.truths.iter().map(|t| t.kind);
             kinds.for_each(|kind| *wrong.entry(kind).or_default() += 1);
-            println!("trial {trial} ({}, {} rows): {:?}", of.table.style, of.set.observations.len(), truth(&of.truths));
+            println!(
+                "trial {trial} ({}, {} rows): {:?}",
+                of.table.style,
+                of.set.observations.len(),
+                truth(&of.truths)
+            );
             print_first(&found);
             println!("  of the robot as drawn:");
             print_first(&diagnose(&of.model, &of.exact).expect("a session"));

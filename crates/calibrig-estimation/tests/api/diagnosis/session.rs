@@ -272,7 +272,8 @@ impl Break {
     }
 
     fn apply(&self, file: &mut File, table: &Table, spherical: bool, rng: &mut ChaCha8Rng) {
-        let each = |file: &mut File, change: &dyn Fn(&mut Vec<f64>)| file.commands.iter_mut().for_each(change);
+        let each =
+            |file: &mut File, change: &dyn Fn(&mut Vec<f64>)| file.commands.iter_mut().for_each(change);
         let scale = |file: &mut File, kind: JointKind, factor: f64| {
             each(file, &|c| {
                 (0..c.len()).filter(|j| table.kind(*j) == kind).for_each(|j| c[j] *= factor);
