@@ -192,10 +192,20 @@ impl Part {
         match self {
             Self::Order { from, .. } => moved(from) == 2,
             Self::Coupling { joint, with, .. } => joint.abs_diff(*with) <= 2,
-            Self::ShiftedRows { by } => by.abs() <= 3,
             Self::TravelUnit { factor, .. } => [1e3, 1e-3].contains(factor),
             _ => true,
         }
+    }
+
+    /// Two orders, one after the other, are one.
+    pub(super) fn merged(parts: Vec<Self>) -> Vec<Self> {
+        let [Self::Order { from: a, factors: f }, Self::Order { from: b, factors: g }] = parts.as_slice()
+        else {
+            return parts;
+        };
+        let from = b.iter().map(|column| a[*column]).collect();
+        let factors = b.iter().zip(g).map(|(column, g)| f[*column] * g).collect();
+        vec![Self::Order { from, factors }]
     }
 
     /// Where in the reading of a session it comes.
@@ -558,8 +568,8 @@ pub(super) fn structural(session: &Session<'_>) -> Vec<Part> {
 
 fn angle_units(revolute: &[usize], largest: impl Fn(usize) -> f64, parts: &mut Vec<Part>) {
     let (degree, radian) = (1.0_f64.to_degrees(), 1.0_f64.to_radians());
-    // A whole turn and a little of radians taken for degrees, or the smallest travel of degrees taken for radians.
-    let is_small = |joint: usize| largest(joint) < 2.2 * PI.to_radians();
+    // Two whole turns of radians taken for degrees, or the smallest travel of degrees taken for radians.
+    let is_small = |joint: usize| largest(joint) < (4.0 * PI).to_radians();
     let is_large = |joint: usize| largest(joint) > 2.0;
     let all = |factor| Part::AngleUnit { joints: revolute.to_vec(), factor };
     if !revolute.is_empty() && revolute.iter().all(|joint| is_small(*joint)) {

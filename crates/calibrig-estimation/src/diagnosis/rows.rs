@@ -13,6 +13,9 @@ const FAR: f64 = 8.0;
 const FEW: f64 = 0.3;
 /// Rows that are left out one after the other beyond where that explains something.
 const BEYOND: usize = 3;
+/// Files of more rows have several left out at once, where they are so far off, squared, in standard deviations.
+const MANY: usize = 100;
+const SURELY_FAR: f64 = 200.0;
 /// A point is where another row's joints put it within so many standard deviations, squared.
 const THERE: f64 = 50.0;
 /// Or within this share of how far it is from its own.
@@ -68,7 +71,15 @@ pub(super) fn without_few(view: &View, robust: &Placed, lengths: &[f64], spread:
     while kept.iter().filter(|is_kept| !**is_kept).count() < most && without < BEYOND {
         let worst = (0..n).filter(|i| kept[*i]).max_by(|a, b| far[*a].total_cmp(&far[*b]));
         let Some(worst) = worst else { break };
+        // Of many rows, all that are about as bad at once.
+        let limit = if n > MANY { (0.3 * far[worst]).max(SURELY_FAR) } else { f64::INFINITY };
+        let left = kept.iter().filter(|is_kept| **is_kept).count().saturating_sub(n - most);
+        let alike: Vec<usize> = (0..n)
+            .filter(|i| kept[*i] && *i != worst && far[*i] > limit)
+            .take(left.saturating_sub(1))
+            .collect();
         kept[worst] = false;
+        alike.into_iter().for_each(|i| kept[i] = false);
         let Some(next) = fit(view, &path, &kept) else { break };
         (path, far) = (next.placed.clone(), next.far.clone());
         let reached = score(&next, &kept);

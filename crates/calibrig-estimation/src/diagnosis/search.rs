@@ -14,7 +14,9 @@ use calibrig_model::measurement::MeasurementSet;
 
 /// Observations that everything is tried on, and that what comes near is weighed on.
 const TRIED: usize = 60;
-const WEIGHED: usize = 600;
+const WEIGHED: usize = 300;
+/// All rows are looked at by the first hypothesis in files of at most so many.
+const LOOKED_AT: usize = 50_000;
 /// Single parts and pairs that are weighed.
 const NEAREST: [usize; 2] = [40, 60];
 /// Pairs that are placed, of those that could be.
@@ -39,6 +41,10 @@ const MARGIN: f64 = 12.0;
 /// And leave less than this share of what is left without.
 const BETTER: f64 = 0.8;
 const MUCH_BETTER: f64 = 0.5;
+/// What only a stated offset tells must be clearer.
+const STATED: f64 = 40.0;
+/// A row that was not weighed is off where it is so much farther than one that would be left out.
+const ROW_OFF: f64 = 1.5;
 /// Hypotheses that are listed.
 const LISTED: usize = 12;
 /// Two are of one class where each fits the other's points within this share of their spread.
@@ -89,7 +95,11 @@ pub(super) fn hypotheses(model: &CalibrationModel, set: &MeasurementSet) -> Vec<
         weighed.extend(search.with_rows(&singles));
         weighed.extend(search.with_targets(&singles));
     }
-    search.listed(weighed)
+    let mut listed = search.listed(weighed);
+    if let Some(first) = listed.first_mut() {
+        search.look_at_all(first, set.observations.len());
+    }
+    listed
 }
 
 fn every(kept: &[usize], most: usize) -> Vec<usize> {
@@ -416,7 +426,10 @@ impl<'a> Search<'a> {
             // Links can be off far enough to explain much: what remains with them, or without, must be less.
             let is_less =
                 first.rms_links < BETTER * without.rms_links || first.rms < MUCH_BETTER * without.rms;
-            let is_clear = first.score + MARGIN < without.score && is_less;
+            // An offset that is stated tells what points alone do not.
+            let is_told =
+                self.all.offset_sigma.iter().any(Option::is_some) && first.score + STATED < without.score;
+            let is_clear = first.score + MARGIN < without.score && (is_less || is_told);
             if !is_clear {
                 let sound = weighed.remove(sound);
                 let least = weighed[0].score.min(sound.score);
@@ -440,7 +453,7 @@ impl<'a> Search<'a> {
         let of = |i: usize| {
             let w = &weighed[i];
             Hypothesis {
-                parts: [given.clone(), w.parts.clone()].concat(),
+                parts: [given.clone(), Part::merged(w.parts.clone())].concat(),
                 rms: w.rms,
                 rms_links: w.rms_links,
                 above_first: w.score - least,
@@ -462,6 +475,44 @@ impl<'a> Search<'a> {
             });
         }
         listed
+    }
+
+    /// Rows that were not among those that were weighed, and are off by the first hypothesis: added to it.
+    fn look_at_all(&mut self, first: &mut Hypothesis, observations: usize) {
+        let sample = self.all.kept.clone();
+        if sample.len() == self.all.sound.len() || observations > LOOKED_AT {
+            return;
+        }
+        let at = first.parts.iter().position(|part| matches!(part, Part::GrossErrors { .. }));
+        if at.is_none() && first.parts.len() > 1 {
+            return;
+        }
+        self.all.kept.clone_from(&self.all.sound);
+        let view = self.all.view(&first.parts.iter().collect::<Vec<_>>());
+        self.all.kept.clone_from(&sample);
+        let Some(view) = view else { return };
+        let kept: Vec<bool> = view.rows.iter().map(|(row, _)| sample.binary_search(row).is_ok()).collect();
+        let weights: Vec<f64> = kept.iter().map(|is_kept| f64::from(u8::from(*is_kept))).collect();
+        let placed = Cloud::new(&view, &mut self.chain).best(Some(&weights));
+        let Some(fit) = fit(&view, &placed, &kept) else { return };
+        let cost = ROW_OFF * cost_of_row(self.spread, view.rows.len());
+        // Twice what a row costs in the likelihood, where that is in units of the scatter.
+        let limit = cost - 6.0 * fit.sigma.ln() * ROW_OFF;
+        let far = (0..view.rows.len()).filter(|row| !kept[*row] && fit.far[*row] > limit);
+        let mut far: Vec<FarOff> = far
+            .map(|row| FarOff {
+                observation: view.rows[row].1,
+                distance: fit.distance(&view, row, &view.seen[row]).1,
+            })
+            .collect();
+        if far.is_empty() {
+            return;
+        }
+        far.sort_by(|a, b| b.distance.total_cmp(&a.distance));
+        match at.map(|at| &mut first.parts[at]) {
+            Some(Part::GrossErrors { rows }) => rows.extend(far),
+            _ => first.parts.push(Part::GrossErrors { rows: far }),
+        }
     }
 
     /// What the robot leaves of all rows, also those out of its reach, m.
