@@ -9,6 +9,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::measured::{AskedSet, RowArgs, hash_files};
 use super::model::ChainArgs;
 use super::output::{self, Destination, Files};
+use super::reread::RereadArgs;
 use super::{Cli, CliError, Verdict, not_identified_at, say};
 use crate::pipeline::{
     InputHash, InputSummary, Outcome, PipelineError, SetOutcome, SplitPlan, SplitStudy, calibrate,
@@ -150,6 +151,8 @@ pub(super) struct FileArgs {
     /// robot's file's [default: stations of unknown place, and [target] of the robot's file]
     #[arg(long, value_name = "SESSION.toml")]
     session: Option<PathBuf>,
+    #[command(flatten)]
+    reread: RereadArgs,
 }
 
 impl FileArgs {
@@ -165,7 +168,9 @@ impl FileArgs {
     pub(super) fn read(&self) -> Result<Loaded, CliError> {
         let robot = self.chain.robot(self.model.as_deref(), self.urdf.as_deref())?;
         let sets = self.rows.sets(&self.measurements, &self.verify, self.verify_joints.as_deref());
-        load(robot, self.columns.as_deref(), self.session.as_deref(), &self.rows, sets)
+        let mut loaded = load(robot, self.columns.as_deref(), self.session.as_deref(), &self.rows, sets)?;
+        self.reread.apply(&mut loaded.sets, &mut loaded.places);
+        Ok(loaded)
     }
 }
 

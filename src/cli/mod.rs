@@ -3,6 +3,7 @@
 mod check;
 mod choose;
 mod columns;
+mod diagnose;
 mod export;
 mod identifiability;
 mod identify;
@@ -17,6 +18,7 @@ mod record;
 mod recover;
 mod replay;
 mod report;
+mod reread;
 mod run;
 
 use std::error::Error as _;
@@ -67,6 +69,7 @@ enum Command {
     Choose(choose::Args),
     Columns(columns::Args),
     Model(model::Args),
+    Diagnose(diagnose::Args),
     Montecarlo(montecarlo::Args),
     Replay(replay::Args),
     Inspect(inspect::Args),
@@ -193,6 +196,7 @@ pub fn main() -> ExitCode {
         Command::Choose(args) => choose::execute(args),
         Command::Columns(args) => columns::execute(args),
         Command::Model(args) => model::execute(args),
+        Command::Diagnose(args) => diagnose::execute(args),
         Command::Montecarlo(args) => montecarlo::execute(args),
         Command::Identifiability(args) => identifiability::execute(args),
         Command::Replay(args) => replay::execute(args),

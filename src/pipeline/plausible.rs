@@ -2,17 +2,19 @@
 
 use std::fmt;
 
+use super::diagnosis::{Names, mm};
 use super::{PipelineError, SetKind, SetOutcome};
+use calibrig_estimation::diagnosis::{Finding, Hypothesis, Part};
 use calibrig_estimation::identification::{IdentificationOptions, Loss, Mode};
-use calibrig_estimation::plausibility::{
-    BeyondLimits, Convention, Explanation, FarOff, FewRows, Plausibility, beyond_limits, plausibility,
-};
+use calibrig_estimation::plausibility::{BeyondLimits, Plausibility, beyond_limits, plausibility};
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, CraigLink, JointKind};
 
-/// Rows that are listed by name; more are counted.
-const LISTED: usize = 8;
 const ANYWAY: &str = "--fit-anyway goes on, and ends with exit code 3";
+/// Rows that are named by their place.
+const NAMED: usize = 8;
+/// Other explanations that are told beside the first.
+const OTHERS: usize = 2;
 
 /// A set that the nominal robot does not lie on.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,13 +24,7 @@ pub struct Implausible {
     /// Why.
     pub found: Plausibility,
     links: Vec<CraigLink>,
-    /// What observations are called: rows where they are numbered through, else poses.
-    called: &'static str,
-    /// Number of every observation's pose.
-    poses: Vec<u32>,
-    targets: Vec<String>,
-    /// Largest span of a revolute joint's commands, rad.
-    span: f64,
+    names: Names,
 }
 
 /// Refuses the first of the sets that the nominal robot does not lie on.
@@ -76,39 +72,20 @@ fn beyond_words(beyond: &BeyondLimits, links: &[CraigLink]) -> String {
 
 impl Implausible {
     fn new(kind: SetKind, found: Plausibility, model: &CalibrationModel, set: &MeasurementSet) -> Self {
-        let observations = &set.observations;
-        let are_rows = observations.iter().zip(1..).all(|(observation, row)| observation.pose == row);
-        let links = model.kinematics.links.clone();
-        let span = |(joint, _): (usize, &CraigLink)| {
-            let commands = observations.iter().filter_map(|o| o.command.get(joint));
-            let ends = commands.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (v.min(l), v.max(h)));
-            ends.1 - ends.0
-        };
-        let revolute = links.iter().enumerate().filter(|(_, link)| link.kind == JointKind::Revolute);
-        Self {
-            kind,
-            span: revolute.map(span).fold(0.0, f64::max),
-            called: if are_rows { "row" } else { "pose" },
-            poses: observations.iter().map(|observation| observation.pose).collect(),
-            targets: set.targets.iter().map(|target| target.name.clone()).collect(),
-            found,
-            links,
-        }
+        Self { kind, found, links: model.kinematics.links.clone(), names: Names::new(model, set) }
     }
 
     /// Indices of the observations that it names, in the set.
     #[must_use]
     pub fn named(&self) -> Vec<usize> {
-        let found = &self.found;
-        if !found.unreachable.is_empty() {
-            return found.unreachable.iter().take(LISTED).map(|far| far.observation).collect();
+        if !self.found.unreachable.is_empty() {
+            return self.found.unreachable.iter().take(NAMED).map(|far| far.observation).collect();
         }
-        let Some(few) = &found.few_rows else { return Vec::new() };
-        let pairs = few.exchanged.iter().flat_map(|(a, b)| [*a, *b]);
-        let mut named: Vec<_> = pairs.chain(few.rows.iter().map(|far| far.observation)).collect();
+        let mut named: Vec<usize> =
+            self.found.explanation().unwrap_or_default().iter().flat_map(Part::rows).collect();
         named.sort_unstable();
         named.dedup();
-        named.truncate(LISTED);
+        named.truncate(NAMED);
         named
     }
 
@@ -116,7 +93,6 @@ impl Implausible {
     pub fn help(&self) -> String {
         let found = &self.found;
         let mut help: Vec<String> = Vec::new();
-        let before = found.rms.map_or_else(String::new, |rms| format!(" instead of {}", mm(rms)));
         if !found.unreachable.is_empty() {
             help.push(
                 "a code of shots that were missed? Name it (`--missed CODE`, or `missed` in [position] of the column map): no loss can weigh such a point"
@@ -126,99 +102,28 @@ impl Implausible {
                     }),
             );
         }
-        if let Some(few) = &found.few_rows {
-            help.push(self.few_in_words(few, &before));
-        }
-        let mut explanations = found.explanations.iter().map(|e| self.explained(e, &before));
-        help.extend(explanations.next());
-        help.extend(explanations.map(|words| format!("or {words}")));
-        if help.is_empty() {
+        let before = found.rms.map_or_else(String::new, |rms| format!(" instead of {}", mm(rms)));
+        if let Some(diagnosis) = found.diagnosis.as_ref().filter(|d| d.finding() == Finding::Explained) {
+            let told = |hypothesis: &Hypothesis| {
+                let (says, rms) = (self.names.says(hypothesis), mm(hypothesis.rms));
+                format!("{says}: RMS {rms}{before}. Remedy: {}", self.names.remedies(hypothesis))
+            };
+            let first = diagnosis.hypotheses.first();
+            // That rows are out of reach is told already.
+            let is_new =
+                |hypothesis: &&Hypothesis| found.unreachable.is_empty() || hypothesis.parts.len() > 1;
+            help.extend(first.filter(is_new).map(told));
+            help.extend(Names::as_good(diagnosis).take(OTHERS).map(|other| format!("or {}", told(other))));
+        } else if help.is_empty() {
             help.push(
                 "check the order, units and signs of the joints' columns and their home offsets, the axes and the unit of the \
-                 tracker, exchanged rows, and codes of missed shots"
+                 tracker, exchanged rows, and codes of missed shots; `calibrig diagnose` lists what was tried"
                     .to_owned(),
             );
         }
         help.extend(found.beyond_limits.iter().map(|beyond| beyond_words(beyond, &self.links)));
         help.push(ANYWAY.to_owned());
         help.join("; ")
-    }
-
-    fn few_in_words(&self, few: &FewRows, before: &str) -> String {
-        let mut words = Vec::new();
-        let is_exchanged =
-            |far: &&FarOff| few.exchanged.iter().any(|(a, b)| [a, b].contains(&&far.observation));
-        for (a, b) in few.exchanged.iter().take(LISTED) {
-            let (called, a, b) = (self.called, self.poses[*a], self.poses[*b]);
-            words.push(format!("{called}s {a} and {b} have each other's points: they are exchanged"));
-        }
-        let others: Vec<FarOff> = few.rows.iter().filter(|far| !is_exchanged(far)).copied().collect();
-        if !others.is_empty() {
-            words.push(format!("{} off", self.listed(&others)));
-        }
-        format!("{}; without them the RMS is {}{before}", words.join("; "), mm(few.rms_without))
-    }
-
-    /// Rows with their distances.
-    fn listed(&self, rows: &[FarOff]) -> String {
-        let words =
-            |far: &FarOff| format!("{} {} by {}", self.called, self.poses[far.observation], mm(far.distance));
-        let mut list: Vec<_> = rows.iter().take(LISTED).map(words).collect();
-        if rows.len() > LISTED {
-            list.push(format!("{} more", rows.len() - LISTED));
-        }
-        list.join(", ")
-    }
-
-    fn explained(&self, explanation: &Explanation, before: &str) -> String {
-        let joint = |joint: usize| &self.links[joint].name;
-        let rms = mm(explanation.rms);
-        match explanation.convention {
-            Convention::RadiansAsDegrees => format!(
-                "the joints' angles span {:.1} deg at most: read as radians, they leave an RMS of {rms}{before}. Say so in the column map \
-                 (`revolute_unit = \"rad\"`) or in the columns' names (`_rad`)",
-                self.span.to_degrees()
-            ),
-            Convention::DegreesAsRadians => format!(
-                "the joints' angles span up to {:.1} rad: read as degrees, they leave an RMS of {rms}{before}. Say so in the column map \
-                 (`revolute_unit = \"deg\"`) or in the columns' names (`_deg`)",
-                self.span
-            ),
-            Convention::PointsScaled { factor } => format!(
-                "the points times {factor:.4}: RMS {rms}{before}. The unit of the position is another one than the columns say"
-            ),
-            Convention::TravelScaled { factor } => format!(
-                "the prismatic joints' columns times {factor:.4}: RMS {rms}{before}. Their unit is another one than the columns say"
-            ),
-            Convention::Mirrored => format!(
-                "the points are a mirror image: x and y exchanged fits, RMS {rms}{before}. Exchange the two columns, or turn the sign of \
-                 one axis"
-            ),
-            Convention::ShiftedRows { by } => format!(
-                "the points stand {} than their joints: moved back, RMS {rms}{before}",
-                if by > 0 { "one row lower" } else { "one row higher" }
-            ),
-            Convention::HomeOffset { joint: at, angle } => format!(
-                "{name} {sign} {:.0} deg: RMS {rms}{before}. The zero of {name} is elsewhere: {change} `theta_deg` of {name} in the robot's \
-                 file by it",
-                angle.abs().to_degrees(),
-                name = joint(at),
-                sign = if angle < 0.0 { '-' } else { '+' },
-                change = if angle < 0.0 { "lower" } else { "raise" },
-            ),
-            Convention::Sign { joint: at } => {
-                format!("{} with the other sign: RMS {rms}{before}. It moves the other way", joint(at))
-            }
-            Convention::Columns { joint: at, other } => {
-                format!("the columns of {} and {} exchanged: RMS {rms}{before}", joint(at), joint(other))
-            }
-            Convention::SeveralTargets { target, count } => format!(
-                "the points of {} are those of {count} targets at different offsets: told apart they leave an RMS of {rms}{before}. \
-                 Name them in a column (`target`)",
-                named("target", &self.targets[target])
-            ),
-            _ => format!("read otherwise: RMS {rms}{before}"),
-        }
     }
 }
 
@@ -229,7 +134,7 @@ impl fmt::Display for Implausible {
             write!(f, "{} set: ", self.kind.key())?;
         }
         if !found.unreachable.is_empty() {
-            let which = self.listed(&found.unreachable);
+            let which = self.names.far(&found.unreachable);
             return write!(
                 f,
                 "no point that the robot could reach, by the distance from the middle of the others: {which}"
@@ -245,15 +150,4 @@ impl fmt::Display for Implausible {
             mm(found.spread)
         )
     }
-}
-
-/// A name that need not say what it is the name of.
-fn named(what: &str, name: &str) -> String {
-    if name.starts_with(what) { name.to_owned() } else { format!("{what} {name}") }
-}
-
-fn mm(metres: f64) -> String {
-    let value = 1e3 * metres;
-    let digits = if value < 10.0 { 3 } else { 0 };
-    format!("{value:.digits$} mm")
 }

@@ -168,6 +168,142 @@ fn a_home_offset_and_mirrored_points_are_told() {
     told(&identify(&sandbox(&lines), &[]), 1, &["mirror image: x and y exchanged fits"]);
 }
 
+fn diagnose(sandbox: &Sandbox, more: &[&str]) -> Ended {
+    let files = ["diagnose", "--model", "robot.toml", "--measurements", "m.csv"];
+    sandbox.run(files.iter().chain(more))
+}
+
+/// The first hypothesis of a diagnosis, with its exit code.
+#[track_caller]
+fn diagnosed(sandbox: &Sandbox, code: i32, more: &[&str]) -> serde_json::Value {
+    let ended = diagnose(sandbox, &[&["--json"], more].concat());
+    assert_eq!(ended.code, Some(code), "{ended:?}");
+    let json = ended.json();
+    assert_eq!(json["schema"], "calibrig.diagnosis/1");
+    json["hypotheses"][0].clone()
+}
+
+#[test]
+fn a_diagnosis_names_what_was_broken_and_what_applies_it() {
+    let sound = diagnosed(&sandbox(&session(40)), 0, &[]);
+    assert_eq!((&sound["kinds"], &sound["where"]), (&serde_json::json!(["sound"]), &serde_json::json!([])));
+    assert!(sound["rms_m"].as_f64().is_some_and(|rms| rms < 5e-3));
+    told(
+        &diagnose(&sandbox(&session(40)), &[]),
+        0,
+        &["Sound: the robot lies on the points as they were read"],
+    );
+
+    let broken = |change: &dyn Fn(&mut Vec<Line>)| {
+        let mut lines = session(40);
+        change(&mut lines);
+        sandbox(&lines)
+    };
+    type Change = Box<dyn Fn(&mut Vec<Line>)>;
+    let each = |change: fn(&mut Line)| -> Change { Box::new(move |lines| lines.iter_mut().for_each(change)) };
+    let cases: Vec<(Change, serde_json::Value, serde_json::Value, &str)> = vec![
+        (
+            each(|(deg, _)| *deg = deg.map(f64::to_radians)),
+            serde_json::json!(["angle_unit"]),
+            serde_json::json!(["J1", "J2", "J3"]),
+            "revolute_unit = \"rad\"",
+        ),
+        (
+            each(|(_, p)| *p = p.map(|v| 1e-3 * v)),
+            serde_json::json!(["length_unit"]),
+            serde_json::json!([]),
+            "`unit`",
+        ),
+        (
+            each(|(deg, _)| deg[2] = -deg[2]),
+            serde_json::json!(["joint_sign"]),
+            serde_json::json!(["J3"]),
+            "\"-J3\"",
+        ),
+        (
+            each(|(deg, _)| deg[1] -= 90.0),
+            serde_json::json!(["joint_offset"]),
+            serde_json::json!(["J2"]),
+            "raise `theta_deg` of J2",
+        ),
+        (
+            each(|(deg, _)| deg[2] += deg[1]),
+            serde_json::json!(["coupling"]),
+            serde_json::json!(["J3", "J2"]),
+            "\"J3 - J2\"",
+        ),
+        (
+            Box::new(|lines| (lines[4].1, lines[13].1) = (lines[13].1, lines[4].1)),
+            serde_json::json!(["rows_exchanged"]),
+            serde_json::json!([5, 14]),
+            "--leave-out 5,14",
+        ),
+        (
+            Box::new(|lines| lines[7].1 = [-9999.0; 3]),
+            serde_json::json!(["missed_shot_code"]),
+            serde_json::json!([8]),
+            "--leave-out 8",
+        ),
+        (
+            Box::new(|lines| lines[7].1[0] += 5.0),
+            serde_json::json!(["gross_error"]),
+            serde_json::json!([8]),
+            "--leave-out 8",
+        ),
+    ];
+    for (change, kinds, places, remedy) in cases {
+        let first = diagnosed(&broken(&change), 3, &[]);
+        assert_eq!((&first["kinds"], &first["where"]), (&kinds, &places), "{first:#}");
+        assert!(first["remedy"].as_str().is_some_and(|told| told.contains(remedy)), "{first:#}");
+        assert!(first["probability"].as_f64().is_some_and(|p| p > 0.9), "{first:#}");
+    }
+}
+
+/// What a diagnosis asks for that no column map says is a flag, and makes the session sound.
+#[test]
+fn flags_apply_what_a_diagnosis_found() {
+    let mut lines = session(40);
+    let points: Vec<_> = lines.iter().map(|(_, point)| *point).collect();
+    for (line, point) in lines[1..].iter_mut().zip(points) {
+        line.1 = point;
+    }
+    lines.remove(0);
+    let shifted = sandbox(&lines);
+    assert_eq!(diagnosed(&shifted, 3, &[])["remedy"], "--shift-points 1");
+    assert_eq!(diagnosed(&shifted, 0, &["--shift-points", "1"])["kinds"][0], "sound");
+    told(&identify(&shifted, &["--shift-points", "1"]), 0, &[]);
+    told(&identify(&shifted, &[]), 1, &["one row lower", "--shift-points 1"]);
+
+    let mut lines = session(40);
+    (lines[4].1, lines[13].1) = (lines[13].1, lines[4].1);
+    let exchanged = sandbox(&lines);
+    assert_eq!(diagnosed(&exchanged, 0, &["--leave-out", "5,14"])["kinds"][0], "sound");
+    told(&identify(&exchanged, &["--leave-out", "5,14"]), 0, &[]);
+    let ended = diagnose(&exchanged, &["--leave-out", "77"]);
+    told(&ended, 2, &["--leave-out 77: no point of this pose was read"]);
+}
+
+/// The verification set is looked at as well; a joint that never moved is named.
+#[test]
+fn a_diagnosis_is_of_both_sets_and_says_what_cannot_be_told() {
+    let mut lines = session(40);
+    lines.iter_mut().for_each(|(deg, _)| deg[2] = -deg[2]);
+    let both = sandbox(&session(40));
+    both.write("v.csv", csv(&lines));
+    let ended = diagnose(&both, &["--verify", "v.csv", "--json"]);
+    assert_eq!(ended.code, Some(3));
+    let json = ended.json();
+    assert_eq!(json["hypotheses"][0]["kinds"][0], "sound");
+    assert_eq!(json["verification"]["hypotheses"][0]["kinds"][0], "joint_sign");
+    let mut lines = session(40);
+    lines.iter_mut().for_each(|(deg, _)| deg[2] = 10.0);
+    told(
+        &diagnose(&sandbox(&lines), &[]),
+        3,
+        &["J3 never moved: sign, unit, order and zero of it cannot be told"],
+    );
+}
+
 #[test]
 fn the_code_of_a_missed_shot_is_refused_in_a_short_file_and_in_a_long_one() {
     for poses in [20, 300] {

@@ -8,11 +8,12 @@ use std::time::Duration;
 use crate::a_user_makes_a_mistake::with_measurements;
 use crate::sandbox::{Ended, ROBOT, SCENARIO, Sandbox, assert_refused};
 
-const COMMANDS: [&str; 11] = [
+const COMMANDS: [&str; 12] = [
     "run",
     "check",
     "choose",
     "columns",
+    "diagnose",
     "identify",
     "identifiability",
     "model",
@@ -45,6 +46,7 @@ fn sound_commands() -> (Sandbox, Vec<(&'static str, Vec<&'static str>)>) {
             "calibrig.report/1",
             vec!["identify", "--model", ROBOT, "--measurements", "set.csv", "--verify", "set.csv"],
         ),
+        ("calibrig.diagnosis/1", vec!["diagnose", "--model", ROBOT, "--measurements", "set.csv"]),
         ("calibrig.report/1", vec!["replay", "first/recording.mcap"]),
         ("calibrig.report/1", vec!["report", "first/recording.mcap", "--out", "again"]),
         ("calibrig.inspect/1", vec!["inspect", "first/recording.mcap"]),
@@ -72,6 +74,7 @@ fn wrong_usage_ends_with_2_and_says_what_was_expected() {
         (vec!["check"], "<SCENARIO>"),
         (vec!["replay"], "<RECORDING>"),
         (vec!["identify", "--model", ROBOT], "--measurements <FILE>"),
+        (vec!["diagnose", "--model", ROBOT], "--measurements <FILE>"),
         (vec!["identify", "--measurements", "set.csv"], "--model <ROBOT.toml>"),
         (vec!["identifiability"], "<SCENARIO|--model <ROBOT.toml>|--urdf <FILE>>"),
         (vec!["choose", "--model", ROBOT], "--measurements <FILE>"),
@@ -147,7 +150,7 @@ fn help_shows_examples_that_are_true() {
             }
             assert_ne!(ended.code, Some(2), "{example:?}: {}", ended.stderr);
             if example.iter().any(|word| [SCENARIO, "models/ur5/robot.toml"].contains(word))
-                && !["identify", "choose"].contains(&command)
+                && !["identify", "choose", "diagnose"].contains(&command)
             {
                 assert_eq!(ended.code, Some(0), "{example:?}: {}", ended.stderr);
             }

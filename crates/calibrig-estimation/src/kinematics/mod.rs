@@ -252,7 +252,6 @@ impl PlacedChain {
     }
 
     /// `base_from_flange`.
-    #[cfg(test)]
     pub fn base_from_flange(&self) -> &Transform {
         &self.base_from_flange
     }

@@ -291,22 +291,3 @@ fn moved(now: &Placement, step: &DVector<f64>) -> Placement {
         now.offsets.iter().enumerate().map(|(t, offset)| offset + step.fixed_rows::<3>(first + 3 * t));
     Placement { stations: stations.collect(), offsets: offsets.collect() }
 }
-
-impl Placement {
-    /// The same with target `from`'s offset for one more target.
-    pub fn with_another_target(mut self, from: usize) -> Self {
-        let offset = self.offsets[from];
-        self.offsets.push(offset);
-        self
-    }
-
-    /// What a residual of observation `i` is in the flange's frame.
-    pub fn in_flange(&self, points: &Points, i: usize) -> Vector3<f64> {
-        let turned = self.stations[points.station[i]].rotation * points.flange[i].rotation;
-        turned.inverse() * points.residual(self, i)
-    }
-
-    pub fn offset_mut(&mut self, target: usize) -> &mut Vector3<f64> {
-        &mut self.offsets[target]
-    }
-}

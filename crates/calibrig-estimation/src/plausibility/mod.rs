@@ -1,17 +1,16 @@
 //! Whether measurements can be of this robot at all, before anything of it is fitted.
 //!
 //! The nominal robot is laid over the points by the tracker's place and the target's offset alone. What that leaves is compared with the
-//! points' spread about their mean: a robot that explains nothing leaves all of it, one that is a centimetre off a hundredth. Where a
-//! few rows are to blame they are found by a robust fit, where a convention is (units, signs, a home offset) by trying it.
+//! points' spread about their mean: a robot that explains nothing leaves all of it, one that is a centimetre off a hundredth. Where that is
+//! much, or a point stands out, [`diagnosis`](crate::diagnosis) looks for what explains it.
 
-mod blame;
-mod conventions;
 mod fit;
 #[cfg(test)]
 mod tests;
 
 use nalgebra::Vector3;
 
+use crate::diagnosis::{Diagnosis, Finding, Part, diagnose};
 use crate::identification::IdentifyError;
 use crate::kinematics::{flange, nominal_joints};
 use calibrig_model::measurement::{MeasurementSet, Reading};
@@ -44,10 +43,8 @@ pub struct Plausibility {
     pub spread: f64,
     /// Points that no pose of the robot reaches; the other figures are without them.
     pub unreachable: Vec<FarOff>,
-    /// Rows that are to blame, where the rest lies on the robot much better.
-    pub few_rows: Option<FewRows>,
-    /// Conventions that explain what the robot leaves.
-    pub explanations: Vec<Explanation>,
+    /// What explains what the robot leaves, where that is much or a point stands out.
+    pub diagnosis: Option<Diagnosis>,
     /// Commands beyond the joints' limits.
     pub beyond_limits: Vec<BeyondLimits>,
 }
@@ -59,81 +56,6 @@ pub struct FarOff {
     pub observation: usize,
     /// From where the robot is, or, of a point out of its reach, from the middle of the others, m.
     pub distance: f64,
-}
-
-/// Rows that are to blame.
-#[derive(Debug, Clone, PartialEq)]
-pub struct FewRows {
-    /// Farthest first.
-    pub rows: Vec<FarOff>,
-    /// Pairs of observations that have each other's points.
-    pub exchanged: Vec<(usize, usize)>,
-    /// RMS distance of the others from the nominal robot, m.
-    pub rms_without: f64,
-    /// The same as a share of their spread.
-    pub share_without: f64,
-}
-
-/// A convention, and what the nominal robot leaves where the file is read by it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Explanation {
-    /// Which.
-    pub convention: Convention,
-    /// m
-    pub rms: f64,
-}
-
-/// How a file could be meant other than it was read. Joints are counted from zero.
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[non_exhaustive]
-pub enum Convention {
-    /// The angles are in radians and were read as degrees.
-    RadiansAsDegrees,
-    /// The angles are in degrees and were read as radians.
-    DegreesAsRadians,
-    /// The points are in another unit.
-    PointsScaled {
-        /// What they would have to be multiplied by.
-        factor: f64,
-    },
-    /// The prismatic joints are in another unit.
-    TravelScaled {
-        /// What they would have to be multiplied by.
-        factor: f64,
-    },
-    /// The points are a mirror image, as with x and y exchanged.
-    Mirrored,
-    /// The points stand so many rows above their joints.
-    ShiftedRows {
-        /// Above; below where it is negative.
-        by: isize,
-    },
-    /// A joint's zero is elsewhere.
-    HomeOffset {
-        /// Which.
-        joint: usize,
-        /// What its command would have to be greater by, rad.
-        angle: f64,
-    },
-    /// A joint turns, or moves, the other way.
-    Sign {
-        /// Which.
-        joint: usize,
-    },
-    /// Two columns of joints are exchanged.
-    Columns {
-        /// The first.
-        joint: usize,
-        /// The second.
-        other: usize,
-    },
-    /// Targets at offsets of their own under one name.
-    SeveralTargets {
-        /// Index of the target.
-        target: usize,
-        /// Their number.
-        count: usize,
-    },
 }
 
 /// Commands of a joint beyond its limits.
@@ -150,12 +72,28 @@ pub struct BeyondLimits {
 impl Plausibility {
     /// Whether there is any use in fitting. With a `robust` loss, a few rows do not count.
     pub fn is_plausible(&self, robust: bool) -> bool {
-        let few = self.few_rows.as_ref();
-        let share = if robust { few.map(|few| few.share_without).or(self.share) } else { self.share };
+        let explained = self.explanation().map_or(&[][..], |parts| parts);
+        let is_few = |part: &Part| match part {
+            Part::GrossErrors { .. } => true,
+            Part::ExchangedRows { .. } => robust,
+            _ => false,
+        };
+        let without = self.first_rms().filter(|_| robust && !explained.is_empty());
+        let share = without.map(|rms| rms / self.spread.max(f64::MIN_POSITIVE)).or(self.share);
         self.unreachable.is_empty()
-            && self.explanations.is_empty()
-            && (robust || few.is_none_or(|few| few.exchanged.is_empty()))
+            && explained.iter().all(is_few)
             && share.is_none_or(|share| share <= LARGEST_SHARE)
+    }
+
+    /// What is otherwise than it was read, where something explains the points.
+    pub fn explanation(&self) -> Option<&[Part]> {
+        let diagnosis = self.diagnosis.as_ref()?;
+        let first = diagnosis.hypotheses.first()?;
+        (diagnosis.finding() == Finding::Explained).then_some(&first.parts)
+    }
+
+    fn first_rms(&self) -> Option<f64> {
+        Some(self.diagnosis.as_ref()?.hypotheses.first()?.rms)
     }
 }
 
@@ -177,8 +115,7 @@ pub fn plausibility(model: &CalibrationModel, set: &MeasurementSet) -> Result<Pl
         share: None,
         spread: points.spread(),
         unreachable,
-        few_rows: None,
-        explanations: Vec::new(),
+        diagnosis: None,
         beyond_limits: beyond_limits(model, set),
     };
     // Points that are all one say nothing of the robot.
@@ -192,27 +129,11 @@ pub fn plausibility(model: &CalibrationModel, set: &MeasurementSet) -> Result<Pl
     let Some(rms) = points.rms(&placed) else { return Ok(found) };
     let share = points.share(rms);
     (found.rms, found.share) = (Some(rms), Some(share));
-    let suspicious = share > SUSPICIOUS;
-    if suspicious || stands_out(points.lengths(&placed), found.spread) {
-        found.few_rows = blame::few_rows(&points, &placed)
-            .map(|few| few.of(&kept))
-            .filter(|few| few.share_without <= LARGEST_SHARE.min(0.5 * share));
-    }
-    if suspicious && found.few_rows.is_none() {
-        let mut part = set.clone();
-        part.observations = kept.iter().map(|i| set.observations[*i].clone()).collect();
-        found.explanations = conventions::explanations(model, &part, share);
+    let looks_odd = share > SUSPICIOUS || stands_out(points.lengths(&placed), found.spread);
+    if looks_odd || !found.unreachable.is_empty() {
+        found.diagnosis = Some(diagnose(model, set)?);
     }
     Ok(found)
-}
-
-impl FewRows {
-    /// The same with the indices of the set that `kept` are of.
-    fn of(mut self, kept: &[usize]) -> Self {
-        self.rows.iter_mut().for_each(|far| far.observation = kept[far.observation]);
-        self.exchanged.iter_mut().for_each(|pair| *pair = (kept[pair.0], kept[pair.1]));
-        self
-    }
 }
 
 /// Whether one is far longer than most, and not small against the points' spread.
@@ -243,7 +164,7 @@ fn points_of(model: &CalibrationModel, set: &MeasurementSet) -> Points {
 
 /// Points farther from the middle of the others than twice the robot's reach, and the tracker's own place: codes of missed shots. As the
 /// offset of a target may be unknown, what the other points span is added.
-fn unreachable(model: &CalibrationModel, set: &MeasurementSet) -> Vec<FarOff> {
+pub(crate) fn unreachable(model: &CalibrationModel, set: &MeasurementSet) -> Vec<FarOff> {
     let reach = reach(model) + set.targets.iter().map(|t| t.in_flange.norm()).fold(0.0, f64::max);
     let mut far = Vec::new();
     for station in 0..set.stations.len() {

@@ -6,6 +6,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod coverage;
+mod diagnosis;
 mod faults;
 mod frames;
 mod numbers;

@@ -50,7 +50,7 @@ impl Places {
 
     /// Those of the observations with these indices, in this order.
     #[must_use]
-    pub(crate) fn select(&self, observations: impl IntoIterator<Item = usize>) -> Self {
+    pub fn select(&self, observations: impl IntoIterator<Item = usize>) -> Self {
         let mut selected = Self::default();
         for (file, place) in observations.into_iter().filter_map(|observation| self.find(observation)) {
             selected.push(file, &place);

@@ -1,0 +1,327 @@
+//! What a diagnosis says, in words, and what applies it.
+
+use calibrig_estimation::diagnosis::{Diagnosis, FarOff, Hypothesis, Part, Undetermined};
+use calibrig_model::measurement::{MeasurementSet, Reading};
+use calibrig_model::{CalibrationModel, CraigLink, JointKind};
+
+/// Rows that are listed by name; more are counted.
+const LISTED: usize = 8;
+
+/// What joints, observations and targets of a session are called.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Names {
+    links: Vec<CraigLink>,
+    /// What observations are called: rows where they are numbered through, else poses.
+    called: &'static str,
+    /// Number of every observation's pose.
+    poses: Vec<u32>,
+    targets: Vec<String>,
+    /// Largest span of a revolute joint's commands, rad.
+    span: f64,
+    is_spherical: bool,
+}
+
+impl Names {
+    /// Those of `set`, measured on the robot of `model`.
+    pub fn new(model: &CalibrationModel, set: &MeasurementSet) -> Self {
+        let observations = &set.observations;
+        let are_rows = observations.iter().zip(1..).all(|(observation, row)| observation.pose == row);
+        let links = model.kinematics.links.clone();
+        let span = |(joint, _): (usize, &CraigLink)| {
+            let commands = observations.iter().filter_map(|o| o.command.get(joint));
+            let ends = commands.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (v.min(l), v.max(h)));
+            ends.1 - ends.0
+        };
+        let revolute = links.iter().enumerate().filter(|(_, link)| link.kind == JointKind::Revolute);
+        Self {
+            span: revolute.map(span).fold(0.0, f64::max),
+            called: if are_rows { "row" } else { "pose" },
+            poses: observations.iter().map(|observation| observation.pose).collect(),
+            targets: set.targets.iter().map(|target| target.name.clone()).collect(),
+            is_spherical: observations.iter().any(|o| matches!(o.reading, Reading::Spherical(_))),
+            links,
+        }
+    }
+
+    fn joint(&self, joint: usize) -> &str {
+        &self.links[joint].name
+    }
+
+    /// Number of an observation as the file has it.
+    pub fn row(&self, observation: usize) -> u32 {
+        self.poses.get(observation).copied().unwrap_or_default()
+    }
+
+    fn joints(&self, joints: &[usize]) -> String {
+        joints.iter().map(|joint| self.joint(*joint)).collect::<Vec<_>>().join(", ")
+    }
+
+    fn rows(&self, rows: &[usize]) -> String {
+        let mut rows: Vec<u32> = rows.iter().map(|row| self.row(*row)).collect();
+        rows.sort_unstable();
+        let named: Vec<_> = rows.iter().take(LISTED).map(u32::to_string).collect();
+        let more =
+            if rows.len() > LISTED { format!(" and {} more", rows.len() - LISTED) } else { String::new() };
+        let plural = if rows.len() == 1 { "" } else { "s" };
+        format!("{}{plural} {}{more}", self.called, and(&named, more.is_empty()))
+    }
+
+    /// All rows, as a flag takes them.
+    fn listed(&self, rows: &[usize]) -> String {
+        let mut rows: Vec<u32> = rows.iter().map(|row| self.row(*row)).collect();
+        rows.sort_unstable();
+        rows.dedup();
+        rows.iter().map(u32::to_string).collect::<Vec<_>>().join(",")
+    }
+
+    /// Rows with their distances.
+    pub fn far(&self, rows: &[FarOff]) -> String {
+        let words =
+            |far: &FarOff| format!("{} {} by {}", self.called, self.row(far.observation), mm(far.distance));
+        let mut list: Vec<_> = rows.iter().take(LISTED).map(words).collect();
+        if rows.len() > LISTED {
+            list.push(format!("{} more", rows.len() - LISTED));
+        }
+        list.join(", ")
+    }
+
+    /// Joints and rows of a hypothesis, by name and number.
+    pub fn places(&self, part: &Part) -> (Vec<String>, Vec<u32>) {
+        let joints = part.joints().iter().map(|joint| self.joint(*joint).to_owned()).collect();
+        let mut rows: Vec<u32> = part.rows().iter().map(|row| self.row(*row)).collect();
+        rows.sort_unstable();
+        (joints, rows)
+    }
+
+    /// What a hypothesis says.
+    pub fn says(&self, hypothesis: &Hypothesis) -> String {
+        if hypothesis.parts.is_empty() {
+            return "as it was read".to_owned();
+        }
+        hypothesis.parts.iter().map(|part| self.part(part)).collect::<Vec<_>>().join("; and ")
+    }
+
+    /// What applies a hypothesis.
+    pub fn remedies(&self, hypothesis: &Hypothesis) -> String {
+        hypothesis.parts.iter().map(|part| self.remedy(part)).collect::<Vec<_>>().join("; ")
+    }
+
+    /// What a part says.
+    pub fn part(&self, part: &Part) -> String {
+        match part {
+            Part::AngleUnit { joints, factor } => {
+                let (unit, span) = if *factor > 1.0 {
+                    ("radians", format!("{:.1} deg at most", self.span.to_degrees()))
+                } else {
+                    ("degrees", format!("up to {:.1} rad", self.span))
+                };
+                if joints.len() > 1 {
+                    format!("the joints' angles span {span}: read as {unit}")
+                } else {
+                    format!("the angles of {} read as {unit}", self.joints(joints))
+                }
+            }
+            Part::TravelUnit { joints, factor } => {
+                format!("the travel of {} times {}", self.joints(joints), number(*factor))
+            }
+            Part::PointUnit { factor } => format!("the points times {}", number(*factor)),
+            Part::TrackerAngleUnit { factor } => {
+                let unit = if *factor > 1.0 { "radians" } else { "degrees" };
+                format!("the tracker's angles read as {unit}")
+            }
+            Part::Sign { joint } => format!("{} with the other sign", self.joint(*joint)),
+            Part::Offset { joint, quarters } => {
+                let sign = if *quarters < 0 { '-' } else { '+' };
+                format!("{} {sign} {} deg", self.joint(*joint), 90 * i32::from(quarters.unsigned_abs()))
+            }
+            Part::Order { .. } => {
+                let joints = part.joints();
+                if joints.len() == 2 {
+                    format!("the columns of {} and {} exchanged", self.joint(joints[0]), self.joint(joints[1]))
+                } else {
+                    format!("the columns of {} in another order: {}", self.joints(&joints), self.order(part))
+                }
+            }
+            Part::Coupling { joint, with, share } => {
+                let sign = if *share < 0.0 { '-' } else { '+' };
+                let (joint, with) = (self.joint(*joint), self.joint(*with));
+                format!("{joint} is driven with {with}: its angle is {joint} {sign} {with}")
+            }
+            Part::Convention { standard: true } => "the table read in the standard D-H convention".to_owned(),
+            Part::Convention { .. } => "the table read in Craig's convention".to_owned(),
+            Part::ToolLink { joint } => {
+                format!("the target moves with {}, and not with the joints behind it", self.joint(*joint))
+            }
+            Part::ShiftedRows { by } => {
+                let (rows, side) =
+                    (if by.abs() == 1 { "one row".to_owned() } else { format!("{} rows", by.abs()) }, if *by > 0 { "lower" } else { "higher" });
+                format!("the points stand {rows} {side} than their joints")
+            }
+            Part::ZenithElevation => "the angle from the zenith was read as an elevation, or the other way round".to_owned(),
+            Part::AnglesExchanged { .. } => "azimuth and elevation exchanged".to_owned(),
+            Part::Mirrored if self.is_spherical => {
+                "the points are a mirror image: the azimuth counted the other way fits, as x and y exchanged do".to_owned()
+            }
+            Part::Mirrored => "the points are a mirror image: x and y exchanged fits".to_owned(),
+            Part::ExchangedRows { cycles } => {
+                let words = |cycle: &Vec<usize>| {
+                    let rows = self.rows(cycle);
+                    if cycle.len() == 2 { format!("{rows} have each other's points") } else { format!("{rows} have the points of each other, in turn") }
+                };
+                cycles.iter().map(words).collect::<Vec<_>>().join("; ") + ": they are exchanged"
+            }
+            Part::GrossErrors { rows } => format!("{} off", self.far(rows)),
+            Part::MissedShots { rows } => {
+                format!("no point that the robot could reach, by the distance from the middle of the others: {} (a code of shots that were missed?)", self.far(rows))
+            }
+            Part::SeveralTargets { target, others } => format!(
+                "the points of {} are those of {} targets at different offsets: {} of another one",
+                named("target", self.targets.get(*target).map_or("", String::as_str)),
+                others.len() + 1,
+                others.iter().map(|rows| self.rows(rows)).collect::<Vec<_>>().join(", and ")
+            ),
+            _ => format!("read otherwise ({})", part.kind()),
+        }
+    }
+
+    /// The columns in the order that a part asks for.
+    fn order(&self, part: &Part) -> String {
+        let Part::Order { from, .. } = part else { return String::new() };
+        from.iter().map(|column| self.joint(*column)).collect::<Vec<_>>().join(", ")
+    }
+
+    /// What applies a part.
+    pub fn remedy(&self, part: &Part) -> String {
+        match part {
+            Part::AngleUnit { joints, factor } => {
+                let unit = if *factor > 1.0 { "rad" } else { "deg" };
+                if joints.len() > 1 {
+                    format!("`revolute_unit = \"{unit}\"` in [joints] of the column map, or columns whose names end with _{unit}")
+                } else {
+                    format!("the unit of the column of {} is {unit}: convert it, or say so in the column map", self.joints(joints))
+                }
+            }
+            Part::TravelUnit { factor, .. } => {
+                format!("`prismatic_unit` in [joints] of the column map: one that is {} times as large", number(*factor))
+            }
+            Part::PointUnit { factor } => format!(
+                "{} in [position] of the column map: one that is {} times as large",
+                if self.is_spherical { "`range_unit`" } else { "`unit`" },
+                number(*factor)
+            ),
+            Part::TrackerAngleUnit { factor } => {
+                let unit = if *factor > 1.0 { "rad" } else { "deg" };
+                format!("`angle_unit = \"{unit}\"` in [position] of the column map")
+            }
+            Part::Sign { joint } => {
+                let joint = self.joint(*joint);
+                format!("a minus in front of the column of {joint} in `columns` of the column map, as \"-{joint}\"; or `shown = {{ sign = -1 }}` of {joint} in the robot's file")
+            }
+            Part::Offset { joint, quarters } => {
+                let change = if *quarters < 0 { "lower" } else { "raise" };
+                let size = 90 * i32::from(quarters.unsigned_abs());
+                let joint = self.joint(*joint);
+                format!("{change} `theta_deg` of {joint} in the robot's file by {size}")
+            }
+            Part::Order { from, .. } => {
+                let names: Vec<_> = from.iter().map(|column| format!("\"{}\"", self.joint(*column))).collect();
+                format!("`columns = [{}]` in [joints] of the column map, in the file's own names", names.join(", "))
+            }
+            Part::Coupling { joint, with, share } => {
+                let sign = if *share < 0.0 { '-' } else { '+' };
+                let (joint, with) = (self.joint(*joint), self.joint(*with));
+                format!("\"{joint} {sign} {with}\" in the place of {joint} in `columns` of the column map; or `shown.coupling` of {joint} in the robot's file")
+            }
+            Part::Convention { standard } => {
+                format!("`convention = \"{}\"` in the robot's file", if *standard { "standard" } else { "craig" })
+            }
+            Part::ToolLink { joint } => format!(
+                "a robot's file that ends with [[joint]] {}, and a column map without the columns of the joints behind it",
+                self.joint(*joint)
+            ),
+            Part::ShiftedRows { by } => format!("--shift-points {by}"),
+            Part::ZenithElevation => {
+                "`zenith` in the place of `elevation` in [position] of the column map, or `elevation` in that of `zenith`".to_owned()
+            }
+            Part::AnglesExchanged { .. } => "exchange the columns of azimuth and elevation in [position] of the column map".to_owned(),
+            Part::Mirrored if self.is_spherical => {
+                "a minus in front of the column of the azimuth, or of the elevation, in [position] of the column map".to_owned()
+            }
+            Part::Mirrored => {
+                "exchange the columns of x and y in [position] of the column map, or turn the sign of one axis, as `z = [\"-Z\"]`".to_owned()
+            }
+            Part::ExchangedRows { .. } => format!(
+                "exchange their points in the file, or --leave-out {}",
+                self.listed(&part.rows())
+            ),
+            Part::GrossErrors { .. } => {
+                format!("--leave-out {}, or `--loss tukey`, which gives them no weight", self.listed(&part.rows()))
+            }
+            Part::MissedShots { .. } => format!("--leave-out {}, or state the code of a missed shot in the column map", self.listed(&part.rows())),
+            Part::SeveralTargets { .. } => {
+                "name them in a column, and the column as `target` in [columns] of the column map".to_owned()
+            }
+            _ => "check how the file is read".to_owned(),
+        }
+    }
+
+    /// What cannot be told, and because of what.
+    pub fn undetermined(&self, what: &Undetermined) -> String {
+        match what {
+            Undetermined::NeverMoved { joints } => format!(
+                "{} never moved: sign, unit, order and zero of {} cannot be told, nor which of its links are off",
+                self.joints(joints),
+                if joints.len() == 1 { "it" } else { "these" }
+            ),
+            Undetermined::FewPoses { distinct, needed } => format!(
+                "{distinct} poses that differ: fewer than {needed}, tracker and target alone explain nearly whatever was measured, and no convention can be told"
+            ),
+            Undetermined::EqualPoses { poses, observations } => format!(
+                "{poses} poses were measured more than once ({observations} readings): repeats tell of the repeatability, not of the robot"
+            ),
+            Undetermined::Line => {
+                "all points are on one line: neither the tracker's turn about it nor what is beside it can be told".to_owned()
+            }
+            Undetermined::Plane => {
+                "all points are in one plane: a mirror image cannot be told from none, nor what is along its normal".to_owned()
+            }
+            Undetermined::Sphere { radius } => format!(
+                "all points are on one sphere of radius {}: what is in front of its centre cannot be told, nor tracker from base",
+                mm(*radius)
+            ),
+            _ => "something that the session does not tell".to_owned(),
+        }
+    }
+}
+
+impl Names {
+    /// The hypotheses that explain the points as well as the first, beside it.
+    pub fn as_good<'d>(diagnosis: &'d Diagnosis) -> impl Iterator<Item = &'d Hypothesis> {
+        let class = diagnosis.hypotheses.first().map(|first| first.class);
+        diagnosis.hypotheses.iter().skip(1).filter(move |other| Some(other.class) == class)
+    }
+}
+
+/// `a, b and c`.
+fn and(words: &[String], is_all: bool) -> String {
+    match words.split_last() {
+        Some((last, rest)) if is_all && !rest.is_empty() => format!("{} and {last}", rest.join(", ")),
+        _ => words.join(", "),
+    }
+}
+
+/// A name that need not say what it is the name of.
+fn named(what: &str, name: &str) -> String {
+    if name.starts_with(what) { name.to_owned() } else { format!("{what} {name}") }
+}
+
+fn number(factor: f64) -> String {
+    if factor >= 1.0 { format!("{factor}") } else { format!("1/{}", (1.0 / factor * 1e6).round() / 1e6) }
+}
+
+/// A length in mm.
+pub fn mm(metres: f64) -> String {
+    let value = 1e3 * metres;
+    let digits = if value < 10.0 { 3 } else { 0 };
+    format!("{value:.digits$} mm")
+}
