@@ -1,16 +1,15 @@
 //! Which joints of a tree lie between base and tip, and how each moves.
 
-use std::collections::BTreeSet;
 use std::fmt;
 use std::ops::Range;
 
 use nalgebra::{Rotation3, Unit, Vector3};
 
-use super::tree::{Element, Joint, Tree, inertial, origin};
+use super::element::origin;
+use super::tree::{Joint, Tree};
 use crate::input::{InputError, Source};
-use crate::robot::frames::{inertia_fault, sphere};
+use calibrig_model::JointKind;
 use calibrig_model::geometry::Transform;
-use calibrig_model::{Body, JointKind};
 
 /// The joints from base to tip.
 #[derive(Debug, Clone)]
@@ -77,7 +76,7 @@ impl Chain {
 const ENDLESS: f64 = 1e5;
 
 /// A step of the way from base to tip: a joint, and whether it is gone through from its child to its parent.
-type Step = (usize, bool);
+pub(super) type Step = (usize, bool);
 
 pub(super) struct Finder<'a> {
     pub source: &'a Source,
@@ -85,7 +84,7 @@ pub(super) struct Finder<'a> {
 }
 
 impl Finder<'_> {
-    fn error<T>(
+    pub(super) fn error<T>(
         &self,
         span: Range<usize>,
         message: impl fmt::Display,
@@ -208,7 +207,7 @@ impl Finder<'_> {
         }
     }
 
-    fn is_moving(&self, joint: usize) -> bool {
+    pub(super) fn is_moving(&self, joint: usize) -> bool {
         self.tree.joints[joint].kind != "fixed"
     }
 
@@ -367,120 +366,10 @@ impl Finder<'_> {
             |name, otherwise: f64| element.number(self.source, name).map(|value| value.unwrap_or(otherwise));
         Ok(Some(Mimic { leader, ratio: number("multiplier", 1.0)?, offset: number("offset", 0.0)? }))
     }
-
-    /// What every joint of the chain carries, in the base frame at zero, and what is wrong with what the file says of it. Joints outside of the
-    /// chain are taken at zero.
-    pub fn bodies(&self, steps: &[Step]) -> Result<(Vec<Option<Body>>, Vec<String>), InputError> {
-        let cut: BTreeSet<usize> =
-            steps.iter().map(|(joint, _)| *joint).filter(|joint| self.is_moving(*joint)).collect();
-        let (mut bodies, mut faults) = (Vec::new(), Vec::new());
-        let mut massless = Vec::new();
-        let mut base_from_link = Transform::identity();
-        for (index, upwards) in steps {
-            let joint = &self.tree.joints[*index];
-            let parent_from_joint = origin(self.source, joint.origin.as_ref())?;
-            base_from_link *= if *upwards { parent_from_joint.inverse() } else { parent_from_joint };
-            if cut.contains(index) {
-                let start = if *upwards { joint.parent } else { joint.child };
-                let body = self.body(start, base_from_link, &cut, &mut faults)?;
-                if body.is_none() {
-                    massless.push(self.tree.links[start].name.as_str());
-                }
-                bodies.push(body);
-            }
-        }
-        match massless.as_slice() {
-            [] => {}
-            [link] => faults.push(format!("no mass: link {link} and what is fixed to it")),
-            links => faults.push(format!("no mass: links {} and what is fixed to them", listed(links))),
-        }
-        Ok((bodies, faults))
-    }
-
-    /// All that hangs on a link without a joint of the chain between.
-    fn body(
-        &self,
-        start: usize,
-        base_from_start: Transform,
-        cut: &BTreeSet<usize>,
-        faults: &mut Vec<String>,
-    ) -> Result<Option<Body>, InputError> {
-        let mut group = vec![(start, base_from_start)];
-        let mut seen = BTreeSet::from([start]);
-        let mut at = 0;
-        let mut bodies = Vec::new();
-        while let Some(&(link, base_from_link)) = group.get(at) {
-            at += 1;
-            let entry = &self.tree.links[link];
-            if let Some(element) = &entry.inertial {
-                bodies.extend(self.stated(&entry.name, element, &base_from_link, faults)?);
-            }
-            for (index, joint) in self.tree.joints.iter().enumerate() {
-                let next = match () {
-                    () if cut.contains(&index) => continue,
-                    () if joint.parent == link => joint.child,
-                    () if joint.child == link => joint.parent,
-                    () => continue,
-                };
-                if seen.insert(next) {
-                    let step = origin(self.source, joint.origin.as_ref())?;
-                    let step = if next == joint.child { step } else { step.inverse() };
-                    group.push((next, base_from_link * step));
-                }
-            }
-        }
-        Ok(joined(&bodies))
-    }
-
-    /// The body of one link, where it has one.
-    fn stated(
-        &self,
-        link: &str,
-        element: &Element,
-        base_from_link: &Transform,
-        faults: &mut Vec<String>,
-    ) -> Result<Option<Body>, InputError> {
-        let (mass, centre, inertia) = inertial(self.source, element)?;
-        if mass < 0.0 {
-            let message = format!("the mass of link {link} is {mass} kg");
-            return self.error(element.span.clone(), message, "zero or more");
-        }
-        if mass == 0.0 {
-            return Ok(None);
-        }
-        let turn = base_from_link.rotation.matrix();
-        let inertia = match inertia_fault(&inertia) {
-            None => turn * inertia * turn.transpose(),
-            Some(fault) => {
-                faults.push(format!(
-                    "the inertia of link {link} {fault}; that of a solid sphere is assumed, and nothing at rest depends on it"
-                ));
-                sphere(mass)
-            }
-        };
-        let centre_of_mass = (base_from_link * nalgebra::Point3::from(centre)).coords;
-        Ok(Some(Body { mass, centre_of_mass, inertia }))
-    }
-}
-
-/// Bodies that move as one; `None` of none.
-pub(super) fn joined(bodies: &[Body]) -> Option<Body> {
-    let mass: f64 = bodies.iter().map(|body| body.mass).sum();
-    if mass <= 0.0 {
-        return None;
-    }
-    let weighed: Vector3<f64> = bodies.iter().map(|body| body.mass * body.centre_of_mass).sum();
-    let centre_of_mass = weighed / mass;
-    let inertia = bodies.iter().map(|body| {
-        // Steiner: to the common centre of mass.
-        let r = body.centre_of_mass - centre_of_mass;
-        body.inertia + body.mass * (nalgebra::Matrix3::identity() * r.norm_squared() - r * r.transpose())
-    });
-    Some(Body { mass, centre_of_mass, inertia: inertia.sum() })
 }
 
 /// Names with commas between, the first twenty.
-fn listed(names: &[&str]) -> String {
+pub(super) fn listed(names: &[&str]) -> String {
     let more = names.len().saturating_sub(20);
     let shown = names.iter().take(20).copied().collect::<Vec<_>>().join(", ");
     if more > 0 { format!("{shown} and {more} more") } else { shown }

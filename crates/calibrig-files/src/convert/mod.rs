@@ -3,8 +3,11 @@
 //! What is made is the text of a `robot.toml`, with everything that was assumed marked in it; the robot is then read from that text, so that a
 //! file in between changes nothing. The kinematics of the text are compared with those of the URDF before it is given out.
 
+mod bodies;
 mod chain;
 mod dh;
+mod dh_cells;
+mod element;
 mod rows;
 mod text;
 mod tree;
