@@ -37,6 +37,8 @@ use calibrig_model::{BodyUncertainty, CalibrationModel, FAMILIES, JointKind, Par
   calibrig identify --model models/ur5/robot.toml --measurements grid.csv --verify random.csv
   calibrig identify --model models/ur5/robot.toml --measurements grid.csv --out ur5 --json
   calibrig identify --model robot.toml --measurements m.txt --columns map.toml --parameters rules
+  calibrig identify --model robot.toml --joints j.csv --measurements A=a.txt --measurements B=b.txt
+  calibrig identify --model robot.toml --measurements m.csv --missed -9999 --verify-poses 41..60
   calibrig identify --model robot.toml --measurements m.csv --mode elasto_geometric
   calibrig identify --model robot.toml --measurements m.csv --compliances compliance_drive2
   calibrig identify --model robot.toml --measurements m.csv --mode extended --terms rail,ratio
