@@ -531,7 +531,9 @@ pub(super) fn load(
     let statements = state(&robot, stated, &mut files)?;
     let mut sources = robot.sources.clone();
     let mut hash = InputHash::default();
-    sources.iter().for_each(|(role, source)| hash.add(role, &source.text));
+    for (role, source) in &sources {
+        hash.add(role, &source.text);
+    }
     hash_files(&mut hash, &asked)?;
     for (role, path) in asked.iter().flat_map(AskedSet::paths) {
         sources.push((role.to_owned(), Source::new(path.display().to_string(), "")));
@@ -576,7 +578,9 @@ fn outcome(
     let loaded = args.files.read()?;
     loaded.check_session()?;
     let Loaded { robot, sources, sha256, sets, places, read, statements, .. } = loaded;
-    read.iter().for_each(|line| say(line));
+    for line in &read {
+        say(line);
+    }
     let measurements = &args.files.first();
     let parameters = match args.parameters {
         Parameters::Complete => ParameterChoice::Complete,
