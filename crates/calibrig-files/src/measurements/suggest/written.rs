@@ -54,12 +54,12 @@ impl Writer<'_> {
     /// A key with the reason for its value.
     fn key(&mut self, key: &str, value: &str, reason: &str) {
         let line = format!("{key} = {value}");
-        self.line(&if reason.is_empty() { line } else { format!("{line:<34}# {reason}") });
+        self.line(&if reason.is_empty() { line } else { format!("{line:<33} # {reason}") });
     }
 
     /// A key that a person must decide.
     fn undecided(&mut self, key: &str, value: &str, why: &str) {
-        self.line(&format!("# DECIDE: {key} = {value:<18}# {why}"));
+        self.line(&format!("# DECIDE: {key} = {value:<17} # {why}"));
         self.open.push(format!("{key}: {why}"));
     }
 
@@ -257,7 +257,7 @@ impl Writer<'_> {
         if let Some(column) = file.one(Role::Name) {
             let why = "names every row, so it is no target; `pose` where rows of one pose have one name";
             let line = format!("# pose = {}", column.entry(file.has_header));
-            self.line(&format!("{line:<34}# {}, {why}", reason(column)));
+            self.line(&format!("{line:<33} # {}, {why}", reason(column)));
         }
         for (key, role) in [("station", Role::Station), ("target", Role::Target)] {
             let Some(column) = file.one(role) else { continue };
