@@ -54,12 +54,12 @@ impl Writer<'_> {
     /// A key with the reason for its value.
     fn key(&mut self, key: &str, value: &str, reason: &str) {
         let line = format!("{key} = {value}");
-        self.line(&if reason.is_empty() { line } else { format!("{line:<34}# {reason}") });
+        self.line(&if reason.is_empty() { line } else { format!("{line:<33} # {reason}") });
     }
 
     /// A key that a person must decide.
     fn undecided(&mut self, key: &str, value: &str, why: &str) {
-        self.line(&format!("# DECIDE: {key} = {value:<18}# {why}"));
+        self.line(&format!("# DECIDE: {key} = {value:<17} # {why}"));
         self.open.push(format!("{key}: {why}"));
     }
 
@@ -229,7 +229,7 @@ impl Writer<'_> {
                 );
             }
             _ => {
-                self.undecided("unit", "\"um\"", &format!("up to {}, and no unit is stated", x.numbers.most))
+                self.undecided("unit", "\"um\"", &format!("up to {}, and no unit is stated", x.numbers.most));
             }
         }
         for (key, column) in [("x", x), ("y", y), ("z", z)] {
@@ -257,7 +257,7 @@ impl Writer<'_> {
         if let Some(column) = file.one(Role::Name) {
             let why = "names every row, so it is no target; `pose` where rows of one pose have one name";
             let line = format!("# pose = {}", column.entry(file.has_header));
-            self.line(&format!("{line:<34}# {}, {why}", reason(column)));
+            self.line(&format!("{line:<33} # {}, {why}", reason(column)));
         }
         for (key, role) in [("station", Role::Station), ("target", Role::Target)] {
             let Some(column) = file.one(role) else { continue };
@@ -456,7 +456,7 @@ fn length_unit(columns: &[&SeenColumn], comment: Option<(LengthUnit, String)>) -
         return Told::Seen(unit, reason);
     }
     let largest = SeenFile::numbers_of(columns).largest();
-    if largest >= 200.0 && largest < 1e5 {
+    if (200.0..1e5).contains(&largest) {
         return Told::Seen(
             LengthUnit::Mm,
             format!("up to {}, looks like mm: a tracker sees 0.2 to 80 m", short(largest)),
