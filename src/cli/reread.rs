@@ -42,8 +42,9 @@ fn paired(set: &mut SetOutcome, by: isize, left_out: &[u32]) {
         return;
     }
     let rows = std::mem::take(&mut set.measurements.observations);
-    for (index, row) in rows.iter().enumerate() {
-        let point = index.checked_add_signed(by).and_then(|at| rows.get(at));
+    let places = places(&rows);
+    for (row, place) in rows.iter().zip(&places) {
+        let point = places.binary_search(&(place + by)).ok().map(|at| &rows[at]);
         match point {
             Some(point) if left_out.contains(&point.pose) => {
                 set.dropped.push((row.pose, format!("its point, of pose {}, is left out", point.pose)));
@@ -60,4 +61,13 @@ fn paired(set: &mut SetOutcome, by: isize, left_out: &[u32]) {
             }
         }
     }
+}
+
+/// Where rows stand: by their numbers where these run through but for rows that were dropped, else one below the other.
+fn places(rows: &[Observation]) -> Vec<isize> {
+    let numbers: Vec<isize> = rows.iter().map(|row| row.pose as isize).collect();
+    let span = numbers.last().zip(numbers.first()).map_or(0, |(last, first)| last - first);
+    let runs = numbers.windows(2).all(|pair| pair[0] < pair[1])
+        && span < (numbers.len() + numbers.len() / 4 + 2) as isize;
+    if runs { numbers } else { (0..rows.len() as isize).collect() }
 }
