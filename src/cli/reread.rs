@@ -31,13 +31,13 @@ impl RereadArgs {
                 let message = format!("--leave-out {unknown}: no point of this pose was read");
                 Cli::command().error(ErrorKind::ValueValidation, message).exit();
             }
-            paired(set, self.shift_points.unwrap_or(0) as isize, left_out);
+            paired(set, self.shift_points.unwrap_or(0).into(), left_out);
         }
     }
 }
 
 /// Pairs commands with the points so many rows below, without points of the poses that are left out.
-fn paired(set: &mut SetOutcome, by: isize, left_out: &[u32]) {
+fn paired(set: &mut SetOutcome, by: i64, left_out: &[u32]) {
     if by == 0 && left_out.is_empty() {
         return;
     }
@@ -64,10 +64,11 @@ fn paired(set: &mut SetOutcome, by: isize, left_out: &[u32]) {
 }
 
 /// Where rows stand: by their numbers where these run through but for rows that were dropped, else one below the other.
-fn places(rows: &[Observation]) -> Vec<isize> {
-    let numbers: Vec<isize> = rows.iter().map(|row| row.pose as isize).collect();
+fn places(rows: &[Observation]) -> Vec<i64> {
+    let numbers: Vec<i64> = rows.iter().map(|row| i64::from(row.pose)).collect();
     let span = numbers.last().zip(numbers.first()).map_or(0, |(last, first)| last - first);
+    let count = |count: usize| i64::try_from(count).unwrap_or(i64::MAX);
     let runs = numbers.windows(2).all(|pair| pair[0] < pair[1])
-        && span < (numbers.len() + numbers.len() / 4 + 2) as isize;
-    if runs { numbers } else { (0..rows.len() as isize).collect() }
+        && span < count(numbers.len() + numbers.len() / 4 + 2);
+    if runs { numbers } else { (0..count(rows.len())).collect() }
 }
