@@ -296,7 +296,7 @@ impl Names {
 
 impl Names {
     /// The hypotheses that explain the points as well as the first, and are as simple: a sound session has none.
-    pub fn as_good<'d>(diagnosis: &'d Diagnosis) -> impl Iterator<Item = &'d Hypothesis> {
+    pub fn as_good(diagnosis: &Diagnosis) -> impl Iterator<Item = &Hypothesis> {
         let first = diagnosis.hypotheses.first();
         let is_as_good = move |other: &&Hypothesis| {
             first.is_some_and(|first| other.class == first.class && other.parts.len() <= first.parts.len())
