@@ -86,10 +86,10 @@ fn likelihood(probability: f64) -> String {
 
 fn as_text(name: &str, sets: &[Diagnosed]) -> String {
     let mut text = String::new();
-    // Writing to a String cannot fail.
-    sets.iter().for_each(|set| {
+    for set in sets {
+        // Writing to a String cannot fail.
         let _ = write_text(name, set, &mut text);
-    });
+    }
     text
 }
 
@@ -141,7 +141,7 @@ fn as_json(name: &str, sets: &[Diagnosed]) -> String {
         let value = of_set(set);
         match (set.kind, value, &mut document) {
             (SetKind::Identification, Value::Object(value), Value::Object(document)) => {
-                document.extend(value)
+                document.extend(value);
             }
             (kind, value, document) => document[kind.key()] = value,
         }

@@ -32,7 +32,7 @@ impl RereadArgs {
                 let message = format!("--leave-out {unknown}: no point of this pose was read");
                 Cli::command().error(ErrorKind::ValueValidation, message).exit();
             }
-            let by = self.shift_points.unwrap_or(0) as isize;
+            let by: i64 = self.shift_points.unwrap_or(0).into();
             if by != 0 || !left_out.is_empty() {
                 *places = places.select(paired(set, by, left_out));
             }
@@ -41,11 +41,12 @@ impl RereadArgs {
 }
 
 /// Pairs commands with the points so many rows below, without points of the poses that are left out; the rows whose commands are kept.
-fn paired(set: &mut SetOutcome, by: isize, left_out: &[u32]) -> Vec<usize> {
+fn paired(set: &mut SetOutcome, by: i64, left_out: &[u32]) -> Vec<usize> {
     let mut kept = Vec::new();
     let rows = std::mem::take(&mut set.measurements.observations);
-    for (index, row) in rows.iter().enumerate() {
-        let point = index.checked_add_signed(by).and_then(|at| rows.get(at));
+    let places = places(&rows);
+    for (index, (row, place)) in rows.iter().zip(&places).enumerate() {
+        let point = places.binary_search(&(place + by)).ok().map(|at| &rows[at]);
         match point {
             Some(point) if left_out.contains(&point.pose) => {
                 set.dropped.push((row.pose, format!("its point, of pose {}, is left out", point.pose)));
@@ -66,4 +67,14 @@ fn paired(set: &mut SetOutcome, by: isize, left_out: &[u32]) -> Vec<usize> {
         }
     }
     kept
+}
+
+/// Where rows stand: by their numbers where these run through but for rows that were dropped, else one below the other.
+fn places(rows: &[Observation]) -> Vec<i64> {
+    let numbers: Vec<i64> = rows.iter().map(|row| i64::from(row.pose)).collect();
+    let span = numbers.last().zip(numbers.first()).map_or(0, |(last, first)| last - first);
+    let count = |count: usize| i64::try_from(count).unwrap_or(i64::MAX);
+    let runs = numbers.windows(2).all(|pair| pair[0] < pair[1])
+        && span < count(numbers.len() + numbers.len() / 4 + 2);
+    if runs { numbers } else { (0..count(rows.len())).collect() }
 }

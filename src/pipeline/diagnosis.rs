@@ -295,10 +295,13 @@ impl Names {
 }
 
 impl Names {
-    /// The hypotheses that explain the points as well as the first, beside it.
-    pub fn as_good<'d>(diagnosis: &'d Diagnosis) -> impl Iterator<Item = &'d Hypothesis> {
-        let class = diagnosis.hypotheses.first().map(|first| first.class);
-        diagnosis.hypotheses.iter().skip(1).filter(move |other| Some(other.class) == class)
+    /// The hypotheses that explain the points as well as the first, and are as simple: a sound session has none.
+    pub fn as_good(diagnosis: &Diagnosis) -> impl Iterator<Item = &Hypothesis> {
+        let first = diagnosis.hypotheses.first();
+        let is_as_good = move |other: &&Hypothesis| {
+            first.is_some_and(|first| other.class == first.class && other.parts.len() <= first.parts.len())
+        };
+        diagnosis.hypotheses.iter().skip(1).filter(is_as_good)
     }
 }
 

@@ -287,7 +287,9 @@ fn flags_apply_what_a_diagnosis_found() {
 #[test]
 fn a_diagnosis_is_of_both_sets_and_says_what_cannot_be_told() {
     let mut lines = session(40);
-    lines.iter_mut().for_each(|(deg, _)| deg[2] = -deg[2]);
+    for (deg, _) in &mut lines {
+        deg[2] = -deg[2];
+    }
     let both = sandbox(&session(40));
     both.write("v.csv", csv(&lines));
     let ended = diagnose(&both, &["--verify", "v.csv", "--json"]);
@@ -296,7 +298,9 @@ fn a_diagnosis_is_of_both_sets_and_says_what_cannot_be_told() {
     assert_eq!(json["hypotheses"][0]["kinds"][0], "sound");
     assert_eq!(json["verification"]["hypotheses"][0]["kinds"][0], "joint_sign");
     let mut lines = session(40);
-    lines.iter_mut().for_each(|(deg, _)| deg[2] = 10.0);
+    for (deg, _) in &mut lines {
+        deg[2] = 10.0;
+    }
     told(
         &diagnose(&sandbox(&lines), &[]),
         3,

@@ -2,7 +2,7 @@
 //!
 //! Links are off by `tau` times a millimetre and a milliradian, readings by `sigma`; the tracker's place and targets that are not known are
 //! free. Both sizes are found with the fit, links and places are integrated out: what explains the points by links that no maker would
-//! deliver, or by a large scatter, counts less than what lays the robot on them. D. J. C. MacKay, "Bayesian interpolation", Neural
+//! deliver, or by a large scatter, counts less than what lays the robot on them. D. J. C. `MacKay`, "Bayesian interpolation", Neural
 //! Computation 4 (1992) 415; the flat priors of places as in restricted maximum likelihood (D. A. Harville, JASA 72 (1977) 320).
 
 use std::f64::consts::TAU;

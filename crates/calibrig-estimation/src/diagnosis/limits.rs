@@ -63,10 +63,16 @@ pub(super) fn undetermined(model: &CalibrationModel, set: &MeasurementSet) -> Ve
 }
 
 fn poses(set: &MeasurementSet) -> Vec<Undetermined> {
-    let mut keys: Vec<(usize, usize, Vec<i64>)> = set
+    let mut keys: Vec<(usize, usize, Vec<u64>)> = set
         .observations
         .iter()
-        .map(|o| (o.station, o.target, o.command.iter().map(|v| (v / NO_MOTION).round() as i64).collect()))
+        .map(|o| {
+            (
+                o.station,
+                o.target,
+                o.command.iter().map(|v| ((v / NO_MOTION).round() + 0.0).to_bits()).collect(),
+            )
+        })
         .collect();
     keys.sort();
     let counts: Vec<usize> = keys.chunk_by(|a, b| a == b).map(<[_]>::len).collect();

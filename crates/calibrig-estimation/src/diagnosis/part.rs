@@ -78,7 +78,7 @@ pub enum Part {
     /// Points stand beside the commands of other rows.
     ShiftedRows {
         /// A command belongs to the point so many rows below.
-        by: isize,
+        by: i64,
     },
     /// An angle from the zenith was read as an elevation, or the other way round.
     ZenithElevation,
@@ -180,8 +180,10 @@ impl Part {
             Self::Offset { .. } | Self::ZenithElevation | Self::AnglesExchanged { .. } => 4,
             Self::Order { from, .. } if moved(from) == 2 => 5,
             Self::ShiftedRows { .. } | Self::Convention { .. } | Self::TrackerAngleUnit { .. } => 5,
-            Self::Coupling { .. } | Self::ExchangedRows { .. } => 6,
-            Self::GrossErrors { .. } | Self::SeveralTargets { .. } => 6,
+            Self::Coupling { .. }
+            | Self::ExchangedRows { .. }
+            | Self::GrossErrors { .. }
+            | Self::SeveralTargets { .. } => 6,
             Self::ToolLink { .. } | Self::AngleUnit { .. } => 7,
             Self::Order { .. } => 8,
         }
@@ -238,7 +240,9 @@ impl Part {
     fn command(&self, command: &mut [f64], before: &mut Vec<f64>) {
         match self {
             Self::AngleUnit { joints, factor } | Self::TravelUnit { joints, factor } => {
-                joints.iter().for_each(|joint| command[*joint] *= factor);
+                for joint in joints {
+                    command[*joint] *= factor;
+                }
             }
             Self::Sign { joint } => command[*joint] = -command[*joint],
             Self::Offset { joint, quarters } => command[*joint] += FRAC_PI_2 * f64::from(*quarters),
@@ -275,7 +279,7 @@ pub(super) struct Session<'a> {
     /// Standard deviation of a target's offset, where stated, m.
     pub offset_sigma: Vec<Option<f64>>,
     /// Places of the observations in the file, which rows that were left out leave free.
-    pub place: Vec<isize>,
+    pub place: Vec<i64>,
     /// Observations that are of the robot, in order.
     pub sound: Vec<usize>,
     /// Those of them that are looked at.
@@ -305,13 +309,14 @@ impl<'a> Session<'a> {
             Reading::Spherical(s) => [s.range, s.azimuth, s.elevation],
             Reading::Cartesian { position: p, .. } => [p.norm(), p.y.atan2(p.x), p.z.atan2(p.x.hypot(p.y))],
         };
-        let poses: Vec<isize> = observations.iter().map(|o| o.pose as isize).collect();
+        let poses: Vec<i64> = observations.iter().map(|o| i64::from(o.pose)).collect();
+        let count = |count: usize| i64::try_from(count).unwrap_or(i64::MAX);
         // Numbers that run through, but for rows that were dropped, tell where these were.
         let runs = poses.windows(2).all(|pair| pair[0] < pair[1])
             && poses
                 .last()
                 .zip(poses.first())
-                .is_some_and(|(last, first)| (last - first) < (poses.len() + poses.len() / 4 + 2) as isize);
+                .is_some_and(|(last, first)| (last - first) < count(poses.len() + poses.len() / 4 + 2));
         let sigma = |target: &calibrig_model::measurement::Target| {
             target.covariance.map(|c| (c.trace() / 3.0).max(0.0).sqrt())
         };
@@ -326,7 +331,7 @@ impl<'a> Session<'a> {
             stations: set.stations.len(),
             offsets: set.targets.iter().map(|target| target.in_flange).collect(),
             offset_sigma: set.targets.iter().map(sigma).collect(),
-            place: if runs { poses } else { (0..observations.len() as isize).collect() },
+            place: if runs { poses } else { (0..count(observations.len())).collect() },
             sound: (0..observations.len()).collect(),
             kept: (0..observations.len()).collect(),
         }
@@ -375,7 +380,9 @@ impl<'a> Session<'a> {
                 }
                 Part::SeveralTargets { target, others } => {
                     for group in others {
-                        group.iter().for_each(|i| targets[*i] = view.offsets.len());
+                        for i in group {
+                            targets[*i] = view.offsets.len();
+                        }
                         view.offsets.push(self.offsets[*target]);
                         view.offset_sigma.push(None);
                     }
@@ -394,7 +401,9 @@ impl<'a> Session<'a> {
         for (from, to) in &mut view.rows {
             *to = given[*to];
             command.copy_from_slice(self.commands[*from]);
-            ordered.iter().for_each(|part| part.command(&mut command, &mut before));
+            for part in &ordered {
+                part.command(&mut command, &mut before);
+            }
             self.model.actuators.joints_from_command(&command, &mut joints);
             view.joints.extend_from_slice(&joints[..used]);
             view.seen.push(self.reading(parts, *to, turned));
@@ -405,7 +414,7 @@ impl<'a> Session<'a> {
     }
 
     /// Commands with the points so many rows below.
-    fn shifted(&self, by: isize) -> Vec<(usize, usize)> {
+    fn shifted(&self, by: i64) -> Vec<(usize, usize)> {
         let partner = |i: &usize| {
             let wanted = self.place[*i] + by;
             let j = self.sound.binary_search_by_key(&wanted, |j| self.place[*j]).ok()?;
@@ -521,7 +530,7 @@ pub(super) fn other_convention(chain: &KinematicModel, standard: bool) -> Option
 /// Units of a length, seen from another one.
 pub(super) const LENGTHS: [f64; 10] = [1e3, 1e-3, 1e6, 1e-6, 10.0, 0.1, 100.0, 0.01, 25.4, 1.0 / 25.4];
 /// Rows that a shift is looked for over.
-const SHIFTS: isize = 5;
+const SHIFTS: i64 = 5;
 
 /// Every part that changes how all rows are read, but for those that a placement tells by itself (mirror image and unit of the points).
 pub(super) fn structural(session: &Session<'_>) -> Vec<Part> {

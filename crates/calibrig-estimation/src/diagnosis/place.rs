@@ -221,7 +221,9 @@ impl Cloud {
             }
             let left = norm(&q);
             if left > DEPENDENT * length {
-                q.iter_mut().for_each(|value| *value /= left);
+                for value in &mut q {
+                    *value /= left;
+                }
                 basis.push(q);
             }
         }
@@ -393,7 +395,7 @@ impl Cloud {
     }
 
     /// The placement whose distances have the least sum, nearly, by weights that fall with the distance, and these weights: what few points
-    /// that are far off hardly move. From there Geman's and McClure's loss, which they do not move at all.
+    /// that are far off hardly move. From there the loss of Geman and `McClure`, which they do not move at all.
     pub fn robust(&self, rounds: usize) -> (Placed, Vec<f64>) {
         let mut weights = vec![1.0; self.len()];
         let mut placed = self.best(None);
@@ -443,7 +445,7 @@ impl Cloud {
                 Some(relaxed) => cloud.placed(relaxed, None),
                 None => cloud.placed(offsets.clone(), None),
             };
-            offsets = placed.offsets.clone();
+            offsets.clone_from(&placed.offsets);
             let length = |i: usize, which: usize| {
                 let (rotation, shift) = &placed.stations[self.station[i]];
                 (self.seen[i] - rotation * (self.x[i] + self.axes[i] * placed.offsets[which]) - shift).norm()

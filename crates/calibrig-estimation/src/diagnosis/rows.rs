@@ -9,8 +9,8 @@ use super::place::{Placed, median};
 
 /// So many times the median distance in a robust placement, a row is left out at first.
 const FAR: f64 = 8.0;
-/// Largest share of rows that can be to blame.
-const FEW: f64 = 0.3;
+/// So many rows of ten can be to blame at most.
+const FEW_OF_TEN: usize = 3;
 /// Rows that are left out one after the other beyond where that explains something.
 const BEYOND: usize = 3;
 /// Files of more rows have several left out at once, where they are so far off, squared, in standard deviations.
@@ -39,14 +39,16 @@ pub(super) fn cost_of_row(spread: f64, rows: usize) -> f64 {
 /// Leaves out the rows that explain the others best: those far off a robust placement, then one after the other.
 pub(super) fn without_few(view: &View, robust: &Placed, lengths: &[f64], spread: f64) -> Option<LeftOut> {
     let n = view.rows.len();
-    let most = (FEW * n as f64) as usize;
+    let most = FEW_OF_TEN * n / 10;
     let cost = cost_of_row(spread, n);
     let far = FAR * median(lengths.to_vec());
     let mut order: Vec<usize> = (0..n).filter(|i| lengths[*i] > far).collect();
     order.sort_by(|a, b| lengths[*b].total_cmp(&lengths[*a]));
     order.truncate(most);
     let mut kept = vec![true; n];
-    order.iter().for_each(|i| kept[*i] = false);
+    for i in &order {
+        kept[*i] = false;
+    }
     let mut now = fit(view, robust, &kept)?;
     // What the robust placement left out without need comes back.
     for _ in 0..order.len() {
@@ -79,7 +81,9 @@ pub(super) fn without_few(view: &View, robust: &Placed, lengths: &[f64], spread:
             .take(left.saturating_sub(1))
             .collect();
         kept[worst] = false;
-        alike.into_iter().for_each(|i| kept[i] = false);
+        for i in alike {
+            kept[i] = false;
+        }
         let Some(next) = fit(view, &path, &kept) else { break };
         (path, far) = (next.placed.clone(), next.far.clone());
         let reached = score(&next, &kept);

@@ -162,51 +162,54 @@ pub fn random_table(rng: &mut ChaCha8Rng) -> Table {
                 revolute(0.0, 1.0, side, 0.0, -110.0, 110.0),
             ],
         },
-        // No type: angles of the table are multiples of a quarter turn, and lengths are there or not.
-        _ => {
-            let count = rng.random_range(4..=6);
-            let mut rows: Vec<Row> = Vec::new();
-            let mut parallel = 0;
-            for joint in 0..count {
-                let mut quarters = f64::from([-1, 0, 1, 1, -1, 2][rng.random_range(0..6)]);
-                parallel = if quarters.rem_euclid(2.0) == 0.0 { parallel + 1 } else { 0 };
-                if joint == 0 || parallel > 2 {
-                    quarters = if joint == 0 { 0.0 } else { 1.0 };
-                    parallel = 0;
-                }
-                let mut maybe = |low: f64, high: f64, chance: f64| {
-                    let value = size * rng.random_range(low..high);
-                    if rng.random_bool(chance) { value } else { 0.0 }
-                };
-                let (mut a, d) = (maybe(0.1, 0.5, 0.7), maybe(0.05, 0.4, 0.5));
-                if joint > 0 && quarters.rem_euclid(2.0) == 0.0 && a == 0.0 {
-                    a = 0.3 * size;
-                }
-                let theta = f64::from([0, 0, 1, -1][rng.random_range(0..4)]);
-                let wide = rng.random_range(70.0..175.0);
-                rows.push(revolute(a, quarters, d, theta, -wide, wide));
-            }
-            if rng.random_bool(0.3) {
-                let at = rng.random_range(1..count);
-                let row = rows[at];
-                rows[at] = Row { kind: JointKind::Prismatic, limits: [0.1, 0.1 + 0.5 * size], ..row };
-            }
-            Table { style: "any", standard: false, rows }
-        }
+        _ => any_chain(size, rng),
     };
-    // On a rail: along x of the base, so that the first axis stays upright.
     if table.rows.len() < 7 && choice != 7 && rng.random_bool(0.2) {
-        if table.standard {
-            table.rows.insert(0, prismatic(0.0, -1.0, 0.0, 0.0, 0.0, 3.0));
-        } else {
-            table.rows.insert(0, prismatic(0.0, -1.0, 0.0, 0.0, 0.0, 3.0));
-            table.rows[1].values[1] += FRAC_PI_2;
-        }
-        table.style = "on a rail";
+        put_on_a_rail(&mut table);
     }
-    // The same robot in the other convention has no row in front or behind that is left over.
     for row in &mut table.rows {
         row.values[3] = (row.values[3] + PI).rem_euclid(2.0 * PI) - PI;
     }
     table
+}
+
+/// No type: angles of the table are multiples of a quarter turn, and lengths are there or not.
+fn any_chain(size: f64, rng: &mut ChaCha8Rng) -> Table {
+    let count = rng.random_range(4..=6);
+    let mut rows: Vec<Row> = Vec::new();
+    let mut parallel = 0;
+    for joint in 0..count {
+        let mut quarters = f64::from([-1, 0, 1, 1, -1, 2][rng.random_range(0..6)]);
+        parallel = if quarters.rem_euclid(2.0) == 0.0 { parallel + 1 } else { 0 };
+        if joint == 0 || parallel > 2 {
+            quarters = if joint == 0 { 0.0 } else { 1.0 };
+            parallel = 0;
+        }
+        let mut maybe = |low: f64, high: f64, chance: f64| {
+            let value = size * rng.random_range(low..high);
+            if rng.random_bool(chance) { value } else { 0.0 }
+        };
+        let (mut a, d) = (maybe(0.1, 0.5, 0.7), maybe(0.05, 0.4, 0.5));
+        if joint > 0 && quarters.rem_euclid(2.0) == 0.0 && a == 0.0 {
+            a = 0.3 * size;
+        }
+        let theta = f64::from([0, 0, 1, -1][rng.random_range(0..4)]);
+        let wide = rng.random_range(70.0..175.0);
+        rows.push(revolute(a, quarters, d, theta, -wide, wide));
+    }
+    if rng.random_bool(0.3) {
+        let at = rng.random_range(1..count);
+        let row = rows[at];
+        rows[at] = Row { kind: JointKind::Prismatic, limits: [0.1, 0.1 + 0.5 * size], ..row };
+    }
+    Table { style: "any", standard: false, rows }
+}
+
+/// Along x of the base, so that the first axis stays upright.
+fn put_on_a_rail(table: &mut Table) {
+    table.rows.insert(0, prismatic(0.0, -1.0, 0.0, 0.0, 0.0, 3.0));
+    if !table.standard {
+        table.rows[1].values[1] += FRAC_PI_2;
+    }
+    table.style = "on a rail";
 }

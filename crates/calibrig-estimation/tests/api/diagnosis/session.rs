@@ -52,8 +52,12 @@ fn as_built(model: &CalibrationModel, worse: f64, rng: &mut ChaCha8Rng) -> Kinem
     let mut machine = model.kinematics.clone();
     for link in &mut machine.links {
         let CraigLink { a, alpha, beta, d, theta, .. } = link;
-        [a, d].into_iter().for_each(|v| *v += normal(rng, 0.5e-3 * worse));
-        [alpha, beta, theta].into_iter().for_each(|v| *v += normal(rng, 1e-3 * worse));
+        for v in [a, d] {
+            *v += normal(rng, 0.5e-3 * worse);
+        }
+        for v in [alpha, beta, theta] {
+            *v += normal(rng, 1e-3 * worse);
+        }
     }
     machine
 }
@@ -421,7 +425,9 @@ pub fn session(count: usize, rng: &mut ChaCha8Rng) -> Told {
     if rng.random_bool(0.3) && !breaks.iter().any(|b| matches!(b, Break::Tool(_))) {
         // The tool is stated, within some millimetres.
         let stated = drawn.tool + 3e-3 * direction(rng);
-        [&mut set, &mut exact].into_iter().for_each(|set| set.targets[0].in_flange = stated);
+        for set in [&mut set, &mut exact] {
+            set.targets[0].in_flange = stated;
+        }
     }
     let truths = breaks.iter().map(|b| b.truth(&revolute, &prismatic)).collect();
     Told { table: drawn.table, model, set, exact, truths }
