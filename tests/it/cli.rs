@@ -375,7 +375,7 @@ fn commands_that_only_look_leave_nothing() {
     let (sandbox, commands) = sound_commands();
     let before = sandbox.content();
     let looks = |arguments: &[&str]| !["run", "report", "model"].contains(&arguments[0]);
-    for (_, arguments) in commands.iter().filter(|(_, arguments)| looks(arguments)) {
+    for (_, arguments) in commands.iter().filter(|(_, arguments)| looks(arguments.as_slice())) {
         assert_eq!(sandbox.run(arguments).code, Some(0));
     }
     assert!(sandbox.content() == before);
