@@ -10,7 +10,7 @@ use crate::replay::{
 };
 use calibrig_estimation::identification::Mode;
 use calibrig_files::load_robot;
-use calibrig_recording::{MissingPart, RecordingError};
+use calibrig_recording::{MissingPart, RecordingError, Unprotected};
 
 /// Identify again from a recording alone, and compare with the recorded estimates, bit for bit where the same version made them
 ///
@@ -74,6 +74,9 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     if let Some(why) = &replayed.implausible {
         verdict = output::doubtful(why);
     }
+    if let Some(line) = unnoticed(&replayed.unprotected) {
+        say(&line);
+    }
     for part in &replayed.missing {
         say(&cut_short(part));
         verdict = Verdict::Doubtful;
@@ -89,6 +92,14 @@ pub(super) fn failed(error: ReplayError, file: &Path) -> CliError {
         ReplayError::Recording(error @ RecordingError::Unreadable { .. }) => CliError::Recording(error),
         source => CliError::Replay { file: file.to_path_buf(), source },
     }
+}
+
+/// What no checksum vouches for.
+pub(super) fn unnoticed(unprotected: &Unprotected) -> Option<String> {
+    let messages = unprotected.messages;
+    (unprotected.holds_data() && messages > 0).then(|| {
+        format!("{messages} messages of the recording are under no checksum: a bit that flipped in them since would not be noticed")
+    })
 }
 
 /// That a set ends before its time.

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::output::{self, Destination, Files};
-use super::replay::{cut_short, failed};
+use super::replay::{cut_short, failed, unnoticed};
 use super::{CliError, Verdict, say};
 use crate::pipeline::{Outcome, bounds_at_truth};
 use crate::replay::{NoTruth, ReplayOptions, recorded_truth, replay};
@@ -56,6 +56,9 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     let mut verdict = output::verdict(outcome);
     if let Some(why) = &replayed.implausible {
         verdict = output::doubtful(why);
+    }
+    if let Some(line) = unnoticed(&replayed.unprotected) {
+        say(&line);
     }
     for part in &replayed.missing {
         say(&cut_short(part));

@@ -7,6 +7,7 @@ mod a_user_calibrates_a_real_robot;
 mod a_user_checks_the_elimination;
 mod a_user_compares_with_the_truth;
 mod a_user_exchanges_files;
+mod a_user_has_a_copy_of_another_writer;
 mod a_user_has_a_damaged_recording;
 #[cfg(unix)]
 mod a_user_has_a_killed_run;

@@ -37,6 +37,7 @@
 //! ```
 
 mod input;
+pub mod mcap_chunk;
 mod measurements;
 mod robot;
 mod session;
