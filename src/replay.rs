@@ -304,6 +304,7 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
         visuals,
         registration,
         sets,
+        places: Vec::new(),
         modes,
         truth: None,
         bounds: Vec::new(),

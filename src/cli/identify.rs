@@ -110,7 +110,7 @@ pub(super) struct Args {
     /// Fit although the nominal robot does not lie on the points; ends with exit code 3
     #[arg(long)]
     fit_anyway: bool,
-    /// Folder for report.html and report.json, which are written over [default: no files]
+    /// Folder for report.html, report.json and residuals.csv, which are written over [default: no files]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Print the report as JSON (schema calibrig.report/1) instead of the tables
@@ -579,6 +579,7 @@ fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions, Statements, V
         visuals: robot.visuals,
         registration,
         sets,
+        places: Vec::new(),
         modes,
         truth: None,
         bounds: Vec::new(),

@@ -8,7 +8,7 @@ use super::{CliError, Verdict, say};
 use crate::pipeline::{Outcome, bounds_at_truth};
 use crate::replay::{NoTruth, ReplayOptions, recorded_truth, replay};
 
-/// Make report.html and report.json again from a recording
+/// Make report.html, report.json and residuals.csv again from a recording
 ///
 /// The parameters are identified again from the recorded measurements; the truth of a simulated run is put beside them afterwards.
 #[derive(Debug, clap::Args)]
@@ -19,7 +19,7 @@ use crate::replay::{NoTruth, ReplayOptions, recorded_truth, replay};
 pub(super) struct Args {
     /// The recording
     recording: PathBuf,
-    /// Folder for report.html and report.json, which are written over [default: a new folder under runs/]
+    /// Folder for report.html, report.json and residuals.csv, which are written over [default: a new folder under runs/]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Print the report as JSON (schema calibrig.report/1) instead of the tables

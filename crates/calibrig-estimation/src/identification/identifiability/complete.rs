@@ -25,8 +25,23 @@ pub fn complete_set(
     frame_free: bool,
     target_free: bool,
 ) -> Result<IdentifiabilityReport, ModelError> {
+    complete_set_by_name(model, frame_free, target_free, &[], &[])
+}
+
+/// The same without the parameters to `fix`; of link parameters, those to `free` come first. Of targets, number 0 stands for all.
+pub(in crate::identification) fn complete_set_by_name(
+    model: &KinematicModel,
+    frame_free: bool,
+    target_free: bool,
+    fix: &[ParameterId],
+    free: &[ParameterId],
+) -> Result<IdentifiabilityReport, ModelError> {
     model.check()?;
-    let candidates = candidates(model, frame_free, target_free);
+    let mut candidates = candidates(model, frame_free, target_free);
+    candidates.retain(|id| !fix.contains(id));
+    let is_end = |id: &ParameterId| !matches!(id, ParameterId::Link { .. });
+    // A stable sort: among those alike the order of preference holds.
+    candidates.sort_by_key(|id| (!is_end(id), !free.contains(id)));
     let poses = structural_poses(model, candidates.len());
     let target = generic_target(model);
     let jacobian = stack(model, &poses, &target, &candidates);
@@ -43,10 +58,11 @@ pub(in crate::identification) fn dependent_ends(
     model: &KinematicModel,
     frame_free: bool,
     target_free: bool,
+    fix: &[ParameterId],
 ) -> Result<Vec<DependentGroup>, ModelError> {
     model.check()?;
     let mut ends = candidates(model, frame_free, target_free);
-    ends.retain(|id| !matches!(id, ParameterId::Link { .. }));
+    ends.retain(|id| !matches!(id, ParameterId::Link { .. }) && !fix.contains(id));
     if ends.is_empty() {
         return Ok(Vec::new());
     }
