@@ -7,8 +7,9 @@ use clap::error::ErrorKind;
 use clap::{CommandFactory, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::by_name::{self, ByNameArgs};
 use super::output::{self, Destination, Files};
-use super::{Cli, CliError, Verdict, not_identified, say};
+use super::{Cli, CliError, Verdict, not_identified, print, say};
 use crate::pipeline::{
     InputSummary, Outcome, PipelineError, SetKind, SetOutcome, SplitPlan, SplitStudy, calibrate,
     commands_beyond_limits, default_options, hash_sources, is_default, judge, pose_count, repeat_splits,
@@ -16,8 +17,8 @@ use crate::pipeline::{
 };
 use calibrig_estimation::identification::{
     Assumption, ComplianceChoice, DEFAULT_TOLERANCE, IdentificationOptions, LINKAGE, Loss,
-    MachineNoiseChoice, Mode, ParameterBound, ParameterChoice, RefusedBound, SolverOptions, Tolerance,
-    UNKNOWN_STIFFNESS, check_bounds,
+    MachineNoiseChoice, Mode, ParameterBound, RefusedBound, SolverOptions, Tolerance, UNKNOWN_STIFFNESS,
+    check_bounds,
 };
 use calibrig_files::{ColumnMap, load_column_map, parse_column_map, parse_measurements};
 use calibrig_files::{MeasuredFile, SessionFile, Source, Statements, load_session, state};
@@ -42,6 +43,8 @@ use calibrig_model::{BodyUncertainty, CalibrationModel, FAMILIES, JointKind, Par
   calibrig identify --model robot.toml --measurements m.csv --mode extended --terms rail,ratio
   calibrig identify --model robot.toml --measurements m.csv --loss tukey   names outliers
   calibrig identify --model robot.toml --measurements m.csv --bound delta_a4=-5mm..5mm
+  calibrig identify --model robot.toml --measurements m.csv --list-parameters   what would be fitted
+  calibrig identify --model robot.toml --measurements m.csv --fix target_z --free delta_d3
   calibrig identify --model robot.toml --measurements m.csv --splits 20 --fit 200
   calibrig identify --model robot.toml --measurements m.csv --session session.toml   nests, targets
 
@@ -50,9 +53,8 @@ has none of the map's joint columns but calibrig's own) it is calibrig's own lay
 pub(super) struct Args {
     #[command(flatten)]
     files: FileArgs,
-    /// Which link parameters
-    #[arg(long, value_enum, default_value_t = Parameters::Complete)]
-    parameters: Parameters,
+    #[command(flatten)]
+    named: ByNameArgs,
     /// Which models are fitted, beside the robot without calibration; may be repeated [default: geometry alone, and where the robot's files
     /// give masses and stiffnesses, gravity; geometry and stiffness instead where the stiffnesses are known to 100 % or worse]
     #[arg(long, value_name = "MODE", value_parser = fitted_mode)]
@@ -147,14 +149,6 @@ impl FileArgs {
     }
 }
 
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum Parameters {
-    /// A complete independent set, by rank
-    Complete,
-    /// What the published rules on neighbouring axes keep
-    Rules,
-}
-
 #[derive(Debug, Clone, Copy, PartialEq, ValueEnum)]
 enum MachineNoiseArg {
     /// Where residuals are larger than the readings' noise explains, or readings of a pose depend on each other
@@ -230,7 +224,15 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     if let Some(destination) = destination {
         destination.check(Files::Reports)?;
     }
-    let (mut outcome, options, statements, plausible) = outcome(args)?;
+    let prepared = prepare(args)?;
+    if args.named.list_parameters {
+        let Prepared { robot, sources, sets, options, modes, .. } = &prepared;
+        let listed = by_name::list(robot, &sets[0].measurements, modes, options, args.json)
+            .map_err(|error| failed(error, &args.files.measurements, sources))?;
+        return print(&listed).map(|()| Verdict::Done);
+    }
+    let options = prepared.options.clone();
+    let (mut outcome, statements, plausible) = outcome(args, prepared)?;
     if let (Some(splits), Some(fit)) = (args.splits, args.fit) {
         outcome.splits = Some(split_study(args, &outcome, &options, (splits as usize, fit as usize))?);
     }
@@ -527,15 +529,20 @@ pub(super) fn failed(error: PipelineError, measurements: &Path, sources: &[(Stri
     }
 }
 
-fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions, Statements, Verdict), CliError> {
+/// What is fitted to what, and how.
+struct Prepared {
+    robot: Robot,
+    sources: Vec<(String, Source)>,
+    sets: Vec<SetOutcome>,
+    statements: Statements,
+    options: IdentificationOptions,
+    modes: Vec<Mode>,
+}
+
+fn prepare(args: &Args) -> Result<Prepared, CliError> {
     let loaded = args.files.read()?;
     loaded.check_session()?;
     let Loaded { robot, sources, sets, statements, .. } = loaded;
-    let measurements = &args.files.measurements;
-    let parameters = match args.parameters {
-        Parameters::Complete => ParameterChoice::Complete,
-        Parameters::Rules => ParameterChoice::NeighbourAxisRules,
-    };
     let mut options = IdentificationOptions {
         compliances: compliances(&args.compliances, &robot.model),
         bodies: bodies(args, &robot),
@@ -546,11 +553,11 @@ fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions, Statements, V
         },
         terms: args.terms.as_deref().map(terms),
         bounds: args.bound.clone(),
-        parameters,
         tolerance: tolerance(args),
         machine_noise: machine_noise(args, &robot.model),
         ..default_options(&robot)
     };
+    args.named.apply(&robot.model, &mut options);
     match args.compliance_percent {
         Some(CompliancePercent::Within(percent)) => {
             (options.compliance_sigma, options.stiffness_unknown) = (1e-2 * percent, false);
@@ -559,7 +566,14 @@ fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions, Statements, V
         None => {}
     }
     let modes = modes(args, &robot, &options);
+    args.named.check(&robot.model, &modes, &options, &sets[0].measurements);
     check_flags(&robot.model, &modes, &options, &sets[0].measurements);
+    Ok(Prepared { robot, sources, sets, statements, options, modes })
+}
+
+fn outcome(args: &Args, prepared: Prepared) -> Result<(Outcome, Statements, Verdict), CliError> {
+    let Prepared { robot, sources, sets, statements, options, modes } = prepared;
+    let measurements = &args.files.measurements;
     let plausible = output::plausible(&robot.model, &sets, &options, args.fit_anyway)
         .map_err(|error| failed(error, measurements, &sources))?;
     let (registration, modes) = calibrate(&robot.model, &sets, &modes, &options)
@@ -589,7 +603,7 @@ fn outcome(args: &Args) -> Result<(Outcome, IdentificationOptions, Statements, V
         splits: None,
         command: Some(output::command_line()),
     };
-    Ok((outcome, options, statements, plausible))
+    Ok((outcome, statements, plausible))
 }
 
 /// Bytes of the last line with content.

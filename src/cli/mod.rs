@@ -1,5 +1,6 @@
 //! The command line: argument types, one file a command. Results go to stdout, diagnostics and progress to stderr.
 
+mod by_name;
 mod check;
 mod choose;
 mod export;

@@ -54,7 +54,7 @@ pub enum ReportError {
     #[error("cannot express the report as JSON: {0}")]
     Json(#[from] serde_json::Error),
     /// A table could not be made.
-    #[error("cannot write {} as a table: {0}", residuals::FILE)]
+    #[error("cannot write residuals.csv: {0}")]
     Table(#[from] csv::Error),
     /// A figure could not be drawn.
     #[error("cannot draw the figure of {figure}: {reason}")]

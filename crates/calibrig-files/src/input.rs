@@ -50,6 +50,17 @@ pub enum InputError {
         #[help]
         help: Option<String>,
     },
+    /// Something in a file that is no text is wrong, or in more than one line of one.
+    #[error("{place}: {message}")]
+    Place {
+        /// The file, and where in it: a cell, a message, lines.
+        place: String,
+        /// What is wrong.
+        message: String,
+        /// What was expected.
+        #[help]
+        help: Option<String>,
+    },
 }
 
 impl Source {

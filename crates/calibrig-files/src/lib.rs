@@ -44,6 +44,7 @@ mod session;
 mod stated;
 
 pub use input::{InputError, Source, Spanned};
+pub use measurements::{BagOptions, DEFAULT_TOLERANCE_S, Table, TablePlace, TableRow, read_bag, read_sheet};
 pub use measurements::{
     ColumnMap, CsvError, LoadedMeasurements, load_column_map, measurements_text, parse_column_map,
     parse_measurements, read_measurements, write_measurements,

@@ -31,7 +31,7 @@ mod variance;
 mod verdict;
 mod weighed;
 
-pub use by_name::{ByNameError, check_named};
+pub use by_name::{ByNameError, ListedParameter, ParameterState, check_named, list_parameters};
 pub use contradiction::{CONTRADICTION_LEVEL, Contradiction, Stated};
 pub use estimate::{
     Assumption, Estimate, IterationRecord, LeftOut, LeftOutReason, NoiseScale, Outlier, ParameterEstimate,
