@@ -5,6 +5,7 @@
 
 mod a_user_calibrates_a_real_robot;
 mod a_user_checks_the_elimination;
+mod a_user_chooses_parameters;
 mod a_user_compares_with_the_truth;
 mod a_user_exchanges_files;
 mod a_user_has_a_copy_of_another_writer;
