@@ -29,6 +29,9 @@ pub use truth::KnownTruth;
 pub use worth::Worse;
 
 use std::fmt::Write;
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::Path;
 
 use nalgebra::Vector3;
 use sha2::{Digest, Sha256};
@@ -306,16 +309,52 @@ pub fn run_trial(
 
 /// One hash over the texts of all input files and their roles, hexadecimal.
 pub fn hash_sources(sources: &[(String, Source)]) -> String {
-    let mut hash = Sha256::new();
-    for (role, source) in sources {
-        for part in [role, &source.text] {
-            hash.update((part.len() as u64).to_le_bytes());
-            hash.update(part);
+    let mut hash = InputHash::default();
+    sources.iter().for_each(|(role, source)| hash.add(role, &source.text));
+    hash.hex()
+}
+
+/// A hash over input files and their roles.
+#[derive(Debug, Clone, Default)]
+pub struct InputHash(Sha256);
+
+impl InputHash {
+    fn part(&mut self, length: u64) {
+        self.0.update(length.to_le_bytes());
+    }
+
+    /// Adds a text.
+    pub fn add(&mut self, role: &str, text: &str) {
+        for part in [role, text] {
+            self.part(part.len() as u64);
+            self.0.update(part);
         }
     }
-    hash.finalize().iter().fold(String::new(), |mut text, byte| {
-        // Writing to a String cannot fail.
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
+
+    /// Adds a file, which is not held as a whole.
+    ///
+    /// # Errors
+    /// It cannot be read.
+    pub fn add_file(&mut self, role: &str, path: &Path) -> io::Result<()> {
+        let mut file = File::open(path)?;
+        self.part(role.len() as u64);
+        self.0.update(role);
+        self.part(file.metadata()?.len());
+        let mut piece = vec![0; 1 << 16];
+        loop {
+            match file.read(&mut piece)? {
+                0 => return Ok(()),
+                count => self.0.update(&piece[..count]),
+            }
+        }
+    }
+
+    /// Hexadecimal.
+    pub fn hex(self) -> String {
+        self.0.finalize().iter().fold(String::new(), |mut text, byte| {
+            // Writing to a String cannot fail.
+            let _ = write!(text, "{byte:02x}");
+            text
+        })
+    }
 }

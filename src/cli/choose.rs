@@ -7,8 +7,9 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::{Value, json};
 
 use super::identify::{Loaded, LossArg, failed, load};
+use super::measured::RowArgs;
 use super::{CliError, Verdict, not_identified, output, print, read_scenario, say};
-use crate::pipeline::{self, ChosenRow, ModelChoice, PlantKind, SetKind, choose, default_options, simulate};
+use crate::pipeline::{self, ChosenRow, ModelChoice, PlantKind, choose, default_options, simulate};
 use calibrig_estimation::evaluation::{Criteria, Verdict as Worth};
 use calibrig_estimation::identification::{LINKAGE, Outlier};
 use calibrig_model::FAMILIES;
@@ -35,8 +36,10 @@ pub(super) struct Args {
     #[arg(long, value_name = "ROBOT.toml", requires = "measurements")]
     model: Option<PathBuf>,
     /// Positions to fit and to hold out
-    #[arg(long, value_name = "FILE", requires = "model")]
-    measurements: Option<PathBuf>,
+    #[arg(long, value_name = "[TARGET=]FILE", requires = "model")]
+    measurements: Vec<String>,
+    #[command(flatten)]
+    rows: RowArgs,
     /// Column map of the file, instead of the one that the robot's file names
     #[arg(long, value_name = "MAP.toml", requires = "model")]
     columns: Option<PathBuf>,
@@ -61,9 +64,9 @@ pub(super) struct Args {
 }
 
 pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
-    let (name, choice, plausible) = match (&args.scenario, &args.model, &args.measurements) {
-        (Some(scenario), _, _) => of_scenario(args, scenario)?,
-        (None, Some(model), Some(measurements)) => of_files(args, model, measurements)?,
+    let (name, choice, plausible) = match (&args.scenario, &args.model) {
+        (Some(scenario), _) => of_scenario(args, scenario)?,
+        (None, Some(model)) => of_files(args, model)?,
         // Refused by the argument parser.
         _ => return Ok(Verdict::Doubtful),
     };
@@ -94,24 +97,23 @@ fn of_scenario(args: &Args, path: &Path) -> Result<(String, ModelChoice, Verdict
     Ok((scenario.name.clone(), choice.map_err(refused)?, Verdict::Done))
 }
 
-fn of_files(
-    args: &Args,
-    model: &Path,
-    measurements: &Path,
-) -> Result<(String, ModelChoice, Verdict), CliError> {
-    let files = [(SetKind::Identification, measurements)];
-    let loaded = load(model, args.columns.as_deref(), args.session.as_deref(), &files)?;
+fn of_files(args: &Args, model: &Path) -> Result<(String, ModelChoice, Verdict), CliError> {
+    let asked = args.rows.sets(&args.measurements, &[], None);
+    let first = asked.first().and_then(|set| set.files.points.first());
+    let measurements = &first.map(|file| file.path.clone()).unwrap_or_default();
+    let loaded = load(model, args.columns.as_deref(), args.session.as_deref(), &args.rows, asked)?;
     loaded.check_session()?;
-    let Loaded { robot, sources, sets, statements, .. } = loaded;
+    let Loaded { robot, sets, places, read, statements, .. } = loaded;
+    read.iter().for_each(|line| say(line));
     let mut options = default_options(&robot);
     options.solver.loss = args.loss.map_or(options.solver.loss, Into::into);
     let plausible = output::plausible(&robot.model, &sets, &options, args.fit_anyway)
-        .map_err(|error| failed(error, measurements, &sources))?;
+        .map_err(|error| failed(error, measurements, &sets, &places))?;
     let seed = args.seed.unwrap_or(1);
     let choice = compare(|progress| {
         choose(&robot.model, &sets[0].measurements, &options, args.folds as usize, seed, progress)
     });
-    let choice = choice.map_err(|error| failed(error, measurements, &sources))?;
+    let choice = choice.map_err(|error| failed(error, measurements, &sets, &places))?;
     statements.remarks.iter().chain(&statements.assumed).for_each(|line| say(line));
     Ok((robot.name, choice, plausible))
 }

@@ -4,11 +4,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::identify::{FileArgs, Loaded};
+use super::measured::texts;
 use super::output::{Destination, Files, or_removed};
 use super::{CliError, Verdict, say};
-use crate::pipeline::{InputSummary, SetOutcome, hash_sources};
-use calibrig_files::Source;
-use calibrig_files::load_robot;
+use crate::pipeline::{InputSummary, SetOutcome};
+use calibrig_files::{InputError, load_robot};
 use calibrig_recording::{CsvExport, ExportError, Preamble, RecordingError, export_csv, write_sets};
 
 /// Turn a recording into files of text, or files of text into a recording
@@ -137,15 +137,17 @@ fn write(folder: &Path, export: &CsvExport) -> Result<(), CliError> {
 
 fn to_mcap(args: &McapArgs) -> Result<Verdict, CliError> {
     check_name(&args.out, args.force)?;
-    let Loaded { robot, sources, sets, statements, .. } = args.files.read()?;
-    refuse_without_readings(&sources, &sets)?;
-    let input = InputSummary {
-        kind: "files",
-        name: robot.name,
-        sha256: hash_sources(&sources),
-        seed: None,
-        trial: None,
-    };
+    let Loaded { robot, mut sources, sha256, sets, read, asked, statements, .. } = args.files.read()?;
+    refuse_without_readings(&sets)?;
+    read.iter().for_each(|line| say(line));
+    // The files themselves, in place of their names.
+    let (texts, left_out) = texts(&asked);
+    let session = sources.iter().position(|(role, _)| role == "session").map(|at| sources.remove(at));
+    sources.retain(|(_, source)| !source.text.is_empty());
+    sources.extend(texts);
+    sources.extend(session);
+    left_out.iter().for_each(|line| say(line));
+    let input = InputSummary { kind: "files", name: robot.name, sha256, seed: None, trial: None };
     let preamble = Preamble {
         input: &input,
         sources: &sources,
@@ -188,12 +190,15 @@ fn check_name(path: &Path, force: bool) -> Result<(), CliError> {
 }
 
 /// A recording without readings could not be read back.
-fn refuse_without_readings(sources: &[(String, Source)], sets: &[SetOutcome]) -> Result<(), CliError> {
+fn refuse_without_readings(sets: &[SetOutcome]) -> Result<(), CliError> {
     for set in sets.iter().filter(|set| set.measurements.observations.is_empty()) {
-        if let Some((_, source)) = sources.iter().find(|(role, _)| role == set.kind.key()) {
-            let expected = "expected a position other than (0, 0, 0) in one row at least".to_owned();
-            return Err(source.error(0..0, "every row is a missed shot", Some(expected)).into());
+        let first = set.dropped.first().map_or("there is none", |(_, why)| why.as_str());
+        return Err(InputError::Place {
+            place: format!("{} set", set.kind.key()),
+            message: format!("every row is a missed shot: {first}"),
+            help: Some("expected a position other than (0, 0, 0) in one row at least".to_owned()),
         }
+        .into());
     }
     Ok(())
 }

@@ -1,6 +1,5 @@
 //! `calibrig identify`.
 
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use clap::error::ErrorKind;
@@ -8,11 +7,12 @@ use clap::{CommandFactory, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::by_name::{self, ByNameArgs};
+use super::measured::{AskedSet, RowArgs, hash_files};
 use super::output::{self, Destination, Files};
-use super::{Cli, CliError, Verdict, not_identified, print, say};
+use super::{Cli, CliError, Verdict, not_identified_at, print, say};
 use crate::pipeline::{
-    InputSummary, Outcome, PipelineError, SetKind, SetOutcome, SplitPlan, SplitStudy, calibrate,
-    commands_beyond_limits, default_options, hash_sources, is_default, judge, pose_count, repeat_splits,
+    InputHash, InputSummary, Outcome, PipelineError, SetOutcome, SplitPlan, SplitStudy, calibrate,
+    commands_beyond_limits, default_options, is_default, judge, pose_count, repeat_splits,
     without_gross_errors,
 };
 use calibrig_estimation::identification::{
@@ -20,9 +20,9 @@ use calibrig_estimation::identification::{
     MachineNoiseChoice, Mode, ParameterBound, RefusedBound, SolverOptions, Tolerance, UNKNOWN_STIFFNESS,
     check_bounds,
 };
-use calibrig_files::{ColumnMap, load_column_map, parse_column_map, parse_measurements};
+use calibrig_files::{ColumnMap, Places, is_bag, load_column_map, parse_column_map};
+use calibrig_files::{InputError, Robot, load_robot};
 use calibrig_files::{MeasuredFile, SessionFile, Source, Statements, load_session, state};
-use calibrig_files::{Robot, load_robot};
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{BodyUncertainty, CalibrationModel, FAMILIES, JointKind, ParameterId, Unit};
 
@@ -126,12 +126,17 @@ pub(super) struct FileArgs {
     /// The robot's file
     #[arg(long, value_name = "ROBOT.toml")]
     model: PathBuf,
-    /// Positions to fit
-    #[arg(long, value_name = "FILE")]
-    measurements: PathBuf,
-    /// Positions to verify on
-    #[arg(long, value_name = "FILE")]
-    verify: Option<PathBuf>,
+    /// Positions to fit; may be repeated, as for one file a target
+    #[arg(long, value_name = "[TARGET=]FILE", required = true)]
+    measurements: Vec<String>,
+    /// Positions to verify on; may be repeated
+    #[arg(long, value_name = "[TARGET=]FILE")]
+    verify: Vec<String>,
+    /// As --joints, for the files of --verify
+    #[arg(long, value_name = "FILE", requires = "verify")]
+    verify_joints: Option<PathBuf>,
+    #[command(flatten)]
+    rows: RowArgs,
     /// Column map of the files, instead of the one that the robot's file names
     #[arg(long, value_name = "MAP.toml")]
     columns: Option<PathBuf>,
@@ -142,10 +147,18 @@ pub(super) struct FileArgs {
 }
 
 impl FileArgs {
+    /// The first file to fit, for messages.
+    fn first(&self) -> PathBuf {
+        let sets = self.rows.sets(&self.measurements, &[], None);
+        sets.first()
+            .and_then(|set| set.files.points.first())
+            .map(|file| file.path.clone())
+            .unwrap_or_default()
+    }
+
     pub(super) fn read(&self) -> Result<Loaded, CliError> {
-        let mut files = vec![(SetKind::Identification, self.measurements.as_path())];
-        files.extend(self.verify.as_deref().map(|path| (SetKind::Verification, path)));
-        load(&self.model, self.columns.as_deref(), self.session.as_deref(), &files)
+        let sets = self.rows.sets(&self.measurements, &self.verify, self.verify_joints.as_deref());
+        load(&self.model, self.columns.as_deref(), self.session.as_deref(), &self.rows, sets)
     }
 }
 
@@ -226,15 +239,16 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     }
     let prepared = prepare(args)?;
     if args.named.list_parameters {
-        let Prepared { robot, sources, sets, options, modes, .. } = &prepared;
+        let Prepared { robot, sets, places, options, modes, .. } = &prepared;
         let listed = by_name::list(robot, &sets[0].measurements, modes, options, args.json)
-            .map_err(|error| failed(error, &args.files.measurements, sources))?;
+            .map_err(|error| failed(error, &args.files.first(), sets, places))?;
         return print(&listed).map(|()| Verdict::Done);
     }
-    let options = prepared.options.clone();
+    let (options, places) = (prepared.options.clone(), prepared.places.clone());
     let (mut outcome, statements, plausible) = outcome(args, prepared)?;
     if let (Some(splits), Some(fit)) = (args.splits, args.fit) {
-        outcome.splits = Some(split_study(args, &outcome, &options, (splits as usize, fit as usize))?);
+        outcome.splits =
+            Some(split_study(args, &outcome, &options, &places, (splits as usize, fit as usize))?);
     }
     let written = destination.map_or(Ok(()), |destination| {
         let (folder, new) = destination.make()?;
@@ -276,6 +290,7 @@ fn split_study(
     args: &Args,
     outcome: &Outcome,
     options: &IdentificationOptions,
+    places: &[Places],
     (splits, fitted): (usize, usize),
 ) -> Result<SplitStudy, CliError> {
     let empty = MeasurementSet::default();
@@ -296,7 +311,7 @@ fn split_study(
     let study =
         repeat_splits(&outcome.model, set, &modes, options, plan, |done| bar.set_position(done as u64));
     bar.finish_and_clear();
-    study.map_err(|error| failed(error, &args.files.measurements, &outcome.sources))
+    study.map_err(|error| failed(error, &args.files.first(), &outcome.sets, places))
 }
 
 pub(super) fn fitted_mode(text: &str) -> Result<Mode, String> {
@@ -455,9 +470,17 @@ fn modes(args: &Args, robot: &Robot, options: &IdentificationOptions) -> Vec<Mod
 /// A robot and its measurements, as files hold them.
 pub(super) struct Loaded {
     pub robot: Robot,
-    /// Every file by its role.
+    /// Every file by its role; those of measurements by their names alone.
     pub sources: Vec<(String, Source)>,
+    /// One hash over all files.
+    pub sha256: String,
     pub sets: Vec<SetOutcome>,
+    /// Where the observations of every set stand.
+    pub places: Vec<Places>,
+    /// What was found of the measurement files, in words.
+    pub read: Vec<String>,
+    /// The files of measurements.
+    pub asked: Vec<AskedSet>,
     /// What the files state beforehand of stations and targets.
     pub statements: Statements,
     /// The session file, and its text.
@@ -480,11 +503,15 @@ pub(super) fn load(
     model: &Path,
     columns: Option<&Path>,
     session: Option<&Path>,
-    files: &[(SetKind, &Path)],
+    rows: &RowArgs,
+    asked: Vec<AskedSet>,
 ) -> Result<Loaded, CliError> {
     let mut robot = load_robot(model)?;
     let joints: Vec<JointKind> = robot.model.kinematics.links.iter().map(|link| link.kind).collect();
+    let paths = || asked.iter().flat_map(AskedSet::paths).map(|(_, path)| path);
+    let mut rows = rows.clone();
     let columns = match columns {
+        None if paths().any(is_bag) => rows.of_bags(&robot, paths().filter(|path| is_bag(path)))?,
         Some(path) => {
             let (map, source) = load_column_map(path)?;
             map.check_joints(&source, &joints)?;
@@ -501,39 +528,64 @@ pub(super) fn load(
             None => ColumnMap::default(),
         },
     };
-    let read = |(kind, path): &(SetKind, &Path)| {
-        let source = Source::read(path)?;
-        let loaded = parse_measurements(&source, &columns, &joints)?;
-        Ok(MeasuredFile { kind: *kind, source, loaded })
-    };
-    let mut files = files.iter().map(read).collect::<Result<Vec<_>, CliError>>()?;
+    let mut files = rows.read(&asked, &columns, &joints)?;
     let session = session.map(load_session).transpose()?;
     let stated = session.as_ref().map(|(session, source)| (session, source));
     let statements = state(&robot, stated, &mut files)?;
     let mut sources = robot.sources.clone();
-    let mut sets = Vec::new();
-    for MeasuredFile { kind, source, loaded } in files {
-        sources.push((kind.key().to_owned(), source));
+    let mut hash = InputHash::default();
+    sources.iter().for_each(|(role, source)| hash.add(role, &source.text));
+    hash_files(&mut hash, &asked)?;
+    for (role, path) in asked.iter().flat_map(AskedSet::paths) {
+        sources.push((role.to_owned(), Source::new(path.display().to_string(), "")));
+    }
+    if let Some((_, source)) = &session {
+        hash.add("session", &source.text);
+        sources.push(("session".to_owned(), source.clone()));
+    }
+    let (mut sets, mut places, mut read) = (Vec::new(), Vec::new(), Vec::new());
+    for MeasuredFile { kind, loaded, .. } in files {
+        places.push(loaded.places);
+        read.extend(loaded.remarks);
         sets.push(SetOutcome { kind, measurements: loaded.set, dropped: loaded.dropped });
     }
-    sources.extend(session.as_ref().map(|(_, source)| ("session".to_owned(), source.clone())));
-    Ok(Loaded { robot, sources, sets, statements, session })
+    Ok(Loaded { robot, sources, sha256: hash.hex(), sets, places, read, asked, statements, session })
 }
 
-/// The failure of an identification from these files, at the last line of the fitted one where more poses are what it needs.
-pub(super) fn failed(error: PipelineError, measurements: &Path, sources: &[(String, Source)]) -> CliError {
-    let fitted = sources.iter().find(|(role, _)| role == SetKind::Identification.key());
-    match fitted {
-        Some((_, source)) => not_identified(error, measurements, source, last_line(&source.text)),
-        None => CliError::Pipeline { file: measurements.to_path_buf(), source: error },
+/// The failure of an identification from these files, at the rows that it names, or at the last one where more poses are what it needs.
+pub(super) fn failed(error: PipelineError, file: &Path, sets: &[SetOutcome], places: &[Places]) -> CliError {
+    let fitted = (sets.first().map_or(0, |set| set.measurements.observations.len()), places.first());
+    let last = fitted.1.and_then(|places| places.of(fitted.0.checked_sub(1)?));
+    let last = last.unwrap_or_else(|| file.display().to_string());
+    match &error {
+        PipelineError::Implausible(why) => {
+            let set = sets.iter().position(|set| set.kind == why.kind).and_then(|index| places.get(index));
+            let rows: Vec<String> =
+                why.named().iter().filter_map(|index| set.and_then(|places| places.of(*index))).collect();
+            let mut help = why.help();
+            if rows.len() > 1 {
+                help = format!("they stand in {}; {help}", rows.join(", "));
+            }
+            let place = rows.first().cloned().unwrap_or_else(|| file.display().to_string());
+            InputError::Place { place, message: error.to_string(), help: Some(help) }.into()
+        }
+        _ => not_identified_at(error, file, last),
     }
+}
+
+/// File and row of every observation of a set.
+fn rows_of((set, places): (&SetOutcome, &Places)) -> Vec<String> {
+    let count = set.measurements.observations.len();
+    (0..count).map(|observation| places.of(observation).unwrap_or_default()).collect()
 }
 
 /// What is fitted to what, and how.
 struct Prepared {
     robot: Robot,
     sources: Vec<(String, Source)>,
+    sha256: String,
     sets: Vec<SetOutcome>,
+    places: Vec<Places>,
     statements: Statements,
     options: IdentificationOptions,
     modes: Vec<Mode>,
@@ -542,7 +594,8 @@ struct Prepared {
 fn prepare(args: &Args) -> Result<Prepared, CliError> {
     let loaded = args.files.read()?;
     loaded.check_session()?;
-    let Loaded { robot, sources, sets, statements, .. } = loaded;
+    let Loaded { robot, sources, sha256, sets, places, read, statements, .. } = loaded;
+    read.iter().for_each(|line| say(line));
     let mut options = IdentificationOptions {
         compliances: compliances(&args.compliances, &robot.model),
         bodies: bodies(args, &robot),
@@ -568,32 +621,26 @@ fn prepare(args: &Args) -> Result<Prepared, CliError> {
     let modes = modes(args, &robot, &options);
     args.named.check(&robot.model, &modes, &options, &sets[0].measurements);
     check_flags(&robot.model, &modes, &options, &sets[0].measurements);
-    Ok(Prepared { robot, sources, sets, statements, options, modes })
+    Ok(Prepared { robot, sources, sha256, sets, places, statements, options, modes })
 }
 
 fn outcome(args: &Args, prepared: Prepared) -> Result<(Outcome, Statements, Verdict), CliError> {
-    let Prepared { robot, sources, sets, statements, options, modes } = prepared;
-    let measurements = &args.files.measurements;
+    let Prepared { robot, sources, sha256, sets, places, statements, options, modes } = prepared;
+    let measurements = &args.files.first();
     let plausible = output::plausible(&robot.model, &sets, &options, args.fit_anyway)
-        .map_err(|error| failed(error, measurements, &sources))?;
+        .map_err(|error| failed(error, measurements, &sets, &places))?;
     let (registration, modes) = calibrate(&robot.model, &sets, &modes, &options)
-        .map_err(|error| failed(error, measurements, &sources))?;
+        .map_err(|error| failed(error, measurements, &sets, &places))?;
     let judgements = judge(&robot.model, &sets, &modes, &options)
-        .map_err(|error| failed(error, measurements, &sources))?;
+        .map_err(|error| failed(error, measurements, &sets, &places))?;
     let outcome = Outcome {
-        input: InputSummary {
-            kind: "files",
-            name: robot.name,
-            sha256: hash_sources(&sources),
-            seed: None,
-            trial: None,
-        },
+        input: InputSummary { kind: "files", name: robot.name, sha256, seed: None, trial: None },
         sources,
         model: robot.model,
         visuals: robot.visuals,
         registration,
+        places: sets.iter().zip(&places).map(rows_of).collect(),
         sets,
-        places: Vec::new(),
         modes,
         truth: None,
         bounds: Vec::new(),
@@ -604,11 +651,4 @@ fn outcome(args: &Args, prepared: Prepared) -> Result<(Outcome, Statements, Verd
         command: Some(output::command_line()),
     };
     Ok((outcome, statements, plausible))
-}
-
-/// Bytes of the last line with content.
-fn last_line(text: &str) -> Range<usize> {
-    let end = text.trim_end().len();
-    let start = text[..end].rfind('\n').map_or(0, |at| at + 1);
-    start..end
 }

@@ -3,12 +3,14 @@
 mod by_name;
 mod check;
 mod choose;
+mod columns;
 mod export;
 mod identifiability;
 mod identify;
 mod inspect;
 mod interrupt;
 mod live;
+mod measured;
 mod montecarlo;
 mod output;
 mod record;
@@ -63,6 +65,7 @@ enum Command {
     Identify(Box<identify::Args>),
     Identifiability(identifiability::Args),
     Choose(choose::Args),
+    Columns(columns::Args),
     Montecarlo(montecarlo::Args),
     Replay(replay::Args),
     Inspect(inspect::Args),
@@ -107,6 +110,9 @@ enum CliError {
     #[error("{} there already", already(paths))]
     #[diagnostic(help("expected other names, or --force to write over them"))]
     AlreadyThere { paths: Vec<PathBuf> },
+    #[error("{} is there already", path.display())]
+    #[diagnostic(help("expected another name"))]
+    NamedAlready { path: PathBuf },
     #[error(transparent)]
     Report(#[from] ReportError),
     #[error("interrupted after {done} of {total} poses; what was measured is in {}", part.display())]
@@ -137,30 +143,43 @@ fn unwritten_help(written: &[&str]) -> String {
     format!("expected room and permission to write; the result is on standard output{kept}")
 }
 
-/// The failure of an identification from `source`; at `place` in it where more or other poses are what it needs.
-fn not_identified(error: PipelineError, file: &Path, source: &Source, place: Range<usize>) -> CliError {
-    let inner = match &error {
+/// What an identification needs that fails for want of poses, in words.
+fn what_is_needed(error: &PipelineError) -> Option<String> {
+    let inner = match error {
         PipelineError::Split { source, .. } => source.as_ref(),
         error => error,
     };
-    if let PipelineError::Implausible(why) = inner {
+    let PipelineError::Identify { source: cause, .. } = inner else { return None };
+    match *cause {
+        IdentifyError::TooFewRows { rows, parameters } => {
+            let more = (parameters - rows.min(parameters)).div_ceil(3);
+            Some(format!("expected at least {more} more poses: each gives three coordinates"))
+        }
+        IdentifyError::BestFit | IdentifyError::Measurements(MeasurementError::Empty) => {
+            Some("expected at least three poses whose measured points are not on one line".to_owned())
+        }
+        _ => None,
+    }
+}
+
+/// The failure of an identification from `source`; at `place` in it where more or other poses are what it needs.
+fn not_identified(error: PipelineError, file: &Path, source: &Source, place: Range<usize>) -> CliError {
+    if let PipelineError::Implausible(why) = &error {
         let help = why.help();
         return source.error(0..0, error, Some(help)).into();
     }
-    let PipelineError::Identify { source: cause, .. } = inner else {
-        return CliError::Pipeline { file: file.to_path_buf(), source: error };
-    };
-    let help = match *cause {
-        IdentifyError::TooFewRows { rows, parameters } => {
-            let more = (parameters - rows.min(parameters)).div_ceil(3);
-            format!("expected at least {more} more poses: each gives three coordinates")
-        }
-        IdentifyError::BestFit | IdentifyError::Measurements(MeasurementError::Empty) => {
-            "expected at least three poses whose measured points are not on one line".to_owned()
-        }
-        _ => return CliError::Pipeline { file: file.to_path_buf(), source: error },
-    };
-    source.error(place, error, Some(help)).into()
+    match what_is_needed(&error) {
+        Some(help) => source.error(place, error, Some(help)).into(),
+        None => CliError::Pipeline { file: file.to_path_buf(), source: error },
+    }
+}
+
+/// The same of rows of measurement files.
+fn not_identified_at(error: PipelineError, file: &Path, place: String) -> CliError {
+    match what_is_needed(&error) {
+        Some(help) => InputError::Place { place, message: error.to_string(), help: Some(help) }.into(),
+        None => CliError::Pipeline { file: file.to_path_buf(), source: error },
+    }
 }
 
 /// Parses the arguments, runs the command and turns its end into an exit code.
@@ -171,6 +190,7 @@ pub fn main() -> ExitCode {
         Command::Check(args) => check::execute(args),
         Command::Identify(args) => identify::execute(args),
         Command::Choose(args) => choose::execute(args),
+        Command::Columns(args) => columns::execute(args),
         Command::Montecarlo(args) => montecarlo::execute(args),
         Command::Identifiability(args) => identifiability::execute(args),
         Command::Replay(args) => replay::execute(args),

@@ -96,6 +96,22 @@ impl Implausible {
         }
     }
 
+    /// Indices of the observations that it names, in the set.
+    #[must_use]
+    pub fn named(&self) -> Vec<usize> {
+        let found = &self.found;
+        if !found.unreachable.is_empty() {
+            return found.unreachable.iter().take(LISTED).map(|far| far.observation).collect();
+        }
+        let Some(few) = &found.few_rows else { return Vec::new() };
+        let pairs = few.exchanged.iter().flat_map(|(a, b)| [*a, *b]);
+        let mut named: Vec<_> = pairs.chain(few.rows.iter().map(|far| far.observation)).collect();
+        named.sort_unstable();
+        named.dedup();
+        named.truncate(LISTED);
+        named
+    }
+
     /// What to look at, and how to go on in spite of it.
     pub fn help(&self) -> String {
         let found = &self.found;
@@ -103,7 +119,7 @@ impl Implausible {
         let before = found.rms.map_or_else(String::new, |rms| format!(" instead of {}", mm(rms)));
         if !found.unreachable.is_empty() {
             help.push(
-                "a code of shots that were missed? Leave these rows out: no loss can weigh such a point"
+                "a code of shots that were missed? Name it (`--missed CODE`, or `missed` in [position] of the column map): no loss can weigh such a point"
                     .to_owned()
                     + &found.rms.map_or_else(String::new, |rms| {
                         format!(" (without them the nominal robot leaves an RMS of {})", mm(rms))

@@ -1,6 +1,10 @@
 //! Reading of text files: every refusal names the file, the line and the key, and says what was expected.
 
+mod excerpt;
 mod toml_text;
+mod units;
+
+pub use excerpt::Excerpt;
 
 use std::fmt;
 use std::ops::Range;
@@ -40,10 +44,10 @@ pub enum InputError {
         message: String,
         /// Line, from 1.
         line: usize,
-        /// The text; shared, so that the error stays small.
+        /// The text, or the lines of it around the mistake; shared, so that the error stays small.
         #[source_code]
-        source_code: Arc<NamedSource<String>>,
-        /// Where in the text.
+        source_code: Arc<NamedSource<Excerpt>>,
+        /// Where in it, bytes.
         #[label("here")]
         span: SourceSpan,
         /// What was expected.
@@ -63,6 +67,29 @@ pub enum InputError {
     },
 }
 
+impl InputError {
+    /// An error at `span` (bytes) of `excerpt`, which is of the file `name`.
+    pub(crate) fn in_excerpt(
+        name: &str,
+        excerpt: Excerpt,
+        span: Range<usize>,
+        message: impl fmt::Display,
+        help: Option<String>,
+    ) -> Self {
+        let text = excerpt.text();
+        let start = span.start.min(text.len());
+        let end = span.end.clamp(start, text.len());
+        let before = text.as_bytes()[..start].iter().filter(|b| **b == b'\n').count();
+        Self::Invalid {
+            message: message.to_string(),
+            line: excerpt.first_line() + before,
+            source_code: Arc::new(NamedSource::new(name, excerpt)),
+            span: (start, end - start).into(),
+            help,
+        }
+    }
+}
+
 impl Source {
     /// A text that is already in memory.
     pub fn new(name: impl Into<String>, text: impl Into<String>) -> Self {
@@ -76,23 +103,13 @@ impl Source {
             return Err(unreadable("it is a folder, a file was expected".to_owned()));
         }
         let bytes = std::fs::read(path).map_err(|e| unreadable(e.to_string()))?;
-        let text = String::from_utf8(bytes)
-            .map_err(|e| unreadable(format!("not UTF-8 text (byte {})", e.utf8_error().valid_up_to())))?;
+        let text = String::from_utf8(bytes).map_err(|e| unreadable(not_utf8(&e)))?;
         Ok(Self::new(path.display().to_string(), text))
     }
 
     /// An error at `span` (bytes) of this text.
     pub fn error(&self, span: Range<usize>, message: impl fmt::Display, help: Option<String>) -> InputError {
-        let start = span.start.min(self.text.len());
-        let end = span.end.clamp(start, self.text.len());
-        let line = self.text.as_bytes()[..start].iter().filter(|b| **b == b'\n').count() + 1;
-        InputError::Invalid {
-            message: message.to_string(),
-            line,
-            source_code: Arc::new(NamedSource::new(&self.name, self.text.clone())),
-            span: (start, end - start).into(),
-            help,
-        }
+        InputError::in_excerpt(&self.name, Excerpt::whole(self.text.clone()), span, message, help)
     }
 
     /// Bytes of the value of a TOML key, such as `poses.identification`; the start of the text where the key is not there.
@@ -102,8 +119,16 @@ impl Source {
 
     /// Reads the text as TOML; unknown keys, missing keys and wrong types are errors at their place.
     pub fn toml<T: DeserializeOwned>(&self) -> Result<T, InputError> {
-        toml::from_str(&self.text).map_err(|error| toml_text::refusal(self, &error))
+        toml_text::read(self)
     }
+}
+
+/// Where a text stops being UTF-8, and what to do about it.
+fn not_utf8(error: &std::string::FromUtf8Error) -> String {
+    let at = error.utf8_error().valid_up_to();
+    let bytes = error.as_bytes();
+    let line = bytes[..at].iter().filter(|byte| **byte == b'\n').count() + 1;
+    format!("not UTF-8 text (byte {at}, line {line}, is 0x{:02X}); save it as UTF-8", bytes[at])
 }
 
 /// A value from a TOML text with its place.
@@ -116,6 +141,7 @@ const SIZES: [f64; 2] = [1e-15, 1e15];
 impl Source {
     fn refuse_number(&self, key: &str, value: &Spanned<f64>, expected: &str) -> InputError {
         let literal = self.text.get(value.span()).unwrap_or_default();
+        let key = &toml_text::as_written(&self.text, key, &value.span());
         self.error(value.span(), format!("{key} is {literal}"), Some(format!("expected {expected}")))
     }
 

@@ -43,11 +43,13 @@ mod robot;
 mod session;
 mod stated;
 
-pub use input::{InputError, Source, Spanned};
+pub use input::{Excerpt, InputError, Source, Spanned};
 pub use measurements::{BagOptions, DEFAULT_TOLERANCE_S, Table, TablePlace, TableRow, read_bag, read_sheet};
 pub use measurements::{
-    ColumnMap, CsvError, LoadedMeasurements, load_column_map, measurements_text, parse_column_map,
-    parse_measurements, read_measurements, write_measurements,
+    ColumnMap, CsvError, LoadedMeasurements, MeasurementFiles, MemoryRows, MissedCode, Place, Places,
+    PointsFile, PoseList, Row, RowOptions, Rows, SuggestedMap, is_bag, load_column_map, measurements_text,
+    parse_column_map, parse_measurements, read_files, read_measurements, read_rows, suggest_columns,
+    write_measurements,
 };
 pub use robot::{LoadTable, Robot, StatedTarget, load_robot, parse_robot, read_loads};
 pub use session::{SessionFile, SessionSet, load_session, parse_session, session_text};

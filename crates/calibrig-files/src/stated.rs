@@ -17,8 +17,8 @@ use calibrig_model::measurement::{MeasurementSet, SetKind, Station, Target};
 pub struct MeasuredFile {
     /// Which set it is.
     pub kind: SetKind,
-    /// Its text.
-    pub source: Source,
+    /// Its name, for messages; of several the first.
+    pub name: String,
     /// What was read of it.
     pub loaded: LoadedMeasurements,
 }
@@ -89,27 +89,36 @@ pub fn state(
 fn count_identical_once(file: &mut MeasuredFile) -> Option<String> {
     let mut seen = BTreeSet::new();
     let mut copies = Vec::new();
-    file.loaded.set.observations.retain(|observation| {
-        let position = observation.reading.position();
-        let covariance = observation.reading.position_covariance();
-        let numbers: Vec<_> = observation
-            .command
-            .iter()
-            .chain(position.iter())
-            .chain(covariance.iter().flatten())
-            .map(|v| v.to_bits())
-            .collect();
-        let is_new =
-            seen.insert((observation.station, observation.target, observation.approach.clone(), numbers));
-        if !is_new {
-            copies.push(observation.pose.to_string());
-        }
-        is_new
-    });
+    let kept: Vec<bool> = file
+        .loaded
+        .set
+        .observations
+        .iter()
+        .map(|observation| {
+            let position = observation.reading.position();
+            let covariance = observation.reading.position_covariance();
+            let numbers: Vec<_> = observation
+                .command
+                .iter()
+                .chain(position.iter())
+                .chain(covariance.iter().flatten())
+                .map(|v| v.to_bits())
+                .collect();
+            let is_new =
+                seen.insert((observation.station, observation.target, observation.approach.clone(), numbers));
+            if !is_new {
+                copies.push(observation.pose.to_string());
+            }
+            is_new
+        })
+        .collect();
+    if !copies.is_empty() {
+        file.loaded.keep(&kept);
+    }
     let (s, poses) = if copies.len() == 1 { ("s", "pose") } else { ("", "poses") };
     let words = format!(
         "{}: {} of the readings repeat{s} another to the last digit and count{s} once with it ({poses} {})",
-        file.source.name,
+        file.name,
         copies.len(),
         listed(&copies)
     );
@@ -129,7 +138,7 @@ fn partly_stated(file: &MeasuredFile) -> Option<String> {
     }
     let (count, all) = (unstated.len(), observations.len());
     let (s, poses) = if count == 1 { ("s", "pose") } else { ("", "poses") };
-    let name = &file.source.name;
+    let name = &file.name;
     Some(format!(
         "{name}: {count} of {all} readings state{s} no uncertainty ({poses} {}); the others state theirs",
         listed(&unstated)
@@ -198,7 +207,7 @@ fn state_targets(
                 "{} targets are stated ({}), and {} does not name which one was measured",
                 stated.len(),
                 listed(&all),
-                file.source.name
+                file.name
             );
             return refused(first, message, "a column target in the measurement file, or one [target]");
         }
@@ -307,7 +316,7 @@ fn refuse_named_shots(
     columns: Option<&Source>,
     stated: &BTreeSet<String>,
 ) -> Result<(), InputError> {
-    let Some(MeasuredFile { source, loaded, .. }) = files.first() else { return Ok(()) };
+    let Some(MeasuredFile { name, loaded, .. }) = files.first() else { return Ok(()) };
     let mut readings = vec![0_usize; loaded.set.targets.len()];
     for observation in &loaded.set.observations {
         readings[observation.target] += 1;
@@ -319,13 +328,19 @@ fn refuse_named_shots(
     }
     let key =
         columns.map(|columns| (columns, columns.place_of("columns.target"))).filter(|(_, at)| !at.is_empty());
-    let (source, place) = key.unwrap_or((source, 0..0));
-    let column = source.text.get(place.clone()).filter(|text| !text.is_empty()).unwrap_or("target");
+    let column = key.as_ref().and_then(|(map, place)| map.text.get(place.clone())).unwrap_or("target");
     let message = format!(
         "{count} targets with one reading each tell nothing of the robot: the column {column} names the shot, not the reflector"
     );
     let help = "expected the reflector's name, the same in all rows that it was measured in; or no target column (in a column map: leave `target` out)";
-    Err(source.error(place, message, Some(help.to_owned())))
+    Err(match key {
+        Some((map, place)) => map.error(place, message, Some(help.to_owned())),
+        None => InputError::Place {
+            place: loaded.place_where(|o| readings[o.target] == 1).unwrap_or_else(|| name.clone()),
+            message,
+            help: Some(help.to_owned()),
+        },
+    })
 }
 
 /// Orders stations and targets of the other sets as those of the first.
@@ -347,7 +362,7 @@ fn align(
             observation.target = order[observation.target];
         }
         let (set, fit) = (&other.loaded.set, &fitted.loaded.set);
-        let unknown = |what: &str, name: &str, names: &[String], of_what: &str| {
+        let unknown = |what: &str, name: &str, names: &[String], of_what: &str, place: Option<String>| {
             let message = format!(
                 "{what} {name:?} of the {} set is not in the identification set ({}), and {of_what}",
                 other.kind.key(),
@@ -356,7 +371,8 @@ fn align(
             let help = format!(
                 "expected a {what} of the identification set, or one that is stated (--session SESSION.toml)"
             );
-            Err(other.source.error(0..0, message, Some(help)))
+            let place = place.unwrap_or_else(|| other.name.clone());
+            Err(InputError::Place { place, message, help: Some(help) })
         };
         for (place, station) in set.stations.iter().enumerate() {
             let has = |set: &MeasurementSet| set.observations.iter().any(|o| o.station == place);
@@ -364,7 +380,8 @@ fn align(
                 let names = measured_names(&fit.stations, |place| {
                     fit.observations.iter().any(|o| o.station == place)
                 });
-                return unknown("station", &station.name, &names, "no nests place it");
+                let at = other.loaded.place_where(|o| o.station == place);
+                return unknown("station", &station.name, &names, "no nests place it", at);
             }
             if fit.stations.get(place).is_some_and(|known| known.nests != station.nests) {
                 remarks.push(format!(
@@ -379,7 +396,8 @@ fn align(
             if has(set) && !has(fit) && !stated.contains(&target.name) {
                 let names =
                     measured_names(&fit.targets, |place| fit.observations.iter().any(|o| o.target == place));
-                return unknown("target", &target.name, &names, "nothing is stated of it");
+                let at = other.loaded.place_where(|o| o.target == place);
+                return unknown("target", &target.name, &names, "nothing is stated of it", at);
             }
         }
     }

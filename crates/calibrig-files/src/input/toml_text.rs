@@ -2,10 +2,42 @@
 
 use std::ops::Range;
 
+use serde::de::DeserializeOwned;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::{InputError, Source};
+use super::{InputError, Source, units};
+
+/// A file's contents. A key whose unit is another one than the file's form has (`theta_rad` for `theta_deg`) is taken, and its value converted.
+pub(super) fn read<T: DeserializeOwned>(source: &Source) -> Result<T, InputError> {
+    let literals = units::Literals::of(&source.text);
+    let mut table = DeTable::parse(&source.text).map_err(|error| refusal(source, &error))?;
+    loop {
+        let error = match T::deserialize(toml::Deserializer::from(table.clone())) {
+            Ok(contents) => return Ok(contents),
+            Err(error) => error,
+        };
+        match units::convert(&mut table, &literals, &error) {
+            units::Converted::Yes => {}
+            units::Converted::No => return Err(refusal(source, &error)),
+            units::Converted::Twice { span, keys: [a, b] } => {
+                let message = format!("{a} and {b} are the same quantity");
+                return Err(source.error(span, message, Some("expected one of them".to_owned())));
+            }
+        }
+    }
+}
+
+/// The key as the file has it at a value's place: it may have another unit.
+pub(super) fn as_written(text: &str, key: &str, span: &Range<usize>) -> String {
+    let found = key_at(text, span);
+    let last = |key: &str| key.rsplit('.').next().unwrap_or_default().to_owned();
+    if units::are_same_quantity(&last(&found), &last(key)) {
+        let before = key.len() - last(key).len();
+        return format!("{}{}", &key[..before], last(&found));
+    }
+    key.to_owned()
+}
 
 /// A value of a TOML text.
 struct Value {
@@ -77,6 +109,15 @@ impl Mistake<'_> {
                 (format!("{key} has no value"), "a value behind the `=`".to_owned())
             }
             "wanted string or table" if is_literal => (value(), "a text in quotes".to_owned()),
+            "invalid type: sequence" if expected == "a table" => {
+                let name = key.rsplit('.').next().unwrap_or_default();
+                let message =
+                    format!("{key} is a list ([[{key}]], or [ ] in brackets), and there is one {name} here");
+                (message, format!("[{key}] in single brackets, once"))
+            }
+            "invalid type: map" if expected.starts_with("a list") => {
+                (format!("{key} is one table"), format!("[[{key}]] in double brackets, one table for each"))
+            }
             _ if is_literal && found.ends_with("overflowed") => (value(), "a finite number".to_owned()),
             _ if is_literal && WRONG_VALUE.iter().any(|start| found.starts_with(start)) => {
                 (value(), expected)

@@ -1,36 +1,4 @@
-//! Which columns of a measurement file mean what, and in which unit: `columns.toml`.
-//!
-//! ```toml
-//! schema = "calibrig.columns/1"
-//!
-//! [joints]
-//! columns = ["A1", "A2", "A3"]      # what was commanded, one column an actuator, in the robot's order
-//! revolute_unit = "deg"             # deg or rad; needed where the robot has a revolute joint
-//! prismatic_unit = "mm"             # mm or m; needed where it has a prismatic one
-//!
-//! [position]                        # of the target, in the tracker's frame
-//! system = "cartesian"
-//! unit = "mm"                       # um, mm or m
-//! x = ["x_target", "-x_error"]      # a sum of columns; a leading - subtracts, a leading + is allowed
-//! y = ["y_target", "-y_error"]
-//! z = ["z_target", "-z_error"]
-//! # or: system = "spherical", range = "R", range_unit = "m", azimuth = "Az", angle_unit = "deg" (arcsec, deg or rad), and
-//! # either elevation = "El" (above the tracker's x-y plane) or zenith = "Ze" (from its z axis)
-//!
-//! [sigma]                           # optional: standard deviations above 0, in the system of the position
-//! unit = "um"                       # spherical: range_unit and angle_unit
-//! x = "sx"                          # spherical: range, azimuth, and elevation or zenith
-//! y = "sy"
-//! z = "sz"
-//!
-//! [columns]                         # each optional
-//! pose = "No"
-//! station = "Station"
-//! target = "SMR"                    # the reflector, the same name in all its rows; not the name of the shot
-//! time_s = "t"
-//! temperature_c = "T"
-//! approach = ["dir1", "dir2", "dir3"]  # -1, 0 or 1, one an actuator
-//! ```
+//! Which columns of a measurement file mean what, and in which unit.
 //!
 //! Without a map, calibrig's own columns are read (SI, unit in the name): `q1_rad` or `q1_m` and so on; either `range_m`, `az_rad`,
 //! `el_rad` or `x_m`, `y_m`, `z_m`; and, where the file has them, `pose`, `station`, `target`, `time_s`, `temperature_c`,
@@ -39,15 +7,16 @@
 //! `cov_az_az_rad2`, `cov_az_el_rad2`, `cov_el_el_rad2` (`cov_xx_m2`, `cov_xy_m2`, `cov_xz_m2`, `cov_yy_m2`, `cov_yz_m2`,
 //! `cov_zz_m2`).
 
-use std::ops::Range;
-use std::path::Path;
+use std::sync::Arc;
 
-use serde::Deserialize;
-
-use crate::input::{InputError, Source, Spanned};
+use super::layout::{TableFormat, Wanted};
+use super::table::bag::BagOptions;
+use super::text::TextFormat;
+use super::units::{AngleUnit, LengthUnit};
+use crate::input::{InputError, Source};
 use calibrig_model::JointKind;
-
-const SCHEMA: &str = "calibrig.columns/1";
+use calibrig_model::measurement::SphericalReading;
+use nalgebra::{Matrix3, Vector3};
 
 /// Which columns of a file mean what, and in which unit. The default is calibrig's own columns.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -56,43 +25,66 @@ pub struct ColumnMap {
     mapping: Option<Mapping>,
     /// Whether a file in calibrig's own columns is read as one although there is a mapping.
     or_own: bool,
+    /// The text of the map.
+    source: Option<Arc<Source>>,
 }
 
-/// The columns by name, for one robot and one file.
+/// The columns by name or number, for one robot and one kind of file.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Mapping {
-    pub joints: Vec<String>,
+    pub joints: Vec<Entry>,
     pub revolute: Option<AngleUnit>,
     pub prismatic: Option<LengthUnit>,
     pub position: PositionColumns,
     pub uncertainty: Option<Uncertainty>,
-    pub pose: Option<String>,
-    pub station: Option<String>,
-    pub target: Option<String>,
-    pub time: Option<String>,
-    pub temperature: Option<String>,
-    pub approach: Vec<String>,
+    pub noise: Option<Noise>,
+    pub pose: Option<Entry>,
+    pub station: Option<Entry>,
+    pub target: Option<Entry>,
+    pub time: Option<Entry>,
+    pub temperature: Option<Entry>,
+    pub approach: Vec<Entry>,
+    pub rows: RowChoices,
+    pub sets: Sets,
+    pub join: Option<Join>,
+    pub text: TextFormat,
+    pub table: TableFormat,
 }
 
+/// Columns that make one quantity: as written, which may be the name of a single column, and as a signed sum.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) enum PositionColumns {
-    /// x, y and z, each a sum.
-    Cartesian { axes: [Vec<Term>; 3], unit: LengthUnit },
-    Spherical {
-        range: String,
-        range_unit: LengthUnit,
-        azimuth: String,
-        polar: String,
-        polar_angle: PolarAngle,
-        angle_unit: AngleUnit,
-    },
+pub(super) struct Entry {
+    pub written: String,
+    pub terms: Vec<Term>,
 }
 
 /// A column to add, or to subtract.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Term {
-    pub column: String,
+    pub column: ColumnRef,
     pub sign: f64,
+}
+
+/// A column of a file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum ColumnRef {
+    Name(String),
+    /// From 1.
+    Number(usize),
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum PositionColumns {
+    /// x, y and z.
+    Cartesian { axes: [Entry; 3], unit: Option<LengthUnit> },
+    Spherical {
+        range: Entry,
+        range_unit: Option<LengthUnit>,
+        azimuth: Entry,
+        polar: Entry,
+        polar_angle: PolarAngle,
+        angle_unit: Option<AngleUnit>,
+    },
 }
 
 /// From where the second angle counts.
@@ -104,352 +96,201 @@ pub(super) enum PolarAngle {
     Zenith,
 }
 
-/// Columns with the uncertainty, in the order of the position's coordinates, with the factor that makes each of them SI.
+/// Columns with the uncertainty, in the order of the position's coordinates.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Uncertainty {
-    Sigmas([(String, f64); 3]),
+    Sigmas {
+        columns: [Entry; 3],
+        units: SigmaUnits,
+        /// What the columns state is so many standard deviations.
+        coverage: f64,
+    },
     /// Upper triangle by rows, SI.
-    Covariance([String; 6]),
+    Covariance([Entry; 6]),
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub(super) enum LengthUnit {
-    M,
-    Mm,
-    Um,
+/// Units of standard deviations, where the map states them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum SigmaUnits {
+    Cartesian(Option<LengthUnit>),
+    /// Of the range, and of both angles.
+    Spherical(Option<LengthUnit>, Option<AngleUnit>),
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub(super) enum AngleUnit {
-    Rad,
-    Deg,
-    Arcsec,
+/// The instrument's noise by distance, as standard deviations: a + b R along the line of sight and across it. m, and without unit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Noise {
+    pub range: [f64; 2],
+    pub transverse: [f64; 2],
+    /// Place of the instrument in the frame of the positions, m.
+    pub tracker: Vector3<f64>,
 }
 
-impl LengthUnit {
-    /// m
-    pub fn in_si(self, value: f64) -> f64 {
-        match self {
-            Self::M => value,
-            Self::Mm => value / 1e3,
-            Self::Um => value / 1e6,
+impl Noise {
+    fn sigmas(&self, distance: f64) -> [f64; 2] {
+        [self.range, self.transverse].map(|[a, b]| a + b * distance)
+    }
+
+    /// Covariance of a position, m².
+    pub fn at(&self, position: &Vector3<f64>) -> Matrix3<f64> {
+        let sight = position - self.tracker;
+        let [along, across] = self.sigmas(sight.norm()).map(|sigma| sigma * sigma);
+        let Some(direction) = sight.try_normalize(0.0) else { return Matrix3::identity() * across };
+        Matrix3::identity() * across + direction * direction.transpose() * (along - across)
+    }
+
+    /// Covariance of range, azimuth and elevation; `None` at the zenith, where there is no azimuth, and where the readings are not from the
+    /// instrument's place.
+    pub fn of_reading(&self, reading: &SphericalReading) -> Option<Matrix3<f64>> {
+        let [along, across] = self.sigmas(reading.range);
+        let level = reading.range * reading.elevation.cos().abs();
+        if level < 1e-6 * reading.range || self.tracker != Vector3::zeros() {
+            return None;
+        }
+        let sigmas = Vector3::new(along, across / level, across / reading.range);
+        Some(Matrix3::from_diagonal(&sigmas.component_mul(&sigmas)))
+    }
+}
+
+/// What is made of rows beside reading them.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(super) struct RowChoices {
+    /// What marks a missed shot in a cell of the position, beside a position of (0, 0, 0).
+    pub missed: Vec<MissedCode>,
+    pub approach_from_order: bool,
+    pub average_repeats: bool,
+}
+
+/// A mark of a missed shot.
+#[derive(Debug, Clone, PartialEq)]
+pub enum MissedCode {
+    /// A number, however it is written.
+    Number(f64),
+    /// A text.
+    Text(String),
+}
+
+impl MissedCode {
+    /// A number if it can be one.
+    #[must_use]
+    pub fn parse(text: &str) -> Self {
+        match text.trim().parse::<f64>() {
+            Ok(number) if number.is_finite() => Self::Number(number),
+            _ => Self::Text(text.trim().to_owned()),
         }
     }
 }
 
-impl AngleUnit {
-    /// rad
-    pub fn in_si(self, value: f64) -> f64 {
-        match self {
-            Self::Rad => value,
-            Self::Deg => value.to_radians(),
-            Self::Arcsec => (value / 3600.0).to_radians(),
+/// Which rows are held out.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(super) struct Sets {
+    pub column: Option<Entry>,
+    pub identification: Vec<String>,
+    pub verification: Vec<String>,
+    /// Poses by number, first and last of each run; or by name.
+    pub poses: PoseList,
+}
+
+/// A list of poses: numbers, runs of numbers such as `41..60`, and names.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct PoseList {
+    runs: Vec<[u32; 2]>,
+    names: Vec<String>,
+}
+
+impl PoseList {
+    /// Adds `7`, `41..60`, `41-60` or a name.
+    ///
+    /// # Errors
+    /// A run that ends before it begins, or an empty text; what was expected.
+    pub fn add(&mut self, text: &str) -> Result<(), &'static str> {
+        let text = text.trim();
+        if text.is_empty() {
+            return Err("a number of a pose, a run such as 41..60, or a name");
+        }
+        if let Ok(number) = text.parse() {
+            self.runs.push([number, number]);
+            return Ok(());
+        }
+        let run = text.split_once("..").or(text.split_once('-'));
+        match run.map(|(first, last)| (first.trim().parse(), last.trim().parse())) {
+            Some((Ok(first), Ok(last))) if first <= last => self.runs.push([first, last]),
+            Some((Ok(_), Ok(_))) => return Err("a run from the smaller number to the larger one"),
+            _ => self.names.push(text.to_owned()),
+        }
+        Ok(())
+    }
+
+    /// Reads a list with commas: `41..60,75`.
+    ///
+    /// # Errors
+    /// As [`PoseList::add`].
+    pub fn parse(text: &str) -> Result<Self, &'static str> {
+        let mut list = Self::default();
+        text.split(',').try_for_each(|part| list.add(part))?;
+        Ok(list)
+    }
+
+    /// Whether it lists nothing.
+    pub fn is_empty(&self) -> bool {
+        self.runs.is_empty() && self.names.is_empty()
+    }
+
+    /// Whether it lists the pose of this number and, where poses have names, of this name.
+    pub fn has(&self, number: u32, name: Option<&str>) -> bool {
+        match name {
+            Some(name) => self.names.iter().any(|known| known == name) || self.has_number_in(name),
+            None => self.runs.iter().any(|[first, last]| (*first..=*last).contains(&number)),
         }
     }
-}
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct MapFile {
-    schema: Spanned<String>,
-    joints: Spanned<JointsTable>,
-    position: Spanned<CoordinateTable<Vec<Spanned<String>>>>,
-    sigma: Option<Spanned<CoordinateTable<String>>>,
-    #[serde(default)]
-    columns: ColumnsTable,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct JointsTable {
-    columns: Vec<Spanned<String>>,
-    revolute_unit: Option<AngleUnit>,
-    prismatic_unit: Option<LengthUnit>,
-}
-
-#[derive(Deserialize, Clone, Copy, PartialEq, Eq)]
-#[serde(rename_all = "lowercase")]
-enum System {
-    Cartesian,
-    Spherical,
-}
-
-/// The columns of three coordinates, each a `C`. `x`, `y`, `z` and `unit` belong to the Cartesian system, the others to the
-/// spherical one.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct CoordinateTable<C> {
-    system: Option<Spanned<System>>,
-    unit: Option<Spanned<LengthUnit>>,
-    x: Option<Spanned<C>>,
-    y: Option<Spanned<C>>,
-    z: Option<Spanned<C>>,
-    range: Option<Spanned<String>>,
-    range_unit: Option<Spanned<LengthUnit>>,
-    azimuth: Option<Spanned<String>>,
-    elevation: Option<Spanned<String>>,
-    zenith: Option<Spanned<String>>,
-    angle_unit: Option<Spanned<AngleUnit>>,
-}
-
-type KeySpan = (&'static str, Option<Range<usize>>);
-
-fn key_span<T>(key: &'static str, value: Option<&Spanned<T>>) -> KeySpan {
-    (key, value.map(Spanned::span))
-}
-
-impl<C> CoordinateTable<C> {
-    fn cartesian_keys(&self) -> Vec<KeySpan> {
-        vec![
-            key_span("x", self.x.as_ref()),
-            key_span("y", self.y.as_ref()),
-            key_span("z", self.z.as_ref()),
-            key_span("unit", self.unit.as_ref()),
-        ]
-    }
-
-    fn spherical_keys(&self) -> Vec<KeySpan> {
-        vec![
-            key_span("range", self.range.as_ref()),
-            key_span("range_unit", self.range_unit.as_ref()),
-            key_span("azimuth", self.azimuth.as_ref()),
-            key_span("elevation", self.elevation.as_ref()),
-            key_span("zenith", self.zenith.as_ref()),
-            key_span("angle_unit", self.angle_unit.as_ref()),
-        ]
+    /// A name that is a number in the list, as `P7` is not.
+    fn has_number_in(&self, name: &str) -> bool {
+        name.parse().is_ok_and(|number| self.has(number, None))
     }
 }
 
-#[derive(Deserialize, Default)]
-#[serde(deny_unknown_fields)]
-struct ColumnsTable {
-    pose: Option<Spanned<String>>,
-    station: Option<Spanned<String>>,
-    target: Option<Spanned<String>>,
-    time_s: Option<Spanned<String>>,
-    temperature_c: Option<Spanned<String>>,
-    #[serde(default)]
-    approach: Vec<Spanned<String>>,
+/// How rows of the joints' file and of the points' files belong together.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Join {
+    pub by: JoinBy,
+    /// The column in the joints' file, and in the points' files; none of rows.
+    pub keys: Option<[Entry; 2]>,
 }
 
-/// Reads a column map, with the text that it was read from.
-pub fn load_column_map(path: &Path) -> Result<(ColumnMap, Source), InputError> {
-    let source = Source::read(path)?;
-    Ok((parse_column_map(&source)?, source))
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum JoinBy {
+    Row,
+    Name,
+    /// Within so many seconds; the joints' clock is ahead of the points' by `offset` seconds.
+    Time {
+        within: f64,
+        offset: f64,
+    },
 }
 
-/// Reads a column map from a text in memory.
-pub fn parse_column_map(source: &Source) -> Result<ColumnMap, InputError> {
-    let file: MapFile = source.toml()?;
-    if file.schema.get_ref() != SCHEMA {
-        let message = format!("schema is {:?}", file.schema.get_ref());
-        return Err(source.error(file.schema.span(), message, Some(format!("expected {SCHEMA:?}"))));
-    }
-    let reader = Reader { source };
-    let (position, polar) = reader.position(&file.position)?;
-    let uncertainty = match &file.sigma {
-        Some(sigma) => Some(Uncertainty::Sigmas(reader.sigmas(sigma, polar)?)),
-        None => None,
-    };
-    let joints = file.joints.get_ref();
-    if joints.columns.is_empty() {
-        return Err(reader.error(file.joints.span(), "[joints] names no columns", "one column a joint"));
-    }
-    let rest = &file.columns;
-    if !rest.approach.is_empty() && rest.approach.len() != joints.columns.len() {
-        let (found, expected) = (rest.approach.len(), joints.columns.len());
-        let message = format!("approach names {found} columns, [joints] {expected}");
-        return Err(reader.error(rest.approach[0].span(), message, "one column an actuator"));
-    }
-    Ok(ColumnMap {
-        mapping: Some(Mapping {
-            joints: reader.distinct(&joints.columns)?,
-            revolute: joints.revolute_unit,
-            prismatic: joints.prismatic_unit,
-            position,
-            uncertainty,
-            pose: reader.optional(rest.pose.as_ref())?,
-            station: reader.optional(rest.station.as_ref())?,
-            target: reader.optional(rest.target.as_ref())?,
-            time: reader.optional(rest.time_s.as_ref())?,
-            temperature: reader.optional(rest.temperature_c.as_ref())?,
-            approach: reader.distinct(&rest.approach)?,
-        }),
-        or_own: false,
-    })
-}
-
-struct Reader<'a> {
-    source: &'a Source,
-}
-
-impl Reader<'_> {
-    fn error(&self, span: Range<usize>, message: impl std::fmt::Display, expected: &str) -> InputError {
-        self.source.error(span, message, Some(format!("expected {expected}")))
+impl Entry {
+    /// A column by name.
+    pub fn named(name: &str) -> Self {
+        let column = ColumnRef::Name(name.to_owned());
+        Self { written: name.to_owned(), terms: vec![Term { column, sign: 1.0 }] }
     }
 
-    fn name(&self, name: &Spanned<String>) -> Result<String, InputError> {
-        let trimmed = name.get_ref().trim();
-        if trimmed.is_empty() {
-            return Err(self.error(
-                name.span(),
-                "the name of a column is empty",
-                "a name of the header line",
-            ));
-        }
-        Ok(trimmed.to_owned())
+    /// What a header may have of it.
+    fn names(&self) -> impl Iterator<Item = &str> {
+        let terms = self.terms.iter().filter_map(|term| match &term.column {
+            ColumnRef::Name(name) => Some(name.as_str()),
+            ColumnRef::Number(_) => None,
+        });
+        let written = terms.clone().any(|name| name != self.written).then_some(self.written.as_str());
+        terms.chain(written)
     }
 
-    fn optional(&self, name: Option<&Spanned<String>>) -> Result<Option<String>, InputError> {
-        name.map(|name| self.name(name)).transpose()
-    }
-
-    fn distinct(&self, names: &[Spanned<String>]) -> Result<Vec<String>, InputError> {
-        let mut seen = Vec::with_capacity(names.len());
-        for spanned in names {
-            let name = self.name(spanned)?;
-            if seen.contains(&name) {
-                return Err(self.error(
-                    spanned.span(),
-                    format!("column {name:?} is named twice"),
-                    "a column each",
-                ));
-            }
-            seen.push(name);
-        }
-        Ok(seen)
-    }
-
-    fn needed<'t, T>(
-        &self,
-        table: (&str, &Range<usize>),
-        key: &str,
-        value: Option<&'t Spanned<T>>,
-    ) -> Result<&'t Spanned<T>, InputError> {
-        value.ok_or_else(|| {
-            self.error(table.1.clone(), format!("[{}] has no {key}", table.0), &format!("the key {key}"))
+    fn numbers(&self) -> impl Iterator<Item = usize> {
+        self.terms.iter().filter_map(|term| match &term.column {
+            ColumnRef::Number(number) => number.checked_sub(1),
+            ColumnRef::Name(_) => None,
         })
-    }
-
-    /// Refuses keys of the other coordinate system.
-    fn foreign(&self, keys: Vec<KeySpan>, system: &str) -> Result<(), InputError> {
-        match keys.into_iter().find_map(|(key, span)| span.map(|span| (key, span))) {
-            Some((key, span)) => {
-                let message = format!("{key} does not belong to the {system} system");
-                Err(self.error(span, message, &format!("the keys of the {system} system alone")))
-            }
-            None => Ok(()),
-        }
-    }
-
-    fn sum(&self, names: &Spanned<Vec<Spanned<String>>>) -> Result<Vec<Term>, InputError> {
-        if names.get_ref().is_empty() {
-            return Err(self.error(names.span(), "a sum of no columns", "one column or more"));
-        }
-        let term = |spanned: &Spanned<String>| {
-            let name = self.name(spanned)?;
-            let (sign, column) = match name.strip_prefix('-') {
-                Some(column) => (-1.0, column),
-                None => (1.0, name.strip_prefix('+').unwrap_or(&name)),
-            };
-            let column = column.trim();
-            if column.is_empty() {
-                return Err(self.error(
-                    spanned.span(),
-                    "a sign without a column",
-                    "a name of the header line",
-                ));
-            }
-            Ok(Term { column: column.to_owned(), sign })
-        };
-        names.get_ref().iter().map(term).collect()
-    }
-
-    fn polar(
-        &self,
-        table: (&str, &Range<usize>),
-        elevation: Option<&Spanned<String>>,
-        zenith: Option<&Spanned<String>>,
-    ) -> Result<(String, PolarAngle), InputError> {
-        match (elevation, zenith) {
-            (Some(name), None) => Ok((self.name(name)?, PolarAngle::Elevation)),
-            (None, Some(name)) => Ok((self.name(name)?, PolarAngle::Zenith)),
-            (Some(_), Some(zenith)) => {
-                Err(self.error(zenith.span(), "both elevation and zenith", "one of elevation and zenith"))
-            }
-            (None, None) => {
-                let message = format!("[{}] has neither elevation nor zenith", table.0);
-                Err(self.error(table.1.clone(), message, "one of elevation and zenith"))
-            }
-        }
-    }
-
-    /// The position's columns and, of a spherical one, from where its second angle counts.
-    fn position(
-        &self,
-        spanned: &Spanned<CoordinateTable<Vec<Spanned<String>>>>,
-    ) -> Result<(PositionColumns, Option<PolarAngle>), InputError> {
-        let (t, span) = (spanned.get_ref(), spanned.span());
-        let table = ("position", &span);
-        if *self.needed(table, "system", t.system.as_ref())?.get_ref() == System::Cartesian {
-            self.foreign(t.spherical_keys(), "cartesian")?;
-            let axes = [
-                self.sum(self.needed(table, "x", t.x.as_ref())?)?,
-                self.sum(self.needed(table, "y", t.y.as_ref())?)?,
-                self.sum(self.needed(table, "z", t.z.as_ref())?)?,
-            ];
-            let unit = *self.needed(table, "unit", t.unit.as_ref())?.get_ref();
-            return Ok((PositionColumns::Cartesian { axes, unit }, None));
-        }
-        self.foreign(t.cartesian_keys(), "spherical")?;
-        let (polar, polar_angle) = self.polar(table, t.elevation.as_ref(), t.zenith.as_ref())?;
-        let position = PositionColumns::Spherical {
-            range: self.name(self.needed(table, "range", t.range.as_ref())?)?,
-            range_unit: *self.needed(table, "range_unit", t.range_unit.as_ref())?.get_ref(),
-            azimuth: self.name(self.needed(table, "azimuth", t.azimuth.as_ref())?)?,
-            polar,
-            polar_angle,
-            angle_unit: *self.needed(table, "angle_unit", t.angle_unit.as_ref())?.get_ref(),
-        };
-        Ok((position, Some(polar_angle)))
-    }
-
-    /// The columns of the standard deviations; `polar` is that of the position, `None` for a Cartesian one.
-    fn sigmas(
-        &self,
-        spanned: &Spanned<CoordinateTable<String>>,
-        polar: Option<PolarAngle>,
-    ) -> Result<[(String, f64); 3], InputError> {
-        let (t, span) = (spanned.get_ref(), spanned.span());
-        let table = ("sigma", &span);
-        if let Some(system) = &t.system {
-            let message = "[sigma] is in the system of [position]";
-            return Err(self.error(system.span(), message, "no key system here"));
-        }
-        let Some(polar) = polar else {
-            self.foreign(t.spherical_keys(), "cartesian")?;
-            let unit = self.needed(table, "unit", t.unit.as_ref())?.get_ref().in_si(1.0);
-            return Ok([
-                (self.name(self.needed(table, "x", t.x.as_ref())?)?, unit),
-                (self.name(self.needed(table, "y", t.y.as_ref())?)?, unit),
-                (self.name(self.needed(table, "z", t.z.as_ref())?)?, unit),
-            ]);
-        };
-        self.foreign(t.cartesian_keys(), "spherical")?;
-        let (name, own_polar) = self.polar(table, t.elevation.as_ref(), t.zenith.as_ref())?;
-        if own_polar != polar {
-            let message = "[sigma] and [position] differ: one says elevation, the other zenith";
-            return Err(self.error(span.clone(), message, "the same angle in both"));
-        }
-        let length = self.needed(table, "range_unit", t.range_unit.as_ref())?.get_ref().in_si(1.0);
-        let angle = self.needed(table, "angle_unit", t.angle_unit.as_ref())?.get_ref().in_si(1.0);
-        Ok([
-            (self.name(self.needed(table, "range", t.range.as_ref())?)?, length),
-            (self.name(self.needed(table, "azimuth", t.azimuth.as_ref())?)?, angle),
-            (name, angle),
-        ])
     }
 }
 
@@ -491,26 +332,47 @@ pub(super) mod own {
     }
 }
 
+/// Whose columns are looked for in a table.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Part {
+    /// All of them in one.
+    Whole,
+    /// Joints alone, with what joins them.
+    Joints,
+    /// All but the joints.
+    Points,
+}
+
+/// What is said on a command line beside, or instead of, the map.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct RowOptions {
+    /// Marks of missed shots beside those of the map.
+    pub missed: Vec<MissedCode>,
+    /// Poses that are held out.
+    pub verification_poses: PoseList,
+    /// Whether the signs of approach follow from the order of the rows.
+    pub approach_from_order: bool,
+    /// Whether repeats of a pose count as one reading with their mean.
+    pub average_repeats: bool,
+    /// The sheet of a spreadsheet that is read; the first where none is named.
+    pub sheet: Option<String>,
+    /// What of a bag is read.
+    pub bag: BagOptions,
+}
+
 impl ColumnMap {
+    pub(super) fn new(mapping: Mapping, source: Source) -> Self {
+        Self { mapping: Some(mapping), or_own: false, source: Some(Arc::new(source)) }
+    }
+
     /// Refuses a map that does not fit the robot's joints; `source` is the text that it was read from.
     pub fn check_joints(&self, source: &Source, joints: &[JointKind]) -> Result<(), InputError> {
         let Some(mapping) = &self.mapping else { return Ok(()) };
-        let refused = |key: &str, message: String, expected: String| {
-            Err(source.error(source.place_of(key), message, Some(format!("expected {expected}"))))
-        };
         let (found, expected) = (mapping.joints.len(), joints.len());
         if found != expected {
             let message = format!("joints.columns names {found} columns, the robot has {expected} joints");
-            return refused("joints.columns", message, "one column a joint".to_owned());
-        }
-        for (kind, name, missing, units) in [
-            (JointKind::Revolute, "revolute", mapping.revolute.is_none(), "deg, rad or arcsec"),
-            (JointKind::Prismatic, "prismatic", mapping.prismatic.is_none(), "mm, m or um"),
-        ] {
-            if missing && joints.contains(&kind) {
-                let message = format!("missing key `{name}_unit` in [joints]: the robot has {name} joints");
-                return refused("joints", message, format!("{name}_unit = {units}"));
-            }
+            let help = "expected one column a joint".to_owned();
+            return Err(source.error(source.place_of("joints.columns"), message, Some(help)));
         }
         Ok(())
     }
@@ -522,16 +384,54 @@ impl ColumnMap {
         Self { or_own: true, ..self }
     }
 
-    /// The columns to look for in a header line, whatever of them it holds.
-    pub(super) fn candidates(&self, joints: &[JointKind]) -> Vec<String> {
-        let mapped = self.mapping.iter().flat_map(Mapping::names).map(str::to_owned);
-        if self.mapping.is_some() && !self.or_own {
-            return mapped.collect();
+    #[cfg(test)]
+    pub(super) fn mapping(&self) -> Option<&Mapping> {
+        self.mapping.as_ref()
+    }
+
+    /// Its text, for messages to point into.
+    pub(super) fn source(&self) -> Option<&Source> {
+        self.source.as_deref()
+    }
+
+    /// What it says of a text's form, and of a table's.
+    pub(super) fn format(&self) -> (TextFormat, TableFormat) {
+        self.mapping.as_ref().map_or_else(Default::default, |mapping| (mapping.text.clone(), mapping.table))
+    }
+
+    /// What it says of rows.
+    pub(super) fn row_choices(&self) -> Option<&RowChoices> {
+        self.mapping.as_ref().map(|mapping| &mapping.rows)
+    }
+
+    /// How rows of two files are joined.
+    pub(super) fn join(&self) -> Option<&Join> {
+        self.mapping.as_ref()?.join.as_ref()
+    }
+
+    /// The columns to look for in a header, whatever of them it holds.
+    pub(super) fn wanted(&self, joints: &[JointKind], part: Part) -> Wanted {
+        let mut wanted = Wanted::default();
+        for entry in self.mapping.iter().flat_map(|mapping| mapping.entries(part)) {
+            wanted.names.extend(entry.names().map(str::to_owned));
+            wanted.numbers.extend(entry.numbers());
         }
-        let fixed = [own::POSE, own::STATION, own::TARGET, own::TIME, own::TEMPERATURE];
-        let fixed = fixed.iter().chain(&own::SPHERICAL).chain(&own::CARTESIAN);
-        let commands = joints.iter().enumerate().map(|(index, kind)| own::joint(index, *kind));
-        mapped.chain(fixed.map(|name| (*name).to_owned())).chain(commands).collect()
+        if let Some(mapping) = self.mapping.as_ref().filter(|_| !wanted.numbers.is_empty()) {
+            // Other cells need not hold numbers in every row.
+            wanted.numbers = mapping.needed(part).into_iter().flat_map(Entry::numbers).collect();
+        }
+        if self.mapping.is_some() && !self.or_own {
+            return wanted;
+        }
+        if part != Part::Joints {
+            let fixed = [own::POSE, own::STATION, own::TARGET, own::TIME, own::TEMPERATURE];
+            let fixed = fixed.iter().chain(&own::SPHERICAL).chain(&own::CARTESIAN);
+            wanted.names.extend(fixed.map(|name| (*name).to_owned()));
+        }
+        if part != Part::Points {
+            wanted.names.extend(joints.iter().enumerate().map(|(index, kind)| own::joint(index, *kind)));
+        }
+        wanted
     }
 
     /// The columns of a file with this header, or why they cannot be told.
@@ -539,7 +439,8 @@ impl ColumnMap {
         let has = |name: &str| header.contains(&name);
         let own = |mapping: &Mapping| {
             self.or_own
-                && !mapping.joints.iter().any(|name| has(name))
+                && !mapping.joints.iter().flat_map(Entry::names).any(has)
+                && !mapping.joints.iter().any(|entry| entry.numbers().next().is_some())
                 && (0..joints.len()).all(|index| has(&own::joint(index, joints[index])))
         };
         match &self.mapping {
@@ -560,264 +461,107 @@ fn own_mapping(header: &[&str], joints: &[JointKind]) -> Result<Mapping, String>
         return Err("there are columns of both x_m, y_m, z_m and range_m, az_rad, el_rad".to_owned());
     }
     let (position, sigma, covariance) = if cartesian {
-        let axes = own::CARTESIAN.map(|name| vec![Term { column: name.to_owned(), sign: 1.0 }]);
-        let position = PositionColumns::Cartesian { axes, unit: LengthUnit::M };
+        let axes = own::CARTESIAN.map(Entry::named);
+        let position = PositionColumns::Cartesian { axes, unit: Some(LengthUnit::M) };
         (position, own::CARTESIAN_SIGMA, own::CARTESIAN_COVARIANCE)
     } else {
-        let [range, azimuth, polar] = own::SPHERICAL.map(str::to_owned);
+        let [range, azimuth, polar] = own::SPHERICAL.map(Entry::named);
         let position = PositionColumns::Spherical {
             range,
-            range_unit: LengthUnit::M,
+            range_unit: Some(LengthUnit::M),
             azimuth,
             polar,
             polar_angle: PolarAngle::Elevation,
-            angle_unit: AngleUnit::Rad,
+            angle_unit: Some(AngleUnit::Rad),
         };
         (position, own::SPHERICAL_SIGMA, own::SPHERICAL_COVARIANCE)
     };
     // One column of a group calls for the whole group, so that a misspelt one is reported.
     let uncertainty = match (sigma.iter().any(|name| has(name)), covariance.iter().any(|name| has(name))) {
         (true, true) => return Err("there are columns of both sigma and cov".to_owned()),
-        (true, false) => Some(Uncertainty::Sigmas(sigma.map(|name| (name.to_owned(), 1.0)))),
-        (false, true) => Some(Uncertainty::Covariance(covariance.map(str::to_owned))),
+        (true, false) => Some(Uncertainty::Sigmas {
+            columns: sigma.map(Entry::named),
+            units: if cartesian {
+                SigmaUnits::Cartesian(Some(LengthUnit::M))
+            } else {
+                SigmaUnits::Spherical(Some(LengthUnit::M), Some(AngleUnit::Rad))
+            },
+            coverage: 1.0,
+        }),
+        (false, true) => Some(Uncertainty::Covariance(covariance.map(Entry::named))),
         (false, false) => None,
     };
-    let optional = |name: &str| has(name).then(|| name.to_owned());
+    let optional = |name: &str| has(name).then(|| Entry::named(name));
     let approach: Vec<_> = (0..joints.len()).map(own::approach).collect();
     let directed = approach.iter().any(|name| has(name));
     Ok(Mapping {
-        joints: joints.iter().enumerate().map(|(index, kind)| own::joint(index, *kind)).collect(),
+        joints: joints
+            .iter()
+            .enumerate()
+            .map(|(index, kind)| Entry::named(&own::joint(index, *kind)))
+            .collect(),
         revolute: Some(AngleUnit::Rad),
         prismatic: Some(LengthUnit::M),
         position,
         uncertainty,
+        noise: None,
         pose: optional(own::POSE),
         station: optional(own::STATION),
         target: optional(own::TARGET),
         time: optional(own::TIME),
         temperature: optional(own::TEMPERATURE),
-        approach: if directed { approach } else { Vec::new() },
+        approach: if directed {
+            approach.iter().map(|name| Entry::named(name)).collect()
+        } else {
+            Vec::new()
+        },
+        rows: RowChoices::default(),
+        sets: Sets::default(),
+        join: None,
+        text: TextFormat::default(),
+        table: TableFormat::default(),
     })
 }
 
 impl Mapping {
-    /// Every column that it names.
-    pub fn names(&self) -> Vec<&str> {
-        let mut names: Vec<&str> = self.joints.iter().chain(&self.approach).map(String::as_str).collect();
-        match &self.position {
-            PositionColumns::Cartesian { axes, .. } => {
-                names.extend(axes.iter().flatten().map(|term| term.column.as_str()));
+    /// Every entry that is looked for in that part.
+    pub fn entries(&self, part: Part) -> Vec<&Entry> {
+        let mut entries = self.needed(part);
+        if part != Part::Joints {
+            entries.extend(&self.approach);
+            match &self.uncertainty {
+                Some(Uncertainty::Sigmas { columns, .. }) => entries.extend(columns),
+                Some(Uncertainty::Covariance(columns)) => entries.extend(columns),
+                None => {}
             }
-            PositionColumns::Spherical { range, azimuth, polar, .. } => {
-                names.extend([range.as_str(), azimuth, polar]);
-            }
+            let rest = [&self.pose, &self.station, &self.target, &self.time, &self.temperature];
+            entries.extend(rest.into_iter().flatten());
+            entries.extend(&self.sets.column);
         }
-        match &self.uncertainty {
-            Some(Uncertainty::Sigmas(columns)) => names.extend(columns.iter().map(|(name, _)| name.as_str())),
-            Some(Uncertainty::Covariance(columns)) => names.extend(columns.iter().map(String::as_str)),
-            None => {}
-        }
-        let rest = [&self.pose, &self.station, &self.target, &self.time, &self.temperature];
-        names.extend(rest.into_iter().flatten().map(String::as_str));
-        names
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    const CARTESIAN: &str = r#"schema = "calibrig.columns/1"
-[joints]
-columns = ["j1", "j2"]
-revolute_unit = "deg"
-[position]
-system = "cartesian"
-unit = "mm"
-x = ["xt", "-dx"]
-y = ["+yt"]
-z = ["zt"]
-[sigma]
-unit = "um"
-x = "sx"
-y = "sy"
-z = "sz"
-[columns]
-pose = "No"
-approach = ["a1", "a2"]
-"#;
-
-    const SPHERICAL: &str = r#"schema = "calibrig.columns/1"
-[joints]
-columns = ["j1"]
-prismatic_unit = "mm"
-[position]
-system = "spherical"
-range = "R"
-range_unit = "m"
-azimuth = "Az"
-zenith = "Ze"
-angle_unit = "deg"
-[sigma]
-range = "sR"
-range_unit = "um"
-azimuth = "sAz"
-zenith = "sZe"
-angle_unit = "arcsec"
-"#;
-
-    fn parse(text: &str) -> Result<ColumnMap, InputError> {
-        parse_column_map(&Source::new("columns.toml", text))
-    }
-
-    #[test]
-    fn sums_signs_and_units_are_understood() {
-        let mapping = parse(CARTESIAN).expect("valid").mapping.expect("named");
-        let PositionColumns::Cartesian { axes: [x, y, _], unit } = &mapping.position else {
-            panic!("cartesian")
-        };
-        let signed: Vec<_> = x.iter().chain(y).map(|term| (term.column.as_str(), term.sign)).collect();
-        assert_eq!((signed, *unit), (vec![("xt", 1.0), ("dx", -1.0), ("yt", 1.0)], LengthUnit::Mm));
-        let Some(Uncertainty::Sigmas(sigmas)) = &mapping.uncertainty else { panic!("sigmas") };
-        assert_eq!(sigmas[1], ("sy".to_owned(), 1e-6));
-        assert_eq!(mapping.approach, ["a1", "a2"]);
-        assert_eq!(AngleUnit::Arcsec.in_si(3600.0), 1f64.to_radians());
-        let mapping = parse(SPHERICAL).expect("valid").mapping.expect("named");
-        assert!(matches!(
-            mapping.position,
-            PositionColumns::Spherical { polar_angle: PolarAngle::Zenith, .. }
-        ));
-        assert_eq!(mapping.names(), ["j1", "R", "Az", "Ze", "sR", "sAz", "sZe"]);
-    }
-
-    #[test]
-    fn every_mistake_is_named_with_its_line_and_what_was_expected() {
-        for (text, from, to, message, line, help) in [
-            (CARTESIAN, "columns/1", "columns/9", "columns/9", 1, "columns/1"),
-            (CARTESIAN, "[\"j1\", \"j2\"]", "[]", "names no columns", 2, "one column a joint"),
-            (CARTESIAN, "\"j2\"", "\"j1\"", "\"j1\" is named twice", 3, "each"),
-            (CARTESIAN, "\"j2\"", "\" \"", "is empty", 3, "header"),
-            (CARTESIAN, "\"deg\"", "\"grad\"", "joints.revolute_unit is \"grad\"", 4, "`deg`"),
-            (CARTESIAN, "revolute_unit", "unit", "unknown key `unit`", 4, "`revolute_unit`"),
-            (CARTESIAN, "unit = \"mm\"\n", "", "[position] has no unit", 5, "unit"),
-            (CARTESIAN, "system = \"cartesian\"\n", "", "[position] has no system", 5, "system"),
-            (CARTESIAN, "z = [\"zt\"]\n", "", "[position] has no z", 5, "z"),
-            (CARTESIAN, "[\"zt\"]", "[]", "a sum of no columns", 10, "one column or more"),
-            (CARTESIAN, "[\"zt\"]", "[\"-\"]", "a sign without a column", 10, "header"),
-            (CARTESIAN, "[\"zt\"]", "\"zt\"", "position.z is \"zt\"", 10, "a list"),
-            (
-                CARTESIAN,
-                "z = [\"zt\"]",
-                "z = [\"zt\"]\nrange = \"R\"",
-                "range does not belong to the cartesian",
-                11,
-                "alone",
-            ),
-            (CARTESIAN, "z = \"sz\"\n", "", "[sigma] has no z", 11, "z"),
-            (
-                CARTESIAN,
-                "z = \"sz\"",
-                "z = \"sz\"\nsystem = \"cartesian\"",
-                "[sigma] is in the system of",
-                16,
-                "no key",
-            ),
-            (
-                CARTESIAN,
-                "[\"a1\", \"a2\"]",
-                "[\"a1\"]",
-                "approach names 1 columns, [joints] 2",
-                18,
-                "actuator",
-            ),
-            (CARTESIAN, "pose", "number", "unknown key `number`", 17, "`pose`"),
-            (SPHERICAL, "\"spherical\"", "\"cartesian\"", "range does not belong", 7, "alone"),
-            (SPHERICAL, "zenith = \"Ze\"", "", "neither elevation nor zenith", 5, "one of"),
-            (
-                SPHERICAL,
-                "zenith = \"Ze\"",
-                "zenith = \"Ze\"\nelevation = \"El\"",
-                "both elevation and zenith",
-                10,
-                "one of",
-            ),
-            (
-                SPHERICAL,
-                "zenith = \"sZe\"",
-                "elevation = \"sZe\"",
-                "[sigma] and [position] differ",
-                12,
-                "same",
-            ),
-            (
-                SPHERICAL,
-                "angle_unit = \"deg\"",
-                "unit = \"m\"",
-                "unit does not belong to the spherical",
-                11,
-                "alone",
-            ),
-            (SPHERICAL, "angle_unit = \"deg\"", "", "[position] has no angle_unit", 5, "angle_unit"),
-            (SPHERICAL, "\"arcsec\"", "\"min\"", "sigma.angle_unit is \"min\"", 17, "`arcsec`"),
-        ] {
-            assert!(text.contains(from), "{from}");
-            match parse(&text.replacen(from, to, 1)) {
-                Err(InputError::Invalid { message: found, line: at, help: expected, .. }) => {
-                    assert!(found.contains(message), "{from} -> {to}: {found}");
-                    assert!(
-                        expected.as_deref().unwrap_or_default().contains(help),
-                        "{from} -> {to}: {found}: {expected:?}"
-                    );
-                    assert_eq!(at, line, "{from} -> {to}: {found}");
-                }
-                other => panic!("{from} -> {to}: {other:?}"),
+        if let Some([joints, points]) = self.join.as_ref().and_then(|join| join.keys.as_ref()) {
+            match part {
+                Part::Whole => {}
+                Part::Joints => entries.push(joints),
+                Part::Points => entries.push(points),
             }
         }
+        entries
     }
 
-    #[test]
-    fn the_maps_of_the_repository_are_valid() {
-        for (robot, joints) in [("ur5", 6), ("wam", 7)] {
-            let path =
-                Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models").join(robot).join("columns.toml");
-            let (map, source) = load_column_map(&path).expect("the map of the repository");
-            assert_eq!(map.mapping.expect("named").joints.len(), joints);
-            assert!(source.text.contains("schema"));
+    /// Commands and position: what every row of a measurement has.
+    fn needed(&self, part: Part) -> Vec<&Entry> {
+        let mut entries: Vec<&Entry> = Vec::new();
+        if part != Part::Points {
+            entries.extend(&self.joints);
         }
-        assert!(
-            load_column_map(Path::new("no such map.toml")).unwrap_err().to_string().contains("no such map")
-        );
-    }
-
-    /// The map in the module's documentation.
-    #[test]
-    fn the_documented_map_is_valid() {
-        let documented: String = include_str!("columns.rs")
-            .lines()
-            .skip_while(|line| *line != "//! ```toml")
-            .skip(1)
-            .take_while(|line| *line != "//! ```")
-            .flat_map(|line| [line.trim_start_matches("//!"), "\n"])
-            .collect();
-        let map = parse(&documented).expect("as documented").mapping.expect("named");
-        assert_eq!((map.joints.len(), map.names().len()), (3, 3 + 3 + 6 + 3 + 5));
-    }
-
-    proptest! {
-        #![proptest_config(ProptestConfig::with_cases(300))]
-        #[test]
-        fn no_mutation_of_a_map_panics(at in 0usize..400, remove in 0usize..6, insert in "\\PC{0,3}|[\"\\[\\]=.,\n-]{0,3}") {
-            for text in [CARTESIAN, SPHERICAL] {
-                let mut text: Vec<char> = text.chars().collect();
-                let at = at.min(text.len());
-                let end = (at + remove).min(text.len());
-                text.splice(at..end, insert.chars());
-                if let Err(error) = parse(&text.into_iter().collect::<String>()) {
-                    let drawn = format!("{:?}", miette::Report::new(error));
-                    prop_assert!(!drawn.is_empty());
+        if part != Part::Joints {
+            match &self.position {
+                PositionColumns::Cartesian { axes, .. } => entries.extend(axes),
+                PositionColumns::Spherical { range, azimuth, polar, .. } => {
+                    entries.extend([range, azimuth, polar]);
                 }
             }
         }
+        entries
     }
 }

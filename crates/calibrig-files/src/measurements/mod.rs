@@ -1,15 +1,40 @@
-//! Measurement files: delimited text, and the maps that tell what its columns hold.
+//! Measurement files, and the maps that tell what their columns hold.
+//!
+//! A file is [rows](rows) of texts, whatever kind it is ([open]): [text], or what another reader makes of a spreadsheet or a bag. Behind that,
+//! the [layout] tells header from measurements, the [map file](map_file) which [columns] mean what, the [header] where they are, [join] adds the
+//! commands of another file, and the [reader] makes observations of rows.
 
+mod cells;
 mod columns;
-mod csv;
-mod csv_text;
+mod files;
+mod header;
+mod join;
+mod layout;
+mod loaded;
+mod map_file;
+mod open;
+mod places;
+mod reader;
+mod repeats;
+mod rows;
+mod suggest;
 mod table;
+#[cfg(test)]
+mod tests;
+mod text;
+mod times;
+mod units;
+mod writer;
 
-pub use columns::{ColumnMap, load_column_map, parse_column_map};
-pub use csv::{
-    CsvError, LoadedMeasurements, measurements_text, parse_measurements, read_measurements,
-    write_measurements,
-};
+pub use columns::{ColumnMap, MissedCode, PoseList, RowOptions};
+pub use files::{MeasurementFiles, PointsFile, parse_measurements, read_files, read_measurements, read_rows};
+pub use loaded::LoadedMeasurements;
+pub use map_file::{load_column_map, parse_column_map};
+pub use open::is_bag;
+pub use places::Places;
+pub use rows::{MemoryRows, Place, Row, Rows};
+pub use suggest::{SuggestedMap, suggest_columns};
 pub use table::bag::{BagOptions, DEFAULT_TOLERANCE_S, read_bag};
 pub use table::sheet::read_sheet;
 pub use table::{Table, TablePlace, TableRow};
+pub use writer::{CsvError, measurements_text, write_measurements};

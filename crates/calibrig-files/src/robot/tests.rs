@@ -458,10 +458,10 @@ fn a_target_that_cannot_be_is_refused_at_its_line() {
         (format!("[target]\n{at}\nsigma_mm = -0.02"), "target.sigma_mm is -0.02", 28, "above zero"),
         (format!("[target]\n{at}\nsigma_mm = nan"), "target.sigma_mm is nan", 28, "finite"),
         (format!("[target]\n{at}\nsigma_mm = 0"), "nothing is measured exactly", 28, "no sigma_mm"),
-        (format!("[target]\n{at}\nsigma_um = 20"), "unknown key `sigma_um`", 28, "`sigma_mm`"),
+        (format!("[target]\n{at}\nsigma_kg = 20"), "unknown key `sigma_kg`", 28, "`sigma_mm`"),
         (format!("[target]\n{at}\nsigma = 0.02"), "unknown key `sigma`", 28, "unit is part of the key"),
         (format!("[target]\n{at}\nsigma_mm = \"0.02\""), "target.sigma_mm is \"0.02\"", 28, "a number"),
-        ("[target]\nx_m = 1\ny_mm = 2\nz_mm = 3".to_owned(), "unknown key `x_m`", 25, "`x_mm`"),
+        ("[target]\nx_s = 1\ny_mm = 2\nz_mm = 3".to_owned(), "unknown key `x_s`", 25, "`x_mm`"),
         ("[target]\nx_mm = inf\ny_mm = 2\nz_mm = 3".to_owned(), "target.x_mm is inf", 25, "finite"),
         (format!("[target]\nname = \" \"\n{at}"), "target.name is empty", 25, "measurement files"),
         (
@@ -483,8 +483,8 @@ fn a_target_that_cannot_be_is_refused_at_its_line() {
             "unit",
         ),
         (
-            format!("[[target]]\nname = \"A\"\n{at}\n[[target]]\nname = \"B\"\n{at}\nsigma_um = 1"),
-            "unknown key `sigma_um`",
+            format!("[[target]]\nname = \"A\"\n{at}\n[[target]]\nname = \"B\"\n{at}\nsigma_kg = 1"),
+            "unknown key `sigma_kg`",
             34,
             "`sigma_mm`",
         ),

@@ -41,7 +41,7 @@ fn file(kind: SetKind, targets: &[&str], stations: &[&str]) -> MeasuredFile {
     }
     let source = Source::new(format!("{}.csv", kind.key()), text);
     let loaded = parse_measurements(&source, &ColumnMap::default(), &[JointKind::Revolute]).expect("valid");
-    MeasuredFile { kind, source, loaded }
+    MeasuredFile { kind, name: source.name, loaded }
 }
 
 fn fitted(targets: &[&str]) -> Vec<MeasuredFile> {
@@ -62,6 +62,9 @@ fn known(file: &MeasuredFile) -> Vec<(&str, f64, Option<f64>)> {
 fn refused(robot: &Robot, session: Option<&(SessionFile, Source)>, mut files: Vec<MeasuredFile>) -> String {
     let session = session.map(|(session, source)| (session, source));
     match state(robot, session, &mut files).expect_err("refused") {
+        InputError::Place { place, message, help } => {
+            format!("{place}: {message} ({})", help.unwrap_or_default())
+        }
         InputError::Invalid { message, line, help, source_code, .. } => {
             format!("{}:{line}: {message} ({})", source_code.name(), help.unwrap_or_default())
         }
@@ -130,7 +133,7 @@ fn readings_that_state_no_uncertainty_among_others_that_do_are_read_and_told() {
         let source = Source::new("set.csv", text);
         let loaded =
             parse_measurements(&source, &ColumnMap::default(), &[JointKind::Revolute]).expect("valid");
-        let mut files = [MeasuredFile { kind: SetKind::Identification, source, loaded }];
+        let mut files = [MeasuredFile { kind: SetKind::Identification, name: source.name, loaded }];
         let told = state(&robot(&[]), None, &mut files).expect("nothing is stated");
         let stated = |o: &Observation| o.reading.position_covariance().map(|c| c.m22);
         (files[0].loaded.set.observations.iter().map(stated).collect::<Vec<_>>(), told.remarks)
@@ -164,11 +167,11 @@ fn targets_that_cannot_be_matched_are_refused() {
     let shots = refused(&robot(&[]), None, fitted(&["P1", "P2", "P3"]));
     assert_has(
         &shots,
-        &["identification.csv:1: ", "3 targets with one reading each", "names the shot", "no target column"],
+        &["identification.csv:2: ", "3 targets with one reading each", "names the shot", "no target column"],
     );
     // One that was shot twice.
     let shots = refused(&robot(&[]), None, fitted(&["P1", "P2", "P3", "P3", "P4"]));
-    assert_has(&shots, &["identification.csv:1: ", "3 targets with one reading each", "no target column"]);
+    assert_has(&shots, &["identification.csv:2: ", "3 targets with one reading each", "no target column"]);
     let mut files = fitted(&["A", "A", "A", "A", "B", "C"]);
     state(&robot(&[]), None, &mut files).expect("a reflector, and two that were tried once");
 }
@@ -251,7 +254,7 @@ fn held_out_poses_are_those_of_the_same_target_whatever_their_order() {
     assert_has(
         &unknown,
         &[
-            "verification.csv:1: ",
+            "verification.csv:2: ",
             "target \"C\" of the verification set is not in the identification set (A)",
             "nothing is stated of it",
         ],
@@ -276,7 +279,7 @@ fn rows_that_repeat_another_to_the_last_digit_count_once_and_are_told() {
     let text = "q1_rad,x_m,y_m,z_m\n0.1,1,2,3\n0.2,1,2,3\n0.1,1,2,3\n0.1,1,2,3.000001\n0.1,1,2,3\n";
     let source = Source::new("m.csv", text.to_owned());
     let loaded = parse_measurements(&source, &ColumnMap::default(), &[JointKind::Revolute]).expect("valid");
-    let mut files = vec![MeasuredFile { kind: SetKind::Identification, source, loaded }];
+    let mut files = vec![MeasuredFile { kind: SetKind::Identification, name: source.name, loaded }];
     let told = state(&robot(&[]), None, &mut files).expect("valid").remarks;
     assert_eq!(files[0].loaded.set.observations.len(), 3);
     let expected =

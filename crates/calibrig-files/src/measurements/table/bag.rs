@@ -1,22 +1,24 @@
 //! Bags of ROS 2 in MCAP: states of joints and measured points, joined by their stamps.
 
+mod states;
+mod topics;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::path::Path;
 use std::sync::Arc;
 
+use self::states::{Moving, Sample, States};
+use self::topics::{Kind, Topic};
 use super::cdr::{self, CdrError, Point};
-use super::mcap_records::{Channel, Trouble, messages};
+use super::mcap_records::{Trouble, messages};
 use super::{Table, TablePlace, TableRow, counted, number_text};
 use crate::input::InputError;
 
 /// How far the stamps of a point and of its joints may lie apart where nobody says, s: a robot at rest for a tenth of a second is enough, and
 /// states come ten times as often.
 pub const DEFAULT_TOLERANCE_S: f64 = 0.05;
-
-/// A robot whose joints change by more than this within the tolerance moves, rad or m.
-const MOVES: f64 = 1e-4;
 
 /// Dropped points that are told one by one.
 const TOLD: usize = 5;
@@ -33,11 +35,19 @@ pub struct BagOptions {
     pub tolerance_s: f64,
     /// Names of the joints that a row must have; where none are stated, all that the bag has.
     pub names: Vec<String>,
+    /// Where none are stated: of the joints that the bag has, those that are enough, if it has any of them.
+    pub enough: Vec<String>,
 }
 
 impl Default for BagOptions {
     fn default() -> Self {
-        Self { joints: None, points: Vec::new(), tolerance_s: DEFAULT_TOLERANCE_S, names: Vec::new() }
+        Self {
+            joints: None,
+            points: Vec::new(),
+            tolerance_s: DEFAULT_TOLERANCE_S,
+            names: Vec::new(),
+            enough: Vec::new(),
+        }
     }
 }
 
@@ -54,36 +64,6 @@ pub fn read_bag(path: &Path, options: &BagOptions) -> Result<Table, InputError> 
     let file = File::open(path)
         .map_err(|error| InputError::Unreadable { path: path.to_path_buf(), reason: error.to_string() })?;
     bag_of(&mut BufReader::with_capacity(1 << 20, file), &name, options)
-}
-
-/// What can be of use on a topic.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
-    Joints,
-    /// The position of a point or pose.
-    Point,
-    Transform,
-}
-
-impl Kind {
-    fn of(channel: &Channel) -> Option<Self> {
-        let (package, name) = channel.schema.split_once('/')?;
-        let name = name.strip_prefix("msg/").unwrap_or(name);
-        match (package, name) {
-            ("sensor_msgs", "JointState") => Some(Self::Joints),
-            ("geometry_msgs", "PointStamped" | "PoseStamped") => Some(Self::Point),
-            ("geometry_msgs", "TransformStamped") => Some(Self::Transform),
-            _ => None,
-        }
-    }
-}
-
-/// A topic of use.
-#[derive(Debug, Clone)]
-struct Topic {
-    kind: Kind,
-    schema: String,
-    messages: u64,
 }
 
 pub(super) fn bag_of(
@@ -128,14 +108,6 @@ struct Notes {
     poses: bool,
 }
 
-/// A state of a joint.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Sample {
-    stamp: i64,
-    position: f64,
-    velocity: Option<f64>,
-}
-
 impl Bag<'_> {
     fn refuse(&self, place: Option<String>, message: String, expected: String) -> InputError {
         let place = place.map_or_else(|| self.name.to_owned(), |place| format!("{}, {place}", self.name));
@@ -153,124 +125,6 @@ impl Bag<'_> {
             Trouble::Stopped(why) => {
                 self.refuse(None, why, "messages as their schemas describe them".to_owned())
             }
-        }
-    }
-
-    /// Topics of use, by name.
-    fn topics(&self, file: &mut (impl Read + Seek)) -> Result<BTreeMap<String, Topic>, InputError> {
-        let mut topics: BTreeMap<String, Topic> = BTreeMap::new();
-        let mut others = BTreeSet::new();
-        let mut calibrig = false;
-        messages(file, &mut |_, channel, _, _| {
-            calibrig |= channel.schema.starts_with("calibrig.");
-            let Some(kind) = Kind::of(channel) else {
-                others.insert(format!("{} ({})", channel.topic, channel.schema));
-                return Ok(());
-            };
-            if channel.encoding != "cdr" {
-                return Err(format!(
-                    "{}: its messages are encoded as {:?}, and not as CDR, as those of ROS 2 are",
-                    channel.topic, channel.encoding
-                ));
-            }
-            let topic = topics.entry(channel.topic.clone()).or_insert_with(|| Topic {
-                kind,
-                schema: channel.schema.clone(),
-                messages: 0,
-            });
-            if topic.kind != kind {
-                return Err(format!("{}: its messages are of different kinds", channel.topic));
-            }
-            topic.messages += 1;
-            Ok(())
-        })
-        .map_err(|trouble| self.trouble(trouble))?;
-        if topics.is_empty() {
-            if calibrig {
-                return Err(self.refuse(
-                    None,
-                    "it is a calibrig recording, and no bag of ROS 2".to_owned(),
-                    "`calibrig replay`, which identifies from it, or `calibrig export csv`, which makes files of it".to_owned(),
-                ));
-            }
-            let others: Vec<_> = others.into_iter().take(12).collect();
-            let found = if others.is_empty() { "no message".to_owned() } else { others.join(", ") };
-            return Err(self.refuse(
-                None,
-                format!("the bag has no states of joints and no points; it has {found}"),
-                "sensor_msgs/JointState, and geometry_msgs/PointStamped, PoseStamped or TransformStamped"
-                    .to_owned(),
-            ));
-        }
-        Ok(topics)
-    }
-
-    /// Topics of the right kinds, with the numbers of their messages.
-    fn listed(topics: &BTreeMap<String, Topic>, joints: bool) -> Vec<String> {
-        let right = topics.iter().filter(|(_, topic)| (topic.kind == Kind::Joints) == joints);
-        right
-            .map(|(name, topic)| {
-                format!("{name} ({}, {})", topic.schema, counted(count(topic.messages), "message"))
-            })
-            .collect()
-    }
-
-    fn joints_topic(&self, topics: &BTreeMap<String, Topic>) -> Result<String, InputError> {
-        let of_joints: Vec<&String> =
-            topics.iter().filter(|(_, topic)| topic.kind == Kind::Joints).map(|(name, _)| name).collect();
-        let listed = || Self::listed(topics, true).join(", ");
-        match (&self.options.joints, of_joints.as_slice()) {
-            (Some(asked), known) if known.contains(&asked) => Ok(asked.clone()),
-            (Some(asked), _) => {
-                let message = format!("there is no sensor_msgs/JointState on {asked}");
-                Err(self.refuse(None, message, format!("one of: {}", listed())))
-            }
-            (None, [only]) => Ok((*only).clone()),
-            (None, []) => Err(self.refuse(
-                None,
-                "the bag has no states of joints".to_owned(),
-                "a topic of sensor_msgs/JointState: record it together with the points".to_owned(),
-            )),
-            (None, _) => Err(self.refuse(
-                None,
-                "several topics have states of joints".to_owned(),
-                format!("--bag-joints with one of: {}", listed()),
-            )),
-        }
-    }
-
-    fn points_topics(&self, topics: &BTreeMap<String, Topic>) -> Result<Vec<String>, InputError> {
-        let of_points: Vec<String> = topics
-            .iter()
-            .filter(|(_, topic)| topic.kind != Kind::Joints)
-            .map(|(name, _)| name.clone())
-            .collect();
-        let listed = || Self::listed(topics, false).join(", ");
-        for asked in &self.options.points {
-            if !of_points.contains(asked) {
-                return Err(self.refuse(
-                    None,
-                    format!("there are no points on {asked}"),
-                    format!("one of: {}", listed()),
-                ));
-            }
-        }
-        match (self.options.points.as_slice(), of_points.as_slice()) {
-            ([], []) => Err(self.refuse(
-                None,
-                "the bag has no measured points".to_owned(),
-                "a topic of geometry_msgs/PointStamped, PoseStamped or TransformStamped".to_owned(),
-            )),
-            ([], [only]) => Ok(vec![only.clone()]),
-            ([], _) => Err(self.refuse(
-                None,
-                "several topics have points".to_owned(),
-                format!(
-                    "--bag-points with one of them, or several where each is a target of its own: {}",
-                    listed()
-                ),
-            )),
-            (asked, _) => Ok(asked.to_vec()),
         }
     }
 
@@ -401,14 +255,16 @@ impl Bag<'_> {
             Ok(())
         })
         .map_err(|trouble| self.trouble(trouble))?;
-        states.samples.values_mut().for_each(|samples| samples.sort_by_key(|sample| sample.stamp));
+        states.sort();
         Ok(states)
     }
 
     /// The joints that every row must have.
     fn names(&self, states: &States) -> Result<Vec<String>, InputError> {
         if self.options.names.is_empty() {
-            return Ok(states.order.clone());
+            let enough: Vec<String> =
+                states.order.iter().filter(|name| self.options.enough.contains(name)).cloned().collect();
+            return Ok(if enough.is_empty() { states.order.clone() } else { enough });
         }
         let missing: Vec<&str> = self
             .options
@@ -578,97 +434,6 @@ fn at(topic: &str, number: u64, error: &CdrError) -> String {
     format!("{topic}, message {number}: {error}")
 }
 
-fn count(number: u64) -> usize {
-    usize::try_from(number).unwrap_or(usize::MAX)
-}
-
 fn milliseconds(nanoseconds: u64) -> String {
     format!("{} ms", nanoseconds as f64 * 1e-6)
-}
-
-/// States near points, by joint.
-#[derive(Debug, Default)]
-struct States {
-    samples: BTreeMap<String, Vec<Sample>>,
-    /// Names in the order of their first appearance.
-    order: Vec<String>,
-    /// Stamps of the first and the last state, ns.
-    span: Option<(i64, i64)>,
-}
-
-impl States {
-    fn is_first(&self, stamp: i64) -> bool {
-        self.order.is_empty() || self.span == Some((stamp, stamp))
-    }
-
-    /// Takes note of the joint, and of its state where that is near a point.
-    fn push(&mut self, name: &str, sample: Sample, is_near: bool) {
-        if !self.samples.contains_key(name) {
-            self.order.push(name.to_owned());
-            self.samples.insert(name.to_owned(), Vec::new());
-        }
-        if let Some(samples) = self.samples.get_mut(name).filter(|_| is_near && sample.position.is_finite()) {
-            samples.push(sample);
-        }
-    }
-
-    fn nearest(&self, name: &str, stamp: i64) -> Option<Sample> {
-        let samples = self.samples.get(name)?;
-        let after = samples.partition_point(|sample| sample.stamp < stamp);
-        let before = after.checked_sub(1).and_then(|index| samples.get(index));
-        let candidates = before.into_iter().chain(samples.get(after));
-        candidates.min_by_key(|sample| sample.stamp.abs_diff(stamp)).copied()
-    }
-
-    /// By how much a joint changes within the tolerance about a stamp, rad or m: by its states, and by their velocity.
-    fn change(&self, name: &str, stamp: i64, tolerance: i64) -> f64 {
-        let Some(samples) = self.samples.get(name) else { return 0.0 };
-        let from = samples.partition_point(|sample| sample.stamp < stamp.saturating_sub(tolerance));
-        let to = samples.partition_point(|sample| sample.stamp <= stamp.saturating_add(tolerance));
-        let near = samples.get(from..to).unwrap_or_default();
-        let span =
-            |(low, high): (f64, f64), sample: &Sample| (low.min(sample.position), high.max(sample.position));
-        let (low, high) = near.iter().fold((f64::INFINITY, f64::NEG_INFINITY), span);
-        let seen = if high >= low { high - low } else { 0.0 };
-        // From the nearest state to the stamp itself.
-        let told = self.nearest(name, stamp).and_then(|sample| {
-            Some((sample.velocity? * sample.stamp.abs_diff(stamp).max(1_000_000) as f64 * 1e-9).abs())
-        });
-        seen.max(told.unwrap_or(0.0))
-    }
-}
-
-/// Points that were measured while the robot moved.
-#[derive(Debug, Default)]
-struct Moving {
-    count: usize,
-    last: Option<(Arc<str>, u64)>,
-    /// Change and place of the fastest.
-    most: Option<(f64, String)>,
-}
-
-impl Moving {
-    fn look(&mut self, point: &Measured, change: f64) {
-        if change <= MOVES {
-            return;
-        }
-        let place = (Arc::clone(&point.topic), point.number);
-        if self.last.as_ref() != Some(&place) {
-            self.count += 1;
-            self.last = Some(place);
-        }
-        if self.most.as_ref().is_none_or(|(most, _)| change > *most) {
-            self.most = Some((change, format!("{}, message {}", point.topic, point.number)));
-        }
-    }
-
-    fn words(&self, name: &str, tolerance: f64) -> Option<String> {
-        let (most, place) = self.most.as_ref()?;
-        Some(format!(
-            "{name}: {} measured while the robot moved: a joint changes by up to {most:.2e} rad or m within {} ms of the stamp ({place}), and the \
-             point is off by as much times its arm; let the robot rest at every point, or make --bag-tolerance-ms smaller",
-            counted(self.count, "point"),
-            1e3 * tolerance
-        ))
-    }
 }

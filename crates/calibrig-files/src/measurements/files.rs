@@ -1,0 +1,261 @@
+//! Reading one file of measurements, or several that belong together.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use super::columns::{ColumnMap, Part, RowOptions};
+use super::header::{FileColumns, Head};
+use super::join::{Joints, unmatched};
+use super::layout::Table;
+use super::open::open;
+use super::reader::{Motion, Names, RowReader, check_length};
+use super::rows::{Row, Rows};
+use super::text::TextRows;
+use super::{CsvError, LoadedMeasurements, repeats};
+use crate::input::{InputError, Source};
+use calibrig_model::JointKind;
+
+/// Files of one set.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct MeasurementFiles {
+    /// Files with positions: one, or one a target.
+    pub points: Vec<PointsFile>,
+    /// The file of the commands, where it is one of its own; its rows are joined as the column map says, else row by row.
+    pub joints: Option<PathBuf>,
+}
+
+/// A file with positions.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PointsFile {
+    /// The target that it is of, where the whole file is of one.
+    pub target: Option<String>,
+    /// Where it is.
+    pub path: PathBuf,
+}
+
+impl MeasurementFiles {
+    /// One file that holds all.
+    pub fn one(path: impl Into<PathBuf>) -> Self {
+        Self { points: vec![PointsFile { target: None, path: path.into() }], joints: None }
+    }
+}
+
+/// Reads a measurement file. `joints` are the kinds of the robot's joints, in order.
+///
+/// - The delimiter (`,`, `;`, tab, `|` or blanks) is the one under which most columns of `map` are found; lines that begin with `#` or
+///   `//`, blank lines, and lines in front of the header are skipped.
+/// - A row whose position is (0, 0, 0), or empty, is a missed shot: it is left out and reported in [`LoadedMeasurements::dropped`].
+/// - Without a pose column the rows count from 1; without a time column the time is 0; without station or target columns there is
+///   one of each. Stations and targets are numbered in the order of their first appearance.
+/// - A spherical reading of unstated uncertainty becomes a Cartesian one without covariance.
+///
+/// The file is read line by line: beside the set, memory does not grow with it.
+pub fn read_measurements(
+    path: &Path,
+    map: &ColumnMap,
+    joints: &[JointKind],
+) -> Result<LoadedMeasurements, CsvError> {
+    Ok(read_files(&MeasurementFiles::one(path), map, joints, &RowOptions::default())?)
+}
+
+/// [`read_measurements`] from a text in memory.
+pub fn parse_measurements(
+    source: &Source,
+    map: &ColumnMap,
+    joints: &[JointKind],
+) -> Result<LoadedMeasurements, InputError> {
+    let wanted = map.wanted(joints, Part::Whole);
+    let rows = Box::new(TextRows::of_text(&source.name, &source.text, &map.format().0, &wanted)?);
+    read_rows(rows, map, joints)
+}
+
+/// [`read_measurements`] from rows of any kind of file.
+pub fn read_rows(
+    rows: Box<dyn Rows>,
+    map: &ColumnMap,
+    joints: &[JointKind],
+) -> Result<LoadedMeasurements, InputError> {
+    let mut reading = Reading::new(map, joints, &RowOptions::default());
+    reading.add(rows, None, None)?;
+    reading.finish()
+}
+
+/// Reads the files of one set: those with points one after the other, each joined with the file of the commands where there is one.
+///
+/// # Errors
+/// As [`read_measurements`]; and rows of two files that do not belong together.
+pub fn read_files(
+    files: &MeasurementFiles,
+    map: &ColumnMap,
+    joints: &[JointKind],
+    options: &RowOptions,
+) -> Result<LoadedMeasurements, InputError> {
+    let format = map.format().0;
+    let mut reading = Reading::new(map, joints, options);
+    for file in &files.points {
+        let part = if files.joints.is_some() { Part::Points } else { Part::Whole };
+        let rows = open(&file.path, &format, &map.wanted(joints, part), options)?;
+        let commands = match &files.joints {
+            Some(path) => {
+                let rows = open(path, &format, &map.wanted(joints, Part::Joints), options)?;
+                Some(Joints::open(rows, map, joints)?)
+            }
+            None => None,
+        };
+        reading.add(rows, commands, file.target.as_deref())?;
+    }
+    reading.finish()
+}
+
+/// Files that are being read into one set.
+struct Reading<'a> {
+    map: &'a ColumnMap,
+    joints: &'a [JointKind],
+    options: RowOptions,
+    names: Names,
+    loaded: LoadedMeasurements,
+    /// Number of the last pose of the files before.
+    last_pose: u32,
+}
+
+impl<'a> Reading<'a> {
+    fn new(map: &'a ColumnMap, joints: &'a [JointKind], options: &RowOptions) -> Self {
+        let mut options = options.clone();
+        if let Some(rows) = map.row_choices() {
+            options.missed.extend(rows.missed.iter().cloned());
+            options.approach_from_order |= rows.approach_from_order;
+            options.average_repeats |= rows.average_repeats;
+        }
+        Self {
+            map,
+            joints,
+            options,
+            names: Names::default(),
+            loaded: LoadedMeasurements::default(),
+            last_pose: 0,
+        }
+    }
+
+    fn add(
+        &mut self,
+        rows: Box<dyn Rows>,
+        mut commands: Option<Joints>,
+        target: Option<&str>,
+    ) -> Result<(), InputError> {
+        let part = if commands.is_some() { Part::Points } else { Part::Whole };
+        let wanted = self.map.wanted(self.joints, part);
+        let mut table = Table::find(rows, &wanted, self.map.format().1)?;
+        let file = table.name().to_owned();
+        let (head_row, points) = (table.head.clone(), table.columns.clone());
+        let of_points =
+            FileColumns { name: &file, head: &head_row, has_header: table.has_header, columns: &points };
+        let before = self.loaded.set.observations.len();
+        let columns;
+        let names;
+        let mut remarks;
+        {
+            let mut head = Head::new(of_points, commands.as_ref().map(Joints::columns), self.map.source());
+            names = head.all();
+            let header: Vec<&str> =
+                names.iter().flat_map(|column| [column.header.as_str(), column.name()]).collect();
+            let mapping = self.map.resolve(&header, self.joints);
+            let mapping = mapping.map_err(|message| of_points.refuse(message, "calibrig's own columns"))?;
+            columns = head.columns(&mapping, self.joints)?;
+            remarks = head.remarks;
+        }
+        if let (Some(target), Some(column)) = (target, columns.target) {
+            let message = format!(
+                "column {} names the target, and the whole file is said to be of {target}",
+                names[column].header
+            );
+            return Err(of_points.refuse(message, "one of them"));
+        }
+        self.loaded.names_stations |= columns.station.is_some();
+        self.loaded.names_targets |= columns.target.is_some() || target.is_some();
+        let key = commands.as_ref().map(|joints| joints.key(of_points)).transpose()?.flatten();
+        let mut reader = RowReader {
+            columns: &columns,
+            options: &self.options,
+            file: &file,
+            names: &names,
+            joints_from: points.len(),
+            decimals: [table.decimal, commands.as_ref().map_or(table.decimal, Joints::decimal)],
+            target,
+            motion: Motion::default(),
+            rows: 0,
+        };
+        let mut row = Row::default();
+        while table.next_row(&mut row)? {
+            check_length(&file, &row, &points, table.has_header)?;
+            row.resize(points.len());
+            reader.rows = reader.rows.saturating_add(1);
+            if let Some(commands) = &mut commands
+                && let Err(why) = commands.join(&file, &mut row, key, table.decimal)?
+            {
+                self.loaded.drop_row(reader.rows, unmatched(row.place(), &file, &why), false);
+                continue;
+            }
+            reader.observe(&row, &mut self.names, &mut self.loaded)?;
+        }
+        if reader.rows == 0 {
+            let expected = "a row of numbers for every measurement";
+            return Err(of_points.refuse("there are no measurements below the header", expected));
+        }
+        if let Some(commands) = &mut commands {
+            remarks.extend(commands.remarks(&file));
+            remarks.extend(commands.finish(&file)?);
+        }
+        remarks.extend(table.remarks());
+        let numbers_poses = columns.pose.is_some();
+        self.number_on(before, numbers_poses, &file, &mut remarks);
+        for remark in remarks {
+            if !self.loaded.remarks.contains(&remark) {
+                self.loaded.remarks.push(remark);
+            }
+        }
+        Ok(())
+    }
+
+    /// Poses of a further file that have the numbers of other poses count on behind those.
+    fn number_on(&mut self, before: usize, numbers_poses: bool, file: &str, remarks: &mut Vec<String>) {
+        let (known, new) = self.loaded.set.observations.split_at_mut(before);
+        let commands: HashMap<u32, &[f64]> = if new.is_empty() {
+            HashMap::new()
+        } else {
+            known.iter().map(|o| (o.pose, &*o.command)).collect()
+        };
+        let is_other = |command: &[f64], known: &[f64]| {
+            command.iter().zip(known).any(|(a, b)| (a - b).abs() > repeats::SAME_COMMAND)
+        };
+        let others =
+            new.iter().any(|o| commands.get(&o.pose).is_some_and(|known| is_other(&o.command, known)));
+        if others && self.names.poses.is_empty() {
+            let by = self.last_pose;
+            new.iter_mut().for_each(|o| o.pose = o.pose.saturating_add(by));
+            let whose = if numbers_poses { "its poses" } else { "its rows" };
+            remarks.push(format!(
+                "{file}: {whose} have other commands than those of the same number before: they are numbered from {} on",
+                by.saturating_add(1)
+            ));
+        }
+        self.last_pose = self.loaded.set.observations.iter().map(|o| o.pose).max().unwrap_or(0);
+    }
+
+    fn finish(mut self) -> Result<LoadedMeasurements, InputError> {
+        let poses = self.names.poses;
+        if let (Some(first), Some(last)) = (poses.first(), poses.last()) {
+            self.loaded.remarks.push(format!(
+                "poses have names: they are numbered in the order of their first rows, {first} is 1, {last} is {}",
+                poses.len()
+            ));
+        }
+        self.loaded.pose_names = poses;
+        if self.options.average_repeats {
+            repeats::average(&mut self.loaded)?;
+        }
+        if self.options.approach_from_order {
+            self.loaded.remarks.push("signs of approach follow from the order of the rows".to_owned());
+        }
+        Ok(self.loaded)
+    }
+}

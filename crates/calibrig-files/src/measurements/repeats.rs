@@ -1,0 +1,159 @@
+//! Repeats of a pose: the same command, station and target more than once.
+
+use std::collections::HashMap;
+use std::f64::consts::{PI, TAU};
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::LoadedMeasurements;
+use crate::input::InputError;
+use calibrig_model::measurement::{Observation, Reading, SphericalReading};
+
+/// Commands of one pose may differ by so much, m or rad.
+pub(super) const SAME_COMMAND: f64 = 1e-3;
+
+/// Fewest degrees of freedom whose scatter is a standard deviation.
+const ENOUGH: usize = 6;
+
+/// Puts the mean in the place of the repeats of a pose (the same number, station and target), and their scatter where they state no
+/// uncertainty: pooled over all poses and axes, over the square root of the repeats.
+///
+/// # Errors
+/// Rows of one pose whose commands are not the same.
+pub(super) fn average(loaded: &mut LoadedMeasurements) -> Result<(), InputError> {
+    let mut groups: Vec<Vec<usize>> = Vec::new();
+    let mut known: HashMap<(u32, usize, usize), usize> = HashMap::new();
+    let mut by_command: HashMap<(Vec<u64>, usize, usize), usize> = HashMap::new();
+    let observations = &loaded.set.observations;
+    // Where every row has a number of its own, it is the command that tells which rows are repeats.
+    let numbers: std::collections::HashSet<_> =
+        observations.iter().map(|o| (o.pose, o.station, o.target)).collect();
+    let are_rows = numbers.len() == observations.len();
+    for (index, o) in observations.iter().enumerate() {
+        let next = groups.len();
+        let group = if are_rows {
+            let command = o.command.iter().map(|v| v.to_bits()).collect();
+            *by_command.entry((command, o.station, o.target)).or_insert(next)
+        } else {
+            *known.entry((o.pose, o.station, o.target)).or_insert(next)
+        };
+        if group == next {
+            groups.push(Vec::new());
+        }
+        groups[group].push(index);
+    }
+    let repeated = groups.iter().filter(|group| group.len() > 1).count();
+    if repeated == 0 {
+        loaded.remarks.push("no pose is measured more than once: there is nothing to average".to_owned());
+        return Ok(());
+    }
+    let (mut squares, mut free) = (0.0, 0);
+    for group in &groups {
+        let mean = mean_of(group.iter().map(|index| observations[*index].reading.position()));
+        squares +=
+            group.iter().map(|i| (observations[*i].reading.position() - mean).norm_squared()).sum::<f64>();
+        free += group.len() - 1;
+    }
+    let variance = squares / (3 * free) as f64;
+    let mut averaged = Vec::with_capacity(groups.len());
+    let mut kept = vec![false; observations.len()];
+    for group in &groups {
+        let members: Vec<&Observation> = group.iter().map(|index| &observations[*index]).collect();
+        check_commands(loaded, group)?;
+        kept[group[0]] = true;
+        averaged.push(mean_observation(&members, (3 * free >= ENOUGH).then_some(variance)));
+    }
+    let readings = observations.len();
+    let scatter = 1e3 * (squares / free as f64).sqrt();
+    let stated = averaged.iter().all(|o| o.reading.position_covariance().is_some());
+    loaded.keep(&kept);
+    loaded.set.observations = averaged;
+    loaded.remarks.push(format!(
+        "{readings} readings are averaged to {}: {repeated} poses are repeated, and their readings scatter by {scatter:.4} mm (RMS in 3-D, \
+         {free} repeats){}",
+        loaded.set.observations.len(),
+        if stated { "" } else { "; too few to state an uncertainty from" },
+    ));
+    Ok(())
+}
+
+fn mean_of(positions: impl Iterator<Item = Vector3<f64>>) -> Vector3<f64> {
+    let (sum, count) = positions.fold((Vector3::zeros(), 0.0), |(sum, count), p| (sum + p, count + 1.0));
+    sum / f64::max(count, 1.0)
+}
+
+fn check_commands(loaded: &LoadedMeasurements, group: &[usize]) -> Result<(), InputError> {
+    let first = &loaded.set.observations[group[0]];
+    for index in group {
+        let other = &loaded.set.observations[*index];
+        let apart = first.command.iter().zip(&other.command).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        if apart > SAME_COMMAND {
+            let at = |index: usize| loaded.places.of(index).unwrap_or_default();
+            return Err(InputError::Place {
+                place: at(*index),
+                message: format!(
+                    "pose {} has other commands than in {}, by up to {apart:.4} (m or rad): they are no repeats",
+                    other.pose,
+                    at(group[0])
+                ),
+                help: Some(
+                    "expected the same commands in all rows of a pose; or repeats = \"keep\"".to_owned(),
+                ),
+            });
+        }
+    }
+    Ok(())
+}
+
+/// The mean of repeats; `scatter` is the variance of one reading along each axis, where it is known.
+fn mean_observation(members: &[&Observation], scatter: Option<f64>) -> Observation {
+    let mut mean = members[0].clone();
+    let count = members.len() as f64;
+    for (joint, value) in mean.command.iter_mut().enumerate() {
+        *value = members.iter().map(|o| o.command[joint]).sum::<f64>() / count;
+    }
+    if members.len() == 1 {
+        if let Reading::Cartesian { covariance: covariance @ None, .. } = &mut mean.reading {
+            *covariance = scatter.map(|variance| Matrix3::identity() * variance);
+        }
+        return mean;
+    }
+    if members.iter().any(|o| o.approach != mean.approach) {
+        mean.approach.fill(0);
+    }
+    mean.time = members.iter().map(|o| o.time).sum::<f64>() / count;
+    let temperatures: Option<Vec<f64>> = members.iter().map(|o| o.temperature).collect();
+    mean.temperature = temperatures.map(|temperatures| temperatures.iter().sum::<f64>() / count);
+    mean.reading = match spherical(members) {
+        Some(reading) => Reading::Spherical(reading),
+        None => {
+            let position = mean_of(members.iter().map(|o| o.reading.position()));
+            let stated: Option<Vec<_>> = members.iter().map(|o| o.reading.position_covariance()).collect();
+            let stated = stated.map(|all| all.iter().sum::<Matrix3<f64>>() / (count * count));
+            let covariance = stated.or(scatter.map(|variance| Matrix3::identity() * (variance / count)));
+            Reading::Cartesian { position, covariance }
+        }
+    };
+    mean
+}
+
+/// The mean of spherical readings, angle by angle; `None` where there is another reading among them.
+fn spherical(members: &[&Observation]) -> Option<SphericalReading> {
+    let readings: Vec<&SphericalReading> = members
+        .iter()
+        .map(|o| match &o.reading {
+            Reading::Spherical(reading) => Some(reading),
+            Reading::Cartesian { .. } => None,
+        })
+        .collect::<Option<_>>()?;
+    let (first, count) = (*readings.first()?, readings.len() as f64);
+    let mean = |of: &dyn Fn(&SphericalReading) -> f64| readings.iter().map(|r| of(r)).sum::<f64>() / count;
+    // Angles of one direction may be a turn apart.
+    let near = |angle: f64| first.azimuth + (angle - first.azimuth + PI).rem_euclid(TAU) - PI;
+    Some(SphericalReading {
+        range: mean(&|r| r.range),
+        azimuth: mean(&|r| near(r.azimuth)),
+        elevation: mean(&|r| r.elevation),
+        covariance: readings.iter().map(|r| r.covariance).sum::<Matrix3<f64>>() / (count * count),
+    })
+}

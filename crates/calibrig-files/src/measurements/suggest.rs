@@ -1,0 +1,106 @@
+//! A column map from what is seen in files: every guess with its reason, and nothing decided that cannot be seen.
+
+mod column;
+mod written;
+
+use std::path::Path;
+
+use self::column::{Numbers, Role, SeenColumn};
+use super::columns::RowOptions;
+use super::layout::{Decimal, Table, Wanted};
+use super::open::open;
+use super::rows::Row;
+use super::text::TextFormat;
+use crate::input::InputError;
+
+/// A column map that was suggested.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SuggestedMap {
+    /// The map, with reasons as comments. Where something must be decided by a person, its key stands in a comment.
+    pub text: String,
+    /// What must be decided before the map can be used.
+    pub open: Vec<String>,
+}
+
+/// What was seen in one file.
+pub(super) struct SeenFile {
+    pub name: String,
+    pub has_header: bool,
+    pub decimal: Decimal,
+    pub rows: u64,
+    pub columns: Vec<SeenColumn>,
+    /// Comments of the file that name units, with their places.
+    pub unit_comments: Vec<(String, String)>,
+    pub found: Vec<String>,
+}
+
+/// Suggests a column map for one file, or for several that belong together: joints in one and points in others, or one file a target.
+///
+/// # Errors
+/// A file that cannot be read as rows.
+pub fn suggest_columns(paths: &[&Path]) -> Result<SuggestedMap, InputError> {
+    let files = paths.iter().map(|path| look_at(path)).collect::<Result<Vec<_>, _>>()?;
+    Ok(written::map_of(&files))
+}
+
+/// Reads all rows of a file and keeps what tells of its columns.
+fn look_at(path: &Path) -> Result<SeenFile, InputError> {
+    let rows = open(path, &TextFormat::default(), &Wanted::default(), &RowOptions::default())?;
+    let mut table = Table::find_any(rows)?;
+    let mut columns: Vec<SeenColumn> =
+        table.columns.iter().enumerate().map(|(index, column)| SeenColumn::new(index, column)).collect();
+    let (mut row, mut rows, mut ragged) = (Row::default(), 0, None);
+    while table.next_row(&mut row)? {
+        rows += 1;
+        if row.len() < columns.len() && ragged.is_none() {
+            ragged = Some(row.place().of(table.name()));
+        }
+        for (column, cell) in columns.iter_mut().zip(row.cells()) {
+            column.see(cell, table.decimal);
+        }
+    }
+    let unit_comments = table
+        .comments()
+        .iter()
+        .filter(|(_, text)| text.to_ascii_lowercase().contains("unit"))
+        .map(|(line, text)| (format!("{}:{line}", table.name()), text.clone()))
+        .collect();
+    let mut found = table.remarks();
+    found.extend(ragged.map(|place| format!("{place}: this row has fewer cells than the first")));
+    column::give_roles(&mut columns, table.has_header, rows);
+    Ok(SeenFile {
+        name: path.display().to_string(),
+        has_header: table.has_header,
+        decimal: table.decimal,
+        rows,
+        columns,
+        unit_comments,
+        found,
+    })
+}
+
+impl SeenFile {
+    /// Columns of a role, in their order.
+    pub fn with(&self, role: Role) -> Vec<&SeenColumn> {
+        let mut columns: Vec<_> = self.columns.iter().filter(|column| column.role == Some(role)).collect();
+        columns.sort_by_key(|column| column.order);
+        columns
+    }
+
+    pub fn one(&self, role: Role) -> Option<&SeenColumn> {
+        self.columns.iter().find(|column| column.role == Some(role))
+    }
+
+    /// What is not used.
+    pub fn unused(&self) -> impl Iterator<Item = &SeenColumn> {
+        self.columns.iter().filter(|column| column.role.is_none())
+    }
+
+    /// Numbers of some columns together.
+    pub fn numbers_of(columns: &[&SeenColumn]) -> Numbers {
+        columns.iter().fold(Numbers::default(), |all, column| all.with(&column.numbers))
+    }
+}
+
+#[cfg(test)]
+mod tests;

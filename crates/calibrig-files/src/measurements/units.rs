@@ -1,0 +1,185 @@
+//! Units of columns, by key and as headers write them.
+
+use serde::Deserialize;
+
+/// Unit of a length.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum LengthUnit {
+    M,
+    Cm,
+    Mm,
+    Um,
+    Inch,
+}
+
+/// Unit of an angle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum AngleUnit {
+    Rad,
+    Mrad,
+    Deg,
+    Gon,
+    Arcsec,
+}
+
+impl LengthUnit {
+    /// m
+    pub fn in_si(self, value: f64) -> f64 {
+        match self {
+            Self::M => value,
+            Self::Cm => value / 1e2,
+            Self::Mm => value / 1e3,
+            Self::Um => value / 1e6,
+            Self::Inch => value * 25.4 / 1e3,
+        }
+    }
+
+    /// As column maps have it.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::M => "m",
+            Self::Cm => "cm",
+            Self::Mm => "mm",
+            Self::Um => "um",
+            Self::Inch => "inch",
+        }
+    }
+}
+
+impl AngleUnit {
+    /// rad
+    pub fn in_si(self, value: f64) -> f64 {
+        match self {
+            Self::Rad => value,
+            Self::Mrad => value / 1e3,
+            Self::Deg => value.to_radians(),
+            Self::Gon => (0.9 * value).to_radians(),
+            Self::Arcsec => (value / 3600.0).to_radians(),
+        }
+    }
+
+    /// As column maps have it.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Rad => "rad",
+            Self::Mrad => "mrad",
+            Self::Deg => "deg",
+            Self::Gon => "gon",
+            Self::Arcsec => "arcsec",
+        }
+    }
+}
+
+/// A unit as a header states it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum HeaderUnit {
+    Length(LengthUnit),
+    Angle(AngleUnit),
+    /// °C, s and so on: known as units, and not converted.
+    Other,
+}
+
+impl HeaderUnit {
+    /// As messages have it.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Length(unit) => unit.key(),
+            Self::Angle(unit) => unit.key(),
+            Self::Other => "another unit",
+        }
+    }
+
+    /// The unit that a text is the name of.
+    pub fn parse(text: &str) -> Option<Self> {
+        // The micro sign and the Greek letter; the degree sign and its look-alikes.
+        let text: String = text
+            .trim()
+            .chars()
+            .map(|c| match c {
+                '\u{b5}' | '\u{3bc}' => 'u',
+                '\u{ba}' | '\u{2da}' => '\u{b0}',
+                c => c.to_ascii_lowercase(),
+            })
+            .collect();
+        Some(match text.as_str() {
+            "m" | "meter" | "meters" | "metre" | "metres" => Self::Length(LengthUnit::M),
+            "cm" | "centimeters" | "centimetres" => Self::Length(LengthUnit::Cm),
+            "mm" | "millimeter" | "millimeters" | "millimetre" | "millimetres" => {
+                Self::Length(LengthUnit::Mm)
+            }
+            "um" | "micron" | "microns" | "micrometers" | "micrometres" => Self::Length(LengthUnit::Um),
+            "in" | "inch" | "inches" | "\"" => Self::Length(LengthUnit::Inch),
+            "rad" | "radian" | "radians" => Self::Angle(AngleUnit::Rad),
+            "mrad" | "milliradians" => Self::Angle(AngleUnit::Mrad),
+            "deg" | "\u{b0}" | "degree" | "degrees" => Self::Angle(AngleUnit::Deg),
+            "gon" | "gons" => Self::Angle(AngleUnit::Gon),
+            "arcsec" | "arcseconds" | "''" => Self::Angle(AngleUnit::Arcsec),
+            "s" | "sec" | "ms" | "us" | "ns" | "\u{b0}c" | "%" | "%rh" | "hpa" | "mbar" | "mmhg" | "-" => {
+                Self::Other
+            }
+            _ => return None,
+        })
+    }
+}
+
+/// The name of a column, and the unit that stands in brackets behind it: `X [mm]`, `J1 (deg)`, `Az {rad}`, `x / mm`.
+pub(super) fn name_and_unit(header: &str) -> (&str, Option<HeaderUnit>) {
+    for (open, close) in [('[', ']'), ('(', ')'), ('{', '}'), ('<', '>')] {
+        if let Some(inner) = header.strip_suffix(close)
+            && let Some((name, unit)) = inner.rsplit_once(open)
+            && let Some(unit) = HeaderUnit::parse(unit)
+        {
+            return (name.trim_end(), Some(unit));
+        }
+    }
+    if let Some((name, unit)) = header.rsplit_once('/')
+        && let Some(unit @ (HeaderUnit::Length(_) | HeaderUnit::Angle(_))) = HeaderUnit::parse(unit)
+        && !name.trim().is_empty()
+    {
+        return (name.trim_end(), Some(unit));
+    }
+    (header, None)
+}
+
+/// The unit of a cell below a header that holds nothing else: `mm`, `[deg]`.
+pub(super) fn unit_alone(cell: &str) -> Option<HeaderUnit> {
+    match name_and_unit(cell) {
+        ("", unit) => unit,
+        _ => HeaderUnit::parse(cell),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn units_of_headers_are_understood() {
+        let mm = Some(HeaderUnit::Length(LengthUnit::Mm));
+        let um = Some(HeaderUnit::Length(LengthUnit::Um));
+        let deg = Some(HeaderUnit::Angle(AngleUnit::Deg));
+        for (header, expected) in [
+            ("X [mm]", ("X", mm)),
+            ("X[MM]", ("X", mm)),
+            ("J1 (deg)", ("J1", deg)),
+            ("J1 (\u{b0})", ("J1", deg)),
+            ("Ux [\u{b5}m]", ("Ux", um)),
+            ("Ux [\u{3bc}m]", ("Ux", um)),
+            ("T [\u{b0}C]", ("T", Some(HeaderUnit::Other))),
+            ("x / mm", ("x", mm)),
+            ("X (base)", ("X (base)", None)),
+            ("x/y", ("x/y", None)),
+            ("X_mm", ("X_mm", None)),
+            ("[mm]", ("", mm)),
+        ] {
+            assert_eq!(name_and_unit(header), expected, "{header}");
+        }
+        assert_eq!(unit_alone("[mm]"), mm);
+        assert_eq!(unit_alone("mm"), mm);
+        assert_eq!(unit_alone("12"), None);
+        assert_eq!(AngleUnit::Gon.in_si(400.0), std::f64::consts::TAU);
+        assert_eq!(LengthUnit::Inch.in_si(10.0), 0.254);
+    }
+}

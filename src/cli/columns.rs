@@ -1,0 +1,72 @@
+//! `calibrig columns`.
+
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use super::{CliError, Verdict, print, say};
+use calibrig_files::suggest_columns;
+
+/// What the columns of measurement files mean
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  calibrig columns suggest grid.csv
+  calibrig columns suggest joints.csv smr1.txt smr2.txt smr3.txt --out map.toml")]
+pub(super) struct Args {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum What {
+    Suggest(SuggestArgs),
+}
+
+/// Write a column map from what is seen in files, each guess with its reason
+///
+/// Every line of the map says why it is there: a name in the header, the unit behind it, the size of the numbers. What cannot be seen, as a
+/// unit that the numbers do not tell, stands in a comment `# DECIDE:`, and a map in which it is left so is refused where it is used. Joints in
+/// one file and points in others are joined by name, by row or by time, as the files allow.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  calibrig columns suggest grid.csv
+  calibrig columns suggest grid.csv --out map.toml
+  calibrig columns suggest joints.csv points.txt --out map.toml
+  calibrig identify --model robot.toml --measurements grid.csv --columns map.toml
+
+Exit code 3 where something is left to decide.")]
+struct SuggestArgs {
+    /// Files of measurements that belong together
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    /// The map, which must not be there yet [default: standard output]
+    #[arg(long, value_name = "MAP.toml")]
+    out: Option<PathBuf>,
+}
+
+pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
+    let What::Suggest(args) = &args.what;
+    let paths: Vec<&Path> = args.files.iter().map(PathBuf::as_path).collect();
+    let map = suggest_columns(&paths)?;
+    match &args.out {
+        Some(path) => {
+            write_new(path, &map.text)?;
+            say(&format!("wrote {}", path.display()));
+        }
+        None => print(&map.text)?,
+    }
+    for open in &map.open {
+        say(&format!("to decide: {open}"));
+    }
+    Ok(if map.open.is_empty() { Verdict::Done } else { Verdict::Doubtful })
+}
+
+/// Writes a file that is not there yet.
+fn write_new(path: &Path, text: &str) -> Result<(), CliError> {
+    let file = OpenOptions::new().write(true).create_new(true).open(path);
+    match file.and_then(|mut file| file.write_all(text.as_bytes())) {
+        Ok(()) => Ok(()),
+        Err(_) if path.exists() => Err(CliError::NamedAlready { path: path.to_path_buf() }),
+        Err(source) => Err(CliError::Output { what: path.display().to_string(), source }),
+    }
+}
