@@ -310,7 +310,9 @@ pub fn run_trial(
 /// One hash over the texts of all input files and their roles, hexadecimal.
 pub fn hash_sources(sources: &[(String, Source)]) -> String {
     let mut hash = InputHash::default();
-    sources.iter().for_each(|(role, source)| hash.add(role, &source.text));
+    for (role, source) in sources {
+        hash.add(role, &source.text);
+    }
     hash.hex()
 }
 

@@ -104,7 +104,9 @@ fn of_files(args: &Args, model: &Path) -> Result<(String, ModelChoice, Verdict),
     let loaded = load(model, args.columns.as_deref(), args.session.as_deref(), &args.rows, asked)?;
     loaded.check_session()?;
     let Loaded { robot, sets, places, read, statements, .. } = loaded;
-    read.iter().for_each(|line| say(line));
+    for line in &read {
+        say(line);
+    }
     let mut options = default_options(&robot);
     options.solver.loss = args.loss.map_or(options.solver.loss, Into::into);
     let plausible = output::plausible(&robot.model, &sets, &options, args.fit_anyway)

@@ -138,15 +138,19 @@ fn write(folder: &Path, export: &CsvExport) -> Result<(), CliError> {
 fn to_mcap(args: &McapArgs) -> Result<Verdict, CliError> {
     check_name(&args.out, args.force)?;
     let Loaded { robot, mut sources, sha256, sets, read, asked, statements, .. } = args.files.read()?;
-    refuse_without_readings(&sets)?;
-    read.iter().for_each(|line| say(line));
+    refuse_without_readings(&args.files.first(), &sets)?;
+    for line in &read {
+        say(line);
+    }
     // The files themselves, in place of their names.
     let (texts, left_out) = texts(&asked);
     let session = sources.iter().position(|(role, _)| role == "session").map(|at| sources.remove(at));
     sources.retain(|(_, source)| !source.text.is_empty());
     sources.extend(texts);
     sources.extend(session);
-    left_out.iter().for_each(|line| say(line));
+    for line in &left_out {
+        say(line);
+    }
     let input = InputSummary { kind: "files", name: robot.name, sha256, seed: None, trial: None };
     let preamble = Preamble {
         input: &input,
@@ -190,15 +194,13 @@ fn check_name(path: &Path, force: bool) -> Result<(), CliError> {
 }
 
 /// A recording without readings could not be read back.
-fn refuse_without_readings(sets: &[SetOutcome]) -> Result<(), CliError> {
-    for set in sets.iter().filter(|set| set.measurements.observations.is_empty()) {
-        let first = set.dropped.first().map_or("there is none", |(_, why)| why.as_str());
-        return Err(InputError::Place {
-            place: format!("{} set", set.kind.key()),
-            message: format!("every row is a missed shot: {first}"),
-            help: Some("expected a position other than (0, 0, 0) in one row at least".to_owned()),
-        }
-        .into());
+fn refuse_without_readings(file: &Path, sets: &[SetOutcome]) -> Result<(), CliError> {
+    let Some(set) = sets.iter().find(|set| set.measurements.observations.is_empty()) else { return Ok(()) };
+    let first = set.dropped.first().map_or("there is none", |(_, why)| why.as_str());
+    Err(InputError::Place {
+        place: file.display().to_string(),
+        message: format!("every row of the {} set is a missed shot; the first: {first}", set.kind.key()),
+        help: Some("expected a position other than (0, 0, 0) in one row at least".to_owned()),
     }
-    Ok(())
+    .into())
 }

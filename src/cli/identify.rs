@@ -38,6 +38,8 @@ use calibrig_model::{BodyUncertainty, CalibrationModel, FAMILIES, JointKind, Par
   calibrig identify --model models/ur5/robot.toml --measurements grid.csv --verify random.csv
   calibrig identify --model models/ur5/robot.toml --measurements grid.csv --out ur5 --json
   calibrig identify --model robot.toml --measurements m.txt --columns map.toml --parameters rules
+  calibrig identify --model robot.toml --joints j.csv --measurements A=a.txt --measurements B=b.txt
+  calibrig identify --model robot.toml --measurements m.csv --missed -9999 --verify-poses 41..60
   calibrig identify --model robot.toml --measurements m.csv --mode elasto_geometric
   calibrig identify --model robot.toml --measurements m.csv --compliances compliance_drive2
   calibrig identify --model robot.toml --measurements m.csv --mode extended --terms rail,ratio
@@ -148,7 +150,7 @@ pub(super) struct FileArgs {
 
 impl FileArgs {
     /// The first file to fit, for messages.
-    fn first(&self) -> PathBuf {
+    pub(super) fn first(&self) -> PathBuf {
         let sets = self.rows.sets(&self.measurements, &[], None);
         sets.first()
             .and_then(|set| set.files.points.first())
@@ -534,7 +536,9 @@ pub(super) fn load(
     let statements = state(&robot, stated, &mut files)?;
     let mut sources = robot.sources.clone();
     let mut hash = InputHash::default();
-    sources.iter().for_each(|(role, source)| hash.add(role, &source.text));
+    for (role, source) in &sources {
+        hash.add(role, &source.text);
+    }
     hash_files(&mut hash, &asked)?;
     for (role, path) in asked.iter().flat_map(AskedSet::paths) {
         sources.push((role.to_owned(), Source::new(path.display().to_string(), "")));
@@ -595,7 +599,9 @@ fn prepare(args: &Args) -> Result<Prepared, CliError> {
     let loaded = args.files.read()?;
     loaded.check_session()?;
     let Loaded { robot, sources, sha256, sets, places, read, statements, .. } = loaded;
-    read.iter().for_each(|line| say(line));
+    for line in &read {
+        say(line);
+    }
     let mut options = IdentificationOptions {
         compliances: compliances(&args.compliances, &robot.model),
         bodies: bodies(args, &robot),

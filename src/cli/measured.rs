@@ -210,7 +210,7 @@ pub(super) fn texts(sets: &[AskedSet]) -> (Vec<(String, Source)>, Vec<String>) {
         match Source::read(path) {
             Ok(source) => texts.push((role.to_owned(), source)),
             Err(error) => {
-                left_out.push(format!("{error}: the recording holds what was read of it, not the file"))
+                left_out.push(format!("{error}: the recording holds what was read of it, not the file"));
             }
         }
     }

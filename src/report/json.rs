@@ -117,8 +117,22 @@ pub struct JsonSet {
     pub poses: usize,
     /// Poses planned but not measured.
     pub dropped: Vec<JsonDropped>,
+    /// What repeats of a pose scatter by; absent where no pose is measured more than once.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub repeats: Option<JsonRepeats>,
     /// By the key of the mode; rows that do not apply are absent.
     pub rows: BTreeMap<String, JsonRow>,
+}
+
+/// Poses that are measured more than once.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonRepeats {
+    /// Their number.
+    pub poses: usize,
+    /// Readings of them beyond the first.
+    pub repeats: usize,
+    /// RMS distance of a reading from the mean of its pose, m: the least that rows of single readings can have.
+    pub rms_3d_m: Option<f64>,
 }
 
 /// A pose that was not measured.
@@ -446,6 +460,11 @@ fn json_set(outcome: &Outcome, index: usize, set: &SetOutcome) -> JsonSet {
             .iter()
             .map(|(pose, why)| JsonDropped { pose: *pose, why: why.clone() })
             .collect(),
+        repeats: set.measurements.repeats().map(|repeats| JsonRepeats {
+            poses: repeats.poses,
+            repeats: repeats.repeats,
+            rms_3d_m: finite(repeats.rms_3d),
+        }),
         rows: outcome
             .modes
             .iter()

@@ -107,6 +107,15 @@ fn table(outcome: &Outcome, index: usize, set: &SetOutcome, style: Style) -> Vec
         }
     }
     lines.push(rule);
+    if let Some(repeats) = set.measurements.repeats() {
+        let words = format!(
+            "repeats of {} scatter by {} mm (RMS 3D of a reading about the mean of its pose, {} more): no model leaves less on single readings",
+            counted(repeats.poses, "pose"),
+            millimetres(repeats.rms_3d),
+            counted(repeats.repeats, "reading")
+        );
+        lines.extend(wrap(&words, "    "));
+    }
     if !set.dropped.is_empty() {
         let poses: Vec<_> =
             set.dropped.iter().map(|(pose, why)| format!("{pose} ({})", printable(why))).collect();

@@ -54,7 +54,7 @@ fn a_bound_that_cannot_be_is_refused_at_its_line() {
             "max_mrad or both",
         ),
         ("parameter = \"compliance_drive3\"\nmax_mm = 1", 3, "is a relative deviation", "min, max or both"),
-        ("parameter = \"delta_a4\"\nmin_m = -1", 3, "unknown key `min_m`", "`min_mm`"),
+        ("parameter = \"delta_a4\"\nmin_kg = -1", 3, "unknown key `min_kg`", "`min_mm`"),
         (
             "parameter = \"delta_a4\"\nmin_mm = nan",
             3,
@@ -680,7 +680,7 @@ fn a_session_file_that_cannot_be_used_is_refused_at_its_line() {
             "its uncertainty is not above zero",
             "or neither",
         ),
-        ("one.csv", target("A", "sigma_mm = 0.02"), "s.toml:5: ", "unknown key `sigma_mm`", "`sigma_m`"),
+        ("one.csv", target("A", "sigma_kg = 0.02"), "s.toml:5: ", "unknown key `sigma_kg`", "`sigma_m`"),
         (
             "one.csv",
             target("A", "") + &target("A", ""),
@@ -778,7 +778,7 @@ fn a_column_that_names_every_shot_is_refused() {
     assert_refused(
         &sandbox,
         &["identify", "--model", UR5, "--measurements", "shots.csv"],
-        "shots.csv:1: ",
+        "shots.csv:2: ",
         "40 targets with one reading each tell nothing of the robot: the column target names the shot",
         "no target column",
     );

@@ -8,8 +8,18 @@ use std::time::Duration;
 use crate::a_user_makes_a_mistake::with_measurements;
 use crate::sandbox::{Ended, ROBOT, SCENARIO, Sandbox, assert_refused};
 
-const COMMANDS: [&str; 9] =
-    ["run", "check", "choose", "identify", "identifiability", "replay", "inspect", "recover", "report"];
+const COMMANDS: [&str; 10] = [
+    "run",
+    "check",
+    "choose",
+    "columns",
+    "identify",
+    "identifiability",
+    "replay",
+    "inspect",
+    "recover",
+    "report",
+];
 #[cfg(feature = "rerun")]
 const FILES: &[&str] = &["report.html", "report.json", "residuals.csv", "recording.mcap", "recording.rrd"];
 #[cfg(not(feature = "rerun"))]
@@ -57,10 +67,10 @@ fn wrong_usage_ends_with_2_and_says_what_was_expected() {
         (vec!["run"], "<SCENARIO>"),
         (vec!["check"], "<SCENARIO>"),
         (vec!["replay"], "<RECORDING>"),
-        (vec!["identify", "--model", ROBOT], "--measurements <FILE>"),
+        (vec!["identify", "--model", ROBOT], "--measurements <[TARGET=]FILE>"),
         (vec!["identify", "--measurements", "set.csv"], "--model <ROBOT.toml>"),
         (vec!["identifiability"], "<SCENARIO|--model <ROBOT.toml>>"),
-        (vec!["choose", "--model", ROBOT], "--measurements <FILE>"),
+        (vec!["choose", "--model", ROBOT], "--measurements <[TARGET=]FILE>"),
         (vec!["choose", SCENARIO, "--folds", "1"], "1 is not in 2.."),
         (vec!["identifiability", SCENARIO, "--model", ROBOT], "cannot be used with"),
         (vec!["run", SCENARIO, "--sed", "3"], "a similar argument exists: '--seed'"),

@@ -3,6 +3,7 @@
 // Helpers of tests stand outside `#[test]` functions, where clippy's leave for tests does not reach.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod a_user_brings_files;
 mod a_user_calibrates_a_real_robot;
 mod a_user_checks_the_elimination;
 mod a_user_chooses_parameters;

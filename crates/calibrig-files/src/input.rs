@@ -128,7 +128,7 @@ fn not_utf8(error: &std::string::FromUtf8Error) -> String {
     let at = error.utf8_error().valid_up_to();
     let bytes = error.as_bytes();
     let line = bytes[..at].iter().filter(|byte| **byte == b'\n').count() + 1;
-    format!("not UTF-8 text (byte {at}, line {line}, is 0x{:02X}); save it as UTF-8", bytes[at])
+    format!("not UTF-8 text (byte {at}), by 0x{:02X} in line {line}; save it as UTF-8", bytes[at])
 }
 
 /// A value from a TOML text with its place.

@@ -231,7 +231,9 @@ impl<'a> Reading<'a> {
             new.iter().any(|o| commands.get(&o.pose).is_some_and(|known| is_other(&o.command, known)));
         if others && self.names.poses.is_empty() {
             let by = self.last_pose;
-            new.iter_mut().for_each(|o| o.pose = o.pose.saturating_add(by));
+            for observation in new {
+                observation.pose = observation.pose.saturating_add(by);
+            }
             let whose = if numbers_poses { "its poses" } else { "its rows" };
             remarks.push(format!(
                 "{file}: {whose} have other commands than those of the same number before: they are numbered from {} on",

@@ -325,7 +325,7 @@ impl<'a> Head<'a> {
             (None, None) => {
                 let (table, unit) = key.split_once('.').unwrap_or_default();
                 let message = format!(
-                    "column {name} has no unit: the column map has no {unit} in [{table}], and the header of {} none behind the name",
+                    "missing key `{unit}` in [{table}]: column {name} has no unit, since the header of {} states none behind the name",
                     file.name
                 );
                 let help = format!("{unit} = {expected} in [{table}]");

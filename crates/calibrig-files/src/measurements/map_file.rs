@@ -375,7 +375,7 @@ pub fn parse_column_map(source: &Source) -> Result<ColumnMap, InputError> {
         temperature: quantity(rest.temperature_c.as_ref())?,
         approach,
         rows: RowChoices {
-            missed: reader.missed(file.position.get_ref()),
+            missed: missed(file.position.get_ref()),
             approach_from_order,
             average_repeats: file.rows.repeats == Repeats::Average,
         },
@@ -408,9 +408,15 @@ fn with_the_table_of_a_stray_key(mut error: InputError) -> InputError {
              ([target], [[target]]) or in a session file",
         );
     } else if let Some((table, _)) = TABLES.iter().find(|(_, keys)| keys.contains(&key)) {
-        help.push_str(&format!("; `{key}` stands in {table}"));
+        help.push_str("; it stands in ");
+        help.push_str(table);
     }
     error
+}
+
+fn missed(position: &CoordinateTable) -> Vec<MissedCode> {
+    let codes = position.missed.iter().flat_map(|codes| &codes.get_ref().0);
+    codes.map(|code| MissedCode::parse(code)).collect()
 }
 
 struct Reader<'a> {
@@ -664,11 +670,6 @@ impl Reader<'_> {
             *coordinate = 1e-3 * self.source.finite("tracker_mm", value)?;
         }
         Ok(Noise { range, transverse, tracker })
-    }
-
-    fn missed(&self, position: &CoordinateTable) -> Vec<MissedCode> {
-        let codes = position.missed.iter().flat_map(|codes| &codes.get_ref().0);
-        codes.map(|code| MissedCode::parse(code)).collect()
     }
 
     fn sets(&self, spanned: &Spanned<SetsTable>) -> Result<Sets, InputError> {

@@ -12,7 +12,7 @@ use super::layout::{Column, Decimal};
 use super::rows::Row;
 use super::times;
 use crate::input::InputError;
-use calibrig_model::measurement::{Observation, Reading, SphericalReading, Station, Target};
+use calibrig_model::measurement::{MeasurementSet, Observation, Reading, SphericalReading, Station, Target};
 
 /// Least motion of an actuator that is one, m or rad.
 const MOTION: f64 = 1e-6;
@@ -74,6 +74,28 @@ impl Names {
         let index = (pose as usize).checked_sub(1)?;
         self.poses.get(index).map(String::as_str)
     }
+
+    /// Place of a station in the set; a new one is added. Most rows are of that of the row before.
+    fn station(&mut self, name: &str, set: &mut MeasurementSet) -> usize {
+        let last = set.observations.last().map(|last| last.station);
+        if let Some(last) = last.filter(|last| set.stations[*last].name == name) {
+            return last;
+        }
+        index_of(&mut self.stations, name, || {
+            set.stations.push(Station { name: name.to_owned(), nests: Vec::new() });
+        })
+    }
+
+    /// The same of a target.
+    fn target(&mut self, name: &str, set: &mut MeasurementSet) -> usize {
+        let last = set.observations.last().map(|last| last.target);
+        if let Some(last) = last.filter(|last| set.targets[*last].name == name) {
+            return last;
+        }
+        index_of(&mut self.targets, name, || {
+            set.targets.push(Target { name: name.to_owned(), in_flange: Vector3::zeros(), covariance: None });
+        })
+    }
 }
 
 /// Refuses a row that is shorter than the header, or has more in it.
@@ -85,9 +107,10 @@ pub(super) fn check_length(
 ) -> Result<(), InputError> {
     let (found, expected) = (row.len(), names.len());
     if found < expected {
-        let (missing, as_header) = match has_header {
-            true => (names[found].header.clone(), "as the header has names"),
-            false => (format!("column {}", found + 1), "as the first row has"),
+        let (missing, as_header) = if has_header {
+            (names[found].header.clone(), "as the header has names")
+        } else {
+            (format!("column {}", found + 1), "as the first row has")
         };
         let message = format!("the row has {found} of {expected} columns, {missing} is missing");
         return Err(row.refuse(file, None, message, &format!("{expected} values, {as_header}")));
@@ -121,7 +144,8 @@ impl RowReader<'_> {
             None => self.rows,
         };
         let held_out = cells.is_held_out(pose, names.of_pose(pose))?;
-        let missed = cells.missed()?;
+        let missed = cells.missed();
+        // A shot was missed where the robot had gone to.
         let command = match &missed {
             Some(_) if !self.options.approach_from_order => Vec::new(),
             _ => cells.command()?,
@@ -132,51 +156,28 @@ impl RowReader<'_> {
             Cells { reader: self, row }.approach(command.len())?
         };
         let cells = Cells { reader: self, row };
-        let why = match missed {
-            Some(why) => Some(why),
-            None => match cells.reading()? {
-                Some(reading) => {
-                    let temperature = cells.temperature()?;
-                    let time = cells.time()?;
-                    let set = &mut loaded.set;
-                    let station_name = cells.name(self.columns.station).unwrap_or("station 1");
-                    let target_name = cells.name(self.columns.target).or(self.target).unwrap_or("target 1");
-                    let last = set.observations.last().map(|last| (last.station, last.target));
-                    let is_last_station = last.filter(|(last, _)| set.stations[*last].name == station_name);
-                    let station = is_last_station.map(|(last, _)| last).unwrap_or_else(|| {
-                        index_of(&mut names.stations, station_name, || {
-                            set.stations.push(Station { name: station_name.to_owned(), nests: Vec::new() });
-                        })
-                    });
-                    let is_last_target = last.filter(|(_, last)| set.targets[*last].name == target_name);
-                    let target = is_last_target.map(|(_, last)| last).unwrap_or_else(|| {
-                        index_of(&mut names.targets, target_name, || {
-                            let (in_flange, covariance) = (Vector3::zeros(), None);
-                            set.targets.push(Target { name: target_name.to_owned(), in_flange, covariance });
-                        })
-                    });
-                    set.observations.push(Observation {
-                        pose,
-                        command,
-                        approach,
-                        temperature,
-                        time,
-                        station,
-                        target,
-                        reading,
-                    });
-                    loaded.places.push(self.file, row.place());
-                    None
-                }
-                None => Some("the position is (0, 0, 0)".to_owned()),
-            },
+        let reading = match missed {
+            Some(why) => Err(why),
+            None => cells.reading()?.ok_or_else(|| "the position is (0, 0, 0)".to_owned()),
         };
-        match why {
-            Some(why) => {
-                loaded.drop_row(pose, format!("missed shot: {why} ({})", row.place().of(self.file)), held_out)
+        let reading = match reading {
+            Ok(reading) => reading,
+            Err(why) => {
+                let why = format!("missed shot: {why} ({})", row.place().of(self.file));
+                loaded.drop_row(pose, why, held_out);
+                return Ok(());
             }
-            None => loaded.hold_out_last(held_out),
-        }
+        };
+        let (temperature, time) = (cells.temperature()?, cells.time()?);
+        let station = cells.name(self.columns.station).unwrap_or("station 1");
+        let target = cells.name(self.columns.target).or(self.target).unwrap_or("target 1");
+        let station = names.station(station, &mut loaded.set);
+        let target = names.target(target, &mut loaded.set);
+        let observation =
+            Observation { pose, command, approach, temperature, time, station, target, reading };
+        loaded.set.observations.push(observation);
+        loaded.places.push(self.file, row.place());
+        loaded.hold_out_last(held_out);
         Ok(())
     }
 }
@@ -310,26 +311,23 @@ impl<'r> Cells<'r> {
     }
 
     /// Why the row is of a missed shot, where its cells say so.
-    fn missed(&self) -> Result<Option<String>, InputError> {
+    fn missed(&self) -> Option<String> {
         let quantities = self.reader.columns.position.quantities();
         let columns = || quantities.iter().flat_map(|quantity| &quantity.terms).map(|term| term.column);
         if columns().all(|column| self.cell(column).is_empty()) {
-            return Ok(Some("the position is empty".to_owned()));
+            return Some("the position is empty".to_owned());
         }
         if self.reader.options.missed.is_empty() {
-            return Ok(None);
+            return None;
         }
         let is_marked = |column: &usize| {
             let cell = self.cell(*column);
             self.reader.options.missed.iter().any(|code| match code {
                 MissedCode::Text(text) => cell == text,
-                #[expect(clippy::float_cmp, reason = "a code is written as it is meant")]
                 MissedCode::Number(number) => self.decimal(*column).parse(cell) == Some(*number),
             })
         };
-        Ok(columns()
-            .find(is_marked)
-            .map(|column| format!("{} is {}", self.header(column), self.cell(column))))
+        columns().find(is_marked).map(|column| format!("{} is {}", self.header(column), self.cell(column)))
     }
 
     fn command(&self) -> Result<Vec<f64>, InputError> {

@@ -318,7 +318,9 @@ impl Rows for MemoryRows {
     fn next_row(&mut self, row: &mut Row) -> Result<bool, InputError> {
         let Some((place, cells)) = self.rows.next() else { return Ok(false) };
         row.start(place);
-        cells.iter().for_each(|cell| row.push(cell));
+        for cell in &cells {
+            row.push(cell);
+        }
         Ok(true)
     }
 

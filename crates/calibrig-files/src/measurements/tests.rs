@@ -229,8 +229,8 @@ fn a_map_that_does_not_fit_the_robot_is_refused() {
     );
     let no_units = format!("schema = \"calibrig.columns/1\"\n[joints]\ncolumns = [\"s\", \"t\"]\n{position}");
     let no_units = parse_column_map(&Source::new("columns.toml", no_units)).expect("valid");
-    assert!(refusal(&no_units, &[JointKind::Revolute; 2]).contains("no revolute_unit"));
-    assert!(refusal(&no_units, &[JointKind::Prismatic; 2]).contains("no prismatic_unit"));
+    assert!(refusal(&no_units, &[JointKind::Revolute; 2]).contains("missing key `revolute_unit`"));
+    assert!(refusal(&no_units, &[JointKind::Prismatic; 2]).contains("missing key `prismatic_unit`"));
 }
 
 #[test]

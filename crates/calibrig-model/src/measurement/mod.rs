@@ -1,8 +1,10 @@
 //! What a tracker session leaves behind. It is all that passes from simulation, recording or file to identification.
 
 mod registration;
+mod repeats;
 
 pub use registration::{NestSystem, Registration, RegistrationError, nest_system, register};
+pub use repeats::Repeats;
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};

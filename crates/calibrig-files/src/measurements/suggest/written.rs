@@ -229,7 +229,7 @@ impl Writer<'_> {
                 );
             }
             _ => {
-                self.undecided("unit", "\"um\"", &format!("up to {}, and no unit is stated", x.numbers.most))
+                self.undecided("unit", "\"um\"", &format!("up to {}, and no unit is stated", x.numbers.most));
             }
         }
         for (key, column) in [("x", x), ("y", y), ("z", z)] {
@@ -456,7 +456,7 @@ fn length_unit(columns: &[&SeenColumn], comment: Option<(LengthUnit, String)>) -
         return Told::Seen(unit, reason);
     }
     let largest = SeenFile::numbers_of(columns).largest();
-    if largest >= 200.0 && largest < 1e5 {
+    if (200.0..1e5).contains(&largest) {
         return Told::Seen(
             LengthUnit::Mm,
             format!("up to {}, looks like mm: a tracker sees 0.2 to 80 m", short(largest)),

@@ -1,0 +1,66 @@
+//! Poses that are measured more than once: what the machine and its tracker repeat.
+
+use std::collections::HashMap;
+
+use nalgebra::Vector3;
+
+use super::MeasurementSet;
+
+/// What repeats of a pose say of a set.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Repeats {
+    /// Poses (of a station and a target) with more than one reading.
+    pub poses: usize,
+    /// Readings of them beyond the first: degrees of freedom of the scatter, times three.
+    pub repeats: usize,
+    /// RMS distance of one reading from the mean of its pose, m: root of the summed squares over the repeats. No model that tells a pose by
+    /// its command leaves less on single readings.
+    pub rms_3d: f64,
+}
+
+impl MeasurementSet {
+    /// What its repeats scatter by; `None` where no pose is measured twice from the same sides. Repeats have the same command to the last bit,
+    /// and the same approach, station and target.
+    #[must_use]
+    pub fn repeats(&self) -> Option<Repeats> {
+        let mut groups: HashMap<_, Vec<Vector3<f64>>> = HashMap::new();
+        for o in &self.observations {
+            let command: Vec<u64> = o.command.iter().map(|value| value.to_bits()).collect();
+            groups.entry((command, &o.approach, o.station, o.target)).or_default().push(o.reading.position());
+        }
+        let repeated: Vec<&Vec<Vector3<f64>>> = groups.values().filter(|points| points.len() > 1).collect();
+        let repeats: usize = repeated.iter().map(|points| points.len() - 1).sum();
+        let scatter = |points: &Vec<Vector3<f64>>| {
+            let mean = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
+            points.iter().map(|point| (point - mean).norm_squared()).sum::<f64>()
+        };
+        // In an order of its own, so that the sum is the same every time.
+        let mut squares: Vec<f64> = repeated.iter().map(|points| scatter(points)).collect();
+        squares.sort_by(f64::total_cmp);
+        let rms_3d = (squares.iter().sum::<f64>() / repeats as f64).sqrt();
+        (repeats > 0).then_some(Repeats { poses: repeated.len(), repeats, rms_3d })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn repeats_scatter_about_the_mean_of_their_pose() {
+        let point = |command: f64, x: f64, y: f64| (vec![command], Vector3::new(x, y, 1.0));
+        let set = MeasurementSet::of_points([
+            point(0.1, 1.0, 0.0),
+            point(0.2, 3.0, 0.0),
+            point(0.1, 1.2, 0.0),
+            point(0.2, 3.0, 0.3),
+            point(0.2, 3.0, -0.3),
+            point(0.3, 9.0, 9.0),
+        ]);
+        let repeats = set.repeats().expect("two poses");
+        assert_eq!((repeats.poses, repeats.repeats), (2, 3));
+        // 2 x 0.1^2 of the first, 2 x 0.3^2 of the second, over three degrees of freedom.
+        assert!((repeats.rms_3d - (0.2_f64 / 3.0).sqrt()).abs() < 1e-15);
+        assert_eq!(MeasurementSet::of_points([point(0.1, 1.0, 0.0), point(0.2, 1.0, 0.0)]).repeats(), None);
+    }
+}
