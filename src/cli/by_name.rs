@@ -19,11 +19,11 @@ use calibrig_model::{CalibrationModel, ParameterId, Unit};
 /// Which parameters are fitted.
 #[derive(Debug, clap::Args)]
 pub(super) struct ByNameArgs {
-    /// Which link parameters: complete (an independent set, by rank), neighbour_axis_rules (what the published rules keep; short: rules), or
+    /// Which link parameters: complete (an independent set, by rank), `neighbour_axis_rules` (what the published rules keep; short: rules), or
     /// names
     #[arg(long, value_name = "WHICH,..", value_delimiter = ',', default_value = "complete")]
     parameters: Vec<String>,
-    /// Parameters that stay at their nominal, stated or predicted values, such as delta_a3, target_z or compliance_drive2
+    /// Parameters that stay at their nominal, stated or predicted values, such as `delta_a3`, `target_z` or `compliance_drive2`
     #[arg(long, value_name = "NAME,..", value_delimiter = ',', value_parser = id)]
     fix: Vec<ParameterId>,
     /// Parameters that are fitted whatever else leaves them out; of link parameters that cannot be told from each other these are taken

@@ -35,10 +35,10 @@ pub(super) struct RowArgs {
     /// Sheet of an XLSX file [default: the first]
     #[arg(long, value_name = "NAME")]
     sheet: Option<String>,
-    /// Topic of the joints' states in a bag (sensor_msgs/JointState) [default: the only one]
+    /// Topic of the joints' states in a bag (`sensor_msgs/JointState`) [default: the only one]
     #[arg(long, value_name = "TOPIC")]
     bag_joints: Option<String>,
-    /// Topic of the points in a bag (geometry_msgs/PointStamped, PoseStamped or TransformStamped); repeated, each is a target [default: the
+    /// Topic of the points in a bag (`geometry_msgs/PointStamped`, `PoseStamped` or `TransformStamped`); repeated, each is a target [default: the
     /// only one]
     #[arg(long, value_name = "TOPIC")]
     bag_points: Vec<String>,
@@ -146,7 +146,10 @@ impl RowArgs {
         for name in
             ["target", "station"].into_iter().filter(|name| header.iter().any(|column| column == name))
         {
-            text.push_str(&format!("{name} = \"{name}\"\n"));
+            text += name;
+            text += " = \"";
+            text += name;
+            text += "\"\n";
         }
         parse_column_map(&Source::new("columns of the bag", text))
     }

@@ -64,7 +64,7 @@ enum Command {
     Check(check::Args),
     Identify(Box<identify::Args>),
     Identifiability(identifiability::Args),
-    Choose(choose::Args),
+    Choose(Box<choose::Args>),
     Columns(columns::Args),
     Montecarlo(montecarlo::Args),
     Replay(replay::Args),

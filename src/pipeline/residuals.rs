@@ -69,7 +69,7 @@ mod tests {
             elevation,
             covariance: Matrix3::identity(),
         };
-        for azimuth in [0.3, 3.1415, -3.1415, 6.0] {
+        for azimuth in [0.3, PI - 1e-4, 1e-4 - PI, 6.0] {
             let (measured, predicted) = (reading(4.0, azimuth, 0.4), reading(3.999, azimuth - 2e-4, 0.4003));
             let error = measured.position() - predicted.position();
             let residual = spherical(&Reading::Spherical(measured), &error).expect("spherical");

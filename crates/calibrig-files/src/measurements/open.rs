@@ -61,7 +61,7 @@ pub(super) fn open(
             "it is a spreadsheet of the old kind (XLS), or one with a password: save it as XLSX without, or its sheet as CSV".to_owned(),
         )),
         BAG => {
-            let bag = BagOptions { enough: wanted.names.iter().cloned().collect(), ..options.bag.clone() };
+            let bag = BagOptions { enough: wanted.names.clone(), ..options.bag.clone() };
             Ok(Box::new(MemoryRows::from(read_bag(path, &bag)?)))
         }
         [b'#', b'R', b'O', b'S', b'B', b'A', b'G', ..] => {

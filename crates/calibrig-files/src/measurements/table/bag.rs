@@ -4,10 +4,12 @@ mod states;
 mod topics;
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
 use self::states::{Moving, Sample, States};
 use self::topics::{Kind, Topic};
@@ -78,7 +80,7 @@ pub(super) fn bag_of(
     let (mut points, mut notes) = bag.points(file, &topics, &chosen)?;
     points.sort_by_key(|point| point.stamp);
     let states = bag.states(file, &joints, &points, &mut notes)?;
-    bag.table(&joints, &chosen, points, &states, notes)
+    bag.table(&joints, &chosen, &points, &states, &notes)
 }
 
 struct Bag<'a> {
@@ -109,22 +111,19 @@ struct Notes {
 }
 
 impl Bag<'_> {
-    fn refuse(&self, place: Option<String>, message: String, expected: String) -> InputError {
-        let place = place.map_or_else(|| self.name.to_owned(), |place| format!("{}, {place}", self.name));
+    fn refuse(&self, message: impl fmt::Display, expected: impl fmt::Display) -> InputError {
+        let (place, message) = (self.name.to_owned(), message.to_string());
         InputError::Place { place, message, help: Some(format!("expected {expected}")) }
     }
 
     fn trouble(&self, trouble: Trouble) -> InputError {
         match trouble {
             Trouble::Container(why) => self.refuse(
-                None,
                 format!("the bag cannot be read: {why}"),
                 "a whole MCAP file; `calibrig recover` saves what is sound of a damaged or unfinished one"
                     .to_owned(),
             ),
-            Trouble::Stopped(why) => {
-                self.refuse(None, why, "messages as their schemas describe them".to_owned())
-            }
+            Trouble::Stopped(why) => self.refuse(why, "messages as their schemas describe them".to_owned()),
         }
     }
 
@@ -192,9 +191,9 @@ impl Bag<'_> {
     }
 
     fn tolerance(&self) -> i64 {
-        let nanoseconds = 1e9 * self.options.tolerance_s;
         // A tolerance of years is as good as none.
-        if nanoseconds.is_finite() { nanoseconds.clamp(0.0, 1e18).round() as i64 } else { 0 }
+        let tolerance = Duration::try_from_secs_f64(self.options.tolerance_s.min(1e9)).unwrap_or_default();
+        i64::try_from(tolerance.as_nanos()).unwrap_or(i64::MAX)
     }
 
     /// The states of every joint that lie near a point, in the order of their stamps.
@@ -275,9 +274,7 @@ impl Bag<'_> {
             .collect();
         if !missing.is_empty() {
             let known = states.order.join(", ");
-            return Err(self.refuse(
-                None,
-                format!("the bag has no joint called {}", missing.join(", ")),
+            return Err(self.refuse(format!("the bag has no joint called {}", missing.join(", ")),
                 format!(
                     "the robot's joints by their names in the bag, {known}: call the joints of the robot's file so, or name these in a column map, \
                      columns of [joints] in the robot's order"
@@ -291,9 +288,9 @@ impl Bag<'_> {
         &self,
         joints: &str,
         chosen: &[String],
-        points: Vec<Measured>,
+        points: &[Measured],
         states: &States,
-        notes: Notes,
+        notes: &Notes,
     ) -> Result<Table, InputError> {
         let names = self.names(states)?;
         let frames: BTreeSet<&Arc<str>> = points.iter().map(|point| &point.frame).collect();
@@ -305,7 +302,7 @@ impl Bag<'_> {
         header.extend(["x", "y", "z"].map(str::to_owned));
         header.extend(has_targets.then(|| "target".to_owned()));
         header.extend(has_stations.then(|| "station".to_owned()));
-        let mut remarks = self.remarks(joints, chosen, &notes, has_targets, has_stations.then_some(&frames));
+        let mut remarks = self.remarks(joints, chosen, notes, has_targets, has_stations.then_some(&frames));
         let first = points.first().map_or(0, |point| point.stamp);
         let place =
             |point: &Measured| TablePlace::Message { topic: Arc::clone(&point.topic), number: point.number };
@@ -313,7 +310,7 @@ impl Bag<'_> {
         let mut rows = vec![TableRow { place: head, cells: header }];
         let mut dropped = Vec::new();
         let mut moving = Moving::default();
-        for point in &points {
+        for point in points {
             let nearest = names.iter().map(|name| states.nearest(name, point.stamp));
             let nearest: Vec<Option<Sample>> = nearest.collect();
             let tolerance = self.tolerance();
@@ -346,7 +343,7 @@ impl Bag<'_> {
             rows.push(TableRow { place: place(point), cells });
         }
         if rows.len() == 1 {
-            return Err(self.nothing_left(&points, states, &dropped));
+            return Err(self.nothing_left(points, states, &dropped));
         }
         remarks.extend(self.told("dropped", "point", &dropped));
         remarks.extend(moving.words(self.name, self.options.tolerance_s));
@@ -372,7 +369,6 @@ impl Bag<'_> {
             dropped.first().map_or_else(String::new, |first| format!(" ({first})"))
         );
         self.refuse(
-            None,
             message,
             "stamps of one clock, and a tolerance that reaches from point to state (--bag-tolerance-ms)"
                 .to_owned(),

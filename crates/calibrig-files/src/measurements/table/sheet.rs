@@ -190,12 +190,8 @@ impl Cells {
     fn remarks(&self, name: &str, sheet: &str, merged: &[Dimensions]) -> Vec<String> {
         let mut remarks = Vec::new();
         for (odd, count, first) in &self.odd {
-            let others = if *count == 1 {
-                String::new()
-            } else {
-                format!(" and {} others", counted(count - 1, "cell"))
-            };
-            let others = others.replace(" others", " more").replace("cells", "cells");
+            let others =
+                if *count == 1 { String::new() } else { format!(" and {} more", counted(count - 1, "cell")) };
             remarks.push(format!("{name}: {sheet}!{}{others}: {}", cell_name(*first), odd.words()));
         }
         let held = |region: &&Dimensions| {

@@ -70,16 +70,13 @@ impl Bag<'_> {
         .map_err(|trouble| self.trouble(trouble))?;
         if topics.is_empty() {
             if calibrig {
-                return Err(self.refuse(
-                    None,
-                    "it is a calibrig recording, and no bag of ROS 2".to_owned(),
+                return Err(self.refuse("it is a calibrig recording, and no bag of ROS 2".to_owned(),
                     "`calibrig replay`, which identifies from it, or `calibrig export csv`, which makes files of it".to_owned(),
                 ));
             }
             let others: Vec<_> = others.into_iter().take(12).collect();
             let found = if others.is_empty() { "no message".to_owned() } else { others.join(", ") };
             return Err(self.refuse(
-                None,
                 format!("the bag has no states of joints and no points; it has {found}"),
                 "sensor_msgs/JointState, and geometry_msgs/PointStamped, PoseStamped or TransformStamped"
                     .to_owned(),
@@ -106,16 +103,14 @@ impl Bag<'_> {
             (Some(asked), known) if known.contains(&asked) => Ok(asked.clone()),
             (Some(asked), _) => {
                 let message = format!("there is no sensor_msgs/JointState on {asked}");
-                Err(self.refuse(None, message, format!("one of: {}", listed())))
+                Err(self.refuse(message, format!("one of: {}", listed())))
             }
             (None, [only]) => Ok((*only).clone()),
             (None, []) => Err(self.refuse(
-                None,
                 "the bag has no states of joints".to_owned(),
                 "a topic of sensor_msgs/JointState: record it together with the points".to_owned(),
             )),
             (None, _) => Err(self.refuse(
-                None,
                 "several topics have states of joints".to_owned(),
                 format!("--bag-joints with one of: {}", listed()),
             )),
@@ -131,22 +126,18 @@ impl Bag<'_> {
         let listed = || Self::listed(topics, false).join(", ");
         for asked in &self.options.points {
             if !of_points.contains(asked) {
-                return Err(self.refuse(
-                    None,
-                    format!("there are no points on {asked}"),
-                    format!("one of: {}", listed()),
-                ));
+                return Err(
+                    self.refuse(format!("there are no points on {asked}"), format!("one of: {}", listed()))
+                );
             }
         }
         match (self.options.points.as_slice(), of_points.as_slice()) {
             ([], []) => Err(self.refuse(
-                None,
                 "the bag has no measured points".to_owned(),
                 "a topic of geometry_msgs/PointStamped, PoseStamped or TransformStamped".to_owned(),
             )),
             ([], [only]) => Ok(vec![only.clone()]),
             ([], _) => Err(self.refuse(
-                None,
                 "several topics have points".to_owned(),
                 format!(
                     "--bag-points with one of them, or several where each is a target of its own: {}",
