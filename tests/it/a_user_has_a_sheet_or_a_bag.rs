@@ -40,7 +40,9 @@ fn csv(session: &[(Vec<f64>, Vector3<f64>)]) -> String {
     let mut text = HEADER.join(",") + "\n";
     for (pose, (joints, point)) in (1..).zip(session) {
         let numbers = joints.iter().chain(point.iter()).map(|number| format!("{number:?}"));
-        text += &format!("{pose},{}\n", numbers.collect::<Vec<_>>().join(","));
+        let cells: Vec<String> = std::iter::once(pose.to_string()).chain(numbers).collect();
+        text += &cells.join(",");
+        text += "\n";
     }
     text
 }
@@ -122,7 +124,9 @@ fn bag(session: &[(Vec<f64>, Vector3<f64>)], names: [&str; 6]) -> Vec<u8> {
         for step in 0..5 {
             let mut state = Cdr::header(time + 10_000_000 * step, "");
             state.length(6);
-            order.iter().for_each(|joint| state.text(names[*joint]));
+            for joint in &order {
+                state.text(names[*joint]);
+            }
             state.length(6);
             state.numbers(order.iter().map(|joint| joints[*joint]));
             state.length(0);
