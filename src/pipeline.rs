@@ -9,6 +9,7 @@ mod judgement;
 mod machine;
 mod planned;
 mod plausible;
+mod residuals;
 mod simulate;
 mod splits;
 mod truth;
@@ -23,6 +24,7 @@ pub use diagnosis::{Names, mm};
 pub use judgement::{Confidence, FALSE_ALARM, Judgement, PredictedPosition, judge};
 pub use planned::{planned, planned_at};
 pub use plausible::{Implausible, check_plausible, commands_beyond_limits};
+pub use residuals::ObservationResidual;
 pub use simulate::{measure_session, simulate};
 pub use splits::{SplitMode, SplitPlan, SplitStudy, pose_count, repeat_splits, without_gross_errors};
 pub use truth::KnownTruth;
@@ -73,6 +75,8 @@ pub struct Outcome {
     pub registration: RegistrationSummary,
     /// The sets, identification first.
     pub sets: Vec<SetOutcome>,
+    /// File and row of every observation, one list a set; empty where they come from no file.
+    pub places: Vec<Vec<String>>,
     /// The modes in table order.
     pub modes: Vec<ModeOutcome>,
     /// Only where simulated.
@@ -293,6 +297,7 @@ pub fn run_trial(
         visuals: scenario.robot.visuals.clone(),
         registration,
         sets: simulation.sets,
+        places: Vec::new(),
         modes,
         truth: Some(simulation.truth),
         bounds,

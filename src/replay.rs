@@ -21,7 +21,7 @@ use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, Visual};
 use calibrig_recording::{
     MissingPart, Provenance, ReadOptions, RecordedEstimate, RecordedMachine, Recording, RecordingError,
-    read_recorded_machine, read_recording_with,
+    Unprotected, read_recorded_machine, read_recording_with,
 };
 
 /// A recording that cannot be replayed.
@@ -172,6 +172,8 @@ pub struct Replayed {
     pub changes: Vec<Change>,
     /// Sets that were not recorded to their end.
     pub missing: Vec<MissingPart>,
+    /// What of the recording is under no checksum.
+    pub unprotected: Unprotected,
     /// Why there was no use in identifying, where it was done anyway.
     pub implausible: Option<Box<Implausible>>,
 }
@@ -263,7 +265,7 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
     let read = ReadOptions { dropped_topics: options.dropped_topics.clone() };
     let recording = read_recording_with(path, &read)?;
     let Plan { name, model, visuals, options: fit, modes, published } = Plan::new(&recording, options)?;
-    let Recording { provenance, sources, sets, missing, estimates, .. } = recording;
+    let Recording { provenance, sources, sets, missing, unprotected, estimates, .. } = recording;
     let implausible = match check_plausible(&model, &sets, &fit) {
         Err(PipelineError::Implausible(why)) if options.fit_anyway => Some(why),
         Err(PipelineError::Implausible(why)) => return Err(ReplayError::Implausible(why)),
@@ -302,6 +304,7 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
         visuals,
         registration,
         sets,
+        places: Vec::new(),
         modes,
         truth: None,
         bounds: Vec::new(),
@@ -322,6 +325,7 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
         parameters,
         changes,
         missing,
+        unprotected,
         implausible,
     })
 }

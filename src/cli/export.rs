@@ -24,7 +24,7 @@ pub(super) struct Args {
 #[derive(Debug, clap::Subcommand)]
 enum Direction {
     Csv(CsvArgs),
-    Mcap(McapArgs),
+    Mcap(Box<McapArgs>),
 }
 
 /// Turn a recording into measurement files, tables and the input files that it holds

@@ -6,11 +6,12 @@ use clap::error::ErrorKind;
 use clap::{CommandFactory, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::by_name::{self, ByNameArgs};
 use super::measured::{AskedSet, RowArgs, hash_files};
 use super::model::ChainArgs;
 use super::output::{self, Destination, Files};
 use super::reread::RereadArgs;
-use super::{Cli, CliError, Verdict, not_identified_at, say};
+use super::{Cli, CliError, Verdict, not_identified_at, print, say};
 use crate::pipeline::{
     InputHash, InputSummary, Outcome, PipelineError, SetOutcome, SplitPlan, SplitStudy, calibrate,
     commands_beyond_limits, default_options, is_default, judge, pose_count, repeat_splits,
@@ -18,10 +19,10 @@ use crate::pipeline::{
 };
 use calibrig_estimation::identification::{
     Assumption, ComplianceChoice, DEFAULT_TOLERANCE, IdentificationOptions, LINKAGE, Loss,
-    MachineNoiseChoice, Mode, ParameterBound, ParameterChoice, RefusedBound, SolverOptions, Tolerance,
-    UNKNOWN_STIFFNESS, check_bounds,
+    MachineNoiseChoice, Mode, ParameterBound, RefusedBound, SolverOptions, Tolerance, UNKNOWN_STIFFNESS,
+    check_bounds,
 };
-use calibrig_files::{ColumnMap, Places, load_column_map, parse_column_map};
+use calibrig_files::{ColumnMap, Places, is_bag, load_column_map, parse_column_map};
 use calibrig_files::{InputError, Robot};
 use calibrig_files::{MeasuredFile, SessionFile, Source, Statements, load_session, state};
 use calibrig_files::{add_followers, commanded_joints};
@@ -47,6 +48,8 @@ use calibrig_model::{BodyUncertainty, CalibrationModel, FAMILIES, JointKind, Par
   calibrig identify --model robot.toml --measurements m.csv --mode extended --terms rail,ratio
   calibrig identify --model robot.toml --measurements m.csv --loss tukey   names outliers
   calibrig identify --model robot.toml --measurements m.csv --bound delta_a4=-5mm..5mm
+  calibrig identify --model robot.toml --measurements m.csv --list-parameters   what would be fitted
+  calibrig identify --model robot.toml --measurements m.csv --fix target_z --free delta_d3
   calibrig identify --model robot.toml --measurements m.csv --splits 20 --fit 200
   calibrig identify --model robot.toml --measurements m.csv --session session.toml   nests, targets
   calibrig identify --urdf ur5.urdf --tip tool0 --measurements grid.csv --columns map.toml
@@ -56,9 +59,8 @@ has none of the map's joint columns but calibrig's own) it is calibrig's own lay
 pub(super) struct Args {
     #[command(flatten)]
     files: FileArgs,
-    /// Which link parameters
-    #[arg(long, value_enum, default_value_t = Parameters::Complete)]
-    parameters: Parameters,
+    #[command(flatten)]
+    named: ByNameArgs,
     /// Which models are fitted, beside the robot without calibration; may be repeated [default: geometry alone, and where the robot's files
     /// give masses and stiffnesses, gravity; geometry and stiffness instead where the stiffnesses are known to 100 % or worse]
     #[arg(long, value_name = "MODE", value_parser = fitted_mode)]
@@ -116,7 +118,7 @@ pub(super) struct Args {
     /// Fit although the nominal robot does not lie on the points; ends with exit code 3
     #[arg(long)]
     fit_anyway: bool,
-    /// Folder for report.html and report.json, which are written over [default: no files]
+    /// Folder for report.html, report.json and residuals.csv, which are written over [default: no files]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Print the report as JSON (schema calibrig.report/1) instead of the tables
@@ -174,14 +176,6 @@ impl FileArgs {
         self.reread.apply(&mut loaded.sets, &mut loaded.places);
         Ok(loaded)
     }
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum Parameters {
-    /// A complete independent set, by rank
-    Complete,
-    /// What the published rules on neighbouring axes keep
-    Rules,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, ValueEnum)]
@@ -259,7 +253,15 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     if let Some(destination) = destination {
         destination.check(Files::Reports)?;
     }
-    let (mut outcome, options, statements, plausible, places) = outcome(args)?;
+    let prepared = prepare(args)?;
+    if args.named.list_parameters {
+        let Prepared { robot, sets, places, options, modes, .. } = &prepared;
+        let listed = by_name::list(robot, &sets[0].measurements, modes, options, args.json)
+            .map_err(|error| failed(error, &args.files.first(), sets, places))?;
+        return print(&listed).map(|()| Verdict::Done);
+    }
+    let (options, places) = (prepared.options.clone(), prepared.places.clone());
+    let (mut outcome, statements, plausible) = outcome(args, prepared)?;
     if let (Some(splits), Some(fit)) = (args.splits, args.fit) {
         outcome.splits =
             Some(split_study(args, &outcome, &options, &places, (splits as usize, fit as usize))?);
@@ -521,7 +523,10 @@ pub(super) fn load(
     asked: Vec<AskedSet>,
 ) -> Result<Loaded, CliError> {
     let joints = commanded_joints(&robot.model);
+    let paths = || asked.iter().flat_map(AskedSet::paths).map(|(_, path)| path);
+    let mut rows = rows.clone();
     let columns = match columns {
+        None if paths().any(is_bag) => rows.of_bags(&robot, paths().filter(|path| is_bag(path)))?,
         Some(path) => {
             let (map, source) = load_column_map(path)?;
             map.check_joints(&source, &joints)?;
@@ -588,20 +593,31 @@ pub(super) fn failed(error: PipelineError, file: &Path, sets: &[SetOutcome], pla
     }
 }
 
-fn outcome(
-    args: &Args,
-) -> Result<(Outcome, IdentificationOptions, Statements, Verdict, Vec<Places>), CliError> {
+/// File and row of every observation of a set.
+fn rows_of((set, places): (&SetOutcome, &Places)) -> Vec<String> {
+    let count = set.measurements.observations.len();
+    (0..count).map(|observation| places.of(observation).unwrap_or_default()).collect()
+}
+
+/// What is fitted to what, and how.
+struct Prepared {
+    robot: Robot,
+    sources: Vec<(String, Source)>,
+    sha256: String,
+    sets: Vec<SetOutcome>,
+    places: Vec<Places>,
+    statements: Statements,
+    options: IdentificationOptions,
+    modes: Vec<Mode>,
+}
+
+fn prepare(args: &Args) -> Result<Prepared, CliError> {
     let loaded = args.files.read()?;
     loaded.check_session()?;
     let Loaded { robot, sources, sha256, sets, places, read, statements, .. } = loaded;
     for line in &read {
         say(line);
     }
-    let measurements = &args.files.first();
-    let parameters = match args.parameters {
-        Parameters::Complete => ParameterChoice::Complete,
-        Parameters::Rules => ParameterChoice::NeighbourAxisRules,
-    };
     let mut options = IdentificationOptions {
         compliances: compliances(&args.compliances, &robot.model),
         bodies: bodies(args, &robot),
@@ -612,11 +628,11 @@ fn outcome(
         },
         terms: args.terms.as_deref().map(terms),
         bounds: args.bound.clone(),
-        parameters,
         tolerance: tolerance(args),
         machine_noise: machine_noise(args, &robot.model),
         ..default_options(&robot)
     };
+    args.named.apply(&robot.model, &mut options);
     match args.compliance_percent {
         Some(CompliancePercent::Within(percent)) => {
             (options.compliance_sigma, options.stiffness_unknown) = (1e-2 * percent, false);
@@ -625,7 +641,14 @@ fn outcome(
         None => {}
     }
     let modes = modes(args, &robot, &options);
+    args.named.check(&robot.model, &modes, &options, &sets[0].measurements);
     check_flags(&robot.model, &modes, &options, &sets[0].measurements);
+    Ok(Prepared { robot, sources, sha256, sets, places, statements, options, modes })
+}
+
+fn outcome(args: &Args, prepared: Prepared) -> Result<(Outcome, Statements, Verdict), CliError> {
+    let Prepared { robot, sources, sha256, sets, places, statements, options, modes } = prepared;
+    let measurements = &args.files.first();
     let plausible = output::plausible(&robot.model, &sets, &options, args.fit_anyway)
         .map_err(|error| failed(error, measurements, &sets, &places))?;
     let (registration, modes) = calibrate(&robot.model, &sets, &modes, &options)
@@ -638,6 +661,7 @@ fn outcome(
         model: robot.model,
         visuals: robot.visuals,
         registration,
+        places: sets.iter().zip(&places).map(rows_of).collect(),
         sets,
         modes,
         truth: None,
@@ -648,5 +672,5 @@ fn outcome(
         splits: None,
         command: Some(output::command_line()),
     };
-    Ok((outcome, options, statements, plausible, places))
+    Ok((outcome, statements, plausible))
 }

@@ -8,8 +8,8 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use super::{CliError, Verdict, print};
 use calibrig_recording::{
-    EstimateReport, Health, Inspection, ProvenanceReport, ProvenanceState, RecordingError, SetReport, State,
-    TopicReport, inspect,
+    EstimateReport, Health, Inspection, Part, ProvenanceReport, ProvenanceState, RecordingError, SetReport,
+    State, TopicReport, inspect,
 };
 
 /// Say what is in a recording, or in any MCAP file, and whether it is sound
@@ -112,13 +112,28 @@ fn write_text(inspection: &Inspection, file: &Path, text: &mut String) -> std::f
 
 fn state_words(health: &Health) -> String {
     match (health.state, health.damaged_at) {
-        (State::Whole, _) => "whole: every part is there, and every checksum fits".to_owned(),
+        (State::Whole, _) => whole_words(health).to_owned(),
         (State::Unfinished, _) => "unfinished: the program that wrote it did not come to its end".to_owned(),
         (State::Truncated, _) => "truncated: it breaks off".to_owned(),
         (State::Damaged, Some(at)) => format!("damaged at byte {at}"),
         (State::Damaged, None) => {
             "damaged, but in no part that holds data: a checksum over the whole does not fit".to_owned()
         }
+    }
+}
+
+/// What can be said of a file in which nothing is wrong: a checksum that is not there does not fit either.
+pub(super) fn whole_words(health: &Health) -> &'static str {
+    let any = health.checksum_of_data == Some(true)
+        || health.checksum_of_summary == Some(true)
+        || health.checksums > 0;
+    match (health.lost.contains_key(&Part::OpaqueChunk), health.holds_unprotected(), any) {
+        (true, ..) => "whole, as far as it is looked into: chunks of another compression are not",
+        (_, false, true) => "whole: every part is there, and every checksum fits",
+        (_, true, true) => {
+            "whole: every part is there, and every checksum that it has fits, but not all has one"
+        }
+        (_, _, false) => "every part is there, but no checksum tells whether it is as it was written",
     }
 }
 
@@ -147,7 +162,7 @@ fn checksum_words(health: &Health) -> String {
     };
     let parts = match health.without_checksum {
         0 => "of every part that is read".to_owned(),
-        n => format!("none of {n} messages or attachments"),
+        n => format!("none of their own of {n} messages or attachments"),
     };
     format!(
         "{parts}; {}; {}",

@@ -8,8 +8,9 @@ use clap::error::ErrorKind;
 use super::{Cli, CliError};
 use crate::pipeline::{InputHash, SetKind};
 use calibrig_files::{
-    ColumnMap, InputError, LoadedMeasurements, MeasuredFile, MeasurementFiles, MissedCode, PointsFile,
-    PoseList, RowOptions, Source, read_files,
+    BagOptions, ColumnMap, DEFAULT_TOLERANCE_S, InputError, LoadedMeasurements, MeasuredFile,
+    MeasurementFiles, MissedCode, PointsFile, PoseList, Robot, RowOptions, Source, parse_column_map,
+    read_bag, read_files,
 };
 use calibrig_model::JointKind;
 
@@ -31,6 +32,29 @@ pub(super) struct RowArgs {
     /// Repeats of a pose count as one reading, with their mean and scatter
     #[arg(long)]
     average_repeats: bool,
+    /// Sheet of an XLSX file [default: the first]
+    #[arg(long, value_name = "NAME")]
+    sheet: Option<String>,
+    /// Topic of the joints' states in a bag (`sensor_msgs/JointState`) [default: the only one]
+    #[arg(long, value_name = "TOPIC")]
+    bag_joints: Option<String>,
+    /// Topic of the points in a bag (`geometry_msgs/PointStamped`, `PoseStamped` or `TransformStamped`); repeated, each is a target [default: the
+    /// only one]
+    #[arg(long, value_name = "TOPIC")]
+    bag_points: Vec<String>,
+    /// How far the stamps of a point and of its joints may lie apart in a bag [default: 50]
+    #[arg(long, value_name = "MS", value_parser = milliseconds)]
+    bag_tolerance_ms: Option<f64>,
+    /// Names that the joints have in a bag.
+    #[arg(skip)]
+    bag_names: Vec<String>,
+}
+
+fn milliseconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(number) if (0.0..=1e6).contains(&number) => Ok(number),
+        _ => Err("expected a number of milliseconds from 0 to 1000000".to_owned()),
+    }
 }
 
 fn poses(text: &str) -> Result<PoseList, String> {
@@ -90,7 +114,46 @@ impl RowArgs {
             verification_poses: self.verify_poses.clone().unwrap_or_default(),
             approach_from_order: self.approach_from_order,
             average_repeats: self.average_repeats,
+            sheet: self.sheet.clone(),
+            bag: BagOptions {
+                joints: self.bag_joints.clone(),
+                points: self.bag_points.clone(),
+                tolerance_s: self.bag_tolerance_ms.map_or(DEFAULT_TOLERANCE_S, |ms| 1e-3 * ms),
+                names: self.bag_names.clone(),
+                ..BagOptions::default()
+            },
         }
+    }
+
+    /// The map of bags, whose joints are called as those of the robot.
+    pub fn of_bags<'a>(
+        &mut self,
+        robot: &Robot,
+        bags: impl Iterator<Item = &'a Path>,
+    ) -> Result<ColumnMap, InputError> {
+        let links = robot.model.kinematics.links.iter().enumerate();
+        let commanded = links.filter(|(joint, _)| robot.model.actuators.is_commanded(*joint));
+        self.bag_names = commanded.map(|(_, link)| link.name.clone()).collect();
+        let names = self.bag_names.iter().map(|name| format!("{name:?}")).collect::<Vec<_>>().join(", ");
+        let mut text = format!(
+            "schema = \"calibrig.columns/1\"\n[joints]\ncolumns = [{names}]\nrevolute_unit = \"rad\"\nprismatic_unit = \"m\"\n\
+             [position]\nsystem = \"cartesian\"\nunit = \"m\"\nx = \"x\"\ny = \"y\"\nz = \"z\"\n[columns]\ntime_s = \"time_s\"\n"
+        );
+        let mut header = Vec::new();
+        for bag in bags {
+            let table = read_bag(bag, &self.options().bag)?;
+            header.extend(table.rows.into_iter().take(1).flat_map(|row| row.cells));
+        }
+        // They are there where there are several.
+        for name in
+            ["target", "station"].into_iter().filter(|name| header.iter().any(|column| column == name))
+        {
+            text += name;
+            text += " = \"";
+            text += name;
+            text += "\"\n";
+        }
+        parse_column_map(&Source::new("columns of the bag", text))
     }
 
     /// Reads the sets; rows of the first that are held out are one of their own.

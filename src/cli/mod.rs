@@ -1,5 +1,6 @@
 //! The command line: argument types, one file a command. Results go to stdout, diagnostics and progress to stderr.
 
+mod by_name;
 mod check;
 mod choose;
 mod columns;
@@ -66,7 +67,7 @@ enum Command {
     Check(check::Args),
     Identify(Box<identify::Args>),
     Identifiability(identifiability::Args),
-    Choose(choose::Args),
+    Choose(Box<choose::Args>),
     Columns(columns::Args),
     Model(model::Args),
     Diagnose(diagnose::Args),

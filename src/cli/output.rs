@@ -25,15 +25,17 @@ pub(super) enum Files {
 impl Files {
     pub(super) fn names(self) -> &'static [&'static str] {
         match self {
-            Self::Reports => &["report.html", "report.json"],
+            Self::Reports => &["report.html", "report.json", "residuals.csv"],
             Self::Campaign => &["trials.csv", "summary.json"],
             Self::Export => {
                 &["identification.csv", "verification.csv", "session.toml", "residuals.csv", "parameters.csv"]
             }
             #[cfg(feature = "rerun")]
-            Self::ReportsAndRecordings => &["report.html", "report.json", "recording.mcap", "recording.rrd"],
+            Self::ReportsAndRecordings => {
+                &["report.html", "report.json", "residuals.csv", "recording.mcap", "recording.rrd"]
+            }
             #[cfg(not(feature = "rerun"))]
-            Self::ReportsAndRecordings => &["report.html", "report.json", "recording.mcap"],
+            Self::ReportsAndRecordings => &["report.html", "report.json", "residuals.csv", "recording.mcap"],
         }
     }
 }

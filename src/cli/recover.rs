@@ -3,9 +3,9 @@
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-use super::inspect::{named, with_progress, write_faults, write_sets};
+use super::inspect::{named, whole_words, with_progress, write_faults, write_sets};
 use super::{CliError, Verdict, print};
-use calibrig_recording::{Inspection, ProvenanceState, Recovered, State, recover};
+use calibrig_recording::{Inspection, NotReplayed, ProvenanceState, Recovered, State, recover};
 
 /// Save what is sound of a damaged, truncated or unfinished recording into a new file
 #[derive(Debug, clap::Args)]
@@ -39,8 +39,12 @@ fn write_text(recovered: &Recovered, bad: &Path, good: &Path, text: &mut String)
     let (bad, place) = (bad.display(), good.display());
     let inspection = &recovered.inspection;
     if recovered.copied {
-        writeln!(text, "{bad} is whole, nothing is wrong with it: copied to {place}")?;
-        return write_next(inspection, good, text);
+        writeln!(
+            text,
+            "{bad}: {}; nothing is wrong with it: copied to {place}",
+            whole_words(&inspection.health)
+        )?;
+        return write_next(recovered, good, text);
     }
     let saved = inspection.recoverable;
     let of = saved.messages_lost.map_or_else(String::new, |lost| format!(" of {}", saved.messages + lost));
@@ -62,7 +66,7 @@ fn write_text(recovered: &Recovered, bad: &Path, good: &Path, text: &mut String)
         writeln!(text, "\nlost: nothing of what is in the file{}", unknown(inspection.health.state))?;
     }
     write_doubts(inspection, text)?;
-    write_next(inspection, good, text)
+    write_next(recovered, good, text)
 }
 
 /// What cannot be told of a file that ends too early.
@@ -83,7 +87,12 @@ fn write_doubts(inspection: &Inspection, text: &mut String) -> std::fmt::Result 
             text,
             "So seed, scenario and models are not certain to be those of the run: the metadata are kept as `calibrig_altered`, and are"
         )?;
-        writeln!(text, "not read. The messages are sound: each is under a checksum of its own chunk.")?;
+        let sound = if inspection.health.holds_unprotected() {
+            ""
+        } else {
+            " The messages are sound: each is under a checksum."
+        };
+        writeln!(text, "not read.{sound}")?;
     }
     for set in inspection.sets.iter().filter(|set| !set.described) {
         writeln!(
@@ -92,7 +101,7 @@ fn write_doubts(inspection: &Inspection, text: &mut String) -> std::fmt::Result 
             set.set
         )?;
     }
-    if inspection.health.without_checksum > 0 {
+    if inspection.health.holds_unprotected() {
         writeln!(
             text,
             "\n{} messages or attachments have no checksum: whether they are as written cannot be told.",
@@ -102,16 +111,23 @@ fn write_doubts(inspection: &Inspection, text: &mut String) -> std::fmt::Result 
     Ok(())
 }
 
-fn write_next(inspection: &Inspection, good: &Path, text: &mut String) -> std::fmt::Result {
-    let measured = inspection.sets.iter().any(|set| set.described && set.observations > 0);
-    if measured {
-        writeln!(text, "\nnext: calibrig replay {}", good.display())
-    } else if inspection.calibrig {
-        writeln!(text, "\nIt holds no measured pose: there is nothing to replay.")
-    } else {
-        writeln!(
+fn write_next(recovered: &Recovered, good: &Path, text: &mut String) -> std::fmt::Result {
+    let good = good.display();
+    match recovered.inspection.not_replayed(recovered.copied) {
+        None => writeln!(text, "\nnext: calibrig replay {good}"),
+        Some(NotReplayed::OpaqueChunks(why)) => writeln!(
+            text,
+            "\nMessages of it are in chunks that calibrig does not look into: {why}. `calibrig replay` refuses it: write it again with zstd, lz4\nor no compression."
+        ),
+        Some(NotReplayed::Foreign) => writeln!(
             text,
             "\nIt is not a calibrig recording: viewers of MCAP open it, `calibrig replay` does not."
-        )
+        ),
+        Some(NotReplayed::Newer(software)) => {
+            writeln!(text, "\nA later version wrote it: replay it with {software}.")
+        }
+        Some(NotReplayed::NothingMeasured | NotReplayed::SessionLost) => {
+            writeln!(text, "\nIt holds no measured pose to identify from: there is nothing to replay.")
+        }
     }
 }

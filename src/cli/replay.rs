@@ -10,7 +10,7 @@ use crate::replay::{
 };
 use calibrig_estimation::identification::Mode;
 use calibrig_files::load_robot;
-use calibrig_recording::{MissingPart, RecordingError};
+use calibrig_recording::{MissingPart, RecordingError, Unprotected};
 
 /// Identify again from a recording alone, and compare with the recorded estimates, bit for bit where the same version made them
 ///
@@ -18,7 +18,7 @@ use calibrig_recording::{MissingPart, RecordingError};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig replay runs/paper/recording.mcap                  the same bits?
-  calibrig replay recording.mcap --robust tukey              what if outliers did not count?
+  calibrig replay recording.mcap --loss tukey                what if outliers did not count?
   calibrig replay recording.mcap --drop-topic /nest          what if the base had not been measured?
   calibrig replay recording.mcap --mode extended --json      other rows, the report as JSON
   calibrig replay session.mcap --model ur5/robot.toml        recorded by another program
@@ -33,6 +33,9 @@ pub(super) struct Args {
     mode: Vec<Mode>,
     /// What a measurement far off the others costs: its square, or less [default: as recorded]
     #[arg(long, value_enum, value_name = "LOSS")]
+    loss: Option<LossArg>,
+    /// The name that --loss had
+    #[arg(long, value_enum, value_name = "LOSS", hide = true, conflicts_with = "loss")]
     robust: Option<LossArg>,
     /// Leave out a topic and all below it, such as /nest or /measurement/verification; may be repeated
     #[arg(long, value_name = "TOPIC")]
@@ -51,11 +54,14 @@ pub(super) struct Args {
 pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     let options = ReplayOptions {
         modes: args.mode.clone(),
-        loss: args.robust.map(Into::into),
+        loss: args.loss.or(args.robust).map(Into::into),
         dropped_topics: args.drop_topic.clone(),
         robot: args.model.as_deref().map(load_robot).transpose()?,
         fit_anyway: args.fit_anyway,
     };
+    if args.robust.is_some() {
+        say("--robust is called --loss now, as in identify and in scenarios");
+    }
     let replayed = replay(&args.recording, &options).map_err(|error| failed(error, &args.recording))?;
     output::show(&replayed.outcome, args.json)?;
     let another = replayed.made_by_another.as_ref().filter(|_| !replayed.differences.is_empty());
@@ -74,6 +80,9 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     if let Some(why) = &replayed.implausible {
         verdict = output::doubtful(why);
     }
+    if let Some(line) = unnoticed(&replayed.unprotected) {
+        say(&line);
+    }
     for part in &replayed.missing {
         say(&cut_short(part));
         verdict = Verdict::Doubtful;
@@ -89,6 +98,14 @@ pub(super) fn failed(error: ReplayError, file: &Path) -> CliError {
         ReplayError::Recording(error @ RecordingError::Unreadable { .. }) => CliError::Recording(error),
         source => CliError::Replay { file: file.to_path_buf(), source },
     }
+}
+
+/// What no checksum vouches for.
+pub(super) fn unnoticed(unprotected: &Unprotected) -> Option<String> {
+    let messages = unprotected.messages;
+    (unprotected.holds_data() && messages > 0).then(|| {
+        format!("{messages} messages of the recording are under no checksum: a bit that flipped in them since would not be noticed")
+    })
 }
 
 /// That a set ends before its time.

@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 
 use super::output::{self, Destination, Files};
-use super::replay::{cut_short, failed};
+use super::replay::{cut_short, failed, unnoticed};
 use super::{CliError, Verdict, say};
 use crate::pipeline::{Outcome, bounds_at_truth};
 use crate::replay::{NoTruth, ReplayOptions, recorded_truth, replay};
 
-/// Make report.html and report.json again from a recording
+/// Make report.html, report.json and residuals.csv again from a recording
 ///
 /// The parameters are identified again from the recorded measurements; the truth of a simulated run is put beside them afterwards.
 #[derive(Debug, clap::Args)]
@@ -19,7 +19,7 @@ use crate::replay::{NoTruth, ReplayOptions, recorded_truth, replay};
 pub(super) struct Args {
     /// The recording
     recording: PathBuf,
-    /// Folder for report.html and report.json, which are written over [default: a new folder under runs/]
+    /// Folder for report.html, report.json and residuals.csv, which are written over [default: a new folder under runs/]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Print the report as JSON (schema calibrig.report/1) instead of the tables
@@ -56,6 +56,9 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     let mut verdict = output::verdict(outcome);
     if let Some(why) = &replayed.implausible {
         verdict = output::doubtful(why);
+    }
+    if let Some(line) = unnoticed(&replayed.unprotected) {
+        say(&line);
     }
     for part in &replayed.missing {
         say(&cut_short(part));

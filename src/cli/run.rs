@@ -28,7 +28,7 @@ use calibrig_recording::Preamble;
 pub(super) struct Args {
     /// The scenario file
     scenario: PathBuf,
-    /// Folder for report.html, report.json, recording.mcap and recording.rrd; its files are written over [default: a new folder under runs/]
+    /// Folder for report.html, report.json, residuals.csv, recording.mcap and recording.rrd; its files are written over [default: a new folder under runs/]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Seed of the random draws, instead of the scenario's

@@ -2,6 +2,7 @@
 
 use nalgebra::{DVector, Vector3};
 
+use super::residuals::{ObservationResidual, residuals};
 use super::worth::{Worse, worse};
 use super::{ModeOutcome, PipelineError, SetKind, SetOutcome};
 use calibrig_estimation::evaluation::{
@@ -42,6 +43,8 @@ pub struct Judgement {
     pub makes_sense: bool,
     /// Gross errors in what was held out.
     pub held_out: Vec<(SetKind, Vec<Outlier>)>,
+    /// Of every reading, one list a set.
+    pub residuals: Vec<Vec<ObservationResidual>>,
 }
 
 impl Judgement {
@@ -142,7 +145,20 @@ pub fn judge(
                 .skip(1)
                 .map(|(set, errors)| (set.kind, held_out_outliers(&set.measurements, errors)));
             let held_out = held_out.filter(|(_, outliers)| !outliers.is_empty()).collect();
-            Ok(Judgement { mode, consistency, sensitivity, worse, confidence, makes_sense, held_out })
+            let of_set = |(index, (set, errors)): (usize, (&SetOutcome, &Vec<Vector3<f64>>))| {
+                residuals(model, (&set.measurements, errors), &options, estimate, index == 0)
+            };
+            let residuals = sets.iter().zip(&outcome.errors).enumerate().map(of_set).collect();
+            Ok(Judgement {
+                mode,
+                consistency,
+                sensitivity,
+                worse,
+                confidence,
+                makes_sense,
+                held_out,
+                residuals,
+            })
         })
         .collect()
 }

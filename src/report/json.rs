@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::judgement::{JsonJudgement, json_judgement};
 use super::parameters::{fitted, truth_of};
 use super::pose_count;
+use super::residuals::{JsonResidual, json_residuals};
 use super::splits::{JsonSplits, json_splits};
 use crate::pipeline::{AblatedPart, Ablation, Outcome, SetOutcome, Worse};
 use calibrig_estimation::evaluation::AccuracyRow;
@@ -239,6 +240,9 @@ pub struct JsonEstimate {
     /// Gross errors: observations far off what the others say of them; absent where none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub outliers: Vec<JsonOutlier>,
+    /// Residuals of its readings, by the key of the set; absent where it was not judged.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub residuals: BTreeMap<String, Vec<JsonResidual>>,
     /// What speaks for and against it; absent where it was not judged.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub judgement: Option<JsonJudgement>,
@@ -377,8 +381,11 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
             .map(|(mode, estimate)| {
                 let judgement = outcome.judgements.iter().find(|judgement| judgement.mode == *mode);
                 let worse = judgement.iter().flat_map(|judgement| &judgement.worse).map(json_worse).collect();
+                let residuals =
+                    judgement.map(|judgement| json_residuals(outcome, judgement)).unwrap_or_default();
                 let judgement = judgement.map(|judgement| json_judgement(outcome, judgement));
-                (mode.key().to_owned(), JsonEstimate { worse, judgement, ..json_estimate(estimate) })
+                let estimate = JsonEstimate { worse, residuals, judgement, ..json_estimate(estimate) };
+                (mode.key().to_owned(), estimate)
             })
             .collect(),
         parameters: fitted
@@ -535,6 +542,7 @@ fn json_estimate(estimate: &Estimate) -> JsonEstimate {
             .collect(),
         outliers: estimate.outliers.iter().map(JsonOutlier::from).collect(),
         reasons: estimate.reasons().map(ToString::to_string).collect(),
+        residuals: BTreeMap::new(),
         judgement: None,
     }
 }

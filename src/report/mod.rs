@@ -8,6 +8,7 @@ mod judgement;
 mod parameters;
 mod plots;
 mod region;
+mod residuals;
 #[cfg(test)]
 mod sample;
 mod splits;
@@ -23,6 +24,7 @@ pub use judgement::{
     JsonConfidence, JsonCorrelation, JsonInfluence, JsonJudgement, JsonPattern, JsonPoint, JsonRegion,
     JsonSupport,
 };
+pub use residuals::{JsonResidual, residuals_csv};
 pub use splits::{JsonInterval, JsonSplitRow, JsonSplits};
 pub use tables::{Style, render_tables};
 
@@ -51,6 +53,9 @@ pub enum ReportError {
     /// A value has no JSON form.
     #[error("cannot express the report as JSON: {0}")]
     Json(#[from] serde_json::Error),
+    /// A table could not be made.
+    #[error("cannot write residuals.csv: {0}")]
+    Table(#[from] csv::Error),
     /// A figure could not be drawn.
     #[error("cannot draw the figure of {figure}: {reason}")]
     Plot {
@@ -68,13 +73,18 @@ pub fn json_text(outcome: &Outcome) -> Result<String, ReportError> {
     Ok(json)
 }
 
-/// Writes `report.json` and `report.html` to `folder`, which exists.
+/// Writes `report.json`, `report.html` and `residuals.csv` to `folder`, which exists.
 ///
-/// Both are written in full beside their final names before either is renamed, so that a failed run leaves no half-written report.
+/// All are written in full beside their final names before one is renamed, so that a failed run leaves no half-written report.
 pub fn write_reports(outcome: &Outcome, folder: &Path) -> Result<(), ReportError> {
     let json = json_text(outcome)?;
     let html = html_report(outcome)?;
-    let staged = [stage(folder, "report.json", &json)?, stage(folder, "report.html", &html)?];
+    let residuals = residuals_csv(outcome)?;
+    let staged = [
+        stage(folder, "report.json", &json)?,
+        stage(folder, "report.html", &html)?,
+        stage(folder, residuals::FILE, &residuals)?,
+    ];
     for (file, path) in staged {
         file.persist(&path).map_err(|e| ReportError::Write { path, source: e.error })?;
     }
@@ -168,7 +178,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn both_files_are_written_and_no_other() {
+    fn all_files_are_written_and_no_other() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         write_reports(&sample::simulated(), folder.path()).expect("a report");
         write_reports(&sample::simulated(), folder.path()).expect("a report over an older one");
@@ -177,7 +187,7 @@ mod tests {
             .map(|entry| entry.expect("an entry").file_name().into_string().expect("UTF-8"))
             .collect();
         names.sort();
-        assert_eq!(names, ["report.html", "report.json"]);
+        assert_eq!(names, ["report.html", "report.json", "residuals.csv"]);
         let read = |name| std::fs::read_to_string(folder.path().join(name)).expect("readable");
         assert!(read("report.html").ends_with("</html>"));
         let json: JsonReport = serde_json::from_str(&read("report.json")).expect("the schema");
@@ -195,7 +205,10 @@ mod tests {
         assert!(write_reports(&sample::measured(), folder.path()).is_err());
         for entry in std::fs::read_dir(folder.path()).expect("the folder") {
             let name = entry.expect("an entry").file_name().into_string().expect("UTF-8");
-            assert!(["report.html", "report.json"].contains(&name.as_str()), "{name} is left behind");
+            assert!(
+                ["report.html", "report.json", "residuals.csv"].contains(&name.as_str()),
+                "{name} is left behind"
+            );
         }
     }
 

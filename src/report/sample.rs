@@ -129,6 +129,7 @@ pub(super) fn simulated() -> Outcome {
             rms,
         },
         sets,
+        places: Vec::new(),
         modes,
         truth: Some(Truth {
             as_built: AsBuilt {

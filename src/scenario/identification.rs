@@ -7,7 +7,7 @@ use serde::Deserialize;
 use calibrig_estimation::identification::{
     ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Loss, MachineNoiseChoice, Mode,
     ParameterBound, ParameterBoundError, ParameterChoice, Redundancy, RefusedBound, SolverOptions,
-    TargetChoice, TermPrior, Tolerance, check_bounds,
+    TargetChoice, TermPrior, Tolerance, check_bounds, check_named,
 };
 use calibrig_files::Robot;
 use calibrig_files::{InputError, Source, Spanned};
@@ -20,6 +20,10 @@ pub(super) struct IdentificationFile {
     modes: Option<Spanned<Vec<ModeFile>>>,
     parameters: Option<Spanned<toml::Value>>,
     extended_parameters: Option<Spanned<toml::Value>>,
+    #[serde(default)]
+    fix: Vec<Spanned<String>>,
+    #[serde(default)]
+    free: Vec<Spanned<String>>,
     tolerance_mm: Option<Spanned<f64>>,
     tolerance_mrad: Option<Spanned<f64>>,
     compliances: Option<Spanned<toml::Value>>,
@@ -361,8 +365,36 @@ impl IdentificationFile {
             }
             options.solver.starts = *starts.get_ref();
         }
+        self.by_name(source, model, &mut options)?;
         self.bounds(source, model, &mut options)?;
         Ok(options)
+    }
+
+    /// Takes over what is fixed and freed by name.
+    fn by_name(
+        &self,
+        source: &Source,
+        model: &CalibrationModel,
+        options: &mut IdentificationOptions,
+    ) -> Result<(), InputError> {
+        let id = |key: &str, name: &Spanned<String>| {
+            ParameterId::parse(name.get_ref()).ok_or_else(|| {
+                source.error(
+                    name.span(),
+                    format!("identification.{key}: \"{}\" is no parameter's name", name.get_ref()),
+                    Some(format!("expected {}", ParameterId::EXAMPLES)),
+                )
+            })
+        };
+        options.fix = self.fix.iter().map(|name| id("fix", name)).collect::<Result<_, _>>()?;
+        options.free = self.free.iter().map(|name| id("free", name)).collect::<Result<_, _>>()?;
+        // A simulated session has one station and one target.
+        let (stations, targets) = ([Station::default()], [Target::default()]);
+        check_named(model, &self.modes(source)?, options, &stations, &targets).map_err(|error| {
+            let of = |name: &&Spanned<String>| ParameterId::parse(name.get_ref()) == Some(error.id());
+            let place = self.free.iter().chain(&self.fix).find(of).map_or(0..0, Spanned::span);
+            source.error(place, format!("identification: {error}"), Some(error.help()))
+        })
     }
 
     /// Adds the bounds, which are on parameters that these options fit.

@@ -237,7 +237,12 @@ fn exported_files_are_all_that_identify_needs() {
         let arguments = ["identify", "--json", "--mode", "only_calibration", "--model", model];
         let ended = sandbox.run(arguments.into_iter().chain(["--measurements", fit, "--verify", verify]));
         assert!(matches!(ended.code, Some(0 | 3)), "{ended:?}");
-        let report = ended.json();
+        let mut report = ended.json();
+        // The files are others: so are the rows in them.
+        let sets = report["estimates"]["only_calibration"]["residuals"].as_object_mut().expect("by set");
+        for residual in sets.values_mut().flat_map(|set| set.as_array_mut().expect("a list")) {
+            residual.as_object_mut().and_then(|residual| residual.remove("row")).expect("of a file");
+        }
         (ended.code, report["parameters"].clone(), report["sets"].clone(), report["estimates"].clone())
     };
     let given = identify(UR5, "grid.csv", "random.csv");

@@ -23,9 +23,9 @@ const COMMANDS: [&str; 12] = [
     "report",
 ];
 #[cfg(feature = "rerun")]
-const FILES: &[&str] = &["report.html", "report.json", "recording.mcap", "recording.rrd"];
+const FILES: &[&str] = &["report.html", "report.json", "residuals.csv", "recording.mcap", "recording.rrd"];
 #[cfg(not(feature = "rerun"))]
-const FILES: &[&str] = &["report.html", "report.json", "recording.mcap"];
+const FILES: &[&str] = &["report.html", "report.json", "residuals.csv", "recording.mcap"];
 
 /// Every command with arguments that succeed, in a sandbox that has the files.
 fn sound_commands() -> (Sandbox, Vec<(&'static str, Vec<&'static str>)>) {

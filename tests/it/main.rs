@@ -7,13 +7,16 @@ mod a_user_brings_a_robot;
 mod a_user_brings_files;
 mod a_user_calibrates_a_real_robot;
 mod a_user_checks_the_elimination;
+mod a_user_chooses_parameters;
 mod a_user_compares_with_the_truth;
 mod a_user_counts_axes_otherwise;
 mod a_user_exchanges_files;
+mod a_user_has_a_copy_of_another_writer;
 mod a_user_has_a_damaged_recording;
 #[cfg(unix)]
 mod a_user_has_a_killed_run;
 mod a_user_has_a_session_that_makes_no_sense;
+mod a_user_has_a_sheet_or_a_bag;
 mod a_user_has_no_room;
 mod a_user_judges_an_estimate;
 mod a_user_knows_no_stiffness;

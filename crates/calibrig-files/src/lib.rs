@@ -39,6 +39,7 @@
 mod convert;
 mod followers;
 mod input;
+pub mod mcap_chunk;
 mod measurements;
 mod robot;
 mod session;
@@ -47,9 +48,10 @@ mod stated;
 pub use convert::{AGREEMENT, Convention, Converted, UrdfOptions, robot_from_dh, robot_from_urdf};
 pub use followers::{add_followers, commanded_joints, without_followers};
 pub use input::{Excerpt, InputError, Source, Spanned};
+pub use measurements::{BagOptions, DEFAULT_TOLERANCE_S, Table, TablePlace, TableRow, read_bag, read_sheet};
 pub use measurements::{
     ColumnMap, CsvError, LoadedMeasurements, MeasurementFiles, MemoryRows, MissedCode, Place, Places,
-    PointsFile, PoseList, Row, RowOptions, Rows, SuggestedMap, load_column_map, measurements_text,
+    PointsFile, PoseList, Row, RowOptions, Rows, SuggestedMap, is_bag, load_column_map, measurements_text,
     parse_column_map, parse_measurements, read_files, read_measurements, read_rows, suggest_columns,
     write_measurements,
 };

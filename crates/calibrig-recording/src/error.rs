@@ -93,14 +93,12 @@ pub enum RecordingError {
         /// What does not fit.
         source: McapError,
     },
-    /// The bytes are sound, but not as calibrig writes them.
-    #[error("the MCAP file was not written by calibrig: {found}")]
-    #[diagnostic(help("expected {expected}"))]
-    Unprotected {
-        /// What is there.
-        found: String,
-        /// What was expected.
-        expected: &'static str,
+    /// Chunks whose compression is none of MCAP's specification.
+    #[error("the messages are compressed with {compression:?}, which is not read")]
+    #[diagnostic(help("expected zstd, lz4 or no compression: write the file again with one of these"))]
+    UnknownCompression {
+        /// As the chunk says.
+        compression: String,
     },
     /// An MCAP file of another program.
     #[error(
@@ -111,7 +109,7 @@ pub enum RecordingError {
     ))]
     Foreign,
     /// Nothing can be saved of a file.
-    #[error("{} holds no message that can be read: {bytes} bytes, of which {unread} are not readable", path.display())]
+    #[error("{} holds no message that can be read: {bytes} bytes, of which {unread} are not readable{}", path.display(), why.as_ref().map(|why| format!(", and a chunk: {why}")).unwrap_or_default())]
     #[diagnostic(help(
         "expected a file in which something was recorded before it ended; nothing is written"
     ))]
@@ -122,6 +120,8 @@ pub enum RecordingError {
         bytes: u64,
         /// Bytes that belong to no whole record.
         unread: u64,
+        /// Why a chunk is not looked into.
+        why: Option<String>,
     },
     /// A file is to be saved over itself.
     #[error("{} is the damaged file itself", path.display())]

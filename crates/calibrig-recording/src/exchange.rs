@@ -234,7 +234,7 @@ fn tables(path: &Path) -> Result<Tables, RecordingError> {
     let mut tables = Tables::default();
     let mut schemas: HashMap<u16, String> = HashMap::new();
     let mut channels: HashMap<u16, (String, u16)> = HashMap::new();
-    let read = scan(&mut file, false, &mut |opcode, body| {
+    let read = scan(&mut file, &mut |opcode, body| {
         match mcap::parse_record(opcode, body)? {
             Record::Schema { header, .. } => {
                 schemas.insert(header.id, header.name);

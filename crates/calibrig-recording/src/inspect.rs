@@ -10,10 +10,11 @@ use serde::Serialize;
 
 use super::directory::Directory;
 use super::provenance::{AttachedInput, RECOVERED};
-use super::scan::{ReadError, scan};
+use super::scan::{ReadError, scan_whole};
 use super::survey::Survey;
 use super::walk::{End, Fault, Part, Walk, walk};
 use super::{Provenance, RecordingError};
+use calibrig_model::measurement::SetKind;
 
 /// Name and version of the JSON document.
 pub const INSPECT_SCHEMA: &str = "calibrig.inspect/1";
@@ -54,6 +55,43 @@ pub struct Inspection {
     pub metadata: Vec<String>,
     #[serde(skip)]
     pub(super) profile: String,
+    /// Whether a checksum over all of the data fits.
+    #[serde(skip)]
+    pub(super) sound: bool,
+}
+
+impl Inspection {
+    /// Why [`read_recording`](crate::read_recording) would find nothing to replay in the file, if it was `copied` as it is, or else in what
+    /// is saved of it; `None` where it reads it.
+    pub fn not_replayed(&self, copied: bool) -> Option<NotReplayed> {
+        let fitted = self.sets.iter().find(|set| set.set == SetKind::Identification.key());
+        let opaque = self.health.faults.iter().find(|fault| fault.part == Part::OpaqueChunk);
+        match (opaque, &self.provenance) {
+            (Some(fault), _) if copied => Some(NotReplayed::OpaqueChunks(fault.reason.clone())),
+            _ if !self.calibrig => Some(NotReplayed::Foreign),
+            (_, Some(provenance)) if provenance.state == ProvenanceState::Newer => {
+                Some(NotReplayed::Newer(provenance.software.clone()))
+            }
+            _ if fitted.is_none_or(|set| set.observations == 0) => Some(NotReplayed::NothingMeasured),
+            _ if fitted.is_some_and(|set| !set.described) => Some(NotReplayed::SessionLost),
+            _ => None,
+        }
+    }
+}
+
+/// Why a file cannot be replayed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum NotReplayed {
+    /// Its messages, or some, are compressed in a way that is not read: how, in words.
+    OpaqueChunks(String),
+    /// It is not calibrig's.
+    Foreign,
+    /// A later version wrote it: which.
+    Newer(String),
+    /// It holds no observation to fit.
+    NothingMeasured,
+    /// The description of the set to fit is lost.
+    SessionLost,
 }
 
 /// How sound a file is.
@@ -77,13 +115,22 @@ pub struct Health {
     pub checksum_of_summary: Option<bool>,
     /// Messages and attachments without a checksum of their own.
     pub without_checksum: u64,
+    /// Chunks and attachments that have one, which fits.
+    pub checksums: u64,
+}
+
+impl Health {
+    /// Whether a flipped bit of a message or an attached file may have gone unnoticed.
+    pub fn holds_unprotected(&self) -> bool {
+        self.without_checksum > 0 && self.checksum_of_data != Some(true)
+    }
 }
 
 /// Health in a word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum State {
-    /// Every part is there, and every checksum fits.
+    /// Every part is there, and every checksum fits that it has.
     Whole,
     /// The program that wrote it did not come to its end.
     Unfinished,
@@ -246,11 +293,11 @@ pub(super) fn inspect_file(file: &mut (impl Read + Seek), name: String) -> Resul
     let bytes = file.seek(SeekFrom::End(0))?;
     let directory = Directory::of(file)?;
     let mut survey = Survey::new(&directory);
-    let walk = walk(file, &directory, &mut |at, record| {
+    let whole = check_whole(file)?;
+    let walk = walk(file, &directory, whole.is_sound(), &mut |at, record| {
         survey.record(at, record);
         Ok(())
     })?;
-    let whole = check_whole(file)?;
     let (provenance, altered_at) = survey.provenance();
     Ok(assemble(name, bytes, &walk, &whole, survey, (provenance, altered_at), &directory))
 }
@@ -263,9 +310,16 @@ struct Whole {
     summary: Option<bool>,
 }
 
+impl Whole {
+    /// Whether a checksum over all of the data fits.
+    fn is_sound(&self) -> bool {
+        self.trouble.is_none() && self.data == Some(true)
+    }
+}
+
 fn check_whole(file: &mut (impl Read + Seek)) -> Result<Whole, ReadError> {
     let mut whole = Whole { trouble: None, data: None, summary: None };
-    let scanned = scan(file, true, &mut |opcode, body| {
+    let scanned = scan_whole(file, &mut |opcode, body| {
         if matches!(opcode, op::DATA_END | op::FOOTER) {
             match mcap::parse_record(opcode, body)? {
                 Record::DataEnd(end) => whole.data = Some(end.data_section_crc != 0),
@@ -314,6 +368,7 @@ fn assemble(
         recovered: survey.metadata_names.iter().any(|name| name == RECOVERED),
         library: survey.library.clone(),
         profile: survey.profile.clone(),
+        sound: whole.is_sound(),
         health,
         recoverable,
         provenance,
@@ -356,6 +411,7 @@ fn health(walk: &Walk, whole: &Whole, altered_at: Option<u64>) -> Health {
         checksum_of_data: whole.data,
         checksum_of_summary: whole.summary,
         without_checksum: walk.unprotected,
+        checksums: walk.checksums,
     }
 }
 

@@ -70,8 +70,8 @@ pub use error::RecordingError;
 pub use exchange::{CsvExport, ExportError, ExportedFile, export_csv, write_sets};
 pub use file::UnfinishedFile;
 pub use inspect::{
-    AttachmentReport, EstimateReport, Health, INSPECT_SCHEMA, Inspection, Progress, ProvenanceReport,
-    ProvenanceState, Recoverable, SetReport, State, TopicReport, inspect,
+    AttachmentReport, EstimateReport, Health, INSPECT_SCHEMA, Inspection, NotReplayed, Progress,
+    ProvenanceReport, ProvenanceState, Recoverable, SetReport, State, TopicReport, inspect,
 };
 pub use live::SessionRecorder;
 pub use machine::{RecordedMachine, read_recorded_machine};
@@ -86,6 +86,7 @@ pub use recover::{Recovered, recover};
 pub use rerun_live::{LiveRecorder, VIEWER_URL, Viewer, viewer_url};
 #[cfg(feature = "rerun")]
 pub use rerun_sink::{RerunRecorder, rrd_of, save_rrd, write_rrd};
+pub use scan::Unprotected;
 pub use scene::{Chain, ChainKind, Sighting};
 pub use story::{
     InputSummary, LogEntry, LogLevel, Measured, PoseStep, Preamble, Recorder, Residuals, Story, record,

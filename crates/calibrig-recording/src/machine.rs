@@ -40,7 +40,7 @@ fn find(file: &mut BufReader<File>) -> Result<Option<RecordedMachine>, ReadError
     check_magic(file)?;
     check_integrity(file)?;
     let (mut channel, mut machine) = (None, None);
-    scan(file, false, &mut |opcode, body| {
+    scan(file, &mut |opcode, body| {
         match mcap::parse_record(opcode, body)? {
             Record::Channel(known) if known.topic == TOPIC => channel = Some(known.id),
             Record::Message { header, data } if Some(header.channel_id) == channel => {

@@ -5,13 +5,13 @@ use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::path::Path;
 
-use mcap::records::{self, Record, op};
+use mcap::records::{self, Record};
 use nalgebra::Vector3;
 use prost::{Message, Name};
 
 use super::estimate::freedom_of;
 use super::provenance::{AttachedInput, METADATA, RECOVERED, source_of};
-use super::scan::{ReadError, check_attachment, check_integrity, check_magic, scan};
+use super::scan::{ReadError, Unprotected, check_integrity, check_magic, scan};
 use super::schema::{self, v1};
 use super::{Provenance, RecordingError};
 use calibrig_files::{InputError, Source};
@@ -32,6 +32,8 @@ pub struct Recording {
     pub missing: Vec<MissingPart>,
     /// Whether it is what `recover` saved of a damaged file.
     pub recovered: bool,
+    /// What of the file is under no checksum.
+    pub unprotected: Unprotected,
     /// What was made of it then, by mode.
     pub estimates: Vec<RecordedEstimate>,
 }
@@ -102,7 +104,8 @@ pub struct ReadOptions {
     pub dropped_topics: Vec<String>,
 }
 
-/// Reads the recording at `path`. Every message is covered by a checksum: what is returned is what was written.
+/// Reads the recording at `path`. Where messages are under a checksum, as in all that calibrig writes, what is returned is what was written;
+/// what is under none is told ([`Recording::unprotected`]).
 ///
 /// # Errors
 /// The file is not an MCAP file, breaks off, is damaged, was written by another program or a later version, or lacks input files or
@@ -126,15 +129,10 @@ pub(super) fn read_from(
     options: &ReadOptions,
 ) -> Result<Recording, ReadError> {
     check_magic(file)?;
-    let protected = check_integrity(file)?;
+    let unprotected = check_integrity(file)?;
     let mut contents = Contents::new(options);
-    scan(file, false, &mut |opcode, body| contents.record(opcode, body))?;
-    if contents.metadata.is_some() && !protected {
-        let found = "a part of it has no checksum".to_owned();
-        let expected = "checksums of the data and the summary section";
-        return Err(RecordingError::Unprotected { found, expected }.into());
-    }
-    Ok(contents.finish()?)
+    scan(file, &mut |opcode, body| contents.record(opcode, body))?;
+    Ok(Recording { unprotected, ..contents.finish()? })
 }
 
 /// What has been read so far.
@@ -181,10 +179,6 @@ impl<'a> Contents<'a> {
     fn record(&mut self, opcode: u8, body: &[u8]) -> Result<(), ReadError> {
         if self.ended {
             return Ok(());
-        }
-        if opcode == op::ATTACHMENT {
-            // Within a chunk nobody has looked at it yet.
-            check_attachment(body)?;
         }
         match mcap::parse_record(opcode, body)? {
             Record::Metadata(metadata) if metadata.name == METADATA => {
@@ -388,6 +382,7 @@ impl<'a> Contents<'a> {
             sets: self.sets.into_iter().map(|known| known.set).collect(),
             missing,
             recovered: self.recovered,
+            unprotected: Unprotected::default(),
             estimates: self.estimates,
         })
     }
@@ -456,7 +451,7 @@ mod tests {
         }
         let mut channels: HashMap<u16, (String, u16)> = HashMap::new();
         let mut schemas = HashMap::new();
-        scan(&mut Cursor::new(bytes), false, &mut |opcode, body| {
+        scan(&mut Cursor::new(bytes), &mut |opcode, body| {
             match mcap::parse_record(opcode, body).expect("sound") {
                 Record::Metadata(mut metadata) => {
                     let mut kept = true;
@@ -716,17 +711,27 @@ mod tests {
     }
 
     #[test]
-    fn chunks_without_a_checksum_are_refused() {
+    fn copies_of_other_writers_are_read_whole_and_what_no_checksum_covers_is_told() {
         let bytes = bytes_of(&synthetic::outcome(2, 1, false));
-        for unprotected in [
-            mcap::WriteOptions::new().calculate_chunk_crcs(false),
-            mcap::WriteOptions::new().compression(None),
-            mcap::WriteOptions::new().calculate_data_section_crc(false),
-            mcap::WriteOptions::new().calculate_summary_section_crc(false),
+        let whole = read(&bytes).expect("read");
+        assert!(whole.unprotected.is_nothing());
+        let options = mcap::WriteOptions::new;
+        // Without a checksum of the chunks mcap writes that of the data wrong.
+        let bare = || options().calculate_chunk_crcs(false).calculate_data_section_crc(false);
+        for (written, holds_data, nothing) in [
+            (options().compression(None), false, true),
+            (bare(), true, false),
+            (bare().compression(None).calculate_summary_section_crc(false), true, false),
+            (options().calculate_data_section_crc(false), false, false),
+            (options().calculate_summary_section_crc(false), false, false),
+            (options().use_chunks(false), false, true),
+            (options().use_chunks(false).calculate_data_section_crc(false), true, false),
         ] {
-            let error =
-                read(&rewritten_with(unprotected, None, &bytes, &mut |_, _| true)).expect_err("unprotected");
-            assert!(matches!(error, RecordingError::Unprotected { .. }), "{error:?}");
+            let copy = rewritten_with(written, None, &bytes, &mut |_, _| true);
+            let recording = read(&copy).expect("read");
+            let unprotected = recording.unprotected;
+            assert_eq!((unprotected.holds_data(), unprotected.is_nothing()), (holds_data, nothing));
+            assert_eq!(Recording { unprotected: whole.unprotected, ..recording }, whole);
         }
     }
 

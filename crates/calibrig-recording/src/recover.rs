@@ -56,7 +56,9 @@ pub fn recover(
         })?;
     } else if inspection.recoverable.messages == 0 {
         let (bytes, unread) = (inspection.bytes, inspection.health.bytes_unread);
-        return Err(RecordingError::NothingToRecover { path: bad.to_path_buf(), bytes, unread });
+        let opaque = inspection.health.faults.iter().find(|fault| fault.part == Part::OpaqueChunk);
+        let why = opaque.map(|fault| fault.reason.clone());
+        return Err(RecordingError::NothingToRecover { path: bad.to_path_buf(), bytes, unread, why });
     } else {
         let sha256 = sha256(&mut file).map_err(unreadable)?;
         write_whole(good, |sink| save(&mut file, &inspection, sha256, sink).map_err(told))?;
@@ -110,7 +112,7 @@ pub(super) fn save<W: Write + Seek>(
         messages: 0,
     };
     copy.metadata(&note(inspection, sha256))?;
-    walk(file, &directory, &mut |_, record| Ok(copy.record(record)?))?;
+    walk(file, &directory, inspection.sound, &mut |_, record| Ok(copy.record(record)?))?;
     if copy.messages != inspection.recoverable.messages {
         return Err(std::io::Error::other("it changed while it was read").into());
     }

@@ -8,6 +8,7 @@ use mcap::{MAGIC, McapError};
 
 use super::RecordingError;
 use super::mcap_writer::RECORD_LIMIT;
+use calibrig_files::mcap_chunk;
 
 /// An error that does not yet know the file's name.
 #[derive(Debug)]
@@ -32,6 +33,9 @@ impl From<McapError> for ReadError {
     fn from(error: McapError) -> Self {
         Self::Recording(match error {
             McapError::UnexpectedEof => RecordingError::Truncated,
+            McapError::UnsupportedCompression(compression) => {
+                RecordingError::UnknownCompression { compression }
+            }
             source => RecordingError::Corrupt { source },
         })
     }
@@ -46,19 +50,22 @@ pub(super) fn check_magic(file: &mut (impl Read + Seek)) -> Result<(), ReadError
 /// Is given every record: its opcode and its body.
 pub(super) type Visitor<'a> = dyn FnMut(u8, &[u8]) -> Result<(), ReadError> + 'a;
 
-/// Passes every record of the file to `visit`, with all checksums validated; chunks whole or by their records.
-pub(super) fn scan(
-    file: &mut (impl Read + Seek),
-    whole_chunks: bool,
-    visit: &mut Visitor<'_>,
-) -> Result<(), ReadError> {
+/// Passes every record of the file to `visit`, those in chunks too, with all checksums validated that are there.
+pub(super) fn scan(file: &mut (impl Read + Seek), visit: &mut Visitor<'_>) -> Result<(), ReadError> {
+    scan_whole(file, &mut |opcode, body| {
+        if opcode != op::CHUNK {
+            return visit(opcode, body);
+        }
+        mcap_chunk::open(body, RECORD_LIMIT)?.records().try_for_each(|(opcode, body)| visit(opcode, body))
+    })
+}
+
+/// The same without a look into the chunks, whose own checksums are not validated: those over the whole are.
+pub(super) fn scan_whole(file: &mut (impl Read + Seek), visit: &mut Visitor<'_>) -> Result<(), ReadError> {
     file.seek(SeekFrom::Start(0))?;
     let options = LinearReaderOptions::default()
         .with_check_finishes_after_end_magic(true)
-        .with_emit_chunks(whole_chunks)
-        .with_validate_chunk_crcs(true)
-        // Without this, records are handed out before their checksum is known.
-        .with_prevalidate_chunk_crcs(true)
+        .with_emit_chunks(true)
         .with_validate_data_section_crc(true)
         .with_validate_summary_section_crc(true)
         // Without this, a damaged length asks for more memory than there is.
@@ -76,49 +83,55 @@ pub(super) fn scan(
     Ok(())
 }
 
-/// Reads the whole file once for its checksums. A checksum of zero means "none" in MCAP: that every message and attachment lies under one is
-/// checked as well. Whether the data and the summary section have one too, as every file of ours: other programs leave them out.
-pub(super) fn check_integrity(file: &mut (impl Read + Seek)) -> Result<bool, ReadError> {
-    let mut data_end = false;
-    let mut footer = false;
-    scan(file, true, &mut |opcode, body| {
+/// What of a sound file is under no checksum: what flips there is not noticed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Unprotected {
+    /// Messages in chunks without a checksum, or outside of all chunks.
+    pub messages: u64,
+    /// Attachments without one.
+    pub attachments: u64,
+    /// Whether a checksum over the whole data section covers these as well, and what belongs to no message.
+    pub data_is_covered: bool,
+    /// Whether the summary is under one.
+    pub summary_is_covered: bool,
+}
+
+impl Unprotected {
+    /// Whether every byte is under some checksum.
+    pub fn is_nothing(&self) -> bool {
+        self.data_is_covered && self.summary_is_covered
+    }
+
+    /// Whether a flipped bit of a message or an attached file may go unnoticed.
+    pub fn holds_data(&self) -> bool {
+        !self.data_is_covered && self.messages + self.attachments > 0
+    }
+}
+
+/// Reads the whole file once for its checksums, and tells what is under none: in MCAP a checksum of zero means that there is none.
+pub(super) fn check_integrity(file: &mut (impl Read + Seek)) -> Result<Unprotected, ReadError> {
+    let mut found = Unprotected::default();
+    let mut ends = (false, false);
+    scan_whole(file, &mut |opcode, body| {
         match opcode {
-            op::CHUNK => check_chunk(body)?,
+            op::CHUNK => found.messages += mcap_chunk::unprotected_messages(body, RECORD_LIMIT)?,
+            op::MESSAGE => found.messages += 1,
             op::ATTACHMENT => check_attachment(body)?,
-            op::MESSAGE => {
-                let found = "a message outside of all chunks".to_owned();
-                return Err(unprotected(found));
-            }
-            op::DATA_END => {
-                let Record::DataEnd(end) = mcap::parse_record(opcode, body)? else { return Ok(()) };
-                data_end = end.data_section_crc != 0;
-            }
-            op::FOOTER => {
-                let Record::Footer(end) = mcap::parse_record(opcode, body)? else { return Ok(()) };
-                footer = end.summary_crc != 0;
-            }
+            _ => {}
+        }
+        if !matches!(opcode, op::ATTACHMENT | op::DATA_END | op::FOOTER) {
+            return Ok(());
+        }
+        match mcap::parse_record(opcode, body)? {
+            Record::Attachment { crc, .. } => found.attachments += u64::from(crc == 0),
+            Record::DataEnd(end) => (ends.0, found.data_is_covered) = (true, end.data_section_crc != 0),
+            Record::Footer(end) => (ends.1, found.summary_is_covered) = (true, end.summary_crc != 0),
             _ => {}
         }
         Ok(())
     })?;
-    Ok(data_end && footer)
-}
-
-fn unprotected(found: String) -> ReadError {
-    let expected = "messages in chunks that are compressed with zstd, each with its checksum";
-    RecordingError::Unprotected { found, expected }.into()
-}
-
-/// Chunks of another kind are not decoded: the decoder's arithmetic relies on sound lengths.
-pub(super) fn check_chunk(body: &[u8]) -> Result<(), ReadError> {
-    let Record::Chunk { header, .. } = mcap::parse_record(op::CHUNK, body)? else { return Ok(()) };
-    if header.compression == "zstd" && header.uncompressed_crc != 0 {
-        return Ok(());
-    }
-    Err(unprotected(format!(
-        "a chunk with compression {:?} and checksum {:08x}",
-        header.compression, header.uncompressed_crc
-    )))
+    // Without them nothing tells that it is all.
+    if ends == (true, true) { Ok(found) } else { Err(RecordingError::Truncated.into()) }
 }
 
 /// An attachment's lengths must lie in its record: the parser trusts them.

@@ -3,18 +3,17 @@
 use std::collections::BTreeMap;
 use std::io::{Read, Seek, SeekFrom};
 
+use mcap::McapError;
 use mcap::records::{Record, op};
-use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use serde::Serialize;
 
 use super::directory::Directory;
 use super::mcap_writer::RECORD_LIMIT;
 use super::scan::{ReadError, check_attachment, check_magic};
+use calibrig_files::mcap_chunk::{self, HEAD};
 
 /// Length of MCAP's magic bytes.
 pub(super) const MAGIC_LENGTH: u64 = 8;
-/// Opcode and length.
-const HEAD: usize = 9;
 /// More of them are counted, not described.
 const FAULTS_TOLD: usize = 100;
 
@@ -38,7 +37,7 @@ pub struct Fault {
 pub enum Part {
     /// Messages.
     Chunk,
-    /// Messages that this program does not look into: of another compression, or without a checksum.
+    /// Messages that this program does not look into: of another compression than those of the specification.
     OpaqueChunk,
     /// An attached file.
     Attachment,
@@ -92,6 +91,8 @@ pub(super) struct Walk {
     pub unread: u64,
     /// Messages and attachments that are under no checksum of their own.
     pub unprotected: u64,
+    /// Chunks and attachments that have one, which fits.
+    pub checksums: u64,
     /// Where it ended.
     pub at: u64,
     /// How.
@@ -101,10 +102,12 @@ pub(super) struct Walk {
 /// Is given every sound record of the data section: where it, or its chunk, begins, and the record.
 pub(super) type Visitor<'a> = dyn FnMut(u64, Record<'_>) -> Result<(), ReadError> + 'a;
 
-/// Walks through the data section of a file. `directory` helps past a record whose length is damaged.
+/// Walks through the data section of a file. `directory` helps past a record whose length is damaged. In a file that is `sound`, where a checksum
+/// over all of the data fits, every record is what it seems to be.
 pub(super) fn walk(
     file: &mut (impl Read + Seek),
     directory: &Directory,
+    sound: bool,
     visit: &mut Visitor<'_>,
 ) -> Result<Walk, ReadError> {
     let length = file.seek(SeekFrom::End(0))?;
@@ -116,10 +119,11 @@ pub(super) fn walk(
         faults: Vec::new(),
         unread: 0,
         unprotected: 0,
+        checksums: 0,
         at: MAGIC_LENGTH,
         end: End::Record,
     };
-    let mut walker = Walker { file, length, directory, record: Vec::new(), walk };
+    let mut walker = Walker { file, length, directory, sound, record: Vec::new(), walk };
     while walker.step(visit)? {}
     Ok(walker.walk)
 }
@@ -128,6 +132,7 @@ struct Walker<'a, R> {
     file: &'a mut R,
     length: u64,
     directory: &'a Directory,
+    sound: bool,
     /// The record at hand, with its head.
     record: Vec<u8>,
     walk: Walk,
@@ -229,8 +234,8 @@ impl<R: Read + Seek> Walker<'_, R> {
                 self.chunk(at, visit)?;
             }
             op::ATTACHMENT => self.attachment(at, visit)?,
-            // Where there are chunks all messages are in them: this would be another record, whose kind is damaged.
-            op::SCHEMA | op::CHANNEL | op::MESSAGE if self.walk.chunks == 0 => {
+            // Where there are chunks all messages are in them, but for few writers: this would be another record, whose kind is damaged.
+            op::SCHEMA | op::CHANNEL | op::MESSAGE if self.walk.chunks == 0 || self.sound => {
                 self.walk.unprotected += u64::from(opcode == op::MESSAGE);
                 self.plain(at, opcode, Part::Record, visit)?;
             }
@@ -272,6 +277,7 @@ impl<R: Read + Seek> Walker<'_, R> {
             Ok(record) => {
                 let unprotected = matches!(&record, Record::Attachment { crc: 0, .. });
                 self.walk.unprotected += u64::from(unprotected);
+                self.walk.checksums += u64::from(!unprotected);
                 visit(at, record)
             }
             Err(reason) => {
@@ -281,46 +287,30 @@ impl<R: Read + Seek> Walker<'_, R> {
         }
     }
 
-    /// Passes on the records of the chunk at hand, if its checksum fits.
+    /// Passes on the records of the chunk at hand, if its lengths fit, and its checksum if it has one.
     fn chunk(&mut self, at: u64, visit: &mut Visitor<'_>) -> Result<(), ReadError> {
         let bytes = self.record.len() as u64;
-        if let Err((part, reason)) = check_chunk(&self.record[HEAD..]) {
-            self.fault(at, bytes, part, reason);
-            return Ok(());
-        }
-        let options = LinearReaderOptions::default()
-            .with_skip_start_magic(true)
-            .with_skip_end_magic(true)
-            // Nothing of the chunk is handed out before its checksum is known.
-            .with_prevalidate_chunk_crcs(true)
-            .with_record_length_limit(RECORD_LIMIT);
-        let mut reader = LinearReader::new_with_options(options);
-        let mut rest = self.record.as_slice();
-        let mut trouble = None;
-        while let Some(event) = reader.next_event() {
-            match event {
-                Ok(LinearReadEvent::ReadRequest(wanted)) => {
-                    let (now, later) = rest.split_at(wanted.min(rest.len()));
-                    reader.insert(now.len()).copy_from_slice(now);
-                    reader.notify_read(now.len());
-                    rest = later;
+        let trouble = match mcap_chunk::open(&self.record[HEAD..], RECORD_LIMIT) {
+            Ok(chunk) => {
+                self.walk.checksums += u64::from(chunk.protected);
+                let mut trouble = None;
+                for (opcode, body) in chunk.records() {
+                    match mcap::parse_record(opcode, body) {
+                        Ok(record) => visit(at, record)?,
+                        Err(error) => trouble = Some((Part::Chunk, error.to_string())),
+                    }
+                    self.walk.unprotected += u64::from(opcode == op::MESSAGE && !chunk.protected);
                 }
-                Ok(LinearReadEvent::Record {
-                    data,
-                    opcode: opcode @ (op::SCHEMA | op::CHANNEL | op::MESSAGE),
-                }) => match mcap::parse_record(opcode, data) {
-                    Ok(record) => visit(at, record)?,
-                    Err(error) => trouble = Some(error.to_string()),
-                },
-                Ok(LinearReadEvent::Record { .. }) => {}
-                Err(error) => {
-                    trouble = Some(error.to_string());
-                    break;
-                }
+                trouble
             }
-        }
-        if let Some(reason) = trouble {
-            self.fault(at, bytes, Part::Chunk, reason);
+            Err(McapError::UnsupportedCompression(name)) => {
+                Some((Part::OpaqueChunk, format!("its compression {name:?} is not read")))
+            }
+            Err(McapError::UnexpectedEoc) => Some((Part::Chunk, "the lengths in it do not fit".to_owned())),
+            Err(error) => Some((Part::Chunk, error.to_string())),
+        };
+        if let Some((part, reason)) = trouble {
+            self.fault(at, bytes, part, reason);
         }
         Ok(())
     }
@@ -340,39 +330,6 @@ fn part_of(opcode: Option<u8>) -> Part {
         Some(op::METADATA) => Part::Metadata,
         _ => Part::Framing,
     }
-}
-
-/// Whether a chunk can be read safely: what it is otherwise, and why.
-fn check_chunk(body: &[u8]) -> Result<(), (Part, String)> {
-    let damaged = |reason: String| Err((Part::Chunk, reason));
-    let (header, data) = match mcap::parse_record(op::CHUNK, body) {
-        Ok(Record::Chunk { header, data }) => (header, data),
-        Ok(_) => return damaged("it is no chunk".to_owned()),
-        Err(error) => return damaged(error.to_string()),
-    };
-    match header.compression.as_str() {
-        "" | "zstd" if header.uncompressed_crc == 0 => {
-            Err((Part::OpaqueChunk, "it has no checksum".to_owned()))
-        }
-        // The reader's arithmetic relies on lengths that fit.
-        "" if header.uncompressed_size == data.len() as u64 && is_tiled(&data) => Ok(()),
-        "" => damaged("the lengths in it do not fit".to_owned()),
-        "zstd" => Ok(()),
-        other => Err((Part::OpaqueChunk, format!("its compression {other:?} is not read"))),
-    }
-}
-
-/// Whether `data` is records from end to end.
-fn is_tiled(mut data: &[u8]) -> bool {
-    while !data.is_empty() {
-        let length = data.get(1..HEAD).and_then(|length| length.try_into().ok()).map(u64::from_le_bytes);
-        let end = length.and_then(|length| usize::try_from(length).ok()?.checked_add(HEAD));
-        match end.and_then(|end| data.get(end..)) {
-            Some(rest) => data = rest,
-            None => return false,
-        }
-    }
-    true
 }
 
 fn is_message_index(body: &[u8]) -> bool {

@@ -363,7 +363,7 @@ fn assemble(
     let mut priors: Vec<_> = stated.filter_map(body).collect();
     let offsets = starting_offsets(model, set, options.target, &ends.target_axes);
     let stations = stations(model, set, options.frame, (&offsets, ends), &mut parameters, &mut priors)?;
-    targets(set, options.target, ends, &mut parameters, &mut priors)?;
+    targets(set, options, ends, &mut parameters, &mut priors)?;
     sigmas.resize(parameters.len(), None);
     let targets: Vec<Vector3<f64>> = set.targets.iter().map(|t| t.in_flange).collect();
     let x = parameters.iter().map(|id| match *id {
@@ -408,7 +408,9 @@ fn assemble(
     let named = columns.iter().filter(is_named).map(|column| column.id).collect();
     let fixed = ends.fixed.clone();
     let of_ends = |group: &DependentGroup| LeftOut { id: group.redundant, reason: LeftOutReason::Redundant };
-    let left_out = fixed.iter().map(of_ends).collect();
+    let mut left_out: Vec<LeftOut> = fixed.iter().map(of_ends).collect();
+    let fixed_by_name = options.fix.iter().filter(|id| options.mode.can_fit(**id));
+    left_out.extend(fixed_by_name.map(|id| LeftOut { id: *id, reason: LeftOutReason::ByName }));
     Ok(Built { problem, sigmas, named, unexcited: Vec::new(), fixed, left_out, x, goes_on: false })
 }
 
@@ -443,17 +445,27 @@ fn stations(
 
 fn targets(
     set: &MeasurementSet,
-    choice: TargetChoice,
+    options: &IdentificationOptions,
     ends: &Ends,
     parameters: &mut Vec<ParameterId>,
     priors: &mut Vec<Prior>,
 ) -> Result<(), IdentifyError> {
     for (index, target) in set.targets.iter().enumerate() {
-        match (choice.of(target), target.covariance) {
-            (TargetChoice::Fixed, _) => continue,
+        let ids = ParameterId::all_of_target(index);
+        let freed = |axis: &usize| options.free.contains(&ids[*axis]);
+        let mut axes: Vec<usize> = (0..3).filter(|axis| ends.target_axes[index][*axis]).collect();
+        match (options.target.of(target), target.covariance) {
+            (TargetChoice::Fixed, _) => axes.retain(freed),
             (TargetChoice::Measured, Some(covariance)) => {
-                let covariance = DMatrix::from_iterator(3, 3, covariance.iter().copied());
-                priors.push(prior(&format!("target {}", target.name), parameters.len(), covariance)?);
+                // Those with a prior first, so that they are columns beside each other.
+                axes.sort_by_key(freed);
+                let held: Vec<usize> = axes.iter().copied().filter(|axis| !freed(axis)).collect();
+                if !held.is_empty() {
+                    let what = format!("target {}", target.name);
+                    let covariance = of_axes(&covariance, &axes, held.len())
+                        .ok_or_else(|| IdentifyError::Covariance { what: what.clone() })?;
+                    priors.push(prior(&what, parameters.len(), covariance)?);
+                }
             }
             (TargetChoice::Measured, None) => {
                 return Err(IdentifyError::Covariance {
@@ -464,10 +476,19 @@ fn targets(
             _ if !set.observations.iter().any(|observation| observation.target == index) => continue,
             (TargetChoice::Identified | TargetChoice::AsStated, _) => {}
         }
-        let told = ParameterId::all_of_target(index).into_iter().zip(ends.target_axes[index]);
-        parameters.extend(told.filter(|(_, told)| *told).map(|(id, _)| id));
+        parameters.extend(axes.into_iter().map(|axis| ids[axis]));
     }
     Ok(())
+}
+
+/// Of a target's coordinates `axes`, with the others exactly where they were stated to be, the covariance of the first `held`.
+fn of_axes(covariance: &Matrix3<f64>, axes: &[usize], held: usize) -> Option<DMatrix<f64>> {
+    if axes == [0, 1, 2] {
+        return Some(DMatrix::from_fn(held, held, |i, j| covariance[(i, j)]));
+    }
+    let information = covariance.try_inverse()?;
+    let of_axes = DMatrix::from_fn(axes.len(), axes.len(), |i, j| information[(axes[i], axes[j])]);
+    Some(of_axes.try_inverse()?.view((0, 0), (held, held)).into_owned())
 }
 
 /// What the options state of the actuators' errors.

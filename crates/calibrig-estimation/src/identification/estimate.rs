@@ -217,6 +217,8 @@ pub enum LeftOutReason {
     NoBasis,
     /// It cannot be told from others.
     Redundant,
+    /// It was to stay where it is.
+    ByName,
 }
 
 impl LeftOutReason {
@@ -226,6 +228,7 @@ impl LeftOutReason {
             Self::Unloaded { .. } => "unloaded",
             Self::NoBasis => "no_basis",
             Self::Redundant => "redundant",
+            Self::ByName => "fixed",
         }
     }
 
@@ -237,6 +240,7 @@ impl LeftOutReason {
                 "nothing that was measured has what it acts on, such as an approach, a time or a motion of its joint"
             }
             Self::Redundant => "the measurements cannot tell it from others",
+            Self::ByName => "fixed by its name, at the nominal, stated or predicted value",
         }
     }
 }
@@ -252,7 +256,7 @@ impl fmt::Display for LeftOutReason {
                     ": what its prior leaves open moves all measurements together by {effect:.2} of their noise"
                 )
             }
-            Self::NoBasis | Self::Redundant => Ok(()),
+            Self::NoBasis | Self::Redundant | Self::ByName => Ok(()),
         }
     }
 }

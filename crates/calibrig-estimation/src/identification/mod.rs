@@ -3,6 +3,7 @@
 //! Nothing here can see the plant, the tracker's inside or the truth: this crate does not depend on theirs.
 
 mod build;
+mod by_name;
 mod contradiction;
 mod estimate;
 mod factor;
@@ -29,7 +30,9 @@ mod tests;
 mod uncertainty;
 mod variance;
 mod verdict;
+mod weighed;
 
+pub use by_name::{ByNameError, ListedParameter, ParameterState, check_named, list_parameters};
 pub use contradiction::{CONTRADICTION_LEVEL, Contradiction, Stated};
 pub use estimate::{
     Assumption, Estimate, IterationRecord, LeftOut, LeftOutReason, NoiseScale, Outlier, ParameterEstimate,
@@ -42,7 +45,7 @@ pub use identifiability::{
     WEAK_TOLERANCE, WeakDirection, complete_set, complete_set_of, explain, identifiability,
     identifiability_of, neighbour_axis_rules, reachable_poses, spectrum, structural_poses,
 };
-use identifiability::{analyse_r, dependent_ends, select_independent};
+use identifiability::{analyse_r, complete_set_by_name, dependent_ends, select_independent};
 pub use identify::{IdentifyError, identify, without_calibration};
 pub use information::{Information, information_at};
 pub use limits::{ParameterBound, ParameterBoundError, RefusedBound, check_bounds};
@@ -63,3 +66,4 @@ pub use uncertainty::{
     ParameterSupport, PoseInfluence, PositionJacobian, Uncertainty, bayesian_cramer_rao_bound,
     cramer_rao_bound,
 };
+pub use weighed::weighed_covariances;

@@ -1,5 +1,6 @@
 //! Which model is fitted.
 
+use calibrig_model::ParameterId;
 use serde::{Deserialize, Serialize};
 
 /// Which model is fitted: the rows of the published comparison, and two beyond it.
@@ -53,6 +54,18 @@ impl Mode {
     /// The mode of a [`key`](Self::key).
     pub fn parse(key: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|mode| mode.key() == key)
+    }
+
+    /// Whether a parameter of this kind can be one of its own.
+    pub fn can_fit(self, id: ParameterId) -> bool {
+        match id {
+            _ if self == Self::WithoutCalibration => false,
+            ParameterId::Link { .. } | ParameterId::Frame { .. } | ParameterId::Target { .. } => true,
+            ParameterId::Compliance(_) | ParameterId::Mass { .. } | ParameterId::Centre { .. } => {
+                self.is_coupled()
+            }
+            ParameterId::Linkage(_) | ParameterId::Term(_) => self == Self::Extended,
+        }
     }
 
     /// Whether it needs masses and stiffnesses.

@@ -151,6 +151,11 @@ pub struct IdentificationOptions {
     pub parameters: ParameterChoice,
     /// Link parameters of the extended mode.
     pub extended_parameters: ParameterChoice,
+    /// Parameters that stay at their nominal, stated or predicted values, whatever else asks for them. None of the tracker's place.
+    pub fix: Vec<ParameterId>,
+    /// Parameters that are fitted whatever else leaves them out: of link parameters that cannot be told from each other these are taken, a
+    /// compliance also where gravity does not load it, a coordinate of a target without the prior of what was measured of it.
+    pub free: Vec<ParameterId>,
     /// Compliances of the coupled modes.
     pub compliances: ComplianceChoice,
     /// Standard deviation of the prior on the relative deviation of a compliance from its predicted value.
@@ -215,6 +220,8 @@ impl IdentificationOptions {
             mode: Mode::OnlyCalibration,
             parameters: ParameterChoice::NeighbourAxisRules,
             extended_parameters: ParameterChoice::Complete,
+            fix: Vec::new(),
+            free: Vec::new(),
             compliances: ComplianceChoice::Drives,
             // A stiffness from data sheets and finite elements is rarely right within 10 %.
             compliance_sigma: 0.1,
@@ -276,6 +283,17 @@ impl IdentificationOptions {
         let free = |station: &Station| self.frame.of(station) == FrameChoice::Free;
         let identified = |target: &Target| self.target.of(target) == TargetChoice::Identified;
         Freedom { frame: stations.iter().all(free), target: targets.iter().all(identified) }
+    }
+
+    /// Coordinates that are fixed by name in target 0, and so in all that have no target of their own by name.
+    pub(super) fn fixed_of_all_targets(&self) -> Vec<ParameterId> {
+        let axes = ParameterId::all_of_target(0).into_iter();
+        axes.filter(|id| self.fix.contains(id)).collect()
+    }
+
+    /// Whether a coordinate of a target may be a parameter.
+    pub(super) fn fits_target(&self, id: ParameterId) -> bool {
+        !self.fix.contains(&id) && (self.target != TargetChoice::Fixed || self.free.contains(&id))
     }
 
     /// Whether a family of terms is switched on.

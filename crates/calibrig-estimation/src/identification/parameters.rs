@@ -3,8 +3,8 @@
 use super::options::Freedom;
 use super::{
     ComplianceChoice, DependentGroup, FrameChoice, IdentifiabilityReport, IdentificationOptions,
-    IdentifyError, LINKAGE, Mode, ParameterChoice, TargetChoice, UNKNOWN_STIFFNESS, complete_set_of,
-    dependent_ends, neighbour_axis_rules,
+    IdentifyError, LINKAGE, Mode, ParameterChoice, UNKNOWN_STIFFNESS, complete_set_by_name, dependent_ends,
+    neighbour_axis_rules,
 };
 use calibrig_model::measurement::{Station, Target};
 use calibrig_model::{
@@ -76,6 +76,7 @@ pub(super) fn columns(
         columns.extend(linkage(model, options)?);
         columns.extend(terms(model, options)?);
     }
+    columns.retain(|column| !options.fix.contains(&column.id));
     Ok(Columns { robot: columns, redundant_ends })
 }
 
@@ -91,9 +92,8 @@ pub(super) fn candidate_parameters(
     if options.frame != FrameChoice::Fixed {
         ids.extend((0..stations.len()).flat_map(ParameterId::all_of_frame));
     }
-    if options.target != TargetChoice::Fixed {
-        ids.extend((0..targets.len()).flat_map(ParameterId::all_of_target));
-    }
+    let of_targets = (0..targets.len()).flat_map(ParameterId::all_of_target);
+    ids.extend(of_targets.filter(|id| options.fits_target(*id)));
     Ok(ids)
 }
 
@@ -105,18 +105,29 @@ fn links(
     let joints = model.kinematics.joint_count();
     let choice =
         if options.mode == Mode::Extended { &options.extended_parameters } else { &options.parameters };
-    let ends = || dependent_ends(model, free.frame, free.target);
+    let fixed_ends = options.fixed_of_all_targets();
+    let fix: Vec<_> =
+        options.fix.iter().copied().filter(|id| matches!(id, ParameterId::Link { .. })).collect();
+    let ends = || dependent_ends(model, free.frame, free.target, &fixed_ends);
     let (mut chosen, redundant_ends) = match choice {
         ParameterChoice::NeighbourAxisRules => (neighbour_axis_rules(&model.kinematics).0, ends()?),
         ParameterChoice::Complete => {
-            let IdentifiabilityReport { mut selected, mut dependent, .. } =
-                complete_set_of(model, free.frame, free.target)?;
+            let IdentifiabilityReport { mut selected, mut dependent, .. } = complete_set_by_name(
+                model,
+                free.frame,
+                free.target,
+                &[fix.as_slice(), &fixed_ends].concat(),
+                &options.free,
+            )?;
             selected.retain(|id| matches!(id, ParameterId::Link { .. }));
             dependent.retain(|group| !matches!(group.redundant, ParameterId::Link { .. }));
             (selected, dependent)
         }
         ParameterChoice::Listed(listed) => (listed.clone(), ends()?),
     };
+    if options.mode != Mode::WithoutCalibration {
+        chosen.extend(options.free.iter().filter(|id| matches!(id, ParameterId::Link { .. })));
+    }
     for id in &chosen {
         match *id {
             ParameterId::Link { link, .. } if link < joints => {}
@@ -151,6 +162,7 @@ fn compliances(
         (positive(options.compliance_sigma, "the prior of the compliances")?, PriorKind::Own)
     };
     let known = model.compliances();
+    let known_too = known.clone();
     let (mut chosen, named) = match &options.compliances {
         ComplianceChoice::Drives => {
             let of_drives = |c: &Compliance| matches!(c, Compliance::Drive { .. } | Compliance::Rod);
@@ -165,19 +177,35 @@ fn compliances(
             (listed.clone(), true)
         }
     };
+    let freed: Vec<Compliance> = options
+        .free
+        .iter()
+        .filter_map(|id| match id {
+            ParameterId::Compliance(compliance) => Some(*compliance),
+            _ => None,
+        })
+        .collect();
+    chosen.extend(freed.iter().copied().filter(|compliance| known_too.contains(compliance)));
     let mut seen = Vec::with_capacity(chosen.len());
     chosen.retain(|compliance| {
         let new = !seen.contains(compliance);
         seen.push(*compliance);
         new
     });
-    let column = |c| Column { prior, ..Column::new(ParameterId::Compliance(c), Some(sigma), named) };
+    let column = |c| {
+        let named = named || freed.contains(&c);
+        Column { prior, ..Column::new(ParameterId::Compliance(c), Some(sigma), named) }
+    };
     Ok(chosen.into_iter().map(column).collect())
 }
 
 fn masses(model: &CalibrationModel, options: &IdentificationOptions) -> Result<Vec<Column>, IdentifyError> {
     let sigma = Some(positive(options.mass_sigma, "the prior of the masses")?);
     let mut links = options.masses.clone();
+    links.extend(options.free.iter().filter_map(|id| match id {
+        ParameterId::Mass { link } => Some(*link),
+        _ => None,
+    }));
     links.sort_unstable();
     links.dedup();
     links
@@ -208,7 +236,7 @@ fn bodies(model: &CalibrationModel, options: &IdentificationOptions) -> Result<V
             }
             Ok::<_, IdentifyError>(())
         };
-        if !options.masses.contains(&link) {
+        if !options.masses.contains(&link) && !options.free.contains(&ParameterId::Mass { link }) {
             push(ParameterId::Mass { link }, *mass)?;
         }
         (0..3).try_for_each(|axis| push(ParameterId::Centre { link, axis }, *centre))?;
@@ -217,13 +245,11 @@ fn bodies(model: &CalibrationModel, options: &IdentificationOptions) -> Result<V
 }
 
 fn linkage(model: &CalibrationModel, options: &IdentificationOptions) -> Result<Vec<Column>, IdentifyError> {
-    if !options.has_terms(LINKAGE) {
-        return Ok(Vec::new());
-    }
     let sigma = options.term_sigma(LINKAGE, Unit::Metre).unwrap_or(LINKAGE_SIGMA);
     let sigma = Some(positive(sigma, "the prior of the linkage")?);
-    let lengths = model.linkage_lengths().into_iter();
-    Ok(lengths.map(|length| Column::new(ParameterId::Linkage(length), sigma, false)).collect())
+    let ids = model.linkage_lengths().into_iter().map(ParameterId::Linkage);
+    let wanted = ids.filter(|id| options.has_terms(LINKAGE) || options.free.contains(id));
+    Ok(wanted.map(|id| Column::new(id, sigma, false)).collect())
 }
 
 fn terms(model: &CalibrationModel, options: &IdentificationOptions) -> Result<Vec<Column>, IdentifyError> {
@@ -235,8 +261,10 @@ fn terms(model: &CalibrationModel, options: &IdentificationOptions) -> Result<Ve
         }
     }
     let mut columns = Vec::new();
-    for family in FAMILIES.iter().filter(|family| options.has_terms(family.key())) {
-        for id in TermId::all_of(family.key(), model).unwrap_or_default() {
+    for family in FAMILIES {
+        let wanted =
+            |id: &TermId| options.has_terms(family.key()) || options.free.contains(&ParameterId::Term(*id));
+        for id in TermId::all_of(family.key(), model).unwrap_or_default().into_iter().filter(wanted) {
             let sigma = options.term_sigma(family.key(), id.unit()).unwrap_or_else(|| id.prior_sigma());
             let sigma = Some(positive(sigma, family.key())?);
             columns.push(Column::new(ParameterId::Term(id), sigma, false));

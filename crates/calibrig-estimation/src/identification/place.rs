@@ -29,6 +29,14 @@ impl Ends {
             target_axes: vec![[true; 3]; set.targets.len()],
             fixed: Vec::new(),
         };
+        for id in &options.fix {
+            if let ParameterId::Target { target, axis } = *id
+                && let Some(axes) = ends.target_axes.get_mut(target)
+                && let Some(told) = axes.get_mut(axis)
+            {
+                *told = false;
+            }
+        }
         if redundant.is_empty() {
             return ends;
         }

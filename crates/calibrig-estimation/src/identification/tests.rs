@@ -426,6 +426,7 @@ fn with_gravity_an_exact_machine_is_predicted_exactly() {
     assert!(only.chi2 > 1e4 * gravity.chi2.max(1e-12), "{} {}", only.chi2, gravity.chi2);
 }
 
+mod by_name;
 mod ends;
 mod tables;
 mod valleys;

@@ -10,6 +10,7 @@
 use std::sync::Arc;
 
 use super::layout::{TableFormat, Wanted};
+use super::table::bag::BagOptions;
 use super::text::TextFormat;
 use super::units::{AngleUnit, LengthUnit};
 use crate::input::{InputError, Source};
@@ -353,6 +354,10 @@ pub struct RowOptions {
     pub approach_from_order: bool,
     /// Whether repeats of a pose count as one reading with their mean.
     pub average_repeats: bool,
+    /// The sheet of a spreadsheet that is read; the first where none is named.
+    pub sheet: Option<String>,
+    /// What of a bag is read.
+    pub bag: BagOptions,
 }
 
 impl ColumnMap {

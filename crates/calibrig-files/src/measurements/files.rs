@@ -94,10 +94,10 @@ pub fn read_files(
     let mut reading = Reading::new(map, joints, options);
     for file in &files.points {
         let part = if files.joints.is_some() { Part::Points } else { Part::Whole };
-        let rows = open(&file.path, &format, &map.wanted(joints, part))?;
+        let rows = open(&file.path, &format, &map.wanted(joints, part), options)?;
         let commands = match &files.joints {
             Some(path) => {
-                let rows = open(path, &format, &map.wanted(joints, Part::Joints))?;
+                let rows = open(path, &format, &map.wanted(joints, Part::Joints), options)?;
                 Some(Joints::open(rows, map, joints)?)
             }
             None => None,

@@ -6,6 +6,7 @@ mod written;
 use std::path::Path;
 
 use self::column::{Numbers, Role, SeenColumn};
+use super::columns::RowOptions;
 use super::layout::{Decimal, Table, Wanted};
 use super::open::open;
 use super::rows::Row;
@@ -44,7 +45,7 @@ pub fn suggest_columns(paths: &[&Path]) -> Result<SuggestedMap, InputError> {
 
 /// Reads all rows of a file and keeps what tells of its columns.
 fn look_at(path: &Path) -> Result<SeenFile, InputError> {
-    let rows = open(path, &TextFormat::default(), &Wanted::default())?;
+    let rows = open(path, &TextFormat::default(), &Wanted::default(), &RowOptions::default())?;
     let mut table = Table::find_any(rows)?;
     let mut columns: Vec<SeenColumn> =
         table.columns.iter().enumerate().map(|(index, column)| SeenColumn::new(index, column)).collect();

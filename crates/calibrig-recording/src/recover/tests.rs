@@ -11,7 +11,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::mcap_reader::read_from;
-use crate::scan::scan;
+use crate::scan::scan_whole;
 use crate::{McapRecorder, Measured, Preamble, ReadOptions, Recorder, Recording, synthetic};
 use calibrig_estimation::identification::Estimate;
 use calibrig_model::measurement::SetKind;
@@ -48,7 +48,7 @@ fn messages(sound: &[u8]) -> Vec<Said> {
 
 fn attachments(sound: &[u8]) -> Vec<(String, Vec<u8>)> {
     let mut found = Vec::new();
-    scan(&mut Cursor::new(sound), true, &mut |opcode, body| {
+    scan_whole(&mut Cursor::new(sound), &mut |opcode, body| {
         if let Record::Attachment { header, data, .. } = mcap::parse_record(opcode, body)? {
             found.push((header.name, data.into_owned()));
         }
@@ -68,7 +68,7 @@ fn is_part<T: PartialEq>(part: &[T], whole: &[T]) -> bool {
 fn records(sound: &[u8]) -> Vec<(usize, u8)> {
     let mut at = mcap::MAGIC.len();
     let mut found = Vec::new();
-    scan(&mut Cursor::new(sound), true, &mut |opcode, body| {
+    scan_whole(&mut Cursor::new(sound), &mut |opcode, body| {
         found.push((at, opcode));
         at += 9 + body.len();
         Ok(())
@@ -395,13 +395,20 @@ fn any_mcap_file_is_saved() {
 }
 
 #[test]
-fn chunks_that_no_checksum_vouches_for_are_not_looked_into() {
-    let options = WriteOptions::new().chunk_size(Some(1000)).calculate_chunk_crcs(false);
-    // Without the one mcap writes the other one wrong.
-    let original = foreign(options.calculate_data_section_crc(false));
-    let whole = inspected(&original).expect("inspected");
-    assert_eq!((whole.health.state, whole.recoverable.messages), (State::Whole, 0));
-    assert_eq!(whole.health.lost.get(&Part::OpaqueChunk), Some(&whole.health.chunks));
+fn chunks_that_no_checksum_vouches_for_are_looked_into_and_told() {
+    for options in [WriteOptions::new(), WriteOptions::new().compression(None)] {
+        let options = options.chunk_size(Some(1000)).calculate_chunk_crcs(false);
+        // Without the one mcap writes the other one wrong.
+        let original = foreign(options.calculate_data_section_crc(false));
+        let whole = inspected(&original).expect("inspected");
+        assert_eq!((whole.health.state, whole.recoverable.messages), (State::Whole, 300));
+        assert_eq!(whole.health.without_checksum, 300);
+        let damaged = &original[..original.len() * 6 / 10];
+        let inspection = inspected(damaged).expect("inspected");
+        let kept = messages(&saved(damaged, &inspection).expect("saved"));
+        assert!(is_part(&kept, &messages(&original)) && kept.len() > 30, "{}", kept.len());
+        assert_eq!(inspection.health.without_checksum, kept.len() as u64);
+    }
     // Lengths in a chunk that do not fit, under a checksum that does: as no program writes it.
     let mut nested = foreign(WriteOptions::new().compression(None));
     let at = records(&nested).iter().find(|(_, opcode)| *opcode == op::CHUNK).expect("a chunk").0;
@@ -409,6 +416,25 @@ fn chunks_that_no_checksum_vouches_for_are_not_looked_into() {
     nested[at + 9 + 40 + 1] = 0xff;
     let inspection = inspected(&nested).expect("inspected");
     assert_eq!(inspection.health.lost.get(&Part::Chunk), Some(&1));
+}
+
+#[test]
+fn chunks_of_an_unknown_compression_are_not_looked_into() {
+    let mut other = foreign(WriteOptions::new().calculate_data_section_crc(false));
+    while let Some(at) = other.windows(8).position(|bytes| bytes == b"\x04\0\0\0zstd") {
+        other[at + 4..at + 8].copy_from_slice(b"zst9");
+    }
+    // The summary repeats the name under its checksum; here it has none.
+    let end = other.len() - mcap::MAGIC.len();
+    other[end - 4..end].fill(0);
+    let whole = inspected(&other).expect("inspected");
+    assert_eq!((whole.health.state, whole.recoverable.messages), (State::Whole, 0));
+    assert_eq!(whole.health.lost.get(&Part::OpaqueChunk), Some(&whole.health.chunks));
+    let refused = read(&other);
+    assert!(
+        matches!(&refused, Err(ReadError::Recording(RecordingError::UnknownCompression { compression })) if compression == "zst9"),
+        "{refused:?}"
+    );
 }
 
 #[test]

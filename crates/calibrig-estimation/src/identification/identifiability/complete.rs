@@ -43,8 +43,23 @@ pub fn complete_set_of(
     frame_free: bool,
     target_free: bool,
 ) -> Result<IdentifiabilityReport, ModelError> {
+    complete_set_by_name(robot, frame_free, target_free, &[], &[])
+}
+
+/// The same without the parameters to `fix`; of link parameters, those to `free` come first. Of targets, number 0 stands for all.
+pub(in crate::identification) fn complete_set_by_name(
+    robot: &CalibrationModel,
+    frame_free: bool,
+    target_free: bool,
+    fix: &[ParameterId],
+    free: &[ParameterId],
+) -> Result<IdentifiabilityReport, ModelError> {
     robot.check()?;
-    let candidates = candidates(&robot.kinematics, frame_free, target_free);
+    let mut candidates = candidates(&robot.kinematics, frame_free, target_free);
+    candidates.retain(|id| !fix.contains(id));
+    let is_end = |id: &ParameterId| !matches!(id, ParameterId::Link { .. });
+    // A stable sort: among those alike the order of preference holds.
+    candidates.sort_by_key(|id| (!is_end(id), !free.contains(id)));
     let poses = reachable_poses(robot, candidates.len());
     Ok(selected(&robot.kinematics, candidates, &poses))
 }
@@ -69,11 +84,12 @@ pub(in crate::identification) fn dependent_ends(
     robot: &CalibrationModel,
     frame_free: bool,
     target_free: bool,
+    fix: &[ParameterId],
 ) -> Result<Vec<DependentGroup>, ModelError> {
     robot.check()?;
     let model = &robot.kinematics;
     let mut ends = candidates(model, frame_free, target_free);
-    ends.retain(|id| !matches!(id, ParameterId::Link { .. }));
+    ends.retain(|id| !matches!(id, ParameterId::Link { .. }) && !fix.contains(id));
     if ends.is_empty() {
         return Ok(Vec::new());
     }

@@ -10,11 +10,11 @@ mod rules;
 #[cfg(test)]
 mod tests;
 
-pub(super) use complete::dependent_ends;
 pub use complete::{
     complete_set, complete_set_of, identifiability, identifiability_of, reachable_poses, spectrum,
     structural_poses,
 };
+pub(super) use complete::{complete_set_by_name, dependent_ends};
 pub use explain::{Explanation, Finding, Remedy, explain};
 #[cfg(test)]
 use rank::analyse_columns;

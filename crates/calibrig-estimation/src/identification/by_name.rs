@@ -1,0 +1,185 @@
+//! Parameters that a user fixes or frees by name.
+
+use thiserror::Error;
+
+use super::build::build;
+use super::identify::check;
+use super::parameters::candidate_parameters;
+use super::{IdentificationOptions, IdentifyError, LeftOutReason, Mode};
+use calibrig_model::measurement::{MeasurementSet, Station, Target};
+use calibrig_model::{CalibrationModel, FAMILIES, ParameterId, TermId};
+
+/// A parameter that cannot be fixed or freed by its name.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum ByNameError {
+    /// A station's place is one thing.
+    #[error("{id} is a part of the tracker's place, which is fixed or free as a whole")]
+    Frame {
+        /// Which.
+        id: ParameterId,
+    },
+    /// It is in both lists.
+    #[error("{id} is to be fixed, and to be free")]
+    Both {
+        /// Which.
+        id: ParameterId,
+    },
+    /// The robot, or the measurements, have no such parameter.
+    #[error("{id} is not a parameter of this robot and its targets")]
+    Unknown {
+        /// Which.
+        id: ParameterId,
+    },
+    /// No mode can have it.
+    #[error("{id} can be fitted in none of the modes ({})", .modes.iter().map(|mode| mode.key()).collect::<Vec<_>>().join(", "))]
+    NotFitted {
+        /// Which.
+        id: ParameterId,
+        /// The modes that are run.
+        modes: Vec<Mode>,
+    },
+}
+
+impl ByNameError {
+    /// Which parameter.
+    pub fn id(&self) -> ParameterId {
+        match self {
+            Self::Frame { id } | Self::Both { id } | Self::Unknown { id } | Self::NotFitted { id, .. } => *id,
+        }
+    }
+
+    /// What was expected, and what to do.
+    pub fn help(&self) -> String {
+        match self {
+            Self::Frame { .. } => {
+                "expected names of links, targets, compliances, masses, centres, the linkage or terms; for the tracker's place the choice \
+                 is nests, free or fixed (--frame; frame in a scenario)"
+                    .to_owned()
+            }
+            Self::Both { .. } => "expected every parameter in one of the two lists".to_owned(),
+            Self::Unknown { .. } => format!("expected {}", ParameterId::EXAMPLES),
+            Self::NotFitted { .. } => {
+                "expected a mode that has it: compliances, masses and centres are in elasto_geometric and extended, the linkage and terms \
+                 in extended; a centre needs its uncertainty as a prior"
+                    .to_owned()
+            }
+        }
+    }
+}
+
+/// Whether every parameter that `options` fix or free by name can be.
+///
+/// # Errors
+///
+/// The first that cannot.
+pub fn check_named(
+    model: &CalibrationModel,
+    modes: &[Mode],
+    options: &IdentificationOptions,
+    stations: &[Station],
+    targets: &[Target],
+) -> Result<(), ByNameError> {
+    for &id in options.fix.iter().chain(&options.free) {
+        if matches!(id, ParameterId::Frame { .. }) {
+            return Err(ByNameError::Frame { id });
+        }
+        if !is_of(model, targets.len(), id) {
+            return Err(ByNameError::Unknown { id });
+        }
+        if options.fix.contains(&id) && options.free.contains(&id) {
+            return Err(ByNameError::Both { id });
+        }
+    }
+    for &id in &options.free {
+        let has = |mode: &Mode| {
+            let of_mode = IdentificationOptions { mode: *mode, ..options.clone() };
+            // A mode that this robot cannot have is refused by the fit, with its reason.
+            let known = candidate_parameters(model, &of_mode, stations, targets).unwrap_or_default();
+            known.contains(&id)
+        };
+        let fitted: Vec<_> = modes.iter().copied().filter(|mode| *mode != Mode::WithoutCalibration).collect();
+        if !fitted.iter().any(has) {
+            return Err(ByNameError::NotFitted { id, modes: fitted });
+        }
+    }
+    Ok(())
+}
+
+/// A parameter that a mode can have.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ListedParameter {
+    /// Which.
+    pub id: ParameterId,
+    /// What becomes of it.
+    pub state: ParameterState,
+}
+
+/// What becomes of a parameter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ParameterState {
+    /// It is fitted.
+    Fitted {
+        /// Standard deviation of its own zero-mean prior, SI; frame and target share theirs with others.
+        prior: Option<f64>,
+        /// Whether it has a prior at all.
+        has_prior: bool,
+    },
+    /// It could be fitted, and is not.
+    LeftOut(LeftOutReason),
+    /// Nothing asks for it.
+    NotChosen,
+}
+
+/// Every parameter of the robot that the mode of `options` can have, and what becomes of it where the fit to `set` starts.
+///
+/// # Errors
+///
+/// As [`identify`](super::identify()).
+pub fn list_parameters(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+) -> Result<Vec<ListedParameter>, IdentifyError> {
+    check(model, set)?;
+    options.check()?;
+    if options.mode.needs_statics() && model.statics.is_none() {
+        return Err(IdentifyError::NoStatics { mode: options.mode });
+    }
+    let built = build(model, set, options)?;
+    let priors = &built.problem.priors;
+    let in_block = |column: usize| {
+        priors.iter().any(|prior| (prior.column..prior.column + prior.whitening.nrows()).contains(&column))
+    };
+    let state = |id: ParameterId| {
+        if let Some(column) = built.problem.parameters.iter().position(|own| *own == id) {
+            let prior = built.sigmas[column];
+            return ParameterState::Fitted { prior, has_prior: prior.is_some() || in_block(column) };
+        }
+        let left = built.left_out.iter().find(|left| left.id == id);
+        left.map_or(ParameterState::NotChosen, |left| ParameterState::LeftOut(left.reason))
+    };
+    let ids = all_of(model, options.mode, set.stations.len(), set.targets.len());
+    Ok(ids.into_iter().map(|id| ListedParameter { id, state: state(id) }).collect())
+}
+
+/// Every parameter that a mode can have of a robot, its stations and targets.
+fn all_of(model: &CalibrationModel, mode: Mode, stations: usize, targets: usize) -> Vec<ParameterId> {
+    let bodies = model.statics.as_ref().map_or(0, |statics| statics.bodies.len());
+    let mut ids = ParameterId::all_of_links(model.kinematics.joint_count());
+    ids.extend((0..stations).flat_map(ParameterId::all_of_frame));
+    ids.extend((0..targets).flat_map(ParameterId::all_of_target));
+    ids.extend(model.compliances().into_iter().map(ParameterId::Compliance));
+    ids.extend((0..bodies).map(|link| ParameterId::Mass { link }));
+    ids.extend((0..bodies).flat_map(|link| (0..3).map(move |axis| ParameterId::Centre { link, axis })));
+    ids.extend(model.linkage_lengths().into_iter().map(ParameterId::Linkage));
+    let terms = FAMILIES.iter().filter_map(|family| TermId::all_of(family.key(), model));
+    ids.extend(terms.flatten().map(ParameterId::Term));
+    ids.retain(|id| mode.can_fit(*id));
+    ids
+}
+
+/// Whether the robot, or one of its targets, has such a parameter in some mode.
+fn is_of(model: &CalibrationModel, targets: usize, id: ParameterId) -> bool {
+    all_of(model, Mode::Extended, 0, targets).contains(&id)
+}

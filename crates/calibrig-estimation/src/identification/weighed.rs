@@ -1,0 +1,39 @@
+//! What a fit takes a reading to be uncertain by.
+
+use nalgebra::Matrix3;
+
+use super::noise::ActuatorMotions;
+use super::{Estimate, IdentificationOptions, NoiseScale};
+use calibrig_model::CalibrationModel;
+use calibrig_model::measurement::{MeasurementSet, Observation};
+
+/// Covariance of every reading of a `set`, fitted or not, as the fit of `estimate` weighs readings, in the tracker's frame, m²: what is stated of
+/// it, else what the residuals tell; and what the machine does beside its model. A robust loss is in none of it.
+pub fn weighed_covariances(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    estimate: &Estimate,
+) -> Vec<Matrix3<f64>> {
+    let unstated = match estimate.noise {
+        NoiseScale::Residuals(sigma) => Matrix3::identity() * sigma * sigma,
+        NoiseScale::Stated => Matrix3::zeros(),
+    };
+    let unmodelled = Matrix3::identity() * options.unmodelled_sigma * options.unmodelled_sigma;
+    let mut motions = ActuatorMotions::new(model);
+    let of = |observation: &Observation| {
+        let reading =
+            observation.reading.position_covariance().map_or(unstated, |stated| stated + unmodelled);
+        if estimate.machine_noise.is_empty() {
+            return reading;
+        }
+        let axes = estimate.robot.stations.get(observation.station).map(|place| *place.rotation.matrix());
+        let axes = axes.unwrap_or_else(Matrix3::identity);
+        let target = estimate.robot.targets.get(observation.target).copied().unwrap_or_default();
+        let motions = motions.at(&observation.command, &target);
+        let machine =
+            estimate.machine_noise.iter().map(|part| part.covariance(&motions)).sum::<Matrix3<f64>>();
+        reading + axes * machine * axes.transpose()
+    };
+    set.observations.iter().map(of).collect()
+}

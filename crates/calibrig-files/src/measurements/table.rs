@@ -1,0 +1,75 @@
+//! Tables that come from files that are no text: sheets of spreadsheets, and what bags hold.
+
+pub(super) mod bag;
+mod cdr;
+mod mcap_records;
+pub(super) mod sheet;
+#[cfg(test)]
+mod tests;
+
+use std::fmt;
+use std::sync::Arc;
+
+/// Rows of texts as they stand in a file, the header as a row like any other.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Table {
+    /// The file, as messages call it.
+    pub name: String,
+    /// From the first.
+    pub rows: Vec<TableRow>,
+    /// What was made of the file beside its rows, in words.
+    pub remarks: Vec<String>,
+}
+
+/// A row of a table.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct TableRow {
+    /// Where it is.
+    pub place: TablePlace,
+    /// One text a cell. Numbers read back to the same bits.
+    pub cells: Vec<String>,
+}
+
+/// Where in its file a row is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum TablePlace {
+    /// A row of a sheet.
+    Sheet {
+        /// Name of the sheet.
+        sheet: Arc<str>,
+        /// From 1.
+        row: u32,
+        /// Column of the first cell, from 1: A.
+        first_column: u32,
+    },
+    /// A message of a bag.
+    Message {
+        /// Its topic.
+        topic: Arc<str>,
+        /// From 1.
+        number: u64,
+    },
+}
+
+impl fmt::Display for TablePlace {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Sheet { sheet, row, .. } => write!(f, "{sheet}!{row}"),
+            Self::Message { topic, number } => write!(f, "{topic}, message {number}"),
+        }
+    }
+}
+
+/// A number as text that reads back to the same bits; whole ones without a point, as pose numbers are written.
+fn number_text(number: f64) -> String {
+    if number.fract() == 0.0 && number.abs() < 1e15 && !(number == 0.0 && number.is_sign_negative()) {
+        format!("{number:.0}")
+    } else {
+        format!("{number:?}")
+    }
+}
+
+/// "1 row", "2 rows".
+fn counted(count: usize, noun: &str) -> String {
+    if count == 1 { format!("1 {noun}") } else { format!("{count} {noun}s") }
+}
