@@ -21,7 +21,7 @@ use calibrig_model::{CalibrationModel, ParameterId, Unit};
 pub(super) struct ByNameArgs {
     /// Which link parameters: complete (an independent set, by rank), `neighbour_axis_rules` (what the published rules keep; short: rules), or
     /// names
-    #[arg(long, value_name = "WHICH,..", value_delimiter = ',', default_value = "complete")]
+    #[arg(long, value_name = "WHICH,..", value_delimiter = ',', default_value = "complete", value_parser = which)]
     parameters: Vec<String>,
     /// Parameters that stay at their nominal, stated or predicted values, such as `delta_a3`, `target_z` or `compliance_drive2`
     #[arg(long, value_name = "NAME,..", value_delimiter = ',', value_parser = id)]
@@ -38,6 +38,16 @@ pub(super) struct ByNameArgs {
     /// List the parameters, with what becomes of each, and fit nothing
     #[arg(long)]
     pub list_parameters: bool,
+}
+
+/// A choice of link parameters, or the name of one.
+fn which(text: &str) -> Result<String, String> {
+    let is_link = || matches!(ParameterId::parse(text), Some(ParameterId::Link { .. }));
+    if matches!(text, "complete" | "rules" | "neighbour_axis_rules") || is_link() {
+        return Ok(text.to_owned());
+    }
+    Err("expected complete, neighbour_axis_rules, or names of link parameters, such as delta_a2,delta_theta4"
+        .to_owned())
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]

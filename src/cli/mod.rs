@@ -70,7 +70,7 @@ enum Command {
     Choose(Box<choose::Args>),
     Columns(columns::Args),
     Model(model::Args),
-    Diagnose(diagnose::Args),
+    Diagnose(Box<diagnose::Args>),
     Montecarlo(montecarlo::Args),
     Replay(replay::Args),
     Inspect(inspect::Args),

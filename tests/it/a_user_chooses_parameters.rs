@@ -75,7 +75,7 @@ fn a_wrong_name_is_wrong_usage() {
         (&["--fix", "frame_x"], "fixed or free as a whole"),
         (&["--free", "compliance_drive3"], "can be fitted in none of the modes (only_calibration)"),
         (&["--fix", "delta_a2", "--free", "delta_a2"], "to be fixed, and to be free"),
-        (&["--parameters", "delta_a2,best"], "--parameters best: expected complete"),
+        (&["--parameters", "delta_a2,best"], "'best' for '--parameters <WHICH,..>': expected complete"),
         (&["--target", "loose"], "possible values"),
     ] {
         let ended = identify(&sandbox, more);

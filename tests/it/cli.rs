@@ -96,7 +96,7 @@ fn wrong_usage_ends_with_2_and_says_what_was_expected() {
         (vec!["run", SCENARIO, "--out"], "a value is required for '--out <DIR>'"),
         (vec!["run", SCENARIO, "--seed", "1", "--seed", "2"], "cannot be used multiple times"),
         (vec!["run", SCENARIO, SCENARIO], "unexpected argument"),
-        (identify(&["--parameters", "some"]), "[possible values: complete, rules]"),
+        (identify(&["--parameters", "some"]), "expected complete, neighbour_axis_rules, or names of link"),
         (identify(&["--tolerance-mm", "-1"]), tolerance),
         (identify(&["--tolerance-mm", "ten"]), tolerance),
         (identify(&["--tolerance-mm", "nan"]), tolerance),

@@ -87,7 +87,7 @@ pub enum CsvError {
     },
 }
 
-/// Writes a measurement file in calibrig's own columns (see [`ColumnMap`]); every number reads back to the same bits.
+/// Writes a measurement file in calibrig's own columns (see [`ColumnMap`](super::ColumnMap)); every number reads back to the same bits.
 ///
 /// Nests and target offsets are not part of the format (see [`session_text`](crate::session_text)). The uncertainty is written as standard
 /// deviations where these give the covariances exactly, else as covariances.

@@ -15,9 +15,9 @@ fn id(name: &str) -> ParameterId {
 fn parallel() -> CalibrationModel {
     CalibrationModel::new(vec![
         CraigLink::revolute("j1").row(0.0, 0.0, 0.4, 0.0).limits(-2.9, 2.9),
-        CraigLink::revolute("j2").row(0.05, -1.5707963267948966, 0.0, 0.0).limits(-1.8, 1.8),
+        CraigLink::revolute("j2").row(0.05, -std::f64::consts::FRAC_PI_2, 0.0, 0.0).limits(-1.8, 1.8),
         CraigLink::revolute("j3").row(0.6, 0.0, 0.1, 0.0).limits(-2.5, 2.5),
-        CraigLink::revolute("j4").row(0.5, 1.5707963267948966, 0.2, 0.0).limits(-2.9, 2.9),
+        CraigLink::revolute("j4").row(0.5, std::f64::consts::FRAC_PI_2, 0.2, 0.0).limits(-2.9, 2.9),
     ])
     .expect("a chain")
 }
