@@ -64,6 +64,7 @@ fn a_bound_is_kept_and_told_and_one_that_is_not_reached_changes_nothing() {
         {
             // There the parameter does not move the linkage; a robot that is stated with it would have none that is a parallelogram.
             *linkage = None;
+            known.statics = None;
         }
         let ids = free.parameters.iter().map(|p| p.id).filter(|id| *id != A4);
         let links = ids.filter(|id| matches!(id, ParameterId::Link { .. })).collect();
