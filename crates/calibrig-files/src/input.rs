@@ -30,7 +30,7 @@ pub struct Source {
 pub enum InputError {
     /// It cannot be opened or read.
     #[error("cannot read {}: {reason}", path.display())]
-    #[diagnostic(help("expected a file that is there and can be read"))]
+    #[diagnostic(help("expected a file of UTF-8 text"))]
     Unreadable {
         /// The file.
         path: PathBuf,
