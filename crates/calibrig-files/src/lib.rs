@@ -48,7 +48,7 @@ mod stated;
 pub use convert::{AGREEMENT, Convention, Converted, UrdfOptions, robot_from_dh, robot_from_urdf};
 pub use followers::{add_followers, commanded_joints, without_followers};
 pub use input::{Excerpt, InputError, Source, Spanned};
-pub use measurements::{BagOptions, DEFAULT_TOLERANCE_S, Table, TablePlace, TableRow, read_bag, read_sheet};
+pub use measurements::{BagOptions, DEFAULT_TOLERANCE_S, Table, TableRow, read_bag, read_sheet};
 pub use measurements::{
     ColumnMap, CsvError, LoadedMeasurements, MeasurementFiles, MemoryRows, MissedCode, Place, Places,
     PointsFile, PoseList, Row, RowOptions, Rows, SuggestedMap, is_bag, load_column_map, measurements_text,

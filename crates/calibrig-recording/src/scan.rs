@@ -108,7 +108,7 @@ impl Unprotected {
     }
 }
 
-/// Reads the whole file once for its checksums, and tells what is under none: in MCAP a checksum of zero means that there is none.
+/// Reads the whole file once for its checksums, and tells what no checksum covers: in MCAP a checksum of zero says that none was written.
 pub(super) fn check_integrity(file: &mut (impl Read + Seek)) -> Result<Unprotected, ReadError> {
     let mut found = Unprotected::default();
     let mut ends = (false, false);

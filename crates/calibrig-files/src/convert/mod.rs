@@ -74,7 +74,7 @@ struct Compared<'a> {
 ///
 /// # Errors
 ///
-/// [`InputError`] that points into the URDF: no URDF, no one chain, joints that are none of a chain, and tables whose kinematics differ.
+/// [`InputError`] that points into the URDF: text that is no URDF, links that make no single chain, joints that no table can have, and tables whose kinematics differ.
 pub fn robot_from_urdf(source: &Source, options: &UrdfOptions) -> Result<Converted, InputError> {
     let tree = Tree::read(source)?;
     let finder = Finder { source, tree: &tree };

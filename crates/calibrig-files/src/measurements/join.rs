@@ -147,7 +147,7 @@ impl Joints {
         Ok(By::Time { rows, within, key })
     }
 
-    /// Adds to a row of points the row of commands that belongs to it; why there is none.
+    /// Adds to a row of points the row of commands that belongs to it; otherwise says why no row does.
     pub fn join(
         &mut self,
         points: &str,

@@ -36,5 +36,5 @@ pub use rows::{MemoryRows, Place, Row, Rows};
 pub use suggest::{SuggestedMap, suggest_columns};
 pub use table::bag::{BagOptions, DEFAULT_TOLERANCE_S, read_bag};
 pub use table::sheet::read_sheet;
-pub use table::{Table, TablePlace, TableRow};
+pub use table::{Table, TableRow};
 pub use writer::{CsvError, measurements_text, write_measurements};

@@ -6,11 +6,10 @@ use std::path::Path;
 
 use super::columns::RowOptions;
 use super::layout::Wanted;
-use super::rows::Rows;
-use super::rows::{MemoryRows, Place};
+use super::rows::{MemoryRows, Rows};
+use super::table::Table;
 use super::table::bag::{BagOptions, read_bag};
 use super::table::sheet::read_sheet;
-use super::table::{Table, TablePlace};
 use super::text::{TextFormat, TextRows};
 use crate::input::InputError;
 
@@ -28,18 +27,9 @@ pub fn is_bag(path: &Path) -> bool {
     first_bytes(path).is_ok_and(|start| start == BAG)
 }
 
-impl From<TablePlace> for Place {
-    fn from(place: TablePlace) -> Self {
-        match place {
-            TablePlace::Sheet { sheet, row, first_column } => Self::Sheet { sheet, row, first_column },
-            TablePlace::Message { topic, number } => Self::Message { topic, number },
-        }
-    }
-}
-
 impl From<Table> for MemoryRows {
     fn from(Table { name, rows, remarks }: Table) -> Self {
-        let rows = rows.into_iter().map(|row| (row.place.into(), row.cells)).collect();
+        let rows = rows.into_iter().map(|row| (row.place, row.cells)).collect();
         Self::new(name, rows).with_remarks(remarks)
     }
 }

@@ -7,8 +7,7 @@ pub(super) mod sheet;
 #[cfg(test)]
 mod tests;
 
-use std::fmt;
-use std::sync::Arc;
+use super::rows::Place;
 
 /// Rows of texts as they stand in a file, the header as a row like any other.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -25,39 +24,9 @@ pub struct Table {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TableRow {
     /// Where it is.
-    pub place: TablePlace,
+    pub place: Place,
     /// One text a cell. Numbers read back to the same bits.
     pub cells: Vec<String>,
-}
-
-/// Where in its file a row is.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum TablePlace {
-    /// A row of a sheet.
-    Sheet {
-        /// Name of the sheet.
-        sheet: Arc<str>,
-        /// From 1.
-        row: u32,
-        /// Column of the first cell, from 1: A.
-        first_column: u32,
-    },
-    /// A message of a bag.
-    Message {
-        /// Its topic.
-        topic: Arc<str>,
-        /// From 1.
-        number: u64,
-    },
-}
-
-impl fmt::Display for TablePlace {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Sheet { sheet, row, .. } => write!(f, "{sheet}!{row}"),
-            Self::Message { topic, number } => write!(f, "{topic}, message {number}"),
-        }
-    }
 }
 
 /// A number as text that reads back to the same bits; whole ones without a point, as pose numbers are written.

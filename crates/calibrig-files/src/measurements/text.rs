@@ -257,7 +257,7 @@ struct Lines {
     number: u64,
     line_end: u8,
     is_utf16: bool,
-    /// First line that is not UTF-8, and its first byte that is none.
+    /// First line that is not UTF-8, and the first of its bytes that cannot be.
     latin: Option<(u64, u8)>,
 }
 

@@ -62,7 +62,7 @@ fn a_bound_is_kept_and_told_and_one_that_is_not_reached_changes_nothing() {
         if let (Mode::OnlyCalibration, ActuatorMap::Parallelogram { linkage, .. }) =
             (mode, &mut known.actuators)
         {
-            // There the parameter does not move the linkage; a robot that is stated with it would have none that is a parallelogram.
+            // In this mode the parameter does not move the linkage; stated in the robot itself, it would make the parallelogram inexact.
             *linkage = None;
             known.statics = None;
         }

@@ -15,8 +15,9 @@ use self::states::{Moving, Sample, States};
 use self::topics::{Kind, Topic};
 use super::cdr::{self, CdrError, Point};
 use super::mcap_records::{Trouble, messages};
-use super::{Table, TablePlace, TableRow, counted, number_text};
+use super::{Table, TableRow, counted, number_text};
 use crate::input::InputError;
+use crate::measurements::rows::Place;
 
 /// How far the stamps of a point and of its joints may lie apart where nobody says, s: a robot at rest for a tenth of a second is enough, and
 /// states come ten times as often.
@@ -99,6 +100,13 @@ struct Measured {
     frame: Arc<str>,
     child: Option<Arc<str>>,
     position: [f64; 3],
+}
+
+impl Measured {
+    /// Its message, for people.
+    fn called(&self) -> String {
+        format!("{}, message {}", self.topic, self.number)
+    }
 }
 
 /// What is to be said of the messages.
@@ -305,8 +313,8 @@ impl Bag<'_> {
         let mut remarks = self.remarks(joints, chosen, notes, has_targets, has_stations.then_some(&frames));
         let first = points.first().map_or(0, |point| point.stamp);
         let place =
-            |point: &Measured| TablePlace::Message { topic: Arc::clone(&point.topic), number: point.number };
-        let head = TablePlace::Message { topic: joints.into(), number: 1 };
+            |point: &Measured| Place::Message { topic: Arc::clone(&point.topic), number: point.number };
+        let head = Place::Message { topic: joints.into(), number: 1 };
         let mut rows = vec![TableRow { place: head, cells: header }];
         let mut dropped = Vec::new();
         let mut moving = Moving::default();
@@ -319,7 +327,7 @@ impl Bag<'_> {
             });
             if let Some((_, name)) = lacks {
                 let within = milliseconds(tolerance.unsigned_abs());
-                dropped.push(format!("{}: no state of {name} within {within}", place(point)));
+                dropped.push(format!("{}: no state of {name} within {within}", point.called()));
                 continue;
             }
             for name in &names {

@@ -11,7 +11,7 @@ pub(super) enum CdrError {
     /// It is shorter than what it should hold.
     #[error("it ends after {bytes} bytes, in {what}")]
     Short { what: &'static str, bytes: usize },
-    /// A text that is none.
+    /// Bytes that should be a text and are not UTF-8.
     #[error("{what} is no text")]
     NoText { what: &'static str },
 }

@@ -8,8 +8,9 @@ use std::sync::Arc;
 
 use calamine::{DataRef, Dimensions, ExcelDateTime, Reader, SheetType, SheetVisible, Xlsx, XlsxError};
 
-use super::{Table, TablePlace, TableRow, counted, number_text};
+use super::{Table, TableRow, counted, number_text};
 use crate::input::InputError;
+use crate::measurements::rows::Place;
 
 /// Cells that a table may take, empty ones between others counted: fewer than memory holds, more than any session has.
 const MOST_CELLS: usize = 20_000_000;
@@ -223,7 +224,7 @@ impl Cells {
             for (column, text) in cells {
                 texts[(column - first) as usize] = text;
             }
-            let place = TablePlace::Sheet { sheet: Arc::clone(sheet), row: row + 1, first_column: first + 1 };
+            let place = Place::Sheet { sheet: Arc::clone(sheet), row: row + 1, first_column: first + 1 };
             TableRow { place, cells: texts }
         };
         Some(self.rows.into_iter().map(row).collect())

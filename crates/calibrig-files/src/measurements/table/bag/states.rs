@@ -97,7 +97,7 @@ impl Moving {
             self.last = Some(place);
         }
         if self.most.as_ref().is_none_or(|(most, _)| change > *most) {
-            self.most = Some((change, format!("{}, message {}", point.topic, point.number)));
+            self.most = Some((change, point.called()));
         }
     }
 

@@ -8,8 +8,8 @@ fn parsed(book: &mut Workbook, sheet: Option<&str>) -> Table {
 
 fn cells(table: &Table) -> Vec<(u32, Vec<&str>)> {
     let row = |row: &TableRow| match row.place {
-        TablePlace::Sheet { row, .. } => row,
-        TablePlace::Message { .. } => panic!("of a sheet"),
+        Place::Sheet { row, .. } => row,
+        Place::Message { .. } | Place::Line(_) => panic!("of a sheet"),
     };
     table.rows.iter().map(|r| (row(r), r.cells.iter().map(String::as_str).collect())).collect()
 }
@@ -19,8 +19,8 @@ fn a_sheet_of_openpyxl_is_read_to_the_last_digit() {
     let table = sheet::read_sheet(&fixture("points.xlsx"), None).expect("read");
     assert_eq!(table.rows[0].cells, ["measured on a Tuesday"]);
     assert_eq!(table.rows[1].cells[..3], ["Pose", "shoulder_pan", "shoulder_lift"]);
-    let sheet: Arc<str> = "Points".into();
-    assert_eq!(table.rows[1].place, TablePlace::Sheet { sheet, row: 4, first_column: 2 });
+    let sheet: std::sync::Arc<str> = "Points".into();
+    assert_eq!(table.rows[1].place, Place::Sheet { sheet, row: 4, first_column: 2 });
     for (pose, row) in (0..POSES).zip(&table.rows[2..]) {
         assert_eq!(row.cells[0], (pose + 1).to_string());
         let row = TableRow { cells: row.cells[1..10].to_vec(), ..row.clone() };
