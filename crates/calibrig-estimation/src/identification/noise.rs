@@ -4,7 +4,7 @@
 //! What a machine does beside its model is common to all targets of a pose: a displacement of the whole flange, and errors of the
 //! actuators, `J Σ_q Jᵀ` with J the target's derivative by the commands. Errors of single poses are taken as independent of each other.
 
-use nalgebra::{Cholesky, DMatrix, Matrix3, Vector3};
+use nalgebra::{Cholesky, DMatrix, DMatrixViewMut, Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::contradiction::Minimum;
@@ -212,6 +212,12 @@ impl Unknown {
     pub fn any(self) -> bool {
         self.readings || self.machine
     }
+
+    /// How many variances: of the readings, of the flange's place, and of every actuator.
+    fn components(self, problem: &CalibrationProblem) -> usize {
+        let actuators = problem.motions.first().map_or(0, Vec::len);
+        usize::from(self.readings) + if self.machine { 1 + actuators } else { 0 }
+    }
 }
 
 /// Whether residuals are larger than their stated noise explains.
@@ -293,6 +299,7 @@ fn system(problem: &mut CalibrationProblem, solution: &Solution, unknown: Unknow
         residuals,
         jacobian,
         blocks,
+        count: unknown.components(problem),
     }
     .without_unseen()
 }
@@ -308,29 +315,22 @@ fn block(problem: &CalibrationProblem, observations: Vec<usize>, unknown: Unknow
             own += reading;
         }
     }
-    let mut shapes = Vec::new();
-    if unknown.readings {
-        let columns: Vec<usize> = (0..size).filter(|row| unstated[row / 3]).collect();
-        shapes.push(DMatrix::<f64>::identity(size, size).select_columns(&columns));
+    let own: Vec<usize> =
+        if unknown.readings { (0..size).filter(|row| unstated[row / 3]).collect() } else { Vec::new() };
+    let mut components = vec![0; own.len()];
+    if unknown.machine {
+        let place = usize::from(unknown.readings);
+        components.extend([place; 3]);
+        components.extend(place + 1..unknown.components(problem));
+    }
+    let mut shapes = DMatrix::zeros(size, components.len());
+    for (column, row) in own.iter().enumerate() {
+        shapes[(*row, column)] = 1.0;
     }
     if unknown.machine {
-        let rows = observations.iter().map(|i| &problem.rows[*i]);
-        let axes: Vec<_> = rows.map(|row| problem.stations[row.station].rotation).collect();
-        let mut place = DMatrix::zeros(size, 3);
-        for (k, axes) in axes.iter().enumerate() {
-            place.fixed_view_mut::<3, 3>(3 * k, 0).copy_from(axes.matrix());
-        }
-        shapes.push(place);
-        let count = observations.first().map_or(0, |i| problem.motions[*i].len());
-        for actuator in 0..count {
-            let mut motion = DMatrix::zeros(size, 1);
-            for (k, (i, axes)) in observations.iter().zip(&axes).enumerate() {
-                motion.fixed_view_mut::<3, 1>(3 * k, 0).copy_from(&(axes * problem.motions[*i][actuator]));
-            }
-            shapes.push(motion);
-        }
+        problem.fill_motions(&observations, shapes.columns_range_mut(own.len()..));
     }
-    Block { observations, known, shapes }
+    Block { observations, known, shapes, components }
 }
 
 impl CalibrationProblem {
@@ -410,14 +410,25 @@ impl CalibrationProblem {
     fn common(&self, observations: &[usize], machine: &MachineNoise) -> DMatrix<f64> {
         let size = 3 * observations.len();
         let mut spread = DMatrix::zeros(size, 3 + machine.actuators.len());
-        for (k, i) in observations.iter().enumerate() {
-            let axes = self.stations[self.rows[*i].station].rotation;
-            spread.fixed_view_mut::<3, 3>(3 * k, 0).copy_from(&(axes.matrix() * machine.position));
-            for (j, (motion, sigma)) in self.motions[*i].iter().zip(&machine.actuators).enumerate() {
-                spread.fixed_view_mut::<3, 1>(3 * k, 3 + j).copy_from(&(axes * motion * *sigma));
-            }
+        self.fill_motions(observations, spread.as_view_mut());
+        let sigmas = std::iter::repeat_n(&machine.position, 3).chain(&machine.actuators);
+        for (mut column, sigma) in spread.column_iter_mut().zip(sigmas) {
+            column *= *sigma;
         }
         &spread * spread.transpose()
+    }
+
+    /// How observations of one pose move, in the trackers' axes, with the flange along each axis, and then by as many actuators as there are
+    /// columns left.
+    fn fill_motions(&self, observations: &[usize], mut shapes: DMatrixViewMut<'_, f64>) {
+        for (k, i) in observations.iter().enumerate() {
+            let axes = self.stations[self.rows[*i].station].rotation;
+            shapes.fixed_view_mut::<3, 3>(3 * k, 0).copy_from(axes.matrix());
+            let columns = 3..shapes.ncols();
+            for (column, motion) in columns.zip(&self.motions[*i]) {
+                shapes.fixed_view_mut::<3, 1>(3 * k, column).copy_from(&(axes * motion));
+            }
+        }
     }
 
     /// Residuals and Jacobian of a solution with the observations in metres, in the trackers' axes; priors as they are.

@@ -18,8 +18,10 @@ pub(super) struct Block {
     pub observations: Vec<usize>,
     /// What of their covariance is known, m².
     pub known: DMatrix<f64>,
-    /// `Z_k` of every component, one row a coordinate.
-    pub shapes: Vec<DMatrix<f64>>,
+    /// The columns of all `Z_k` beside each other, one row a coordinate.
+    pub shapes: DMatrix<f64>,
+    /// Of every column, its component.
+    pub components: Vec<usize>,
 }
 
 /// A system at one place: rows of data in metres, and whitened rows of priors.
@@ -31,6 +33,8 @@ pub(super) struct System {
     pub prior_jacobian: DMatrix<f64>,
     /// Observations that are in none are not looked at.
     pub blocks: Vec<Block>,
+    /// Number of components.
+    pub count: usize,
 }
 
 /// The variances that explain the residuals best.
@@ -65,17 +69,25 @@ impl System {
 
     /// Mean square that a unit of every component makes.
     pub fn mean_squares(&self) -> Vec<f64> {
-        let count = self.blocks.first().map_or(0, |block| block.shapes.len());
-        let of = |k: usize| self.blocks.iter().map(|block| block.shapes[k].norm_squared()).sum::<f64>();
-        (0..count).map(|k| of(k) / self.coordinates() as f64).collect()
+        let mut sums = vec![0.0; self.count];
+        for block in &self.blocks {
+            for (column, component) in block.shapes.column_iter().zip(&block.components) {
+                sums[*component] += column.norm_squared();
+            }
+        }
+        let coordinates = self.coordinates() as f64;
+        sums.iter().map(|sum| sum / coordinates).collect()
     }
 
     /// The system without the shapes that hardly move anything.
     pub fn without_unseen(mut self) -> Self {
         let units = self.mean_squares();
-        for block in &mut self.blocks {
-            for (shape, _) in block.shapes.iter_mut().zip(&units).filter(|(_, unit)| **unit < UNSEEN) {
-                *shape = DMatrix::zeros(shape.nrows(), 0);
+        if units.iter().any(|unit| *unit < UNSEEN) {
+            for block in &mut self.blocks {
+                let is_seen = |column: &usize| units[block.components[*column]] >= UNSEEN;
+                let seen: Vec<usize> = (0..block.components.len()).filter(is_seen).collect();
+                block.shapes = block.shapes.select_columns(&seen);
+                block.components = seen.iter().map(|column| block.components[*column]).collect();
             }
         }
         self
@@ -172,14 +184,13 @@ struct Slice<'a> {
     first: usize,
     known: &'a DMatrix<f64>,
     /// Of every row of its `Zᵀ`, the component.
-    components: Vec<usize>,
+    components: &'a [usize],
 }
 
 impl<'a> Stacked<'a> {
     fn new(system: &'a System) -> Self {
         let n = system.jacobian.ncols();
-        let width = |block: &Block| block.shapes.iter().map(DMatrix::ncols).sum::<usize>();
-        let most = system.blocks.iter().map(width).max().unwrap_or(0);
+        let most = system.blocks.iter().map(|block| block.components.len()).max().unwrap_or(0);
         let transposed = system.jacobian.transpose();
         let mut rows = DMatrix::zeros(n + 1 + most, system.coordinates());
         let mut blocks = Vec::with_capacity(system.blocks.len());
@@ -190,13 +201,9 @@ impl<'a> Stacked<'a> {
                 rows.view_mut((0, to), (n, 3)).copy_from(&transposed.columns(from, 3));
                 rows.view_mut((n, to), (1, 3)).tr_copy_from(&system.residuals.rows(from, 3));
             }
-            let mut components = Vec::with_capacity(most);
-            for (component, shape) in block.shapes.iter().enumerate() {
-                let place = (n + 1 + components.len(), first);
-                rows.view_mut(place, (shape.ncols(), shape.nrows())).tr_copy_from(shape);
-                components.extend(std::iter::repeat_n(component, shape.ncols()));
-            }
-            blocks.push(Slice { first, known: &block.known, components });
+            let (size, width) = block.shapes.shape();
+            rows.view_mut((n + 1, first), (width, size)).tr_copy_from(&block.shapes);
+            blocks.push(Slice { first, known: &block.known, components: &block.components });
             first += 3 * block.observations.len();
         }
         Self { rows, residuals: n, blocks }
@@ -206,9 +213,12 @@ impl<'a> Stacked<'a> {
     fn whitened(&self, variances: &[f64]) -> Option<(DMatrix<f64>, f64)> {
         let mut rows = self.rows.clone();
         let mut determinant = 0.0;
+        // Blocks share their memory, where they are of one size.
+        let mut memory = DMatrix::zeros(0, 0);
         for block in &self.blocks {
-            let factor = Cholesky::new(self.covariance(block, variances))?;
-            let factor = factor.l_dirty();
+            self.covariance(block, variances, &mut memory);
+            let cholesky = Cholesky::new(memory)?;
+            let factor = cholesky.l_dirty();
             for row in 0..factor.nrows() {
                 let place = block.first + row;
                 let (above, mut own) = rows.columns_range_pair_mut(block.first..place, place);
@@ -218,14 +228,16 @@ impl<'a> Stacked<'a> {
                 own /= factor[(row, row)];
                 determinant += 2.0 * factor[(row, row)].ln();
             }
+            memory = cholesky.unpack_dirty();
         }
         Some((rows, determinant))
     }
 
-    fn covariance(&self, block: &Slice<'_>, variances: &[f64]) -> DMatrix<f64> {
-        let mut covariance = block.known.clone();
+    /// The lower triangle of a block's covariance.
+    fn covariance(&self, block: &Slice<'_>, variances: &[f64], covariance: &mut DMatrix<f64>) {
+        covariance.clone_from(block.known);
         let size = covariance.nrows();
-        for (row, component) in (self.residuals + 1..).zip(&block.components) {
+        for (row, component) in (self.residuals + 1..).zip(block.components) {
             let variance = variances[*component];
             if variance > 0.0 {
                 for j in 0..size {
@@ -236,7 +248,6 @@ impl<'a> Stacked<'a> {
                 }
             }
         }
-        covariance
     }
 
     /// From whitened rows, the `residuals` that the fit leaves and the hat matrix's root: `uᵀ Z Zᵀ u` of each component, its expectation, and the
@@ -250,21 +261,26 @@ impl<'a> Stacked<'a> {
     ) -> (Vec<f64>, Vec<f64>, DMatrix<f64>) {
         let (mut explained, mut expected) = (vec![0.0; count], vec![0.0; count]);
         let mut working = DMatrix::zeros(residuals.len(), count);
+        let mut left = Vec::new();
         for block in &self.blocks {
             let (first, size) = (block.first, block.known.nrows());
             let own = hat.columns(first, size);
-            // What the fit leaves of a unit of noise of each coordinate.
-            let left = DMatrix::from_fn(size, size, |i, j| {
-                let kept = if i == j { 1.0 } else { 0.0 };
-                if i < j { 0.0 } else { kept - own.column(i).dot(&own.column(j)) }
-            });
-            for (row, component) in (self.residuals + 1..).zip(&block.components) {
+            // What the fit leaves of a unit of noise of each coordinate: the lower triangle.
+            left.clear();
+            for j in 0..size {
+                for i in 0..size {
+                    let kept = if i == j { 1.0 } else { 0.0 };
+                    left.push(if i < j { 0.0 } else { kept - own.column(i).dot(&own.column(j)) });
+                }
+            }
+            let left = |i: usize, j: usize| left[j * size + i];
+            for (row, component) in (self.residuals + 1..).zip(block.components) {
                 let shape = |i: usize| whitened[(row, first + i)];
                 let along: f64 = (0..size).map(|i| shape(i) * residuals[first + i]).sum();
                 explained[*component] += along * along;
                 for i in 0..size {
-                    let across: f64 = (0..i).map(|j| left[(i, j)] * shape(j)).sum();
-                    expected[*component] += shape(i) * (left[(i, i)] * shape(i) + 2.0 * across);
+                    let across: f64 = (0..i).map(|j| left(i, j) * shape(j)).sum();
+                    expected[*component] += shape(i) * (left(i, i) * shape(i) + 2.0 * across);
                     working[(first + i, *component)] += along * shape(i);
                 }
             }
@@ -421,21 +437,24 @@ mod tests {
         for pair in 0..pairs {
             let own = DMatrix::identity(6, 6);
             let common = DMatrix::from_fn(6, 3, |i, j| if i % 3 == j { 1.0 } else { 0.0 });
-            let shapes = vec![own, common, normal(6, 1, rng)];
+            let shapes = [own, common, normal(6, 1, rng)];
             let mut error = DVector::zeros(6);
             for (shape, sigma) in shapes.iter().zip(sigmas) {
                 error += sigma * shape * normal(shape.ncols(), 1, rng);
             }
             residuals.rows_mut(6 * pair, 6).copy_from(&error);
+            let columns: Vec<_> = shapes.iter().flat_map(DMatrix::column_iter).collect();
             blocks.push(Block {
                 observations: vec![2 * pair, 2 * pair + 1],
                 known: DMatrix::identity(6, 6) * 1e-4,
-                shapes,
+                shapes: DMatrix::from_columns(&columns),
+                components: [vec![0; 6], vec![1; 3], vec![2]].concat(),
             });
         }
         let mut prior_jacobian = DMatrix::zeros(1, 3);
         prior_jacobian[(0, 2)] = 2.0;
-        System { residuals, jacobian, prior_residuals: DVector::from_element(1, 0.3), prior_jacobian, blocks }
+        let prior_residuals = DVector::from_element(1, 0.3);
+        System { residuals, jacobian, prior_residuals, prior_jacobian, blocks, count: 3 }
     }
 
     /// From whole matrices: minus half of `ln |V| + ln |A| + rᵀ P r`, with the priors as rows of data of known variance.
@@ -445,8 +464,8 @@ mod tests {
         for block in &system.blocks {
             let first = 3 * block.observations[0];
             let mut own = block.known.clone();
-            for (shape, variance) in block.shapes.iter().zip(variances) {
-                own += *variance * shape * shape.transpose();
+            for (shape, component) in block.shapes.column_iter().zip(&block.components) {
+                own += variances[*component] * shape * shape.transpose();
             }
             v.view_mut((first, first), own.shape()).copy_from(&own);
         }
@@ -501,8 +520,10 @@ mod tests {
         system.prior_jacobian.fill(0.0);
         for block in &mut system.blocks {
             block.known.fill(0.0);
-            block.shapes.truncate(1);
+            block.shapes = block.shapes.columns(0, 6).into_owned();
+            block.components.truncate(6);
         }
+        system.count = 1;
         let (q, _) = system.jacobian.clone().qr().unpack();
         let left = &system.residuals - &q * q.tr_mul(&system.residuals);
         let expected = left.norm_squared() / 45.0;
