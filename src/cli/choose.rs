@@ -217,6 +217,9 @@ fn write_text(name: &str, choice: &ModelChoice, text: &mut String) -> std::fmt::
     for failure in &choice.failures {
         writeln!(text, "{}: could not be fitted: {}", failure.name, failure.why)?;
     }
+    for name in &choice.without_basis {
+        writeln!(text, "{name}: not compared: nothing that was measured acts on it")?;
+    }
     writeln!(text)?;
     writeln!(text, "{}", advice(choice))
 }
@@ -300,6 +303,7 @@ fn as_json(name: &str, choice: &ModelChoice) -> String {
             "pose": o.pose, "distance_m": finite(o.distance), "size": finite(o.size), "weight": finite(o.weight),
         })).collect::<Vec<_>>(),
         "failures": choice.failures.iter().map(|f| json!({ "name": f.name, "why": f.why })).collect::<Vec<_>>(),
+        "not_compared": choice.without_basis,
         "advice": advice(choice),
     });
     format!("{value:#}\n")

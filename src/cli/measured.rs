@@ -180,10 +180,21 @@ impl RowArgs {
                 return Err(held_out_twice(&name, &loaded).into());
             }
             let (fitted, held_out) = loaded.split();
+            if fitted.set.observations.is_empty() {
+                return Err(nothing_to_fit(&name).into());
+            }
             measured.push(MeasuredFile { kind: SetKind::Identification, name: name.clone(), loaded: fitted });
             measured.push(MeasuredFile { kind: SetKind::Verification, name, loaded: held_out });
         }
         Ok(measured)
+    }
+}
+
+fn nothing_to_fit(name: &str) -> InputError {
+    InputError::Place {
+        place: name.to_owned(),
+        message: "all poses are held out ([sets] of the column map, or --verify-poses): none is left to identify from".to_owned(),
+        help: Some("expected a list that leaves poses for the fit, two thirds of them say".to_owned()),
     }
 }
 

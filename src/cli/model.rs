@@ -118,7 +118,9 @@ impl ChainArgs {
             }
             return Ok(load_robot(model.unwrap_or(Path::new("robot.toml")))?);
         };
-        let made = robot_from_urdf(&Source::read(urdf)?, &self.options())?;
+        let (source, told) = Source::read_foreign(urdf)?;
+        told.iter().for_each(|line| say(line));
+        let made = robot_from_urdf(&source, &self.options())?;
         made.remarks.iter().for_each(|line| say(line));
         Ok(made.robot)
     }
@@ -178,21 +180,22 @@ fn acceleration(text: &str) -> Result<Acceleration, String> {
 }
 
 pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
-    let (made, output, file) = match &args.from {
+    let (mut made, told, output, file) = match &args.from {
         From::FromUrdf(args) => {
-            let source = Source::read(&args.file)?;
-            (robot_from_urdf(&source, &args.chain.options())?, &args.output, &args.file)
+            let (source, told) = Source::read_foreign(&args.file)?;
+            (robot_from_urdf(&source, &args.chain.options())?, told, &args.output, &args.file)
         }
         From::FromDh(args) => {
-            let source = Source::read(&args.file)?;
+            let (source, told) = Source::read_foreign(&args.file)?;
             let convention = match args.convention {
                 ConventionArg::Craig => Convention::Craig,
                 ConventionArg::Standard => Convention::Standard,
             };
             let target = args.target_mm.map(|target| target.0);
-            (robot_from_dh(&source, convention, target)?, &args.output, &args.file)
+            (robot_from_dh(&source, convention, target)?, told, &args.output, &args.file)
         }
     };
+    made.remarks.splice(0..0, told);
     let path = write(&made, output)?;
     made.remarks.iter().for_each(|line| say(line));
     let text = if output.json { as_json(&made, file, &path) } else { as_text(&made, &path) };

@@ -13,7 +13,7 @@ use calibrig_estimation::identification::{
 use calibrig_estimation::validation::{held_out_errors, in_order};
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::random::{Source, stream};
-use calibrig_model::{CalibrationModel, FAMILIES, TermId};
+use calibrig_model::{CalibrationModel, FAMILIES, ParameterId, TermId};
 
 /// Confidence of the intervals.
 const LEVEL: f64 = 0.95;
@@ -29,6 +29,8 @@ pub struct ModelChoice {
     pub rows: Vec<ChosenRow>,
     /// Models that could not be fitted.
     pub failures: Vec<FailedVariant>,
+    /// Families of terms of which nothing acts on these measurements, such as hysteresis without approaches.
+    pub without_basis: Vec<String>,
     /// Gross errors against the simplest model. With a robust loss they are left out of the fits and of the held-out errors.
     pub gross_errors: Vec<Outlier>,
 }
@@ -60,6 +62,13 @@ struct Candidate {
     name: String,
     against: Option<usize>,
     options: IdentificationOptions,
+}
+
+/// What came of a candidate.
+enum Tried {
+    Fitted(Fitted),
+    /// No measurement has what its terms act on: it would be the model that it is compared with.
+    WithoutBasis,
 }
 
 /// A model that was fitted.
@@ -99,13 +108,18 @@ pub fn choose(
     let gross_errors = simplest.outliers;
     let splits = pose_folds(set, folds, seed);
     let (mut keys, mut fitted, mut failures) = (Vec::new(), Vec::<Fitted>::new(), Vec::new());
+    let mut without_basis = Vec::new();
     // Where a candidate went; of one that failed, where the one went that it would have been compared with.
     let mut places: Vec<Option<usize>> = Vec::new();
     for (index, candidate) in candidates.iter().enumerate() {
         progress(index, candidates.len(), &candidate.name);
         let against = candidate.against.and_then(|other| places[other]);
         match fit(model, set, candidate, against, &splits) {
-            Ok(fit) => {
+            Ok(Tried::WithoutBasis) => {
+                places.push(against);
+                without_basis.push(candidate.name.clone());
+            }
+            Ok(Tried::Fitted(fit)) => {
                 places.push(Some(fitted.len()));
                 fitted.push(fit);
                 keys.push(candidate.key);
@@ -140,6 +154,7 @@ pub fn choose(
             .map(|((key, row), fit)| ChosenRow { key, row, not_converged: fit.not_converged })
             .collect(),
         failures,
+        without_basis,
         gross_errors,
     })
 }
@@ -204,10 +219,14 @@ fn fit(
     candidate: &Candidate,
     against: Option<usize>,
     splits: &[Split],
-) -> Result<Fitted, PipelineError> {
+) -> Result<Tried, PipelineError> {
     let mode = candidate.options.mode;
     let failed = |source| PipelineError::Identify { mode, source };
     let estimate = identify(model, set, &candidate.options).map_err(failed)?;
+    let is_family = FAMILIES.iter().any(|family| family.key() == candidate.key);
+    if is_family && estimate.parameters.iter().all(|p| !matches!(p.id, ParameterId::Term(_))) {
+        return Ok(Tried::WithoutBasis);
+    }
     let system = linearise(model, set, &candidate.options, &estimate).map_err(failed)?;
     let ids: Vec<_> = estimate.parameters.iter().map(|p| p.id).collect();
     let determined = Uncertainty::of(&system, &ids);
@@ -234,7 +253,7 @@ fn fit(
     };
     let squares = errors(&estimate, set)?.iter().map(nalgebra::Vector3::norm_squared).sum();
     let is_misfit = estimate.found_machine().is_some();
-    Ok(Fitted { variant, sigma, squares, is_misfit, not_converged })
+    Ok(Tried::Fitted(Fitted { variant, sigma, squares, is_misfit, not_converged }))
 }
 
 pub(super) fn errors(

@@ -182,6 +182,19 @@ fn held_out_rows_stand_in_the_same_file() {
     let none =
         sandbox.run(IDENTIFY.iter().chain(&["m.csv", "--columns", "map.toml", "--verify-poses", "300"]));
     assert_eq!(none.code, Some(2), "{none:?}");
+    let beyond = sandbox.run(IDENTIFY.iter().chain(&[
+        "m.csv",
+        "--columns",
+        "map.toml",
+        "--verify-poses",
+        "20..30,99",
+    ]));
+    let said = format!("{}{}", beyond.stdout, beyond.stderr);
+    assert!(said.contains("poses that no row is of: 25..30, 99"), "{said}");
+    let all =
+        sandbox.run(IDENTIFY.iter().chain(&["m.csv", "--columns", "map.toml", "--verify-poses", "1..99"]));
+    assert_eq!(all.code, Some(1));
+    assert!(all.stderr.contains("all poses are held out"), "{}", all.stderr);
     let twice = ["m.csv", "--columns", "map.toml", "--verify-poses", "3", "--verify", "m.csv"];
     let twice = sandbox.run(IDENTIFY.iter().chain(&twice));
     assert_eq!(twice.code, Some(1));

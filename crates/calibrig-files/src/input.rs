@@ -107,6 +107,37 @@ impl Source {
         Ok(Self::new(path.display().to_string(), text))
     }
 
+    /// Reads a file whose text other programs wrote: UTF-8, UTF-16 with its mark, else Latin-1 (Windows-1252). What is not UTF-8 is told by the
+    /// second.
+    pub fn read_foreign(path: &Path) -> Result<(Self, Option<String>), InputError> {
+        let unreadable = |reason: String| InputError::Unreadable { path: path.to_path_buf(), reason };
+        if path.is_dir() {
+            return Err(unreadable("it is a folder, a file was expected".to_owned()));
+        }
+        let bytes = std::fs::read(path).map_err(|e| unreadable(e.to_string()))?;
+        let name = path.display().to_string();
+        let utf16 = |unit: fn([u8; 2]) -> u16| {
+            let units = bytes[2..].as_chunks::<2>().0.iter().map(|pair| unit(*pair));
+            char::decode_utf16(units).map(|c| c.unwrap_or(char::REPLACEMENT_CHARACTER)).collect::<String>()
+        };
+        let (text, told) = match (bytes.as_slice(), std::str::from_utf8(&bytes)) {
+            ([0xFF, 0xFE, ..], _) => (utf16(u16::from_le_bytes), Some(format!("{name}: read as UTF-16"))),
+            ([0xFE, 0xFF, ..], _) => (utf16(u16::from_be_bytes), Some(format!("{name}: read as UTF-16"))),
+            (_, Ok(text)) => (text.to_owned(), None),
+            (_, Err(error)) => {
+                let at = error.valid_up_to();
+                let line = bytes[..at].iter().filter(|byte| **byte == b'\n').count() + 1;
+                let told = format!(
+                    "{name}:{line}: not UTF-8 (the byte 0x{:02X}): read as Latin-1 (Windows-1252), in which it is {:?}",
+                    bytes[at],
+                    latin(bytes[at])
+                );
+                (bytes.iter().map(|byte| latin(*byte)).collect(), Some(told))
+            }
+        };
+        Ok((Self::new(name, text), told))
+    }
+
     /// An error at `span` (bytes) of this text.
     pub fn error(&self, span: Range<usize>, message: impl fmt::Display, help: Option<String>) -> InputError {
         InputError::in_excerpt(&self.name, Excerpt::whole(self.text.clone()), span, message, help)
@@ -120,6 +151,18 @@ impl Source {
     /// Reads the text as TOML; unknown keys, missing keys and wrong types are errors at their place.
     pub fn toml<T: DeserializeOwned>(&self) -> Result<T, InputError> {
         toml_text::read(self)
+    }
+}
+
+/// A byte of Windows-1252, which is Latin-1 but for 0x80 to 0x9F.
+pub(crate) fn latin(byte: u8) -> char {
+    const HIGH: [char; 32] = [
+        '€', '\u{81}', '‚', 'ƒ', '„', '…', '†', '‡', 'ˆ', '‰', 'Š', '‹', 'Œ', '\u{8d}', 'Ž', '\u{8f}',
+        '\u{90}', '‘', '’', '“', '”', '•', '–', '—', '˜', '™', 'š', '›', 'œ', '\u{9d}', 'ž', 'Ÿ',
+    ];
+    match byte {
+        0x80..=0x9F => HIGH[usize::from(byte) - 0x80],
+        _ => char::from(byte),
     }
 }
 

@@ -341,6 +341,14 @@ impl Finder<'_> {
         }
         let number = |name| element.number(self.source, name).map(|value| value.unwrap_or(0.0));
         let [low, high] = [number("lower")?, number("upper")?];
+        if low > high {
+            let message = format!("lower of joint {} is above its upper", joint.name);
+            return self.error(
+                element.span.clone(),
+                message,
+                "limits with lower below upper; a continuous joint where it has none",
+            );
+        }
         // A joint that cannot move is one whose limits were never filled in.
         Ok((low < high).then_some([low, high]))
     }

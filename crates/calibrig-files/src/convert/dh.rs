@@ -6,9 +6,9 @@ use std::ops::Range;
 
 use nalgebra::Vector3;
 
-use super::dh_cells::{Column, Sign, Unit, Value, What, cells, column, is_variable, number, terms};
+use super::dh_cells::{Column, Sign, Unit, Value, Variable, What, cells, column, number, terms, variable};
 use super::text::{line, mm, quoted, row};
-use super::{Converted, file_name, made_name};
+use super::{Converted, file_name, in_original, made_name};
 use crate::input::{InputError, Source};
 use crate::robot::parse_robot;
 use calibrig_model::{CraigLink, JointKind};
@@ -80,7 +80,7 @@ pub fn robot_from_dh(
         line!(text, "x_mm = {x}\ny_mm = {y}\nz_mm = {z}");
     }
     let made = Source::new(made_name(&source.name), text);
-    let robot = parse_robot(made.clone(), None, None)?;
+    let robot = parse_robot(made.clone(), None, None).map_err(|error| in_original(source, &error))?;
     Ok(Converted { source: made, robot, remarks, difference: None })
 }
 
@@ -88,6 +88,8 @@ pub fn robot_from_dh(
 struct Row {
     link: CraigLink,
     reversed: bool,
+    /// Number in the name of the joint variable.
+    joint: Option<u32>,
     /// Of the lower and the upper limit.
     assumed: [bool; 2],
 }
@@ -98,6 +100,7 @@ type Cell<'a> = (&'a str, Range<usize>);
 struct Table<'a> {
     source: &'a Source,
     columns: Vec<Column>,
+    titles: Vec<String>,
     header: Range<usize>,
     lines: Vec<Vec<Cell<'a>>>,
     decimal_comma: bool,
@@ -127,8 +130,9 @@ impl<'a> Table<'a> {
         };
         let delimiter = [';', '\t', ','].into_iter().find(|mark| header.contains(*mark)).unwrap_or(' ');
         let span = start..start + header.len();
-        let columns: Vec<Column> =
-            cells(source, start, header, delimiter).iter().map(|(title, _)| column(title)).collect();
+        let titles: Vec<String> =
+            cells(source, start, header, delimiter).into_iter().map(|(title, _)| title).collect();
+        let columns = titles.iter().map(|title| column(title)).collect();
         let place = |range: &Range<usize>| source.text.get(range.clone()).unwrap_or_default();
         let table = Self {
             source,
@@ -142,6 +146,7 @@ impl<'a> Table<'a> {
                 .collect(),
             decimal_comma: delimiter != ',',
             columns,
+            titles,
         };
         for (what, name, units) in [
             (What::A, "a", "a_mm or a_m"),
@@ -200,6 +205,7 @@ impl<'a> Table<'a> {
             }
             rows.push(row);
         }
+        self.check_order(&rows)?;
         if !unsaid.is_empty() {
             remarks.push(format!(
                 "assumed: the joints {} turn; the table says of none of theirs whether it turns or slides (a column type, or q in the cell of theta or d)",
@@ -214,8 +220,44 @@ impl<'a> Table<'a> {
                 without.join(", ")
             ));
         }
-        remarks.push("no gravity modes: a table gives no masses ([joint.body], stiffnesses and [gravity] may be added)".to_owned());
+        remarks.extend(self.passed_over());
+        remarks.push("no gravity modes: masses are not read from a table ([joint.body], stiffnesses and [gravity] may be added)".to_owned());
         Ok(rows)
+    }
+
+    /// Columns that nothing is taken from, but for a count of the rows.
+    fn passed_over(&self) -> Option<String> {
+        let others = self.columns.iter().zip(&self.titles).filter(|(column, _)| column.what == What::Other);
+        let is_count = |title: &str| {
+            ["", "#", "i", "n", "no", "no.", "nr", "nr."].contains(&title.to_lowercase().as_str())
+        };
+        let titles: Vec<_> =
+            others.map(|(_, title)| title.as_str()).filter(|title| !is_count(title)).collect();
+        (!titles.is_empty()).then(|| {
+            let columns = if titles.len() == 1 { "column" } else { "columns" };
+            format!("passed over: the {columns} {}", titles.join(", "))
+        })
+    }
+
+    /// Joint variables that have numbers go up by one from row to row, from 0 or 1 on.
+    fn check_order(&self, rows: &[Row]) -> Result<(), InputError> {
+        let from = |row: &Row, index: usize| i64::from(row.joint.unwrap_or(0)) - index as i64;
+        let numbered = || rows.iter().enumerate().filter(|(_, row)| row.joint.is_some());
+        let starts_at_zero = numbered().next().is_some_and(|(index, row)| from(row, index) == 0);
+        let first = i64::from(!starts_at_zero);
+        let Some((index, row)) = numbered().find(|(index, row)| from(row, *index) != first) else {
+            return Ok(());
+        };
+        let of = |what| self.cell(&self.lines[index], what).map(|(cell, _)| cell);
+        let has_variable = |cell: &Cell<'_>| terms(cell.0).iter().any(|(_, term)| variable(term).is_some());
+        let cell = [of(What::D), of(What::Theta)].into_iter().flatten().find(has_variable);
+        let (text, span) = cell.unwrap_or(("", self.header.clone()));
+        let message = format!("{text:?} is the variable of another joint than {}", row.link.name);
+        let expected = format!(
+            "the number {} here: rows are in the order of their joints, each with its own variable; frames that are fixed have no row of their own, and what moves with another joint goes into [joint.shown] of the robot file that is made",
+            index as i64 + first
+        );
+        self.error(span, &message, &expected)
     }
 
     fn cell(&self, line: &[Cell<'a>], what: What) -> Option<(Cell<'a>, Column)> {
@@ -283,7 +325,8 @@ impl<'a> Table<'a> {
             (None, None, None) => (JointKind::Revolute, false),
         };
         let (mut limits, mut assumed) = self.limits(line, kind, &name)?;
-        let reversed = d.variable.or(theta.variable) == Some(Sign::Minus);
+        let variable = d.variable.or(theta.variable);
+        let reversed = variable.is_some_and(|variable| variable.sign == Sign::Minus);
         if reversed {
             // A manual's limits are those of what is shown.
             limits = [-limits[1], -limits[0]];
@@ -297,7 +340,7 @@ impl<'a> Table<'a> {
             .row(a.number, alpha.number, d.number, theta.number)
             .with_beta(beta.number)
             .limits(limits[0], limits[1]);
-        Ok((Row { link, reversed, assumed }, said))
+        Ok((Row { link, reversed, joint: variable.and_then(|variable| variable.joint), assumed }, said))
     }
 
     fn kind(&self, text: &str, place: Range<usize>) -> Result<JointKind, InputError> {
@@ -382,8 +425,15 @@ impl<'a> Table<'a> {
             let sign = if minus { -1.0 } else { 1.0 };
             if let Some(number) = number(&term, size, self.decimal_comma) {
                 value.number += sign * number;
-            } else if is_variable(&term) && value.variable.is_none() {
-                value.variable = Some(if minus { Sign::Minus } else { Sign::Plus });
+            } else if let Some(joint) = variable(&term) {
+                let sign = if minus { Sign::Minus } else { Sign::Plus };
+                if value.variable.replace(Variable { sign, joint }).is_some() {
+                    return self.error(
+                        place.clone(),
+                        &format!("{text:?} has more than one joint variable"),
+                        "the row's own joint alone; how it moves with another goes into [joint.shown] of the robot file that is made",
+                    );
+                }
             } else {
                 return refused(&format!("{text:?} is no number"));
             }

@@ -86,7 +86,14 @@ pub(super) fn cells(
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Value {
     pub number: f64,
-    pub variable: Option<Sign>,
+    pub variable: Option<Variable>,
+}
+
+/// A joint variable, with the number in its name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Variable {
+    pub sign: Sign,
+    pub joint: Option<u32>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -118,12 +125,13 @@ pub(super) fn terms(text: &str) -> Vec<(bool, String)> {
     terms
 }
 
-/// `q`, `q2`, `θ_3`, `theta4*`, `d3`.
-pub(super) fn is_variable(term: &str) -> bool {
+/// The joint's number of `q2`, `θ_3`, `theta4*`, `d3`; none in `q`. `None` where the term is no joint variable.
+pub(super) fn variable(term: &str) -> Option<Option<u32>> {
     let term = term.to_lowercase();
     let term = term.trim_end_matches('*');
-    ["theta", "θ", "q", "d"].iter().any(|name| {
-        term.strip_prefix(name).is_some_and(|rest| rest.chars().all(|c| c.is_ascii_digit() || c == '_'))
+    ["theta", "θ", "q", "d"].iter().find_map(|name| {
+        let digits = term.strip_prefix(name)?.trim_start_matches('_');
+        if digits.is_empty() { Some(None) } else { digits.parse().ok().map(Some) }
     })
 }
 

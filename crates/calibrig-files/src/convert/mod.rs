@@ -109,7 +109,7 @@ pub fn robot_from_urdf(source: &Source, options: &UrdfOptions) -> Result<Convert
     let (text, more) = text.write(&remarks, &assumed);
     assumed.extend(more);
     let made = Source::new(made_name(&source.name), text);
-    let robot = parse_robot(made.clone(), None, None)?;
+    let robot = parse_robot(made.clone(), None, None).map_err(|error| in_original(source, &error))?;
     let difference = difference(&robot, &Compared { chain: &chain, follows }, &limits);
     // Asked this way round, NaN differs too.
     if !(difference <= AGREEMENT) {
@@ -138,7 +138,9 @@ fn followers(
         let Some(mimic) = &joint.mimic else { continue };
         let mut mimic = mimic.clone();
         let mut names = vec![joint.name.clone()];
-        let leader = loop {
+        // The nearest joint of the chain; behind it the way is gone on with only to see that it ends.
+        let mut leader = None;
+        loop {
             if names.contains(&mimic.leader) {
                 let message = format!("joint {} follows joints that follow each other", joint.name);
                 return Err(source.error(
@@ -147,21 +149,19 @@ fn followers(
                     Some("expected a <mimic> that ends at a joint of its own".to_owned()),
                 ));
             }
-            if let Some(leader) = in_chain(&mimic.leader) {
-                break Some(leader);
+            if leader.is_none() {
+                leader = in_chain(&mimic.leader).map(|index| (index, mimic.ratio, mimic.offset));
             }
             names.push(mimic.leader.clone());
             // Outside of the chain, it may follow one of it in turn.
-            let Some(next) = finder.mimic_of(&mimic.leader)? else { break None };
+            let Some(next) = finder.mimic_of(&mimic.leader)? else { break };
             mimic = chain::Mimic {
                 leader: next.leader,
                 ratio: mimic.ratio * next.ratio,
                 offset: mimic.ratio * next.offset + mimic.offset,
             };
-        };
-        if let Some(leader) = leader {
-            follows.push((follower, leader, mimic.ratio, mimic.offset));
         }
+        follows.extend(leader.map(|(leader, ratio, offset)| (follower, leader, ratio, offset)));
     }
     Ok(follows)
 }
@@ -206,6 +206,18 @@ fn flange(robot: &Robot, q: &[f64]) -> Transform {
     let chain = &robot.model.kinematics;
     let links = chain.links.iter().zip(q);
     links.fold(chain.base_from_first, |at, (link, q)| at * link.transform(*q)) * chain.last_from_flange
+}
+
+/// A refusal of the robot file that was made, told of the file that it was made of: the other is nowhere to be looked at.
+fn in_original(source: &Source, error: &InputError) -> InputError {
+    let (said, help) = match error {
+        InputError::Invalid { message, help, .. } => (message.clone(), help.clone()),
+        other => (other.to_string(), None),
+    };
+    // What is wrong has a name in it, mostly.
+    let named = said.split('"').skip(1).step_by(2).filter(|name| !name.is_empty());
+    let span = named.filter_map(|name| source.text.find(name).map(|at| at..at + name.len())).next();
+    source.error(span.unwrap_or(0..0), format!("no robot can be made of it: {said}"), help)
 }
 
 /// What the robot file is called where none is written: as the file that it was made of, with another ending.

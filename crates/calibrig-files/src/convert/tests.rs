@@ -158,7 +158,10 @@ fn a_joint_that_follows_is_coupled() {
     }
     assert!(made.source.text.contains("[joint.follows]\njoint = \"swing\"\nratio = -0.5\n"));
     let round = text.replacen("<limit lower=\"-1\"", "<mimic joint=\"level\"/><limit lower=\"-1\"", 1);
-    assert!(convert(&round).unwrap_err().to_string().contains("follow each other"));
+    // Told of the URDF, which is there to be looked at.
+    let round = convert(&round).unwrap_err();
+    assert!(round.to_string().contains("follow each other"), "{round}");
+    assert!(round.to_string().starts_with("two.urdf:"), "{round}");
 }
 
 #[test]
@@ -232,6 +235,20 @@ fn mistakes_are_named_with_their_line_and_what_was_expected() {
         ),
         ("<child link=\"arm\"/>", "<child link=\"arm\"/", "not the XML of a URDF", 8, "URDF"),
         (
+            "joint name=\"twist\"",
+            "joint name=\"swing\"",
+            "a second joint named swing",
+            13,
+            "one joint of a name",
+        ),
+        (
+            "<limit lower=\"-1\" upper=\"1.5\"",
+            "<limit lower=\"1.5\" upper=\"-1\"",
+            "lower of joint swing is above its upper",
+            11,
+            "lower below upper",
+        ),
+        (
             "<gazebo reference=\"arm\"/>",
             "<xacro:macro name=\"a\"/>",
             "this is xacro source",
@@ -303,6 +320,23 @@ fn a_table_of_a_manual_becomes_a_robot() {
     assert!(made.source.text.contains("max_mm = 1000 # assumed"));
 }
 
+/// Joints may be counted from 0 or from 1 on, and some by their letter alone.
+#[test]
+fn variables_have_the_number_of_their_row() {
+    for (first, second) in [("q1", "q2"), ("q0", "θ_1"), ("q", "theta2*"), ("q1", "q - 90")] {
+        let text = format!("a_mm,alpha_deg,d_mm,theta_deg\n0,90,400,{first}\n900,0,0,{second}\n");
+        assert!(table(&text, Convention::Craig).is_ok(), "{text}");
+    }
+}
+
+#[test]
+fn columns_of_a_table_that_are_passed_over_are_told() {
+    let text = "No;a_mm;alpha_deg;d_mm;theta_deg;Mass (kg);Remark\n1;0;90;400;0;7,5;x\n";
+    let made = table(text, Convention::Craig).expect("a table");
+    let told = made.remarks.iter().find(|line| line.starts_with("passed over"));
+    assert_eq!(told.map(String::as_str), Some("passed over: the columns Mass (kg), Remark"));
+}
+
 #[test]
 fn tables_that_cannot_be_are_refused_with_their_cell() {
     const HEAD: &str = "name,a_mm,alpha_deg,d_mm,theta_deg\n";
@@ -319,6 +353,19 @@ fn tables_that_cannot_be_are_refused_with_their_cell() {
         (format!("{HEAD}J1,q1,0,0,0\n"), "a of J1 has a joint variable", 2),
         (format!("{HEAD}J1,0,0,0,0\nJ1,0,0,0,0\n"), "a second joint \"J1\"", 3),
         (format!("{HEAD}J1,0,0,0,1e400\n"), "is no number", 2),
+        // The variable of another row's joint.
+        (
+            format!("{HEAD}J1,0,90,400,q2\nJ2,900,0,0,q1\n"),
+            "\"q2\" is the variable of another joint than J1",
+            2,
+        ),
+        (
+            format!("{HEAD}J1,0,90,400,q1\nJ2,900,0,0,q1 - 90\n"),
+            "\"q1 - 90\" is the variable of another joint",
+            3,
+        ),
+        (format!("{HEAD}J1,0,90,400,q1\nJ2,900,0,0,q3\n"), "\"q3\" is the variable of another joint", 3),
+        (format!("{HEAD}J1,0,90,400,q1\nJ2,900,0,0,q2 + q3\n"), "more than one joint variable", 3),
     ] {
         match table(&text, Convention::Standard) {
             Err(InputError::Invalid { message: found, line: at, .. }) => {

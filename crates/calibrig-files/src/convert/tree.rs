@@ -2,7 +2,7 @@
 //!
 //! Values are read where the chain needs them, so that a mistake in a branch that nobody asked for does no harm.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::ops::Range;
 
@@ -233,10 +233,15 @@ impl Reader<'_> {
             links.push(Link { name, span, inertial });
         }
         let mut joints: Vec<Joint> = Vec::new();
+        let mut joint_names = BTreeSet::new();
         let mut above: Vec<Option<usize>> = vec![None; links.len()];
         for node in of("joint") {
             passed_over.add_unread(&node, &["parent", "child", "origin", "axis", "limit", "mimic"]);
             let joint = self.joint(&node, &by_name)?;
+            if !joint_names.insert(joint.name.clone()) {
+                let message = format!("a second joint named {}", joint.name);
+                return self.error(joint.span, message, "one joint of a name");
+            }
             if let Some(other) = above[joint.child].replace(joints.len()) {
                 let message = format!(
                     "joint {} carries link {}, which joint {} carries too",

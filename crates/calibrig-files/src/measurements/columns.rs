@@ -7,6 +7,7 @@
 //! `cov_az_az_rad2`, `cov_az_el_rad2`, `cov_el_el_rad2` (`cov_xx_m2`, `cov_xy_m2`, `cov_xz_m2`, `cov_yy_m2`, `cov_yz_m2`,
 //! `cov_zz_m2`).
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use super::layout::{TableFormat, Wanted};
@@ -242,6 +243,40 @@ impl PoseList {
             Some(name) => self.names.iter().any(|known| known == name) || self.has_number_in(name),
             None => self.runs.iter().any(|[first, last]| (*first..=*last).contains(&number)),
         }
+    }
+
+    /// What it lists and these poses are not: runs of numbers, and names. Where poses have `names`, those count, and not their numbers.
+    pub(super) fn absent(&self, numbers: impl Iterator<Item = u32>, names: &[String]) -> Vec<String> {
+        let there: BTreeSet<u32> = if names.is_empty() {
+            numbers.collect()
+        } else {
+            names.iter().filter_map(|name| name.parse().ok()).collect()
+        };
+        let gap = |first: u32, last: u32| {
+            if first == last { first.to_string() } else { format!("{first}..{last}") }
+        };
+        let mut absent = Vec::new();
+        for [first, last] in &self.runs {
+            let mut next = Some(*first);
+            for found in there.range(first..=last) {
+                if let Some(from) = next.filter(|from| from < found) {
+                    absent.push(gap(from, found - 1));
+                }
+                next = found.checked_add(1);
+            }
+            absent.extend(next.filter(|from| from <= last).map(|from| gap(from, *last)));
+        }
+        absent.extend(self.names.iter().filter(|name| !names.contains(name)).cloned());
+        absent
+    }
+
+    /// Adds what another one lists.
+    pub(super) fn extend(&mut self, other: &Self) {
+        self.runs
+            .extend(other.runs.iter().filter(|run| !self.runs.contains(run)).copied().collect::<Vec<_>>());
+        self.names.extend(
+            other.names.iter().filter(|name| !self.names.contains(name)).cloned().collect::<Vec<_>>(),
+        );
     }
 
     /// A name that is a number in the list, as `P7` is not.

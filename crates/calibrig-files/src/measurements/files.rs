@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use super::columns::{ColumnMap, Part, RowOptions};
+use super::columns::{ColumnMap, JoinBy, Part, PoseList, RowOptions};
 use super::header::{FileColumns, Head};
 use super::join::{Joints, unmatched};
 use super::layout::Table;
@@ -114,6 +114,10 @@ struct Reading<'a> {
     options: RowOptions,
     names: Names,
     loaded: LoadedMeasurements,
+    /// The first file with positions.
+    first: Option<String>,
+    /// Poses that are said to be held out.
+    held_out: PoseList,
     /// Number of the last pose of the files before.
     last_pose: u32,
 }
@@ -129,9 +133,11 @@ impl<'a> Reading<'a> {
         Self {
             map,
             joints,
+            held_out: options.verification_poses.clone(),
             options,
             names: Names::default(),
             loaded: LoadedMeasurements::default(),
+            first: None,
             last_pose: 0,
         }
     }
@@ -146,6 +152,7 @@ impl<'a> Reading<'a> {
         let wanted = self.map.wanted(self.joints, part);
         let mut table = Table::find(rows, &wanted, self.map.format().1)?;
         let file = table.name().to_owned();
+        self.first.get_or_insert_with(|| file.clone());
         let (head_row, points) = (table.head.clone(), table.columns.clone());
         let of_points =
             FileColumns { name: &file, head: &head_row, has_header: table.has_header, columns: &points };
@@ -170,6 +177,7 @@ impl<'a> Reading<'a> {
             );
             return Err(of_points.refuse(message, "one of them"));
         }
+        self.held_out.extend(&columns.sets.poses);
         self.loaded.names_stations |= columns.station.is_some();
         self.loaded.names_targets |= columns.target.is_some() || target.is_some();
         let key = commands.as_ref().map(|joints| joints.key(of_points)).transpose()?.flatten();
@@ -243,13 +251,47 @@ impl<'a> Reading<'a> {
         self.last_pose = self.loaded.set.observations.iter().map(|o| o.pose).max().unwrap_or(0);
     }
 
+    /// Why no row of the files can be used.
+    fn nothing_left(&self) -> Option<InputError> {
+        let dropped = &self.loaded.dropped;
+        if !self.loaded.set.observations.is_empty() || dropped.is_empty() {
+            return None;
+        }
+        // Most are left out for the same reason.
+        let (first, rest) = (&dropped[0].1, dropped.len() - 1);
+        let others = if rest > 0 { format!("; and {rest} more rows") } else { String::new() };
+        let help = match self.map.join().map_or(JoinBy::Row, |join| join.by) {
+            JoinBy::Time { .. } => {
+                "expected times of one clock: offset_s in [join] of the column map shifts those of the joints, within_s widens what is taken"
+            }
+            JoinBy::Name => "expected the same names in both files, in the same letters",
+            JoinBy::Row => "expected rows with a position",
+        };
+        Some(InputError::Place {
+            place: self.first.clone().unwrap_or_default(),
+            message: format!("none of its rows can be used: {first}{others}"),
+            help: Some(help.to_owned()),
+        })
+    }
+
     fn finish(mut self) -> Result<LoadedMeasurements, InputError> {
+        if let Some(refused) = self.nothing_left() {
+            return Err(refused);
+        }
         let poses = self.names.poses;
         if let (Some(first), Some(last)) = (poses.first(), poses.last()) {
             self.loaded.remarks.push(format!(
                 "poses have names: they are numbered in the order of their first rows, {first} is 1, {last} is {}",
                 poses.len()
             ));
+        }
+        let dropped = self.loaded.dropped.iter().map(|(pose, _)| *pose);
+        let numbers = self.loaded.set.observations.iter().map(|o| o.pose).chain(dropped);
+        let absent = self.held_out.absent(numbers, &poses);
+        if !absent.is_empty() {
+            self.loaded
+                .remarks
+                .push(format!("held out are also poses that no row is of: {}", absent.join(", ")));
         }
         self.loaded.pose_names = poses;
         if self.options.average_repeats {

@@ -8,7 +8,7 @@ use std::path::Path;
 use super::cells::{Delimiter, split};
 use super::layout::{Decimal, Wanted};
 use super::rows::{Row, Rows};
-use crate::input::{Excerpt, InputError};
+use crate::input::{Excerpt, InputError, latin};
 
 /// What is said of a text's form; what is not is found from its first lines.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -338,18 +338,6 @@ impl Lines {
             remarks.push(format!("{name}: read as UTF-16"));
         }
         remarks
-    }
-}
-
-/// A byte of Windows-1252, which is Latin-1 but for 0x80 to 0x9F.
-fn latin(byte: u8) -> char {
-    const HIGH: [char; 32] = [
-        '€', '\u{81}', '‚', 'ƒ', '„', '…', '†', '‡', 'ˆ', '‰', 'Š', '‹', 'Œ', '\u{8d}', 'Ž', '\u{8f}',
-        '\u{90}', '‘', '’', '“', '”', '•', '–', '—', '˜', '™', 'š', '›', 'œ', '\u{9d}', 'ž', 'Ÿ',
-    ];
-    match byte {
-        0x80..=0x9F => HIGH[usize::from(byte) - 0x80],
-        _ => char::from(byte),
     }
 }
 

@@ -18,14 +18,21 @@ pub struct Repeats {
     pub rms_3d: f64,
 }
 
+/// Commands of one pose that differ by no more move the target by less than readings scatter, m or rad: joints that were read, not commanded.
+const SAME_COMMAND: f64 = 1e-5;
+
 impl MeasurementSet {
-    /// What its repeats scatter by; `None` where no pose is measured twice from the same sides. Repeats have the same command to the last bit,
-    /// and the same approach, station and target.
+    /// What its repeats scatter by; `None` where no pose is measured twice from the same sides. Repeats have the same approach, station and
+    /// target, and the same command: to the last bit, or within 1e-5 m or rad where they have the number of one pose.
     #[must_use]
     pub fn repeats(&self) -> Option<Repeats> {
         let mut groups: HashMap<_, Vec<Vector3<f64>>> = HashMap::new();
+        let mut of_poses: HashMap<u32, &[f64]> = HashMap::new();
         for o in &self.observations {
-            let command: Vec<u64> = o.command.iter().map(|value| value.to_bits()).collect();
+            let first = *of_poses.entry(o.pose).or_insert(&o.command);
+            let is_same = first.iter().zip(&o.command).all(|(a, b)| (a - b).abs() <= SAME_COMMAND);
+            let command = if is_same { first } else { &o.command };
+            let command: Vec<u64> = command.iter().map(|value| value.to_bits()).collect();
             groups.entry((command, &o.approach, o.station, o.target)).or_default().push(o.reading.position());
         }
         let repeated: Vec<&Vec<Vector3<f64>>> = groups.values().filter(|points| points.len() > 1).collect();
@@ -45,6 +52,28 @@ impl MeasurementSet {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Joints that were measured differ in their last digits, and the pose says what belongs together.
+    #[test]
+    fn readings_of_one_pose_are_repeats_although_their_joints_scatter() {
+        let point = |command: f64, x: f64| (vec![command], Vector3::new(x, 0.0, 1.0));
+        let mut set = MeasurementSet::of_points([
+            point(0.1, 1.0),
+            point(0.1 + 1e-7, 1.2),
+            point(0.4, 2.0),
+            point(0.1, 1.4),
+        ]);
+        let mut numbered = |poses: [u32; 4]| {
+            for (o, pose) in set.observations.iter_mut().zip(poses) {
+                o.pose = pose;
+            }
+            set.repeats().map(|repeats| (repeats.poses, repeats.repeats))
+        };
+        assert_eq!(numbered([1, 1, 2, 3]), Some((1, 2)));
+        assert_eq!(numbered([1, 2, 3, 4]), Some((1, 1)));
+        // A pose is never two.
+        assert_eq!(numbered([1, 1, 1, 2]), Some((1, 2)));
+    }
 
     #[test]
     fn repeats_scatter_about_the_mean_of_their_pose() {
