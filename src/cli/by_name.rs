@@ -71,7 +71,13 @@ enum TargetArg {
 }
 
 fn id(name: &str) -> Result<ParameterId, String> {
-    ParameterId::parse(name).ok_or_else(|| format!("expected {}", ParameterId::EXAMPLES))
+    let expected = || {
+        if name.starts_with("frame") {
+            return "expected --frame fixed, which holds the tracker's place as a whole".to_owned();
+        }
+        format!("expected {}", ParameterId::EXAMPLES.replace("frame_x, ", ""))
+    };
+    ParameterId::parse(name).ok_or_else(expected)
 }
 
 fn refuse(message: String) -> ! {

@@ -158,7 +158,7 @@ fn verdict(choice: &ModelChoice) -> Verdict {
     if !choice.gross_errors.is_empty() {
         let named: Vec<_> = choice.gross_errors.iter().map(ToString::to_string).collect();
         let named = named.join(", ");
-        if choice.gross_errors.iter().any(Outlier::counts) {
+        if Outlier::are_a_reason(&choice.gross_errors) {
             verdict = Verdict::Doubtful;
             say(&format!(
                 "doubtful: gross errors count in every fit: {named}; `--loss tukey` leaves them out"

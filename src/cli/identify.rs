@@ -586,7 +586,8 @@ pub(super) fn failed(error: PipelineError, file: &Path, sets: &[SetOutcome], pla
             if rows.len() > 1 {
                 help = format!("they stand in {}; {help}", rows.join(", "));
             }
-            let place = rows.first().cloned().unwrap_or_else(|| file.display().to_string());
+            let own = || Some(set?.of(0)?.rsplit_once(':')?.0.to_owned());
+            let place = rows.first().cloned().or_else(own).unwrap_or_else(|| file.display().to_string());
             InputError::Place { place, message: error.to_string(), help: Some(help) }.into()
         }
         _ => not_identified_at(error, file, last),

@@ -225,9 +225,10 @@ pub(super) fn texts(sets: &[AskedSet]) -> (Vec<(String, Source)>, Vec<String>) {
     for (role, path) in sets.iter().flat_map(AskedSet::paths) {
         match Source::read(path) {
             Ok(source) => texts.push((role.to_owned(), source)),
-            Err(error) => {
-                left_out.push(format!("{error}: the recording holds what was read of it, not the file"));
-            }
+            Err(_) => left_out.push(format!(
+                "{}: no text in UTF-8: the recording holds what was read of it, not the file",
+                path.display()
+            )),
         }
     }
     (texts, left_out)

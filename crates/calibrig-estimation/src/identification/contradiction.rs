@@ -478,6 +478,8 @@ impl<'a> Checks<'a> {
 pub(super) struct Minimum {
     /// Triangular factor of these columns.
     r: DMatrix<f64>,
+    /// Change of these columns' parameters.
+    pub step: DVector<f64>,
     pub residuals: DVector<f64>,
 }
 
@@ -492,9 +494,9 @@ impl Minimum {
         }
         let right = r.view((0, n), (n, 1)).into_owned();
         let r = r.view((0, 0), (n, n)).into_owned();
-        let step = r.solve_upper_triangular(&right)?;
-        let residuals = residuals - jacobian.select_columns(free) * step.column(0);
-        residuals.iter().all(|v| v.is_finite()).then_some(Self { r, residuals })
+        let step: DVector<f64> = -r.solve_upper_triangular(&right)?.column(0);
+        let residuals = residuals + jacobian.select_columns(free) * &step;
+        residuals.iter().all(|v| v.is_finite()).then_some(Self { r, step, residuals })
     }
 }
 
@@ -502,11 +504,16 @@ fn free_columns(jacobian: &DMatrix<f64>, bounded: &[usize]) -> Vec<usize> {
     (0..jacobian.ncols()).filter(|column| !bounded.contains(column)).collect()
 }
 
-/// What the priors of compliances keep of their weight where the noise is looked at without them.
+/// What priors keep of their weight where the noise is looked at without them.
 const LOOSE: f64 = 1e-3;
 
-/// The variance that the residuals have where the priors of compliances do not hold them, relative to the one that they were weighted with:
-/// a prior that keeps a drive from yielding as it does leaves its sag in the residuals. `None` where that is not significant (F test).
+/// What was stated of targets and nests makes the residuals where they have less than this share of their variance without it: what a model
+/// lacks is taken up by a shift of the target as well, but not that much.
+const MADE_BY_STATEMENT: f64 = 0.25;
+
+/// The variance that the residuals have where priors of compliances, and what was stated of targets and nests, do not hold them, relative to
+/// the one that they were weighted with: a prior that keeps a drive from yielding as it does leaves its sag in the residuals, an offset that
+/// is not the target's turns with the flange. `None` where neither is significant.
 fn noise_without_priors(problem: &CalibrationProblem, solution: &Solution, bounded: &[usize]) -> Option<f64> {
     if !solution.weights.is_empty() {
         return None;
@@ -517,14 +524,23 @@ fn noise_without_priors(problem: &CalibrationProblem, solution: &Solution, bound
         .filter(|(_, (column, _))| matches!(problem.parameters[*column], ParameterId::Compliance(_)))
         .map(|(row, _)| row)
         .collect();
+    let of_places: Vec<usize> = (3 * problem.rows.len()..first).collect();
+    let without_compliances = noise_without(&of_compliances, solution, bounded);
+    let all = [of_places, of_compliances].concat();
+    let share = |variance: &f64| *variance < MADE_BY_STATEMENT * without_compliances.unwrap_or(1.0);
+    noise_without(&all, solution, bounded).filter(share).or(without_compliances)
+}
+
+/// The same without the priors in `rows`, where that is significant (F test).
+fn noise_without(rows: &[usize], solution: &Solution, bounded: &[usize]) -> Option<f64> {
     let (mut residuals, mut jacobian) = (solution.residuals.clone(), solution.jacobian.clone());
-    for row in &of_compliances {
+    for row in rows {
         residuals[*row] *= LOOSE;
         jacobian.row_mut(*row).scale_mut(LOOSE);
     }
     let free = free_columns(&jacobian, bounded);
     let loose = Minimum::of(&residuals, &jacobian, &free)?.residuals.norm_squared();
-    let freed = of_compliances.len() as f64;
+    let freed = rows.len() as f64;
     let freedom = residuals.len() as f64 - free.len() as f64 - freed;
     if !(freedom > 0.0 && freed > 0.0 && loose > 0.0) {
         return None;

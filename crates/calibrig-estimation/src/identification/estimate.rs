@@ -352,7 +352,7 @@ pub enum Warning {
         name: String,
     },
     /// Observations far off the others.
-    #[error("far off what the others say: {}{}", in_poses(.0), if .0.iter().any(Outlier::counts) { COUNTED } else { "" })]
+    #[error("far off what the others say: {}{}", in_poses(.0), if Outlier::are_a_reason(.0) { COUNTED } else { "" })]
     Outliers(Vec<Outlier>),
     /// The identified robot does not lie on the points.
     #[error(
@@ -367,6 +367,47 @@ pub enum Warning {
         /// RMS distance of the points from their mean, m.
         #[serde(with = "calibrig_model::float::scalar")]
         spread: f64,
+    },
+    /// Readings of several targets under one name.
+    #[error(
+        "the readings of {} are of {targets} targets {:.3} mm apart, or the last joint has that much play: with an offset for each of them the residuals fall from {:.3} to {:.3} mm \
+         RMS. Name the target of every row (a column of the file, or a file a target)",
+        of_target(.target), 1e3 * apart, 1e3 * rms[0], 1e3 * rms[1]
+    )]
+    SeveralTargets {
+        /// Name of the target.
+        target: String,
+        /// How many there are.
+        targets: usize,
+        /// How far they are apart at most, m.
+        apart: f64,
+        /// RMS of the 3-D residual with one offset and with several, m.
+        rms: [f64; 2],
+    },
+    /// A station that was moved between its readings.
+    #[error(
+        "station {station}, the robot's base or the zero of its first joint was moved between poses {} and {}, which moved the points by {:.3} mm: with two places of the \
+         station the residuals fall from {:.3} to {:.3} mm RMS. Give what was measured behind it a station of its own",
+        poses[0], poses[1], 1e3 * by, 1e3 * rms[0], 1e3 * rms[1]
+    )]
+    StationMoved {
+        /// Name of the station.
+        station: String,
+        /// The last pose before and the first behind.
+        poses: [u32; 2],
+        /// Mean displacement of the points behind, m.
+        by: f64,
+        /// RMS of the 3-D residual with one place and with two, m.
+        rms: [f64; 2],
+    },
+    /// Too few readings to test the noise that they state.
+    #[error(
+        "fewer degrees of freedom remain than one ({freedom:.2}): the parameters take all that was measured, and whether the stated noise is \
+         right cannot be told. Measure more poses"
+    )]
+    Untested {
+        /// Effective degrees of freedom.
+        freedom: f64,
     },
     /// The starts led to several minima.
     #[error("{minima} minima were found, and the lowest is given: another start could find a lower one")]
@@ -403,6 +444,11 @@ pub enum Warning {
         /// Square root of chi-square per degree of freedom.
         ratio: f64,
     },
+}
+
+/// A target in a sentence; one that nobody named has no name.
+fn of_target(name: &str) -> String {
+    if name.is_empty() { "the target".to_owned() } else { format!("target {name}") }
 }
 
 fn noise_in_words(noise: &MachineNoise) -> String {
@@ -448,6 +494,8 @@ fn softer(contradictions: &[Contradiction]) -> String {
 const COUNTED: &str = ". They count in the fit as they are: look at these readings and leave out what is wrong with them, or use a robust loss (`--loss tukey`)";
 /// Standard deviations from which on it is no tail of what a machine does.
 const CERTAIN: f64 = 10.0;
+/// So many smaller ones are no reason.
+const NOW_AND_THEN: usize = 5;
 /// More are counted, not listed.
 const LISTED: usize = 12;
 
@@ -492,6 +540,12 @@ impl Outlier {
     /// backlash that was taken up or not) looks alike.
     pub fn counts(&self) -> bool {
         self.carries_weight() && self.size >= CERTAIN
+    }
+
+    /// Whether a person must look at them: one of them [counts](Self::counts), or more carry weight than a machine has now and then.
+    pub fn are_a_reason(outliers: &[Self]) -> bool {
+        outliers.iter().any(Self::counts)
+            || outliers.iter().filter(|outlier| outlier.carries_weight()).count() > NOW_AND_THEN
     }
 }
 

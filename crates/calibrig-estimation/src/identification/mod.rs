@@ -5,6 +5,7 @@
 mod build;
 mod by_name;
 mod contradiction;
+mod divided;
 mod estimate;
 mod factor;
 mod factorised;

@@ -29,7 +29,7 @@ const DOUBTED: f64 = 0.01;
 const SETTLED: f64 = 0.05;
 const MOST_ROUNDS: usize = 6;
 /// With less than one degree of freedom residuals say nothing of the noise.
-const LEAST_FREEDOM: f64 = 1.0;
+pub(super) const LEAST_FREEDOM: f64 = 1.0;
 
 /// What a machine does beside its model, as standard deviations of independent errors of single poses.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -222,7 +222,7 @@ impl Unknown {
 
 /// Whether residuals are larger than their stated noise explains.
 pub(super) fn is_doubted(chi2: f64, freedom: f64) -> bool {
-    freedom > 0.0 && chi2_survival(chi2, freedom) < DOUBTED
+    freedom >= LEAST_FREEDOM && chi2_survival(chi2, freedom) < DOUBTED
 }
 
 /// Finds what is `unknown` of the noise with the fit, by turns: the variances that explain the residuals of a fit, and the fit that they

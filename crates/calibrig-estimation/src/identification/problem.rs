@@ -11,6 +11,9 @@ use calibrig_model::geometry::{Transform, cross_matrix, small_displacement};
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, ParameterId};
 
+/// Readings whose own scatter says too little of their noise.
+const FEW: usize = 6;
+
 /// One observation, ready for the fit.
 #[derive(Debug, Clone)]
 pub(super) struct Row {
@@ -90,7 +93,7 @@ pub(super) struct Current {
     pub targets: Vec<Vector3<f64>>,
     displacements: Vec<Displacement>,
     amplitudes: Vec<f64>,
-    machine: Machine,
+    pub machine: Machine,
 }
 
 /// How a station's frame is displaced.
@@ -266,6 +269,22 @@ impl CalibrationProblem {
             };
             jacobian.fixed_view_mut::<3, 1>(3 * index, column).copy_from(&derivative);
         }
+    }
+
+    /// Readings that state no noise, among others that do, where they are too few to tell a gross error of theirs from noise: with the factor
+    /// that takes their rows from the noise that they were given to what the others have in the middle.
+    pub fn few_unstated(&self) -> Vec<(usize, f64)> {
+        let unstated: Vec<usize> = (0..self.rows.len()).filter(|i| self.rows[*i].reading.is_none()).collect();
+        let mut stated: Vec<f64> =
+            self.rows.iter().filter_map(|row| row.reading).map(|c| (c.trace() / 3.0).sqrt()).collect();
+        if unstated.is_empty() || unstated.len() > FEW || stated.len() <= FEW || !self.joined.is_empty() {
+            return Vec::new();
+        }
+        let middle = stated.len() / 2;
+        let middle = *stated.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let given =
+            |i: usize| self.rows[i].whitening.try_inverse().map(|root| (root.norm_squared() / 3.0).sqrt());
+        unstated.into_iter().filter_map(|i| Some((i, given(i)? / middle))).collect()
     }
 
     fn fill_priors(&self, x: &[f64], residuals: &mut DVector<f64>, mut jacobian: Option<&mut DMatrix<f64>>) {

@@ -4,16 +4,17 @@ use nalgebra::{DMatrix, Vector3};
 
 use super::build::Built;
 use super::contradiction::{Checks, Found};
+use super::divided::divided;
 use super::factorised::Factorised;
 use super::gross::{GrossError, LinearFit};
 use super::identify::LEAST_OF_UNKNOWN;
-use super::noise::{Noise, is_doubted};
+use super::noise::{LEAST_FREEDOM, Noise, is_doubted};
 use super::problem::CalibrationProblem;
 use super::solver::Solution;
 use super::{
     Assumption, CalibratedRobot, Contradiction, DependentGroup, Estimate, FrameChoice, IdentificationOptions,
-    LeastSquares, NoiseScale, Outlier, ParameterBound, ParameterEstimate, Spectrum, Stated, TargetChoice,
-    Warning,
+    LeastSquares, Mode, NoiseScale, Outlier, ParameterBound, ParameterEstimate, Spectrum, Stated,
+    TargetChoice, Warning,
 };
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::statistics::chi2_survival;
@@ -60,11 +61,11 @@ impl Size {
 
     /// Whether there is no more of it than chance leaves in one of a thousand.
     fn is_too_large(self) -> bool {
-        self.freedom > 0.0 && chi2_survival(self.chi2, self.freedom) < 0.5 * INCONSISTENT
+        self.freedom >= LEAST_FREEDOM && chi2_survival(self.chi2, self.freedom) < 0.5 * INCONSISTENT
     }
 
     fn is_too_small(self) -> bool {
-        self.freedom > 0.0 && 1.0 - chi2_survival(self.chi2, self.freedom) < 0.5 * INCONSISTENT
+        self.freedom >= LEAST_FREEDOM && 1.0 - chi2_survival(self.chi2, self.freedom) < 0.5 * INCONSISTENT
     }
 }
 
@@ -131,6 +132,9 @@ pub(super) fn summarise(
         warnings.push(Warning::NotConverged(solution.termination));
     }
     warnings.extend(no_freedom.map(|sigma| Warning::NoFreedom { sigma }));
+    if is_stated && size.freedom < LEAST_FREEDOM && options.mode != Mode::WithoutCalibration {
+        warnings.push(Warning::Untested { freedom: size.freedom });
+    }
     warnings.extend(rank_warnings(&factorised.spectrum, n));
     warnings.extend(doubts);
     let at_bound: Vec<_> = bounded.iter().map(|place| problem.parameters[*place]).collect();
@@ -140,11 +144,15 @@ pub(super) fn summarise(
     let known = |bound: &&ParameterBound| has(bound) || left_out.iter().any(|left| left.id == bound.id);
     let (bounds, unused): (Vec<_>, Vec<_>) = options.bounds.iter().filter(known).copied().partition(has);
     warnings.extend(unused.into_iter().map(|bound| Warning::UnusedBound { bound }));
-    let outliers = gross_errors(&mut problem, &solution, &factorised, noise, set);
+    let jacobian = unweighted(&mut problem, &solution);
+    let outliers = gross_errors(&problem, &solution, &jacobian, &factorised, noise, set);
     if !outliers.is_empty() {
         warnings.push(Warning::Outliers(outliers.clone()));
     }
     warnings.extend(off_the_points(&problem, &solution, set, &outliers));
+    if !is_stated || accounted || is_misfit {
+        warnings.extend(divided(&mut problem, &solution, &jacobian, &factorised.bounded, set));
+    }
     if solution.minima > 1 {
         warnings.push(Warning::SeveralMinima { minima: solution.minima });
     }
@@ -216,37 +224,50 @@ fn noise_scale(problem: &CalibrationProblem) -> NoiseScale {
     }
 }
 
+/// The Jacobian of a solution without the weights that a loss puts into its rows.
+fn unweighted(problem: &mut CalibrationProblem, solution: &Solution) -> DMatrix<f64> {
+    let mut jacobian = solution.jacobian.clone();
+    if !solution.weights.is_empty() {
+        problem.evaluate(&solution.x, &mut solution.residuals.clone(), Some(&mut jacobian));
+    }
+    jacobian
+}
+
 /// Readings far off what the others say of them, whatever the loss.
 fn gross_errors(
-    problem: &mut CalibrationProblem,
+    problem: &CalibrationProblem,
     solution: &Solution,
+    jacobian: &DMatrix<f64>,
     factorised: &Factorised,
     noise: NoiseScale,
     set: &MeasurementSet,
 ) -> Vec<Outlier> {
-    let (residuals, mut jacobian) = (&solution.residuals, solution.jacobian.clone());
-    if !solution.weights.is_empty() {
-        // The rows of the solution's Jacobian have the weights of the loss in them.
-        let mut again = residuals.clone();
-        problem.evaluate(&solution.x, &mut again, Some(&mut jacobian));
+    let (mut residuals, mut jacobian) = (solution.residuals.clone(), jacobian.clone());
+    let few = problem.few_unstated();
+    for (i, factor) in &few {
+        residuals.fixed_rows_mut::<3>(3 * i).scale_mut(*factor);
+        jacobian.fixed_rows_mut::<3>(3 * i).scale_mut(*factor);
     }
     for column in &factorised.bounded {
         jacobian.column_mut(*column).fill(0.0);
     }
     let fit = LinearFit {
         jacobian: &jacobian,
-        residuals,
+        residuals: &residuals,
         blocks: set.observations.len(),
         weights: &solution.weights,
-        is_stated: noise == NoiseScale::Stated,
+        is_stated: noise == NoiseScale::Stated || !few.is_empty(),
     };
     let place = |error: &GrossError| {
         let whitening = problem.rows[error.observation].whitening;
         // Measured minus predicted, in the tracker's frame.
-        let off = whitening.lu().solve(&-error.left_out).unwrap_or_default();
+        let scaled = few.iter().find(|(i, _)| *i == error.observation).map_or(1.0, |(_, factor)| *factor);
+        let off = whitening.lu().solve(&-error.left_out).unwrap_or_default() / scaled;
         (*error, off, solution.weights.get(error.observation).copied().unwrap_or(1.0))
     };
-    outliers(set, &fit.gross_errors(factorised.spread()).iter().map(place).collect::<Vec<_>>())
+    // The spread is that of the rows as they were weighed.
+    let spread = factorised.spread().filter(|_| few.is_empty());
+    outliers(set, &fit.gross_errors(spread).iter().map(place).collect::<Vec<_>>())
 }
 
 /// Gross errors in words that a person finds in the file: the error, what the reading is off by in the tracker's frame (m), and its weight.
@@ -286,8 +307,10 @@ pub(super) fn outliers(set: &MeasurementSet, found: &[(GrossError, Vector3<f64>,
 /// How near to each other's place two readings are that were exchanged, as a share of what they are off by.
 const NEAR_PARTNER: f64 = 0.1;
 
-/// Share of the robot's reach, and of the points' spread, that no robot leaves which was measured as it was commanded.
-const OFF_THE_POINTS: (f64, f64) = (0.02, 0.03);
+/// Share of the robot's reach, and of the points' spread, that no nominal robot leaves which was measured as it was commanded ...
+const NOMINAL_OFF: (f64, f64) = (0.02, 0.03);
+/// ... and none whose links were identified: calibrated robots are within a tenth of it.
+const IDENTIFIED_OFF: (f64, f64) = (0.005, 0.0075);
 
 /// That the identified robot does not lie on the points either, gross errors aside.
 fn off_the_points(
@@ -309,7 +332,9 @@ fn off_the_points(
     let rms = (squares / sum).sqrt();
     let size = problem.nominal.kinematics.characteristic_length();
     let spread = set.spread();
-    let is_off = rms > OFF_THE_POINTS.0 * size && rms > OFF_THE_POINTS.1 * spread;
+    let has_links = problem.parameters.iter().any(|id| matches!(id, ParameterId::Link { .. }));
+    let (of_size, of_spread) = if has_links { IDENTIFIED_OFF } else { NOMINAL_OFF };
+    let is_off = rms > of_size * size && rms > of_spread * spread;
     is_off.then_some(Warning::OffThePoints { rms, spread })
 }
 
@@ -415,8 +440,8 @@ pub(super) fn left_open_warnings(
 
 /// What the measurements contradict of what was stated, and the warnings of that and of the residuals' size.
 ///
-/// Priors are tested in the noise that the fit was weighed with. The place of a station is not held against an estimate: its nests confirm
-/// each other, and a shift of the base stands in for much that a model can lack. Where the fit was not weighed with the misfit that there
+/// Priors are tested in the noise that the fit was weighed with. Under a misfit the place of a station is not held against an estimate: its
+/// nests confirm each other, and a shift of the base stands in for much that a model can lack. Where the fit was not weighed with the misfit that there
 /// is, nothing of the parameters is held against it, either.
 fn doubts(
     size: Size,
@@ -424,8 +449,10 @@ fn doubts(
     (accounted, is_misfit): (bool, bool),
     checks: Option<&Checks>,
 ) -> (Vec<Contradiction>, Vec<Warning>) {
+    // Where the readings' own noise explains the residuals, there is nothing for a shift of the base to stand in for.
+    let explained = is_stated && !accounted && !is_misfit;
     let found = checks.map_or_else(Found::default, |checks| checks.of_priors(1.0));
-    let is_place = |c: &Contradiction| matches!(c.stated, Stated::Nests { .. });
+    let is_place = |c: &Contradiction| !explained && matches!(c.stated, Stated::Nests { .. });
     let (places, mut contradicted): (Vec<_>, Vec<_>) = found.contradictions.into_iter().partition(is_place);
     let mut warnings = Vec::new();
     let is_too_large = is_stated && size.is_too_large();

@@ -14,8 +14,10 @@ impl Warning {
             Self::AtBound { .. } => Some("at_bound"),
             Self::Contradicted(_) => Some("contradicted"),
             Self::OffThePoints { .. } => Some("off_the_points"),
+            Self::SeveralTargets { .. } => Some("several_targets"),
+            Self::StationMoved { .. } => Some("station_moved"),
             // What carries no weight in the fit does not move it.
-            Self::Outliers(outliers) => outliers.iter().any(Outlier::counts).then_some("gross_errors"),
+            Self::Outliers(outliers) => Outlier::are_a_reason(outliers).then_some("gross_errors"),
             Self::Weak { .. }
             | Self::HeldByPrior { .. }
             | Self::Fixed { .. }
@@ -24,6 +26,7 @@ impl Warning {
             | Self::Moved(_)
             | Self::Overstated { .. }
             | Self::NoFreedom { .. }
+            | Self::Untested { .. }
             | Self::Rigid { .. }
             | Self::SeveralMinima { .. }
             | Self::Inconsistent { .. } => None,

@@ -15,11 +15,11 @@ use calibrig_model::{CalibrationModel, CraigLink, LinkTerm, ParameterId};
 use rand::RngExt;
 use rand_distr::{Distribution, Normal};
 
-const NOISE: f64 = 20e-6;
+pub const NOISE: f64 = 20e-6;
 const TARGET: Vector3<f64> = Vector3::new(0.05, 0.08, 0.12);
 
 /// Six and seven axes, in the shape of common arms; m and rad.
-fn robots() -> [CalibrationModel; 2] {
+pub fn robots() -> [CalibrationModel; 2] {
     let arm = |rows: &[[f64; 3]]| {
         let link = |(i, [a, alpha, d]): (usize, &[f64; 3])| {
             CraigLink::revolute(format!("j{}", i + 1)).row(*a, *alpha, *d, 0.0).limits(-2.8, 2.8)
@@ -49,13 +49,13 @@ fn robots() -> [CalibrationModel; 2] {
 }
 
 /// What of the links is identified, in the order of every estimate.
-fn links(estimate: &Estimate) -> Vec<ParameterId> {
+pub fn links(estimate: &Estimate) -> Vec<ParameterId> {
     let ids = estimate.parameters.iter().map(|p| p.id);
     ids.filter(|id| matches!(id, ParameterId::Link { .. })).collect()
 }
 
 /// A session of a robot whose identified links are off by draws of 0.5 mm and 1 mrad.
-fn session(
+pub fn session(
     model: &CalibrationModel,
     ids: &[ParameterId],
     poses: usize,

@@ -7,6 +7,7 @@
 
 mod coverage;
 mod diagnosis;
+mod divided;
 mod faults;
 mod frames;
 mod numbers;

@@ -21,6 +21,8 @@ pub(super) struct Chain {
     pub joints: Vec<MovingJoint>,
     /// From the last joint's moving side to the tip.
     pub last_from_tip: Transform,
+    /// The largest number of an `rpy` on the way, as the file has it.
+    pub largest_angle: f64,
 }
 
 /// A joint of the chain.
@@ -115,11 +117,20 @@ impl Finder<'_> {
             chosen,
             joints: Vec::new(),
             last_from_tip: Transform::identity(),
+            largest_angle: 0.0,
         };
         let mut since = Transform::identity();
         for (index, upwards) in &steps {
             let joint = &self.tree.joints[*index];
             let parent_from_joint = origin(self.source, joint.origin.as_ref())?;
+            let rpy = joint
+                .origin
+                .as_ref()
+                .map(|origin| origin.numbers(self.source, "rpy", 3))
+                .transpose()?
+                .flatten();
+            let angles = rpy.into_iter().flatten().map(f64::abs);
+            chain.largest_angle = angles.fold(chain.largest_angle, f64::max);
             let Some(mut moving) = self.moving(joint)? else {
                 since *= if *upwards { parent_from_joint.inverse() } else { parent_from_joint };
                 continue;

@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 
 use super::dh_cells::{Column, Sign, Unit, Value, Variable, What, cells, column, number, terms, variable};
 use super::text::{line, mm, quoted, row};
-use super::{Converted, file_name, in_original, made_name};
+use super::{Converted, doubtful_reach, file_name, in_original, made_name};
 use crate::input::{InputError, Source};
 use crate::robot::parse_robot;
 use calibrig_model::{CraigLink, JointKind};
@@ -221,8 +221,36 @@ impl<'a> Table<'a> {
             ));
         }
         remarks.extend(self.passed_over());
+        remarks.extend(self.doubtful(&rows));
         remarks.push("no gravity modes: masses are not read from a table ([joint.body], stiffnesses and [gravity] may be added)".to_owned());
         Ok(rows)
+    }
+
+    /// Units that can hardly be meant.
+    fn doubtful(&self, rows: &[Row]) -> Vec<String> {
+        let twists = || rows.iter().map(|row| row.link.alpha.abs()).filter(|alpha| *alpha != 0.0);
+        let unit =
+            |what| self.columns.iter().find(|column| column.what == what).and_then(|column| column.unit);
+        let is_in_degrees = matches!(unit(What::Alpha), Some(Unit::Angle(size)) if size != 1.0);
+        let mut doubtful = Vec::new();
+        // Twists are right angles, mostly.
+        let right = |alpha: f64| {
+            (alpha - std::f64::consts::FRAC_PI_2).abs() < 1e-3 || (alpha - std::f64::consts::PI).abs() < 1e-3
+        };
+        if is_in_degrees && twists().count() > 0 && twists().all(|alpha| right(alpha.to_degrees())) {
+            doubtful.push(
+                "doubtful: alpha is in deg, as its title says, and its numbers are right angles in rad"
+                    .to_owned(),
+            );
+        }
+        if !is_in_degrees && twists().any(|alpha| alpha > TAU) {
+            doubtful.push(
+                "doubtful: alpha is in rad, as its title says, and some is more than a turn".to_owned(),
+            );
+        }
+        let links = rows.iter().map(|row| (row.link.a, row.link.d));
+        doubtful.extend(doubtful_reach(links.map(|(a, d)| a.abs() + d.abs()).sum()));
+        doubtful
     }
 
     /// Columns that nothing is taken from, but for a count of the rows.

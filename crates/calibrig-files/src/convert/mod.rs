@@ -121,6 +121,7 @@ pub fn robot_from_urdf(source: &Source, options: &UrdfOptions) -> Result<Convert
         return Err(source.error(tree.span.clone(), message, Some(expected)));
     }
     remarks.extend(faults);
+    remarks.extend(doubtful_units(&chain));
     remarks.extend(assumed.iter().map(|line| format!("assumed: {line}")));
     Ok(Converted { source: made, robot, remarks, difference: Some(difference) })
 }
@@ -219,6 +220,53 @@ fn in_original(source: &Source, error: &InputError) -> InputError {
     let span = named.filter_map(|name| source.text.find(name).map(|at| at..at + name.len())).next();
     source.error(span.unwrap_or(0..0), format!("no robot can be made of it: {said}"), help)
 }
+
+/// Reaches of robots, m: a watchmaker's and a shipyard's.
+const REACHES: [f64; 2] = [0.02, 100.0];
+
+/// What is told of lengths that add up to what no robot has.
+fn doubtful_reach(reach: f64) -> Option<String> {
+    let [least, most] = REACHES;
+    let told =
+        |unit: &str| format!("doubtful: the lengths add up to {reach:.4} m, which is no robot's: {unit}");
+    if reach > most {
+        Some(told("are they in mm?"))
+    } else if reach > 0.0 && reach < least {
+        Some(told("are they in m, and read as mm?"))
+    } else {
+        None
+    }
+}
+
+/// The same of a URDF, whose lengths are m and whose angles are rad.
+fn doubtful_units(chain: &Chain) -> Vec<String> {
+    let origins = chain.joints.iter().map(|joint| &joint.previous_from_joint);
+    let reach = origins.chain([&chain.last_from_tip]).map(|frame| frame.translation.vector.norm()).sum();
+    let mut doubtful: Vec<String> = doubtful_reach(reach).into_iter().collect();
+    if chain.largest_angle > MOST_TURNS {
+        doubtful.push(format!(
+            "doubtful: rpy has {}, and a URDF's angles are rad: is it in deg?",
+            chain.largest_angle
+        ));
+    }
+    let is_far = |joint: &&chain::MovingJoint| {
+        joint.kind == JointKind::Revolute
+            && joint.limits.is_some_and(|limits| limits.iter().any(|l| l.abs() > FAR_TURNED))
+    };
+    let far: Vec<_> = chain.joints.iter().filter(is_far).map(|joint| joint.name.as_str()).collect();
+    if !far.is_empty() {
+        doubtful.push(format!(
+            "doubtful: the limits of {} are more than three turns away, and a URDF's angles are rad: are they in deg?",
+            far.join(", ")
+        ));
+    }
+    doubtful
+}
+
+/// Angles of an origin are less than a turn, rad.
+const MOST_TURNS: f64 = std::f64::consts::TAU + 1e-3;
+/// Three turns and a little, rad: some last joints go so far.
+const FAR_TURNED: f64 = 20.0;
 
 /// What the robot file is called where none is written: as the file that it was made of, with another ending.
 fn made_name(name: &str) -> String {

@@ -235,6 +235,20 @@ fn mistakes_are_named_with_their_line_and_what_was_expected() {
         ),
         ("<child link=\"arm\"/>", "<child link=\"arm\"/", "not the XML of a URDF", 8, "URDF"),
         (
+            "<axis xyz=\"1 0 0\"/>",
+            "<axis xyz=\"1 0 0\"/><axis xyz=\"0 0 1\"/>",
+            "joint twist has more than one <axis>",
+            16,
+            "one",
+        ),
+        (
+            "<mass value=\"2\"/>",
+            "<mass value=\"2\"/><mass value=\"3\"/>",
+            "of link hand has more than one <mass>",
+            5,
+            "one",
+        ),
+        (
             "joint name=\"twist\"",
             "joint name=\"swing\"",
             "a second joint named swing",
@@ -326,6 +340,33 @@ fn variables_have_the_number_of_their_row() {
     for (first, second) in [("q1", "q2"), ("q0", "θ_1"), ("q", "theta2*"), ("q1", "q - 90")] {
         let text = format!("a_mm,alpha_deg,d_mm,theta_deg\n0,90,400,{first}\n900,0,0,{second}\n");
         assert!(table(&text, Convention::Craig).is_ok(), "{text}");
+    }
+}
+
+/// Units that nobody can mean are told; nothing is changed.
+#[test]
+fn odd_units_are_doubted() {
+    let doubted = |made: Converted| made.remarks.iter().any(|line| line.starts_with("doubtful: "));
+    let dh = |alpha: &str, a: &str| {
+        let text = format!(
+            "a_mm,alpha_{alpha},d_mm,theta_deg\n0,{},400,q1\n{a},0,0,q2\n",
+            if alpha == "deg" { "1.5708" } else { "90" }
+        );
+        table(&text, Convention::Craig).expect("a table")
+    };
+    assert!(doubted(dh("deg", "900")) && doubted(dh("rad", "900")));
+    let good = |a: f64| {
+        table(&format!("a_mm,alpha_deg,d_mm,theta_deg\n0,90,{a},q1\n{a},0,0,q2\n"), Convention::Craig)
+            .expect("a table")
+    };
+    assert!(!doubted(good(400.0)) && doubted(good(4e5)) && doubted(good(0.4)));
+    assert!(!doubted(convert(TWO).expect("a chain")));
+    for (from, to) in [
+        ("xyz=\"0.8 0 0\"", "xyz=\"800 0 0\""),
+        ("rpy=\"0.3 0 0\"", "rpy=\"17.2 0 0\""),
+        ("lower=\"-1\" upper=\"1.5\"", "lower=\"-57\" upper=\"86\""),
+    ] {
+        assert!(doubted(convert(&TWO.replacen(from, to, 1)).expect("a chain")), "{to}");
     }
 }
 

@@ -14,6 +14,9 @@ use crate::input::{InputError, Source};
 /// More elements than any robot has: a larger file is refused before it takes the memory.
 const MOST_NODES: u32 = 5_000_000;
 
+/// What of a joint is read.
+const READ_OF_JOINTS: [&str; 6] = ["parent", "child", "origin", "axis", "limit", "mimic"];
+
 /// A link with the elements that say something of its mass.
 #[derive(Debug, Clone)]
 pub(super) struct Link {
@@ -229,14 +232,23 @@ impl Reader<'_> {
             if by_name.insert(name.clone(), links.len()).is_some() {
                 return self.error(span, format!("a second link named {name}"), "one link of a name");
             }
-            let inertial = child(&node, "inertial").map(|node| self.element(&node));
+            self.check_single(&node, &format!("link {name}"), &["inertial"])?;
+            let inertial = child(&node, "inertial");
+            if let Some(inertial) = &inertial {
+                self.check_single(
+                    inertial,
+                    &format!("the <inertial> of link {name}"),
+                    &["origin", "mass", "inertia"],
+                )?;
+            }
+            let inertial = inertial.map(|node| self.element(&node));
             links.push(Link { name, span, inertial });
         }
         let mut joints: Vec<Joint> = Vec::new();
         let mut joint_names = BTreeSet::new();
         let mut above: Vec<Option<usize>> = vec![None; links.len()];
         for node in of("joint") {
-            passed_over.add_unread(&node, &["parent", "child", "origin", "axis", "limit", "mimic"]);
+            passed_over.add_unread(&node, &READ_OF_JOINTS);
             let joint = self.joint(&node, &by_name)?;
             if !joint_names.insert(joint.name.clone()) {
                 let message = format!("a second joint named {}", joint.name);
@@ -260,8 +272,23 @@ impl Reader<'_> {
         Ok(Tree { name, links, joints, above, passed_over, span })
     }
 
+    /// Refuses a second element of a name of which the first would be taken.
+    fn check_single(&self, node: &Node<'_, '_>, of: &str, names: &[&str]) -> Result<(), InputError> {
+        let second =
+            |name: &&str| node.children().filter(|child| child.is_element() && local(child) == *name).nth(1);
+        match names.iter().find_map(second) {
+            Some(second) => self.error(
+                self.place(tag(&second)),
+                format!("{of} has more than one <{}>", local(&second)),
+                "one of them",
+            ),
+            None => Ok(()),
+        }
+    }
+
     fn joint(&self, node: &Node<'_, '_>, links: &BTreeMap<String, usize>) -> Result<Joint, InputError> {
         let (name, kind) = (self.required(node, "name")?, self.required(node, "type")?);
+        self.check_single(node, &format!("joint {name}"), &READ_OF_JOINTS)?;
         let end = |role: &str| {
             let Some(at) = child(node, role) else {
                 let message = format!("joint {name} has no <{role}>");

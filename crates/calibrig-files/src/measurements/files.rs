@@ -298,7 +298,11 @@ impl<'a> Reading<'a> {
             repeats::average(&mut self.loaded)?;
         }
         if self.options.approach_from_order {
-            self.loaded.remarks.push("signs of approach follow from the order of the rows".to_owned());
+            let whose = match self.map.join().map(|join| join.by) {
+                Some(JoinBy::Name) => " of the positions, not of those of the joints",
+                _ => "",
+            };
+            self.loaded.remarks.push(format!("signs of approach follow from the order of the rows{whose}"));
         }
         Ok(self.loaded)
     }
