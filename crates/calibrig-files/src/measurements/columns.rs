@@ -12,7 +12,7 @@ use std::sync::Arc;
 use super::layout::{TableFormat, Wanted};
 use super::table::bag::BagOptions;
 use super::text::TextFormat;
-use super::units::{AngleUnit, LengthUnit};
+use super::units::{AngleUnit, LengthUnit, TimeUnit};
 use crate::input::{InputError, Source};
 use calibrig_model::JointKind;
 use calibrig_model::measurement::SphericalReading;
@@ -42,6 +42,8 @@ pub(super) struct Mapping {
     pub station: Option<Entry>,
     pub target: Option<Entry>,
     pub time: Option<Entry>,
+    /// Of times that are numbers.
+    pub time_unit: TimeUnit,
     pub temperature: Option<Entry>,
     pub approach: Vec<Entry>,
     pub rows: RowChoices,
@@ -509,6 +511,7 @@ fn own_mapping(header: &[&str], joints: &[JointKind]) -> Result<Mapping, String>
         station: optional(own::STATION),
         target: optional(own::TARGET),
         time: optional(own::TIME),
+        time_unit: TimeUnit::S,
         temperature: optional(own::TEMPERATURE),
         approach: if directed {
             approach.iter().map(|name| Entry::named(name)).collect()

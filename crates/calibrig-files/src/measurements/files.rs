@@ -5,12 +5,13 @@ use std::path::{Path, PathBuf};
 
 use super::columns::{ColumnMap, Part, RowOptions};
 use super::header::{FileColumns, Head};
-use super::join::{Joints, unmatched};
+use super::join::{Joints, Key, unmatched};
 use super::layout::Table;
 use super::open::open;
 use super::reader::{Motion, Names, RowReader, check_length};
 use super::rows::{Row, Rows};
 use super::text::TextRows;
+use super::times::TimeReader;
 use super::{CsvError, LoadedMeasurements, repeats};
 use crate::input::{InputError, Source};
 use calibrig_model::JointKind;
@@ -172,7 +173,8 @@ impl<'a> Reading<'a> {
         }
         self.loaded.names_stations |= columns.station.is_some();
         self.loaded.names_targets |= columns.target.is_some() || target.is_some();
-        let key = commands.as_ref().map(|joints| joints.key(of_points)).transpose()?.flatten();
+        let mut key =
+            commands.as_ref().map_or(Ok(Key::Step), |joints| joints.key(of_points, &table.dates))?;
         let mut reader = RowReader {
             columns: &columns,
             options: &self.options,
@@ -181,6 +183,10 @@ impl<'a> Reading<'a> {
             joints_from: points.len(),
             decimals: [table.decimal, commands.as_ref().map_or(table.decimal, Joints::decimal)],
             target,
+            time: columns.time.clone().map(|time| {
+                let of_joints = commands.as_ref().filter(|_| time.first() >= points.len());
+                TimeReader::new(time, of_joints.map_or(&table.dates, Joints::dates).clone())
+            }),
             motion: Motion::default(),
             rows: 0,
         };
@@ -190,7 +196,7 @@ impl<'a> Reading<'a> {
             row.resize(points.len());
             reader.rows = reader.rows.saturating_add(1);
             if let Some(commands) = &mut commands
-                && let Err(why) = commands.join(&file, &mut row, key, table.decimal)?
+                && let Err(why) = commands.join(&file, &mut row, &mut key, table.decimal)?
             {
                 self.loaded.drop_row(reader.rows, unmatched(row.place(), &file, &why), false);
                 continue;
@@ -201,8 +207,11 @@ impl<'a> Reading<'a> {
             let expected = "a row of numbers for every measurement";
             return Err(of_points.refuse("there are no measurements below the header", expected));
         }
+        remarks.extend(reader.time.iter().flat_map(|time| time.remarks(&file)));
         if let Some(commands) = &mut commands {
+            remarks.extend(key.remarks(&file));
             remarks.extend(commands.remarks(&file));
+            remarks.extend(commands.zones_differ(&file, &key));
             remarks.extend(commands.finish(&file)?);
         }
         remarks.extend(table.remarks());

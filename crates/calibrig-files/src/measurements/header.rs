@@ -7,7 +7,8 @@ use super::columns::{
 };
 use super::layout::Column;
 use super::rows::Row;
-use super::units::{AngleUnit, HeaderUnit, LengthUnit};
+use super::times::TimeColumns;
+use super::units::{AngleUnit, HeaderUnit, LengthUnit, TimeUnit};
 use crate::input::{InputError, Source};
 use calibrig_model::JointKind;
 
@@ -72,7 +73,7 @@ pub(super) struct Columns {
     pub names_poses: bool,
     pub station: Option<usize>,
     pub target: Option<usize>,
-    pub time: Option<usize>,
+    pub time: Option<TimeColumns>,
     pub temperature: Option<Quantity>,
     pub approach: Vec<Quantity>,
     pub sets: Sets,
@@ -179,7 +180,7 @@ impl<'a> Head<'a> {
             names_poses: self.map.is_some(),
             station: self.optional(mapping.station.as_ref())?,
             target: self.optional(mapping.target.as_ref())?,
-            time: self.optional(mapping.time.as_ref())?,
+            time: mapping.time.as_ref().map(|entry| self.time(entry, mapping.time_unit)).transpose()?,
             temperature: mapping
                 .temperature
                 .as_ref()
@@ -241,6 +242,19 @@ impl<'a> Head<'a> {
             _ => ColumnRef::Name(entry.written.clone()),
         };
         self.find(&column, false).map(Some)
+    }
+
+    fn time(&self, entry: &Entry, unit: TimeUnit) -> Result<TimeColumns, InputError> {
+        let key = format!("time_{}", unit.key());
+        let file =
+            if entry.terms.iter().all(|term| self.points.find(&term.column).is_ok_and(|at| at.is_some())) {
+                self.points
+            } else {
+                self.joints.unwrap_or(self.points)
+            };
+        TimeColumns::of(entry, Some((unit, &key)), &file, &|column| self.find(column, false), &|index| {
+            self.file_of(index).1
+        })
     }
 
     fn quantity(&mut self, entry: &Entry, kind: Kind, is_joint: bool) -> Result<Quantity, InputError> {

@@ -4,6 +4,7 @@ use std::collections::{HashMap, VecDeque};
 use std::ops::Range;
 
 use super::rows::{Row, Rows};
+use super::times::{DateOrder, Dates};
 use super::units::{HeaderUnit, name_and_unit, unit_alone};
 use crate::input::{Excerpt, InputError};
 
@@ -121,6 +122,8 @@ impl Column {
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct TableFormat {
     pub decimal: Option<Decimal>,
+    /// Of dates whose way of writing leaves it open.
+    pub date: Option<DateOrder>,
     /// Whether there is a header; found where it is not said.
     pub header: Option<bool>,
 }
@@ -134,6 +137,7 @@ pub(super) struct Table {
     pub head: Row,
     pub has_header: bool,
     pub decimal: Decimal,
+    pub dates: Dates,
     /// What was found, in words.
     pub found: Vec<String>,
 }
@@ -166,6 +170,7 @@ impl Table {
             head: Row::default(),
             has_header: false,
             decimal: Decimal::Point,
+            dates: Dates::default(),
             found: Vec::new(),
         })
     }
@@ -178,6 +183,7 @@ impl Table {
             None => table.skip_preamble(wanted, format.header == Some(false)),
         }
         table.decimal = format.decimal.unwrap_or_else(|| table.sniff_decimal());
+        table.dates = format.date.map_or_else(|| table.sniff_dates(), Dates::stated);
         Ok(table)
     }
 
@@ -204,6 +210,7 @@ impl Table {
             }
         }
         table.decimal = table.sniff_decimal();
+        table.dates = table.sniff_dates();
         Ok(table)
     }
 
@@ -319,6 +326,10 @@ impl Table {
                 })
                 .collect();
         }
+    }
+
+    fn sniff_dates(&self) -> Dates {
+        Dates::seen(self.ahead.iter().flat_map(|row| row.cells().map(move |cell| (row.place(), cell))))
     }
 
     /// A comma where all fractions have one.

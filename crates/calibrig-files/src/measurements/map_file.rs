@@ -111,6 +111,7 @@ pub fn parse_column_map(source: &Source) -> Result<ColumnMap, InputError> {
     let optional = |entry: Option<&Spanned<RawEntry>>| entry.map(|entry| reader.single(entry)).transpose();
     let quantity = |entry: Option<&Spanned<RawEntry>>| entry.map(|entry| reader.sum(entry)).transpose();
     let rest = &file.columns;
+    let (time, time_unit) = reader.time(rest)?;
     let mapping = Mapping {
         joints: columns,
         revolute: joints.revolute_unit,
@@ -121,7 +122,8 @@ pub fn parse_column_map(source: &Source) -> Result<ColumnMap, InputError> {
         pose: optional(rest.pose.as_ref())?,
         station: optional(rest.station.as_ref())?,
         target: optional(rest.target.as_ref())?,
-        time: optional(rest.time_s.as_ref())?,
+        time,
+        time_unit,
         temperature: quantity(rest.temperature_c.as_ref())?,
         approach,
         rows: RowChoices {
@@ -132,7 +134,11 @@ pub fn parse_column_map(source: &Source) -> Result<ColumnMap, InputError> {
         sets: file.sets.as_ref().map(|sets| reader.sets(sets)).transpose()?.unwrap_or_default(),
         join: file.join.as_ref().map(|join| reader.join(join)).transpose()?,
         text: reader.text(&file.text)?,
-        table: TableFormat { decimal: reader.decimal(&file.text)?, header: file.text.header },
+        table: TableFormat {
+            decimal: reader.decimal(&file.text)?,
+            date: reader.date(&file.text)?,
+            header: file.text.header,
+        },
     };
     Ok(ColumnMap::new(mapping, source.clone()))
 }
@@ -143,10 +149,13 @@ fn with_the_table_of_a_stray_key(mut error: InputError) -> InputError {
         ("[joints]", &["revolute_unit", "prismatic_unit"]),
         ("[position]", &["missed", "unit", "system", "range_unit", "angle_unit"]),
         ("[sigma]", &["k"]),
-        ("[columns]", &["pose", "station", "time_s", "temperature_c", "approach"]),
+        (
+            "[columns]",
+            &["pose", "station", "time_s", "time_ms", "time_us", "time_ns", "temperature_c", "approach"],
+        ),
         ("[rows]", &["approach_from", "repeats"]),
         ("[sets]", &["identification", "verification", "verification_poses"]),
-        ("[text]", &["delimiter", "decimal", "header", "comments", "skip_lines", "widths"]),
+        ("[text]", &["delimiter", "decimal", "date", "header", "comments", "skip_lines", "widths"]),
     ];
     let InputError::Invalid { message, help: Some(help), .. } = &mut error else { return error };
     let Some(key) = message.strip_prefix("unknown key `").and_then(|rest| rest.strip_suffix('`')) else {

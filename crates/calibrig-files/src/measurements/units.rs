@@ -72,12 +72,62 @@ impl AngleUnit {
     }
 }
 
+/// Unit of a time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) enum TimeUnit {
+    #[default]
+    S,
+    Ms,
+    Us,
+    Ns,
+}
+
+impl TimeUnit {
+    /// s
+    pub fn in_si(self, value: f64) -> f64 {
+        match self {
+            Self::S => value,
+            Self::Ms => value / 1e3,
+            Self::Us => value / 1e6,
+            Self::Ns => value / 1e9,
+        }
+    }
+
+    /// As column maps have it.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::S => "s",
+            Self::Ms => "ms",
+            Self::Us => "us",
+            Self::Ns => "ns",
+        }
+    }
+
+    /// The unit that the name of a column of times ends with, as those of ROS do: `header.stamp.nanosec`.
+    pub fn at_the_end_of(name: &str) -> Option<Self> {
+        let name = name.to_ascii_lowercase();
+        let ends = |endings: &[&str]| endings.iter().any(|ending| name.ends_with(ending));
+        if ends(&["nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"]) {
+            Some(Self::Ns)
+        } else if ends(&["usec", "microseconds"]) {
+            Some(Self::Us)
+        } else if ends(&["msec", "millisec", "milliseconds", "millis"]) {
+            Some(Self::Ms)
+        } else if ends(&["sec", "secs", "seconds"]) {
+            Some(Self::S)
+        } else {
+            None
+        }
+    }
+}
+
 /// A unit as a header states it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum HeaderUnit {
     Length(LengthUnit),
     Angle(AngleUnit),
-    /// °C, s and so on: known as units, and not converted.
+    Time(TimeUnit),
+    /// °C and so on: known as units, and not converted.
     Other,
 }
 
@@ -87,6 +137,7 @@ impl HeaderUnit {
         match self {
             Self::Length(unit) => unit.key(),
             Self::Angle(unit) => unit.key(),
+            Self::Time(unit) => unit.key(),
             Self::Other => "another unit",
         }
     }
@@ -116,9 +167,11 @@ impl HeaderUnit {
             "deg" | "\u{b0}" | "degree" | "degrees" => Self::Angle(AngleUnit::Deg),
             "gon" | "gons" => Self::Angle(AngleUnit::Gon),
             "arcsec" | "arcseconds" | "''" => Self::Angle(AngleUnit::Arcsec),
-            "s" | "sec" | "ms" | "us" | "ns" | "\u{b0}c" | "%" | "%rh" | "hpa" | "mbar" | "mmhg" | "-" => {
-                Self::Other
-            }
+            "s" | "sec" | "seconds" => Self::Time(TimeUnit::S),
+            "ms" | "msec" | "milliseconds" => Self::Time(TimeUnit::Ms),
+            "us" | "microseconds" => Self::Time(TimeUnit::Us),
+            "ns" | "nanoseconds" => Self::Time(TimeUnit::Ns),
+            "\u{b0}c" | "%" | "%rh" | "hpa" | "mbar" | "mmhg" | "-" => Self::Other,
             _ => return None,
         })
     }
@@ -141,6 +194,11 @@ pub(super) fn name_and_unit(header: &str) -> (&str, Option<HeaderUnit>) {
         return (name.trim_end(), Some(unit));
     }
     (header, None)
+}
+
+/// The unit at the end of a name: `x_mm`.
+pub(super) fn unit_of_name(name: &str) -> Option<HeaderUnit> {
+    name.rsplit_once('_').and_then(|(_, unit)| HeaderUnit::parse(unit))
 }
 
 /// The unit of a cell below a header that holds nothing else: `mm`, `[deg]`.

@@ -1,12 +1,14 @@
 //! What a column map says of rows and of the form of files: sets, joins and text.
 
 use super::Reader;
-use super::tables::{By, JoinTable, SetsTable, TextTable};
+use super::tables::{By, ColumnsTable, JoinTable, SetsTable, TextTable};
 use crate::input::{InputError, Spanned};
 use crate::measurements::cells::Delimiter;
-use crate::measurements::columns::{Join, JoinBy, PoseList, Sets};
+use crate::measurements::columns::{Entry, Join, JoinBy, PoseList, Sets};
 use crate::measurements::layout::Decimal;
 use crate::measurements::text::TextFormat;
+use crate::measurements::times::DateOrder;
+use crate::measurements::units::TimeUnit;
 
 impl Reader<'_> {
     pub fn sets(&self, spanned: &Spanned<SetsTable>) -> Result<Sets, InputError> {
@@ -55,10 +57,12 @@ impl Reader<'_> {
             return Ok(Join { by: JoinBy::Row, keys: None });
         }
         let table = ("join", &span);
-        let keys = [
-            self.single(self.needed(table, "joints", t.joints.as_ref())?)?,
-            self.single(self.needed(table, "points", t.points.as_ref())?)?,
-        ];
+        let key = |name, entry| {
+            let entry = self.needed(table, name, entry)?;
+            // A date may stand in one column and the time of the day in another.
+            if t.by == By::Time { self.sum(entry) } else { self.single(entry) }
+        };
+        let keys = [key("joints", t.joints.as_ref())?, key("points", t.points.as_ref())?];
         let by = if t.by == By::Name {
             JoinBy::Name
         } else {
@@ -104,6 +108,40 @@ impl Reader<'_> {
             comments: t.comments.iter().filter(|prefix| !prefix.is_empty()).cloned().collect(),
             skipped_lines: t.skip_lines.into(),
         })
+    }
+
+    /// The time's columns, and the unit that the key states.
+    pub fn time(&self, t: &ColumnsTable) -> Result<(Option<Entry>, TimeUnit), InputError> {
+        let keys = [
+            (&t.time_s, TimeUnit::S),
+            (&t.time_ms, TimeUnit::Ms),
+            (&t.time_us, TimeUnit::Us),
+            (&t.time_ns, TimeUnit::Ns),
+        ];
+        let mut stated = keys.into_iter().filter_map(|(entry, unit)| Some((entry.as_ref()?, unit)));
+        let (first, second) = (stated.next(), stated.next());
+        if let Some((entry, _)) = second {
+            return Err(self.error(
+                entry.span(),
+                "the time is stated twice",
+                "one of time_s, time_ms, time_us and time_ns",
+            ));
+        }
+        let Some((entry, unit)) = first else { return Ok((None, TimeUnit::S)) };
+        Ok((Some(self.sum(entry)?), unit))
+    }
+
+    pub fn date(&self, t: &TextTable) -> Result<Option<DateOrder>, InputError> {
+        let Some(stated) = &t.date else { return Ok(None) };
+        match stated.get_ref().as_str() {
+            "dmy" => Ok(Some(DateOrder::DayFirst)),
+            "mdy" => Ok(Some(DateOrder::MonthFirst)),
+            "ymd" => Ok(Some(DateOrder::YearFirst)),
+            other => {
+                let expected = "\"dmy\" (day, month, year), \"mdy\" or \"ymd\"";
+                Err(self.error(stated.span(), format!("text.date is {other:?}"), expected))
+            }
+        }
     }
 
     pub fn decimal(&self, t: &TextTable) -> Result<Option<Decimal>, InputError> {

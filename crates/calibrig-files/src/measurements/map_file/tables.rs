@@ -79,6 +79,9 @@ pub(super) struct ColumnsTable {
     pub station: Option<Spanned<RawEntry>>,
     pub target: Option<Spanned<RawEntry>>,
     pub time_s: Option<Spanned<RawEntry>>,
+    pub time_ms: Option<Spanned<RawEntry>>,
+    pub time_us: Option<Spanned<RawEntry>>,
+    pub time_ns: Option<Spanned<RawEntry>>,
     pub temperature_c: Option<Spanned<RawEntry>>,
     pub approach: Option<Spanned<RawEntry>>,
 }
@@ -139,6 +142,7 @@ pub(super) struct JoinTable {
 pub(super) struct TextTable {
     pub delimiter: Option<Spanned<String>>,
     pub decimal: Option<Spanned<String>>,
+    pub date: Option<Spanned<String>>,
     pub header: Option<bool>,
     #[serde(default)]
     pub comments: Vec<String>,

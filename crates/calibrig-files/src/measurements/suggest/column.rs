@@ -137,7 +137,7 @@ impl SeenColumn {
                 self.codes.insert(number.to_string());
             }
             Some(number) if number.is_finite() => self.numbers.see(number),
-            _ if times::parse(cell, decimal).is_some() => self.times += 1,
+            _ if times::is_time(cell, decimal) => self.times += 1,
             _ => {}
         }
         if self.texts.len() < MOST_TEXTS {
@@ -206,11 +206,6 @@ fn without_unit(name: &str) -> &str {
         Some((stem, unit)) if HeaderUnit::parse(unit).is_some() => stem,
         _ => name,
     }
-}
-
-/// The unit at the end of a name: `x_mm`.
-pub(super) fn unit_of_name(name: &str) -> Option<HeaderUnit> {
-    name.rsplit_once('_').and_then(|(_, unit)| HeaderUnit::parse(unit))
 }
 
 const JOINTS: [&str; 10] = ["j", "a", "q", "joint", "axis", "axe", "ax", "theta", "achse", "jt"];

@@ -2,10 +2,10 @@
 
 use std::fmt::Write;
 
-use super::column::{Role, SeenColumn, unit_of_name};
+use super::column::{Role, SeenColumn};
 use super::{SeenFile, SuggestedMap};
 use crate::measurements::layout::Decimal;
-use crate::measurements::units::{AngleUnit, HeaderUnit, LengthUnit};
+use crate::measurements::units::{AngleUnit, HeaderUnit, LengthUnit, unit_of_name};
 
 /// What a unit was told from.
 enum Told<U> {
