@@ -25,6 +25,8 @@ pub struct ColumnMap {
     mapping: Option<Mapping>,
     /// Whether a file in calibrig's own columns is read as one although there is a mapping.
     or_own: bool,
+    /// Whether target and station are read where a file has their columns, and not called for.
+    names_where_there: bool,
     /// The text of the map.
     source: Option<Arc<Source>>,
 }
@@ -364,7 +366,12 @@ pub struct RowOptions {
 
 impl ColumnMap {
     pub(super) fn new(mapping: Mapping, source: Source) -> Self {
-        Self { mapping: Some(mapping), or_own: false, source: Some(Arc::new(source)) }
+        Self {
+            mapping: Some(mapping),
+            or_own: false,
+            names_where_there: false,
+            source: Some(Arc::new(source)),
+        }
     }
 
     /// Refuses a map that does not fit the robot's joints; `source` is the text that it was read from.
@@ -384,6 +391,12 @@ impl ColumnMap {
     #[must_use]
     pub fn or_own(self) -> Self {
         Self { or_own: true, ..self }
+    }
+
+    /// The same map, but the columns of target and station are read where a file has them: bags have them where there are several.
+    #[must_use]
+    pub fn with_names_where_there(self) -> Self {
+        Self { names_where_there: true, ..self }
     }
 
     #[cfg(test)]
@@ -446,7 +459,15 @@ impl ColumnMap {
                 && (0..joints.len()).all(|index| has(&own::joint(index, joints[index])))
         };
         match &self.mapping {
-            Some(mapping) if !own(mapping) => Ok(mapping.clone()),
+            Some(mapping) if !own(mapping) => {
+                let mut mapping = mapping.clone();
+                if self.names_where_there {
+                    let is_there = |entry: &Entry| entry.names().any(has);
+                    mapping.target = mapping.target.filter(is_there);
+                    mapping.station = mapping.station.filter(is_there);
+                }
+                Ok(mapping)
+            }
             _ => own_mapping(header, joints),
         }
     }

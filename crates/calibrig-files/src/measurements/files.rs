@@ -48,7 +48,6 @@ impl MeasurementFiles {
 /// - A row whose position is (0, 0, 0), or empty, is a missed shot: it is left out and reported in [`LoadedMeasurements::dropped`].
 /// - Without a pose column the rows count from 1; without a time column the time is 0; without station or target columns there is
 ///   one of each. Stations and targets are numbered in the order of their first appearance.
-/// - A spherical reading of unstated uncertainty becomes a Cartesian one without covariance.
 ///
 /// The file is read line by line: beside the set, memory does not grow with it.
 pub fn read_measurements(

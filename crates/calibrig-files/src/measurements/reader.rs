@@ -410,7 +410,6 @@ impl<'r> Cells<'r> {
                     return Err(self.refuse_cell(range.terms[0].column, "a range above zero"));
                 }
                 // The standard deviation of an elevation is that of the zenith angle.
-                let mut covariance = self.covariance()?;
                 let mut reading = SphericalReading {
                     range: values[0],
                     azimuth: values[1],
@@ -418,11 +417,11 @@ impl<'r> Cells<'r> {
                         PolarAngle::Elevation => values[2],
                         PolarAngle::Zenith => std::f64::consts::FRAC_PI_2 - values[2],
                     },
-                    covariance: Matrix3::zeros(),
+                    covariance: self.covariance()?,
                 };
-                if let (None, Some(noise)) = (&covariance, &self.reader.columns.noise) {
+                if let (None, Some(noise)) = (&reading.covariance, &self.reader.columns.noise) {
                     match noise.of_reading(&reading) {
-                        Some(own) => covariance = Some(own),
+                        Some(own) => reading.covariance = Some(own),
                         None => {
                             let position = reading.position();
                             return Ok(Some(Reading::Cartesian {
@@ -432,13 +431,7 @@ impl<'r> Cells<'r> {
                         }
                     }
                 }
-                Ok(Some(match covariance {
-                    Some(covariance) => {
-                        reading.covariance = covariance;
-                        Reading::Spherical(reading)
-                    }
-                    None => Reading::Cartesian { position: reading.position(), covariance: None },
-                }))
+                Ok(Some(Reading::Spherical(reading)))
             }
         }
     }

@@ -61,7 +61,7 @@ fn own_columns_are_read() {
     let Reading::Spherical(reading) = &first.reading else { panic!("spherical") };
     assert_eq!((reading.range, reading.azimuth, reading.elevation), (3.5, 0.25, -0.125));
     assert_eq!(
-        reading.covariance,
+        reading.covariance.expect("stated"),
         Matrix3::from_diagonal(&Vector3::new(1e-5 * 1e-5, 2e-6 * 2e-6, 3e-6 * 3e-6))
     );
     assert_eq!((set.observations[1].station, set.observations[1].temperature), (1, None));
@@ -112,10 +112,13 @@ fn exports_with_comments_other_delimiters_and_units_are_read() {
     }
     let Reading::Spherical(reading) = &loaded.set.observations[0].reading else { panic!("spherical") };
     assert!((reading.elevation - 30f64.to_radians()).abs() < 1e-15);
-    let sigmas = reading.covariance.diagonal().map(f64::sqrt);
+    let sigmas = reading.covariance.expect("stated").diagonal().map(f64::sqrt);
     let arcsec = std::f64::consts::PI / 648_000.0;
     assert!((sigmas - Vector3::new(10e-6, arcsec, 2.0 * arcsec)).norm() < 1e-18);
-    assert!(matches!(loaded.set.observations[1].reading, Reading::Cartesian { covariance: None, .. }));
+    // What states no uncertainty keeps its angles, to the bit.
+    let unstated = SphericalReading { covariance: None, ..reading.clone() };
+    assert_eq!(loaded.set.observations[1].reading, Reading::Spherical(unstated));
+    assert_eq!(loaded.set.observations[1].reading.position(), reading.position());
 }
 
 #[test]
@@ -326,7 +329,12 @@ fn observation(spherical: bool, diagonal: bool) -> impl Strategy<Value = Observa
         let [x, y, z] = place;
         let reading = if spherical {
             let range = x.abs().max(f64::MIN_POSITIVE);
-            Reading::Spherical(SphericalReading { range, azimuth: y, elevation: z, covariance })
+            Reading::Spherical(SphericalReading {
+                range,
+                azimuth: y,
+                elevation: z,
+                covariance: stated.then_some(covariance),
+            })
         } else {
             let position = Vector3::new(x, y, if (x, y, z) == (0.0, 0.0, 0.0) { 1.0 } else { z });
             Reading::Cartesian { position, covariance: stated.then_some(covariance) }
