@@ -295,7 +295,7 @@ fn a_suggested_map_reads_the_file_that_it_was_suggested_for() {
             continue;
         }
         // Whether a joint is prismatic no file says, nor its unit but in the header.
-        let has_units = suggested.text.contains("prismatic_unit: as the header says");
+        let has_units = suggested.text.contains("# prismatic_unit: ");
         let text = if has_units {
             suggested.text.clone()
         } else {

@@ -90,6 +90,7 @@ pub fn read_files(
     joints: &[JointKind],
     options: &RowOptions,
 ) -> Result<LoadedMeasurements, InputError> {
+    refuse_twice(files)?;
     let format = map.format().0;
     let mut reading = Reading::new(map, joints, options);
     for file in &files.points {
@@ -105,6 +106,24 @@ pub fn read_files(
         reading.add(rows, commands, file.target.as_deref())?;
     }
     reading.finish()
+}
+
+/// Refuses a file of points that is named twice, whose rows would count twice.
+fn refuse_twice(files: &MeasurementFiles) -> Result<(), InputError> {
+    let mut seen: Vec<PathBuf> = Vec::new();
+    for PointsFile { path, .. } in &files.points {
+        // A file that is not there is told when it is opened.
+        let Ok(known) = path.canonicalize() else { continue };
+        if seen.contains(&known) {
+            return Err(InputError::Place {
+                place: path.display().to_string(),
+                message: "this file is named twice: its rows would count twice".to_owned(),
+                help: Some("expected every file of measurements once".to_owned()),
+            });
+        }
+        seen.push(known);
+    }
+    Ok(())
 }
 
 /// Files that are being read into one set.
@@ -191,6 +210,17 @@ impl<'a> Reading<'a> {
         };
         let mut row = Row::default();
         while table.next_row(&mut row)? {
+            if row.len() < points.len() && table.breaks_off() {
+                reader.rows = reader.rows.saturating_add(1);
+                let why = format!(
+                    "the file breaks off in this line, which has {} of {} columns ({})",
+                    row.len(),
+                    points.len(),
+                    row.place().of(&file)
+                );
+                self.loaded.drop_row(reader.rows, why, false);
+                continue;
+            }
             check_length(&file, &row, &points, table.has_header)?;
             row.resize(points.len());
             reader.rows = reader.rows.saturating_add(1);

@@ -30,6 +30,20 @@ impl FileColumns<'_> {
         InputError::Place { place: self.name.to_owned(), message: message.to_string(), help }
     }
 
+    /// Names of the columns, as far as a message can hold them.
+    pub fn names(&self) -> String {
+        const MOST: usize = 40;
+        let names = self.columns.iter().take(MOST).map(|column| match column.header.char_indices().nth(60) {
+            Some((end, _)) => format!("{}…", &column.header[..end]),
+            None => column.header.clone(),
+        });
+        let names = names.collect::<Vec<_>>().join(", ");
+        match self.columns.len().checked_sub(MOST) {
+            Some(more @ 1..) => format!("{names} and {more} more"),
+            _ => names,
+        }
+    }
+
     /// The column of an entry that is a single one, from 0.
     pub fn find(&self, column: &ColumnRef) -> Result<Option<usize>, InputError> {
         let wanted = match column {
@@ -228,8 +242,7 @@ impl<'a> Head<'a> {
                 let expected = "columns by number, x = 7, where a file has no header";
                 return file.refuse(format!("column {wanted} is missing: the file has no header"), expected);
             }
-            let names: Vec<_> = file.columns.iter().map(|column| column.header.as_str()).collect();
-            let expected = format!("a column {wanted}; found {}", names.join(", "));
+            let expected = format!("a column {wanted}; found {}", file.names());
             file.refuse(format!("column {wanted} is missing"), &expected)
         })
     }
@@ -297,7 +310,7 @@ impl<'a> Head<'a> {
         let (stated, key, expected) = match kind {
             Kind::Plain => return Ok(Scale::One),
             Kind::Length(unit, key) => (unit.map(Scale::Length), key, "mm, m, um, cm or inch"),
-            Kind::Angle(unit, key) => (unit.map(Scale::Angle), key, "deg, rad, mrad, arcsec or gon"),
+            Kind::Angle(unit, key) => (unit.map(Scale::Angle), key, "deg, rad, mrad, arcsec, gon or rev"),
         };
         let in_header = match (column.unit, kind) {
             (Some(HeaderUnit::Length(unit)), Kind::Length(..)) => Some(Scale::Length(unit)),

@@ -258,9 +258,8 @@ fn column(entry: &Entry) -> ColumnRef {
 /// The column by which files are joined.
 fn key_in(file: &FileColumns<'_>, key: &ColumnRef) -> Result<usize, InputError> {
     file.find(key)?.ok_or_else(|| {
-        let names: Vec<_> = file.columns.iter().map(|column| column.header.as_str()).collect();
         let expected =
-            format!("a column {}, by which the files are joined; found {}", words(key), names.join(", "));
+            format!("a column {}, by which the files are joined; found {}", words(key), file.names());
         file.refuse(format!("column {} is missing", words(key)), &expected)
     })
 }

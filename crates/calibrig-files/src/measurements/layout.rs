@@ -89,6 +89,17 @@ impl Decimal {
             Self::Comma => "a number, with a decimal comma as the others of this file",
         }
     }
+
+    /// The same for a text that has separators of thousands in it.
+    pub fn words_for(self, text: &str) -> String {
+        let is_separator = |c: char| matches!(c, ',' | '.' | '\'' | '\u{2019}' | ' ' | '\u{a0}' | '\u{202f}');
+        let without: String = text.chars().filter(|c| !is_separator(*c)).collect();
+        let has_thousands = text.chars().filter(|c| is_separator(*c)).count() > 0
+            && without.trim_start_matches('-').len() > 3
+            && without.trim_start_matches('-').bytes().all(|byte| byte.is_ascii_digit());
+        let what = self.words();
+        if has_thousands { format!("{what}, and without separators of thousands") } else { what.to_owned() }
+    }
 }
 
 /// A column as the header has it.
@@ -224,6 +235,11 @@ impl Table {
         remarks
     }
 
+    /// Whether the file ends within the line of the row that was given last.
+    pub fn breaks_off(&self) -> bool {
+        self.ahead.is_empty() && self.rows.breaks_off()
+    }
+
     pub fn comments(&self) -> &[(u64, String)] {
         self.rows.comments()
     }
@@ -281,6 +297,12 @@ impl Table {
         let unit_row = self.ahead.front().and_then(|row| units_row(row, names.len()));
         if unit_row.is_some() {
             self.ahead.pop_front();
+        }
+        // A delimiter at the end makes no column.
+        while names.last().is_some_and(String::is_empty)
+            && self.ahead.iter().all(|row| row.cell(names.len() - 1).is_none_or(str::is_empty))
+        {
+            names.pop();
         }
         let cells = self.ahead.front().map_or(0, Row::len);
         if names.len() > cells && cells > 0 {

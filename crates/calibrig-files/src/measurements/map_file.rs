@@ -5,7 +5,7 @@
 //!
 //! [joints]
 //! columns = ["A1", "A2", "A3 + A2"] # what was commanded: an entry an actuator, in the robot's order
-//! revolute_unit = "deg"             # deg, rad, mrad, arcsec or gon; needed where the robot has a revolute joint and the header states none
+//! revolute_unit = "deg"             # deg, rad, mrad, arcsec, gon or rev; needed where the robot has a revolute joint and the header states none
 //! prismatic_unit = "mm"             # mm, m, um, cm or inch; needed where it has a prismatic one and the header states none
 //!
 //! [position]                        # of the target, in the tracker's frame

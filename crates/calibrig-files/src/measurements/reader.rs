@@ -232,7 +232,7 @@ impl<'r> Cells<'r> {
                 let expected = "a number, with a decimal point as others of this file; decimal = \",\" in [text] of a column map reads commas";
                 Err(self.refuse_cell(column, expected))
             }
-            None => Err(self.refuse_cell(column, decimal.words())),
+            None => Err(self.refuse_cell(column, &decimal.words_for(cell))),
         }
     }
 

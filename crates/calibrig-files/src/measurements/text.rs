@@ -311,6 +311,10 @@ impl Rows for TextRows {
         self.lines.remarks(&self.name)
     }
 
+    fn breaks_off(&self) -> bool {
+        self.sample.is_empty() && self.lines.breaks_off
+    }
+
     fn comments(&self) -> &[(u64, String)] {
         &self.comments
     }
@@ -327,6 +331,8 @@ struct Lines {
     /// Of the line that was given last.
     number: u64,
     line_end: u8,
+    /// Whether the line that was given last has no end: the file ends in it.
+    breaks_off: bool,
     is_utf16: bool,
     /// First line that is not UTF-8, and the first of its bytes that cannot be.
     latin: Option<(u64, u8)>,
@@ -354,11 +360,20 @@ impl Lines {
                 bytes: Vec::new(),
                 number: 0,
                 line_end: b'\n',
+                breaks_off: false,
                 is_utf16: true,
                 latin: None,
             });
         }
-        Ok(Self { input, bytes: Vec::new(), number: 0, line_end, is_utf16: false, latin: None })
+        Ok(Self {
+            input,
+            bytes: Vec::new(),
+            number: 0,
+            line_end,
+            breaks_off: false,
+            is_utf16: false,
+            latin: None,
+        })
     }
 
     /// The next line, without its end; false at the end of the file.
@@ -372,13 +387,19 @@ impl Lines {
             return Ok(false);
         }
         self.number += 1;
+        self.breaks_off = self.bytes.last() != Some(&self.line_end);
         while matches!(self.bytes.last(), Some(b'\n' | b'\r')) {
             self.bytes.pop();
         }
-        let refused = |reason: &str| InputError::Place {
+        let refused = |reason: &str| {
+            InputError::Place {
             place: format!("{name}:{}", self.number),
             message: reason.to_owned(),
-            help: Some("expected a text with a line for every measurement".to_owned()),
+            help: Some(
+                "expected a text with a line for every measurement; UTF-16 that does not say so at its begin is saved as UTF-8 first"
+                    .to_owned(),
+            ),
+        }
         };
         if count as u64 == LONGEST_LINE {
             return Err(refused("a line of more than a million bytes"));

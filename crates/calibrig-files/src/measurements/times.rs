@@ -248,10 +248,24 @@ impl TimeReader {
     }
 }
 
-/// Whether a cell holds a time that is no number, in whatever order its date may be.
-pub(super) fn is_time(cell: &str, decimal: Decimal) -> bool {
+/// What a cell looks like, in whatever order its date may be.
+pub(super) enum Look {
+    /// No time, or a number.
+    Nothing,
+    Day,
+    Time,
+    /// Day and month can be exchanged.
+    Ambiguous {
+        is_day: bool,
+    },
+}
+
+pub(super) fn look_at(cell: &str, decimal: Decimal) -> Look {
     match parse(cell, decimal, TimeUnit::S, None) {
-        Ok(stamp) => stamp.kind != Kind::Number,
-        Err(why) => why == Unread::Ambiguous,
+        Ok(stamp) if stamp.kind == Kind::Number => Look::Nothing,
+        Ok(stamp) if stamp.kind == Kind::Day => Look::Day,
+        Ok(_) => Look::Time,
+        Err(Unread::Ambiguous) => Look::Ambiguous { is_day: !cell.contains(':') },
+        Err(Unread::NoTime) => Look::Nothing,
     }
 }

@@ -22,6 +22,7 @@ pub(super) enum AngleUnit {
     Deg,
     Gon,
     Arcsec,
+    Rev,
 }
 
 impl LengthUnit {
@@ -57,6 +58,7 @@ impl AngleUnit {
             Self::Deg => value.to_radians(),
             Self::Gon => (0.9 * value).to_radians(),
             Self::Arcsec => (value / 3600.0).to_radians(),
+            Self::Rev => std::f64::consts::TAU * value,
         }
     }
 
@@ -68,6 +70,7 @@ impl AngleUnit {
             Self::Deg => "deg",
             Self::Gon => "gon",
             Self::Arcsec => "arcsec",
+            Self::Rev => "rev",
         }
     }
 }
@@ -167,6 +170,7 @@ impl HeaderUnit {
             "deg" | "\u{b0}" | "degree" | "degrees" => Self::Angle(AngleUnit::Deg),
             "gon" | "gons" => Self::Angle(AngleUnit::Gon),
             "arcsec" | "arcseconds" | "''" => Self::Angle(AngleUnit::Arcsec),
+            "rev" | "revolutions" | "turns" => Self::Angle(AngleUnit::Rev),
             "s" | "sec" | "seconds" => Self::Time(TimeUnit::S),
             "ms" | "msec" | "milliseconds" => Self::Time(TimeUnit::Ms),
             "us" | "microseconds" => Self::Time(TimeUnit::Us),
@@ -231,6 +235,8 @@ mod tests {
             ("x/y", ("x/y", None)),
             ("X_mm", ("X_mm", None)),
             ("[mm]", ("", mm)),
+            ("J1 [rev]", ("J1", Some(HeaderUnit::Angle(AngleUnit::Rev)))),
+            ("t [ms]", ("t", Some(HeaderUnit::Time(TimeUnit::Ms)))),
         ] {
             assert_eq!(name_and_unit(header), expected, "{header}");
         }
@@ -239,5 +245,6 @@ mod tests {
         assert_eq!(unit_alone("12"), None);
         assert_eq!(AngleUnit::Gon.in_si(400.0), std::f64::consts::TAU);
         assert_eq!(LengthUnit::Inch.in_si(10.0), 0.254);
+        assert_eq!(AngleUnit::Rev.in_si(0.5), std::f64::consts::PI);
     }
 }
