@@ -18,7 +18,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let Some(first) = observations.first() else { continue };
         println!("  pose {}, command {:.4?} m or rad", first.pose, first.command);
         if let Reading::Spherical(seen) = &first.reading {
-            let sigma = seen.covariance.diagonal().map(f64::sqrt);
+            let sigma = seen.covariance.unwrap_or_default().diagonal().map(f64::sqrt);
             println!("  range     {:9.5} m   +- {:.1} um", seen.range, 1e6 * sigma[0]);
             println!("  azimuth   {:9.5} rad +- {:.1} urad", seen.azimuth, 1e6 * sigma[1]);
             println!("  elevation {:9.5} rad +- {:.1} urad", seen.elevation, 1e6 * sigma[2]);

@@ -526,7 +526,7 @@ pub(super) fn load(
     let paths = || asked.iter().flat_map(AskedSet::paths).map(|(_, path)| path);
     let mut rows = rows.clone();
     let columns = match columns {
-        None if paths().any(is_bag) => rows.of_bags(&robot, paths().filter(|path| is_bag(path)))?,
+        None if paths().any(is_bag) => rows.of_bags(&robot)?,
         Some(path) => {
             let (map, source) = load_column_map(path)?;
             map.check_joints(&source, &joints)?;

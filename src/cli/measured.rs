@@ -10,7 +10,7 @@ use crate::pipeline::{InputHash, SetKind};
 use calibrig_files::{
     BagOptions, ColumnMap, DEFAULT_TOLERANCE_S, InputError, LoadedMeasurements, MeasuredFile,
     MeasurementFiles, MissedCode, PointsFile, PoseList, Robot, RowOptions, Source, parse_column_map,
-    read_bag, read_files,
+    read_files,
 };
 use calibrig_model::JointKind;
 
@@ -126,34 +126,17 @@ impl RowArgs {
     }
 
     /// The map of bags, whose joints are called as those of the robot.
-    pub fn of_bags<'a>(
-        &mut self,
-        robot: &Robot,
-        bags: impl Iterator<Item = &'a Path>,
-    ) -> Result<ColumnMap, InputError> {
+    pub fn of_bags(&mut self, robot: &Robot) -> Result<ColumnMap, InputError> {
         let links = robot.model.kinematics.links.iter().enumerate();
         let commanded = links.filter(|(joint, _)| robot.model.actuators.is_commanded(*joint));
         self.bag_names = commanded.map(|(_, link)| link.name.clone()).collect();
         let names = self.bag_names.iter().map(|name| format!("{name:?}")).collect::<Vec<_>>().join(", ");
-        let mut text = format!(
+        let text = format!(
             "schema = \"calibrig.columns/1\"\n[joints]\ncolumns = [{names}]\nrevolute_unit = \"rad\"\nprismatic_unit = \"m\"\n\
-             [position]\nsystem = \"cartesian\"\nunit = \"m\"\nx = \"x\"\ny = \"y\"\nz = \"z\"\n[columns]\ntime_s = \"time_s\"\n"
+             [position]\nsystem = \"cartesian\"\nunit = \"m\"\nx = \"x\"\ny = \"y\"\nz = \"z\"\n\
+             [columns]\ntime_s = \"time_s\"\ntarget = \"target\"\nstation = \"station\"\n"
         );
-        let mut header = Vec::new();
-        for bag in bags {
-            let table = read_bag(bag, &self.options().bag)?;
-            header.extend(table.rows.into_iter().take(1).flat_map(|row| row.cells));
-        }
-        // They are there where there are several.
-        for name in
-            ["target", "station"].into_iter().filter(|name| header.iter().any(|column| column == name))
-        {
-            text += name;
-            text += " = \"";
-            text += name;
-            text += "\"\n";
-        }
-        parse_column_map(&Source::new("columns of the bag", text))
+        Ok(parse_column_map(&Source::new("columns of the bag", text))?.with_names_where_there())
     }
 
     /// Reads the sets; rows of the first that are held out are one of their own.

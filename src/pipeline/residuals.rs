@@ -67,7 +67,7 @@ mod tests {
             range,
             azimuth,
             elevation,
-            covariance: Matrix3::identity(),
+            covariance: Some(Matrix3::identity()),
         };
         for azimuth in [0.3, PI - 1e-4, 1e-4 - PI, 6.0] {
             let (measured, predicted) = (reading(4.0, azimuth, 0.4), reading(3.999, azimuth - 2e-4, 0.4003));

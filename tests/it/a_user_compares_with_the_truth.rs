@@ -280,13 +280,13 @@ fn a_report_states_the_bounds_at_the_truth() {
     let mut coarse = outcome.sets.clone();
     for observation in &mut coarse[0].measurements.observations {
         if let calibrig::measurement::Reading::Spherical(reading) = &mut observation.reading {
-            reading.covariance *= 4.0;
+            reading.covariance = reading.covariance.map(|c| 4.0 * c);
         }
     }
     for nest in coarse[0].measurements.stations.iter_mut().flat_map(|station| &mut station.nests) {
         nest.in_base_covariance *= 4.0;
         if let calibrig::measurement::Reading::Spherical(reading) = &mut nest.reading {
-            reading.covariance *= 4.0;
+            reading.covariance = reading.covariance.map(|c| 4.0 * c);
         }
     }
     for target in &mut coarse[0].measurements.targets {

@@ -325,7 +325,7 @@ fn assert_seen(reading: &Reading, [x, y, z]: [f64; 3]) {
     for (found, expected) in reading.position().iter().zip(expected) {
         assert!((found - expected).abs() < 1e-12, "{found} where {expected} was expected");
     }
-    let sigmas = reading.covariance.diagonal().map(f64::sqrt);
+    let sigmas = reading.covariance.expect("stated").diagonal().map(f64::sqrt);
     assert!((sigmas - Vector3::new(8e-6, 4e-6, 4e-6)).norm() < 1e-18, "{sigmas}");
 }
 

@@ -283,7 +283,7 @@ impl Reader<'_> {
                     range: self.source.positive("range_m", range)?,
                     azimuth: self.source.finite("az_rad", azimuth)?,
                     elevation: self.source.finite("el_rad", elevation)?,
-                    covariance: self.spherical_covariance(nest, span)?,
+                    covariance: Some(self.spherical_covariance(nest, span)?),
                 }))
             }
             (None, [None, None, None]) => refused("there is no reading"),
@@ -489,11 +489,14 @@ fn nest_text(nest: &NestObservation) -> String {
         rows(&nest.in_base_covariance),
     );
     let _ = match &nest.reading {
-        Reading::Spherical(SphericalReading { range, azimuth, elevation, covariance }) => write!(
-            text,
-            "range_m = {range:?}\naz_rad = {azimuth:?}\nel_rad = {elevation:?}\ncovariance_m_rad = {:?}\n",
-            rows(covariance)
-        ),
+        Reading::Spherical(SphericalReading { range, azimuth, elevation, covariance }) => {
+            let covariance = covariance.as_ref().map(|c| format!("covariance_m_rad = {:?}\n", rows(c)));
+            write!(
+                text,
+                "range_m = {range:?}\naz_rad = {azimuth:?}\nel_rad = {elevation:?}\n{}",
+                covariance.unwrap_or_default()
+            )
+        }
         Reading::Cartesian { position, covariance } => {
             let covariance = covariance.as_ref().map(|c| format!("covariance_m2 = {:?}\n", rows(c)));
             let position = <[f64; 3]>::from(*position);

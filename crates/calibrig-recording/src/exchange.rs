@@ -389,7 +389,7 @@ mod tests {
         };
         let (pose, error) = change(&|reading| {
             let Reading::Spherical(reading) = reading else { panic!("spherical") };
-            reading.covariance.m12 = 1e-12;
+            reading.covariance.as_mut().expect("stated").m12 = 1e-12;
         });
         assert!(error.contains(&format!("pose {pose} is read back with other bits")), "{error}");
         let (_, error) = change(&|reading| {

@@ -84,7 +84,7 @@ impl From<&Reading> for v1::Reading {
                 range: Some(reading.range),
                 azimuth: Some(reading.azimuth),
                 elevation: Some(reading.elevation),
-                covariance: matrix(&reading.covariance),
+                covariance: reading.covariance.as_ref().map(matrix).unwrap_or_default(),
             }),
             Reading::Cartesian { position, covariance } => {
                 v1::reading::Kind::Cartesian(v1::CartesianReading {
@@ -99,20 +99,12 @@ impl From<&Reading> for v1::Reading {
 
 fn to_reading(message: Option<&v1::Reading>) -> Result<Reading, String> {
     match message.and_then(|m| m.kind.as_ref()).ok_or("the reading is missing")? {
-        v1::reading::Kind::Spherical(message) => {
-            let covariance = to_optional_matrix(&message.covariance, "covariance of the reading")?;
-            let reading = SphericalReading {
-                range: number(message.range, "range")?,
-                azimuth: number(message.azimuth, "azimuth")?,
-                elevation: number(message.elevation, "elevation")?,
-                covariance: covariance.unwrap_or_default(),
-            };
-            // As from a file: without a stated uncertainty it is a position.
-            Ok(match covariance {
-                Some(_) => Reading::Spherical(reading),
-                None => Reading::Cartesian { position: reading.position(), covariance: None },
-            })
-        }
+        v1::reading::Kind::Spherical(message) => Ok(Reading::Spherical(SphericalReading {
+            range: number(message.range, "range")?,
+            azimuth: number(message.azimuth, "azimuth")?,
+            elevation: number(message.elevation, "elevation")?,
+            covariance: to_optional_matrix(&message.covariance, "covariance of the reading")?,
+        })),
         v1::reading::Kind::Cartesian(reading) => Ok(Reading::Cartesian {
             position: to_vector(&reading.position, "position")?,
             covariance: to_optional_matrix(&reading.covariance, "covariance of the reading")?,
@@ -284,8 +276,13 @@ mod tests {
         }
         let read = to_observation(&message, set).expect("sound");
         assert_eq!(read.approach, vec![0; read.command.len()]);
-        let position = set.measurements.observations[0].reading.position();
-        assert_eq!(read.reading, Reading::Cartesian { position, covariance: None });
+        let Reading::Spherical(reading) = &set.measurements.observations[0].reading else {
+            panic!("spherical")
+        };
+        assert_eq!(
+            read.reading,
+            Reading::Spherical(SphericalReading { covariance: None, ..reading.clone() })
+        );
     }
 
     #[test]

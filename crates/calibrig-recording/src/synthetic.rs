@@ -263,7 +263,7 @@ fn measure(
             range: range + 3e-6 * rng.random_range(-1.0..1.0),
             azimuth: p.y.atan2(p.x),
             elevation: p.z.atan2(p.x.hypot(p.y)),
-            covariance,
+            covariance: Some(covariance),
         })
     };
     let nests = [[0.5, 0.2, -0.6], [0.5, 0.2, 4.6], [-0.5, 0.1, 2.0], [0.4, 0.9, 2.0]];

@@ -188,7 +188,7 @@ fn measured(model: &CalibrationModel, poses: u32, known: [bool; 4]) -> Measureme
                 range,
                 azimuth: position.y.atan2(position.x),
                 elevation: position.z.atan2(position.x.hypot(position.y)),
-                covariance,
+                covariance: Some(covariance),
             })
         } else {
             Reading::Cartesian { position, covariance: stated.then_some(covariance) }

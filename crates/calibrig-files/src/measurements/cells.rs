@@ -35,6 +35,8 @@ pub(super) struct QuoteError {
     /// Bytes of the line.
     pub span: Range<usize>,
     pub message: &'static str,
+    /// Whether the quote may be closed on a line behind this one.
+    pub is_open: bool,
 }
 
 /// Cuts the row's line into its cells. Surrounding blanks and quotes are no part of a cell.
@@ -158,8 +160,8 @@ impl<'a> Splitter<'a> {
         let inner = loop {
             let rest = self.rest();
             let Some(length) = rest.find('"') else {
-                let message = "the quote is not closed on this line";
-                return Err(QuoteError { span: start..self.text.len(), message });
+                let message = "the quote is not closed";
+                return Err(QuoteError { span: start..self.text.len(), message, is_open: true });
             };
             text.push_str(&rest[..length]);
             self.at += length + 1;
@@ -175,7 +177,12 @@ impl<'a> Splitter<'a> {
         self.skip_blanks();
         match self.rest().chars().next() {
             Some(c) if !self.is_end(c) && *self.delimiter != Delimiter::Blanks => {
-                return Err(QuoteError { span, message: "text behind a closing quote" });
+                return Err(QuoteError { span, message: "text behind a closing quote", is_open: false });
+            }
+            // A line break in a name would be one in every message.
+            _ if text.contains(['\n', '\r']) => {
+                let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+                row.push_behind(&text, self.text.len(), span);
             }
             _ if is_plain => row.push_span(inner, span),
             _ => row.push_behind(&text, self.text.len(), span),
@@ -216,6 +223,16 @@ mod tests {
         };
         assert_eq!(broken("1,\"2,3").span, 2..6);
         assert_eq!(broken("1,\"2\"3,4").message, "text behind a closing quote");
+    }
+
+    /// What the csv crate writes with line breaks in cells has as many cells; breaks are blanks.
+    #[test]
+    fn line_breaks_in_cells_are_blanks() {
+        let mut writer = csv::WriterBuilder::new().from_writer(Vec::new());
+        writer.write_record(["a\r\nb", "c\"\nd", "\n", "e"]).unwrap();
+        let line = String::from_utf8(writer.into_inner().unwrap()).unwrap();
+        let found = cells(line.trim_end_matches('\n'), &Delimiter::Character(','));
+        assert_eq!(found, ["a b", "c\" d", "", "e"]);
     }
 
     proptest! {

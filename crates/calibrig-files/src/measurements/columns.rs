@@ -13,7 +13,7 @@ use std::sync::Arc;
 use super::layout::{TableFormat, Wanted};
 use super::table::bag::BagOptions;
 use super::text::TextFormat;
-use super::units::{AngleUnit, LengthUnit};
+use super::units::{AngleUnit, LengthUnit, TimeUnit};
 use crate::input::{InputError, Source};
 use calibrig_model::JointKind;
 use calibrig_model::measurement::SphericalReading;
@@ -26,6 +26,8 @@ pub struct ColumnMap {
     mapping: Option<Mapping>,
     /// Whether a file in calibrig's own columns is read as one although there is a mapping.
     or_own: bool,
+    /// Whether target and station are read where a file has their columns, and not called for.
+    names_where_there: bool,
     /// The text of the map.
     source: Option<Arc<Source>>,
 }
@@ -43,6 +45,8 @@ pub(super) struct Mapping {
     pub station: Option<Entry>,
     pub target: Option<Entry>,
     pub time: Option<Entry>,
+    /// Of times that are numbers.
+    pub time_unit: TimeUnit,
     pub temperature: Option<Entry>,
     pub approach: Vec<Entry>,
     pub rows: RowChoices,
@@ -397,7 +401,12 @@ pub struct RowOptions {
 
 impl ColumnMap {
     pub(super) fn new(mapping: Mapping, source: Source) -> Self {
-        Self { mapping: Some(mapping), or_own: false, source: Some(Arc::new(source)) }
+        Self {
+            mapping: Some(mapping),
+            or_own: false,
+            names_where_there: false,
+            source: Some(Arc::new(source)),
+        }
     }
 
     /// Refuses a map that does not fit the robot's joints; `source` is the text that it was read from.
@@ -417,6 +426,12 @@ impl ColumnMap {
     #[must_use]
     pub fn or_own(self) -> Self {
         Self { or_own: true, ..self }
+    }
+
+    /// The same map, but the columns of target and station are read where a file has them: bags have them where there are several.
+    #[must_use]
+    pub fn with_names_where_there(self) -> Self {
+        Self { names_where_there: true, ..self }
     }
 
     #[cfg(test)]
@@ -479,7 +494,15 @@ impl ColumnMap {
                 && (0..joints.len()).all(|index| has(&own::joint(index, joints[index])))
         };
         match &self.mapping {
-            Some(mapping) if !own(mapping) => Ok(mapping.clone()),
+            Some(mapping) if !own(mapping) => {
+                let mut mapping = mapping.clone();
+                if self.names_where_there {
+                    let is_there = |entry: &Entry| entry.names().any(has);
+                    mapping.target = mapping.target.filter(is_there);
+                    mapping.station = mapping.station.filter(is_there);
+                }
+                Ok(mapping)
+            }
             _ => own_mapping(header, joints),
         }
     }
@@ -544,6 +567,7 @@ fn own_mapping(header: &[&str], joints: &[JointKind]) -> Result<Mapping, String>
         station: optional(own::STATION),
         target: optional(own::TARGET),
         time: optional(own::TIME),
+        time_unit: TimeUnit::S,
         temperature: optional(own::TEMPERATURE),
         approach: if directed {
             approach.iter().map(|name| Entry::named(name)).collect()

@@ -5,12 +5,13 @@ use std::path::{Path, PathBuf};
 
 use super::columns::{ColumnMap, JoinBy, Part, PoseList, RowOptions};
 use super::header::{FileColumns, Head};
-use super::join::{Joints, unmatched};
+use super::join::{Joints, Key, unmatched};
 use super::layout::Table;
 use super::open::open;
 use super::reader::{Motion, Names, RowReader, check_length};
 use super::rows::{Row, Rows};
 use super::text::TextRows;
+use super::times::TimeReader;
 use super::{CsvError, LoadedMeasurements, repeats};
 use crate::input::{InputError, Source};
 use calibrig_model::JointKind;
@@ -47,7 +48,6 @@ impl MeasurementFiles {
 /// - A row whose position is (0, 0, 0), or empty, is a missed shot: it is left out and reported in [`LoadedMeasurements::dropped`].
 /// - Without a pose column the rows count from 1; without a time column the time is 0; without station or target columns there is
 ///   one of each. Stations and targets are numbered in the order of their first appearance.
-/// - A spherical reading of unstated uncertainty becomes a Cartesian one without covariance.
 ///
 /// The file is read line by line: beside the set, memory does not grow with it.
 pub fn read_measurements(
@@ -90,6 +90,7 @@ pub fn read_files(
     joints: &[JointKind],
     options: &RowOptions,
 ) -> Result<LoadedMeasurements, InputError> {
+    refuse_twice(files)?;
     let format = map.format().0;
     let mut reading = Reading::new(map, joints, options);
     for file in &files.points {
@@ -105,6 +106,24 @@ pub fn read_files(
         reading.add(rows, commands, file.target.as_deref())?;
     }
     reading.finish()
+}
+
+/// Refuses a file of points that is named twice, whose rows would count twice.
+fn refuse_twice(files: &MeasurementFiles) -> Result<(), InputError> {
+    let mut seen: Vec<PathBuf> = Vec::new();
+    for PointsFile { path, .. } in &files.points {
+        // A file that is not there is told when it is opened.
+        let Ok(known) = path.canonicalize() else { continue };
+        if seen.contains(&known) {
+            return Err(InputError::Place {
+                place: path.display().to_string(),
+                message: "this file is named twice: its rows would count twice".to_owned(),
+                help: Some("expected every file of measurements once".to_owned()),
+            });
+        }
+        seen.push(known);
+    }
+    Ok(())
 }
 
 /// Files that are being read into one set.
@@ -180,7 +199,8 @@ impl<'a> Reading<'a> {
         self.held_out.extend(&columns.sets.poses);
         self.loaded.names_stations |= columns.station.is_some();
         self.loaded.names_targets |= columns.target.is_some() || target.is_some();
-        let key = commands.as_ref().map(|joints| joints.key(of_points)).transpose()?.flatten();
+        let mut key =
+            commands.as_ref().map_or(Ok(Key::Step), |joints| joints.key(of_points, &table.dates))?;
         let mut reader = RowReader {
             columns: &columns,
             options: &self.options,
@@ -189,16 +209,31 @@ impl<'a> Reading<'a> {
             joints_from: points.len(),
             decimals: [table.decimal, commands.as_ref().map_or(table.decimal, Joints::decimal)],
             target,
+            time: columns.time.clone().map(|time| {
+                let of_joints = commands.as_ref().filter(|_| time.first() >= points.len());
+                TimeReader::new(time, of_joints.map_or(&table.dates, Joints::dates).clone())
+            }),
             motion: Motion::default(),
             rows: 0,
         };
         let mut row = Row::default();
         while table.next_row(&mut row)? {
+            if row.len() < points.len() && table.breaks_off() {
+                reader.rows = reader.rows.saturating_add(1);
+                let why = format!(
+                    "the file breaks off in this line, which has {} of {} columns ({})",
+                    row.len(),
+                    points.len(),
+                    row.place().of(&file)
+                );
+                self.loaded.drop_row(reader.rows, why, false);
+                continue;
+            }
             check_length(&file, &row, &points, table.has_header)?;
             row.resize(points.len());
             reader.rows = reader.rows.saturating_add(1);
             if let Some(commands) = &mut commands
-                && let Err(why) = commands.join(&file, &mut row, key, table.decimal)?
+                && let Err(why) = commands.join(&file, &mut row, &mut key, table.decimal)?
             {
                 self.loaded.drop_row(reader.rows, unmatched(row.place(), &file, &why), false);
                 continue;
@@ -209,8 +244,11 @@ impl<'a> Reading<'a> {
             let expected = "a row of numbers for every measurement";
             return Err(of_points.refuse("there are no measurements below the header", expected));
         }
+        remarks.extend(reader.time.iter().flat_map(|time| time.remarks(&file)));
         if let Some(commands) = &mut commands {
+            remarks.extend(key.remarks(&file));
             remarks.extend(commands.remarks(&file));
+            remarks.extend(commands.zones_differ(&file, &key));
             remarks.extend(commands.finish(&file)?);
         }
         remarks.extend(table.remarks());

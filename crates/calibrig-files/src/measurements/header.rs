@@ -7,7 +7,8 @@ use super::columns::{
 };
 use super::layout::Column;
 use super::rows::Row;
-use super::units::{AngleUnit, HeaderUnit, LengthUnit};
+use super::times::TimeColumns;
+use super::units::{AngleUnit, HeaderUnit, LengthUnit, TimeUnit};
 use crate::input::{InputError, Source};
 use calibrig_model::JointKind;
 
@@ -27,6 +28,20 @@ impl FileColumns<'_> {
         }
         let help = Some(format!("expected {expected}"));
         InputError::Place { place: self.name.to_owned(), message: message.to_string(), help }
+    }
+
+    /// Names of the columns, as far as a message can hold them.
+    pub fn names(&self) -> String {
+        const MOST: usize = 40;
+        let names = self.columns.iter().take(MOST).map(|column| match column.header.char_indices().nth(60) {
+            Some((end, _)) => format!("{}…", &column.header[..end]),
+            None => column.header.clone(),
+        });
+        let names = names.collect::<Vec<_>>().join(", ");
+        match self.columns.len().checked_sub(MOST) {
+            Some(more @ 1..) => format!("{names} and {more} more"),
+            _ => names,
+        }
     }
 
     /// The column of an entry that is a single one, from 0.
@@ -72,7 +87,7 @@ pub(super) struct Columns {
     pub names_poses: bool,
     pub station: Option<usize>,
     pub target: Option<usize>,
-    pub time: Option<usize>,
+    pub time: Option<TimeColumns>,
     pub temperature: Option<Quantity>,
     pub approach: Vec<Quantity>,
     pub sets: Sets,
@@ -179,7 +194,7 @@ impl<'a> Head<'a> {
             names_poses: self.map.is_some(),
             station: self.optional(mapping.station.as_ref())?,
             target: self.optional(mapping.target.as_ref())?,
-            time: self.optional(mapping.time.as_ref())?,
+            time: mapping.time.as_ref().map(|entry| self.time(entry, mapping.time_unit)).transpose()?,
             temperature: mapping
                 .temperature
                 .as_ref()
@@ -227,8 +242,7 @@ impl<'a> Head<'a> {
                 let expected = "columns by number, x = 7, where a file has no header";
                 return file.refuse(format!("column {wanted} is missing: the file has no header"), expected);
             }
-            let names: Vec<_> = file.columns.iter().map(|column| column.header.as_str()).collect();
-            let expected = format!("a column {wanted}; found {}", names.join(", "));
+            let expected = format!("a column {wanted}; found {}", file.names());
             file.refuse(format!("column {wanted} is missing"), &expected)
         })
     }
@@ -241,6 +255,19 @@ impl<'a> Head<'a> {
             _ => ColumnRef::Name(entry.written.clone()),
         };
         self.find(&column, false).map(Some)
+    }
+
+    fn time(&self, entry: &Entry, unit: TimeUnit) -> Result<TimeColumns, InputError> {
+        let key = format!("time_{}", unit.key());
+        let file =
+            if entry.terms.iter().all(|term| self.points.find(&term.column).is_ok_and(|at| at.is_some())) {
+                self.points
+            } else {
+                self.joints.unwrap_or(self.points)
+            };
+        TimeColumns::of(entry, Some((unit, &key)), &file, &|column| self.find(column, false), &|index| {
+            self.file_of(index).1
+        })
     }
 
     fn quantity(&mut self, entry: &Entry, kind: Kind, is_joint: bool) -> Result<Quantity, InputError> {
@@ -283,7 +310,7 @@ impl<'a> Head<'a> {
         let (stated, key, expected) = match kind {
             Kind::Plain => return Ok(Scale::One),
             Kind::Length(unit, key) => (unit.map(Scale::Length), key, "mm, m, um, cm or inch"),
-            Kind::Angle(unit, key) => (unit.map(Scale::Angle), key, "deg, rad, mrad, arcsec or gon"),
+            Kind::Angle(unit, key) => (unit.map(Scale::Angle), key, "deg, rad, mrad, arcsec, gon or rev"),
         };
         let in_header = match (column.unit, kind) {
             (Some(HeaderUnit::Length(unit)), Kind::Length(..)) => Some(Scale::Length(unit)),

@@ -7,7 +7,7 @@ use super::columns::{ColumnMap, ColumnRef, Entry, Join, JoinBy, Part};
 use super::header::FileColumns;
 use super::layout::{Decimal, Table};
 use super::rows::{Place, Row, Rows};
-use super::times;
+use super::times::{Dates, TimeColumns, TimeReader};
 use crate::input::InputError;
 use calibrig_model::JointKind;
 
@@ -32,8 +32,28 @@ enum By {
         /// By their times, s.
         rows: Vec<(f64, Row)>,
         within: f64,
-        key: ColumnRef,
+        key: Entry,
+        /// Of the joints, which are read.
+        times: TimeReader,
     },
+}
+
+/// Where the key is in the rows of the points.
+pub(super) enum Key {
+    /// Rows of both files are in step.
+    Step,
+    Name(usize),
+    Time(Box<TimeReader>),
+}
+
+impl Key {
+    /// What is to be said of the times of the points.
+    pub fn remarks(&self, file: &str) -> Vec<String> {
+        match self {
+            Self::Time(times) => times.remarks(file),
+            _ => Vec::new(),
+        }
+    }
 }
 
 impl Joints {
@@ -49,8 +69,7 @@ impl Joints {
                 file.by = file.by_name(own, key)?;
             }
             Some(Join { by: JoinBy::Time { within, offset }, keys: Some([own, points]) }) => {
-                let (own, key) = (file.find(own)?, column(points));
-                file.by = file.by_time(own, *offset, *within, key)?;
+                file.by = file.by_time(own, *offset, *within, points.clone())?;
             }
         }
         Ok(file)
@@ -69,45 +88,52 @@ impl Joints {
         self.table.decimal
     }
 
+    pub fn dates(&self) -> &Dates {
+        &self.table.dates
+    }
+
     /// How its rows are found, in words.
     pub fn remarks(&self, points: &str) -> Vec<String> {
         let how = match &self.by {
             By::Row => "row by row".to_owned(),
             By::Name { key, .. } => format!("by name ({})", words(key)),
-            By::Time { key, within, .. } => format!("by time ({}, within {within} s)", words(key)),
+            By::Time { key, within, .. } => format!("by time ({}, within {within} s)", key.written),
         };
         let mut remarks = self.table.remarks();
+        if let By::Time { times, .. } = &self.by {
+            remarks.extend(times.remarks(&self.name));
+        }
         remarks.push(format!("{points} and {} are joined {how}", self.name));
         remarks
     }
 
-    fn find(&self, entry: &Entry) -> Result<usize, InputError> {
-        let wanted = column(entry);
-        let missing = || {
-            let names: Vec<_> = self.table.columns.iter().map(|column| column.header.as_str()).collect();
-            let expected = format!(
-                "a column {}, by which the files are joined; found {}",
-                words(&wanted),
-                names.join(", ")
-            );
-            self.columns().refuse(format!("column {} is missing", words(&wanted)), &expected)
-        };
-        self.columns().find(&wanted)?.ok_or_else(missing)
+    /// What is to be said where the times of one file have a zone and those of the other none.
+    pub fn zones_differ(&self, points: &str, key: &Key) -> Option<String> {
+        let (By::Time { times, .. }, Key::Time(key)) = (&self.by, key) else { return None };
+        let (own, theirs) = (times.kind()?, key.kind()?);
+        (own != theirs).then(|| {
+            format!(
+                "times of {points} are {}, those of {} {}: without a zone they count as UTC (offset_s in [join] shifts the joints')",
+                theirs.words(),
+                self.name,
+                own.words()
+            )
+        })
     }
 
-    /// Where the key is in the rows of the points; `None` of rows in step.
-    pub fn key(&self, points: FileColumns<'_>) -> Result<Option<usize>, InputError> {
-        let key = match &self.by {
-            By::Row => return Ok(None),
-            By::Name { key, .. } | By::Time { key, .. } => key,
-        };
-        let missing = || {
-            let names: Vec<_> = points.columns.iter().map(|column| column.header.as_str()).collect();
-            let expected =
-                format!("a column {}, by which the files are joined; found {}", words(key), names.join(", "));
-            points.refuse(format!("column {} is missing", words(key)), &expected)
-        };
-        points.find(key)?.ok_or_else(missing).map(Some)
+    fn find(&self, entry: &Entry) -> Result<usize, InputError> {
+        key_in(&self.columns(), &column(entry))
+    }
+
+    /// Where the key is in the rows of the points, whose dates are written so.
+    pub fn key(&self, points: FileColumns<'_>, dates: &Dates) -> Result<Key, InputError> {
+        match &self.by {
+            By::Row => Ok(Key::Step),
+            By::Name { key, .. } => Ok(Key::Name(key_in(&points, key)?)),
+            By::Time { key, .. } => {
+                Ok(Key::Time(Box::new(TimeReader::new(times_in(&points, key)?, dates.clone()))))
+            }
+        }
     }
 
     fn next(&mut self, row: &mut Row) -> Result<bool, InputError> {
@@ -137,14 +163,15 @@ impl Joints {
         Ok(By::Name { rows, by_name, used, key })
     }
 
-    fn by_time(&mut self, own: usize, offset: f64, within: f64, key: ColumnRef) -> Result<By, InputError> {
+    fn by_time(&mut self, own: &Entry, offset: f64, within: f64, key: Entry) -> Result<By, InputError> {
         let (mut rows, mut row) = (Vec::new(), Row::default());
+        let mut times = TimeReader::new(times_in(&self.columns(), own)?, self.table.dates.clone());
         while self.next(&mut row)? {
-            let time = times::of_cell(&self.name, &row, own, self.table.decimal)?;
+            let time = times.read(&self.name, &row, self.table.decimal)?;
             rows.push((time - offset, row.clone()));
         }
         rows.sort_by(|(a, _), (b, _)| a.total_cmp(b));
-        Ok(By::Time { rows, within, key })
+        Ok(By::Time { rows, within, key, times })
     }
 
     /// Adds to a row of points the row of commands that belongs to it; otherwise says why no row does.
@@ -152,14 +179,14 @@ impl Joints {
         &mut self,
         points: &str,
         row: &mut Row,
-        key: Option<usize>,
+        key: &mut Key,
         decimal: Decimal,
     ) -> Result<Result<(), String>, InputError> {
         let mut own = std::mem::take(&mut self.row);
         let name = Arc::clone(&self.name);
         let joined = match (&mut self.by, key) {
-            (By::Name { rows, by_name, used, .. }, Some(key)) => {
-                let wanted = row.cell(key).unwrap_or_default();
+            (By::Name { rows, by_name, used, .. }, Key::Name(key)) => {
+                let wanted = row.cell(*key).unwrap_or_default();
                 match by_name.get(wanted) {
                     Some(index) => {
                         used[*index] = true;
@@ -169,8 +196,15 @@ impl Joints {
                     None => Err(format!("{name} has no joints of the name {wanted:?}")),
                 }
             }
-            (By::Time { rows, within, .. }, Some(key)) => {
-                let time = times::of_cell(points, row, key, decimal)?;
+            (By::Time { rows, within, times, .. }, Key::Time(key)) => {
+                let time = key.read(points, row, decimal)?;
+                if let (Some(own), Some(theirs)) = (times.kind(), key.kind())
+                    && !theirs.is_comparable_with(own)
+                {
+                    let message = format!("the time is {}, in {name} it is {}", theirs.words(), own.words());
+                    let expected = "times of one kind in both files: export them alike, or join by name or by row ([join])";
+                    return Err(row.refuse(points, Some(key.first()), message, expected));
+                }
                 match nearest(rows, time) {
                     Some((apart, found)) if apart <= *within => {
                         row.join(&name, found);
@@ -219,6 +253,20 @@ fn column(entry: &Entry) -> ColumnRef {
         [term] if term.sign > 0.0 => term.column.clone(),
         _ => ColumnRef::Name(entry.written.clone()),
     }
+}
+
+/// The column by which files are joined.
+fn key_in(file: &FileColumns<'_>, key: &ColumnRef) -> Result<usize, InputError> {
+    file.find(key)?.ok_or_else(|| {
+        let expected =
+            format!("a column {}, by which the files are joined; found {}", words(key), file.names());
+        file.refuse(format!("column {} is missing", words(key)), &expected)
+    })
+}
+
+/// The columns of the times by which files are joined.
+fn times_in(file: &FileColumns<'_>, key: &Entry) -> Result<TimeColumns, InputError> {
+    TimeColumns::of(key, None, file, &|column| key_in(file, column), &|index| &file.columns[index])
 }
 
 fn words(column: &ColumnRef) -> String {

@@ -4,6 +4,7 @@ use std::collections::{HashMap, VecDeque};
 use std::ops::Range;
 
 use super::rows::{Row, Rows};
+use super::times::{DateOrder, Dates};
 use super::units::{HeaderUnit, name_and_unit, unit_alone};
 use crate::input::{Excerpt, InputError};
 
@@ -88,6 +89,17 @@ impl Decimal {
             Self::Comma => "a number, with a decimal comma as the others of this file",
         }
     }
+
+    /// The same for a text that has separators of thousands in it.
+    pub fn words_for(self, text: &str) -> String {
+        let is_separator = |c: char| matches!(c, ',' | '.' | '\'' | '\u{2019}' | ' ' | '\u{a0}' | '\u{202f}');
+        let without: String = text.chars().filter(|c| !is_separator(*c)).collect();
+        let has_thousands = text.chars().filter(|c| is_separator(*c)).count() > 0
+            && without.trim_start_matches('-').len() > 3
+            && without.trim_start_matches('-').bytes().all(|byte| byte.is_ascii_digit());
+        let what = self.words();
+        if has_thousands { format!("{what}, and without separators of thousands") } else { what.to_owned() }
+    }
 }
 
 /// A column as the header has it.
@@ -121,6 +133,8 @@ impl Column {
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct TableFormat {
     pub decimal: Option<Decimal>,
+    /// Of dates whose way of writing leaves it open.
+    pub date: Option<DateOrder>,
     /// Whether there is a header; found where it is not said.
     pub header: Option<bool>,
 }
@@ -134,6 +148,7 @@ pub(super) struct Table {
     pub head: Row,
     pub has_header: bool,
     pub decimal: Decimal,
+    pub dates: Dates,
     /// What was found, in words.
     pub found: Vec<String>,
 }
@@ -166,6 +181,7 @@ impl Table {
             head: Row::default(),
             has_header: false,
             decimal: Decimal::Point,
+            dates: Dates::default(),
             found: Vec::new(),
         })
     }
@@ -178,6 +194,7 @@ impl Table {
             None => table.skip_preamble(wanted, format.header == Some(false)),
         }
         table.decimal = format.decimal.unwrap_or_else(|| table.sniff_decimal());
+        table.dates = format.date.map_or_else(|| table.sniff_dates(), Dates::stated);
         Ok(table)
     }
 
@@ -204,6 +221,7 @@ impl Table {
             }
         }
         table.decimal = table.sniff_decimal();
+        table.dates = table.sniff_dates();
         Ok(table)
     }
 
@@ -215,6 +233,11 @@ impl Table {
         let mut remarks = self.found.clone();
         remarks.extend(self.rows.remarks());
         remarks
+    }
+
+    /// Whether the file ends within the line of the row that was given last.
+    pub fn breaks_off(&self) -> bool {
+        self.ahead.is_empty() && self.rows.breaks_off()
     }
 
     pub fn comments(&self) -> &[(u64, String)] {
@@ -275,6 +298,12 @@ impl Table {
         if unit_row.is_some() {
             self.ahead.pop_front();
         }
+        // A delimiter at the end makes no column.
+        while names.last().is_some_and(String::is_empty)
+            && self.ahead.iter().all(|row| row.cell(names.len() - 1).is_none_or(str::is_empty))
+        {
+            names.pop();
+        }
         let cells = self.ahead.front().map_or(0, Row::len);
         if names.len() > cells && cells > 0 {
             names = with_units_in_place(names, cells);
@@ -319,6 +348,10 @@ impl Table {
                 })
                 .collect();
         }
+    }
+
+    fn sniff_dates(&self) -> Dates {
+        Dates::seen(self.ahead.iter().flat_map(|row| row.cells().map(move |cell| (row.place(), cell))))
     }
 
     /// A comma where all fractions have one.

@@ -10,7 +10,7 @@ use super::columns::{MissedCode, PolarAngle, RowOptions};
 use super::header::{Columns, Position, Quantity, QuantityTerm, UncertaintyColumns};
 use super::layout::{Column, Decimal};
 use super::rows::Row;
-use super::times;
+use super::times::TimeReader;
 use crate::input::InputError;
 use calibrig_model::measurement::{MeasurementSet, Observation, Reading, SphericalReading, Station, Target};
 
@@ -30,6 +30,7 @@ pub(super) struct RowReader<'a> {
     pub decimals: [Decimal; 2],
     /// The target of the whole file, where it is one for each.
     pub target: Option<&'a str>,
+    pub time: Option<TimeReader>,
     /// What approaches follow from.
     pub motion: Motion,
     pub rows: u32,
@@ -168,7 +169,15 @@ impl RowReader<'_> {
                 return Ok(());
             }
         };
-        let (temperature, time) = (cells.temperature()?, cells.time()?);
+        let temperature = cells.temperature()?;
+        let time = match &mut self.time {
+            Some(time) => {
+                let decimal = self.decimals[usize::from(time.first() >= self.joints_from)];
+                time.read(self.file, row, decimal)?
+            }
+            None => 0.0,
+        };
+        let cells = Cells { reader: self, row };
         let station = cells.name(self.columns.station).unwrap_or("station 1");
         let target = cells.name(self.columns.target).or(self.target).unwrap_or("target 1");
         let station = names.station(station, &mut loaded.set);
@@ -223,7 +232,7 @@ impl<'r> Cells<'r> {
                 let expected = "a number, with a decimal point as others of this file; decimal = \",\" in [text] of a column map reads commas";
                 Err(self.refuse_cell(column, expected))
             }
-            None => Err(self.refuse_cell(column, decimal.words())),
+            None => Err(self.refuse_cell(column, &decimal.words_for(cell))),
         }
     }
 
@@ -369,15 +378,6 @@ impl<'r> Cells<'r> {
         }
     }
 
-    fn time(&self) -> Result<f64, InputError> {
-        let Some(column) = self.reader.columns.time else { return Ok(0.0) };
-        if let Some(time) = times::parse(self.cell(column), self.decimal(column)) {
-            return Ok(time);
-        }
-        let number = self.number(column);
-        number.map_err(|_| self.refuse_cell(column, "a number of seconds, or a time such as 12:03:44.12"))
-    }
-
     fn name(&self, column: Option<usize>) -> Option<&'r str> {
         column.map(|column| self.cell(column))
     }
@@ -410,7 +410,6 @@ impl<'r> Cells<'r> {
                     return Err(self.refuse_cell(range.terms[0].column, "a range above zero"));
                 }
                 // The standard deviation of an elevation is that of the zenith angle.
-                let mut covariance = self.covariance()?;
                 let mut reading = SphericalReading {
                     range: values[0],
                     azimuth: values[1],
@@ -418,11 +417,11 @@ impl<'r> Cells<'r> {
                         PolarAngle::Elevation => values[2],
                         PolarAngle::Zenith => std::f64::consts::FRAC_PI_2 - values[2],
                     },
-                    covariance: Matrix3::zeros(),
+                    covariance: self.covariance()?,
                 };
-                if let (None, Some(noise)) = (&covariance, &self.reader.columns.noise) {
+                if let (None, Some(noise)) = (&reading.covariance, &self.reader.columns.noise) {
                     match noise.of_reading(&reading) {
-                        Some(own) => covariance = Some(own),
+                        Some(own) => reading.covariance = Some(own),
                         None => {
                             let position = reading.position();
                             return Ok(Some(Reading::Cartesian {
@@ -432,13 +431,7 @@ impl<'r> Cells<'r> {
                         }
                     }
                 }
-                Ok(Some(match covariance {
-                    Some(covariance) => {
-                        reading.covariance = covariance;
-                        Reading::Spherical(reading)
-                    }
-                    None => Reading::Cartesian { position: reading.position(), covariance: None },
-                }))
+                Ok(Some(Reading::Spherical(reading)))
             }
         }
     }

@@ -109,6 +109,10 @@ fn check_commands(loaded: &LoadedMeasurements, group: &[usize]) -> Result<(), In
 /// The mean of repeats; `scatter` is the variance of one reading along each axis, where it is known.
 fn mean_observation(members: &[&Observation], scatter: Option<f64>) -> Observation {
     let mut mean = members[0].clone();
+    // Scatter is that of positions.
+    if let Reading::Spherical(reading @ SphericalReading { covariance: None, .. }) = &mean.reading {
+        mean.reading = Reading::Cartesian { position: reading.position(), covariance: None };
+    }
     let count = members.len() as f64;
     for (joint, value) in mean.command.iter_mut().enumerate() {
         *value = members.iter().map(|o| o.command[joint]).sum::<f64>() / count;
@@ -138,7 +142,7 @@ fn mean_observation(members: &[&Observation], scatter: Option<f64>) -> Observati
     mean
 }
 
-/// The mean of spherical readings, angle by angle; `None` where there is another reading among them.
+/// The mean of spherical readings, angle by angle; `None` where there is another reading among them, or one that states no uncertainty.
 fn spherical(members: &[&Observation]) -> Option<SphericalReading> {
     let readings: Vec<&SphericalReading> = members
         .iter()
@@ -148,6 +152,8 @@ fn spherical(members: &[&Observation]) -> Option<SphericalReading> {
         })
         .collect::<Option<_>>()?;
     let (first, count) = (*readings.first()?, readings.len() as f64);
+    let stated: Option<Vec<Matrix3<f64>>> = readings.iter().map(|r| r.covariance).collect();
+    let covariance = stated?.iter().sum::<Matrix3<f64>>();
     let mean = |of: &dyn Fn(&SphericalReading) -> f64| readings.iter().map(|r| of(r)).sum::<f64>() / count;
     // Angles of one direction may be a turn apart.
     let near = |angle: f64| first.azimuth + (angle - first.azimuth + PI).rem_euclid(TAU) - PI;
@@ -155,6 +161,6 @@ fn spherical(members: &[&Observation]) -> Option<SphericalReading> {
         range: mean(&|r| r.range),
         azimuth: mean(&|r| near(r.azimuth)),
         elevation: mean(&|r| r.elevation),
-        covariance: readings.iter().map(|r| r.covariance).sum::<Matrix3<f64>>() / (count * count),
+        covariance: Some(covariance / (count * count)),
     })
 }

@@ -25,6 +25,11 @@ pub trait Rows {
         Vec::new()
     }
 
+    /// Whether the row that was given last is the last one of a text whose last line does not end.
+    fn breaks_off(&self) -> bool {
+        false
+    }
+
     /// What stands in the file beside its rows, with line numbers: comments.
     fn comments(&self) -> &[(u64, String)] {
         &[]
@@ -96,6 +101,27 @@ impl fmt::Display for Place {
             Self::Message { number, .. } => write!(f, "message {number}"),
         }
     }
+}
+
+/// As much of a line as a message can show: all of it, or what stands near the place.
+fn near(line: &str, span: Range<usize>) -> (String, Range<usize>) {
+    const LONGEST: usize = 500;
+    const AROUND: usize = 100;
+    if line.len() <= LONGEST {
+        return (line.to_owned(), span);
+    }
+    let mut from = span.start.saturating_sub(AROUND);
+    let mut to = span.end.min(span.start + LONGEST).saturating_add(AROUND).min(line.len());
+    while !line.is_char_boundary(from) {
+        from -= 1;
+    }
+    while !line.is_char_boundary(to) {
+        to += 1;
+    }
+    let mark = if from > 0 { "…" } else { "" };
+    let text = format!("{mark}{}{}", &line[from..to], if to < line.len() { "…" } else { "" });
+    let shift = |at: usize| at.min(to) - from + mark.len();
+    (text, shift(span.start)..shift(span.end))
 }
 
 /// A column of a spreadsheet, from 1: A, B, ... Z, AA.
@@ -279,7 +305,8 @@ impl Row {
                 let span = column.and_then(|column| self.cells.get(column)).map(|cell| cell.span.clone());
                 let span = span.filter(|span| !span.is_empty()).unwrap_or(0..self.line);
                 let first_line = usize::try_from(number).unwrap_or(usize::MAX);
-                InputError::in_excerpt(name, Excerpt::new(self.line(), first_line), span, message, help)
+                let (text, span) = near(self.line(), span);
+                InputError::in_excerpt(name, Excerpt::new(text, first_line), span, message, help)
             }
             _ => {
                 let place = column.map_or_else(|| self.place.of(name), |c| self.place.of_cell(name, c));
@@ -332,6 +359,18 @@ impl Rows for MemoryRows {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn of_a_long_line_what_is_near_is_shown() {
+        let line = format!("{}é,x1,{}", "1,".repeat(5000), "2,é".repeat(5000));
+        let at = line.find("x1").expect("there");
+        let (text, span) = near(&line, at..at + 2);
+        assert_eq!(&text[span], "x1");
+        assert!(text.len() < 400 && text.starts_with('…') && text.ends_with('…'), "{text}");
+        let (text, span) = near(&line, 0..line.len());
+        assert!(text.len() < 800 && text.get(span).is_some(), "{text}");
+        assert_eq!(near("1,2", 2..3), ("1,2".to_owned(), 2..3));
+    }
 
     #[test]
     fn a_cell_of_a_sheet_is_called_as_people_call_it() {

@@ -1,6 +1,8 @@
 //! A column map from what is seen in files: every guess with its reason, and nothing decided that cannot be seen.
 
 mod column;
+mod names;
+mod told;
 mod written;
 
 use std::path::Path;
@@ -11,7 +13,11 @@ use super::layout::{Decimal, Table, Wanted};
 use super::open::open;
 use super::rows::Row;
 use super::text::TextFormat;
+use super::times::Dates;
 use crate::input::InputError;
+
+/// More are none of measurements.
+const MOST_COLUMNS: usize = 2000;
 
 /// A column map that was suggested.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -27,6 +33,7 @@ pub(super) struct SeenFile {
     pub name: String,
     pub has_header: bool,
     pub decimal: Decimal,
+    pub dates: Dates,
     pub rows: u64,
     pub columns: Vec<SeenColumn>,
     /// Comments of the file that name units, with their places.
@@ -47,6 +54,15 @@ pub fn suggest_columns(paths: &[&Path]) -> Result<SuggestedMap, InputError> {
 fn look_at(path: &Path) -> Result<SeenFile, InputError> {
     let rows = open(path, &TextFormat::default(), &Wanted::default(), &RowOptions::default())?;
     let mut table = Table::find_any(rows)?;
+    if table.columns.len() > MOST_COLUMNS {
+        return Err(InputError::Place {
+            place: table.name().to_owned(),
+            message: format!("its rows have {} columns", table.columns.len()),
+            help: Some(format!(
+                "expected a table of measurements: a row a reading, of at most {MOST_COLUMNS} columns"
+            )),
+        });
+    }
     let mut columns: Vec<SeenColumn> =
         table.columns.iter().enumerate().map(|(index, column)| SeenColumn::new(index, column)).collect();
     let (mut row, mut rows, mut ragged) = (Row::default(), 0, None);
@@ -72,6 +88,7 @@ fn look_at(path: &Path) -> Result<SeenFile, InputError> {
         name: path.display().to_string(),
         has_header: table.has_header,
         decimal: table.decimal,
+        dates: table.dates.clone(),
         rows,
         columns,
         unit_comments,

@@ -61,7 +61,7 @@ fn own_columns_are_read() {
     let Reading::Spherical(reading) = &first.reading else { panic!("spherical") };
     assert_eq!((reading.range, reading.azimuth, reading.elevation), (3.5, 0.25, -0.125));
     assert_eq!(
-        reading.covariance,
+        reading.covariance.expect("stated"),
         Matrix3::from_diagonal(&Vector3::new(1e-5 * 1e-5, 2e-6 * 2e-6, 3e-6 * 3e-6))
     );
     assert_eq!((set.observations[1].station, set.observations[1].temperature), (1, None));
@@ -112,10 +112,13 @@ fn exports_with_comments_other_delimiters_and_units_are_read() {
     }
     let Reading::Spherical(reading) = &loaded.set.observations[0].reading else { panic!("spherical") };
     assert!((reading.elevation - 30f64.to_radians()).abs() < 1e-15);
-    let sigmas = reading.covariance.diagonal().map(f64::sqrt);
+    let sigmas = reading.covariance.expect("stated").diagonal().map(f64::sqrt);
     let arcsec = std::f64::consts::PI / 648_000.0;
     assert!((sigmas - Vector3::new(10e-6, arcsec, 2.0 * arcsec)).norm() < 1e-18);
-    assert!(matches!(loaded.set.observations[1].reading, Reading::Cartesian { covariance: None, .. }));
+    // What states no uncertainty keeps its angles, to the bit.
+    let unstated = SphericalReading { covariance: None, ..reading.clone() };
+    assert_eq!(loaded.set.observations[1].reading, Reading::Spherical(unstated));
+    assert_eq!(loaded.set.observations[1].reading.position(), reading.position());
 }
 
 #[test]
@@ -326,7 +329,12 @@ fn observation(spherical: bool, diagonal: bool) -> impl Strategy<Value = Observa
         let [x, y, z] = place;
         let reading = if spherical {
             let range = x.abs().max(f64::MIN_POSITIVE);
-            Reading::Spherical(SphericalReading { range, azimuth: y, elevation: z, covariance })
+            Reading::Spherical(SphericalReading {
+                range,
+                azimuth: y,
+                elevation: z,
+                covariance: stated.then_some(covariance),
+            })
         } else {
             let position = Vector3::new(x, y, if (x, y, z) == (0.0, 0.0, 0.0) { 1.0 } else { z });
             Reading::Cartesian { position, covariance: stated.then_some(covariance) }
@@ -514,4 +522,186 @@ fn the_wam_data_are_as_far_from_the_nominal_robot_as_known() {
     let (rms, largest) = data.nominal_error();
     eprintln!("WAM: RMS {:.3} mm, largest {:.2} mm", rms * 1e3, largest * 1e3);
     assert!((rms - 4.66e-3).abs() < 5e-6 && (largest - 10.5e-3).abs() < 5e-5, "{rms} {largest}");
+}
+
+#[test]
+fn a_line_in_which_the_file_ends_is_dropped_and_told() {
+    let head = "q1_m,q2_rad,x_m,y_m,z_m\n0,0,1,2,3\n";
+    let loaded = own(&format!("{head}0.1,0,1,2")).expect("read");
+    assert_eq!((loaded.set.observations.len(), loaded.dropped.len()), (1, 1));
+    assert!(
+        loaded.dropped[0].1.contains("breaks off in this line, which has 4 of 5 columns"),
+        "{:?}",
+        loaded.dropped
+    );
+    // In front of other lines, or with an end, it is an error.
+    for rest in ["0.1,0,1,2\n", "0.1,0,1,2\n0,0,1,2,3"] {
+        assert!(own(&format!("{head}{rest}")).unwrap_err().to_string().contains("4 of 5 columns"));
+    }
+}
+
+#[test]
+fn delimiters_at_the_end_of_lines_make_no_columns() {
+    for text in [
+        "q1_m,q2_rad,x_m,y_m,z_m,\n0,0,1,2,3\n",
+        "q1_m,q2_rad,x_m,y_m,z_m,,\n0,0,1,2,3,\n",
+        "q1_m,q2_rad,x_m,y_m,z_m\n0,0,1,2,3,,\n",
+    ] {
+        assert_eq!(own(text).expect("read").set.observations.len(), 1, "{text}");
+    }
+}
+
+#[test]
+fn numbers_with_separators_of_thousands_are_refused_with_the_reason() {
+    for cell in ["\"1,234.5\"", "1'234.5", "1 234"] {
+        let refused = own(&format!("q1_m,q2_rad,x_m,y_m,z_m\n0,0,{cell},2,3\n")).unwrap_err();
+        let InputError::Invalid { help: Some(help), .. } = &refused else { panic!("{refused:?}") };
+        assert!(help.contains("without separators of thousands"), "{cell}: {help}");
+    }
+}
+
+#[test]
+fn times_are_read_in_the_way_of_the_file_and_what_is_odd_is_told() {
+    let map = |more: &str| {
+        let text = format!(
+            "schema = \"calibrig.columns/1\"\n[joints]\ncolumns = [\"s\", \"t\"]\nrevolute_unit = \"rad\"\nprismatic_unit = \"m\"\n\
+             [position]\nsystem = \"cartesian\"\nunit = \"m\"\nx = \"x\"\ny = \"y\"\nz = \"z\"\n{more}"
+        );
+        parse_column_map(&Source::new("map.toml", text)).expect("a map")
+    };
+    let read = |cells: &[&str], head: &str, more: &str| {
+        let rows = cells.iter().map(|cell| format!("{cell};0;0;1;2;3\n"));
+        let text = format!("{head};s;t;x;y;z\n{}", rows.collect::<String>());
+        parse_measurements(
+            &Source::new("m.csv", text),
+            &map(more),
+            &[JointKind::Prismatic, JointKind::Revolute],
+        )
+    };
+    let seconds = |cells: &[&str], head: &str, more: &str| {
+        let loaded = read(cells, head, more).unwrap_or_else(|error| panic!("{cells:?}: {error}"));
+        let times: Vec<f64> = loaded.set.observations.iter().map(|o| o.time).collect();
+        (times, loaded.remarks.join("\n"))
+    };
+    let refused = |cells: &[&str], head: &str, more: &str| {
+        let error = read(cells, head, more).expect_err("refused");
+        format!(
+            "{error} {}",
+            miette::Diagnostic::help(&error).map_or_else(String::new, |help| help.to_string())
+        )
+    };
+    let clock = "[columns]\ntime_s = \"clock\"\n";
+    let (may, june) = (1_777_889_730.0, 1_780_568_130.0);
+    assert_eq!(
+        seconds(&["04.05.2026 10:15:30", "04.06.2026 10:15:30,5"], "clock", clock).0,
+        [may, june + 0.5]
+    );
+    // One date that can be read one way only tells all.
+    let (times, told) = seconds(&["04/05/2026 10:15:30", "13/05/2026 10:15:30"], "clock", clock);
+    assert_eq!(times, [may, may + 9.0 * 86_400.0]);
+    assert!(told.contains("dates are day, month, year, as 13/05/2026 10:15:30 (line 3) tells"), "{told}");
+    let (times, told) = seconds(&["05/04/2026 10:15:30 AM"], "clock", clock);
+    assert!(times == [may] && told.contains("since the time has AM or PM"), "{told}");
+    let found = refused(&["05/04/2026 10:15:30"], "clock", clock);
+    assert!(
+        found.contains("m.csv:2")
+            && found.contains("day and month cannot be told apart")
+            && found.contains("date = \"dmy\""),
+        "{found}"
+    );
+    assert_eq!(
+        seconds(&["05/04/2026 10:15:30"], "clock", &format!("{clock}[text]\ndate = \"mdy\"\n")).0,
+        [may]
+    );
+    // A date and a time in columns of their own.
+    let both = "[columns]\ntime_s = [\"day\", \"clock\"]\n";
+    assert_eq!(
+        seconds(&["04.05.2026;10:15:30", "2026-05-04;10:15:31 AM"], "day;clock", both).0,
+        [may, may + 1.0]
+    );
+    let found = refused(&["04.05.2026;9"], "day;clock", both);
+    assert!(found.contains("make no time together"), "{found}");
+    let found = refused(&["04.05.2026"], "clock", clock);
+    assert!(found.contains("a date without a time of the day"), "{found}");
+    // Kinds are not mixed, and what runs backwards is told.
+    let found = refused(&["10:15:30", "2026-05-04 10:15:30"], "clock", clock);
+    assert!(
+        found.contains("m.csv:3") && found.contains("in the rows before a time of the day without a date"),
+        "{found}"
+    );
+    let (_, told) = seconds(&["23:59:59", "0:00:01", "0:00:02"], "clock", clock);
+    assert!(
+        told.contains("m.csv:3: the time runs backwards: 1 row is earlier") && told.contains("midnight"),
+        "{told}"
+    );
+    // Units of the key and of the header.
+    assert_eq!(seconds(&["1500"], "clock", "[columns]\ntime_ms = \"clock\"\n").0, [1.5]);
+    assert_eq!(seconds(&["1500"], "clock [ms]", "[columns]\ntime_ms = \"clock\"\n").0, [1.5]);
+    let found = refused(&["1500"], "clock [ms]", clock);
+    assert!(
+        found.contains("in ms by the header, and in s by the column map (time_s)")
+            && found.contains("time_ms in place"),
+        "{found}"
+    );
+    assert_eq!(seconds(&["1500"], "clock [ms]", "[columns]\ntime_s = 1\n").0, [1500.0]);
+    let (times, told) = seconds(
+        &["7;500000000"],
+        "stamp.sec;stamp.nanosec",
+        "[columns]\ntime_s = [\"stamp.sec\", \"stamp.nanosec\"]\n",
+    );
+    assert!(times == [7.5] && told.contains("stamp.nanosec in ns, as its name says"), "{told}");
+}
+
+#[test]
+fn files_joined_by_time_have_times_of_one_kind() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let write = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).expect("written");
+        path
+    };
+    let points =
+        write("points.csv", "Date;Time;x;y;z\n04.05.2026;10:15:30;1;2;3\n04.05.2026;10:16:30;1;2;4\n");
+    let map = parse_column_map(&Source::new(
+        "map.toml",
+        "schema = \"calibrig.columns/1\"\n[joints]\ncolumns = [\"s\", \"t\"]\nrevolute_unit = \"rad\"\nprismatic_unit = \"m\"\n\
+         [position]\nsystem = \"cartesian\"\nunit = \"m\"\nx = \"x\"\ny = \"y\"\nz = \"z\"\n\
+         [join]\nby = \"time\"\njoints = \"stamp\"\npoints = [\"Date\", \"Time\"]\nwithin_s = 1\n",
+    ))
+    .expect("a map");
+    let read = |joints: &str| {
+        let files = MeasurementFiles {
+            points: vec![PointsFile { target: None, path: points.clone() }],
+            joints: Some(write("joints.csv", joints)),
+        };
+        read_files(&files, &map, &[JointKind::Prismatic, JointKind::Revolute], &RowOptions::default())
+    };
+    let loaded =
+        read("stamp,s,t\n2026-05-04T10:16:30.2Z,0.2,2\n2026-05-04T10:15:30.4Z,0.1,1\n").expect("joined");
+    let commands: Vec<f64> = loaded.set.observations.iter().map(|o| o.command[1]).collect();
+    assert_eq!(commands, [1.0, 2.0]);
+    assert!(
+        loaded.remarks.iter().any(|told| told.contains("without a zone they count as UTC")),
+        "{:?}",
+        loaded.remarks
+    );
+    let refused = read("stamp,s,t\n10:16:30,0.2,2\n").expect_err("no dates").to_string();
+    assert!(
+        refused.contains("points.csv:2") && refused.contains("it is a time of the day without a date"),
+        "{refused}"
+    );
+}
+
+#[test]
+fn a_file_is_not_read_twice() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("m.csv");
+    std::fs::write(&path, "q1_m,q2_rad,x_m,y_m,z_m\n0,0,1,2,3\n").expect("written");
+    let again = folder.path().join(".").join("m.csv");
+    let points = [&path, &again].map(|path| PointsFile { target: None, path: path.clone() });
+    let files = MeasurementFiles { points: points.into(), joints: None };
+    let joints = [JointKind::Prismatic, JointKind::Revolute];
+    let refused =
+        read_files(&files, &ColumnMap::default(), &joints, &RowOptions::default()).expect_err("twice");
+    assert!(refused.to_string().contains("named twice"), "{refused}");
 }

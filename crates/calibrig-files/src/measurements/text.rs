@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Cursor, Read};
 use std::path::Path;
 
-use super::cells::{Delimiter, split};
+use super::cells::{Delimiter, QuoteError, split};
 use super::layout::{Decimal, Wanted};
 use super::rows::{Row, Rows};
 use crate::input::{Excerpt, InputError, latin};
@@ -25,6 +25,8 @@ const SAMPLE: usize = 300;
 const SAMPLE_BYTES: usize = 1 << 18;
 /// A line that is longer is none: the file holds no rows.
 const LONGEST_LINE: u64 = 1 << 20;
+/// A quoted cell with more line breaks is a quote that somebody forgot to close.
+const MOST_LINES_OF_A_ROW: usize = 100;
 /// Comments that are kept.
 const MOST_COMMENTS: usize = 50;
 
@@ -119,6 +121,38 @@ impl TextRows {
         own.chain(["//", "#"]).find_map(|prefix| line.strip_prefix(prefix)).unwrap_or(line)
     }
 
+    /// Whether a quoted cell goes on behind this line.
+    fn is_open(&self, row: &mut Row, text: &str, delimiter: &Delimiter) -> bool {
+        if !text.contains('"') || self.is_comment(text) {
+            return false;
+        }
+        row.start_line(1, text);
+        split(row, delimiter).is_err_and(|error| error.is_open)
+    }
+
+    /// The rows of the sample under a delimiter: lines, or several of them together where a quoted cell has line breaks.
+    fn sampled(&self, delimiter: &Delimiter) -> Vec<(u64, String)> {
+        let (mut rows, mut row, mut at) = (Vec::new(), Row::default(), 0);
+        while let Some((number, first)) = self.sample.get(at) {
+            let (mut text, mut end) = (first.clone(), at + 1);
+            while self.is_open(&mut row, &text, delimiter)
+                && end - at < MOST_LINES_OF_A_ROW
+                && let Some((_, more)) = self.sample.get(end)
+            {
+                text.push('\n');
+                text.push_str(more);
+                end += 1;
+            }
+            // A quote that is not closed is of its line alone.
+            if self.is_open(&mut row, &text, delimiter) {
+                (text, end) = (first.clone(), at + 1);
+            }
+            rows.push((*number, text));
+            at = end;
+        }
+        rows
+    }
+
     /// The delimiter under which most of what is wanted is found; of equals the one under which most
     /// rows have as many cells as the header, and of these the first in the list that makes most cells.
     fn sniff(&self, wanted: &Wanted) -> Delimiter {
@@ -128,7 +162,7 @@ impl TextRows {
         let mut row = Row::default();
         let mut score = |delimiter: &Delimiter| {
             let (mut hits, mut header_cells, mut numbers, mut alike) = (0, 0, 0, 0);
-            for (_, line) in &self.sample {
+            for (_, line) in &self.sampled(delimiter) {
                 let comment = self.is_comment(line);
                 row.start_line(1, if comment { self.without_prefix(line) } else { line });
                 if line.trim_start().is_empty() || split(&mut row, delimiter).is_err() {
@@ -156,7 +190,7 @@ impl TextRows {
         let mut row = Row::default();
         let mut fits = |delimiter: &Delimiter| {
             let (mut counts, mut lines) = (HashMap::<usize, usize>::new(), 0);
-            for (_, line) in &self.sample {
+            for (_, line) in &self.sampled(delimiter) {
                 if line.trim().is_empty() || self.is_comment(line) {
                     continue;
                 }
@@ -187,7 +221,7 @@ impl TextRows {
             if split(&mut row, &self.delimiter).is_ok() { wanted.hits(&row) } else { 0 }
         };
         let (mut best, mut header) = (0, None);
-        for (number, line) in &self.sample {
+        for (number, line) in &self.sampled(&self.delimiter) {
             let comment = self.is_comment(line);
             let found = hits(if comment { self.without_prefix(line) } else { line });
             if found > best {
@@ -203,6 +237,48 @@ impl TextRows {
     }
 }
 
+impl TextRows {
+    /// The next line, and its number; `None` at the end.
+    fn take_line(&mut self, line: &mut String) -> Result<Option<u64>, InputError> {
+        if let Some((number, sampled)) = self.sample.pop_front() {
+            *line = sampled;
+            return Ok(Some(number));
+        }
+        Ok(self.lines.next(&self.name, line)?.then_some(self.lines.number))
+    }
+
+    /// Adds lines to the row that begins in line `number`, until its quoted cell is closed.
+    fn to_the_closing_quote(
+        &mut self,
+        row: &mut Row,
+        number: u64,
+        opened: QuoteError,
+    ) -> Result<(), InputError> {
+        let first = row.line().to_owned();
+        let (mut text, mut more) = (first.clone(), String::new());
+        for _ in 1..MOST_LINES_OF_A_ROW {
+            if text.len() as u64 > LONGEST_LINE || self.take_line(&mut more)?.is_none() {
+                break;
+            }
+            text.push('\n');
+            text.push_str(&more);
+            row.start_line(number, &text);
+            match split(row, &self.delimiter) {
+                Ok(()) => return Ok(()),
+                Err(error) if error.is_open => {}
+                Err(error) => return Err(self.refuse_quote(&text, number, error)),
+            }
+        }
+        Err(self.refuse_quote(&first, number, opened))
+    }
+
+    fn refuse_quote(&self, text: &str, number: u64, error: QuoteError) -> InputError {
+        let excerpt = Excerpt::new(text, usize::try_from(number).unwrap_or(usize::MAX));
+        let help = Some("expected quotes in pairs around a whole value".to_owned());
+        InputError::in_excerpt(&self.name, excerpt, error.span, error.message, help)
+    }
+}
+
 impl Rows for TextRows {
     fn name(&self) -> &str {
         &self.name
@@ -210,14 +286,10 @@ impl Rows for TextRows {
 
     fn next_row(&mut self, row: &mut Row) -> Result<bool, InputError> {
         loop {
-            let number = match self.sample.pop_front() {
-                Some((number, line)) => {
-                    self.line = line;
-                    number
-                }
-                None if self.lines.next(&self.name, &mut self.line)? => self.lines.number,
-                None => return Ok(false),
-            };
+            let mut line = std::mem::take(&mut self.line);
+            let number = self.take_line(&mut line)?;
+            self.line = line;
+            let Some(number) = number else { return Ok(false) };
             if number <= self.format.skipped_lines || self.line.trim_start().is_empty() {
                 continue;
             }
@@ -226,11 +298,10 @@ impl Rows for TextRows {
                 continue;
             }
             row.start_line(number, if comment { self.without_prefix(&self.line) } else { &self.line });
-            if let Err(error) = split(row, &self.delimiter) {
-                let first_line = usize::try_from(number).unwrap_or(usize::MAX);
-                let excerpt = Excerpt::new(row.line(), first_line);
-                let help = Some("expected quotes in pairs around a whole value".to_owned());
-                return Err(InputError::in_excerpt(&self.name, excerpt, error.span, error.message, help));
+            match split(row, &self.delimiter) {
+                Ok(()) => {}
+                Err(error) if error.is_open && !comment => self.to_the_closing_quote(row, number, error)?,
+                Err(error) => return Err(self.refuse_quote(row.line(), number, error)),
             }
             return Ok(true);
         }
@@ -238,6 +309,10 @@ impl Rows for TextRows {
 
     fn remarks(&self) -> Vec<String> {
         self.lines.remarks(&self.name)
+    }
+
+    fn breaks_off(&self) -> bool {
+        self.sample.is_empty() && self.lines.breaks_off
     }
 
     fn comments(&self) -> &[(u64, String)] {
@@ -256,6 +331,8 @@ struct Lines {
     /// Of the line that was given last.
     number: u64,
     line_end: u8,
+    /// Whether the line that was given last has no end: the file ends in it.
+    breaks_off: bool,
     is_utf16: bool,
     /// First line that is not UTF-8, and the first of its bytes that cannot be.
     latin: Option<(u64, u8)>,
@@ -283,11 +360,20 @@ impl Lines {
                 bytes: Vec::new(),
                 number: 0,
                 line_end: b'\n',
+                breaks_off: false,
                 is_utf16: true,
                 latin: None,
             });
         }
-        Ok(Self { input, bytes: Vec::new(), number: 0, line_end, is_utf16: false, latin: None })
+        Ok(Self {
+            input,
+            bytes: Vec::new(),
+            number: 0,
+            line_end,
+            breaks_off: false,
+            is_utf16: false,
+            latin: None,
+        })
     }
 
     /// The next line, without its end; false at the end of the file.
@@ -301,13 +387,19 @@ impl Lines {
             return Ok(false);
         }
         self.number += 1;
+        self.breaks_off = self.bytes.last() != Some(&self.line_end);
         while matches!(self.bytes.last(), Some(b'\n' | b'\r')) {
             self.bytes.pop();
         }
-        let refused = |reason: &str| InputError::Place {
+        let refused = |reason: &str| {
+            InputError::Place {
             place: format!("{name}:{}", self.number),
             message: reason.to_owned(),
-            help: Some("expected a text with a line for every measurement".to_owned()),
+            help: Some(
+                "expected a text with a line for every measurement; UTF-16 that does not say so at its begin is saved as UTF-8 first"
+                    .to_owned(),
+            ),
+        }
         };
         if count as u64 == LONGEST_LINE {
             return Err(refused("a line of more than a million bytes"));
@@ -441,6 +533,50 @@ mod tests {
         let format = TextFormat { comments: vec!["%".to_owned()], skipped_lines: 1, ..TextFormat::default() };
         let (rows, _) = rows_of(b"X Y Z\n% made by hand\nX Y Z\n1 2 3\n", &format, &named(&["X"]));
         assert_eq!(rows, [["X", "Y", "Z"], ["1", "2", "3"]]);
+    }
+
+    #[test]
+    fn a_quoted_cell_may_have_line_breaks() {
+        let text = "Name,\"X\r\n[mm]\",Y\r\n\"P 1\n\n# second line, of \"\"one\"\"\",1,2\nP2,3,4\n";
+        for wanted in [named(&["Name", "X", "Y"]), Wanted::default()] {
+            let input = Box::new(Cursor::new(text.as_bytes().to_vec()));
+            let mut rows =
+                TextRows::new("m.csv".to_owned(), input, &TextFormat::default(), &wanted).expect("text");
+            let (mut found, mut row) = (Vec::new(), Row::default());
+            while rows.next_row(&mut row).expect("text") {
+                let cells: Vec<String> = row.cells().map(str::to_owned).collect();
+                found.push((row.place().clone(), cells.join("|")));
+            }
+            let expected = [(1, "Name|X [mm]|Y"), (3, "P 1 # second line, of \"one\"|1|2"), (6, "P2|3|4")];
+            let expected =
+                expected.map(|(line, cells)| (super::super::rows::Place::Line(line), cells.to_owned()));
+            assert_eq!(found, expected, "{wanted:?}");
+            // What is wrong behind such a cell is in its own line.
+            let refused = row.refuse("m.csv", Some(1), "column X is \"3\"", "more").to_string();
+            assert!(refused.starts_with("m.csv:6:4: ") || refused.starts_with("m.csv:6: "), "{refused}");
+        }
+    }
+
+    #[test]
+    fn a_quote_that_is_not_closed_is_refused_where_it_opens() {
+        let refused = |text: &str| {
+            let input = Box::new(Cursor::new(text.as_bytes().to_vec()));
+            let format = TextFormat { delimiter: Some(Delimiter::Character(',')), ..TextFormat::default() };
+            let mut rows =
+                TextRows::new("m.csv".to_owned(), input, &format, &Wanted::default()).expect("text");
+            let mut row = Row::default();
+            loop {
+                match rows.next_row(&mut row) {
+                    Ok(more) => assert!(more, "not refused: {text}"),
+                    Err(error) => return error.to_string(),
+                }
+            }
+        };
+        let found = refused(&format!("a,b\n1,2\n3,\"4\n{}", "5,6\n".repeat(1000)));
+        assert!(found.starts_with("m.csv:3") && found.contains("the quote is not closed"), "{found}");
+        let found = refused("a,b\n1,\"2\n3,\"4\"\n");
+        assert!(found.starts_with("m.csv:2") && found.contains("text behind a closing quote"), "{found}");
+        assert!(refused("a,b\n1,\"2").starts_with("m.csv:2"));
     }
 
     #[test]

@@ -22,6 +22,7 @@ pub(super) enum AngleUnit {
     Deg,
     Gon,
     Arcsec,
+    Rev,
 }
 
 impl LengthUnit {
@@ -57,6 +58,7 @@ impl AngleUnit {
             Self::Deg => value.to_radians(),
             Self::Gon => (0.9 * value).to_radians(),
             Self::Arcsec => (value / 3600.0).to_radians(),
+            Self::Rev => std::f64::consts::TAU * value,
         }
     }
 
@@ -68,6 +70,56 @@ impl AngleUnit {
             Self::Deg => "deg",
             Self::Gon => "gon",
             Self::Arcsec => "arcsec",
+            Self::Rev => "rev",
+        }
+    }
+}
+
+/// Unit of a time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) enum TimeUnit {
+    #[default]
+    S,
+    Ms,
+    Us,
+    Ns,
+}
+
+impl TimeUnit {
+    /// s
+    pub fn in_si(self, value: f64) -> f64 {
+        match self {
+            Self::S => value,
+            Self::Ms => value / 1e3,
+            Self::Us => value / 1e6,
+            Self::Ns => value / 1e9,
+        }
+    }
+
+    /// As column maps have it.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::S => "s",
+            Self::Ms => "ms",
+            Self::Us => "us",
+            Self::Ns => "ns",
+        }
+    }
+
+    /// The unit that the name of a column of times ends with, as those of ROS do: `header.stamp.nanosec`.
+    pub fn at_the_end_of(name: &str) -> Option<Self> {
+        let name = name.to_ascii_lowercase();
+        let ends = |endings: &[&str]| endings.iter().any(|ending| name.ends_with(ending));
+        if ends(&["nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"]) {
+            Some(Self::Ns)
+        } else if ends(&["usec", "microseconds"]) {
+            Some(Self::Us)
+        } else if ends(&["msec", "millisec", "milliseconds", "millis"]) {
+            Some(Self::Ms)
+        } else if ends(&["sec", "secs", "seconds"]) {
+            Some(Self::S)
+        } else {
+            None
         }
     }
 }
@@ -77,7 +129,8 @@ impl AngleUnit {
 pub(super) enum HeaderUnit {
     Length(LengthUnit),
     Angle(AngleUnit),
-    /// °C, s and so on: known as units, and not converted.
+    Time(TimeUnit),
+    /// °C and so on: known as units, and not converted.
     Other,
 }
 
@@ -87,6 +140,7 @@ impl HeaderUnit {
         match self {
             Self::Length(unit) => unit.key(),
             Self::Angle(unit) => unit.key(),
+            Self::Time(unit) => unit.key(),
             Self::Other => "another unit",
         }
     }
@@ -116,9 +170,12 @@ impl HeaderUnit {
             "deg" | "\u{b0}" | "degree" | "degrees" => Self::Angle(AngleUnit::Deg),
             "gon" | "gons" => Self::Angle(AngleUnit::Gon),
             "arcsec" | "arcseconds" | "''" => Self::Angle(AngleUnit::Arcsec),
-            "s" | "sec" | "ms" | "us" | "ns" | "\u{b0}c" | "%" | "%rh" | "hpa" | "mbar" | "mmhg" | "-" => {
-                Self::Other
-            }
+            "rev" | "revolutions" | "turns" => Self::Angle(AngleUnit::Rev),
+            "s" | "sec" | "seconds" => Self::Time(TimeUnit::S),
+            "ms" | "msec" | "milliseconds" => Self::Time(TimeUnit::Ms),
+            "us" | "microseconds" => Self::Time(TimeUnit::Us),
+            "ns" | "nanoseconds" => Self::Time(TimeUnit::Ns),
+            "\u{b0}c" | "%" | "%rh" | "hpa" | "mbar" | "mmhg" | "-" => Self::Other,
             _ => return None,
         })
     }
@@ -141,6 +198,11 @@ pub(super) fn name_and_unit(header: &str) -> (&str, Option<HeaderUnit>) {
         return (name.trim_end(), Some(unit));
     }
     (header, None)
+}
+
+/// The unit at the end of a name: `x_mm`.
+pub(super) fn unit_of_name(name: &str) -> Option<HeaderUnit> {
+    name.rsplit_once('_').and_then(|(_, unit)| HeaderUnit::parse(unit))
 }
 
 /// The unit of a cell below a header that holds nothing else: `mm`, `[deg]`.
@@ -173,6 +235,8 @@ mod tests {
             ("x/y", ("x/y", None)),
             ("X_mm", ("X_mm", None)),
             ("[mm]", ("", mm)),
+            ("J1 [rev]", ("J1", Some(HeaderUnit::Angle(AngleUnit::Rev)))),
+            ("t [ms]", ("t", Some(HeaderUnit::Time(TimeUnit::Ms)))),
         ] {
             assert_eq!(name_and_unit(header), expected, "{header}");
         }
@@ -181,5 +245,6 @@ mod tests {
         assert_eq!(unit_alone("12"), None);
         assert_eq!(AngleUnit::Gon.in_si(400.0), std::f64::consts::TAU);
         assert_eq!(LengthUnit::Inch.in_si(10.0), 0.254);
+        assert_eq!(AngleUnit::Rev.in_si(0.5), std::f64::consts::PI);
     }
 }

@@ -141,7 +141,7 @@ impl Writer<'_> {
         let mut covariances = Vec::with_capacity(observations.len());
         for observation in observations {
             covariances.push(match &observation.reading {
-                Reading::Spherical(reading) if spherical => Some(reading.covariance),
+                Reading::Spherical(reading) if spherical => reading.covariance,
                 Reading::Cartesian { covariance, .. } if !spherical => *covariance,
                 _ => return Err(CsvError::MixedReadings { pose: observation.pose }),
             });

@@ -21,7 +21,7 @@ fn matrix() -> impl Strategy<Value = Matrix3<f64>> {
 fn reading() -> impl Strategy<Value = Reading> {
     let spherical =
         (1e-15..1e15, numbers::<2>(), matrix()).prop_map(|(range, [azimuth, elevation], covariance)| {
-            Reading::Spherical(SphericalReading { range, azimuth, elevation, covariance })
+            Reading::Spherical(SphericalReading { range, azimuth, elevation, covariance: Some(covariance) })
         });
     let cartesian = (numbers::<3>(), prop::option::of(matrix()))
         .prop_map(|(position, covariance)| Reading::Cartesian { position: position.into(), covariance });
@@ -92,7 +92,7 @@ fn standard_deviations_do_instead_of_covariances() {
     let nest = &session.stations[0].item.nests[0];
     assert_eq!(nest.in_base_covariance, Matrix3::from_diagonal_element(1e-3 * 1e-3));
     let Reading::Spherical(reading) = &nest.reading else { panic!("spherical") };
-    assert_eq!(reading.covariance.m22, 2e-6 * 2e-6);
+    assert_eq!(reading.covariance.map(|c| c.m22), Some(2e-6 * 2e-6));
     assert_eq!(session.targets[0].set, Some(SetKind::Verification));
     assert_eq!(session.targets[0].item.covariance, Some(Matrix3::from_diagonal_element(0.25)));
 }

@@ -131,8 +131,8 @@ pub struct SphericalReading {
     pub azimuth: f64,
     /// Above the tracker's x-y plane, rad.
     pub elevation: f64,
-    /// Covariance of (range, azimuth, elevation): m², m rad, rad².
-    pub covariance: Matrix3<f64>,
+    /// Covariance of (range, azimuth, elevation), where stated: m², m rad, rad².
+    pub covariance: Option<Matrix3<f64>>,
 }
 
 /// Measurements that cannot be.
@@ -295,15 +295,16 @@ impl SphericalReading {
         self.range * Vector3::new(cos_el * cos_az, cos_el * sin_az, sin_el)
     }
 
-    /// Covariance of [`Self::position`] to first order, m².
-    pub fn position_covariance(&self) -> Matrix3<f64> {
+    /// Covariance of [`Self::position`] to first order, m², where the reading states one.
+    pub fn position_covariance(&self) -> Option<Matrix3<f64>> {
+        let covariance = self.covariance?;
         let (sin_az, cos_az) = self.azimuth.sin_cos();
         let (sin_el, cos_el) = self.elevation.sin_cos();
         let along = Vector3::new(cos_el * cos_az, cos_el * sin_az, sin_el);
         let by_azimuth = self.range * cos_el * Vector3::new(-sin_az, cos_az, 0.0);
         let by_elevation = self.range * Vector3::new(-sin_el * cos_az, -sin_el * sin_az, cos_el);
         let jacobian = Matrix3::from_columns(&[along, by_azimuth, by_elevation]);
-        jacobian * self.covariance * jacobian.transpose()
+        Some(jacobian * covariance * jacobian.transpose())
     }
 }
 
@@ -311,7 +312,7 @@ impl Reading {
     /// Whether all its numbers are finite.
     fn is_finite(&self) -> bool {
         let covariance = match self {
-            Self::Spherical(reading) => Some(&reading.covariance),
+            Self::Spherical(reading) => reading.covariance.as_ref(),
             Self::Cartesian { covariance, .. } => covariance.as_ref(),
         };
         let covariance = covariance.into_iter().flat_map(|c| c.iter());
@@ -329,7 +330,7 @@ impl Reading {
     /// Covariance of the position, m², where the reading states one.
     pub fn position_covariance(&self) -> Option<Matrix3<f64>> {
         match self {
-            Self::Spherical(reading) => Some(reading.position_covariance()),
+            Self::Spherical(reading) => reading.position_covariance(),
             Self::Cartesian { covariance, .. } => *covariance,
         }
     }

@@ -381,7 +381,7 @@ fn set_of(file: &File, spherical: bool) -> MeasurementSet {
                 range: *range,
                 azimuth: *azimuth,
                 elevation: *elevation,
-                covariance: Matrix3::identity() * 1e-10,
+                covariance: Some(Matrix3::identity() * 1e-10),
             });
         }
     }

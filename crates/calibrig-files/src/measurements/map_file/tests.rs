@@ -1,6 +1,7 @@
 //! Column maps, right and wrong.
 
-use super::super::columns::Part;
+use super::super::columns::{ColumnRef, Part, PolarAngle, PositionColumns, SigmaUnits, Uncertainty};
+use super::super::units::{AngleUnit, LengthUnit};
 use super::*;
 use proptest::prelude::*;
 

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use super::super::layout::{Column, Decimal};
 use super::super::times;
 use super::super::units::HeaderUnit;
+use super::names::{JointName, Said, said_by};
 
 /// What a column may be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -28,6 +29,12 @@ pub(in super::super) enum Role {
     Time,
     Temperature,
     Set,
+}
+
+impl Role {
+    fn holds_numbers(self) -> bool {
+        !matches!(self, Self::Pose | Self::Name | Self::Station | Self::Target | Self::Time | Self::Set)
+    }
 }
 
 /// Numbers of a column.
@@ -95,6 +102,11 @@ pub(in super::super) struct SeenColumn {
     cells: u64,
     empty: u64,
     times: u64,
+    /// Of the times, dates alone.
+    days: u64,
+    /// A date whose day and month cannot be told apart.
+    pub ambiguous: Option<String>,
+    pub joint: Option<JointName>,
     texts: BTreeSet<String>,
     codes: BTreeSet<String>,
     /// More than are kept.
@@ -117,6 +129,9 @@ impl SeenColumn {
             cells: 0,
             empty: 0,
             times: 0,
+            days: 0,
+            ambiguous: None,
+            joint: None,
             texts: BTreeSet::new(),
             codes: BTreeSet::new(),
             many_texts: false,
@@ -137,8 +152,19 @@ impl SeenColumn {
                 self.codes.insert(number.to_string());
             }
             Some(number) if number.is_finite() => self.numbers.see(number),
-            _ if times::parse(cell, decimal).is_some() => self.times += 1,
-            _ => {}
+            _ => match times::look_at(cell, decimal) {
+                times::Look::Day => {
+                    self.times += 1;
+                    self.days += 1;
+                }
+                times::Look::Time => self.times += 1,
+                times::Look::Ambiguous { is_day } => {
+                    self.times += 1;
+                    self.days += u64::from(is_day);
+                    self.ambiguous.get_or_insert_with(|| cell.to_owned());
+                }
+                times::Look::Nothing => {}
+            },
         }
         if self.texts.len() < MOST_TEXTS {
             self.texts.insert(cell.to_owned());
@@ -153,8 +179,18 @@ impl SeenColumn {
         self.numbers.count > 0 && 10 * self.numbers.count >= 9 * filled
     }
 
-    fn is_time(&self) -> bool {
+    pub fn is_time(&self) -> bool {
         self.times > 0 && self.times == self.cells - self.empty
+    }
+
+    /// Whether its times have dates.
+    pub fn has_dates(&self) -> bool {
+        self.texts.iter().any(|text| text.contains(['-', '/', '.']) && text.contains(':') && text.len() > 14)
+    }
+
+    /// Whether it holds dates without times of the day.
+    pub fn is_day(&self) -> bool {
+        self.is_time() && self.days == self.times
     }
 
     /// Different texts, where they are few.
@@ -189,83 +225,73 @@ pub(in super::super) fn give_roles(columns: &mut [SeenColumn], has_header: bool,
     by_contents(columns, has_header, rows);
 }
 
-fn simple(name: &str) -> String {
-    name.chars().filter(|c| c.is_alphanumeric()).collect::<String>().to_lowercase()
-}
-
-/// The number at the end of a name that begins so: `joint_3`.
-fn numbered(name: &str, prefixes: &[&str]) -> Option<usize> {
-    let digits = name.trim_end_matches(|c: char| c.is_ascii_digit()).len();
-    let number = name[digits..].parse().ok()?;
-    prefixes.contains(&&name[..digits]).then_some(number)
-}
-
-/// A name without the unit at its end: `x_mm`.
-fn without_unit(name: &str) -> &str {
-    match name.rsplit_once('_') {
-        Some((stem, unit)) if HeaderUnit::parse(unit).is_some() => stem,
-        _ => name,
-    }
-}
-
-/// The unit at the end of a name: `x_mm`.
-pub(super) fn unit_of_name(name: &str) -> Option<HeaderUnit> {
-    name.rsplit_once('_').and_then(|(_, unit)| HeaderUnit::parse(unit))
-}
-
-const JOINTS: [&str; 10] = ["j", "a", "q", "joint", "axis", "axe", "ax", "theta", "achse", "jt"];
-
 fn by_name(columns: &mut [SeenColumn]) {
     for column in columns.iter_mut() {
-        let name = simple(without_unit(&column.name));
         let called = format!("called {:?}", column.header);
-        if let Some(number) = numbered(&name, &JOINTS)
-            && column.is_number()
-        {
-            column.take(Role::Joint, number, called);
-            continue;
-        }
-        let role = match name.as_str() {
-            "x" | "xpos" | "posx" | "xactual" | "xmeas" | "xmeasured" | "measx" | "actualx" => Role::X,
-            "y" | "ypos" | "posy" | "yactual" | "ymeas" | "ymeasured" | "measy" | "actualy" => Role::Y,
-            "z" | "zpos" | "posz" | "zactual" | "zmeas" | "zmeasured" | "measz" | "actualz" => Role::Z,
-            "r" | "range" | "dist" | "distance" | "d" | "slopedistance" | "sd" => Role::Range,
-            "az" | "azimuth" | "hz" | "horizontal" | "horizontalangle" | "ha" => Role::Azimuth,
-            "el" | "elev" | "elevation" | "elevationangle" => Role::Elevation,
-            "ze" | "zen" | "zenith" | "v" | "vertical" | "verticalangle" | "va" | "zenithangle" => {
-                Role::Zenith
+        let name = if column.unit.is_some() { &column.name } else { &column.header };
+        match said_by(name) {
+            Some(Said::Joint(joint)) if column.is_number() => {
+                // What stands beside the arm comes behind it.
+                let beside = if joint.is_external { 10_000 } else { 0 };
+                column.take(Role::Joint, joint.order.map_or(usize::MAX, |order| order + beside), called);
+                column.joint = Some(joint);
             }
-            "sx" | "sigmax" | "ux" | "stdx" | "stddevx" | "sdx" | "u95x" | "ux95" | "xuncertainty"
-            | "uncertaintyx" => Role::SigmaX,
-            "sy" | "sigmay" | "uy" | "stdy" | "stddevy" | "sdy" | "u95y" | "uy95" | "yuncertainty"
-            | "uncertaintyy" => Role::SigmaY,
-            "sz" | "sigmaz" | "uz" | "stdz" | "stddevz" | "sdz" | "u95z" | "uz95" | "zuncertainty"
-            | "uncertaintyz" => Role::SigmaZ,
-            "pose" | "no" | "nr" | "number" | "posenumber" | "poseno" | "index" => Role::Pose,
-            "name" | "point" | "pointname" | "id" | "pointid" | "label" | "nominal" => Role::Name,
-            "station" | "instrument" => Role::Station,
-            "target" | "smr" | "reflector" | "nest" => Role::Target,
-            "t" | "time" | "timestamp" | "datetime" | "clock" | "timeofday" => Role::Time,
-            "temperature" | "temp" | "airtemperature" => Role::Temperature,
-            "set" | "use" | "usage" => Role::Set,
-            _ => continue,
-        };
-        let holds_numbers =
-            !matches!(role, Role::Pose | Role::Name | Role::Station | Role::Target | Role::Time | Role::Set);
-        if !holds_numbers || column.is_number() {
-            column.take(role, 0, called);
+            Some(Said::Role(role)) => {
+                // T [°C] is no time.
+                let is_warm = role == Role::Time && column.unit == Some(HeaderUnit::Other);
+                let role = if is_warm { Role::Temperature } else { role };
+                if !role.holds_numbers() || column.is_number() {
+                    column.take(role, 0, called);
+                }
+            }
+            _ => {}
         }
     }
+    choose_joints(columns);
     // "t" beside joints and a position is a time; of "a" to "z" alone nothing follows.
     let is_one =
         |columns: &[SeenColumn], role| columns.iter().filter(|column| column.role == Some(role)).count() == 1;
-    for role in [Role::X, Role::Y, Role::Z, Role::Pose, Role::Name, Role::Time] {
+    for role in [Role::X, Role::Y, Role::Z, Role::Pose, Role::Name] {
         if !is_one(columns, role) {
             for (seen, column) in columns.iter_mut().filter(|column| column.role == Some(role)).enumerate() {
                 if seen > 0 {
                     (column.role, column.reason) = (None, format!("a second one {}", column.reason));
                 }
             }
+        }
+    }
+}
+
+/// Of several families of joints, such as commanded and actual ones, or joints and a quaternion: the commanded one, else the largest.
+fn choose_joints(columns: &mut [SeenColumn]) {
+    let mut families: Vec<(String, usize, bool)> = Vec::new();
+    for joint in columns.iter().filter_map(|column| column.joint.as_ref()) {
+        if joint.is_external || joint.has_own_name {
+            continue;
+        }
+        match families.iter_mut().find(|(family, ..)| *family == joint.family) {
+            Some((_, count, _)) => *count += 1,
+            None => families.push((joint.family.clone(), 1, joint.is_command)),
+        }
+    }
+    let most = families.iter().map(|(_, count, _)| *count).max().unwrap_or(0);
+    let largest = families.iter().filter(|(_, count, _)| *count == most);
+    let Some((chosen, _, is_command)) = largest.min_by_key(|(_, _, is_command)| !is_command).cloned() else {
+        return;
+    };
+    let others = families.len() > 1;
+    for column in columns.iter_mut() {
+        let Some(joint) = &column.joint else { continue };
+        if joint.is_external || joint.has_own_name {
+            continue;
+        }
+        if joint.family == chosen {
+            if others && is_command {
+                column.reason = format!("{}, which is the commanded one", column.reason);
+            }
+        } else {
+            (column.role, column.joint) = (None, None);
+            column.reason = "looks like a joint's as well".to_owned();
         }
     }
 }

@@ -2,20 +2,14 @@
 
 use std::fmt::Write;
 
-use super::column::{Role, SeenColumn, unit_of_name};
+use super::column::{Role, SeenColumn};
+use super::told::{
+    Told, angle_unit, header_units, is_length, is_prismatic, length_unit, reason, reasons, stroke_unit,
+    time_of, unit,
+};
 use super::{SeenFile, SuggestedMap};
 use crate::measurements::layout::Decimal;
-use crate::measurements::units::{AngleUnit, HeaderUnit, LengthUnit};
-
-/// What a unit was told from.
-enum Told<U> {
-    /// The header says so to the reader as well, column by column.
-    Header(String),
-    /// With the reason.
-    Seen(U, String),
-    /// With what speaks for what.
-    Open(String),
-}
+use crate::measurements::units::{HeaderUnit, LengthUnit};
 
 struct Writer<'f> {
     text: String,
@@ -113,24 +107,53 @@ impl Writer<'_> {
             self.undecided(
                 "columns",
                 "[\"J1\", \"J2\"]",
-                "no column looks like a joint's: name them in the robot's order",
+                "no column looks like a joint's: name them in the robot's order; where the commands are in a file of their own, suggest a map for both together",
             );
             return;
         }
         let entries: Vec<_> = columns.iter().map(|column| column.entry(self.joints.has_header)).collect();
         self.key("columns", &format!("[{}]", entries.join(", ")), &reasons(&columns));
-        let told = angle_unit(&columns, "joints");
-        let lengths: Vec<_> =
-            columns.iter().filter(|column| matches!(unit(column), Some(HeaderUnit::Length(_)))).collect();
-        match told {
-            Told::Header(unit) => self.line(&format!("# revolute_unit: {unit}, as the header says")),
-            Told::Seen(unit, reason) => self.key("revolute_unit", &format!("{:?}", unit.key()), &reason),
-            Told::Open(why) => self.undecided("revolute_unit", "\"deg\"", &why),
+        self.order_of(&columns);
+        let (lengths, angles): (Vec<&SeenColumn>, Vec<&SeenColumn>) =
+            columns.iter().copied().partition(|column| is_prismatic(column, &columns));
+        if angles.is_empty() {
+            self.line("# revolute_unit = \"deg\"            # where the robot has a revolute joint");
+        } else {
+            match angle_unit(&angles, "joints") {
+                Told::Header(unit) => self.line(&format!("# revolute_unit: {unit}, as the header says")),
+                Told::Seen(unit, reason) => self.key("revolute_unit", &format!("{:?}", unit.key()), &reason),
+                Told::Open(why) => self.undecided("revolute_unit", "\"deg\"", &why),
+            }
         }
         if lengths.is_empty() {
             self.line("# prismatic_unit = \"mm\"            # where the robot has a prismatic joint");
-        } else {
-            self.line("# prismatic_unit: as the header says");
+            return;
+        }
+        match stroke_unit(&lengths) {
+            Told::Header(unit) => self.line(&format!("# prismatic_unit: {unit}, as the header says")),
+            Told::Seen(unit, reason) => self.key("prismatic_unit", &format!("{:?}", unit.key()), &reason),
+            Told::Open(why) => self.undecided("prismatic_unit", "\"mm\"", &why),
+        }
+    }
+
+    /// What is to be said of the order of the joints' columns.
+    fn order_of(&mut self, columns: &[&SeenColumn]) {
+        let names = || columns.iter().filter_map(|column| column.joint.as_ref());
+        if names().any(|joint| joint.has_own_name && joint.order.is_none() && !joint.is_external) {
+            self.line("# In the order of the file: put them into the robot's order, from the base.");
+        } else if names().any(|joint| joint.has_own_name && !joint.is_external) {
+            self.line("# From base to wrist by their names, whatever the order in the file: compare with the robot's.");
+        }
+        let external: Vec<_> = columns
+            .iter()
+            .filter(|column| column.joint.as_ref().is_some_and(|joint| joint.is_external))
+            .map(|column| column.header.as_str())
+            .collect();
+        if !external.is_empty() && external.len() < columns.len() {
+            self.line(&format!(
+                "# {}: beside the arm by the name; put it where the robot's file has it (a rail in front of the first axis), or leave it out.",
+                external.join(", ")
+            ));
         }
     }
 
@@ -146,6 +169,7 @@ impl Writer<'_> {
                 self.key(key, &entry(column), &reason(column));
             }
             self.missed(&[x, y, z]);
+            self.turned_beside();
             return;
         }
         let polar = file.one(Role::Elevation).map(|column| ("elevation", column));
@@ -205,6 +229,24 @@ impl Writer<'_> {
                 &format!("[{}]", marks.join(", ")),
                 "no coordinates, by their looks: marks of missed shots",
             );
+        }
+    }
+
+    /// Where a controller's own position is in the file, it stands beside its orientation.
+    fn turned_beside(&mut self) {
+        let last_word = |column: &'_ SeenColumn| {
+            column.name.rsplit(|c: char| !c.is_alphanumeric()).next().unwrap_or_default().to_owned()
+        };
+        let names: Vec<String> = self.points.columns.iter().map(last_word).collect();
+        let has =
+            |wanted: &[&str]| wanted.iter().all(|w| names.iter().any(|name| name.eq_ignore_ascii_case(w)));
+        let sets: [&[&str]; 4] =
+            [&["A", "B", "C"], &["W", "P", "R"], &["Rx", "Ry", "Rz"], &["q1", "q2", "q3", "q4"]];
+        if let Some(found) = sets.into_iter().find(|set| has(set)).filter(|_| !self.several) {
+            self.line(&format!(
+                "# Beside {}: is this where the tracker saw the target? Where the controller computes its own tool to be is no measurement.",
+                found.join(", ")
+            ));
         }
     }
 
@@ -275,12 +317,8 @@ impl Writer<'_> {
             let names = if names.len() > 4 { format!("{} names", names.len()) } else { names.join(", ") };
             self.key(key, &entry, &format!("{}: {names}", reason(column)));
         }
-        if let Some(column) = file.one(Role::Time) {
-            self.key(
-                "time_s",
-                &column.entry(file.has_header),
-                &format!("{}: seconds, or a time of the day", reason(column)),
-            );
+        if let Some((key, value, why)) = time_of(file) {
+            self.key(&key, &value, &why);
         }
         if let Some(column) = file.one(Role::Temperature) {
             self.key("temperature_c", &column.entry(file.has_header), &reason(column));
@@ -311,12 +349,6 @@ impl Writer<'_> {
         self.line("");
         self.line("[join]");
         let entry = |file: &SeenFile, column: &SeenColumn| column.entry(file.has_header);
-        let keys = |roles: [Role; 2]| {
-            let find = |file: &'_ SeenFile| {
-                roles.iter().find_map(|role| file.one(*role).map(|c| (entry(file, c), c.texts().len())))
-            };
-            Some((find(joints)?, find(points)?))
-        };
         let shared =
             |a: &SeenColumn, b: &SeenColumn| a.texts().iter().filter(|text| b.texts().contains(text)).count();
         let name = |file: &'_ SeenFile| {
@@ -336,7 +368,7 @@ impl Writer<'_> {
             self.key("by", "\"row\"", &format!("both files have {} rows", points.rows));
             return;
         }
-        if let Some(((a, _), (b, _))) = keys([Role::Time, Role::Time]) {
+        if let (Some((_, a, _)), Some((_, b, _))) = (time_of(joints), time_of(points)) {
             self.key(
                 "by",
                 "\"time\"",
@@ -355,118 +387,31 @@ impl Writer<'_> {
     }
 
     fn form(&mut self) {
-        if self.points.decimal == Decimal::Comma {
-            self.line("");
-            self.line("[text]");
+        let ambiguous = [self.joints, self.points].into_iter().find_map(|file| {
+            let cells = file.columns.iter().filter(|column| column.role == Some(Role::Time));
+            cells.filter_map(|column| column.ambiguous.clone()).next().map(|cell| (file, cell))
+        });
+        let has_comma = self.points.decimal == Decimal::Comma;
+        if !has_comma && ambiguous.is_none() {
+            return;
+        }
+        self.line("");
+        self.line("[text]");
+        if has_comma {
             self.key("decimal", "\",\"", "numbers have a decimal comma");
         }
-    }
-}
-
-fn reason(column: &SeenColumn) -> String {
-    let numbers = &column.numbers;
-    if numbers.count == 0 {
-        return column.reason.clone();
-    }
-    format!(
-        "{}; column {}: {} to {}",
-        column.reason,
-        column.number,
-        short(numbers.least),
-        short(numbers.most)
-    )
-}
-
-fn reasons(columns: &[&SeenColumn]) -> String {
-    let (first, numbers) = (columns[0], SeenFile::numbers_of(columns));
-    format!("{}; {} to {} in all", first.reason, short(numbers.least), short(numbers.most))
-}
-
-fn short(number: f64) -> String {
-    let text = format!("{number:.4}");
-    text.trim_end_matches('0').trim_end_matches('.').to_owned()
-}
-
-/// The unit that a header states, in brackets or at the end of its name.
-fn unit(column: &SeenColumn) -> Option<HeaderUnit> {
-    column.unit.or_else(|| unit_of_name(&column.header))
-}
-
-/// The units in brackets of all these columns, where all have one of the kind.
-fn header_units(columns: &[&SeenColumn], is_of_kind: impl Fn(HeaderUnit) -> bool) -> Option<String> {
-    let mut names: Vec<&str> = Vec::new();
-    for column in columns {
-        let unit = column.unit.filter(|unit| is_of_kind(*unit))?;
-        if !names.contains(&unit.key()) {
-            names.push(unit.key());
+        match ambiguous {
+            Some((file, cell)) => match &file.dates.why {
+                Some(why) => self.line(&format!("# date: {why}")),
+                None => {
+                    self.undecided(
+                        "date",
+                        "\"dmy\"",
+                        &format!("{cell} can be day, month, year (dmy) or month, day, year (mdy)"),
+                    );
+                }
+            },
+            None => {}
         }
     }
-    (!names.is_empty()).then(|| names.join(" and "))
-}
-
-fn is_length(unit: HeaderUnit) -> bool {
-    matches!(unit, HeaderUnit::Length(_))
-}
-
-fn is_angle(unit: HeaderUnit) -> bool {
-    matches!(unit, HeaderUnit::Angle(_))
-}
-
-fn angle_unit(columns: &[&SeenColumn], what: &str) -> Told<AngleUnit> {
-    let angles: Vec<&SeenColumn> = columns
-        .iter()
-        .copied()
-        .filter(|column| !matches!(unit(column), Some(HeaderUnit::Length(_))))
-        .collect();
-    if angles.is_empty() {
-        return Told::Open("no column of angles; where the robot has a revolute joint".to_owned());
-    }
-    if let Some(units) = header_units(&angles, is_angle) {
-        return Told::Header(units);
-    }
-    if let Some(HeaderUnit::Angle(unit)) = unit(angles[0]) {
-        return Told::Seen(unit, format!("the name {:?} ends with it", angles[0].header));
-    }
-    let largest = angles.iter().max_by(|a, b| a.numbers.largest().total_cmp(&b.numbers.largest()));
-    let Some(largest) = largest else { return Told::Open(String::new()) };
-    let (number, size) = (largest.number, largest.numbers.largest());
-    let extreme = if largest.numbers.most.abs() >= largest.numbers.least.abs() { "max" } else { "min" };
-    let value = short(if extreme == "max" { largest.numbers.most } else { largest.numbers.least });
-    if size > 4.0 * std::f64::consts::PI && size <= 720.0 {
-        return Told::Seen(AngleUnit::Deg, format!("column {number}: {extreme} {value}, looks like degrees"));
-    }
-    if size > 720.0 {
-        return Told::Open(format!(
-            "column {number}: {extreme} {value}, more than two turns in degrees: no angle, or another unit"
-        ));
-    }
-    Told::Open(format!(
-        "column {number}: {extreme} {value}: {what} in radians, or in degrees that hardly moved"
-    ))
-}
-
-fn length_unit(columns: &[&SeenColumn], comment: Option<(LengthUnit, String)>) -> Told<LengthUnit> {
-    if let Some(units) = header_units(columns, is_length) {
-        return Told::Header(units);
-    }
-    if let Some(HeaderUnit::Length(unit)) = unit(columns[0]) {
-        return Told::Seen(unit, format!("the name {:?} ends with it", columns[0].header));
-    }
-    if let Some((unit, reason)) = comment {
-        return Told::Seen(unit, reason);
-    }
-    let largest = SeenFile::numbers_of(columns).largest();
-    if (200.0..1e5).contains(&largest) {
-        return Told::Seen(
-            LengthUnit::Mm,
-            format!("up to {}, looks like mm: a tracker sees 0.2 to 80 m", short(largest)),
-        );
-    }
-    if largest > 0.2 && largest <= 30.0 {
-        return Told::Seen(
-            LengthUnit::M,
-            format!("up to {}, looks like m: as mm the points would be within a hand", short(largest)),
-        );
-    }
-    Told::Open(format!("up to {}: m, mm and inch are all possible", short(largest)))
 }

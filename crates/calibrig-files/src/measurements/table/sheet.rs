@@ -1,5 +1,7 @@
 //! Sheets of XLSX files.
 
+mod unpacked;
+
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
@@ -8,13 +10,17 @@ use std::sync::Arc;
 
 use calamine::{DataRef, Dimensions, ExcelDateTime, Reader, SheetType, SheetVisible, Xlsx, XlsxError};
 
+use self::unpacked::{TooLarge, too_large};
 use super::{Table, TableRow, counted, number_text};
 use crate::input::InputError;
 use crate::measurements::rows::Place;
 
 /// Cells that a table may take, empty ones between others counted: fewer than memory holds, more than any session has.
 const MOST_CELLS: usize = 20_000_000;
-/// Rows and columns of a sheet, by its specification.
+/// Bytes that the texts of all cells may take together: one text may stand in a million cells.
+const MOST_TEXT: usize = 1 << 29;
+/// Characters of a cell, rows and columns of a sheet, by its specification.
+const LONGEST_CELL: usize = 32_767;
 const LAST_ROW: u32 = 1_048_576;
 const LAST_COLUMN: u32 = 16_384;
 
@@ -63,11 +69,17 @@ fn words(error: &XlsxError) -> String {
     }
 }
 
-fn sheet_of<R: Read + Seek>(file: R, name: &str, wanted: Option<&str>) -> Result<Table, Trouble> {
-    let mut book = Xlsx::new(file)?;
+fn sheet_of<R: Read + Seek>(mut file: R, name: &str, wanted: Option<&str>) -> Result<Table, Trouble> {
     let refuse = |message: String, help: String| {
         Trouble::Input(InputError::Place { place: name.to_owned(), message, help: Some(help) })
     };
+    if let Some(TooLarge { part, most }) = too_large(&mut file) {
+        return Err(refuse(
+            format!("its part {part} unpacks to more than {} MiB, which no table of measurements does", most >> 20),
+            "expected a spreadsheet with the measurements alone: copy their sheet into a new file, or save it as CSV".to_owned(),
+        ));
+    }
+    let mut book = Xlsx::new(file)?;
     let sheets: Vec<_> =
         book.sheets_metadata().iter().filter(|sheet| sheet.typ == SheetType::WorkSheet).collect();
     let names: Vec<String> = sheets.iter().map(|sheet| sheet.name.clone()).collect();
@@ -104,16 +116,21 @@ fn sheet_of<R: Read + Seek>(file: R, name: &str, wanted: Option<&str>) -> Result
             let help = Some("save it again as XLSX, or the sheet as CSV".to_owned());
             return Err(Trouble::Input(InputError::Place { place, message, help }));
         }
-        cells.take(cell.pos, &cell.value, cell.formula.is_some());
+        cells.take(cell.pos, &cell.value, cell.formula.is_some()).map_err(|why| {
+            let place = format!("{name}, sheet {sheet}, cell {}", cell_name(cell.pos));
+            let help = Some("expected a sheet with the measurements alone: copy them into a new file, or save the sheet as CSV".to_owned());
+            Trouble::Input(InputError::Place { place, message: why.to_owned(), help })
+        })?;
     }
-    cells.fill_down(&merged);
-    remarks.extend(cells.remarks(name, &sheet, &merged));
-    let rows = cells.rows(&sheet).ok_or_else(|| {
+    let too_large = || {
         refuse(
             format!("sheet {sheet} is too large"),
             format!("expected at most {MOST_CELLS} cells between the first and the last that hold something"),
         )
-    })?;
+    };
+    cells.fill_down(&merged).ok_or_else(too_large)?;
+    remarks.extend(cells.remarks(name, &sheet, &merged));
+    let rows = cells.rows(&sheet).ok_or_else(too_large)?;
     Ok(Table { name: name.to_owned(), rows, remarks })
 }
 
@@ -122,6 +139,9 @@ fn sheet_of<R: Read + Seek>(file: R, name: &str, wanted: Option<&str>) -> Result
 struct Cells {
     rows: BTreeMap<u32, BTreeMap<u32, String>>,
     odd: Vec<(Odd, usize, (u32, u32))>,
+    count: usize,
+    /// Bytes of all texts.
+    bytes: usize,
 }
 
 /// What is no number and no text.
@@ -147,7 +167,23 @@ impl Odd {
 }
 
 impl Cells {
-    fn take(&mut self, (row, column): (u32, u32), value: &DataRef<'_>, is_formula: bool) {
+    /// Adds a cell, or says why that is too much.
+    fn take(
+        &mut self,
+        (row, column): (u32, u32),
+        value: &DataRef<'_>,
+        is_formula: bool,
+    ) -> Result<(), &'static str> {
+        if let DataRef::String(text) = value
+            && text.len() > 4 * LONGEST_CELL
+        {
+            return Err("a text of more than 32767 characters, which no cell has");
+        }
+        if let DataRef::SharedString(text) = value
+            && text.len() > 4 * LONGEST_CELL
+        {
+            return Err("a text of more than 32767 characters, which no cell has");
+        }
         let (text, odd) = match value {
             DataRef::Int(number) => (number.to_string(), None),
             DataRef::Float(number) => (number_text(*number), None),
@@ -158,12 +194,19 @@ impl Cells {
             DataRef::DateTimeIso(text) | DataRef::DurationIso(text) => (text.clone(), Some(Odd::Date)),
             DataRef::Error(error) => (error.to_string(), Some(Odd::Error)),
             DataRef::Empty if is_formula => ("formula without value".to_owned(), Some(Odd::NoValue)),
-            DataRef::Empty => return,
+            DataRef::Empty => return Ok(()),
         };
         // A line break in a header's cell would be one in its name.
         let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
         if text.is_empty() {
-            return;
+            return Ok(());
+        }
+        self.count += 1;
+        self.bytes += text.len();
+        if self.count > MOST_CELLS || self.bytes > MOST_TEXT {
+            return Err(
+                "with this cell the sheet is too large: more than twenty million cells, or 512 MiB of text",
+            );
         }
         if let Some(odd) = odd {
             match self.odd.iter_mut().find(|(known, ..)| *known == odd) {
@@ -172,10 +215,12 @@ impl Cells {
             }
         }
         self.rows.entry(row).or_default().insert(column, text);
+        Ok(())
     }
 
-    /// What is merged down a column holds for every row of it.
-    fn fill_down(&mut self, merged: &[Dimensions]) {
+    /// What is merged down a column holds for every row of it; `None` where that is too much, as only regions that overlap can be.
+    fn fill_down(&mut self, merged: &[Dimensions]) -> Option<()> {
+        let mut left = MOST_CELLS;
         for Dimensions { start, end } in merged {
             let Some(text) = self.rows.get(&start.0).and_then(|row| row.get(&start.1)).cloned() else {
                 continue;
@@ -183,9 +228,15 @@ impl Cells {
             // Rows that hold nothing else are none.
             let below = (std::ops::Bound::Excluded(start.0), std::ops::Bound::Included(end.0.max(start.0)));
             for (_, row) in self.rows.range_mut(below) {
+                left = left.checked_sub(1)?;
+                self.bytes += text.len();
                 row.entry(start.1).or_insert_with(|| text.clone());
             }
+            if self.bytes > MOST_TEXT {
+                return None;
+            }
         }
+        Some(())
     }
 
     fn remarks(&self, name: &str, sheet: &str, merged: &[Dimensions]) -> Vec<String> {
@@ -255,6 +306,10 @@ fn time_text(time: ExcelDateTime) -> String {
         );
     }
     let (year, month, day, hour, minute, second, milli) = time.to_ymd_hms_milli();
+    // A time of the day without a date.
+    if (0.0..1.0).contains(&time.as_f64()) {
+        return format!("{hour:02}:{minute:02}:{second:02}.{milli:03}");
+    }
     format!("{year:04}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02}.{milli:03}")
 }
 

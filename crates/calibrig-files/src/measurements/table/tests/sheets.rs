@@ -216,3 +216,61 @@ proptest! {
         }
     }
 }
+
+/// A spreadsheet with another part in it, or in the place of one: `fill` writes what it unpacks to.
+fn with_part(name: &str, fill: impl FnOnce(&mut dyn std::io::Write)) -> Vec<u8> {
+    use std::io::Read;
+    let mut book = Workbook::new();
+    book.add_worksheet().write_string(0, 0, "X").expect("written");
+    let mut whole =
+        zip::ZipArchive::new(Cursor::new(book.save_to_buffer().expect("written"))).expect("an archive");
+    let mut packed = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    let options = zip::write::SimpleFileOptions::default();
+    for index in 0..whole.len() {
+        let mut part = whole.by_index(index).expect("a part");
+        let known = part.name().expect("a name").into_owned();
+        if known == name {
+            continue;
+        }
+        let mut bytes = Vec::new();
+        part.read_to_end(&mut bytes).expect("unpacked");
+        packed.start_file(known.as_str(), options).expect("begun");
+        std::io::Write::write_all(&mut packed, &bytes).expect("written");
+    }
+    packed.start_file(name, options).expect("begun");
+    fill(&mut packed);
+    packed.finish().expect("written").into_inner()
+}
+
+#[test]
+fn what_unpacks_to_gigabytes_is_refused_before_it_is_kept() {
+    let block = vec![b' '; 1 << 20];
+    let bomb = with_part("xl/sharedStrings.xml", |part| {
+        for _ in 0..257 {
+            part.write_all(&block).expect("written");
+        }
+    });
+    assert!(bomb.len() < 2 << 20);
+    let refused = parse_sheet(&bomb, "book.xlsx", None).expect_err("a bomb");
+    assert!(refused.contains("xl/sharedStrings.xml unpacks to more than 256 MiB"), "{refused}");
+}
+
+#[test]
+fn one_long_text_in_many_cells_is_refused_at_its_cell() {
+    let sheet = |cells: &str| {
+        format!(
+            "<?xml version=\"1.0\"?><worksheet xmlns=\"http://schemas.openxmlformats.org/spreadsheetml/2006/main\"><sheetData>{cells}</sheetData></worksheet>"
+        )
+    };
+    let inline =
+        |text: &str| format!("<row r=\"7\"><c r=\"B7\" t=\"inlineStr\"><is><t>{text}</t></is></c></row>");
+    let book = with_part("xl/worksheets/sheet1.xml", |part| {
+        part.write_all(sheet(&inline(&"x".repeat(200_000))).as_bytes()).expect("written");
+    });
+    let refused = parse_sheet(&book, "book.xlsx", None).expect_err("too long");
+    assert!(refused.contains("cell B7") && refused.contains("32767 characters"), "{refused}");
+    let book = with_part("xl/worksheets/sheet1.xml", |part| {
+        part.write_all(sheet(&inline("1.5")).as_bytes()).expect("written");
+    });
+    assert_eq!(cells(&parse_sheet(&book, "book.xlsx", None).expect("read")), [(7, vec!["1.5"])]);
+}

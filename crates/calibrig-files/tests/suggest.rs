@@ -1,0 +1,434 @@
+//! Maps that are suggested for files in the manner of other programs: what they say, and that they read the file once their open
+//! decisions are filled in.
+
+#![allow(clippy::expect_used, clippy::panic, clippy::unwrap_used, missing_docs)]
+
+use std::fmt::Write;
+use std::path::PathBuf;
+
+use calibrig_files::{
+    MeasurementFiles, PointsFile, RowOptions, Source, parse_column_map, read_files, suggest_columns,
+};
+use calibrig_model::JointKind::{self, Prismatic, Revolute};
+
+const ROWS: usize = 24;
+
+/// Commands in deg or mm, and a point in mm.
+fn angle(row: usize, joint: usize) -> f64 {
+    (120.0 * (1.3 * row as f64 + 0.7 * joint as f64).sin() * 1e4).round() / 1e4
+}
+
+fn point(row: usize) -> [f64; 3] {
+    let k = row as f64;
+    [2500.0 + 400.0 * k.sin(), -700.0 + 500.0 * (2.0 * k).cos(), 900.0 + 300.0 * (3.0 * k).sin()]
+        .map(|v| (v * 1e4).round() / 1e4)
+}
+
+/// Rows made of what `of` makes of each, below a head.
+fn file(head: &str, of: impl Fn(usize) -> String) -> String {
+    (1..=ROWS).fold(head.to_owned(), |mut text, row| {
+        writeln!(text, "{}", of(row)).unwrap();
+        text
+    })
+}
+
+fn angles(row: usize, joints: usize, between: &str) -> String {
+    (1..=joints).map(|joint| format!("{:.4}", angle(row, joint))).collect::<Vec<_>>().join(between)
+}
+
+fn radians(row: usize, order: &[usize], between: &str) -> String {
+    order
+        .iter()
+        .map(|joint| format!("{:.9}", angle(row, *joint).to_radians()))
+        .collect::<Vec<_>>()
+        .join(between)
+}
+
+fn place(row: usize, scale: f64, between: &str) -> String {
+    point(row).map(|axis| format!("{:.9}", scale * axis)).join(between)
+}
+
+struct Case<'a> {
+    files: &'a [(&'a str, String)],
+    /// Of the robot; none where the files hold no joints.
+    kinds: &'a [JointKind],
+    /// Keys that are left open, with what a person decides.
+    decisions: &'a [(&'a str, &'a str)],
+    /// What the map says.
+    says: &'a [&'a str],
+    /// Command of a prismatic joint, mm, by row.
+    stroke: fn(usize) -> f64,
+    /// First and last time, s, where they are known.
+    times: Option<[f64; 2]>,
+}
+
+const PLAIN: Case<'static> =
+    Case { files: &[], kinds: &[Revolute; 6], decisions: &[], says: &[], stroke: |_| 0.0, times: None };
+
+#[track_caller]
+fn check(case: &Case<'_>) {
+    let folder = tempfile::tempdir().unwrap();
+    let paths: Vec<PathBuf> = case
+        .files
+        .iter()
+        .map(|(name, text)| {
+            let path = folder.path().join(name);
+            // As Windows writes it where there are letters beyond ASCII.
+            std::fs::write(
+                &path,
+                text.chars().map(|c| u8::try_from(u32::from(c)).unwrap_or(b'?')).collect::<Vec<_>>(),
+            )
+            .unwrap();
+            path
+        })
+        .collect();
+    let map = suggest_columns(&paths.iter().map(PathBuf::as_path).collect::<Vec<_>>()).expect("a map");
+    println!("==== {}\n{}", case.files[0].0, map.text);
+    for words in case.says {
+        assert!(map.text.contains(words), "{words}\n{}", map.text);
+    }
+    let open: Vec<&str> = map.open.iter().map(|open| open.split(':').next().unwrap()).collect();
+    assert_eq!(open, case.decisions.iter().map(|(key, _)| *key).collect::<Vec<_>>(), "{}", map.text);
+    let mut text = map.text.clone();
+    for (key, value) in case.decisions {
+        let from = text.find(&format!("# DECIDE: {key} = ")).expect("open");
+        let to = from + text[from..].find('\n').unwrap();
+        text.replace_range(from..to, &format!("{key} = {value}"));
+    }
+    if case.kinds.is_empty() {
+        return;
+    }
+    let map =
+        parse_column_map(&Source::new("map.toml", text.clone())).unwrap_or_else(|e| panic!("{e}\n{text}"));
+    let several = paths.len() > 1;
+    let files = MeasurementFiles {
+        joints: several.then(|| paths[0].clone()),
+        points: paths[usize::from(several)..]
+            .iter()
+            .map(|path| PointsFile {
+                target: (paths.len() > 2).then(|| path.display().to_string()),
+                path: path.clone(),
+            })
+            .collect(),
+    };
+    let loaded = read_files(&files, &map, case.kinds, &RowOptions::default())
+        .unwrap_or_else(|e| panic!("{e}\n{text}"));
+    let observations = &loaded.set.observations;
+    assert_eq!(observations.len(), ROWS * files.points.len(), "{text}");
+    for (index, observation) in observations.iter().enumerate() {
+        let row = index % ROWS + 1;
+        let mut revolute = 0;
+        for (kind, command) in case.kinds.iter().zip(&observation.command) {
+            let expected = match kind {
+                Revolute => {
+                    revolute += 1;
+                    angle(row, revolute).to_radians()
+                }
+                Prismatic => 1e-3 * (case.stroke)(row),
+            };
+            assert!((command - expected).abs() < 1e-6, "row {row}: {command} {expected}\n{text}");
+        }
+        let position = observation.reading.position();
+        for (found, expected) in position.iter().zip(point(row)) {
+            assert!((found - 1e-3 * expected).abs() < 1e-7, "row {row}: {found} {expected}\n{text}");
+        }
+    }
+    if let Some([first, last]) = case.times {
+        assert_eq!([observations[0].time, observations[ROWS - 1].time], [first, last], "{text}");
+    }
+}
+
+/// 2026-05-04 10:01:30 UTC, and each row a minute.
+const FIRST: f64 = 1_777_888_890.0;
+const LAST: f64 = FIRST + 60.0 * (ROWS as f64 - 1.0);
+
+#[test]
+fn leica_faro_and_spatial_analyzer() {
+    let leica = file(
+        "AT960 export\nUnit: mm\n\nPoint Name;Date;Time;X [mm];Y [mm];Z [mm];Ux95 [µm];Uy95 [µm];Uz95 [µm];Temp [°C]\n",
+        |k| format!("P{k};04.05.2026;10:{k:02}:30;{};12.0;14.0;15.0;20.1", place(k, 1.0, ";")),
+    );
+    check(&Case {
+        files: &[("leica.txt", leica)],
+        kinds: &[],
+        decisions: &[("columns", ""), ("k", "")],
+        says: &["time_s = [\"Date\", \"Time\"]", "# unit: mm, as the header says", "read as Latin-1"],
+        ..PLAIN
+    });
+    let faro =
+        file("Label,X Actual,Y Actual,Z Actual,X Nominal,Y Nominal,Z Nominal,Deviation,Date,Time\n", |k| {
+            format!("M{k:03},{},0,0,0,0.01,5/4/2026,10:{k:02}:30 AM", place(k, 1.0 / 25.4, ","))
+        });
+    check(&Case {
+        files: &[("faro.csv", faro)],
+        kinds: &[],
+        decisions: &[("columns", ""), ("unit", ""), ("date", "")],
+        says: &["x = \"X Actual\"", "# not used: X Nominal, Y Nominal, Z Nominal, Deviation"],
+        ..PLAIN
+    });
+    let sa =
+        file("// SpatialAnalyzer export\n// Units: Millimeters\nCollection, Group, Target, X, Y, Z\n", |k| {
+            format!("A, Robot, p{k}, {}", place(k, 1.0, ", "))
+        });
+    check(&Case {
+        files: &[("sa.txt", sa)],
+        kinds: &[],
+        decisions: &[("columns", "")],
+        says: &["unit = \"mm\"", "Millimeters", "another one in every row, so it is no reflector's name"],
+        ..PLAIN
+    });
+}
+
+#[test]
+fn controllers_and_their_external_axes() {
+    let kuka = file(
+        "$TIMER[1] $AXIS_ACT.A1 $AXIS_ACT.A2 $AXIS_ACT.A3 $AXIS_ACT.A4 $AXIS_ACT.A5 $AXIS_ACT.A6 $AXIS_ACT.E1 $POS_ACT.X $POS_ACT.Y $POS_ACT.Z $POS_ACT.A $POS_ACT.B $POS_ACT.C\n",
+        |k| format!("{} {} {} {} 10 20 30", 1000 * k, angles(k, 6, " "), 1850 + 100 * k, place(k, 1.0, " ")),
+    );
+    check(&Case {
+        files: &[("kuka.log", kuka)],
+        kinds: &[Revolute, Revolute, Revolute, Revolute, Revolute, Revolute, Prismatic],
+        decisions: &[("prismatic_unit", "\"mm\"")],
+        says: &[
+            "revolute_unit = \"deg\"",
+            "$AXIS_ACT.E1: beside the arm",
+            "$AXIS_ACT.E1 goes to 4250",
+            "no measurement",
+        ],
+        stroke: |k| 1850.0 + 100.0 * k as f64,
+        ..PLAIN
+    });
+    let abb =
+        file("time,rax_1,rax_2,rax_3,rax_4,rax_5,rax_6,eax_a,trans_x,trans_y,trans_z,q1,q2,q3,q4\n", |k| {
+            format!(
+                "2026-05-04 10:{k:02}:30,{},{},{},1,0,0,0",
+                angles(k, 6, ","),
+                740 + 10 * k,
+                place(k, 1.0, ",")
+            )
+        });
+    check(&Case {
+        files: &[("abb.csv", abb)],
+        kinds: &[Revolute, Revolute, Revolute, Revolute, Revolute, Revolute, Prismatic],
+        decisions: &[("prismatic_unit", "\"mm\"")],
+        says: &["\"rax_6\", \"eax_a\"]", "not used: q1, q2, q3, q4", "Beside q1, q2, q3, q4"],
+        stroke: |k| 740.0 + 10.0 * k as f64,
+        times: Some([FIRST, LAST]),
+        ..PLAIN
+    });
+    let rail = file("pose,rail_cmd,J1_cmd,J2_cmd,J3_cmd,J1_act,J2_act,J3_act,X,Y,Z\n", |k| {
+        format!("{k},{:.3},{},0,0,0,{}", 0.1 * k as f64, angles(k, 3, ","), place(k, 1.0, ","))
+    });
+    check(&Case {
+        files: &[("rail.csv", rail)],
+        kinds: &[Revolute, Revolute, Revolute, Prismatic],
+        decisions: &[("prismatic_unit", "\"m\"")],
+        says: &[
+            "the commanded one",
+            "not used: J1_act, J2_act, J3_act",
+            "rail_cmd slides, by its name, and goes to 2.4",
+            "# rail_cmd: beside the arm",
+        ],
+        stroke: |k| 100.0 * k as f64,
+        ..PLAIN
+    });
+    let travel = file("J1 [deg],J2 [mm],X,Y,Z\n", |k| {
+        format!("{},{},{}", angles(k, 1, ","), 10 * k, place(k, 1.0, ","))
+    });
+    check(&Case {
+        files: &[("travel.csv", travel)],
+        kinds: &[Revolute, Prismatic],
+        says: &["revolute_unit: deg, as the header says", "prismatic_unit: mm, as the header says"],
+        stroke: |k| 10.0 * k as f64,
+        ..PLAIN
+    });
+}
+
+#[test]
+fn dumps_of_ros() {
+    let names = [
+        "elbow_joint",
+        "shoulder_lift_joint",
+        "shoulder_pan_joint",
+        "wrist_1_joint",
+        "wrist_2_joint",
+        "wrist_3_joint",
+    ];
+    let list = |before: &str, after: &str| names.map(|name| format!("{before}{name}{after}")).join(",");
+    // The driver puts them into alphabetical order.
+    let order = [3, 2, 1, 4, 5, 6];
+    let echo = file(
+        &format!(
+            "%time,field.header.seq,{},{}\n",
+            (0..6).map(|i| format!("field.name{i}")).collect::<Vec<_>>().join(","),
+            (0..6).map(|i| format!("field.position{i}")).collect::<Vec<_>>().join(",")
+        ),
+        |k| {
+            format!(
+                "{},{k},{},{}",
+                1_777_888_830_000_000_000 + 60_000_000_000 * k,
+                list("", ""),
+                radians(k, &order, ",")
+            )
+        },
+    );
+    check(&Case {
+        files: &[("echo.csv", echo)],
+        kinds: &[],
+        decisions: &[("x", "")],
+        says: &[
+            "revolute_unit = \"rad\"",
+            "ROS's joint states",
+            "\"field.position5\"]",
+            "time_ns = \"%time\"",
+        ],
+        ..PLAIN
+    });
+    let juggler = file(
+        &format!(
+            "__time,{},{},/tracker/point/x,/tracker/point/y,/tracker/point/z\n",
+            list("/joint_states/", "/position"),
+            list("/joint_states/", "/velocity")
+        ),
+        |k| {
+            format!(
+                "{},{},0,0,0,0,0,0,{}",
+                1_777_888_830 + 60 * k,
+                radians(k, &order, ","),
+                place(k, 1e-3, ",")
+            )
+        },
+    );
+    check(&Case {
+        files: &[("juggler.csv", juggler)],
+        says: &[
+            "[\"/joint_states/shoulder_pan_joint/position\", \"/joint_states/shoulder_lift_joint/position\", \"/joint_states/elbow_joint/position\", \"/joint_states/wrist_1_joint/position\"",
+            "From base to wrist by their names",
+            "looks like m",
+        ],
+        times: Some([FIRST, LAST]),
+        ..PLAIN
+    });
+    let arrays = file(
+        "header.stamp.sec,header.stamp.nanosec,position[0],position[1],position[2],position[3],position[4],position[5],point.x,point.y,point.z\n",
+        |k| {
+            format!(
+                "{},125000000,{},{}",
+                1_777_888_830 + 60 * k,
+                radians(k, &[1, 2, 3, 4, 5, 6], ","),
+                place(k, 1e-3, ",")
+            )
+        },
+    );
+    check(&Case {
+        files: &[("arrays.csv", arrays)],
+        says: &["time_s = [\"header.stamp.sec\", \"header.stamp.nanosec\"]", "revolute_unit = \"rad\""],
+        times: Some([FIRST + 0.125, LAST + 0.125]),
+        ..PLAIN
+    });
+    let iiwa = file(
+        "stamp,lbr_iiwa_joint_1,lbr_iiwa_joint_2,lbr_iiwa_joint_3,lbr_iiwa_joint_4,lbr_iiwa_joint_5,lbr_iiwa_joint_6,lbr_iiwa_joint_7,x_mm,y_mm,z_mm\n",
+        |k| {
+            format!(
+                "{},{},{}",
+                1_777_888_830_000_u64 + 60_000 * k as u64,
+                radians(k, &[1, 2, 3, 4, 5, 6, 7], ","),
+                place(k, 1.0, ",")
+            )
+        },
+    );
+    check(&Case {
+        files: &[("iiwa.csv", iiwa)],
+        kinds: &[Revolute; 7],
+        decisions: &[("revolute_unit", "\"rad\"")],
+        says: &["time_ms = \"stamp\"", "unit = \"mm\"", "\"x_mm\" ends with it"],
+        times: Some([FIRST, LAST]),
+        ..PLAIN
+    });
+}
+
+#[test]
+fn spreadsheets_columns_and_files_without_a_header() {
+    let german = file(
+        "Nr.;Datum;Uhrzeit;Achse 1 [°];Achse 2 [°];Achse 3 [°];Achse 4 [°];Achse 5 [°];Achse 6 [°];X-Ist [mm];Y-Ist [mm];Z-Ist [mm];Temperatur [°C];Bemerkung\n",
+        |k| {
+            format!("{k};04.05.2026;10:{k:02}:30;{};{};21.5;", angles(k, 6, ";"), place(k, 1.0, ";"))
+                .replace('.', ",")
+                .replace("04,05,2026", "04.05.2026")
+        },
+    );
+    check(&Case {
+        files: &[("deutsch.csv", german)],
+        says: &[
+            "time_s = [\"Datum\", \"Uhrzeit\"]",
+            "pose = \"Nr.\"",
+            "temperature_c = \"Temperatur\"",
+            "decimal = \",\"",
+            "revolute_unit: deg, as the header says",
+        ],
+        times: Some([FIRST, LAST]),
+        ..PLAIN
+    });
+    let fixed = file(
+        "  No        J1        J2        J3        J4        J5        J6              X              Y              Z\n",
+        |k| {
+            let angles: String = (1..=6).map(|joint| format!("{:10.4}", angle(k, joint))).collect();
+            format!("{k:4}{angles}{}", point(k).map(|axis| format!("{axis:15.4}")).concat())
+        },
+    );
+    check(&Case { files: &[("fixed.txt", fixed)], says: &["pose = \"No\"", "columns = [\"J1\""], ..PLAIN });
+    let bare = file("", |k| format!("{k} {} {}", angles(k, 6, " "), place(k, 1.0, " ")));
+    check(&Case {
+        files: &[("bare.txt", bare)],
+        says: &["columns = [2, 3, 4, 5, 6, 7]", "x = 8", "check it", "pose = 1"],
+        ..PLAIN
+    });
+    let broken = file(
+        "\"Point\nName\",\"J1\n[deg]\",\"J2\n[deg]\",\"J3\n[deg]\",\"X\n[mm]\",\"Y\n[mm]\",\"Z\n[mm]\"\n",
+        |k| format!("P{k},{},{}", angles(k, 3, ","), place(k, 1.0, ",")),
+    );
+    check(&Case {
+        files: &[("broken.csv", broken)],
+        kinds: &[Revolute; 3],
+        says: &["columns = [\"J1\", \"J2\", \"J3\"]", "# unit: mm, as the header says"],
+        ..PLAIN
+    });
+    let dates = file("Timestamp,J1,J2,J3,X,Y,Z\n", |k| {
+        format!("04/05/2026 10:{k:02}:30,{},{}", angles(k, 3, ","), place(k, 1.0, ","))
+    });
+    check(&Case {
+        files: &[("dates.csv", dates)],
+        kinds: &[Revolute; 3],
+        decisions: &[("date", "\"dmy\"")],
+        says: &["can be day, month, year (dmy) or month, day, year (mdy)"],
+        // The fourth of May is where the day comes first in 04/05: 4 May.
+        times: Some([FIRST, LAST]),
+        ..PLAIN
+    });
+    let joints = file("Name;J1;J2;J3\n", |k| format!("P{k};{}", angles(k, 3, ";")));
+    let target = || file("", |k| format!("P{k} {}", place(k, 1.0, " ")));
+    check(&Case {
+        files: &[("joints.csv", joints), ("A.txt", target()), ("B.txt", target()), ("C.txt", target())],
+        kinds: &[Revolute; 3],
+        says: &["by = \"name\"", "--joints", "TARGET=FILE"],
+        ..PLAIN
+    });
+    let polar = file("Pt\tHz [gon]\tV [gon]\tD [m]\tJ1\tJ2\tJ3\n", |k| {
+        let [x, y, z] = point(k).map(|axis| 1e-3 * axis);
+        let gon = 200.0 / std::f64::consts::PI;
+        let zenith = x.hypot(y).atan2(z);
+        format!(
+            "P{k}\t{:.12}\t{:.12}\t{:.12}\t{}",
+            gon * y.atan2(x),
+            gon * zenith,
+            x.hypot(y).hypot(z),
+            angles(k, 3, "\t")
+        )
+    });
+    check(&Case {
+        files: &[("polar.txt", polar)],
+        kinds: &[Revolute; 3],
+        says: &["angle_unit: gon, as the header says", "zenith = \"V\"", "range = \"D\"", "range_unit: m"],
+        ..PLAIN
+    });
+}

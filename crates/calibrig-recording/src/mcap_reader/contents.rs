@@ -1,0 +1,275 @@
+//! What a recording is made of, as its records come by.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+use mcap::records::{self, Record};
+
+use super::{MissingPart, ReadOptions, RecordedEstimate, RecordedParameter, Recording, decode};
+use crate::estimate::freedom_of;
+use crate::provenance::{AttachedInput, METADATA, RECOVERED, source_of};
+use crate::scan::{ReadError, Unprotected};
+use crate::schema::{self, v1};
+use crate::{Provenance, RecordingError};
+use calibrig_model::measurement::{SetKind, SetOutcome};
+
+/// What has been read so far.
+pub(super) struct Contents<'a> {
+    options: &'a ReadOptions,
+    metadata: Option<BTreeMap<String, String>>,
+    recovered: bool,
+    inputs: Vec<AttachedInput>,
+    /// Name by number.
+    schemas: HashMap<u16, String>,
+    /// Topic and schema by number.
+    channels: HashMap<u16, (String, u16)>,
+    sets: Vec<SetInProgress>,
+    estimates: Vec<RecordedEstimate>,
+    /// Sets whose description was lost from a damaged file: what is left of them cannot be placed.
+    lost: BTreeSet<SetKind>,
+    /// Behind the data section the summary repeats schemas and channels.
+    ended: bool,
+}
+
+struct SetInProgress {
+    set: SetOutcome,
+    /// Observations, as stated once they were all made.
+    expected: Option<usize>,
+    planned: Option<usize>,
+}
+
+impl<'a> Contents<'a> {
+    pub fn new(options: &'a ReadOptions) -> Self {
+        Self {
+            options,
+            metadata: None,
+            recovered: false,
+            inputs: Vec::new(),
+            schemas: HashMap::new(),
+            channels: HashMap::new(),
+            sets: Vec::new(),
+            estimates: Vec::new(),
+            lost: BTreeSet::new(),
+            ended: false,
+        }
+    }
+
+    pub fn record(&mut self, opcode: u8, body: &[u8]) -> Result<(), ReadError> {
+        if self.ended {
+            return Ok(());
+        }
+        match mcap::parse_record(opcode, body)? {
+            Record::Metadata(metadata) if metadata.name == METADATA => {
+                self.metadata.get_or_insert(metadata.metadata);
+            }
+            Record::Metadata(metadata) => self.recovered |= metadata.name == RECOVERED,
+            Record::Attachment { header, data, .. } => {
+                // Input files are texts; another attachment is not ours, and shows in the hash.
+                self.inputs.push((header.name, String::from_utf8_lossy(&data).into_owned()));
+            }
+            Record::Schema { header, .. } => {
+                self.schemas.insert(header.id, header.name);
+            }
+            Record::Channel(channel) => {
+                self.channels.insert(channel.id, (channel.topic, channel.schema_id));
+            }
+            Record::Message { header, data } => self.message(&header, &data)?,
+            Record::DataEnd(_) => self.ended = true,
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn message(&mut self, header: &records::MessageHeader, data: &[u8]) -> Result<(), RecordingError> {
+        // Another program's messages are found out by the missing session.
+        let Some((topic, schema)) = self.channels.get(&header.channel_id).cloned() else { return Ok(()) };
+        if self.options.dropped_topics.iter().any(|dropped| lies_below(&topic, dropped)) {
+            return Ok(());
+        }
+        let schema = self.schemas.get(&schema).map_or("none", String::as_str).to_owned();
+        if self.is_of_a_lost_set(&topic, &schema, data) {
+            return Ok(());
+        }
+        let read = match topic.as_str() {
+            "/session" => decode(&schema, data).and_then(|message| self.session(&message)),
+            "/session/end" => decode(&schema, data).and_then(|message| self.session_end(&message)),
+            "/nest" => decode(&schema, data).and_then(|message| self.nest(&message)),
+            "/dropped" => decode(&schema, data).and_then(|message| self.dropped(message)),
+            measurement if lies_below(measurement, "/measurement") => {
+                decode(&schema, data).and_then(|message| self.observation(&message))
+            }
+            estimate if estimate.starts_with("/estimate/") => {
+                decode(&schema, data).and_then(|message| self.estimate(message))
+            }
+            _ => Ok(()),
+        };
+        read.map_err(|reason| RecordingError::InvalidMessage { topic, sequence: header.sequence, reason })
+    }
+
+    /// Whether a message belongs to a set whose session is not in a recovered file.
+    fn is_of_a_lost_set(&mut self, topic: &str, schema: &str, data: &[u8]) -> bool {
+        let key = match topic {
+            _ if !self.recovered => return false,
+            "/session/end" => decode(schema, data).map(|message: v1::SessionEnd| message.set),
+            "/nest" => decode(schema, data).map(|message: v1::BaseNest| message.set),
+            "/dropped" => decode(schema, data).map(|message: v1::DroppedPose| message.set),
+            _ if lies_below(topic, "/measurement") => {
+                decode(schema, data).map(|message: v1::Observation| message.set)
+            }
+            _ => return false,
+        };
+        // What is no message of ours is refused where it is read.
+        let Some(kind) = key.ok().and_then(|key| schema::set_kind(&key).ok()) else { return false };
+        let lost = !self.sets.iter().any(|known| known.set.kind == kind);
+        if lost {
+            self.lost.insert(kind);
+        }
+        lost
+    }
+
+    fn session(&mut self, message: &v1::Session) -> Result<(), String> {
+        let set = SetOutcome::try_from(message)?;
+        if self.sets.iter().any(|known| known.set.kind == set.kind) {
+            return Err(format!("the {} set is described twice", set.kind.key()));
+        }
+        self.sets.push(SetInProgress {
+            set,
+            expected: message.observation_count.map(count).transpose()?,
+            planned: message.planned_poses.map(count).transpose()?,
+        });
+        Ok(())
+    }
+
+    /// The set that a message belongs to.
+    fn set(&mut self, key: &str) -> Result<&mut SetInProgress, String> {
+        let kind = schema::set_kind(key)?;
+        let known = self.sets.iter_mut().find(|known| known.set.kind == kind);
+        known.ok_or_else(|| format!("no session before it describes the {key} set"))
+    }
+
+    fn session_end(&mut self, message: &v1::SessionEnd) -> Result<(), String> {
+        let expected = Some(count(message.observation_count)?);
+        let set = self.set(&message.set)?;
+        if set.expected.is_some() {
+            return Err(format!("the {} set ends twice", message.set));
+        }
+        set.expected = expected;
+        Ok(())
+    }
+
+    fn nest(&mut self, message: &v1::BaseNest) -> Result<(), String> {
+        let nest = schema::to_nest(message.nest.as_ref().ok_or("the nest is missing")?)?;
+        let stations = &mut self.set(&message.set)?.set.measurements.stations;
+        let known = stations.len();
+        let station = usize::try_from(message.station).ok().and_then(|index| stations.get_mut(index));
+        station
+            .ok_or_else(|| format!("station {} does not exist: the session has {known}", message.station))?
+            .nests
+            .push(nest);
+        Ok(())
+    }
+
+    fn dropped(&mut self, message: v1::DroppedPose) -> Result<(), String> {
+        self.set(&message.set)?.set.dropped.push((message.pose, message.reason));
+        Ok(())
+    }
+
+    fn observation(&mut self, message: &v1::Observation) -> Result<(), String> {
+        // Where something was lost, or nobody counted, the observations that are there are taken in their order.
+        let counted = self.metadata.is_some() && !self.recovered;
+        let set = &mut self.set(&message.set)?.set;
+        let place = set.measurements.observations.len();
+        if counted && usize::try_from(message.index) != Ok(place) {
+            return Err(format!(
+                "observation {} of the {} set where {place} was expected",
+                message.index, message.set
+            ));
+        }
+        let observation = schema::to_observation(message, set)?;
+        set.measurements.observations.push(observation);
+        Ok(())
+    }
+
+    fn estimate(&mut self, message: v1::Estimate) -> Result<(), String> {
+        if self.estimates.iter().any(|known| known.mode == message.mode) {
+            return Err(format!("mode {} has two estimates", message.mode));
+        }
+        let parameter = |p: v1::Parameter| {
+            let value = p.value.ok_or_else(|| format!("parameter {} has no value", p.name))?;
+            Ok::<_, String>(RecordedParameter { name: p.name, value, sigma: p.sigma })
+        };
+        let rms = |row: &v1::Accuracy| Ok::<_, String>((schema::set_kind(&row.set)?, row.rms_3d));
+        self.estimates.push(RecordedEstimate {
+            degrees_of_freedom: freedom_of(&message),
+            mode: message.mode,
+            parameters: message.parameters.into_iter().map(parameter).collect::<Result<_, _>>()?,
+            chi2: message.chi2,
+            termination: message.termination,
+            iterations: message.iterations.len(),
+            stations: message.stations.iter().map(schema::to_pose).collect::<Result<_, _>>()?,
+            targets: message.targets.iter().map(schema::to_point).collect::<Result<_, _>>()?,
+            rms_3d: message.accuracy.iter().map(rms).collect::<Result<_, _>>()?,
+        });
+        Ok(())
+    }
+
+    pub fn finish(mut self) -> Result<Recording, RecordingError> {
+        let topics: BTreeSet<String> = self.channels.values().map(|(topic, _)| topic.clone()).collect();
+        for dropped in &self.options.dropped_topics {
+            if !topics.iter().any(|topic| lies_below(topic, dropped)) {
+                let known = topics.into_iter().collect();
+                return Err(RecordingError::NoSuchTopic { topic: dropped.clone(), known });
+            }
+        }
+        let provenance = match &self.metadata {
+            Some(metadata) => Some(Provenance::check(metadata, &self.inputs)?),
+            None if self.sets.is_empty() => return Err(RecordingError::Foreign),
+            None => None,
+        };
+        let sets = self.sets.len();
+        self.sets.sort_by_key(|known| known.set.kind);
+        let fitted = self.sets.first().filter(|known| known.set.kind == SetKind::Identification);
+        if fitted.is_none_or(|known| known.set.measurements.observations.is_empty()) {
+            return Err(RecordingError::NoMeasurements { sets });
+        }
+        let dropped = |kind: SetKind| {
+            let topic = format!("/measurement/{}", kind.key());
+            self.options.dropped_topics.iter().any(|dropped| lies_below(&topic, dropped))
+        };
+        self.sets.retain(|known| !dropped(known.set.kind));
+        let mut missing = Vec::new();
+        for SetInProgress { set, expected, planned } in &self.sets {
+            let (kind, found) = (set.kind, set.measurements.observations.len());
+            match *expected {
+                Some(expected) if found == expected => {}
+                Some(expected) if self.recovered => {
+                    missing.push(MissingPart { kind, found, expected: Some(expected) });
+                }
+                Some(expected) => {
+                    return Err(RecordingError::MissingMeasurements { set: kind.key(), expected, found });
+                }
+                // Other programs need not say when a set ends.
+                None if provenance.is_none() && !self.recovered => {}
+                None => missing.push(MissingPart { kind, found, expected: *planned }),
+            }
+        }
+        missing.extend(self.lost.iter().map(|&kind| MissingPart { kind, found: 0, expected: None }));
+        Ok(Recording {
+            provenance,
+            sources: self.inputs.into_iter().map(source_of).collect(),
+            sets: self.sets.into_iter().map(|known| known.set).collect(),
+            missing,
+            recovered: self.recovered,
+            unprotected: Unprotected::default(),
+            estimates: self.estimates,
+        })
+    }
+}
+
+/// Whether `topic` is `root` or lies below it.
+fn lies_below(topic: &str, root: &str) -> bool {
+    topic.strip_prefix(root).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
+}
+
+fn count(value: u32) -> Result<usize, String> {
+    usize::try_from(value).map_err(|e| e.to_string())
+}
