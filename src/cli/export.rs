@@ -7,8 +7,8 @@ use super::identify::{FileArgs, Loaded};
 use super::measured::texts;
 use super::output::{Destination, Files, or_removed};
 use super::{CliError, Verdict, say};
-use crate::pipeline::{InputSummary, SetOutcome};
-use calibrig_files::{InputError, load_robot};
+use crate::pipeline::InputSummary;
+use calibrig_files::load_robot;
 use calibrig_recording::{CsvExport, ExportError, Preamble, RecordingError, export_csv, write_sets};
 
 /// Turn a recording into files of text, or files of text into a recording
@@ -138,7 +138,6 @@ fn write(folder: &Path, export: &CsvExport) -> Result<(), CliError> {
 fn to_mcap(args: &McapArgs) -> Result<Verdict, CliError> {
     check_name(&args.out, args.force)?;
     let Loaded { robot, mut sources, sha256, sets, read, asked, statements, .. } = args.files.read()?;
-    refuse_without_readings(&args.files.first(), &sets)?;
     for line in &read {
         say(line);
     }
@@ -191,16 +190,4 @@ fn check_name(path: &Path, force: bool) -> Result<(), CliError> {
         return Err(CliError::AlreadyThere { paths: vec![path.to_path_buf()] });
     }
     Ok(())
-}
-
-/// A recording without readings could not be read back.
-fn refuse_without_readings(file: &Path, sets: &[SetOutcome]) -> Result<(), CliError> {
-    let Some(set) = sets.iter().find(|set| set.measurements.observations.is_empty()) else { return Ok(()) };
-    let first = set.dropped.first().map_or("there is none", |(_, why)| why.as_str());
-    Err(InputError::Place {
-        place: file.display().to_string(),
-        message: format!("every row of the {} set is a missed shot; the first: {first}", set.kind.key()),
-        help: Some("expected a position other than (0, 0, 0) in one row at least".to_owned()),
-    }
-    .into())
 }

@@ -7,7 +7,7 @@ use clap::{CommandFactory, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::by_name::{self, ByNameArgs};
-use super::measured::{AskedSet, RowArgs, hash_files};
+use super::measured::{AskedSet, Maps, RowArgs, hash_files};
 use super::model::ChainArgs;
 use super::output::{self, Destination, Files};
 use super::reread::RereadArgs;
@@ -525,8 +525,11 @@ pub(super) fn load(
     let joints = commanded_joints(&robot.model);
     let paths = || asked.iter().flat_map(AskedSet::paths).map(|(_, path)| path);
     let mut rows = rows.clone();
+    let bags = match columns {
+        None if paths().any(is_bag) => Some(rows.of_bags(&robot)?),
+        _ => None,
+    };
     let columns = match columns {
-        None if paths().any(is_bag) => rows.of_bags(&robot)?,
         Some(path) => {
             let (map, source) = load_column_map(path)?;
             map.check_joints(&source, &joints)?;
@@ -543,7 +546,7 @@ pub(super) fn load(
             None => ColumnMap::default(),
         },
     };
-    let mut files = rows.read(&asked, &columns, &joints)?;
+    let mut files = rows.read(&asked, &Maps { files: columns, bags }, &joints)?;
     for file in &mut files {
         add_followers(&robot.model, &mut file.loaded.set);
     }
@@ -569,7 +572,23 @@ pub(super) fn load(
         read.extend(loaded.remarks);
         sets.push(SetOutcome { kind, measurements: loaded.set, dropped: loaded.dropped });
     }
+    refuse_without_readings(&asked, &sets)?;
     Ok(Loaded { robot, sources, sha256: hash.hex(), sets, places, read, asked, statements, session })
+}
+
+/// Without readings there is nothing to do, and a recording could not be read back.
+fn refuse_without_readings(asked: &[AskedSet], sets: &[SetOutcome]) -> Result<(), CliError> {
+    let is_empty = |set: &&SetOutcome| set.measurements.observations.is_empty() && !set.dropped.is_empty();
+    let Some(set) = sets.iter().find(is_empty) else { return Ok(()) };
+    let first = set.dropped.first().map_or("there is none", |(_, why)| why.as_str());
+    let file = asked.iter().find(|asked| asked.kind == set.kind).or(asked.first());
+    let file = file.and_then(|asked| asked.files.points.first()).map(|file| file.path.display().to_string());
+    Err(InputError::Place {
+        place: file.unwrap_or_default(),
+        message: format!("every row of the {} set is a missed shot; the first: {first}", set.kind.key()),
+        help: Some("expected a position other than (0, 0, 0) in one row at least".to_owned()),
+    }
+    .into())
 }
 
 /// The failure of an identification from these files, at the rows that it names, or at the last one where more poses are what it needs.

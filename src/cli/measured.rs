@@ -9,10 +9,25 @@ use super::{Cli, CliError};
 use crate::pipeline::{InputHash, SetKind};
 use calibrig_files::{
     BagOptions, ColumnMap, DEFAULT_TOLERANCE_S, InputError, LoadedMeasurements, MeasuredFile,
-    MeasurementFiles, MissedCode, PointsFile, PoseList, Robot, RowOptions, Source, parse_column_map,
+    MeasurementFiles, MissedCode, PointsFile, PoseList, Robot, RowOptions, Source, is_bag, parse_column_map,
     read_files,
 };
 use calibrig_model::JointKind;
+
+/// How the files are read.
+pub(super) struct Maps {
+    /// Files of text and spreadsheets; bags too where none of their own is here.
+    pub files: ColumnMap,
+    pub bags: Option<ColumnMap>,
+}
+
+impl Maps {
+    fn of(&self, files: &MeasurementFiles) -> &ColumnMap {
+        let paths = files.points.iter().map(|file| &file.path).chain(&files.joints);
+        let bags = self.bags.as_ref().filter(|_| paths.into_iter().any(|path| is_bag(path)));
+        bags.unwrap_or(&self.files)
+    }
+}
 
 /// What is said of rows beside the column map.
 #[derive(Debug, Clone, Default, clap::Args)]
@@ -143,13 +158,13 @@ impl RowArgs {
     pub fn read(
         &self,
         sets: &[AskedSet],
-        map: &ColumnMap,
+        maps: &Maps,
         joints: &[JointKind],
     ) -> Result<Vec<MeasuredFile>, CliError> {
         let options = self.options();
         let mut measured = Vec::new();
         for AskedSet { kind, files } in sets {
-            let loaded = read_files(files, map, joints, &options)?;
+            let loaded = read_files(files, maps.of(files), joints, &options)?;
             let name = files.points.first().map_or_else(String::new, |file| file.path.display().to_string());
             if !loaded.has_held_out() {
                 if self.verify_poses.is_some() {

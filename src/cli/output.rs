@@ -295,8 +295,7 @@ pub(super) fn verdict(outcome: &Outcome) -> Verdict {
         }
     }
     for judgement in &outcome.judgements {
-        let worse = judgement.worse.iter().filter(|worse| worse.is_doubtful);
-        reasons.extend(worse.map(|worse| (judgement.mode, worse.to_string())));
+        reasons.extend(judgement.reasons().map(|(_, words)| (judgement.mode, words)));
     }
     for (mode, reason) in &reasons {
         say(&format!("doubtful: {}: {reason}", mode.title()));

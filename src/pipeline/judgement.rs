@@ -1,6 +1,8 @@
 //! How far an estimate can be trusted: what its residuals still contain, what every parameter rests on, and how well it predicts.
 
-use nalgebra::{DVector, Vector3};
+use std::fmt;
+
+use nalgebra::{DVector, Matrix3, Vector3};
 
 use super::residuals::{ObservationResidual, residuals};
 use super::worth::{Worse, worse};
@@ -11,6 +13,7 @@ use calibrig_estimation::evaluation::{
 use calibrig_estimation::identification::{
     Estimate, IdentificationOptions, Linearisation, Mode, NoiseScale, Outlier, ParameterSupport,
     PoseInfluence, Prediction, Predictor, Uncertainty, Warning, held_out_outliers, linearise,
+    predict_readings,
 };
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, ParameterId, PoseQuery};
@@ -43,6 +46,8 @@ pub struct Judgement {
     pub makes_sense: bool,
     /// Gross errors in what was held out.
     pub held_out: Vec<(SetKind, Vec<Outlier>)>,
+    /// Sets that were held out and do not lie in the stated intervals.
+    pub outside: Vec<Outside>,
     /// Of every reading, one list a set.
     pub residuals: Vec<Vec<ObservationResidual>>,
 }
@@ -50,8 +55,72 @@ pub struct Judgement {
 impl Judgement {
     /// Whether nothing speaks against the model and the stated noise.
     pub fn is_consistent(&self) -> bool {
-        self.makes_sense && self.consistency.is_consistent()
+        self.makes_sense && self.outside.is_empty() && self.consistency.is_consistent()
     }
+
+    /// What a person must look at beside the [reasons](Estimate::reasons) of the estimate itself: key and words.
+    pub fn reasons(&self) -> impl Iterator<Item = (&'static str, String)> {
+        let worse = self.worse.iter().filter(|worse| worse.is_doubtful);
+        let outside = self.outside.iter().map(|outside| ("held_out", outside.to_string()));
+        worse.map(|worse| ("worse", worse.to_string())).chain(outside)
+    }
+}
+
+/// A held-out set that the stated intervals do not hold.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Outside {
+    /// Which set.
+    pub kind: SetKind,
+    /// Readings inside their 95 % ellipsoids.
+    pub inside: usize,
+    /// Of so many.
+    pub of: usize,
+}
+
+impl fmt::Display for Outside {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let share = 1e2 * self.inside as f64 / self.of as f64;
+        write!(
+            f,
+            "{share:.0} % of the {} readings of the {} set lie where the 95 % intervals say: it is of another target, the station or the robot \
+             changed between the sets, or the model lacks what the poses of this set need",
+            self.of,
+            self.kind.key()
+        )
+    }
+}
+
+/// A set of which less than this share is inside contradicts the intervals. Its readings depend on each other through the parameters, so that
+/// a good estimate can have far less inside than 95 %.
+const FEW_INSIDE: f64 = 0.5;
+/// Fewer readings say nothing.
+const LEAST_READINGS: usize = 4;
+/// 95 % of the squares of three normal coordinates are less, and of one.
+const SQUARES_95: [f64; 2] = [7.815, 3.841];
+
+/// Whether a held-out set lies outside of what the estimate states of new readings.
+fn outside(
+    model: &CalibrationModel,
+    set: &SetOutcome,
+    options: &IdentificationOptions,
+    estimate: &Estimate,
+) -> Option<Outside> {
+    let predicted = predict_readings(model, &set.measurements, options, estimate).ok()??;
+    let of_noise = match estimate.noise {
+        NoiseScale::Residuals(sigma) => Matrix3::identity() * sigma * sigma,
+        NoiseScale::Stated => Matrix3::zeros(),
+    };
+    // Student's distribution reaches as much farther along three coordinates as along one.
+    let square = SQUARES_95[0] * estimate.interval_factor(0.95).powi(2) / SQUARES_95[1];
+    let (mut inside, of) = (0, predicted.len());
+    for (observation, predicted) in set.measurements.observations.iter().zip(&predicted) {
+        let own = observation.reading.position_covariance().unwrap_or(of_noise);
+        let covariance = predicted.of_parameters + predicted.of_machine + own;
+        let off = covariance.cholesky()?.solve(&predicted.error).dot(&predicted.error);
+        inside += usize::from(off <= square);
+    }
+    let contradicts = of >= LEAST_READINGS && (inside as f64) < FEW_INSIDE * of as f64;
+    contradicts.then_some(Outside { kind: set.kind, inside, of })
 }
 
 /// How sure an estimate is, if the stated noise is right.
@@ -145,6 +214,8 @@ pub fn judge(
                 .skip(1)
                 .map(|(set, errors)| (set.kind, held_out_outliers(&set.measurements, errors)));
             let held_out = held_out.filter(|(_, outliers)| !outliers.is_empty()).collect();
+            let outside =
+                sets.iter().skip(1).filter_map(|set| outside(model, set, &options, estimate)).collect();
             let of_set = |(index, (set, errors)): (usize, (&SetOutcome, &Vec<Vector3<f64>>))| {
                 residuals(model, (&set.measurements, errors), &options, estimate, index == 0)
             };
@@ -157,6 +228,7 @@ pub fn judge(
                 confidence,
                 makes_sense,
                 held_out,
+                outside,
                 residuals,
             })
         })

@@ -188,7 +188,7 @@ pub struct JsonWorse {
 /// How an identification ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct JsonEstimate {
-    /// `ok`, `not_converged`, `rank_deficient`, `at_bound` or `contradicted`.
+    /// `ok`, or the key of the first reason to look at it.
     pub status: String,
     /// Why the solver stopped.
     pub termination: String,
@@ -383,8 +383,16 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
                 let worse = judgement.iter().flat_map(|judgement| &judgement.worse).map(json_worse).collect();
                 let residuals =
                     judgement.map(|judgement| json_residuals(outcome, judgement)).unwrap_or_default();
+                let own = json_estimate(estimate);
+                let more: Vec<_> = judgement.iter().flat_map(|judgement| judgement.reasons()).collect();
+                let status = match more.first() {
+                    Some((key, _)) if own.reasons.is_empty() => (*key).to_owned(),
+                    _ => own.status.clone(),
+                };
+                let reasons = own.reasons.iter().cloned().chain(more.into_iter().map(|(_, words)| words));
+                let reasons = reasons.collect();
                 let judgement = judgement.map(|judgement| json_judgement(outcome, judgement));
-                let estimate = JsonEstimate { worse, residuals, judgement, ..json_estimate(estimate) };
+                let estimate = JsonEstimate { status, reasons, worse, residuals, judgement, ..own };
                 (mode.key().to_owned(), estimate)
             })
             .collect(),

@@ -39,9 +39,10 @@ pub struct Recording {
 impl Recording {
     /// The robot that it holds, if any.
     pub fn robot(&self) -> Result<Option<Robot>, InputError> {
-        let attached = |role: &str| self.source(role).cloned();
-        let robot = attached("robot");
-        robot.map(|robot| parse_robot(robot, attached("urdf"), attached("columns"))).transpose()
+        let Some(robot) = self.source("robot") else { return Ok(None) };
+        // A map that was given beside the robot is no part of it.
+        let named = |key: &str| self.source(key).filter(|_| !robot.place_of(key).is_empty()).cloned();
+        parse_robot(robot.clone(), named("urdf"), named("columns")).map(Some)
     }
 
     /// The input file of a role.

@@ -74,6 +74,9 @@ pub(super) fn judgement_lines(outcome: &Outcome, mode: Mode, style: Style) -> Ve
         }
         say(Ink::Dim, &words, "    ");
     }
+    for outside in &judgement.outside {
+        say(Ink::Warning, &format!("  warning: {outside}"), "           ");
+    }
     for worse in &judgement.worse {
         say(Ink::Warning, &format!("  warning: {worse}"), "           ");
     }

@@ -372,7 +372,7 @@ pub enum Warning {
     #[error(
         "the readings of {} are of {targets} targets {:.3} mm apart, or the last joint has that much play: with an offset for each of them the residuals fall from {:.3} to {:.3} mm \
          RMS. Name the target of every row (a column of the file, or a file a target)",
-        of_target(.target), 1e3 * apart, 1e3 * rms[0], 1e3 * rms[1]
+        called("target", .target), 1e3 * apart, 1e3 * rms[0], 1e3 * rms[1]
     )]
     SeveralTargets {
         /// Name of the target.
@@ -386,9 +386,9 @@ pub enum Warning {
     },
     /// A station that was moved between its readings.
     #[error(
-        "station {station}, the robot's base or the zero of its first joint was moved between poses {} and {}, which moved the points by {:.3} mm: with two places of the \
+        "{}, the robot's base or the zero of its first joint was moved between poses {} and {}, which moved the points by {:.3} mm: with two places of the \
          station the residuals fall from {:.3} to {:.3} mm RMS. Give what was measured behind it a station of its own",
-        poses[0], poses[1], 1e3 * by, 1e3 * rms[0], 1e3 * rms[1]
+        called("station", .station), poses[0], poses[1], 1e3 * by, 1e3 * rms[0], 1e3 * rms[1]
     )]
     StationMoved {
         /// Name of the station.
@@ -446,9 +446,13 @@ pub enum Warning {
     },
 }
 
-/// A target in a sentence; one that nobody named has no name.
-fn of_target(name: &str) -> String {
-    if name.is_empty() { "the target".to_owned() } else { format!("target {name}") }
+/// A target or station in a sentence; one that nobody named has no name.
+fn called(what: &str, name: &str) -> String {
+    match name {
+        "" => format!("the {what}"),
+        name if name.starts_with(what) => name.to_owned(),
+        name => format!("{what} {name}"),
+    }
 }
 
 fn noise_in_words(noise: &MachineNoise) -> String {

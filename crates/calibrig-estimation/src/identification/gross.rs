@@ -5,6 +5,8 @@
 //! tested against a fit without it (P. J. Rousseeuw, A. M. Leroy, "Robust Regression and Outlier Detection", 1987, chapter 6; the tests
 //! go inwards from all candidates: A. S. Hadi, J. S. Simonoff, JASA 88 (1993) 1264).
 
+mod shifted;
+
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::factor::extended;
@@ -58,6 +60,8 @@ pub(super) struct LinearFit<'a> {
     pub blocks: usize,
     /// What every block counts for in the fit; empty where all count alike.
     pub weights: &'a [f64],
+    /// Poses whose observations depend on each other: the inverse Cholesky factor of their covariance, once each is whitened by itself.
+    pub joined: &'a [(Vec<usize>, DMatrix<f64>)],
     /// Whether a residual of 1 is what was stated of a reading. Else the scale is the fit's own, and with it what the priors weigh against.
     pub is_stated: bool,
 }
@@ -91,16 +95,25 @@ impl LinearFit<'_> {
         if self.blocks < 4 || 3 * self.blocks < n + 6 || self.residuals.iter().any(|v| !v.is_finite()) {
             return Vec::new();
         }
+        let spread = spread.filter(|_| self.weights.is_empty());
+        if let (Some(spread), false) = (spread, self.joined.is_empty()) {
+            return self.shifted(spread);
+        }
         let ones = vec![1.0; self.blocks];
         let weights = if self.weights.is_empty() { &ones } else { self.weights };
-        let spread = spread.filter(|_| self.weights.is_empty());
         let now = match spread {
             Some(spread) => Some(self.seen(&ones, spread, None)),
             None => self.fitted(weights, 1.0, false),
         };
-        let Some(now) = now.filter(|now| self.is_suspicious(now, spread)) else { return Vec::new() };
-        let Some(candidates) = self.candidates(now) else { return Vec::new() };
-        self.tested(candidates)
+        let Some(now) = now else { return Vec::new() };
+        // Few poses leave no scale from the others, and one reading is still worth a test.
+        let one = spread.filter(|_| self.has_one(&now));
+        let candidates = if self.is_suspicious(&now, spread) { self.candidates(now) } else { None };
+        let found = candidates.map_or_else(Vec::new, |candidates| self.tested(candidates));
+        match one {
+            Some(spread) if found.is_empty() => self.shifted(spread),
+            _ => found,
+        }
     }
 
     /// Whether the fit that gross errors draw shows anything of them. `spread` is as in [`gross_errors`](Self::gross_errors).
@@ -307,6 +320,7 @@ pub fn held_out_outliers(set: &MeasurementSet, errors: &[Vector3<f64>]) -> Vec<O
         residuals: &residuals,
         blocks: count,
         weights: &[],
+        joined: &[],
         is_stated: false,
     };
     let found: Vec<_> = fit.gross_errors(None).into_iter().map(|e| (e, e.left_out, 0.0)).collect();

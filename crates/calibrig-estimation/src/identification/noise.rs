@@ -291,12 +291,14 @@ fn system(problem: &mut CalibrationProblem, solution: &Solution, unknown: Unknow
     let data = 3 * problem.rows.len();
     let below = residuals.len() - data;
     let used = |index: &usize| solution.weights.get(*index).is_none_or(|weight| *weight >= REJECTED);
+    let is_free = |column: &usize| solution.at_bound.iter().all(|at| at.parameter != *column);
     let poses = problem.poses.iter().map(|pose| pose.iter().copied().filter(used).collect::<Vec<_>>());
     let blocks = poses.filter(|pose| !pose.is_empty()).map(|pose| block(problem, pose, unknown)).collect();
     System {
         prior_residuals: residuals.rows(data, below).into_owned(),
         prior_jacobian: jacobian.rows(data, below).into_owned(),
         residuals,
+        free: (0..jacobian.ncols()).filter(is_free).collect(),
         jacobian,
         blocks,
         count: unknown.components(problem),

@@ -256,7 +256,9 @@ fn gross_errors(
         residuals: &residuals,
         blocks: set.observations.len(),
         weights: &solution.weights,
-        is_stated: noise == NoiseScale::Stated || !few.is_empty(),
+        joined: &problem.joined,
+        // What was found with the fit has gross errors in it.
+        is_stated: (noise == NoiseScale::Stated || !few.is_empty()) && problem.noise.machine.is_none(),
     };
     let place = |error: &GrossError| {
         let whitening = problem.rows[error.observation].whitening;

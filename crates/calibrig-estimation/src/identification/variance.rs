@@ -29,6 +29,8 @@ pub(super) struct Block {
 pub(super) struct System {
     pub residuals: DVector<f64>,
     pub jacobian: DMatrix<f64>,
+    /// Columns that no bound holds: the others are no parameters here.
+    pub free: Vec<usize>,
     pub prior_residuals: DVector<f64>,
     pub prior_jacobian: DMatrix<f64>,
     /// Observations that are in none are not looked at.
@@ -154,11 +156,11 @@ impl System {
 
     /// Likelihood and its derivatives at some variances; `None` where these leave a block without noise, or are no numbers.
     fn state(&self, stacked: &Stacked, variances: &[f64]) -> Option<State> {
-        let n = self.jacobian.ncols();
+        let n = self.free.len();
         let (whitened, determinant) = stacked.whitened(variances)?;
         let jacobian = whitened.rows(0, n).into_owned();
         let mut residuals = whitened.row(n).transpose();
-        let fit = Fit::new(&jacobian, &mut residuals, &self.prior_jacobian, &self.prior_residuals)?;
+        let fit = Fit::new(&jacobian, &mut residuals, &stacked.priors, &self.prior_residuals)?;
         let likelihood = -0.5 * (determinant + fit.determinant + residuals.norm_squared() + fit.priors);
         likelihood.is_finite().then_some(())?;
         // Qᵀ with Q Qᵀ the part of the hat matrix between the data; a product is several times as fast as a solution with as many columns.
@@ -176,6 +178,8 @@ struct Stacked<'a> {
     rows: DMatrix<f64>,
     /// Row of the residuals; those of the shapes are behind it.
     residuals: usize,
+    /// The priors' rows in the free columns.
+    priors: DMatrix<f64>,
     blocks: Vec<Slice<'a>>,
 }
 
@@ -189,9 +193,9 @@ struct Slice<'a> {
 
 impl<'a> Stacked<'a> {
     fn new(system: &'a System) -> Self {
-        let n = system.jacobian.ncols();
+        let n = system.free.len();
         let most = system.blocks.iter().map(|block| block.components.len()).max().unwrap_or(0);
-        let transposed = system.jacobian.transpose();
+        let transposed = system.jacobian.select_columns(&system.free).transpose();
         let mut rows = DMatrix::zeros(n + 1 + most, system.coordinates());
         let mut blocks = Vec::with_capacity(system.blocks.len());
         let mut first = 0;
@@ -206,7 +210,7 @@ impl<'a> Stacked<'a> {
             blocks.push(Slice { first, known: &block.known, components: &block.components });
             first += 3 * block.observations.len();
         }
-        Self { rows, residuals: n, blocks }
+        Self { rows, residuals: n, priors: system.prior_jacobian.select_columns(&system.free), blocks }
     }
 
     /// All rows in standard deviations, and the logarithm of the covariance's determinant; `None` where a block is left without noise.
@@ -454,7 +458,7 @@ mod tests {
         let mut prior_jacobian = DMatrix::zeros(1, 3);
         prior_jacobian[(0, 2)] = 2.0;
         let prior_residuals = DVector::from_element(1, 0.3);
-        System { residuals, jacobian, prior_residuals, prior_jacobian, blocks, count: 3 }
+        System { residuals, jacobian, free: vec![0, 1, 2], prior_residuals, prior_jacobian, blocks, count: 3 }
     }
 
     /// From whole matrices: minus half of `ln |V| + ln |A| + rᵀ P r`, with the priors as rows of data of known variance.
@@ -510,6 +514,20 @@ mod tests {
                 state.slope(k)
             );
         }
+    }
+
+    /// A parameter that a bound holds takes no degree of freedom, and none of the residuals.
+    #[test]
+    fn what_a_bound_holds_explains_nothing() {
+        let mut rng = ChaCha8Rng::seed_from_u64(6);
+        let mut bounded = system(8, [0.7, 0.4, 0.0], &mut rng);
+        let mut without = bounded.clone();
+        bounded.free = vec![0, 2];
+        without.jacobian = without.jacobian.remove_column(1);
+        without.prior_jacobian = without.prior_jacobian.remove_column(1);
+        without.free = vec![0, 1];
+        let [bounded, without] = [bounded, without].map(|s| s.components(None).expect("residuals").variances);
+        assert_eq!(bounded, without);
     }
 
     /// Without priors, one variance is the sum of squares over rows less parameters.

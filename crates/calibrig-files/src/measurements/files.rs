@@ -15,6 +15,7 @@ use super::times::TimeReader;
 use super::{CsvError, LoadedMeasurements, repeats};
 use crate::input::{InputError, Source};
 use calibrig_model::JointKind;
+use calibrig_model::measurement::Observation;
 
 /// Files of one set.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -126,6 +127,17 @@ fn refuse_twice(files: &MeasurementFiles) -> Result<(), InputError> {
     Ok(())
 }
 
+/// What is told of rows that are of one stop, where no column says so.
+fn stops(observations: &[Observation], file: &str) -> Option<String> {
+    let poses = observations.chunk_by(|a, b| a.pose == b.pose).count();
+    (poses < observations.len()).then(|| {
+        format!(
+            "{file}: rows behind each other with the same command are one pose: {poses} poses of {} rows",
+            observations.len()
+        )
+    })
+}
+
 /// Files that are being read into one set.
 struct Reading<'a> {
     map: &'a ColumnMap,
@@ -139,6 +151,8 @@ struct Reading<'a> {
     held_out: PoseList,
     /// Number of the last pose of the files before.
     last_pose: u32,
+    /// Whether a file has a column of poses.
+    numbers_poses: bool,
 }
 
 impl<'a> Reading<'a> {
@@ -158,6 +172,7 @@ impl<'a> Reading<'a> {
             loaded: LoadedMeasurements::default(),
             first: None,
             last_pose: 0,
+            numbers_poses: false,
         }
     }
 
@@ -253,6 +268,10 @@ impl<'a> Reading<'a> {
         }
         remarks.extend(table.remarks());
         let numbers_poses = columns.pose.is_some();
+        self.numbers_poses |= numbers_poses;
+        if !numbers_poses {
+            remarks.extend(stops(&self.loaded.set.observations[before..], &file));
+        }
         self.number_on(before, numbers_poses, &file, &mut remarks);
         for remark in remarks {
             if !self.loaded.remarks.contains(&remark) {
@@ -292,13 +311,14 @@ impl<'a> Reading<'a> {
     /// Why no row of the files can be used.
     fn nothing_left(&self) -> Option<InputError> {
         let dropped = &self.loaded.dropped;
+        let by = self.map.join()?.by;
         if !self.loaded.set.observations.is_empty() || dropped.is_empty() {
             return None;
         }
         // Most are left out for the same reason.
         let (first, rest) = (&dropped[0].1, dropped.len() - 1);
         let others = if rest > 0 { format!("; and {rest} more rows") } else { String::new() };
-        let help = match self.map.join().map_or(JoinBy::Row, |join| join.by) {
+        let help = match by {
             JoinBy::Time { .. } => {
                 "expected times of one clock: offset_s in [join] of the column map shifts those of the joints, within_s widens what is taken"
             }
@@ -333,7 +353,7 @@ impl<'a> Reading<'a> {
         }
         self.loaded.pose_names = poses;
         if self.options.average_repeats {
-            repeats::average(&mut self.loaded)?;
+            repeats::average(&mut self.loaded, self.numbers_poses)?;
         }
         if self.options.approach_from_order {
             let whose = match self.map.join().map(|join| join.by) {

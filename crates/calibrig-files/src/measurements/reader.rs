@@ -142,7 +142,7 @@ impl RowReader<'_> {
         let cells = Cells { reader: self, row };
         let pose = match self.columns.pose {
             Some(column) => cells.pose(column, names)?,
-            None => self.rows,
+            None => self.stop(&cells, loaded)?,
         };
         let held_out = cells.is_held_out(pose, names.of_pose(pose))?;
         let missed = cells.missed();
@@ -188,6 +188,19 @@ impl RowReader<'_> {
         loaded.places.push(self.file, row.place());
         loaded.hold_out_last(held_out);
         Ok(())
+    }
+}
+
+impl RowReader<'_> {
+    /// Number of the pose where no column has it: that of the row, or of the first one of a stop, at which several shots are taken or several
+    /// targets are measured one behind the other with the same command.
+    fn stop(&self, cells: &Cells<'_>, loaded: &LoadedMeasurements) -> Result<u32, InputError> {
+        let last = loaded.set.observations.last().filter(|_| self.rows > 1 && cells.missed().is_none());
+        let Some(last) = last else { return Ok(self.rows) };
+        let command = cells.command()?;
+        let same = |(a, b): (&f64, &f64)| a.to_bits() == b.to_bits();
+        let stays = command.len() == last.command.len() && command.iter().zip(&last.command).all(same);
+        Ok(if stays { last.pose } else { self.rows })
     }
 }
 

@@ -20,16 +20,16 @@ const ENOUGH: usize = 6;
 ///
 /// # Errors
 /// Rows of one pose whose commands are not the same.
-pub(super) fn average(loaded: &mut LoadedMeasurements) -> Result<(), InputError> {
+pub(super) fn average(loaded: &mut LoadedMeasurements, numbers_poses: bool) -> Result<(), InputError> {
     let mut groups: Vec<Vec<usize>> = Vec::new();
     // From another side a machine with play goes elsewhere: that is no scatter.
     let mut known: HashMap<(u32, usize, usize, &[i8]), usize> = HashMap::new();
     let mut by_command: HashMap<(Vec<u64>, usize, usize, &[i8]), usize> = HashMap::new();
     let observations = &loaded.set.observations;
-    // Where every row has a number of its own, it is the command that tells which rows are repeats.
+    // Where no column has the poses, or every row has a number of its own, it is the command that tells which rows are repeats.
     let numbers: std::collections::HashSet<_> =
         observations.iter().map(|o| (o.pose, o.station, o.target)).collect();
-    let are_rows = numbers.len() == observations.len();
+    let are_rows = !numbers_poses || numbers.len() == observations.len();
     for (index, o) in observations.iter().enumerate() {
         let next = groups.len();
         let group = if are_rows {

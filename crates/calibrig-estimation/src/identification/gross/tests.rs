@@ -18,7 +18,8 @@ fn gross(jacobian: &DMatrix<f64>, residuals: &DVector<f64>, is_stated: bool) -> 
     let blocks = residuals.len() / 3;
     let n = jacobian.ncols();
     let spread = jacobian.clone().qr().unpack_r().solve_upper_triangular(&DMatrix::identity(n, n));
-    LinearFit { jacobian, residuals, blocks, weights: &[], is_stated }.gross_errors(spread.as_ref())
+    LinearFit { jacobian, residuals, blocks, weights: &[], joined: &[], is_stated }
+        .gross_errors(spread.as_ref())
 }
 
 /// Sessions of any size, columns of any unit, a few poses of high leverage.
@@ -65,7 +66,7 @@ fn two_gross_errors_at_one_place_do_not_hide_each_other() {
         let residuals = fitted(&jacobian, &readings);
         let (jacobian, residuals) = (&jacobian, &residuals);
         let found = gross(jacobian, residuals, true);
-        let fit = LinearFit { jacobian, residuals, blocks: 60, weights: &[], is_stated: true };
+        let fit = LinearFit { jacobian, residuals, blocks: 60, weights: &[], joined: &[], is_stated: true };
         let has = |found: &[GrossError]| pair.iter().all(|i| found.iter().any(|e| e.observation == *i));
         hidden += usize::from(!has(&found));
         looked_over += usize::from(!has(&found) && has(&fit.gross_errors(None)));
