@@ -8,7 +8,7 @@
 
 use std::ops::Range;
 
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix3x6, SymmetricEigen, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix3x6, Matrix6, SymmetricEigen, Vector3, Vector6};
 
 use super::Warning;
 use super::contradiction::Minimum;
@@ -19,9 +19,11 @@ use calibrig_model::geometry::cross_matrix;
 use calibrig_model::measurement::MeasurementSet;
 
 /// Standard deviations that fall to this share are those of several sessions.
-const SHARE: f64 = 0.25;
+const SHARE: f64 = 0.15;
 /// Groups that leave more than this share of the squares in them are not looked at any further.
-const COMPACT: f64 = 0.5;
+const COMPACT: f64 = 0.65;
+/// Nor is what leaves more than this share of the residuals at the second turn.
+const HARDLY: f64 = 0.8;
 /// The fewest readings of a group.
 const LEAST: usize = 4;
 /// The fewest degrees of freedom beside parameters and the choice of the groups.
@@ -36,6 +38,28 @@ struct Seen {
     predicted: Vector3<f64>,
     /// Predicted less measured, in the tracker's frame, m.
     off: Vector3<f64>,
+}
+
+/// Readings of several targets.
+struct Targets {
+    groups: Vec<usize>,
+    /// Largest distance of two of them, m.
+    apart: f64,
+    share: f64,
+    /// m
+    rms: f64,
+    /// What is left of every reading, in the flange's axes, m.
+    left: Vec<Vector3<f64>>,
+}
+
+impl Seen {
+    /// Change of the predicted position with a displacement of the station's frame.
+    fn displaced(&self) -> Matrix3x6<f64> {
+        let mut columns = Matrix3x6::zeros();
+        columns.fixed_columns_mut::<3>(0).copy_from(&Matrix3::identity());
+        columns.fixed_columns_mut::<3>(3).copy_from(&-cross_matrix(&self.predicted));
+        columns
+    }
 }
 
 /// The linear system at the solution, with all rows in standard deviations and no weights of a loss in them.
@@ -65,23 +89,23 @@ pub(super) fn divided(
     let mut warnings = Vec::new();
     for (target, stated) in set.targets.iter().enumerate() {
         let own = (0..system.seen.len()).filter(|i| problem.rows[*i].target == target).collect::<Vec<_>>();
-        if let Some((targets, apart, share)) = system.several_targets(&own) {
+        if let Some((targets, apart, rms)) = system.several_targets(&own) {
             warnings.push(Warning::SeveralTargets {
                 target: stated.name.clone(),
                 targets,
                 apart,
-                rms: [system.rms, share * system.rms],
+                rms: [system.rms, rms],
             });
         }
     }
     for (station, stated) in set.stations.iter().enumerate() {
         let own = (0..system.seen.len()).filter(|i| problem.rows[*i].station == station).collect::<Vec<_>>();
-        if let Some((first, by, share)) = system.moved_station(&own) {
+        if let Some((first, by, rms)) = system.moved_station(&own) {
             warnings.push(Warning::StationMoved {
                 station: stated.name.clone(),
                 poses: [problem.rows[own[first - 1]].pose, problem.rows[own[first]].pose],
                 by,
-                rms: [system.rms, share * system.rms],
+                rms: [system.rms, rms],
             });
         }
     }
@@ -149,29 +173,46 @@ impl<'a> System<'a> {
         Some((minimum.residuals, values))
     }
 
+    /// RMS of the 3-D residual where it falls as these residuals do, m.
+    fn rms_of(&self, residuals: &DVector<f64>) -> f64 {
+        self.rms * (residuals.rows(0, 3 * self.seen.len()).norm_squared() / self.squares).sqrt()
+    }
+
+    /// Whether it is worth to go on.
+    fn falls(&self, residuals: &DVector<f64>) -> bool {
+        self.rms_of(residuals) < HARDLY * self.rms
+    }
+
     /// To which share standard deviations fall that have these residuals, with so many parameters more and so many choices.
     fn share(&self, residuals: &DVector<f64>, parameters: usize, choices: usize) -> Option<f64> {
         let freedom = self.freedom - (parameters + choices) as f64;
         let squares = residuals.rows(0, 3 * self.seen.len()).norm_squared();
         let share = ((squares / freedom) / (self.squares / self.freedom)).sqrt();
-        (freedom >= LEAST_FREEDOM && share < SHARE).then_some(share)
+        (freedom >= LEAST_FREEDOM && share.is_finite()).then_some(share)
     }
 
-    /// How many targets the readings `own` are of, how far these are apart (m), and to which share the residuals fall.
+    /// How many targets the readings `own` are of, how far these are apart (m), and what RMS is left (m).
     fn several_targets(&self, own: &[usize]) -> Option<(usize, f64, f64)> {
         // In the flange's axes, where an offset is the same in all poses.
         let offs: Vec<_> = own.iter().map(|i| self.seen[*i].axes.tr_mul(&self.seen[*i].off)).collect();
         let mut groups = vec![0; own.len()];
-        (2..=3).find_map(|count| {
-            groups = split(&offs, &groups, count)?;
-            self.as_targets(own, groups.clone(), count)
-        })
+        part(&offs, &mut groups, 1);
+        if !is_compact(&offs, &groups) {
+            return None;
+        }
+        let mut found = self.as_targets(own, groups, 2)?;
+        if found.share < SHARE {
+            return Some((2, found.apart, found.rms));
+        }
+        part(&found.left, &mut found.groups, 2);
+        let found = self.as_targets(own, found.groups, 3)?;
+        (found.share < SHARE).then_some((3, found.apart, found.rms))
     }
 
-    fn as_targets(&self, own: &[usize], mut groups: Vec<usize>, count: usize) -> Option<(usize, f64, f64)> {
-        let of_group = |groups: &[usize], group| groups.iter().filter(|own| **own == group).count();
-        for _ in 0..MOST_TURNS {
-            if (0..count).any(|group| of_group(&groups, group) < LEAST) {
+    /// The readings `own` as those of `count` targets, from the `groups` on; `None` where that explains little.
+    fn as_targets(&self, own: &[usize], mut groups: Vec<usize>, count: usize) -> Option<Targets> {
+        for turn in 0..MOST_TURNS {
+            if (0..count).any(|group| groups.iter().filter(|own| **own == group).count() < LEAST) {
                 return None;
             }
             let mut columns = DMatrix::zeros(3 * self.seen.len(), 3 * (count - 1));
@@ -179,45 +220,73 @@ impl<'a> System<'a> {
                 columns.fixed_view_mut::<3, 3>(3 * i, 3 * (group - 1)).copy_from(&self.seen[*i].axes);
             }
             let (left, values) = self.with(&columns)?;
+            let share = self.share(&left, values.len(), own.len() * (count - 1))?;
+            if turn > 1 && !self.falls(&left) {
+                return None;
+            }
             let offset = |group: usize| match group {
                 0 => Vector3::zeros(),
                 _ => values.fixed_rows::<3>(3 * (group - 1)).into_owned(),
             };
+            let own_left = |i: usize| -> Vector3<f64> { left.fixed_rows::<3>(3 * i).into_owned() };
             let nearest = |(i, now): (&usize, &usize)| {
                 let axes = self.problem.rows[*i].whitening * self.seen[*i].axes;
-                let own: Vector3<f64> = left.fixed_rows::<3>(3 * i).into_owned();
-                let square = |group| (own - axes * (offset(*now) - offset(group))).norm_squared();
+                let square = |group| (own_left(*i) - axes * (offset(*now) - offset(group))).norm_squared();
                 (0..count).min_by(|a, b| square(*a).total_cmp(&square(*b))).unwrap_or(*now)
             };
             let next: Vec<usize> = own.iter().zip(&groups).map(nearest).collect();
-            if next == groups {
-                let share = self.share(&left, values.len(), own.len() * (count - 1))?;
+            if next == groups || turn + 1 == MOST_TURNS {
                 let pairs = (0..count).flat_map(|a| (0..a).map(move |b| (a, b)));
                 let apart = pairs.map(|(a, b)| (offset(a) - offset(b)).norm()).fold(0.0, f64::max);
-                return Some((count, apart, share));
+                let rms = self.rms_of(&left);
+                let in_flange = |i: &usize| {
+                    let metres = self.problem.rows[*i].whitening.lu().solve(&own_left(*i))?;
+                    Some(self.seen[*i].axes.tr_mul(&metres))
+                };
+                let left = own.iter().map(in_flange).collect::<Option<_>>()?;
+                return Some(Targets { groups, apart, share, rms, left });
             }
             groups = next;
         }
         None
     }
 
-    /// The place among `own` from where on their station stood elsewhere, by how much that moved the points (m), and to which share the
-    /// residuals fall.
-    fn moved_station(&self, own: &[usize]) -> Option<(usize, f64, f64)> {
-        let offs: Vec<_> = own.iter().map(|i| self.seen[*i].off).collect();
-        let mut first = step(&offs)?;
-        let displaced = |i: usize| {
-            let mut columns = Matrix3x6::zeros();
-            columns.fixed_columns_mut::<3>(0).copy_from(&Matrix3::identity());
-            columns.fixed_columns_mut::<3>(3).copy_from(&-cross_matrix(&self.seen[i].predicted));
-            columns
+    /// The place among `own` where two displacements, one before and one behind it, explain most of the residuals by themselves; `None` where they
+    /// leave most of them.
+    fn step(&self, own: &[usize]) -> Option<usize> {
+        let mut sums = vec![(Matrix6::zeros(), Vector6::zeros())];
+        for i in own {
+            let (columns, (normal, right)) = (self.seen[*i].displaced(), sums[sums.len() - 1]);
+            sums.push((normal + columns.tr_mul(&columns), right + columns.tr_mul(&self.seen[*i].off)));
+        }
+        let all = sums[own.len()];
+        let explained = |(normal, right): (Matrix6<f64>, Vector6<f64>)| {
+            normal.cholesky().map_or(0.0, |factor| factor.solve(&right).dot(&right))
         };
-        for _ in 0..MOST_TURNS {
+        let at = |place: usize| {
+            let (normal, right) = sums[place];
+            explained((normal, right)) + explained((all.0 - normal, all.1 - right))
+        };
+        let places = within(own.len()).map(|place| (place, at(place)));
+        let (place, most) = places.max_by(|a, b| a.1.total_cmp(&b.1))?;
+        let squares: f64 = own.iter().map(|i| self.seen[*i].off.norm_squared()).sum();
+        (most > (1.0 - COMPACT) * squares).then_some(place)
+    }
+
+    /// The place among `own` from where on their station stood elsewhere, by how much that moved the points (m), and what RMS is left (m).
+    fn moved_station(&self, own: &[usize]) -> Option<(usize, f64, f64)> {
+        let mut first = self.step(own)?;
+        let displaced = |i: usize| self.seen[i].displaced();
+        for turn in 0..MOST_TURNS {
             let mut columns = DMatrix::zeros(3 * self.seen.len(), 6);
             for i in &own[first..] {
                 columns.fixed_view_mut::<3, 6>(3 * i, 0).copy_from(&displaced(*i));
             }
             let (left, values) = self.with(&columns)?;
+            let share = self.share(&left, 6, 2)?;
+            if turn > 1 && !self.falls(&left) {
+                return None;
+            }
             let by: Vector6<f64> = values.fixed_rows::<6>(0).into_owned();
             let mut gains = vec![0.0];
             for (place, i) in own.iter().enumerate() {
@@ -229,9 +298,9 @@ impl<'a> System<'a> {
             }
             let next = within(own.len()).max_by(|a, b| gains[*a].total_cmp(&gains[*b]))?;
             if next == first {
-                let share = self.share(&left, 6, 2)?;
                 let moved = own[first..].iter().map(|i| (displaced(*i) * by).norm()).sum::<f64>();
-                return Some((first, moved / (own.len() - first) as f64, share));
+                let by = moved / (own.len() - first) as f64;
+                return (share < SHARE).then_some((first, by, self.rms_of(&left)));
             }
             first = next;
         }
@@ -249,71 +318,32 @@ fn squares_about_mean(points: &[Vector3<f64>]) -> f64 {
     points.iter().map(|point| (point - mean).norm_squared()).sum()
 }
 
-/// One group more: the one with the largest sum of squares is parted along the axis along which it is longest, and all are brought to rest.
-/// `None` where the groups are not compact.
-fn split(points: &[Vector3<f64>], groups: &[usize], count: usize) -> Option<Vec<usize>> {
-    let of = |group: usize| -> Vec<Vector3<f64>> {
-        points.iter().zip(groups).filter(|(_, own)| **own == group).map(|(point, _)| *point).collect()
-    };
-    let largest =
-        (0..count - 1).max_by(|a, b| squares_about_mean(&of(*a)).total_cmp(&squares_about_mean(&of(*b))))?;
-    let members = of(largest);
-    let mean = members.iter().sum::<Vector3<f64>>() / members.len().max(1) as f64;
-    let spread: Matrix3<f64> = members.iter().map(|point| (point - mean) * (point - mean).transpose()).sum();
+fn members(points: &[Vector3<f64>], groups: &[usize], group: usize) -> Vec<Vector3<f64>> {
+    points.iter().zip(groups).filter(|(_, own)| **own == group).map(|(point, _)| *point).collect()
+}
+
+/// Parts the one of `count` groups that has the largest sum of squares, along the axis along which it is longest.
+fn part(points: &[Vector3<f64>], groups: &mut [usize], count: usize) {
+    let squares = |group: usize| squares_about_mean(&members(points, groups, group));
+    let Some(largest) = (0..count).max_by(|a, b| squares(*a).total_cmp(&squares(*b))) else { return };
+    let own = members(points, groups, largest);
+    let mean = own.iter().sum::<Vector3<f64>>() / own.len().max(1) as f64;
+    let spread: Matrix3<f64> = own.iter().map(|point| (point - mean) * (point - mean).transpose()).sum();
+    // The iteration for eigenvalues need not end on what is no number.
     if spread.iter().any(|entry| !entry.is_finite()) {
-        return None;
+        return;
     }
     let eigen = SymmetricEigen::new(spread);
     let longest = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
-    let mut groups: Vec<usize> = points
-        .iter()
-        .zip(groups)
-        .map(
-            |(point, group)| {
-                if *group == largest && (point - mean).dot(&longest) > 0.0 { count - 1 } else { *group }
-            },
-        )
-        .collect();
-    for _ in 0..MOST_TURNS {
-        let mut centres = vec![(Vector3::zeros(), 0.0); count];
-        for (point, group) in points.iter().zip(&groups) {
-            centres[*group].0 += point;
-            centres[*group].1 += 1.0;
+    for (group, point) in groups.iter_mut().zip(points) {
+        if *group == largest && (point - mean).dot(&longest) > 0.0 {
+            *group = count;
         }
-        let square = |point: &Vector3<f64>, group: usize| {
-            let (sum, members) = centres[group];
-            if members > 0.0 { (point - sum / members).norm_squared() } else { f64::INFINITY }
-        };
-        let nearest = |point: &Vector3<f64>| {
-            (0..count).min_by(|a, b| square(point, *a).total_cmp(&square(point, *b))).unwrap_or(0)
-        };
-        let next: Vec<usize> = points.iter().map(nearest).collect();
-        if next == groups {
-            break;
-        }
-        groups = next;
     }
-    let of = |group: usize| -> Vec<Vector3<f64>> {
-        points.iter().zip(&groups).filter(|(_, own)| **own == group).map(|(point, _)| *point).collect()
-    };
-    let left: f64 = (0..count).map(|group| squares_about_mean(&of(group))).sum();
-    (left < COMPACT * squares_about_mean(points)).then_some(groups)
 }
 
-/// The place of the largest step between two means; `None` where the means leave most of the squares.
-fn step(points: &[Vector3<f64>]) -> Option<usize> {
-    let total: Vector3<f64> = points.iter().sum();
-    let count = points.len() as f64;
-    let (mut sum, mut best) = (Vector3::zeros(), (0.0, None));
-    for (place, point) in points.iter().enumerate() {
-        if within(points.len()).contains(&place) {
-            let (before, behind) = (place as f64, count - place as f64);
-            let between = (sum / before - (total - sum) / behind).norm_squared() * before * behind / count;
-            if between > best.0 {
-                best = (between, Some(place));
-            }
-        }
-        sum += point;
-    }
-    best.1.filter(|_| best.0 > (1.0 - COMPACT) * squares_about_mean(points))
+/// Whether two groups leave little of the squares.
+fn is_compact(points: &[Vector3<f64>], groups: &[usize]) -> bool {
+    let left: f64 = (0..2).map(|group| squares_about_mean(&members(points, groups, group))).sum();
+    left < COMPACT * squares_about_mean(points)
 }

@@ -43,7 +43,7 @@ fn several_targets_under_one_name_are_told() {
     let off = Vector3::new(0.6, -0.64, 0.48);
     let other = Vector3::new(-off.y, off.z, off.x);
     for (trial, (distance, modulus)) in
-        [(10e-3, 2), (10e-3, 4), (0.6e-3, 2), (70e-3, 3)].into_iter().enumerate()
+        [(10e-3, 2), (10e-3, 4), (1e-3, 2), (70e-3, 3)].into_iter().enumerate()
     {
         for targets in [2, 3] {
             for stated in [true, false] {
