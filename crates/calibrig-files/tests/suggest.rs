@@ -214,7 +214,6 @@ fn controllers_and_their_external_axes() {
         says: &["\"rax_6\", \"eax_a\"]", "not used: q1, q2, q3, q4", "Beside q1, q2, q3, q4"],
         stroke: |k| 740.0 + 10.0 * k as f64,
         times: Some([FIRST, LAST]),
-        ..PLAIN
     });
     let rail = file("pose,rail_cmd,J1_cmd,J2_cmd,J3_cmd,J1_act,J2_act,J3_act,X,Y,Z\n", |k| {
         format!("{k},{:.3},{},0,0,0,{}", 0.1 * k as f64, angles(k, 3, ","), place(k, 1.0, ","))
@@ -372,7 +371,8 @@ fn spreadsheets_columns_and_files_without_a_header() {
     let fixed = file(
         "  No        J1        J2        J3        J4        J5        J6              X              Y              Z\n",
         |k| {
-            let angles: String = (1..=6).map(|joint| format!("{:10.4}", angle(k, joint))).collect();
+            let angles =
+                (1..=6).map(|joint| format!("{:10.4}", angle(k, joint))).collect::<Vec<_>>().concat();
             format!("{k:4}{angles}{}", point(k).map(|axis| format!("{axis:15.4}")).concat())
         },
     );

@@ -10,8 +10,8 @@ use std::path::Path;
 use self::column::{Numbers, Role, SeenColumn};
 use super::columns::RowOptions;
 use super::layout::{Decimal, Table, Wanted};
-use super::open::open;
-use super::rows::Row;
+use super::open::{is_bag, open};
+use super::rows::{Place, Row};
 use super::text::TextFormat;
 use super::times::Dates;
 use crate::input::InputError;
@@ -32,6 +32,8 @@ pub struct SuggestedMap {
 pub(super) struct SeenFile {
     pub name: String,
     pub has_header: bool,
+    /// In rad and m.
+    pub is_bag: bool,
     pub decimal: Decimal,
     pub dates: Dates,
     pub rows: u64,
@@ -68,12 +70,19 @@ fn look_at(path: &Path) -> Result<SeenFile, InputError> {
     let (mut row, mut rows, mut ragged) = (Row::default(), 0, None);
     while table.next_row(&mut row)? {
         rows += 1;
-        if row.len() < columns.len() && ragged.is_none() {
+        if row.len() < columns.len() && ragged.is_none() && !matches!(row.place(), Place::Sheet { .. }) {
             ragged = Some(row.place().of(table.name()));
         }
         for (column, cell) in columns.iter_mut().zip(row.cells()) {
             column.see(cell, table.decimal);
         }
+    }
+    if columns.iter().all(|column| column.numbers.count == 0) {
+        return Err(InputError::Place {
+            place: table.name().to_owned(),
+            message: "there is no row of numbers in it".to_owned(),
+            help: Some("expected a row of numbers for every measurement".to_owned()),
+        });
     }
     let unit_comments = table
         .comments()
@@ -83,10 +92,15 @@ fn look_at(path: &Path) -> Result<SeenFile, InputError> {
         .collect();
     let mut found = table.remarks();
     found.extend(ragged.map(|place| format!("{place}: this row has fewer cells than the first")));
-    column::give_roles(&mut columns, table.has_header, rows);
+    if is_bag(path) {
+        column::give_roles_of_a_bag(&mut columns);
+    } else {
+        column::give_roles(&mut columns, table.has_header, rows);
+    }
     Ok(SeenFile {
         name: path.display().to_string(),
         has_header: table.has_header,
+        is_bag: is_bag(path),
         decimal: table.decimal,
         dates: table.dates.clone(),
         rows,

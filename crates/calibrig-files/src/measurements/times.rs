@@ -35,14 +35,14 @@ impl Dates {
             let reads = |order| parse(cell, Decimal::Point, TimeUnit::S, Some(order)).is_ok();
             if parse(cell, Decimal::Point, TimeUnit::S, None) == Err(Unread::Ambiguous) {
                 let marks = cell.to_ascii_lowercase();
-                if american.is_none() && marks.ends_with('m') || marks.ends_with("m.") {
+                if american.is_none() && (marks.ends_with('m') || marks.ends_with("m.")) {
                     american = Some((place, cell));
                 }
                 continue;
             }
-            let (order, words) = match (reads(DateOrder::DayFirst), reads(DateOrder::MonthFirst)) {
-                (true, false) => (DateOrder::DayFirst, "day, month, year"),
-                (false, true) => (DateOrder::MonthFirst, "month, day, year"),
+            let (order, words) = match (reads(DateOrder::Dmy), reads(DateOrder::Mdy)) {
+                (true, false) => (DateOrder::Dmy, "day, month, year"),
+                (false, true) => (DateOrder::Mdy, "month, day, year"),
                 _ => continue,
             };
             return Self {
@@ -55,7 +55,7 @@ impl Dates {
             "dates such as {cell} ({place}) are read as month, day, year, since the time has AM or PM; date = \"dmy\" in [text] of the \
              column map reads day, month, year"
         );
-        Self { order: Some(DateOrder::MonthFirst), why: Some(why) }
+        Self { order: Some(DateOrder::Mdy), why: Some(why) }
     }
 }
 
@@ -253,7 +253,9 @@ pub(super) enum Look {
     /// No time, or a number.
     Nothing,
     Day,
-    Time,
+    Clock,
+    /// Both.
+    Moment,
     /// Day and month can be exchanged.
     Ambiguous {
         is_day: bool,
@@ -264,7 +266,8 @@ pub(super) fn look_at(cell: &str, decimal: Decimal) -> Look {
     match parse(cell, decimal, TimeUnit::S, None) {
         Ok(stamp) if stamp.kind == Kind::Number => Look::Nothing,
         Ok(stamp) if stamp.kind == Kind::Day => Look::Day,
-        Ok(_) => Look::Time,
+        Ok(stamp) if stamp.kind == Kind::Clock => Look::Clock,
+        Ok(_) => Look::Moment,
         Err(Unread::Ambiguous) => Look::Ambiguous { is_day: !cell.contains(':') },
         Err(Unread::NoTime) => Look::Nothing,
     }
