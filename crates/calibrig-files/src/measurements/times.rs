@@ -15,6 +15,9 @@ use crate::input::InputError;
 
 const EXPECTED: &str = "seconds, a time such as 12:03:44.12 or 1:03:44 PM, or a date and a time such as 2026-05-04T12:03:44 or 04.05.2026 12:03:44";
 
+/// s
+const DAY: f64 = 86_400.0;
+
 /// In which order the dates of a table are written, and from what that is told.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Dates {
@@ -186,12 +189,16 @@ impl TimeReader {
                 ),
             })?;
             self.used_order |= self.dates.why.is_some() && cell.contains(['/', '-']);
+            // A spreadsheet's date is one at midnight.
+            let is_day = seconds % DAY == 0.0;
             seconds += stamp.seconds;
             kind = Some(match (kind, stamp.kind) {
                 (None, kind) | (Some(kind), Kind::Number) if kind != Kind::Day || stamp.kind == Kind::Day => {
                     kind
                 }
                 (Some(Kind::Day), Kind::Clock) | (Some(Kind::Clock), Kind::Day) => Kind::Moment,
+                (Some(Kind::Moment), Kind::Clock) if is_day => Kind::Moment,
+                (Some(Kind::Clock), Kind::Moment) if stamp.seconds % DAY == 0.0 => Kind::Moment,
                 (Some(Kind::Number), kind) if kind != Kind::Day => kind,
                 (before, _) => {
                     let before = before.map_or("", Kind::words);
@@ -266,6 +273,7 @@ pub(super) fn look_at(cell: &str, decimal: Decimal) -> Look {
     match parse(cell, decimal, TimeUnit::S, None) {
         Ok(stamp) if stamp.kind == Kind::Number => Look::Nothing,
         Ok(stamp) if stamp.kind == Kind::Day => Look::Day,
+        Ok(stamp) if stamp.kind == Kind::Moment && stamp.seconds % DAY == 0.0 => Look::Day,
         Ok(stamp) if stamp.kind == Kind::Clock => Look::Clock,
         Ok(_) => Look::Moment,
         Err(Unread::Ambiguous) => Look::Ambiguous { is_day: !cell.contains(':') },
