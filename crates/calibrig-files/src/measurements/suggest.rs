@@ -13,7 +13,7 @@ use super::layout::{Decimal, Table, Wanted};
 use super::open::{is_bag, open};
 use super::rows::{Place, Row};
 use super::text::TextFormat;
-use super::times::Dates;
+use super::times::{self, Dates};
 use crate::input::InputError;
 
 /// More are none of measurements.
@@ -36,6 +36,8 @@ pub(super) struct SeenFile {
     pub is_bag: bool,
     pub decimal: Decimal,
     pub dates: Dates,
+    /// A cell of numbers with nothing between them, as fixed widths leave them.
+    pub glued: Option<String>,
     pub rows: u64,
     pub columns: Vec<SeenColumn>,
     /// Comments of the file that name units, with their places.
@@ -67,7 +69,7 @@ fn look_at(path: &Path) -> Result<SeenFile, InputError> {
     }
     let mut columns: Vec<SeenColumn> =
         table.columns.iter().enumerate().map(|(index, column)| SeenColumn::new(index, column)).collect();
-    let (mut row, mut rows, mut ragged) = (Row::default(), 0, None);
+    let (mut row, mut rows, mut ragged, mut glued) = (Row::default(), 0, None, None);
     while table.next_row(&mut row)? {
         rows += 1;
         if row.len() < columns.len() && ragged.is_none() && !matches!(row.place(), Place::Sheet { .. }) {
@@ -75,6 +77,9 @@ fn look_at(path: &Path) -> Result<SeenFile, InputError> {
         }
         for (column, cell) in columns.iter_mut().zip(row.cells()) {
             column.see(cell, table.decimal);
+        }
+        if glued.is_none() {
+            glued = row.cells().find(|cell| is_glued(cell, table.decimal)).map(str::to_owned);
         }
     }
     if columns.iter().all(|column| column.numbers.count == 0) {
@@ -103,11 +108,21 @@ fn look_at(path: &Path) -> Result<SeenFile, InputError> {
         is_bag: is_bag(path),
         decimal: table.decimal,
         dates: table.dates.clone(),
+        glued,
         rows,
         columns,
         unit_comments,
         found,
     })
+}
+
+/// Whether a cell is several numbers: `-38.4012-150.3`.
+fn is_glued(cell: &str, decimal: Decimal) -> bool {
+    let fractions = cell.matches('.').count();
+    fractions > 1
+        && cell.bytes().all(|byte| byte.is_ascii_digit() || b".+-eE".contains(&byte))
+        && cell.len() > 10
+        && matches!(times::look_at(cell, decimal), times::Look::Nothing)
 }
 
 impl SeenFile {

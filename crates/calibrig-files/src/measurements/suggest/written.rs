@@ -418,13 +418,20 @@ impl Writer<'_> {
             times.find_map(|column| Some((file, column.ambiguous.clone()?)))
         });
         let has_comma = self.points.decimal == Decimal::Comma;
-        if !has_comma && ambiguous.is_none() {
+        let glued = self.points.glued.as_ref().or(self.joints.glued.as_ref());
+        if !has_comma && ambiguous.is_none() && glued.is_none() {
             return;
         }
         self.line("");
         self.line("[text]");
         if has_comma {
             self.key("decimal", "\",\"", "numbers have a decimal comma");
+        }
+        if let Some(cell) = glued {
+            let why = format!(
+                "{cell} looks like numbers with nothing between them: say how many characters each column has"
+            );
+            self.undecided("widths", "[8, 12, 12]", &why);
         }
         if let Some((file, cell)) = ambiguous {
             if let Some(why) = &file.dates.why {
