@@ -214,7 +214,6 @@ fn controllers_and_their_external_axes() {
         says: &["\"rax_6\", \"eax_a\"]", "not used: q1, q2, q3, q4", "Beside q1, q2, q3, q4"],
         stroke: |k| 740.0 + 10.0 * k as f64,
         times: Some([FIRST, LAST]),
-        ..PLAIN
     });
     let rail = file("pose,rail_cmd,J1_cmd,J2_cmd,J3_cmd,J1_act,J2_act,J3_act,X,Y,Z\n", |k| {
         format!("{k},{:.3},{},0,0,0,{}", 0.1 * k as f64, angles(k, 3, ","), place(k, 1.0, ","))
@@ -372,7 +371,8 @@ fn spreadsheets_columns_and_files_without_a_header() {
     let fixed = file(
         "  No        J1        J2        J3        J4        J5        J6              X              Y              Z\n",
         |k| {
-            let angles: String = (1..=6).map(|joint| format!("{:10.4}", angle(k, joint))).collect();
+            let angles =
+                (1..=6).map(|joint| format!("{:10.4}", angle(k, joint))).collect::<Vec<_>>().concat();
             format!("{k:4}{angles}{}", point(k).map(|axis| format!("{axis:15.4}")).concat())
         },
     );
@@ -431,4 +431,37 @@ fn spreadsheets_columns_and_files_without_a_header() {
         says: &["angle_unit: gon, as the header says", "zenith = \"V\"", "range = \"D\"", "range_unit: m"],
         ..PLAIN
     });
+}
+
+#[test]
+fn numbers_with_nothing_between_them_ask_for_widths() {
+    let glued = file("", |k| {
+        let angles =
+            (1..=3).map(|joint| format!("{:9.4}", angle(k, joint) - 150.0)).collect::<Vec<_>>().concat();
+        format!("{k:3}{angles}{}", point(k).map(|axis| format!("{axis:10.4}")).concat())
+    });
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("glued.txt");
+    std::fs::write(&path, glued).unwrap();
+    let map = suggest_columns(&[&path]).expect("a map");
+    assert!(map.text.contains("# DECIDE: widths = [8, 12, 12]"), "{}", map.text);
+    // With the widths, and what else is open, it reads.
+    let text = "schema = \"calibrig.columns/1\"\n[joints]\ncolumns = [2, 3, 4]\nrevolute_unit = \"deg\"\n[position]\nsystem = \"cartesian\"\n\
+                unit = \"mm\"\nx = 5\ny = 6\nz = 7\n[text]\nwidths = [3, 9, 9, 9, 10, 10]\n";
+    let map = parse_column_map(&Source::new("map.toml", text)).expect("a map");
+    let loaded = read_files(&MeasurementFiles::one(&path), &map, &[Revolute; 3], &RowOptions::default())
+        .expect("read");
+    assert_eq!(loaded.set.observations.len(), ROWS);
+    assert!((loaded.set.observations[1].command[1] - (angle(2, 2) - 150.0).to_radians()).abs() < 1e-9);
+}
+
+#[test]
+fn a_file_without_rows_of_numbers_is_refused() {
+    for text in ["J1,J2,X,Y,Z\n", "<html><body>1</body></html>\n", "a b\nc d\n"] {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("m.csv");
+        std::fs::write(&path, text).unwrap();
+        let refused = suggest_columns(&[&path]).expect_err("no numbers").to_string();
+        assert!(refused.contains("there is no row of numbers in it"), "{refused}");
+    }
 }

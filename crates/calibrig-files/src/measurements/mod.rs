@@ -2,7 +2,7 @@
 //!
 //! A file is [rows](rows) of texts, whatever kind it is ([open]): [text], or what another reader makes of a spreadsheet or a bag. Behind that,
 //! the [layout] tells header from measurements, the [map file](map_file) which [columns] mean what, the [header] where they are, [join] adds the
-//! commands of another file, and the [reader] makes observations of rows.
+//! commands of another file, and the [reader] makes observations of rows, whose [times] may be written in any way. [suggest] writes a map from what is seen.
 
 mod cells;
 mod columns;

@@ -9,7 +9,7 @@ use super::LoadedMeasurements;
 use super::columns::{MissedCode, PolarAngle, RowOptions};
 use super::header::{Columns, Position, Quantity, QuantityTerm, UncertaintyColumns};
 use super::layout::{Column, Decimal};
-use super::rows::Row;
+use super::rows::{Place, Row};
 use super::times::TimeReader;
 use crate::input::InputError;
 use calibrig_model::measurement::{MeasurementSet, Observation, Reading, SphericalReading, Station, Target};
@@ -107,7 +107,8 @@ pub(super) fn check_length(
     has_header: bool,
 ) -> Result<(), InputError> {
     let (found, expected) = (row.len(), names.len());
-    if found < expected {
+    // Sheets do not hold what is empty.
+    if found < expected && !matches!(row.place(), Place::Sheet { .. }) {
         let (missing, as_header) = if has_header {
             (names[found].header.clone(), "as the header has names")
         } else {

@@ -10,10 +10,10 @@ use std::path::Path;
 use self::column::{Numbers, Role, SeenColumn};
 use super::columns::RowOptions;
 use super::layout::{Decimal, Table, Wanted};
-use super::open::open;
-use super::rows::Row;
+use super::open::{is_bag, open};
+use super::rows::{Place, Row};
 use super::text::TextFormat;
-use super::times::Dates;
+use super::times::{self, Dates};
 use crate::input::InputError;
 
 /// More are none of measurements.
@@ -32,8 +32,12 @@ pub struct SuggestedMap {
 pub(super) struct SeenFile {
     pub name: String,
     pub has_header: bool,
+    /// In rad and m.
+    pub is_bag: bool,
     pub decimal: Decimal,
     pub dates: Dates,
+    /// A cell of numbers with nothing between them, as fixed widths leave them.
+    pub glued: Option<String>,
     pub rows: u64,
     pub columns: Vec<SeenColumn>,
     /// Comments of the file that name units, with their places.
@@ -65,15 +69,25 @@ fn look_at(path: &Path) -> Result<SeenFile, InputError> {
     }
     let mut columns: Vec<SeenColumn> =
         table.columns.iter().enumerate().map(|(index, column)| SeenColumn::new(index, column)).collect();
-    let (mut row, mut rows, mut ragged) = (Row::default(), 0, None);
+    let (mut row, mut rows, mut ragged, mut glued) = (Row::default(), 0, None, None);
     while table.next_row(&mut row)? {
         rows += 1;
-        if row.len() < columns.len() && ragged.is_none() {
+        if row.len() < columns.len() && ragged.is_none() && !matches!(row.place(), Place::Sheet { .. }) {
             ragged = Some(row.place().of(table.name()));
         }
         for (column, cell) in columns.iter_mut().zip(row.cells()) {
             column.see(cell, table.decimal);
         }
+        if glued.is_none() {
+            glued = row.cells().find(|cell| is_glued(cell, table.decimal)).map(str::to_owned);
+        }
+    }
+    if columns.iter().all(|column| column.numbers.count == 0) {
+        return Err(InputError::Place {
+            place: table.name().to_owned(),
+            message: "there is no row of numbers in it".to_owned(),
+            help: Some("expected a row of numbers for every measurement".to_owned()),
+        });
     }
     let unit_comments = table
         .comments()
@@ -83,17 +97,32 @@ fn look_at(path: &Path) -> Result<SeenFile, InputError> {
         .collect();
     let mut found = table.remarks();
     found.extend(ragged.map(|place| format!("{place}: this row has fewer cells than the first")));
-    column::give_roles(&mut columns, table.has_header, rows);
+    if is_bag(path) {
+        column::give_roles_of_a_bag(&mut columns);
+    } else {
+        column::give_roles(&mut columns, table.has_header, rows);
+    }
     Ok(SeenFile {
         name: path.display().to_string(),
         has_header: table.has_header,
+        is_bag: is_bag(path),
         decimal: table.decimal,
         dates: table.dates.clone(),
+        glued,
         rows,
         columns,
         unit_comments,
         found,
     })
+}
+
+/// Whether a cell is several numbers: `-38.4012-150.3`.
+fn is_glued(cell: &str, decimal: Decimal) -> bool {
+    let fractions = cell.matches('.').count();
+    fractions > 1
+        && cell.bytes().all(|byte| byte.is_ascii_digit() || b".+-eE".contains(&byte))
+        && cell.len() > 10
+        && matches!(times::look_at(cell, decimal), times::Look::Nothing)
 }
 
 impl SeenFile {

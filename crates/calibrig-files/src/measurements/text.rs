@@ -248,7 +248,7 @@ impl TextRows {
     }
 
     /// Adds lines to the row that begins in line `number`, until its quoted cell is closed.
-    fn to_the_closing_quote(
+    fn read_to_the_closing_quote(
         &mut self,
         row: &mut Row,
         number: u64,
@@ -300,7 +300,9 @@ impl Rows for TextRows {
             row.start_line(number, if comment { self.without_prefix(&self.line) } else { &self.line });
             match split(row, &self.delimiter) {
                 Ok(()) => {}
-                Err(error) if error.is_open && !comment => self.to_the_closing_quote(row, number, error)?,
+                Err(error) if error.is_open && !comment => {
+                    self.read_to_the_closing_quote(row, number, error)?;
+                }
                 Err(error) => return Err(self.refuse_quote(row.line(), number, error)),
             }
             return Ok(true);
@@ -390,6 +392,10 @@ impl Lines {
         self.breaks_off = self.bytes.last() != Some(&self.line_end);
         while matches!(self.bytes.last(), Some(b'\n' | b'\r')) {
             self.bytes.pop();
+        }
+        // Where lines end the other way round.
+        if self.bytes.first() == Some(&b'\r') {
+            self.bytes.remove(0);
         }
         let refused = |reason: &str| {
             InputError::Place {
@@ -490,6 +496,8 @@ mod tests {
         let (rows, remarks) = rows_of(text.as_bytes(), &TextFormat::default(), &named(&["a", "b"]));
         assert_eq!(rows, [["a", "b"], ["1", "2"], ["3", "4"]]);
         assert!(remarks.is_empty());
+        let turned = rows_of(b"a b\n\r1 2\n\r", &TextFormat::default(), &named(&["a"])).0;
+        assert_eq!(turned, [["a", "b"], ["1", "2"]]);
         let old = rows_of(b"a b\r1 2\r", &TextFormat::default(), &named(&["a"])).0;
         assert_eq!(old, [["a", "b"], ["1", "2"]]);
     }

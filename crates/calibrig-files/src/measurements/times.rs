@@ -15,6 +15,9 @@ use crate::input::InputError;
 
 const EXPECTED: &str = "seconds, a time such as 12:03:44.12 or 1:03:44 PM, or a date and a time such as 2026-05-04T12:03:44 or 04.05.2026 12:03:44";
 
+/// s
+const DAY: f64 = 86_400.0;
+
 /// In which order the dates of a table are written, and from what that is told.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Dates {
@@ -35,14 +38,14 @@ impl Dates {
             let reads = |order| parse(cell, Decimal::Point, TimeUnit::S, Some(order)).is_ok();
             if parse(cell, Decimal::Point, TimeUnit::S, None) == Err(Unread::Ambiguous) {
                 let marks = cell.to_ascii_lowercase();
-                if american.is_none() && marks.ends_with('m') || marks.ends_with("m.") {
+                if american.is_none() && (marks.ends_with('m') || marks.ends_with("m.")) {
                     american = Some((place, cell));
                 }
                 continue;
             }
-            let (order, words) = match (reads(DateOrder::DayFirst), reads(DateOrder::MonthFirst)) {
-                (true, false) => (DateOrder::DayFirst, "day, month, year"),
-                (false, true) => (DateOrder::MonthFirst, "month, day, year"),
+            let (order, words) = match (reads(DateOrder::Dmy), reads(DateOrder::Mdy)) {
+                (true, false) => (DateOrder::Dmy, "day, month, year"),
+                (false, true) => (DateOrder::Mdy, "month, day, year"),
                 _ => continue,
             };
             return Self {
@@ -55,7 +58,7 @@ impl Dates {
             "dates such as {cell} ({place}) are read as month, day, year, since the time has AM or PM; date = \"dmy\" in [text] of the \
              column map reads day, month, year"
         );
-        Self { order: Some(DateOrder::MonthFirst), why: Some(why) }
+        Self { order: Some(DateOrder::Mdy), why: Some(why) }
     }
 }
 
@@ -186,12 +189,16 @@ impl TimeReader {
                 ),
             })?;
             self.used_order |= self.dates.why.is_some() && cell.contains(['/', '-']);
+            // A spreadsheet's date is one at midnight.
+            let is_day = seconds % DAY == 0.0;
             seconds += stamp.seconds;
             kind = Some(match (kind, stamp.kind) {
                 (None, kind) | (Some(kind), Kind::Number) if kind != Kind::Day || stamp.kind == Kind::Day => {
                     kind
                 }
                 (Some(Kind::Day), Kind::Clock) | (Some(Kind::Clock), Kind::Day) => Kind::Moment,
+                (Some(Kind::Moment), Kind::Clock) if is_day => Kind::Moment,
+                (Some(Kind::Clock), Kind::Moment) if stamp.seconds % DAY == 0.0 => Kind::Moment,
                 (Some(Kind::Number), kind) if kind != Kind::Day => kind,
                 (before, _) => {
                     let before = before.map_or("", Kind::words);
@@ -253,7 +260,9 @@ pub(super) enum Look {
     /// No time, or a number.
     Nothing,
     Day,
-    Time,
+    Clock,
+    /// Both.
+    Moment,
     /// Day and month can be exchanged.
     Ambiguous {
         is_day: bool,
@@ -264,7 +273,9 @@ pub(super) fn look_at(cell: &str, decimal: Decimal) -> Look {
     match parse(cell, decimal, TimeUnit::S, None) {
         Ok(stamp) if stamp.kind == Kind::Number => Look::Nothing,
         Ok(stamp) if stamp.kind == Kind::Day => Look::Day,
-        Ok(_) => Look::Time,
+        Ok(stamp) if stamp.kind == Kind::Moment && stamp.seconds % DAY == 0.0 => Look::Day,
+        Ok(stamp) if stamp.kind == Kind::Clock => Look::Clock,
+        Ok(_) => Look::Moment,
         Err(Unread::Ambiguous) => Look::Ambiguous { is_day: !cell.contains(':') },
         Err(Unread::NoTime) => Look::Nothing,
     }

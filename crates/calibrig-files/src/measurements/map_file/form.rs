@@ -134,9 +134,9 @@ impl Reader<'_> {
     pub fn date(&self, t: &TextTable) -> Result<Option<DateOrder>, InputError> {
         let Some(stated) = &t.date else { return Ok(None) };
         match stated.get_ref().as_str() {
-            "dmy" => Ok(Some(DateOrder::DayFirst)),
-            "mdy" => Ok(Some(DateOrder::MonthFirst)),
-            "ymd" => Ok(Some(DateOrder::YearFirst)),
+            "dmy" => Ok(Some(DateOrder::Dmy)),
+            "mdy" => Ok(Some(DateOrder::Mdy)),
+            "ymd" => Ok(Some(DateOrder::Ymd)),
             other => {
                 let expected = "\"dmy\" (day, month, year), \"mdy\" or \"ymd\"";
                 Err(self.error(stated.span(), format!("text.date is {other:?}"), expected))

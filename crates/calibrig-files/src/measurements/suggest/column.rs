@@ -102,8 +102,9 @@ pub(in super::super) struct SeenColumn {
     cells: u64,
     empty: u64,
     times: u64,
-    /// Of the times, dates alone.
+    /// Of the times, dates alone, and dates with times.
     days: u64,
+    moments: u64,
     /// A date whose day and month cannot be told apart.
     pub ambiguous: Option<String>,
     pub joint: Option<JointName>,
@@ -130,6 +131,7 @@ impl SeenColumn {
             empty: 0,
             times: 0,
             days: 0,
+            moments: 0,
             ambiguous: None,
             joint: None,
             texts: BTreeSet::new(),
@@ -157,10 +159,15 @@ impl SeenColumn {
                     self.times += 1;
                     self.days += 1;
                 }
-                times::Look::Time => self.times += 1,
+                times::Look::Clock => self.times += 1,
+                times::Look::Moment => {
+                    self.times += 1;
+                    self.moments += 1;
+                }
                 times::Look::Ambiguous { is_day } => {
                     self.times += 1;
                     self.days += u64::from(is_day);
+                    self.moments += u64::from(!is_day);
                     self.ambiguous.get_or_insert_with(|| cell.to_owned());
                 }
                 times::Look::Nothing => {}
@@ -183,9 +190,9 @@ impl SeenColumn {
         self.times > 0 && self.times == self.cells - self.empty
     }
 
-    /// Whether its times have dates.
-    pub fn has_dates(&self) -> bool {
-        self.texts.iter().any(|text| text.contains(['-', '/', '.']) && text.contains(':') && text.len() > 14)
+    /// Whether it holds times of the day without dates.
+    pub fn is_clock(&self) -> bool {
+        self.is_time() && self.days + self.moments == 0
     }
 
     /// Whether it holds dates without times of the day.
@@ -223,6 +230,30 @@ pub(in super::super) fn give_roles(columns: &mut [SeenColumn], has_header: bool,
         by_name(columns);
     }
     by_contents(columns, has_header, rows);
+}
+
+/// The same of a bag, whose columns are what [`read_bag`](super::super::read_bag) makes of it: whatever has no name of its own there is a joint.
+pub(in super::super) fn give_roles_of_a_bag(columns: &mut [SeenColumn]) {
+    for column in columns {
+        let known = match column.header.as_str() {
+            "time_s" => Some(Role::Time),
+            "x" => Some(Role::X),
+            "y" => Some(Role::Y),
+            "z" => Some(Role::Z),
+            "target" => Some(Role::Target),
+            "station" => Some(Role::Station),
+            _ => None,
+        };
+        if let Some(role) = known {
+            column.take(role, 0, "of the points");
+            continue;
+        }
+        if let Some(Said::Joint(joint)) = said_by(&column.header) {
+            column.joint = Some(joint);
+        }
+        let order = column.joint.as_ref().and_then(|joint| joint.order);
+        column.take(Role::Joint, order.unwrap_or(usize::MAX), "a joint of the bag");
+    }
 }
 
 fn by_name(columns: &mut [SeenColumn]) {
@@ -291,7 +322,7 @@ fn choose_joints(columns: &mut [SeenColumn]) {
             }
         } else {
             (column.role, column.joint) = (None, None);
-            column.reason = "looks like a joint's as well".to_owned();
+            column.reason = String::from("looks like a joint's as well");
         }
     }
 }

@@ -19,10 +19,9 @@ pub(super) fn time_of(file: &SeenFile) -> Option<(String, String, String)> {
     let columns = file.with(Role::Time);
     let entry = |column: &SeenColumn| column.entry(file.has_header);
     let day = columns.iter().find(|column| column.is_day());
-    let clock = columns.iter().find(|column| column.is_time() && !column.is_day());
-    if let (Some(day), Some(clock)) = (day, clock)
-        && !clock.has_dates()
-    {
+    let clock = columns.iter().find(|column| column.is_clock());
+    let moment = columns.iter().find(|column| column.is_time() && !column.is_day() && !column.is_clock());
+    if let (Some(day), Some(clock), None) = (day, clock, moment) {
         let value = format!("[{}, {}]", entry(day), entry(clock));
         return Some((
             "time_s".to_owned(),
@@ -37,7 +36,7 @@ pub(super) fn time_of(file: &SeenFile) -> Option<(String, String, String)> {
         let value = format!("[{}, {}]", entry(seconds), entry(parts));
         return Some(("time_s".to_owned(), value, "seconds, and nanoseconds beside them".to_owned()));
     }
-    if let Some(clock) = clock {
+    if let Some(clock) = moment.or(clock) {
         return Some((
             "time_s".to_owned(),
             entry(clock),

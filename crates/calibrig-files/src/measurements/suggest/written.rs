@@ -11,6 +11,14 @@ use super::{SeenFile, SuggestedMap};
 use crate::measurements::layout::Decimal;
 use crate::measurements::units::{HeaderUnit, LengthUnit};
 
+/// "1 row", "2 rows".
+fn counted(count: u64, noun: &str) -> String {
+    if count == 1 { format!("1 {noun}") } else { format!("{count} {noun}s") }
+}
+
+/// Why units of a bag are known.
+const BAG: &str = "a bag of ROS 2, which is in rad and m";
+
 struct Writer<'f> {
     text: String,
     open: Vec<String>,
@@ -64,10 +72,10 @@ impl Writer<'_> {
         for file in files {
             let form = if file.has_header { "with a header" } else { "without a header: columns by number" };
             self.line(&format!(
-                "# {}: {} rows of {} columns, {form}",
+                "# {}: {} of {}, {form}",
                 file.name,
-                file.rows,
-                file.columns.len()
+                counted(file.rows, "row"),
+                counted(file.columns.len() as u64, "column")
             ));
             for found in &file.found {
                 self.line(&format!("# {found}"));
@@ -112,8 +120,22 @@ impl Writer<'_> {
             return;
         }
         let entries: Vec<_> = columns.iter().map(|column| column.entry(self.joints.has_header)).collect();
-        self.key("columns", &format!("[{}]", entries.join(", ")), &reasons(&columns));
+        let entries = format!("[{}]", entries.join(", "));
+        let has_order =
+            |column: &&SeenColumn| column.joint.as_ref().is_some_and(|joint| joint.order.is_some());
+        if self.joints.is_bag && !columns.iter().all(has_order) {
+            let why =
+                "every joint that the bag has, in its order: put those of the robot into the robot's order";
+            self.undecided("columns", &entries, why);
+        } else {
+            self.key("columns", &entries, &reasons(&columns));
+        }
         self.order_of(&columns);
+        if self.joints.is_bag {
+            self.key("revolute_unit", "\"rad\"", BAG);
+            self.key("prismatic_unit", "\"m\"", BAG);
+            return;
+        }
         let (lengths, angles): (Vec<&SeenColumn>, Vec<&SeenColumn>) =
             columns.iter().copied().partition(|column| is_prismatic(column, &columns));
         if angles.is_empty() {
@@ -196,6 +218,10 @@ impl Writer<'_> {
 
     /// The unit of lengths; units in comments of the file speak too.
     fn length(&mut self, key: &str, columns: &[&SeenColumn]) {
+        if self.points.is_bag {
+            self.key(key, "\"m\"", BAG);
+            return;
+        }
         let in_comment = self.points.unit_comments.iter().find_map(|(place, text)| {
             let lower = text.to_lowercase();
             let unit = [
@@ -388,11 +414,12 @@ impl Writer<'_> {
 
     fn form(&mut self) {
         let ambiguous = [self.joints, self.points].into_iter().find_map(|file| {
-            let cells = file.columns.iter().filter(|column| column.role == Some(Role::Time));
-            cells.filter_map(|column| column.ambiguous.clone()).next().map(|cell| (file, cell))
+            let mut times = file.columns.iter().filter(|column| column.role == Some(Role::Time));
+            times.find_map(|column| Some((file, column.ambiguous.clone()?)))
         });
         let has_comma = self.points.decimal == Decimal::Comma;
-        if !has_comma && ambiguous.is_none() {
+        let glued = self.points.glued.as_ref().or(self.joints.glued.as_ref());
+        if !has_comma && ambiguous.is_none() && glued.is_none() {
             return;
         }
         self.line("");
@@ -400,18 +427,19 @@ impl Writer<'_> {
         if has_comma {
             self.key("decimal", "\",\"", "numbers have a decimal comma");
         }
-        match ambiguous {
-            Some((file, cell)) => match &file.dates.why {
-                Some(why) => self.line(&format!("# date: {why}")),
-                None => {
-                    self.undecided(
-                        "date",
-                        "\"dmy\"",
-                        &format!("{cell} can be day, month, year (dmy) or month, day, year (mdy)"),
-                    );
-                }
-            },
-            None => {}
+        if let Some(cell) = glued {
+            let why = format!(
+                "{cell} looks like numbers with nothing between them: say how many characters each column has"
+            );
+            self.undecided("widths", "[8, 12, 12]", &why);
+        }
+        if let Some((file, cell)) = ambiguous {
+            if let Some(why) = &file.dates.why {
+                self.line(&format!("# date: {why}"));
+            } else {
+                let why = format!("{cell} can be day, month, year (dmy) or month, day, year (mdy)");
+                self.undecided("date", "\"dmy\"", &why);
+            }
         }
     }
 }

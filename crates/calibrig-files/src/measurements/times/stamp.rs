@@ -6,9 +6,10 @@ use super::super::units::TimeUnit;
 /// Which number of a date comes first, where its way of writing leaves that open: `04/05/2026`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in super::super) enum DateOrder {
-    DayFirst,
-    MonthFirst,
-    YearFirst,
+    /// Day, month, year.
+    Dmy,
+    Mdy,
+    Ymd,
 }
 
 /// What a text says of time.
@@ -199,7 +200,10 @@ fn year_month_day(text: &str, order: Option<DateOrder>) -> Result<[i32; 3], Unre
         parts = vec![&whole[..4], &whole[4..6], &whole[6..]];
     }
     let [a, b, c] = parts[..] else { return Err(Unread::NoTime) };
-    let number = |part: &str| whole(part).filter(|_| part.len() <= 4).map(|number| number as i32);
+    let number = |part: &str| {
+        let is_one = (1..=4).contains(&part.len()) && part.bytes().all(|byte| byte.is_ascii_digit());
+        is_one.then(|| part.parse::<i32>().ok())?
+    };
     let of = |[year, month, day]: [Option<i32>; 3]| Ok([year, month, day].map(|part| part.unwrap_or(-1)));
     let year = |part: &str| match part.len() {
         4 => number(part),
@@ -220,9 +224,9 @@ fn year_month_day(text: &str, order: Option<DateOrder>) -> Result<[i32; 3], Unre
     let (day_first, month_first) = ([year(c), number(b), number(a)], [year(c), number(a), number(b)]);
     match order {
         _ if text.contains('.') => of(day_first),
-        Some(DateOrder::DayFirst) => of(day_first),
-        Some(DateOrder::MonthFirst) => of(month_first),
-        Some(DateOrder::YearFirst) => of([year(a), number(b), number(c)]),
+        Some(DateOrder::Dmy) => of(day_first),
+        Some(DateOrder::Mdy) => of(month_first),
+        Some(DateOrder::Ymd) => of([year(a), number(b), number(c)]),
         // Of two numbers up to 12 each can be the month; of years with two digits each can be anything.
         None => match (number(a), number(b)) {
             (Some(13..=31), Some(..=12)) if c.len() == 4 => of(day_first),

@@ -1,5 +1,6 @@
 //! How much the parts of a packed file unpack to, before anything of them is kept.
 
+use std::borrow::Cow;
 use std::io::{self, Read, Seek};
 
 use zip::ZipArchive;
@@ -22,7 +23,7 @@ pub(super) fn too_large(file: &mut (impl Read + Seek)) -> Option<TooLarge> {
     let mut archive = ZipArchive::new(file).ok()?;
     for index in 0..archive.len() {
         let Ok(part) = archive.by_index(index) else { continue };
-        let Ok(name) = part.name().map(|name| name.into_owned()) else { continue };
+        let Ok(name) = part.name().map(Cow::into_owned) else { continue };
         let is_read = [".xml", ".rels"].iter().any(|end| name.to_ascii_lowercase().ends_with(end));
         if !is_read {
             continue;

@@ -274,3 +274,49 @@ fn one_long_text_in_many_cells_is_refused_at_its_cell() {
     });
     assert_eq!(cells(&parse_sheet(&book, "book.xlsx", None).expect("read")), [(7, vec!["1.5"])]);
 }
+
+#[test]
+fn cells_that_are_empty_at_the_end_of_a_row_are_not_missing() {
+    let mut book = Workbook::new();
+    let sheet = book.add_worksheet();
+    for (column, name) in (0..).zip(["q1_rad", "x_m", "y_m", "z_m", "remark"]) {
+        sheet.write_string(0, column, name).expect("written");
+    }
+    for row in 1..4 {
+        for column in 0..4 {
+            sheet.write_number(row, column, f64::from(row) + f64::from(column)).expect("written");
+        }
+    }
+    sheet.write_string(2, 4, "touched").expect("written");
+    let rows = Box::new(crate::MemoryRows::from(parsed(&mut book, None)));
+    let joints = [calibrig_model::JointKind::Revolute];
+    let loaded = crate::read_rows(rows, &crate::ColumnMap::default(), &joints).expect("read");
+    assert_eq!(loaded.set.observations.len(), 3);
+}
+
+#[test]
+fn dates_and_times_of_the_day_are_times() {
+    let mut book = Workbook::new();
+    let sheet = book.add_worksheet();
+    for (column, name) in (0..).zip(["day", "clock", "j", "x", "y", "z"]) {
+        sheet.write_string(0, column, name).expect("written");
+    }
+    let (date, time) = (Format::new().set_num_format("dd.mm.yyyy"), Format::new().set_num_format("hh:mm:ss"));
+    let day = ExcelDateTime::parse_from_str("2026-05-04").expect("a day");
+    let clock = ExcelDateTime::parse_from_str("10:15:30").expect("a time");
+    sheet.write_datetime_with_format(1, 0, &day, &date).expect("written");
+    sheet.write_datetime_with_format(1, 1, &clock, &time).expect("written");
+    for column in 2..6 {
+        sheet.write_number(1, column, f64::from(column)).expect("written");
+    }
+    let map = "schema = \"calibrig.columns/1\"\n[joints]\ncolumns = [\"j\"]\nrevolute_unit = \"rad\"\n[position]\nsystem = \"cartesian\"\n\
+               unit = \"m\"\nx = \"x\"\ny = \"y\"\nz = \"z\"\n[columns]\ntime_s = [\"day\", \"clock\"]\n";
+    let map = crate::parse_column_map(&crate::Source::new("map.toml", map)).expect("a map");
+    let rows = Box::new(crate::MemoryRows::from(parsed(&mut book, None)));
+    let loaded = crate::read_rows(rows, &map, &[calibrig_model::JointKind::Revolute]).expect("read");
+    assert!(
+        (loaded.set.observations[0].time - 1_777_889_730.0).abs() < 1e-3,
+        "{:?}",
+        loaded.set.observations[0].time
+    );
+}
