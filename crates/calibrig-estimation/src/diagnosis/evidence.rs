@@ -9,7 +9,7 @@ use std::f64::consts::TAU;
 
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 
-use super::part::View;
+use super::session::View;
 use super::place::Placed;
 use crate::kinematics::PlacedChain;
 use calibrig_model::LinkTerm;

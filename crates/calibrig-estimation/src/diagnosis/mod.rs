@@ -4,14 +4,17 @@
 //! form (`place`); those that come near are weighed by how well a robot whose links are off as real ones are explains the points
 //! (`evidence`). Rows to blame are looked for beside each single one (`rows`). What explains the same points just as well is of one class.
 
+mod convention;
 mod evidence;
 mod limits;
 mod part;
 mod place;
 mod rows;
 mod search;
+mod session;
 #[cfg(test)]
 mod tests;
+mod tried;
 
 pub use limits::Undetermined;
 pub use part::Part;

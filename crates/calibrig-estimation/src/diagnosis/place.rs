@@ -6,7 +6,8 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 
-use super::part::{LENGTHS, View};
+use super::session::View;
+use super::tried::LENGTHS;
 use crate::kinematics::PlacedChain;
 use calibrig_model::geometry::cross_matrix;
 

@@ -2,7 +2,8 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
-use super::part::{Session, other_convention};
+use super::convention::other_convention;
+use super::session::Session;
 use super::place::{Cloud, Placed};
 use super::*;
 use crate::kinematics::{PlacedChain, target_in_base};
