@@ -5,9 +5,10 @@ use std::fmt::Write;
 use serde_json::{Value, json};
 
 use super::identify::{FileArgs, Loaded};
+use super::inspect::with_progress;
 use super::{CliError, Verdict, print, say};
 use crate::pipeline::{Names, PipelineError, SetKind, SetOutcome, commands_beyond_limits, mm};
-use calibrig_estimation::diagnosis::{Diagnosis, Finding, Hypothesis, diagnose};
+use calibrig_estimation::diagnosis::{Diagnosis, Finding, Hypothesis, Part, diagnose_with};
 use calibrig_estimation::identification::Mode;
 
 /// Say what would make measurements fit a robot: wrong units, signs, zeros, orders, axes, and rows that are to blame
@@ -48,10 +49,11 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         if *kind != SetKind::Identification && set.observations.is_empty() {
             continue;
         }
-        let found = diagnose(&robot.model, set).map_err(|source| CliError::Pipeline {
-            file: args.files.first(),
-            source: PipelineError::Identify { mode: Mode::WithoutCalibration, source },
-        })?;
+        let found = with_progress("diagnosing", |progress| diagnose_with(&robot.model, set, progress))
+            .map_err(|source| CliError::Pipeline {
+                file: args.files.first(),
+                source: PipelineError::Identify { mode: Mode::WithoutCalibration, source },
+            })?;
         diagnosed.push(Diagnosed {
             kind: *kind,
             names: Names::new(&robot.model, set),
@@ -175,13 +177,18 @@ fn of_hypothesis(names: &Names, hypothesis: &Hypothesis) -> Value {
                 all.push(place);
             }
         });
-        parts.push(json!({
+        let mut value = json!({
             "kind": part.kind(),
             "joints": joints,
             "rows": rows,
             "says": names.part(part),
             "remedy": names.remedy(part),
-        }));
+        });
+        if let Part::SeveralTargets { others, .. } = part {
+            let numbers = |rows: &Vec<usize>| rows.iter().map(|row| names.row(*row)).collect::<Vec<_>>();
+            value["groups"] = json!(others.iter().map(numbers).collect::<Vec<_>>());
+        }
+        parts.push(value);
     }
     json!({
         "kinds": hypothesis.kinds(),

@@ -94,12 +94,25 @@ impl Diagnosis {
 ///
 /// [`IdentifyError`], where model and set do not belong together.
 pub fn diagnose(model: &CalibrationModel, set: &MeasurementSet) -> Result<Diagnosis, IdentifyError> {
+    diagnose_with(model, set, |_, _| {})
+}
+
+/// The same; `progress` is told how much of how much is done.
+///
+/// # Errors
+///
+/// As [`diagnose`].
+pub fn diagnose_with(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    mut progress: impl FnMut(u64, u64),
+) -> Result<Diagnosis, IdentifyError> {
     model.check()?;
     set.check(model.kinematics.joint_count())?;
     Ok(Diagnosis {
         observations: set.observations.len(),
         spread: set.spread(),
-        hypotheses: search::hypotheses(model, set),
+        hypotheses: search::hypotheses(model, set, &mut progress),
         undetermined: limits::undetermined(model, set),
         beyond_limits: beyond_limits(model, set),
     })

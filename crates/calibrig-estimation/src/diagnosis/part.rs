@@ -3,6 +3,7 @@
 use std::f64::consts::FRAC_PI_2;
 
 use super::FarOff;
+use calibrig_model::ActuatorMap;
 
 /// A way in which a session can be meant other than it was read. Joints and observations are counted from zero.
 #[derive(Debug, Clone, PartialEq)]
@@ -31,6 +32,8 @@ pub enum Part {
     TrackerAngleUnit {
         /// What they have to be multiplied by.
         factor: f64,
+        /// Whether the second one is counted from the zenith.
+        zenith: bool,
     },
     /// A joint moves the other way.
     Sign {
@@ -51,7 +54,7 @@ pub enum Part {
         /// What the joint's column has to be multiplied by where it was read as one of another kind of joint; else 1.
         factors: Vec<f64>,
     },
-    /// A joint is driven with another one.
+    /// A joint is driven with another one: with what the table has of it, where its own command is coupled as well.
     Coupling {
         /// Which.
         joint: usize,
@@ -76,7 +79,10 @@ pub enum Part {
         by: i64,
     },
     /// An angle from the zenith was read as an elevation, or the other way round.
-    ZenithElevation,
+    ZenithElevation {
+        /// Of the two points that coordinates leave open, the one on the side where fewer are.
+        turned: bool,
+    },
     /// Azimuth and elevation are exchanged.
     AnglesExchanged {
         /// Whether what was read as an elevation is the complement of an angle from the zenith.
@@ -121,7 +127,7 @@ impl Part {
             Self::Convention { .. } => "convention",
             Self::ToolLink { .. } => "tool_link",
             Self::ShiftedRows { .. } => "rows_shifted",
-            Self::ZenithElevation => "zenith_elevation",
+            Self::ZenithElevation { .. } => "zenith_elevation",
             Self::AnglesExchanged { .. } => "axes_exchanged",
             Self::Mirrored => "mirrored_frame",
             Self::ExchangedRows { .. } => "rows_exchanged",
@@ -172,7 +178,7 @@ impl Part {
             Self::PointUnit { .. } | Self::TravelUnit { .. } => 1,
             Self::Mirrored | Self::MissedShots { .. } => 2,
             Self::Sign { .. } => 3,
-            Self::Offset { .. } | Self::ZenithElevation | Self::AnglesExchanged { .. } => 4,
+            Self::Offset { .. } | Self::ZenithElevation { .. } | Self::AnglesExchanged { .. } => 4,
             Self::Order { from, .. } if moved(from) == 2 => 5,
             Self::ShiftedRows { .. } | Self::Convention { .. } | Self::TrackerAngleUnit { .. } => 5,
             Self::Coupling { .. }
@@ -187,7 +193,7 @@ impl Part {
     /// Whether it is usual enough to be looked for beside another one.
     pub(super) fn is_usual(&self) -> bool {
         match self {
-            Self::Order { from, .. } => moved(from) == 2,
+            Self::Order { from, .. } => moved(from) == 2 || is_all_moved(from),
             Self::Coupling { joint, with, .. } => joint.abs_diff(*with) <= 2,
             Self::TravelUnit { factor, .. } => [1e3, 1e-3].contains(factor),
             _ => true,
@@ -205,8 +211,17 @@ impl Part {
         vec![Self::Order { from, factors }]
     }
 
+    /// Parts in the order in which they change what was commanded.
+    pub fn in_order<'p>(parts: &[&'p Self]) -> Vec<&'p Self> {
+        let mut ordered = parts.to_vec();
+        if !(parts.len() == 2 && parts[0].is_twofold_with(parts[1])) {
+            ordered.sort_by_key(|part| part.layer());
+        }
+        ordered
+    }
+
     /// Where in the reading of a session it comes.
-    pub(super) fn layer(&self) -> u8 {
+    fn layer(&self) -> u8 {
         match self {
             Self::Order { .. } => 0,
             Self::AngleUnit { .. } | Self::TravelUnit { .. } => 1,
@@ -231,8 +246,8 @@ impl Part {
         }
     }
 
-    /// Changes the commands of one observation.
-    pub(super) fn command(&self, command: &mut [f64], before: &mut Vec<f64>) {
+    /// Changes the commands of one observation. `before` is room for as many.
+    pub(super) fn command(&self, actuators: &ActuatorMap, command: &mut [f64], before: &mut Vec<f64>) {
         match self {
             Self::AngleUnit { joints, factor } | Self::TravelUnit { joints, factor } => {
                 for joint in joints {
@@ -241,6 +256,12 @@ impl Part {
             }
             Self::Sign { joint } => command[*joint] = -command[*joint],
             Self::Offset { joint, quarters } => command[*joint] += FRAC_PI_2 * f64::from(*quarters),
+            Self::Coupling { joint, with, share } if is_coupled(actuators, *with, command.len()) => {
+                before.clear();
+                before.resize(command.len(), 0.0);
+                actuators.actuators_from_command(command, before);
+                command[*joint] += share * before[*with];
+            }
             Self::Coupling { joint, with, share } => command[*joint] += share * command[*with],
             Self::Order { from, factors } => {
                 before.clear();
@@ -252,6 +273,19 @@ impl Part {
             _ => {}
         }
     }
+}
+
+/// Whether what is commanded of other joints moves this one as well.
+pub(super) fn is_coupled(actuators: &ActuatorMap, joint: usize, joints: usize) -> bool {
+    (0..joints).any(|other| other != joint && actuators.rate(joint, other) != 0.0)
+}
+
+/// Whether columns are in the reverse order, or the first of them stands last, or the last one first.
+fn is_all_moved(from: &[usize]) -> bool {
+    let n = from.len();
+    let is =
+        |column: &dyn Fn(usize) -> usize| from.iter().enumerate().all(|(joint, from)| *from == column(joint));
+    is(&|joint| n - 1 - joint) || is(&|joint| (joint + 1) % n) || is(&|joint| (joint + n - 1) % n)
 }
 
 /// How many joints take another column.

@@ -2,13 +2,16 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::convention::other_convention;
 use super::part::Part;
-use calibrig_model::geometry::Transform;
-use calibrig_model::measurement::{MeasurementSet, Reading};
+use calibrig_model::geometry::{Transform, best_fit_transform};
+use calibrig_model::measurement::{MeasurementSet, NestObservation, Reading, Station};
 use calibrig_model::{CalibrationModel, KinematicModel};
+
+/// Nests that lie farther from where the others have them place nothing, m.
+const NEST_OFF: f64 = 0.01;
 
 /// What a session holds, apart from how it is read.
 pub(super) struct Session<'a> {
@@ -21,6 +24,8 @@ pub(super) struct Session<'a> {
     pub station: Vec<usize>,
     pub target: Vec<usize>,
     pub stations: usize,
+    /// The nests of every station; none where there are too few to place it.
+    pub nests: Vec<Vec<Nest>>,
     pub offsets: Vec<Vector3<f64>>,
     /// Standard deviation of a target's offset, where stated, m.
     pub offset_sigma: Vec<Option<f64>>,
@@ -30,6 +35,13 @@ pub(super) struct Session<'a> {
     pub sound: Vec<usize>,
     /// Those of them that are looked at.
     pub kept: Vec<usize>,
+}
+
+/// A base nest: where it is in the base, and what was read of it, as of an observation.
+pub(super) struct Nest {
+    in_base: Vector3<f64>,
+    seen: Vector3<f64>,
+    spherical: [f64; 3],
 }
 
 /// A session as it is read by some parts: what the identification of a robot starts from.
@@ -44,8 +56,17 @@ pub(super) struct View {
     pub station: Vec<usize>,
     pub target: Vec<usize>,
     pub stations: usize,
+    /// `tracker_from_base` of every station by its nests, where they tell it.
+    pub registered: Vec<Option<(Matrix3<f64>, Vector3<f64>)>>,
     pub offsets: Vec<Vector3<f64>>,
     pub offset_sigma: Vec<Option<f64>>,
+}
+
+impl View {
+    /// Whether anything is known of targets and stations.
+    pub fn is_stated(&self) -> bool {
+        self.offset_sigma.iter().any(Option::is_some) || self.registered.iter().any(Option::is_some)
+    }
 }
 
 impl<'a> Session<'a> {
@@ -75,6 +96,7 @@ impl<'a> Session<'a> {
             station: observations.iter().map(|o| o.station).collect(),
             target: observations.iter().map(|o| o.target).collect(),
             stations: set.stations.len(),
+            nests: set.stations.iter().map(|station| nests(station, spherical)).collect(),
             offsets: set.targets.iter().map(|target| target.in_flange).collect(),
             offset_sigma: set.targets.iter().map(sigma).collect(),
             place: if runs { poses } else { (0..count(observations.len())).collect() },
@@ -99,6 +121,7 @@ impl<'a> Session<'a> {
             station: Vec::with_capacity(self.kept.len()),
             target: Vec::with_capacity(self.kept.len()),
             stations: self.stations,
+            registered: vec![None; self.stations],
             offsets: self.offsets.clone(),
             offset_sigma: self.offset_sigma.clone(),
         };
@@ -136,10 +159,7 @@ impl<'a> Session<'a> {
                 _ => {}
             }
         }
-        let mut ordered: Vec<&Part> = parts.to_vec();
-        if !(parts.len() == 2 && parts[0].is_twofold_with(parts[1])) {
-            ordered.sort_by_key(|part| part.layer());
-        }
+        let ordered = Part::in_order(parts);
         let turned = self.turned(parts);
         let (mut command, mut before) = (vec![0.0; n], Vec::new());
         let mut joints = vec![0.0; n];
@@ -148,13 +168,16 @@ impl<'a> Session<'a> {
             *to = given[*to];
             command.copy_from_slice(self.commands[*from]);
             for part in &ordered {
-                part.command(&mut command, &mut before);
+                part.command(&self.model.actuators, &mut command, &mut before);
             }
             self.model.actuators.joints_from_command(&command, &mut joints);
             view.joints.extend_from_slice(&joints[..used]);
-            view.seen.push(self.reading(parts, *to, turned));
+            view.seen.push(self.reading(parts, self.seen[*to], self.spherical[*to], turned));
             view.station.push(self.station[*to]);
             view.target.push(targets[*to]);
+        }
+        for (registered, nests) in view.registered.iter_mut().zip(&self.nests) {
+            *registered = self.registered(nests, parts, turned);
         }
         Some(view)
     }
@@ -169,18 +192,48 @@ impl<'a> Session<'a> {
         self.kept.iter().filter_map(partner).collect()
     }
 
-    /// The point of observation `i` as it is read by `parts`; the second of two readings where `turned` says so.
-    fn reading(&self, parts: &[&Part], i: usize, turned: Option<Vector3<f64>>) -> Vector3<f64> {
-        let mut point = self.seen[i];
-        let mut angles = self.spherical[i];
+    /// Where a station is by its nests, which are read as the points are, or as they stand, whichever places them better.
+    fn registered(
+        &self,
+        nests: &[Nest],
+        parts: &[&Part],
+        turned: Option<Vector3<f64>>,
+    ) -> Option<(Matrix3<f64>, Vector3<f64>)> {
+        if nests.is_empty() {
+            return None;
+        }
+        let in_base: Vec<_> = nests.iter().map(|nest| nest.in_base).collect();
+        let as_points = nests.iter().map(|nest| self.reading(parts, nest.seen, nest.spherical, turned));
+        let placed =
+            [as_points.collect::<Vec<_>>(), nests.iter().map(|nest| nest.seen).collect()].map(|seen| {
+                let placed = best_fit_transform(&seen, &in_base)?;
+                let off =
+                    seen.iter().zip(&in_base).map(|(seen, at)| (placed * Point3::from(*at)).coords - seen);
+                Some((off.map(|off| off.norm()).fold(0.0, f64::max), placed))
+            });
+        let nearest = placed.into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0))?;
+        (nearest.0 < NEST_OFF).then(|| (*nearest.1.rotation.matrix(), nearest.1.translation.vector))
+    }
+
+    /// A point, and the angles to it, as it is read by `parts`; the second of two readings where `turned` says so.
+    fn reading(
+        &self,
+        parts: &[&Part],
+        mut point: Vector3<f64>,
+        mut angles: [f64; 3],
+        turned: Option<Vector3<f64>>,
+    ) -> Vector3<f64> {
+        for part in parts {
+            if let Part::TrackerAngleUnit { factor, zenith } = part {
+                let from = if *zenith { FRAC_PI_2 } else { 0.0 };
+                angles[1] *= factor;
+                angles[2] = from + factor * (angles[2] - from);
+                point = position(angles);
+            }
+        }
         for part in parts {
             match part {
-                Part::TrackerAngleUnit { factor } => {
-                    angles[1] *= factor;
-                    angles[2] *= factor;
-                    point = position(angles);
-                }
-                Part::ZenithElevation => {
+                Part::ZenithElevation { .. } => {
                     angles[2] = FRAC_PI_2 - angles[2];
                     point = position(angles);
                     // Of a point of coordinates the angle is known but for the side that it is on.
@@ -216,9 +269,13 @@ impl<'a> Session<'a> {
 
     /// The direction in which all points lie, where a reading of coordinates leaves their side open.
     fn turned(&self, parts: &[&Part]) -> Option<Vector3<f64>> {
-        if self.raw || !parts.iter().any(|part| matches!(part, Part::ZenithElevation)) {
+        if self.raw {
             return None;
         }
+        let other_side = parts.iter().find_map(|part| match part {
+            Part::ZenithElevation { turned } => Some(*turned),
+            _ => None,
+        })?;
         let directions = self.kept.iter().map(|i| {
             let [_, azimuth, elevation] = self.spherical[*i];
             position([1.0, azimuth, FRAC_PI_2 - elevation])
@@ -227,10 +284,22 @@ impl<'a> Session<'a> {
         let inertia: nalgebra::Matrix3<f64> = directions.iter().map(|d| d * d.transpose()).sum();
         let eigen = inertia.symmetric_eigen();
         let axis = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
-        // The side of most; whether that is right is left to the mirror image.
         let most = directions.iter().map(|d| d.dot(&axis).signum()).sum::<f64>();
-        Some(if most < 0.0 { -axis } else { axis })
+        Some(if (most < 0.0) == other_side { axis } else { -axis })
     }
+}
+
+/// The nests of a station, where they are enough.
+fn nests(station: &Station, spherical: impl Fn(&Reading) -> [f64; 3]) -> Vec<Nest> {
+    if station.nests.len() < 3 {
+        return Vec::new();
+    }
+    let nest = |nest: &NestObservation| Nest {
+        in_base: nest.in_base,
+        seen: nest.reading.position(),
+        spherical: spherical(&nest.reading),
+    };
+    station.nests.iter().map(nest).collect()
 }
 
 fn position([range, azimuth, elevation]: [f64; 3]) -> Vector3<f64> {

@@ -15,9 +15,12 @@ const SHIFTS: i64 = 5;
 /// Every part that changes how all rows are read, but for those that a placement tells by itself (mirror image and unit of the points).
 pub(super) fn structural(session: &Session<'_>) -> Vec<Part> {
     let links = &session.model.kinematics.links;
+    // Joints that follow others have no column.
+    let commanded: Vec<usize> =
+        (0..links.len()).filter(|i| session.model.actuators.is_commanded(*i)).collect();
     let n = links.len();
     let kind = |joint: usize| links[joint].kind;
-    let of_kind = |wanted| (0..n).filter(|joint| kind(*joint) == wanted).collect::<Vec<_>>();
+    let of_kind = |wanted| commanded.iter().copied().filter(|i| kind(*i) == wanted).collect::<Vec<_>>();
     let (revolute, prismatic) = (of_kind(JointKind::Revolute), of_kind(JointKind::Prismatic));
     let largest =
         |joint: usize| session.kept.iter().map(|i| session.commands[*i][joint].abs()).fold(0.0, f64::max);
@@ -27,13 +30,14 @@ pub(super) fn structural(session: &Session<'_>) -> Vec<Part> {
         let unit = |factor| Part::TravelUnit { joints: prismatic.clone(), factor };
         parts.extend(LENGTHS.map(unit));
     }
-    parts.extend((0..n).map(|joint| Part::Sign { joint }));
-    // What turns about the first axis is taken up by the tracker's place, about the last by a target that is not known.
+    parts.extend(commanded.iter().map(|joint| Part::Sign { joint: *joint }));
+    // What turns about the first axis is taken up by the tracker's place where no nests tell it, about the last by a target that is not known.
     let known = session.offset_sigma.iter().all(Option::is_some);
-    for &joint in revolute.iter().filter(|joint| **joint > 0 && (**joint + 1 < n || known)) {
+    let placed = session.nests.iter().all(|nests| !nests.is_empty());
+    for &joint in revolute.iter().filter(|joint| (**joint > 0 || placed) && (**joint + 1 < n || known)) {
         parts.extend([1, -1, 2].map(|quarters| Part::Offset { joint, quarters }));
     }
-    orders(n, kind, &mut parts);
+    orders(&commanded, kind, &mut parts);
     for &joint in &revolute {
         for &with in revolute.iter().filter(|with| **with != joint) {
             parts.extend([-1.0, 1.0].map(|share| Part::Coupling { joint, with, share }));
@@ -46,11 +50,16 @@ pub(super) fn structural(session: &Session<'_>) -> Vec<Part> {
     }
     parts.extend((0..n.saturating_sub(1)).map(|joint| Part::ToolLink { joint }));
     parts.extend((1..=SHIFTS).flat_map(|by| [Part::ShiftedRows { by }, Part::ShiftedRows { by: -by }]));
-    parts.push(Part::ZenithElevation);
+    parts.push(Part::ZenithElevation { turned: false });
+    if !session.has_angles() {
+        parts.push(Part::ZenithElevation { turned: true });
+    }
     parts.extend([false, true].map(|zenith| Part::AnglesExchanged { zenith }));
-    parts.push(Part::TrackerAngleUnit { factor: 1.0_f64.to_degrees() });
-    if session.has_angles() {
-        parts.push(Part::TrackerAngleUnit { factor: 1.0_f64.to_radians() });
+    for zenith in [false, true] {
+        parts.push(Part::TrackerAngleUnit { factor: 1.0_f64.to_degrees(), zenith });
+        if session.has_angles() {
+            parts.push(Part::TrackerAngleUnit { factor: 1.0_f64.to_radians(), zenith });
+        }
     }
     parts
 }
@@ -77,19 +86,25 @@ fn angle_units(revolute: &[usize], largest: impl Fn(usize) -> f64, parts: &mut V
     }
 }
 
-/// Two columns exchanged, one column at another place, and all the other way round.
-fn orders(n: usize, kind: impl Fn(usize) -> JointKind, parts: &mut Vec<Part>) {
+/// Two columns exchanged, one column at another place, and all the other way round; of the joints that have one.
+fn orders(commanded: &[usize], kind: impl Fn(usize) -> JointKind, parts: &mut Vec<Part>) {
+    let n = commanded.len();
+    let all = commanded.last().map_or(0, |last| last + 1);
     let mut orders: Vec<Vec<usize>> = Vec::new();
-    let mut add = |order: Vec<usize>| {
-        if !orders.contains(&order) && moved(&order) > 0 {
-            orders.push(order);
+    let mut add = |order: &[usize]| {
+        let mut from: Vec<usize> = (0..all).collect();
+        for (joint, column) in commanded.iter().zip(order) {
+            from[*joint] = commanded[*column];
+        }
+        if !orders.contains(&from) && moved(&from) > 0 {
+            orders.push(from);
         }
     };
     for i in 0..n {
         for j in i + 1..n {
             let mut order: Vec<usize> = (0..n).collect();
             order.swap(i, j);
-            add(order);
+            add(&order);
         }
     }
     for i in 0..n {
@@ -97,12 +112,12 @@ fn orders(n: usize, kind: impl Fn(usize) -> JointKind, parts: &mut Vec<Part>) {
             let mut order: Vec<usize> = (0..n).collect();
             let column = order.remove(i);
             order.insert(j, column);
-            add(order);
+            add(&order);
         }
     }
-    add((0..n).rev().collect());
+    add(&(0..n).rev().collect::<Vec<_>>());
     for from in orders {
-        let is_mixed = (0..n).any(|joint| kind(joint) != kind(from[joint]));
+        let is_mixed = (0..all).any(|joint| kind(joint) != kind(from[joint]));
         // Columns in SI, or an angle in degrees that was read as millimetres and the other way round.
         let of_columns: &[f64] = if is_mixed { &[1.0, 1e3_f64.to_radians()] } else { &[1.0] };
         for &size in of_columns {
@@ -111,7 +126,7 @@ fn orders(n: usize, kind: impl Fn(usize) -> JointKind, parts: &mut Vec<Part>) {
                 (JointKind::Prismatic, JointKind::Revolute) => 1.0 / size,
                 _ => 1.0,
             };
-            let factors = (0..n).map(factor).collect();
+            let factors = (0..all).map(factor).collect();
             parts.push(Part::Order { from: from.clone(), factors });
         }
     }

@@ -39,7 +39,9 @@ impl Search<'_> {
         }
         found.truncate(WITH_ROWS);
         let mut weighed = Vec::new();
-        for (middle, near, placed, lengths) in found {
+        let of = found.len();
+        for (done, (middle, near, placed, lengths)) in found.into_iter().enumerate() {
+            self.progress.tell(done, of);
             if middle < NOWHERE {
                 weighed.extend(self.rows_beside(&near.parts, &placed, &lengths));
             }
@@ -47,7 +49,12 @@ impl Search<'_> {
         weighed
     }
 
-    pub(super) fn rows_beside(&mut self, parts: &[Part], robust: &Placed, lengths: &[f64]) -> Option<Weighed> {
+    pub(super) fn rows_beside(
+        &mut self,
+        parts: &[Part],
+        robust: &Placed,
+        lengths: &[f64],
+    ) -> Option<Weighed> {
         let view = self.all.view(&parts.iter().collect::<Vec<_>>())?;
         let left_out = without_few(&view, robust, lengths, self.spread)?;
         if left_out.kept.iter().all(|is_kept| *is_kept) {
@@ -69,7 +76,8 @@ impl Search<'_> {
     pub(super) fn with_targets(&mut self, singles: &[Near]) -> Vec<Weighed> {
         let most = self.most();
         let mut found: Vec<(f64, Vec<Part>, Placed)> = Vec::new();
-        for near in singles.iter().filter(|near| near.parts.len() < most) {
+        for (done, near) in singles.iter().filter(|near| near.parts.len() < most).enumerate() {
+            self.progress.tell(done, 2 * singles.len());
             found.extend(self.split(&near.parts, true));
         }
         found.sort_by(|a, b| a.0.total_cmp(&b.0));

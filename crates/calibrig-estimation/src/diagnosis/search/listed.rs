@@ -5,7 +5,8 @@ use nalgebra::Vector3;
 use super::super::evidence::fit;
 use super::super::part::Part;
 use super::super::place::Cloud;
-use super::super::rows::cost_of_row;
+use super::super::rows::{LeftOut, cost_of_row, named};
+use super::super::session::View;
 use super::super::{FarOff, Hypothesis};
 use super::Search;
 use super::weigh::Weighed;
@@ -17,10 +18,12 @@ const MARGIN: f64 = 12.0;
 /// And leave less than this share of what is left without.
 const BETTER: f64 = 0.8;
 const MUCH_BETTER: f64 = 0.5;
-/// What only a stated offset tells must be clearer.
+/// What only a stated offset or nests tell must be clearer.
 const STATED: f64 = 40.0;
 /// A row that was not weighed is off where it is so much farther than one that would be left out.
 const ROW_OFF: f64 = 1.5;
+/// Partners are looked for among so many rows that are off at most.
+const NAMED: usize = 500;
 /// Hypotheses that are listed.
 const LISTED: usize = 12;
 /// Two are of one class where each fits the other's points within this share of their spread.
@@ -46,9 +49,10 @@ impl Search<'_> {
             // Links can be off far enough to explain much: what remains with them, or without, must be less.
             let is_less =
                 first.rms_links < BETTER * without.rms_links || first.rms < MUCH_BETTER * without.rms;
-            // An offset that is stated tells what points alone do not.
-            let is_told =
-                self.all.offset_sigma.iter().any(Option::is_some) && first.score + STATED < without.score;
+            // An offset that is stated, and nests, tell what points alone do not.
+            let is_stated = self.all.offset_sigma.iter().any(Option::is_some)
+                || self.all.nests.iter().any(|nests| !nests.is_empty());
+            let is_told = is_stated && first.score + STATED < without.score;
             let is_clear = first.score + MARGIN < without.score && (is_less || is_told);
             if !is_clear {
                 let sound = weighed.remove(sound);
@@ -97,42 +101,80 @@ impl Search<'_> {
         listed
     }
 
-    /// Rows that were not among those that were weighed, and are off by the first hypothesis: added to it.
+    /// Rows that were not among those that were weighed: to which of several targets they belong, and which are off by the first hypothesis.
     pub(super) fn look_at_all(&mut self, first: &mut Hypothesis, observations: usize) {
         let sample = self.all.kept.clone();
         if sample.len() == self.all.sound.len() || observations > LOOKED_AT {
             return;
         }
-        let at = first.parts.iter().position(|part| matches!(part, Part::GrossErrors { .. }));
-        if at.is_none() && first.parts.len() > 1 {
-            return;
-        }
         self.all.kept.clone_from(&self.all.sound);
-        let view = self.all.view(&first.parts.iter().collect::<Vec<_>>());
-        self.all.kept.clone_from(&sample);
-        let Some(view) = view else { return };
-        let kept: Vec<bool> = view.rows.iter().map(|(row, _)| sample.binary_search(row).is_ok()).collect();
-        let weights: Vec<f64> = kept.iter().map(|is_kept| f64::from(u8::from(*is_kept))).collect();
+        self.told_targets(first, &sample);
+        if let Some(parts) = self.rows_of_all(first, &sample) {
+            first.parts = parts;
+        }
+        self.all.kept = sample;
+    }
+
+    /// Adds every row to the target that it is nearest to.
+    fn told_targets(&mut self, first: &mut Hypothesis, sample: &[usize]) {
+        let known = self.all.offsets.len();
+        let Some(view) = self.all.view(&first.parts.iter().collect::<Vec<_>>()) else { return };
+        let weights = weights(&view, |row| sample.binary_search(&row).is_ok());
+        let cloud = Cloud::new(&view, &mut self.chain);
+        let is_split = |part: &&mut Part| matches!(part, Part::SeveralTargets { .. });
+        let Some(Part::SeveralTargets { target, others }) = first.parts.iter_mut().find(is_split) else {
+            return;
+        };
+        let placed = cloud.best(Some(&weights));
+        let among: Vec<usize> = std::iter::once(*target).chain(known..known + others.len()).collect();
+        for (i, (_, point)) in view.rows.iter().enumerate() {
+            if self.all.target[*point] == *target && sample.binary_search(point).is_err() {
+                let nearest = cloud.nearest(&placed, i, &among);
+                if nearest >= known {
+                    others[nearest - known].push(*point);
+                }
+            }
+        }
+        others.iter_mut().for_each(|rows| rows.sort_unstable());
+    }
+
+    /// The parts of the first hypothesis, with those of rows from all of them; `None` where it stays as it is.
+    fn rows_of_all(&mut self, first: &Hypothesis, sample: &[usize]) -> Option<Vec<Part>> {
+        let is_found = |part: &&Part| matches!(part, Part::GrossErrors { .. } | Part::ExchangedRows { .. });
+        let before: Vec<usize> = first.parts.iter().filter(is_found).flat_map(Part::rows).collect();
+        let mut parts: Vec<Part> = first.parts.iter().filter(|part| !is_found(part)).cloned().collect();
+        let room = 2_usize.checked_sub(parts.len()).filter(|room| *room > 0)?;
+        let view = self.all.view(&parts.iter().collect::<Vec<_>>())?;
+        let weights = weights(&view, |row| sample.binary_search(&row).is_ok() && !before.contains(&row));
+        let mut kept: Vec<bool> = weights.iter().map(|weight| *weight > 0.0).collect();
         let placed = Cloud::new(&view, &mut self.chain).best(Some(&weights));
-        let Some(fit) = fit(&view, &placed, &kept) else { return };
+        let fit = fit(&view, &placed, &kept)?;
         let cost = ROW_OFF * cost_of_row(self.spread, view.rows.len());
         // Twice what a row costs in the likelihood, where that is in units of the scatter.
         let limit = cost - 6.0 * fit.sigma.ln() * ROW_OFF;
-        let far = (0..view.rows.len()).filter(|row| !kept[*row] && fit.far[*row] > limit);
-        let mut far: Vec<FarOff> = far
-            .map(|row| FarOff {
-                observation: view.rows[row].1,
-                distance: fit.distance(&view, row, &view.seen[row]).1,
-            })
-            .collect();
-        if far.is_empty() {
-            return;
+        let mut is_more = false;
+        for row in 0..view.rows.len() {
+            let is_off = !kept[row] && (before.contains(&view.rows[row].1) || fit.far[row] > limit);
+            is_more |= is_off && !before.contains(&view.rows[row].1);
+            kept[row] = !is_off;
         }
-        far.sort_by(|a, b| b.distance.total_cmp(&a.distance));
-        match at.map(|at| &mut first.parts[at]) {
-            Some(Part::GrossErrors { rows }) => rows.extend(far),
-            _ => first.parts.push(Part::GrossErrors { rows: far }),
+        if !is_more {
+            return None;
         }
+        let off: Vec<usize> = (0..kept.len()).filter(|row| !kept[*row]).collect();
+        let left_out = LeftOut { kept, fit, score: 0.0 };
+        let mut named = if off.len() > NAMED { Vec::new() } else { named(&view, &left_out, &self.all.seen) };
+        if named.is_empty() || named.len() > room {
+            let far = |row: &usize| FarOff {
+                observation: view.rows[*row].1,
+                distance: left_out.fit.distance(&view, *row, &view.seen[*row]).1,
+            };
+            let mut rows: Vec<FarOff> = off.iter().map(far).collect();
+            rows.sort_by(|a, b| b.distance.total_cmp(&a.distance));
+            named = vec![Part::GrossErrors { rows }];
+        }
+        parts.extend(named);
+        Some(parts)
     }
 
     /// What the robot leaves of all rows, also those out of its reach, m.
@@ -167,7 +209,7 @@ impl Search<'_> {
         let is_reading = |part: &&Part| {
             matches!(
                 part,
-                Part::ZenithElevation
+                Part::ZenithElevation { .. }
                     | Part::AnglesExchanged { .. }
                     | Part::TrackerAngleUnit { .. }
                     | Part::ShiftedRows { .. }
@@ -190,7 +232,12 @@ impl Search<'_> {
             return false;
         }
         let cloud = Cloud::new(&view, &mut self.chain);
-        let placed = cloud.refined(cloud.placed(one.placed.offsets.clone(), None));
+        // What is stated of targets and stations belongs to the points.
+        let placed = if view.is_stated() {
+            cloud.held(&view)
+        } else {
+            cloud.refined(cloud.placed(one.placed.offsets.clone(), None))
+        };
         let ((factor, hand), (other_factor, other_hand)) = (read(one), read(other));
         again.seen = (0..view.rows.len())
             .map(|i| {
@@ -199,7 +246,8 @@ impl Search<'_> {
             })
             .collect();
         let cloud = Cloud::new(&again, &mut self.chain);
-        cloud.refined(cloud.best(None)).share < SAME
+        let placed = if again.is_stated() { cloud.held(&again) } else { cloud.refined(cloud.best(None)) };
+        placed.share < SAME
     }
 }
 
@@ -208,4 +256,9 @@ impl Hypothesis {
     pub(super) fn certain(parts: Vec<Part>, rms: f64, class: usize) -> Self {
         Self { parts, rms, rms_links: rms, above_first: 0.0, probability: 1.0, class }
     }
+}
+
+/// One for the rows of a view that are taken, nothing for the others.
+fn weights(view: &View, is_taken: impl Fn(usize) -> bool) -> Vec<f64> {
+    view.rows.iter().map(|(_, point)| f64::from(u8::from(is_taken(*point)))).collect()
 }

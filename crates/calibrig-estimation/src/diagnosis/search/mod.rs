@@ -18,6 +18,8 @@ use calibrig_model::measurement::MeasurementSet;
 /// Observations that everything is tried on, and that what comes near is weighed on.
 const TRIED: usize = 60;
 const WEIGHED: usize = 300;
+/// Where the stages of a search end, of [`Progress::WHOLE`]: about what they take.
+const STAGES: [u64; 6] = [60, 150, 550, 700, 850, 1000];
 /// Single parts and pairs that are weighed.
 const NEAREST: [usize; 2] = [40, 60];
 /// Pairs that are placed, of those that could be.
@@ -48,22 +50,58 @@ struct Search<'a> {
     cost: f64,
     /// Parts that were found before anything was placed.
     given: Vec<Part>,
+    progress: Progress<'a>,
 }
 
-pub(super) fn hypotheses(model: &CalibrationModel, set: &MeasurementSet) -> Vec<Hypothesis> {
-    let Some(mut search) = Search::new(model, set) else {
+/// How far a search is: of each stage its share of what is done in all, and how much of it.
+struct Progress<'a> {
+    tell: &'a mut dyn FnMut(u64, u64),
+    /// Shares of what is done, before this stage and behind it, of [`Progress::WHOLE`].
+    stage: [u64; 2],
+}
+
+impl Progress<'_> {
+    const WHOLE: u64 = 1000;
+
+    /// The next stage begins, which goes up to this share.
+    fn next(&mut self, to: u64) {
+        self.stage = [self.stage[1], to];
+        (self.tell)(self.stage[0], Self::WHOLE);
+    }
+
+    /// So much of so much of the stage is done.
+    fn tell(&mut self, done: usize, of: usize) {
+        let [from, to] = self.stage;
+        let within = (to - from) * done as u64 / of.max(1) as u64;
+        (self.tell)(from + within, Self::WHOLE);
+    }
+}
+
+pub(super) fn hypotheses(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    progress: &mut dyn FnMut(u64, u64),
+) -> Vec<Hypothesis> {
+    let Some(mut search) = Search::new(model, set, progress) else {
         return vec![Hypothesis::certain(Vec::new(), 0.0, 0)];
     };
     let parts = structural(&search.few);
     search.cost = 2.0 * (parts.len() as f64).ln();
+    let [placed, weighed_singles, pairs, weighed_pairs, rows, targets] = STAGES;
+    search.progress.next(placed);
     let singles = search.singles(&parts);
+    search.progress.next(weighed_singles);
     let mut weighed = search.weigh_nearest(&singles, NEAREST[0]);
     if search.most() > 1 {
+        search.progress.next(pairs);
         let pairs = search.pairs(&parts);
+        search.progress.next(weighed_pairs);
         weighed.extend(search.weigh_nearest(&pairs, NEAREST[1]));
     }
     if search.most() > 0 {
+        search.progress.next(rows);
         weighed.extend(search.with_rows(&singles));
+        search.progress.next(targets);
         weighed.extend(search.with_targets(&singles));
     }
     let mut listed = search.listed(weighed);
@@ -79,7 +117,11 @@ fn every(kept: &[usize], most: usize) -> Vec<usize> {
 }
 
 impl<'a> Search<'a> {
-    fn new(model: &'a CalibrationModel, set: &'a MeasurementSet) -> Option<Self> {
+    fn new(
+        model: &'a CalibrationModel,
+        set: &'a MeasurementSet,
+        tell: &'a mut dyn FnMut(u64, u64),
+    ) -> Option<Self> {
         let mut all = Session::new(model, set);
         let mut few = Session::new(model, set);
         let far = unreachable(model, set);
@@ -101,7 +143,16 @@ impl<'a> Search<'a> {
         let view = all.view(&[])?;
         let mut chain = PlacedChain::new(&model.kinematics);
         let spread = Cloud::new(&view, &mut chain).spread();
-        (spread > 0.0 && kept.len() > 2).then_some(Self { few, all, chain, spread, cost: 0.0, given })
+        let progress = Progress { tell, stage: [0, 0] };
+        (spread > 0.0 && kept.len() > 2).then_some(Self {
+            few,
+            all,
+            chain,
+            spread,
+            cost: 0.0,
+            given,
+            progress,
+        })
     }
 
     /// Parts that a hypothesis may have beside those that are given.
@@ -127,7 +178,8 @@ impl<'a> Search<'a> {
     fn singles(&mut self, parts: &[Part]) -> Vec<Near> {
         let mut found = Vec::new();
         let nothing: Option<&Part> = None;
-        for part in std::iter::once(nothing).chain(parts.iter().map(Some)) {
+        for (done, part) in std::iter::once(nothing).chain(parts.iter().map(Some)).enumerate() {
+            self.progress.tell(done, parts.len());
             let alone: Vec<&Part> = part.into_iter().collect();
             if alone.len() > self.most() {
                 continue;
@@ -161,6 +213,8 @@ impl<'a> Search<'a> {
         let parts: Vec<&Part> = parts.iter().filter(|part| part.is_usual()).collect();
         let mut bounds: Vec<(f64, [&Part; 2])> = Vec::new();
         for (i, a) in parts.iter().enumerate() {
+            // Of all pairs; those that are placed take as long again.
+            self.progress.tell(i * (2 * parts.len() - i), 2 * parts.len() * parts.len());
             for b in &parts[i + 1..] {
                 if !go_together(a, b) {
                     continue;
@@ -174,7 +228,8 @@ impl<'a> Search<'a> {
         bounds.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut found: Vec<Near> = Vec::new();
         let mut least = f64::INFINITY;
-        for (bound, pair) in bounds.into_iter().take(PLACED) {
+        for (done, (bound, pair)) in bounds.into_iter().take(PLACED).enumerate() {
+            self.progress.tell(PLACED + done, 2 * PLACED);
             if bound > NEAR * least.max(FLOOR * self.spread) || bound > NOWHERE * self.spread {
                 break;
             }
@@ -210,8 +265,10 @@ fn go_together(a: &Part, b: &Part) -> bool {
         | (Part::ToolLink { .. }, Part::ToolLink { .. })
         | (Part::TravelUnit { .. }, Part::TravelUnit { .. })
         | (Part::TrackerAngleUnit { .. }, Part::TrackerAngleUnit { .. })
-        | (Part::AnglesExchanged { .. }, Part::AnglesExchanged { .. } | Part::ZenithElevation)
-        | (Part::ZenithElevation, Part::AnglesExchanged { .. }) => false,
+        | (Part::AnglesExchanged { .. }, Part::AnglesExchanged { .. } | Part::ZenithElevation { .. })
+        | (Part::ZenithElevation { .. }, Part::AnglesExchanged { .. } | Part::ZenithElevation { .. }) => {
+            false
+        }
         (Part::Sign { joint: i }, Part::Sign { joint: j })
         | (Part::Offset { joint: i, .. }, Part::Offset { joint: j, .. }) => i != j,
         (Part::AngleUnit { joints: i, .. }, Part::AngleUnit { joints: j, .. }) => {

@@ -28,7 +28,13 @@ impl Search<'_> {
             order.into_iter().partition(|near| near.parts.is_empty());
         let some = some.into_iter().enumerate().filter(is_near).map(|(_, near)| near).take(most);
         let chosen: Vec<&Near> = nothing.into_iter().chain(some).collect();
-        chosen.into_iter().filter_map(|near| self.weigh(&near.parts, &near.placed)).collect()
+        let of = chosen.len();
+        let mut weighed = Vec::with_capacity(of);
+        for (done, near) in chosen.into_iter().enumerate() {
+            self.progress.tell(done, of);
+            weighed.extend(self.weigh(&near.parts, &near.placed));
+        }
+        weighed
     }
 
     /// The weight of a hypothesis on all rows that it keeps.
