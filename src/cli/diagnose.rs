@@ -8,7 +8,7 @@ use super::identify::{FileArgs, Loaded};
 use super::inspect::with_progress;
 use super::{CliError, Verdict, print, say};
 use crate::pipeline::{Names, PipelineError, SetKind, SetOutcome, commands_beyond_limits, mm};
-use calibrig_estimation::diagnosis::{Diagnosis, Finding, Hypothesis, Part, diagnose_with};
+use calibrig_estimation::diagnosis::{Diagnosis, Finding, Hypothesis, Part, Undetermined, diagnose_with};
 use calibrig_estimation::identification::Mode;
 
 /// Say what would make measurements fit a robot: wrong units, signs, zeros, orders, axes, and rows that are to blame
@@ -77,6 +77,11 @@ fn finding(found: &Diagnosis) -> &'static str {
     }
 }
 
+/// Whether there are fewer poses than anything can be told of.
+fn is_too_little(found: &Diagnosis) -> bool {
+    found.undetermined.iter().any(|what| matches!(what, Undetermined::FewPoses { .. }))
+}
+
 /// How sure: per cent, never a certainty.
 fn likelihood(probability: f64) -> String {
     match 1e2 * probability {
@@ -101,6 +106,12 @@ fn write_text(name: &str, set: &Diagnosed, text: &mut String) -> std::fmt::Resul
     writeln!(text, "{name}{set}: {} observations, spread {}", found.observations, mm(found.spread))?;
     writeln!(text)?;
     match found.finding() {
+        Finding::Sound if is_too_little(found) => {
+            writeln!(
+                text,
+                "Nothing speaks against the files as they were read, but they tell too little of the robot."
+            )?;
+        }
         Finding::Sound => writeln!(text, "Sound: the robot lies on the points as they were read.")?,
         Finding::Explained => {
             let first = &found.hypotheses[0];

@@ -382,10 +382,12 @@ impl Names {
                 if joints.len() == 1 { "it" } else { "these" }
             ),
             Undetermined::FewPoses { distinct, needed } => format!(
-                "{distinct} poses that differ: fewer than {needed}, tracker and target alone explain nearly whatever was measured, and no convention can be told"
+                "{} fewer than {needed}, tracker and target alone explain nearly whatever was measured, and no convention can be told",
+                if *distinct == 1 { "all poses are one:".to_owned() } else { format!("{distinct} poses that differ:") }
             ),
             Undetermined::EqualPoses { poses, observations } => format!(
-                "{poses} poses were measured more than once ({observations} readings): repeats tell of the repeatability, not of the robot"
+                "{poses} {} measured more than once ({observations} readings): repeats tell of the repeatability, not of the robot",
+                if *poses == 1 { "pose was" } else { "poses were" }
             ),
             Undetermined::Line => {
                 "all points are on one line: neither the tracker's turn about it nor what is beside it can be told".to_owned()

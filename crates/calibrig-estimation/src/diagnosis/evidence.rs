@@ -237,13 +237,7 @@ impl System {
         }
         let gram = all.tr_mul(&all);
         let xx = gram.view((0, 0), (places, places)).into_owned();
-        let eigen = xx.symmetric_eigen();
-        let eased = eigen.eigenvalues.map(|value| value.max(0.0) + OPEN);
-        let inverse_values = eased.map(|value| 1.0 / value);
-        let inverse =
-            &eigen.eigenvectors * DMatrix::from_diagonal(&inverse_values) * eigen.eigenvectors.transpose();
-        let told = eigen.eigenvalues.iter().filter(|value| **value > OPEN).count();
-        let log_places: f64 = eased.iter().map(|value| value.ln()).sum();
+        let (inverse, log_places, told) = inverse_of_places(xx);
         let x_rest = gram.view((0, places), (places, of_links + 1)).into_owned();
         let taken = &inverse * &x_rest;
         let rest = gram.view((places, places), (of_links + 1, of_links + 1)) - x_rest.tr_mul(&taken);
@@ -281,6 +275,21 @@ impl System {
             freedom: freedom as f64,
         })
     }
+}
+
+/// Inverse of the places' information, its logarithm, and how many directions are determined.
+fn inverse_of_places(information: DMatrix<f64>) -> (DMatrix<f64>, f64, usize) {
+    // Where nests and targets state everything.
+    if information.is_empty() {
+        return (information, 0.0, 0);
+    }
+    let eigen = information.symmetric_eigen();
+    let eased = eigen.eigenvalues.map(|value| value.max(0.0) + OPEN);
+    let inverse = &eigen.eigenvectors
+        * DMatrix::from_diagonal(&eased.map(|value| 1.0 / value))
+        * eigen.eigenvectors.transpose();
+    let told = eigen.eigenvalues.iter().filter(|value| **value > OPEN).count();
+    (inverse, eased.iter().map(|value| value.ln()).sum(), told)
 }
 
 /// The likelihood by the two sizes: of the coordinates along the links' principal directions, and of what no link explains.

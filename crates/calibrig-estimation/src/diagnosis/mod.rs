@@ -76,11 +76,22 @@ impl Hypothesis {
 }
 
 impl Diagnosis {
+    /// Whether the poses are so few that points scatter, and say nothing of the robot.
+    fn is_of_no_motion(&self) -> bool {
+        self.undetermined
+            .iter()
+            .any(|what| matches!(what, Undetermined::FewPoses { distinct, .. } if *distinct < 3))
+    }
+
     /// What was found.
     pub fn finding(&self) -> Finding {
         match self.hypotheses.first() {
             Some(first) if !first.parts.is_empty() => Finding::Explained,
-            Some(first) if first.rms > LARGEST_SHARE * self.spread && self.spread > 0.0 => {
+            Some(first)
+                if first.rms > LARGEST_SHARE * self.spread
+                    && self.spread > 0.0
+                    && !self.is_of_no_motion() =>
+            {
                 Finding::Unexplained
             }
             _ => Finding::Sound,

@@ -274,6 +274,10 @@ fn go_together(a: &Part, b: &Part) -> bool {
         (Part::AngleUnit { joints: i, .. }, Part::AngleUnit { joints: j, .. }) => {
             i.len() == 1 && j.len() == 1 && i != j
         }
+        // One that takes back the other is none.
+        (Part::Order { from: i, .. }, Part::Order { from: j, .. }) => {
+            j.iter().enumerate().any(|(joint, column)| i[*column] != joint)
+        }
         (Part::Coupling { joint: i, with: k, .. }, Part::Coupling { joint: j, with: l, .. }) => {
             (i, k) != (j, l)
         }

@@ -63,8 +63,12 @@ fn the_zero_of_the_first_joint_is_told_where_nests_place_the_base() {
         let (found, _) = first(&model, &set);
         assert_eq!(found.hypotheses[0].parts, [Part::Offset { joint: 0, quarters }], "{found:?}");
     }
+    // Nothing is free where both are stated.
     let mut set = measure(&model, 30, 1e-3);
     with_nests(&mut set);
+    stated(&mut set);
+    assert_eq!(first(&model, &set).1, ["sound"]);
+    set.targets[0].covariance = None;
     assert_eq!(first(&model, &set).1, ["sound"]);
     // The nests are read as the points are.
     for nest in &mut set.stations[0].nests {
