@@ -87,7 +87,9 @@ impl Search<'_> {
         found.extend(again);
         found.retain(|(share, ..)| *share < NOWHERE);
         let mut weighed = Vec::new();
-        for (_, parts, placed) in found {
+        let of = found.len();
+        for (done, (_, parts, placed)) in found.into_iter().enumerate() {
+            self.progress.tell(of + done, 2 * of);
             weighed.extend(self.weigh(&parts, &placed));
             if parts.len() == 1 && most > 1 {
                 weighed.extend(self.rows_beside_targets(&parts));

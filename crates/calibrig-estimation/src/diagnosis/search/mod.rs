@@ -19,7 +19,7 @@ use calibrig_model::measurement::MeasurementSet;
 const TRIED: usize = 60;
 const WEIGHED: usize = 300;
 /// Where the stages of a search end, of [`Progress::WHOLE`]: about what they take.
-const STAGES: [u64; 6] = [60, 150, 550, 700, 850, 1000];
+const STAGES: [u64; 6] = [50, 120, 400, 520, 700, 1000];
 /// Single parts and pairs that are weighed.
 const NEAREST: [usize; 2] = [40, 60];
 /// Pairs that are placed, of those that could be.
