@@ -11,8 +11,6 @@ const LISTED: usize = 8;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Names {
     links: Vec<CraigLink>,
-    /// Joints that other commands than their own move as well.
-    coupled: Vec<bool>,
     /// By how much a joint moves with its own command, where this moves no other one.
     alone: Vec<Option<f64>>,
     /// What observations are called: rows where they are numbered through, else poses.
@@ -38,11 +36,7 @@ impl Names {
         };
         let revolute = links.iter().enumerate().filter(|(_, link)| link.kind == JointKind::Revolute);
         let joints = links.len();
-        let coupled = |joint: usize| {
-            (0..joints).any(|other| other != joint && model.actuators.rate(joint, other) != 0.0)
-        };
         Self {
-            coupled: (0..joints).map(coupled).collect(),
             alone: (0..joints).map(|joint| moved_alone(model, joint)).collect(),
             span: revolute.map(span).fold(0.0, f64::max),
             called: if are_rows { "row" } else { "pose" },
@@ -115,7 +109,7 @@ impl Names {
     pub fn remedies(&self, hypothesis: &Hypothesis) -> String {
         let is_of_columns = |part: &&Part| match part {
             Part::Sign { .. } | Part::Order { .. } | Part::Offset { .. } => true,
-            Part::Coupling { with, .. } => !self.coupled[*with],
+            Part::Coupling { of_joint, .. } => !of_joint,
             _ => false,
         };
         let (columns, others): (Vec<&Part>, Vec<&Part>) = hypothesis.parts.iter().partition(is_of_columns);
@@ -146,7 +140,7 @@ impl Names {
                     quarters[*joint] = -quarters[*joint];
                 }
                 Part::Offset { joint, quarters: by } => quarters[*joint] += f64::from(*by),
-                Part::Coupling { joint, with, share } => {
+                Part::Coupling { joint, with, share, .. } => {
                     let (row, by) = (entries[*with].clone(), quarters[*with]);
                     entries[*joint].iter_mut().zip(row).for_each(|(own, other)| *own += share * other);
                     quarters[*joint] += share * by;
@@ -248,7 +242,7 @@ impl Names {
                     format!("the columns of {} in another order: {}", self.joints(&joints), self.order(part))
                 }
             }
-            Part::Coupling { joint, with, share } => {
+            Part::Coupling { joint, with, share, .. } => {
                 let sign = if *share < 0.0 { '-' } else { '+' };
                 let (joint, with) = (self.joint(*joint), self.joint(*with));
                 format!("{joint} is driven with {with}: its angle is {joint} {sign} {with}")
@@ -330,12 +324,12 @@ impl Names {
                 let names: Vec<_> = from.iter().map(|column| format!("\"{}\"", self.joint(*column))).collect();
                 format!("`columns = [{}]` in [joints] of the column map, in the file's own names", names.join(", "))
             }
-            Part::Coupling { joint, with, share } if self.coupled[*with] => {
+            Part::Coupling { joint, with, share, of_joint: true } => {
                 let (joint, with) = (self.joint(*joint), self.joint(*with));
                 let by = if *share < 0.0 { "1 more" } else { "1 less" };
                 format!("`coupling` in [joint.shown] of {joint} in the robot's file: of {with} {by} (0 where it is not stated)")
             }
-            Part::Coupling { joint, with, share } => {
+            Part::Coupling { joint, with, share, .. } => {
                 let sign = if *share < 0.0 { '-' } else { '+' };
                 let (joint, with) = (self.joint(*joint), self.joint(*with));
                 format!("\"{joint} {sign} {with}\" in the place of {joint} in `columns` of the column map; or `shown.coupling` of {joint} in the robot's file")

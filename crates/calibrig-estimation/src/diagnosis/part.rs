@@ -54,7 +54,7 @@ pub enum Part {
         /// What the joint's column has to be multiplied by where it was read as one of another kind of joint; else 1.
         factors: Vec<f64>,
     },
-    /// A joint is driven with another one: with what the table has of it, where its own command is coupled as well.
+    /// A joint is driven with another one.
     Coupling {
         /// Which.
         joint: usize,
@@ -62,6 +62,8 @@ pub enum Part {
         with: usize,
         /// The share of the other's command that has to be added: 1 or -1.
         share: f64,
+        /// Of what the table has of the other, which is coupled itself, in place of its command.
+        of_joint: bool,
     },
     /// The table is of the other convention.
     Convention {
@@ -256,13 +258,13 @@ impl Part {
             }
             Self::Sign { joint } => command[*joint] = -command[*joint],
             Self::Offset { joint, quarters } => command[*joint] += FRAC_PI_2 * f64::from(*quarters),
-            Self::Coupling { joint, with, share } if is_coupled(actuators, *with, command.len()) => {
+            Self::Coupling { joint, with, share, of_joint: true } => {
                 before.clear();
                 before.resize(command.len(), 0.0);
                 actuators.actuators_from_command(command, before);
                 command[*joint] += share * before[*with];
             }
-            Self::Coupling { joint, with, share } => command[*joint] += share * command[*with],
+            Self::Coupling { joint, with, share, .. } => command[*joint] += share * command[*with],
             Self::Order { from, factors } => {
                 before.clear();
                 before.extend_from_slice(command);
@@ -273,11 +275,6 @@ impl Part {
             _ => {}
         }
     }
-}
-
-/// Whether what is commanded of other joints moves this one as well.
-pub(super) fn is_coupled(actuators: &ActuatorMap, joint: usize, joints: usize) -> bool {
-    (0..joints).any(|other| other != joint && actuators.rate(joint, other) != 0.0)
 }
 
 /// Whether columns are in the reverse order, or the first of them stands last, or the last one first.

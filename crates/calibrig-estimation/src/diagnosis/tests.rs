@@ -268,7 +268,9 @@ fn the_unit_of_angles_is_found_whichever_way_they_are_counted() {
 fn a_coupling_with_an_axis_that_is_coupled_itself_is_one() {
     let coupled = |shares: &[(usize, usize, f64)]| {
         let mut map = DMatrix::identity(6, 6);
-        shares.iter().for_each(|(axis, other, share)| map[(*axis, *other)] = *share);
+        for (axis, other, share) in shares {
+            map[(*axis, *other)] = *share;
+        }
         let axes = AxisMap::new(map, DVector::zeros(6)).expect("a map");
         let mut model = industrial();
         model.actuators = ActuatorMap::Axes { axes, elbow: None };
@@ -281,7 +283,11 @@ fn a_coupling_with_an_axis_that_is_coupled_itself_is_one() {
     }
     assert_eq!(first(&machine, &set).1, ["sound"]);
     let (found, _) = first(&table, &set);
-    assert_eq!(found.hypotheses[0].parts, [Part::Coupling { joint: 5, with: 4, share: -1.0 }], "{found:?}");
+    assert_eq!(
+        found.hypotheses[0].parts,
+        [Part::Coupling { joint: 5, with: 4, share: -1.0, of_joint: true }],
+        "{found:?}"
+    );
 }
 
 /// All columns the other way round, or the first one at the end, is a usual mistake: also beside another one.

@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use super::convention::other_convention;
 use super::part::{Part, moved};
 use super::session::Session;
-use calibrig_model::JointKind;
+use calibrig_model::{ActuatorMap, JointKind};
 
 /// Units of a length, seen from another one.
 pub(super) const LENGTHS: [f64; 10] = [1e3, 1e-3, 1e6, 1e-6, 10.0, 0.1, 100.0, 0.01, 25.4, 1.0 / 25.4];
@@ -40,7 +40,10 @@ pub(super) fn structural(session: &Session<'_>) -> Vec<Part> {
     orders(&commanded, kind, &mut parts);
     for &joint in &revolute {
         for &with in revolute.iter().filter(|with| **with != joint) {
-            parts.extend([-1.0, 1.0].map(|share| Part::Coupling { joint, with, share }));
+            parts.extend([-1.0, 1.0].map(|share| Part::Coupling { joint, with, share, of_joint: false }));
+            if is_coupled(&session.model.actuators, with, links.len()) {
+                parts.extend([-1.0, 1.0].map(|share| Part::Coupling { joint, with, share, of_joint: true }));
+            }
         }
     }
     for standard in [true, false] {
@@ -130,4 +133,9 @@ fn orders(commanded: &[usize], kind: impl Fn(usize) -> JointKind, parts: &mut Ve
             parts.push(Part::Order { from: from.clone(), factors });
         }
     }
+}
+
+/// Whether what is commanded of other joints moves this one as well.
+fn is_coupled(actuators: &ActuatorMap, joint: usize, joints: usize) -> bool {
+    (0..joints).any(|other| other != joint && actuators.rate(joint, other) != 0.0)
 }

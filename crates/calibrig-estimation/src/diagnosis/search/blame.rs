@@ -68,6 +68,9 @@ impl Search<'_> {
         let view = self.all.view(&parts.iter().collect::<Vec<_>>())?;
         let cloud = Cloud::new(&view, &mut self.chain);
         let placed = cloud.refined(cloud.placed(left_out.fit.placed.offsets.clone(), None));
+        if self.is_absurd(&placed) {
+            return None;
+        }
         let fit = fit(&view, &left_out.fit.placed, &vec![true; view.rows.len()])?;
         Some(self.weighed(&parts, &view, placed, &fit))
     }
@@ -81,6 +84,12 @@ impl Search<'_> {
             found.extend(self.split(&near.parts, true));
         }
         found.sort_by(|a, b| a.0.total_cmp(&b.0));
+        // Targets alone stay, whatever explains as much beside them.
+        if let Some(at) = found.iter().position(|(_, parts, _)| parts.len() == 1)
+            && at >= WITH_TARGETS
+        {
+            found.swap(at, WITH_TARGETS - 1);
+        }
         found.truncate(WITH_TARGETS);
         // Of the best ones a third target.
         let again: Vec<_> = found.iter().take(3).flat_map(|(_, parts, _)| self.split(parts, false)).collect();

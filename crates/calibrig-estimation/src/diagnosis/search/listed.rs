@@ -135,7 +135,9 @@ impl Search<'_> {
                 }
             }
         }
-        others.iter_mut().for_each(|rows| rows.sort_unstable());
+        for rows in others {
+            rows.sort_unstable();
+        }
     }
 
     /// The parts of the first hypothesis, with those of rows from all of them; `None` where it stays as it is.
@@ -153,10 +155,11 @@ impl Search<'_> {
         // Twice what a row costs in the likelihood, where that is in units of the scatter.
         let limit = cost - 6.0 * fit.sigma.ln() * ROW_OFF;
         let mut is_more = false;
-        for row in 0..view.rows.len() {
-            let is_off = !kept[row] && (before.contains(&view.rows[row].1) || fit.far[row] > limit);
-            is_more |= is_off && !before.contains(&view.rows[row].1);
-            kept[row] = !is_off;
+        for ((is_kept, far), (_, point)) in kept.iter_mut().zip(&fit.far).zip(&view.rows) {
+            let is_known = before.contains(point);
+            let is_off = !*is_kept && (is_known || *far > limit);
+            is_more |= is_off && !is_known;
+            *is_kept = !is_off;
         }
         if !is_more {
             return None;

@@ -278,6 +278,7 @@ fn go_together(a: &Part, b: &Part) -> bool {
         (Part::Order { from: i, .. }, Part::Order { from: j, .. }) => {
             j.iter().enumerate().any(|(joint, column)| i[*column] != joint)
         }
+        // Also of one that is meant in both ways.
         (Part::Coupling { joint: i, with: k, .. }, Part::Coupling { joint: j, with: l, .. }) => {
             (i, k) != (j, l)
         }

@@ -7,6 +7,9 @@ use super::super::rows::cost_of_row;
 use super::super::session::View;
 use super::{FIRST, FLOOR, NEAR, NOWHERE, Near, Search};
 
+/// So many times the robot's length, an offset is no target's.
+const LONGEST_OFFSET: f64 = 3.0;
+
 /// A hypothesis, weighed.
 pub(super) struct Weighed {
     pub parts: Vec<Part>,
@@ -47,8 +50,17 @@ impl Search<'_> {
             view.offsets.clone()
         };
         let placed = cloud.refined(cloud.placed(offsets, None));
+        if !parts.is_empty() && self.is_absurd(&placed) {
+            return None;
+        }
         let fit = fit(&view, &placed, &vec![true; view.rows.len()])?;
         Some(self.weighed(parts, &view, placed, &fit))
+    }
+
+    /// Whether a placement leaves more than there is, or has a target farther from its flange than the robot is long.
+    pub(super) fn is_absurd(&self, placed: &Placed) -> bool {
+        let longest = LONGEST_OFFSET * self.all.model.kinematics.characteristic_length();
+        !(placed.share < 1.0) || placed.offsets.iter().any(|offset| offset.norm() > longest)
     }
 
     pub(super) fn weighed(&self, parts: &[Part], view: &View, placed: Placed, fit: &Fit) -> Weighed {

@@ -42,6 +42,26 @@ fn three_targets_under_one_name_are_told_apart() {
     assert_eq!(others, groups);
 }
 
+/// What a joint that never moved explains as well does not stand in front of targets alone.
+#[test]
+fn targets_are_told_alone_where_a_joint_never_moved() {
+    let model = industrial();
+    let mut set = measure(&model, 60, 0.0);
+    for observation in &mut set.observations {
+        // The first axis is the tracker's place.
+        let turn = rotation_z(-observation.command[0]);
+        let place: Transform = translation(3.0, -1.0, 0.5) * rotation_z(0.7) * rotation_x(0.02);
+        let in_base = place.inverse() * Point3::from(observation.reading.position());
+        let position = (place * turn * in_base).coords;
+        (observation.command[0], observation.reading) =
+            (0.0, Reading::Cartesian { position, covariance: None });
+    }
+    let second: Vec<usize> = (40..60).collect();
+    of_another_target(&model, &mut set, &second, Vector3::new(-0.1, 0.02, 0.15));
+    let (found, _) = first(&model, &set);
+    assert_eq!(found.hypotheses[0].parts, [Part::SeveralTargets { target: 0, others: vec![second] }]);
+}
+
 /// Of long files a part is weighed; the rows between are looked at all the same.
 #[test]
 fn rows_between_those_that_are_weighed_are_looked_at() {
