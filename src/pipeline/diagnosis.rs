@@ -174,7 +174,9 @@ impl Names {
         let mut text = String::new();
         for (joint, share) in shares.iter().enumerate() {
             // Shares are whole numbers: each a term as often.
-            for _ in 0..share.abs().round() as usize {
+            let mut left = share.abs();
+            while left > 0.5 {
+                left -= 1.0;
                 text += match (text.is_empty(), *share < 0.0) {
                     (true, true) => "-",
                     (true, false) => "",
