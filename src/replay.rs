@@ -266,7 +266,7 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
     let recording = read_recording_with(path, &read)?;
     let Plan { name, model, visuals, options: fit, modes, published } = Plan::new(&recording, options)?;
     let Recording { provenance, sources, sets, missing, unprotected, estimates, .. } = recording;
-    let implausible = match check_plausible(&model, &sets, &fit) {
+    let implausible = match check_plausible(&model, &sets, &fit, |_, _| {}) {
         Err(PipelineError::Implausible(why)) if options.fit_anyway => Some(why),
         Err(PipelineError::Implausible(why)) => return Err(ReplayError::Implausible(why)),
         checked => checked.map(|()| None)?,

@@ -5,9 +5,10 @@ use std::fmt::Write;
 use serde_json::{Value, json};
 
 use super::identify::{FileArgs, Loaded};
+use super::inspect::with_progress;
 use super::{CliError, Verdict, print, say};
 use crate::pipeline::{Names, PipelineError, SetKind, SetOutcome, commands_beyond_limits, mm};
-use calibrig_estimation::diagnosis::{Diagnosis, Finding, Hypothesis, diagnose};
+use calibrig_estimation::diagnosis::{Diagnosis, Finding, Hypothesis, Part, Undetermined, diagnose_with};
 use calibrig_estimation::identification::Mode;
 
 /// Say what would make measurements fit a robot: wrong units, signs, zeros, orders, axes, and rows that are to blame
@@ -48,10 +49,11 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         if *kind != SetKind::Identification && set.observations.is_empty() {
             continue;
         }
-        let found = diagnose(&robot.model, set).map_err(|source| CliError::Pipeline {
-            file: args.files.first(),
-            source: PipelineError::Identify { mode: Mode::WithoutCalibration, source },
-        })?;
+        let found = with_progress("diagnosing", |progress| diagnose_with(&robot.model, set, progress))
+            .map_err(|source| CliError::Pipeline {
+                file: args.files.first(),
+                source: PipelineError::Identify { mode: Mode::WithoutCalibration, source },
+            })?;
         diagnosed.push(Diagnosed {
             kind: *kind,
             names: Names::new(&robot.model, set),
@@ -73,6 +75,11 @@ fn finding(found: &Diagnosis) -> &'static str {
         Finding::Explained => "explained",
         Finding::Unexplained => "unexplained",
     }
+}
+
+/// Whether there are fewer poses than anything can be told of.
+fn is_too_little(found: &Diagnosis) -> bool {
+    found.undetermined.iter().any(|what| matches!(what, Undetermined::FewPoses { .. }))
 }
 
 /// How sure: per cent, never a certainty.
@@ -99,6 +106,12 @@ fn write_text(name: &str, set: &Diagnosed, text: &mut String) -> std::fmt::Resul
     writeln!(text, "{name}{set}: {} observations, spread {}", found.observations, mm(found.spread))?;
     writeln!(text)?;
     match found.finding() {
+        Finding::Sound if is_too_little(found) => {
+            writeln!(
+                text,
+                "Nothing speaks against the files as they were read, but they tell too little of the robot."
+            )?;
+        }
         Finding::Sound => writeln!(text, "Sound: the robot lies on the points as they were read.")?,
         Finding::Explained => {
             let first = &found.hypotheses[0];
@@ -175,13 +188,18 @@ fn of_hypothesis(names: &Names, hypothesis: &Hypothesis) -> Value {
                 all.push(place);
             }
         });
-        parts.push(json!({
+        let mut value = json!({
             "kind": part.kind(),
             "joints": joints,
             "rows": rows,
             "says": names.part(part),
             "remedy": names.remedy(part),
-        }));
+        });
+        if let Part::SeveralTargets { others, .. } = part {
+            let numbers = |rows: &Vec<usize>| rows.iter().map(|row| names.row(*row)).collect::<Vec<_>>();
+            value["groups"] = json!(others.iter().map(numbers).collect::<Vec<_>>());
+        }
+        parts.push(value);
     }
     json!({
         "kinds": hypothesis.kinds(),

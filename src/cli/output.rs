@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::inspect::with_progress;
 use super::{CliError, Verdict, colours, print, say};
 use crate::pipeline::{Implausible, Outcome, PipelineError, SetOutcome, check_plausible};
 use crate::report;
@@ -240,7 +241,7 @@ pub(super) fn plausible(
     options: &IdentificationOptions,
     anyway: bool,
 ) -> Result<Verdict, PipelineError> {
-    match check_plausible(model, sets, options) {
+    match with_progress("diagnosing", |progress| check_plausible(model, sets, options, progress)) {
         Err(PipelineError::Implausible(why)) if anyway => Ok(doubtful(&why)),
         checked => checked.map(|()| Verdict::Done),
     }

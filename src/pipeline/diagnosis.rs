@@ -11,6 +11,8 @@ const LISTED: usize = 8;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Names {
     links: Vec<CraigLink>,
+    /// By how much a joint moves with its own command, where this moves no other one.
+    alone: Vec<Option<f64>>,
     /// What observations are called: rows where they are numbered through, else poses.
     called: &'static str,
     /// Number of every observation's pose.
@@ -33,7 +35,9 @@ impl Names {
             ends.1 - ends.0
         };
         let revolute = links.iter().enumerate().filter(|(_, link)| link.kind == JointKind::Revolute);
+        let joints = links.len();
         Self {
+            alone: (0..joints).map(|joint| moved_alone(model, joint)).collect(),
             span: revolute.map(span).fold(0.0, f64::max),
             called: if are_rows { "row" } else { "pose" },
             poses: observations.iter().map(|observation| observation.pose).collect(),
@@ -101,9 +105,107 @@ impl Names {
         hypothesis.parts.iter().map(|part| self.part(part)).collect::<Vec<_>>().join("; and ")
     }
 
-    /// What applies a hypothesis.
+    /// What applies a hypothesis: columns that several parts are about are told once, as they are with all of these.
     pub fn remedies(&self, hypothesis: &Hypothesis) -> String {
-        hypothesis.parts.iter().map(|part| self.remedy(part)).collect::<Vec<_>>().join("; ")
+        let is_of_columns = |part: &&Part| match part {
+            Part::Sign { .. } | Part::Order { .. } | Part::Offset { .. } => true,
+            Part::Coupling { of_joint, .. } => !of_joint,
+            _ => false,
+        };
+        let (columns, others): (Vec<&Part>, Vec<&Part>) = hypothesis.parts.iter().partition(is_of_columns);
+        let mut remedies: Vec<String> = Vec::new();
+        match columns.as_slice() {
+            [] => {}
+            [one] => remedies.push(self.remedy(one)),
+            several => remedies.extend(self.columns(several)),
+        }
+        // In the order of the parts, where nothing is put together.
+        if remedies.len() <= 1 && columns.len() <= 1 {
+            return hypothesis.parts.iter().map(|part| self.remedy(part)).collect::<Vec<_>>().join("; ");
+        }
+        remedies.extend(others.into_iter().map(|part| self.remedy(part)));
+        remedies.join("; ")
+    }
+
+    /// Several parts that are about columns, one after the other: the columns as they have to be, and what zeros are off beside them.
+    fn columns(&self, parts: &[&Part]) -> Vec<String> {
+        let n = self.links.len();
+        let mut entries: Vec<Vec<f64>> =
+            (0..n).map(|i| (0..n).map(|j| f64::from(u8::from(i == j))).collect()).collect();
+        let mut quarters = vec![0.0; n];
+        for part in Part::in_order(parts) {
+            match part {
+                Part::Sign { joint } => {
+                    entries[*joint].iter_mut().for_each(|share| *share = -*share);
+                    quarters[*joint] = -quarters[*joint];
+                }
+                Part::Offset { joint, quarters: by } => quarters[*joint] += f64::from(*by),
+                Part::Coupling { joint, with, share, .. } => {
+                    let (row, by) = (entries[*with].clone(), quarters[*with]);
+                    entries[*joint].iter_mut().zip(row).for_each(|(own, other)| *own += share * other);
+                    quarters[*joint] += share * by;
+                }
+                Part::Order { from, .. } => {
+                    entries = from.iter().map(|column| entries[*column].clone()).collect();
+                    quarters = from.iter().map(|column| quarters[*column]).collect();
+                }
+                _ => {}
+            }
+        }
+        let is_own = |(i, row): (usize, &Vec<f64>)| {
+            row.iter().enumerate().all(|(j, v)| *v == f64::from(u8::from(i == j)))
+        };
+        let mut remedies = Vec::new();
+        if !entries.iter().enumerate().all(is_own) {
+            let entries: Vec<String> = entries.iter().map(|row| format!("\"{}\"", self.entry(row))).collect();
+            remedies.push(format!(
+                "`columns = [{}]` in [joints] of the column map, in the file's own names",
+                entries.join(", ")
+            ));
+        }
+        remedies.extend(
+            (0..n).filter(|joint| quarters[*joint] != 0.0).map(|joint| self.zero(joint, quarters[joint])),
+        );
+        remedies
+    }
+
+    /// A sum of columns, as a column map has it.
+    fn entry(&self, shares: &[f64]) -> String {
+        let mut text = String::new();
+        for (joint, share) in shares.iter().enumerate() {
+            // Shares are whole numbers: each a term as often.
+            let mut left = share.abs();
+            while left > 0.5 {
+                left -= 1.0;
+                text += match (text.is_empty(), *share < 0.0) {
+                    (true, true) => "-",
+                    (true, false) => "",
+                    (false, true) => " - ",
+                    (false, false) => " + ",
+                };
+                text += self.joint(joint);
+            }
+        }
+        text
+    }
+
+    /// What moves a joint's zero by quarters of a turn of its command.
+    fn zero(&self, joint: usize, quarters: f64) -> String {
+        let name = self.joint(joint);
+        match self.alone[joint] {
+            Some(rate) => {
+                let by = 90.0 * rate * quarters;
+                let change = if by < 0.0 { "lower" } else { "raise" };
+                format!("{change} `theta_deg` of {name} in the robot's file by {}", by.abs().round())
+            }
+            None => {
+                let change = if quarters > 0.0 { "lower" } else { "raise" };
+                format!(
+                    "{change} `offset_deg` in [joint.shown] of {name} in the robot's file (0 where it is not stated) by {}",
+                    90.0 * quarters.abs()
+                )
+            }
+        }
     }
 
     /// What a part says.
@@ -125,7 +227,7 @@ impl Names {
                 format!("the travel of {} times {}", self.joints(joints), number(*factor))
             }
             Part::PointUnit { factor } => format!("the points times {}", number(*factor)),
-            Part::TrackerAngleUnit { factor } => {
+            Part::TrackerAngleUnit { factor, .. } => {
                 let unit = if *factor > 1.0 { "radians" } else { "degrees" };
                 format!("the tracker's angles read as {unit}")
             }
@@ -142,7 +244,7 @@ impl Names {
                     format!("the columns of {} in another order: {}", self.joints(&joints), self.order(part))
                 }
             }
-            Part::Coupling { joint, with, share } => {
+            Part::Coupling { joint, with, share, .. } => {
                 let sign = if *share < 0.0 { '-' } else { '+' };
                 let (joint, with) = (self.joint(*joint), self.joint(*with));
                 format!("{joint} is driven with {with}: its angle is {joint} {sign} {with}")
@@ -157,7 +259,7 @@ impl Names {
                     (if by.abs() == 1 { "one row".to_owned() } else { format!("{} rows", by.abs()) }, if *by > 0 { "lower" } else { "higher" });
                 format!("the points stand {rows} {side} than their joints")
             }
-            Part::ZenithElevation => "the angle from the zenith was read as an elevation, or the other way round".to_owned(),
+            Part::ZenithElevation { .. } => "the angle from the zenith was read as an elevation, or the other way round".to_owned(),
             Part::AnglesExchanged { .. } => "azimuth and elevation exchanged".to_owned(),
             Part::Mirrored if self.is_spherical => {
                 "the points are a mirror image: the azimuth counted the other way fits, as x and y exchanged do".to_owned()
@@ -209,7 +311,7 @@ impl Names {
                 if self.is_spherical { "`range_unit`" } else { "`unit`" },
                 number(*factor)
             ),
-            Part::TrackerAngleUnit { factor } => {
+            Part::TrackerAngleUnit { factor, .. } => {
                 let unit = if *factor > 1.0 { "rad" } else { "deg" };
                 format!("`angle_unit = \"{unit}\"` in [position] of the column map")
             }
@@ -218,16 +320,18 @@ impl Names {
                 format!("a minus in front of the column of {joint} in `columns` of the column map, as \"-{joint}\"; or `shown = {{ sign = -1 }}` of {joint} in the robot's file")
             }
             Part::Offset { joint, quarters } => {
-                let change = if *quarters < 0 { "lower" } else { "raise" };
-                let size = 90 * i32::from(quarters.unsigned_abs());
-                let joint = self.joint(*joint);
-                format!("{change} `theta_deg` of {joint} in the robot's file by {size}")
+                self.zero(*joint, f64::from(*quarters))
             }
             Part::Order { from, .. } => {
                 let names: Vec<_> = from.iter().map(|column| format!("\"{}\"", self.joint(*column))).collect();
                 format!("`columns = [{}]` in [joints] of the column map, in the file's own names", names.join(", "))
             }
-            Part::Coupling { joint, with, share } => {
+            Part::Coupling { joint, with, share, of_joint: true } => {
+                let (joint, with) = (self.joint(*joint), self.joint(*with));
+                let by = if *share < 0.0 { "1 more" } else { "1 less" };
+                format!("`coupling` in [joint.shown] of {joint} in the robot's file: of {with} {by} (0 where it is not stated)")
+            }
+            Part::Coupling { joint, with, share, .. } => {
                 let sign = if *share < 0.0 { '-' } else { '+' };
                 let (joint, with) = (self.joint(*joint), self.joint(*with));
                 format!("\"{joint} {sign} {with}\" in the place of {joint} in `columns` of the column map; or `shown.coupling` of {joint} in the robot's file")
@@ -240,7 +344,7 @@ impl Names {
                 self.joint(*joint)
             ),
             Part::ShiftedRows { by } => format!("--shift-points {by}"),
-            Part::ZenithElevation => {
+            Part::ZenithElevation { .. } => {
                 "`zenith` in the place of `elevation` in [position] of the column map, or `elevation` in that of `zenith`".to_owned()
             }
             Part::AnglesExchanged { .. } => "exchange the columns of azimuth and elevation in [position] of the column map".to_owned(),
@@ -248,7 +352,7 @@ impl Names {
                 "a minus in front of the column of the azimuth, or of the elevation, in [position] of the column map".to_owned()
             }
             Part::Mirrored => {
-                "exchange the columns of x and y in [position] of the column map, or turn the sign of one axis, as `z = [\"-Z\"]`".to_owned()
+                "exchange the columns of x and y in [position] of the column map, or turn the sign of one axis, as `z = [\"-Z\"]`; of a file of angles, a minus in front of the column of the azimuth".to_owned()
             }
             Part::ExchangedRows { .. } => format!(
                 "exchange their points in the file, or --leave-out {}",
@@ -274,10 +378,12 @@ impl Names {
                 if joints.len() == 1 { "it" } else { "these" }
             ),
             Undetermined::FewPoses { distinct, needed } => format!(
-                "{distinct} poses that differ: fewer than {needed}, tracker and target alone explain nearly whatever was measured, and no convention can be told"
+                "{} fewer than {needed}, tracker and target alone explain nearly whatever was measured, and no convention can be told",
+                if *distinct == 1 { "all poses are one:".to_owned() } else { format!("{distinct} poses that differ:") }
             ),
             Undetermined::EqualPoses { poses, observations } => format!(
-                "{poses} poses were measured more than once ({observations} readings): repeats tell of the repeatability, not of the robot"
+                "{poses} {} measured more than once ({observations} readings): repeats tell of the repeatability, not of the robot",
+                if *poses == 1 { "pose was" } else { "poses were" }
             ),
             Undetermined::Line => {
                 "all points are on one line: neither the tracker's turn about it nor what is beside it can be told".to_owned()
@@ -292,6 +398,17 @@ impl Names {
             _ => "something that the session does not tell".to_owned(),
         }
     }
+}
+
+/// By how much a joint moves with its own command, where this moves no other one.
+fn moved_alone(model: &CalibrationModel, joint: usize) -> Option<f64> {
+    let joints = model.kinematics.links.len();
+    let (mut command, mut before, mut after) = (vec![0.0; joints], vec![0.0; joints], vec![0.0; joints]);
+    model.actuators.joints_from_command(&command, &mut before);
+    command[joint] = 1.0;
+    model.actuators.joints_from_command(&command, &mut after);
+    let moved = |other: usize| after[other] - before[other];
+    (0..joints).all(|other| other == joint || moved(other).abs() < 1e-12).then(|| moved(joint))
 }
 
 impl Names {

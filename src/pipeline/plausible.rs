@@ -6,7 +6,7 @@ use super::diagnosis::{Names, mm};
 use super::{PipelineError, SetKind, SetOutcome};
 use calibrig_estimation::diagnosis::{Finding, Hypothesis, Part};
 use calibrig_estimation::identification::{IdentificationOptions, Loss, Mode};
-use calibrig_estimation::plausibility::{BeyondLimits, Plausibility, beyond_limits, plausibility};
+use calibrig_estimation::plausibility::{BeyondLimits, Plausibility, beyond_limits, plausibility_with};
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, CraigLink, JointKind};
 
@@ -27,7 +27,8 @@ pub struct Implausible {
     names: Names,
 }
 
-/// Refuses the first of the sets that the nominal robot does not lie on.
+/// Refuses the first of the sets that the nominal robot does not lie on. Where reasons are looked for, `progress` is told how much of how much
+/// is done.
 ///
 /// # Errors
 ///
@@ -36,13 +37,14 @@ pub fn check_plausible(
     model: &CalibrationModel,
     sets: &[SetOutcome],
     options: &IdentificationOptions,
+    mut progress: impl FnMut(u64, u64),
 ) -> Result<(), PipelineError> {
     let robust = options.solver.loss != Loss::Squared;
     for SetOutcome { kind, measurements: set, .. } in sets {
         if *kind != SetKind::Identification && set.observations.is_empty() {
             continue;
         }
-        let found = plausibility(model, set)
+        let found = plausibility_with(model, set, &mut progress)
             .map_err(|source| PipelineError::Identify { mode: Mode::WithoutCalibration, source })?;
         // What is held out moves no fit: of it, gross errors are told with the fit.
         let is_fitted = *kind == SetKind::Identification;

@@ -259,6 +259,35 @@ fn a_diagnosis_names_what_was_broken_and_what_applies_it() {
     }
 }
 
+/// Two parts that are about one column are told as the columns are with both, which makes the session sound.
+#[test]
+fn columns_that_two_parts_are_about_are_told_once() {
+    let mut lines = session(40);
+    for (deg, _) in &mut lines {
+        deg[2] = -(deg[2] + deg[1]);
+    }
+    let both = sandbox(&lines);
+    let found = diagnosed(&both, 3, &[]);
+    assert_eq!(found["kinds"].as_array().map(Vec::len), Some(2), "{found:#}");
+    let remedy = found["remedy"].as_str().expect("a remedy");
+    let columns = remedy.split('`').nth(1).expect("a key");
+    assert_eq!(columns, "columns = [\"J1\", \"J2\", \"-J2 - J3\"]", "{remedy}");
+    both.write("map.toml", MAP.replace("columns = [\"J1\", \"J2\", \"J3\"]", columns));
+    assert_eq!(diagnosed(&both, 0, &[])["kinds"][0], "sound");
+}
+
+/// Poses that are all one are no robot that lies beside its points.
+#[test]
+fn a_session_of_one_pose_tells_nothing() {
+    let one = session(1);
+    let lines: Vec<Line> = (0..20).map(|i| (one[0].0, one[0].1.map(|v| v + 0.01 * f64::from(i)))).collect();
+    told(
+        &diagnose(&sandbox(&lines), &[]),
+        0,
+        &["tell too little of the robot", "all poses are one: fewer than 5"],
+    );
+}
+
 /// What a diagnosis asks for that no column map says is a flag, and makes the session sound.
 #[test]
 fn flags_apply_what_a_diagnosis_found() {

@@ -9,8 +9,8 @@ use std::f64::consts::TAU;
 
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 
-use super::part::View;
 use super::place::Placed;
+use super::session::View;
 use crate::kinematics::PlacedChain;
 use calibrig_model::LinkTerm;
 
@@ -27,6 +27,8 @@ const TAUS: [f64; 2] = [0.02, 20.0];
 const WIDTHS: [f64; 2] = [1.2, 4.0];
 /// An offset is not known better than this, m.
 const LEAST_OFFSET: f64 = 1e-4;
+/// Nor a robot's base in the frame of the nests, m and rad.
+const LEAST_PLACE: [f64; 2] = [2e-3, 3e-3];
 /// Nor does a step move it as far as this, m.
 const FARTHEST_OFFSET: f64 = 100.0;
 /// Places that nothing determines stay about where they are: as if they were known to a third of a metre or of a radian where a coordinate
@@ -51,9 +53,12 @@ pub(super) struct Fit {
     covariance: Vec<Matrix3<f64>>,
 }
 
-/// Which column of the Jacobian is what: places first, which are free, then what a prior holds (links, and offsets that are stated).
+/// Which column of the Jacobian is what: places first, which are free, then what a prior holds (links, offsets that are stated, and stations
+/// that nests place).
 struct Layout {
     places: usize,
+    /// First column of every station: three shifts, three turns.
+    stations: Vec<usize>,
     /// First column of every target, and how well its offset is known, m.
     targets: Vec<(usize, Option<f64>)>,
     columns: usize,
@@ -61,7 +66,12 @@ struct Layout {
 
 impl Layout {
     fn new(view: &View) -> Self {
-        let mut places = 6 * view.stations;
+        let mut places = 0;
+        let mut stations = vec![0; view.stations];
+        for (station, _) in stations.iter_mut().zip(&view.registered).filter(|(_, known)| known.is_none()) {
+            *station = places;
+            places += 6;
+        }
         let mut targets = vec![(0, None); view.offsets.len()];
         for (target, sigma) in targets.iter_mut().zip(&view.offset_sigma) {
             if sigma.is_none() {
@@ -76,7 +86,11 @@ impl Layout {
                 columns += 3;
             }
         }
-        Self { places, targets, columns }
+        for (station, _) in stations.iter_mut().zip(&view.registered).filter(|(_, known)| known.is_some()) {
+            *station = columns;
+            columns += 6;
+        }
+        Self { places, stations, targets, columns }
     }
 }
 
@@ -110,6 +124,16 @@ pub(super) fn fit(view: &View, start: &Placed, kept: &[bool]) -> Option<Fit> {
             (0..3).for_each(|k| held[column - layout.places + k] = by[k]);
         }
     }
+    for ((rotation, shift), (column, known)) in
+        now.stations.iter().zip(layout.stations.iter().zip(&view.registered))
+    {
+        if let Some((from, at)) = known {
+            let turn = Rotation3::from_matrix_unchecked(from.tr_mul(rotation)).scaled_axis() / LEAST_PLACE[1];
+            let by = from.tr_mul(&(shift - at)) / LEAST_PLACE[0];
+            (0..3).for_each(|k| held[column - layout.places + k] = by[k]);
+            (0..3).for_each(|k| held[column - layout.places + 3 + k] = turn[k]);
+        }
+    }
     let mut chain = PlacedChain::new(&view.chain);
     for round in 0..=ROUNDS {
         let mut changed = view.chain.clone();
@@ -135,10 +159,16 @@ pub(super) fn fit(view: &View, start: &Placed, kept: &[bool]) -> Option<Fit> {
         }
         let at = |column: usize| solution.step[column];
         for (s, (rotation, shift)) in now.stations.iter_mut().enumerate() {
-            let turn = Rotation3::new(Vector3::from_fn(|k, _| at(6 * s + 3 + k)));
-            let by = Vector3::from_fn(|k, _| at(6 * s + k));
-            *shift += *rotation * by;
-            *rotation *= turn.into_inner();
+            let turn = Vector3::from_fn(|k, _| at(layout.stations[s] + 3 + k));
+            let by = Vector3::from_fn(|k, _| at(layout.stations[s] + k));
+            let sizes = if let Some(known) = view.registered[s] {
+                (*rotation, *shift) = known;
+                LEAST_PLACE
+            } else {
+                [1.0, 1.0]
+            };
+            *shift += *rotation * by * sizes[0];
+            *rotation *= Rotation3::new(turn * sizes[1]).into_inner();
         }
         held.iter_mut().enumerate().for_each(|(index, value)| *value = at(layout.places + index));
         for (t, (column, sigma)) in layout.targets.iter().enumerate() {
@@ -173,11 +203,13 @@ fn system(
             (0..3).for_each(|k| jacobian[(3 * row + k, column)] = value[k]);
         };
         let (of_target, sigma) = layout.targets[target];
+        let of_station = layout.stations[station];
+        let sizes = if view.registered[station].is_some() { LEAST_PLACE } else { [1.0, 1.0] };
         for k in 0..3 {
             let mut axis = Vector3::zeros();
             axis[k] = 1.0;
-            put(6 * station + k, axis);
-            put(6 * station + 3 + k, axis.cross(&at));
+            put(of_station + k, axis * sizes[0]);
+            put(of_station + 3 + k, axis.cross(&at) * sizes[1]);
             let axes = chain.base_from_flange().rotation.matrix().column(k).into_owned();
             put(of_target + k, sigma.unwrap_or(1.0) * axes);
         }
@@ -205,13 +237,7 @@ impl System {
         }
         let gram = all.tr_mul(&all);
         let xx = gram.view((0, 0), (places, places)).into_owned();
-        let eigen = xx.symmetric_eigen();
-        let eased = eigen.eigenvalues.map(|value| value.max(0.0) + OPEN);
-        let inverse_values = eased.map(|value| 1.0 / value);
-        let inverse =
-            &eigen.eigenvectors * DMatrix::from_diagonal(&inverse_values) * eigen.eigenvectors.transpose();
-        let told = eigen.eigenvalues.iter().filter(|value| **value > OPEN).count();
-        let log_places: f64 = eased.iter().map(|value| value.ln()).sum();
+        let (inverse, log_places, told) = inverse_of_places(xx);
         let x_rest = gram.view((0, places), (places, of_links + 1)).into_owned();
         let taken = &inverse * &x_rest;
         let rest = gram.view((places, places), (of_links + 1, of_links + 1)) - x_rest.tr_mul(&taken);
@@ -249,6 +275,21 @@ impl System {
             freedom: freedom as f64,
         })
     }
+}
+
+/// Inverse of the places' information, its logarithm, and how many directions are determined.
+fn inverse_of_places(information: DMatrix<f64>) -> (DMatrix<f64>, f64, usize) {
+    // Where nests and targets state everything.
+    if information.is_empty() {
+        return (information, 0.0, 0);
+    }
+    let eigen = information.symmetric_eigen();
+    let eased = eigen.eigenvalues.map(|value| value.max(0.0) + OPEN);
+    let inverse = &eigen.eigenvectors
+        * DMatrix::from_diagonal(&eased.map(|value| 1.0 / value))
+        * eigen.eigenvectors.transpose();
+    let told = eigen.eigenvalues.iter().filter(|value| **value > OPEN).count();
+    (inverse, eased.iter().map(|value| value.ln()).sum(), told)
 }
 
 /// The likelihood by the two sizes: of the coordinates along the links' principal directions, and of what no link explains.

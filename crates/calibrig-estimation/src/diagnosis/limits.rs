@@ -47,6 +47,7 @@ pub enum Undetermined {
 pub(super) fn undetermined(model: &CalibrationModel, set: &MeasurementSet) -> Vec<Undetermined> {
     let mut found = Vec::new();
     let joints: Vec<usize> = (0..model.kinematics.joint_count())
+        .filter(|joint| model.actuators.is_commanded(*joint))
         .filter(|joint| {
             let values = set.observations.iter().map(|o| o.command[*joint]);
             let (low, high) =

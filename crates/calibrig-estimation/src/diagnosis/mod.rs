@@ -4,14 +4,17 @@
 //! form (`place`); those that come near are weighed by how well a robot whose links are off as real ones are explains the points
 //! (`evidence`). Rows to blame are looked for beside each single one (`rows`). What explains the same points just as well is of one class.
 
+mod convention;
 mod evidence;
 mod limits;
 mod part;
 mod place;
 mod rows;
 mod search;
+mod session;
 #[cfg(test)]
 mod tests;
+mod tried;
 
 pub use limits::Undetermined;
 pub use part::Part;
@@ -73,11 +76,22 @@ impl Hypothesis {
 }
 
 impl Diagnosis {
+    /// Whether the poses are so few that points scatter, and say nothing of the robot.
+    fn is_of_no_motion(&self) -> bool {
+        self.undetermined
+            .iter()
+            .any(|what| matches!(what, Undetermined::FewPoses { distinct, .. } if *distinct < 3))
+    }
+
     /// What was found.
     pub fn finding(&self) -> Finding {
         match self.hypotheses.first() {
             Some(first) if !first.parts.is_empty() => Finding::Explained,
-            Some(first) if first.rms > LARGEST_SHARE * self.spread && self.spread > 0.0 => {
+            Some(first)
+                if first.rms > LARGEST_SHARE * self.spread
+                    && self.spread > 0.0
+                    && !self.is_of_no_motion() =>
+            {
                 Finding::Unexplained
             }
             _ => Finding::Sound,
@@ -91,12 +105,25 @@ impl Diagnosis {
 ///
 /// [`IdentifyError`], where model and set do not belong together.
 pub fn diagnose(model: &CalibrationModel, set: &MeasurementSet) -> Result<Diagnosis, IdentifyError> {
+    diagnose_with(model, set, |_, _| {})
+}
+
+/// The same; `progress` is told how much of how much is done.
+///
+/// # Errors
+///
+/// As [`diagnose`].
+pub fn diagnose_with(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    mut progress: impl FnMut(u64, u64),
+) -> Result<Diagnosis, IdentifyError> {
     model.check()?;
     set.check(model.kinematics.joint_count())?;
     Ok(Diagnosis {
         observations: set.observations.len(),
         spread: set.spread(),
-        hypotheses: search::hypotheses(model, set),
+        hypotheses: search::hypotheses(model, set, &mut progress),
         undetermined: limits::undetermined(model, set),
         beyond_limits: beyond_limits(model, set),
     })

@@ -6,7 +6,8 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 
-use super::part::{LENGTHS, View};
+use super::session::View;
+use super::tried::LENGTHS;
 use crate::kinematics::PlacedChain;
 use calibrig_model::geometry::cross_matrix;
 
@@ -255,9 +256,31 @@ impl Cloud {
     }
 
     /// The placement of least squares next to `placed`, by Gauss and Newton.
-    pub fn refined(&self, mut placed: Placed) -> Placed {
+    pub fn refined(&self, placed: Placed) -> Placed {
+        self.moved(placed, None)
+    }
+
+    /// The placement of least squares where offsets and stations that are stated are held.
+    pub fn held(&self, view: &View) -> Placed {
+        let mut placed = self.best(None);
+        for (offset, (stated, sigma)) in
+            placed.offsets.iter_mut().zip(view.offsets.iter().zip(&view.offset_sigma))
+        {
+            if sigma.is_some() {
+                *offset = *stated;
+            }
+        }
+        placed.stations = self.rigid(&placed.offsets, None);
+        for (station, known) in placed.stations.iter_mut().zip(&view.registered) {
+            *station = known.unwrap_or(*station);
+        }
+        self.told(&mut placed);
+        self.moved(placed, Some(view))
+    }
+
+    fn moved(&self, mut placed: Placed, held: Option<&View>) -> Placed {
         for _ in 0..REFINED {
-            let Some(next) = self.stepped(&placed) else { break };
+            let Some(next) = self.stepped(&placed, held) else { break };
             if !(next.rms < placed.rms) {
                 break;
             }
@@ -270,7 +293,8 @@ impl Cloud {
         placed
     }
 
-    fn stepped(&self, placed: &Placed) -> Option<Placed> {
+    /// One step; what is stated in `held` stays.
+    fn stepped(&self, placed: &Placed, held: Option<&View>) -> Option<Placed> {
         let size = 6 * self.stations + 3 * placed.offsets.len();
         let mut normal = DMatrix::<f64>::zeros(size, size);
         let mut right = DVector::<f64>::zeros(size);
@@ -290,9 +314,19 @@ impl Cloud {
                 }
             }
         }
-        let ridge = 1e-10 * normal.diagonal().amax().max(f64::MIN_POSITIVE);
+        let largest = normal.diagonal().amax().max(f64::MIN_POSITIVE);
+        let is_held = |i: usize| {
+            let targets = 6 * self.stations;
+            held.is_some_and(|view| {
+                if i < targets {
+                    view.registered[i / 6].is_some()
+                } else {
+                    view.offset_sigma[(i - targets) / 3].is_some()
+                }
+            })
+        };
         for i in 0..size {
-            normal[(i, i)] += ridge;
+            normal[(i, i)] += if is_held(i) { 1e12 * largest } else { 1e-10 * largest };
         }
         let step = normal.cholesky()?.solve(&right);
         let part = |at: usize| Vector3::from_fn(|k, _| step[at + k]);
@@ -304,9 +338,15 @@ impl Cloud {
         for (t, offset) in next.offsets.iter_mut().enumerate() {
             *offset += part(6 * self.stations + 3 * t);
         }
-        next.rms = (self.lengths(&next).iter().map(|v| v * v).sum::<f64>() / self.len().max(1) as f64).sqrt();
-        next.share = next.rms / self.spread().max(f64::MIN_POSITIVE);
+        self.told(&mut next);
         next.rms.is_finite().then_some(next)
+    }
+
+    /// Sets what a placement leaves.
+    fn told(&self, placed: &mut Placed) {
+        let squares = self.lengths(placed).iter().map(|v| v * v).sum::<f64>();
+        placed.rms = (squares / self.len().max(1) as f64).sqrt();
+        placed.share = placed.rms / self.spread().max(f64::MIN_POSITIVE);
     }
 
     /// The better of what is found from the stated offsets and from those of the relaxed problem.
@@ -316,6 +356,16 @@ impl Cloud {
             Some(relaxed) if !(stated.rms <= relaxed.rms) => relaxed,
             _ => stated,
         }
+    }
+
+    /// Which of some targets an observation is nearest to.
+    pub fn nearest(&self, placed: &Placed, i: usize, among: &[usize]) -> usize {
+        let (rotation, shift) = &placed.stations[self.station[i]];
+        let length = |target: usize| {
+            (self.seen[i] - rotation * (self.x[i] + self.axes[i] * placed.offsets[target]) - shift).norm()
+        };
+        let nearest = among.iter().copied().min_by(|a, b| length(*a).total_cmp(&length(*b)));
+        nearest.unwrap_or(self.target[i])
     }
 
     /// Measured minus predicted, m.

@@ -4,8 +4,9 @@ use nalgebra::Vector3;
 
 use super::FarOff;
 use super::evidence::{Fit, fit};
-use super::part::{Part, View};
+use super::part::Part;
 use super::place::{Placed, median};
+use super::session::View;
 
 /// So many times the median distance in a robust placement, a row is left out at first.
 const FAR: f64 = 8.0;

@@ -1,14 +1,18 @@
+mod rows;
+mod statements;
+
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
-use super::part::{Session, other_convention};
+use super::convention::other_convention;
 use super::place::{Cloud, Placed};
+use super::session::Session;
 use super::*;
 use crate::kinematics::{PlacedChain, target_in_base};
-use calibrig_model::CraigLink;
 use calibrig_model::geometry::{Transform, rotation_x, rotation_z, translation};
-use calibrig_model::measurement::Reading;
+use calibrig_model::measurement::{Reading, SphericalReading};
+use calibrig_model::{ActuatorMap, AxisMap, CraigLink};
 
 const TOOL: Vector3<f64> = Vector3::new(0.08, -0.05, 0.12);
 
@@ -229,4 +233,82 @@ fn degenerate_sessions_have_an_answer() {
     }
     let one = robot(&[(0.0, 0.0, 0.4, 0.0)], None);
     assert!(diagnose(&one, &measure(&one, 20, 1e-3)).is_ok());
+}
+
+/// Readings by angles, with both angles in another unit, whichever way the second one is counted.
+#[test]
+fn the_unit_of_angles_is_found_whichever_way_they_are_counted() {
+    let model = industrial();
+    for (to, from_zenith) in [
+        (1.0_f64.to_radians(), false),
+        (1.0_f64.to_radians(), true),
+        (1.0_f64.to_degrees(), false),
+        (1.0_f64.to_degrees(), true),
+    ] {
+        let mut set = measure(&model, 30, 1e-3);
+        for observation in &mut set.observations {
+            let p = observation.reading.position();
+            let (azimuth, elevation) = (p.y.atan2(p.x), p.z.atan2(p.x.hypot(p.y)));
+            let from = if from_zenith { FRAC_PI_2 } else { 0.0 };
+            observation.reading = Reading::Spherical(SphericalReading {
+                range: p.norm(),
+                azimuth: azimuth * to,
+                elevation: from + (elevation - from) * to,
+                covariance: nalgebra::Matrix3::identity() * 1e-10,
+            });
+        }
+        let (found, kinds) = first(&model, &set);
+        assert_eq!(kinds, ["angle_unit"], "{to} {from_zenith}: {found:?}");
+        assert!(found.hypotheses[0].rms < 5e-3);
+    }
+}
+
+/// The fifth axis turns back what the fourth turns, the sixth what the fifth does: a table that lacks the latter is told as one coupling.
+#[test]
+fn a_coupling_with_an_axis_that_is_coupled_itself_is_one() {
+    let coupled = |shares: &[(usize, usize, f64)]| {
+        let mut map = DMatrix::identity(6, 6);
+        for (axis, other, share) in shares {
+            map[(*axis, *other)] = *share;
+        }
+        let axes = AxisMap::new(map, DVector::zeros(6)).expect("a map");
+        let mut model = industrial();
+        model.actuators = ActuatorMap::Axes { axes, elbow: None };
+        model
+    };
+    let (machine, table) = (coupled(&[(4, 3, -1.0), (5, 4, 1.0)]), coupled(&[(4, 3, -1.0)]));
+    let mut set = measure(&machine, 40, 1e-3);
+    for observation in &mut set.observations {
+        observation.command = machine.actuators.command_from_joints(&observation.command);
+    }
+    assert_eq!(first(&machine, &set).1, ["sound"]);
+    let (found, _) = first(&table, &set);
+    assert_eq!(
+        found.hypotheses[0].parts,
+        [Part::Coupling { joint: 5, with: 4, share: -1.0, of_joint: true }],
+        "{found:?}"
+    );
+}
+
+/// All columns the other way round, or the first one at the end, is a usual mistake: also beside another one.
+#[test]
+fn all_columns_in_another_order_are_found_beside_another_part() {
+    let model = industrial();
+    for from in [[5, 4, 3, 2, 1, 0], [5, 0, 1, 2, 3, 4], [1, 2, 3, 4, 5, 0]] {
+        let mut set = measure(&model, 40, 1e-3);
+        for observation in &mut set.observations {
+            let joints = observation.command.clone();
+            for (joint, column) in from.iter().enumerate() {
+                observation.command[*column] = joints[joint];
+            }
+        }
+        points(&mut set, |p| 1e3 * p);
+        let (found, kinds) = first(&model, &set);
+        let order = found.hypotheses[0].parts.iter().find_map(|part| match part {
+            Part::Order { from, .. } => Some(from.clone()),
+            _ => None,
+        });
+        assert_eq!(order.as_deref(), Some(&from[..]), "{kinds:?}");
+        assert!(kinds.contains(&"length_unit"), "{kinds:?}");
+    }
 }

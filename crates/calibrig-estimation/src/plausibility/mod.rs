@@ -10,7 +10,7 @@ mod tests;
 
 use nalgebra::Vector3;
 
-use crate::diagnosis::{Diagnosis, Finding, Part, diagnose};
+use crate::diagnosis::{Diagnosis, Finding, Part, diagnose_with};
 use crate::identification::IdentifyError;
 use crate::kinematics::{flange, nominal_joints};
 use calibrig_model::measurement::{MeasurementSet, Reading};
@@ -103,6 +103,19 @@ impl Plausibility {
 ///
 /// [`IdentifyError`], where model and set do not belong together.
 pub fn plausibility(model: &CalibrationModel, set: &MeasurementSet) -> Result<Plausibility, IdentifyError> {
+    plausibility_with(model, set, |_, _| {})
+}
+
+/// The same; where reasons are looked for, `progress` is told how much of how much is done.
+///
+/// # Errors
+///
+/// As [`plausibility`].
+pub fn plausibility_with(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    progress: impl FnMut(u64, u64),
+) -> Result<Plausibility, IdentifyError> {
     model.check()?;
     set.check(model.kinematics.joint_count())?;
     let unreachable = unreachable(model, set);
@@ -131,7 +144,7 @@ pub fn plausibility(model: &CalibrationModel, set: &MeasurementSet) -> Result<Pl
     (found.rms, found.share) = (Some(rms), Some(share));
     let looks_odd = share > SUSPICIOUS || stands_out(points.lengths(&placed), found.spread);
     if looks_odd || !found.unreachable.is_empty() {
-        found.diagnosis = Some(diagnose(model, set)?);
+        found.diagnosis = Some(diagnose_with(model, set, progress)?);
     }
     Ok(found)
 }

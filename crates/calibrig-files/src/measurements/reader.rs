@@ -421,7 +421,7 @@ impl<'r> Cells<'r> {
                     return Ok(None);
                 }
                 if values[0] <= 0.0 {
-                    return Err(self.refuse_cell(range.terms[0].column, "a range above zero"));
+                    return Err(self.refuse_cell(range.terms[0].column, "a range above zero; what marks a missed shot is named by `--missed CODE`, or `missed` in [position] of the column map"));
                 }
                 // The standard deviation of an elevation is that of the zenith angle.
                 let mut reading = SphericalReading {
