@@ -298,7 +298,7 @@ impl Names {
             Part::AngleUnit { joints, factor } => {
                 let unit = if *factor > 1.0 { "rad" } else { "deg" };
                 if joints.len() > 1 {
-                    format!("`revolute_unit = \"{unit}\"` in [joints] of the column map, or columns whose names end with _{unit}")
+                    format!("`revolute_unit = \"{unit}\"` in [joints] of the column map (`calibrig columns suggest` writes one)")
                 } else {
                     format!("the unit of the column of {} is {unit}: convert it, or say so in the column map", self.joints(joints))
                 }
@@ -317,7 +317,7 @@ impl Names {
             }
             Part::Sign { joint } => {
                 let joint = self.joint(*joint);
-                format!("a minus in front of the column of {joint} in `columns` of the column map, as \"-{joint}\"; or `shown = {{ sign = -1 }}` of {joint} in the robot's file")
+                format!("a minus in front of the column of {joint} in `columns` of the column map, as \"-{joint}\", or none where one stands there; or `shown = {{ sign = -1 }}` of {joint} in the robot's file")
             }
             Part::Offset { joint, quarters } => {
                 self.zero(*joint, f64::from(*quarters))
@@ -343,7 +343,7 @@ impl Names {
                 "a robot's file that ends with [[joint]] {}, and a column map without the columns of the joints behind it",
                 self.joint(*joint)
             ),
-            Part::ShiftedRows { by } => format!("--shift-points {by}"),
+            Part::ShiftedRows { by } => format!("--shift-points {by} (added to one that was given)"),
             Part::ZenithElevation { .. } => {
                 "`zenith` in the place of `elevation` in [position] of the column map, or `elevation` in that of `zenith`".to_owned()
             }

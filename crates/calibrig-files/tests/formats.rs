@@ -323,7 +323,15 @@ fn nothing_is_suggested_silently() {
     }
     assert!(suggested.text.contains("missed = [\"n/a\", -9999]"), "{}", suggested.text);
     assert!(suggested.text.contains("target = \"SMR\""), "{}", suggested.text);
-    let parsed = parse_column_map(&Source::new("map.toml", suggested.text)).expect("a map with open units");
+    let refused = parse_column_map(&Source::new("map.toml", suggested.text.clone())).expect_err("left open");
+    assert!(refused.to_string().contains("revolute_unit is left to decide"), "{refused}");
+    // And without these lines there is no unit.
+    let without: String = suggested
+        .text
+        .lines()
+        .filter(|line| !line.contains("# DECIDE: "))
+        .fold(String::new(), |text, line| text + line + "\n");
+    let parsed = parse_column_map(&Source::new("map.toml", without)).expect("a map without units");
     let refused = read_files(&MeasurementFiles::one(&path), &parsed, &JOINTS, &RowOptions::default())
         .expect_err("no unit");
     assert!(refused.to_string().contains("has no unit"), "{refused}");

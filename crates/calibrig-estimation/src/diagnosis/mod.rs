@@ -77,7 +77,7 @@ impl Hypothesis {
 
 impl Diagnosis {
     /// Whether the poses are so few that points scatter, and say nothing of the robot.
-    fn is_of_no_motion(&self) -> bool {
+    pub(crate) fn is_of_no_motion(&self) -> bool {
         self.undetermined
             .iter()
             .any(|what| matches!(what, Undetermined::FewPoses { distinct, .. } if *distinct < 3))
@@ -85,16 +85,16 @@ impl Diagnosis {
 
     /// What was found.
     pub fn finding(&self) -> Finding {
-        match self.hypotheses.first() {
-            Some(first) if !first.parts.is_empty() => Finding::Explained,
-            Some(first)
-                if first.rms > LARGEST_SHARE * self.spread
-                    && self.spread > 0.0
-                    && !self.is_of_no_motion() =>
-            {
-                Finding::Unexplained
-            }
-            _ => Finding::Sound,
+        let Some(first) = self.hypotheses.first() else { return Finding::Sound };
+        // Of points in another unit, the spread is in that one.
+        let unit = |part: &Part| if let Part::PointUnit { factor } = part { *factor } else { 1.0 };
+        let spread = self.spread * first.parts.iter().map(unit).product::<f64>();
+        let is_off = first.rms > LARGEST_SHARE * spread && spread > 0.0 && !self.is_of_no_motion();
+        match first.parts.as_slice() {
+            // Better, and still what no robot's links are off by.
+            _ if is_off => Finding::Unexplained,
+            [] => Finding::Sound,
+            _ => Finding::Explained,
         }
     }
 }

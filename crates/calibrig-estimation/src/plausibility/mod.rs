@@ -80,9 +80,11 @@ impl Plausibility {
         };
         let without = self.first_rms().filter(|_| robust && !explained.is_empty());
         let share = without.map(|rms| rms / self.spread.max(f64::MIN_POSITIVE)).or(self.share);
+        // Readings of one pose scatter, and that is all of their spread.
+        let still = self.diagnosis.as_ref().is_some_and(Diagnosis::is_of_no_motion);
         self.unreachable.is_empty()
             && explained.iter().all(is_few)
-            && share.is_none_or(|share| share <= LARGEST_SHARE)
+            && (share.is_none_or(|share| share <= LARGEST_SHARE) || still)
     }
 
     /// What is otherwise than it was read, where something explains the points.

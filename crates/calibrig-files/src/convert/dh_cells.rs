@@ -73,7 +73,13 @@ pub(super) fn cells(
 ) -> Vec<(String, Range<usize>)> {
     let mut cells = Vec::new();
     let mut at = start;
-    for cell in line.split(delimiter) {
+    let mut is_quoted = false;
+    // A delimiter in quotes is a part of its cell.
+    let ends = move |mark: char| {
+        is_quoted ^= mark == '"';
+        mark == delimiter && !is_quoted
+    };
+    for cell in line.split(ends) {
         let trimmed = cell.trim().trim_matches('"').trim();
         let offset = cell.find(trimmed).unwrap_or(0);
         cells.push((trimmed.to_owned(), at + offset..(at + offset + trimmed.len()).min(source.text.len())));

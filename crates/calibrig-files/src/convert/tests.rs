@@ -371,6 +371,13 @@ fn odd_units_are_doubted() {
 }
 
 #[test]
+fn a_delimiter_in_quotes_is_no_delimiter() {
+    let text = "a_mm,alpha_deg,d_mm,theta_deg,name\n0,90,400,q1,\"A1, waist\"\n";
+    let made = table(text, Convention::Craig).expect("a table");
+    assert_eq!(made.robot.model.kinematics.links[0].name, "A1, waist");
+}
+
+#[test]
 fn columns_of_a_table_that_are_passed_over_are_told() {
     let text = "No;a_mm;alpha_deg;d_mm;theta_deg;Mass (kg);Remark\n1;0;90;400;0;7,5;x\n";
     let made = table(text, Convention::Craig).expect("a table");

@@ -79,8 +79,34 @@ pub fn load_column_map(path: &Path) -> Result<(ColumnMap, Source), InputError> {
     Ok((parse_column_map(&source)?, source))
 }
 
+/// What a suggested map leaves to a person, in front of what stands for it.
+pub(super) const UNDECIDED: &str = "# DECIDE: ";
+
+/// Refuses a map in which something is left to decide.
+fn undecided(source: &Source) -> Result<(), InputError> {
+    let mut start = 0;
+    for line in source.text.split_inclusive('\n') {
+        if let Some(open) = line.trim_start().strip_prefix(UNDECIDED) {
+            let key = open.split('=').next().unwrap_or_default().trim();
+            let at = start + line.len() - line.trim_start().len();
+            let help = format!(
+                "expected `{key} = ...` with the right value in place of {:?}, and the # of its table taken away; or no such line, where it is not wanted",
+                UNDECIDED.trim()
+            );
+            return Err(source.error(
+                at..at + line.trim().len(),
+                format!("{key} is left to decide"),
+                Some(help),
+            ));
+        }
+        start += line.len();
+    }
+    Ok(())
+}
+
 /// Reads a column map from a text in memory.
 pub fn parse_column_map(source: &Source) -> Result<ColumnMap, InputError> {
+    undecided(source)?;
     let file: MapFile = source.toml().map_err(with_the_table_of_a_stray_key)?;
     if file.schema.get_ref() != SCHEMA {
         let message = format!("schema is {:?}", file.schema.get_ref());
