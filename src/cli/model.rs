@@ -119,7 +119,9 @@ impl ChainArgs {
             return Ok(load_robot(model.unwrap_or(Path::new("robot.toml")))?);
         };
         let (source, told) = Source::read_foreign(urdf)?;
-        told.iter().for_each(|line| say(line));
+        if let Some(told) = told {
+            say(&told);
+        }
         let made = robot_from_urdf(&source, &self.options())?;
         made.remarks.iter().for_each(|line| say(line));
         Ok(made.robot)

@@ -254,7 +254,7 @@ fn the_unit_of_angles_is_found_whichever_way_they_are_counted() {
                 range: p.norm(),
                 azimuth: azimuth * to,
                 elevation: from + (elevation - from) * to,
-                covariance: nalgebra::Matrix3::identity() * 1e-10,
+                covariance: Some(nalgebra::Matrix3::identity() * 1e-10),
             });
         }
         let (found, kinds) = first(&model, &set);

@@ -121,20 +121,12 @@ pub(super) fn summarise(
         && size.is_too_large()
         && is_misfit(&problem, set, (&solution, &factorised), options.frame);
     let (contradicted, doubts) = doubts(size, is_stated, (accounted, is_misfit), checks.as_ref());
-    // The size that residuals have in an upper bound of their noise says nothing of it.
-    let no_freedom = match noise {
-        NoiseScale::Residuals(sigma) if sigma > 0.0 && problem.noise.freedom.is_none() => Some(sigma),
-        _ => None,
-    };
     problem.set(&solution.x);
     let mut warnings = Vec::new();
     if !solution.termination.converged() {
         warnings.push(Warning::NotConverged(solution.termination));
     }
-    warnings.extend(no_freedom.map(|sigma| Warning::NoFreedom { sigma }));
-    if is_stated && size.freedom < LEAST_FREEDOM && options.mode != Mode::WithoutCalibration {
-        warnings.push(Warning::Untested { freedom: size.freedom });
-    }
+    warnings.extend(freedom_warning(&problem, noise, size, options.mode));
     warnings.extend(rank_warnings(&factorised.spectrum, n));
     warnings.extend(doubts);
     let at_bound: Vec<_> = bounded.iter().map(|place| problem.parameters[*place]).collect();
@@ -221,6 +213,23 @@ fn noise_scale(problem: &CalibrationProblem) -> NoiseScale {
         Some(sigma) => NoiseScale::Residuals(sigma),
         None if problem.rows.iter().any(|row| row.reading.is_none()) => NoiseScale::Residuals(0.0),
         None => NoiseScale::Stated,
+    }
+}
+
+/// What is told where no degree of freedom is left.
+fn freedom_warning(
+    problem: &CalibrationProblem,
+    noise: NoiseScale,
+    size: Size,
+    mode: Mode,
+) -> Option<Warning> {
+    match noise {
+        // The size that residuals have in an upper bound of their noise says nothing of it.
+        NoiseScale::Residuals(sigma) => {
+            (sigma > 0.0 && problem.noise.freedom.is_none()).then_some(Warning::NoFreedom { sigma })
+        }
+        NoiseScale::Stated => (size.freedom < LEAST_FREEDOM && mode != Mode::WithoutCalibration)
+            .then_some(Warning::Untested { freedom: size.freedom }),
     }
 }
 

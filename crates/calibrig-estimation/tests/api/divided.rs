@@ -42,12 +42,10 @@ fn reasons(estimate: &Estimate) -> Vec<&'static str> {
 fn several_targets_under_one_name_are_told() {
     let off = Vector3::new(0.6, -0.64, 0.48);
     let other = Vector3::new(-off.y, off.z, off.x);
-    for (trial, (distance, modulus)) in
-        [(10e-3, 2), (10e-3, 4), (1e-3, 2), (70e-3, 3)].into_iter().enumerate()
-    {
+    for (trial, (distance, modulus)) in (0_u32..).zip([(10e-3, 2), (10e-3, 4), (1e-3, 2), (70e-3, 3)]) {
         for targets in [2, 3] {
             for stated in [true, false] {
-                let (model, mut set) = sound(trial as u32, POSES);
+                let (model, mut set) = sound(trial, POSES);
                 // In the flange's axes, and the third on the other side.
                 moved(&mut set, |index, command, position| {
                     let flange = forward_kinematics(&model.kinematics, command).expect("a pose").rotation;
@@ -116,13 +114,7 @@ fn a_misfit_is_not_taken_for_several_sessions() {
                 let shares: Vec<f64> = (0..observation.command.len())
                     .map(|joint| match lack {
                         "play" => 3e-4 * f64::from(rng.random_range(0..=1) * 2 - 1),
-                        "drift" => {
-                            if joint == 0 {
-                                3e-3 * index as f64 / count
-                            } else {
-                                0.0
-                            }
-                        }
+                        "drift" if joint == 0 => 3e-3 * index as f64 / count,
                         "sines" => 1e-3 * (2.0 * observation.command[joint]).sin(),
                         _ => 0.0,
                     })

@@ -10,6 +10,7 @@ mod diagnosis;
 mod divided;
 mod faults;
 mod frames;
+mod hidden;
 mod numbers;
 mod predictions;
 mod robots;

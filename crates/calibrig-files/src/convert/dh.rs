@@ -269,21 +269,19 @@ impl<'a> Table<'a> {
 
     /// Joint variables that have numbers go up by one from row to row, from 0 or 1 on.
     fn check_order(&self, rows: &[Row]) -> Result<(), InputError> {
-        let from = |row: &Row, index: usize| i64::from(row.joint.unwrap_or(0)) - index as i64;
-        let numbered = || rows.iter().enumerate().filter(|(_, row)| row.joint.is_some());
-        let starts_at_zero = numbered().next().is_some_and(|(index, row)| from(row, index) == 0);
-        let first = i64::from(!starts_at_zero);
-        let Some((index, row)) = numbered().find(|(index, row)| from(row, *index) != first) else {
+        let numbered = || (0_u32..).zip(rows).filter_map(|(index, row)| Some((index, row, row.joint?)));
+        let first = u32::from(numbered().next().is_some_and(|(index, _, joint)| joint != index));
+        let Some((index, row, _)) = numbered().find(|(index, _, joint)| *joint != index + first) else {
             return Ok(());
         };
-        let of = |what| self.cell(&self.lines[index], what).map(|(cell, _)| cell);
+        let of = |what| self.cell(&self.lines[index as usize], what).map(|(cell, _)| cell);
         let has_variable = |cell: &Cell<'_>| terms(cell.0).iter().any(|(_, term)| variable(term).is_some());
         let cell = [of(What::D), of(What::Theta)].into_iter().flatten().find(has_variable);
         let (text, span) = cell.unwrap_or(("", self.header.clone()));
         let message = format!("{text:?} is the variable of another joint than {}", row.link.name);
         let expected = format!(
             "the number {} here: rows are in the order of their joints, each with its own variable; frames that are fixed have no row of their own, and what moves with another joint goes into [joint.shown] of the robot file that is made",
-            index as i64 + first
+            index + first
         );
         self.error(span, &message, &expected)
     }
@@ -453,7 +451,8 @@ impl<'a> Table<'a> {
             let sign = if minus { -1.0 } else { 1.0 };
             if let Some(number) = number(&term, size, self.decimal_comma) {
                 value.number += sign * number;
-            } else if let Some(joint) = variable(&term) {
+            } else if let Some(digits) = variable(&term) {
+                let joint = digits.parse().ok();
                 let sign = if minus { Sign::Minus } else { Sign::Plus };
                 if value.variable.replace(Variable { sign, joint }).is_some() {
                     return self.error(

@@ -131,13 +131,13 @@ pub(super) fn terms(text: &str) -> Vec<(bool, String)> {
     terms
 }
 
-/// The joint's number of `q2`, `θ_3`, `theta4*`, `d3`; none in `q`. `None` where the term is no joint variable.
-pub(super) fn variable(term: &str) -> Option<Option<u32>> {
+/// The digits of `q2`, `θ_3`, `theta4*`, `d3`, of which `q` has none; `None` where the term is no joint variable.
+pub(super) fn variable(term: &str) -> Option<String> {
     let term = term.to_lowercase();
     let term = term.trim_end_matches('*');
     ["theta", "θ", "q", "d"].iter().find_map(|name| {
         let digits = term.strip_prefix(name)?.trim_start_matches('_');
-        if digits.is_empty() { Some(None) } else { digits.parse().ok().map(Some) }
+        digits.chars().all(|c| c.is_ascii_digit()).then(|| digits.to_owned())
     })
 }
 

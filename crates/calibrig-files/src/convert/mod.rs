@@ -216,8 +216,8 @@ fn in_original(source: &Source, error: &InputError) -> InputError {
         other => (other.to_string(), None),
     };
     // What is wrong has a name in it, mostly.
-    let named = said.split('"').skip(1).step_by(2).filter(|name| !name.is_empty());
-    let span = named.filter_map(|name| source.text.find(name).map(|at| at..at + name.len())).next();
+    let mut named = said.split('"').skip(1).step_by(2).filter(|name| !name.is_empty());
+    let span = named.find_map(|name| source.text.find(name).map(|at| at..at + name.len()));
     source.error(span.unwrap_or(0..0), format!("no robot can be made of it: {said}"), help)
 }
 

@@ -276,6 +276,10 @@ fn mistakes_are_named_with_their_line_and_what_was_expected() {
         assert!(expected.contains(help), "{to}: {expected}");
         assert_eq!(at, line, "{to}: {found}");
     }
+}
+
+#[test]
+fn extensions_are_passed_over_and_what_is_no_urdf_refused() {
     let undeclared = TWO.replacen(" xmlns:xacro=\"http://www.ros.org/wiki/xacro\"", "", 1);
     assert!(convert(&undeclared).is_ok());
     assert!(

@@ -15,6 +15,9 @@ pub(super) const SAME_COMMAND: f64 = 1e-3;
 /// Fewest degrees of freedom whose scatter is a standard deviation.
 const ENOUGH: usize = 6;
 
+/// Station, target and approach.
+type Reached<'a> = (usize, usize, &'a [i8]);
+
 /// Puts the mean in the place of the repeats of a pose (the same number, station, target and approach), and their scatter where they state no
 /// uncertainty: pooled over all poses and axes, over the square root of the repeats.
 ///
@@ -23,8 +26,8 @@ const ENOUGH: usize = 6;
 pub(super) fn average(loaded: &mut LoadedMeasurements, numbers_poses: bool) -> Result<(), InputError> {
     let mut groups: Vec<Vec<usize>> = Vec::new();
     // From another side a machine with play goes elsewhere: that is no scatter.
-    let mut known: HashMap<(u32, usize, usize, &[i8]), usize> = HashMap::new();
-    let mut by_command: HashMap<(Vec<u64>, usize, usize, &[i8]), usize> = HashMap::new();
+    let mut known: HashMap<(u32, Reached<'_>), usize> = HashMap::new();
+    let mut by_command: HashMap<(Vec<u64>, Reached<'_>), usize> = HashMap::new();
     let observations = &loaded.set.observations;
     // Where no column has the poses, or every row has a number of its own, it is the command that tells which rows are repeats.
     let numbers: std::collections::HashSet<_> =
@@ -34,9 +37,9 @@ pub(super) fn average(loaded: &mut LoadedMeasurements, numbers_poses: bool) -> R
         let next = groups.len();
         let group = if are_rows {
             let command = o.command.iter().map(|v| v.to_bits()).collect();
-            *by_command.entry((command, o.station, o.target, &o.approach)).or_insert(next)
+            *by_command.entry((command, (o.station, o.target, &o.approach))).or_insert(next)
         } else {
-            *known.entry((o.pose, o.station, o.target, &o.approach)).or_insert(next)
+            *known.entry((o.pose, (o.station, o.target, &o.approach))).or_insert(next)
         };
         if group == next {
             groups.push(Vec::new());
