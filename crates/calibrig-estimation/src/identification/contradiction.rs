@@ -387,12 +387,7 @@ impl<'a> Checks<'a> {
         jacobian.rows_mut(0, data).scale_mut(1.0 / variance.sqrt());
         let free = free_columns(&jacobian, self.bounded);
         let minimum = Minimum::of(&residuals, &jacobian, &free)?;
-        let inverse = minimum.r.solve_upper_triangular(&DMatrix::identity(free.len(), free.len()))?;
-        let n = jacobian.ncols();
-        let mut spread = DMatrix::zeros(n, free.len());
-        for (row, column) in free.iter().enumerate() {
-            spread.row_mut(*column).copy_from(&inverse.row(row));
-        }
+        let spread = minimum.spread(jacobian.ncols(), &free)?;
         let covariance = &spread * spread.transpose();
         Some(priors(self.problem, &minimum.residuals, &jacobian, &covariance, self.bounded))
     }
@@ -500,7 +495,19 @@ impl Minimum {
     }
 }
 
-fn free_columns(jacobian: &DMatrix<f64>, bounded: &[usize]) -> Vec<usize> {
+impl Minimum {
+    /// S with `S Sᵀ` the covariance of all `columns`, of which those are `free` that the system was solved in.
+    pub fn spread(&self, columns: usize, free: &[usize]) -> Option<DMatrix<f64>> {
+        let inverse = self.r.solve_upper_triangular(&DMatrix::identity(free.len(), free.len()))?;
+        let mut spread = DMatrix::zeros(columns, free.len());
+        for (row, column) in free.iter().enumerate() {
+            spread.row_mut(*column).copy_from(&inverse.row(row));
+        }
+        Some(spread)
+    }
+}
+
+pub(super) fn free_columns(jacobian: &DMatrix<f64>, bounded: &[usize]) -> Vec<usize> {
     (0..jacobian.ncols()).filter(|column| !bounded.contains(column)).collect()
 }
 

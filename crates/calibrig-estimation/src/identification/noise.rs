@@ -434,7 +434,7 @@ impl CalibrationProblem {
     }
 
     /// Residuals and Jacobian of a solution with the observations in metres, in the trackers' axes; priors as they are.
-    fn metres(&mut self, solution: &Solution) -> (nalgebra::DVector<f64>, DMatrix<f64>) {
+    pub(super) fn metres(&mut self, solution: &Solution) -> (nalgebra::DVector<f64>, DMatrix<f64>) {
         if solution.weights.is_empty() && self.joined.is_empty() {
             self.unweighed(solution)
         } else {

@@ -1,9 +1,9 @@
 //! What a solution tells: parameters, covariance, what is determined and what is not.
 
-use nalgebra::{DMatrix, Vector3};
+use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::build::Built;
-use super::contradiction::{Checks, Found};
+use super::contradiction::{Checks, Found, Minimum, free_columns};
 use super::divided::divided;
 use super::factorised::Factorised;
 use super::gross::{GrossError, LinearFit};
@@ -137,7 +137,12 @@ pub(super) fn summarise(
     let (bounds, unused): (Vec<_>, Vec<_>) = options.bounds.iter().filter(known).copied().partition(has);
     warnings.extend(unused.into_iter().map(|bound| Warning::UnusedBound { bound }));
     let jacobian = unweighted(&mut problem, &solution);
-    let outliers = gross_errors(&problem, &solution, &jacobian, &factorised, noise, set);
+    let outliers = if accounted && solution.weights.is_empty() {
+        gross_errors_beside_the_machine(&mut problem, &solution, bounded, set)
+    } else {
+        let seen = Rows { residuals: &solution.residuals, jacobian: &jacobian, weights: &solution.weights };
+        gross_errors(&problem, &seen, factorised.spread(), bounded, is_stated, set)
+    };
     if !outliers.is_empty() {
         warnings.push(Warning::Outliers(outliers.clone()));
     }
@@ -242,42 +247,76 @@ fn unweighted(problem: &mut CalibrationProblem, solution: &Solution) -> DMatrix<
     jacobian
 }
 
+/// The rows of a solution, without the weights of a loss.
+struct Rows<'a> {
+    residuals: &'a DVector<f64>,
+    jacobian: &'a DMatrix<f64>,
+    /// What every observation counts for; empty where all count alike.
+    weights: &'a [f64],
+}
+
+/// Gross errors where the machine's noise was found with the fit: it was found with them in it. So they are looked for in the noise of the
+/// readings alone, against the scatter that the others have there. The problem is weighed as it was before.
+fn gross_errors_beside_the_machine(
+    problem: &mut CalibrationProblem,
+    solution: &Solution,
+    bounded: &[usize],
+    set: &MeasurementSet,
+) -> Vec<Outlier> {
+    let found = problem.noise.clone();
+    let (mut residuals, mut jacobian) = problem.metres(solution);
+    let of_readings = Noise { machine: None, ..found.clone() };
+    let mut outliers = Vec::new();
+    if problem.weigh(&of_readings).is_ok() {
+        problem.whiten(&mut residuals, &mut jacobian);
+        let free = free_columns(&jacobian, bounded);
+        if let Some(minimum) = Minimum::of(&residuals, &jacobian, &free)
+            && let Some(spread) = minimum.spread(jacobian.ncols(), &free)
+        {
+            let seen = Rows { residuals: &minimum.residuals, jacobian: &jacobian, weights: &[] };
+            outliers = gross_errors(problem, &seen, Some(&spread), bounded, false, set);
+        }
+    }
+    // It was weighed so before.
+    let _ = problem.weigh(&found);
+    outliers
+}
+
 /// Readings far off what the others say of them, whatever the loss.
 fn gross_errors(
     problem: &CalibrationProblem,
-    solution: &Solution,
-    jacobian: &DMatrix<f64>,
-    factorised: &Factorised,
-    noise: NoiseScale,
+    rows: &Rows<'_>,
+    spread: Option<&DMatrix<f64>>,
+    bounded: &[usize],
+    is_stated: bool,
     set: &MeasurementSet,
 ) -> Vec<Outlier> {
-    let (mut residuals, mut jacobian) = (solution.residuals.clone(), jacobian.clone());
+    let (mut residuals, mut jacobian) = (rows.residuals.clone(), rows.jacobian.clone());
     let few = problem.few_unstated();
     for (i, factor) in &few {
         residuals.fixed_rows_mut::<3>(3 * i).scale_mut(*factor);
         jacobian.fixed_rows_mut::<3>(3 * i).scale_mut(*factor);
     }
-    for column in &factorised.bounded {
+    for column in bounded {
         jacobian.column_mut(*column).fill(0.0);
     }
     let fit = LinearFit {
         jacobian: &jacobian,
         residuals: &residuals,
         blocks: set.observations.len(),
-        weights: &solution.weights,
+        weights: rows.weights,
         joined: &problem.joined,
-        // What was found with the fit has gross errors in it.
-        is_stated: (noise == NoiseScale::Stated || !few.is_empty()) && problem.noise.machine.is_none(),
+        is_stated: is_stated || !few.is_empty(),
     };
     let place = |error: &GrossError| {
         let whitening = problem.rows[error.observation].whitening;
-        // Measured minus predicted, in the tracker's frame.
         let scaled = few.iter().find(|(i, _)| *i == error.observation).map_or(1.0, |(_, factor)| *factor);
+        // Measured minus predicted, in the tracker's frame.
         let off = whitening.lu().solve(&-error.left_out).unwrap_or_default() / scaled;
-        (*error, off, solution.weights.get(error.observation).copied().unwrap_or(1.0))
+        (*error, off, rows.weights.get(error.observation).copied().unwrap_or(1.0))
     };
     // The spread is that of the rows as they were weighed.
-    let spread = factorised.spread().filter(|_| few.is_empty());
+    let spread = spread.filter(|_| few.is_empty());
     outliers(set, &fit.gross_errors(spread).iter().map(place).collect::<Vec<_>>())
 }
 
