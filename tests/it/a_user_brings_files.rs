@@ -287,3 +287,87 @@ fn a_scenario_takes_its_regions_in_either_unit() {
     let after = sandbox.run(["check", SCENARIO]);
     assert_eq!((after.code, after.stdout), (Some(0), before.stdout));
 }
+
+/// Three shots at every stop, without a column that numbers the poses: what they share is not counted three times.
+#[test]
+fn rows_of_one_stop_are_one_pose() {
+    let sandbox = sandbox();
+    let shots = |numbered: bool| {
+        let head = if numbered { "No,J1,J2,X,Y,Z\n" } else { "J1,J2,X,Y,Z\n" };
+        text(head, |k, q, p| {
+            // Of the stop, and of each shot.
+            let shared = if k % 2 == 0 { 0.2 } else { -0.2 };
+            let row = |off: f64| {
+                let number = if numbered { format!("{k},") } else { String::new() };
+                format!(
+                    "{number}{},{},{:.4},{:.4},{:.4}",
+                    q[0],
+                    q[1],
+                    p[0].x + shared + off,
+                    p[0].y,
+                    p[0].z - off
+                )
+            };
+            [-0.01, 0.0, 0.01].map(row).join("\n")
+        })
+    };
+    sandbox.write("plain.csv", shots(false));
+    sandbox.write("numbered.csv", shots(true));
+    sandbox.write("numbered.toml", format!("{MAP}[columns]\npose = \"No\"\n"));
+    let plain = sandbox.run(IDENTIFY.iter().chain(&["plain.csv", "--columns", "map.toml"]));
+    let numbered = sandbox.run(IDENTIFY.iter().chain(&["numbered.csv", "--columns", "numbered.toml"]));
+    assert!(
+        plain
+            .stderr
+            .contains("rows behind each other with the same command are one pose: 24 poses of 72 rows"),
+        "{}",
+        plain.stderr
+    );
+    let sigmas = |ended: &Ended| {
+        let json = ended.json();
+        let parameters = json["parameters"].as_array().expect("a list").clone();
+        parameters.iter().map(|p| p["sigma"].as_f64().unwrap_or(0.0)).collect::<Vec<_>>()
+    };
+    assert_eq!(sigmas(&plain), sigmas(&numbered));
+}
+
+/// A session that was held out is no longer the robot's: every point 5 mm beside, along one axis of the tracker.
+#[test]
+fn a_held_out_set_beside_its_intervals_is_a_reason_to_look() {
+    let sandbox = sandbox();
+    let points = |off: f64| {
+        text("J1,J2,X,Y,Z\n", |_, q, p| {
+            format!("{},{},{:.4},{:.4},{:.4}", q[0], q[1], p[0].x + off, p[0].y, p[0].z)
+        })
+    };
+    sandbox.write("m.csv", points(0.0));
+    sandbox.write("moved.csv", points(5.0));
+    for (file, code) in [("m.csv", 0), ("moved.csv", 3)] {
+        let ended = sandbox.run(IDENTIFY.iter().chain(&["m.csv", "--columns", "map.toml", "--verify", file]));
+        assert_eq!(ended.code, Some(code), "{ended:?}");
+        let estimate = &ended.json()["estimates"]["only_calibration"];
+        assert_eq!(estimate["status"], if code == 0 { "ok" } else { "held_out" }, "{}", ended.stdout);
+    }
+}
+
+/// The map that was given beside the robot's file goes into the recording, which is read back without it.
+#[test]
+fn a_recording_of_files_with_a_map_is_read_back() {
+    let sandbox = sandbox();
+    sandbox.write("m.csv", one_file());
+    let exported = [
+        "export",
+        "mcap",
+        "--model",
+        "robot.toml",
+        "--measurements",
+        "m.csv",
+        "--columns",
+        "map.toml",
+        "--out",
+        "m.mcap",
+    ];
+    assert_eq!(sandbox.run(exported).code, Some(0));
+    let replayed = sandbox.run(["replay", "m.mcap"]);
+    assert_eq!(replayed.code, Some(0), "{replayed:?}");
+}
