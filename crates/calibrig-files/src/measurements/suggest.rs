@@ -1,8 +1,10 @@
 //! A column map from what is seen in files: every guess with its reason, and nothing decided that cannot be seen.
 
+mod apart;
 mod column;
 mod names;
 mod told;
+mod triples;
 mod written;
 
 use std::path::Path;
@@ -46,17 +48,19 @@ pub(super) struct SeenFile {
 }
 
 /// Suggests a column map for one file, or for several that belong together: joints in one and points in others, or one file a target.
+/// Of the options, the sheet and what is read of a bag count.
 ///
 /// # Errors
 /// A file that cannot be read as rows.
-pub fn suggest_columns(paths: &[&Path]) -> Result<SuggestedMap, InputError> {
-    let files = paths.iter().map(|path| look_at(path)).collect::<Result<Vec<_>, _>>()?;
+pub fn suggest_columns(paths: &[&Path], options: &RowOptions) -> Result<SuggestedMap, InputError> {
+    let mut files = paths.iter().map(|path| look_at(path, options)).collect::<Result<Vec<_>, _>>()?;
+    apart::see_together(&mut files);
     Ok(written::map_of(&files))
 }
 
 /// Reads all rows of a file and keeps what tells of its columns.
-fn look_at(path: &Path) -> Result<SeenFile, InputError> {
-    let rows = open(path, &TextFormat::default(), &Wanted::default(), &RowOptions::default())?;
+fn look_at(path: &Path, options: &RowOptions) -> Result<SeenFile, InputError> {
+    let rows = open(path, &TextFormat::default(), &Wanted::default(), options)?;
     let mut table = Table::find_any(rows)?;
     if table.columns.len() > MOST_COLUMNS {
         return Err(InputError::Place {
@@ -83,10 +87,13 @@ fn look_at(path: &Path) -> Result<SeenFile, InputError> {
         }
     }
     if columns.iter().all(|column| column.numbers.count == 0) {
+        // Which sheet was read, where there are others.
+        let sheets = table.remarks().into_iter().find(|remark| remark.contains("--sheet"));
+        let sheets = sheets.map_or_else(String::new, |sheets| format!("; {sheets}"));
         return Err(InputError::Place {
             place: table.name().to_owned(),
             message: "there is no row of numbers in it".to_owned(),
-            help: Some("expected a row of numbers for every measurement".to_owned()),
+            help: Some(format!("expected a row of numbers for every measurement{sheets}")),
         });
     }
     let unit_comments = table
