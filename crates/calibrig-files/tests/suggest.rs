@@ -582,25 +582,50 @@ fn joints_and_points_without_headers_are_told_apart() {
 }
 
 #[test]
-fn numbers_with_nothing_between_them_ask_for_widths() {
+fn numbers_with_nothing_between_them_are_cut_where_they_end() {
+    // A sign that takes the last blank, among the lengths alone, behind the name as well, and everywhere.
+    let centre = |width| if width == 9 { [2500.0, -700.0, 900.0] } else { [3000.0; 3] };
+    for (name, angle_width, place_width) in [("P", 10, 10), ("Pt", 9, 10), ("", 9, 9)] {
+        let text = file("", |k| {
+            let angles =
+                (1..=6).map(|joint| format!("{:angle_width$.4}", angle(k, joint))).collect::<String>();
+            let place = point(k).into_iter().zip(centre(place_width));
+            let place =
+                place.map(|(axis, centre)| format!("{:place_width$.4}", axis - centre)).collect::<String>();
+            format!("{name}{k:03}{angles}{place}")
+        });
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("fixed.txt");
+        std::fs::write(&path, &text).unwrap();
+        let map = suggest_columns(&[&path], &RowOptions::default()).expect("a map");
+        assert_eq!(map.open, Vec::<String>::new(), "{text}\n{}", map.text);
+        let first = name.len() + 3;
+        let a = angle_width;
+        let widths = format!("[{first}, {a}, {a}, {a}, {a}, {a}, {a}, {0}, {0}, {0}]", place_width);
+        assert!(map.text.contains(&format!("widths = {widths}")), "{text}\n{}", map.text);
+        let map = parse_column_map(&Source::new("map.toml", map.text)).expect("a map");
+        let files = MeasurementFiles::one(&path);
+        let loaded = read_files(&files, &map, &[Revolute; 6], &RowOptions::default()).expect("read");
+        assert_eq!(loaded.set.observations.len(), ROWS);
+        for (row, observation) in (1..).zip(&loaded.set.observations) {
+            assert!((observation.command[5] - angle(row, 6).to_radians()).abs() < 1e-9);
+            let z = observation.reading.position()[2];
+            assert!((z - 1e-3 * (point(row)[2] - centre(place_width)[2])).abs() < 1e-9);
+        }
+    }
+}
+
+#[test]
+fn numbers_with_nothing_between_them_that_end_anywhere_ask_for_widths() {
     let glued = file("", |k| {
-        let angles =
-            (1..=3).map(|joint| format!("{:9.4}", angle(k, joint) - 150.0)).collect::<Vec<_>>().concat();
-        format!("{k:3}{angles}{}", point(k).map(|axis| format!("{axis:10.4}")).concat())
+        let digits = 3 + k % 3;
+        format!("{k} {:.digits$}{:.4}{:.4}{:.4}", angle(k, 1), -120.5, -1500.25 - k as f64, -2500.5)
     });
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("glued.txt");
     std::fs::write(&path, glued).unwrap();
     let map = suggest_columns(&[&path], &RowOptions::default()).expect("a map");
     assert!(map.text.contains("# DECIDE: widths = [8, 12, 12]"), "{}", map.text);
-    // With the widths, and what else is open, it reads.
-    let text = "schema = \"calibrig.columns/1\"\n[joints]\ncolumns = [2, 3, 4]\nrevolute_unit = \"deg\"\n[position]\nsystem = \"cartesian\"\n\
-                unit = \"mm\"\nx = 5\ny = 6\nz = 7\n[text]\nwidths = [3, 9, 9, 9, 10, 10]\n";
-    let map = parse_column_map(&Source::new("map.toml", text)).expect("a map");
-    let loaded = read_files(&MeasurementFiles::one(&path), &map, &[Revolute; 3], &RowOptions::default())
-        .expect("read");
-    assert_eq!(loaded.set.observations.len(), ROWS);
-    assert!((loaded.set.observations[1].command[1] - (angle(2, 2) - 150.0).to_radians()).abs() < 1e-9);
 }
 
 #[test]

@@ -5,11 +5,13 @@ mod column;
 mod names;
 mod told;
 mod triples;
+mod widths;
 mod written;
 
 use std::path::Path;
 
 use self::column::{Numbers, Role, SeenColumn};
+use super::cells::Delimiter;
 use super::columns::RowOptions;
 use super::layout::{Decimal, Table, Wanted};
 use super::open::{is_bag, open};
@@ -40,6 +42,8 @@ pub(super) struct SeenFile {
     pub dates: Dates,
     /// A cell of numbers with nothing between them, as fixed widths leave them.
     pub glued: Option<String>,
+    /// Characters of each column, by which such cells are cut.
+    pub widths: Option<Vec<usize>>,
     pub rows: u64,
     pub columns: Vec<SeenColumn>,
     /// Comments of the file that name units, with their places.
@@ -58,9 +62,25 @@ pub fn suggest_columns(paths: &[&Path], options: &RowOptions) -> Result<Suggeste
     Ok(written::map_of(&files))
 }
 
-/// Reads all rows of a file and keeps what tells of its columns.
+/// Looks at a file, cut at fixed widths where it has to be.
 fn look_at(path: &Path, options: &RowOptions) -> Result<SeenFile, InputError> {
-    let rows = open(path, &TextFormat::default(), &Wanted::default(), options)?;
+    let seen = look_as(path, &TextFormat::default(), options)?;
+    if seen.glued.is_none() {
+        return Ok(seen);
+    }
+    let Some(widths) = widths::of_file(path) else { return Ok(seen) };
+    let format = TextFormat { delimiter: Some(Delimiter::Widths(widths.clone())), ..TextFormat::default() };
+    match look_as(path, &format, options) {
+        Ok(cut) if cut.glued.is_none() && cut.rows >= seen.rows && cut.columns.len() == widths.len() => {
+            Ok(SeenFile { glued: seen.glued, widths: Some(widths), ..cut })
+        }
+        _ => Ok(seen),
+    }
+}
+
+/// Reads all rows of a file and keeps what tells of its columns.
+fn look_as(path: &Path, format: &TextFormat, options: &RowOptions) -> Result<SeenFile, InputError> {
+    let rows = open(path, format, &Wanted::default(), options)?;
     let mut table = Table::find_any(rows)?;
     if table.columns.len() > MOST_COLUMNS {
         return Err(InputError::Place {
@@ -116,6 +136,7 @@ fn look_at(path: &Path, options: &RowOptions) -> Result<SeenFile, InputError> {
         decimal: table.decimal,
         dates: table.dates.clone(),
         glued,
+        widths: None,
         rows,
         columns,
         unit_comments,

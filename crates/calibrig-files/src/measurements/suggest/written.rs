@@ -427,10 +427,16 @@ impl Writer<'_> {
             self.key("decimal", "\",\"", "numbers have a decimal comma");
         }
         if let Some(cell) = glued {
-            let why = format!(
-                "{cell} looks like numbers with nothing between them: say how many characters each column has"
-            );
-            self.undecided("widths", "[8, 12, 12]", &why);
+            let same = self.joints.widths == self.points.widths;
+            if let Some(widths) = self.points.widths.as_ref().filter(|_| same) {
+                let why = format!("{cell} is several numbers; they end at the same places in every line");
+                self.key("widths", &format!("{widths:?}"), &why);
+            } else {
+                let why = format!(
+                    "{cell} looks like numbers with nothing between them: say how many characters each column has"
+                );
+                self.undecided("widths", "[8, 12, 12]", &why);
+            }
         }
         if let Some((file, cell)) = ambiguous {
             if let Some(why) = &file.dates.why {
