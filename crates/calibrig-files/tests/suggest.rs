@@ -587,11 +587,15 @@ fn numbers_with_nothing_between_them_are_cut_where_they_end() {
     let centre = |width| if width == 9 { [2500.0, -700.0, 900.0] } else { [3000.0; 3] };
     for (name, angle_width, place_width) in [("P", 10, 10), ("Pt", 9, 10), ("", 9, 9)] {
         let text = file("", |k| {
-            let angles =
-                (1..=6).map(|joint| format!("{:angle_width$.4}", angle(k, joint))).collect::<String>();
+            let angles = (1..=6)
+                .map(|joint| format!("{:angle_width$.4}", angle(k, joint)))
+                .collect::<Vec<_>>()
+                .concat();
             let place = point(k).into_iter().zip(centre(place_width));
-            let place =
-                place.map(|(axis, centre)| format!("{:place_width$.4}", axis - centre)).collect::<String>();
+            let place = place
+                .map(|(axis, centre)| format!("{:place_width$.4}", axis - centre))
+                .collect::<Vec<_>>()
+                .concat();
             format!("{name}{k:03}{angles}{place}")
         });
         let folder = tempfile::tempdir().unwrap();
@@ -600,8 +604,8 @@ fn numbers_with_nothing_between_them_are_cut_where_they_end() {
         let map = suggest_columns(&[&path], &RowOptions::default()).expect("a map");
         assert_eq!(map.open, Vec::<String>::new(), "{text}\n{}", map.text);
         let first = name.len() + 3;
-        let a = angle_width;
-        let widths = format!("[{first}, {a}, {a}, {a}, {a}, {a}, {a}, {0}, {0}, {0}]", place_width);
+        let (a, b) = (angle_width, place_width);
+        let widths = format!("[{first}, {a}, {a}, {a}, {a}, {a}, {a}, {b}, {b}, {b}]");
         assert!(map.text.contains(&format!("widths = {widths}")), "{text}\n{}", map.text);
         let map = parse_column_map(&Source::new("map.toml", map.text)).expect("a map");
         let files = MeasurementFiles::one(&path);
