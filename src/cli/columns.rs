@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use super::{CliError, Verdict, print, say};
-use calibrig_files::suggest_columns;
+use calibrig_files::{RowOptions, suggest_columns};
 
 /// What the columns of measurement files mean
 #[derive(Debug, clap::Args)]
@@ -32,6 +32,7 @@ enum What {
   calibrig columns suggest grid.csv
   calibrig columns suggest grid.csv --out map.toml
   calibrig columns suggest joints.csv points.txt --out map.toml
+  calibrig columns suggest shots.xlsx --sheet Points
   calibrig identify --model robot.toml --measurements grid.csv --columns map.toml
 
 Exit code 3 where something is left to decide.")]
@@ -39,6 +40,9 @@ struct SuggestArgs {
     /// Files of measurements that belong together
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
+    /// Sheet of an XLSX file [default: the first]
+    #[arg(long, value_name = "NAME")]
+    sheet: Option<String>,
     /// The map, which must not be there yet [default: standard output]
     #[arg(long, value_name = "MAP.toml")]
     out: Option<PathBuf>,
@@ -47,7 +51,8 @@ struct SuggestArgs {
 pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     let What::Suggest(args) = &args.what;
     let paths: Vec<&Path> = args.files.iter().map(PathBuf::as_path).collect();
-    let map = suggest_columns(&paths)?;
+    let options = RowOptions { sheet: args.sheet.clone(), ..RowOptions::default() };
+    let map = suggest_columns(&paths, &options)?;
     match &args.out {
         Some(path) => {
             write_new(path, &map.text)?;

@@ -288,7 +288,8 @@ fn a_suggested_map_reads_the_file_that_it_was_suggested_for() {
     let mut whole = 0;
     for (name, bytes, _) in forms() {
         let path = write(&folder, name, bytes);
-        let suggested = suggest_columns(&[&path]).unwrap_or_else(|error| panic!("{name}: {error}"));
+        let suggested = suggest_columns(&[&path], &RowOptions::default())
+            .unwrap_or_else(|error| panic!("{name}: {error}"));
         eprintln!("{name}: {:?}\n{}", suggested.open, suggested.text);
         // What no header and no name tells: sums, and a sign.
         if ["sums.csv", "fixed_width.txt"].contains(&name) {
@@ -316,7 +317,7 @@ fn nothing_is_suggested_silently() {
     // Angles that could be radians or small degrees, points that could be of any unit, an expanded uncertainty, marks of missed shots.
     let text = "J1,J2,X,Y,Z,Ux95,Uy95,Uz95,SMR\n0.1,0.2,100,20,-9999,0.1,0.1,0.1,A\n1.1,0.3,101,n/a,22,0.1,0.1,0.1,B\n0.5,0.1,103,24,25,0.1,0.2,0.1,A\n";
     let path = write(&folder, "m.csv", text.to_owned() + &"0.6,0.2,104,25,26,0.1,0.1,0.1,B\n".repeat(9));
-    let suggested = suggest_columns(&[&path]).expect("a map");
+    let suggested = suggest_columns(&[&path], &RowOptions::default()).expect("a map");
     let open = suggested.open.join("\n");
     for key in ["revolute_unit", "unit: up to 104: m, mm and inch", "k: U is an expanded"] {
         assert!(open.contains(key), "{key}: {open}\n{}", suggested.text);

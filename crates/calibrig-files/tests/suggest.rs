@@ -82,7 +82,9 @@ fn check(case: &Case<'_>) {
             path
         })
         .collect();
-    let map = suggest_columns(&paths.iter().map(PathBuf::as_path).collect::<Vec<_>>()).expect("a map");
+    let map =
+        suggest_columns(&paths.iter().map(PathBuf::as_path).collect::<Vec<_>>(), &RowOptions::default())
+            .expect("a map");
     println!("==== {}\n{}", case.files[0].0, map.text);
     for words in case.says {
         assert!(map.text.contains(words), "{words}\n{}", map.text);
@@ -188,7 +190,12 @@ fn controllers_and_their_external_axes() {
     check(&Case {
         files: &[("kuka.log", kuka)],
         kinds: &[Revolute, Revolute, Revolute, Revolute, Revolute, Revolute, Prismatic],
-        decisions: &[("prismatic_unit", "\"mm\"")],
+        decisions: &[
+            ("prismatic_unit", "\"mm\""),
+            ("x", "\"$POS_ACT.X\""),
+            ("y", "\"$POS_ACT.Y\""),
+            ("z", "\"$POS_ACT.Z\""),
+        ],
         says: &[
             "revolute_unit = \"deg\"",
             "$AXIS_ACT.E1: beside the arm",
@@ -210,8 +217,13 @@ fn controllers_and_their_external_axes() {
     check(&Case {
         files: &[("abb.csv", abb)],
         kinds: &[Revolute, Revolute, Revolute, Revolute, Revolute, Revolute, Prismatic],
-        decisions: &[("prismatic_unit", "\"mm\"")],
-        says: &["\"rax_6\", \"eax_a\"]", "not used: q1, q2, q3, q4", "Beside q1, q2, q3, q4"],
+        decisions: &[
+            ("prismatic_unit", "\"mm\""),
+            ("x", "\"trans_x\""),
+            ("y", "\"trans_y\""),
+            ("z", "\"trans_z\""),
+        ],
+        says: &["\"rax_6\", \"eax_a\"]", "not used: q1, q2, q3, q4", "beside q1, q2, q3, q4"],
         stroke: |k| 740.0 + 10.0 * k as f64,
         times: Some([FIRST, LAST]),
     });
@@ -433,26 +445,191 @@ fn spreadsheets_columns_and_files_without_a_header() {
     });
 }
 
+/// The controller's own place, which is not where the tracker saw the target.
+fn own(row: usize, between: &str) -> String {
+    point(row).map(|axis| format!("{:.4}", axis - 300.0)).join(between)
+}
+
 #[test]
-fn numbers_with_nothing_between_them_ask_for_widths() {
+fn the_controllers_own_place_is_not_taken_for_the_trackers() {
+    let six = "A1,A2,A3,A4,A5,A6";
+    // The tracker's by its name, wherever it stands.
+    for (turn, tracker) in [
+        ("A,B,C", "X_LT,Y_LT,Z_LT"),
+        ("W,P,R", "X_meas,Y_meas,Z_meas"),
+        ("RX,RY,RZ", "tracker.x,tracker.y,tracker.z"),
+        ("O,A,T", "Leica X,Leica Y,Leica Z"),
+    ] {
+        let names: Vec<&str> = tracker.split(',').collect();
+        let x = format!("x = {:?}", names[0]);
+        let behind = file(&format!("{six},X,Y,Z,{turn},{tracker}\n"), |k| {
+            format!("{},{},10,20,{},{}", angles(k, 6, ","), own(k, ","), 30 - 7 * (k % 3), place(k, 1.0, ","))
+        });
+        let before = file(&format!("{tracker},X,Y,Z,{turn},{six}\n"), |k| {
+            format!("{},{},10,20,{},{}", place(k, 1.0, ","), own(k, ","), 30 - 7 * (k % 3), angles(k, 6, ","))
+        });
+        for text in [behind, before] {
+            check(&Case {
+                files: &[("krc.csv", text)],
+                says: &[&x, "as a tracker's", "as the controller's own do", "beside"],
+                ..PLAIN
+            });
+        }
+    }
+    // Without a name of its own, the one that has no orientation beside it.
+    let plain = file(&format!("{six},X,Y,Z,TCP_X,TCP_Y,TCP_Z,TCP_A,TCP_B,TCP_C\n"), |k| {
+        format!("{},{},{},10,20,30", angles(k, 6, ","), place(k, 1.0, ","), own(k, ","))
+    });
+    check(&Case {
+        files: &[("tcp.csv", plain)],
+        says: &["x = \"X\"", "columns 10, 11, 12 stand beside"],
+        ..PLAIN
+    });
+    // The only one: a person knows.
+    for turn in ["A,B,C", "W,P,R", "q1,q2,q3,q4", "qx,qy,qz,qw"] {
+        let only = file(&format!("J1,J2,J3,J4,J5,J6,X,Y,Z,{turn}\n"), |k| {
+            let turn = turn.split(',').map(|_| "0.5").collect::<Vec<_>>().join(",");
+            format!("{},{},{turn}", angles(k, 6, ","), place(k, 1.0, ","))
+        });
+        check(&Case {
+            files: &[("only.csv", only)],
+            decisions: &[("x", "\"X\""), ("y", "\"Y\""), ("z", "\"Z\"")],
+            says: &["which is no measurement"],
+            ..PLAIN
+        });
+    }
+    // Names that are there twice: by number.
+    let twice = file(&format!("{six},X,Y,Z,X,Y,Z\n"), |k| {
+        format!("{},{},{}", angles(k, 6, ","), own(k, ","), place(k, 1.0, ","))
+    });
+    check(&Case {
+        files: &[("dup.csv", twice)],
+        decisions: &[("x", "10"), ("y", "11"), ("z", "12")],
+        says: &["columns 7, 8, 9 and 10, 11, 12 can each be the position", "# DECIDE: x = 7 "],
+        ..PLAIN
+    });
+    // A controller's log with its own place, and the tracker's in another file.
+    let log =
+        file(&format!("{six},X,Y,Z,A,B,C\n"), |k| format!("{},{},1,2,3", angles(k, 6, ","), own(k, ",")));
+    let seen = file("X,Y,Z\n", |k| place(k, 1.0, ","));
+    check(&Case {
+        files: &[("log.csv", log), ("seen.csv", seen)],
+        says: &["--joints", "by = \"row\""],
+        ..PLAIN
+    });
+}
+
+#[test]
+fn axes_with_letters_are_joints_and_what_falls_is_no_time() {
+    let motoman = file("S,L,U,R,B,T,X,Y,Z\n", |k| format!("{},{}", angles(k, 6, ","), place(k, 1.0, ",")));
+    let says: &[&str] = &["columns = [\"S\", \"L\", \"U\", \"R\", \"B\", \"T\"]", "Motoman"];
+    check(&Case { files: &[("motoman.csv", motoman)], says, ..PLAIN });
+    let seven = file("pos S,pos L,pos U,pos R,pos B,pos T,pos E,X,Y,Z\n", |k| {
+        let angles = [1, 2, 4, 5, 6, 7, 3].map(|joint| format!("{:.4}", angle(k, joint))).join(",");
+        format!("{angles},{}", place(k, 1.0, ","))
+    });
+    let says: &[&str] = &["[\"pos S\", \"pos L\", \"pos E\", \"pos U\""];
+    check(&Case { files: &[("seven.csv", seven)], kinds: &[Revolute; 7], says, ..PLAIN });
+    let falls = file("J1,J2,J3,T,X,Y,Z\n", |k| {
+        format!("{},{:.3},{}", angles(k, 3, ","), angle(k, 4), place(k, 1.0, ","))
+    });
+    check(&Case {
+        files: &[("t.csv", falls)],
+        kinds: &[Revolute; 3],
+        says: &["# T: it falls from row to row, so it is no time"],
+        ..PLAIN
+    });
+}
+
+#[test]
+fn joints_and_points_without_headers_are_told_apart() {
+    let rows = file("", |k| angles(k, 6, " "));
+    let points = file("", |k| place(k, 1.0, " "));
+    let says: &[&str] =
+        &["columns = [1, 2, 3, 4, 5, 6]", "x = 1 ", "by = \"row\"", " --joints ", "looks like mm"];
+    check(&Case { files: &[("j.txt", rows.clone()), ("p.txt", points.clone())], says, ..PLAIN });
+    // In m, and of a robot with three axes, whose file has as many columns as that of the points.
+    let metres = file("", |k| place(k, 1e-3, ";"));
+    check(&Case { files: &[("j.txt", rows), ("p.txt", metres)], says: &["looks like m:"], ..PLAIN });
+    let three = file("", |k| angles(k, 3, "\t"));
+    let says: &[&str] = &["columns = [1, 2, 3]", " --joints "];
+    check(&Case { files: &[("j.txt", three), ("p.txt", points)], kinds: &[Revolute; 3], says, ..PLAIN });
+    let named = file("", |k| format!("P{k:02} {}", angles(k, 6, " ")));
+    let target = || file("", |k| format!("P{k:02} {}", place(k, 1.0, " ")));
+    check(&Case {
+        files: &[("j.txt", named), ("A.txt", target()), ("B.txt", target()), ("C.txt", target())],
+        says: &[
+            "columns = [2, 3, 4, 5, 6, 7]",
+            "x = 2 ",
+            "by = \"name\"",
+            " --joints ",
+            " --measurements A=",
+        ],
+        ..PLAIN
+    });
+    // The points in front, and with a header.
+    let counted = file("", |k| format!("{k} {}", angles(k, 6, " ")));
+    let headed = file("No X Y Z\n", |k| format!("{k} {}", place(k, 1.0, " ")));
+    let folder = tempfile::tempdir().unwrap();
+    let paths = [("p.txt", headed), ("j.txt", counted)].map(|(name, text)| {
+        std::fs::write(folder.path().join(name), text).unwrap();
+        folder.path().join(name)
+    });
+    let map = suggest_columns(&[&paths[0], &paths[1]], &RowOptions::default()).unwrap();
+    for words in ["columns = [2, 3, 4, 5, 6, 7]", "x = \"X\"", "joints = 1", "points = \"No\""] {
+        assert!(map.text.contains(words), "{words}\n{}", map.text);
+    }
+}
+
+#[test]
+fn numbers_with_nothing_between_them_are_cut_where_they_end() {
+    // A sign that takes the last blank, among the lengths alone, behind the name as well, and everywhere.
+    let centre = |width| if width == 9 { [2500.0, -700.0, 900.0] } else { [3000.0; 3] };
+    for (name, angle_width, place_width) in [("P", 10, 10), ("Pt", 9, 10), ("", 9, 9)] {
+        let text = file("", |k| {
+            let angles = (1..=6)
+                .map(|joint| format!("{:angle_width$.4}", angle(k, joint)))
+                .collect::<Vec<_>>()
+                .concat();
+            let place = point(k).into_iter().zip(centre(place_width));
+            let place = place
+                .map(|(axis, centre)| format!("{:place_width$.4}", axis - centre))
+                .collect::<Vec<_>>()
+                .concat();
+            format!("{name}{k:03}{angles}{place}")
+        });
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("fixed.txt");
+        std::fs::write(&path, &text).unwrap();
+        let map = suggest_columns(&[&path], &RowOptions::default()).expect("a map");
+        assert_eq!(map.open, Vec::<String>::new(), "{text}\n{}", map.text);
+        let first = name.len() + 3;
+        let (a, b) = (angle_width, place_width);
+        let widths = format!("[{first}, {a}, {a}, {a}, {a}, {a}, {a}, {b}, {b}, {b}]");
+        assert!(map.text.contains(&format!("widths = {widths}")), "{text}\n{}", map.text);
+        let map = parse_column_map(&Source::new("map.toml", map.text)).expect("a map");
+        let files = MeasurementFiles::one(&path);
+        let loaded = read_files(&files, &map, &[Revolute; 6], &RowOptions::default()).expect("read");
+        assert_eq!(loaded.set.observations.len(), ROWS);
+        for (row, observation) in (1..).zip(&loaded.set.observations) {
+            assert!((observation.command[5] - angle(row, 6).to_radians()).abs() < 1e-9);
+            let z = observation.reading.position()[2];
+            assert!((z - 1e-3 * (point(row)[2] - centre(place_width)[2])).abs() < 1e-9);
+        }
+    }
+}
+
+#[test]
+fn numbers_with_nothing_between_them_that_end_anywhere_ask_for_widths() {
     let glued = file("", |k| {
-        let angles =
-            (1..=3).map(|joint| format!("{:9.4}", angle(k, joint) - 150.0)).collect::<Vec<_>>().concat();
-        format!("{k:3}{angles}{}", point(k).map(|axis| format!("{axis:10.4}")).concat())
+        let digits = 3 + k % 3;
+        format!("{k} {:.digits$}{:.4}{:.4}{:.4}", angle(k, 1), -120.5, -1500.25 - k as f64, -2500.5)
     });
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("glued.txt");
     std::fs::write(&path, glued).unwrap();
-    let map = suggest_columns(&[&path]).expect("a map");
+    let map = suggest_columns(&[&path], &RowOptions::default()).expect("a map");
     assert!(map.text.contains("# DECIDE: widths = [8, 12, 12]"), "{}", map.text);
-    // With the widths, and what else is open, it reads.
-    let text = "schema = \"calibrig.columns/1\"\n[joints]\ncolumns = [2, 3, 4]\nrevolute_unit = \"deg\"\n[position]\nsystem = \"cartesian\"\n\
-                unit = \"mm\"\nx = 5\ny = 6\nz = 7\n[text]\nwidths = [3, 9, 9, 9, 10, 10]\n";
-    let map = parse_column_map(&Source::new("map.toml", text)).expect("a map");
-    let loaded = read_files(&MeasurementFiles::one(&path), &map, &[Revolute; 3], &RowOptions::default())
-        .expect("read");
-    assert_eq!(loaded.set.observations.len(), ROWS);
-    assert!((loaded.set.observations[1].command[1] - (angle(2, 2) - 150.0).to_radians()).abs() < 1e-9);
 }
 
 #[test]
@@ -461,7 +638,7 @@ fn a_file_without_rows_of_numbers_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("m.csv");
         std::fs::write(&path, text).unwrap();
-        let refused = suggest_columns(&[&path]).expect_err("no numbers").to_string();
+        let refused = suggest_columns(&[&path], &RowOptions::default()).expect_err("no numbers").to_string();
         assert!(refused.contains("there is no row of numbers in it"), "{refused}");
     }
 }

@@ -1,13 +1,17 @@
 //! A column map from what is seen in files: every guess with its reason, and nothing decided that cannot be seen.
 
+mod apart;
 mod column;
 mod names;
 mod told;
+mod triples;
+mod widths;
 mod written;
 
 use std::path::Path;
 
 use self::column::{Numbers, Role, SeenColumn};
+use super::cells::Delimiter;
 use super::columns::RowOptions;
 use super::layout::{Decimal, Table, Wanted};
 use super::open::{is_bag, open};
@@ -38,6 +42,8 @@ pub(super) struct SeenFile {
     pub dates: Dates,
     /// A cell of numbers with nothing between them, as fixed widths leave them.
     pub glued: Option<String>,
+    /// Characters of each column, by which such cells are cut.
+    pub widths: Option<Vec<usize>>,
     pub rows: u64,
     pub columns: Vec<SeenColumn>,
     /// Comments of the file that name units, with their places.
@@ -46,17 +52,35 @@ pub(super) struct SeenFile {
 }
 
 /// Suggests a column map for one file, or for several that belong together: joints in one and points in others, or one file a target.
+/// Of the options, the sheet and what is read of a bag count.
 ///
 /// # Errors
 /// A file that cannot be read as rows.
-pub fn suggest_columns(paths: &[&Path]) -> Result<SuggestedMap, InputError> {
-    let files = paths.iter().map(|path| look_at(path)).collect::<Result<Vec<_>, _>>()?;
+pub fn suggest_columns(paths: &[&Path], options: &RowOptions) -> Result<SuggestedMap, InputError> {
+    let mut files = paths.iter().map(|path| look_at(path, options)).collect::<Result<Vec<_>, _>>()?;
+    apart::see_together(&mut files);
     Ok(written::map_of(&files))
 }
 
+/// Looks at a file, cut at fixed widths where it has to be.
+fn look_at(path: &Path, options: &RowOptions) -> Result<SeenFile, InputError> {
+    let seen = look_as(path, &TextFormat::default(), options)?;
+    if seen.glued.is_none() {
+        return Ok(seen);
+    }
+    let Some(widths) = widths::of_file(path) else { return Ok(seen) };
+    let format = TextFormat { delimiter: Some(Delimiter::Widths(widths.clone())), ..TextFormat::default() };
+    match look_as(path, &format, options) {
+        Ok(cut) if cut.glued.is_none() && cut.rows >= seen.rows && cut.columns.len() == widths.len() => {
+            Ok(SeenFile { glued: seen.glued, widths: Some(widths), ..cut })
+        }
+        _ => Ok(seen),
+    }
+}
+
 /// Reads all rows of a file and keeps what tells of its columns.
-fn look_at(path: &Path) -> Result<SeenFile, InputError> {
-    let rows = open(path, &TextFormat::default(), &Wanted::default(), &RowOptions::default())?;
+fn look_as(path: &Path, format: &TextFormat, options: &RowOptions) -> Result<SeenFile, InputError> {
+    let rows = open(path, format, &Wanted::default(), options)?;
     let mut table = Table::find_any(rows)?;
     if table.columns.len() > MOST_COLUMNS {
         return Err(InputError::Place {
@@ -83,10 +107,13 @@ fn look_at(path: &Path) -> Result<SeenFile, InputError> {
         }
     }
     if columns.iter().all(|column| column.numbers.count == 0) {
+        // Which sheet was read, where there are others.
+        let sheets = table.remarks().into_iter().find(|remark| remark.contains("--sheet"));
+        let sheets = sheets.map_or_else(String::new, |sheets| format!("; {sheets}"));
         return Err(InputError::Place {
             place: table.name().to_owned(),
             message: "there is no row of numbers in it".to_owned(),
-            help: Some("expected a row of numbers for every measurement".to_owned()),
+            help: Some(format!("expected a row of numbers for every measurement{sheets}")),
         });
     }
     let unit_comments = table
@@ -109,6 +136,7 @@ fn look_at(path: &Path) -> Result<SeenFile, InputError> {
         decimal: table.decimal,
         dates: table.dates.clone(),
         glued,
+        widths: None,
         rows,
         columns,
         unit_comments,

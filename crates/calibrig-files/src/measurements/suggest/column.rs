@@ -5,7 +5,8 @@ use std::collections::BTreeSet;
 use super::super::layout::{Column, Decimal};
 use super::super::times;
 use super::super::units::HeaderUnit;
-use super::names::{JointName, Said, said_by};
+use super::names::{JointName, Said, said_by, words};
+use super::triples;
 
 /// What a column may be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,6 +46,8 @@ pub(in super::super) struct Numbers {
     pub most: f64,
     pub are_whole: bool,
     pub are_rising: bool,
+    /// Whether some number is smaller than the one before.
+    pub falls: bool,
     last: f64,
 }
 
@@ -56,6 +59,7 @@ impl Default for Numbers {
             most: f64::NEG_INFINITY,
             are_whole: true,
             are_rising: true,
+            falls: false,
             last: f64::NEG_INFINITY,
         }
     }
@@ -67,6 +71,7 @@ impl Numbers {
         (self.least, self.most) = (self.least.min(number), self.most.max(number));
         self.are_whole &= number.fract() == 0.0;
         self.are_rising &= number > self.last;
+        self.falls |= number < self.last;
         self.last = number;
     }
 
@@ -115,6 +120,10 @@ pub(in super::super) struct SeenColumn {
     pub role: Option<Role>,
     /// Why it may be that.
     pub reason: String,
+    /// Why a person must decide whether it is that.
+    pub doubt: Option<String>,
+    /// Whether another column has this name as well.
+    pub is_repeated: bool,
     /// Place among those of the same role.
     pub order: usize,
 }
@@ -139,6 +148,8 @@ impl SeenColumn {
             many_texts: false,
             role: None,
             reason: String::new(),
+            doubt: None,
+            is_repeated: false,
             order: 0,
         }
     }
@@ -211,16 +222,21 @@ impl SeenColumn {
         texts.map(|text| format!("{text:?}")).chain(self.codes.iter().cloned()).collect()
     }
 
-    fn take(&mut self, role: Role, order: usize, reason: impl Into<String>) {
+    pub fn take(&mut self, role: Role, order: usize, reason: impl Into<String>) {
         (self.role, self.order, self.reason) = (Some(role), order, reason.into());
     }
 
-    /// As a map names it.
+    /// The name, without its unit where that is in brackets.
+    pub fn said_name(&self) -> &str {
+        if self.unit.is_some() { &self.name } else { &self.header }
+    }
+
+    /// As a map names it; by number where the name is not its own.
     pub fn entry(&self, has_header: bool) -> String {
-        if !has_header || self.name.is_empty() {
+        if !has_header || self.name.is_empty() || self.is_repeated {
             return self.number.to_string();
         }
-        format!("{:?}", if self.unit.is_some() { &self.name } else { &self.header })
+        format!("{:?}", self.said_name())
     }
 }
 
@@ -257,10 +273,13 @@ pub(in super::super) fn give_roles_of_a_bag(columns: &mut [SeenColumn]) {
 }
 
 fn by_name(columns: &mut [SeenColumn]) {
+    for index in 0..columns.len() {
+        let is_same = |other: &SeenColumn| other.said_name() == columns[index].said_name();
+        columns[index].is_repeated = columns.iter().filter(|other| is_same(other)).count() > 1;
+    }
     for column in columns.iter_mut() {
         let called = format!("called {:?}", column.header);
-        let name = if column.unit.is_some() { &column.name } else { &column.header };
-        match said_by(name) {
+        match said_by(column.said_name()) {
             Some(Said::Joint(joint)) if column.is_number() => {
                 // What stands beside the arm comes behind it.
                 let beside = if joint.is_external { 10_000 } else { 0 };
@@ -278,7 +297,10 @@ fn by_name(columns: &mut [SeenColumn]) {
             _ => {}
         }
     }
+    take_axes_with_letters(columns);
     choose_joints(columns);
+    leave_times_that_fall(columns);
+    triples::choose(columns);
     // "t" beside joints and a position is a time; of "a" to "z" alone nothing follows.
     let is_one =
         |columns: &[SeenColumn], role| columns.iter().filter(|column| column.role == Some(role)).count() == 1;
@@ -289,6 +311,43 @@ fn by_name(columns: &mut [SeenColumn]) {
                     (column.role, column.reason) = (None, format!("a second one {}", column.reason));
                 }
             }
+        }
+    }
+}
+
+/// Axes of Motoman's arms have letters: S, L, U, R, B, T, and E, the seventh, between L and U.
+fn take_axes_with_letters(columns: &mut [SeenColumn]) {
+    const LETTERS: [&str; 7] = ["s", "l", "e", "u", "r", "b", "t"];
+    let find = |letter: &str, family: Option<&[String]>| {
+        let mut found = columns.iter().enumerate().filter_map(|(index, column)| {
+            let words = words(column.said_name());
+            let (last, rest) = words.split_last()?;
+            let is_one = column.is_number() && last == letter && family.is_none_or(|family| family == rest);
+            is_one.then(|| (index, rest.to_vec()))
+        });
+        found.next().filter(|_| found.next().is_none())
+    };
+    let Some((_, family)) = find("s", None) else { return };
+    let found = LETTERS.map(|letter| find(letter, Some(&family)).map(|(index, _)| index));
+    if found.iter().zip(LETTERS).any(|(found, letter)| found.is_none() && letter != "e") {
+        return;
+    }
+    for (order, index) in found.into_iter().enumerate() {
+        let Some(index) = index else { continue };
+        let column = &mut columns[index];
+        let reason = format!("called {:?}: S, L, U, R, B, T are the axes of Motoman's arms", column.header);
+        column.take(Role::Joint, order + 1, reason);
+        column.joint = Some(JointName::of_letter(&family.join(" "), order + 1));
+    }
+}
+
+/// A time does not fall, and T may be many things.
+fn leave_times_that_fall(columns: &mut [SeenColumn]) {
+    for column in columns.iter_mut().filter(|column| column.role == Some(Role::Time)) {
+        let is_t = words(column.said_name()) == ["t"] && column.unit.is_none();
+        if is_t && column.is_number() && column.numbers.falls {
+            column.role = None;
+            column.reason = String::from("it falls from row to row, so it is no time");
         }
     }
 }

@@ -29,6 +29,21 @@ pub(in super::super) struct JointName {
     pub is_command: bool,
 }
 
+impl JointName {
+    /// An axis that has a letter in place of a number.
+    pub(super) fn of_letter(family: &str, order: usize) -> Self {
+        Self {
+            family: format!("{family} letter"),
+            order: Some(order),
+            is_external: false,
+            slides: false,
+            has_own_name: false,
+            is_of_ros: false,
+            is_command: false,
+        }
+    }
+}
+
 /// Parts of names that tell that a column is another quantity than it would be without.
 const OTHER: [&str; 40] = [
     "velocity",
@@ -130,9 +145,25 @@ fn without_unit(name: &str) -> &str {
 }
 
 /// Words of a name, in lower case: `$AXIS_ACT.A1` is axis, act, a1.
-fn words(name: &str) -> Vec<String> {
+pub(super) fn words(name: &str) -> Vec<String> {
     let parts = without_unit(name).split(|c: char| !c.is_alphanumeric());
     parts.filter(|part| !part.is_empty()).map(str::to_lowercase).collect()
+}
+
+/// What a name holds beside the x, y or z at its end or begin: of columns that belong together it is the same.
+pub(super) fn beside_axis(name: &str) -> Vec<String> {
+    let is_axis = |word: &str| matches!(word, "x" | "y" | "z");
+    let mut words = words(name);
+    if words.last().is_some_and(|word| is_axis(word)) {
+        words.pop();
+    } else if words.first().is_some_and(|word| is_axis(word)) {
+        words.remove(0);
+    } else if let [word] = words.as_mut_slice() {
+        // `posx`, `xmeas`.
+        let axes = ['x', 'y', 'z'];
+        *word = word.strip_prefix(axes).or(word.strip_suffix(axes)).unwrap_or(word).to_owned();
+    }
+    words
 }
 
 /// Letters and the number behind them: `a1`.

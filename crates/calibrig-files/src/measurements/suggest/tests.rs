@@ -16,7 +16,7 @@ proptest! {
         });
         for files in [&paths[..1], &paths[..]] {
             let files: Vec<&Path> = files.iter().map(std::path::PathBuf::as_path).collect();
-            match suggest_columns(&files) {
+            match suggest_columns(&files, &RowOptions::default()) {
                 Ok(map) => {
                     // What is written is a map, or says at which key it is none: it is TOML in any case.
                     let source = crate::Source::new("map.toml", map.text.clone());

@@ -1,6 +1,8 @@
 //! The map as text, with its reasons.
 
+use std::collections::BTreeSet;
 use std::fmt::Write;
+use std::path::Path;
 
 use super::column::{Role, SeenColumn};
 use super::told::{
@@ -14,6 +16,15 @@ use crate::measurements::units::{HeaderUnit, LengthUnit};
 /// "1 row", "2 rows".
 fn counted(count: u64, noun: &str) -> String {
     if count == 1 { format!("1 {noun}") } else { format!("{count} {noun}s") }
+}
+
+/// A name of a target for every file: the file's without its folder and ending, where those differ.
+fn target_names(files: &[SeenFile]) -> Option<Vec<String>> {
+    let stem = |file: &SeenFile| Some(Path::new(&file.name).file_stem()?.to_str()?.to_owned());
+    let names = files.iter().map(stem).collect::<Option<Vec<_>>>()?;
+    let different: BTreeSet<&String> = names.iter().collect();
+    let are_plain = names.iter().all(|name| !name.contains(['=', ' ']));
+    (different.len() == names.len() && are_plain).then_some(names)
 }
 
 /// Why units of a bag are known.
@@ -85,24 +96,24 @@ impl Writer<'_> {
             }
         }
         if files.len() > 1 {
-            let paths = |wanted: &dyn Fn(&&SeenFile) -> bool, flag: &str| {
-                let of = files.iter().filter(|file| wanted(file));
-                of.fold(String::new(), |mut text, file| {
-                    // Writing to a String cannot fail.
-                    let _ = write!(text, " {flag} {}", file.name);
-                    text
-                })
-            };
-            let joints = self.joints.name.clone();
-            let is_joints = |file: &&SeenFile| self.several && file.name == joints;
-            let command = format!(
-                "# Use: calibrig identify --model ROBOT.toml --columns THIS.toml{}{}",
-                paths(&|file| !is_joints(file), "--measurements"),
-                paths(&is_joints, "--joints")
-            );
+            let is_joints = |file: &SeenFile| self.several && std::ptr::eq(file, self.joints);
+            let several_points = files.len() > 1 + usize::from(self.several);
+            // Points of one file of joints are those of several targets.
+            let targets = if self.several && several_points { target_names(files) } else { None };
+            let mut command = String::from("# Use: calibrig identify --model ROBOT.toml --columns THIS.toml");
+            for (index, file) in files.iter().enumerate() {
+                let target = targets.as_ref().map_or_else(String::new, |names| format!("{}=", names[index]));
+                // Writing to a String cannot fail.
+                let _ = if is_joints(file) {
+                    write!(command, " --joints {}", file.name)
+                } else {
+                    write!(command, " --measurements {target}{}", file.name)
+                };
+            }
             self.line(&command);
-            if files.len() > 1 + usize::from(self.several) {
-                self.line("# Where each file is of one target: --measurements TARGET=FILE");
+            if several_points {
+                let named = if targets.is_some() { ", here called as the files are" } else { "" };
+                self.line(&format!("# Where each file is of one target: --measurements TARGET=FILE{named}"));
             }
         }
     }
@@ -188,10 +199,13 @@ impl Writer<'_> {
             self.key("system", "\"cartesian\"", "");
             self.length("unit", &[x, y, z]);
             for (key, column) in [("x", x), ("y", y), ("z", z)] {
-                self.key(key, &entry(column), &reason(column));
+                match &x.doubt {
+                    Some(doubt) if key == "x" => self.undecided(key, &entry(column), doubt),
+                    Some(_) => self.undecided(key, &entry(column), &format!("with x; {}", reason(column))),
+                    None => self.key(key, &entry(column), &reason(column)),
+                }
             }
             self.missed(&[x, y, z]);
-            self.turned_beside();
             return;
         }
         let polar = file.one(Role::Elevation).map(|column| ("elevation", column));
@@ -255,24 +269,6 @@ impl Writer<'_> {
                 &format!("[{}]", marks.join(", ")),
                 "no coordinates, by their looks: marks of missed shots",
             );
-        }
-    }
-
-    /// Where a controller's own position is in the file, it stands beside its orientation.
-    fn turned_beside(&mut self) {
-        let last_word = |column: &'_ SeenColumn| {
-            column.name.rsplit(|c: char| !c.is_alphanumeric()).next().unwrap_or_default().to_owned()
-        };
-        let names: Vec<String> = self.points.columns.iter().map(last_word).collect();
-        let has =
-            |wanted: &[&str]| wanted.iter().all(|w| names.iter().any(|name| name.eq_ignore_ascii_case(w)));
-        let sets: [&[&str]; 4] =
-            [&["A", "B", "C"], &["W", "P", "R"], &["Rx", "Ry", "Rz"], &["q1", "q2", "q3", "q4"]];
-        if let Some(found) = sets.into_iter().find(|set| has(set)).filter(|_| !self.several) {
-            self.line(&format!(
-                "# Beside {}: is this where the tracker saw the target? Where the controller computes its own tool to be is no measurement.",
-                found.join(", ")
-            ));
         }
     }
 
@@ -348,6 +344,9 @@ impl Writer<'_> {
         }
         if let Some(column) = file.one(Role::Temperature) {
             self.key("temperature_c", &column.entry(file.has_header), &reason(column));
+        }
+        for column in file.unused().filter(|column| column.reason.contains("no time")) {
+            self.line(&format!("# {}: {}", column.header, column.reason));
         }
         let unused: Vec<_> = file.unused().map(|column| column.header.clone()).collect();
         if !unused.is_empty() {
@@ -428,10 +427,16 @@ impl Writer<'_> {
             self.key("decimal", "\",\"", "numbers have a decimal comma");
         }
         if let Some(cell) = glued {
-            let why = format!(
-                "{cell} looks like numbers with nothing between them: say how many characters each column has"
-            );
-            self.undecided("widths", "[8, 12, 12]", &why);
+            let same = self.joints.widths == self.points.widths;
+            if let Some(widths) = self.points.widths.as_ref().filter(|_| same) {
+                let why = format!("{cell} is several numbers; they end at the same places in every line");
+                self.key("widths", &format!("{widths:?}"), &why);
+            } else {
+                let why = format!(
+                    "{cell} looks like numbers with nothing between them: say how many characters each column has"
+                );
+                self.undecided("widths", "[8, 12, 12]", &why);
+            }
         }
         if let Some((file, cell)) = ambiguous {
             if let Some(why) = &file.dates.why {
