@@ -166,6 +166,7 @@ impl RowReader<'_> {
             Ok(reading) => reading,
             Err(why) => {
                 let why = format!("missed shot: {why} ({})", row.place().of(self.file));
+                let pose = if self.columns.pose.is_some() { pose } else { self.rows };
                 loaded.drop_row(pose, why, held_out);
                 return Ok(());
             }
