@@ -358,6 +358,15 @@ impl CalibrationProblem {
         Ok(())
     }
 
+    /// Weighs the observations as if none stated its noise: alike in all directions, and each by itself.
+    pub(super) fn weigh_alike(&mut self) {
+        self.start = None;
+        self.joined.clear();
+        for row in &mut self.rows {
+            row.whitening = Matrix3::identity() / UNSTATED_SIGMA;
+        }
+    }
+
     fn weigh_apart(&mut self, pose: &[usize], known: &[Matrix3<f64>]) -> Option<()> {
         for (i, known) in pose.iter().zip(known) {
             self.rows[*i].whitening = inverse_factor(*known)?;

@@ -140,7 +140,9 @@ pub(super) fn summarise(
     let outliers = if accounted && solution.weights.is_empty() {
         gross_errors_beside_the_machine(&mut problem, &solution, bounded, set)
     } else {
-        let seen = Rows { residuals: &solution.residuals, jacobian: &jacobian, weights: &solution.weights };
+        let few = problem.few_unstated();
+        let (residuals, weights) = (&solution.residuals, solution.weights.as_slice());
+        let seen = Rows { residuals, jacobian: &jacobian, weights, few: &few };
         gross_errors(&problem, &seen, factorised.spread(), bounded, is_stated, set)
     };
     if !outliers.is_empty() {
@@ -253,10 +255,12 @@ struct Rows<'a> {
     jacobian: &'a DMatrix<f64>,
     /// What every observation counts for; empty where all count alike.
     weights: &'a [f64],
+    /// Observations whose rows are in another noise than the others', with the factor between.
+    few: &'a [(usize, f64)],
 }
 
-/// Gross errors where the machine's noise was found with the fit: it was found with them in it. So they are looked for in the noise of the
-/// readings alone, against the scatter that the others have there. The problem is weighed as it was before.
+/// Gross errors where the machine's noise was found with the fit: it was found with them in it. So they are looked for among readings that all
+/// count alike in all directions, as those that state no noise, against the scatter of the others. The problem is weighed as it was before.
 fn gross_errors_beside_the_machine(
     problem: &mut CalibrationProblem,
     solution: &Solution,
@@ -265,17 +269,15 @@ fn gross_errors_beside_the_machine(
 ) -> Vec<Outlier> {
     let found = problem.noise.clone();
     let (mut residuals, mut jacobian) = problem.metres(solution);
-    let of_readings = Noise { machine: None, ..found.clone() };
+    problem.weigh_alike();
+    problem.whiten(&mut residuals, &mut jacobian);
+    let free = free_columns(&jacobian, bounded);
     let mut outliers = Vec::new();
-    if problem.weigh(&of_readings).is_ok() {
-        problem.whiten(&mut residuals, &mut jacobian);
-        let free = free_columns(&jacobian, bounded);
-        if let Some(minimum) = Minimum::of(&residuals, &jacobian, &free)
-            && let Some(spread) = minimum.spread(jacobian.ncols(), &free)
-        {
-            let seen = Rows { residuals: &minimum.residuals, jacobian: &jacobian, weights: &[] };
-            outliers = gross_errors(problem, &seen, Some(&spread), bounded, false, set);
-        }
+    if let Some(minimum) = Minimum::of(&residuals, &jacobian, &free)
+        && let Some(spread) = minimum.spread(jacobian.ncols(), &free)
+    {
+        let seen = Rows { residuals: &minimum.residuals, jacobian: &jacobian, weights: &[], few: &[] };
+        outliers = gross_errors(problem, &seen, Some(&spread), bounded, false, set);
     }
     // It was weighed so before.
     let _ = problem.weigh(&found);
@@ -292,8 +294,8 @@ fn gross_errors(
     set: &MeasurementSet,
 ) -> Vec<Outlier> {
     let (mut residuals, mut jacobian) = (rows.residuals.clone(), rows.jacobian.clone());
-    let few = problem.few_unstated();
-    for (i, factor) in &few {
+    let few = rows.few;
+    for (i, factor) in few {
         residuals.fixed_rows_mut::<3>(3 * i).scale_mut(*factor);
         jacobian.fixed_rows_mut::<3>(3 * i).scale_mut(*factor);
     }
