@@ -137,14 +137,7 @@ pub(super) fn summarise(
     let (bounds, unused): (Vec<_>, Vec<_>) = options.bounds.iter().filter(known).copied().partition(has);
     warnings.extend(unused.into_iter().map(|bound| Warning::UnusedBound { bound }));
     let jacobian = unweighted(&mut problem, &solution);
-    let outliers = if accounted && solution.weights.is_empty() {
-        gross_errors_beside_the_machine(&mut problem, &solution, bounded, set)
-    } else {
-        let few = problem.few_unstated();
-        let (residuals, weights) = (&solution.residuals, solution.weights.as_slice());
-        let seen = Rows { residuals, jacobian: &jacobian, weights, few: &few };
-        gross_errors(&problem, &seen, factorised.spread(), bounded, is_stated, set)
-    };
+    let outliers = outliers_of(&mut problem, &solution, &jacobian, &factorised, set);
     if !outliers.is_empty() {
         warnings.push(Warning::Outliers(outliers.clone()));
     }
@@ -257,6 +250,25 @@ struct Rows<'a> {
     weights: &'a [f64],
     /// Observations whose rows are in another noise than the others', with the factor between.
     few: &'a [(usize, f64)],
+}
+
+/// Readings far off what the others say of them; `jacobian` is the solution's without the weights of a loss.
+fn outliers_of(
+    problem: &mut CalibrationProblem,
+    solution: &Solution,
+    jacobian: &DMatrix<f64>,
+    factorised: &Factorised,
+    set: &MeasurementSet,
+) -> Vec<Outlier> {
+    let bounded = &factorised.bounded;
+    if problem.noise.machine.is_some() && solution.weights.is_empty() {
+        return gross_errors_beside_the_machine(problem, solution, bounded, set);
+    }
+    let few = problem.few_unstated();
+    let (residuals, weights) = (&solution.residuals, solution.weights.as_slice());
+    let is_stated = noise_scale(problem) == NoiseScale::Stated;
+    let rows = Rows { residuals, jacobian, weights, few: &few };
+    gross_errors(problem, &rows, factorised.spread(), bounded, is_stated, set)
 }
 
 /// Gross errors where the machine's noise was found with the fit: it was found with them in it. So they are looked for among readings that all
