@@ -343,7 +343,7 @@ impl Names {
                 "a robot's file that ends with [[joint]] {}, and a column map without the columns of the joints behind it",
                 self.joint(*joint)
             ),
-            Part::ShiftedRows { by } => format!("--shift-points {by} (added to one that was given)"),
+            Part::ShiftedRows { by } => format!("--shift-points {by}"),
             Part::ZenithElevation { .. } => {
                 "`zenith` in the place of `elevation` in [position] of the column map, or `elevation` in that of `zenith`".to_owned()
             }

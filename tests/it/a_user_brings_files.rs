@@ -359,7 +359,7 @@ fn a_recording_of_files_with_a_map_is_read_back() {
         "export",
         "mcap",
         "--model",
-        "robot.toml",
+        "r.toml",
         "--measurements",
         "m.csv",
         "--columns",

@@ -967,7 +967,7 @@ fn a_user_has_a_mistake_in_a_column_map() {
             "",
             Header,
             "missing key `revolute_unit` in [joints]",
-            "deg, rad, mrad, arcsec or gon",
+            "deg, rad, mrad, arcsec, gon or rev",
         ),
         ("[joints]", "revolute_unit", "revolute_unit = \"grad\"", Same, "revolute_unit is \"grad\"", "`deg`"),
         (

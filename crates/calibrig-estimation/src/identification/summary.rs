@@ -142,7 +142,7 @@ pub(super) fn summarise(
         warnings.push(Warning::Outliers(outliers.clone()));
     }
     warnings.extend(off_the_points(&problem, &solution, set, &outliers));
-    if !is_stated || accounted || is_misfit {
+    if solution.termination.converged() && (!is_stated || accounted || is_misfit) {
         warnings.extend(divided(&mut problem, &solution, &jacobian, &factorised.bounded, set));
     }
     if solution.minima > 1 {

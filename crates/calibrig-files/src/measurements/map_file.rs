@@ -15,7 +15,7 @@
 //! y = ["y_target", "-y_error"]
 //! z = 7                             # the seventh column; in a sum #7
 //! missed = [-9999, "n/a"]           # optional: what marks a missed shot in a cell of the position, beside (0, 0, 0)
-//! # or: system = "spherical", range = "R", range_unit = "m", azimuth = "Az", angle_unit = "deg" (rad, mrad, arcsec or gon), and
+//! # or: system = "spherical", range = "R", range_unit = "m", azimuth = "Az", angle_unit = "deg" (rad, mrad, arcsec, gon or rev), and
 //! # either elevation = "El" (above the tracker's x-y plane) or zenith = "Ze" (from its z axis)
 //!
 //! [sigma]                           # optional: standard deviations above 0, in the system of the position
