@@ -115,11 +115,13 @@ fn count_identical_once(file: &mut MeasuredFile) -> Option<String> {
     if !copies.is_empty() {
         file.loaded.keep(&kept);
     }
-    let (s, poses) = if copies.len() == 1 { ("s", "pose") } else { ("", "poses") };
+    let (count, s) = (copies.len(), if copies.len() == 1 { "s" } else { "" });
+    // Those of one stop have the number of one pose.
+    copies.dedup();
+    let poses = if copies.len() == 1 { "pose" } else { "poses" };
     let words = format!(
-        "{}: {} of the readings repeat{s} another to the last digit and count{s} once with it ({poses} {})",
+        "{}: {count} of the readings repeat{s} another to the last digit and count{s} once with it ({poses} {})",
         file.name,
-        copies.len(),
         listed(&copies)
     );
     (!copies.is_empty()).then_some(words)
