@@ -98,23 +98,15 @@ impl Source {
 
     /// Reads a UTF-8 file.
     pub fn read(path: &Path) -> Result<Self, InputError> {
-        let unreadable = |reason: String| InputError::Unreadable { path: path.to_path_buf(), reason };
-        if path.is_dir() {
-            return Err(unreadable("it is a folder, a file was expected".to_owned()));
-        }
-        let bytes = std::fs::read(path).map_err(|e| unreadable(e.to_string()))?;
-        let text = String::from_utf8(bytes).map_err(|e| unreadable(not_utf8(&e)))?;
+        let bytes = bytes_of(path)?;
+        let text = String::from_utf8(bytes).map_err(|e| unreadable(path, not_utf8(&e)))?;
         Ok(Self::new(path.display().to_string(), text))
     }
 
     /// Reads a file whose text other programs wrote: UTF-8, UTF-16 with its mark, else Latin-1 (Windows-1252). What is not UTF-8 is told by the
     /// second.
     pub fn read_foreign(path: &Path) -> Result<(Self, Option<String>), InputError> {
-        let unreadable = |reason: String| InputError::Unreadable { path: path.to_path_buf(), reason };
-        if path.is_dir() {
-            return Err(unreadable("it is a folder, a file was expected".to_owned()));
-        }
-        let bytes = std::fs::read(path).map_err(|e| unreadable(e.to_string()))?;
+        let bytes = bytes_of(path)?;
         let name = path.display().to_string();
         let utf16 = |unit: fn([u8; 2]) -> u16| {
             let units = bytes[2..].as_chunks::<2>().0.iter().map(|pair| unit(*pair));
@@ -152,6 +144,18 @@ impl Source {
     pub fn toml<T: DeserializeOwned>(&self) -> Result<T, InputError> {
         toml_text::read(self)
     }
+}
+
+fn unreadable(path: &Path, reason: String) -> InputError {
+    InputError::Unreadable { path: path.to_path_buf(), reason }
+}
+
+/// All of a file.
+fn bytes_of(path: &Path) -> Result<Vec<u8>, InputError> {
+    if path.is_dir() {
+        return Err(unreadable(path, "it is a folder, a file was expected".to_owned()));
+    }
+    std::fs::read(path).map_err(|error| unreadable(path, error.to_string()))
 }
 
 /// A byte of Windows-1252, which is Latin-1 but for 0x80 to 0x9F.

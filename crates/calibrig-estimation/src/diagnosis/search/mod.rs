@@ -274,7 +274,7 @@ fn go_together(a: &Part, b: &Part) -> bool {
         (Part::AngleUnit { joints: i, .. }, Part::AngleUnit { joints: j, .. }) => {
             i.len() == 1 && j.len() == 1 && i != j
         }
-        // One that takes back the other is none.
+        // Two that undo each other leave the columns as they were read.
         (Part::Order { from: i, .. }, Part::Order { from: j, .. }) => {
             j.iter().enumerate().any(|(joint, column)| i[*column] != joint)
         }

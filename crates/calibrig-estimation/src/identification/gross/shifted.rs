@@ -84,7 +84,8 @@ impl LinearFit<'_> {
         let gross = |(place, observation): (usize, usize)| {
             let own = now.spread.fixed_rows::<3>(n + 3 * place);
             let covariance: Matrix3<f64> = own * own.transpose();
-            let alone = self.columns(observation).tr_mul(&self.columns(observation));
+            let columns = self.columns(observation);
+            let alone = columns.tr_mul(&columns);
             let alone: Matrix3<f64> = alone.fixed_view::<3, 3>(0, 0).into_owned();
             let left_out = self.shift(now, place)?;
             let square = left_out.dot(&covariance.lu().solve(&left_out)?);
