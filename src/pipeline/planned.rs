@@ -40,8 +40,8 @@ pub fn planned_at(
     in_flange: Vector3<f64>,
 ) -> Result<MeasurementSet, PipelineError> {
     let mut set = MeasurementSet {
-        stations: vec![Station { name: "1".to_owned(), nests: Vec::new() }],
-        targets: vec![Target { name: "SMR".to_owned(), in_flange, covariance: None }],
+        stations: vec![Station { name: "1".to_owned(), ..Station::default() }],
+        targets: vec![Target { name: "SMR".to_owned(), in_flange, covariance: None, orientation: None }],
         observations: Vec::new(),
     };
     let robot = CalibratedRobot {

@@ -64,6 +64,7 @@ mod tests {
     #[test]
     fn a_spherical_residual_is_that_of_the_instrument_also_across_the_cut() {
         let reading = |range, azimuth, elevation| SphericalReading {
+            face: calibrig_model::measurement::Face::Front,
             range,
             azimuth,
             elevation,

@@ -315,8 +315,9 @@ fn observation(pose: u32, command: Vec<f64>, position: Vector3<f64>) -> Observat
 
 fn measurements(observations: Vec<Observation>, target: &str) -> MeasurementSet {
     MeasurementSet {
-        stations: vec![Station { name: "T1".to_owned(), nests: Vec::new() }],
+        stations: vec![Station { name: "T1".to_owned(), ..Station::default() }],
         targets: vec![Target {
+            orientation: None,
             name: target.to_owned(),
             in_flange: Vector3::from(STATED_TARGET),
             covariance: None,

@@ -71,15 +71,16 @@ fn measure(nominal: &CalibrationModel, robot: &CalibratedRobot, poses: usize, mi
     let covariance = Some(Matrix3::identity() * SIGMA * SIGMA);
     let station = robot.stations[0];
     let nest = |in_base: Vector3<f64>| NestObservation {
+        time: None,
         name: String::new(),
         in_base,
         in_base_covariance: Matrix3::identity() * 1e-10,
         reading: Reading::Cartesian { position: (station * Point3::from(in_base)).coords, covariance },
     };
     let corners = [Vector3::zeros(), Vector3::x(), Vector3::y(), 4.0 * Vector3::z()];
-    let target = Target { name: String::new(), in_flange: robot.targets[0], covariance };
+    let target = Target { orientation: None, name: String::new(), in_flange: robot.targets[0], covariance };
     let mut set = MeasurementSet {
-        stations: vec![Station { name: String::new(), nests: corners.map(nest).to_vec() }],
+        stations: vec![Station { instrument: None, name: String::new(), nests: corners.map(nest).to_vec() }],
         targets: vec![target],
         observations: Vec::with_capacity(poses),
     };

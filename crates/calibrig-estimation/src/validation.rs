@@ -70,7 +70,12 @@ mod tests {
         };
         MeasurementSet {
             stations: vec![Station::default()],
-            targets: vec![Target { name: String::new(), in_flange: Vector3::zeros(), covariance: None }],
+            targets: vec![Target {
+                name: String::new(),
+                in_flange: Vector3::zeros(),
+                covariance: None,
+                orientation: None,
+            }],
             observations: (0..count).map(observation).collect(),
         }
     }

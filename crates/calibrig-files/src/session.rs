@@ -14,8 +14,8 @@ use serde::Deserialize;
 use crate::LoadedMeasurements;
 use crate::input::{InputError, Source, Spanned};
 use calibrig_model::measurement::{
-    MeasurementSet, NestObservation, Reading, RegistrationError, SetKind, SphericalReading, Station, Target,
-    register,
+    Face, MeasurementSet, NestObservation, Reading, RegistrationError, SetKind, SphericalReading, Station,
+    Target, register,
 };
 
 const SCHEMA: &str = "calibrig.session/1";
@@ -136,7 +136,7 @@ pub fn parse_session(source: &Source) -> Result<SessionFile, InputError> {
             set,
             place: table.name.span(),
             nests: table.nest.iter().map(Spanned::span).collect(),
-            item: Station { name: table.name.into_inner(), nests },
+            item: Station { name: table.name.into_inner(), nests, instrument: None },
         });
     }
     for table in file.target {
@@ -150,7 +150,7 @@ pub fn parse_session(source: &Source) -> Result<SessionFile, InputError> {
             set,
             place: table.name.span(),
             nests: Vec::new(),
-            item: Target { name: table.name.into_inner(), in_flange, covariance },
+            item: Target { name: table.name.into_inner(), in_flange, covariance, orientation: None },
         });
     }
     for table in file.dropped {
@@ -261,6 +261,7 @@ impl Reader<'_> {
             in_base: self.vector("in_base_m", &nest.in_base_m)?,
             in_base_covariance,
             reading: self.reading(nest, span)?,
+            time: None,
         })
     }
 
@@ -284,6 +285,7 @@ impl Reader<'_> {
                     azimuth: self.source.finite("az_rad", azimuth)?,
                     elevation: self.source.finite("el_rad", elevation)?,
                     covariance: Some(self.spherical_covariance(nest, span)?),
+                    face: Face::Front,
                 }))
             }
             (None, [None, None, None]) => refused("there is no reading"),
@@ -489,7 +491,7 @@ fn nest_text(nest: &NestObservation) -> String {
         rows(&nest.in_base_covariance),
     );
     let _ = match &nest.reading {
-        Reading::Spherical(SphericalReading { range, azimuth, elevation, covariance }) => {
+        Reading::Spherical(SphericalReading { range, azimuth, elevation, covariance, .. }) => {
             let covariance = covariance.as_ref().map(|c| format!("covariance_m_rad = {:?}\n", rows(c)));
             write!(
                 text,
@@ -502,6 +504,7 @@ fn nest_text(nest: &NestObservation) -> String {
             let position = <[f64; 3]>::from(*position);
             write!(text, "position_m = {position:?}\n{}", covariance.unwrap_or_default())
         }
+        Reading::Pose(_) => Ok(()),
     };
     text
 }

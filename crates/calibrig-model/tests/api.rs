@@ -80,13 +80,13 @@ proptest! {
     fn stations_that_nests_do_not_determine_are_refused(
         places in prop::collection::vec((vector(), vector(), number(), any::<bool>()), 0..6)
     ) {
-        let nest = |(in_base, seen, variance, stated): &(Vector3<f64>, Vector3<f64>, f64, bool)| NestObservation {
+        let nest = |(in_base, seen, variance, stated): &(Vector3<f64>, Vector3<f64>, f64, bool)| NestObservation { time: None,
             name: "N".to_owned(),
             in_base: *in_base,
             in_base_covariance: Matrix3::identity() * *variance,
             reading: Reading::Cartesian { position: *seen, covariance: stated.then(|| Matrix3::identity() * 1e-10) },
         };
-        let station = Station { name: "T".to_owned(), nests: places.iter().map(nest).collect() };
+        let station = Station { instrument: None, name: "T".to_owned(), nests: places.iter().map(nest).collect() };
         match register(&station) {
             Ok(registration) => prop_assert!(station.nests.len() >= 3 && registration.chi2 >= 0.0),
             Err(error) => prop_assert!(error.to_string().contains("nest")),

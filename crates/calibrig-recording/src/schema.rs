@@ -1,10 +1,12 @@
 //! The messages of package `calibrig.v1` (see `calibrig.proto`), and the way between them and the library's own types.
 
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3};
 
 use calibrig_model::geometry::Transform;
-use calibrig_model::measurement::{NestObservation, Observation, Reading, SphericalReading, Station, Target};
-use calibrig_model::measurement::{SetKind, SetOutcome};
+use calibrig_model::measurement::{
+    Face, InstrumentTerm, NestObservation, Observation, PoseReading, Reading, SetKind, SetOutcome,
+    SphericalReading, StatedInstrument, Station, Target, TargetOrientation,
+};
 
 /// The generated types.
 #[allow(missing_docs, clippy::all, clippy::pedantic)]
@@ -63,6 +65,21 @@ fn to_matrix(values: &[f64], name: &str) -> Result<Matrix3<f64>, String> {
     numbers::<9>(values, name).map(|v| Matrix3::from_row_slice(&v))
 }
 
+/// A rotation matrix as it is written: right-handed and of unit columns, up to the digits of a program in single precision.
+fn to_rotation(values: &[f64], name: &str) -> Result<Rotation3<f64>, String> {
+    let matrix = to_matrix(values, name)?;
+    let off = (matrix.transpose() * matrix - Matrix3::identity()).amax();
+    if off > 1e-5 {
+        return Err(format!(
+            "{name} is no rotation: its columns differ from unit vectors at right angles by {off:.1e}"
+        ));
+    }
+    if matrix.determinant() < 0.0 {
+        return Err(format!("{name} is left-handed: a right-handed rotation was expected"));
+    }
+    Ok(Rotation3::from_matrix_unchecked(matrix))
+}
+
 fn to_optional_matrix(values: &[f64], name: &str) -> Result<Option<Matrix3<f64>>, String> {
     if values.is_empty() { Ok(None) } else { to_matrix(values, name).map(Some) }
 }
@@ -85,6 +102,7 @@ impl From<&Reading> for v1::Reading {
                 azimuth: Some(reading.azimuth),
                 elevation: Some(reading.elevation),
                 covariance: reading.covariance.as_ref().map(matrix).unwrap_or_default(),
+                back_face: reading.face == Face::Back,
             }),
             Reading::Cartesian { position, covariance } => {
                 v1::reading::Kind::Cartesian(v1::CartesianReading {
@@ -92,6 +110,11 @@ impl From<&Reading> for v1::Reading {
                     covariance: covariance.as_ref().map(matrix).unwrap_or_default(),
                 })
             }
+            Reading::Pose(pose) => v1::reading::Kind::Pose(v1::PoseReading {
+                position: vector(&pose.position),
+                rotation: matrix(pose.rotation.matrix()),
+                covariance: pose.covariance.map(|c| c.transpose().as_slice().to_vec()).unwrap_or_default(),
+            }),
         };
         Self { kind: Some(kind) }
     }
@@ -104,22 +127,65 @@ fn to_reading(message: Option<&v1::Reading>) -> Result<Reading, String> {
             azimuth: number(message.azimuth, "azimuth")?,
             elevation: number(message.elevation, "elevation")?,
             covariance: to_optional_matrix(&message.covariance, "covariance of the reading")?,
+            face: if message.back_face { Face::Back } else { Face::Front },
         })),
         v1::reading::Kind::Cartesian(reading) => Ok(Reading::Cartesian {
             position: to_vector(&reading.position, "position")?,
             covariance: to_optional_matrix(&reading.covariance, "covariance of the reading")?,
         }),
+        v1::reading::Kind::Pose(pose) => Ok(Reading::Pose(PoseReading {
+            position: to_vector(&pose.position, "position")?,
+            rotation: to_rotation(&pose.rotation, "rotation of the reading")?,
+            covariance: match pose.covariance.as_slice() {
+                [] => None,
+                stated => Some(Matrix6::from_row_slice(&numbers::<36>(stated, "covariance of the reading")?)),
+            },
+        })),
     }
+}
+
+fn instrument(stated: &StatedInstrument) -> v1::Instrument {
+    let error = |(term, sigma): &(InstrumentTerm, f64)| v1::InstrumentError {
+        term: term.key().to_owned(),
+        sigma: Some(*sigma),
+    };
+    v1::Instrument { name: stated.name.clone(), errors: stated.sigmas.iter().map(error).collect() }
+}
+
+fn to_instrument(message: &v1::Instrument) -> Result<StatedInstrument, String> {
+    let error = |error: &v1::InstrumentError| {
+        let term = InstrumentTerm::parse(&error.term)
+            .ok_or_else(|| format!("there is no error {:?} of an instrument", error.term))?;
+        Ok::<_, String>((term, number(error.sigma, "sigma of an instrument's error")?))
+    };
+    Ok(StatedInstrument {
+        name: message.name.clone(),
+        sigmas: message.errors.iter().map(error).collect::<Result<_, _>>()?,
+    })
 }
 
 /// A set before its observations.
 pub(super) fn session(set: &SetOutcome, planned: Option<u32>) -> v1::Session {
     let measurements = &set.measurements;
-    let station = |station: &Station| v1::Station { name: station.name.clone(), nests: Vec::new() };
+    let station = |station: &Station| v1::Station {
+        name: station.name.clone(),
+        nests: Vec::new(),
+        instrument: station.instrument.as_ref().map(instrument),
+    };
     let target = |target: &Target| v1::Target {
         name: target.name.clone(),
         in_flange: vector(&target.in_flange),
         covariance: target.covariance.as_ref().map(matrix).unwrap_or_default(),
+        rotation: target
+            .orientation
+            .as_ref()
+            .map(|turned| matrix(turned.flange_from_target.matrix()))
+            .unwrap_or_default(),
+        rotation_covariance: target
+            .orientation
+            .as_ref()
+            .and_then(|turned| turned.covariance.as_ref().map(matrix))
+            .unwrap_or_default(),
     };
     v1::Session {
         set: set.kind.key().to_owned(),
@@ -138,6 +204,7 @@ pub(super) fn nests(set: &SetOutcome) -> impl Iterator<Item = v1::BaseNest> {
         in_base: vector(&nest.in_base),
         in_base_covariance: matrix(&nest.in_base_covariance),
         reading: Some((&nest.reading).into()),
+        time: nest.time,
     };
     let stations = set.measurements.stations.iter().enumerate();
     stations.flat_map(move |(station, place)| {
@@ -155,7 +222,18 @@ pub(super) fn to_nest(nest: &v1::Nest) -> Result<NestObservation, String> {
         in_base: to_vector(&nest.in_base, "in_base")?,
         in_base_covariance: to_matrix(&nest.in_base_covariance, "in_base_covariance")?,
         reading: to_reading(nest.reading.as_ref())?,
+        time: nest.time.map(|time| number(Some(time), "time")).transpose()?,
     })
+}
+
+fn to_orientation(target: &v1::Target) -> Result<Option<TargetOrientation>, String> {
+    if target.rotation.is_empty() {
+        return Ok(None);
+    }
+    Ok(Some(TargetOrientation {
+        flange_from_target: to_rotation(&target.rotation, "rotation of the target")?,
+        covariance: to_optional_matrix(&target.rotation_covariance, "covariance of the target's rotation")?,
+    }))
 }
 
 /// Counts of a recording are far below 2^32.
@@ -169,13 +247,15 @@ impl TryFrom<&v1::Session> for SetOutcome {
     fn try_from(message: &v1::Session) -> Result<Self, String> {
         let station = |station: &v1::Station| {
             let nests = station.nests.iter().map(to_nest).collect::<Result<_, _>>()?;
-            Ok::<_, String>(Station { name: station.name.clone(), nests })
+            let instrument = station.instrument.as_ref().map(to_instrument).transpose()?;
+            Ok::<_, String>(Station { name: station.name.clone(), nests, instrument })
         };
         let target = |target: &v1::Target| {
             Ok::<_, String>(Target {
                 name: target.name.clone(),
                 in_flange: to_vector(&target.in_flange, "in_flange")?,
                 covariance: to_optional_matrix(&target.covariance, "covariance of the target")?,
+                orientation: to_orientation(target)?,
             })
         };
         Ok(Self {

@@ -17,7 +17,7 @@ use calibrig_estimation::kinematics::{forward_kinematics, link_frames};
 use calibrig_files::Source;
 use calibrig_model::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
 use calibrig_model::measurement::{
-    MeasurementSet, NestObservation, Observation, Reading, SphericalReading, Station, Target,
+    Face, MeasurementSet, NestObservation, Observation, Reading, SphericalReading, Station, Target,
 };
 use calibrig_model::measurement::{SetKind, SetOutcome};
 use calibrig_model::{
@@ -264,6 +264,7 @@ fn measure(
             azimuth: p.y.atan2(p.x),
             elevation: p.z.atan2(p.x.hypot(p.y)),
             covariance: Some(covariance),
+            face: Face::Front,
         })
     };
     let nests = [[0.5, 0.2, -0.6], [0.5, 0.2, 4.6], [-0.5, 0.1, 2.0], [0.4, 0.9, 2.0]];
@@ -272,8 +273,9 @@ fn measure(
         in_base: place.into(),
         in_base_covariance: Matrix3::identity() * 1e-10,
         reading: see(&place.into()),
+        time: None,
     });
-    let stations = vec![Station { name: "front".to_owned(), nests: nests.collect() }];
+    let stations = vec![Station { name: "front".to_owned(), nests: nests.collect(), ..Station::default() }];
     let observations =
         (0_u32..).zip(commands.iter().zip(settled)).map(|(pose, (command, settled))| Observation {
             pose,
@@ -289,6 +291,7 @@ fn measure(
         observations: observations.collect(),
         stations,
         targets: vec![Target {
+            orientation: None,
             name: "SMR".to_owned(),
             in_flange: IN_FLANGE.into(),
             covariance: Some(Matrix3::identity() * 1e-10),

@@ -72,10 +72,7 @@ impl View {
 impl<'a> Session<'a> {
     pub fn new(model: &'a CalibrationModel, set: &'a MeasurementSet) -> Self {
         let observations = &set.observations;
-        let spherical = |reading: &Reading| match reading {
-            Reading::Spherical(s) => [s.range, s.azimuth, s.elevation],
-            Reading::Cartesian { position: p, .. } => [p.norm(), p.y.atan2(p.x), p.z.atan2(p.x.hypot(p.y))],
-        };
+        let spherical = Reading::spherical;
         let poses: Vec<i64> = observations.iter().map(|o| i64::from(o.pose)).collect();
         let count = |count: usize| i64::try_from(count).unwrap_or(i64::MAX);
         // Numbers that run through, but for rows that were dropped, tell where these were.

@@ -251,6 +251,7 @@ fn the_unit_of_angles_is_found_whichever_way_they_are_counted() {
             let (azimuth, elevation) = (p.y.atan2(p.x), p.z.atan2(p.x.hypot(p.y)));
             let from = if from_zenith { FRAC_PI_2 } else { 0.0 };
             observation.reading = Reading::Spherical(SphericalReading {
+                face: calibrig_model::measurement::Face::Front,
                 range: p.norm(),
                 azimuth: azimuth * to,
                 elevation: from + (elevation - from) * to,

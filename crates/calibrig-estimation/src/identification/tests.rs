@@ -50,8 +50,9 @@ pub(super) fn measure(robot: &CalibratedRobot, poses: usize, noise: f64) -> Meas
     let covariance = Matrix3::identity() * SIGMA * SIGMA;
     let station = robot.stations[0];
     let mut set = MeasurementSet {
-        stations: vec![Station { name: "T1".to_owned(), nests: Vec::new() }],
+        stations: vec![Station { name: "T1".to_owned(), ..Station::default() }],
         targets: vec![Target {
+            orientation: None,
             name: "S1".to_owned(),
             in_flange: robot.targets[0],
             covariance: Some(covariance),
@@ -60,6 +61,7 @@ pub(super) fn measure(robot: &CalibratedRobot, poses: usize, noise: f64) -> Meas
     };
     for in_base in [Vector3::zeros(), Vector3::x(), Vector3::y(), 4.0 * Vector3::z()] {
         set.stations[0].nests.push(NestObservation {
+            time: None,
             name: format!("{in_base:?}"),
             in_base,
             in_base_covariance: covariance,

@@ -83,6 +83,7 @@ fn of_readings_of_one_pose_the_wrong_one_is_named() {
                 .iter()
                 .zip(["A", "B", "C"])
                 .map(|(_, name)| Target {
+                    orientation: None,
                     name: name.to_owned(),
                     in_flange: Vector3::zeros(),
                     covariance: None,

@@ -168,6 +168,7 @@ fn measured(model: &CalibrationModel, poses: u32, known: [bool; 4]) -> Measureme
     let in_flange = Vector3::new(0.1, 0.05, 0.2);
     let away = Vector3::new(4.0, 1.0, 1.5);
     let nest = |in_base: Vector3<f64>| NestObservation {
+        time: None,
         name: format!("{in_base:?}"),
         in_base,
         in_base_covariance: covariance,
@@ -185,6 +186,7 @@ fn measured(model: &CalibrationModel, poses: u32, known: [bool; 4]) -> Measureme
         let reading = if spherical {
             let range = position.norm();
             Reading::Spherical(SphericalReading {
+                face: calibrig_model::measurement::Face::Front,
                 range,
                 azimuth: position.y.atan2(position.x),
                 elevation: position.z.atan2(position.x.hypot(position.y)),
@@ -205,8 +207,13 @@ fn measured(model: &CalibrationModel, poses: u32, known: [bool; 4]) -> Measureme
         }
     };
     MeasurementSet {
-        stations: vec![Station { name: "T1".to_owned(), nests }],
-        targets: vec![Target { name: "S1".to_owned(), in_flange, covariance: target.then_some(covariance) }],
+        stations: vec![Station { instrument: None, name: "T1".to_owned(), nests }],
+        targets: vec![Target {
+            orientation: None,
+            name: "S1".to_owned(),
+            in_flange,
+            covariance: target.then_some(covariance),
+        }],
         observations: (1..=poses).map(observe).collect(),
     }
 }

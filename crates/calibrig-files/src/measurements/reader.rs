@@ -12,7 +12,9 @@ use super::layout::{Column, Decimal};
 use super::rows::{Place, Row};
 use super::times::TimeReader;
 use crate::input::InputError;
-use calibrig_model::measurement::{MeasurementSet, Observation, Reading, SphericalReading, Station, Target};
+use calibrig_model::measurement::{
+    Face, MeasurementSet, Observation, Reading, SphericalReading, Station, Target,
+};
 
 /// Least motion of an actuator that is one, m or rad.
 const MOTION: f64 = 1e-6;
@@ -83,7 +85,7 @@ impl Names {
             return last;
         }
         index_of(&mut self.stations, name, || {
-            set.stations.push(Station { name: name.to_owned(), nests: Vec::new() });
+            set.stations.push(Station { name: name.to_owned(), ..Station::default() });
         })
     }
 
@@ -94,7 +96,7 @@ impl Names {
             return last;
         }
         index_of(&mut self.targets, name, || {
-            set.targets.push(Target { name: name.to_owned(), in_flange: Vector3::zeros(), covariance: None });
+            set.targets.push(Target { name: name.to_owned(), ..Target::default() });
         })
     }
 }
@@ -433,6 +435,7 @@ impl<'r> Cells<'r> {
                         PolarAngle::Zenith => std::f64::consts::FRAC_PI_2 - values[2],
                     },
                     covariance: self.covariance()?,
+                    face: Face::Front,
                 };
                 if let (None, Some(noise)) = (&reading.covariance, &self.reader.columns.noise) {
                     match noise.of_reading(&reading) {

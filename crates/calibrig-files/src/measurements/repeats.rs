@@ -151,7 +151,7 @@ fn spherical(members: &[&Observation]) -> Option<SphericalReading> {
         .iter()
         .map(|o| match &o.reading {
             Reading::Spherical(reading) => Some(reading),
-            Reading::Cartesian { .. } => None,
+            Reading::Cartesian { .. } | Reading::Pose(_) => None,
         })
         .collect::<Option<_>>()?;
     let (first, count) = (*readings.first()?, readings.len() as f64);
@@ -165,5 +165,6 @@ fn spherical(members: &[&Observation]) -> Option<SphericalReading> {
         azimuth: mean(&|r| near(r.azimuth)),
         elevation: mean(&|r| r.elevation),
         covariance: Some(covariance / (count * count)),
+        face: first.face,
     })
 }

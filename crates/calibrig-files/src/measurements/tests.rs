@@ -330,6 +330,7 @@ fn observation(spherical: bool, diagonal: bool) -> impl Strategy<Value = Observa
         let reading = if spherical {
             let range = x.abs().max(f64::MIN_POSITIVE);
             Reading::Spherical(SphericalReading {
+                face: calibrig_model::measurement::Face::Front,
                 range,
                 azimuth: y,
                 elevation: z,
@@ -350,12 +351,17 @@ fn set() -> impl Strategy<Value = MeasurementSet> {
             |(mut observations, station, target)| {
                 // The second half was taken from a second station.
                 let half = observations.len().div_ceil(2);
-                let mut stations = vec![Station { name: station.trim().to_owned(), nests: Vec::new() }];
+                let mut stations = vec![Station { name: station.trim().to_owned(), ..Station::default() }];
                 if half < observations.len() {
-                    stations.push(Station { name: "second".to_owned(), nests: Vec::new() });
+                    stations.push(Station { name: "second".to_owned(), ..Station::default() });
                     observations[half..].iter_mut().for_each(|o| o.station = 1);
                 }
-                let targets = vec![Target { name: target, in_flange: Vector3::zeros(), covariance: None }];
+                let targets = vec![Target {
+                    name: target,
+                    in_flange: Vector3::zeros(),
+                    covariance: None,
+                    orientation: None,
+                }];
                 MeasurementSet { stations, targets, observations }
             },
         )

@@ -207,6 +207,7 @@ impl Writer<'_> {
         match &observation.reading {
             Reading::Spherical(r) => numbers.extend([r.range, r.azimuth, r.elevation].map(Some)),
             Reading::Cartesian { position, .. } => numbers.extend(position.iter().copied().map(Some)),
+            Reading::Pose(_) => return Err(CsvError::MixedReadings { pose }),
         }
         match covariance {
             Some(c) if sigmas => numbers.extend(exact_sigmas(c).unwrap_or_default().map(Some)),

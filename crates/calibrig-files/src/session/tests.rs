@@ -21,7 +21,13 @@ fn matrix() -> impl Strategy<Value = Matrix3<f64>> {
 fn reading() -> impl Strategy<Value = Reading> {
     let spherical =
         (1e-15..1e15, numbers::<2>(), matrix()).prop_map(|(range, [azimuth, elevation], covariance)| {
-            Reading::Spherical(SphericalReading { range, azimuth, elevation, covariance: Some(covariance) })
+            Reading::Spherical(SphericalReading {
+                face: calibrig_model::measurement::Face::Front,
+                range,
+                azimuth,
+                elevation,
+                covariance: Some(covariance),
+            })
         });
     let cartesian = (numbers::<3>(), prop::option::of(matrix()))
         .prop_map(|(position, covariance)| Reading::Cartesian { position: position.into(), covariance });
@@ -31,6 +37,7 @@ fn reading() -> impl Strategy<Value = Reading> {
 fn stations() -> impl Strategy<Value = Vec<Station>> {
     let nest = ("\\PC{0,6}", numbers::<3>(), matrix(), reading()).prop_map(
         |(name, in_base, in_base_covariance, reading)| NestObservation {
+            time: None,
             name,
             in_base: in_base.into(),
             in_base_covariance,
@@ -38,13 +45,14 @@ fn stations() -> impl Strategy<Value = Vec<Station>> {
         },
     );
     prop::collection::vec(prop::collection::vec(nest, 0..3), 1..3).prop_map(|stations| {
-        let station = |(i, nests)| Station { name: format!("\"{i}\\ é"), nests };
+        let station = |(i, nests)| Station { name: format!("\"{i}\\ é"), nests, instrument: None };
         stations.into_iter().enumerate().map(station).collect()
     })
 }
 
 fn targets() -> impl Strategy<Value = Vec<Target>> {
     let target = |(i, (at, covariance)): (usize, ([f64; 3], _))| Target {
+        orientation: None,
         name: format!("target {i}"),
         in_flange: at.into(),
         covariance,
@@ -114,8 +122,13 @@ fn stations_are_found_by_their_names() {
     };
     let loaded = |name: &str| LoadedMeasurements {
         set: MeasurementSet {
-            stations: vec![Station { name: name.to_owned(), nests: Vec::new() }],
-            targets: vec![Target { name: "t".to_owned(), in_flange: Vector3::zeros(), covariance: None }],
+            stations: vec![Station { name: name.to_owned(), ..Station::default() }],
+            targets: vec![Target {
+                name: "t".to_owned(),
+                in_flange: Vector3::zeros(),
+                covariance: None,
+                orientation: None,
+            }],
             observations: vec![observation.clone()],
         },
         names_stations: true,

@@ -1,12 +1,14 @@
 //! What a tracker session leaves behind. It is all that passes from simulation, recording or file to identification.
 
+mod instrument;
 mod registration;
 mod repeats;
 
+pub use instrument::{Face, InstrumentTerm, StatedInstrument};
 pub use registration::{NestSystem, Registration, RegistrationError, nest_system, register};
 pub use repeats::Repeats;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -61,6 +63,8 @@ pub struct Station {
     pub name: String,
     /// Empty where the base was not measured: then nothing is known of the station beforehand.
     pub nests: Vec<NestObservation>,
+    /// What is known of the errors of its instrument; `None` where readings are taken to have none that they share.
+    pub instrument: Option<StatedInstrument>,
 }
 
 /// A nest at a certified place of the base, and where the tracker saw it.
@@ -74,6 +78,8 @@ pub struct NestObservation {
     pub in_base_covariance: Matrix3<f64>,
     /// Where the tracker saw it.
     pub reading: Reading,
+    /// When, since the session began, s, where known. A nest that is measured again has one name and several times.
+    pub time: Option<f64>,
 }
 
 /// A target (SMR) on the flange.
@@ -84,6 +90,17 @@ pub struct Target {
     /// Measured or nominal offset in the flange frame, m.
     pub in_flange: Vector3<f64>,
     /// Covariance of the measured offset, m²; `None` for a nominal value of unknown uncertainty.
+    pub covariance: Option<Matrix3<f64>>,
+    /// How it is turned on the flange, of a target whose readings are full poses; `None` of a point.
+    pub orientation: Option<TargetOrientation>,
+}
+
+/// How a target with axes of its own is turned on the flange.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TargetOrientation {
+    /// `flange_from_target`, measured or nominal.
+    pub flange_from_target: Rotation3<f64>,
+    /// Covariance of the rotation vector in `flange_from_target · exp(ξ)`, rad²; `None` for a nominal value of unknown uncertainty.
     pub covariance: Option<Matrix3<f64>>,
 }
 
@@ -120,6 +137,19 @@ pub enum Reading {
         /// m²
         covariance: Option<Matrix3<f64>>,
     },
+    /// Place and orientation of a target with axes of its own.
+    Pose(PoseReading),
+}
+
+/// A target's place and orientation as a tracker with a six-degree-of-freedom probe or a camera system sees it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PoseReading {
+    /// Of the target's origin in the tracker's frame, m.
+    pub position: Vector3<f64>,
+    /// `tracker_from_target`.
+    pub rotation: Rotation3<f64>,
+    /// Covariance of the position's error (m) and of the rotation vector φ in `exp(φ) · rotation` (rad), both in the tracker's axes, where stated.
+    pub covariance: Option<Matrix6<f64>>,
 }
 
 /// Range, azimuth and elevation: `x = R cos(el) cos(az)`, `y = R cos(el) sin(az)`, `z = R sin(el)`.
@@ -133,6 +163,8 @@ pub struct SphericalReading {
     pub elevation: f64,
     /// Covariance of (range, azimuth, elevation), where stated: m², m rad, rad².
     pub covariance: Option<Matrix3<f64>>,
+    /// The face in which it was taken. Angles are those of the point's direction in both.
+    pub face: Face,
 }
 
 /// Measurements that cannot be.
@@ -189,8 +221,8 @@ impl MeasurementSet {
     /// of the target's offset on the flange, or of the noise.
     pub fn of_points(points: impl IntoIterator<Item = (Vec<f64>, Vector3<f64>)>) -> Self {
         let mut set = Self {
-            stations: vec![Station { name: "1".to_owned(), nests: Vec::new() }],
-            targets: vec![Target { name: "1".to_owned(), in_flange: Vector3::zeros(), covariance: None }],
+            stations: vec![Station { name: "1".to_owned(), ..Station::default() }],
+            targets: vec![Target { name: "1".to_owned(), ..Target::default() }],
             observations: Vec::new(),
         };
         for (pose, (command, position)) in (1..).zip(points) {
@@ -311,12 +343,33 @@ impl SphericalReading {
 impl Reading {
     /// Whether all its numbers are finite.
     fn is_finite(&self) -> bool {
-        let covariance = match self {
-            Self::Spherical(reading) => reading.covariance.as_ref(),
-            Self::Cartesian { covariance, .. } => covariance.as_ref(),
+        let covariance: &[f64] = match self {
+            Self::Spherical(reading) => reading.covariance.as_ref().map_or(&[], Matrix3::as_slice),
+            Self::Cartesian { covariance, .. } => covariance.as_ref().map_or(&[], Matrix3::as_slice),
+            Self::Pose(pose) => pose.covariance.as_ref().map_or(&[], Matrix6::as_slice),
         };
-        let covariance = covariance.into_iter().flat_map(|c| c.iter());
-        self.position().iter().chain(covariance).all(|v| v.is_finite())
+        let turn: &[f64] = match self {
+            Self::Pose(pose) => pose.rotation.matrix().as_slice(),
+            Self::Spherical(_) | Self::Cartesian { .. } => &[],
+        };
+        self.position().iter().chain(covariance).chain(turn).all(|v| v.is_finite())
+    }
+
+    /// Range (m), azimuth and elevation (rad): as read, else of the position.
+    pub fn spherical(&self) -> [f64; 3] {
+        if let Self::Spherical(reading) = self {
+            return [reading.range, reading.azimuth, reading.elevation];
+        }
+        let p = self.position();
+        [p.norm(), p.y.atan2(p.x), p.z.atan2(p.x.hypot(p.y))]
+    }
+
+    /// The face in which it was taken: the front, where it does not say.
+    pub fn face(&self) -> Face {
+        match self {
+            Self::Spherical(reading) => reading.face,
+            Self::Cartesian { .. } | Self::Pose(_) => Face::Front,
+        }
     }
 
     /// Position in the tracker's frame, m.
@@ -324,6 +377,7 @@ impl Reading {
         match self {
             Self::Spherical(reading) => reading.position(),
             Self::Cartesian { position, .. } => *position,
+            Self::Pose(pose) => pose.position,
         }
     }
 
@@ -332,6 +386,7 @@ impl Reading {
         match self {
             Self::Spherical(reading) => reading.position_covariance(),
             Self::Cartesian { covariance, .. } => *covariance,
+            Self::Pose(pose) => pose.covariance.map(|c| c.fixed_view::<3, 3>(0, 0).into_owned()),
         }
     }
 }

@@ -198,10 +198,11 @@ impl MeasuringSession<'_> {
                     in_base: certified,
                     in_base_covariance: Matrix3::identity() * sigma * sigma,
                     reading: Reading::Spherical(reading),
+                    time: None,
                 })
             })
             .collect::<Result<_, SessionError<E>>>()?;
-        Ok(Station { name: "1".to_owned(), nests })
+        Ok(Station { name: "1".to_owned(), nests, instrument: None })
     }
 
     fn measure_target(&self, seed: u64, trial: u32) -> Target {
@@ -211,6 +212,7 @@ impl MeasuringSession<'_> {
             name: "SMR".to_owned(),
             in_flange: self.as_built.target + self.error_vector(sigma, &mut rng),
             covariance: Some(*self.target_covariance),
+            orientation: None,
         }
     }
 }

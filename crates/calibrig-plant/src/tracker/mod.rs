@@ -13,7 +13,7 @@ use rand_distr::{Distribution, StandardNormal};
 use thiserror::Error;
 
 use calibrig_model::geometry::Transform;
-use calibrig_model::measurement::SphericalReading;
+use calibrig_model::measurement::{Face, SphericalReading};
 
 /// A length error of the form `a + b R`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -124,6 +124,7 @@ impl LaserTracker {
                 sigma_angle.powi(2),
                 sigma_angle.powi(2),
             ))),
+            face: Face::Front,
         })
     }
 }

@@ -17,6 +17,7 @@ fn with_nests(set: &mut MeasurementSet) {
     set.stations[0].nests = places
         .iter()
         .map(|(x, y, z)| NestObservation {
+            time: None,
             name: format!("{x}"),
             in_base: Vector3::new(*x, *y, *z),
             in_base_covariance: Matrix3::identity() * 1e-9,

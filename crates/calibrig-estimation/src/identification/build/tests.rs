@@ -114,8 +114,13 @@ fn measured(
     };
     MeasurementSet {
         observations: (0..poses).map(observation).collect(),
-        stations: vec![Station { name: "T".to_owned(), nests: Vec::new() }],
-        targets: vec![Target { name: "S".to_owned(), in_flange: target, covariance: None }],
+        stations: vec![Station { name: "T".to_owned(), ..Station::default() }],
+        targets: vec![Target {
+            name: "S".to_owned(),
+            in_flange: target,
+            covariance: None,
+            orientation: None,
+        }],
     }
 }
 

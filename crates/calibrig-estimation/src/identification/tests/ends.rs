@@ -91,8 +91,9 @@ fn measured(
         observation.target = index % offsets.len();
     }
     let name = |index: usize| (index + 1).to_string();
-    set.stations = (0..stations).map(|i| Station { name: name(i), nests: Vec::new() }).collect();
-    let target = |i: usize| Target { name: name(i), in_flange: Vector3::zeros(), covariance: None };
+    set.stations = (0..stations).map(|i| Station { name: name(i), ..Station::default() }).collect();
+    let target =
+        |i: usize| Target { name: name(i), in_flange: Vector3::zeros(), covariance: None, orientation: None };
     set.targets = (0..offsets.len()).map(target).collect();
     set
 }

@@ -378,6 +378,7 @@ fn set_of(file: &File, spherical: bool) -> MeasurementSet {
     if spherical {
         for (observation, (_, [range, azimuth, elevation])) in set.observations.iter_mut().zip(points) {
             observation.reading = Reading::Spherical(SphericalReading {
+                face: calibrig_model::measurement::Face::Front,
                 range: *range,
                 azimuth: *azimuth,
                 elevation: *elevation,

@@ -1,0 +1,233 @@
+//! What a laser tracker's own geometry does to its readings, to first order, and what is stated of it.
+//!
+//! The signatures are those of B. Muralikrishnan et al., "ASME B89.4.19 performance evaluation tests and geometric misalignments in laser
+//! trackers", J. Res. NIST 114 (2009) 21-35, and B. Hughes et al., "Laser tracker error determination using a network measurement", Meas.
+//! Sci. Technol. 22 (2011) 045103, for a tracker whose laser sits in the turning head. They are written here for azimuth and
+//! elevation, and for the front face; [`InstrumentTerm::displacement`] has the back face, too.
+
+use std::fmt;
+
+use nalgebra::Vector3;
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use crate::Unit;
+
+/// In which of its two positions a tracker took a reading. In the back face its head is turned by half a turn and its telescope is turned over, so
+/// that the encoders show azimuth + 180° and 360° - zenith. Angles of both faces are kept as directions of the point.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default, Serialize, Deserialize)]
+pub enum Face {
+    /// The usual one.
+    #[default]
+    Front,
+    /// Head and telescope turned over.
+    Back,
+}
+
+impl Face {
+    /// The key in files and JSON.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Front => "front",
+            Self::Back => "back",
+        }
+    }
+
+    /// 1 of the front face, -1 of the back face.
+    pub fn sign(self) -> f64 {
+        match self {
+            Self::Front => 1.0,
+            Self::Back => -1.0,
+        }
+    }
+}
+
+/// A systematic error of a tracker that is the same in all readings of the instrument. Each displaces what is read by its amplitude times
+/// the signature below: R is the range, H the azimuth, E the elevation, s is 1 in the front face and -1 in the back face.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum InstrumentTerm {
+    /// Offset of the range, m: dR = x.
+    RangeOffset,
+    /// Scale of the range, 1: dR = x R.
+    RangeScale,
+    /// Distance between standing and transit axis, m: dR = x cos E, dE = -x sin E / R.
+    TransitOffset,
+    /// Sideways offset of the beam from the standing axis, m: dH = s x / (R cos E).
+    BeamOffsetTransverse,
+    /// Offset of the beam from the transit axis, m: dE = s x / R.
+    BeamOffsetNormal,
+    /// Collimation, the angle between the beam and a right angle to the transit axis, rad: dH = s x / cos E.
+    Collimation,
+    /// Angle between the transit axis and a right angle to the standing axis, rad: dH = s x tan E.
+    AxisTilt,
+    /// Zero of the elevation, rad: dE = s x.
+    VerticalIndex,
+    /// Eccentricity of the azimuth encoder, rad: dH = s x sin H.
+    AzimuthSin1,
+    /// The same in quadrature, rad: dH = s x cos H.
+    AzimuthCos1,
+    /// Second order of the azimuth encoder, rad: dH = x sin 2H.
+    AzimuthSin2,
+    /// The same in quadrature, rad: dH = x cos 2H.
+    AzimuthCos2,
+    /// Eccentricity of the elevation encoder, rad: dE = s x sin E.
+    ElevationSin1,
+    /// The same in quadrature, rad: dE = x cos E.
+    ElevationCos1,
+    /// Second order of the elevation encoder, rad: dE = x sin 2E.
+    ElevationSin2,
+    /// The same in quadrature, rad: dE = s x cos 2E.
+    ElevationCos2,
+}
+
+impl InstrumentTerm {
+    /// All of them.
+    pub const ALL: [Self; 16] = [
+        Self::RangeOffset,
+        Self::RangeScale,
+        Self::TransitOffset,
+        Self::BeamOffsetTransverse,
+        Self::BeamOffsetNormal,
+        Self::Collimation,
+        Self::AxisTilt,
+        Self::VerticalIndex,
+        Self::AzimuthSin1,
+        Self::AzimuthCos1,
+        Self::AzimuthSin2,
+        Self::AzimuthCos2,
+        Self::ElevationSin1,
+        Self::ElevationCos1,
+        Self::ElevationSin2,
+        Self::ElevationCos2,
+    ];
+
+    /// The name in files, and behind `tracker_` in parameters.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::RangeOffset => "range_offset",
+            Self::RangeScale => "range_scale",
+            Self::TransitOffset => "transit_offset",
+            Self::BeamOffsetTransverse => "beam_offset_transverse",
+            Self::BeamOffsetNormal => "beam_offset_normal",
+            Self::Collimation => "collimation",
+            Self::AxisTilt => "axis_tilt",
+            Self::VerticalIndex => "vertical_index",
+            Self::AzimuthSin1 => "azimuth_sin1",
+            Self::AzimuthCos1 => "azimuth_cos1",
+            Self::AzimuthSin2 => "azimuth_sin2",
+            Self::AzimuthCos2 => "azimuth_cos2",
+            Self::ElevationSin1 => "elevation_sin1",
+            Self::ElevationCos1 => "elevation_cos1",
+            Self::ElevationSin2 => "elevation_sin2",
+            Self::ElevationCos2 => "elevation_cos2",
+        }
+    }
+
+    /// Reads [`key`](Self::key).
+    pub fn parse(key: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|term| term.key() == key)
+    }
+
+    /// The SI unit of its amplitude.
+    pub fn unit(self) -> Unit {
+        match self {
+            Self::RangeScale => Unit::One,
+            Self::RangeOffset | Self::TransitOffset | Self::BeamOffsetTransverse | Self::BeamOffsetNormal => {
+                Unit::Metre
+            }
+            _ => Unit::Radian,
+        }
+    }
+
+    /// What a unit of the amplitude displaces of a point's reading, as a length at the point, m: along the beam, along growing azimuth and
+    /// along growing elevation. As a length, since an angle's error grows without limit near the zenith while what it does there stays small.
+    pub fn displacement(self, range: f64, azimuth: f64, elevation: f64, face: Face) -> Vector3<f64> {
+        let s = face.sign();
+        let (sin_az, cos_az) = azimuth.sin_cos();
+        let (sin_el, cos_el) = elevation.sin_cos();
+        let along = |size: f64| Vector3::new(size, 0.0, 0.0);
+        // An error of the azimuth by 1 / cos E is a length of R, one by 1 a length of R cos E.
+        let across = |size: f64| Vector3::new(0.0, size, 0.0);
+        let up = |size: f64| Vector3::new(0.0, 0.0, size);
+        let flat = range * cos_el;
+        match self {
+            Self::RangeOffset => along(1.0),
+            Self::RangeScale => along(range),
+            Self::TransitOffset => Vector3::new(cos_el, 0.0, -sin_el),
+            Self::BeamOffsetTransverse => across(s),
+            Self::BeamOffsetNormal => up(s),
+            Self::Collimation => across(s * range),
+            Self::AxisTilt => across(s * range * sin_el),
+            Self::VerticalIndex => up(s * range),
+            Self::AzimuthSin1 => across(s * flat * sin_az),
+            Self::AzimuthCos1 => across(s * flat * cos_az),
+            Self::AzimuthSin2 => across(flat * (2.0 * azimuth).sin()),
+            Self::AzimuthCos2 => across(flat * (2.0 * azimuth).cos()),
+            Self::ElevationSin1 => up(s * range * sin_el),
+            Self::ElevationCos1 => up(range * cos_el),
+            Self::ElevationSin2 => up(range * (2.0 * elevation).sin()),
+            Self::ElevationCos2 => up(s * range * (2.0 * elevation).cos()),
+        }
+    }
+}
+
+impl fmt::Display for InstrumentTerm {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.key())
+    }
+}
+
+impl Serialize for InstrumentTerm {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.key())
+    }
+}
+
+impl<'de> Deserialize<'de> for InstrumentTerm {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let key = String::deserialize(deserializer)?;
+        Self::parse(&key).ok_or_else(|| D::Error::custom(format_args!("there is no instrument term {key:?}")))
+    }
+}
+
+/// What an operator knows of the instrument at a station beside the noise of single readings, such as from its data sheet. Stations whose
+/// instruments have one name share its errors.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct StatedInstrument {
+    /// Name for people, such as a serial number.
+    pub name: String,
+    /// Standard deviation about zero of each error that the instrument can have, m, rad or 1. Those that are not listed are taken for zero.
+    pub sigmas: Vec<(InstrumentTerm, f64)>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_read_back_and_units_are_of_the_signature() {
+        for term in InstrumentTerm::ALL {
+            assert_eq!(InstrumentTerm::parse(term.key()), Some(term));
+            // A length does the same at any range; an angle or a scale grows with it.
+            let size = |range: f64| term.displacement(range, 0.4, 0.3, Face::Front).norm();
+            let growth = if term.unit() == Unit::Metre { 1.0 } else { 3.0 };
+            assert!((size(6.0) / size(2.0) - growth).abs() < 1e-12, "{term}");
+        }
+        assert_eq!(InstrumentTerm::parse("range"), None);
+    }
+
+    #[test]
+    fn two_faces_show_what_turns_over_and_average_it_out() {
+        let turns_over = |term: InstrumentTerm| {
+            let at = |face| term.displacement(4.0, 1.1, -0.4, face);
+            let (front, back) = (at(Face::Front), at(Face::Back));
+            assert!(front == back || front == -back, "{term}");
+            front == -back
+        };
+        let over: Vec<_> =
+            InstrumentTerm::ALL.into_iter().filter(|t| turns_over(*t)).map(InstrumentTerm::key).collect();
+        let expected = "beam_offset_transverse beam_offset_normal collimation axis_tilt vertical_index azimuth_sin1 azimuth_cos1 elevation_sin1 \
+                        elevation_cos2";
+        assert_eq!(over.join(" "), expected);
+    }
+}
