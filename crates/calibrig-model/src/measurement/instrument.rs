@@ -50,7 +50,7 @@ pub enum InstrumentTerm {
     RangeOffset,
     /// Scale of the range, 1: dR = x R.
     RangeScale,
-    /// Distance between standing and transit axis, m: dR = x cos E, dE = -x sin E / R.
+    /// Distance between standing and transit axis, m: dR = s x cos E, dE = -s x sin E / R.
     TransitOffset,
     /// Sideways offset of the beam from the standing axis, m: dH = s x / (R cos E).
     BeamOffsetTransverse,
@@ -153,7 +153,7 @@ impl InstrumentTerm {
         match self {
             Self::RangeOffset => along(1.0),
             Self::RangeScale => along(range),
-            Self::TransitOffset => Vector3::new(cos_el, 0.0, -sin_el),
+            Self::TransitOffset => Vector3::new(s * cos_el, 0.0, -s * sin_el),
             Self::BeamOffsetTransverse => across(s),
             Self::BeamOffsetNormal => up(s),
             Self::Collimation => across(s * range),
@@ -226,7 +226,7 @@ mod tests {
         };
         let over: Vec<_> =
             InstrumentTerm::ALL.into_iter().filter(|t| turns_over(*t)).map(InstrumentTerm::key).collect();
-        let expected = "beam_offset_transverse beam_offset_normal collimation axis_tilt vertical_index azimuth_sin1 azimuth_cos1 elevation_sin1 \
+        let expected = "transit_offset beam_offset_transverse beam_offset_normal collimation axis_tilt vertical_index azimuth_sin1 azimuth_cos1 elevation_sin1 \
                         elevation_cos2";
         assert_eq!(over.join(" "), expected);
     }
