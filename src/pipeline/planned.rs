@@ -45,6 +45,7 @@ pub fn planned_at(
         observations: Vec::new(),
     };
     let robot = CalibratedRobot {
+        instruments: Vec::new(),
         mode: Mode::Extended,
         nominal: model.clone(),
         model: model.clone(),

@@ -146,6 +146,9 @@ pub(super) fn parameter_words(id: ParameterId) -> String {
         ParameterId::Linkage(LinkageLength::Lever) => "length of the lever".to_owned(),
         ParameterId::Linkage(LinkageLength::Rod) => "length of the coupler rod".to_owned(),
         ParameterId::Term(term) => format!("{}: {term}", term.family().about()),
+        ParameterId::Instrument { instrument, term } => {
+            format!("tracker {}: {}", instrument + 1, term.about())
+        }
     }
 }
 

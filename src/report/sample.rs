@@ -348,6 +348,7 @@ fn registered(model: &CalibrationModel, set: &MeasurementSet) -> (CalibratedRobo
     let squares: f64 =
         seen.iter().zip(&predicted).map(|(s, p)| (s - transformed(&station, p)).norm_squared()).sum();
     let robot = CalibratedRobot {
+        instruments: Vec::new(),
         mode: Mode::WithoutCalibration,
         nominal: model.clone(),
         model: model.clone(),
@@ -429,6 +430,7 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
     };
     Estimate {
         robot: CalibratedRobot {
+            instruments: Vec::new(),
             mode,
             nominal: model_of(nominal()),
             model: model_of(kinematics),

@@ -51,6 +51,7 @@ fn machine(nominal: &CalibrationModel, mode: Mode) -> CalibratedRobot {
         apply(&mut model, nominal, ParameterId::Compliance(compliance), off).expect("a spring");
     }
     CalibratedRobot {
+        instruments: Vec::new(),
         mode,
         nominal: nominal.clone(),
         model,

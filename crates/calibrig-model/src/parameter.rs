@@ -4,6 +4,7 @@ use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 
+use super::measurement::InstrumentTerm;
 use super::terms::TermId;
 
 /// One of the five parameters of a Craig/Hayati link.
@@ -145,12 +146,19 @@ pub enum ParameterId {
     Linkage(LinkageLength),
     /// Amplitude of a correction that depends on the pose, its approach or its time.
     Term(TermId),
+    /// Error of the measuring instrument that all its readings share.
+    Instrument {
+        /// Index of the instrument, in the order in which stations name theirs first.
+        instrument: usize,
+        /// Which error.
+        term: InstrumentTerm,
+    },
 }
 
 impl ParameterId {
     /// What names look like, for messages.
-    pub const EXAMPLES: &str = "a name such as delta_a2, delta_theta4, compliance_drive3, mass3, frame_x, target_z, linkage_rod or \
-                                ratio_d5 (docs/notation.md)";
+    pub const EXAMPLES: &str = "a name such as delta_a2, delta_theta4, compliance_drive3, mass3, frame_x, target_z, linkage_rod, \
+                                ratio_d5 or tracker_range_offset (docs/notation.md)";
 
     /// A link parameter by zero-based link index.
     pub const fn link(link: usize, term: LinkTerm) -> Self {
@@ -165,6 +173,7 @@ impl ParameterId {
             Self::Frame { .. } | Self::Target { .. } | Self::Centre { .. } | Self::Linkage(_) => Unit::Metre,
             Self::Compliance(_) | Self::Mass { .. } => Unit::One,
             Self::Term(term) => term.unit(),
+            Self::Instrument { term, .. } => term.unit(),
         }
     }
 
@@ -181,6 +190,11 @@ impl ParameterId {
     /// The three components of a target's offset.
     pub fn all_of_target(target: usize) -> Vec<Self> {
         (0..3).map(|axis| Self::Target { target, axis }).collect()
+    }
+
+    /// All errors of an instrument.
+    pub fn all_of_instrument(instrument: usize) -> Vec<Self> {
+        InstrumentTerm::ALL.map(|term| Self::Instrument { instrument, term }).to_vec()
     }
 
     /// Reads the name that `Display` prints.
@@ -213,6 +227,10 @@ impl ParameterId {
             return LinkageLength::ALL.into_iter().find(|l| l.name() == rest).map(Self::Linkage);
         }
         let (group, component) = name.split_once('_')?;
+        if let Some(index) = group.strip_prefix("tracker") {
+            let instrument = if index.is_empty() { 0 } else { number(index)? };
+            return InstrumentTerm::parse(component).map(|term| Self::Instrument { instrument, term });
+        }
         if let Some(index) = group.strip_prefix("frame") {
             let station = if index.is_empty() { 0 } else { number(index)? };
             let component = FRAME_NAMES.iter().position(|n| *n == component)?;
@@ -301,6 +319,7 @@ impl fmt::Display for ParameterId {
             Self::Centre { link, axis } => format!("centre{}_{}", link.saturating_add(1), frame_name(axis)),
             Self::Linkage(length) => format!("linkage_{}", length.name()),
             Self::Term(term) => term.to_string(),
+            Self::Instrument { instrument, term } => format!("tracker{}_{term}", counted(instrument)),
         };
         f.pad(&name)
     }
@@ -327,6 +346,8 @@ mod tests {
             ParameterId::Centre { link: 11, axis: 2 },
         ]);
         all.extend(LinkageLength::ALL.map(ParameterId::Linkage));
+        all.extend(ParameterId::all_of_instrument(0));
+        all.extend(ParameterId::all_of_instrument(1));
         for id in all {
             assert_eq!(ParameterId::parse(&id.to_string()), Some(id), "{id}");
         }
@@ -342,6 +363,8 @@ mod tests {
             "centre_x",
             "centre2_rx",
             "linkage_x",
+            "tracker_x",
+            "tracker0_collimation",
             "compliance_drive",
             "compliance_bearing2_q",
         ] {

@@ -112,6 +112,7 @@ pub(super) fn group(id: ParameterId) -> String {
         ParameterId::Mass { .. } | ParameterId::Centre { .. } => "masses".to_owned(),
         ParameterId::Linkage(_) => "linkage".to_owned(),
         ParameterId::Term(term) => term.family().key().to_owned(),
+        ParameterId::Instrument { instrument, .. } => format!("tracker {}", instrument + 1),
     }
 }
 

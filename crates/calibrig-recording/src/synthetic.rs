@@ -308,6 +308,7 @@ fn mode_outcome(
     sets: &[SetOutcome],
 ) -> ModeOutcome {
     let robot = CalibratedRobot {
+        instruments: Vec::new(),
         mode,
         nominal: model.clone(),
         model: CalibrationModel { kinematics: with_errors(&model.kinematics, share), ..model.clone() },

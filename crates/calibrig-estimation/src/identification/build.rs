@@ -3,6 +3,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 
 use super::factor::triangular_factor;
+use super::instrument::Instruments;
 use super::machine::Machine;
 use super::noise::{MachineNoise, MachineNoiseChoice, Noise, poses};
 use super::parameters::{Column, Columns, PriorKind, columns};
@@ -228,7 +229,10 @@ struct Measured {
 impl Measured {
     fn new(problem: &CalibrationProblem, jacobian: &DMatrix<f64>, residuals: &DVector<f64>) -> Self {
         let is_geometric = |column: &usize| match problem.parameters[*column] {
-            ParameterId::Link { .. } | ParameterId::Frame { .. } | ParameterId::Target { .. } => true,
+            ParameterId::Link { .. }
+            | ParameterId::Frame { .. }
+            | ParameterId::Target { .. }
+            | ParameterId::Instrument { .. } => true,
             ParameterId::Mass { .. } | ParameterId::Centre { .. } => {
                 problem.own_priors.iter().all(|(own, _)| own != column)
             }
@@ -313,6 +317,7 @@ pub(super) fn redundant(measured: &DMatrix<f64>, parameters: &[ParameterId]) -> 
         ParameterId::Mass { .. } | ParameterId::Centre { .. } => 4,
         ParameterId::Linkage(_) => 5,
         ParameterId::Term(_) => 6,
+        ParameterId::Instrument { .. } => 7,
     };
     let mut order: Vec<usize> = (0..parameters.len()).collect();
     order.sort_by_key(|column| rank(&parameters[*column]));
@@ -358,12 +363,27 @@ fn assemble(
     let logarithmic = columns.iter().enumerate().filter_map(is_logarithmic).collect();
     let stated = columns.iter().enumerate().filter(|(_, column)| column.prior == PriorKind::Stated);
     let body = |(column, of): (usize, &Column)| {
-        Some(Prior { column, whitening: DMatrix::from_element(1, 1, 1.0 / of.sigma?) })
+        Some(Prior {
+            columns: vec![column],
+            whitening: DMatrix::from_element(1, 1, 1.0 / of.sigma?),
+            offset: DVector::zeros(1),
+        })
     };
     let mut priors: Vec<_> = stated.filter_map(body).collect();
     let offsets = starting_offsets(model, set, options.target, &ends.target_axes);
-    let stations = stations(model, set, options.frame, (&offsets, ends), &mut parameters, &mut priors)?;
+    let Stations { places, by_nests } =
+        stations(model, set, options.frame, (&offsets, ends), &mut parameters)?;
+    let stations = places;
     targets(set, options, ends, &mut parameters, &mut priors)?;
+    let instruments = Instruments::new(set, options, &mut parameters, &mut priors);
+    for (index, frame, covariance) in by_nests {
+        let station = &set.stations[index];
+        let with_errors = instruments.nests((index, station), &stations[index], frame)?;
+        priors.push(match with_errors {
+            Some(prior) => prior,
+            None => prior(&format!("station {}", station.name), frame, covariance)?,
+        });
+    }
     sigmas.resize(parameters.len(), None);
     let targets: Vec<Vector3<f64>> = set.targets.iter().map(|t| t.in_flange).collect();
     let x = parameters.iter().map(|id| match *id {
@@ -376,9 +396,11 @@ fn assemble(
         ParameterId::Term(term) => Some(term),
         _ => None,
     }));
+    let mut rows = rows(set, options.unmodelled_sigma, &mut machine)?;
+    instruments.add_to(&mut rows, &set.observations);
     let mut problem = CalibrationProblem {
         nominal: model.clone(),
-        rows: rows(set, options.unmodelled_sigma, &mut machine)?,
+        rows,
         current: Current::new(model, machine, &stations, &targets),
         parameters,
         priors,
@@ -395,6 +417,7 @@ fn assemble(
         joined: Vec::new(),
         start: None,
     };
+    problem.set(&vec![0.0; problem.parameters.len()]);
     if problem.stated_actuators.is_some() {
         let targets = problem.targets.clone();
         problem.prepare_motions(set, &targets);
@@ -414,15 +437,22 @@ fn assemble(
     Ok(Built { problem, sigmas, named, unexcited: Vec::new(), fixed, left_out, x, goes_on: false })
 }
 
+/// Where the stations are before the fit.
+struct Stations {
+    /// `tracker_from_base`, what the frame parameters displace.
+    places: Vec<Transform>,
+    /// Stations whose nests are a prior: index, first column of the frame, and covariance of the registration.
+    by_nests: Vec<(usize, usize, DMatrix<f64>)>,
+}
+
 fn stations(
     model: &CalibrationModel,
     set: &MeasurementSet,
     choice: FrameChoice,
     (offsets, ends): (&[Vector3<f64>], &Ends),
     parameters: &mut Vec<ParameterId>,
-    priors: &mut Vec<Prior>,
-) -> Result<Vec<Transform>, IdentifyError> {
-    let mut stations = Vec::new();
+) -> Result<Stations, IdentifyError> {
+    let (mut stations, mut by_nests) = (Vec::new(), Vec::new());
     for (index, station) in set.stations.iter().enumerate() {
         let choice = choice.of(station);
         if choice == FrameChoice::Free {
@@ -435,12 +465,12 @@ fn stations(
             .map_err(|source| IdentifyError::Registration { station: station.name.clone(), source })?;
         if choice == FrameChoice::Nests {
             let covariance = DMatrix::from_iterator(6, 6, registration.covariance.iter().copied());
-            priors.push(prior(&format!("station {}", station.name), parameters.len(), covariance)?);
+            by_nests.push((index, parameters.len(), covariance));
             parameters.extend(ParameterId::all_of_frame(index));
         }
         stations.push(registration.tracker_from_base);
     }
-    Ok(stations)
+    Ok(Stations { places: stations, by_nests })
 }
 
 fn targets(
@@ -514,6 +544,7 @@ fn rows(
             seen: observation.reading.position(),
             reading: observation.reading.position_covariance().map(|covariance| covariance + unmodelled),
             whitening: Matrix3::identity(),
+            instrument: Vec::new(),
             station: observation.station,
             target: observation.target,
         })
@@ -525,7 +556,8 @@ fn prior(what: &str, column: usize, covariance: DMatrix<f64>) -> Result<Prior, I
     let whitening = Cholesky::new(covariance)
         .and_then(|c| c.l().try_inverse())
         .ok_or_else(|| IdentifyError::Covariance { what: what.to_owned() })?;
-    Ok(Prior { column, whitening })
+    let n = whitening.nrows();
+    Ok(Prior { columns: (column..column + n).collect(), whitening, offset: DVector::zeros(n) })
 }
 
 #[cfg(test)]

@@ -19,7 +19,7 @@ use super::limits::shown;
 use super::problem::CalibrationProblem;
 use super::solver::Solution;
 use super::{FrameChoice, NoiseScale};
-use calibrig_model::measurement::{MeasurementSet, NestSystem, nest_system};
+use calibrig_model::measurement::{MeasurementSet, NestSystem, StatedInstrument, Station, nest_system};
 use calibrig_model::statistics::{chi2_survival, f_ln_survival};
 use calibrig_model::{ParameterId, Unit};
 
@@ -350,7 +350,7 @@ impl<'a> Checks<'a> {
             .filter(|(_, (station, _))| frame.of(station) != FrameChoice::Free)
             .filter_map(|(index, (station, place))| {
                 let system = nest_system(station, place).ok()?;
-                let family = of_nests(&system, index)?;
+                let family = of_nests(&system, station, index)?;
                 Some((system, family))
             })
             .collect();
@@ -427,12 +427,13 @@ impl<'a> Checks<'a> {
             },
             Kind::Block(index) => {
                 let prior = &self.problem.priors[index];
-                let shift =
-                    prior.whitening.solve_lower_triangular(left_out).unwrap_or_else(|| left_out.clone());
+                // Of nests that tell the instrument's errors as well, the least change that does it.
+                let shift = prior.whitening.clone().pseudo_inverse(f64::EPSILON);
+                let shift = shift.map_or_else(|_| left_out.clone(), |inverse| inverse * left_out);
                 let length = |rows: Range<usize>| {
                     shift.iter().skip(rows.start).take(rows.len()).map(|v| v * v).sum::<f64>().sqrt()
                 };
-                match self.problem.parameters[prior.column] {
+                match self.problem.parameters[prior.columns[0]] {
                     ParameterId::Target { target, .. } => {
                         Stated::Target { target: self.set.targets[target].name.clone(), length: length(0..3) }
                     }
@@ -567,20 +568,20 @@ fn priors(
     let mut groups = Vec::new();
     let mut first = 3 * problem.rows.len();
     // What a bound holds has told so already, and its prior pulls at nothing.
-    let mut take = |first: usize, columns: Range<usize>, kind: Kind| {
-        if columns.clone().any(|column| bounded.contains(&column)) {
+    let mut take = |first: usize, count: usize, columns: &[usize], kind: Kind| {
+        if columns.iter().any(|column| bounded.contains(column)) {
             return;
         }
-        groups.push(Group { rows: rows.len()..rows.len() + columns.len(), kind });
-        rows.extend(first..first + columns.len());
+        groups.push(Group { rows: rows.len()..rows.len() + count, kind });
+        rows.extend(first..first + count);
     };
     for (index, prior) in problem.priors.iter().enumerate() {
         let n = prior.whitening.nrows();
-        take(first, prior.column..prior.column + n, Kind::Block(index));
+        take(first, n, &prior.columns, Kind::Block(index));
         first += n;
     }
     for (row, (column, weight)) in (first..).zip(problem.own_priors.iter().chain(&problem.tolerances)) {
-        take(row, *column..column + 1, Kind::Own(*column, 1.0 / weight));
+        take(row, 1, &[*column], Kind::Own(*column, 1.0 / weight));
     }
     let jacobian = jacobian.select_rows(&rows);
     let hat = &jacobian * covariance * jacobian.transpose();
@@ -591,15 +592,25 @@ fn priors(
     }
 }
 
-fn of_nests(system: &NestSystem, station: usize) -> Option<Family> {
+/// The nests of a station at the place, and with the errors of its instrument, that fit them best.
+fn of_nests(system: &NestSystem, station: &Station, index: usize) -> Option<Family> {
     let rows = system.residuals.len();
-    let information = system.jacobian.tr_mul(&system.jacobian);
-    let hat = &system.jacobian * information.cholesky()?.solve(&system.jacobian.transpose());
+    let errors = system.instrument.ncols();
+    let mut jacobian = system.jacobian.clone().insert_columns(6, errors, 0.0);
+    jacobian.columns_mut(6, errors).copy_from(&system.instrument);
+    let mut information = jacobian.tr_mul(&jacobian);
+    let stated = station.instrument.iter().flat_map(StatedInstrument::errors);
+    for (column, (_, sigma)) in (6..).zip(stated) {
+        information[(column, column)] += 1.0 / (sigma * sigma);
+    }
+    let information = information.cholesky()?;
+    let hat = &jacobian * information.solve(&jacobian.transpose());
+    let step = information.solve(&jacobian.tr_mul(&system.residuals));
     Some(Family {
-        residuals: system.residuals.clone(),
+        residuals: &system.residuals - jacobian * step,
         covariance: DMatrix::identity(rows, rows) - hat,
         groups: (0..rows / 3)
-            .map(|nest| Group { rows: 3 * nest..3 * nest + 3, kind: Kind::Nest(station, nest) })
+            .map(|nest| Group { rows: 3 * nest..3 * nest + 3, kind: Kind::Nest(index, nest) })
             .collect(),
     })
 }

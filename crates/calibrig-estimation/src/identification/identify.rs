@@ -320,6 +320,7 @@ pub fn without_calibration(
         terms: Vec::new(),
         stations: best_fit_stations(model, set, &targets)?,
         targets,
+        instruments: Vec::new(),
     })
 }
 

@@ -127,6 +127,7 @@ fn origin(id: ParameterId) -> &'static str {
     match id {
         ParameterId::Link { .. } | ParameterId::Linkage(_) | ParameterId::Term(_) => "nominal",
         ParameterId::Frame { .. } => "registered",
+        ParameterId::Instrument { .. } => "ideal",
         ParameterId::Target { .. } | ParameterId::Mass { .. } | ParameterId::Centre { .. } => "stated",
         ParameterId::Compliance(_) => "predicted",
     }

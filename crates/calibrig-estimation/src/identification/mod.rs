@@ -13,6 +13,7 @@ mod gross;
 mod identifiability;
 mod identify;
 mod information;
+mod instrument;
 mod limits;
 mod linearisation;
 mod machine;
@@ -55,8 +56,8 @@ pub use machine::MachineError;
 pub use mode::Mode;
 pub use noise::{MachineNoise, MachineNoiseChoice};
 pub use options::{
-    ComplianceChoice, DEFAULT_TOLERANCE, FrameChoice, IdentificationOptions, LINKAGE, ParameterChoice,
-    Redundancy, TargetChoice, TermPrior, Tolerance, UNKNOWN_STIFFNESS,
+    ComplianceChoice, DEFAULT_TOLERANCE, FrameChoice, IdentificationOptions, InstrumentChoice, LINKAGE,
+    ParameterChoice, Redundancy, TargetChoice, TermPrior, Tolerance, UNKNOWN_STIFFNESS,
 };
 pub use prospect::{Prospect, prospect};
 pub use robot::{CalibratedRobot, EstimatePredictor, Prediction, PredictionError, Predictor};

@@ -69,6 +69,16 @@ pub(super) struct Freedom {
     pub target: bool,
 }
 
+/// What becomes of the errors that an instrument's readings share.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum InstrumentChoice {
+    /// Those that the set states of a station's instrument are identified, with what is stated as a prior.
+    #[default]
+    AsStated,
+    /// There are none: every reading errs by itself.
+    Ignored,
+}
+
 /// Which link parameters are identified.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ParameterChoice {
@@ -180,6 +190,8 @@ pub struct IdentificationOptions {
     pub frame: FrameChoice,
     /// The target's offset.
     pub target: TargetChoice,
+    /// Errors that the readings of an instrument share.
+    pub instrument: InstrumentChoice,
     /// Standard deviation of what the model leaves out, per axis, m; added to the readings' covariance. A stated choice.
     pub unmodelled_sigma: f64,
     /// What the machine does beside its model, pose by pose.
@@ -206,6 +218,7 @@ impl Default for IdentificationOptions {
             parameters: ParameterChoice::Complete,
             frame: FrameChoice::AsStated,
             target: TargetChoice::AsStated,
+            instrument: InstrumentChoice::AsStated,
             tolerance: Some(DEFAULT_TOLERANCE),
             ..Self::published()
         }
@@ -235,6 +248,7 @@ impl IdentificationOptions {
             redundant: Redundancy::default(),
             frame: FrameChoice::Nests,
             target: TargetChoice::Measured,
+            instrument: InstrumentChoice::AsStated,
             unmodelled_sigma: 0.0,
             machine_noise: MachineNoiseChoice::AsNeeded,
             tolerance: None,

@@ -1,6 +1,7 @@
 //! The parameters of a mode, and what is known of each beforehand.
 
-use super::options::Freedom;
+use super::instrument::parameters_of;
+use super::options::{Freedom, InstrumentChoice};
 use super::{
     ComplianceChoice, DependentGroup, FrameChoice, IdentifiabilityReport, IdentificationOptions,
     IdentifyError, LINKAGE, Mode, ParameterChoice, UNKNOWN_STIFFNESS, complete_set_by_name, dependent_ends,
@@ -94,6 +95,9 @@ pub(super) fn candidate_parameters(
     }
     let of_targets = (0..targets.len()).flat_map(ParameterId::all_of_target);
     ids.extend(of_targets.filter(|id| options.fits_target(*id)));
+    if options.instrument == InstrumentChoice::AsStated {
+        ids.extend(parameters_of(stations).into_iter().filter(|id| !options.fix.contains(id)));
+    }
     Ok(ids)
 }
 

@@ -27,17 +27,21 @@ pub(super) struct Row {
     pub reading: Option<Matrix3<f64>>,
     /// Inverse Cholesky factor of its covariance: turns a difference in metres into standard deviations.
     pub whitening: Matrix3<f64>,
+    /// Of every error of its instrument that is a parameter, the column and what a unit of it displaces, m in the tracker's axes.
+    pub instrument: Vec<(usize, Vector3<f64>)>,
     pub station: usize,
     pub target: usize,
 }
 
-/// A Gaussian prior on consecutive parameters, zero mean.
+/// A Gaussian prior on some parameters x: its rows are `whitening · x + offset`.
 #[derive(Debug, Clone)]
 pub(super) struct Prior {
-    /// Column of its first parameter.
-    pub column: usize,
-    /// Inverse Cholesky factor of its covariance.
+    /// Columns of its parameters.
+    pub columns: Vec<usize>,
+    /// Triangular: the inverse Cholesky factor of their covariance, or the factor of the measurements that told it.
     pub whitening: DMatrix<f64>,
+    /// One a row: zero, unless the prior's mean is not.
+    pub offset: DVector<f64>,
 }
 
 /// Observations, priors and the model that joins them. All memory is taken when it is made; [`evaluate`](LeastSquares::evaluate)
@@ -93,6 +97,8 @@ pub(super) struct Current {
     pub targets: Vec<Vector3<f64>>,
     displacements: Vec<Displacement>,
     amplitudes: Vec<f64>,
+    /// Errors of the instruments by the parameters' columns; empty where none is one.
+    errors: Vec<f64>,
     pub machine: Machine,
 }
 
@@ -125,6 +131,7 @@ impl Current {
             targets: targets.to_vec(),
             displacements: vec![Displacement::new(Vector6::zeros()); stations.len()],
             amplitudes: Vec::new(),
+            errors: Vec::new(),
             machine,
         }
     }
@@ -139,11 +146,16 @@ impl CalibrationProblem {
             displacement.xi.fill(0.0);
         }
         now.amplitudes.clear();
+        now.errors.clear();
+        if self.parameters.iter().any(|id| matches!(id, ParameterId::Instrument { .. })) {
+            now.errors.extend_from_slice(x);
+        }
         for (id, &value) in self.parameters.iter().zip(x) {
             match *id {
                 ParameterId::Frame { station, component } => now.displacements[station].xi[component] = value,
                 ParameterId::Target { target, axis } => now.targets[target][axis] += value,
                 ParameterId::Term(_) => now.amplitudes.push(value),
+                ParameterId::Instrument { .. } => {}
                 ParameterId::Link { .. }
                 | ParameterId::Compliance(_)
                 | ParameterId::Mass { .. }
@@ -248,7 +260,10 @@ impl CalibrationProblem {
         }
         let in_base = now.machine.target(target);
         let tracker_from_base = &now.stations[row.station];
-        let predicted = tracker_from_base.rotation * in_base + tracker_from_base.translation.vector;
+        let mut predicted = tracker_from_base.rotation * in_base + tracker_from_base.translation.vector;
+        for (column, displacement) in &row.instrument {
+            predicted += displacement * now.errors[*column];
+        }
         residuals.fixed_rows_mut::<3>(3 * index).copy_from(&(row.whitening * (predicted - row.seen)));
         let Some(jacobian) = jacobian else { return };
         let from_base = row.whitening * tracker_from_base.rotation.matrix();
@@ -268,6 +283,9 @@ impl CalibrationProblem {
                 id => from_base * in_base_column(&now.machine, id, row.target, &in_base, &mut term),
             };
             jacobian.fixed_view_mut::<3, 1>(3 * index, column).copy_from(&derivative);
+        }
+        for (column, displacement) in &row.instrument {
+            jacobian.fixed_view_mut::<3, 1>(3 * index, *column).copy_from(&(row.whitening * displacement));
         }
     }
 
@@ -292,11 +310,15 @@ impl CalibrationProblem {
         for prior in &self.priors {
             let n = prior.whitening.nrows();
             for i in 0..n {
-                residuals[first + i] = (0..n).map(|j| prior.whitening[(i, j)] * x[prior.column + j]).sum();
+                let columns = prior.columns.iter().enumerate();
+                let row = columns.map(|(j, column)| prior.whitening[(i, j)] * x[*column]);
+                residuals[first + i] = row.sum::<f64>() + prior.offset[i];
             }
             if let Some(jacobian) = jacobian.as_deref_mut() {
                 jacobian.rows_mut(first, n).fill(0.0);
-                jacobian.view_mut((first, prior.column), (n, n)).copy_from(&prior.whitening);
+                for (j, column) in prior.columns.iter().enumerate() {
+                    jacobian.view_mut((first, *column), (n, 1)).copy_from(&prior.whitening.column(j));
+                }
             }
             first += n;
         }
@@ -359,7 +381,7 @@ pub(super) fn whiten_together(pose: &[usize], whitening: &DMatrix<f64>, columns:
     }
 }
 
-/// Change of `target` at `in_base` per unit of a parameter, in the base frame; zero for the tracker's place and for other targets. `term`
+/// Change of `target` at `in_base` per unit of a parameter, in the base frame; zero for the tracker's place and errors, and for other targets. `term`
 /// counts the terms that were asked for.
 pub(super) fn in_base_column(
     machine: &Machine,
@@ -369,7 +391,7 @@ pub(super) fn in_base_column(
     term: &mut usize,
 ) -> Vector3<f64> {
     match id {
-        ParameterId::Frame { .. } => Vector3::zeros(),
+        ParameterId::Frame { .. } | ParameterId::Instrument { .. } => Vector3::zeros(),
         ParameterId::Target { target: other, .. } if other != target => Vector3::zeros(),
         ParameterId::Term(_) => {
             *term += 1;

@@ -9,7 +9,7 @@ use super::noise::{ActuatorMotions, MachineNoise};
 use super::problem::in_base_column;
 use super::{Estimate, Mode, PositionJacobian};
 use calibrig_model::geometry::Transform;
-use calibrig_model::measurement::{MeasurementSet, Observation};
+use calibrig_model::measurement::{InstrumentTerm, MeasurementSet, Observation, Reading};
 use calibrig_model::{CalibrationModel, Compliance, ModelError, ParameterId, PoseQuery, TermId};
 
 /// A robot as a mode believes it to be: all that is needed to predict where a target is seen.
@@ -27,6 +27,8 @@ pub struct CalibratedRobot {
     pub stations: Vec<Transform>,
     /// Offsets in the flange frame, m, one a target.
     pub targets: Vec<Vector3<f64>>,
+    /// Errors of the instrument at every station, m, rad or 1: what its readings are corrected by. Empty where none was identified.
+    pub instruments: Vec<Vec<(InstrumentTerm, f64)>>,
 }
 
 impl CalibratedRobot {
@@ -40,7 +42,14 @@ impl CalibratedRobot {
             rotation.into_iter().chain(station.translation.vector.iter().copied().collect::<Vec<_>>())
         };
         let stations = self.stations.iter().flat_map(placed).map(|v| ("a place of stations", v));
-        terms.chain(targets).chain(stations)
+        let errors = self.instruments.iter().flatten().map(|(_, v)| ("an error of instruments", *v));
+        terms.chain(targets).chain(stations).chain(errors)
+    }
+
+    /// What the instrument at a station displaced of a reading, m in the tracker's axes.
+    pub(super) fn displaced(&self, station: usize, reading: &Reading) -> Vector3<f64> {
+        let errors = self.instruments.get(station).map_or(&[][..], Vec::as_slice);
+        errors.iter().map(|(term, amplitude)| reading.displaced_by(*term) * *amplitude).sum()
     }
 
     /// Whether a parameter is one that an estimate of this robot can have; `terms` counts the terms before it.
@@ -56,6 +65,9 @@ impl CalibratedRobot {
             ParameterId::Centre { link, axis } => link < joints && axis < 3,
             ParameterId::Frame { station, component } => station < self.stations.len() && component < 6,
             ParameterId::Target { target, axis } => target < self.targets.len() && axis < 3,
+            ParameterId::Instrument { term, .. } => {
+                self.instruments.iter().flatten().any(|(own, _)| *own == term)
+            }
             ParameterId::Term(term) => {
                 *terms += 1;
                 self.mode == Mode::Extended && self.terms.get(*terms - 1).is_some_and(|(own, _)| *own == term)
@@ -146,7 +158,8 @@ impl<'a> Predictor<'a> {
         let Some(tracker_from_base) = self.robot.stations.get(station) else {
             return Err(of_pose(PredictionError::Station { station, stations }));
         };
-        let seen = observation.reading.position() - tracker_from_base.translation.vector;
+        let read = observation.reading.position() - self.robot.displaced(station, &observation.reading);
+        let seen = read - tracker_from_base.translation.vector;
         Ok(tracker_from_base.rotation.inverse() * seen - self.in_base(observation).map_err(of_pose)?)
     }
 

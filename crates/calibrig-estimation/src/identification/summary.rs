@@ -8,6 +8,7 @@ use super::divided::divided;
 use super::factorised::Factorised;
 use super::gross::{GrossError, LinearFit};
 use super::identify::LEAST_OF_UNKNOWN;
+use super::instrument::Instruments;
 use super::noise::{LEAST_FREEDOM, Noise, is_doubted};
 use super::problem::CalibrationProblem;
 use super::solver::Solution;
@@ -177,6 +178,7 @@ pub(super) fn summarise(
             terms,
             stations: problem.current.stations,
             targets: problem.current.targets,
+            instruments: Instruments::at(set, &problem.parameters, &solution.x),
         },
         assumptions,
         factor: factorised.spread().cloned(),

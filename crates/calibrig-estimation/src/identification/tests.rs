@@ -34,6 +34,7 @@ pub(super) fn truth(
         put(&mut model, nominal, *id, *value);
     }
     CalibratedRobot {
+        instruments: Vec::new(),
         mode: Mode::Extended,
         nominal: model.clone(),
         model,

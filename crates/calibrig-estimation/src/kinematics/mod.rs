@@ -291,7 +291,8 @@ impl PlacedChain {
             | ParameterId::Mass { .. }
             | ParameterId::Centre { .. }
             | ParameterId::Linkage(_)
-            | ParameterId::Term(_) => Vector3::zeros(),
+            | ParameterId::Term(_)
+            | ParameterId::Instrument { .. } => Vector3::zeros(),
         }
     }
 }

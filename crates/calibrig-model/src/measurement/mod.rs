@@ -208,6 +208,26 @@ pub enum MeasurementError {
         /// The pose.
         pose: u32,
     },
+    /// An instrument's error that cannot be as large as stated.
+    #[error(
+        "station {station}: the standard deviation of its instrument's {term} is {sigma}: expected a finite number of zero or more"
+    )]
+    InstrumentSigma {
+        /// Name of the station.
+        station: String,
+        /// Which error.
+        term: InstrumentTerm,
+        /// m, rad or 1.
+        sigma: f64,
+    },
+    /// An instrument's error that is stated twice.
+    #[error("station {station}: its instrument's {term} is stated twice: expected one standard deviation")]
+    InstrumentTwice {
+        /// Name of the station.
+        station: String,
+        /// Which error.
+        term: InstrumentTerm,
+    },
     /// A certified place, an offset or a covariance that is not finite.
     #[error("{what}: a coordinate or covariance is not a finite number")]
     NotFiniteIn {
@@ -297,6 +317,18 @@ impl Station {
             let certified = nest.in_base.iter().chain(nest.in_base_covariance.iter());
             certified.copied().all(f64::is_finite) && nest.reading.is_finite()
         };
+        for (place, (term, sigma)) in
+            self.instrument.iter().flat_map(|stated| stated.sigmas.iter().enumerate())
+        {
+            let (station, term, sigma) = (self.name.clone(), *term, *sigma);
+            if !(sigma.is_finite() && sigma >= 0.0) {
+                return Err(MeasurementError::InstrumentSigma { station, term, sigma });
+            }
+            let before = self.instrument.iter().flat_map(|stated| &stated.sigmas).take(place);
+            if before.into_iter().any(|(other, _)| *other == term) {
+                return Err(MeasurementError::InstrumentTwice { station, term });
+            }
+        }
         match self.nests.iter().find(|nest| !is_finite(nest)) {
             Some(nest) => {
                 let what = format!("nest {} of station {}", nest.name, self.name);
@@ -370,6 +402,18 @@ impl Reading {
             Self::Spherical(reading) => reading.face,
             Self::Cartesian { .. } | Self::Pose(_) => Face::Front,
         }
+    }
+
+    /// How far an error of the instrument displaces the position that it reads there, per unit of its amplitude, m in the tracker's axes.
+    pub fn displaced_by(&self, term: InstrumentTerm) -> Vector3<f64> {
+        let [range, azimuth, elevation] = self.spherical();
+        let (sin_az, cos_az) = azimuth.sin_cos();
+        let (sin_el, cos_el) = elevation.sin_cos();
+        let along = Vector3::new(cos_el * cos_az, cos_el * sin_az, sin_el);
+        let across = Vector3::new(-sin_az, cos_az, 0.0);
+        let up = Vector3::new(-sin_el * cos_az, -sin_el * sin_az, cos_el);
+        let own = term.displacement(range, azimuth, elevation, self.face());
+        along * own.x + across * own.y + up * own.z
     }
 
     /// Position in the tracker's frame, m.

@@ -4,7 +4,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Matrix6, SMatrix, Vector3, V
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{NestObservation, Station};
+use super::{NestObservation, StatedInstrument, Station};
 use crate::geometry::{Transform, best_fit_transform, cross_matrix, small_displacement};
 
 /// Where a station stands, and how well that is known.
@@ -102,6 +102,8 @@ pub struct NestSystem {
     pub jacobian: DMatrix<f64>,
     /// Predicted minus seen places, in standard deviations.
     pub residuals: DVector<f64>,
+    /// Derivative by the errors that the station's instrument is stated to have, 3 nests x their number.
+    pub instrument: DMatrix<f64>,
     /// One a nest, lower triangular: takes a displacement in the tracker's frame, m, to standard deviations.
     pub whitening: Vec<Matrix3<f64>>,
 }
@@ -116,9 +118,11 @@ pub fn nest_system(
     tracker_from_base: &Transform,
 ) -> Result<NestSystem, RegistrationError> {
     let rows = 3 * station.nests.len();
+    let stated: Vec<_> = station.instrument.iter().flat_map(StatedInstrument::errors).collect();
     let mut system = NestSystem {
         jacobian: DMatrix::zeros(rows, 6),
         residuals: DVector::zeros(rows),
+        instrument: DMatrix::zeros(rows, stated.len()),
         whitening: Vec::new(),
     };
     for (index, nest) in station.nests.iter().enumerate() {
@@ -127,6 +131,10 @@ pub fn nest_system(
         let whitening = factor.ok_or_else(|| RegistrationError::Covariance { nest: nest.name.clone() })?;
         system.jacobian.fixed_view_mut::<3, 6>(3 * index, 0).copy_from(&(whitening * jacobian));
         system.residuals.fixed_rows_mut::<3>(3 * index).copy_from(&(whitening * residual));
+        for (column, (term, _)) in stated.iter().enumerate() {
+            let displaced = whitening * nest.reading.displaced_by(*term);
+            system.instrument.fixed_view_mut::<3, 1>(3 * index, column).copy_from(&displaced);
+        }
         system.whitening.push(whitening);
     }
     Ok(system)

@@ -293,7 +293,8 @@ impl ElasticChain {
             ParameterId::Compliance(Compliance::Rod)
             | ParameterId::Frame { .. }
             | ParameterId::Linkage(_)
-            | ParameterId::Term(_) => true,
+            | ParameterId::Term(_)
+            | ParameterId::Instrument { .. } => true,
         };
         if known { Ok(()) } else { Err(ModelError::Parameter { id }) }
     }

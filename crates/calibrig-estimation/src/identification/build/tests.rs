@@ -86,6 +86,7 @@ fn measured(
     let station = translation(3.0, 0.5, 0.2) * rotation_x(0.3);
     let target = Vector3::new(0.35, 0.04, 0.06);
     let robot = CalibratedRobot {
+        instruments: Vec::new(),
         mode: Mode::ElastoGeometric,
         nominal: machine.clone(),
         model: machine.clone(),

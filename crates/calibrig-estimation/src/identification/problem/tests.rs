@@ -4,6 +4,7 @@ use super::*;
 use crate::identification::{Mode, structural_poses};
 use calibrig_files::load_robot;
 use calibrig_model::geometry::{rotation_x, rotation_y, translation};
+use calibrig_model::measurement::{InstrumentTerm, Reading};
 use calibrig_model::{ActuatorMap, CraigLink, FAMILIES, JointKind, KinematicModel, PoseQuery, TermId, Unit};
 
 /// Signs of approach to a command.
@@ -42,10 +43,20 @@ fn problem() -> CalibrationProblem {
     parameters.extend(ParameterId::all_of_frame(0));
     parameters.extend(ParameterId::all_of_frame(1));
     parameters.extend(ParameterId::all_of_target(0));
+    let errors = [InstrumentTerm::RangeScale, InstrumentTerm::Collimation];
+    let first = parameters.len();
+    parameters.extend(errors.map(|term| ParameterId::Instrument { instrument: 0, term }));
     let stations =
         vec![translation(1.0, 2.0, 3.0) * rotation_x(0.3), translation(-2.0, 0.0, 1.0) * rotation_y(2.0)];
     let targets = vec![Vector3::new(0.1, 0.2, 0.3)];
     let mut row = |station, seen: Vector3<f64>, command: [f64; 3]| Row {
+        // One tracker at both stations.
+        instrument: (first..)
+            .zip(errors)
+            .map(|(column, term)| {
+                (column, Reading::Cartesian { position: seen, covariance: None }.displaced_by(term))
+            })
+            .collect(),
         pose: 0,
         told: machine
             .prepare(&PoseQuery::at(&command).approached(&signs(&command)))
@@ -62,10 +73,25 @@ fn problem() -> CalibrationProblem {
     ];
     CalibrationProblem {
         rows,
-        priors: vec![Prior {
-            column: 15,
-            whitening: DMatrix::from_fn(6, 6, |i, j| if i < j { 0.0 } else { 1.0 + i as f64 - j as f64 }),
-        }],
+        // A frame by itself, and one that nests tell together with an error of the instrument, from fewer rows than both have.
+        priors: vec![
+            Prior {
+                columns: (15..21).collect(),
+                whitening: DMatrix::from_fn(6, 6, |i, j| if i < j { 0.0 } else { 1.0 + i as f64 - j as f64 }),
+                offset: DVector::zeros(6),
+            },
+            Prior {
+                columns: (21..27).chain([first + 1]).collect(),
+                whitening: DMatrix::from_fn(
+                    5,
+                    7,
+                    |i, j| {
+                        if i > j { 0.0 } else { 1.0 + j as f64 - 0.5 * i as f64 }
+                    },
+                ),
+                offset: DVector::from_fn(5, |i, _| i as f64 - 1.5),
+            },
+        ],
         own_priors: vec![(3, 0.5)],
         logarithmic: Vec::new(),
         tolerances: vec![(0, 2.0), (1, 3.0), (2, 4.0)],
@@ -89,6 +115,7 @@ fn problem() -> CalibrationProblem {
 fn the_jacobian_is_the_central_difference_far_from_zero() {
     let mut problem = problem();
     let n = problem.parameters.len();
+    assert_eq!(problem.rows[0].instrument.len(), 2);
     let x: Vec<f64> = (0..n).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
     let m = LeastSquares::rows(&problem);
     let mut residuals = DVector::zeros(m);
@@ -113,6 +140,7 @@ fn the_jacobian_is_the_central_difference_far_from_zero() {
 fn evaluation_takes_no_memory() {
     let mut problem = problem();
     let x = vec![0.01; problem.parameters.len()];
+    problem.set(&x);
     let mut residuals = DVector::zeros(LeastSquares::rows(&problem));
     let mut jacobian = DMatrix::zeros(residuals.len(), x.len());
     let info = allocation_counter::measure(|| problem.evaluate(&x, &mut residuals, Some(&mut jacobian)));
@@ -150,6 +178,7 @@ fn coupled() -> CalibrationProblem {
                 joints.iter().zip(middle).map(|(q, middle)| middle + 0.5 * (q - middle)).collect();
             let command = nominal.actuators.command_from_joints(&near);
             Row {
+                instrument: Vec::new(),
                 pose: 0,
                 told: machine
                     .prepare(&PoseQuery::at(&command).approached(&signs(&command)))
