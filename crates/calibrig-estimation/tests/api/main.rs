@@ -11,6 +11,7 @@ mod divided;
 mod faults;
 mod frames;
 mod hidden;
+mod instrument;
 mod numbers;
 mod predictions;
 mod robots;
