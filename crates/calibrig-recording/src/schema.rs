@@ -133,14 +133,14 @@ fn to_reading(message: Option<&v1::Reading>) -> Result<Reading, String> {
             position: to_vector(&reading.position, "position")?,
             covariance: to_optional_matrix(&reading.covariance, "covariance of the reading")?,
         }),
-        v1::reading::Kind::Pose(pose) => Ok(Reading::Pose(PoseReading {
+        v1::reading::Kind::Pose(pose) => Ok(Reading::Pose(Box::new(PoseReading {
             position: to_vector(&pose.position, "position")?,
             rotation: to_rotation(&pose.rotation, "rotation of the reading")?,
             covariance: match pose.covariance.as_slice() {
                 [] => None,
                 stated => Some(Matrix6::from_row_slice(&numbers::<36>(stated, "covariance of the reading")?)),
             },
-        })),
+        }))),
     }
 }
 

@@ -138,7 +138,7 @@ pub enum Reading {
         covariance: Option<Matrix3<f64>>,
     },
     /// Place and orientation of a target with axes of its own.
-    Pose(PoseReading),
+    Pose(Box<PoseReading>),
 }
 
 /// A target's place and orientation as a tracker with a six-degree-of-freedom probe or a camera system sees it.
