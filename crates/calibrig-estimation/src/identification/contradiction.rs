@@ -12,14 +12,16 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::ops::Range;
 
-use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use nalgebra::{DMatrix, DVector, SymmetricEigen, Vector3};
 
 use super::factor::triangular_factor_of_all;
 use super::limits::shown;
 use super::problem::CalibrationProblem;
 use super::solver::Solution;
 use super::{FrameChoice, NoiseScale};
-use calibrig_model::measurement::{MeasurementSet, NestSystem, StatedInstrument, Station, nest_system};
+use calibrig_model::measurement::{
+    MeasurementSet, NestSystem, StatedInstrument, Station, WhitenedNest, nest_system,
+};
 use calibrig_model::statistics::{chi2_survival, f_ln_survival};
 use calibrig_model::{ParameterId, Unit};
 
@@ -450,18 +452,21 @@ impl<'a> Checks<'a> {
                 }
             }
             Kind::Nest(station, nest) => {
-                let whitening = self.nests.iter().find_map(|(system, family)| {
-                    let own = family
-                        .groups
-                        .iter()
-                        .any(|group| matches!(group.kind, Kind::Nest(s, _) if s == station));
-                    own.then(|| system.whitening.get(nest)).flatten()
+                let system = self.nests.iter().find_map(|(system, family)| {
+                    let is_own = |group: &Group| matches!(group.kind, Kind::Nest(s, _) if s == station);
+                    family.groups.iter().any(is_own).then_some(system)
                 });
-                let shift = nalgebra::Vector3::from_iterator(left_out.iter().copied());
-                let shift = whitening.and_then(|w| w.solve_lower_triangular(&shift)).unwrap_or(shift);
+                let own = system.and_then(|system| system.nests.get(nest));
+                let shift = own.and_then(|own| own.whitening.solve_lower_triangular(left_out));
+                let shift = shift.unwrap_or_else(|| left_out.clone());
+                // Of several readings, what they have in common.
+                let readings = (shift.len() / 3).max(1) as f64;
+                let mean = shift.as_slice().chunks_exact(3).map(Vector3::from_column_slice);
+                let shift = mean.sum::<Vector3<f64>>() / readings;
+                let reading = own.and_then(|own| own.readings.first().copied()).unwrap_or(nest);
                 let station = &self.set.stations[station];
                 Stated::Nest {
-                    nest: station.nests[nest].name.clone(),
+                    nest: station.nests[reading].name.clone(),
                     station: station.name.clone(),
                     length: shift.norm(),
                 }
@@ -606,12 +611,17 @@ fn of_nests(system: &NestSystem, station: &Station, index: usize) -> Option<Fami
     let information = information.cholesky()?;
     let hat = &jacobian * information.solve(&jacobian.transpose());
     let step = information.solve(&jacobian.tr_mul(&system.residuals));
+    let mut first = 0;
+    let group = |(nest, own): (usize, &WhitenedNest)| {
+        let rows = first..first + own.whitening.nrows();
+        first = rows.end;
+        Group { rows, kind: Kind::Nest(index, nest) }
+    };
+    let groups = system.nests.iter().enumerate().map(group).collect();
     Some(Family {
         residuals: &system.residuals - jacobian * step,
         covariance: DMatrix::identity(rows, rows) - hat,
-        groups: (0..rows / 3)
-            .map(|nest| Group { rows: 3 * nest..3 * nest + 3, kind: Kind::Nest(index, nest) })
-            .collect(),
+        groups,
     })
 }
 

@@ -21,7 +21,7 @@ pub enum FrameChoice {
 
 /// Whether a station has nests enough to be placed by them.
 pub(super) fn is_placed(station: &Station) -> bool {
-    station.nests.len() >= 3
+    station.distinct_nests().len() >= 3
 }
 
 /// What is known of the target's offset.

@@ -414,7 +414,7 @@ fn assumptions(
 ) -> Vec<Assumption> {
     let mut made = Vec::new();
     for station in set.stations.iter().filter(|_| options.frame == FrameChoice::AsStated) {
-        let (name, nests) = (station.name.clone(), station.nests.len());
+        let (name, nests) = (station.name.clone(), station.distinct_nests().len());
         made.push(match options.frame.of(station) {
             FrameChoice::Free => Assumption::StationFree { station: name, nests },
             _ => Assumption::StationByNests { station: name, nests },

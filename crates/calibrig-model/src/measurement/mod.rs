@@ -5,7 +5,7 @@ mod registration;
 mod repeats;
 
 pub use instrument::{Face, InstrumentTerm, StatedInstrument};
-pub use registration::{NestSystem, Registration, RegistrationError, nest_system, register};
+pub use registration::{NestSystem, Registration, RegistrationError, WhitenedNest, nest_system, register};
 pub use repeats::Repeats;
 
 use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3};
@@ -312,6 +312,23 @@ impl MeasurementSet {
 }
 
 impl Station {
+    /// The readings of every nest (indices into [`nests`](Self::nests)): those that have its name and its certified place.
+    pub fn distinct_nests(&self) -> Vec<Vec<usize>> {
+        let mut distinct: Vec<Vec<usize>> = Vec::new();
+        for (index, nest) in self.nests.iter().enumerate() {
+            let is_same = |other: &NestObservation| {
+                other.name == nest.name
+                    && other.in_base == nest.in_base
+                    && other.in_base_covariance == nest.in_base_covariance
+            };
+            match distinct.iter_mut().find(|readings| is_same(&self.nests[readings[0]])) {
+                Some(readings) => readings.push(index),
+                None => distinct.push(vec![index]),
+            }
+        }
+        distinct
+    }
+
     fn check(&self) -> Result<(), MeasurementError> {
         let is_finite = |nest: &NestObservation| {
             let certified = nest.in_base.iter().chain(nest.in_base_covariance.iter());
