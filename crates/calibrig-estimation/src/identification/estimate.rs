@@ -163,6 +163,24 @@ pub enum Assumption {
         /// Root mean square of its coordinates' standard deviations, m.
         sigma: f64,
     },
+    /// An instrument's readings share errors that were stated.
+    #[error(
+        "tracker {name}: {errors} errors that its readings share are identified, with what is stated of them as a prior"
+    )]
+    InstrumentStated {
+        /// Its name.
+        name: String,
+        /// Their number.
+        errors: usize,
+    },
+    /// They are taken to share none, although some were stated.
+    #[error(
+        "tracker {name}: what is stated of the errors that its readings share is ignored; the intervals do not contain them"
+    )]
+    InstrumentIgnored {
+        /// Its name.
+        name: String,
+    },
     /// Links are about as drawn.
     #[error("links: within +- {:.1} mm and +- {:.1} mrad of their nominal values (standard deviations of a prior)", 1e3 * .0.length, 1e3 * .0.angle)]
     LinksWithin(Tolerance),

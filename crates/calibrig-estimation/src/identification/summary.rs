@@ -17,7 +17,7 @@ use super::{
     LeastSquares, Mode, NoiseScale, Outlier, ParameterBound, ParameterEstimate, Spectrum, Stated,
     TargetChoice, Warning,
 };
-use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::measurement::{MeasurementSet, StatedInstrument};
 use calibrig_model::statistics::chi2_survival;
 use calibrig_model::{BodyUncertainty, ParameterId};
 
@@ -428,6 +428,15 @@ fn assumptions(
                 let sigma = (covariance.trace() / 3.0).max(0.0).sqrt();
                 Assumption::TargetStated { target: name, sigma }
             }
+        });
+    }
+    let (instruments, _) = StatedInstrument::of_stations(&set.stations);
+    for (index, stated) in instruments.into_iter().enumerate() {
+        let is_own = |id: &&ParameterId| matches!(id, ParameterId::Instrument { instrument, .. } if *instrument == index);
+        let (name, errors) = (stated.name.clone(), parameters.iter().filter(is_own).count());
+        made.push(match errors {
+            0 => Assumption::InstrumentIgnored { name },
+            errors => Assumption::InstrumentStated { name, errors },
         });
     }
     made.extend(options.tolerance.map(Assumption::LinksWithin));

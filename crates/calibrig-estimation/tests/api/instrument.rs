@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 
 use calibrig_estimation::identification::{
-    Estimate, IdentificationOptions, InstrumentChoice, Mode, Predictor, identify,
+    Estimate, IdentificationOptions, InstrumentChoice, Mode, Predictor, Stated, identify,
 };
 use calibrig_estimation::kinematics::target_in_base;
 use calibrig_model::geometry::{Transform, rotation_z, translation};
@@ -316,4 +316,35 @@ fn intervals_hold_where_the_instrument_errs_as_its_data_sheet_allows() {
         assert!(failed.is_empty(), "{failed:?} of {trials}");
         assert!(bare_links < links, "{bare_links}");
     }
+}
+
+/// What is stated of an instrument is tested as all that is stated: a collimation far beyond its data sheet is named, with what it is.
+#[test]
+fn an_instrument_out_of_specification_is_told() {
+    let [model, _] = robots();
+    let stated = data_sheet(0.2);
+    let size = 60e-6;
+    let tracker =
+        Tracker { from_base: place(), errors: vec![(InstrumentTerm::Collimation, size)], fraction: 0.125 };
+    let plan = Plan {
+        machine: &model.kinematics,
+        tracker: &tracker,
+        stated: &stated,
+        poses: 40,
+        back_every: 4,
+        certified: CERTIFIED,
+    };
+    let set = plan.measure(&mut stream(23, 0, Source::IdentificationPoses));
+    let estimate = identify(&model, &set, &IdentificationOptions::default()).expect("an estimate");
+    let told: Vec<_> = estimate.contradicted.iter().map(|c| (c.stated.clone(), c.to_string())).collect();
+    let found = told.iter().find_map(|(stated, _)| match stated {
+        Stated::Parameter { id, found, sigma, .. } if id.to_string() == "tracker_collimation" => {
+            Some((*found, *sigma))
+        }
+        _ => None,
+    });
+    let (found, sigma) = found.unwrap_or_else(|| panic!("{told:?}"));
+    assert!((found - size).abs() < 5.0 * sigma && sigma < size / 5.0, "{found:e} +- {sigma:e}");
+    let made: Vec<_> = estimate.assumptions.iter().map(ToString::to_string).collect();
+    assert!(made.iter().any(|text| text.starts_with("tracker tracker: 16 errors")), "{made:?}");
 }
