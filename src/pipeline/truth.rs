@@ -58,7 +58,10 @@ impl KnownTruth<'_> {
                 Some(self.as_built.actuators.length(length)? - self.nominal.actuators.length(length)?)
             }
             ParameterId::Term(term) => self.term(term),
-            ParameterId::Frame { .. } | ParameterId::Target { .. } | ParameterId::Instrument { .. } => None,
+            ParameterId::Frame { .. }
+            | ParameterId::Target { .. }
+            | ParameterId::Instrument { .. }
+            | ParameterId::Drift { .. } => None,
         };
         value.filter(|v| v.is_finite())
     }

@@ -149,6 +149,10 @@ pub(super) fn parameter_words(id: ParameterId) -> String {
         ParameterId::Instrument { instrument, term } => {
             format!("tracker {}: {}", instrument + 1, term.about())
         }
+        ParameterId::Drift { station, component } => {
+            let how = if component < 3 { "along" } else { "about" };
+            format!("drift of station {} in an hour, {how} {}", station + 1, AXES[component % 3])
+        }
     }
 }
 

@@ -153,6 +153,13 @@ pub enum ParameterId {
         /// Which error.
         term: InstrumentTerm,
     },
+    /// Steady motion of a station on its stand, as [`Frame`](Self::Frame) displaces it: what it amounts to in an hour.
+    Drift {
+        /// Index of the tracker station.
+        station: usize,
+        /// 0..6
+        component: usize,
+    },
 }
 
 impl ParameterId {
@@ -169,8 +176,12 @@ impl ParameterId {
     pub fn unit(self) -> Unit {
         match self {
             Self::Link { term, .. } => term.unit(),
-            Self::Frame { component, .. } if component >= 3 => Unit::Radian,
-            Self::Frame { .. } | Self::Target { .. } | Self::Centre { .. } | Self::Linkage(_) => Unit::Metre,
+            Self::Frame { component, .. } | Self::Drift { component, .. } if component >= 3 => Unit::Radian,
+            Self::Frame { .. }
+            | Self::Drift { .. }
+            | Self::Target { .. }
+            | Self::Centre { .. }
+            | Self::Linkage(_) => Unit::Metre,
             Self::Compliance(_) | Self::Mass { .. } => Unit::One,
             Self::Term(term) => term.unit(),
             Self::Instrument { term, .. } => term.unit(),
@@ -190,6 +201,11 @@ impl ParameterId {
     /// The three components of a target's offset.
     pub fn all_of_target(target: usize) -> Vec<Self> {
         (0..3).map(|axis| Self::Target { target, axis }).collect()
+    }
+
+    /// The six components of a station's drift.
+    pub fn all_of_drift(station: usize) -> Vec<Self> {
+        (0..6).map(|component| Self::Drift { station, component }).collect()
     }
 
     /// All errors of an instrument.
@@ -231,10 +247,15 @@ impl ParameterId {
             let instrument = if index.is_empty() { 0 } else { number(index)? };
             return InstrumentTerm::parse(component).map(|term| Self::Instrument { instrument, term });
         }
-        if let Some(index) = group.strip_prefix("frame") {
+        for (prefix, is_drift) in [("frame", false), ("drift", true)] {
+            let Some(index) = group.strip_prefix(prefix) else { continue };
             let station = if index.is_empty() { 0 } else { number(index)? };
             let component = FRAME_NAMES.iter().position(|n| *n == component)?;
-            return Some(Self::Frame { station, component });
+            return Some(if is_drift {
+                Self::Drift { station, component }
+            } else {
+                Self::Frame { station, component }
+            });
         }
         let axis = FRAME_NAMES[..3].iter().position(|n| *n == component)?;
         if let Some(index) = group.strip_prefix("centre") {
@@ -302,6 +323,9 @@ impl fmt::Display for ParameterId {
             Self::Frame { station, component } => {
                 format!("frame{}_{}", counted(station), frame_name(component))
             }
+            Self::Drift { station, component } => {
+                format!("drift{}_{}", counted(station), frame_name(component))
+            }
             Self::Target { target, axis } => {
                 format!("target{}_{}", counted(target), frame_name(axis))
             }
@@ -348,6 +372,8 @@ mod tests {
         all.extend(LinkageLength::ALL.map(ParameterId::Linkage));
         all.extend(ParameterId::all_of_instrument(0));
         all.extend(ParameterId::all_of_instrument(1));
+        all.extend(ParameterId::all_of_drift(0));
+        all.extend(ParameterId::all_of_drift(3));
         for id in all {
             assert_eq!(ParameterId::parse(&id.to_string()), Some(id), "{id}");
         }
@@ -365,6 +391,7 @@ mod tests {
             "linkage_x",
             "tracker_x",
             "tracker0_collimation",
+            "drift_q",
             "compliance_drive",
             "compliance_bearing2_q",
         ] {

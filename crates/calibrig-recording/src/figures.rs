@@ -113,6 +113,7 @@ pub(super) fn group(id: ParameterId) -> String {
         ParameterId::Linkage(_) => "linkage".to_owned(),
         ParameterId::Term(term) => term.family().key().to_owned(),
         ParameterId::Instrument { instrument, .. } => format!("tracker {}", instrument + 1),
+        ParameterId::Drift { station, .. } => format!("drift {}", station + 1),
     }
 }
 

@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3};
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{
     Face, InstrumentTerm, NestObservation, Observation, PoseReading, Reading, SetKind, SetOutcome,
-    SphericalReading, StatedInstrument, Station, Target, TargetOrientation,
+    SphericalReading, StatedDrift, StatedInstrument, Station, Target, TargetOrientation,
 };
 
 /// The generated types.
@@ -149,7 +149,12 @@ fn instrument(stated: &StatedInstrument) -> v1::Instrument {
         term: term.key().to_owned(),
         sigma: Some(*sigma),
     };
-    v1::Instrument { name: stated.name.clone(), errors: stated.sigmas.iter().map(error).collect() }
+    v1::Instrument {
+        name: stated.name.clone(),
+        errors: stated.sigmas.iter().map(error).collect(),
+        drift_motion_per_hour: stated.drift.map(|drift| drift.motion_per_hour),
+        drift_turn_per_hour: stated.drift.map(|drift| drift.turn_per_hour),
+    }
 }
 
 fn to_instrument(message: &v1::Instrument) -> Result<StatedInstrument, String> {
@@ -161,6 +166,13 @@ fn to_instrument(message: &v1::Instrument) -> Result<StatedInstrument, String> {
     Ok(StatedInstrument {
         name: message.name.clone(),
         sigmas: message.errors.iter().map(error).collect::<Result<_, _>>()?,
+        drift: match (message.drift_motion_per_hour, message.drift_turn_per_hour) {
+            (None, None) => None,
+            (motion, turn) => Some(StatedDrift {
+                motion_per_hour: number(motion, "drift_motion_per_hour")?,
+                turn_per_hour: number(turn, "drift_turn_per_hour")?,
+            }),
+        },
     })
 }
 

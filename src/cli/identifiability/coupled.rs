@@ -80,7 +80,7 @@ fn kinds(parameters: &[ParameterId]) -> Vec<(&'static str, Vec<String>)> {
         ParameterId::Mass { .. } | ParameterId::Centre { .. } => "masses",
         ParameterId::Linkage(_) => "linkage",
         ParameterId::Term(_) => "terms",
-        ParameterId::Instrument { .. } => "tracker",
+        ParameterId::Instrument { .. } | ParameterId::Drift { .. } => "tracker",
     };
     let mut kinds: Vec<(&'static str, Vec<String>)> = Vec::new();
     for id in parameters {

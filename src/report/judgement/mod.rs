@@ -233,7 +233,13 @@ fn overview(sure: &[(&Judgement, &Confidence)]) -> Markup {
 fn weakest(confidence: &Confidence) -> Markup {
     // Tracker and target were measured beforehand: that the poses add little to it is as it should be.
     let of_robot = |id: ParameterId| {
-        !matches!(id, ParameterId::Frame { .. } | ParameterId::Target { .. } | ParameterId::Instrument { .. })
+        !matches!(
+            id,
+            ParameterId::Frame { .. }
+                | ParameterId::Target { .. }
+                | ParameterId::Instrument { .. }
+                | ParameterId::Drift { .. }
+        )
     };
     let held = confidence.support.iter().filter(|s| s.prior_sigma.is_some() && of_robot(s.id));
     let mut held: Vec<_> = held.collect();

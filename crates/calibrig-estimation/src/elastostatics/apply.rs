@@ -51,7 +51,8 @@ pub(crate) fn put(model: &mut CalibrationModel, reference: &CalibrationModel, id
         ParameterId::Frame { .. }
         | ParameterId::Target { .. }
         | ParameterId::Term(_)
-        | ParameterId::Instrument { .. } => {}
+        | ParameterId::Instrument { .. }
+        | ParameterId::Drift { .. } => {}
     }
 }
 

@@ -232,7 +232,8 @@ impl Measured {
             ParameterId::Link { .. }
             | ParameterId::Frame { .. }
             | ParameterId::Target { .. }
-            | ParameterId::Instrument { .. } => true,
+            | ParameterId::Instrument { .. }
+            | ParameterId::Drift { .. } => true,
             ParameterId::Mass { .. } | ParameterId::Centre { .. } => {
                 problem.own_priors.iter().all(|(own, _)| own != column)
             }
@@ -317,7 +318,7 @@ pub(super) fn redundant(measured: &DMatrix<f64>, parameters: &[ParameterId]) -> 
         ParameterId::Mass { .. } | ParameterId::Centre { .. } => 4,
         ParameterId::Linkage(_) => 5,
         ParameterId::Term(_) => 6,
-        ParameterId::Instrument { .. } => 7,
+        ParameterId::Instrument { .. } | ParameterId::Drift { .. } => 7,
     };
     let mut order: Vec<usize> = (0..parameters.len()).collect();
     order.sort_by_key(|column| rank(&parameters[*column]));
@@ -397,7 +398,7 @@ fn assemble(
         _ => None,
     }));
     let mut rows = rows(set, options.unmodelled_sigma, &mut machine)?;
-    instruments.add_to(&mut rows, &set.observations);
+    instruments.add_to(&mut rows, set, &stations);
     let mut problem = CalibrationProblem {
         nominal: model.clone(),
         rows,

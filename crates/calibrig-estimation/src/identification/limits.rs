@@ -128,6 +128,7 @@ fn origin(id: ParameterId) -> &'static str {
         ParameterId::Link { .. } | ParameterId::Linkage(_) | ParameterId::Term(_) => "nominal",
         ParameterId::Frame { .. } => "registered",
         ParameterId::Instrument { .. } => "ideal",
+        ParameterId::Drift { .. } => "standing",
         ParameterId::Target { .. } | ParameterId::Mass { .. } | ParameterId::Centre { .. } => "stated",
         ParameterId::Compliance(_) => "predicted",
     }

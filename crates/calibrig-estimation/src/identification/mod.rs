@@ -60,7 +60,9 @@ pub use options::{
     ParameterChoice, Redundancy, TargetChoice, TermPrior, Tolerance, UNKNOWN_STIFFNESS,
 };
 pub use prospect::{Prospect, prospect};
-pub use robot::{CalibratedRobot, EstimatePredictor, Prediction, PredictionError, Predictor};
+pub use robot::{
+    CalibratedRobot, EstimatePredictor, InstrumentErrors, Prediction, PredictionError, Predictor,
+};
 pub(crate) use solver::scale_of;
 use solver::{Bounds, LeastSquares, Solution, minimise, minimise_within};
 pub use solver::{BoundsError, Loss, LossScale, SolverOptions};

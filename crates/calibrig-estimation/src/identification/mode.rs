@@ -63,7 +63,8 @@ impl Mode {
             ParameterId::Link { .. }
             | ParameterId::Frame { .. }
             | ParameterId::Target { .. }
-            | ParameterId::Instrument { .. } => true,
+            | ParameterId::Instrument { .. }
+            | ParameterId::Drift { .. } => true,
             ParameterId::Compliance(_) | ParameterId::Mass { .. } | ParameterId::Centre { .. } => {
                 self.is_coupled()
             }

@@ -27,7 +27,7 @@ pub(super) struct Row {
     pub reading: Option<Matrix3<f64>>,
     /// Inverse Cholesky factor of its covariance: turns a difference in metres into standard deviations.
     pub whitening: Matrix3<f64>,
-    /// Of every error of its instrument that is a parameter, the column and what a unit of it displaces, m in the tracker's axes.
+    /// Of every error of its instrument that is a parameter, and of its drift, the column and what a unit of it displaces, m in the tracker's axes.
     pub instrument: Vec<(usize, Vector3<f64>)>,
     pub station: usize,
     pub target: usize,
@@ -147,7 +147,7 @@ impl CalibrationProblem {
         }
         now.amplitudes.clear();
         now.errors.clear();
-        if self.parameters.iter().any(|id| matches!(id, ParameterId::Instrument { .. })) {
+        if self.rows.iter().any(|row| !row.instrument.is_empty()) {
             now.errors.extend_from_slice(x);
         }
         for (id, &value) in self.parameters.iter().zip(x) {
@@ -155,7 +155,7 @@ impl CalibrationProblem {
                 ParameterId::Frame { station, component } => now.displacements[station].xi[component] = value,
                 ParameterId::Target { target, axis } => now.targets[target][axis] += value,
                 ParameterId::Term(_) => now.amplitudes.push(value),
-                ParameterId::Instrument { .. } => {}
+                ParameterId::Instrument { .. } | ParameterId::Drift { .. } => {}
                 ParameterId::Link { .. }
                 | ParameterId::Compliance(_)
                 | ParameterId::Mass { .. }
@@ -391,7 +391,9 @@ pub(super) fn in_base_column(
     term: &mut usize,
 ) -> Vector3<f64> {
     match id {
-        ParameterId::Frame { .. } | ParameterId::Instrument { .. } => Vector3::zeros(),
+        ParameterId::Frame { .. } | ParameterId::Instrument { .. } | ParameterId::Drift { .. } => {
+            Vector3::zeros()
+        }
         ParameterId::Target { target: other, .. } if other != target => Vector3::zeros(),
         ParameterId::Term(_) => {
             *term += 1;

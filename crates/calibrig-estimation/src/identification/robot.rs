@@ -1,6 +1,6 @@
 //! A robot as it was identified, and what it predicts.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -9,7 +9,7 @@ use super::noise::{ActuatorMotions, MachineNoise};
 use super::problem::in_base_column;
 use super::{Estimate, Mode, PositionJacobian};
 use calibrig_model::geometry::Transform;
-use calibrig_model::measurement::{InstrumentTerm, MeasurementSet, Observation, Reading};
+use calibrig_model::measurement::{DRIFT_UNIT, InstrumentTerm, MeasurementSet, Observation, Reading};
 use calibrig_model::{CalibrationModel, Compliance, ModelError, ParameterId, PoseQuery, TermId};
 
 /// A robot as a mode believes it to be: all that is needed to predict where a target is seen.
@@ -27,8 +27,46 @@ pub struct CalibratedRobot {
     pub stations: Vec<Transform>,
     /// Offsets in the flange frame, m, one a target.
     pub targets: Vec<Vector3<f64>>,
-    /// Errors of the instrument at every station, m, rad or 1: what its readings are corrected by. Empty where none was identified.
-    pub instruments: Vec<Vec<(InstrumentTerm, f64)>>,
+    /// Errors of the instrument at every station: what its readings are corrected by. Empty where none was identified.
+    pub instruments: Vec<InstrumentErrors>,
+}
+
+/// What the readings of a station are off by.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct InstrumentErrors {
+    /// Errors that they share, m, rad or 1.
+    pub shared: Vec<(InstrumentTerm, f64)>,
+    /// Motion of the station in an hour, as a displacement of the base that it sees, m and rad.
+    pub drift: Vector6<f64>,
+    /// When it stands where it was placed, s.
+    pub placed_at: f64,
+}
+
+impl InstrumentErrors {
+    /// What is displaced of a reading at a time (s) from a station at its place, m in the tracker's axes.
+    pub fn displacement(&self, reading: &Reading, time: f64, tracker_from_base: &Transform) -> Vector3<f64> {
+        let shared = self.shared.iter().map(|(term, amplitude)| reading.displaced_by(*term) * *amplitude);
+        let hours = (time - self.placed_at) / DRIFT_UNIT;
+        let seen = reading.position();
+        let drift = (0..6)
+            .map(|part| drift_displacement(part, &seen, tracker_from_base) * (self.drift[part] * hours));
+        shared.chain(drift).sum()
+    }
+}
+
+/// What a unit of a component of the base's displacement does to a point that the tracker sees at `seen`, m in the tracker's axes.
+pub(super) fn drift_displacement(
+    component: usize,
+    seen: &Vector3<f64>,
+    tracker_from_base: &Transform,
+) -> Vector3<f64> {
+    let rotation = &tracker_from_base.rotation;
+    let axis = Vector3::ith(component % 3, 1.0);
+    if component < 3 {
+        return rotation * axis;
+    }
+    let in_base = rotation.inverse() * (seen - tracker_from_base.translation.vector);
+    rotation * axis.cross(&in_base)
 }
 
 impl CalibratedRobot {
@@ -42,14 +80,12 @@ impl CalibratedRobot {
             rotation.into_iter().chain(station.translation.vector.iter().copied().collect::<Vec<_>>())
         };
         let stations = self.stations.iter().flat_map(placed).map(|v| ("a place of stations", v));
-        let errors = self.instruments.iter().flatten().map(|(_, v)| ("an error of instruments", *v));
+        let of_station = |own: &InstrumentErrors| {
+            let shared = own.shared.iter().map(|(_, value)| *value);
+            shared.chain(own.drift.iter().copied()).chain([own.placed_at]).collect::<Vec<_>>()
+        };
+        let errors = self.instruments.iter().flat_map(of_station).map(|v| ("an error of instruments", v));
         terms.chain(targets).chain(stations).chain(errors)
-    }
-
-    /// What the instrument at a station displaced of a reading, m in the tracker's axes.
-    pub(super) fn displaced(&self, station: usize, reading: &Reading) -> Vector3<f64> {
-        let errors = self.instruments.get(station).map_or(&[][..], Vec::as_slice);
-        errors.iter().map(|(term, amplitude)| reading.displaced_by(*term) * *amplitude).sum()
     }
 
     /// Whether a parameter is one that an estimate of this robot can have; `terms` counts the terms before it.
@@ -66,8 +102,10 @@ impl CalibratedRobot {
             ParameterId::Frame { station, component } => station < self.stations.len() && component < 6,
             ParameterId::Target { target, axis } => target < self.targets.len() && axis < 3,
             ParameterId::Instrument { term, .. } => {
-                self.instruments.iter().flatten().any(|(own, _)| *own == term)
+                let has = |own: &InstrumentErrors| own.shared.iter().any(|(known, _)| *known == term);
+                self.instruments.iter().any(has)
             }
+            ParameterId::Drift { station, component } => station < self.instruments.len() && component < 6,
             ParameterId::Term(term) => {
                 *terms += 1;
                 self.mode == Mode::Extended && self.terms.get(*terms - 1).is_some_and(|(own, _)| *own == term)
@@ -158,7 +196,10 @@ impl<'a> Predictor<'a> {
         let Some(tracker_from_base) = self.robot.stations.get(station) else {
             return Err(of_pose(PredictionError::Station { station, stations }));
         };
-        let read = observation.reading.position() - self.robot.displaced(station, &observation.reading);
+        let errors = self.robot.instruments.get(station);
+        let off =
+            errors.map(|own| own.displacement(&observation.reading, observation.time, tracker_from_base));
+        let read = observation.reading.position() - off.unwrap_or_default();
         let seen = read - tracker_from_base.translation.vector;
         Ok(tracker_from_base.rotation.inverse() * seen - self.in_base(observation).map_err(of_pose)?)
     }

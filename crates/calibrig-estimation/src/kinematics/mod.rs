@@ -292,7 +292,8 @@ impl PlacedChain {
             | ParameterId::Centre { .. }
             | ParameterId::Linkage(_)
             | ParameterId::Term(_)
-            | ParameterId::Instrument { .. } => Vector3::zeros(),
+            | ParameterId::Instrument { .. }
+            | ParameterId::Drift { .. } => Vector3::zeros(),
         }
     }
 }

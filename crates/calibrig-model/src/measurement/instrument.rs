@@ -217,7 +217,28 @@ pub struct StatedInstrument {
     pub name: String,
     /// Standard deviation about zero of each error that the instrument can have, m, rad or 1. Those that are not listed are taken for zero.
     pub sigmas: Vec<(InstrumentTerm, f64)>,
+    /// How far its stand lets it move while it measures, where that is not taken out by nests that are measured again. Every station moves by itself.
+    pub drift: Option<StatedDrift>,
 }
+
+/// Standard deviations about zero of a steady motion of a tracker on its stand.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct StatedDrift {
+    /// Along each axis of the base, m in an hour.
+    pub motion_per_hour: f64,
+    /// About each of them, rad in an hour.
+    pub turn_per_hour: f64,
+}
+
+impl StatedDrift {
+    /// Of a component of the motion: 0..3 along, 3..6 about.
+    pub fn sigma(&self, component: usize) -> f64 {
+        if component < 3 { self.motion_per_hour } else { self.turn_per_hour }
+    }
+}
+
+/// Seconds of the unit of time that [`StatedDrift`] counts in.
+pub const DRIFT_UNIT: f64 = 3600.0;
 
 impl StatedInstrument {
     /// The errors that it can have, with their standard deviations above zero.

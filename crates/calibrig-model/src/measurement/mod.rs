@@ -4,7 +4,7 @@ mod instrument;
 mod registration;
 mod repeats;
 
-pub use instrument::{Face, InstrumentTerm, StatedInstrument};
+pub use instrument::{DRIFT_UNIT, Face, InstrumentTerm, StatedDrift, StatedInstrument};
 pub use registration::{NestSystem, Registration, RegistrationError, WhitenedNest, nest_system, register};
 pub use repeats::Repeats;
 
@@ -220,6 +220,16 @@ pub enum MeasurementError {
         /// m, rad or 1.
         sigma: f64,
     },
+    /// A drift that cannot be as large as stated.
+    #[error(
+        "station {station}: the standard deviation of its drift is {sigma} m or rad in an hour: expected a finite number of zero or more"
+    )]
+    DriftSigma {
+        /// Name of the station.
+        station: String,
+        /// m or rad in an hour.
+        sigma: f64,
+    },
     /// An instrument's error that is stated twice.
     #[error("station {station}: its instrument's {term} is stated twice: expected one standard deviation")]
     InstrumentTwice {
@@ -312,6 +322,14 @@ impl MeasurementSet {
 }
 
 impl Station {
+    /// The time at which the nests place it, s: the mean of their times; zero where one has none.
+    pub fn placed_at(&self) -> f64 {
+        let times: Option<Vec<f64>> = self.nests.iter().map(|nest| nest.time).collect();
+        times
+            .filter(|times| !times.is_empty())
+            .map_or(0.0, |times| times.iter().sum::<f64>() / times.len() as f64)
+    }
+
     /// The readings of every nest (indices into [`nests`](Self::nests)): those that have its name and its certified place.
     pub fn distinct_nests(&self) -> Vec<Vec<usize>> {
         let mut distinct: Vec<Vec<usize>> = Vec::new();
@@ -344,6 +362,13 @@ impl Station {
             let before = self.instrument.iter().flat_map(|stated| &stated.sigmas).take(place);
             if before.into_iter().any(|(other, _)| *other == term) {
                 return Err(MeasurementError::InstrumentTwice { station, term });
+            }
+        }
+        for drift in self.instrument.iter().filter_map(|stated| stated.drift) {
+            for sigma in [drift.motion_per_hour, drift.turn_per_hour] {
+                if !(sigma.is_finite() && sigma >= 0.0) {
+                    return Err(MeasurementError::DriftSigma { station: self.name.clone(), sigma });
+                }
             }
         }
         match self.nests.iter().find(|nest| !is_finite(nest)) {

@@ -4,7 +4,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{StatedInstrument, Station};
+use super::{DRIFT_UNIT, StatedInstrument, Station};
 use crate::geometry::{Transform, best_fit_transform, cross_matrix, small_displacement};
 
 /// Where a station stands, and how well that is known.
@@ -79,6 +79,8 @@ pub struct NestSystem {
     pub residuals: DVector<f64>,
     /// Derivative by the errors that the station's instrument is stated to have, 3 readings x their number.
     pub instrument: DMatrix<f64>,
+    /// Derivative by a steady motion of the tracker, per hour, 3 readings x 6; zero where the nests have no times.
+    pub drift: DMatrix<f64>,
     /// The nests, in the order of the rows.
     pub nests: Vec<WhitenedNest>,
 }
@@ -107,8 +109,10 @@ pub fn nest_system(
         jacobian: DMatrix::zeros(rows, 6),
         residuals: DVector::zeros(rows),
         instrument: DMatrix::zeros(rows, stated.len()),
+        drift: DMatrix::zeros(rows, 6),
         nests: Vec::new(),
     };
+    let placed_at = station.placed_at();
     let rotation = *tracker_from_base.rotation.matrix();
     let mut first = 0;
     for readings in station.distinct_nests() {
@@ -119,6 +123,7 @@ pub fn nest_system(
         let mut jacobian = DMatrix::zeros(n, 6);
         let mut residuals = DVector::zeros(n);
         let mut instrument = DMatrix::zeros(n, stated.len());
+        let mut drift = DMatrix::zeros(n, 6);
         for (row, index) in (0..n).step_by(3).zip(&readings) {
             let nest = &station.nests[*index];
             let own = nest.reading.position_covariance().ok_or_else(failed)?;
@@ -130,6 +135,8 @@ pub fn nest_system(
             jacobian.fixed_view_mut::<3, 3>(row, 0).copy_from(&rotation);
             let turn = -rotation * cross_matrix(&nest.in_base);
             jacobian.fixed_view_mut::<3, 3>(row, 3).copy_from(&turn);
+            let hours = nest.time.map_or(0.0, |time| (time - placed_at) / DRIFT_UNIT);
+            drift.fixed_view_mut::<3, 6>(row, 0).copy_from(&(jacobian.fixed_view::<3, 6>(row, 0) * hours));
             for (column, (term, _)) in stated.iter().enumerate() {
                 let displaced = nest.reading.displaced_by(*term);
                 instrument.fixed_view_mut::<3, 1>(row, column).copy_from(&displaced);
@@ -140,6 +147,7 @@ pub fn nest_system(
         system.jacobian.rows_mut(first, n).copy_from(&(&whitening * jacobian));
         system.residuals.rows_mut(first, n).copy_from(&(&whitening * residuals));
         system.instrument.rows_mut(first, n).copy_from(&(&whitening * instrument));
+        system.drift.rows_mut(first, n).copy_from(&(&whitening * drift));
         system.nests.push(WhitenedNest { readings, whitening });
         first += n;
     }

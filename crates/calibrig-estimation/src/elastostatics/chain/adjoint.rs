@@ -353,9 +353,10 @@ impl ElasticChain {
             ParameterId::Mass { link } => self.mass_column(link),
             ParameterId::Centre { link, axis } => self.centre_column(link, axis),
             ParameterId::Linkage(length) => self.linkage_column(length),
-            ParameterId::Frame { .. } | ParameterId::Term(_) | ParameterId::Instrument { .. } => {
-                Vector3::zeros()
-            }
+            ParameterId::Frame { .. }
+            | ParameterId::Term(_)
+            | ParameterId::Instrument { .. }
+            | ParameterId::Drift { .. } => Vector3::zeros(),
         }
     }
 

@@ -294,7 +294,8 @@ impl ElasticChain {
             | ParameterId::Frame { .. }
             | ParameterId::Linkage(_)
             | ParameterId::Term(_)
-            | ParameterId::Instrument { .. } => true,
+            | ParameterId::Instrument { .. }
+            | ParameterId::Drift { .. } => true,
         };
         if known { Ok(()) } else { Err(ModelError::Parameter { id }) }
     }
