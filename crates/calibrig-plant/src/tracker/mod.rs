@@ -134,7 +134,8 @@ impl LaserTracker {
     /// Whether anything of it is drawn once a session.
     pub fn has_law(&self) -> bool {
         let Conditions { environment, drift, .. } = self.conditions;
-        self.instrument.systematic_fraction > 0.0 || environment.is_some() || drift.is_some()
+        self.instrument.noise
+            && (self.instrument.systematic_fraction > 0.0 || environment.is_some() || drift.is_some())
     }
 
     /// The same with the errors that it has in the session of (seed, trial), which lasts `duration` s: an instrument that passes its acceptance test,
@@ -143,6 +144,9 @@ impl LaserTracker {
         self.check()?;
         let mut own = self.clone();
         own.errors = TrackerErrors::default();
+        if !self.instrument.noise {
+            return Ok(own);
+        }
         if self.instrument.systematic_fraction > 0.0 {
             let (misalignment, redraws) = acceptance::first_accepted(&self.instrument, seed, trial)?;
             own.errors = TrackerErrors { misalignment, redraws, ..own.errors };
