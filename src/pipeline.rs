@@ -1,6 +1,7 @@
 //! The short story of a run: simulate, identify, evaluate.
 
 mod ablation;
+mod acceptance;
 mod bounds;
 mod choice;
 mod defaults;
@@ -16,6 +17,7 @@ mod truth;
 mod worth;
 
 pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
+pub use acceptance::{AcceptanceOutcome, Finding, Ratios, Test, TestOutcome, TestedKind, test_instruments};
 pub(crate) use bounds::information_at_truth;
 pub use bounds::{TruthBounds, bounds_at_truth};
 pub use choice::{ChosenRow, FailedVariant, ModelChoice, choose};
@@ -125,6 +127,9 @@ pub enum PipelineError {
     /// No pose of the machine can be drawn.
     #[error("the working region: {0}")]
     Region(#[from] RegionError),
+    /// No tracker can have these errors.
+    #[error("the tracker: {0}")]
+    Tracker(#[from] TrackerError),
     /// The analytic machine does not come to rest.
     #[error("the analytic plant: {0}")]
     Analytic(#[from] calibrig_estimation::elastostatics::ElasticError),

@@ -3,6 +3,7 @@
 use super::machine::AnalyticMachine;
 use super::{PipelineError, PlantKind, SessionListener, Simulation, counting};
 use crate::scenario::Scenario;
+use calibrig_plant::session::MeasuringSession;
 use calibrig_plant::{Plant, SettleOptions};
 
 /// Simulates the session of `scenario`: a pure function of (scenario, seed, trial, plant).
@@ -27,7 +28,8 @@ pub fn measure_session(
     listener: &mut SessionListener<'_>,
 ) -> Result<Simulation, PipelineError> {
     let scenario = &*scenario.of_trial(seed, trial);
-    let session = scenario.session();
+    let tracker = scenario.tracker_for(seed, trial)?;
+    let session = MeasuringSession { tracker: &tracker, ..scenario.session() };
     Ok(match plant {
         PlantKind::Rapier => {
             let mut machine = Plant::new(&scenario.as_built, SettleOptions::default())?;

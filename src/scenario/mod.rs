@@ -4,6 +4,7 @@ mod as_built;
 mod effects;
 mod file;
 mod identification;
+mod instrument;
 pub use identification::with_stated_of;
 
 pub use file::{load_scenario, parse_scenario};
@@ -18,8 +19,8 @@ use calibrig_files::Source;
 use calibrig_model::measurement::SetKind;
 use calibrig_model::random;
 use calibrig_plant::experiment::WorkingRegion;
-use calibrig_plant::session::MeasuringSession;
-use calibrig_plant::tracker::{LaserTracker, Outliers};
+use calibrig_plant::session::{MeasuringSession, SECONDS_PER_POSE};
+use calibrig_plant::tracker::{LaserTracker, Outliers, TrackerError};
 use calibrig_plant::{AsBuilt, AsBuiltDistribution};
 
 /// A validated scenario, SI.
@@ -70,7 +71,16 @@ impl Scenario {
         )
     }
 
-    /// How its given machine is measured.
+    /// The tracker of a trial with the errors that it has in it.
+    pub fn tracker_for(&self, seed: u64, trial: u32) -> Result<Cow<'_, LaserTracker>, TrackerError> {
+        if !self.tracker.has_law() {
+            return Ok(Cow::Borrowed(&self.tracker));
+        }
+        let poses = self.identification_poses.saturating_add(self.verification_poses);
+        self.tracker.drawn(seed, trial, 0, SECONDS_PER_POSE * f64::from(poses)).map(Cow::Owned)
+    }
+
+    /// How its given machine is measured, with the given tracker.
     pub fn session(&self) -> MeasuringSession<'_> {
         MeasuringSession {
             as_built: &self.as_built,
