@@ -12,7 +12,7 @@ use calibrig::model::ParameterId;
 use calibrig::nalgebra::Vector3;
 use calibrig::plant::{AsBuilt, Plant, SettleOptions, effects::Effects};
 use calibrig::random::{Source, stream};
-use calibrig::tracker::{ErrorLine, Instrument, LaserTracker};
+use calibrig::tracker::{ErrorLine, Instrument, LaserTracker, Shot};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let robot = load_robot(Path::new("models/ur5/robot.toml"))?.model;
@@ -30,12 +30,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     // Maximum permissible errors of a data sheet; an eighth of them is random from one reading to the next.
     let line = |offset, per_metre| ErrorLine { offset, per_metre };
     let (transverse, range) = (line(15e-6, 6e-6), line(10e-6, 0.3e-6));
-    let instrument = Instrument { transverse, range, random_fraction: 0.125, noise: true };
+    let instrument = Instrument::of_noise(transverse, range, 0.125);
     let tracker = LaserTracker::levelled(instrument, Vector3::new(2.5, 0.5, 0.4), 0.0, &Vector3::z());
     let mut noise = stream(1, 0, Source::IdentificationNoise);
     let (mut points, mut readings) = (Vec::new(), Vec::new());
     for command in structural_poses(&robot.kinematics, 80) {
-        let reading = tracker.measure(&plant.settle(&command)?.target, &mut noise)?;
+        let reading = tracker.measure(&plant.settle(&command)?.target, &Shot::default(), &mut noise)?;
         points.push((command, reading.position()));
         readings.push(Reading::Spherical(reading));
     }

@@ -321,19 +321,17 @@ fn point(source: &Source, key: &str, [x, y, z]: [&Spanned<f64>; 3]) -> Result<Ve
 }
 
 fn tracker(source: &Source, file: &TrackerFile, as_built: &AsBuilt) -> Result<LaserTracker, InputError> {
-    let instrument = Instrument {
-        transverse: ErrorLine {
-            offset: 1e-6 * source.positive("tracker.transverse_um", &file.transverse_um)?,
-            per_metre: 1e-6
-                * source.not_negative("tracker.transverse_um_per_m", &file.transverse_um_per_m)?,
-        },
-        range: ErrorLine {
-            offset: 1e-6 * source.positive("tracker.range_um", &file.range_um)?,
-            per_metre: 1e-6 * source.not_negative("tracker.range_um_per_m", &file.range_um_per_m)?,
-        },
-        random_fraction: source.positive("tracker.random_fraction", &file.random_fraction)?,
-        noise: file.noise,
+    let transverse = ErrorLine {
+        offset: 1e-6 * source.positive("tracker.transverse_um", &file.transverse_um)?,
+        per_metre: 1e-6 * source.not_negative("tracker.transverse_um_per_m", &file.transverse_um_per_m)?,
     };
+    let range = ErrorLine {
+        offset: 1e-6 * source.positive("tracker.range_um", &file.range_um)?,
+        per_metre: 1e-6 * source.not_negative("tracker.range_um_per_m", &file.range_um_per_m)?,
+    };
+    let random_fraction = source.positive("tracker.random_fraction", &file.random_fraction)?;
+    let instrument =
+        Instrument { noise: file.noise, ..Instrument::of_noise(transverse, range, random_fraction) };
     let position = point(source, "tracker.", [&file.x_mm, &file.y_mm, &file.z_mm])?;
     let yaw = source.finite("tracker.yaw_deg", &file.yaw_deg)?.to_radians();
     let up = -as_built.statics.gravity;

@@ -31,6 +31,18 @@ pub enum Source {
     Folds = 11,
     /// Starting points of a solver; the start's number is in the place of the trial's.
     SolverStarts = 12,
+    /// The systematic errors of a tracker; its place in the stream counts instruments that failed their acceptance test.
+    Instrument = 20,
+    /// Noise of a tracker's acceptance test; its place in the stream is the instrument's.
+    Acceptance = 21,
+    /// The errors of the sensors of air temperature, pressure and humidity.
+    Environment = 22,
+    /// The motion of a tracker on its stand; its place in the stream is the station's.
+    Drift = 23,
+    /// The centring of reflectors; their place in the stream is the target's.
+    Smr = 24,
+    /// Which readings do not come; their place in the stream is the pose's.
+    Misses = 25,
 }
 
 /// The stream of `(seed, trial, source)`. `ChaCha8` with the seed as key and (trial, source) as stream number.

@@ -16,7 +16,7 @@
 //! use calibrig_model::random::{Source, stream};
 //! use calibrig_model::{ActuatorMap, Body, CraigLink, JointKind, KinematicModel, StaticProperties};
 //! use calibrig_plant::effects::Effects;
-//! use calibrig_plant::tracker::{ErrorLine, Instrument, LaserTracker};
+//! use calibrig_plant::tracker::{ErrorLine, Instrument, LaserTracker, Shot};
 //! use calibrig_plant::{AsBuilt, Plant, SettleOptions};
 //!
 //! // Two arms of 1 m and 20 kg, stretched out level; y is up, and the drives give.
@@ -42,14 +42,10 @@
 //! let pose = Plant::new(&robot, SettleOptions::default())?.settle(&[0.0, 0.0])?;
 //! assert!((-0.010..-0.008).contains(&pose.target.y), "it hangs 9 mm low");
 //!
-//! let instrument = Instrument {
-//!     transverse: ErrorLine { offset: 15e-6, per_metre: 6e-6 },
-//!     range: ErrorLine { offset: 10e-6, per_metre: 0.3e-6 },
-//!     random_fraction: 0.125,
-//!     noise: true,
-//! };
+//! let transverse = ErrorLine { offset: 15e-6, per_metre: 6e-6 };
+//! let instrument = Instrument::of_noise(transverse, ErrorLine { offset: 10e-6, per_metre: 0.3e-6 }, 0.125);
 //! let tracker = LaserTracker::levelled(instrument, Vector3::new(1.0, 0.5, 3.0), 0.0, &Vector3::y());
-//! let reading = tracker.measure(&pose.target, &mut stream(1, 0, Source::IdentificationNoise))?;
+//! let reading = tracker.measure(&pose.target, &Shot::default(), &mut stream(1, 0, Source::IdentificationNoise))?;
 //! let seen = tracker.tracker_from_base.inverse() * Point3::from(reading.position());
 //! assert!((seen.coords - pose.target).norm() < 50e-6);
 //! # Ok::<(), Box<dyn std::error::Error>>(())

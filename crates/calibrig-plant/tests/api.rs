@@ -12,7 +12,7 @@ use calibrig_model::{
 use calibrig_plant::effects::Effects;
 use calibrig_plant::experiment::WorkingRegion;
 use calibrig_plant::session::MeasuringSession;
-use calibrig_plant::tracker::{ErrorLine, Instrument, LaserTracker};
+use calibrig_plant::tracker::{ErrorLine, Instrument, LaserTracker, RANDOM_FRACTION, Shot};
 use calibrig_plant::{AsBuilt, AsBuiltDistribution, Plant, SettleOptions, Spread};
 use proptest::prelude::*;
 
@@ -138,12 +138,11 @@ fn bad() -> impl Strategy<Value = f64> {
     prop::sample::select(vec![f64::NAN, f64::INFINITY, f64::NEG_INFINITY])
 }
 
-const INSTRUMENT: Instrument = Instrument {
-    transverse: ErrorLine { offset: 15e-6, per_metre: 6e-6 },
-    range: ErrorLine { offset: 10e-6, per_metre: 0.3e-6 },
-    random_fraction: 0.125,
-    noise: true,
-};
+const INSTRUMENT: Instrument = Instrument::of_noise(
+    ErrorLine { offset: 15e-6, per_metre: 6e-6 },
+    ErrorLine { offset: 10e-6, per_metre: 0.3e-6 },
+    RANDOM_FRACTION,
+);
 
 fn distribution() -> AsBuiltDistribution {
     AsBuiltDistribution {
@@ -219,7 +218,7 @@ proptest! {
         let instrument = Instrument { random_fraction: fraction, ..INSTRUMENT };
         let mut rng = stream(1, 0, Source::IdentificationNoise);
         let tracker = LaserTracker::levelled(instrument, Vector3::new(1.0, 0.5, 3.0), 0.3, &Vector3::from(up));
-        match tracker.measure(&Vector3::from(place), &mut rng) {
+        match tracker.measure(&Vector3::from(place), &Shot::default(), &mut rng) {
             Ok(reading) => {
                 prop_assert!(reading.position().iter().all(|v| v.is_finite()) && fraction >= 0.0);
                 prop_assert!(reading.covariance.is_some_and(|c| c.iter().all(|v| v.is_finite())));

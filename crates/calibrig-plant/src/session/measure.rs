@@ -10,7 +10,7 @@ use super::events::{MeasuredPose, SessionEvent, SessionListener};
 use super::{Machine, SessionError, Simulation, Truth};
 use crate::effects::{Commanded, DriveState, Friction, PoseEffects};
 use crate::experiment::WorkingRegion;
-use crate::tracker::{LaserTracker, Outliers};
+use crate::tracker::{LaserTracker, Outliers, Shot};
 use crate::{AsBuilt, SettledPose};
 use calibrig_model::ActuatorMap;
 use calibrig_model::measurement::{
@@ -101,7 +101,7 @@ impl MeasuringSession<'_> {
                     .map_err(|source| SessionError::Pose { set: kind, pose, source })?;
                 let outlier = self.outlier(seed, trial, entry(kind, pose));
                 let seen = settled.target + outlier.unwrap_or_default();
-                let reading = self.tracker.measure(&seen, &mut noise);
+                let reading = self.tracker.measure(&seen, &Shot::at(time), &mut noise);
                 done += 1;
                 match reading {
                     Ok(reading) => {
@@ -191,7 +191,7 @@ impl MeasuringSession<'_> {
                 let certified = place + self.error_vector(sigma, &mut rng);
                 let reading = self
                     .tracker
-                    .measure(place, &mut rng)
+                    .measure(place, &Shot::default(), &mut rng)
                     .map_err(|source| SessionError::Nest { nest: name.clone(), source })?;
                 Ok(NestObservation {
                     name: name.clone(),

@@ -1,206 +1,247 @@
-//! The laser tracker, in its first form: the random error of one observation, from the instrument's maximum permissible errors.
+//! The laser tracker: what it shows of a point.
 //!
-//! Systematic errors of the instrument, the environment and drift are not modelled yet; line of sight is assumed free and the SMR
-//! turned to the tracker.
+//! An [`Instrument`] is a data sheet, and how errors are distributed within what the sheet permits; [`Preset`] names some. Its systematic
+//! errors are drawn once ([`LaserTracker::drawn`]) and made from the geometry of its axes and encoders ([`Misalignment`]): one that fails the virtual
+//! [acceptance] test is not sold, and another is drawn. The air of a session ([`EnvironmentLaw`]) and the motion of the tracker on its stand
+//! ([`DriftLaw`]) are drawn once a session; the random part is new in every reading. What is not asked for is not there: a tracker that was only
+//! [placed](LaserTracker::levelled) errs at random alone.
+//!
+//! Reflectors ([`Smr`]), gross errors ([`Outliers`]) and readings that do not come ([`is_missed`]) are with the session that uses them. An
+//! interferometer that counts from a home position is not modelled: every range is absolute.
 
+mod air;
+mod drift;
+mod encoder;
+mod environment;
+mod error;
+mod instrument;
+mod misalignment;
+mod misses;
 mod outliers;
+mod preset;
+mod smr;
+mod systematic;
+#[cfg(test)]
+mod tests;
 
+pub use air::Air;
+pub use drift::{Drift, DriftLaw, Motion};
+pub use encoder::Encoder;
+pub use environment::{AirErrors, EnvironmentLaw};
+pub use error::TrackerError;
+pub use instrument::{
+    ErrorLine, Instrument, Limits, RANDOM_FRACTION, STATED_AVERAGING, SYSTEMATIC_FRACTION, WORKING_RANGE,
+};
+pub use misalignment::{Misalignment, Shown};
+pub use misses::is_missed;
 pub use outliers::Outliers;
+pub use preset::Preset;
+pub use smr::{Smr, SmrLaw};
+
+use std::f64::consts::TAU;
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
-use thiserror::Error;
 
 use calibrig_model::geometry::Transform;
-use calibrig_model::measurement::{Face, SphericalReading};
+use calibrig_model::measurement::{Face, InstrumentTerm, SphericalReading, StatedInstrument};
+use calibrig_model::random::{Source, stream_at};
 
-/// A length error of the form `a + b R`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ErrorLine {
-    /// m
-    pub offset: f64,
-    /// m per m of range
-    pub per_metre: f64,
+/// What a session is like beside its instrument. The default has none of it.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Conditions {
+    /// The air, where it is not that for which the instrument assumes its refractive index.
+    pub environment: Option<EnvironmentLaw>,
+    /// How the tracker moves on its stand.
+    pub drift: Option<DriftLaw>,
+    /// The reflectors.
+    pub smr: Option<SmrLaw>,
+    /// Share of the readings that do not come, 0 to 1.
+    pub misses: f64,
 }
 
-impl ErrorLine {
-    /// The error at a range, m.
-    pub fn at(self, range: f64) -> f64 {
-        self.offset + self.per_metre * range
+/// The errors that a tracker has in a session. The default has none.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct TrackerErrors {
+    /// Of its geometry.
+    pub misalignment: Misalignment,
+    /// Instruments drawn before it that failed their acceptance test.
+    pub redraws: u32,
+    /// Of the air.
+    pub air: AirErrors,
+    /// Its motion.
+    pub drift: Drift,
+}
+
+/// One reading, as the controller is told to take it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shot {
+    /// Since the session began, s.
+    pub time: f64,
+    /// In which position of head and telescope.
+    pub face: Face,
+    /// Averaging time, s.
+    pub averaging: f64,
+    /// The azimuth before, rad: the controller counts turns, and shows the azimuth that is nearest to it.
+    pub azimuth_before: f64,
+}
+
+impl Default for Shot {
+    fn default() -> Self {
+        Self { time: 0.0, face: Face::Front, averaging: STATED_AVERAGING, azimuth_before: 0.0 }
     }
 }
 
-/// What an instrument's data sheet permits, and the part of it that is random from one observation to the next.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Instrument {
-    /// Maximum permissible transverse error (ASME-B89.4.19-style).
-    pub transverse: ErrorLine,
-    /// Maximum permissible range error.
-    pub range: ErrorLine,
-    /// Standard deviation of one observation over the permissible error. An independent error of half the MPE a shot would not pass
-    /// the instrument's own acceptance test; scatter measured on real trackers is about one eighth.
-    pub random_fraction: f64,
-    /// Whether readings scatter; without, they are exact, their stated covariance stays.
-    pub noise: bool,
-}
-
-/// Ranges that a tracker can measure, m.
-pub const WORKING_RANGE: [f64; 2] = [0.1, 30.0];
-
-/// A point that the tracker cannot measure.
-#[derive(Debug, Clone, Copy, PartialEq, Error)]
-#[non_exhaustive]
-pub enum TrackerError {
-    /// Too near or too far.
-    #[error("range {range:.3} m is outside the tracker's {} to {} m", WORKING_RANGE[0], WORKING_RANGE[1])]
-    Range {
-        /// m
-        range: f64,
-    },
-    /// An instrument whose random errors have no standard deviation.
-    #[error(
-        "the instrument's standard deviation of the {quantity} is {value}: expected a finite number of zero or more"
-    )]
-    Instrument {
-        /// `range` or `angles`.
-        quantity: &'static str,
-        /// m or rad
-        value: f64,
-    },
+impl Shot {
+    /// In the front face, averaged for 1 s, at a time (s) since the session began.
+    pub fn at(time: f64) -> Self {
+        Self { time, ..Self::default() }
+    }
 }
 
 /// A tracker at its place.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct LaserTracker {
     /// What it is.
     pub instrument: Instrument,
-    /// Where it really stands.
+    /// What the session is like.
+    pub conditions: Conditions,
+    /// Where it really stands when the session begins.
     pub tracker_from_base: Transform,
+    /// What is drawn of it, [once](Self::drawn) a session.
+    pub errors: TrackerErrors,
 }
 
 impl LaserTracker {
-    /// A levelled tracker at `position` (base frame, m), its azimuth zero turned by `yaw` rad about `up`.
+    /// A levelled tracker without systematic errors at `position` (base frame, m), its azimuth zero turned by `yaw` rad about `up`.
     pub fn levelled(instrument: Instrument, position: Vector3<f64>, yaw: f64, up: &Vector3<f64>) -> Self {
         // A base that hangs upside down is the one case without a shortest turn.
         let level = Rotation3::rotation_between(&Vector3::z(), up)
             .unwrap_or_else(|| Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
         let turned = level * Rotation3::from_axis_angle(&Vector3::z_axis(), yaw);
         let base_from_tracker = Transform::from_parts(position.into(), turned);
-        Self { instrument, tracker_from_base: base_from_tracker.inverse() }
+        Self::placed(instrument, base_from_tracker.inverse())
     }
 
-    /// Observes a point of the base frame (m). The stated covariance is the one of the random part. Takes the same numbers from `rng`
-    /// whatever the point and the instrument are.
+    /// A tracker without systematic errors at its place.
+    pub fn placed(instrument: Instrument, tracker_from_base: Transform) -> Self {
+        let (conditions, errors) = (Conditions::default(), TrackerErrors::default());
+        Self { instrument, conditions, tracker_from_base, errors }
+    }
+
+    /// Whether anything of it is drawn once a session.
+    pub fn has_law(&self) -> bool {
+        let Conditions { environment, drift, .. } = self.conditions;
+        self.instrument.systematic_fraction > 0.0 || environment.is_some() || drift.is_some()
+    }
+
+    /// The same with the errors that it has in the session of (seed, trial), which lasts `duration` s: an instrument that passes its acceptance test,
+    /// the session's air, and the motion of the station of this number. Stations of one session have one instrument and one air.
+    pub fn drawn(&self, seed: u64, trial: u32, station: u64, duration: f64) -> Result<Self, TrackerError> {
+        self.check()?;
+        let mut own = self.clone();
+        own.errors = TrackerErrors::default();
+        if self.instrument.systematic_fraction > 0.0 {
+            let mut rng = stream_at(seed, trial, Source::Instrument, 0);
+            own.errors.misalignment = self.instrument.draw_misalignment(&mut rng);
+        }
+        if let Some(law) = &self.conditions.environment {
+            own.errors.air = law.draw(&mut stream_at(seed, trial, Source::Environment, 0));
+        }
+        if let Some(law) = &self.conditions.drift {
+            own.errors.drift = law.draw(duration, &mut stream_at(seed, trial, Source::Drift, station));
+        }
+        Ok(own)
+    }
+
+    /// Whether its figures, and those of the session, can be.
+    pub fn check(&self) -> Result<(), TrackerError> {
+        self.instrument.check()?;
+        let Conditions { environment, drift, smr, misses } = &self.conditions;
+        if let Some(law) = environment {
+            law.check()?;
+            let ([least, most], value) = (self.instrument.limits.temperature, law.air.temperature);
+            if !(least..=most).contains(&value) {
+                let (quantity, expected) =
+                    ("surrounding air in deg C", "a temperature at which the instrument works");
+                return Err(TrackerError::Figure { quantity, value, expected });
+            }
+        }
+        drift.as_ref().map_or(Ok(()), DriftLaw::check)?;
+        smr.as_ref().map_or(Ok(()), SmrLaw::check)?;
+        if !(0.0..=1.0).contains(misses) {
+            let quantity = "share of readings that do not come";
+            return Err(TrackerError::Figure { quantity, value: *misses, expected: "0 to 1" });
+        }
+        Ok(())
+    }
+
+    /// Where the tracker is at a time (s) since the session began.
+    pub fn tracker_from_base_at(&self, time: f64) -> Transform {
+        if self.errors.drift.is_none() {
+            return self.tracker_from_base;
+        }
+        self.errors.drift.now_from_first(time) * self.tracker_from_base
+    }
+
+    /// What an operator knows of the errors that all readings share: the name, and from data sheet and sensors a standard deviation of each error that
+    /// the instrument can have. No errors listed: it is taken to have none.
+    pub fn stated(&self) -> StatedInstrument {
+        let name = self.instrument.preset.map_or("tracker", Preset::key).to_owned();
+        let air = self.conditions.environment.as_ref().map_or(0.0, EnvironmentLaw::scale_sigma);
+        let sigma = |term| {
+            let own = self.instrument.systematic_sigma(term);
+            if term == InstrumentTerm::RangeScale { own.hypot(air) } else { own }
+        };
+        let sigmas = InstrumentTerm::ALL.map(|term| (term, sigma(term)));
+        StatedInstrument { name, sigmas: sigmas.into_iter().filter(|(_, sigma)| *sigma > 0.0).collect() }
+    }
+
+    /// Observes a point of the base frame (m). The stated covariance is the one of the random part and of what the air adds to it. Takes the same numbers
+    /// from `rng` whatever the point and the instrument are.
     pub fn measure(
         &self,
         in_base: &Vector3<f64>,
+        shot: &Shot,
         rng: &mut impl Rng,
     ) -> Result<SphericalReading, TrackerError> {
         // Drawn whether used or not, so that neither the noise nor a point out of range moves another number of the stream.
         let units: [f64; 3] = std::array::from_fn(|_| StandardNormal.sample(rng));
-        let point = self.tracker_from_base.rotation * in_base + self.tracker_from_base.translation.vector;
-        let range = point.norm();
-        if !(WORKING_RANGE[0]..=WORKING_RANGE[1]).contains(&range) {
-            return Err(TrackerError::Range { range });
+        let tracker_from_base = self.tracker_from_base_at(shot.time);
+        let point = tracker_from_base.rotation * in_base + tracker_from_base.translation.vector;
+        let distance = point.norm();
+        let Limits { range: [least, most], azimuth, elevation, .. } = self.instrument.limits;
+        if !(least..=most).contains(&distance) {
+            return Err(TrackerError::Range { range: distance, least, most });
         }
-        let fraction = self.instrument.random_fraction;
-        let sigma_range = fraction * self.instrument.range.at(range);
-        let sigma_angle = fraction * self.instrument.transverse.at(range) / range;
-        for (quantity, value) in [("range", sigma_range), ("angles", sigma_angle)] {
-            if !(value >= 0.0 && value.is_finite()) {
-                return Err(TrackerError::Instrument { quantity, value });
-            }
-        }
+        let [sigma_range, sigma_angle] = self.instrument.sigmas(distance, shot.averaging)?;
+        let errors = &self.errors;
+        let shown = errors.misalignment.read(&errors.air.apparent(&point), shot.face)?;
         let sigmas = [sigma_range, sigma_angle, sigma_angle];
-        let error = |index: usize| if self.instrument.noise { sigmas[index] * units[index] } else { 0.0 };
-        Ok(SphericalReading {
-            range: range + error(0),
-            azimuth: point.y.atan2(point.x) + error(1),
-            // An arcsine would lose half of the digits near the zenith.
-            elevation: point.z.atan2(point.x.hypot(point.y)) + error(2),
+        let noise = |index: usize| if self.instrument.noise { sigmas[index] * units[index] } else { 0.0 };
+        let turned = shown.azimuth + noise(1);
+        let reading = SphericalReading {
+            range: shown.range * errors.air.range_factor(point.z) + noise(0),
+            azimuth: turned - TAU * ((turned - shot.azimuth_before) / TAU).round(),
+            elevation: shown.elevation + noise(2),
             covariance: Some(Matrix3::from_diagonal(&Vector3::new(
                 sigma_range.powi(2),
                 sigma_angle.powi(2),
                 sigma_angle.powi(2),
             ))),
-            face: Face::Front,
-        })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use calibrig_model::random::{Source, stream};
-
-    const INSTRUMENT: Instrument = Instrument {
-        transverse: ErrorLine { offset: 15e-6, per_metre: 6e-6 },
-        range: ErrorLine { offset: 10e-6, per_metre: 0.3e-6 },
-        random_fraction: 0.125,
-        noise: true,
-    };
-
-    #[test]
-    fn scatter_has_the_stated_covariance() {
-        let up = Vector3::y();
-        let tracker = LaserTracker::levelled(INSTRUMENT, Vector3::new(1.0, 0.5, -3.0), 0.4, &up);
-        let point = Vector3::new(-0.5, 1.7, 1.0);
-        let mut rng = stream(3, 0, Source::IdentificationNoise);
-        let n = 4000;
-        let truth = tracker.tracker_from_base.rotation * point + tracker.tracker_from_base.translation.vector;
-        let mut chi2 = 0.0;
-        for _ in 0..n {
-            let reading = tracker.measure(&point, &mut rng).expect("4 m");
-            let error = reading.position() - truth;
-            let information =
-                reading.position_covariance().and_then(Matrix3::try_inverse).expect("positive definite");
-            chi2 += (error.transpose() * information * error)[0];
-        }
-        // Chi-square with 3 n degrees of freedom, 99.9 % band.
-        let spread = 3.29 * (2.0 / f64::from(3 * n)).sqrt();
-        let ratio = chi2 / f64::from(3 * n);
-        assert!((ratio - 1.0).abs() < spread, "{ratio} +- {spread}");
-    }
-
-    #[test]
-    fn without_noise_the_reading_is_the_point_and_its_axis_is_up() {
-        let exact = Instrument { noise: false, ..INSTRUMENT };
-        let up = Vector3::y();
-        let tracker = LaserTracker::levelled(exact, Vector3::new(1.0, 0.5, -3.0), 0.4, &up);
-        let mut rng = stream(3, 0, Source::IdentificationNoise);
-        let above = tracker.measure(&Vector3::new(1.0, 2.5, -3.0), &mut rng).expect("2 m");
-        assert!((above.elevation - std::f64::consts::FRAC_PI_2).abs() < 1e-15);
-        assert!((above.range - 2.0).abs() < 1e-15);
-        assert!(tracker.measure(&Vector3::new(1.0, 0.5, -3.05), &mut rng).is_err());
-    }
-
-    #[test]
-    fn readings_near_the_zenith_are_as_exact_as_others() {
-        let exact = Instrument { noise: false, ..INSTRUMENT };
-        let tracker = LaserTracker { instrument: exact, tracker_from_base: Transform::identity() };
-        let mut rng = stream(3, 0, Source::IdentificationNoise);
-        for off in [1e-8, 1e-6, 1e-3] {
-            let point = Vector3::new(3.0 * off, 4.0 * off, 2.0);
-            let reading = tracker.measure(&point, &mut rng).expect("2 m");
-            let from_zenith = (5.0 * off / 2.0).atan();
-            assert!((std::f64::consts::FRAC_PI_2 - reading.elevation - from_zenith).abs() < 1e-14, "{off}");
-            assert!((reading.position() - point).norm() < 1e-15, "{off}");
-        }
-    }
-
-    #[test]
-    fn a_point_out_of_range_moves_no_later_reading() {
-        let tracker = LaserTracker { instrument: INSTRUMENT, tracker_from_base: Transform::identity() };
-        let after = |first: f64| {
-            let mut rng = stream(3, 0, Source::IdentificationNoise);
-            let first = tracker.measure(&Vector3::new(first, 0.0, 0.0), &mut rng);
-            (first.is_ok(), tracker.measure(&Vector3::new(2.0, 1.0, 0.5), &mut rng).expect("2 m"))
+            face: shot.face,
         };
-        let (in_range, later) = after(5.0);
-        assert!(in_range);
-        for out_of_range in [0.05, 31.0, f64::INFINITY, f64::NAN] {
-            assert_eq!(after(out_of_range), (false, later.clone()));
+        for (angle, value, [least, most]) in
+            [("azimuth", reading.azimuth, azimuth), ("elevation", reading.elevation, elevation)]
+        {
+            if !(least - SLACK..=most + SLACK).contains(&value) {
+                return Err(TrackerError::Angle { angle, value, least, most });
+            }
         }
+        Ok(reading)
     }
 }
+
+/// What an angle may be beyond its limits by an error of the instrument, rad.
+const SLACK: f64 = 1e-3;

@@ -1,0 +1,142 @@
+//! What a data sheet permits an instrument, and how its errors are distributed within that.
+
+use std::f64::consts::{PI, TAU};
+
+use super::{Preset, TrackerError};
+
+/// A length error of the form `a + b R`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ErrorLine {
+    /// m
+    pub offset: f64,
+    /// m per m of range
+    pub per_metre: f64,
+}
+
+impl ErrorLine {
+    /// The error at a range, m.
+    pub fn at(self, range: f64) -> f64 {
+        self.offset + self.per_metre * range
+    }
+}
+
+/// Ranges that a tracker can measure where no data sheet says otherwise, m.
+pub const WORKING_RANGE: [f64; 2] = [0.1, 30.0];
+
+/// Where an instrument can measure.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limits {
+    /// m
+    pub range: [f64; 2],
+    /// rad, from its zero; a cable may stop the head after more than a turn.
+    pub azimuth: [f64; 2],
+    /// rad, above the horizon.
+    pub elevation: [f64; 2],
+    /// Of the air, °C.
+    pub temperature: [f64; 2],
+}
+
+impl Limits {
+    /// No more than what every tracker has: a working range.
+    pub const WIDE: Self = Self {
+        range: WORKING_RANGE,
+        azimuth: [-TAU, TAU],
+        elevation: [-PI / 2.0, PI / 2.0],
+        temperature: [f64::NEG_INFINITY, f64::INFINITY],
+    };
+}
+
+/// What an instrument's data sheet permits, and how much of it is its random and its systematic error.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Instrument {
+    /// After which it is modelled.
+    pub preset: Option<Preset>,
+    /// Maximum permissible transverse error (ASME-B89.4.19-style).
+    pub transverse: ErrorLine,
+    /// Maximum permissible range error.
+    pub range: ErrorLine,
+    /// Maximum permissible error of the range's zero (R0), m, where the data sheet has one.
+    pub range_zero: Option<f64>,
+    /// Where it can measure.
+    pub limits: Limits,
+    /// Standard deviation of one observation of 1 s over the permissible error. An independent error of half the MPE a shot would not pass
+    /// the instrument's own acceptance test; scatter measured on real trackers is about one eighth.
+    pub random_fraction: f64,
+    /// Standard deviation of what the air does to both angles, rad; longer averaging does not remove it.
+    pub air: f64,
+    /// Standard deviation of each systematic error over the permissible one: of lengths over the offset of its line, of angles and scale over its
+    /// slope. Zero: none.
+    pub systematic_fraction: f64,
+    /// Whether readings scatter; without, only systematic errors are left, and the stated covariance stays.
+    pub noise: bool,
+}
+
+/// About one eighth of the permissible error, as scatter measured on real trackers is.
+pub const RANDOM_FRACTION: f64 = 0.125;
+
+/// With which drawn instruments have the typical error that data sheets tell, half of the permissible one.
+pub const SYSTEMATIC_FRACTION: f64 = 0.2;
+
+/// Averaging time for which [`Instrument::random_fraction`] is stated, s.
+pub const STATED_AVERAGING: f64 = 1.0;
+
+impl Instrument {
+    /// An instrument that errs at random alone, by `random_fraction` of what is permitted.
+    pub const fn of_noise(transverse: ErrorLine, range: ErrorLine, random_fraction: f64) -> Self {
+        Self {
+            preset: None,
+            transverse,
+            range,
+            range_zero: None,
+            limits: Limits::WIDE,
+            random_fraction,
+            air: 0.0,
+            systematic_fraction: 0.0,
+            noise: true,
+        }
+    }
+
+    /// Standard deviations of range (m) and of each angle (rad) at a range (m), averaged for so long (s).
+    pub(super) fn sigmas(&self, range: f64, averaging: f64) -> Result<[f64; 2], TrackerError> {
+        if !(averaging > 0.0 && averaging.is_finite()) {
+            return Err(TrackerError::Figure {
+                quantity: "averaging time in s",
+                value: averaging,
+                expected: "a number above zero",
+            });
+        }
+        // A root of one is exact: a reading of the stated time has the stated sigma to the bit.
+        let fraction = self.random_fraction * (STATED_AVERAGING / averaging).sqrt();
+        let sigma_range = fraction * self.range.at(range);
+        let random_angle = fraction * self.transverse.at(range) / range;
+        let sigma_angle = if self.air == 0.0 { random_angle } else { random_angle.hypot(self.air) };
+        for (quantity, value) in [("range", sigma_range), ("angles", sigma_angle)] {
+            if !(value >= 0.0 && value.is_finite()) {
+                return Err(TrackerError::Instrument { quantity, value });
+            }
+        }
+        Ok([sigma_range, sigma_angle])
+    }
+
+    /// Whether its figures can be those of an instrument.
+    pub fn check(&self) -> Result<(), TrackerError> {
+        self.sigmas(1.0, STATED_AVERAGING)?;
+        let zero_or_more = [
+            ("systematic fraction", self.systematic_fraction),
+            ("air in rad", self.air),
+            ("permissible error of the range's zero in m", self.range_zero.unwrap_or(0.0)),
+        ];
+        for (quantity, value) in zero_or_more {
+            if !(value >= 0.0 && value.is_finite()) {
+                let expected = "a finite number of zero or more";
+                return Err(TrackerError::Figure { quantity, value, expected });
+            }
+        }
+        let [least, most] = self.limits.range;
+        if !(least > 0.0 && least < most) {
+            let expected = "a number above zero and below the largest range";
+            return Err(TrackerError::Figure { quantity: "least range in m", value: least, expected });
+        }
+        Ok(())
+    }
+}

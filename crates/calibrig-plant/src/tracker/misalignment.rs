@@ -1,0 +1,134 @@
+//! What the axes, the beam and the encoders of an instrument make of a point, from their geometry.
+//!
+//! A head turns about the standing axis z by θ and carries, at [`transit_offset`](Misalignment::transit_offset) along its own x, the transit axis, which
+//! is its y lifted by [`axis_tilt`](Misalignment::axis_tilt). A telescope turns about that by φ and carries the beam, which leaves at an offset along the transit
+//! axis and across it, turned by [`collimation`](Misalignment::collimation) out of a right angle to it. After a length ρ it is at
+//!
+//! ```text
+//! P(θ, φ, ρ) = Rz(θ) · [ (t, 0, 0) + Rx(i) · Ry(-φ) · ( (0, b_y, b_z) + ρ (cos c, sin c, 0) ) ]
+//! ```
+//!
+//! A reading is what the encoders and the range show at the (θ, φ, ρ) that reach the target. The instrument takes them for those of perfect axes.
+
+use calibrig_model::measurement::{Face, InstrumentTerm};
+use nalgebra::Vector3;
+
+use super::TrackerError;
+use super::encoder::Encoder;
+
+/// The errors of an instrument's geometry. The default has none.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Misalignment {
+    /// The transit axis before the standing axis, along the head's x, m.
+    pub transit_offset: f64,
+    /// Where the beam leaves, along the transit axis (`b_y`) and across it (`b_z`), m.
+    pub beam_offset: [f64; 2],
+    /// The beam from a right angle to the transit axis, towards its positive end, rad.
+    pub collimation: f64,
+    /// The transit axis from a right angle to the standing axis, its positive end up, rad.
+    pub axis_tilt: f64,
+    /// What the range shows over the way of the beam: m, and relative.
+    pub range_offset: f64,
+    /// The same, relative.
+    pub range_scale: f64,
+    /// Of the standing axis.
+    pub azimuth: Encoder,
+    /// Of the transit axis; its zero is the vertical index.
+    pub elevation: Encoder,
+}
+
+/// What an instrument shows of a point: range (m), azimuth and elevation (rad) as of its direction, whatever the face.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shown {
+    /// m
+    pub range: f64,
+    /// rad, within half a turn of the point's azimuth.
+    pub azimuth: f64,
+    /// rad
+    pub elevation: f64,
+}
+
+/// Rounds of the solution. One leaves an error of the order of offset times angle, squared; two leave nothing to see.
+const ROUNDS: usize = 3;
+
+impl Misalignment {
+    /// With errors by the name of what they do: an error of amplitude x (m, rad or 1) displaces small readings as
+    /// [`InstrumentTerm`] says. The same amplitudes are taken in any order; those of one name add up.
+    pub fn of(errors: impl IntoIterator<Item = (InstrumentTerm, f64)>) -> Self {
+        let mut own = Self::default();
+        for (term, x) in errors {
+            match term {
+                InstrumentTerm::RangeOffset => own.range_offset += x,
+                InstrumentTerm::RangeScale => own.range_scale += x,
+                // What lies before the standing axis makes the way shorter, and what is beside it turns the head back.
+                InstrumentTerm::TransitOffset => own.transit_offset -= x,
+                InstrumentTerm::BeamOffsetTransverse => own.beam_offset[0] -= x,
+                InstrumentTerm::BeamOffsetNormal => own.beam_offset[1] -= x,
+                InstrumentTerm::Collimation => own.collimation -= x,
+                InstrumentTerm::AxisTilt => own.axis_tilt += x,
+                InstrumentTerm::VerticalIndex => own.elevation.zero += x,
+                InstrumentTerm::AzimuthSin1 => own.azimuth.centre[0] += x,
+                InstrumentTerm::AzimuthCos1 => own.azimuth.centre[1] -= x,
+                InstrumentTerm::AzimuthSin2 => own.azimuth.oval -= x,
+                InstrumentTerm::AzimuthCos2 => own.azimuth.oval_diagonal += x,
+                InstrumentTerm::ElevationSin1 => own.elevation.centre[0] += x,
+                InstrumentTerm::ElevationCos1 => own.elevation.centre[1] -= x,
+                InstrumentTerm::ElevationSin2 => own.elevation.oval -= x,
+                InstrumentTerm::ElevationCos2 => own.elevation.oval_diagonal += x,
+            }
+        }
+        own
+    }
+
+    /// What is shown of a point in the tracker's frame (m).
+    pub fn read(&self, point: &Vector3<f64>, face: Face) -> Result<Shown, TrackerError> {
+        let flat = point.x.hypot(point.y);
+        let direction = point.y.atan2(point.x);
+        if *self == Self::default() {
+            // An arcsine would lose half of the digits near the zenith.
+            let elevation = point.z.atan2(flat);
+            return Ok(Shown { range: point.norm(), azimuth: direction, elevation });
+        }
+        let t = self.transit_offset;
+        let [beam_y, beam_z] = self.beam_offset;
+        let (sin_c, cos_c) = self.collimation.sin_cos();
+        let (sin_i, cos_i) = self.axis_tilt.sin_cos();
+        let side = face.sign();
+        let refused = TrackerError::BesideTheAxis { distance: flat };
+        // δ is the point's azimuth in the head. The beam's share along the transit axis gives sin δ, the distance from where it leaves gives ρ.
+        let (mut sin_d, mut cos_d, mut way) = (0.0, side, 0.0);
+        for _ in 0..ROUNDS {
+            let square = flat * flat + point.z * point.z + t * (t - 2.0 * flat * cos_d);
+            let root = (beam_y * sin_c).powi(2) + square - beam_y * beam_y - beam_z * beam_z;
+            if !(root >= 0.0) {
+                return Err(refused);
+            }
+            way = root.sqrt() - beam_y * sin_c;
+            let along = beam_y + way * sin_c - point.z * sin_i;
+            sin_d = if along == 0.0 { 0.0 } else { along / (flat * cos_i) };
+            let rest = 1.0 - sin_d * sin_d;
+            if !(rest >= 0.0) {
+                return Err(refused);
+            }
+            cos_d = side * rest.sqrt();
+        }
+        let turn = sin_d.asin();
+        let (ahead, up) = (flat * cos_d - t, cos_i * point.z - sin_i * flat * sin_d);
+        let lead = beam_z.atan2(way * cos_c);
+        let (azimuth, elevation) = match face {
+            Face::Front => {
+                let theta = direction - turn;
+                let phi = up.atan2(ahead) - lead;
+                (theta + self.azimuth.error(theta), phi + self.elevation.error(phi))
+            }
+            // The head shows half a turn more than the direction, the telescope what is left to half a turn.
+            Face::Back => {
+                let theta = direction + turn;
+                let phi = up.atan2(-ahead) + lead;
+                let half = std::f64::consts::PI;
+                (theta + self.azimuth.error(theta - half), phi - self.elevation.error(half - phi))
+            }
+        };
+        Ok(Shown { range: (1.0 + self.range_scale) * way + self.range_offset, azimuth, elevation })
+    }
+}
