@@ -18,7 +18,7 @@ use calibrig_files::Source;
 use calibrig_model::measurement::SetKind;
 use calibrig_model::random;
 use calibrig_plant::experiment::WorkingRegion;
-use calibrig_plant::session::MeasuringSession;
+use calibrig_plant::session::{MeasuringSession, SessionPlan};
 use calibrig_plant::tracker::{LaserTracker, Outliers};
 use calibrig_plant::{AsBuilt, AsBuiltDistribution};
 
@@ -51,6 +51,8 @@ pub struct Scenario {
     pub nest_sigma: f64,
     /// Covariance of the measured target offset, m².
     pub target_covariance: Matrix3<f64>,
+    /// How the session is carried out.
+    pub plan: SessionPlan,
     /// What is fitted; the mode is set for each row.
     pub options: IdentificationOptions,
     /// The rows of the tables.
@@ -83,6 +85,7 @@ impl Scenario {
             nests: &self.nests,
             nest_sigma: self.nest_sigma,
             target_covariance: &self.target_covariance,
+            plan: &self.plan,
         }
     }
 

@@ -32,8 +32,8 @@ pub struct TrackerReach {
     pub range: [f64; 2],
     /// Above its x-y plane, rad.
     pub elevation: [f64; 2],
-    /// Largest azimuth to both sides of x, rad; pi of one that turns all round.
-    pub azimuth: f64,
+    /// About its z from x, rad.
+    pub azimuth: [f64; 2],
 }
 
 /// What stands between a tracker and a reflector.
@@ -119,12 +119,17 @@ pub enum Hidden {
         reach: [f64; 2],
     },
     /// Behind the tracker's head.
-    #[error("azimuth {:.1} deg is outside the tracker's +-{:.1} deg", azimuth.to_degrees(), reach.to_degrees())]
+    #[error(
+        "azimuth {:.1} deg is outside the tracker's {:.1} to {:.1} deg",
+        azimuth.to_degrees(),
+        reach[0].to_degrees(),
+        reach[1].to_degrees()
+    )]
     Azimuth {
         /// rad
         azimuth: f64,
         /// rad
-        reach: f64,
+        reach: [f64; 2],
     },
     /// A place that is no number, or frames of another robot.
     #[error("the pose has {found} link frames of {expected}, or a place that is not a finite number")]
@@ -327,7 +332,7 @@ impl TrackerReach {
     /// All round, from -90 to 90 deg, in a range (m).
     pub fn all_round(range: [f64; 2]) -> Self {
         let quarter = std::f64::consts::FRAC_PI_2;
-        Self { range, elevation: [-quarter, quarter], azimuth: std::f64::consts::PI }
+        Self { range, elevation: [-quarter, quarter], azimuth: [-2.0 * quarter, 2.0 * quarter] }
     }
 
     /// Whether a tracker that stands at `base_from_tracker` can point at a place of the base frame (m).
@@ -350,7 +355,7 @@ impl TrackerReach {
             return Err(Hidden::Elevation { elevation, reach: self.elevation });
         }
         let azimuth = seen.y.atan2(seen.x);
-        if !(azimuth.abs() <= self.azimuth) {
+        if !(self.azimuth[0]..=self.azimuth[1]).contains(&azimuth) {
             return Err(Hidden::Azimuth { azimuth, reach: self.azimuth });
         }
         Ok(FreeSight { range, elevation, incidence: 0.0 })
