@@ -125,15 +125,15 @@ pub enum PipelineError {
     /// No pose of the machine can be drawn.
     #[error("the working region: {0}")]
     Region(#[from] RegionError),
+    /// No tracker can have these errors.
+    #[error("the tracker: {0}")]
+    Tracker(#[from] TrackerError),
     /// The analytic machine does not come to rest.
     #[error("the analytic plant: {0}")]
     Analytic(#[from] calibrig_estimation::elastostatics::ElasticError),
     /// The session as planned cannot be carried out.
     #[error("the session: {0}")]
     Session(#[from] PlanError),
-    /// No tracker can have these figures.
-    #[error("the tracker: {0}")]
-    Tracker(#[from] TrackerError),
     /// The machine cannot take a pose.
     #[error("{} set, pose {pose}: {source}", set.key())]
     Pose {

@@ -93,6 +93,7 @@ fn write_text(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
         instrument.range.per_metre * 1e6,
         if instrument.noise { "on" } else { "off" },
     )?;
+    write_tracker(scenario, text)?;
     writeln!(text, "  base nests   {}", scenario.nests.len())?;
     for (index, effect) in scenario.as_built.effects.active().iter().enumerate() {
         let title = if index == 0 { "effects" } else { "" };
@@ -142,4 +143,60 @@ fn write_text(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     }
     let modes: Vec<_> = scenario.modes.iter().map(|m| m.title()).collect();
     writeln!(text, "  rows         {}", modes.join(", "))
+}
+
+/// What is drawn of the tracker and its session, beside the noise.
+fn write_tracker(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
+    let tracker = &scenario.tracker;
+    let instrument = &tracker.instrument;
+    if let Some(preset) = instrument.preset {
+        writeln!(text, "               preset {}, after {}", preset.key(), preset.source())?;
+        writeln!(text, "               no source gives {}", preset.left_out())?;
+    }
+    if !instrument.noise {
+        return Ok(());
+    }
+    if instrument.systematic_fraction > 0.0 {
+        let redraws = scenario.tracker_for(scenario.seed, 0).map_or(0, |drawn| drawn.errors.redraws);
+        writeln!(
+            text,
+            "               systematic errors of {} of the MPE, drawn; {redraws} redrawn for a failed acceptance test",
+            instrument.systematic_fraction
+        )?;
+    }
+    let conditions = &tracker.conditions;
+    if let Some(law) = &conditions.environment {
+        writeln!(
+            text,
+            "               air of {:.1} C, {:.1} hPa, {:.0} %; its sensors leave {:.2} ppm of range; {:.2} K/m upwards",
+            law.air.temperature,
+            law.air.pressure * 1e-2,
+            law.air.humidity * 1e2,
+            law.scale_sigma() * 1e6,
+            law.gradient
+        )?;
+    }
+    if let Some(law) = &conditions.drift {
+        writeln!(
+            text,
+            "               drift of {:.0} um/h, warm-up of {:.0} to {:.0} um, walk of {:.0} um after an hour",
+            law.ramp.shift * 1e6,
+            law.warm_up[0].shift * 1e6,
+            law.warm_up[1].shift * 1e6,
+            law.walk.shift * 1e6
+        )?;
+    }
+    if let Some(law) = &conditions.smr {
+        writeln!(
+            text,
+            "               SMR centred within {:.1} um, seated within {:.1} um, seen within {:.0} deg",
+            law.centring_sigma * 1e6,
+            law.seat_sigma * 1e6,
+            law.acceptance.to_degrees()
+        )?;
+    }
+    if conditions.misses > 0.0 {
+        writeln!(text, "               {:.2} % of the readings do not come", conditions.misses * 1e2)?;
+    }
+    Ok(())
 }

@@ -8,7 +8,7 @@ use calibrig_estimation::identification::Mode;
 use calibrig_model::{Bearing, LinkTerm, ParameterId, Section, StaticProperties};
 use calibrig_plant::effects::EffectKind;
 
-/// A part of the machine that can be removed.
+/// A part of the machine and of its measurement that can be removed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Part {
     /// A non-geometric error.
@@ -29,6 +29,8 @@ pub enum Part {
     Tilt,
     /// Payload, hoses and forces that the model does not know.
     Loads,
+    /// The errors of the tracker, its air and its stand, of the nests and of the target's offset.
+    Instrument,
 }
 
 impl Part {
@@ -43,6 +45,7 @@ impl Part {
             Self::Statics,
             Self::Tilt,
             Self::Loads,
+            Self::Instrument,
         ];
         structure.into_iter().chain(EffectKind::ALL.map(Self::Effect)).collect()
     }
@@ -59,6 +62,7 @@ impl Part {
             Self::Statics => "statics_errors",
             Self::Tilt => "base_tilt",
             Self::Loads => "extra_loads",
+            Self::Instrument => "instrument",
         }
     }
 
@@ -74,6 +78,7 @@ impl Part {
             Self::Statics => "stiffness and mass errors",
             Self::Tilt => "base tilt",
             Self::Loads => "extra loads",
+            Self::Instrument => "instrument",
         }
     }
 
@@ -91,6 +96,9 @@ impl Part {
             Self::Statics => "stiffnesses and masses of the machine as in the model",
             Self::Tilt => "gravity has the direction of the model",
             Self::Loads => "only the loads of the model",
+            Self::Instrument => {
+                "the tracker reads where the target is, and nests and target are where they are stated to be"
+            }
         }
     }
 
@@ -132,6 +140,10 @@ impl Part {
             }
             Self::Loads => {
                 machine.statics.loads = predicted.as_ref().map_or_else(Vec::new, |s| s.loads.clone());
+            }
+            Self::Instrument => {
+                changed.tracker.instrument.noise = false;
+                changed.outliers = None;
             }
         }
         changed
@@ -213,7 +225,9 @@ pub fn ablate(
     let runs: Vec<_> = Part::all()
         .into_iter()
         .map(|part| (part, part.removed(scenario, &identified)))
-        .filter(|(_, changed)| changed.as_built != scenario.as_built)
+        .filter(|(_, changed)| {
+            changed.as_built != scenario.as_built || changed.tracker.instrument != scenario.tracker.instrument
+        })
         .collect();
     let all = runs.len();
     let parts = runs.into_iter().enumerate().map(|(done, (part, changed))| {
@@ -334,7 +348,11 @@ mod tests {
                     assert_eq!(real.statics.loads, nominal.loads);
                     real.statics.loads.clone_from(&full.as_built.statics.loads);
                 }
+                Part::Instrument => {
+                    assert!(!without.tracker.instrument.noise && full.tracker.instrument.noise);
+                }
             }
+            assert_eq!(without.tracker == full.tracker, part != Part::Instrument, "{part:?}");
             assert_eq!((real, model), (full.as_built.clone(), full.robot.model.clone()), "{part:?}");
         }
     }

@@ -9,13 +9,15 @@ use super::Scenario;
 use super::as_built::{AsBuiltFile, as_built};
 use super::effects::{EffectsFile, effects};
 use super::identification::{IdentificationFile, ModeFile};
+use super::instrument::{DriftFile, EnvironmentFile, SmrFile, conditions, instrument};
+use super::session::{Around, SessionFile, session};
 use calibrig_files::{InputError, Source, Spanned};
 use calibrig_files::{Robot, load_robot};
 use calibrig_model::measurement::SetKind;
 use calibrig_model::{JointKind, KinematicModel};
 use calibrig_plant::AsBuilt;
 use calibrig_plant::experiment::WorkingRegion;
-use calibrig_plant::tracker::{ErrorLine, Instrument, LaserTracker, Outliers, WORKING_RANGE};
+use calibrig_plant::tracker::{LaserTracker, Outliers};
 
 const SCHEMA: &str = "calibrig.scenario/1";
 
@@ -31,7 +33,8 @@ struct ScenarioFile {
     #[serde(default)]
     effects: EffectsFile,
     poses: PosesFile,
-    tracker: TrackerFile,
+    tracker: Spanned<TrackerFile>,
+    session: Option<Spanned<SessionFile>>,
     #[serde(default)]
     identification: IdentificationFile,
     #[serde(default)]
@@ -58,14 +61,26 @@ struct RegionFile {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct TrackerFile {
-    transverse_um: Spanned<f64>,
-    transverse_um_per_m: Spanned<f64>,
-    range_um: Spanned<f64>,
-    range_um_per_m: Spanned<f64>,
-    random_fraction: Spanned<f64>,
+pub(super) struct TrackerFile {
+    pub(super) preset: Option<Spanned<String>>,
+    pub(super) transverse_um: Option<Spanned<f64>>,
+    pub(super) transverse_um_per_m: Option<Spanned<f64>>,
+    pub(super) range_um: Option<Spanned<f64>>,
+    pub(super) range_um_per_m: Option<Spanned<f64>>,
+    pub(super) range_zero_um: Option<Spanned<f64>>,
+    pub(super) random_fraction: Option<Spanned<f64>>,
+    pub(super) systematic_fraction: Option<Spanned<f64>>,
+    pub(super) air_um_per_m: Option<Spanned<f64>>,
+    pub(super) miss_fraction: Option<Spanned<f64>>,
+    pub(super) range_limits_m: Option<Spanned<[Spanned<f64>; 2]>>,
+    pub(super) azimuth_limits_deg: Option<Spanned<[Spanned<f64>; 2]>>,
+    pub(super) elevation_limits_deg: Option<Spanned<[Spanned<f64>; 2]>>,
+    pub(super) temperature_limits_c: Option<Spanned<[Spanned<f64>; 2]>>,
     #[serde(default = "yes")]
-    noise: bool,
+    pub(super) noise: bool,
+    pub(super) environment: Option<Spanned<EnvironmentFile>>,
+    pub(super) drift: Option<Spanned<DriftFile>>,
+    pub(super) smr: Option<Spanned<SmrFile>>,
     x_mm: Spanned<f64>,
     y_mm: Spanned<f64>,
     z_mm: Spanned<f64>,
@@ -84,7 +99,7 @@ struct OutliersFile {
     most_mm: Spanned<f64>,
 }
 
-fn yes() -> bool {
+pub(super) fn yes() -> bool {
     true
 }
 
@@ -159,11 +174,21 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
     let region = region(&source, &file.poses, &robot.model.kinematics)?;
     let identification_poses = pose_count(&source, "poses.identification", &file.poses.identification, 1)?;
     let verification_poses = pose_count(&source, "poses.verification", &file.poses.verification, 0)?;
-    let tracker = tracker(&source, &file.tracker, &as_built)?;
-    let outliers = file.tracker.outliers.as_ref().map(|file| outliers(&source, file)).transpose()?;
-    let nest_sigma = 1e-6 * source.positive("tracker.nest_sigma_um", &file.tracker.nest_sigma_um)?;
-    let nests = nests(&source, &file.tracker, &tracker, nest_sigma)?;
-    let target_sigma = 1e-6 * source.positive("tracker.target_sigma_um", &file.tracker.target_sigma_um)?;
+    let tracker = tracker(&source, &file.tracker, &as_built, file.seed)?;
+    let section = file.tracker.get_ref();
+    let outliers = section.outliers.as_ref().map(|file| outliers(&source, file)).transpose()?;
+    let nest_sigma = 1e-6 * source.positive("tracker.nest_sigma_um", &section.nest_sigma_um)?;
+    let nests = nests(&source, section, &tracker, nest_sigma)?;
+    let target_sigma = 1e-6 * source.positive("tracker.target_sigma_um", &section.target_sigma_um)?;
+    let around = Around {
+        robot: &robot,
+        as_built: &as_built,
+        region: &region,
+        tracker: (&tracker, file.tracker.span()),
+        nests: &nests,
+        most_poses: identification_poses.max(verification_poses),
+    };
+    let plan = session(&source, file.session.as_ref(), &around)?;
     let options = file.identification.options(&source, &robot)?;
     let modes = file.identification.modes(&source)?;
     let published = file
@@ -198,6 +223,7 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
         nests,
         nest_sigma,
         target_covariance: Matrix3::identity() * target_sigma * target_sigma,
+        plan,
         options,
         modes,
         published,
@@ -320,22 +346,27 @@ fn point(source: &Source, key: &str, [x, y, z]: [&Spanned<f64>; 3]) -> Result<Ve
         ))
 }
 
-fn tracker(source: &Source, file: &TrackerFile, as_built: &AsBuilt) -> Result<LaserTracker, InputError> {
-    let transverse = ErrorLine {
-        offset: 1e-6 * source.positive("tracker.transverse_um", &file.transverse_um)?,
-        per_metre: 1e-6 * source.not_negative("tracker.transverse_um_per_m", &file.transverse_um_per_m)?,
-    };
-    let range = ErrorLine {
-        offset: 1e-6 * source.positive("tracker.range_um", &file.range_um)?,
-        per_metre: 1e-6 * source.not_negative("tracker.range_um_per_m", &file.range_um_per_m)?,
-    };
-    let random_fraction = source.positive("tracker.random_fraction", &file.random_fraction)?;
-    let instrument =
-        Instrument { noise: file.noise, ..Instrument::of_noise(transverse, range, random_fraction) };
+fn tracker(
+    source: &Source,
+    section: &Spanned<TrackerFile>,
+    as_built: &AsBuilt,
+    seed: u64,
+) -> Result<LaserTracker, InputError> {
+    let file = section.get_ref();
+    let instrument = instrument(source, file, section.span())?;
+    let conditions = conditions(source, file)?;
     let position = point(source, "tracker.", [&file.x_mm, &file.y_mm, &file.z_mm])?;
     let yaw = source.finite("tracker.yaw_deg", &file.yaw_deg)?.to_radians();
     let up = -as_built.statics.gravity;
-    Ok(LaserTracker::levelled(instrument, position, yaw, &up))
+    let tracker = LaserTracker { conditions, ..LaserTracker::levelled(instrument, position, yaw, &up) };
+    // One is drawn to see that there is one.
+    if let Err(error) = tracker.drawn(seed, 0, 0, 0.0) {
+        let key = file.systematic_fraction.as_ref().or(file.random_fraction.as_ref());
+        let place = key.map_or(section.span(), Spanned::span);
+        let help = "expected figures of an instrument that is within what it is permitted: random_fraction 0.125 and systematic_fraction 0.2 are usual";
+        return Err(source.error(place, format!("tracker: {error}"), Some(help.to_owned())));
+    }
+    Ok(tracker)
 }
 
 /// Half of all readings: with more, no method can tell which half is in error.
@@ -376,11 +407,12 @@ fn nests(
             return Err(source.error(nest.name.span(), format!("a second nest \"{name}\""), help));
         }
         let range = (tracker.tracker_from_base * nalgebra::Point3::from(place)).coords.norm();
-        if !(WORKING_RANGE[0]..=WORKING_RANGE[1]).contains(&range) {
+        let [least, most] = tracker.instrument.limits.range;
+        if !(least..=most).contains(&range) {
             return Err(source.error(
                 entry.span(),
                 format!("nest \"{name}\" is {range:.3} m from the tracker (x_mm, y_mm, z_mm of both)"),
-                Some(format!("expected {} to {} m, the tracker's range", WORKING_RANGE[0], WORKING_RANGE[1])),
+                Some(format!("expected {least} to {most} m, the tracker's range")),
             ));
         }
         nests.push((name.clone(), place));

@@ -4,6 +4,8 @@ mod as_built;
 mod effects;
 mod file;
 mod identification;
+mod instrument;
+mod session;
 pub use identification::with_stated_of;
 
 pub use file::{load_scenario, parse_scenario};
@@ -72,7 +74,7 @@ impl Scenario {
         )
     }
 
-    /// How its given machine is measured.
+    /// How its given machine is measured. The session draws the errors that its trackers have in a trial.
     pub fn session(&self) -> MeasuringSession<'_> {
         MeasuringSession {
             as_built: &self.as_built,

@@ -67,7 +67,7 @@ pub struct Instrument {
     /// Standard deviation of each systematic error over the permissible one: of lengths over the offset of its line, of angles and scale over its
     /// slope. Zero: none.
     pub systematic_fraction: f64,
-    /// Whether readings scatter; without, only systematic errors are left, and the stated covariance stays.
+    /// Whether readings are in error; without, they do not scatter, nothing is drawn of the tracker either, and the stated covariance stays.
     pub noise: bool,
 }
 

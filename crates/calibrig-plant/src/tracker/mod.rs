@@ -9,6 +9,7 @@
 //! Reflectors ([`Smr`]), gross errors ([`Outliers`]) and readings that do not come ([`is_missed`]) are with the session that uses them. An
 //! interferometer that counts from a home position is not modelled: every range is absolute.
 
+pub mod acceptance;
 mod air;
 mod drift;
 mod encoder;
@@ -133,7 +134,8 @@ impl LaserTracker {
     /// Whether anything of it is drawn once a session.
     pub fn has_law(&self) -> bool {
         let Conditions { environment, drift, .. } = self.conditions;
-        self.instrument.systematic_fraction > 0.0 || environment.is_some() || drift.is_some()
+        self.instrument.noise
+            && (self.instrument.systematic_fraction > 0.0 || environment.is_some() || drift.is_some())
     }
 
     /// The same with the errors that it has in the session of (seed, trial), which lasts `duration` s: an instrument that passes its acceptance test,
@@ -142,9 +144,12 @@ impl LaserTracker {
         self.check()?;
         let mut own = self.clone();
         own.errors = TrackerErrors::default();
+        if !self.instrument.noise {
+            return Ok(own);
+        }
         if self.instrument.systematic_fraction > 0.0 {
-            let mut rng = stream_at(seed, trial, Source::Instrument, 0);
-            own.errors.misalignment = self.instrument.draw_misalignment(&mut rng);
+            let (misalignment, redraws) = acceptance::first_accepted(&self.instrument, seed, trial)?;
+            own.errors = TrackerErrors { misalignment, redraws, ..own.errors };
         }
         if let Some(law) = &self.conditions.environment {
             own.errors.air = law.draw(&mut stream_at(seed, trial, Source::Environment, 0));
