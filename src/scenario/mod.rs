@@ -21,7 +21,7 @@ use calibrig_model::measurement::SetKind;
 use calibrig_model::random;
 use calibrig_plant::experiment::WorkingRegion;
 use calibrig_plant::session::{MeasuringSession, SessionPlan};
-use calibrig_plant::tracker::{LaserTracker, Outliers};
+use calibrig_plant::tracker::{LaserTracker, Outliers, TrackerError};
 use calibrig_plant::{AsBuilt, AsBuiltDistribution};
 
 /// A validated scenario, SI.
@@ -72,6 +72,14 @@ impl Scenario {
             || self.as_built.clone(),
             |drawn| drawn.draw(&self.as_built, &mut random::stream(seed, trial, random::Source::AsBuilt)),
         )
+    }
+
+    /// The first station's tracker with the errors that it has in a trial, which its session draws for itself.
+    pub fn tracker_for(&self, seed: u64, trial: u32) -> Result<Cow<'_, LaserTracker>, TrackerError> {
+        if !self.tracker.has_law() {
+            return Ok(Cow::Borrowed(&self.tracker));
+        }
+        self.tracker.drawn(seed, trial, 0, self.session().duration()).map(Cow::Owned)
     }
 
     /// How its given machine is measured. The session draws the errors that its trackers have in a trial.

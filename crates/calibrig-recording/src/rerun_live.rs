@@ -19,7 +19,7 @@ use super::{Chain, ChainKind, LogEntry, Measured, PoseStep, Preamble, Recorder, 
 use calibrig_estimation::evaluation::ModeOutcome;
 use calibrig_model::CalibrationModel;
 use calibrig_model::geometry::Transform;
-use calibrig_model::measurement::{SetKind, SetOutcome};
+use calibrig_model::measurement::{Observation, SetKind, SetOutcome};
 use calibrig_plant::AsBuilt;
 
 /// Where a viewer listens unless told otherwise.
