@@ -71,19 +71,19 @@ fn overhead(folder: &Path) {
 fn tell_session(outcome: &Outcome, tell: &mut dyn FnMut(SessionEvent<'_>)) {
     let truth = outcome.truth.as_ref().expect("simulated");
     let poses = outcome.sets.iter().map(|set| set.measurements.observations.len() as u32).sum();
-    let (as_built, tracker_from_base) = (&truth.as_built, &truth.tracker_from_base);
-    tell(SessionEvent::Begin { as_built, tracker_from_base, poses });
+    let (as_built, stations) = (&truth.as_built, &truth.stations[..]);
+    tell(SessionEvent::Begin { as_built, stations, further_targets: &truth.further_targets, poses });
     for (place, set) in outcome.sets.iter().enumerate() {
         let observations = &set.measurements.observations;
         tell(SessionEvent::Set { set, planned: observations.len() as u32 });
         for (index, observation) in observations.iter().enumerate() {
             tell(SessionEvent::Measured(MeasuredPose {
                 kind: set.kind,
-                index,
-                observation,
-                settled: &truth.poses[place][index],
-                rigid: Some(&truth.rigid[place][index]),
-                effects: &truth.effects[place][index],
+                first: index,
+                observations: std::slice::from_ref(observation),
+                settled: &truth.poses[place][index..=index],
+                rigid: &truth.rigid[place][index..=index],
+                effects: &truth.effects[place][index..=index],
             }));
         }
         tell(SessionEvent::SetEnd { set });

@@ -55,9 +55,9 @@ use calibrig_model::{CalibrationModel, Visual};
 use calibrig_plant::PlantError;
 use calibrig_plant::effects::EffectError;
 use calibrig_plant::experiment::RegionError;
-use calibrig_plant::session::{BesideRigid, SessionError, counting};
+use calibrig_plant::session::{BesideRigid, PlanError, SessionError, counting};
 pub use calibrig_plant::session::{
-    MeasuredPose, PlantKind, SessionEvent, SessionListener, Simulation, Truth,
+    MeasuredPose, MissingReading, PlantKind, SessionEvent, SessionListener, Simulation, Truth,
 };
 use calibrig_plant::tracker::TrackerError;
 pub use calibrig_recording::{InputSummary, Story};
@@ -133,6 +133,9 @@ pub enum PipelineError {
     /// The analytic machine does not come to rest.
     #[error("the analytic plant: {0}")]
     Analytic(#[from] calibrig_estimation::elastostatics::ElasticError),
+    /// The session as planned cannot be carried out.
+    #[error("the session: {0}")]
+    Session(#[from] PlanError),
     /// The machine cannot take a pose.
     #[error("{} set, pose {pose}: {source}", set.key())]
     Pose {
@@ -193,6 +196,8 @@ impl<E: Into<Self>> From<SessionError<E>> for PipelineError {
         match error {
             SessionError::Effects(error) => Self::Effects(error),
             SessionError::Region(error) => Self::Region(error),
+            SessionError::Plan(error) => Self::Session(error),
+            SessionError::Tracker(error) => Self::Tracker(error),
             SessionError::Pose { set, pose, source } => {
                 Self::Pose { set, pose, source: Box::new(source.into()) }
             }

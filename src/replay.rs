@@ -21,7 +21,7 @@ use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, Visual};
 use calibrig_recording::{
     MissingPart, Provenance, ReadOptions, RecordedEstimate, RecordedMachine, Recording, RecordingError,
-    Unprotected, read_recorded_machine, read_recording_with,
+    TrueSetting, Unprotected, read_recorded_machine, read_recording_with,
 };
 
 /// A recording that cannot be replayed.
@@ -402,14 +402,20 @@ pub fn recorded_truth(path: &Path) -> Result<Result<Truth, NoTruth>, ReplayError
     let provenance = recording.provenance.as_ref();
     let seed = provenance.and_then(|p| p.seed).unwrap_or(scenario.seed);
     let trial = provenance.and_then(|p| p.trial).map_or(0, |(trial, _)| trial);
-    let tracker_from_base = scenario.tracker.tracker_from_base;
-    let as_built = scenario.as_built_for(seed, trial);
-    if recorded != RecordedMachine::of(&robot.model, &as_built, &tracker_from_base) {
+    let scenario = &*scenario.of_trial(seed, trial);
+    let as_built = scenario.as_built.clone();
+    let further_targets: Vec<_> = scenario.plan.targets.iter().map(|target| target.in_flange).collect();
+    let Ok(stations) = scenario.session().stations(seed, trial) else {
+        return Ok(Err(NoTruth::OtherMachine));
+    };
+    let setting = TrueSetting { as_built: &as_built, stations: &stations, further_targets: &further_targets };
+    if recorded != RecordedMachine::of(&robot.model, setting) {
         return Ok(Err(NoTruth::OtherMachine));
     }
     Ok(Ok(Truth {
         as_built,
-        tracker_from_base,
+        stations,
+        further_targets,
         poses: Vec::new(),
         effects: Vec::new(),
         outliers: Vec::new(),

@@ -100,7 +100,8 @@ fn fit(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Estimate) ->
     let known = KnownTruth {
         as_built: &simulation.truth.as_built,
         nominal: &campaign.scenario.robot.model,
-        tracker_from_base: &simulation.truth.tracker_from_base,
+        stations: &simulation.truth.stations,
+        further_targets: &simulation.truth.further_targets,
         targets: simulation.sets.first().map_or(&[], |set| &set.measurements.targets),
     };
     let fitted = simulation.sets.first().map(|set| &set.measurements);
@@ -149,9 +150,11 @@ fn predictions(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Esti
         .zip(&simulation.truth.poses)
         .find(|(set, _)| set.kind == SetKind::Verification);
     let Some((set, settled)) = held_out else { return (0, 0) };
-    let tracker_from_base = simulation.truth.tracker_from_base;
     let mut truth: MeasurementSet = set.measurements.clone();
     for (observation, pose) in truth.observations.iter_mut().zip(settled) {
+        let Some(tracker_from_base) = simulation.truth.stations.get(observation.station) else {
+            return (0, 0);
+        };
         let position = tracker_from_base.rotation * pose.target + tracker_from_base.translation.vector;
         observation.reading = Reading::Cartesian { position, covariance: None };
     }

@@ -35,7 +35,8 @@ pub fn bounds_at_truth(
     let known = KnownTruth {
         as_built: &truth.as_built,
         nominal: model,
-        tracker_from_base: &truth.tracker_from_base,
+        stations: &truth.stations,
+        further_targets: &truth.further_targets,
         targets: &fitted.targets,
     };
     let bounds = |outcome: &ModeOutcome| {

@@ -3,7 +3,6 @@
 use super::machine::AnalyticMachine;
 use super::{PipelineError, PlantKind, SessionListener, Simulation, counting};
 use crate::scenario::Scenario;
-use calibrig_plant::session::MeasuringSession;
 use calibrig_plant::{Plant, SettleOptions};
 
 /// Simulates the session of `scenario`: a pure function of (scenario, seed, trial, plant).
@@ -28,8 +27,7 @@ pub fn measure_session(
     listener: &mut SessionListener<'_>,
 ) -> Result<Simulation, PipelineError> {
     let scenario = &*scenario.of_trial(seed, trial);
-    let tracker = scenario.tracker_for(seed, trial)?;
-    let session = MeasuringSession { tracker: &tracker, ..scenario.session() };
+    let session = scenario.session();
     Ok(match plant {
         PlantKind::Rapier => {
             let mut machine = Plant::new(&scenario.as_built, SettleOptions::default())?;

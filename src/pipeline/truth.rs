@@ -1,6 +1,6 @@
 //! What the identified parameters really are, where a simulation knows.
 
-use nalgebra::Vector6;
+use nalgebra::{Vector3, Vector6};
 
 use calibrig_estimation::identification::Estimate;
 use calibrig_model::geometry::{Transform, rotation_vector, small_displacement};
@@ -18,8 +18,10 @@ pub struct KnownTruth<'a> {
     pub as_built: &'a AsBuilt,
     /// What identification was told.
     pub nominal: &'a CalibrationModel,
-    /// Of the only station.
-    pub tracker_from_base: &'a Transform,
+    /// `tracker_from_base` of every station.
+    pub stations: &'a [Transform],
+    /// Real offsets of the targets beside the machine's own, in the flange frame, m.
+    pub further_targets: &'a [Vector3<f64>],
     /// As stated to identification.
     pub targets: &'a [Target],
 }
@@ -31,15 +33,20 @@ impl KnownTruth<'_> {
     ///   the term of its ratio, that error in the middle of the travel; compliance, mass: as-built over nominal, minus one;
     /// - term: what the machine's effect of that shape amounts to; zero where it has none;
     /// - frame: the estimate holds `station = prior · exp(value)` for the station's six components (absent ones are zero), so the prior
-    ///   is recovered exactly and the truth is the `xi` of `prior · exp(xi) = tracker_from_base`. Known for a single station only;
-    /// - target: as-built minus stated offset. Known for a single target only.
+    ///   is recovered exactly and the truth is the `xi` of `prior · exp(xi) = tracker_from_base`;
+    /// - target: as-built minus stated offset.
     pub fn of(&self, estimate: &Estimate, id: ParameterId) -> Option<f64> {
         let value = match id {
             ParameterId::Link { link, term } => Some(self.link(id)? + self.zero_error(estimate, link, term)),
-            ParameterId::Frame { station: 0, component } => self.frame(estimate)?.get(component).copied(),
-            ParameterId::Target { target: 0, axis } => {
-                let [stated] = self.targets else { return None };
-                Some(self.as_built.target.get(axis)? - stated.in_flange.get(axis)?)
+            ParameterId::Frame { station, component } => {
+                self.frame(estimate, station)?.get(component).copied()
+            }
+            ParameterId::Target { target, axis } => {
+                let real = match target.checked_sub(1) {
+                    None => &self.as_built.target,
+                    Some(further) => self.further_targets.get(further)?,
+                };
+                Some(real.get(axis)? - self.targets.get(target)?.in_flange.get(axis)?)
             }
             ParameterId::Compliance(compliance) => {
                 let stated = self.nominal.statics.as_ref()?.stiffness(compliance)?;
@@ -58,10 +65,7 @@ impl KnownTruth<'_> {
                 Some(self.as_built.actuators.length(length)? - self.nominal.actuators.length(length)?)
             }
             ParameterId::Term(term) => self.term(term),
-            ParameterId::Frame { .. }
-            | ParameterId::Target { .. }
-            | ParameterId::Instrument { .. }
-            | ParameterId::Drift { .. } => None,
+            ParameterId::Instrument { .. } | ParameterId::Drift { .. } => None,
         };
         value.filter(|v| v.is_finite())
     }
@@ -175,14 +179,13 @@ impl KnownTruth<'_> {
         }
     }
 
-    fn frame(&self, estimate: &Estimate) -> Option<Vector6<f64>> {
-        let [station] = estimate.robot.stations.as_slice() else { return None };
-        let xi =
-            Vector6::from_iterator((0..6).map(|component| {
-                estimate.value(ParameterId::Frame { station: 0, component }).unwrap_or(0.0)
-            }));
+    fn frame(&self, estimate: &Estimate, index: usize) -> Option<Vector6<f64>> {
+        let (station, real) = (estimate.robot.stations.get(index)?, self.stations.get(index)?);
+        let xi = Vector6::from_iterator((0..6).map(|component| {
+            estimate.value(ParameterId::Frame { station: index, component }).unwrap_or(0.0)
+        }));
         let prior = station * small_displacement(&xi).inverse();
-        let displacement = prior.inverse() * self.tracker_from_base;
+        let displacement = prior.inverse() * real;
         let (along, about) = (displacement.translation.vector, rotation_vector(&displacement.rotation));
         Some(Vector6::new(along.x, along.y, along.z, about.x, about.y, about.z))
     }

@@ -95,7 +95,8 @@ fn known_truth<'a>(outcome: &'a Outcome, truth: &'a Truth, targets: &'a [Target]
     KnownTruth {
         as_built: &truth.as_built,
         nominal: &outcome.model,
-        tracker_from_base: &truth.tracker_from_base,
+        stations: &truth.stations,
+        further_targets: &truth.further_targets,
         targets,
     }
 }

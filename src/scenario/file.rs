@@ -10,6 +10,7 @@ use super::as_built::{AsBuiltFile, as_built};
 use super::effects::{EffectsFile, effects};
 use super::identification::{IdentificationFile, ModeFile};
 use super::instrument::{DriftFile, EnvironmentFile, SmrFile, conditions, instrument};
+use super::session::{Around, SessionFile, session};
 use calibrig_files::{InputError, Source, Spanned};
 use calibrig_files::{Robot, load_robot};
 use calibrig_model::measurement::SetKind;
@@ -33,6 +34,7 @@ struct ScenarioFile {
     effects: EffectsFile,
     poses: PosesFile,
     tracker: Spanned<TrackerFile>,
+    session: Option<Spanned<SessionFile>>,
     #[serde(default)]
     identification: IdentificationFile,
     #[serde(default)]
@@ -178,6 +180,15 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
     let nest_sigma = 1e-6 * source.positive("tracker.nest_sigma_um", &section.nest_sigma_um)?;
     let nests = nests(&source, section, &tracker, nest_sigma)?;
     let target_sigma = 1e-6 * source.positive("tracker.target_sigma_um", &section.target_sigma_um)?;
+    let around = Around {
+        robot: &robot,
+        as_built: &as_built,
+        region: &region,
+        tracker: (&tracker, file.tracker.span()),
+        nests: &nests,
+        most_poses: identification_poses.max(verification_poses),
+    };
+    let plan = session(&source, file.session.as_ref(), &around)?;
     let options = file.identification.options(&source, &robot)?;
     let modes = file.identification.modes(&source)?;
     let published = file
@@ -212,6 +223,7 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
         nests,
         nest_sigma,
         target_covariance: Matrix3::identity() * target_sigma * target_sigma,
+        plan,
         options,
         modes,
         published,

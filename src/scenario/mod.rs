@@ -5,6 +5,7 @@ mod effects;
 mod file;
 mod identification;
 mod instrument;
+mod session;
 pub use identification::with_stated_of;
 
 pub use file::{load_scenario, parse_scenario};
@@ -19,7 +20,7 @@ use calibrig_files::Source;
 use calibrig_model::measurement::SetKind;
 use calibrig_model::random;
 use calibrig_plant::experiment::WorkingRegion;
-use calibrig_plant::session::{MeasuringSession, SECONDS_PER_POSE};
+use calibrig_plant::session::{MeasuringSession, SessionPlan};
 use calibrig_plant::tracker::{LaserTracker, Outliers, TrackerError};
 use calibrig_plant::{AsBuilt, AsBuiltDistribution};
 
@@ -52,6 +53,8 @@ pub struct Scenario {
     pub nest_sigma: f64,
     /// Covariance of the measured target offset, m².
     pub target_covariance: Matrix3<f64>,
+    /// How the session is carried out.
+    pub plan: SessionPlan,
     /// What is fitted; the mode is set for each row.
     pub options: IdentificationOptions,
     /// The rows of the tables.
@@ -71,16 +74,15 @@ impl Scenario {
         )
     }
 
-    /// The tracker of a trial with the errors that it has in it.
+    /// The first station's tracker with the errors that it has in a trial, which its session draws for itself.
     pub fn tracker_for(&self, seed: u64, trial: u32) -> Result<Cow<'_, LaserTracker>, TrackerError> {
         if !self.tracker.has_law() {
             return Ok(Cow::Borrowed(&self.tracker));
         }
-        let poses = self.identification_poses.saturating_add(self.verification_poses);
-        self.tracker.drawn(seed, trial, 0, SECONDS_PER_POSE * f64::from(poses)).map(Cow::Owned)
+        self.tracker.drawn(seed, trial, 0, self.session().duration()).map(Cow::Owned)
     }
 
-    /// How its given machine is measured, with the given tracker.
+    /// How its given machine is measured. The session draws the errors that its trackers have in a trial.
     pub fn session(&self) -> MeasuringSession<'_> {
         MeasuringSession {
             as_built: &self.as_built,
@@ -93,6 +95,7 @@ impl Scenario {
             nests: &self.nests,
             nest_sigma: self.nest_sigma,
             target_covariance: &self.target_covariance,
+            plan: &self.plan,
         }
     }
 

@@ -43,7 +43,8 @@ fn assert_found(effects: Effects, families: &[&str], named: &[(&str, f64)]) {
     let known = KnownTruth {
         as_built: &simulation.truth.as_built,
         nominal: model,
-        tracker_from_base: &simulation.truth.tracker_from_base,
+        stations: &simulation.truth.stations,
+        further_targets: &simulation.truth.further_targets,
         targets: &set.targets,
     };
     for p in &estimate.parameters {
@@ -93,7 +94,8 @@ fn friction_is_hysteresis_where_it_depends_on_the_direction_alone() {
     let known = KnownTruth {
         as_built: &scenario.as_built,
         nominal: &scenario.robot.model,
-        tracker_from_base: &scenario.tracker.tracker_from_base,
+        stations: &[scenario.tracker.tracker_from_base],
+        further_targets: &[],
         targets: &outcome.sets[0].measurements.targets,
     };
     let of = |name: &str| known.of(estimate, ParameterId::parse(name).expect(name));

@@ -152,7 +152,8 @@ fn add_squares(sums: &mut Vec<f64>, scenario: &Scenario, (simulation, estimate):
     let known = KnownTruth {
         as_built: &simulation.truth.as_built,
         nominal: &scenario.robot.model,
-        tracker_from_base: &simulation.truth.tracker_from_base,
+        stations: &simulation.truth.stations,
+        further_targets: &simulation.truth.further_targets,
         targets: &simulation.sets[0].measurements.targets,
     };
     sums.resize(estimate.parameters.len(), 0.0);

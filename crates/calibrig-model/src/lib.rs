@@ -36,6 +36,7 @@ pub mod geometry;
 pub mod measurement;
 pub mod random;
 pub mod statistics;
+pub mod visibility;
 
 mod actuators;
 mod beam;

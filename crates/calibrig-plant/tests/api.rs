@@ -11,7 +11,7 @@ use calibrig_model::{
 };
 use calibrig_plant::effects::Effects;
 use calibrig_plant::experiment::WorkingRegion;
-use calibrig_plant::session::MeasuringSession;
+use calibrig_plant::session::{MeasuringSession, SessionPlan};
 use calibrig_plant::tracker::{ErrorLine, Instrument, LaserTracker, RANDOM_FRACTION, Shot};
 use calibrig_plant::{AsBuilt, AsBuiltDistribution, Plant, SettleOptions, Spread};
 use proptest::prelude::*;
@@ -244,6 +244,7 @@ proptest! {
             nests: &[],
             nest_sigma: 1e-5,
             target_covariance: &(Matrix3::identity() * 1e-10),
+            plan: &SessionPlan::default(),
         };
         let mut plant = Plant::new(&machine, SettleOptions::default()).expect("a machine");
         let measured = session.measure(&mut plant, 1, 0, &mut |_| ControlFlow::Continue(()));

@@ -89,8 +89,8 @@ pub use rerun_sink::{RerunRecorder, rrd_of, save_rrd, write_rrd};
 pub use scan::Unprotected;
 pub use scene::{Chain, ChainKind, Sighting};
 pub use story::{
-    InputSummary, LogEntry, LogLevel, Measured, PoseStep, Preamble, Recorder, Residuals, Story, record,
-    record_evaluation,
+    InputSummary, LogEntry, LogLevel, Measured, PoseStep, Preamble, Recorder, Residuals, Story, TrueSetting,
+    record, record_evaluation,
 };
 pub use walk::{Fault, Part};
 

@@ -2,7 +2,7 @@
 
 use super::Story;
 use super::clock::Clock;
-use super::story::{Measured, Preamble, Recorder};
+use super::story::{Measured, Preamble, Recorder, TrueSetting};
 use super::{RecordingError, record_evaluation};
 use calibrig_plant::session::{MeasuredPose, SessionEvent};
 
@@ -23,8 +23,8 @@ impl<'a, R: Recorder> SessionRecorder<'a, R> {
     pub fn hear(&mut self, event: SessionEvent<'_>) -> Result<(), RecordingError> {
         let now = self.clock.now();
         match event {
-            SessionEvent::Begin { as_built, tracker_from_base, .. } => {
-                let truth = Some((as_built, tracker_from_base));
+            SessionEvent::Begin { as_built, stations, further_targets, .. } => {
+                let truth = Some(TrueSetting { as_built, stations, further_targets });
                 self.recorder.open(&Preamble { truth, ..self.preamble })
             }
             SessionEvent::Set { set, planned } => self.recorder.set(now, set, Some(planned)),
@@ -39,15 +39,16 @@ impl<'a, R: Recorder> SessionRecorder<'a, R> {
     }
 
     fn measured(&mut self, pose: &MeasuredPose<'_>) -> Result<(), RecordingError> {
-        let time = self.clock.time_of(pose.kind, pose.observation);
+        let times: Vec<u64> =
+            pose.observations.iter().map(|own| self.clock.time_of(pose.kind, own)).collect();
         self.recorder.measured(&Measured {
             kind: pose.kind,
-            first: pose.index,
-            observations: std::slice::from_ref(pose.observation),
-            times: &[time],
-            truth: std::slice::from_ref(pose.settled),
-            rigid: pose.rigid.map_or(&[][..], std::slice::from_ref),
-            effects: std::slice::from_ref(pose.effects),
+            first: pose.first,
+            observations: pose.observations,
+            times: &times,
+            truth: pose.settled,
+            rigid: pose.rigid,
+            effects: pose.effects,
         })
     }
 

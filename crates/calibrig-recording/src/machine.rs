@@ -9,10 +9,9 @@ use prost::Message;
 
 use super::scan::{ReadError, check_integrity, check_magic, scan};
 use super::schema::v1;
+use super::story::TrueSetting;
 use super::{RecordingError, truth};
 use calibrig_model::CalibrationModel;
-use calibrig_model::geometry::Transform;
-use calibrig_plant::AsBuilt;
 
 /// The machine of a simulated run as its recording describes it. Comparable, and nothing else.
 #[derive(Debug, Clone, PartialEq)]
@@ -20,8 +19,8 @@ pub struct RecordedMachine(v1::AsBuilt);
 
 impl RecordedMachine {
     /// What a recording would hold of a machine whose model is `nominal`.
-    pub fn of(nominal: &CalibrationModel, as_built: &AsBuilt, tracker_from_base: &Transform) -> Self {
-        Self(truth::as_built(&nominal.kinematics, (as_built, tracker_from_base)))
+    pub fn of(nominal: &CalibrationModel, setting: TrueSetting<'_>) -> Self {
+        Self(truth::as_built(&nominal.kinematics, setting))
     }
 }
 

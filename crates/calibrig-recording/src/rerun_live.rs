@@ -19,7 +19,7 @@ use super::{Chain, ChainKind, LogEntry, Measured, PoseStep, Preamble, Recorder, 
 use calibrig_estimation::evaluation::ModeOutcome;
 use calibrig_model::CalibrationModel;
 use calibrig_model::geometry::Transform;
-use calibrig_model::measurement::{SetKind, SetOutcome};
+use calibrig_model::measurement::{Observation, SetKind, SetOutcome};
 use calibrig_plant::AsBuilt;
 
 /// Where a viewer listens unless told otherwise.
@@ -149,7 +149,8 @@ pub struct LiveRecorder {
 /// What the poses of a simulated session are drawn with.
 struct Session {
     as_built: AsBuilt,
-    tracker_from_base: Transform,
+    /// `tracker_from_base`, one a station.
+    stations: Vec<Transform>,
     model: CalibrationModel,
     /// In the flange frame, m.
     targets: Vec<Vector3<f64>>,
@@ -183,7 +184,9 @@ impl LiveRecorder {
     /// The machine before it moves. In front of it goes the layout, in which everything will appear.
     fn open_session(&mut self, preamble: &Preamble<'_>) -> Result<(), RecordingError> {
         let (as_built, trackers) = match preamble.truth {
-            Some((as_built, tracker)) => (Some(as_built), vec![tracker.inverse()]),
+            Some(truth) => {
+                (Some(truth.as_built), truth.stations.iter().map(Transform::inverse).collect::<Vec<_>>())
+            }
             None => (None, Vec::new()),
         };
         let up = scene::up_of(preamble.model, as_built);
@@ -197,12 +200,12 @@ impl LiveRecorder {
         wire.send_all(rerun_layout::session(&setting)?);
         let recorder = self.recorder.insert(RerunRecorder::telling(&preamble.input.name, Box::new(wire))?);
         recorder.surroundings(&up, &trackers, Vec::new())?;
-        let Some((as_built, tracker_from_base)) = preamble.truth else { return Ok(()) };
+        let Some(truth) = preamble.truth else { return Ok(()) };
         recorder.robot(ChainKind::True, preamble.visuals)?;
         recorder.machine_curves()?;
         self.session = Some(Session {
-            as_built: as_built.clone(),
-            tracker_from_base: *tracker_from_base,
+            as_built: truth.as_built.clone(),
+            stations: truth.stations.to_vec(),
             model: preamble.model.clone(),
             targets: Vec::new(),
         });
@@ -249,7 +252,8 @@ impl Session {
     }
 
     fn sightings(&self, measured: &Measured<'_>) -> Vec<Sighting> {
-        measured.observations.iter().map(|o| scene::sighting_from(&self.tracker_from_base, o)).collect()
+        let sighting = |o: &Observation| Some(scene::sighting_from(self.stations.get(o.station)?, o));
+        measured.observations.iter().filter_map(sighting).collect()
     }
 }
 

@@ -91,8 +91,27 @@ pub struct Preamble<'a> {
     pub model: &'a CalibrationModel,
     /// What the links look like; empty where unknown.
     pub visuals: &'a [Vec<Visual>],
-    /// The machine and `tracker_from_base`, where simulated.
-    pub truth: Option<(&'a AsBuilt, &'a Transform)>,
+    /// The machine and what stands around it, where simulated.
+    pub truth: Option<TrueSetting<'a>>,
+}
+
+/// The machine of a simulated session, and what is measured of it from where.
+#[derive(Debug, Clone, Copy)]
+pub struct TrueSetting<'a> {
+    /// The machine.
+    pub as_built: &'a AsBuilt,
+    /// `tracker_from_base` of every station.
+    pub stations: &'a [Transform],
+    /// Real offsets of the targets beside the machine's own, in the flange frame, m.
+    pub further_targets: &'a [Vector3<f64>],
+}
+
+impl<'a> TrueSetting<'a> {
+    /// What a session knows of it.
+    pub fn of(truth: &'a Truth) -> Self {
+        let Truth { as_built, stations, further_targets, .. } = truth;
+        Self { as_built, stations, further_targets }
+    }
 }
 
 /// The observations of one pose as they were measured, and the truth beside them.
@@ -187,7 +206,7 @@ fn record_session(story: &Story<'_>, recorder: &mut dyn Recorder) -> Result<(), 
         sources: story.sources,
         model: story.model,
         visuals: story.visuals,
-        truth: truth.map(|truth| (&truth.as_built, &truth.tracker_from_base)),
+        truth: truth.map(TrueSetting::of),
     };
     record_sets(&preamble, story.sets, truth, recorder)
 }

@@ -1,14 +1,14 @@
 //! The messages that hold the truth of a simulated run.
 
 use super::schema::{self, v1};
+use super::story::TrueSetting;
 use super::{Measured, scene};
-use calibrig_model::geometry::Transform;
 use calibrig_model::{CraigLink, JointKind, KinematicModel};
-use calibrig_plant::{AsBuilt, ElasticDeflection, ElasticPlace, SettledPose};
+use calibrig_plant::{ElasticDeflection, ElasticPlace, SettledPose};
 
-/// The machine and `tracker_from_base`; what of it yields is told by a pose ([`elastic_names`]).
-pub(super) fn as_built(nominal: &KinematicModel, truth: (&AsBuilt, &Transform)) -> v1::AsBuilt {
-    let (machine, tracker_from_base) = truth;
+/// The machine and what stands around it; what of it yields is told by a pose ([`elastic_names`]).
+pub(super) fn as_built(nominal: &KinematicModel, truth: TrueSetting<'_>) -> v1::AsBuilt {
+    let TrueSetting { as_built: machine, stations, further_targets } = truth;
     let link = |link: &CraigLink| v1::Link {
         name: link.name.clone(),
         prismatic: link.kind == JointKind::Prismatic,
@@ -33,7 +33,9 @@ pub(super) fn as_built(nominal: &KinematicModel, truth: (&AsBuilt, &Transform)) 
             })
             .collect(),
         target: schema::vector(&machine.target),
-        tracker_from_base: Some(schema::pose(tracker_from_base)),
+        tracker_from_base: stations.first().map(schema::pose),
+        further_stations: stations.iter().skip(1).map(schema::pose).collect(),
+        further_targets: further_targets.iter().flat_map(schema::vector).collect(),
         drive_stiffness: machine.statics.drive_stiffness.clone(),
         mass: machine.statics.bodies.iter().map(|b| b.mass).collect(),
         gravity: schema::vector(&machine.statics.gravity),

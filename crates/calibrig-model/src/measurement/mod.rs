@@ -1,9 +1,14 @@
 //! What a tracker session leaves behind. It is all that passes from simulation, recording or file to identification.
 
+mod drift;
 mod instrument;
 mod registration;
 mod repeats;
 
+pub use drift::{
+    DRIFT_FALSE_ALARM, DriftError, DriftSize, DriftVerdict, MissingForDrift, NEST_FALSE_ALARM,
+    NestContradiction, StationDrift, Steady, remove_drift,
+};
 pub use instrument::{DRIFT_UNIT, Face, InstrumentTerm, StatedDrift, StatedInstrument};
 pub use registration::{NestSystem, Registration, RegistrationError, WhitenedNest, nest_system, register};
 pub use repeats::Repeats;

@@ -2,6 +2,8 @@
 
 use std::ops::ControlFlow;
 
+use nalgebra::Vector3;
+
 use crate::effects::PoseEffects;
 use crate::{AsBuilt, SettledPose};
 use calibrig_model::geometry::Transform;
@@ -14,8 +16,10 @@ pub enum SessionEvent<'a> {
     Begin {
         /// The machine.
         as_built: &'a AsBuilt,
-        /// `tracker_from_base` of the station.
-        tracker_from_base: &'a Transform,
+        /// `tracker_from_base` of every station.
+        stations: &'a [Transform],
+        /// Real offsets of the targets beside the machine's own, in the flange frame, m.
+        further_targets: &'a [Vector3<f64>],
         /// Poses planned over all sets.
         poses: u32,
     },
@@ -46,21 +50,21 @@ pub enum SessionEvent<'a> {
     },
 }
 
-/// A measured pose with its truth.
+/// All readings of a measured pose with their truth, one entry a reading in each list.
 #[derive(Debug, Clone, Copy)]
 pub struct MeasuredPose<'a> {
     /// The set.
     pub kind: SetKind,
-    /// Place of the observation in its set.
-    pub index: usize,
+    /// Place of the first observation in its set.
+    pub first: usize,
     /// What was measured.
-    pub observation: &'a Observation,
-    /// The machine at rest.
-    pub settled: &'a SettledPose,
-    /// The same if nothing of it yielded, where that is asked for.
-    pub rigid: Option<&'a SettledPose>,
+    pub observations: &'a [Observation],
+    /// The machine at rest, with the target that was observed.
+    pub settled: &'a [SettledPose],
+    /// The same if nothing of it yielded; empty where that is not asked for.
+    pub rigid: &'a [SettledPose],
     /// What the machine's effects made of the pose.
-    pub effects: &'a PoseEffects,
+    pub effects: &'a [PoseEffects],
 }
 
 /// Is told what happens; `Break` ends the session.

@@ -1,25 +1,27 @@
-//! The order of a session: sets and poses, what the machine does on its way, what the tracker reads.
+//! The order of a session: sets and poses, what the machine does on its way, what the trackers read.
 
 use std::ops::ControlFlow;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector3, Vector6};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 
+use super::controller::Controller;
 use super::events::{MeasuredPose, SessionEvent, SessionListener};
-use super::{Machine, SessionError, Simulation, Truth};
-use crate::effects::{Commanded, DriveState, Friction, PoseEffects};
+use super::plan::{Approach, SessionPlan};
+use super::schedule::{PlannedSet, Schedule, schedule};
+use super::sight::Mounted;
+use super::{Machine, MissingReading, SessionError, Simulation, Truth};
+use crate::effects::PoseEffects;
 use crate::experiment::WorkingRegion;
-use crate::tracker::{LaserTracker, Outliers, Shot};
+use crate::tracker::{LaserTracker, Outliers, Shot, TrackerError, is_missed};
 use crate::{AsBuilt, SettledPose};
-use calibrig_model::ActuatorMap;
+use calibrig_model::geometry::{Transform, rotation_vector, small_displacement};
 use calibrig_model::measurement::{
-    MeasurementSet, NestObservation, Observation, Reading, SetKind, SetOutcome, Station, Target,
+    MeasurementSet, Observation, Reading, SetKind, SetOutcome, Station, Target,
 };
-use calibrig_model::random;
-
-/// Time from one pose to the next, s: motion, settling and about 1 s of averaging.
-pub const SECONDS_PER_POSE: f64 = 10.0;
+use calibrig_model::random::{self, Source};
+use calibrig_model::{ActuatorMap, JointKind};
 
 /// What is measured, where, and with what. What comes out of it is a pure function of this, the machine, the seed and the trial.
 #[derive(Debug, Clone, Copy)]
@@ -34,16 +36,37 @@ pub struct MeasuringSession<'a> {
     pub identification_poses: u32,
     /// Poses of the verification set.
     pub verification_poses: u32,
-    /// The tracker at its real place.
+    /// The tracker at its real place: the first station.
     pub tracker: &'a LaserTracker,
-    /// Gross errors among its readings of the target, where there are any.
+    /// Gross errors among the readings of targets, where there are any.
     pub outliers: Option<&'a Outliers>,
     /// Base nests: name and true place in the base frame, m.
     pub nests: &'a [(String, Vector3<f64>)],
     /// Standard deviation of the nests' certified coordinates, m.
     pub nest_sigma: f64,
-    /// Covariance of the measured target offset, m².
+    /// Covariance of the measured offset of each target, m².
     pub target_covariance: &'a Matrix3<f64>,
+    /// How it is carried out.
+    pub plan: &'a SessionPlan,
+}
+
+/// What of a pose was read, one entry a reading in each.
+#[derive(Default)]
+struct Taken {
+    observations: Vec<Observation>,
+    settled: Vec<SettledPose>,
+    effects: Vec<PoseEffects>,
+    outliers: Vec<(u32, Vector3<f64>)>,
+    /// Readings that the plan has and nobody took.
+    missing: Vec<MissingReading>,
+}
+
+/// The trackers and targets of a session with their errors.
+struct Setup {
+    trackers: Vec<LaserTracker>,
+    mounted: Vec<Mounted>,
+    seed: u64,
+    trial: u32,
 }
 
 impl MeasuringSession<'_> {
@@ -59,162 +82,320 @@ impl MeasuringSession<'_> {
     ) -> Result<Simulation, SessionError<M::Error>> {
         let total = self.identification_poses.saturating_add(self.verification_poses);
         self.region.check(self.as_built.kinematics.joint_count())?;
-        self.as_built.check_effects(SECONDS_PER_POSE * f64::from(total))?;
-        let station = self.measure_nests(seed, trial)?;
-        let target = self.measure_target(seed, trial);
+        self.plan.check(self.identification_poses.max(self.verification_poses))?;
+        let schedule = self.schedule(seed, trial);
+        self.as_built.check_effects(schedule.duration)?;
+        let trackers = self.trackers(&schedule, seed, trial)?;
+        let described = self.measure_nests(&trackers, &schedule, (seed, trial))?;
+        let targets = self.measure_targets(seed, trial);
+        let stations = self.mean_places(&trackers, &schedule);
+        let further_targets: Vec<_> = self.plan.targets.iter().map(|target| target.in_flange).collect();
+        let setup = Setup { trackers, mounted: self.mounted(seed, trial), seed, trial };
         let mut done = 0;
         let mut tell = |event: SessionEvent<'_>, done| match listener(event) {
             ControlFlow::Continue(()) => Ok(()),
             ControlFlow::Break(()) => Err(SessionError::Interrupted { done, total }),
         };
-        let tracker_from_base = &self.tracker.tracker_from_base;
-        tell(SessionEvent::Begin { as_built: self.as_built, tracker_from_base, poses: total }, done)?;
-        let (mut sets, mut poses, mut effects, mut outliers) =
-            (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        for (kind, count, [pose_source, noise_source]) in self.planned_sets() {
-            if count == 0 {
-                continue;
-            }
-            let mut pose_stream = random::stream(seed, trial, pose_source);
-            let mut noise = random::stream(seed, trial, noise_source);
-            let (mut settled_poses, mut pose_effects, mut set_outliers) =
-                (Vec::new(), Vec::new(), Vec::new());
-            let mut set = SetOutcome {
-                kind,
-                measurements: MeasurementSet {
-                    stations: vec![station.clone()],
-                    targets: vec![target.clone()],
-                    observations: Vec::new(),
-                },
-                dropped: Vec::new(),
-            };
+        let begin = SessionEvent::Begin {
+            as_built: self.as_built,
+            stations: &stations,
+            further_targets: &further_targets,
+            poses: total,
+        };
+        tell(begin, done)?;
+        let mut truth = Truth {
+            as_built: self.as_built.clone(),
+            stations: stations.clone(),
+            further_targets: further_targets.clone(),
+            poses: Vec::new(),
+            effects: Vec::new(),
+            outliers: Vec::new(),
+            rigid: Vec::new(),
+        };
+        let (mut sets, mut missing) = (Vec::new(), Vec::new());
+        for planned in &schedule.sets {
+            let mut noise = random::stream(seed, trial, planned.noise);
+            let (mut poses, mut effects, mut outliers, mut absent) =
+                (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+            let mut set = empty_set(planned.kind, &described, &targets);
+            let count = u32::try_from(planned.poses.len()).unwrap_or(u32::MAX);
             tell(SessionEvent::Set { set: &set, planned: count }, done)?;
             let mut controller = Controller::at_home(self);
             for pose in 0..count {
-                let joints = self.region.draw(&mut pose_stream);
-                let command = self.actuators.command_from_joints(&joints);
-                let time = SECONDS_PER_POSE * f64::from(done);
-                let mut own =
-                    random::stream_at(seed, trial, random::Source::Repeatability, entry(kind, pose));
-                let (settled, effects) = controller
-                    .go_to(machine, &command, time, &mut own)
-                    .map_err(|source| SessionError::Pose { set: kind, pose, source })?;
-                let outlier = self.outlier(seed, trial, entry(kind, pose));
-                let seen = settled.target + outlier.unwrap_or_default();
-                let reading = self.tracker.measure(&seen, &Shot::at(time), &mut noise);
+                let taken = self.take(machine, &mut controller, &setup, planned, pose, &mut noise);
+                let taken = taken.map_err(|source| SessionError::Pose { set: planned.kind, pose, source })?;
                 done += 1;
-                match reading {
-                    Ok(reading) => {
-                        set_outliers.extend(outlier.map(|shift| (pose, shift)));
-                        let observation = Observation {
-                            pose,
-                            command,
-                            approach: controller.approach.clone(),
-                            temperature: effects.temperature,
-                            time,
-                            station: 0,
-                            target: 0,
-                            reading: Reading::Spherical(reading),
-                        };
-                        let measured = MeasuredPose {
-                            kind,
-                            index: set.measurements.observations.len(),
-                            observation: &observation,
-                            settled: &settled,
-                            rigid: None,
-                            effects: &effects,
-                        };
-                        tell(SessionEvent::Measured(measured), done)?;
-                        set.measurements.observations.push(observation);
-                        settled_poses.push(settled);
-                        pose_effects.push(effects);
-                    }
-                    Err(error) => {
-                        let reason = error.to_string();
-                        tell(SessionEvent::Dropped { kind, pose, reason: &reason, time }, done)?;
-                        set.dropped.push((pose, reason));
-                    }
+                if taken.observations.is_empty() {
+                    let first = taken.missing.into_iter().next();
+                    let reason = first.map_or_else(|| "no reading was planned".to_owned(), |m| m.why);
+                    let (kind, time) = (planned.kind, planned.poses[pose as usize].1);
+                    tell(SessionEvent::Dropped { kind, pose, reason: &reason, time }, done)?;
+                    set.dropped.push((pose, reason));
+                    continue;
                 }
+                let measured = MeasuredPose {
+                    kind: planned.kind,
+                    first: set.measurements.observations.len(),
+                    observations: &taken.observations,
+                    settled: &taken.settled,
+                    rigid: &[],
+                    effects: &taken.effects,
+                };
+                tell(SessionEvent::Measured(measured), done)?;
+                set.measurements.observations.extend(taken.observations);
+                poses.extend(taken.settled);
+                effects.extend(taken.effects);
+                outliers.extend(taken.outliers);
+                absent.extend(taken.missing);
             }
             tell(SessionEvent::SetEnd { set: &set }, done)?;
             sets.push(set);
-            poses.push(settled_poses);
-            effects.push(pose_effects);
-            outliers.push(set_outliers);
+            missing.push(absent);
+            truth.poses.push(poses);
+            truth.effects.push(effects);
+            truth.outliers.push(outliers);
         }
-        let truth = Truth {
-            as_built: self.as_built.clone(),
-            tracker_from_base: self.tracker.tracker_from_base,
-            poses,
-            effects,
-            outliers,
-            rigid: Vec::new(),
-        };
-        Ok(Simulation { sets, truth })
+        Ok(Simulation { sets, missing, truth })
     }
 
-    /// The sets with their number of poses, and the random sources of poses and noise.
-    fn planned_sets(&self) -> [(SetKind, u32, [random::Source; 2]); 2] {
-        use random::Source;
-        [
-            (
-                SetKind::Identification,
-                self.identification_poses,
-                [Source::IdentificationPoses, Source::IdentificationNoise],
-            ),
-            (
-                SetKind::Verification,
-                self.verification_poses,
-                [Source::VerificationPoses, Source::VerificationNoise],
-            ),
-        ]
+    fn schedule(&self, seed: u64, trial: u32) -> Schedule {
+        let counts = [
+            (SetKind::Identification, self.identification_poses),
+            (SetKind::Verification, self.verification_poses),
+        ];
+        schedule(self.plan, self.region, counts, self.nests.len(), (seed, trial))
+    }
+
+    /// `tracker_from_base` of every station on the average of its rounds of nests, as the session of (seed, trial) has it.
+    ///
+    /// # Errors
+    ///
+    /// No tracker can have these figures.
+    pub fn stations(&self, seed: u64, trial: u32) -> Result<Vec<Transform>, TrackerError> {
+        let schedule = self.schedule(seed, trial);
+        Ok(self.mean_places(&self.trackers(&schedule, seed, trial)?, &schedule))
+    }
+
+    /// How long the session lasts, s.
+    pub fn duration(&self) -> f64 {
+        self.schedule(0, 0).duration
+    }
+
+    /// Every station's tracker, with the errors that it has in this session.
+    fn trackers(
+        &self,
+        schedule: &Schedule,
+        seed: u64,
+        trial: u32,
+    ) -> Result<Vec<LaserTracker>, TrackerError> {
+        let further = self.plan.stations.iter().map(|station| station.tracker_from_base);
+        std::iter::once(self.tracker.tracker_from_base)
+            .chain(further)
+            .zip(0..)
+            .map(|(tracker_from_base, station)| {
+                let placed = LaserTracker { tracker_from_base, ..self.tracker.clone() };
+                if placed.has_law() {
+                    placed.drawn(seed, trial, station, schedule.duration)
+                } else {
+                    Ok(placed)
+                }
+            })
+            .collect()
+    }
+
+    fn mean_places(&self, trackers: &[LaserTracker], schedule: &Schedule) -> Vec<Transform> {
+        let times = self.nest_times(schedule);
+        trackers
+            .iter()
+            .map(|tracker| {
+                let first = tracker.tracker_from_base;
+                let moved = |time: &f64| {
+                    let motion = tracker.tracker_from_base_at(*time) * first.inverse();
+                    let (v, w) = (motion.translation.vector, rotation_vector(&motion.rotation));
+                    Vector6::new(v.x, v.y, v.z, w.x, w.y, w.z)
+                };
+                if tracker.errors.drift.is_none() || times.is_empty() {
+                    return first;
+                }
+                let mean = times.iter().map(moved).sum::<Vector6<f64>>() / times.len() as f64;
+                small_displacement(&mean) * first
+            })
+            .collect()
+    }
+
+    /// All visits of a pose.
+    fn take<M: Machine>(
+        &self,
+        machine: &mut M,
+        controller: &mut Controller<'_>,
+        setup: &Setup,
+        planned: &PlannedSet,
+        pose: u32,
+        noise: &mut impl Rng,
+    ) -> Result<Taken, M::Error> {
+        let (seed, trial) = (setup.seed, setup.trial);
+        let (joints, start) = &planned.poses[pose as usize];
+        let command = self.actuators.command_from_joints(joints);
+        let of_visit = self.plan.seconds_per_pose() / f64::from(self.plan.repeats);
+        let mut taken = Taken::default();
+        for visit in 0..self.plan.repeats {
+            let time = start + of_visit * f64::from(visit);
+            let place = entry(planned.kind, pose) | u64::from(visit) << 34;
+            if let Some(beside) = self.beside(joints, visit) {
+                let mut own = random::stream_at(seed, trial, Source::Repeatability, place | VIA);
+                let via = self.actuators.command_from_joints(&beside);
+                controller.pass(machine, &via, time, &mut own)?;
+            }
+            let mut own = random::stream_at(seed, trial, Source::Repeatability, place);
+            let (settled, effects) = controller.go_to(machine, &command, time, &mut own)?;
+            let visit = Visit { command: &command, controller, pose, place, time, settled, effects };
+            self.read(setup, &visit, noise, &mut taken);
+        }
+        Ok(taken)
+    }
+
+    /// Joint variables beside a pose, from which a visit comes.
+    fn beside(&self, joints: &[f64], visit: u32) -> Option<Vec<f64>> {
+        let (distances, side) = match self.plan.approach {
+            Approach::AsTravelled => return None,
+            Approach::OneSide(distances) => (distances, -1.0),
+            Approach::BothSides(distances) => (distances, if visit.is_multiple_of(2) { -1.0 } else { 1.0 }),
+        };
+        let links = &self.as_built.kinematics.links;
+        let away = |(joint, link): (&f64, &calibrig_model::CraigLink)| {
+            let distance = match link.kind {
+                JointKind::Prismatic => distances[0],
+                JointKind::Revolute => distances[1],
+            };
+            let [low, high] = link.limits;
+            (joint + side * distance).max(low.min(*joint)).min(high.max(*joint))
+        };
+        Some(joints.iter().zip(links).map(away).collect())
+    }
+
+    /// Every reading of a visit. Numbers are taken from `noise` for all stations and targets, whichever see each other.
+    fn read(&self, setup: &Setup, visit: &Visit<'_>, noise: &mut impl Rng, taken: &mut Taken) {
+        let Visit { pose, place, settled, effects, .. } = visit;
+        let seen = self.look(&setup.trackers, &setup.mounted, settled);
+        let chosen = seen.chosen(self.plan.share);
+        let targets = setup.mounted.len();
+        let mut number = 0;
+        for (station, tracker) in setup.trackers.iter().enumerate() {
+            for target in 0..targets {
+                let reading = place + ((station * targets + target) as u64) * READING;
+                let outlier = self.outlier(setup, reading);
+                let at = seen.places[target];
+                let face = calibrig_model::measurement::Face::Front;
+                let is_chosen = chosen.contains(&station);
+                let time = visit.time + self.plan.timing.averaging * f64::from(number);
+                let shot = Shot { face, averaging: self.plan.timing.averaging, ..Shot::at(time) };
+                let point = at.optical + outlier.unwrap_or_default();
+                let read = tracker.measure(&point, &shot, noise);
+                let missed = self.tracker.conditions.misses > 0.0
+                    && is_missed(
+                        self.tracker.conditions.misses,
+                        &mut random::stream_at(setup.seed, setup.trial, Source::Misses, reading),
+                    );
+                if !is_chosen {
+                    continue;
+                }
+                number += 1;
+                let why = match (&seen.hidden[station][target], read) {
+                    (Some(hidden), _) => hidden.to_string(),
+                    (None, Err(error)) => error.to_string(),
+                    (None, Ok(_)) if missed => "the tracker gave no reading".to_owned(),
+                    (None, Ok(read)) => {
+                        taken.outliers.extend(outlier.map(|shift| (*pose, shift)));
+                        taken.observations.push(visit.observation(
+                            station,
+                            target,
+                            time,
+                            Reading::Spherical(read),
+                        ));
+                        taken.settled.push(SettledPose { target: at.centre, ..settled.clone() });
+                        taken.effects.push(effects.clone());
+                        continue;
+                    }
+                };
+                taken.missing.push(MissingReading {
+                    pose: *pose,
+                    station,
+                    target,
+                    why: self.from(station, why),
+                });
+            }
+        }
+    }
+
+    /// A reason, with the station where there are several.
+    fn from(&self, station: usize, why: String) -> String {
+        match station.checked_sub(1) {
+            _ if self.plan.stations.is_empty() => why,
+            None => format!("from station 1: {why}"),
+            Some(further) => {
+                let name = self.plan.stations.get(further).map_or("", |station| station.name.as_str());
+                format!("from station {name}: {why}")
+            }
+        }
     }
 
     /// What the reading at that place of the streams is off by, if it is a gross error.
-    fn outlier(&self, seed: u64, trial: u32, place: u64) -> Option<Vector3<f64>> {
-        self.outliers?.draw(&mut random::stream_at(seed, trial, random::Source::Outliers, place))
+    fn outlier(&self, setup: &Setup, place: u64) -> Option<Vector3<f64>> {
+        self.outliers?.draw(&mut random::stream_at(setup.seed, setup.trial, Source::Outliers, place))
     }
 
     /// A vector of independent normal errors, or zero where the noise is off.
-    fn error_vector(&self, sigma: f64, rng: &mut impl Rng) -> Vector3<f64> {
+    pub(super) fn error_vector(&self, sigma: f64, rng: &mut impl Rng) -> Vector3<f64> {
         let drawn = Vector3::from_fn(|_, _| -> f64 { StandardNormal.sample(rng) });
         if self.tracker.instrument.noise { sigma * drawn } else { Vector3::zeros() }
     }
 
-    fn measure_nests<E>(&self, seed: u64, trial: u32) -> Result<Station, SessionError<E>> {
-        let mut rng = random::stream(seed, trial, random::Source::NestNoise);
-        let sigma = self.nest_sigma;
-        let nests = self
-            .nests
-            .iter()
-            .map(|(name, place)| {
-                let certified = place + self.error_vector(sigma, &mut rng);
-                let reading = self
-                    .tracker
-                    .measure(place, &Shot::default(), &mut rng)
-                    .map_err(|source| SessionError::Nest { nest: name.clone(), source })?;
-                Ok(NestObservation {
-                    name: name.clone(),
-                    in_base: certified,
-                    in_base_covariance: Matrix3::identity() * sigma * sigma,
-                    reading: Reading::Spherical(reading),
-                    time: None,
-                })
-            })
-            .collect::<Result<_, SessionError<E>>>()?;
-        Ok(Station { name: "1".to_owned(), nests, instrument: None })
-    }
-
-    fn measure_target(&self, seed: u64, trial: u32) -> Target {
-        let mut rng = random::stream(seed, trial, random::Source::TargetOffset);
+    fn measure_targets(&self, seed: u64, trial: u32) -> Vec<Target> {
+        let mut rng = random::stream(seed, trial, Source::TargetOffset);
         let sigma = self.target_covariance[(0, 0)].sqrt();
-        Target {
-            name: "SMR".to_owned(),
-            in_flange: self.as_built.target + self.error_vector(sigma, &mut rng),
-            covariance: Some(*self.target_covariance),
-            orientation: None,
+        let further = self.plan.targets.iter().map(|target| (target.name.as_str(), target.in_flange));
+        std::iter::once(("SMR", self.as_built.target))
+            .chain(further)
+            .map(|(name, place)| Target {
+                name: name.to_owned(),
+                in_flange: place + self.error_vector(sigma, &mut rng),
+                covariance: Some(*self.target_covariance),
+                orientation: None,
+            })
+            .collect()
+    }
+}
+
+/// The machine at rest, on one of its visits of a pose.
+struct Visit<'a> {
+    command: &'a [f64],
+    controller: &'a Controller<'a>,
+    pose: u32,
+    place: u64,
+    time: f64,
+    settled: SettledPose,
+    effects: PoseEffects,
+}
+
+impl Visit<'_> {
+    fn observation(&self, station: usize, target: usize, time: f64, reading: Reading) -> Observation {
+        Observation {
+            pose: self.pose,
+            command: self.command.to_vec(),
+            approach: self.controller.approach.clone(),
+            temperature: self.effects.temperature,
+            time,
+            station,
+            target,
+            reading,
         }
     }
+}
+
+fn empty_set(kind: SetKind, stations: &[Station], targets: &[Target]) -> SetOutcome {
+    let measurements =
+        MeasurementSet { stations: stations.to_vec(), targets: targets.to_vec(), observations: Vec::new() };
+    SetOutcome { kind, measurements, dropped: Vec::new() }
 }
 
 /// The place of a pose in the random streams of a session, whatever the number of poses of each set.
@@ -226,51 +407,7 @@ fn entry(kind: SetKind, pose: u32) -> u64 {
     set << 32 | u64::from(pose)
 }
 
-/// The machine between two poses: what its controller and its drives remember.
-struct Controller<'a> {
-    as_built: &'a AsBuilt,
-    command: Vec<f64>,
-    /// The sign of each actuator's last motion, 0 before its first.
-    approach: Vec<i8>,
-    drives: DriveState,
-}
-
-impl<'a> Controller<'a> {
-    fn at_home(session: &MeasuringSession<'a>) -> Self {
-        let command = session.actuators.command_from_joints(&session.region.centre);
-        let drives = session.as_built.referenced_at(&command);
-        Self { as_built: session.as_built, approach: vec![0; command.len()], command, drives }
-    }
-
-    /// Approaches a command and comes to rest.
-    fn go_to<M: Machine>(
-        &mut self,
-        machine: &mut M,
-        command: &[f64],
-        time: f64,
-        rng: &mut impl Rng,
-    ) -> Result<(SettledPose, PoseEffects), M::Error> {
-        for (approach, (now, before)) in self.approach.iter_mut().zip(command.iter().zip(&self.command)) {
-            match now.total_cmp(before) {
-                std::cmp::Ordering::Less => *approach = -1,
-                std::cmp::Ordering::Equal => {}
-                std::cmp::Ordering::Greater => *approach = 1,
-            }
-        }
-        self.command.copy_from_slice(command);
-        let needs_load = self.as_built.effects.friction.as_ref().is_some_and(Friction::needs_load);
-        // Friction is too small to change the load that it depends on.
-        let load = if needs_load { self.drive_loads(&machine.settle(command, &[])?) } else { Vec::new() };
-        let pose = Commanded { command, time, load: &load };
-        let (effects, drives) = self.as_built.pose_effects(&self.drives, &pose, rng);
-        self.drives = drives;
-        let settled = machine.settle(&effects.command, &effects.displacements)?;
-        Ok((settled, effects))
-    }
-
-    /// Load of every drive, N or N m; zero for a rigid drive, which no load deflects.
-    fn drive_loads(&self, settled: &SettledPose) -> Vec<f64> {
-        let drives = settled.deflection.iter().zip(&self.as_built.statics.drive_stiffness);
-        drives.map(|(u, k)| if k.is_finite() { u * k } else { 0.0 }).collect()
-    }
-}
+/// What sets the way to a pose apart from the pose in the stream of repeatability.
+const VIA: u64 = 1 << 33;
+/// From one reading of a visit to the next in the streams: behind a million poses.
+const READING: u64 = 1 << 20;

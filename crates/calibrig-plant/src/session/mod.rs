@@ -1,12 +1,23 @@
 //! The measuring session of a simulated machine: which poses it takes, what the tracker reads there, and the truth beside it.
 
 mod beside;
+mod controller;
 mod events;
 mod measure;
+mod nests;
+mod plan;
+mod schedule;
+mod sight;
+#[cfg(test)]
+mod tests;
 
 pub use beside::{BesideRigid, RigidMachine};
 pub use events::{MeasuredPose, SessionEvent, SessionListener, counting};
-pub use measure::{MeasuringSession, SECONDS_PER_POSE};
+pub use measure::MeasuringSession;
+pub use plan::{
+    Approach, FurtherStation, FurtherTarget, MOST_ORDERED_POSES, MOST_REPEATS, NestRounds, PlanError,
+    PoseOrder, SessionPlan, Sight, StationShare, Timing,
+};
 
 use nalgebra::Vector3;
 use thiserror::Error;
@@ -23,9 +34,11 @@ use calibrig_model::measurement::{SetKind, SetOutcome};
 pub struct Truth {
     /// The machine.
     pub as_built: AsBuilt,
-    /// `tracker_from_base` of the station.
-    pub tracker_from_base: Transform,
-    /// The settled poses, one vector a set, one entry an observation.
+    /// `tracker_from_base` of every station, on the average of its rounds of nests.
+    pub stations: Vec<Transform>,
+    /// Real offsets of the targets beside the machine's own, in the flange frame, m.
+    pub further_targets: Vec<Vector3<f64>>,
+    /// The settled poses, one vector a set, one entry an observation, with the target that was observed.
     pub poses: Vec<Vec<SettledPose>>,
     /// What the machine's effects made of every pose, in the order of `poses`.
     pub effects: Vec<Vec<PoseEffects>>,
@@ -40,8 +53,23 @@ pub struct Truth {
 pub struct Simulation {
     /// The measured sets, identification first.
     pub sets: Vec<SetOutcome>,
+    /// Readings of measured poses that were planned and did not come, one vector a set.
+    pub missing: Vec<Vec<MissingReading>>,
     /// What really was.
     pub truth: Truth,
+}
+
+/// A reading that was planned and did not come, of a pose of which others did.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct MissingReading {
+    /// Number of the pose in its set.
+    pub pose: u32,
+    /// Index of the station.
+    pub station: usize,
+    /// Index of the target.
+    pub target: usize,
+    /// Why.
+    pub why: String,
 }
 
 /// A machine that can be brought to rest.
@@ -72,6 +100,12 @@ pub enum SessionError<E> {
     /// No pose of the machine can be drawn.
     #[error("the working region: {0}")]
     Region(#[from] RegionError),
+    /// The plan cannot be carried out.
+    #[error("the session: {0}")]
+    Plan(#[from] PlanError),
+    /// No tracker can have these figures.
+    #[error("the tracker: {0}")]
+    Tracker(#[from] TrackerError),
     /// The machine cannot take a pose.
     #[error("{} set, pose {pose}: {source}", set.key())]
     Pose {

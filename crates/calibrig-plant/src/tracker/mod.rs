@@ -200,7 +200,11 @@ impl LaserTracker {
             if term == InstrumentTerm::RangeScale { own.hypot(air) } else { own }
         };
         let sigmas = InstrumentTerm::ALL.map(|term| (term, sigma(term)));
-        StatedInstrument { name, sigmas: sigmas.into_iter().filter(|(_, sigma)| *sigma > 0.0).collect() }
+        StatedInstrument {
+            drift: None,
+            name,
+            sigmas: sigmas.into_iter().filter(|(_, sigma)| *sigma > 0.0).collect(),
+        }
     }
 
     /// Observes a point of the base frame (m). The stated covariance is the one of the random part and of what the air adds to it. Takes the same numbers

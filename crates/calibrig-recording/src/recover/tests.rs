@@ -308,7 +308,7 @@ fn a_kill_costs_one_per_cent_of_the_poses_or_one() {
         sources: &outcome.sources,
         model: &outcome.model,
         visuals: &outcome.visuals,
-        truth: Some((&truth.as_built, &truth.tracker_from_base)),
+        truth: Some(TrueSetting::of(truth)),
     };
     recorder.open(&preamble).expect("opened");
     recorder.set(0, set, Some(261)).expect("told");

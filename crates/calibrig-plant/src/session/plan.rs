@@ -1,0 +1,260 @@
+//! What a session does beside taking its poses one after the other: stations, targets, visits, times, rounds of nests, lines of sight.
+
+use nalgebra::{UnitVector3, Vector3};
+use thiserror::Error;
+
+use crate::tracker::STATED_AVERAGING;
+use calibrig_model::geometry::Transform;
+use calibrig_model::visibility::Obstacles;
+
+/// How a session is carried out. The default is the plainest: one station, one target, one reading a pose every 10 s, nests once before, and nothing in the
+/// way of the beam.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SessionPlan {
+    /// Trackers beside the first. All stand throughout the session and are of one make: they have the same errors of instrument and air, and
+    /// each a stand of its own.
+    pub stations: Vec<FurtherStation>,
+    /// Which stations read a pose.
+    pub share: StationShare,
+    /// Where the first target's opening points, in the flange frame; `None` of one that is always turned to the tracker.
+    pub opening: Option<UnitVector3<f64>>,
+    /// Targets beside the first.
+    pub targets: Vec<FurtherTarget>,
+    /// Visits of each pose.
+    pub repeats: u32,
+    /// From where each visit comes.
+    pub approach: Approach,
+    /// Which pose follows which.
+    pub order: PoseOrder,
+    /// How long things take.
+    pub timing: Timing,
+    /// When nests are measured.
+    pub rounds: NestRounds,
+    /// What can hide a target; `None`: every line of sight is free and every target turned to the tracker.
+    pub sight: Option<Sight>,
+}
+
+/// A tracker beside the first.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FurtherStation {
+    /// Name for people.
+    pub name: String,
+    /// Where it really stands when the session begins.
+    pub tracker_from_base: Transform,
+}
+
+/// A target beside the first.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FurtherTarget {
+    /// Name for people.
+    pub name: String,
+    /// Where it really is in the flange frame, m.
+    pub in_flange: Vector3<f64>,
+    /// Where its opening points, in the flange frame.
+    pub opening: Option<UnitVector3<f64>>,
+}
+
+/// Which stations read a pose.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum StationShare {
+    /// The one that sees most targets, of these the nearest.
+    #[default]
+    Best,
+    /// All that see a target.
+    All,
+}
+
+impl StationShare {
+    /// The key in files.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Best => "best",
+            Self::All => "all",
+        }
+    }
+}
+
+/// From where the machine comes to a pose.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum Approach {
+    /// From the pose before. A pose that is visited again is read again at rest.
+    #[default]
+    AsTravelled,
+    /// From below of every joint variable, by so much (m of a rail, rad of a turning joint) or to its limit.
+    OneSide([f64; 2]),
+    /// The same, from below and above in turn.
+    BothSides([f64; 2]),
+}
+
+/// Which pose follows which.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum PoseOrder {
+    /// In the order of drawing.
+    #[default]
+    AsDrawn,
+    /// By short ways: the nearest pose next, then pieces of the way turned round as long as that shortens it. A step is as long as its largest
+    /// part of a joint's working range.
+    ShortTravel,
+}
+
+impl PoseOrder {
+    /// The key in files.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::AsDrawn => "as_drawn",
+            Self::ShortTravel => "short_travel",
+        }
+    }
+}
+
+/// How long things take, s.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Timing {
+    /// Before the first reading: machine and tracker are switched on and warm up.
+    pub warm_up: f64,
+    /// From one pose to the next.
+    pub motion: f64,
+    /// Until the machine stands still.
+    pub settling: f64,
+    /// Of every reading.
+    pub averaging: f64,
+    /// From one nest to the next.
+    pub nest: f64,
+}
+
+impl Default for Timing {
+    fn default() -> Self {
+        Self { warm_up: 0.0, motion: 8.0, settling: 1.0, averaging: STATED_AVERAGING, nest: 0.0 }
+    }
+}
+
+/// When the base nests are measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct NestRounds {
+    /// Again behind so many poses; zero for never.
+    pub every: u32,
+    /// Again behind the last pose.
+    pub after: bool,
+    /// In both faces.
+    pub two_faces: bool,
+    /// Whether readings of nests say when they were taken.
+    pub timed: bool,
+}
+
+/// What can hide a target.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sight {
+    /// Links and floor.
+    pub obstacles: Obstacles,
+    /// Largest angle between a target's opening and the beam, rad.
+    pub acceptance: f64,
+}
+
+impl Default for SessionPlan {
+    fn default() -> Self {
+        Self {
+            stations: Vec::new(),
+            share: StationShare::default(),
+            opening: None,
+            targets: Vec::new(),
+            repeats: 1,
+            approach: Approach::default(),
+            order: PoseOrder::default(),
+            timing: Timing::default(),
+            rounds: NestRounds::default(),
+            sight: None,
+        }
+    }
+}
+
+/// Poses up to which a short way is looked for: beyond, looking takes longer than a day of measuring is worth.
+pub const MOST_ORDERED_POSES: u32 = 5000;
+/// Visits of a pose up to which places in the random streams do not meet those of others.
+pub const MOST_REPEATS: u32 = 1000;
+
+/// A plan that cannot be carried out.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+#[non_exhaustive]
+pub enum PlanError {
+    /// No visit, or too many.
+    #[error("{repeats} visits of each pose: expected 1 to {MOST_REPEATS}")]
+    Repeats {
+        /// Their number.
+        repeats: u32,
+    },
+    /// A time that cannot be.
+    #[error(
+        "{what} takes {seconds} s: expected a finite number of zero or more, and an averaging above zero"
+    )]
+    Time {
+        /// Which.
+        what: &'static str,
+        /// s
+        seconds: f64,
+    },
+    /// More than [`MOST_ORDERED_POSES`].
+    #[error(
+        "{poses} poses of a set are too many to look for a short way: expected up to {MOST_ORDERED_POSES}, or the order of drawing"
+    )]
+    Order {
+        /// Their number.
+        poses: u32,
+    },
+    /// An approach that is no distance.
+    #[error("an approach from {distance} (m or rad) beside: expected a finite number above zero")]
+    Approach {
+        /// m or rad
+        distance: f64,
+    },
+}
+
+impl SessionPlan {
+    /// Whether it can be carried out with sets of so many poses.
+    ///
+    /// # Errors
+    ///
+    /// [`PlanError`].
+    pub fn check(&self, most_poses: u32) -> Result<(), PlanError> {
+        if !(1..=MOST_REPEATS).contains(&self.repeats) {
+            return Err(PlanError::Repeats { repeats: self.repeats });
+        }
+        let Timing { warm_up, motion, settling, averaging, nest } = self.timing;
+        let times = [
+            ("the warm-up", warm_up),
+            ("the motion", motion),
+            ("settling", settling),
+            ("a reading", averaging),
+            ("a nest", nest),
+        ];
+        for (what, seconds) in times {
+            let is_sound = seconds.is_finite() && seconds >= 0.0 && (what != "a reading" || seconds > 0.0);
+            if !is_sound {
+                return Err(PlanError::Time { what, seconds });
+            }
+        }
+        if self.order == PoseOrder::ShortTravel && most_poses > MOST_ORDERED_POSES {
+            return Err(PlanError::Order { poses: most_poses });
+        }
+        if let Approach::OneSide(distances) | Approach::BothSides(distances) = self.approach
+            && let Some(&distance) = distances.iter().find(|d| !(d.is_finite() && **d > 0.0))
+        {
+            return Err(PlanError::Approach { distance });
+        }
+        Ok(())
+    }
+
+    /// Readings of a visit: of every target, by one station or by all.
+    pub fn readings_per_visit(&self) -> u32 {
+        let stations = match self.share {
+            StationShare::Best => 1,
+            StationShare::All => 1 + self.stations.len(),
+        };
+        u32::try_from(stations * (1 + self.targets.len())).unwrap_or(u32::MAX)
+    }
+
+    /// Time that a pose takes with all its visits, s.
+    pub fn seconds_per_pose(&self) -> f64 {
+        let Timing { motion, settling, averaging, .. } = self.timing;
+        f64::from(self.repeats) * (motion + settling + averaging * f64::from(self.readings_per_visit()))
+    }
+}
