@@ -6,14 +6,15 @@ use super::factor::triangular_factor;
 use super::machine::Machine;
 use super::noise::{MachineNoise, MachineNoiseChoice, Noise, poses};
 use super::parameters::{Column, Columns, PriorKind, columns};
-use super::place::{Ends, best_fit_station, starting_offsets};
+use super::place::{Ends, best_fit_station, flanges, starting_offsets};
 use super::problem::{CalibrationProblem, Current, Prior, Row};
+use super::turns::{TurnRow, starting_turn, stated_orientations, turns};
 use super::{
     DependentGroup, FrameChoice, IdentificationOptions, IdentifyError, LeastSquares, LeftOut, LeftOutReason,
     Redundancy, Solution, TargetChoice, select_independent,
 };
 use calibrig_model::geometry::Transform;
-use calibrig_model::measurement::{MeasurementSet, Observation, register};
+use calibrig_model::measurement::{MeasurementSet, Observation, Reading, register};
 use calibrig_model::{CalibrationModel, ParameterId};
 
 /// A compliance whose prior's standard deviation moves the whitened measurements by less than this in all, beside what the geometry can
@@ -58,8 +59,7 @@ pub(super) fn build(
     set: &MeasurementSet,
     options: &IdentificationOptions,
 ) -> Result<Built, IdentifyError> {
-    let Columns { robot: mut columns, redundant_ends } =
-        columns(model, options, options.freedom(&set.stations, &set.targets))?;
+    let Columns { robot: mut columns, redundant_ends } = columns(model, options, options.freedom_in(set))?;
     let ends = Ends::new(set, options, &redundant_ends);
     let mut built = assemble(model, set, options, &columns, &ends)?;
     if !options.mode.is_coupled() && options.redundant != Redundancy::Fix {
@@ -70,7 +70,7 @@ pub(super) fn build(
     let effects = measured.effects_beyond_geometry();
     // What noise is unknown is looked at again when the residuals tell it.
     let noise = if has_stated_noise(set) { 1.0 } else { LEAST_NOISE };
-    let rows = 3 * built.problem.rows.len();
+    let rows = built.problem.data_rows();
     let reason = |(place, column): (usize, &Column)| match column.id {
         ParameterId::Compliance(_) => {
             let effect = effects[place] * column.reach() / noise;
@@ -138,8 +138,7 @@ pub(super) fn reconsider(
     if !fitted.iter().any(is_compliance) && !built.left_out.iter().any(is_unloaded) {
         return Ok(None);
     }
-    let Columns { robot: mut columns, redundant_ends } =
-        columns(model, options, options.freedom(&set.stations, &set.targets))?;
+    let Columns { robot: mut columns, redundant_ends } = columns(model, options, options.freedom_in(set))?;
     let ends = Ends::new(set, options, &redundant_ends);
     let returns = |id| built.left_out.iter().any(|left| left.id == id && is_unloaded(left));
     columns.retain(|column| fitted.contains(&column.id) || returns(column.id));
@@ -228,7 +227,10 @@ struct Measured {
 impl Measured {
     fn new(problem: &CalibrationProblem, jacobian: &DMatrix<f64>, residuals: &DVector<f64>) -> Self {
         let is_geometric = |column: &usize| match problem.parameters[*column] {
-            ParameterId::Link { .. } | ParameterId::Frame { .. } | ParameterId::Target { .. } => true,
+            ParameterId::Link { .. }
+            | ParameterId::Frame { .. }
+            | ParameterId::Target { .. }
+            | ParameterId::Orientation { .. } => true,
             ParameterId::Mass { .. } | ParameterId::Centre { .. } => {
                 problem.own_priors.iter().all(|(own, _)| own != column)
             }
@@ -296,8 +298,7 @@ pub(super) fn rebuild(
     options: &IdentificationOptions,
     kept: &[ParameterId],
 ) -> Result<CalibrationProblem, IdentifyError> {
-    let Columns { robot: mut columns, redundant_ends } =
-        columns(model, options, options.freedom(&set.stations, &set.targets))?;
+    let Columns { robot: mut columns, redundant_ends } = columns(model, options, options.freedom_in(set))?;
     columns.retain(|column| kept.contains(&column.id));
     Ok(assemble(model, set, options, &columns, &Ends::new(set, options, &redundant_ends))?.problem)
 }
@@ -307,7 +308,7 @@ pub(super) fn rebuild(
 pub(super) fn redundant(measured: &DMatrix<f64>, parameters: &[ParameterId]) -> Vec<DependentGroup> {
     let rank = |id: &ParameterId| match id {
         ParameterId::Frame { .. } => 0,
-        ParameterId::Target { .. } => 1,
+        ParameterId::Target { .. } | ParameterId::Orientation { .. } => 1,
         ParameterId::Link { .. } => 2,
         ParameterId::Compliance(_) => 3,
         ParameterId::Mass { .. } | ParameterId::Centre { .. } => 4,
@@ -364,13 +365,11 @@ fn assemble(
     let offsets = starting_offsets(model, set, options.target, &ends.target_axes);
     let stations = stations(model, set, options.frame, (&offsets, ends), &mut parameters, &mut priors)?;
     targets(set, options, ends, &mut parameters, &mut priors)?;
+    orientations(set, options, ends, &mut parameters, &mut priors)?;
     sigmas.resize(parameters.len(), None);
     let targets: Vec<Vector3<f64>> = set.targets.iter().map(|t| t.in_flange).collect();
-    let x = parameters.iter().map(|id| match *id {
-        ParameterId::Target { target, axis } => offsets[target][axis] - targets[target][axis],
-        _ => 0.0,
-    });
-    let x = x.collect();
+    let x = starting_values(model, set, options, &parameters, (&stations, &offsets));
+    let (turns, orientations) = (turns(set), stated_orientations(set));
     let mut machine = Machine::new(options.mode, model);
     machine.set_terms(columns.iter().filter_map(|column| match column.id {
         ParameterId::Term(term) => Some(term),
@@ -379,7 +378,12 @@ fn assemble(
     let mut problem = CalibrationProblem {
         nominal: model.clone(),
         rows: rows(set, options.unmodelled_sigma, &mut machine)?,
-        current: Current::new(model, machine, &stations, &targets),
+        turn_of: turn_of(set.observations.len(), &turns),
+        turns,
+        current: Current::new(model, machine, &stations, &targets, &orientations),
+        orientations,
+        turn_motions: Vec::new(),
+        turn_whitening: Vec::new(),
         parameters,
         priors,
         own_priors,
@@ -479,6 +483,82 @@ fn targets(
         parameters.extend(axes.into_iter().map(|axis| ids[axis]));
     }
     Ok(())
+}
+
+/// The parameters of how targets are turned on the flange, of those whose orientation the set shows.
+fn orientations(
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    ends: &Ends,
+    parameters: &mut Vec<ParameterId>,
+    priors: &mut Vec<Prior>,
+) -> Result<(), IdentifyError> {
+    for (index, target) in set.targets.iter().enumerate() {
+        let Some(orientation) = &target.orientation else { continue };
+        let is_seen = |o: &Observation| o.target == index && matches!(o.reading, Reading::Pose(_));
+        if !set.observations.iter().any(is_seen) {
+            continue;
+        }
+        let ids = ParameterId::all_of_orientation(index);
+        let freed = |axis: &usize| options.free.contains(&ids[*axis]);
+        let mut axes: Vec<usize> = (0..3).filter(|axis| ends.orientation_axes[index][*axis]).collect();
+        match (options.target.of_orientation(orientation), orientation.covariance) {
+            (TargetChoice::Fixed, _) => axes.retain(freed),
+            (TargetChoice::Measured, Some(covariance)) => {
+                axes.sort_by_key(freed);
+                let held = axes.iter().filter(|axis| !freed(axis)).count();
+                if held > 0 {
+                    let what = format!("the orientation of target {}", target.name);
+                    let covariance = of_axes(&covariance, &axes, held)
+                        .ok_or_else(|| IdentifyError::Covariance { what: what.clone() })?;
+                    priors.push(prior(&what, parameters.len(), covariance)?);
+                }
+            }
+            (TargetChoice::Measured, None) => {
+                return Err(IdentifyError::Covariance {
+                    what: format!("the orientation of target {} has no measured uncertainty", target.name),
+                });
+            }
+            (TargetChoice::Identified | TargetChoice::AsStated, _) => {}
+        }
+        parameters.extend(axes.into_iter().map(|axis| ids[axis]));
+    }
+    Ok(())
+}
+
+/// Where the search starts: at zero, but for targets that are far from where they are stated to be.
+fn starting_values(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    parameters: &[ParameterId],
+    (stations, offsets): (&[Transform], &[Vector3<f64>]),
+) -> Vec<f64> {
+    let is_unknown = |target: usize| {
+        let orientation = set.targets[target].orientation.as_ref();
+        orientation.is_some_and(|o| options.target.of_orientation(o) == TargetChoice::Identified)
+    };
+    let mut turned = vec![None; set.targets.len()];
+    if parameters.iter().any(|id| matches!(id, ParameterId::Orientation { .. })) {
+        let flanges = flanges(model, set);
+        for (target, stated) in stated_orientations(set).iter().enumerate().filter(|(t, _)| is_unknown(*t)) {
+            turned[target] = starting_turn(set, &flanges, stations, target, stated);
+        }
+    }
+    let value = |id: &ParameterId| match *id {
+        ParameterId::Target { target, axis } => offsets[target][axis] - set.targets[target].in_flange[axis],
+        ParameterId::Orientation { target, axis } => turned[target].map_or(0.0, |turn| turn[axis]),
+        _ => 0.0,
+    };
+    parameters.iter().map(value).collect()
+}
+
+fn turn_of(observations: usize, turns: &[TurnRow]) -> Vec<Option<usize>> {
+    let mut of = vec![None; observations];
+    for (turn, row) in turns.iter().enumerate() {
+        of[row.observation] = Some(turn);
+    }
+    of
 }
 
 /// Of a target's coordinates `axes`, with the others exactly where they were stated to be, the covariance of the first `held`.

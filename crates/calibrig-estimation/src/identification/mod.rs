@@ -28,6 +28,7 @@ mod solver;
 mod summary;
 #[cfg(test)]
 mod tests;
+mod turns;
 mod uncertainty;
 mod variance;
 mod verdict;
@@ -59,7 +60,9 @@ pub use options::{
     Redundancy, TargetChoice, TermPrior, Tolerance, UNKNOWN_STIFFNESS,
 };
 pub use prospect::{Prospect, prospect};
-pub use robot::{CalibratedRobot, EstimatePredictor, Prediction, PredictionError, Predictor};
+pub use robot::{
+    CalibratedRobot, EstimatePredictor, PredictedOrientation, Prediction, PredictionError, Predictor,
+};
 pub(crate) use solver::scale_of;
 use solver::{Bounds, LeastSquares, Solution, minimise, minimise_within};
 pub use solver::{BoundsError, Loss, LossScale, SolverOptions};
