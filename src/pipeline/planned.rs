@@ -51,6 +51,7 @@ pub fn planned_at(
         terms: Vec::new(),
         stations: vec![Transform::identity()],
         targets: vec![in_flange],
+        orientations: vec![None],
     };
     let failed = |source| PipelineError::Predict { mode: robot.mode, source };
     let mut predictor = Predictor::new(&robot).map_err(failed)?;

@@ -354,6 +354,7 @@ fn registered(model: &CalibrationModel, set: &MeasurementSet) -> (CalibratedRobo
         terms: Vec::new(),
         stations: vec![station],
         targets: vec![target],
+        orientations: vec![None],
     };
     (robot, (squares / seen.len() as f64).sqrt())
 }
@@ -434,6 +435,7 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
             model: model_of(kinematics),
             terms: Vec::new(),
             stations: vec![prior * small_displacement(&xi)],
+            orientations: Vec::new(),
             targets: vec![
                 Vector3::from(STATED_TARGET)
                     + Vector3::from_iterator(ParameterId::all_of_target(0).into_iter().map(value)),

@@ -314,6 +314,7 @@ fn mode_outcome(
         terms: Vec::new(),
         stations: vec![tracker_from_base * rotation_z(1e-5 * share)],
         targets: vec![IN_FLANGE.into()],
+        orientations: vec![None],
     };
     let errors: Vec<Vec<_>> = sets
         .iter()

@@ -267,14 +267,20 @@ impl CalibrationProblem {
         whitening.own.fixed_view::<3, 3>(3 * place, 3 * place).into_owned().lu().solve(whitened)
     }
 
-    /// The length that makes rotations (rad) as large as positions (m) in the residuals of both; 1 where there is nothing to compare.
+    /// The length that makes rotations (rad) as large as positions (m) in the residuals of both, by their medians, which gross errors do not
+    /// move; 1 where there is nothing to compare.
     pub(super) fn lever(&self, residuals: &DVector<f64>) -> f64 {
         let (positions, turns) = (self.rows.len(), self.turns.len());
-        let mean = |first: usize, count: usize| {
-            residuals.rows(3 * first, 3 * count).norm_squared() / count.max(1) as f64
+        let median = |first: usize, count: usize| {
+            let blocks = first..first + count;
+            let mut sizes: Vec<f64> = blocks.map(|b| residuals.fixed_rows::<3>(3 * b).norm()).collect();
+            *sizes.select_nth_unstable_by(count / 2, f64::total_cmp).1
         };
-        let lever = (mean(0, positions) / mean(positions, turns)).sqrt();
-        if turns > 0 && lever > 0.0 && lever.is_finite() { lever } else { 1.0 }
+        if positions == 0 || turns == 0 {
+            return 1.0;
+        }
+        let lever = median(0, positions) / median(positions, turns);
+        if lever > 0.0 && lever.is_finite() { lever } else { 1.0 }
     }
 
     /// Multiplies the rows of orientations.

@@ -12,6 +12,7 @@ mod faults;
 mod frames;
 mod hidden;
 mod numbers;
+mod poses;
 mod predictions;
 mod robots;
 mod round_trip;

@@ -61,7 +61,6 @@ fn problem() -> CalibrationProblem {
         row(1, Vector3::new(0.0, -1.0, 2.0), [1.1, 0.8, -0.9]),
     ];
     CalibrationProblem {
-        rows,
         priors: vec![Prior {
             column: 15,
             whitening: DMatrix::from_fn(6, 6, |i, j| if i < j { 0.0 } else { 1.0 + i as f64 - j as f64 }),
@@ -69,7 +68,13 @@ fn problem() -> CalibrationProblem {
         own_priors: vec![(3, 0.5)],
         logarithmic: Vec::new(),
         tolerances: vec![(0, 2.0), (1, 3.0), (2, 4.0)],
-        current: Current::new(&nominal, machine, &stations, &targets),
+        current: Current::new(&nominal, machine, &stations, &targets, &[Rotation3::identity()]),
+        turns: Vec::new(),
+        turn_of: vec![None; rows.len()],
+        orientations: vec![Rotation3::identity()],
+        turn_motions: Vec::new(),
+        turn_whitening: Vec::new(),
+        rows,
         nominal,
         parameters,
         stations,
@@ -84,10 +89,31 @@ fn problem() -> CalibrationProblem {
     }
 }
 
+/// The same with an orientation at every position, of a target that is turned on the flange, and their parameters.
+fn with_turns(mut problem: CalibrationProblem) -> CalibrationProblem {
+    problem.parameters.extend(ParameterId::all_of_orientation(0));
+    problem.orientations = vec![Rotation3::new(Vector3::new(0.7, -0.4, 1.3))];
+    let reading = Some([
+        Matrix3::new(5e-6, 1e-6, 0.0, 1e-6, 4e-6, 1e-6, 0.0, 1e-6, 6e-6),
+        Matrix3::new(1e-7, 2e-7, 0.0, -1e-7, 0.0, 1e-7, 2e-7, 0.0, 1e-7),
+    ]);
+    for observation in 0..problem.rows.len() {
+        let seen = Rotation3::new(Vector3::new(0.3, 0.2 * observation as f64, -0.9));
+        problem.turn_of[observation] = Some(problem.turns.len());
+        problem.turns.push(TurnRow { observation, seen, reading });
+        problem.weigh_turns(&[observation], &[Matrix3::identity() * 1e-6]).expect("definite");
+    }
+    problem
+}
+
 /// At displaced frames too, where a rotation vector's components do not act one after the other.
 #[test]
 fn the_jacobian_is_the_central_difference_far_from_zero() {
-    let mut problem = problem();
+    check_jacobian(problem());
+    check_jacobian(with_turns(problem()));
+}
+
+fn check_jacobian(mut problem: CalibrationProblem) {
     let n = problem.parameters.len();
     let x: Vec<f64> = (0..n).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
     let m = LeastSquares::rows(&problem);
@@ -161,16 +187,21 @@ fn coupled() -> CalibrationProblem {
                 target: 0,
             }
         })
-        .collect();
+        .collect::<Vec<_>>();
     let stations = vec![translation(1.0, 2.0, 3.0) * rotation_x(0.3)];
     let targets = vec![target];
     CalibrationProblem {
-        rows,
         priors: Vec::new(),
         own_priors: vec![(40, 10.0)],
         logarithmic: Vec::new(),
         tolerances: vec![(1, 2.0)],
-        current: Current::new(&nominal, machine, &stations, &targets),
+        current: Current::new(&nominal, machine, &stations, &targets, &[Rotation3::identity()]),
+        turns: Vec::new(),
+        turn_of: vec![None; rows.len()],
+        orientations: vec![Rotation3::identity()],
+        turn_motions: Vec::new(),
+        turn_whitening: Vec::new(),
+        rows,
         nominal,
         parameters,
         stations,
@@ -190,7 +221,11 @@ const LEAST_COLUMN: f64 = 2e-6;
 
 #[test]
 fn every_column_of_the_coupled_jacobian_is_the_central_difference() {
-    let mut problem = coupled();
+    check_coupled(coupled());
+    check_coupled(with_turns(coupled()));
+}
+
+fn check_coupled(mut problem: CalibrationProblem) {
     let n = problem.parameters.len();
     let size = |id: &ParameterId| match id {
         ParameterId::Compliance(_) | ParameterId::Mass { .. } => 0.1,
