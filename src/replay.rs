@@ -410,6 +410,7 @@ pub fn recorded_truth(path: &Path) -> Result<Result<Truth, NoTruth>, ReplayError
     Ok(Ok(Truth {
         as_built,
         tracker_from_base,
+        orientation: scenario.probe.map(|probe| probe.flange_from_target),
         poses: Vec::new(),
         effects: Vec::new(),
         outliers: Vec::new(),

@@ -101,6 +101,7 @@ fn fit(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Estimate) ->
         as_built: &simulation.truth.as_built,
         nominal: &campaign.scenario.robot.model,
         tracker_from_base: &simulation.truth.tracker_from_base,
+        orientation: simulation.truth.orientation,
         targets: simulation.sets.first().map_or(&[], |set| &set.measurements.targets),
     };
     let fitted = simulation.sets.first().map(|set| &set.measurements);

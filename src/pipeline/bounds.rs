@@ -36,6 +36,7 @@ pub fn bounds_at_truth(
         as_built: &truth.as_built,
         nominal: model,
         tracker_from_base: &truth.tracker_from_base,
+        orientation: truth.orientation,
         targets: &fitted.targets,
     };
     let bounds = |outcome: &ModeOutcome| {

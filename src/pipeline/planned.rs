@@ -28,6 +28,9 @@ pub fn planned(scenario: &Scenario) -> Result<MeasurementSet, PipelineError> {
         ..scenario.clone()
     };
     session.tracker.instrument.noise = false;
+    if let Some(probe) = &mut session.probe {
+        probe.noise = false;
+    }
     let simulated = simulate(&session, scenario.seed, 0, PlantKind::Analytic, |_, _| {})?;
     Ok(simulated.sets.into_iter().next().map(|set| set.measurements).unwrap_or_default())
 }

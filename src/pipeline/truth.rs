@@ -1,6 +1,6 @@
 //! What the identified parameters really are, where a simulation knows.
 
-use nalgebra::Vector6;
+use nalgebra::{Rotation3, UnitQuaternion, Vector6};
 
 use calibrig_estimation::identification::Estimate;
 use calibrig_model::geometry::{Transform, rotation_vector, small_displacement};
@@ -20,6 +20,8 @@ pub struct KnownTruth<'a> {
     pub nominal: &'a CalibrationModel,
     /// Of the only station.
     pub tracker_from_base: &'a Transform,
+    /// `flange_from_target` of the only target, where it has axes.
+    pub orientation: Option<Rotation3<f64>>,
     /// As stated to identification.
     pub targets: &'a [Target],
 }
@@ -32,7 +34,7 @@ impl KnownTruth<'_> {
     /// - term: what the machine's effect of that shape amounts to; zero where it has none;
     /// - frame: the estimate holds `station = prior · exp(value)` for the station's six components (absent ones are zero), so the prior
     ///   is recovered exactly and the truth is the `xi` of `prior · exp(xi) = tracker_from_base`. Known for a single station only;
-    /// - target: as-built minus stated offset. Known for a single target only.
+    /// - target: as-built minus stated offset, and what turns the stated orientation to the real one. Known for a single target only.
     pub fn of(&self, estimate: &Estimate, id: ParameterId) -> Option<f64> {
         let value = match id {
             ParameterId::Link { link, term } => Some(self.link(id)? + self.zero_error(estimate, link, term)),
@@ -40,6 +42,13 @@ impl KnownTruth<'_> {
             ParameterId::Target { target: 0, axis } => {
                 let [stated] = self.targets else { return None };
                 Some(self.as_built.target.get(axis)? - stated.in_flange.get(axis)?)
+            }
+            ParameterId::Orientation { target: 0, axis } => {
+                let [stated] = self.targets else { return None };
+                let stated = stated.orientation.as_ref()?.flange_from_target;
+                // By a quaternion: where nothing was known, the two may be half a turn apart.
+                let off = UnitQuaternion::from_rotation_matrix(&(stated.inverse() * self.orientation?));
+                off.scaled_axis().get(axis).copied()
             }
             ParameterId::Compliance(compliance) => {
                 let stated = self.nominal.statics.as_ref()?.stiffness(compliance)?;
@@ -58,7 +67,7 @@ impl KnownTruth<'_> {
                 Some(self.as_built.actuators.length(length)? - self.nominal.actuators.length(length)?)
             }
             ParameterId::Term(term) => self.term(term),
-            ParameterId::Frame { .. } | ParameterId::Target { .. } => None,
+            ParameterId::Frame { .. } | ParameterId::Target { .. } | ParameterId::Orientation { .. } => None,
         };
         value.filter(|v| v.is_finite())
     }

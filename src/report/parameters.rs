@@ -96,6 +96,7 @@ fn known_truth<'a>(outcome: &'a Outcome, truth: &'a Truth, targets: &'a [Target]
         as_built: &truth.as_built,
         nominal: &outcome.model,
         tracker_from_base: &truth.tracker_from_base,
+        orientation: truth.orientation,
         targets,
     }
 }
@@ -130,6 +131,9 @@ pub(super) fn parameter_words(id: ParameterId) -> String {
         }
         ParameterId::Target { target, axis } => {
             format!("target {} on the flange, {}", target + 1, AXES[axis % 3])
+        }
+        ParameterId::Orientation { target, axis } => {
+            format!("target {} turned on the flange, about its {}", target + 1, AXES[axis % 3])
         }
         ParameterId::Compliance(Compliance::Drive { joint }) => format!("compliance of drive {}", joint + 1),
         ParameterId::Compliance(Compliance::Bearing { joint, axis }) => {

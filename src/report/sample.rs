@@ -140,6 +140,7 @@ pub(super) fn simulated() -> Outcome {
                 effects: Effects::default(),
             },
             tracker_from_base,
+            orientation: None,
             poses: Vec::new(),
             effects: Vec::new(),
             outliers: Vec::new(),
@@ -366,7 +367,8 @@ fn mode_outcome(
     errors: Vec<Vec<Vector3<f64>>>,
 ) -> ModeOutcome {
     let rows = errors.iter().map(|e| accuracy(e)).collect();
-    ModeOutcome { mode, robot, estimate, errors, rows }
+    let turns = errors.iter().map(|errors| vec![None; errors.len()]).collect();
+    ModeOutcome { mode, robot, estimate, errors, rows, turns }
 }
 
 fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio: f64) -> Estimate {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Rotation3, Vector3};
 use serde::Deserialize;
 
 use super::Scenario;
@@ -15,7 +15,7 @@ use calibrig_model::measurement::SetKind;
 use calibrig_model::{JointKind, KinematicModel};
 use calibrig_plant::AsBuilt;
 use calibrig_plant::experiment::WorkingRegion;
-use calibrig_plant::tracker::{ErrorLine, Instrument, LaserTracker, Outliers, WORKING_RANGE};
+use calibrig_plant::tracker::{ErrorLine, Instrument, LaserTracker, Outliers, Probe, WORKING_RANGE};
 
 const SCHEMA: &str = "calibrig.scenario/1";
 
@@ -74,6 +74,17 @@ struct TrackerFile {
     target_sigma_um: Spanned<f64>,
     nest: Spanned<Vec<Spanned<NestFile>>>,
     outliers: Option<OutliersFile>,
+    pose: Option<PoseFile>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PoseFile {
+    rotation_sigma_deg: Spanned<f64>,
+    mounted_rx_deg: Option<Spanned<f64>>,
+    mounted_ry_deg: Option<Spanned<f64>>,
+    mounted_rz_deg: Option<Spanned<f64>>,
+    mounting_sigma_deg: Option<Spanned<f64>>,
 }
 
 #[derive(Deserialize)]
@@ -161,6 +172,8 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
     let verification_poses = pose_count(&source, "poses.verification", &file.poses.verification, 0)?;
     let tracker = tracker(&source, &file.tracker, &as_built)?;
     let outliers = file.tracker.outliers.as_ref().map(|file| outliers(&source, file)).transpose()?;
+    let probe =
+        file.tracker.pose.as_ref().map(|pose| probe(&source, pose, file.tracker.noise)).transpose()?;
     let nest_sigma = 1e-6 * source.positive("tracker.nest_sigma_um", &file.tracker.nest_sigma_um)?;
     let nests = nests(&source, &file.tracker, &tracker, nest_sigma)?;
     let target_sigma = 1e-6 * source.positive("tracker.target_sigma_um", &file.tracker.target_sigma_um)?;
@@ -195,6 +208,7 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
         verification_poses,
         tracker,
         outliers,
+        probe,
         nests,
         nest_sigma,
         target_covariance: Matrix3::identity() * target_sigma * target_sigma,
@@ -338,6 +352,31 @@ fn tracker(source: &Source, file: &TrackerFile, as_built: &AsBuilt) -> Result<La
     let yaw = source.finite("tracker.yaw_deg", &file.yaw_deg)?.to_radians();
     let up = -as_built.statics.gravity;
     Ok(LaserTracker::levelled(instrument, position, yaw, &up))
+}
+
+/// The target as a probe whose orientation is measured, too.
+fn probe(source: &Source, file: &PoseFile, noise: bool) -> Result<Probe, InputError> {
+    let about = |key: &str, value: Option<&Spanned<f64>>| {
+        value.map_or(Ok(0.0), |value| Ok(source.finite(&format!("tracker.pose.{key}"), value)?.to_radians()))
+    };
+    let mounted = Vector3::new(
+        about("mounted_rx_deg", file.mounted_rx_deg.as_ref())?,
+        about("mounted_ry_deg", file.mounted_ry_deg.as_ref())?,
+        about("mounted_rz_deg", file.mounted_rz_deg.as_ref())?,
+    );
+    let sigma = |key: &str, value: &Spanned<f64>| {
+        Ok::<_, InputError>(source.positive(&format!("tracker.pose.{key}"), value)?.to_radians())
+    };
+    Ok(Probe {
+        flange_from_target: Rotation3::new(mounted),
+        turn_sigma: sigma("rotation_sigma_deg", &file.rotation_sigma_deg)?,
+        mounting_sigma: file
+            .mounting_sigma_deg
+            .as_ref()
+            .map(|value| sigma("mounting_sigma_deg", value))
+            .transpose()?,
+        noise,
+    })
 }
 
 /// Half of all readings: with more, no method can tell which half is in error.

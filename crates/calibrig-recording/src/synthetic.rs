@@ -120,6 +120,7 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
             effects: Effects::default(),
         },
         tracker_from_base,
+        orientation: None,
         poses: settled,
         outliers: Vec::new(),
         effects,
@@ -324,7 +325,8 @@ fn mode_outcome(
         .collect();
     let rows = errors.iter().map(|e| accuracy(e)).collect();
     let estimate = (share > 0.0).then(|| estimate(robot.clone(), share));
-    ModeOutcome { mode, robot, estimate, errors, rows }
+    let turns = errors.iter().map(|errors| vec![None; errors.len()]).collect();
+    ModeOutcome { mode, robot, estimate, errors, rows, turns }
 }
 
 fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {

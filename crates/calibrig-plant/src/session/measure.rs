@@ -10,11 +10,12 @@ use super::events::{MeasuredPose, SessionEvent, SessionListener};
 use super::{Machine, SessionError, Simulation, Truth};
 use crate::effects::{Commanded, DriveState, Friction, PoseEffects};
 use crate::experiment::WorkingRegion;
-use crate::tracker::{LaserTracker, Outliers};
+use crate::tracker::{LaserTracker, Outliers, Probe};
 use crate::{AsBuilt, SettledPose};
 use calibrig_model::ActuatorMap;
 use calibrig_model::measurement::{
-    MeasurementSet, NestObservation, Observation, Reading, SetKind, SetOutcome, Station, Target,
+    MeasurementSet, NestObservation, Observation, Reading, SetKind, SetOutcome, SphericalReading, Station,
+    Target,
 };
 use calibrig_model::random;
 
@@ -38,6 +39,8 @@ pub struct MeasuringSession<'a> {
     pub tracker: &'a LaserTracker,
     /// Gross errors among its readings of the target, where there are any.
     pub outliers: Option<&'a Outliers>,
+    /// What measures the target's orientation with its place; `None` where the target is a point.
+    pub probe: Option<&'a Probe>,
     /// Base nests: name and true place in the base frame, m.
     pub nests: &'a [(String, Vector3<f64>)],
     /// Standard deviation of the nests' certified coordinates, m.
@@ -114,7 +117,7 @@ impl MeasuringSession<'_> {
                             time,
                             station: 0,
                             target: 0,
-                            reading: Reading::Spherical(reading),
+                            reading: self.reading(reading, &settled, (seed, trial, entry(kind, pose))),
                         };
                         let measured = MeasuredPose {
                             kind,
@@ -145,6 +148,7 @@ impl MeasuringSession<'_> {
         let truth = Truth {
             as_built: self.as_built.clone(),
             tracker_from_base: self.tracker.tracker_from_base,
+            orientation: self.probe.map(|probe| probe.flange_from_target),
             poses,
             effects,
             outliers,
@@ -168,6 +172,22 @@ impl MeasuringSession<'_> {
                 [Source::VerificationPoses, Source::VerificationNoise],
             ),
         ]
+    }
+
+    /// The reading of a target at rest whose place was read: with the orientation, where a probe measures it. Its noise is at a place of the
+    /// streams of seed and trial.
+    fn reading(
+        &self,
+        place: SphericalReading,
+        settled: &SettledPose,
+        (seed, trial, at): (u64, u32, u64),
+    ) -> Reading {
+        let (Some(probe), Some(last)) = (self.probe, settled.links.last()) else {
+            return Reading::Spherical(place);
+        };
+        let base_from_flange = last * self.as_built.kinematics.last_from_flange;
+        let mut rng = random::stream_at(seed, trial, random::Source::ProbeNoise, at);
+        Reading::Pose(probe.measure(&place, &(self.tracker.tracker_from_base * base_from_flange), &mut rng))
     }
 
     /// What the reading at that place of the streams is off by, if it is a gross error.
@@ -212,7 +232,9 @@ impl MeasuringSession<'_> {
             name: "SMR".to_owned(),
             in_flange: self.as_built.target + self.error_vector(sigma, &mut rng),
             covariance: Some(*self.target_covariance),
-            orientation: None,
+            orientation: self
+                .probe
+                .map(|probe| probe.stated(&mut random::stream(seed, trial, random::Source::ProbeMounting))),
         }
     }
 }

@@ -8,7 +8,7 @@ pub use beside::{BesideRigid, RigidMachine};
 pub use events::{MeasuredPose, SessionEvent, SessionListener, counting};
 pub use measure::{MeasuringSession, SECONDS_PER_POSE};
 
-use nalgebra::Vector3;
+use nalgebra::{Rotation3, Vector3};
 use thiserror::Error;
 
 use super::effects::{EffectError, PoseEffects};
@@ -25,6 +25,8 @@ pub struct Truth {
     pub as_built: AsBuilt,
     /// `tracker_from_base` of the station.
     pub tracker_from_base: Transform,
+    /// `flange_from_target` of a target whose orientation is measured; `None` of a point.
+    pub orientation: Option<Rotation3<f64>>,
     /// The settled poses, one vector a set, one entry an observation.
     pub poses: Vec<Vec<SettledPose>>,
     /// What the machine's effects made of every pose, in the order of `poses`.

@@ -4,8 +4,10 @@
 //! turned to the tracker.
 
 mod outliers;
+mod probe;
 
 pub use outliers::Outliers;
+pub use probe::Probe;
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use rand::Rng;
