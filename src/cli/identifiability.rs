@@ -170,6 +170,11 @@ fn question(args: &Args) -> Result<Question, CliError> {
     }
     let path = args.scenario.as_deref().unwrap_or(std::path::Path::new(""));
     let scenario = read_scenario(path)?;
+    if scenario.probe.is_some() {
+        say(
+            "the scenario's probe measures orientations, too, and this is of positions alone: --sensors and --mode look at full poses",
+        );
+    }
     let mut rng = stream(scenario.seed, 0, Source::IdentificationPoses);
     let target = scenario.robot.target().unwrap_or_else(Vector3::zeros);
     let poses = (0..scenario.identification_poses).map(|_| scenario.region.draw(&mut rng)).collect();

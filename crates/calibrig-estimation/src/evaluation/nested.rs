@@ -36,7 +36,8 @@ impl<'a> NestedFits<'a> {
         poses: &'a [u32],
         splits: &'a [Split],
     ) -> Option<Self> {
-        let (observations, n) = (system.data_rows / 3 - system.orientations.len(), system.jacobian.ncols());
+        let (observations, n) =
+            ((system.data_rows / 3).saturating_sub(system.orientations.len()), system.jacobian.ncols());
         let held_out: usize = splits.iter().map(|split| split.held_out.len()).sum();
         let fits = poses.len() == observations
             && system.whitening.observations() == observations

@@ -144,6 +144,7 @@ pub(super) fn reconsider(
     columns.retain(|column| fitted.contains(&column.id) || returns(column.id));
     let mut whole = assemble(model, set, options, &columns, &ends)?.problem;
     whole.motions.clone_from(&built.problem.motions);
+    whole.turn_motions.clone_from(&built.problem.turn_motions);
     whole.weigh(&built.problem.noise)?;
     let value = |id: &ParameterId| fitted.iter().position(|own| own == id).map_or(0.0, |at| solution.x[at]);
     let x: Vec<f64> = whole.parameters.iter().map(value).collect();
@@ -185,6 +186,7 @@ pub(super) fn reconsider(
     if solution.weights.is_empty() && next.problem.stated_actuators.is_none() && noise.unstated.is_none() {
         next.goes_on = noise.machine.is_some();
         next.problem.motions = whole.motions;
+        next.problem.turn_motions = whole.turn_motions;
         next.problem.weigh(noise)?;
         let place = |id: &ParameterId| whole.parameters.iter().position(|own| own == id);
         let places: Vec<usize> = next.problem.parameters.iter().filter_map(place).collect();

@@ -104,7 +104,7 @@ impl Linearisation {
     /// The system as it was solved, with the weights of the estimate's robust loss: its covariance is the estimate's.
     #[must_use]
     pub fn weighted(mut self, estimate: &Estimate) -> Self {
-        let observations = self.data_rows / 3 - self.orientations.len();
+        let observations = (self.data_rows / 3).saturating_sub(self.orientations.len());
         for (i, weight) in estimate.weights.iter().enumerate().take(observations) {
             // What counts for nothing still has an error by itself.
             let factor = (weight.max(LEAST_WEIGHT) / estimate.weight_unit).sqrt();

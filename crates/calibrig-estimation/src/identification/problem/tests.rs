@@ -94,14 +94,14 @@ fn with_turns(mut problem: CalibrationProblem) -> CalibrationProblem {
     problem.parameters.extend(ParameterId::all_of_orientation(0));
     problem.orientations = vec![Rotation3::new(Vector3::new(0.7, -0.4, 1.3))];
     let reading = Some([
-        Matrix3::new(5e-6, 1e-6, 0.0, 1e-6, 4e-6, 1e-6, 0.0, 1e-6, 6e-6),
-        Matrix3::new(1e-7, 2e-7, 0.0, -1e-7, 0.0, 1e-7, 2e-7, 0.0, 1e-7),
+        Matrix3::new(5.0, 1.0, 0.0, 1.0, 4.0, 1.0, 0.0, 1.0, 6.0),
+        Matrix3::new(0.1, 0.2, 0.0, -0.1, 0.0, 0.1, 0.2, 0.0, 0.1),
     ]);
     for observation in 0..problem.rows.len() {
         let seen = Rotation3::new(Vector3::new(0.3, 0.2 * observation as f64, -0.9));
         problem.turn_of[observation] = Some(problem.turns.len());
         problem.turns.push(TurnRow { observation, seen, reading });
-        problem.weigh_turns(&[observation], &[Matrix3::identity() * 1e-6]).expect("definite");
+        problem.weigh_turns(&[observation], &[Matrix3::identity()]).expect("definite");
     }
     problem
 }
