@@ -129,9 +129,8 @@ fn table(outcome: &Outcome, index: usize, set: &SetOutcome, style: Style) -> Vec
 /// Orientation errors of a set, where any were measured.
 fn orientation_lines(outcome: &Outcome, index: usize, style: Style) -> Vec<String> {
     let rows = outcome.modes.iter().filter_map(|mode| Some((mode.mode, mode.orientation_row(index)?)));
-    let mut lines: Vec<String> = rows
-        .map(|(mode, row)| aligned(mode.title(), &[row.rms, row.max].map(|angle| millimetres(angle))))
-        .collect();
+    let mut lines: Vec<String> =
+        rows.map(|(mode, row)| aligned(mode.title(), &[row.rms, row.max].map(millimetres))).collect();
     if let Some(row) = outcome.modes.iter().find_map(|mode| mode.orientation_row(index)) {
         let title = format!("angle to the measured orientation of {}, mrad", counted(row.count, "reading"));
         lines.insert(0, style.paint(Ink::Dim, &aligned("", &["RMS", "max"].map(str::to_owned))));

@@ -76,10 +76,8 @@ pub(super) struct Freedom {
     pub frame: bool,
     /// No target's offset is known.
     pub target: bool,
-    /// Targets are seen with their orientation.
-    pub poses: bool,
-    /// Nor is known of any of these how it is turned on the flange.
-    pub orientation: bool,
+    /// Of targets that are seen with their orientation, that of none is known how it is turned on the flange; `None` where all are points.
+    pub orientation: Option<bool>,
 }
 
 /// Which link parameters are identified.
@@ -296,21 +294,18 @@ impl IdentificationOptions {
         let free = |station: &Station| self.frame.of(station) == FrameChoice::Free;
         let identified = |target: &Target| self.target.of(target) == TargetChoice::Identified;
         let mut turned = targets.iter().filter_map(|target| target.orientation.as_ref()).peekable();
-        let poses = turned.peek().is_some();
         let unknown = |o: &TargetOrientation| self.target.of_orientation(o) == TargetChoice::Identified;
         Freedom {
             frame: stations.iter().all(free),
             target: targets.iter().all(identified),
-            poses,
-            orientation: poses && turned.all(unknown),
+            orientation: turned.peek().is_some().then(|| turned.all(unknown)),
         }
     }
 
     /// The same of a set, of whose targets only readings tell whether their orientation is seen.
     pub(super) fn freedom_in(&self, set: &MeasurementSet) -> Freedom {
         let free = self.freedom(&set.stations, &set.targets);
-        let poses = set.has_poses();
-        Freedom { poses, orientation: poses && free.orientation, ..free }
+        Freedom { orientation: free.orientation.filter(|_| set.has_poses()), ..free }
     }
 
     /// Coordinates that are fixed by name in target 0, and so in all that have no target of their own by name.

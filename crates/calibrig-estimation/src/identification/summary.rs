@@ -1,6 +1,6 @@
 //! What a solution tells: parameters, covariance, what is determined and what is not.
 
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector, Rotation3, Vector3};
 
 use super::build::Built;
 use super::contradiction::{Checks, Found, Minimum, free_columns};
@@ -107,7 +107,7 @@ pub(super) fn summarise(
 ) -> Estimate {
     let Fitted { solution, factorised, size, stated_sigmas } = fitted;
     let Built { mut problem, sigmas, named, fixed, left_out, .. } = built;
-    let n = problem.parameters.len();
+    let (n, observations) = (problem.parameters.len(), problem.rows.len());
     let noise = noise_scale(&problem);
     let held = factorised.factors.held(&problem, options.redundant);
     let bounded = &factorised.bounded;
@@ -158,11 +158,7 @@ pub(super) fn summarise(
         _ => None,
     });
     let terms = terms.collect();
-    let turned = set.targets.iter().zip(&problem.current.orientations);
-    let orientations = turned.map(|(target, now)| target.orientation.as_ref().map(|_| *now)).collect();
-    // An orientation weighs as its observation does.
-    let mut weights = solution.weights.clone();
-    weights.truncate(problem.rows.len());
+    let orientations = orientations(&problem, set);
     let parameter = |(i, (id, value)): (usize, (&ParameterId, &f64))| {
         let is_free = !bounded.contains(&i);
         ParameterEstimate {
@@ -188,7 +184,8 @@ pub(super) fn summarise(
         factor: factorised.spread().cloned(),
         covariance,
         weight_unit: weight_unit(&solution),
-        weights,
+        // An orientation weighs as its observation does.
+        weights: solution.weights.iter().copied().take(observations).collect(),
         noise,
         machine_noise,
         turn_noise: problem.noise.turn,
@@ -207,6 +204,12 @@ pub(super) fn summarise(
         outliers,
         warnings,
     }
+}
+
+/// How the targets that have axes are turned on the flange.
+fn orientations(problem: &CalibrationProblem, set: &MeasurementSet) -> Vec<Option<Rotation3<f64>>> {
+    let turned = set.targets.iter().zip(&problem.current.orientations);
+    turned.map(|(target, now)| target.orientation.as_ref().map(|_| *now)).collect()
 }
 
 /// What weights are divided by in the covariance: the rows that it is made of are those of the Jacobian times the root of the quotient.

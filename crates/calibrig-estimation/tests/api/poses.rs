@@ -100,7 +100,7 @@ fn measured(
     machine: &CalibrationModel,
     poses: u32,
     noise: Option<&Matrix6<f64>>,
-    stated: Option<Matrix6<f64>>,
+    stated: Option<&Matrix6<f64>>,
     rng: &mut ChaCha8Rng,
 ) -> MeasurementSet {
     let mut set = empty(vec![target(None)]);
@@ -113,7 +113,7 @@ fn measured(
         let reading = Reading::Pose(PoseReading {
             position: flange.rotation * OFFSET + flange.translation.vector - error.fixed_rows::<3>(0),
             rotation: Rotation3::new(-error.fixed_rows::<3>(3)) * flange.rotation * mounted(),
-            covariance: stated,
+            covariance: stated.copied(),
         });
         set.observations.push(observation(pose, &command, 0, reading));
     }
@@ -127,7 +127,7 @@ fn free() -> IdentificationOptions {
 
 fn selected(model: &CalibrationModel, options: &IdentificationOptions) -> Vec<ParameterId> {
     let mut rng = stream(2, 0, Source::IdentificationPoses);
-    let set = measured(model, 40, None, Some(covariance(TURN)), &mut rng);
+    let set = measured(model, 40, None, Some(&covariance(TURN)), &mut rng);
     links(&identify(model, &set, options).expect("an estimate"))
 }
 
@@ -140,7 +140,7 @@ fn exact_poses_give_exact_parameters_and_an_orientation_that_nobody_stated() {
         assert_eq!(ids.len(), expected, "{ids:?}");
         let mut rng = stream(3, 0, Source::AsBuilt);
         let (truth, machine) = machine(&model, &ids, &mut rng);
-        let set = measured(&machine, 40, None, Some(covariance(TURN)), &mut rng);
+        let set = measured(&machine, 40, None, Some(&covariance(TURN)), &mut rng);
         let estimate = identify(&model, &set, &free()).expect("an estimate");
         assert!(estimate.termination.converged() && estimate.spectrum.rank == estimate.parameters.len());
         for (id, truth) in ids.iter().zip(&truth) {
@@ -159,7 +159,7 @@ fn exact_poses_give_exact_parameters_and_an_orientation_that_nobody_stated() {
 fn an_unknown_orientation_may_be_half_a_turn_from_the_stated_one() {
     let [model, _] = robots();
     let mut rng = stream(4, 0, Source::AsBuilt);
-    let mut set = measured(&model, 30, None, Some(covariance(TURN)), &mut rng);
+    let mut set = measured(&model, 30, None, Some(&covariance(TURN)), &mut rng);
     let half = Rotation3::new(std::f64::consts::PI * Vector3::y());
     let orientation = TargetOrientation { flange_from_target: mounted() * half, covariance: None };
     set.targets[0].orientation = Some(orientation);
@@ -180,7 +180,7 @@ fn stated_intervals_of_full_poses_hold_as_often_as_they_say() {
         let mut rng = stream(12, trial, Source::AsBuilt);
         let (truth, machine) = machine(&model, &ids, &mut rng);
         let noise = covariance(TURN);
-        let set = measured(&machine, 30, Some(&noise), Some(noise), &mut rng);
+        let set = measured(&machine, 30, Some(&noise), Some(&noise), &mut rng);
         let estimate = identify(&model, &set, &free()).expect("an estimate");
         let size = ChiSquareTest::new(estimate.chi2, estimate.degrees_of_freedom).expect("rows to spare");
         small += u64::from(size.p_of_less() < 0.05);
@@ -323,7 +323,7 @@ fn orientations_that_scatter_by_more_than_stated_do_not_drag_the_fit() {
         let sigmas = Vector6::new(PLACE, PLACE, PLACE, turn, turn, turn);
         Matrix6::from_diagonal(&sigmas.component_mul(&sigmas))
     };
-    let set = measured(&machine, 80, Some(&diagonal(5e-4)), Some(diagonal(2e-5)), &mut rng);
+    let set = measured(&machine, 80, Some(&diagonal(5e-4)), Some(&diagonal(2e-5)), &mut rng);
     let estimate = identify(&model, &set, &free()).expect("an estimate");
     within(estimate.turn_noise.expect("found"), 5e-4, 0.15);
     let mut squares = 0.0;
@@ -342,7 +342,7 @@ fn spoiled() -> (CalibrationModel, Vec<ParameterId>, Vec<f64>, MeasurementSet) {
     let (truth, machine) = machine(&model, &ids, &mut rng);
     let sigmas = Vector6::new(PLACE, PLACE, PLACE, TURN, TURN, TURN);
     let noise = Matrix6::from_diagonal(&sigmas.component_mul(&sigmas));
-    let mut set = measured(&machine, 60, Some(&noise), Some(noise), &mut rng);
+    let mut set = measured(&machine, 60, Some(&noise), Some(&noise), &mut rng);
     let Reading::Pose(pose) = &mut set.observations[17].reading else { panic!("a pose") };
     pose.rotation = Rotation3::new(Vector3::new(0.0, 0.02, 0.0)) * pose.rotation;
     (model, ids, truth, set)
@@ -440,7 +440,7 @@ fn an_estimate_from_poses_is_linearised_and_predicts() {
     let [model, _] = robots();
     let mut rng = stream(16, 0, Source::AsBuilt);
     let noise = covariance(TURN);
-    let set = measured(&model, 30, Some(&noise), Some(noise), &mut rng);
+    let set = measured(&model, 30, Some(&noise), Some(&noise), &mut rng);
     let estimate: Estimate = identify(&model, &set, &free()).expect("an estimate");
     let system = linearise(&model, &set, &free(), &estimate).expect("its own");
     assert_eq!((system.data_rows, system.orientations.len()), (180, 30));

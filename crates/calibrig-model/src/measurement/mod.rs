@@ -129,6 +129,10 @@ pub struct Observation {
 
 /// What the tracker read, in its own frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "a session of poses is made of the largest, and one of points is small"
+)]
 pub enum Reading {
     /// As the instrument observes.
     Spherical(SphericalReading),
@@ -224,7 +228,7 @@ pub enum MeasurementError {
     NoRotation {
         /// Which pose or target.
         what: String,
-        /// Largest entry of RᵀR - 1.
+        /// Largest entry of `RᵀR - 1`.
         off: f64,
     },
     /// Axes that are mirrored.

@@ -197,7 +197,7 @@ fn generalised_golden_ratio(dimensions: usize) -> f64 {
 impl Freedom {
     /// Where points are seen.
     fn of_points(frame: bool, target: bool) -> Self {
-        Self { frame, target, poses: false, orientation: false }
+        Self { frame, target, orientation: None }
     }
 }
 
@@ -209,7 +209,7 @@ fn structural(
     parameters: &[ParameterId],
 ) -> DMatrix<f64> {
     let target = generic_target(model);
-    if free.poses {
+    if free.orientation.is_some() {
         let turned = Rotation3::new(Vector3::new(0.4, -0.7, 0.9));
         stack_poses(model, poses, &target, &turned, target.norm(), parameters)
     } else {
@@ -225,7 +225,7 @@ fn candidates(model: &KinematicModel, free: Freedom) -> Vec<ParameterId> {
     if free.target {
         order.extend(ParameterId::all_of_target(0));
     }
-    if free.orientation {
+    if free.orientation == Some(true) {
         order.extend(ParameterId::all_of_orientation(0));
     }
     let (by_rules, _) = neighbour_axis_rules(model);
