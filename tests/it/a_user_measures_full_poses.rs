@@ -10,6 +10,8 @@ use calibrig::pipeline::{PlantKind, Sensor, SensorResult, compare_sensors, run_t
 use calibrig::scenario::{Scenario, load_scenario};
 use calibrig::tracker::Probe;
 
+use crate::sandbox::{ROBOT, Sandbox};
+
 /// The matched machine with a probe that is turned by some 100 degrees from how nobody said that it is.
 fn scenario() -> Scenario {
     let mut scenario = load_scenario(Path::new("scenarios/matched.toml")).expect("a shipped scenario");
@@ -102,4 +104,72 @@ fn more_points_tell_more_and_their_pose_as_much() {
         let ratio = sigma(combined, id) / sigma(three, id);
         assert!((0.5..1.5).contains(&ratio), "{id}: {ratio}");
     }
+}
+
+const SHORT: &str = "scenarios/probe.toml";
+
+/// The matched scenario with a probe and fewer poses.
+fn with_probe(sandbox: &Sandbox, section: &str) {
+    let text = sandbox.read("scenarios/matched.toml");
+    let text = text.replace("verification = 40", "verification = 20");
+    sandbox.write(SHORT, format!("{text}\n[tracker.pose]\n{section}\n"));
+}
+
+/// By files alone: what is simulated, recorded, replayed bit for bit, tried many times, and chosen from.
+#[test]
+fn commands_take_a_scenario_with_a_probe() {
+    let sandbox = Sandbox::new();
+    with_probe(&sandbox, "rotation_sigma_deg = 0.003\nmounted_rz_deg = 100\nmounting_sigma_deg = 0.01");
+    let checked = sandbox.run(["check", SHORT]);
+    assert!(checked.stdout.contains("probe        orientations within 0.0030 deg"), "{checked:?}");
+    let ran = sandbox.run(["run", SHORT, "--out", "out", "--json"]);
+    assert_eq!(ran.code, Some(0), "{ran:?}");
+    let report = ran.json();
+    let row = &report["sets"]["verification"]["rows"]["elasto_geometric"]["orientation"];
+    // Three times 0.003 degrees squared, and what the fit leaves.
+    let rms = row["rms_rad"].as_f64().expect("a number");
+    assert!((7e-5..1.4e-4).contains(&rms), "{row}");
+    let names: Vec<_> =
+        report["parameters"].as_array().expect("a list").iter().map(|p| p["name"].clone()).collect();
+    assert!(names.contains(&"target_rz".into()), "{names:?}");
+    assert!(sandbox.read("out/report.html").contains("orientations: angle between measured and predicted"));
+    let replayed = sandbox.run(["replay", "out/recording.mcap"]);
+    assert_eq!(replayed.code, Some(0), "{replayed:?}");
+    let campaign = sandbox.run(["montecarlo", SHORT, "--trials", "4", "--plant", "analytic", "--json"]);
+    assert_eq!(campaign.code, Some(0), "{campaign:?}");
+    let planned = sandbox.run(["identifiability", SHORT, "--mode", "elasto_geometric", "--json"]);
+    assert_eq!(planned.code, Some(0), "{planned:?}");
+    let parameters = planned.json()["coupled"]["parameters"].to_string();
+    assert!(parameters.contains("target_rx"), "{parameters}");
+    let sensors = sandbox.run(["identifiability", SHORT, "--sensors", "--mode", "elasto_geometric"]);
+    assert_eq!(sensors.code, Some(0), "{sensors:?}");
+    for part in
+        ["one SMR", "three SMRs", "their pose", "probe", "held-out angle RMS, mrad", "target_rz, mrad"]
+    {
+        assert!(sensors.stdout.contains(part), "{part} in {}", sensors.stdout);
+    }
+    println!("{}", sensors.stdout);
+}
+
+#[test]
+fn a_probe_that_cannot_be_is_refused_with_its_key() {
+    let sandbox = Sandbox::new();
+    for (section, message) in [
+        ("mounted_rz_deg = 10", "rotation_sigma_deg"),
+        ("rotation_sigma_deg = 0", "tracker.pose.rotation_sigma_deg is 0"),
+        ("rotation_sigma_deg = 0.01\nmounting_sigma_deg = -1", "tracker.pose.mounting_sigma_deg is -1"),
+        ("rotation_sigma_deg = 0.01\nmounted_rx_deg = nan", "tracker.pose.mounted_rx_deg is NaN"),
+        ("rotation_sigma_deg = 0.01\nmounted = 3", "unknown"),
+    ] {
+        with_probe(&sandbox, section);
+        let ended = sandbox.run(["check", SHORT]);
+        assert_eq!(ended.code, Some(1), "{section}: {ended:?}");
+        assert!(
+            ended.stderr.contains(message) && ended.stderr.contains(SHORT),
+            "{section}: {}",
+            ended.stderr
+        );
+    }
+    let ended = sandbox.run(["identifiability", "--model", ROBOT, "--sensors"]);
+    assert_eq!(ended.code, Some(2), "{ended:?}");
 }
