@@ -257,7 +257,7 @@ fn confidence(
         finite.then_some(PredictedPosition { position: prediction.position, sigma })
     };
     let residuals = system.residuals.as_slice();
-    let influences = uncertainty.influences(&system.jacobian, residuals, system.data_rows, &system.poses);
+    let influences = influences(system, uncertainty, residuals);
     let left_out = left_out(system, &influences);
     let map: Vec<_> = map.iter().map(place).collect();
     Confidence {
@@ -270,6 +270,19 @@ fn confidence(
         out_of_reach: map.iter().filter(|p| p.is_none()).count(),
         map: map.into_iter().flatten().collect(),
     }
+}
+
+/// Of every observation; an orientation takes part of its observation's leverage, and is left out with it.
+fn influences(system: &Linearisation, uncertainty: &Uncertainty, residuals: &[f64]) -> Vec<PoseInfluence> {
+    let mut all = uncertainty.influences(&system.jacobian, residuals, system.data_rows, &system.poses);
+    let observations = system.whitening.observations();
+    let orientations = all.split_off(observations.min(all.len()));
+    for (orientation, observation) in orientations.iter().zip(&system.orientations) {
+        if let Some(own) = all.get_mut(*observation) {
+            own.leverage += orientation.leverage;
+        }
+    }
+    all
 }
 
 /// Errors of observations that were left out of the fit, m; `None` where a pose alone determines a direction.

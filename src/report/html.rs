@@ -186,6 +186,7 @@ fn accuracy_section(outcome: &Outcome) -> Markup {
             }
             @for (index, set) in outcome.sets.iter().enumerate() {
                 (accuracy_table(outcome, index, set.kind, &pose_words(set)))
+                (orientation_table(outcome, index, set.kind))
             }
         }
     }
@@ -225,6 +226,31 @@ fn accuracy_table(outcome: &Outcome, index: usize, kind: SetKind, poses: &str) -
                                     }
                                     td.first {} td {}
                                 }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Angles between measured and predicted orientations; nothing where none was measured.
+fn orientation_table(outcome: &Outcome, index: usize, kind: SetKind) -> Markup {
+    let mrad = |angle: f64| number(1e3 * angle, 3);
+    let rows: Vec<_> =
+        outcome.modes.iter().filter_map(|mode| Some((mode, mode.orientation_row(index)?))).collect();
+    html! {
+        @if let Some((_, first)) = rows.first() {
+            div.scroll {
+                table {
+                    caption { (set_title(kind)) ", " (first.count) " orientations: angle between measured and predicted, mrad" }
+                    thead { tr { th {} th.first { "RMS" } th { "max" } } }
+                    tbody {
+                        @for (mode, row) in &rows {
+                            tr {
+                                th scope="row" { (key(&look(mode.mode))) (mode.mode.title()) }
+                                td.first { (mrad(row.rms)) } td { (mrad(row.max)) }
                             }
                         }
                     }

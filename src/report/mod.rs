@@ -19,8 +19,8 @@ mod tables;
 pub use acceptance::{acceptance_html, acceptance_json, acceptance_svg, acceptance_text};
 pub use html::{html_report, quoted};
 pub use json::{
-    JsonAblated, JsonAblation, JsonAblationRow, JsonDropped, JsonEstimate, JsonInput, JsonParameter,
-    JsonRegistration, JsonReport, JsonRow, JsonSet, JsonSoftware, SCHEMA, json_report,
+    JsonAblated, JsonAblation, JsonAblationRow, JsonDropped, JsonEstimate, JsonInput, JsonOrientationRow,
+    JsonParameter, JsonRegistration, JsonReport, JsonRow, JsonSet, JsonSoftware, SCHEMA, json_report,
 };
 pub use judgement::{
     JsonConfidence, JsonCorrelation, JsonInfluence, JsonJudgement, JsonPattern, JsonPoint, JsonRegion,

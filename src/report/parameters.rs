@@ -97,6 +97,7 @@ fn known_truth<'a>(outcome: &'a Outcome, truth: &'a Truth, targets: &'a [Target]
         nominal: &outcome.model,
         stations: &truth.stations,
         further_targets: &truth.further_targets,
+        orientation: truth.orientation,
         targets,
     }
 }
@@ -131,6 +132,9 @@ pub(super) fn parameter_words(id: ParameterId) -> String {
         }
         ParameterId::Target { target, axis } => {
             format!("target {} on the flange, {}", target + 1, AXES[axis % 3])
+        }
+        ParameterId::Orientation { target, axis } => {
+            format!("target {} turned on the flange, about its {}", target + 1, AXES[axis % 3])
         }
         ParameterId::Compliance(Compliance::Drive { joint }) => format!("compliance of drive {}", joint + 1),
         ParameterId::Compliance(Compliance::Bearing { joint, axis }) => {

@@ -141,6 +141,7 @@ pub(super) fn simulated() -> Outcome {
             },
             stations: vec![tracker_from_base],
             further_targets: Vec::new(),
+            orientation: None,
             poses: Vec::new(),
             effects: Vec::new(),
             outliers: Vec::new(),
@@ -356,6 +357,7 @@ fn registered(model: &CalibrationModel, set: &MeasurementSet) -> (CalibratedRobo
         terms: Vec::new(),
         stations: vec![station],
         targets: vec![target],
+        orientations: vec![None],
     };
     (robot, (squares / seen.len() as f64).sqrt())
 }
@@ -367,7 +369,8 @@ fn mode_outcome(
     errors: Vec<Vec<Vector3<f64>>>,
 ) -> ModeOutcome {
     let rows = errors.iter().map(|e| accuracy(e)).collect();
-    ModeOutcome { mode, robot, estimate, errors, rows }
+    let turns = errors.iter().map(|errors| vec![None; errors.len()]).collect();
+    ModeOutcome { mode, robot, estimate, errors, rows, turns }
 }
 
 fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio: f64) -> Estimate {
@@ -430,6 +433,7 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
         parameters: parameters.iter().map(|p| p.value).collect(),
     };
     Estimate {
+        turn_noise: None,
         robot: CalibratedRobot {
             instruments: Vec::new(),
             mode,
@@ -437,6 +441,7 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
             model: model_of(kinematics),
             terms: Vec::new(),
             stations: vec![prior * small_displacement(&xi)],
+            orientations: Vec::new(),
             targets: vec![
                 Vector3::from(STATED_TARGET)
                     + Vector3::from_iterator(ParameterId::all_of_target(0).into_iter().map(value)),

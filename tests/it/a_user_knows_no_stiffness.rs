@@ -67,6 +67,7 @@ fn write_measurements(sandbox: &Sandbox) {
         terms: Vec::new(),
         stations: vec![station],
         targets: vec![target],
+        orientations: vec![None],
     };
     let mut predictor = Predictor::new(&robot).expect("a robot");
     let mut rng = stream(2, 0, Source::IdentificationNoise);

@@ -128,6 +128,13 @@ pub enum ParameterId {
         /// 0..3 for x, y, z
         axis: usize,
     },
+    /// Deviation of how the target is turned on the flange: a component of ξ in `flange_from_target · exp(ξ)`.
+    Orientation {
+        /// Index of the target.
+        target: usize,
+        /// 0..3 about the target's own x, y, z
+        axis: usize,
+    },
     /// Relative deviation x of a compliance from its predicted value c: it is c (1 + x), and x is at least -1.
     Compliance(Compliance),
     /// Relative deviation of the mass of a link's body from its stated value.
@@ -182,6 +189,7 @@ impl ParameterId {
             | Self::Target { .. }
             | Self::Centre { .. }
             | Self::Linkage(_) => Unit::Metre,
+            Self::Orientation { .. } => Unit::Radian,
             Self::Compliance(_) | Self::Mass { .. } => Unit::One,
             Self::Term(term) => term.unit(),
             Self::Instrument { term, .. } => term.unit(),
@@ -211,6 +219,11 @@ impl ParameterId {
     /// All errors of an instrument.
     pub fn all_of_instrument(instrument: usize) -> Vec<Self> {
         InstrumentTerm::ALL.map(|term| Self::Instrument { instrument, term }).to_vec()
+    }
+
+    /// The three components of how a target is turned on the flange.
+    pub fn all_of_orientation(target: usize) -> Vec<Self> {
+        (0..3).map(|axis| Self::Orientation { target, axis }).collect()
     }
 
     /// Reads the name that `Display` prints.
@@ -257,13 +270,18 @@ impl ParameterId {
                 Self::Frame { station, component }
             });
         }
-        let axis = FRAME_NAMES[..3].iter().position(|n| *n == component)?;
+        let component = FRAME_NAMES.iter().position(|n| *n == component)?;
         if let Some(index) = group.strip_prefix("centre") {
-            return number(index).map(|link| Self::Centre { link, axis });
+            return number(index)
+                .filter(|_| component < 3)
+                .map(|link| Self::Centre { link, axis: component });
         }
         let index = group.strip_prefix("target")?;
         let target = if index.is_empty() { 0 } else { number(index)? };
-        Some(Self::Target { target, axis })
+        Some(match component.checked_sub(3) {
+            None => Self::Target { target, axis: component },
+            Some(axis) => Self::Orientation { target, axis },
+        })
     }
 }
 
@@ -329,6 +347,9 @@ impl fmt::Display for ParameterId {
             Self::Target { target, axis } => {
                 format!("target{}_{}", counted(target), frame_name(axis))
             }
+            Self::Orientation { target, axis } => {
+                format!("target{}_{}", counted(target), frame_name(axis.saturating_add(3)))
+            }
             Self::Compliance(Compliance::Drive { joint }) => {
                 format!("compliance_drive{}", joint.saturating_add(1))
             }
@@ -360,6 +381,8 @@ mod tests {
         all.extend(ParameterId::all_of_frame(2));
         all.extend(ParameterId::all_of_target(0));
         all.extend(ParameterId::all_of_target(1));
+        all.extend(ParameterId::all_of_orientation(0));
+        all.extend(ParameterId::all_of_orientation(2));
         all.extend([
             ParameterId::Compliance(Compliance::Drive { joint: 2 }),
             ParameterId::Compliance(Compliance::Bearing { joint: 11, axis: 4 }),
@@ -381,7 +404,7 @@ mod tests {
             "delta_a0",
             "delta_x1",
             "frame_q",
-            "target_rx",
+            "target_r",
             "",
             "delta_",
             "beta4",

@@ -75,7 +75,7 @@ fn kinds(parameters: &[ParameterId]) -> Vec<(&'static str, Vec<String>)> {
     let kind = |id: &ParameterId| match id {
         ParameterId::Link { .. } => "links",
         ParameterId::Frame { .. } => "frame",
-        ParameterId::Target { .. } => "target",
+        ParameterId::Target { .. } | ParameterId::Orientation { .. } => "target",
         ParameterId::Compliance(_) => "compliances",
         ParameterId::Mass { .. } | ParameterId::Centre { .. } => "masses",
         ParameterId::Linkage(_) => "linkage",

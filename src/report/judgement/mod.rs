@@ -232,15 +232,17 @@ fn overview(sure: &[(&Judgement, &Confidence)]) -> Markup {
 
 fn weakest(confidence: &Confidence) -> Markup {
     // Tracker and target were measured beforehand: that the poses add little to it is as it should be.
-    let of_robot = |id: ParameterId| {
-        !matches!(
+    let is_end = |id: ParameterId| {
+        matches!(
             id,
             ParameterId::Frame { .. }
                 | ParameterId::Target { .. }
+                | ParameterId::Orientation { .. }
                 | ParameterId::Instrument { .. }
                 | ParameterId::Drift { .. }
         )
     };
+    let of_robot = |id: ParameterId| !is_end(id);
     let held = confidence.support.iter().filter(|s| s.prior_sigma.is_some() && of_robot(s.id));
     let mut held: Vec<_> = held.collect();
     held.sort_by(|a, b| a.data_share.total_cmp(&b.data_share));

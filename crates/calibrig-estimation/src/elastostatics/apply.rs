@@ -50,6 +50,7 @@ pub(crate) fn put(model: &mut CalibrationModel, reference: &CalibrationModel, id
         ParameterId::Linkage(length) => apply_length(model, reference, length, value),
         ParameterId::Frame { .. }
         | ParameterId::Target { .. }
+        | ParameterId::Orientation { .. }
         | ParameterId::Term(_)
         | ParameterId::Instrument { .. }
         | ParameterId::Drift { .. } => {}

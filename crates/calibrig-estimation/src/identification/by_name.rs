@@ -85,7 +85,7 @@ pub fn check_named(
         if matches!(id, ParameterId::Frame { .. }) {
             return Err(ByNameError::Frame { id });
         }
-        if !is_of(model, stations, targets.len(), id) {
+        if !is_of(model, stations, targets, id) {
             return Err(ByNameError::Unknown { id });
         }
         if options.fix.contains(&id) && options.free.contains(&id) {
@@ -158,16 +158,23 @@ pub fn list_parameters(
         let left = built.left_out.iter().find(|left| left.id == id);
         left.map_or(ParameterState::NotChosen, |left| ParameterState::LeftOut(left.reason))
     };
-    let ids = all_of(model, options.mode, &set.stations, set.targets.len());
+    let ids = all_of(model, options.mode, &set.stations, &set.targets);
     Ok(ids.into_iter().map(|id| ListedParameter { id, state: state(id) }).collect())
 }
 
 /// Every parameter that a mode can have of a robot, its stations and targets.
-fn all_of(model: &CalibrationModel, mode: Mode, stations: &[Station], targets: usize) -> Vec<ParameterId> {
+fn all_of(
+    model: &CalibrationModel,
+    mode: Mode,
+    stations: &[Station],
+    targets: &[Target],
+) -> Vec<ParameterId> {
     let bodies = model.statics.as_ref().map_or(0, |statics| statics.bodies.len());
     let mut ids = ParameterId::all_of_links(model.kinematics.joint_count());
     ids.extend((0..stations.len()).flat_map(ParameterId::all_of_frame));
-    ids.extend((0..targets).flat_map(ParameterId::all_of_target));
+    ids.extend((0..targets.len()).flat_map(ParameterId::all_of_target));
+    let turned = targets.iter().enumerate().filter(|(_, target)| target.orientation.is_some());
+    ids.extend(turned.flat_map(|(target, _)| ParameterId::all_of_orientation(target)));
     ids.extend(model.compliances().into_iter().map(ParameterId::Compliance));
     ids.extend((0..bodies).map(|link| ParameterId::Mass { link }));
     ids.extend((0..bodies).flat_map(|link| (0..3).map(move |axis| ParameterId::Centre { link, axis })));
@@ -180,6 +187,6 @@ fn all_of(model: &CalibrationModel, mode: Mode, stations: &[Station], targets: u
 }
 
 /// Whether the robot, one of its targets or an instrument has such a parameter in some mode.
-fn is_of(model: &CalibrationModel, stations: &[Station], targets: usize, id: ParameterId) -> bool {
+fn is_of(model: &CalibrationModel, stations: &[Station], targets: &[Target], id: ParameterId) -> bool {
     all_of(model, Mode::Extended, stations, targets).contains(&id)
 }

@@ -82,6 +82,13 @@ pub enum Stated {
         /// How far from there the measurements of the robot put it, m.
         length: f64,
     },
+    /// How a target was measured to be turned on the flange.
+    Orientation {
+        /// Its name.
+        target: String,
+        /// How far turned from there the measurements of the robot put it, rad.
+        angle: f64,
+    },
     /// The certified place of a nest.
     Nest {
         /// Its name.
@@ -100,6 +107,7 @@ impl Stated {
             Self::Parameter { id, .. } => id.to_string(),
             Self::Nests { station, .. } => format!("the nests of station {station}"),
             Self::Target { target, .. } => format!("the offset of target {target}"),
+            Self::Orientation { target, .. } => format!("the orientation of target {target}"),
             Self::Nest { nest, station, .. } => format!("nest \"{nest}\" of station {station}"),
         }
     }
@@ -128,6 +136,10 @@ impl fmt::Display for Contradiction {
             }
             Stated::Target { length, .. } => {
                 write!(f, " (they put it {}{} from there", self.at_least(3), metres(*length))?;
+            }
+            Stated::Orientation { angle, .. } => {
+                let (least, angle) = (self.at_least(3), shown(Unit::Radian, rounded(*angle)));
+                write!(f, " (they put it {least}{angle} from there")?;
             }
             Stated::Nest { length, .. } => {
                 write!(f, " (the other nests put it {} from there", metres(*length))?;
@@ -383,7 +395,7 @@ impl<'a> Checks<'a> {
             let (residuals, groups) = (residuals / variance.sqrt(), groups.clone());
             return Some(Family { residuals, covariance: covariance.clone(), groups });
         }
-        let data = 3 * self.problem.rows.len();
+        let data = self.problem.data_rows();
         let (mut residuals, mut jacobian) = (self.solution.residuals.clone(), self.solution.jacobian.clone());
         residuals.rows_mut(0, data).scale_mut(1.0 / variance.sqrt());
         jacobian.rows_mut(0, data).scale_mut(1.0 / variance.sqrt());
@@ -439,6 +451,10 @@ impl<'a> Checks<'a> {
                     ParameterId::Target { target, .. } => {
                         Stated::Target { target: self.set.targets[target].name.clone(), length: length(0..3) }
                     }
+                    ParameterId::Orientation { target, .. } => Stated::Orientation {
+                        target: self.set.targets[target].name.clone(),
+                        angle: length(0..3),
+                    },
                     ParameterId::Frame { station, .. } => Stated::Nests {
                         station: self.set.stations[station].name.clone(),
                         length: length(0..3),
@@ -537,7 +553,7 @@ fn noise_without_priors(problem: &CalibrationProblem, solution: &Solution, bound
         .filter(|(_, (column, _))| matches!(problem.parameters[*column], ParameterId::Compliance(_)))
         .map(|(row, _)| row)
         .collect();
-    let of_places: Vec<usize> = (3 * problem.rows.len()..first).collect();
+    let of_places: Vec<usize> = (problem.data_rows()..first).collect();
     let without_compliances = noise_without(&of_compliances, solution, bounded);
     let all = [of_places, of_compliances].concat();
     let share = |variance: &f64| *variance < MADE_BY_STATEMENT * without_compliances.unwrap_or(1.0);
@@ -571,7 +587,7 @@ fn priors(
 ) -> Family {
     let mut rows = Vec::new();
     let mut groups = Vec::new();
-    let mut first = 3 * problem.rows.len();
+    let mut first = problem.data_rows();
     // What a bound holds has told so already, and its prior pulls at nothing.
     let mut take = |first: usize, count: usize, columns: &[usize], kind: Kind| {
         if columns.iter().any(|column| bounded.contains(column)) {

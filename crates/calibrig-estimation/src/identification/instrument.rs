@@ -102,6 +102,7 @@ impl Instruments {
                 (*column, by)
             };
             row.instrument = own[station].iter().map(displaced).collect();
+            row.hours = hours;
         }
     }
 

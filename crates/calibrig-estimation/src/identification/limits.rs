@@ -129,7 +129,10 @@ fn origin(id: ParameterId) -> &'static str {
         ParameterId::Frame { .. } => "registered",
         ParameterId::Instrument { .. } => "ideal",
         ParameterId::Drift { .. } => "standing",
-        ParameterId::Target { .. } | ParameterId::Mass { .. } | ParameterId::Centre { .. } => "stated",
+        ParameterId::Target { .. }
+        | ParameterId::Orientation { .. }
+        | ParameterId::Mass { .. }
+        | ParameterId::Centre { .. } => "stated",
         ParameterId::Compliance(_) => "predicted",
     }
 }

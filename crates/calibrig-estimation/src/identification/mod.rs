@@ -29,6 +29,7 @@ mod solver;
 mod summary;
 #[cfg(test)]
 mod tests;
+mod turns;
 mod uncertainty;
 mod variance;
 mod verdict;
@@ -61,7 +62,8 @@ pub use options::{
 };
 pub use prospect::{Prospect, prospect};
 pub use robot::{
-    CalibratedRobot, EstimatePredictor, InstrumentErrors, Prediction, PredictionError, Predictor,
+    CalibratedRobot, EstimatePredictor, InstrumentErrors, PredictedOrientation, Prediction, PredictionError,
+    Predictor,
 };
 pub(crate) use solver::scale_of;
 use solver::{Bounds, LeastSquares, Solution, minimise, minimise_within};

@@ -63,6 +63,7 @@ impl Mode {
             ParameterId::Link { .. }
             | ParameterId::Frame { .. }
             | ParameterId::Target { .. }
+            | ParameterId::Orientation { .. }
             | ParameterId::Instrument { .. }
             | ParameterId::Drift { .. } => true,
             ParameterId::Compliance(_) | ParameterId::Mass { .. } | ParameterId::Centre { .. } => {

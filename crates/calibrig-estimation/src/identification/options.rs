@@ -1,7 +1,7 @@
 //! What to fit, and how.
 
 use super::{IdentifyError, Loss, LossScale, MachineNoiseChoice, Mode, ParameterBound, SolverOptions};
-use calibrig_model::measurement::{Station, Target};
+use calibrig_model::measurement::{MeasurementSet, Station, Target, TargetOrientation};
 use calibrig_model::{BodyUncertainty, Compliance, ParameterId, Unit};
 use serde::{Deserialize, Serialize};
 
@@ -58,6 +58,15 @@ impl TargetChoice {
             choice => choice,
         }
     }
+
+    /// The choice for how one target is turned on the flange.
+    pub(super) fn of_orientation(self, orientation: &TargetOrientation) -> Self {
+        match self {
+            Self::AsStated if orientation.covariance.is_some() => Self::Measured,
+            Self::AsStated => Self::Identified,
+            choice => choice,
+        }
+    }
 }
 
 /// What of a set ties the robot's ends: without it, only what does not depend on them can be told.
@@ -67,6 +76,8 @@ pub(super) struct Freedom {
     pub frame: bool,
     /// No target's offset is known.
     pub target: bool,
+    /// Of targets that are seen with their orientation, that of none is known how it is turned on the flange; `None` where all are points.
+    pub orientation: Option<bool>,
 }
 
 /// What becomes of the errors that an instrument's readings share.
@@ -296,12 +307,24 @@ impl IdentificationOptions {
     pub(super) fn freedom(&self, stations: &[Station], targets: &[Target]) -> Freedom {
         let free = |station: &Station| self.frame.of(station) == FrameChoice::Free;
         let identified = |target: &Target| self.target.of(target) == TargetChoice::Identified;
-        Freedom { frame: stations.iter().all(free), target: targets.iter().all(identified) }
+        let mut turned = targets.iter().filter_map(|target| target.orientation.as_ref()).peekable();
+        let unknown = |o: &TargetOrientation| self.target.of_orientation(o) == TargetChoice::Identified;
+        Freedom {
+            frame: stations.iter().all(free),
+            target: targets.iter().all(identified),
+            orientation: turned.peek().is_some().then(|| turned.all(unknown)),
+        }
+    }
+
+    /// The same of a set, of whose targets only readings tell whether their orientation is seen.
+    pub(super) fn freedom_in(&self, set: &MeasurementSet) -> Freedom {
+        let free = self.freedom(&set.stations, &set.targets);
+        Freedom { orientation: free.orientation.filter(|_| set.has_poses()), ..free }
     }
 
     /// Coordinates that are fixed by name in target 0, and so in all that have no target of their own by name.
     pub(super) fn fixed_of_all_targets(&self) -> Vec<ParameterId> {
-        let axes = ParameterId::all_of_target(0).into_iter();
+        let axes = ParameterId::all_of_target(0).into_iter().chain(ParameterId::all_of_orientation(0));
         axes.filter(|id| self.fix.contains(id)).collect()
     }
 

@@ -6,6 +6,7 @@ use super::LeastSquares;
 use super::linearisation::Whitening;
 use super::machine::{Machine, MachineError, Prepared};
 use super::noise::{ActuatorMotions, MachineNoise, Noise};
+use super::turns::{TurnRow, TurnWhitening};
 use crate::elastostatics::put;
 use calibrig_model::geometry::{Transform, cross_matrix, small_displacement};
 use calibrig_model::measurement::MeasurementSet;
@@ -29,6 +30,8 @@ pub(super) struct Row {
     pub whitening: Matrix3<f64>,
     /// Of every error of its instrument that is a parameter, and of its drift, the column and what a unit of it displaces, m in the tracker's axes.
     pub instrument: Vec<(usize, Vector3<f64>)>,
+    /// Since its station was placed by nests, h.
+    pub hours: f64,
     pub station: usize,
     pub target: usize,
 }
@@ -52,7 +55,10 @@ pub(super) struct CalibrationProblem {
     pub parameters: Vec<ParameterId>,
     /// In blocks of three coordinates, the first rows of the system.
     pub rows: Vec<Row>,
-    /// The next rows: nests and targets.
+    /// The next blocks of three rows: orientations, and of every observation which of them is its own.
+    pub turns: Vec<TurnRow>,
+    pub turn_of: Vec<Option<usize>>,
+    /// Behind the observations: nests and targets.
     pub priors: Vec<Prior>,
     /// The next rows: (column, one over the standard deviation) of parameters with a prior of their own that is not the links' tolerance.
     pub own_priors: Vec<(usize, f64)>,
@@ -64,10 +70,14 @@ pub(super) struct CalibrationProblem {
     pub stations: Vec<Transform>,
     /// Offsets that the target parameters change.
     pub targets: Vec<Vector3<f64>>,
+    /// `flange_from_target` that the orientation parameters change.
+    pub orientations: Vec<Rotation3<f64>>,
     /// The observations of every pose.
     pub poses: Vec<Vec<usize>>,
     /// Of every observation, its target's derivatives by the actuators in the base frame; empty where no noise of actuators is looked at.
     pub motions: Vec<Vec<Vector3<f64>>>,
+    /// The same of every orientation: how the actuators turn it.
+    pub turn_motions: Vec<Vec<Vector3<f64>>>,
     /// Standard deviation of what the model leaves out, stated for every reading, m.
     pub unmodelled: f64,
     /// What the options state of the actuators.
@@ -76,6 +86,8 @@ pub(super) struct CalibrationProblem {
     pub noise: Noise,
     /// Poses whose observations depend on each other, with the inverse Cholesky factor of their covariance, once each is whitened by itself.
     pub joined: Vec<(Vec<usize>, DMatrix<f64>)>,
+    /// What takes orientations to standard deviations, pose by pose.
+    pub turn_whitening: Vec<TurnWhitening>,
     pub current: Current,
     /// What is known already, until it is asked for.
     pub start: Option<Start>,
@@ -95,19 +107,22 @@ pub(super) struct Current {
     pub model: CalibrationModel,
     pub stations: Vec<Transform>,
     pub targets: Vec<Vector3<f64>>,
-    displacements: Vec<Displacement>,
+    /// `flange_from_target`, and how far each is displaced.
+    pub orientations: Vec<Rotation3<f64>>,
+    pub(super) turned: Vec<Vector3<f64>>,
+    pub(super) displacements: Vec<Displacement>,
     amplitudes: Vec<f64>,
     /// Errors of the instruments by the parameters' columns; empty where none is one.
-    errors: Vec<f64>,
+    pub(super) errors: Vec<f64>,
     pub machine: Machine,
 }
 
 /// How a station's frame is displaced.
 #[derive(Debug, Clone, Copy)]
-struct Displacement {
+pub(super) struct Displacement {
     xi: Vector6<f64>,
     rotation: Rotation3<f64>,
-    left: Matrix3<f64>,
+    pub left: Matrix3<f64>,
 }
 
 impl Displacement {
@@ -124,8 +139,11 @@ impl Current {
         machine: Machine,
         stations: &[Transform],
         targets: &[Vector3<f64>],
+        orientations: &[Rotation3<f64>],
     ) -> Self {
         Self {
+            orientations: orientations.to_vec(),
+            turned: vec![Vector3::zeros(); orientations.len()],
             model: nominal.clone(),
             stations: stations.to_vec(),
             targets: targets.to_vec(),
@@ -142,6 +160,7 @@ impl CalibrationProblem {
     pub fn set(&mut self, x: &[f64]) {
         let now = &mut self.current;
         now.targets.copy_from_slice(&self.targets);
+        now.turned.fill(Vector3::zeros());
         for displacement in &mut now.displacements {
             displacement.xi.fill(0.0);
         }
@@ -154,6 +173,7 @@ impl CalibrationProblem {
             match *id {
                 ParameterId::Frame { station, component } => now.displacements[station].xi[component] = value,
                 ParameterId::Target { target, axis } => now.targets[target][axis] += value,
+                ParameterId::Orientation { target, axis } => now.turned[target][axis] = value,
                 ParameterId::Term(_) => now.amplitudes.push(value),
                 ParameterId::Instrument { .. } | ParameterId::Drift { .. } => {}
                 ParameterId::Link { .. }
@@ -164,6 +184,11 @@ impl CalibrationProblem {
             }
         }
         now.machine.set_model(&now.model, now.amplitudes.iter().copied());
+        let turned = self.orientations.iter().zip(&now.turned);
+        for (orientation, (origin, turned)) in now.orientations.iter_mut().zip(turned) {
+            *orientation =
+                if *turned == Vector3::zeros() { *origin } else { origin * Rotation3::new(*turned) };
+        }
         let stations = now.stations.iter_mut().zip(&self.stations);
         for ((station, origin), displacement) in stations.zip(&mut now.displacements) {
             *station = origin * small_displacement(&displacement.xi);
@@ -181,7 +206,7 @@ impl CalibrationProblem {
         self.start = Some(Start { x: x.to_vec(), residuals, jacobian });
     }
 
-    /// Takes rows of observations in metres, in the trackers' axes, to the rows that the fit has.
+    /// Takes rows of observations in metres and rad, in the trackers' axes, to the rows that the fit has.
     pub fn whiten(&self, residuals: &mut DVector<f64>, jacobian: &mut DMatrix<f64>) {
         for (i, row) in self.rows.iter().enumerate() {
             let own = row.whitening * residuals.fixed_rows::<3>(3 * i);
@@ -194,6 +219,7 @@ impl CalibrationProblem {
             }
         }
         self.whiten_joined(residuals, Some(jacobian));
+        self.whiten_turns(residuals, Some(jacobian));
     }
 
     fn whiten_joined(&self, residuals: &mut DVector<f64>, mut jacobian: Option<&mut DMatrix<f64>>) {
@@ -212,6 +238,10 @@ impl CalibrationProblem {
         let now = &mut self.current;
         let placed = now.machine.place(&row.told);
         let ready = placed.and_then(|()| now.machine.differentiate(&now.targets[row.target], &row.told));
+        let ready = match self.turn_of[index] {
+            Some(_) => ready.and_then(|()| now.machine.differentiate_turn(&row.told)),
+            None => ready,
+        };
         ready.err().map(|error| (row.pose, error))
     }
 
@@ -226,6 +256,8 @@ impl CalibrationProblem {
         let mut motions = ActuatorMotions::new(&self.nominal);
         let at = |index: usize| targets.get(index).copied().unwrap_or_default();
         self.motions = set.observations.iter().map(|o| motions.at(&o.command, &at(o.target))).collect();
+        let turned = self.turns.iter().map(|turn| motions.turns(&set.observations[turn.observation].command));
+        self.turn_motions = turned.collect();
     }
 
     /// The same with the targets of the parameters `x`.
@@ -238,7 +270,7 @@ impl CalibrationProblem {
     /// Rows of observations, nests and targets.
     pub fn measured_rows(&self) -> usize {
         let priors: usize = self.priors.iter().map(|p| p.whitening.nrows()).sum();
-        3 * self.rows.len() + priors
+        self.data_rows() + priors
     }
 
     fn fill_observation(
@@ -306,7 +338,7 @@ impl CalibrationProblem {
     }
 
     fn fill_priors(&self, x: &[f64], residuals: &mut DVector<f64>, mut jacobian: Option<&mut DMatrix<f64>>) {
-        let mut first = 3 * self.rows.len();
+        let mut first = self.data_rows();
         for prior in &self.priors {
             let n = prior.whitening.nrows();
             for i in 0..n {
@@ -347,7 +379,14 @@ impl LeastSquares for CalibrationProblem {
     }
 
     fn blocks(&self) -> usize {
-        self.rows.len()
+        self.rows.len() + self.turns.len()
+    }
+
+    fn partner(&self, block: usize) -> usize {
+        match self.owner(block) {
+            (observation, Some(_)) => observation,
+            (observation, None) => self.turn_of[observation].map_or(block, |turn| self.turn_block(turn)),
+        }
     }
 
     fn evaluate(&mut self, x: &[f64], residuals: &mut DVector<f64>, mut jacobian: Option<&mut DMatrix<f64>>) {
@@ -360,8 +399,10 @@ impl LeastSquares for CalibrationProblem {
         }
         for index in 0..self.rows.len() {
             self.fill_observation(index, residuals, jacobian.as_deref_mut());
+            self.fill_turn(index, residuals, jacobian.as_deref_mut());
         }
         self.whiten_joined(residuals, jacobian.as_deref_mut());
+        self.whiten_turns(residuals, jacobian.as_deref_mut());
         self.fill_priors(x, residuals, jacobian);
     }
 }
@@ -391,9 +432,10 @@ pub(super) fn in_base_column(
     term: &mut usize,
 ) -> Vector3<f64> {
     match id {
-        ParameterId::Frame { .. } | ParameterId::Instrument { .. } | ParameterId::Drift { .. } => {
-            Vector3::zeros()
-        }
+        ParameterId::Frame { .. }
+        | ParameterId::Orientation { .. }
+        | ParameterId::Instrument { .. }
+        | ParameterId::Drift { .. } => Vector3::zeros(),
         ParameterId::Target { target: other, .. } if other != target => Vector3::zeros(),
         ParameterId::Term(_) => {
             *term += 1;
@@ -409,7 +451,7 @@ pub(super) fn in_base_column(
 }
 
 /// The matrix J with `R(r + dr) ≈ exp(J dr) R(r)`.
-fn left_jacobian(r: &Vector3<f64>) -> Matrix3<f64> {
+pub(super) fn left_jacobian(r: &Vector3<f64>) -> Matrix3<f64> {
     let angle = r.norm();
     let cross = cross_matrix(r);
     // Below 1e-3 rad the series is exact to rounding, and the quotients are not.

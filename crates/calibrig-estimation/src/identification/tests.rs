@@ -41,6 +41,7 @@ pub(super) fn truth(
         terms,
         stations: vec![translation(5.0, 1.0, 1.5) * rotation_x(0.4)],
         targets: vec![Vector3::new(0.1, 0.15, 0.2)],
+        orientations: vec![None],
     }
 }
 

@@ -13,6 +13,7 @@ mod frames;
 mod hidden;
 mod instrument;
 mod numbers;
+mod poses;
 mod predictions;
 mod robots;
 mod round_trip;

@@ -2,6 +2,7 @@
 
 mod drift;
 mod instrument;
+mod pose;
 mod registration;
 mod repeats;
 
@@ -10,6 +11,7 @@ pub use drift::{
     NestContradiction, StationDrift, Steady, remove_drift,
 };
 pub use instrument::{DRIFT_UNIT, Face, InstrumentTerm, StatedDrift, StatedInstrument};
+pub use pose::{CombineError, combine};
 pub use registration::{NestSystem, Registration, RegistrationError, WhitenedNest, nest_system, register};
 pub use repeats::Repeats;
 
@@ -132,6 +134,10 @@ pub struct Observation {
 
 /// What the tracker read, in its own frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "a session of poses is made of the largest, and one of points is small"
+)]
 pub enum Reading {
     /// As the instrument observes.
     Spherical(SphericalReading),
@@ -249,6 +255,54 @@ pub enum MeasurementError {
         /// Which station, nest or target.
         what: String,
     },
+    /// Axes that do not stand at right angles, or are not of length one.
+    #[error(
+        "{what}: the three columns of the rotation are off right angles and unit length by {off:.1e}: expected a rotation, as a matrix \
+         with orthonormal columns; check which columns of the file hold it, and their convention"
+    )]
+    NoRotation {
+        /// Which pose or target.
+        what: String,
+        /// Largest entry of `RᵀR - 1`.
+        off: f64,
+    },
+    /// Axes that are mirrored.
+    #[error(
+        "{what}: the axes of the rotation are left-handed: expected right-handed ones; check the signs and the order of its columns"
+    )]
+    LeftHanded {
+        /// Which pose or target.
+        what: String,
+    },
+    /// The covariance of a full pose cannot be one.
+    #[error(
+        "pose {pose}: the 6 x 6 covariance of its position (m) and rotation (rad) is not symmetric and positive definite: expected the \
+         covariance of six errors none of which is exact; give every one of them a standard deviation above zero"
+    )]
+    PoseCovariance {
+        /// The pose.
+        pose: u32,
+    },
+    /// The covariance of how a target is turned on the flange cannot be one.
+    #[error(
+        "target {target}: the covariance of its orientation is not symmetric and positive definite: expected standard deviations above \
+         zero (rad), or none where the orientation is unknown"
+    )]
+    OrientationCovariance {
+        /// The target.
+        target: String,
+    },
+    /// A full pose of what has no axes.
+    #[error(
+        "pose {pose} has a rotation, but nothing says how target {target} is turned on the flange: state its orientation; without an \
+         uncertainty it is identified, and need not be near"
+    )]
+    PoseOfPoint {
+        /// The pose.
+        pose: u32,
+        /// The target.
+        target: String,
+    },
 }
 
 impl MeasurementSet {
@@ -321,8 +375,19 @@ impl MeasurementSet {
                 && observation.time.is_finite()
                 && observation.temperature.is_none_or(f64::is_finite)
                 && observation.reading.is_finite();
-            if finite { Ok(()) } else { Err(MeasurementError::NotFinite { pose }) }
+            if !finite {
+                return Err(MeasurementError::NotFinite { pose });
+            }
+            match &observation.reading {
+                Reading::Pose(reading) => reading.check(pose, &self.targets[observation.target]),
+                Reading::Spherical(_) | Reading::Cartesian { .. } => Ok(()),
+            }
         })
+    }
+
+    /// Whether any reading has an orientation.
+    pub fn has_poses(&self) -> bool {
+        self.observations.iter().any(|observation| matches!(observation.reading, Reading::Pose(_)))
     }
 }
 
@@ -389,11 +454,22 @@ impl Station {
 impl Target {
     fn check(&self) -> Result<(), MeasurementError> {
         let covariance = self.covariance.iter().flat_map(|c| c.iter());
-        let finite = self.in_flange.iter().chain(covariance).all(|v| v.is_finite());
-        if finite {
-            Ok(())
-        } else {
-            Err(MeasurementError::NotFiniteIn { what: format!("target {}", self.name) })
+        let turned = self.orientation.iter().flat_map(|orientation| {
+            let covariance = orientation.covariance.iter().flat_map(|c| c.iter());
+            orientation.flange_from_target.matrix().iter().chain(covariance)
+        });
+        if !self.in_flange.iter().chain(covariance).chain(turned).all(|v| v.is_finite()) {
+            return Err(MeasurementError::NotFiniteIn { what: format!("target {}", self.name) });
+        }
+        let Some(orientation) = &self.orientation else { return Ok(()) };
+        pose::check_rotation(&orientation.flange_from_target, || {
+            format!("the orientation of target {}", self.name)
+        })?;
+        match &orientation.covariance {
+            Some(covariance) if !pose::is_covariance(covariance) => {
+                Err(MeasurementError::OrientationCovariance { target: self.name.clone() })
+            }
+            _ => Ok(()),
         }
     }
 }

@@ -20,6 +20,7 @@ mod misalignment;
 mod misses;
 mod outliers;
 mod preset;
+mod probe;
 mod smr;
 mod systematic;
 #[cfg(test)]
@@ -37,6 +38,7 @@ pub use misalignment::{Misalignment, Shown};
 pub use misses::is_missed;
 pub use outliers::Outliers;
 pub use preset::Preset;
+pub use probe::Probe;
 pub use smr::{Smr, SmrLaw};
 
 use std::f64::consts::TAU;

@@ -288,7 +288,7 @@ impl ElasticChain {
             | ParameterId::Compliance(Compliance::Beam { link }) => link < joints,
             ParameterId::Compliance(Compliance::Drive { joint }) => joint < joints,
             ParameterId::Compliance(Compliance::Bearing { joint, axis }) => joint < joints && axis < 6,
-            ParameterId::Target { axis, .. } => axis < 3,
+            ParameterId::Target { axis, .. } | ParameterId::Orientation { axis, .. } => axis < 3,
             ParameterId::Centre { link, axis } => link < joints && axis < 3,
             ParameterId::Compliance(Compliance::Rod)
             | ParameterId::Frame { .. }

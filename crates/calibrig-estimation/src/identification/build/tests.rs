@@ -93,6 +93,7 @@ fn measured(
         terms: Vec::new(),
         stations: vec![station],
         targets: vec![target],
+        orientations: Vec::new(),
     };
     let mut predictor = Predictor::new(&robot).expect("a robot");
     let covariance = stated.map(|sigma| Matrix3::identity() * sigma * sigma);

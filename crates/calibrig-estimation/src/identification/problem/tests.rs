@@ -50,6 +50,7 @@ fn problem() -> CalibrationProblem {
         vec![translation(1.0, 2.0, 3.0) * rotation_x(0.3), translation(-2.0, 0.0, 1.0) * rotation_y(2.0)];
     let targets = vec![Vector3::new(0.1, 0.2, 0.3)];
     let mut row = |station, seen: Vector3<f64>, command: [f64; 3]| Row {
+        hours: 0.0,
         // One tracker at both stations.
         instrument: (first..)
             .zip(errors)
@@ -72,7 +73,6 @@ fn problem() -> CalibrationProblem {
         row(1, Vector3::new(0.0, -1.0, 2.0), [1.1, 0.8, -0.9]),
     ];
     CalibrationProblem {
-        rows,
         // A frame by itself, and one that nests tell together with an error of the instrument, from fewer rows than both have.
         priors: vec![
             Prior {
@@ -95,7 +95,13 @@ fn problem() -> CalibrationProblem {
         own_priors: vec![(3, 0.5)],
         logarithmic: Vec::new(),
         tolerances: vec![(0, 2.0), (1, 3.0), (2, 4.0)],
-        current: Current::new(&nominal, machine, &stations, &targets),
+        current: Current::new(&nominal, machine, &stations, &targets, &[Rotation3::identity()]),
+        turns: Vec::new(),
+        turn_of: vec![None; rows.len()],
+        orientations: vec![Rotation3::identity()],
+        turn_motions: Vec::new(),
+        turn_whitening: Vec::new(),
+        rows,
         nominal,
         parameters,
         stations,
@@ -110,10 +116,31 @@ fn problem() -> CalibrationProblem {
     }
 }
 
+/// The same with an orientation at every position, of a target that is turned on the flange, and their parameters.
+fn with_turns(mut problem: CalibrationProblem) -> CalibrationProblem {
+    problem.parameters.extend(ParameterId::all_of_orientation(0));
+    problem.orientations = vec![Rotation3::new(Vector3::new(0.7, -0.4, 1.3))];
+    let reading = Some([
+        Matrix3::new(5.0, 1.0, 0.0, 1.0, 4.0, 1.0, 0.0, 1.0, 6.0),
+        Matrix3::new(0.1, 0.2, 0.0, -0.1, 0.0, 0.1, 0.2, 0.0, 0.1),
+    ]);
+    for observation in 0..problem.rows.len() {
+        let seen = Rotation3::new(Vector3::new(0.3, 0.2 * observation as f64, -0.9));
+        problem.turn_of[observation] = Some(problem.turns.len());
+        problem.turns.push(TurnRow { observation, seen, reading });
+        problem.weigh_turns(&[observation], &[Matrix3::identity()]).expect("definite");
+    }
+    problem
+}
+
 /// At displaced frames too, where a rotation vector's components do not act one after the other.
 #[test]
 fn the_jacobian_is_the_central_difference_far_from_zero() {
-    let mut problem = problem();
+    check_jacobian(problem());
+    check_jacobian(with_turns(problem()));
+}
+
+fn check_jacobian(mut problem: CalibrationProblem) {
     let n = problem.parameters.len();
     assert_eq!(problem.rows[0].instrument.len(), 2);
     let x: Vec<f64> = (0..n).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
@@ -178,6 +205,7 @@ fn coupled() -> CalibrationProblem {
                 joints.iter().zip(middle).map(|(q, middle)| middle + 0.5 * (q - middle)).collect();
             let command = nominal.actuators.command_from_joints(&near);
             Row {
+                hours: 0.0,
                 instrument: Vec::new(),
                 pose: 0,
                 told: machine
@@ -190,16 +218,21 @@ fn coupled() -> CalibrationProblem {
                 target: 0,
             }
         })
-        .collect();
+        .collect::<Vec<_>>();
     let stations = vec![translation(1.0, 2.0, 3.0) * rotation_x(0.3)];
     let targets = vec![target];
     CalibrationProblem {
-        rows,
         priors: Vec::new(),
         own_priors: vec![(40, 10.0)],
         logarithmic: Vec::new(),
         tolerances: vec![(1, 2.0)],
-        current: Current::new(&nominal, machine, &stations, &targets),
+        current: Current::new(&nominal, machine, &stations, &targets, &[Rotation3::identity()]),
+        turns: Vec::new(),
+        turn_of: vec![None; rows.len()],
+        orientations: vec![Rotation3::identity()],
+        turn_motions: Vec::new(),
+        turn_whitening: Vec::new(),
+        rows,
         nominal,
         parameters,
         stations,
@@ -219,7 +252,11 @@ const LEAST_COLUMN: f64 = 2e-6;
 
 #[test]
 fn every_column_of_the_coupled_jacobian_is_the_central_difference() {
-    let mut problem = coupled();
+    check_coupled(coupled());
+    check_coupled(with_turns(coupled()));
+}
+
+fn check_coupled(mut problem: CalibrationProblem) {
     let n = problem.parameters.len();
     let size = |id: &ParameterId| match id {
         ParameterId::Compliance(_) | ParameterId::Mass { .. } => 0.1,
