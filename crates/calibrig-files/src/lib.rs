@@ -42,6 +42,7 @@ mod input;
 pub mod mcap_chunk;
 mod measurements;
 mod robot;
+mod rotation;
 mod session;
 mod stated;
 
@@ -56,5 +57,6 @@ pub use measurements::{
     write_measurements,
 };
 pub use robot::{LoadTable, Robot, StatedTarget, load_robot, parse_robot, read_loads};
+pub use rotation::{RotationError, rotation_of_matrix};
 pub use session::{SessionFile, SessionSet, load_session, parse_session, session_text};
 pub use stated::{MeasuredFile, Statements, state};

@@ -2,14 +2,19 @@
 
 use std::path::Path;
 
+mod faces;
+mod poses;
+
 use super::*;
 use crate::input::{InputError, Source};
 use crate::robot::tests::base_from_flange;
 use crate::{Robot, load_robot};
 use calibrig_model::JointKind;
 use calibrig_model::geometry::{Transform, best_fit_transform, cross_matrix, small_displacement};
-use calibrig_model::measurement::{MeasurementSet, Observation, Reading, SphericalReading, Station, Target};
-use nalgebra::{DMatrix, DVector, Matrix3, Point3, Vector3, Vector6};
+use calibrig_model::measurement::{
+    Face, MeasurementSet, Observation, PoseReading, Reading, SphericalReading, Station, Target,
+};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Point3, Rotation3, Vector3, Vector6};
 use proptest::prelude::*;
 
 const KINDS: [JointKind; 2] = [JointKind::Prismatic, JointKind::Revolute];
@@ -305,48 +310,70 @@ fn finite() -> impl Strategy<Value = f64> {
     any::<f64>().prop_filter("finite", |number| number.is_finite())
 }
 
-fn observation(spherical: bool, diagonal: bool) -> impl Strategy<Value = Observation> {
+/// A full pose whose covariance is what six scales make of a triangle.
+fn pose(place: [f64; 3], turn: [f64; 3], c: [f64; 6], (diagonal, stated): (bool, bool)) -> Reading {
+    let factor = Matrix6::from_fn(|i, j| match (i, j) {
+        (i, j) if i == j => 1e-5 + c[i].abs(),
+        (i, j) if i > j && !diagonal => c[i] * c[j],
+        _ => 0.0,
+    });
+    let covariance = if diagonal { factor.component_mul(&factor) } else { factor * factor.transpose() };
+    // Rounding leaves a product not quite symmetric.
+    let covariance = Matrix6::from_fn(|i, j| covariance[(i.min(j), i.max(j))]);
+    Reading::Pose(PoseReading {
+        position: place.into(),
+        rotation: Rotation3::new(turn.into()),
+        covariance: stated.then_some(covariance),
+    })
+}
+
+fn observation(kind: u8, diagonal: bool) -> impl Strategy<Value = Observation> {
     let parts = (
         (any::<u32>(), prop::collection::vec(finite(), 2), prop::collection::vec(-1i8..=1, 2)),
         (
-            prop::option::of(finite()),
+            prop::option::of(-60.0f64..=120.0),
             finite(),
             prop::array::uniform3(finite()),
             prop::array::uniform6(-1e-3f64..1e-3),
         ),
-        any::<bool>(),
+        (any::<bool>(), any::<bool>(), prop::array::uniform3(-3.0f64..3.0)),
     );
-    parts.prop_map(move |((pose, command, approach), (temperature, time, place, c), stated)| {
-        let c = c.map(|value| value + f64::copysign(1e-9, value));
-        let covariance = if diagonal {
-            Matrix3::from_diagonal(&Vector3::new(c[0] * c[0], c[1] * c[1], c[2] * c[2]))
-        } else {
-            // A diagonal that outweighs its rows makes it positive definite.
-            let least = c[1].abs() + c[2].abs() + c[4].abs();
-            let [x, y, z] = [c[0], c[3], c[5]].map(|value| least + value.abs());
-            Matrix3::new(x, c[1], c[2], c[1], y, c[4], c[2], c[4], z)
-        };
-        let [x, y, z] = place;
-        let reading = if spherical {
-            let range = x.abs().max(f64::MIN_POSITIVE);
-            Reading::Spherical(SphericalReading {
-                face: calibrig_model::measurement::Face::Front,
-                range,
-                azimuth: y,
-                elevation: z,
-                covariance: stated.then_some(covariance),
-            })
-        } else {
-            let position = Vector3::new(x, y, if (x, y, z) == (0.0, 0.0, 0.0) { 1.0 } else { z });
-            Reading::Cartesian { position, covariance: stated.then_some(covariance) }
-        };
-        Observation { pose, command, approach, temperature, time, station: 0, target: 0, reading }
-    })
+    parts.prop_map(
+        move |((number, command, approach), (temperature, time, place, c), (stated, is_back, turn))| {
+            let c = c.map(|value| value + f64::copysign(1e-9, value));
+            let covariance = if diagonal {
+                Matrix3::from_diagonal(&Vector3::new(c[0] * c[0], c[1] * c[1], c[2] * c[2]))
+            } else {
+                // A diagonal that outweighs its rows makes it positive definite.
+                let least = c[1].abs() + c[2].abs() + c[4].abs();
+                let [x, y, z] = [c[0], c[3], c[5]].map(|value| least + value.abs());
+                Matrix3::new(x, c[1], c[2], c[1], y, c[4], c[2], c[4], z)
+            };
+            let [x, y, z] = place;
+            let reading = if kind == 2 {
+                let place = [x, y, if place == [0.0; 3] { 1.0 } else { z }];
+                pose(place, turn, c.map(|value| value - f64::copysign(1e-9, value)), (diagonal, stated))
+            } else if kind == 0 {
+                let range = x.abs().max(f64::MIN_POSITIVE);
+                Reading::Spherical(SphericalReading {
+                    face: if is_back { Face::Back } else { Face::Front },
+                    range,
+                    azimuth: y,
+                    elevation: z,
+                    covariance: stated.then_some(covariance),
+                })
+            } else {
+                let position = Vector3::new(x, y, if (x, y, z) == (0.0, 0.0, 0.0) { 1.0 } else { z });
+                Reading::Cartesian { position, covariance: stated.then_some(covariance) }
+            };
+            Observation { pose: number, command, approach, temperature, time, station: 0, target: 0, reading }
+        },
+    )
 }
 
 fn set() -> impl Strategy<Value = MeasurementSet> {
-    (any::<bool>(), any::<bool>()).prop_flat_map(|(spherical, diagonal)| {
-        let observations = prop::collection::vec(observation(spherical, diagonal), 1..6);
+    (0u8..3, any::<bool>()).prop_flat_map(|(kind, diagonal)| {
+        let observations = prop::collection::vec(observation(kind, diagonal), 1..6);
         (observations, "[a-z ,;\"#/.é0-9]{0,8}", "[A-Z]{1,3}").prop_map(
             |(mut observations, station, target)| {
                 // The second half was taken from a second station.

@@ -185,7 +185,10 @@ fn the_documented_map_is_valid() {
     let documented = documented.replacen("approach = [", "# approach = [", 1);
     let map = parse(&documented).expect("as documented");
     let mapping = map.mapping().expect("named");
-    assert_eq!((mapping.joints.len(), mapping.entries(Part::Whole).len()), (3, 3 + 3 + 3 + 5 + 1));
+    assert_eq!(
+        (mapping.joints.len(), mapping.entries(Part::Whole).len()),
+        (3, 3 + 3 + 4 + 3 + 3 + 5 + 2 + 1)
+    );
 }
 
 proptest! {
