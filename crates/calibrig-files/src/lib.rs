@@ -41,6 +41,7 @@ mod followers;
 mod input;
 pub mod mcap_chunk;
 mod measurements;
+mod orientation;
 mod robot;
 mod rotation;
 mod session;
@@ -58,5 +59,5 @@ pub use measurements::{
 };
 pub use robot::{LoadTable, Robot, StatedTarget, load_robot, parse_robot, read_loads};
 pub use rotation::{RotationError, rotation_of_matrix};
-pub use session::{SessionFile, SessionSet, load_session, parse_session, session_text};
+pub use session::{SessionFile, SessionSet, SessionTextError, load_session, parse_session, session_text};
 pub use stated::{MeasuredFile, Statements, state};

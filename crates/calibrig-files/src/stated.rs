@@ -224,6 +224,7 @@ fn state_targets(
             }
             target.in_flange = known.in_flange;
             target.covariance = known.covariance();
+            target.orientation.clone_from(&known.orientation);
             matched.insert(target.name.clone());
         }
     }
