@@ -84,12 +84,17 @@ pub(super) fn average(loaded: &mut LoadedMeasurements, numbers_poses: bool) -> R
     let scatter = 1e3 * (squares / free as f64).sqrt();
     let stated = averaged.iter().all(|o| o.reading.position_covariance().is_some());
     loaded.keep(&kept);
+    let averaged_are_poses = averaged.iter().any(|o| matches!(o.reading, Reading::Pose(_)));
     loaded.set.observations = averaged;
     loaded.remarks.push(format!(
         "{readings} readings are averaged to {}: {repeated} poses are repeated, and their readings scatter by {scatter:.4} mm (RMS in 3-D, \
          {free} repeats){}",
         loaded.set.observations.len(),
-        if stated { "" } else { "; too few to state an uncertainty from" },
+        match averaged_are_poses {
+            _ if stated => "",
+            true => "; full poses that state no uncertainty keep none, since this says nothing of rotations",
+            false => "; too few to state an uncertainty from",
+        },
     ));
     Ok(())
 }
@@ -134,7 +139,6 @@ fn mean_observation(members: &[&Observation], scatter: Option<f64>) -> Observati
         *value = members.iter().map(|o| o.command[joint]).sum::<f64>() / count;
     }
     if members.len() == 1 {
-        // Of one reading there is nothing to average; what it does not state stays unstated where it is a full pose.
         if let Reading::Cartesian { covariance: covariance @ None, .. } = &mut mean.reading {
             *covariance = scatter.map(|variance| Matrix3::identity() * variance);
         }

@@ -220,16 +220,16 @@ fn refusals_name_line_and_key() {
             "session.toml:5: covariance_m2 has -1e0 on its diagonal",
         ),
         ("[[dropped]]\nset = \"verification\"\npose = -1\nreason = \"r\"", "session.toml:4:"),
-        (&format!("{seen}{again}"), "session.toml:9: nest \"n\" is there twice, and not at two times"),
+        (&format!("{seen}{again}"), "session.toml:10: nest \"n\" is there twice, and not at two times"),
         (
             &format!("{seen}time_s = 1\n{again}time_s = 1\n"),
-            "session.toml:10: nest \"n\" is there twice, and not at two times",
+            "session.toml:11: nest \"n\" is there twice, and not at two times",
         ),
         (
             &format!("{seen}time_s = 1\n{}time_s = 2\n", again.replace("3]\nin", "3.002]\nin")),
-            "session.toml:10: nest \"n\" is there twice, and its certified places are 2.0000 mm apart",
+            "session.toml:11: nest \"n\" is there twice, and its certified places are 2.0000 mm apart",
         ),
-        (&format!("{seen}face = \"back\"\n"), "session.toml:8: face is of range and angles"),
+        (&format!("{seen}face = \"back\"\n"), "session.toml:9: face is of range and angles"),
         (
             &format!(
                 "{nest}in_base_sigma_m = 1e-5\nrange_m = 2\naz_rad = 0\nel_rad = 0\nsigma_range_m = 1\nsigma_az_rad = 1\nsigma_el_rad = 1\nface = \"rear\"\n"

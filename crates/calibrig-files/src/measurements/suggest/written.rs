@@ -300,16 +300,19 @@ impl Writer<'_> {
         }
         if is_seen {
             self.line("# Where the rotation is not wanted, leave out [rotation]: then the rows are points.");
-        } else {
-            self.line("# Where the tracker saw this as full poses (a probe, motion capture), decide and take the # away; else leave it so.");
+            self.line("[rotation]");
+            for (key, value, why) in open {
+                self.undecided(key, &value, &why);
+            }
+            for (key, value, why) in keys {
+                self.key(key, &value, &why);
+            }
+            return;
         }
+        self.line("# Where the tracker saw this as full poses (a probe, motion capture), decide and take the # away; else leave it so.");
         self.line("# [rotation]");
         for (key, value, why) in open {
-            if is_seen {
-                self.undecided(key, &value, &why);
-            } else {
-                self.line(&format!("# {key} = {value:<17} # decide: {why}"));
-            }
+            self.line(&format!("# {key} = {value:<17} # to decide: {why}"));
         }
         for (key, value, why) in keys {
             let line = format!("# {key} = {value}");
