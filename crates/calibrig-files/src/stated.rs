@@ -110,7 +110,8 @@ fn count_identical_once(file: &mut MeasuredFile) -> Option<String> {
                 .chain(covariance.iter().flatten())
                 .map(|v| v.to_bits())
                 .collect();
-            let (station, target, face) = (observation.station, observation.target, observation.reading.face());
+            let (station, target, face) =
+                (observation.station, observation.target, observation.reading.face());
             let is_new = seen.insert((station, target, face, observation.approach.clone(), numbers));
             if !is_new {
                 copies.push(observation.pose.to_string());
