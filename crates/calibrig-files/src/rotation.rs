@@ -49,7 +49,7 @@ impl RotationError {
     /// What was expected instead, and what to do.
     pub fn expected(self) -> &'static str {
         match self {
-            Self::NotFinite { .. } => "finite numbers",
+            Self::NotFinite { .. } => "finite numbers of a size that turns",
             Self::ZeroQuaternion => {
                 "a quaternion of length 1; where zeros mark a pose that was not seen, leave the row's cells empty, or name the mark in `missed`"
             }
@@ -166,17 +166,21 @@ impl RotationForm {
         match self {
             Self::Quaternion(QuaternionOrder::ScalarFirst) => of_quaternion(at(0), [at(1), at(2), at(3)]),
             Self::Quaternion(QuaternionOrder::ScalarLast) => of_quaternion(at(3), [at(0), at(1), at(2)]),
-            Self::Vector => {
-                let rotation = Rotation3::new(Vector3::new(at(0), at(1), at(2)));
-                Ok(ReadRotation { rotation, off: 0.0 })
-            }
-            Self::Euler(sequence) => {
-                Ok(ReadRotation { rotation: sequence.rotation([at(0), at(1), at(2)]), off: 0.0 })
-            }
+            Self::Vector => of_angles(Rotation3::new(Vector3::new(at(0), at(1), at(2))), numbers),
+            Self::Euler(sequence) => of_angles(sequence.rotation([at(0), at(1), at(2)]), numbers),
             Self::Matrix(MatrixOrder::ByRows) => of_matrix(&Matrix3::from_fn(|i, j| at(3 * i + j))),
             Self::Matrix(MatrixOrder::ByColumns) => of_matrix(&Matrix3::from_fn(|i, j| at(3 * j + i))),
         }
     }
+}
+
+/// Angles beyond all turns leave nothing of a rotation.
+fn of_angles(rotation: Rotation3<f64>, numbers: &[f64]) -> Result<ReadRotation, RotationError> {
+    if rotation.matrix().iter().all(|element| element.is_finite()) {
+        return Ok(ReadRotation { rotation, off: 0.0 });
+    }
+    let largest = numbers.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs()));
+    Err(RotationError::NotFinite { value: largest.unwrap_or(f64::NAN) })
 }
 
 fn of_quaternion(w: f64, [x, y, z]: [f64; 3]) -> Result<ReadRotation, RotationError> {
@@ -301,6 +305,8 @@ mod tests {
         let scaled = rows.rotation(&[2.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]).expect_err("scaled");
         assert_eq!(scaled, RotationError::NotOrthonormal { off: 3.0 });
         assert!(matches!(rows.rotation(&[f64::NAN; 9]), Err(RotationError::NotFinite { .. })));
+        let endless = RotationForm::Vector.rotation(&[1e300, 0.0, -1e305]);
+        assert_eq!(endless, Err(RotationError::NotFinite { value: -1e305 }));
         // A sequence whose middle angle leaves two axes in line is a rotation all the same.
         assert!(RotationForm::Euler(EulerSequence::KUKA).rotation(&[0.4, FRAC_PI_2, 0.2]).is_ok());
     }

@@ -405,6 +405,16 @@ fn ur5_map() -> ColumnMap {
     crate::load_column_map(&path).expect("the map of the repository").0
 }
 
+const OWN_POSE: &str = "q1_m,q2_rad,x_m,y_m,z_m,r11,r12,r13,r21,r22,r23,r31,r32,r33,sigma_x_m,sigma_y_m,sigma_z_m,sigma_rx_rad,sigma_ry_rad,sigma_rz_rad\n\
+0.5,-1.25,3.5,0.25,-0.125,0,-1,0,1,0,0,0,0,1,1e-5,2e-6,3e-6,1e-5,2e-6,3e-6\n0.6,-1.25,3.5,0.25,-0.125,1,0,0,0,1,0,0,0,1,,,,,,\n";
+const FACES: &str = "s,t,F,R,Hz,V,P\n1,2,I,3,30,80,1013\n1,2,II,3,210,280,\n3,4,II,2,211,281,990\n";
+const FACES_MAP: &str = "[position]\nsystem = \"spherical\"\nrange = \"R\"\nrange_unit = \"m\"\nazimuth = \"Hz\"\nzenith = \"V\"\nangle_unit = \"deg\"\n\
+[face]\ncolumn = \"F\"\nfront = [\"I\"]\nback = [\"II\"]\n[columns]\npressure_hpa = \"P\"\n";
+const INVERSE: &str =
+    "s,t,x,y,z,a,b,c,sr\n1,2,3000,100,-20,0.1,0.2,0.3,1e-4\n2,2,3000,100,-20,-0.1,0.2,3.3,\n";
+const INVERSE_MAP: &str = "[position]\nsystem = \"cartesian\"\nunit = \"mm\"\nx = \"x\"\ny = \"y\"\nz = \"z\"\n[rotation]\ntransform = \"tracker_in_target\"\n\
+form = \"rotation_vector\"\nunit = \"rad\"\ncolumns = [\"a\", \"b\", \"c\"]\nsigma = \"sr\"\nsigma_unit = \"rad\"\n[noise]\nrange_um = 5\ntransverse_um = 9\nrotation_urad = 30\n";
+
 const UR5_FILE: &str = "step_order,x_t,y_t,z_t,x_dif,y_dif,z_dif,joint_1,joint_2,joint_3,joint_4,joint_5,joint_6\n\
 0,-430.3,-6.2,-98.6,-2.1,-3.5,0.8,-22.9,-43.7,135.4,-94.7,55.4,-5.5\n1,-463.7,-3.9,-104.9,-2.1,-2.9,-0.03,-19.7,-45.9,127.6,-71.4,63.3,-12.7\n";
 
@@ -437,6 +447,9 @@ fn no_mutation_of_a_file_panics(
     for (text, map, joints) in [
         (OWN, ColumnMap::default(), &KINDS[..]),
         (UR5_FILE, ur5_map(), &[JointKind::Revolute; 6]),
+        (OWN_POSE, ColumnMap::default(), &KINDS[..]),
+        (FACES, map(FACES_MAP), &KINDS[..]),
+        (INVERSE, map(INVERSE_MAP), &KINDS[..]),
     ] {
         let mut text: Vec<char> = text.chars().collect();
         let at = at.min(text.len());

@@ -25,6 +25,27 @@ pose = "No"
 approach = ["a1", "a2"]
 "#;
 
+const POSE: &str = r#"schema = "calibrig.columns/1"
+[joints]
+columns = ["j1"]
+[position]
+system = "cartesian"
+x = "x"
+y = "y"
+z = "z"
+[rotation]
+transform = "target_in_tracker"
+form = "euler"
+sequence = "zyx intrinsic"
+columns = ["a", "b", "c"]
+unit = "deg"
+sigma = ["sa"]
+sigma_unit = "rad"
+[noise]
+range_um = 5
+transverse_um = 9
+"#;
+
 const SPHERICAL: &str = r#"schema = "calibrig.columns/1"
 [joints]
 columns = ["j1"]
@@ -195,7 +216,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
     #[test]
     fn no_mutation_of_a_map_panics(at in 0usize..400, remove in 0usize..6, insert in "\\PC{0,3}|[\"\\[\\]=.,\n-]{0,3}") {
-        for text in [CARTESIAN, SPHERICAL] {
+        for text in [CARTESIAN, SPHERICAL, POSE] {
             let mut text: Vec<char> = text.chars().collect();
             let at = at.min(text.len());
             let end = (at + remove).min(text.len());

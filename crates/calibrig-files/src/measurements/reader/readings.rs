@@ -97,7 +97,10 @@ impl Cells<'_> {
         self.reader.rounded.set(self.reader.rounded.get().max(read.off));
         let stated = Stated { position: point.position(), rotation: read.rotation };
         let (pose, jacobian) = if rotation.is_of_tracker { stated.turned_around() } else { (stated, None) };
+        let place = self.reader.columns.position.quantities()[0].terms[0].column;
+        pose.position.iter().try_for_each(|coordinate| self.check_size(place, *coordinate))?;
         let covariance = self.pose_covariance(rotation, &point, &pose, jacobian.as_ref())?;
+        covariance.iter().flatten().try_for_each(|element| self.check_size(place, *element))?;
         Ok(Some(Reading::Pose(PoseReading { position: pose.position, rotation: pose.rotation, covariance })))
     }
 
@@ -127,7 +130,8 @@ impl Cells<'_> {
                     let own = blocks(&noise.at(&pose.position), &Matrix3::zeros());
                     Ok(Some(own + turned(blocks(&Matrix3::zeros(), &of_rotation))))
                 }
-                (_, None) => Ok(None),
+                (None, None) => Ok(None),
+                (Some(_), None) => Err(self.refuse_half("position", "rotation")),
                 (None, Some(_)) => Err(self.refuse_half("rotation", "position")),
             },
             (Some(_), None) => Err(self.refuse_half("position", "rotation")),
