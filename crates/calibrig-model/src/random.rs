@@ -31,6 +31,10 @@ pub enum Source {
     Folds = 11,
     /// Starting points of a solver; the start's number is in the place of the trial's.
     SolverStarts = 12,
+    /// Noise of the tracker on the cycles of a pose test (ISO 9283).
+    Iso9283Noise = 40,
+    /// Draws behind the intervals of a repeatability.
+    Iso9283Intervals = 41,
 }
 
 /// The stream of `(seed, trial, source)`. `ChaCha8` with the seed as key and (trial, source) as stream number.

@@ -3,6 +3,7 @@
 mod comparison;
 mod consistency;
 mod criteria;
+pub mod iso9283;
 mod model_choice;
 mod nested;
 mod outcome;
