@@ -17,6 +17,8 @@ pub(super) enum Files {
     Reports,
     /// Reports and recordings.
     ReportsAndRecordings,
+    /// What a pose test leaves.
+    Iso9283,
     /// What a campaign leaves.
     Campaign,
     /// The tables of an exported recording; input files lie beside them.
@@ -27,6 +29,7 @@ impl Files {
     pub(super) fn names(self) -> &'static [&'static str] {
         match self {
             Self::Reports => &["report.html", "report.json", "residuals.csv"],
+            Self::Iso9283 => &["iso9283.html", "iso9283.json"],
             Self::Campaign => &["trials.csv", "summary.json"],
             Self::Export => {
                 &["identification.csv", "verification.csv", "session.toml", "residuals.csv", "parameters.csv"]

@@ -3,6 +3,7 @@
 mod ablation;
 mod forest;
 mod html;
+mod iso9283;
 mod json;
 mod judgement;
 mod parameters;
@@ -16,6 +17,11 @@ mod summary;
 mod tables;
 
 pub use html::{html_report, quoted};
+pub use iso9283::{
+    ISO9283_SCHEMA, JsonCombined, JsonCube, JsonIso9283, JsonIsoAccuracy, JsonIsoOrientation, JsonIsoPose,
+    JsonIsoRow, JsonIsoTarget, JsonIsoTurn, iso9283_html, iso9283_json_text, json_iso9283, render_iso9283,
+    write_iso9283,
+};
 pub use json::{
     JsonAblated, JsonAblation, JsonAblationRow, JsonDropped, JsonEstimate, JsonInput, JsonParameter,
     JsonRegistration, JsonReport, JsonRow, JsonSet, JsonSoftware, SCHEMA, json_report,

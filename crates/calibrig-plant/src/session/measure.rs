@@ -171,7 +171,7 @@ impl MeasuringSession<'_> {
     }
 
     /// What the reading at that place of the streams is off by, if it is a gross error.
-    fn outlier(&self, seed: u64, trial: u32, place: u64) -> Option<Vector3<f64>> {
+    pub(super) fn outlier(&self, seed: u64, trial: u32, place: u64) -> Option<Vector3<f64>> {
         self.outliers?.draw(&mut random::stream_at(seed, trial, random::Source::Outliers, place))
     }
 
@@ -181,7 +181,7 @@ impl MeasuringSession<'_> {
         if self.tracker.instrument.noise { sigma * drawn } else { Vector3::zeros() }
     }
 
-    fn measure_nests<E>(&self, seed: u64, trial: u32) -> Result<Station, SessionError<E>> {
+    pub(super) fn measure_nests<E>(&self, seed: u64, trial: u32) -> Result<Station, SessionError<E>> {
         let mut rng = random::stream(seed, trial, random::Source::NestNoise);
         let sigma = self.nest_sigma;
         let nests = self
@@ -205,7 +205,7 @@ impl MeasuringSession<'_> {
         Ok(Station { name: "1".to_owned(), nests, instrument: None })
     }
 
-    fn measure_target(&self, seed: u64, trial: u32) -> Target {
+    pub(super) fn measure_target(&self, seed: u64, trial: u32) -> Target {
         let mut rng = random::stream(seed, trial, random::Source::TargetOffset);
         let sigma = self.target_covariance[(0, 0)].sqrt();
         Target {
@@ -227,23 +227,23 @@ fn entry(kind: SetKind, pose: u32) -> u64 {
 }
 
 /// The machine between two poses: what its controller and its drives remember.
-struct Controller<'a> {
+pub(super) struct Controller<'a> {
     as_built: &'a AsBuilt,
     command: Vec<f64>,
     /// The sign of each actuator's last motion, 0 before its first.
-    approach: Vec<i8>,
+    pub approach: Vec<i8>,
     drives: DriveState,
 }
 
 impl<'a> Controller<'a> {
-    fn at_home(session: &MeasuringSession<'a>) -> Self {
+    pub fn at_home(session: &MeasuringSession<'a>) -> Self {
         let command = session.actuators.command_from_joints(&session.region.centre);
         let drives = session.as_built.referenced_at(&command);
         Self { as_built: session.as_built, approach: vec![0; command.len()], command, drives }
     }
 
     /// Approaches a command and comes to rest.
-    fn go_to<M: Machine>(
+    pub fn go_to<M: Machine>(
         &mut self,
         machine: &mut M,
         command: &[f64],

@@ -1,10 +1,12 @@
 //! The measuring session of a simulated machine: which poses it takes, what the tracker reads there, and the truth beside it.
 
 mod beside;
+mod cycles;
 mod events;
 mod measure;
 
 pub use beside::{BesideRigid, RigidMachine};
+pub use cycles::{CycleError, CycleMeasurements};
 pub use events::{MeasuredPose, SessionEvent, SessionListener, counting};
 pub use measure::{MeasuringSession, SECONDS_PER_POSE};
 
