@@ -12,6 +12,7 @@ mod region;
 mod residuals;
 #[cfg(test)]
 mod sample;
+mod scatter;
 mod splits;
 mod summary;
 mod tables;
@@ -31,6 +32,7 @@ pub use judgement::{
     JsonSupport,
 };
 pub use residuals::{JsonResidual, residuals_csv};
+pub use scatter::{JsonRepeatScatter, JsonScatter};
 pub use splits::{JsonInterval, JsonSplitRow, JsonSplits};
 pub use tables::{Style, render_tables};
 

@@ -121,7 +121,7 @@ pub struct Iso9283Outcome {
 pub struct Iso9283Target {
     /// Its name.
     pub name: String,
-    /// In the order measured first.
+    /// By their numbers.
     pub poses: Vec<Iso9283Pose>,
     /// Against what the poses are accurate, one row a robot.
     pub rows: Vec<AccuracyAgainst>,

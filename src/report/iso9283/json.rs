@@ -63,7 +63,7 @@ pub struct JsonCube {
 pub struct JsonIsoTarget {
     /// Its name.
     pub target: String,
-    /// In the order measured first.
+    /// By their numbers.
     pub poses: Vec<JsonIsoPose>,
     /// Accuracy, one row a robot.
     pub accuracy: Vec<JsonIsoRow>,

@@ -90,7 +90,7 @@ fn sentences(outcome: &Iso9283Outcome) -> Vec<String> {
         if let Some(pose) = worst(target) {
             let [low, high] = pose.position.interval;
             lines.push(format!(
-                "{of}repeatability RP is {} at worst ({}), between {} and {} of endless cycles",
+                "{of}repeatability RP is {} at worst ({}); of endless cycles it would be {} to {}",
                 length_words(pose.position.repeatability),
                 pose_name(outcome, pose.pose),
                 length_words(low),
@@ -101,8 +101,8 @@ fn sentences(outcome: &Iso9283Outcome) -> Vec<String> {
         if let Some(shares) = shares.filter(|shares| !shares.is_empty()) {
             let mean = shares.iter().sum::<f64>() / shares.len() as f64;
             lines.push(format!(
-                "{of}the readings' stated noise makes {:.0} % of the variance of that scatter, the machine the rest",
-                1e2 * mean.min(1.0)
+                "{of}the readings' stated noise makes {} of the variance of that scatter, the machine the rest",
+                super::scatter::percent(mean)
             ));
         }
         let worst = |row: &crate::pipeline::AccuracyAgainst| {
@@ -217,7 +217,7 @@ fn target_lines(outcome: &Iso9283Outcome, target: &Iso9283Target, style: Style) 
             let radius: Vec<_> = accuracy.iter().map(|ap| mm(ap.radius)).collect();
             lines.push(row("  known within", &radius));
             if let Some(turns) = against.orientation.get(place.clone()).filter(|turns| !turns.is_empty()) {
-                lines.extend(turn_accuracy_rows(&against.title, turns));
+                lines.extend(turn_accuracy_rows("", turns));
             }
         }
         lines.push(style.paint(Ink::Dim, &"\u{2500}".repeat(TITLE + CELL * names.len())));
@@ -244,6 +244,6 @@ fn turn_rows(turns: &[OrientationRepeatability]) -> Vec<String> {
 fn turn_accuracy_rows(title: &str, turns: &[OrientationAccuracy]) -> Vec<String> {
     let values: Vec<_> = turns.iter().map(|turn| turn.error).collect();
     let line = |(axis, name): (usize, &&str)| row(&format!("  AP {name}, mrad"), &milli(&values, axis));
-    let head = std::iter::once(row(&format!("AP, {title}"), &[]));
-    head.chain(ANGLES.iter().enumerate().map(line)).collect()
+    let head = (!title.is_empty()).then(|| row(title, &[]));
+    head.into_iter().chain(ANGLES.iter().enumerate().map(line)).collect()
 }

@@ -87,7 +87,7 @@ pub enum Iso9283Error {
     },
 }
 
-/// The poses of one target that were measured more than once, in the order of their first reading, with as many cycles each; `asked`: no more than the first so
+/// The poses of one target that were measured more than once, in the order of their numbers, with as many cycles each; `asked`: no more than the first so
 /// many. Poses that were measured once are left out, and counted beside.
 ///
 /// # Errors
@@ -130,6 +130,7 @@ pub fn test_poses(
         let mixed_approach = observations.iter().any(|i| approach(i) != approach(&observations[0]));
         poses.push(TestPose { pose, observations, mixed_approach });
     }
+    poses.sort_by_key(|pose: &TestPose| pose.pose);
     if let [only] = poses.as_slice() {
         return Err(Iso9283Error::OnePose { target: name(), pose: only.pose });
     }
