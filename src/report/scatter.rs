@@ -173,7 +173,7 @@ pub(super) fn scatter_section(outcome: &Outcome) -> Markup {
             h2 { "Stated and seen scatter" }
             p {
                 "RMS along the beam (range), and across it along azimuth and elevation, as lengths at the target in \u{b5}m: what readings state of their own noise, what repeats of a "
-                "pose show, and what is left of the measurements by each model. What repeats show beyond what is stated is the machine; what residuals show beyond repeats is the model."
+                "pose show, and what is left of the measurements by each model. What repeats show beyond what is stated is the machine's own scatter, or that of a tracker worse than stated; what residuals show beyond repeats is what the model lacks."
             }
             @for (index, set) in outcome.sets.iter().enumerate() {
                 @let of_set = |judgement: &Judgement| judgement.scatter.get(index).copied().flatten();
@@ -181,8 +181,8 @@ pub(super) fn scatter_section(outcome: &Outcome) -> Markup {
                     h3 { (set_title(set.kind)) ", " (counted(first.readings, "reading")) }
                     div.scroll { table {
                         thead { tr {
-                            th {} th { "range" } th { "azimuth" } th { "elevation" } th.words { "noise's part of" br; "the variance" }
-                            @if first.shared.is_some() { th.words { "shared errors'" br; "part, at most" } }
+                            th {} th { "range" } th { "azimuth" } th { "elevation" } th { "noise's part of" br; "the variance" }
+                            @if first.shared.is_some() { th { "shared errors'" br; "part, at most" } }
                         } }
                         tbody {
                             @if let Some(stated) = first.stated { (lengths("stated noise of a reading", stated, &first)) }

@@ -3,8 +3,8 @@
 use plotters::prelude::*;
 
 use super::super::plots::{
-    Area, Drawn, GRID, INK, LOOKS, VIEWS, WIDTH, centred, drawable, foot, ink, largest, look, marker, px,
-    svg, text_style, tick,
+    Area, Drawn, GRID, INK, LOOKS, Look, Marker, VIEWS, WIDTH, centred, drawable, foot, ink, largest, look,
+    marker, px, svg, text_style, tick,
 };
 use super::pose_name;
 use crate::pipeline::{AccuracyAgainst, Iso9283Outcome, Iso9283Target};
@@ -88,8 +88,10 @@ fn panel(area: &Area, label: &str, points: &[(f64, f64)], rp: f64, reach: f64) -
 }
 
 /// How a row is drawn.
-pub(super) fn look_of(against: &AccuracyAgainst) -> super::super::plots::Look {
-    Mode::ALL.into_iter().find(|mode| mode.key() == against.key).map_or(LOOKS[0], look)
+pub(super) fn look_of(against: &AccuracyAgainst) -> Look {
+    // Of the same robot as without calibration, placed otherwise.
+    let by_nests = Look { marker: Marker::Cross, ..LOOKS[0] };
+    Mode::ALL.into_iter().find(|mode| mode.key() == against.key).map_or(by_nests, look)
 }
 
 /// AP of every row pose by pose, mm, on a logarithmic axis.

@@ -190,7 +190,7 @@ fn target_lines(outcome: &Iso9283Outcome, target: &Iso9283Target, style: Style) 
         lines.push(row("", &names));
         lines.push(style.paint(Ink::Dim, &"\u{2500}".repeat(TITLE + CELL * names.len())));
         lines.push(row("RP (mean l + 3 S_l)", &cells(&|pose| mm(pose.position.repeatability))));
-        lines.push(row("  from, of endless cycles", &cells(&|pose| mm(pose.position.interval[0]))));
+        lines.push(row("  95 % interval, from", &cells(&|pose| mm(pose.position.interval[0]))));
         lines.push(row("  to", &cells(&|pose| mm(pose.position.interval[1]))));
         lines.push(row("  mean distance l", &cells(&|pose| mm(pose.position.mean_distance))));
         lines.push(row("  S_l", &cells(&|pose| mm(pose.position.distance_sigma))));

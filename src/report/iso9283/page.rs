@@ -3,9 +3,9 @@
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::figure::{accuracy_figure, look_of, scatter_figure};
-use super::{ANGLES, RECALLED, mm, pose_name, pose_names, sentences, title_of};
+use super::{ANGLES, RECALLED, pose_name, pose_names, sentences, title_of};
 use crate::pipeline::{AccuracyAgainst, Iso9283Outcome, Iso9283Pose, Iso9283Target};
-use crate::report::html::{CSS, figure_css, key};
+use crate::report::html::{CSS, figure_css, key, number};
 use crate::report::{ReportError, counted};
 use calibrig_estimation::evaluation::iso9283::{OrientationAccuracy, OrientationRepeatability};
 
@@ -87,7 +87,7 @@ fn target_section(outcome: &Iso9283Outcome, target: &Iso9283Target) -> Result<Ma
                 (heads(outcome, target))
                 tbody {
                     (line(target, "RP, mm", |pose| mm(pose.position.repeatability)))
-                    (line(target, "from, of endless cycles", |pose| mm(pose.position.interval[0])))
+                    (line(target, "95 % interval, from", |pose| mm(pose.position.interval[0])))
                     (line(target, "to", |pose| mm(pose.position.interval[1])))
                     (line(target, "mean distance", |pose| mm(pose.position.mean_distance)))
                     (line(target, "its standard deviation", |pose| mm(pose.position.distance_sigma)))
@@ -100,7 +100,7 @@ fn target_section(outcome: &Iso9283Outcome, target: &Iso9283Target) -> Result<Ma
                     @if let Some(turns) = &turns { (turn_lines(turns)) }
                 }
             } }
-            p.note { "RP is the mean distance from the barycentre and three of its standard deviations. It holds the scatter of the readings, too." }
+            p.note { "RP is the mean distance from the barycentre and three of its standard deviations. It holds the scatter of the readings, too. The interval is that of the value of endless cycles, for normal scatter." }
             figure {
                 div.scroll { (PreEscaped(scatter)) }
                 figcaption {
@@ -153,8 +153,12 @@ fn accuracy_lines(row: &AccuracyAgainst) -> Markup {
     }
 }
 
+fn mm(metres: f64) -> String {
+    number(1e3 * metres, 4)
+}
+
 fn milli(value: f64) -> String {
-    format!("{:.4}", 1e3 * value)
+    number(1e3 * value, 4)
 }
 
 fn turn_lines(turns: &[OrientationRepeatability]) -> Markup {
