@@ -6,6 +6,7 @@ mod bounds;
 mod choice;
 mod defaults;
 mod diagnosis;
+mod iso9283;
 mod judgement;
 mod machine;
 mod planned;
@@ -24,6 +25,10 @@ pub use bounds::{TruthBounds, bounds_at_truth};
 pub use choice::{ChosenRow, FailedVariant, ModelChoice, choose};
 pub use defaults::{default_modes, default_options, is_default};
 pub use diagnosis::{Names, mm};
+pub use iso9283::{
+    AccuracyAgainst, CombinedOrientation, Iso9283Failure, Iso9283Outcome, Iso9283Plan, Iso9283Pose,
+    Iso9283Target, ReachError, iso9283_of_scenario, iso9283_of_set,
+};
 pub use judgement::{Confidence, FALSE_ALARM, Judgement, PredictedPosition, judge};
 pub use planned::{planned, planned_at};
 pub use plausible::{Implausible, check_plausible, commands_beyond_limits};

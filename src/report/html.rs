@@ -8,6 +8,7 @@ use super::ablation::ablation_section;
 use super::judgement::{residual_section, sure_section};
 use super::parameters::{ParameterCell, ParameterRow, fitted, parameter_rows, parameter_words, printed_unit};
 use super::plots::{self, GRID, INK, LOOKS, Look, Marker, hex, look};
+use super::scatter::{has_scatter, scatter_section};
 use super::splits::split_section;
 use super::summary::{factor_words, judged_set, length_words, row, significant, summarise};
 use super::{
@@ -48,6 +49,7 @@ pub fn html_report(outcome: &Outcome) -> Result<String, ReportError> {
                     (accuracy_section(outcome))
                     (errors)
                     (residual)
+                    (scatter_section(outcome))
                     (parameters)
                     @if let Some(study) = &outcome.splits { (split_section(study)) }
                     (sure)
@@ -106,6 +108,7 @@ fn header(outcome: &Outcome) -> Markup {
                 a href="#accuracy" { "Accuracy" } " "
                 a href="#errors" { "Errors" } " "
                 @if !outcome.judgements.is_empty() { a href="#residual" { "Residual" } " " }
+                @if has_scatter(outcome) { a href="#scatter" { "Scatter" } " " }
                 a href="#parameters" { "Parameters" } " "
                 @if outcome.splits.is_some() { a href="#splits" { "Splits" } " " }
                 @if outcome.judgements.iter().any(|j| j.confidence.is_some()) { a href="#sure" { "How sure" } " " }
@@ -671,7 +674,7 @@ pub(super) fn figure(modes: &[Mode], plot: &str, caption: &Markup, lines: bool) 
 }
 
 /// The marker of a mode, to stand beside its title.
-fn key(look: &Look) -> Markup {
+pub(super) fn key(look: &Look) -> Markup {
     let colour = hex(look.light);
     html! {
         svg.key width="14" height="14" viewBox="-7 -7 14 14" aria-hidden="true" {

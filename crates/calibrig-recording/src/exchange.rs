@@ -426,6 +426,7 @@ mod tests {
         (station.nests[0].time, again.time) = (Some(0.5), Some(1800.5));
         station.nests.push(again);
         station.instrument = Some(StatedInstrument {
+            drift: None,
             name: "AT".to_owned(),
             sigmas: vec![(InstrumentTerm::Collimation, 1.7e-6), (InstrumentTerm::RangeOffset, 5e-6)],
         });
@@ -434,11 +435,11 @@ mod tests {
         }
         written_and_read(&set, &joints).expect("the same");
         for (place, observation) in set.measurements.observations.iter_mut().enumerate() {
-            observation.reading = Reading::Pose(PoseReading {
+            observation.reading = Reading::Pose(Box::new(PoseReading {
                 position: observation.reading.position(),
                 rotation: Rotation3::new(Vector3::new(0.1, 0.2, 0.3 * place as f64)),
                 covariance: (place != 2).then(|| Matrix6::identity() * 1e-10),
-            });
+            }));
         }
         set.measurements.targets[0].orientation = Some(TargetOrientation {
             flange_from_target: Rotation3::new(Vector3::new(0.0, 0.4, 0.0)),

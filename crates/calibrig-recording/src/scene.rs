@@ -512,11 +512,11 @@ mod tests {
         let robot = &outcome.modes[0].robot;
         assert_eq!(sighting(robot, &observation).expect("a station").axes().count(), 0);
         let base_from_target = Rotation3::new(Vector3::new(0.3, -0.8, 1.1));
-        observation.reading = Reading::Pose(PoseReading {
+        observation.reading = Reading::Pose(Box::new(PoseReading {
             position: observation.reading.position(),
             rotation: robot.stations[0].rotation * base_from_target,
             covariance: None,
-        });
+        }));
         let seen = sighting(robot, &observation).expect("a station");
         let axes: Vec<_> = seen.axes().collect();
         let directions = [Vector3::x(), Vector3::y(), Vector3::z()];

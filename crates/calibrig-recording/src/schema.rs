@@ -372,8 +372,9 @@ mod tests {
         let outcome = synthetic::outcome(3, 1, false);
         let mut set = outcome.sets[0].clone();
         let measurements = &mut set.measurements;
-        measurements.observations[0].reading = Reading::Pose(full_pose());
-        measurements.observations[1].reading = Reading::Pose(PoseReading { covariance: None, ..full_pose() });
+        measurements.observations[0].reading = Reading::Pose(Box::new(full_pose()));
+        measurements.observations[1].reading =
+            Reading::Pose(Box::new(PoseReading { covariance: None, ..full_pose() }));
         let Reading::Spherical(reading) = &mut measurements.observations[2].reading else {
             panic!("spherical")
         };
@@ -385,7 +386,11 @@ mod tests {
         // In another order than that of the terms.
         let sigmas =
             InstrumentTerm::ALL.into_iter().rev().zip(1..).map(|(term, n)| (term, 1e-7 * f64::from(n)));
-        station.instrument = Some(StatedInstrument { name: "AT \"1\"".to_owned(), sigmas: sigmas.collect() });
+        station.instrument = Some(StatedInstrument {
+            name: "AT \"1\"".to_owned(),
+            sigmas: sigmas.collect(),
+            drift: Some(StatedDrift { motion_per_hour: 1e-5, turn_per_hour: 0.0 }),
+        });
         measurements.targets[0].orientation = Some(TargetOrientation {
             flange_from_target: Rotation3::new(Vector3::new(0.0, 0.1, -3.0)),
             covariance: Some(Matrix3::identity() * 1e-8),
@@ -412,7 +417,7 @@ mod tests {
         let outcome = synthetic::outcome(2, 1, false);
         let set = &outcome.sets[0];
         let mut good = set.measurements.observations[0].clone();
-        good.reading = Reading::Pose(full_pose());
+        good.reading = Reading::Pose(Box::new(full_pose()));
         let good = observation(set.kind, 0, &good);
         type Change = fn(&mut v1::PoseReading);
         let cases: [(Change, &str); 6] = [
@@ -448,6 +453,8 @@ mod tests {
 
         let mut message = session(set, None);
         let instrument = |term: &str, sigma| v1::Instrument {
+            drift_motion_per_hour: None,
+            drift_turn_per_hour: None,
             name: "AT".to_owned(),
             errors: vec![v1::InstrumentError { term: term.to_owned(), sigma }],
         };

@@ -3,10 +3,12 @@
 mod comparison;
 mod consistency;
 mod criteria;
+pub mod iso9283;
 mod model_choice;
 mod nested;
 mod outcome;
 mod patterns;
+mod scatter;
 mod splits;
 
 pub use comparison::{Interval, paired_rms_difference, resampled_difference};
@@ -18,6 +20,7 @@ pub use model_choice::{Variant, VariantRow, Verdict, compare_variants};
 pub use nested::{NestedFits, paired_by_pose};
 pub use outcome::{ModeOutcome, RegistrationSummary};
 pub use patterns::{Cause, PatternReport, PoseConditions, ResidualPattern, ResidualSet, find_patterns};
+pub use scatter::{REPEATS_LEVEL, RepeatScatter, ScatterComparison, compare_scatter};
 use serde::{Deserialize, Serialize};
 pub use splits::{Split, k_fold, leave_one_out, repeated_splits};
 

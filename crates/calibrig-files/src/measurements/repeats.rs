@@ -152,7 +152,7 @@ fn mean_observation(members: &[&Observation], scatter: Option<f64>) -> Observati
     mean.temperature = temperatures.map(|temperatures| temperatures.iter().sum::<f64>() / count);
     mean.reading = match (spherical(members), full_pose(members)) {
         (Some(reading), _) => Reading::Spherical(reading),
-        (None, Some(pose)) => Reading::Pose(pose),
+        (None, Some(pose)) => Reading::Pose(Box::new(pose)),
         (None, None) => {
             let position = mean_of(members.iter().map(|o| o.reading.position()));
             let stated: Option<Vec<_>> = members.iter().map(|o| o.reading.position_covariance()).collect();
@@ -194,7 +194,7 @@ fn full_pose(members: &[&Observation]) -> Option<PoseReading> {
     let poses: Vec<&PoseReading> = members
         .iter()
         .map(|o| match &o.reading {
-            Reading::Pose(pose) => Some(pose),
+            Reading::Pose(pose) => Some(&**pose),
             Reading::Cartesian { .. } | Reading::Spherical(_) => None,
         })
         .collect::<Option<_>>()?;

@@ -320,11 +320,11 @@ fn pose(place: [f64; 3], turn: [f64; 3], c: [f64; 6], (diagonal, stated): (bool,
     let covariance = if diagonal { factor.component_mul(&factor) } else { factor * factor.transpose() };
     // Rounding leaves a product not quite symmetric.
     let covariance = Matrix6::from_fn(|i, j| covariance[(i.min(j), i.max(j))]);
-    Reading::Pose(PoseReading {
+    Reading::Pose(Box::new(PoseReading {
         position: place.into(),
         rotation: Rotation3::new(turn.into()),
         covariance: stated.then_some(covariance),
-    })
+    }))
 }
 
 fn observation(kind: u8, diagonal: bool) -> impl Strategy<Value = Observation> {

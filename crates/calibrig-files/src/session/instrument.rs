@@ -3,7 +3,7 @@
 use serde::Deserialize;
 
 use crate::input::{InputError, Source, Spanned};
-use calibrig_model::measurement::{InstrumentTerm, StatedInstrument};
+use calibrig_model::measurement::{InstrumentTerm, StatedDrift, StatedInstrument};
 
 /// Standard deviations about zero. Another unit of the same quantity is taken as well: `collimation_urad`, `range_offset_um`.
 #[derive(Deserialize)]
@@ -27,7 +27,12 @@ pub(super) struct InstrumentTable {
     elevation_cos1_rad: Option<Spanned<f64>>,
     elevation_sin2_rad: Option<Spanned<f64>>,
     elevation_cos2_rad: Option<Spanned<f64>>,
+    drift_m_per_h: Option<Spanned<f64>>,
+    drift_rad_per_h: Option<Spanned<f64>>,
 }
+
+/// The keys of a station's drift, along and about every axis of the base.
+pub(super) const DRIFT_KEYS: [&str; 2] = ["drift_m_per_h", "drift_rad_per_h"];
 
 /// The key that a term is written under, in SI.
 pub(super) fn key_of(term: InstrumentTerm) -> &'static str {
@@ -73,6 +78,21 @@ impl InstrumentTable {
         }
     }
 
+    /// How the station moves on its stand; where one of the two is left out, it is zero.
+    fn drift(&self, source: &Source) -> Result<Option<StatedDrift>, InputError> {
+        let (motion, turn) = (&self.drift_m_per_h, &self.drift_rad_per_h);
+        if motion.is_none() && turn.is_none() {
+            return Ok(None);
+        }
+        let of = |key: &str, value: &Option<Spanned<f64>>| {
+            value.as_ref().map_or(Ok(0.0), |value| source.not_negative(key, value))
+        };
+        Ok(Some(StatedDrift {
+            motion_per_hour: of(DRIFT_KEYS[0], motion)?,
+            turn_per_hour: of(DRIFT_KEYS[1], turn)?,
+        }))
+    }
+
     /// The terms in the order of the text.
     pub fn read(&self, source: &Source) -> Result<StatedInstrument, InputError> {
         let sigma = |key: &str, value: &Spanned<f64>| {
@@ -99,7 +119,7 @@ impl InstrumentTable {
         }
         terms.sort_by_key(|(place, ..)| *place);
         let sigmas = terms.into_iter().map(|(_, term, sigma)| (term, sigma)).collect();
-        Ok(StatedInstrument { name: self.name.get_ref().clone(), sigmas })
+        Ok(StatedInstrument { name: self.name.get_ref().clone(), sigmas, drift: self.drift(source)? })
     }
 }
 

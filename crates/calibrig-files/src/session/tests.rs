@@ -1,5 +1,5 @@
 use super::*;
-use calibrig_model::measurement::{InstrumentTerm, PoseReading, TargetOrientation};
+use calibrig_model::measurement::{InstrumentTerm, PoseReading, StatedDrift, TargetOrientation};
 use nalgebra::Rotation3;
 use proptest::prelude::*;
 
@@ -41,8 +41,11 @@ fn reading() -> impl Strategy<Value = Reading> {
 fn instrument() -> impl Strategy<Value = StatedInstrument> {
     let terms = prop::sample::subsequence(InstrumentTerm::ALL.to_vec(), 0..=16).prop_shuffle();
     let sigma = prop_oneof![1e-9..1e-3f64, Just(1e-15), Just(1e15)];
-    ("\\PC{0,6}", terms, prop::collection::vec(sigma, 16)).prop_map(|(name, terms, sigmas)| {
-        StatedInstrument { name, sigmas: terms.into_iter().zip(sigmas).collect() }
+    let drift = prop::option::of((0.0..1e-3f64, 0.0..1e-3f64));
+    ("\\PC{0,6}", terms, prop::collection::vec(sigma, 16), drift).prop_map(|(name, terms, sigmas, drift)| {
+        let drift =
+            drift.map(|(motion_per_hour, turn_per_hour)| StatedDrift { motion_per_hour, turn_per_hour });
+        StatedInstrument { name, sigmas: terms.into_iter().zip(sigmas).collect(), drift }
     })
 }
 
@@ -371,11 +374,11 @@ fn instruments_nests_in_rounds_and_turned_targets_are_read_in_units_that_people_
 
 #[test]
 fn a_nest_that_is_a_full_pose_is_not_written() {
-    let reading = Reading::Pose(PoseReading {
+    let reading = Reading::Pose(Box::new(PoseReading {
         position: Vector3::x(),
         rotation: Rotation3::identity(),
         covariance: None,
-    });
+    }));
     let nest = NestObservation {
         name: "n".to_owned(),
         in_base: Vector3::x(),

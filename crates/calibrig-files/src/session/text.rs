@@ -6,7 +6,7 @@ use miette::Diagnostic;
 use nalgebra::Matrix3;
 use thiserror::Error;
 
-use super::instrument::key_of;
+use super::instrument::{DRIFT_KEYS, key_of};
 use super::{SCHEMA, SessionSet, quoted};
 use calibrig_model::measurement::{
     Face, NestObservation, Reading, SphericalReading, StatedInstrument, Station, Target, TargetOrientation,
@@ -79,6 +79,11 @@ fn instrument_text(instrument: &StatedInstrument) -> String {
     let mut text = format!("\n[station.instrument]\nname = {}\n", quoted(&instrument.name));
     for (term, sigma) in &instrument.sigmas {
         let _ = writeln!(text, "{} = {sigma:?}", key_of(*term));
+    }
+    if let Some(drift) = instrument.drift {
+        for (key, sigma) in DRIFT_KEYS.into_iter().zip([drift.motion_per_hour, drift.turn_per_hour]) {
+            let _ = writeln!(text, "{key} = {sigma:?}");
+        }
     }
     text
 }

@@ -64,11 +64,11 @@ struct Taken {
 }
 
 /// The trackers and targets of a session with their errors.
-struct Setup {
-    trackers: Vec<LaserTracker>,
-    mounted: Vec<Mounted>,
-    seed: u64,
-    trial: u32,
+pub(super) struct Setup {
+    pub trackers: Vec<LaserTracker>,
+    pub mounted: Vec<Mounted>,
+    pub seed: u64,
+    pub trial: u32,
 }
 
 impl MeasuringSession<'_> {
@@ -161,7 +161,7 @@ impl MeasuringSession<'_> {
         Ok(Simulation { sets, missing, truth })
     }
 
-    fn schedule(&self, seed: u64, trial: u32) -> Schedule {
+    pub(super) fn schedule(&self, seed: u64, trial: u32) -> Schedule {
         let counts = [
             (SetKind::Identification, self.identification_poses),
             (SetKind::Verification, self.verification_poses),
@@ -185,7 +185,7 @@ impl MeasuringSession<'_> {
     }
 
     /// Every station's tracker, with the errors that it has in this session.
-    fn trackers(
+    pub(super) fn trackers(
         &self,
         schedule: &Schedule,
         seed: u64,
@@ -359,7 +359,7 @@ impl MeasuringSession<'_> {
     }
 
     /// What the reading at that place of the streams is off by, if it is a gross error.
-    fn outlier(&self, setup: &Setup, place: u64) -> Option<Vector3<f64>> {
+    pub(super) fn outlier(&self, setup: &Setup, place: u64) -> Option<Vector3<f64>> {
         self.outliers?.draw(&mut random::stream_at(setup.seed, setup.trial, Source::Outliers, place))
     }
 
@@ -369,7 +369,7 @@ impl MeasuringSession<'_> {
         if self.tracker.instrument.noise { sigma * drawn } else { Vector3::zeros() }
     }
 
-    fn measure_targets(&self, seed: u64, trial: u32) -> Vec<Target> {
+    pub(super) fn measure_targets(&self, seed: u64, trial: u32) -> Vec<Target> {
         let mut rng = random::stream(seed, trial, Source::TargetOffset);
         let sigma = self.target_covariance[(0, 0)].sqrt();
         let further = self.plan.targets.iter().map(|target| (target.name.as_str(), target.in_flange));

@@ -2,6 +2,7 @@
 
 mod beside;
 mod controller;
+mod cycles;
 mod events;
 mod measure;
 mod nests;
@@ -12,6 +13,7 @@ mod sight;
 mod tests;
 
 pub use beside::{BesideRigid, RigidMachine};
+pub use cycles::{CycleError, CycleMeasurements};
 pub use events::{MeasuredPose, SessionEvent, SessionListener, counting};
 pub use measure::MeasuringSession;
 pub use plan::{

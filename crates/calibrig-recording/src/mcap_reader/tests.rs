@@ -124,11 +124,11 @@ fn a_session_of_full_poses_is_read_back_bit_for_bit_and_its_axes_are_drawn() {
     let mut poses = 0;
     for set in &mut outcome.sets {
         for (observation, turn) in set.measurements.observations.iter_mut().zip(1..) {
-            observation.reading = Reading::Pose(PoseReading {
+            observation.reading = Reading::Pose(Box::new(PoseReading {
                 position: observation.reading.position(),
                 rotation: Rotation3::new(Vector3::new(0.1, -0.2, 0.3) * f64::from(turn)),
                 covariance: Some(Matrix6::identity() * 1e-10),
-            });
+            }));
             poses += 1;
         }
     }

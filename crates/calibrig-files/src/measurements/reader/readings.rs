@@ -101,7 +101,11 @@ impl Cells<'_> {
         pose.position.iter().try_for_each(|coordinate| self.check_size(place, *coordinate))?;
         let covariance = self.pose_covariance(rotation, &point, &pose, jacobian.as_ref())?;
         covariance.iter().flatten().try_for_each(|element| self.check_size(place, *element))?;
-        Ok(Some(Reading::Pose(PoseReading { position: pose.position, rotation: pose.rotation, covariance })))
+        Ok(Some(Reading::Pose(Box::new(PoseReading {
+            position: pose.position,
+            rotation: pose.rotation,
+            covariance,
+        }))))
     }
 
     /// Of place and rotation in the tracker's axes; `None` where nothing is stated of either. `jacobian` takes the numbers of the file to the
