@@ -1,6 +1,7 @@
 //! What a run tells people and programs: tables on the terminal, `report.json` and `report.html`. A sink: nothing upstream imports it.
 
 mod ablation;
+mod drift;
 mod forest;
 mod html;
 mod json;
