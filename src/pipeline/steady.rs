@@ -1,4 +1,4 @@
-//! Readings freed from the motion of their trackers, in one place before anything is fitted: of simulated, replayed and real sets alike.
+//! Readings freed from the motion of their trackers, and certificates that stations share, in one place before anything is fitted: of simulated, replayed and real sets alike.
 
 use super::{PipelineError, SetOutcome};
 use calibrig_model::measurement::{MeasurementSet, StationDrift, Steady, remove_drift};
@@ -14,7 +14,8 @@ pub struct SteadySets {
     pub drift: Vec<StationDrift>,
 }
 
-/// Removes what trackers drift by, as far as their nests tell it ([`remove_drift`]). Sets with the same stations are of one session, whose drift is
+/// Removes what trackers drift by, as far as their nests tell it ([`remove_drift`]), and lets certified places that several stations have seen count
+/// once ([`MeasurementSet::share_certificates`]). Sets with the same stations are of one session, whose drift is
 /// one.
 ///
 /// # Errors
@@ -23,13 +24,15 @@ pub struct SteadySets {
 pub fn without_drift(sets: Vec<SetOutcome>) -> Result<SteadySets, PipelineError> {
     let mut freed: Vec<SetOutcome> = Vec::with_capacity(sets.len());
     let mut drift = Vec::new();
+    let mut shared = false;
     for session in sets.chunk_by(|a, b| a.measurements.stations == b.measurements.stations) {
         let Some(first) = session.first() else { continue };
         let whole = MeasurementSet {
             observations: session.iter().flat_map(|set| set.measurements.observations.clone()).collect(),
             ..first.measurements.clone()
         };
-        let Steady { measurements, stations } = remove_drift(&whole)?;
+        let Steady { mut measurements, stations } = remove_drift(&whole)?;
+        shared |= measurements.share_certificates();
         drift.extend(stations);
         let mut observations = measurements.observations.into_iter();
         for set in session {
@@ -42,6 +45,6 @@ pub fn without_drift(sets: Vec<SetOutcome>) -> Result<SteadySets, PipelineError>
             freed.push(SetOutcome { measurements: own, ..set.clone() });
         }
     }
-    let as_measured = if drift.is_empty() { Vec::new() } else { sets };
+    let as_measured = if drift.is_empty() && !shared { Vec::new() } else { sets };
     Ok(SteadySets { sets: freed, as_measured, drift })
 }
