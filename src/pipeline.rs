@@ -1,6 +1,7 @@
 //! The short story of a run: simulate, identify, evaluate.
 
 mod ablation;
+mod acceptance;
 mod bounds;
 mod choice;
 mod defaults;
@@ -17,6 +18,7 @@ mod truth;
 mod worth;
 
 pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
+pub use acceptance::{AcceptanceOutcome, Finding, Ratios, Test, TestOutcome, TestedKind, test_instruments};
 pub(crate) use bounds::information_at_truth;
 pub use bounds::{TruthBounds, bounds_at_truth};
 pub use choice::{ChosenRow, FailedVariant, ModelChoice, choose};

@@ -21,6 +21,7 @@ mod replay;
 mod report;
 mod reread;
 mod run;
+mod tracker_acceptance;
 
 use std::error::Error as _;
 use std::fmt;
@@ -72,6 +73,7 @@ enum Command {
     Model(model::Args),
     Diagnose(Box<diagnose::Args>),
     Montecarlo(montecarlo::Args),
+    TrackerAcceptance(tracker_acceptance::Args),
     Replay(replay::Args),
     Inspect(inspect::Args),
     Recover(recover::Args),
@@ -199,6 +201,7 @@ pub fn main() -> ExitCode {
         Command::Model(args) => model::execute(args),
         Command::Diagnose(args) => diagnose::execute(args),
         Command::Montecarlo(args) => montecarlo::execute(args),
+        Command::TrackerAcceptance(args) => tracker_acceptance::execute(args),
         Command::Identifiability(args) => identifiability::execute(args),
         Command::Replay(args) => replay::execute(args),
         Command::Inspect(args) => inspect::execute(args),

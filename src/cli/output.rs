@@ -19,6 +19,8 @@ pub(super) enum Files {
     ReportsAndRecordings,
     /// What a campaign leaves.
     Campaign,
+    /// What an acceptance test leaves.
+    Acceptance,
     /// The tables of an exported recording; input files lie beside them.
     Export,
 }
@@ -28,6 +30,7 @@ impl Files {
         match self {
             Self::Reports => &["report.html", "report.json", "residuals.csv"],
             Self::Campaign => &["trials.csv", "summary.json"],
+            Self::Acceptance => &["acceptance.html", "acceptance.svg", "acceptance.json"],
             Self::Export => {
                 &["identification.csv", "verification.csv", "session.toml", "residuals.csv", "parameters.csv"]
             }

@@ -22,7 +22,7 @@ use calibrig_estimation::identification::{
 use calibrig_model::statistics::NORMAL_95;
 use calibrig_model::{ParameterId, Unit};
 
-const CSS: &str = include_str!("report.css");
+pub(super) const CSS: &str = include_str!("report.css");
 
 /// The page of a run.
 pub fn html_report(outcome: &Outcome) -> Result<String, ReportError> {
@@ -63,7 +63,7 @@ pub fn html_report(outcome: &Outcome) -> Result<String, ReportError> {
 }
 
 /// The figures' colours on a dark page; on a light one their own attributes hold.
-fn figure_css() -> String {
+pub(super) fn figure_css() -> String {
     let (ink, grid) = (hex(INK), hex(GRID));
     let mut css = format!(
         "figure svg [fill=\"{ink}\"]{{fill:currentColor}}figure svg [stroke=\"{ink}\"]{{stroke:currentColor}}\

@@ -1,6 +1,7 @@
 //! What a run tells people and programs: tables on the terminal, `report.json` and `report.html`. A sink: nothing upstream imports it.
 
 mod ablation;
+mod acceptance;
 mod drift;
 mod forest;
 mod html;
@@ -16,6 +17,7 @@ mod splits;
 mod summary;
 mod tables;
 
+pub use acceptance::{acceptance_html, acceptance_json, acceptance_svg, acceptance_text};
 pub use html::{html_report, quoted};
 pub use json::{
     JsonAblated, JsonAblation, JsonAblationRow, JsonDropped, JsonEstimate, JsonInput, JsonParameter,
