@@ -15,6 +15,7 @@ mod residuals;
 mod sensors;
 mod simulate;
 mod splits;
+mod steady;
 mod truth;
 mod worth;
 
@@ -36,6 +37,7 @@ pub use residuals::ObservationResidual;
 pub use sensors::{ARM, Sensor, SensorResult, compare_sensors};
 pub use simulate::{measure_session, simulate};
 pub use splits::{SplitMode, SplitPlan, SplitStudy, pose_count, repeat_splits, without_gross_errors};
+pub use steady::{SteadySets, without_drift};
 pub use truth::KnownTruth;
 pub use worth::Worse;
 
@@ -56,7 +58,7 @@ use calibrig_estimation::identification::{
     without_calibration,
 };
 use calibrig_files::Source;
-use calibrig_model::measurement::{CombineError, MeasurementSet};
+use calibrig_model::measurement::{CombineError, DriftError, MeasurementSet, StationDrift};
 pub use calibrig_model::measurement::{SetKind, SetOutcome};
 use calibrig_model::{CalibrationModel, Visual};
 use calibrig_plant::PlantError;
@@ -82,8 +84,14 @@ pub struct Outcome {
     pub visuals: Vec<Vec<Visual>>,
     /// How the row "without calibration" was registered.
     pub registration: RegistrationSummary,
-    /// The sets, identification first.
+    /// The sets as they were fitted, identification first.
     pub sets: Vec<SetOutcome>,
+    /// The same as they were measured, where a tracker's nests were measured more than once; else empty.
+    pub as_measured: Vec<SetOutcome>,
+    /// What rounds of nests say of the trackers' own motion.
+    pub drift: Vec<StationDrift>,
+    /// Readings of measured poses that were planned and did not come, one vector a set; empty where that is not known.
+    pub missing: Vec<Vec<MissingReading>>,
     /// File and row of every observation, one list a set; empty where they come from no file.
     pub places: Vec<Vec<String>>,
     /// The modes in table order.
@@ -113,7 +121,7 @@ impl Outcome {
             model: &self.model,
             visuals: &self.visuals,
             registration: &self.registration,
-            sets: &self.sets,
+            sets: if self.as_measured.is_empty() { &self.sets } else { &self.as_measured },
             modes: &self.modes,
             truth: self.truth.as_ref(),
             published: &self.published,
@@ -143,6 +151,9 @@ pub enum PipelineError {
     /// The session as planned cannot be carried out.
     #[error("the session: {0}")]
     Session(#[from] PlanError),
+    /// Rounds of nests make no sense.
+    #[error(transparent)]
+    Drift(#[from] DriftError),
     /// The machine cannot take a pose.
     #[error("{} set, pose {pose}: {source}", set.key())]
     Pose {
@@ -330,16 +341,20 @@ pub fn run_trial(
     let mut simulation = simulated?;
     simulation.truth.rigid = rigid;
     let model = &scenario.robot.model;
-    let (registration, modes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;
-    let judgements = judge(model, &simulation.sets, &modes, &scenario.options)?;
-    let bounds = bounds_at_truth(model, &simulation.sets, &modes, &scenario.options, &simulation.truth);
+    let SteadySets { sets, as_measured, drift } = without_drift(simulation.sets)?;
+    let (registration, modes) = calibrate(model, &sets, &scenario.modes, &scenario.options)?;
+    let judgements = judge(model, &sets, &modes, &scenario.options)?;
+    let bounds = bounds_at_truth(model, &sets, &modes, &scenario.options, &simulation.truth);
     Ok(Outcome {
         input: input_of(scenario, seed, trial, plant),
         sources: scenario.sources.clone(),
         model: model.clone(),
         visuals: scenario.robot.visuals.clone(),
         registration,
-        sets: simulation.sets,
+        sets,
+        as_measured,
+        drift,
+        missing: simulation.missing,
         places: Vec::new(),
         modes,
         truth: Some(simulation.truth),

@@ -7,8 +7,8 @@ use miette::Diagnostic;
 use thiserror::Error;
 
 use crate::pipeline::{
-    Implausible, InputSummary, ModeOutcome, Outcome, PipelineError, SetKind, SetOutcome, Truth, calibrate,
-    check_plausible, default_modes, default_options, judge,
+    Implausible, InputSummary, ModeOutcome, Outcome, PipelineError, SetKind, SetOutcome, SteadySets, Truth,
+    calibrate, check_plausible, default_modes, default_options, judge, without_drift,
 };
 use crate::scenario::{Scenario, parse_scenario};
 use calibrig_estimation::METHOD;
@@ -266,6 +266,7 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
     let recording = read_recording_with(path, &read)?;
     let Plan { name, model, visuals, options: fit, modes, published } = Plan::new(&recording, options)?;
     let Recording { provenance, sources, sets, missing, unprotected, estimates, .. } = recording;
+    let SteadySets { sets, as_measured, drift } = without_drift(sets)?;
     let implausible = match check_plausible(&model, &sets, &fit, |_, _| {}) {
         Err(PipelineError::Implausible(why)) if options.fit_anyway => Some(why),
         Err(PipelineError::Implausible(why)) => return Err(ReplayError::Implausible(why)),
@@ -304,6 +305,9 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
         visuals,
         registration,
         sets,
+        as_measured,
+        drift,
+        missing: Vec::new(),
         places: Vec::new(),
         modes,
         truth: None,

@@ -12,6 +12,7 @@ use calibrig_estimation::identification::{
     ComplianceChoice, FrameChoice, Mode, ParameterChoice, TargetChoice,
 };
 use calibrig_model::JointKind;
+use calibrig_plant::session::{Approach, PoseOrder, SessionPlan, StationShare};
 
 /// Validate a scenario and the files it names, and say what would run
 #[derive(Debug, clap::Args)]
@@ -44,10 +45,25 @@ fn as_json(scenario: &Scenario) -> String {
         "identification_poses": scenario.identification_poses,
         "verification_poses": scenario.verification_poses,
         "effects": scenario.as_built.effects.active().iter().map(|e| e.key()).collect::<Vec<_>>(),
+        "session": json_session(scenario),
         "bounds": scenario.options.bounds.iter().map(ToString::to_string).collect::<Vec<_>>(),
         "modes": scenario.modes.iter().map(|m| m.key()).collect::<Vec<_>>(),
     });
     format!("{value:#}\n")
+}
+
+fn json_session(scenario: &Scenario) -> serde_json::Value {
+    let plan = &scenario.plan;
+    json!({
+        "duration_s": scenario.session().duration(),
+        "stations": 1 + plan.stations.len(),
+        "targets": 1 + plan.targets.len(),
+        "readings_per_visit": plan.readings_per_visit(),
+        "visits_per_pose": plan.repeats,
+        "order": plan.order.key(),
+        "poses_shared": plan.share.key(),
+        "line_of_sight": plan.sight.is_some(),
+    })
 }
 
 fn as_text(scenario: &Scenario) -> String {
@@ -106,6 +122,7 @@ fn write_text(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
         )?;
     }
     writeln!(text, "  base nests   {}", scenario.nests.len())?;
+    session_lines(scenario, text)?;
     for (index, effect) in scenario.as_built.effects.active().iter().enumerate() {
         let title = if index == 0 { "effects" } else { "" };
         writeln!(text, "  {title:<12} {}: {}", effect.title(), effect.about())?;
@@ -210,4 +227,82 @@ fn write_tracker(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
         writeln!(text, "               {:.2} % of the readings do not come", conditions.misses * 1e2)?;
     }
     Ok(())
+}
+
+/// How the session is carried out, where that is more than one reading of each pose after the other.
+fn session_lines(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
+    let plan = &scenario.plan;
+    if *plan == SessionPlan::default() {
+        return Ok(());
+    }
+    let names = |first: &str, further: Vec<&str>| {
+        std::iter::once(first).chain(further).collect::<Vec<_>>().join(", ")
+    };
+    let stations = names("1", plan.stations.iter().map(|station| station.name.as_str()).collect());
+    let targets = names("SMR", plan.targets.iter().map(|target| target.name.as_str()).collect());
+    let minutes = scenario.session().duration() / 60.0;
+    let share = if plan.stations.is_empty() {
+        String::new()
+    } else {
+        match plan.share {
+            StationShare::Best => {
+                "; each pose from the one that sees most targets, of these the nearest".to_owned()
+            }
+            StationShare::All => "; each pose from all that see it".to_owned(),
+        }
+    };
+    writeln!(text, "  session      {minutes:.0} min, {:.0} s of warm-up in them", plan.timing.warm_up)?;
+    writeln!(text, "    stations   {stations}{share}")?;
+    writeln!(text, "    targets    {targets}")?;
+    let approach = match plan.approach {
+        Approach::AsTravelled => "as travelled".to_owned(),
+        Approach::OneSide([along, about]) => {
+            format!("from below, {:.1} mm or {:.2} deg", 1e3 * along, about.to_degrees())
+        }
+        Approach::BothSides([along, about]) => {
+            format!("from below and above in turn, {:.1} mm or {:.2} deg", 1e3 * along, about.to_degrees())
+        }
+    };
+    let order = match plan.order {
+        PoseOrder::AsDrawn => "as drawn",
+        PoseOrder::ShortTravel => "by short ways",
+    };
+    writeln!(
+        text,
+        "    poses      {order}, {} each, approached {approach}; {:.1} s a pose",
+        match plan.repeats {
+            1 => "one visit".to_owned(),
+            repeats => format!("{repeats} visits"),
+        },
+        plan.seconds_per_pose()
+    )?;
+    let rounds = plan.rounds;
+    let between =
+        if rounds.every > 0 { format!(", again every {} poses", rounds.every) } else { String::new() };
+    let after = if rounds.after { ", and after the last" } else { "" };
+    let faces = if rounds.two_faces { ", in both faces" } else { "" };
+    writeln!(text, "    nests      before the first pose{between}{after}{faces}")?;
+    match &plan.sight {
+        None => writeln!(text, "    sight      taken as free, targets as turned to the tracker"),
+        Some(sight) => {
+            let bare: Vec<_> = sight.obstacles.without_shape().collect();
+            let links = if !sight.obstacles.has_links() {
+                "past no link".to_owned()
+            } else if sight.obstacles.is_chain() {
+                "past capsules along the chain".to_owned()
+            } else if bare.is_empty() {
+                "past the shapes of all links".to_owned()
+            } else {
+                format!("past the shapes of the links; without any: {}", bare.join(", "))
+            };
+            let openings = plan.targets.iter().map(|target| target.opening);
+            let turned = std::iter::once(plan.opening).chain(openings).any(|opening| opening.is_some());
+            let opening = if turned {
+                format!("within {:.1} deg of where a target's opening points", sight.acceptance.to_degrees())
+            } else {
+                "targets turned to the tracker".to_owned()
+            };
+            writeln!(text, "    sight      {links}, {opening}")
+        }
+    }
 }

@@ -10,7 +10,9 @@ use super::identify::{Loaded, LossArg, failed, load};
 use super::measured::RowArgs;
 use super::model::ChainArgs;
 use super::{CliError, Verdict, not_identified, output, print, read_scenario, say};
-use crate::pipeline::{self, ChosenRow, ModelChoice, PlantKind, choose, default_options, simulate};
+use crate::pipeline::{
+    self, ChosenRow, ModelChoice, PlantKind, choose, default_options, simulate, without_drift,
+};
 use calibrig_estimation::evaluation::{Criteria, Verdict as Worth};
 use calibrig_estimation::identification::{LINKAGE, Outlier};
 use calibrig_model::FAMILIES;
@@ -95,9 +97,9 @@ fn of_scenario(args: &Args, path: &Path) -> Result<(String, ModelChoice, Verdict
     bar.finish_and_clear();
     let source = &scenario.sources[0].1;
     let refused = |error| not_identified(error, path, source, source.place_of("poses.identification"));
-    let simulation = simulation.map_err(refused)?;
+    let sets = simulation.and_then(|simulation| without_drift(simulation.sets)).map_err(refused)?.sets;
     let choice = compare(|progress| {
-        let measured = &simulation.sets[0].measurements;
+        let measured = &sets[0].measurements;
         choose(&scenario.robot.model, measured, &scenario.options, args.folds as usize, seed, progress)
     });
     Ok((scenario.name.clone(), choice.map_err(refused)?, Verdict::Done))
@@ -116,6 +118,7 @@ fn of_files(args: &Args) -> Result<(String, ModelChoice, Verdict), CliError> {
     }
     let mut options = default_options(&robot);
     options.solver.loss = args.loss.map_or(options.solver.loss, Into::into);
+    let sets = without_drift(sets).map_err(|error| failed(error, measurements, &[], &places))?.sets;
     let plausible = output::plausible(&robot.model, &sets, &options, args.fit_anyway)
         .map_err(|error| failed(error, measurements, &sets, &places))?;
     let seed = args.seed.unwrap_or(1);

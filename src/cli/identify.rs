@@ -13,9 +13,9 @@ use super::output::{self, Destination, Files};
 use super::reread::RereadArgs;
 use super::{Cli, CliError, Verdict, not_identified_at, print, say};
 use crate::pipeline::{
-    InputHash, InputSummary, Outcome, PipelineError, SetOutcome, SplitPlan, SplitStudy, calibrate,
-    commands_beyond_limits, default_options, is_default, judge, pose_count, repeat_splits,
-    without_gross_errors,
+    InputHash, InputSummary, Outcome, PipelineError, SetOutcome, SplitPlan, SplitStudy, SteadySets,
+    calibrate, commands_beyond_limits, default_options, is_default, judge, pose_count, repeat_splits,
+    without_drift, without_gross_errors,
 };
 use calibrig_estimation::identification::{
     Assumption, ComplianceChoice, DEFAULT_TOLERANCE, IdentificationOptions, LINKAGE, Loss,
@@ -669,6 +669,8 @@ fn prepare(args: &Args) -> Result<Prepared, CliError> {
 fn outcome(args: &Args, prepared: Prepared) -> Result<(Outcome, Statements, Verdict), CliError> {
     let Prepared { robot, sources, sha256, sets, places, statements, options, modes } = prepared;
     let measurements = &args.files.first();
+    let SteadySets { sets, as_measured, drift } =
+        without_drift(sets).map_err(|error| failed(error, measurements, &[], &places))?;
     let plausible = output::plausible(&robot.model, &sets, &options, args.fit_anyway)
         .map_err(|error| failed(error, measurements, &sets, &places))?;
     let (registration, modes) = calibrate(&robot.model, &sets, &modes, &options)
@@ -683,6 +685,9 @@ fn outcome(args: &Args, prepared: Prepared) -> Result<(Outcome, Statements, Verd
         registration,
         places: sets.iter().zip(&places).map(rows_of).collect(),
         sets,
+        as_measured,
+        drift,
+        missing: Vec::new(),
         modes,
         truth: None,
         bounds: Vec::new(),

@@ -3,7 +3,9 @@
 use nalgebra::DVector;
 
 use super::Campaign;
-use crate::pipeline::{KnownTruth, PipelineError, Simulation, calibrate, information_at_truth, simulate};
+use crate::pipeline::{
+    KnownTruth, PipelineError, Simulation, calibrate, information_at_truth, simulate, without_drift,
+};
 use calibrig_estimation::evaluation::{AccuracyRow, nees};
 use calibrig_estimation::identification::{
     Estimate, IdentificationOptions, Information, Mode, PredictedReading, TerminationReason, predict_readings,
@@ -81,7 +83,8 @@ pub struct ParameterResult {
 
 pub(super) fn carry_out(campaign: &Campaign<'_>, index: u32) -> Result<TrialOutcome, PipelineError> {
     let scenario = campaign.scenario;
-    let simulation = simulate(scenario, campaign.seed, index, campaign.plant, |_, _| {})?;
+    let mut simulation = simulate(scenario, campaign.seed, index, campaign.plant, |_, _| {})?;
+    simulation.sets = without_drift(simulation.sets)?.sets;
     let model = &scenario.robot.model;
     let (_, outcomes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;
     let kinds: Vec<SetKind> = simulation.sets.iter().map(|set| set.kind).collect();

@@ -252,7 +252,8 @@ pub fn ablate(
 fn modes_of(scenario: &Scenario, seed: u64) -> Result<Vec<ModeOutcome>, PipelineError> {
     let simulation = simulate(scenario, seed, 0, PlantKind::Rapier, |_, _| {})?;
     let model = &scenario.robot.model;
-    let (_, modes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;
+    let sets = super::without_drift(simulation.sets)?.sets;
+    let (_, modes) = calibrate(model, &sets, &scenario.modes, &scenario.options)?;
     Ok(modes)
 }
 

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::{PipelineError, PlantKind, simulate};
+use super::{PipelineError, PlantKind, simulate, without_drift};
 use crate::scenario::Scenario;
 use calibrig_estimation::identification::{CalibratedRobot, Mode, PredictionError, Predictor};
 use calibrig_model::geometry::Transform;
@@ -32,7 +32,7 @@ pub fn planned(scenario: &Scenario) -> Result<MeasurementSet, PipelineError> {
         probe.noise = false;
     }
     let simulated = simulate(&session, scenario.seed, 0, PlantKind::Analytic, |_, _| {})?;
-    Ok(simulated.sets.into_iter().next().map(|set| set.measurements).unwrap_or_default())
+    Ok(without_drift(simulated.sets)?.sets.into_iter().next().map(|set| set.measurements).unwrap_or_default())
 }
 
 /// The same at any poses (joint variables) with the target at `in_flange`, m, where neither the tracker's place nor that offset nor the

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::ablation::ablation_section;
+use super::drift::drift_section;
 use super::judgement::{residual_section, sure_section};
 use super::parameters::{ParameterCell, ParameterRow, fitted, parameter_rows, parameter_words, printed_unit};
 use super::plots::{self, GRID, INK, LOOKS, Look, Marker, hex, look};
@@ -456,6 +457,7 @@ fn trust_section(outcome: &Outcome) -> Markup {
             @for (mode, estimate) in &fitted {
                 (mode_trust(*mode, estimate))
             }
+            (drift_section(outcome))
             @for set in outcome.sets.iter().filter(|s| !s.dropped.is_empty()) {
                 h3 { (set_title(set.kind)) ": " (counted(set.dropped.len(), "pose")) " not measured" }
                 ul { @for (pose, why) in &set.dropped { li { "pose " (pose) ": " (why) } } }

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use super::drift::{JsonDrift, json_drift};
 use super::judgement::{JsonJudgement, json_judgement};
 use super::parameters::{fitted, truth_of};
 use super::pose_count;
@@ -40,6 +41,9 @@ pub struct JsonReport {
     /// The modes on random splits of the identification set; absent unless asked for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub splits: Option<JsonSplits>,
+    /// What rounds of nests say of the trackers' own motion; absent where no nest was measured more than once.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub drift: Vec<JsonDrift>,
 }
 
 /// What the parts of a simulated machine contribute.
@@ -437,6 +441,7 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
             .collect(),
         ablation: outcome.ablation.as_ref().map(json_ablation),
         splits: outcome.splits.as_ref().map(json_splits),
+        drift: json_drift(outcome),
     }
 }
 

@@ -2,6 +2,7 @@
 
 mod ablation;
 mod acceptance;
+mod drift;
 mod forest;
 mod html;
 mod iso9283;

@@ -129,6 +129,9 @@ pub(super) fn simulated() -> Outcome {
             rms,
         },
         sets,
+        as_measured: Vec::new(),
+        drift: Vec::new(),
+        missing: Vec::new(),
         places: Vec::new(),
         modes,
         truth: Some(Truth {

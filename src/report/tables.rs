@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use super::ablation::ablation_lines;
+use super::drift::{drift_words, missing_words};
 use super::judgement::judgement_lines;
 use super::splits::split_lines;
 use super::{condition_words, consistency_ratio, counted, left_out_words, pose_words, published, set_title};
@@ -61,6 +62,11 @@ pub fn render_tables(outcome: &Outcome, style: Style) -> String {
             line(&row);
         }
         line("");
+    }
+    for drift in outcome.drift.iter().flat_map(drift_words).chain(missing_words(outcome)) {
+        for l in &wrap(&drift, "    ") {
+            line(l);
+        }
     }
     for mode in &outcome.modes {
         line(&style.paint(Ink::Heading, mode.mode.title()));

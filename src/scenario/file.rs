@@ -368,7 +368,7 @@ fn tracker(
 ) -> Result<LaserTracker, InputError> {
     let file = section.get_ref();
     let instrument = instrument(source, file, section.span())?;
-    let conditions = conditions(source, file)?;
+    let conditions = conditions(source, file, &instrument.limits)?;
     let position = point(source, "tracker.", [&file.x_mm, &file.y_mm, &file.z_mm])?;
     let yaw = source.finite("tracker.yaw_deg", &file.yaw_deg)?.to_radians();
     let up = -as_built.statics.gravity;

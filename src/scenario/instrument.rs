@@ -194,7 +194,11 @@ fn limits(source: &Source, file: &TrackerFile, base: Limits) -> Result<Limits, I
 }
 
 /// What the session is like beside its instrument.
-pub(super) fn conditions(source: &Source, file: &TrackerFile) -> Result<Conditions, InputError> {
+pub(super) fn conditions(
+    source: &Source,
+    file: &TrackerFile,
+    limits: &Limits,
+) -> Result<Conditions, InputError> {
     let misses = match &file.miss_fraction {
         Some(value) => {
             let share = source.not_negative("tracker.miss_fraction", value)?;
@@ -206,7 +210,8 @@ pub(super) fn conditions(source: &Source, file: &TrackerFile) -> Result<Conditio
         }
         None => 0.0,
     };
-    let environment = file.environment.as_ref().map(|section| environment(source, section)).transpose()?;
+    let environment =
+        file.environment.as_ref().map(|section| environment(source, section, limits)).transpose()?;
     let drift = file.drift.as_ref().map(|section| drift(source, section)).transpose()?;
     let smr = file.smr.as_ref().map(|section| smr(source, section)).transpose()?;
     Ok(Conditions { environment: environment.flatten(), drift: drift.flatten(), smr: smr.flatten(), misses })
@@ -234,6 +239,7 @@ fn checked<L>(
 fn environment(
     source: &Source,
     section: &Spanned<EnvironmentFile>,
+    limits: &Limits,
 ) -> Result<Option<EnvironmentLaw>, InputError> {
     let file = section.get_ref();
     let key = |name: &str| format!("tracker.environment.{name}");
@@ -252,6 +258,12 @@ fn environment(
         pressure: 100.0 * within("pressure_hpa", &file.pressure_hpa, 500.0, 1200.0)?,
         humidity: 0.01 * within("humidity_percent", &file.humidity_percent, 0.0, 100.0)?,
     };
+    let [low, high] = limits.temperature;
+    if !(low..=high).contains(&air.temperature) {
+        let help = Some(format!("expected {low} to {high}, the temperatures at which the instrument works"));
+        let message = format!("{} is {}", key("temperature_c"), air.temperature);
+        return Err(source.error(file.temperature_c.span(), message, help));
+    }
     let sensor_sigma = Air {
         temperature: sigma("temperature_sigma_k", &file.temperature_sigma_k)?,
         pressure: 100.0 * sigma("pressure_sigma_hpa", &file.pressure_sigma_hpa)?,

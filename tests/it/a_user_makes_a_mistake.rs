@@ -199,11 +199,11 @@ fn a_user_leaves_a_key_out() {
         ("", "seed", "", First, "missing key `seed`", "`seed`"),
         (
             TRACKER,
-            "range_um",
+            "preset",
             "",
             Header,
-            "missing key `range_um` in [tracker]",
-            "`range_um` with a value; the unit",
+            "missing key `transverse_um` in [tracker]",
+            "`transverse_um` with a value; the unit",
         ),
         ("[[tracker.nest]]", "x_mm", "", Header, "missing key `x_mm` in [tracker.nest]", "`x_mm`"),
         ("[poses]", "verification", "", Header, "missing key `verification` in [poses]", "`verification`"),
@@ -438,10 +438,10 @@ fn a_user_gives_a_number_out_of_its_range() {
             "a whole number",
         ),
         ("[poses]", "verification", "verification = 4294967295", Same, "is 4294967295", "0 to 100000 poses"),
-        (TRACKER, "transverse_um", "transverse_um = -15", Same, "tracker.transverse_um is -15", "above zero"),
+        (TRACKER, "preset", "transverse_um = -15", Same, "tracker.transverse_um is -15", "above zero"),
         (
             TRACKER,
-            "range_um_per_m",
+            "random_fraction",
             "range_um_per_m = -1",
             Same,
             "tracker.range_um_per_m is -1",
@@ -1120,7 +1120,7 @@ fn the_numbers_are_of_no_machine() {
         (TRACKER, "target_sigma_um", "1e15"),
         (TRACKER, "target_sigma_um", "1e-15"),
         (TRACKER, "random_fraction", "1e15"),
-        (TRACKER, "transverse_um", "1e-15"),
+        (TRACKER, "systematic_fraction", "1e-15"),
         (TRACKER, "x_mm", "-1e15"),
         (IDENTIFICATION, "unmodelled_sigma_um", "1e15"),
     ] {
@@ -1166,4 +1166,133 @@ fn a_file_without_one_of_its_lines_is_read_or_refused_with_a_place() {
             }
         }
     }
+}
+
+#[test]
+fn a_user_describes_an_instrument_that_there_is_not() {
+    let none_passes = "none passes its own acceptance test";
+    in_scenario(&[
+        (
+            TRACKER,
+            "preset",
+            "preset = \"at50\"",
+            Same,
+            "tracker.preset is \"at50\"",
+            "one of: at500, at960, vantage, gts3800",
+        ),
+        (TRACKER, "systematic_fraction", "systematic_fraction = 5", Same, none_passes, "0.2 are usual"),
+        (TRACKER, "noise", "miss_fraction = 1.5", Same, "tracker.miss_fraction is 1.5", "below 1"),
+        (
+            TRACKER,
+            "noise",
+            "range_limits_m = [9, 2]",
+            Same,
+            "tracker.range_limits_m is [9, 2]",
+            "lower of the two",
+        ),
+        (TRACKER, "noise", "air_um_per_m = -1", Same, "tracker.air_um_per_m is -1", "zero or more"),
+        (
+            "[tracker.environment]",
+            "temperature_c",
+            "temperature_c = 400",
+            Same,
+            "tracker.environment.temperature_c is 400",
+            "-40 to 60",
+        ),
+        (
+            "[tracker.environment]",
+            "pressure_hpa",
+            "pressure_hpa = 101325",
+            Same,
+            "tracker.environment.pressure_hpa is 101325",
+            "500 to 1200",
+        ),
+        (
+            "[tracker.environment]",
+            "gradient_k_per_m",
+            "gradient_k_per_m = 300",
+            Header,
+            "gradient of the temperature in K/m is 300",
+            "-20 to 20",
+        ),
+        (
+            "[tracker.drift]",
+            "warm_up_um",
+            "warm_up_um = [8, 2]",
+            Same,
+            "tracker.drift.warm_up_um is [8, 2]",
+            "the lower of the two first",
+        ),
+        (
+            "[tracker.drift]",
+            "walk_um",
+            "walk_um_per_root_h = nan",
+            Same,
+            "walk_um_per_root_h is nan",
+            "finite",
+        ),
+        (
+            "[tracker.smr]",
+            "centring_um",
+            "centring_um = -3",
+            Same,
+            "tracker.smr.centring_um is -3",
+            "zero or more",
+        ),
+        (
+            "[tracker.smr]",
+            "acceptance_deg",
+            "acceptance_deg = 120",
+            Header,
+            "acceptance angle of the SMR",
+            "at most a right angle",
+        ),
+    ]);
+}
+
+#[test]
+fn a_user_measures_where_the_instrument_does_not_work() {
+    let sandbox = Sandbox::new();
+    sandbox.set(TRACKER, "preset", "\"vantage\"");
+    let line = sandbox.set("[tracker.environment]", "temperature_c", "55");
+    let message = "tracker.environment.temperature_c is 55";
+    let place = format!("{SCENARIO}:{line}: ");
+    assert_refused(
+        &sandbox,
+        &["check", SCENARIO],
+        &place,
+        message,
+        "expected -15 to 50, the temperatures at which",
+    );
+}
+
+#[test]
+fn a_user_asks_for_the_test_of_an_instrument_that_there_is_not() {
+    let sandbox = Sandbox::new();
+    let names = "at500, at960, vantage, gts3800";
+    assert_refused(&sandbox, &["tracker-acceptance", "at50"], "at50: ", "neither a file nor a preset", names);
+    sandbox.set(TRACKER, "preset", "\"AT500\"");
+    let ended = sandbox.run(["tracker-acceptance", SCENARIO]);
+    assert!(ended.code == Some(1) && ended.stderr.contains("tracker.preset is \"AT500\""), "{ended:?}");
+}
+
+/// One instrument that fails is a result to look at; several are a statement about the kind.
+#[test]
+fn an_instrument_that_fails_its_acceptance_test_ends_with_three() {
+    let sandbox = Sandbox::new();
+    let run = |arguments: &[&str]| sandbox.run([&["tracker-acceptance"], arguments].concat());
+    assert_eq!(run(&["at500"]).code, Some(0));
+    sandbox.set(TRACKER, "random_fraction", "0.5");
+    sandbox.set(TRACKER, "systematic_fraction", "0");
+    let ended = run(&[SCENARIO, "--out", "out"]);
+    assert_eq!(ended.code, Some(3), "{ended:?}");
+    assert!(ended.stdout.contains("does not pass"), "{ended:?}");
+    for file in ["acceptance.html", "acceptance.svg", "acceptance.json"] {
+        assert!(!sandbox.read(&format!("out/{file}")).is_empty(), "{file}");
+    }
+    let many = run(&[SCENARIO, "--instruments", "50", "--json"]);
+    assert_eq!(many.code, Some(0), "{many:?}");
+    let json = many.json();
+    assert_eq!(json["schema"], "calibrig.acceptance/1");
+    assert!(json["pass_fraction"].as_f64().is_some_and(|share| share <= 0.1), "{json}");
 }

@@ -68,4 +68,5 @@ pub mod evaluation;
 pub mod identification;
 pub mod kinematics;
 pub mod plausibility;
+pub mod two_face;
 pub mod validation;

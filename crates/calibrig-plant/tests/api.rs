@@ -3,6 +3,7 @@
 use std::ops::ControlFlow;
 
 use calibrig_model::geometry::Transform;
+use calibrig_model::measurement::{Face, InstrumentTerm};
 use calibrig_model::nalgebra::{Matrix3, Vector3};
 use calibrig_model::random::{Source, stream};
 use calibrig_model::{
@@ -12,7 +13,10 @@ use calibrig_model::{
 use calibrig_plant::effects::Effects;
 use calibrig_plant::experiment::WorkingRegion;
 use calibrig_plant::session::{MeasuringSession, SessionPlan};
-use calibrig_plant::tracker::{ErrorLine, Instrument, LaserTracker, RANDOM_FRACTION, Shot};
+use calibrig_plant::tracker::{
+    Air, DriftLaw, EnvironmentLaw, ErrorLine, Instrument, LaserTracker, Misalignment, Motion, Preset,
+    RANDOM_FRACTION, Shot,
+};
 use calibrig_plant::{AsBuilt, AsBuiltDistribution, Plant, SettleOptions, Spread};
 use proptest::prelude::*;
 
@@ -225,6 +229,29 @@ proptest! {
             }
             Err(error) => prop_assert!(["range", "instrument"].iter().any(|what| error.to_string().contains(what)), "{}", error),
         }
+    }
+
+    #[test]
+    fn misaligned_trackers_read_a_finite_point_or_say_why_not(
+        place in prop::array::uniform3(prop_oneof![-9.0..9.0_f64, Just(0.0), bad()]), size in prop_oneof![0.0..2.0_f64, bad()], back in any::<bool>(),
+        errors in prop::collection::vec((0..InstrumentTerm::ALL.len(), prop_oneof![-1.0..1.0_f64, bad()]), 0..5),
+        time in prop_oneof![0.0..1e5_f64, bad()]
+    ) {
+        let mut tracker = LaserTracker::levelled(Preset::At500.instrument(), Vector3::new(1.0, 0.5, 3.0), 0.3, &Vector3::z());
+        tracker.conditions.drift = Some(DriftLaw { ramp: Motion { shift: size, turn: size }, warm_up_time: 10.0, ..DriftLaw::default() });
+        if let Ok(drawn) = tracker.drawn(1, 0, 0, 100.0) {
+            tracker = drawn;
+        }
+        tracker.errors.misalignment = Misalignment::of(errors.iter().map(|(term, x)| (InstrumentTerm::ALL[*term], *x)));
+        let face = if back { Face::Back } else { Face::Front };
+        let read = tracker.measure(&Vector3::from(place), &Shot { face, ..Shot::at(time) }, &mut stream(1, 0, Source::IdentificationNoise));
+        match read {
+            Ok(reading) => prop_assert!(reading.position().iter().all(|v| v.is_finite()) && reading.range > 0.0),
+            Err(error) => prop_assert!(error.to_string().contains("range"), "{}", error),
+        }
+        let air = Air { temperature: size, pressure: 1e5 * size, humidity: size };
+        let law = EnvironmentLaw { air, sensor_sigma: air, gradient: size };
+        prop_assert_eq!(law.check().is_ok() && size.is_finite(), law.check().is_ok());
     }
 
     #[test]

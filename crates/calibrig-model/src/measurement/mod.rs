@@ -340,6 +340,37 @@ impl MeasurementSet {
         self
     }
 
+    /// Lets a certified place that several stations have seen count once: its covariance becomes as many times as large at each of them. What they
+    /// know together of the base is then right, since what is certified wrongly is the same for all; of one against the other they know more
+    /// than is stated. Whether anything changed.
+    pub fn share_certificates(&mut self) -> bool {
+        let mut places: Vec<(&str, Vector3<f64>, usize)> = Vec::new();
+        for station in &self.stations {
+            let mut own: Vec<(&str, Vector3<f64>)> =
+                station.nests.iter().map(|nest| (nest.name.as_str(), nest.in_base)).collect();
+            own.sort_by(|a, b| a.0.cmp(b.0));
+            own.dedup();
+            for (name, place) in own {
+                match places.iter_mut().find(|(known, at, _)| *known == name && *at == place) {
+                    Some((_, _, stations)) => *stations += 1,
+                    None => places.push((name, place, 1)),
+                }
+            }
+        }
+        let shared: Vec<(String, Vector3<f64>, usize)> = places
+            .into_iter()
+            .filter(|(_, _, stations)| *stations > 1)
+            .map(|(name, place, stations)| (name.to_owned(), place, stations))
+            .collect();
+        for nest in self.stations.iter_mut().flat_map(|station| &mut station.nests) {
+            let by = shared.iter().find(|(name, place, _)| *name == nest.name && *place == nest.in_base);
+            if let Some((_, _, stations)) = by {
+                nest.in_base_covariance *= *stations as f64;
+            }
+        }
+        !shared.is_empty()
+    }
+
     /// RMS distance of the points from their mean (those of every station from their own), m.
     pub fn spread(&self) -> f64 {
         let of_station = |station: usize| {

@@ -181,6 +181,11 @@ impl Obstacles {
         self.chain.is_some() || self.shapes.iter().any(|own| !own.is_empty())
     }
 
+    /// Whether the links are capsules along the chain.
+    pub fn is_chain(&self) -> bool {
+        self.chain.is_some()
+    }
+
     /// Links without any shape, by name: nothing of them hides a target.
     pub fn without_shape(&self) -> impl Iterator<Item = &str> {
         let bare = |(name, own): (_, &Vec<Placed>)| own.is_empty().then_some(name);

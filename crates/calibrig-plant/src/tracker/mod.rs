@@ -243,6 +243,10 @@ impl LaserTracker {
             ))),
             face: shot.face,
         };
+        // Errors as large as the way leave nothing that can be shown.
+        if !(reading.range > 0.0 && reading.range.is_finite()) {
+            return Err(TrackerError::Range { range: reading.range, least, most });
+        }
         for (angle, value, [least, most]) in
             [("azimuth", reading.azimuth, azimuth), ("elevation", reading.elevation, elevation)]
         {

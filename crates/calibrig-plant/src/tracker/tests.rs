@@ -143,3 +143,171 @@ fn the_beam_of_a_misaligned_instrument_ends_at_the_point_that_it_reads() {
         assert!((end - Vector3::from(*place)).norm() < 1e-9, "{place:?} {face:?}: {end}");
     }
 }
+
+fn at500() -> LaserTracker {
+    let mut tracker =
+        LaserTracker::levelled(Preset::At500.instrument(), Vector3::new(3.0, 1.0, 0.5), 0.2, &Vector3::z());
+    tracker.conditions = Conditions {
+        environment: Some(EnvironmentLaw {
+            air: Air::ROOM,
+            sensor_sigma: Air { temperature: 0.3, pressure: 100.0, humidity: 0.05 },
+            gradient: 0.4,
+        }),
+        drift: Some(DriftLaw {
+            ramp: Motion { shift: 18e-6, turn: 1e-6 },
+            warm_up: [Motion::default(), Motion { shift: 50e-6, turn: 0.0 }],
+            warm_up_time: 1200.0,
+            walk: Motion { shift: 30e-6, turn: 0.0 },
+        }),
+        smr: None,
+        misses: 0.0,
+    };
+    tracker
+}
+
+#[test]
+fn what_is_drawn_depends_on_seed_and_trial_alone() {
+    let tracker = at500();
+    let one = tracker.drawn(1, 5, 0, 3600.0).expect("passes");
+    assert_eq!(one, tracker.drawn(1, 5, 0, 3600.0).expect("passes"));
+    for other in [tracker.drawn(1, 6, 0, 3600.0), tracker.drawn(2, 5, 0, 3600.0)] {
+        assert_ne!(one.errors.misalignment, other.expect("passes").errors.misalignment);
+    }
+    // Another station has the same instrument and the same air, and moves otherwise.
+    let beside = tracker.drawn(1, 5, 1, 3600.0).expect("passes");
+    assert_eq!((beside.errors.misalignment, beside.errors.air), (one.errors.misalignment, one.errors.air));
+    assert_ne!(beside.errors.drift, one.errors.drift);
+    // Switching one off moves no other.
+    let mut still = tracker.clone();
+    still.conditions.drift = None;
+    let still = still.drawn(1, 5, 0, 3600.0).expect("passes");
+    assert_eq!((still.errors.misalignment, still.errors.air), (one.errors.misalignment, one.errors.air));
+    let mut exact = tracker.clone();
+    exact.instrument.noise = false;
+    assert!(!exact.has_law() && tracker.has_law());
+    assert_eq!(exact.drawn(1, 5, 0, 3600.0).expect("nothing to draw").errors, TrackerErrors::default());
+}
+
+#[test]
+fn a_reading_is_of_the_tracker_where_it_is_then() {
+    let mut tracker = at500().drawn(1, 0, 0, 7200.0).expect("passes");
+    tracker.instrument.noise = false;
+    tracker.errors.misalignment = Misalignment::default();
+    tracker.errors.air = AirErrors::default();
+    let point = Vector3::new(0.2, -0.4, 1.1);
+    let read = |time| {
+        let rng = &mut stream(1, 0, Source::IdentificationNoise);
+        tracker.measure(&point, &Shot::at(time), rng).expect("3 m").position()
+    };
+    for time in [0.0, 600.0, 5000.0] {
+        let there = tracker.tracker_from_base_at(time) * nalgebra::Point3::from(point);
+        assert!((read(time) - there.coords).norm() < 1e-14, "{time}");
+    }
+    assert_eq!(tracker.tracker_from_base_at(0.0), tracker.tracker_from_base);
+    let moved = read(5000.0) - read(0.0);
+    assert!((1e-6..300e-6).contains(&moved.norm()), "{moved}");
+    // The motion of the tracker is that of the points against it, turned round.
+    let [shift, turn] = tracker.errors.drift.motion(5000.0);
+    assert!((moved + shift + turn.cross(&read(0.0))).norm() < 1e-9, "{moved}");
+}
+
+#[test]
+fn both_faces_read_one_point_and_turns_are_counted_on() {
+    let tracker = LaserTracker::placed(Instrument { noise: false, ..INSTRUMENT }, Transform::identity());
+    let point = Vector3::new(-2.0, -0.1, 0.4);
+    let rng = &mut stream(1, 0, Source::IdentificationNoise);
+    let mut read = |face, azimuth_before| {
+        tracker.measure(&point, &Shot { face, azimuth_before, ..Shot::default() }, rng)
+    };
+    let front = read(Face::Front, 0.0).expect("2 m");
+    let back = read(Face::Back, 0.0).expect("2 m");
+    assert_eq!((front.position(), front.face, back.face), (back.position(), Face::Front, Face::Back));
+    // Coming from the left, the azimuth goes on beyond half a turn.
+    let on = read(Face::Front, 3.1).expect("2 m");
+    assert!((on.azimuth - front.azimuth - TAU).abs() < 1e-15 && front.azimuth < 0.0 && on.azimuth > 3.1);
+    // And no further than the cable goes.
+    assert!(matches!(read(Face::Front, 9.0), Err(TrackerError::Angle { angle: "azimuth", .. })));
+    assert!(read(Face::Front, f64::NAN).is_err());
+}
+
+#[test]
+fn what_an_instrument_cannot_do_is_refused_with_its_limits() {
+    let mut limited = LaserTracker::placed(INSTRUMENT, Transform::identity());
+    limited.instrument.limits = Limits { elevation: [-0.5, 0.8], range: [1.0, 5.0], ..Limits::WIDE };
+    let rng = &mut stream(1, 0, Source::IdentificationNoise);
+    let mut text = |point: [f64; 3], shot: Shot| {
+        limited.measure(&Vector3::from(point), &shot, rng).map_err(|error| error.to_string()).err()
+    };
+    assert_eq!(text([2.0, 0.0, 0.0], Shot::default()), None);
+    let steep = text([1.0, 0.0, 2.0], Shot::default()).expect("too steep");
+    assert!(steep.starts_with("elevation 63.4") && steep.contains("-28.65 to 45.84 deg"), "{steep}");
+    let far = text([6.0, 0.0, 0.0], Shot::default()).expect("too far");
+    assert_eq!(far, "range 6.000 m is outside the tracker's 1 to 5 m");
+    for averaging in [0.0, -1.0, f64::NAN] {
+        let shot = Shot { averaging, ..Shot::default() };
+        assert!(text([2.0, 0.0, 0.0], shot).is_some_and(|text| text.contains("averaging time in s")));
+    }
+    // A beam beside the standing axis never meets it.
+    let beside = Misalignment { beam_offset: [1e-3, 0.0], ..Misalignment::default() };
+    let above = beside.read(&Vector3::new(0.5e-3, 0.0, 2.0), Face::Front);
+    assert!(matches!(above, Err(TrackerError::BesideTheAxis { .. })), "{above:?}");
+    for bad in [f64::NAN, f64::INFINITY, -1.0] {
+        let instrument = Instrument { systematic_fraction: bad, ..INSTRUMENT };
+        assert!(instrument.check().is_err(), "{bad}");
+        assert!(Instrument { air: bad, ..INSTRUMENT }.check().is_err(), "{bad}");
+        let mut tracker = at500();
+        tracker.conditions.misses = bad;
+        assert!(tracker.drawn(1, 0, 0, 0.0).is_err(), "{bad}");
+    }
+    let mut cold = at500();
+    cold.instrument.limits.temperature = [25.0, 30.0];
+    assert!(
+        cold.check().expect_err("20 degrees").to_string().contains("20: expected a temperature at which")
+    );
+}
+
+#[test]
+fn longer_averaging_leaves_what_the_air_adds() {
+    let instrument = Instrument { air: 2e-6, ..INSTRUMENT };
+    let [_, second] = instrument.sigmas(4.0, 1.0).expect("sound");
+    let [range, hundred] = instrument.sigmas(4.0, 100.0).expect("sound");
+    let random = 0.125 * (15e-6 + 6e-6 * 4.0) / 4.0;
+    assert!((second - f64::hypot(random, 2e-6)).abs() < 1e-18);
+    assert!((hundred - f64::hypot(0.1 * random, 2e-6)).abs() < 1e-18);
+    assert!((range - 0.1 * 0.125 * (10e-6 + 0.3e-6 * 4.0)).abs() < 1e-18);
+}
+
+#[test]
+fn an_operator_knows_the_size_of_what_is_switched_on_and_nothing_of_what_was_drawn() {
+    let tracker = at500();
+    let stated = tracker.stated();
+    assert_eq!((stated.name.as_str(), stated.sigmas.len()), ("at500", InstrumentTerm::ALL.len()));
+    assert_eq!(stated, tracker.drawn(1, 0, 0, 0.0).expect("passes").stated());
+    let sigma =
+        |term| stated.sigmas.iter().find(|(t, _)| *t == term).map(|(_, sigma)| *sigma).expect("listed");
+    assert!((sigma(InstrumentTerm::TransitOffset) - 3e-6).abs() < 1e-18);
+    assert!((sigma(InstrumentTerm::Collimation) - 1.2e-6).abs() < 1e-18);
+    assert!((sigma(InstrumentTerm::RangeOffset) - 1e-6).abs() < 1e-18);
+    let air = tracker.conditions.environment.expect("stated").scale_sigma();
+    assert!((sigma(InstrumentTerm::RangeScale) - f64::hypot(0.06e-6, air)).abs() < 1e-18);
+    assert!(LaserTracker::placed(INSTRUMENT, Transform::identity()).stated().sigmas.is_empty());
+}
+
+/// The law by which amplitudes are drawn is the one that is stated.
+#[test]
+fn drawn_amplitudes_scatter_as_stated() {
+    let kind = Preset::At500.instrument();
+    let n = 2000_u32;
+    let squares: f64 = (0..n)
+        .map(|trial| {
+            let own = kind.draw_misalignment(&mut stream_at(1, trial, Source::Instrument, 0));
+            (own.transit_offset / 3e-6).powi(2)
+                + (own.collimation / 1.2e-6).powi(2)
+                + (own.elevation.zero / 1.2e-6).powi(2)
+                + (own.azimuth.oval / 1.2e-6).powi(2)
+                + (own.range_offset / 1e-6).powi(2)
+        })
+        .sum();
+    let ratio = squares / f64::from(5 * n);
+    assert!((ratio - 1.0).abs() < 3.29 * (2.0 / f64::from(5 * n)).sqrt(), "{ratio}");
+}

@@ -266,6 +266,26 @@ fn a_nest_that_was_not_seated_in_one_round_is_named_and_left_out() {
 }
 
 #[test]
+fn a_certificate_that_stations_share_counts_once() {
+    let mut set = session(Motion::Still, NOISE, 0).set;
+    set.stations[0].nests.truncate(8);
+    assert!(!set.clone().share_certificates());
+    let mut second = set.stations[0].clone();
+    second.nests[7].name = "another".to_owned();
+    second.nests[6].in_base.x += 1e-6;
+    set.stations.push(second);
+    assert!(set.share_certificates());
+    for station in &set.stations {
+        let factors: Vec<f64> = station
+            .nests
+            .iter()
+            .map(|n| (n.in_base_covariance[(0, 0)] / CERTIFIED.powi(2)).round())
+            .collect();
+        assert_eq!(factors, [2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 1.0, 1.0]);
+    }
+}
+
+#[test]
 fn a_session_without_rounds_is_as_it_was() {
     let mut once = session(Motion::Walk, NOISE, 0).set;
     once.stations[0].nests.truncate(8);

@@ -1,0 +1,390 @@
+//! What points measured in both faces tell of an instrument.
+//!
+//! Between the faces everything turns over that belongs to the head or the telescope; the point, the tracker's place and what does not turn over
+//! drop out of the difference. What is left is linear in the errors, with the signatures of [`InstrumentTerm`]: weighted least squares, with what
+//! was stated of the instrument as priors about zero.
+
+use std::f64::consts::TAU;
+
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use thiserror::Error;
+
+use calibrig_model::measurement::{
+    Face, InstrumentTerm, MeasurementSet, Observation, Reading, SphericalReading, StatedInstrument,
+};
+
+/// One point in both faces.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TwoFacePair<'a> {
+    /// As the front face reads it.
+    pub front: &'a SphericalReading,
+    /// As the back face does.
+    pub back: &'a SphericalReading,
+}
+
+/// An error of the instrument that turns over with the face.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TwoFaceTerm {
+    /// Which.
+    pub term: InstrumentTerm,
+    /// Its amplitude, m or rad.
+    pub value: f64,
+    /// Standard deviation of it, m or rad.
+    pub sigma: f64,
+    /// Standard deviation about zero that was stated of it, where one was.
+    pub prior_sigma: Option<f64>,
+}
+
+/// The errors that two faces show.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TwoFaceEstimate {
+    /// In the order of [`InstrumentTerm::ALL`].
+    pub terms: Vec<TwoFaceTerm>,
+    /// Their covariance, m² or rad² and mixed.
+    pub covariance: DMatrix<f64>,
+    /// Sum of squares of the weighted residuals, those of the priors among them.
+    pub chi2: f64,
+    /// What it is to be compared with.
+    pub degrees_of_freedom: usize,
+}
+
+/// Points in two faces that tell nothing.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum TwoFaceError {
+    /// The other half of a pair is missing.
+    #[error(
+        "pose {pose}, station \"{station}\", target \"{target}\": a back-face reading without its front face: measure the pose in the front face as well, or leave the reading out"
+    )]
+    BackAlone {
+        /// Its number.
+        pose: u32,
+        /// Name of the station.
+        station: String,
+        /// Name of the target.
+        target: String,
+    },
+    /// Two readings in one face where one of each was expected.
+    #[error(
+        "pose {pose}, station \"{station}\", target \"{target}\": {front} front-face and {back} back-face readings: expected one back face a front face"
+    )]
+    Unpaired {
+        /// Its number.
+        pose: u32,
+        /// Name of the station.
+        station: String,
+        /// Name of the target.
+        target: String,
+        /// Readings in the front face.
+        front: usize,
+        /// In the back face.
+        back: usize,
+    },
+    /// An observation names what the set does not hold.
+    #[error("pose {pose} names a station or a target that the measurements do not describe")]
+    UnknownStationOrTarget {
+        /// Its number.
+        pose: u32,
+    },
+    /// The readings of a pair are not in the faces that they should be.
+    #[error("pair {pair}: its readings are in the faces {} and {}: expected front and back", faces[0].key(), faces[1].key())]
+    Faces {
+        /// Its number, from one.
+        pair: usize,
+        /// Of the reading that should be in the front face, and of the other.
+        faces: [Face; 2],
+    },
+    /// A reading without a covariance, or with one that is none, or that is no number.
+    #[error(
+        "pair {pair}: a reading is no finite number or states no positive definite covariance, so that nothing can be weighed"
+    )]
+    Covariance {
+        /// Its number, from one.
+        pair: usize,
+    },
+    /// A standard deviation that cannot be.
+    #[error("the stated standard deviation of {term} is {sigma}: expected a finite number above zero")]
+    Prior {
+        /// Of which error.
+        term: InstrumentTerm,
+        /// m, rad
+        sigma: f64,
+    },
+    /// Too few points, or in too few directions.
+    #[error(
+        "{pairs} points in two faces do not tell {terms} errors apart: measure more, at other ranges and elevations, or state a standard deviation of each"
+    )]
+    Undetermined {
+        /// Number of points.
+        pairs: usize,
+        /// Number of errors.
+        terms: usize,
+    },
+}
+
+/// The pairs of a set: readings of one pose, station and target in both faces. Front faces without a back face are passed over.
+pub fn two_face_pairs(set: &MeasurementSet) -> Result<Vec<TwoFacePair<'_>>, TwoFaceError> {
+    type Key = (u32, usize, usize);
+    type Faces<'a> = [Vec<&'a SphericalReading>; 2];
+    let mut places: Vec<(Key, Faces<'_>)> = Vec::new();
+    let mut index = std::collections::BTreeMap::<Key, usize>::new();
+    for observation in &set.observations {
+        let Observation { pose, station, target, reading: Reading::Spherical(reading), .. } = observation
+        else {
+            continue;
+        };
+        let key = (*pose, *station, *target);
+        let place = *index.entry(key).or_insert_with(|| {
+            places.push((key, Faces::default()));
+            places.len() - 1
+        });
+        places[place].1[usize::from(reading.face == Face::Back)].push(reading);
+    }
+    let mut pairs = Vec::new();
+    for ((pose, station, target), [front, back]) in places {
+        let names = (set.stations.get(station), set.targets.get(target));
+        let (Some(station), Some(target)) = names else {
+            return Err(TwoFaceError::UnknownStationOrTarget { pose });
+        };
+        let (station, target) = (station.name.clone(), target.name.clone());
+        match (front.as_slice(), back.as_slice()) {
+            (_, []) => {}
+            ([], _) => return Err(TwoFaceError::BackAlone { pose, station, target }),
+            (front, back) if front.len() != back.len() => {
+                let (front, back) = (front.len(), back.len());
+                return Err(TwoFaceError::Unpaired { pose, station, target, front, back });
+            }
+            (front, back) => {
+                pairs.extend(front.iter().zip(back).map(|(front, back)| TwoFacePair { front, back }));
+            }
+        }
+    }
+    Ok(pairs)
+}
+
+/// The errors of an instrument from points in both faces.
+///
+/// Of `stated`, those that turn over are estimated, with the stated standard deviations as priors; where it lists none, all that turn over are,
+/// without priors.
+pub fn two_face(
+    pairs: &[TwoFacePair<'_>],
+    stated: &StatedInstrument,
+) -> Result<TwoFaceEstimate, TwoFaceError> {
+    let asked = |term: &InstrumentTerm| {
+        stated.sigmas.is_empty() || stated.sigmas.iter().any(|(listed, _)| listed == term)
+    };
+    let terms: Vec<_> =
+        InstrumentTerm::ALL.into_iter().filter(|term| turns_over(*term) && asked(term)).collect();
+    let prior = |term: InstrumentTerm| stated.sigmas.iter().find(|(t, _)| *t == term).map(|(_, s)| *s);
+    let count = terms.len();
+    let mut information = DMatrix::zeros(count, count);
+    let mut right = DVector::zeros(count);
+    for (index, term) in terms.iter().enumerate() {
+        let Some(sigma) = prior(*term) else { continue };
+        if !(sigma > 0.0 && sigma.is_finite()) {
+            return Err(TwoFaceError::Prior { term: *term, sigma });
+        }
+        information[(index, index)] += sigma.powi(-2);
+    }
+    let mut square = 0.0;
+    for (index, pair) in pairs.iter().enumerate() {
+        let row = difference(pair, &terms, index + 1)?;
+        information += row.signature.transpose() * row.weight * &row.signature;
+        right += row.signature.transpose() * (row.weight * row.apart);
+        square += row.apart.dot(&(row.weight * row.apart));
+    }
+    // Amplitudes in their own scale: lengths and angles are of different sizes.
+    let scale = DVector::from_fn(count, |i, _| information[(i, i)].sqrt().recip());
+    let undetermined = TwoFaceError::Undetermined { pairs: pairs.len(), terms: count };
+    if count == 0 || scale.iter().any(|s| !s.is_finite()) {
+        return Err(undetermined);
+    }
+    let scaled = DMatrix::from_fn(count, count, |i, j| scale[i] * scale[j] * information[(i, j)]);
+    let Some(factor) = scaled.clone().cholesky().filter(|_| is_determined(&scaled)) else {
+        return Err(undetermined);
+    };
+    let inverse = factor.inverse();
+    let covariance = DMatrix::from_fn(count, count, |i, j| scale[i] * scale[j] * inverse[(i, j)]);
+    let values = &covariance * &right;
+    let free = terms.iter().filter(|term| prior(**term).is_none()).count();
+    Ok(TwoFaceEstimate {
+        chi2: square - values.dot(&right),
+        degrees_of_freedom: (3 * pairs.len()).saturating_sub(free),
+        terms: terms
+            .iter()
+            .enumerate()
+            .map(|(index, term)| TwoFaceTerm {
+                term: *term,
+                value: values[index],
+                sigma: covariance[(index, index)].sqrt(),
+                prior_sigma: prior(*term),
+            })
+            .collect(),
+        covariance,
+    })
+}
+
+/// Whether no combination of what is asked for is left open by the readings and priors, up to what rounding leaves of it.
+fn is_determined(scaled: &DMatrix<f64>) -> bool {
+    scaled.symmetric_eigenvalues().min() > 1e-10
+}
+
+/// Whether it has the other sign in the back face.
+fn turns_over(term: InstrumentTerm) -> bool {
+    let at = |face| term.displacement(3.0, 0.7, 0.4, face);
+    at(Face::Front) != at(Face::Back)
+}
+
+/// Front less back as a length along the beam, along growing azimuth and along growing elevation.
+struct Difference {
+    /// m
+    apart: Vector3<f64>,
+    /// 1/m²
+    weight: Matrix3<f64>,
+    /// By the amplitudes.
+    signature: DMatrix<f64>,
+}
+
+fn difference(
+    pair: &TwoFacePair<'_>,
+    terms: &[InstrumentTerm],
+    number: usize,
+) -> Result<Difference, TwoFaceError> {
+    let TwoFacePair { front, back } = pair;
+    if (front.face, back.face) != (Face::Front, Face::Back) {
+        return Err(TwoFaceError::Faces { pair: number, faces: [front.face, back.face] });
+    }
+    let turned = front.azimuth - back.azimuth;
+    let turn = turned - TAU * (turned / TAU).round();
+    let range = 0.5 * (front.range + back.range);
+    let (azimuth, elevation) = (front.azimuth - 0.5 * turn, 0.5 * (front.elevation + back.elevation));
+    let lengths = Vector3::new(1.0, range * elevation.cos(), range);
+    let apart = lengths.component_mul(&Vector3::new(
+        front.range - back.range,
+        turn,
+        front.elevation - back.elevation,
+    ));
+    let to_lengths = Matrix3::from_diagonal(&lengths);
+    let weight = front
+        .covariance
+        .zip(back.covariance)
+        .map(|(front, back)| to_lengths * (front + back) * to_lengths)
+        .and_then(Matrix3::cholesky)
+        .map(|factor| factor.inverse())
+        .filter(|weight| apart.iter().chain(weight.iter()).all(|v| v.is_finite()));
+    let Some(weight) = weight else { return Err(TwoFaceError::Covariance { pair: number }) };
+    let at = |term: InstrumentTerm, face| term.displacement(range, azimuth, elevation, face);
+    let columns: Vec<_> = terms.iter().map(|term| at(*term, Face::Front) - at(*term, Face::Back)).collect();
+    let signature = DMatrix::from_fn(3, columns.len(), |row, column| columns[column][row]);
+    Ok(Difference { apart, weight, signature })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use calibrig_model::measurement::{Station, Target};
+
+    fn reading(face: Face, point: [f64; 3]) -> SphericalReading {
+        let [range, azimuth, elevation] = point;
+        let covariance = Some(Matrix3::from_diagonal(&Vector3::new(1e-12, 4e-12, 4e-12)));
+        SphericalReading { range, azimuth, elevation, covariance, face }
+    }
+
+    /// Readings of an instrument with a collimation error, exact to first order.
+    fn readings(collimation: f64) -> Vec<[SphericalReading; 2]> {
+        let places = [
+            [2.0, 3.1, 0.1],
+            [4.0, -1.0, -0.4],
+            [3.0, 0.4, 0.7],
+            [6.0, 1.9, 0.2],
+            [1.5, -2.6, -0.6],
+            [5.0, 2.4, 0.9],
+        ];
+        let both = |[range, azimuth, elevation]: [f64; 3]| {
+            let turn = collimation / f64::cos(elevation);
+            [
+                reading(Face::Front, [range, azimuth + turn, elevation]),
+                // The controller may count another turn.
+                reading(Face::Back, [range, azimuth - turn + TAU, elevation]),
+            ]
+        };
+        places.map(both).to_vec()
+    }
+
+    fn pairs(readings: &[[SphericalReading; 2]]) -> Vec<TwoFacePair<'_>> {
+        readings.iter().map(|[front, back]| TwoFacePair { front, back }).collect()
+    }
+
+    #[test]
+    fn what_turns_over_is_found_and_nothing_else_is() {
+        let readings = readings(20e-6);
+        let found = two_face(&pairs(&readings), &StatedInstrument::default()).expect("enough points");
+        assert_eq!(found.terms.len(), 10);
+        assert_eq!(found.degrees_of_freedom, 8);
+        assert!(found.chi2.abs() < 1e-6, "{}", found.chi2);
+        for term in &found.terms {
+            let truth = if term.term == InstrumentTerm::Collimation { 20e-6 } else { 0.0 };
+            assert!((term.value - truth).abs() < 1e-9, "{term:?}");
+        }
+        // A prior of a micrometre's size pulls towards zero, by its weight.
+        let stated = StatedInstrument {
+            name: String::new(),
+            sigmas: vec![(InstrumentTerm::Collimation, 1e-6), (InstrumentTerm::RangeScale, 1e-6)],
+        };
+        let held = two_face(&pairs(&readings), &stated).expect("enough points");
+        assert_eq!(held.terms.len(), 1, "a scale does not turn over");
+        assert!(held.terms[0].value < 20e-6 && held.terms[0].sigma < 1e-6, "{held:?}");
+        let weight = 1.0 - (held.terms[0].sigma / 1e-6).powi(2);
+        assert!((held.terms[0].value / 20e-6 - weight).abs() < 1e-6, "{held:?}");
+    }
+
+    #[test]
+    fn a_back_face_without_its_front_face_is_named() {
+        let mut set = MeasurementSet::of_points((0..3).map(|_| (vec![0.0], Vector3::x())));
+        set.stations = vec![Station { name: "door".to_owned(), ..Station::default() }];
+        set.targets = vec![Target { name: "SMR 2".to_owned(), ..Target::default() }];
+        let readings = readings(0.0);
+        for (observation, pair) in set.observations.iter_mut().zip(&readings) {
+            observation.reading = Reading::Spherical(pair[0].clone());
+        }
+        assert_eq!(two_face_pairs(&set).map(|pairs| pairs.len()), Ok(0));
+        let mut both = set.clone();
+        both.observations.push(Observation {
+            reading: Reading::Spherical(readings[1][1].clone()),
+            ..set.observations[1].clone()
+        });
+        assert_eq!(two_face_pairs(&both).map(|pairs| pairs.len()), Ok(1));
+        both.observations.remove(1);
+        let text = two_face_pairs(&both).expect_err("its front face is gone").to_string();
+        assert!(text.contains("pose 2") && text.contains("\"door\"") && text.contains("\"SMR 2\""), "{text}");
+        both.observations[0].station = 7;
+        assert!(two_face_pairs(&both).is_err());
+    }
+
+    #[test]
+    fn what_tells_nothing_is_refused() {
+        let none = StatedInstrument::default();
+        let good = readings(1e-6);
+        let undetermined =
+            |found: Result<TwoFaceEstimate, _>| matches!(found, Err(TwoFaceError::Undetermined { .. }));
+        assert!(undetermined(two_face(&[], &none)));
+        assert!(undetermined(two_face(&pairs(&good[..2]), &none)));
+        for bad in [f64::NAN, f64::INFINITY] {
+            let mut readings = good.clone();
+            readings[1][1].elevation = bad;
+            assert!(two_face(&pairs(&readings), &none).is_err(), "{bad}");
+            readings = good.clone();
+            readings[2][0].covariance = Some(Matrix3::identity() * bad);
+            assert!(two_face(&pairs(&readings), &none).is_err(), "{bad}");
+        }
+        let mut readings = good.clone();
+        readings[2][0].covariance = None;
+        assert_eq!(two_face(&pairs(&readings), &none), Err(TwoFaceError::Covariance { pair: 3 }));
+        readings = good.clone();
+        readings[0].reverse();
+        assert!(matches!(two_face(&pairs(&readings), &none), Err(TwoFaceError::Faces { pair: 1, .. })));
+        let sigmas = vec![(InstrumentTerm::Collimation, -1.0)];
+        let stated = StatedInstrument { name: String::new(), sigmas };
+        assert!(matches!(two_face(&pairs(&good), &stated), Err(TwoFaceError::Prior { .. })));
+    }
+}
