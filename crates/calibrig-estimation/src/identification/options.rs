@@ -192,7 +192,8 @@ pub struct IdentificationOptions {
     pub frame: FrameChoice,
     /// The target's offset.
     pub target: TargetChoice,
-    /// Standard deviation of what the model leaves out, per axis, m; added to the readings' covariance. A stated choice.
+    /// Standard deviation of what the model leaves out, per axis, m; added to the readings' covariance. A stated choice, of places: what
+    /// orientations scatter by beside their readings is found where the residuals ask for it.
     pub unmodelled_sigma: f64,
     /// What the machine does beside its model, pose by pose.
     pub machine_noise: MachineNoiseChoice,
