@@ -339,6 +339,36 @@ fn orientations_that_scatter_by_more_than_stated_do_not_drag_the_fit() {
     }
 }
 
+/// Errors of the actuators move a target and turn it: both are explained by them, and nothing is left for a scatter of orientations.
+#[test]
+fn errors_of_actuators_explain_places_and_orientations_together() {
+    let [model, _] = robots();
+    let mut rng = stream(17, 0, Source::AsBuilt);
+    let sigmas = Vector6::new(PLACE, PLACE, PLACE, 2e-5, 2e-5, 2e-5);
+    let noise = Matrix6::from_diagonal(&sigmas.component_mul(&sigmas));
+    let mut set = empty(vec![target(None)]);
+    let joints = model.kinematics.joint_count();
+    for pose in 1..=120 {
+        let command: Vec<f64> = (0..joints).map(|_| rng.random_range(-2.5..2.5)).collect();
+        let real: Vec<f64> = command.iter().map(|q| q + 1e-4 * normal(&mut rng)).collect();
+        let flange = station() * forward_kinematics(&model.kinematics, &real).expect("a pose");
+        let error = Vector6::from_fn(|i, _| sigmas[i] * normal(&mut rng));
+        let reading = Reading::Pose(PoseReading {
+            position: flange.rotation * OFFSET + flange.translation.vector + error.fixed_rows::<3>(0),
+            rotation: Rotation3::new(error.fixed_rows::<3>(3).into_owned()) * flange.rotation * mounted(),
+            covariance: Some(noise),
+        });
+        set.observations.push(observation(pose, &command, 0, reading));
+    }
+    let estimate = identify(&model, &set, &free()).expect("an estimate");
+    let found = estimate.found_machine().expect("more than was stated");
+    let mean = found.actuators.iter().map(|sigma| sigma * sigma).sum::<f64>() / joints as f64;
+    // 120 errors of each of six actuators: 3 % of their common standard deviation.
+    within(mean.sqrt(), 1e-4, 0.1);
+    let turn = estimate.turn_noise.expect("looked for");
+    assert!(turn < 3e-5 && found.position < 3e-5, "{turn} {found:?}");
+}
+
 fn spoiled() -> (CalibrationModel, Vec<ParameterId>, Vec<f64>, MeasurementSet) {
     let [model, _] = robots();
     let ids = selected(&model, &free());
