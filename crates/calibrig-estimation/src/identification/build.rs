@@ -545,12 +545,7 @@ fn orientations(
                     priors.push(prior(&what, parameters.len(), covariance)?);
                 }
             }
-            (TargetChoice::Measured, None) => {
-                return Err(IdentifyError::Covariance {
-                    what: format!("the orientation of target {} has no measured uncertainty", target.name),
-                });
-            }
-            (TargetChoice::Identified | TargetChoice::AsStated, _) => {}
+            (TargetChoice::Measured | TargetChoice::Identified | TargetChoice::AsStated, _) => {}
         }
         parameters.extend(axes.into_iter().map(|axis| ids[axis]));
     }

@@ -180,6 +180,9 @@ fn fit(
     unknown.machine |= as_needed && !unknown.readings && is_misfit();
     // Short of the minimum, residuals say more of the way there than of the noise.
     unknown.machine &= solution.termination.converged() || unknown.readings;
+    // What is stated of the machine says nothing of how it turns its flange.
+    unknown.turn |=
+        !as_needed && !built.problem.turns.is_empty() && solution.termination.converged() && is_misfit();
     if unknown.machine {
         unknown = unknown.with_machine(&built.problem);
     }

@@ -24,7 +24,8 @@ pub(super) fn is_placed(station: &Station) -> bool {
     station.distinct_nests().len() >= 3
 }
 
-/// What is known of the target's offset.
+/// What is known of the target's offset. How a target with axes is turned on the flange is a prior where an uncertainty of it is stated, else
+/// identified; with [`Identified`](Self::Identified) and [`Fixed`](Self::Fixed) as they say.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum TargetChoice {
     /// What the set says of each target: [`Measured`](Self::Measured) where it states an uncertainty, else [`Identified`](Self::Identified).
@@ -59,11 +60,11 @@ impl TargetChoice {
         }
     }
 
-    /// The choice for how one target is turned on the flange.
+    /// The choice for how one target is turned on the flange: an offset can have been measured without it.
     pub(super) fn of_orientation(self, orientation: &TargetOrientation) -> Self {
         match self {
-            Self::AsStated if orientation.covariance.is_some() => Self::Measured,
-            Self::AsStated => Self::Identified,
+            Self::AsStated | Self::Measured if orientation.covariance.is_some() => Self::Measured,
+            Self::AsStated | Self::Measured => Self::Identified,
             choice => choice,
         }
     }
@@ -203,7 +204,8 @@ pub struct IdentificationOptions {
     pub target: TargetChoice,
     /// Errors that the readings of an instrument share.
     pub instrument: InstrumentChoice,
-    /// Standard deviation of what the model leaves out, per axis, m; added to the readings' covariance. A stated choice.
+    /// Standard deviation of what the model leaves out, per axis, m; added to the readings' covariance. A stated choice, of places: what
+    /// orientations scatter by beside their readings is found where the residuals ask for it.
     pub unmodelled_sigma: f64,
     /// What the machine does beside its model, pose by pose.
     pub machine_noise: MachineNoiseChoice,

@@ -116,7 +116,7 @@ pub(super) fn summarise(
     let checks =
         covariance.as_ref().map(|c| Checks::new(&problem, set, &solution, c, bounded, options.frame, noise));
     let is_stated = noise == NoiseScale::Stated;
-    let accounted = problem.noise.machine.is_some();
+    let accounted = problem.noise.machine.is_some() || problem.noise.turn.is_some();
     let is_misfit = is_stated
         && !accounted
         && size.is_too_large()

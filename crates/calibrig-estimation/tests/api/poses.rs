@@ -2,8 +2,8 @@
 
 use calibrig_estimation::evaluation::ChiSquareTest;
 use calibrig_estimation::identification::{
-    Estimate, FrameChoice, IdentificationOptions, Loss, ParameterChoice, SolverOptions, TargetChoice,
-    identify, linearise, predict_readings, prospect,
+    Estimate, FrameChoice, IdentificationOptions, Loss, MachineNoiseChoice, ParameterChoice, SolverOptions,
+    TargetChoice, identify, linearise, predict_readings, prospect,
 };
 use calibrig_estimation::kinematics::forward_kinematics;
 use calibrig_model::geometry::{Transform, rotation_vector, rotation_x, rotation_z, translation};
@@ -324,15 +324,49 @@ fn orientations_that_scatter_by_more_than_stated_do_not_drag_the_fit() {
         Matrix6::from_diagonal(&sigmas.component_mul(&sigmas))
     };
     let set = measured(&machine, 80, Some(&diagonal(5e-4)), Some(&diagonal(2e-5)), &mut rng);
-    let estimate = identify(&model, &set, &free()).expect("an estimate");
-    within(estimate.turn_noise.expect("found"), 5e-4, 0.15);
-    let mut squares = 0.0;
-    for (id, truth) in ids.iter().zip(&truth) {
-        let parameter = estimate.parameters.iter().find(|p| p.id == *id).expect("identified");
-        squares += ((parameter.value - truth) / parameter.sigma.expect("full rank")).powi(2);
+    // What is stated of the machine's actuators, nothing, is not stated of its flange.
+    for machine_noise in [MachineNoiseChoice::AsNeeded, MachineNoiseChoice::Stated(Vec::new())] {
+        let options = IdentificationOptions { machine_noise, ..free() };
+        let estimate = identify(&model, &set, &options).expect("an estimate");
+        within(estimate.turn_noise.expect("found"), 5e-4, 0.15);
+        let mut squares = 0.0;
+        for (id, truth) in ids.iter().zip(&truth) {
+            let parameter = estimate.parameters.iter().find(|p| p.id == *id).expect("identified");
+            squares += ((parameter.value - truth) / parameter.sigma.expect("full rank")).powi(2);
+        }
+        // Correlated, so that the band is wide; weighed as stated they would be hundreds.
+        assert!(squares < 5.0 * ids.len() as f64, "{squares} of {}", ids.len());
     }
-    // Correlated, so that the band is wide; weighed as stated they would be hundreds.
-    assert!(squares < 5.0 * ids.len() as f64, "{squares} of {}", ids.len());
+}
+
+/// Errors of the actuators move a target and turn it: both are explained by them, and nothing is left for a scatter of orientations.
+#[test]
+fn errors_of_actuators_explain_places_and_orientations_together() {
+    let [model, _] = robots();
+    let mut rng = stream(17, 0, Source::AsBuilt);
+    let sigmas = Vector6::new(PLACE, PLACE, PLACE, 2e-5, 2e-5, 2e-5);
+    let noise = Matrix6::from_diagonal(&sigmas.component_mul(&sigmas));
+    let mut set = empty(vec![target(None)]);
+    let joints = model.kinematics.joint_count();
+    for pose in 1..=120 {
+        let command: Vec<f64> = (0..joints).map(|_| rng.random_range(-2.5..2.5)).collect();
+        let real: Vec<f64> = command.iter().map(|q| q + 1e-4 * normal(&mut rng)).collect();
+        let flange = station() * forward_kinematics(&model.kinematics, &real).expect("a pose");
+        let error = Vector6::from_fn(|i, _| sigmas[i] * normal(&mut rng));
+        let reading = Reading::Pose(PoseReading {
+            position: flange.rotation * OFFSET + flange.translation.vector + error.fixed_rows::<3>(0),
+            rotation: Rotation3::new(error.fixed_rows::<3>(3).into_owned()) * flange.rotation * mounted(),
+            covariance: Some(noise),
+        });
+        set.observations.push(observation(pose, &command, 0, reading));
+    }
+    let estimate = identify(&model, &set, &free()).expect("an estimate");
+    let found = estimate.found_machine().expect("more than was stated");
+    let mean = found.actuators.iter().map(|sigma| sigma * sigma).sum::<f64>() / joints as f64;
+    // 120 errors of each of six actuators: 3 % of their common standard deviation.
+    within(mean.sqrt(), 1e-4, 0.1);
+    let turn = estimate.turn_noise.expect("looked for");
+    assert!(turn < 3e-5 && found.position < 3e-5, "{turn} {found:?}");
 }
 
 fn spoiled() -> (CalibrationModel, Vec<ParameterId>, Vec<f64>, MeasurementSet) {
