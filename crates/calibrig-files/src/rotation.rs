@@ -51,7 +51,7 @@ impl RotationError {
         match self {
             Self::NotFinite { .. } => "finite numbers of a size that turns",
             Self::ZeroQuaternion => {
-                "a quaternion of length 1; where zeros mark a pose that was not seen, leave the row's cells empty, or name the mark in `missed`"
+                "a quaternion of length 1; where zeros mark a pose that was not seen, a row without a position is a missed shot"
             }
             Self::QuaternionLength { .. } => {
                 "a quaternion of length 1 up to its digits: check that these are its four columns, w among them, and that none is scaled"

@@ -174,7 +174,7 @@ fn rows_that_are_no_pose_are_refused_where_they_are() {
             &quaternion,
             format!("{q}1,2,3,4,5,0,0,0,0\n"),
             "set.csv:3: the quaternion has length 0 (columns a, b, c, d)",
-            "leave the row's cells empty",
+            "a row without a position is a missed shot",
         ),
         (
             &quaternion,
