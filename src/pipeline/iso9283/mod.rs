@@ -6,7 +6,7 @@ pub use reach::ReachError;
 
 use std::ops::ControlFlow;
 
-use nalgebra::{Rotation3, Vector3};
+use nalgebra::{Matrix3x6, Matrix6, Rotation3, Vector3};
 use thiserror::Error;
 
 use self::reach::Reach;
@@ -20,9 +20,10 @@ use calibrig_estimation::evaluation::iso9283::{
     turns_about,
 };
 use calibrig_estimation::identification::{
-    CalibratedRobot, IdentifyError, Loss, Mode, PredictionError, Predictor, without_calibration,
+    CalibratedRobot, IdentificationOptions, IdentifyError, Loss, Mode, PredictionError, Predictor,
+    predict_readings, without_calibration,
 };
-use calibrig_model::geometry::{Transform, rotation_vector};
+use calibrig_model::geometry::{Transform, cross_matrix, rotation_vector};
 use calibrig_model::measurement::{MeasurementSet, Reading, RegistrationError, register};
 use calibrig_model::{CalibrationModel, ModelError};
 use calibrig_plant::session::{CycleError, CycleMeasurements, SessionEvent};
@@ -155,6 +156,9 @@ pub struct AccuracyAgainst {
     pub registration: String,
     /// One a pose.
     pub position: Vec<PositionAccuracy>,
+    /// What the robot states to be off by at each pose, with the tracker's place and the target's offset, which all cycles have in common: root of the mean squared
+    /// length, m. `None` where it is not known.
+    pub expected_sigma: Vec<Option<f64>>,
     /// One a pose, where readings are full poses; else empty.
     pub orientation: Vec<OrientationAccuracy>,
 }
@@ -176,6 +180,36 @@ struct Against {
     title: String,
     registration: String,
     robot: CalibratedRobot,
+    states: Stated,
+}
+
+/// What a robot states of its own errors.
+enum Stated {
+    Nothing,
+    /// Covariance of the displacement of each station by its nests: the robot itself is taken as it is.
+    Stations(Vec<Matrix6<f64>>),
+    /// Mean squared length of the error, an entry an observation, m².
+    Observations(Vec<f64>),
+}
+
+impl Stated {
+    /// For a target in the base frame.
+    fn sigma(&self, set: &MeasurementSet, index: usize, in_base: &Vector3<f64>) -> Option<f64> {
+        match self {
+            Self::Nothing => None,
+            Self::Observations(squares) => squares.get(index).map(|square| square.max(0.0).sqrt()),
+            Self::Stations(covariances) => {
+                let observation = set.observations.get(index)?;
+                let covariance = covariances.get(observation.station)?;
+                let mut jacobian = Matrix3x6::zeros();
+                jacobian.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
+                jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&-cross_matrix(in_base));
+                let of_target = set.targets.get(observation.target).and_then(|target| target.covariance);
+                let of_target = of_target.map_or(0.0, |covariance| covariance.trace());
+                Some(((jacobian * covariance * jacobian.transpose()).trace() + of_target).max(0.0).sqrt())
+            }
+        }
+    }
 }
 
 /// Simulates the session of a scenario, identifies in every mode, and then drives the cycles of a pose test on the same machine with the same set-up of the
@@ -225,7 +259,15 @@ pub fn iso9283_of_scenario(
             }
         };
         let (key, title) = (outcome.mode.key(), outcome.mode.title().to_owned());
-        against.push(Against { key, title, registration, robot: outcome.robot });
+        let options = IdentificationOptions { mode: outcome.mode, ..scenario.options.clone() };
+        let predicted = outcome
+            .estimate
+            .as_ref()
+            .and_then(|estimate| predict_readings(model, set, &options, estimate).ok()?);
+        let states = predicted.map_or(Stated::Nothing, |predicted| {
+            Stated::Observations(predicted.iter().map(|p| (p.of_parameters + p.of_machine).trace()).collect())
+        });
+        against.push(Against { key, title, registration, robot: outcome.robot, states });
     }
     let input = input_of(scenario, seed, trial, plant);
     let facts = Facts { input, robot: scenario.robot.name.clone(), cube: Some(cube), remarks, doubts };
@@ -357,8 +399,7 @@ fn is_unknown(set: &MeasurementSet, target: usize) -> bool {
 
 /// The nominal robot with its stations placed by their nests; why not, in words.
 fn by_nests(model: &CalibrationModel, set: &MeasurementSet) -> Result<Against, String> {
-    let stations: Result<Vec<_>, RegistrationError> =
-        set.stations.iter().map(|station| Ok(register(station)?.tracker_from_base)).collect();
+    let stations: Result<Vec<_>, RegistrationError> = set.stations.iter().map(register).collect();
     let stations = stations.map_err(|why| match why {
         RegistrationError::TooFewNests { found: 0 } => {
             "no accuracy by nests: no base nests were measured, so that nothing ties the tracker to the base (--session)".to_owned()
@@ -374,7 +415,7 @@ fn by_nests(model: &CalibrationModel, set: &MeasurementSet) -> Result<Against, S
             nominal: model.clone(),
             model: model.clone(),
             terms: Vec::new(),
-            stations,
+            stations: stations.iter().map(|station| station.tracker_from_base).collect(),
             targets: set.targets.iter().map(|target| target.in_flange).collect(),
             orientations: set
                 .targets
@@ -383,6 +424,7 @@ fn by_nests(model: &CalibrationModel, set: &MeasurementSet) -> Result<Against, S
                 .collect(),
             instruments: Vec::new(),
         },
+        states: Stated::Stations(stations.iter().map(|station| station.covariance).collect()),
     })
 }
 
@@ -407,6 +449,7 @@ fn by_best_fit(model: &CalibrationModel, set: &MeasurementSet) -> Result<Against
             "best fit of the nominal robot to these cycles, {fitted} numbers free: smaller than the standard's accuracy"
         ),
         robot,
+        states: Stated::Nothing,
     })
 }
 
@@ -455,11 +498,16 @@ fn evaluate(
                 let own: Option<Vec<_>> = pose.observations.iter().map(|i| errors.turn[*i]).collect();
                 own.and_then(|turns| orientation_accuracy(&turns))
             };
+            let expected = |pose: &TestPose| {
+                let index = *pose.observations.first()?;
+                against.states.sigma(set, index, &errors.predicted[index])
+            };
             Ok(AccuracyAgainst {
                 key: against.key,
                 title: against.title.clone(),
                 registration: against.registration.clone(),
                 position: poses.iter().map(position).collect::<Result<_, Iso9283Failure>>()?,
+                expected_sigma: poses.iter().map(expected).collect(),
                 orientation: poses.iter().map(orientation).collect::<Option<_>>().unwrap_or_default(),
             })
         };

@@ -132,6 +132,8 @@ pub struct JsonIsoAccuracy {
     pub half_width_m: Axes,
     /// Radius about the barycentre that holds that of endless cycles.
     pub radius_m: Option<f64>,
+    /// What the robot states to be off by there, with the tracker's place and the target's offset: root of the mean squared length; null where not known.
+    pub expected_sigma_3d_m: Option<f64>,
     /// AP of the orientation; absent of points.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub orientation: Option<JsonIsoTurn>,
@@ -196,6 +198,7 @@ fn row(target: &Iso9283Target, against: &AccuracyAgainst) -> JsonIsoRow {
         ap_axes_m: axes(ap.error),
         half_width_m: axes(ap.half_width),
         radius_m: finite(ap.radius),
+        expected_sigma_3d_m: against.expected_sigma.get(place).copied().flatten().and_then(finite),
         orientation: against.orientation.get(place).map(turn),
     };
     JsonIsoRow {

@@ -216,6 +216,11 @@ fn target_lines(outcome: &Iso9283Outcome, target: &Iso9283Target, style: Style) 
             }
             let radius: Vec<_> = accuracy.iter().map(|ap| mm(ap.radius)).collect();
             lines.push(row("  known within", &radius));
+            let expected: Option<Vec<_>> = against
+                .expected_sigma
+                .get(place.clone())
+                .and_then(|all| all.iter().map(|sigma| sigma.map(mm)).collect());
+            lines.extend(expected.map(|cells| row("  expected by the robot (sigma 3D)", &cells)));
             if let Some(turns) = against.orientation.get(place.clone()).filter(|turns| !turns.is_empty()) {
                 lines.extend(turn_accuracy_rows("", turns));
             }

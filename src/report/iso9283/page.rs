@@ -122,7 +122,8 @@ fn target_section(outcome: &Iso9283Outcome, target: &Iso9283Target) -> Result<Ma
                 } }
                 p.note {
                     "AP in mm: attained minus predicted. \u{201c}Known within\u{201d}: radius that holds the barycentre of endless cycles in 95 %. "
-                    "What all cycles have in common, such as the tracker's place, is not in it."
+                    "What all cycles have in common, such as the tracker's place, is not in it, but in what is expected: how far off a robot states to be there, as a standard deviation of the 3-D error. "
+                    "By nests that is the tracker's place and the target's offset alone; the nominal robot states nothing of itself."
                 }
                 ul { @for row in &target.rows { li { (row.title) ": " (row.registration) } } }
             }
@@ -148,6 +149,9 @@ fn accuracy_lines(row: &AccuracyAgainst) -> Markup {
                 tr { th scope="row" { "AP " (name) } @for ap in &row.position { td { (mm(ap.error[axis])) } } }
             }
             tr { th scope="row" { "known within" } @for ap in &row.position { td { (mm(ap.radius)) } } }
+            @if row.expected_sigma.iter().any(Option::is_some) {
+                tr { th scope="row" { "expected, sigma 3D" } @for sigma in &row.expected_sigma { td { @if let Some(sigma) = sigma { (mm(*sigma)) } } } }
+            }
             @if !row.orientation.is_empty() { (turn_accuracy_lines(&row.orientation)) }
         }
     }

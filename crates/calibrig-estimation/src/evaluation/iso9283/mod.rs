@@ -37,8 +37,8 @@ pub const ISO_CYCLES: usize = 30;
 pub const ISO_POSES: usize = 5;
 /// Confidence of all intervals here.
 pub const ISO_LEVEL: f64 = 0.95;
-/// Draws behind an interval of RP: its ends move by about 1 % of its width with others.
-const DRAWS: usize = 2000;
+/// Draws behind an interval of RP: its ends move by some per cent of its width with others.
+const DRAWS: usize = 1000;
 
 /// How far the barycentre of the attained positions is from the commanded one, m.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

@@ -95,7 +95,7 @@ fn endless(sigmas: &Vector3<f64>) -> f64 {
     mean + 3.0 * sigma
 }
 
-/// Intervals hold what they say in 95 % of all tests: of scatter along a line, in a plane and in space, from few cycles and many. 200 tests each, judged by the
+/// Intervals hold what they say in 95 % of all tests: of scatter along a line, in a plane and in space, from few cycles and many. 120 tests each, judged by the
 /// exact binomial 99.9 % interval. The shape of the scatter is estimated, too: of five cycles it is more drawn out than the truth, and the interval wide.
 #[test]
 fn intervals_hold_the_value_of_endless_cycles() {
@@ -104,7 +104,7 @@ fn intervals_hold_the_value_of_endless_cycles() {
         let truth = endless(&sigmas);
         for cycles in [5, 30] {
             let (mut of_position, mut of_angle) = (Coverage::default(), Coverage::default());
-            for _ in 0..200 {
+            for _ in 0..120 {
                 let set: Vec<_> = (0..cycles).map(|_| draw(&mut rng, &sigmas)).collect();
                 let [low, high] = position_repeatability(&set).expect("cycles").interval;
                 of_position.count((low..=high).contains(&truth));
