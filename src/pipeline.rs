@@ -6,11 +6,13 @@ mod bounds;
 mod choice;
 mod defaults;
 mod diagnosis;
+mod iso9283;
 mod judgement;
 mod machine;
 mod planned;
 mod plausible;
 mod residuals;
+mod sensors;
 mod simulate;
 mod splits;
 mod steady;
@@ -24,10 +26,15 @@ pub use bounds::{TruthBounds, bounds_at_truth};
 pub use choice::{ChosenRow, FailedVariant, ModelChoice, choose};
 pub use defaults::{default_modes, default_options, is_default};
 pub use diagnosis::{Names, mm};
+pub use iso9283::{
+    AccuracyAgainst, CombinedOrientation, Iso9283Failure, Iso9283Outcome, Iso9283Plan, Iso9283Pose,
+    Iso9283Target, ReachError, iso9283_of_scenario, iso9283_of_set,
+};
 pub use judgement::{Confidence, FALSE_ALARM, Judgement, PredictedPosition, judge};
 pub use planned::{planned, planned_at};
 pub use plausible::{Implausible, check_plausible, commands_beyond_limits};
 pub use residuals::ObservationResidual;
+pub use sensors::{ARM, Sensor, SensorResult, compare_sensors};
 pub use simulate::{measure_session, simulate};
 pub use splits::{SplitMode, SplitPlan, SplitStudy, pose_count, repeat_splits, without_gross_errors};
 pub use steady::{SteadySets, without_drift};
@@ -51,7 +58,7 @@ use calibrig_estimation::identification::{
     without_calibration,
 };
 use calibrig_files::Source;
-use calibrig_model::measurement::{DriftError, MeasurementSet, StationDrift};
+use calibrig_model::measurement::{CombineError, DriftError, MeasurementSet, StationDrift};
 pub use calibrig_model::measurement::{SetKind, SetOutcome};
 use calibrig_model::{CalibrationModel, Visual};
 use calibrig_plant::PlantError;
@@ -173,6 +180,22 @@ pub enum PipelineError {
         /// Why.
         source: TrackerError,
     },
+    /// A point of a tool is out of the tracker's reach.
+    #[error("pose {pose}: a target on the flange: {source}")]
+    Sensor {
+        /// The pose.
+        pose: u32,
+        /// Why.
+        source: TrackerError,
+    },
+    /// The readings of a tool's points make no pose.
+    #[error("pose {pose}: {source}")]
+    Combine {
+        /// The pose.
+        pose: u32,
+        /// Why.
+        source: CombineError,
+    },
     /// An identified robot cannot take a measured pose.
     #[error("{}: {source}", mode.title())]
     Predict {
@@ -263,7 +286,8 @@ pub fn calibrate(
                 .map(|set| errors(&robot, &set.measurements))
                 .collect::<Result<_, PipelineError>>()?;
             let rows = errors.iter().map(|e| accuracy(e)).collect();
-            Ok(ModeOutcome { mode, robot, estimate, errors, rows })
+            let turns = sets.iter().map(|set| turns(&robot, &set.measurements)).collect::<Result<_, _>>()?;
+            Ok(ModeOutcome { mode, robot, estimate, errors, rows, turns })
         })
         .collect::<Result<_, PipelineError>>()?;
     Ok((registration, outcomes))
@@ -272,6 +296,15 @@ pub fn calibrate(
 fn errors(robot: &CalibratedRobot, set: &MeasurementSet) -> Result<Vec<Vector3<f64>>, PipelineError> {
     Predictor::new(robot)
         .and_then(|mut predictor| predictor.errors(set))
+        .map_err(|source| PipelineError::Predict { mode: robot.mode, source })
+}
+
+fn turns(robot: &CalibratedRobot, set: &MeasurementSet) -> Result<Vec<Option<Vector3<f64>>>, PipelineError> {
+    if !set.has_poses() {
+        return Ok(vec![None; set.observations.len()]);
+    }
+    Predictor::new(robot)
+        .and_then(|mut predictor| predictor.turns(set))
         .map_err(|source| PipelineError::Predict { mode: robot.mode, source })
 }
 

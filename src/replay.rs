@@ -420,6 +420,7 @@ pub fn recorded_truth(path: &Path) -> Result<Result<Truth, NoTruth>, ReplayError
         as_built,
         stations,
         further_targets,
+        orientation: scenario.probe.map(|probe| probe.flange_from_target),
         poses: Vec::new(),
         effects: Vec::new(),
         outliers: Vec::new(),

@@ -9,8 +9,8 @@ use serde::Serialize;
 use super::Cli;
 use crate::pipeline::PipelineError;
 use calibrig_estimation::identification::{
-    FrameChoice, IdentificationOptions, ListedParameter, Mode, ParameterChoice, ParameterState, TargetChoice,
-    check_named, list_parameters,
+    FrameChoice, IdentificationOptions, InstrumentChoice, ListedParameter, Mode, ParameterChoice,
+    ParameterState, TargetChoice, check_named, list_parameters,
 };
 use calibrig_files::Robot;
 use calibrig_model::measurement::MeasurementSet;
@@ -32,6 +32,9 @@ pub(super) struct ByNameArgs {
     /// What is known of the tracker's place [default: nests where three are stated, else free]
     #[arg(long, value_enum, value_name = "CHOICE")]
     frame: Option<FrameArg>,
+    /// What becomes of the errors that readings of an instrument share [default: identified where they are stated, with what is stated as a prior]
+    #[arg(long, value_enum, value_name = "CHOICE")]
+    instrument: Option<InstrumentArg>,
     /// What is known of the targets' offsets [default: measured where their uncertainty is stated, else identified]
     #[arg(long, value_enum, value_name = "CHOICE")]
     target: Option<TargetArg>,
@@ -58,6 +61,14 @@ enum FrameArg {
     Free,
     /// The nests' result is exact
     Fixed,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum InstrumentArg {
+    /// Identified, with what is stated as a prior
+    AsStated,
+    /// There are none: every reading errs by itself
+    Ignored,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -95,6 +106,12 @@ impl ByNameArgs {
                 FrameArg::Nests => FrameChoice::Nests,
                 FrameArg::Free => FrameChoice::Free,
                 FrameArg::Fixed => FrameChoice::Fixed,
+            };
+        }
+        if let Some(instrument) = self.instrument {
+            options.instrument = match instrument {
+                InstrumentArg::AsStated => InstrumentChoice::AsStated,
+                InstrumentArg::Ignored => InstrumentChoice::Ignored,
             };
         }
         if let Some(target) = self.target {

@@ -109,6 +109,17 @@ fn write_text(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
         if instrument.noise { "on" } else { "off" },
     )?;
     write_tracker(scenario, text)?;
+    if let Some(probe) = &scenario.probe {
+        let mounting = match probe.mounting_sigma {
+            Some(sigma) => format!("stated within {:.4} deg", sigma.to_degrees()),
+            None => "unknown".to_owned(),
+        };
+        let sigma = probe.turn_sigma.to_degrees();
+        writeln!(
+            text,
+            "  probe        orientations within {sigma:.4} deg about each axis, mounting {mounting}"
+        )?;
+    }
     writeln!(text, "  base nests   {}", scenario.nests.len())?;
     session_lines(scenario, text)?;
     for (index, effect) in scenario.as_built.effects.active().iter().enumerate() {

@@ -172,7 +172,7 @@ fn of_set(set: &Diagnosed) -> Value {
         "hypotheses": found.hypotheses.iter().map(|h| of_hypothesis(names, h)).collect::<Vec<_>>(),
         "undetermined": found.undetermined.iter().map(|what| names.undetermined(what)).collect::<Vec<_>>(),
         "beyond_limits": beyond,
-        "not_tried": { "inverse_rotation": "full poses are not read from files yet" },
+        "not_tried": { "inverse_rotation": "a diagnosis looks at places, not at rotations" },
     })
 }
 

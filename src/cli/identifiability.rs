@@ -1,6 +1,7 @@
 //! `calibrig identifiability`.
 
 mod coupled;
+mod sensors;
 
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -31,6 +32,7 @@ use calibrig_model::{CalibrationModel, KinematicModel, ModelError, ParameterId};
   calibrig identifiability --model models/ur5/robot.toml   anywhere, base and target unknown
   calibrig identifiability scenarios/paper.toml --mode elasto_geometric
   calibrig identifiability scenarios/paper.toml --mode extended --terms linkage,ratio
+  calibrig identifiability scenarios/matched.toml --sensors          one SMR, three, or full poses
 
 With --mode elasto_geometric or extended, all that such a fit has is looked at together: links, tracker frame, target,
 compliances, masses and terms, as the scenario's [identification] says, at the nominal robot's equilibrium.")]
@@ -54,6 +56,9 @@ pub(super) struct Args {
     /// Terms of the mode `extended`, by family; "none" for none [default: as the scenario says, else all that the robot can have]
     #[arg(long, value_name = "FAMILY,..", value_delimiter = ',', value_parser = family)]
     terms: Option<Vec<String>>,
+    /// Compare what the target can be: one SMR, three, the pose that these make, and the scenario's probe, by a simulated session
+    #[arg(long, requires = "scenario")]
+    sensors: bool,
     /// Print as JSON
     #[arg(long)]
     json: bool,
@@ -100,6 +105,14 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         let message = format!("{flag}: expected {expected} beside it");
         Cli::command().error(ErrorKind::ArgumentConflict, message).exit()
     };
+    if let (true, Some(scenario)) = (args.sensors, &args.scenario) {
+        let mode = match args.mode {
+            Analysed::Geometry => Mode::OnlyCalibration,
+            Analysed::ElastoGeometric => Mode::ElastoGeometric,
+            Analysed::Extended => Mode::Extended,
+        };
+        return sensors::execute(args, scenario, mode);
+    }
     match args.mode {
         Analysed::Geometry if args.compliances.is_some() => {
             refuse("--compliances", "--mode elasto_geometric or --mode extended");
@@ -157,6 +170,11 @@ fn question(args: &Args) -> Result<Question, CliError> {
     }
     let path = args.scenario.as_deref().unwrap_or(std::path::Path::new(""));
     let scenario = read_scenario(path)?;
+    if scenario.probe.is_some() {
+        say(
+            "the scenario's probe measures orientations, too, and this is of positions alone: --sensors and --mode look at full poses",
+        );
+    }
     let mut rng = stream(scenario.seed, 0, Source::IdentificationPoses);
     let target = scenario.robot.target().unwrap_or_else(Vector3::zeros);
     let poses = (0..scenario.identification_poses).map(|_| scenario.region.draw(&mut rng)).collect();

@@ -240,7 +240,13 @@ pub(super) fn write_sets(sets: &[SetReport], text: &mut String) -> std::fmt::Res
                 set.stations.to_string(),
                 set.targets.to_string(),
                 set.nests.to_string(),
-                state.to_owned(),
+                [
+                    (set.full_poses > 0).then(|| format!("; {} full poses", set.full_poses)),
+                    (set.back_face > 0).then(|| format!("; {} of the back face", set.back_face)),
+                ]
+                .into_iter()
+                .flatten()
+                .fold(state.to_owned(), |said, more| said + &more),
             ]
         })
         .collect();

@@ -47,6 +47,9 @@ pub(super) struct RowArgs {
     /// Repeats of a pose count as one reading, with their mean and scatter
     #[arg(long)]
     average_repeats: bool,
+    /// A reading of the front face and one of the back face count as one, with their mean
+    #[arg(long)]
+    average_faces: bool,
     /// Sheet of an XLSX file [default: the first]
     #[arg(long, value_name = "NAME")]
     sheet: Option<String>,
@@ -129,6 +132,7 @@ impl RowArgs {
             verification_poses: self.verify_poses.clone().unwrap_or_default(),
             approach_from_order: self.approach_from_order,
             average_repeats: self.average_repeats,
+            average_faces: self.average_faces,
             sheet: self.sheet.clone(),
             bag: BagOptions {
                 joints: self.bag_joints.clone(),

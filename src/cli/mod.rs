@@ -10,6 +10,7 @@ mod identifiability;
 mod identify;
 mod inspect;
 mod interrupt;
+mod iso9283;
 mod live;
 mod measured;
 mod model;
@@ -34,7 +35,7 @@ use clap::{Parser, Subcommand};
 use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, SourceCode};
 use thiserror::Error;
 
-use crate::pipeline::PipelineError;
+use crate::pipeline::{Iso9283Failure, PipelineError};
 use crate::replay::ReplayError;
 use crate::report::ReportError;
 use crate::scenario::{Scenario, load_scenario};
@@ -69,6 +70,7 @@ enum Command {
     Identify(Box<identify::Args>),
     Identifiability(identifiability::Args),
     Choose(Box<choose::Args>),
+    Iso9283(Box<iso9283::Args>),
     Columns(columns::Args),
     Model(model::Args),
     Diagnose(Box<diagnose::Args>),
@@ -120,6 +122,9 @@ enum CliError {
     #[error("{} is there already", path.display())]
     #[diagnostic(help("expected another name"))]
     NamedAlready { path: PathBuf },
+    #[error("{}: {source}", file.display())]
+    #[diagnostic(help("{}", iso9283::help(source)))]
+    Iso9283 { file: PathBuf, source: Box<Iso9283Failure> },
     #[error(transparent)]
     Report(#[from] ReportError),
     #[error("interrupted after {done} of {total} poses; what was measured is in {}", part.display())]
@@ -197,6 +202,7 @@ pub fn main() -> ExitCode {
         Command::Check(args) => check::execute(args),
         Command::Identify(args) => identify::execute(args),
         Command::Choose(args) => choose::execute(args),
+        Command::Iso9283(args) => iso9283::execute(args),
         Command::Columns(args) => columns::execute(args),
         Command::Model(args) => model::execute(args),
         Command::Diagnose(args) => diagnose::execute(args),

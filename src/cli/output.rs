@@ -17,6 +17,8 @@ pub(super) enum Files {
     Reports,
     /// Reports and recordings.
     ReportsAndRecordings,
+    /// What a pose test leaves.
+    Iso9283,
     /// What a campaign leaves.
     Campaign,
     /// What an acceptance test leaves.
@@ -29,6 +31,7 @@ impl Files {
     pub(super) fn names(self) -> &'static [&'static str] {
         match self {
             Self::Reports => &["report.html", "report.json", "residuals.csv"],
+            Self::Iso9283 => &["iso9283.html", "iso9283.json"],
             Self::Campaign => &["trials.csv", "summary.json"],
             Self::Acceptance => &["acceptance.html", "acceptance.svg", "acceptance.json"],
             Self::Export => {

@@ -105,6 +105,7 @@ fn fit(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Estimate) ->
         nominal: &campaign.scenario.robot.model,
         stations: &simulation.truth.stations,
         further_targets: &simulation.truth.further_targets,
+        orientation: simulation.truth.orientation,
         targets: simulation.sets.first().map_or(&[], |set| &set.measurements.targets),
     };
     let fitted = simulation.sets.first().map(|set| &set.measurements);

@@ -37,6 +37,7 @@ pub fn bounds_at_truth(
         nominal: model,
         stations: &truth.stations,
         further_targets: &truth.further_targets,
+        orientation: truth.orientation,
         targets: &fitted.targets,
     };
     let bounds = |outcome: &ModeOutcome| {

@@ -8,14 +8,15 @@ use super::residuals::{ObservationResidual, residuals};
 use super::worth::{Worse, worse};
 use super::{ModeOutcome, PipelineError, SetKind, SetOutcome};
 use calibrig_estimation::evaluation::{
-    ChiSquareTest, ConsistencyReport, PoseConditions, ResidualSet, check_consistency,
+    ChiSquareTest, ConsistencyReport, PoseConditions, ResidualSet, ScatterComparison, check_consistency,
+    compare_scatter,
 };
 use calibrig_estimation::identification::{
     Estimate, IdentificationOptions, Linearisation, Mode, NoiseScale, Outlier, ParameterSupport,
     PoseInfluence, Prediction, Predictor, Uncertainty, Warning, held_out_outliers, linearise,
     predict_readings,
 };
-use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::measurement::{MeasurementSet, Observation};
 use calibrig_model::{CalibrationModel, ParameterId, PoseQuery};
 
 /// Probability of a false alarm of a test for size or shape of the residuals.
@@ -50,6 +51,8 @@ pub struct Judgement {
     pub outside: Vec<Outside>,
     /// Of every reading, one list a set.
     pub residuals: Vec<Vec<ObservationResidual>>,
+    /// What is stated of the readings' scatter against what is seen of it, one entry a set.
+    pub scatter: Vec<Option<ScatterComparison>>,
 }
 
 impl Judgement {
@@ -221,6 +224,7 @@ pub fn judge(
                 residuals(model, (&set.measurements, errors), &options, estimate, index == 0)
             };
             let residuals = sets.iter().zip(&outcome.errors).enumerate().map(of_set).collect();
+            let scatter = scatter(sets, outcome, estimate, confidence.as_ref());
             Ok(Judgement {
                 mode,
                 consistency,
@@ -231,9 +235,42 @@ pub fn judge(
                 held_out,
                 outside,
                 residuals,
+                scatter,
             })
         })
         .collect()
+}
+
+/// Stated and seen scatter of every set; the first is the one that was fitted.
+fn scatter(
+    sets: &[SetOutcome],
+    outcome: &ModeOutcome,
+    estimate: &Estimate,
+    confidence: Option<&Confidence>,
+) -> Vec<Option<ScatterComparison>> {
+    let of_set = |(index, (set, errors)): (usize, (&SetOutcome, &Vec<Vector3<f64>>))| {
+        let observations = &set.measurements.observations;
+        let in_tracker = |(observation, error): (&Observation, &Vector3<f64>)| {
+            let place = estimate.robot.stations.get(observation.station);
+            place.map_or(*error, |place| place.rotation * error)
+        };
+        let errors: Vec<_> = observations.iter().zip(errors).map(in_tracker).collect();
+        let left: Vec<f64> = match confidence {
+            _ if index > 0 => Vec::new(),
+            Some(confidence) => confidence
+                .influences
+                .iter()
+                .map(|influence| (1.0 - influence.leverage / 3.0).max(0.0))
+                .collect(),
+            // Of a singular system no leverage is known: the same for all.
+            None => {
+                let rows = 3.0 * observations.len() as f64;
+                vec![(estimate.degrees_of_freedom / rows).clamp(0.0, 1.0); observations.len()]
+            }
+        };
+        compare_scatter(&set.measurements, &errors, &left)
+    };
+    sets.iter().zip(&outcome.errors).enumerate().map(of_set).collect()
 }
 
 fn uncertainty(system: &Linearisation, estimate: &Estimate) -> Option<Uncertainty> {
@@ -257,7 +294,7 @@ fn confidence(
         finite.then_some(PredictedPosition { position: prediction.position, sigma })
     };
     let residuals = system.residuals.as_slice();
-    let influences = uncertainty.influences(&system.jacobian, residuals, system.data_rows, &system.poses);
+    let influences = influences(system, uncertainty, residuals);
     let left_out = left_out(system, &influences);
     let map: Vec<_> = map.iter().map(place).collect();
     Confidence {
@@ -270,6 +307,19 @@ fn confidence(
         out_of_reach: map.iter().filter(|p| p.is_none()).count(),
         map: map.into_iter().flatten().collect(),
     }
+}
+
+/// Of every observation; an orientation takes part of its observation's leverage, and is left out with it.
+fn influences(system: &Linearisation, uncertainty: &Uncertainty, residuals: &[f64]) -> Vec<PoseInfluence> {
+    let mut all = uncertainty.influences(&system.jacobian, residuals, system.data_rows, &system.poses);
+    let observations = system.whitening.observations();
+    let orientations = all.split_off(observations.min(all.len()));
+    for (orientation, observation) in orientations.iter().zip(&system.orientations) {
+        if let Some(own) = all.get_mut(*observation) {
+            own.leverage += orientation.leverage;
+        }
+    }
+    all
 }
 
 /// Errors of observations that were left out of the fit, m; `None` where a pose alone determines a direction.

@@ -28,6 +28,9 @@ pub fn planned(scenario: &Scenario) -> Result<MeasurementSet, PipelineError> {
         ..scenario.clone()
     };
     session.tracker.instrument.noise = false;
+    if let Some(probe) = &mut session.probe {
+        probe.noise = false;
+    }
     let simulated = simulate(&session, scenario.seed, 0, PlantKind::Analytic, |_, _| {})?;
     Ok(without_drift(simulated.sets)?.sets.into_iter().next().map(|set| set.measurements).unwrap_or_default())
 }
@@ -45,12 +48,14 @@ pub fn planned_at(
         observations: Vec::new(),
     };
     let robot = CalibratedRobot {
+        instruments: Vec::new(),
         mode: Mode::Extended,
         nominal: model.clone(),
         model: model.clone(),
         terms: Vec::new(),
         stations: vec![Transform::identity()],
         targets: vec![in_flange],
+        orientations: vec![None],
     };
     let failed = |source| PipelineError::Predict { mode: robot.mode, source };
     let mut predictor = Predictor::new(&robot).map_err(failed)?;

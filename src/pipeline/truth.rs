@@ -1,6 +1,6 @@
 //! What the identified parameters really are, where a simulation knows.
 
-use nalgebra::{Vector3, Vector6};
+use nalgebra::{Rotation3, UnitQuaternion, Vector3, Vector6};
 
 use calibrig_estimation::identification::Estimate;
 use calibrig_model::geometry::{Transform, rotation_vector, small_displacement};
@@ -22,6 +22,8 @@ pub struct KnownTruth<'a> {
     pub stations: &'a [Transform],
     /// Real offsets of the targets beside the machine's own, in the flange frame, m.
     pub further_targets: &'a [Vector3<f64>],
+    /// `flange_from_target` of the first target, where it has axes.
+    pub orientation: Option<Rotation3<f64>>,
     /// As stated to identification.
     pub targets: &'a [Target],
 }
@@ -34,7 +36,7 @@ impl KnownTruth<'_> {
     /// - term: what the machine's effect of that shape amounts to; zero where it has none;
     /// - frame: the estimate holds `station = prior · exp(value)` for the station's six components (absent ones are zero), so the prior
     ///   is recovered exactly and the truth is the `xi` of `prior · exp(xi) = tracker_from_base`;
-    /// - target: as-built minus stated offset.
+    /// - target: as-built minus stated offset; of the first, what turns the stated orientation to the real one.
     pub fn of(&self, estimate: &Estimate, id: ParameterId) -> Option<f64> {
         let value = match id {
             ParameterId::Link { link, term } => Some(self.link(id)? + self.zero_error(estimate, link, term)),
@@ -47,6 +49,13 @@ impl KnownTruth<'_> {
                     Some(further) => self.further_targets.get(further)?,
                 };
                 Some(real.get(axis)? - self.targets.get(target)?.in_flange.get(axis)?)
+            }
+            ParameterId::Orientation { target: 0, axis } => {
+                let [stated] = self.targets else { return None };
+                let stated = stated.orientation.as_ref()?.flange_from_target;
+                // By a quaternion: where nothing was known, the two may be half a turn apart.
+                let off = UnitQuaternion::from_rotation_matrix(&(stated.inverse() * self.orientation?));
+                off.scaled_axis().get(axis).copied()
             }
             ParameterId::Compliance(compliance) => {
                 let stated = self.nominal.statics.as_ref()?.stiffness(compliance)?;
@@ -65,6 +74,9 @@ impl KnownTruth<'_> {
                 Some(self.as_built.actuators.length(length)? - self.nominal.actuators.length(length)?)
             }
             ParameterId::Term(term) => self.term(term),
+            ParameterId::Orientation { .. } | ParameterId::Instrument { .. } | ParameterId::Drift { .. } => {
+                None
+            }
         };
         value.filter(|v| v.is_finite())
     }

@@ -9,6 +9,7 @@ use super::drift::drift_section;
 use super::judgement::{residual_section, sure_section};
 use super::parameters::{ParameterCell, ParameterRow, fitted, parameter_rows, parameter_words, printed_unit};
 use super::plots::{self, GRID, INK, LOOKS, Look, Marker, hex, look};
+use super::scatter::{has_scatter, scatter_section};
 use super::splits::split_section;
 use super::summary::{factor_words, judged_set, length_words, row, significant, summarise};
 use super::{
@@ -49,6 +50,7 @@ pub fn html_report(outcome: &Outcome) -> Result<String, ReportError> {
                     (accuracy_section(outcome))
                     (errors)
                     (residual)
+                    (scatter_section(outcome))
                     (parameters)
                     @if let Some(study) = &outcome.splits { (split_section(study)) }
                     (sure)
@@ -107,6 +109,7 @@ fn header(outcome: &Outcome) -> Markup {
                 a href="#accuracy" { "Accuracy" } " "
                 a href="#errors" { "Errors" } " "
                 @if !outcome.judgements.is_empty() { a href="#residual" { "Residual" } " " }
+                @if has_scatter(outcome) { a href="#scatter" { "Scatter" } " " }
                 a href="#parameters" { "Parameters" } " "
                 @if outcome.splits.is_some() { a href="#splits" { "Splits" } " " }
                 @if outcome.judgements.iter().any(|j| j.confidence.is_some()) { a href="#sure" { "How sure" } " " }
@@ -187,6 +190,7 @@ fn accuracy_section(outcome: &Outcome) -> Markup {
             }
             @for (index, set) in outcome.sets.iter().enumerate() {
                 (accuracy_table(outcome, index, set.kind, &pose_words(set)))
+                (orientation_table(outcome, index, set.kind))
             }
         }
     }
@@ -226,6 +230,31 @@ fn accuracy_table(outcome: &Outcome, index: usize, kind: SetKind, poses: &str) -
                                     }
                                     td.first {} td {}
                                 }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Angles between measured and predicted orientations; nothing where none was measured.
+fn orientation_table(outcome: &Outcome, index: usize, kind: SetKind) -> Markup {
+    let mrad = |angle: f64| number(1e3 * angle, 3);
+    let rows: Vec<_> =
+        outcome.modes.iter().filter_map(|mode| Some((mode, mode.orientation_row(index)?))).collect();
+    html! {
+        @if let Some((_, first)) = rows.first() {
+            div.scroll {
+                table {
+                    caption { (set_title(kind)) ", " (first.count) " orientations: angle between measured and predicted, mrad" }
+                    thead { tr { th {} th.first { "RMS" } th { "max" } } }
+                    tbody {
+                        @for (mode, row) in &rows {
+                            tr {
+                                th scope="row" { (key(&look(mode.mode))) (mode.mode.title()) }
+                                td.first { (mrad(row.rms)) } td { (mrad(row.max)) }
                             }
                         }
                     }
@@ -647,7 +676,7 @@ pub(super) fn figure(modes: &[Mode], plot: &str, caption: &Markup, lines: bool) 
 }
 
 /// The marker of a mode, to stand beside its title.
-fn key(look: &Look) -> Markup {
+pub(super) fn key(look: &Look) -> Markup {
     let colour = hex(look.light);
     html! {
         svg.key width="14" height="14" viewBox="-7 -7 14 14" aria-hidden="true" {

@@ -163,6 +163,20 @@ pub struct JsonRow {
     pub max_3d_m: Option<f64>,
     /// Number of observations.
     pub n: usize,
+    /// Errors of orientations; absent where none was measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub orientation: Option<JsonOrientationRow>,
+}
+
+/// Angles between measured and predicted orientations, rad.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonOrientationRow {
+    /// Root mean square.
+    pub rms_rad: Option<f64>,
+    /// Largest.
+    pub max_rad: Option<f64>,
+    /// Number of orientations.
+    pub n: usize,
 }
 
 /// A parameter that was left out of a fit.
@@ -215,6 +229,9 @@ pub struct JsonEstimate {
     /// What the machine was found to do beside the model; absent where that was not estimated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub machine_noise: Option<JsonMachineNoise>,
+    /// Standard deviation that was found of orientations beside what their readings state, rad; absent where none was looked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub orientation_sigma_rad: Option<f64>,
     /// Half the width of a 95 % interval, in standard deviations; null where no degree of freedom is left to estimate the noise.
     #[serde(default)]
     pub interval_factor_95: Option<f64>,
@@ -303,7 +320,10 @@ pub struct JsonOutlier {
     /// How far it is from where a fit without it predicts it, m.
     #[serde(default)]
     pub distance_m: Option<f64>,
-    /// The same in standard deviations of a coordinate.
+    /// How far it is turned from there, rad; absent where its orientation is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub turn_rad: Option<f64>,
+    /// The larger of the two in standard deviations of a coordinate.
     pub size: Option<f64>,
     /// What it still counts for in the fit, from 1 down to 0.
     pub weight: Option<f64>,
@@ -319,6 +339,7 @@ impl From<&Outlier> for JsonOutlier {
             target: o.target.clone(),
             station: o.station.clone(),
             distance_m: finite(o.distance),
+            turn_rad: o.turn.and_then(finite),
             size: finite(o.size),
             weight: finite(o.weight),
             exchanged_with: o.exchanged_with,
@@ -481,7 +502,15 @@ fn json_set(outcome: &Outcome, index: usize, set: &SetOutcome) -> JsonSet {
         rows: outcome
             .modes
             .iter()
-            .filter_map(|m| row(&m.rows).map(|r| (m.mode.key().to_owned(), json_row(&r))))
+            .filter_map(|m| {
+                let orientation = m.orientation_row(index).map(|row| JsonOrientationRow {
+                    rms_rad: finite(row.rms),
+                    max_rad: finite(row.max),
+                    n: row.count,
+                });
+                let row = JsonRow { orientation, ..json_row(&row(&m.rows)?) };
+                Some((m.mode.key().to_owned(), row))
+            })
             .collect(),
     }
 }
@@ -495,6 +524,7 @@ fn json_row(row: &AccuracyRow) -> JsonRow {
         rms_3d_m: finite(row.rms_3d),
         max_3d_m: finite(row.max_3d),
         n: row.count,
+        orientation: None,
     }
 }
 
@@ -519,6 +549,7 @@ fn json_estimate(estimate: &Estimate) -> JsonEstimate {
             actuators: found.actuators.iter().copied().map(finite).collect(),
             degrees_of_freedom: found.freedom.and_then(finite),
         }),
+        orientation_sigma_rad: estimate.turn_noise.and_then(finite),
         interval_factor_95: finite(estimate.interval_factor(0.95)),
         warnings: estimate.warnings.iter().map(ToString::to_string).collect(),
         held: estimate.held.iter().map(ToString::to_string).collect(),

@@ -5,6 +5,7 @@ mod acceptance;
 mod drift;
 mod forest;
 mod html;
+mod iso9283;
 mod json;
 mod judgement;
 mod parameters;
@@ -13,21 +14,28 @@ mod region;
 mod residuals;
 #[cfg(test)]
 mod sample;
+mod scatter;
 mod splits;
 mod summary;
 mod tables;
 
 pub use acceptance::{acceptance_html, acceptance_json, acceptance_svg, acceptance_text};
 pub use html::{html_report, quoted};
+pub use iso9283::{
+    ISO9283_SCHEMA, JsonCombined, JsonCube, JsonIso9283, JsonIsoAccuracy, JsonIsoOrientation, JsonIsoPose,
+    JsonIsoRow, JsonIsoTarget, JsonIsoTurn, iso9283_html, iso9283_json_text, json_iso9283, render_iso9283,
+    write_iso9283,
+};
 pub use json::{
-    JsonAblated, JsonAblation, JsonAblationRow, JsonDropped, JsonEstimate, JsonInput, JsonParameter,
-    JsonRegistration, JsonReport, JsonRow, JsonSet, JsonSoftware, SCHEMA, json_report,
+    JsonAblated, JsonAblation, JsonAblationRow, JsonDropped, JsonEstimate, JsonInput, JsonOrientationRow,
+    JsonParameter, JsonRegistration, JsonReport, JsonRow, JsonSet, JsonSoftware, SCHEMA, json_report,
 };
 pub use judgement::{
     JsonConfidence, JsonCorrelation, JsonInfluence, JsonJudgement, JsonPattern, JsonPoint, JsonRegion,
     JsonSupport,
 };
 pub use residuals::{JsonResidual, residuals_csv};
+pub use scatter::{JsonRepeatScatter, JsonScatter};
 pub use splits::{JsonInterval, JsonSplitRow, JsonSplits};
 pub use tables::{Style, render_tables};
 

@@ -97,6 +97,7 @@ fn known_truth<'a>(outcome: &'a Outcome, truth: &'a Truth, targets: &'a [Target]
         nominal: &outcome.model,
         stations: &truth.stations,
         further_targets: &truth.further_targets,
+        orientation: truth.orientation,
         targets,
     }
 }
@@ -132,6 +133,9 @@ pub(super) fn parameter_words(id: ParameterId) -> String {
         ParameterId::Target { target, axis } => {
             format!("target {} on the flange, {}", target + 1, AXES[axis % 3])
         }
+        ParameterId::Orientation { target, axis } => {
+            format!("target {} turned on the flange, about its {}", target + 1, AXES[axis % 3])
+        }
         ParameterId::Compliance(Compliance::Drive { joint }) => format!("compliance of drive {}", joint + 1),
         ParameterId::Compliance(Compliance::Bearing { joint, axis }) => {
             let how = if axis < 3 { "along" } else { "about" };
@@ -147,6 +151,13 @@ pub(super) fn parameter_words(id: ParameterId) -> String {
         ParameterId::Linkage(LinkageLength::Lever) => "length of the lever".to_owned(),
         ParameterId::Linkage(LinkageLength::Rod) => "length of the coupler rod".to_owned(),
         ParameterId::Term(term) => format!("{}: {term}", term.family().about()),
+        ParameterId::Instrument { instrument, term } => {
+            format!("tracker {}: {}", instrument + 1, term.about())
+        }
+        ParameterId::Drift { station, component } => {
+            let how = if component < 3 { "along" } else { "about" };
+            format!("drift of station {} in an hour, {how} {}", station + 1, AXES[component % 3])
+        }
     }
 }
 

@@ -144,6 +144,7 @@ pub(super) fn simulated() -> Outcome {
             },
             stations: vec![tracker_from_base],
             further_targets: Vec::new(),
+            orientation: None,
             poses: Vec::new(),
             effects: Vec::new(),
             outliers: Vec::new(),
@@ -352,12 +353,14 @@ fn registered(model: &CalibrationModel, set: &MeasurementSet) -> (CalibratedRobo
     let squares: f64 =
         seen.iter().zip(&predicted).map(|(s, p)| (s - transformed(&station, p)).norm_squared()).sum();
     let robot = CalibratedRobot {
+        instruments: Vec::new(),
         mode: Mode::WithoutCalibration,
         nominal: model.clone(),
         model: model.clone(),
         terms: Vec::new(),
         stations: vec![station],
         targets: vec![target],
+        orientations: vec![None],
     };
     (robot, (squares / seen.len() as f64).sqrt())
 }
@@ -369,7 +372,8 @@ fn mode_outcome(
     errors: Vec<Vec<Vector3<f64>>>,
 ) -> ModeOutcome {
     let rows = errors.iter().map(|e| accuracy(e)).collect();
-    ModeOutcome { mode, robot, estimate, errors, rows }
+    let turns = errors.iter().map(|errors| vec![None; errors.len()]).collect();
+    ModeOutcome { mode, robot, estimate, errors, rows, turns }
 }
 
 fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio: f64) -> Estimate {
@@ -432,12 +436,15 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
         parameters: parameters.iter().map(|p| p.value).collect(),
     };
     Estimate {
+        turn_noise: None,
         robot: CalibratedRobot {
+            instruments: Vec::new(),
             mode,
             nominal: model_of(nominal()),
             model: model_of(kinematics),
             terms: Vec::new(),
             stations: vec![prior * small_displacement(&xi)],
+            orientations: Vec::new(),
             targets: vec![
                 Vector3::from(STATED_TARGET)
                     + Vector3::from_iterator(ParameterId::all_of_target(0).into_iter().map(value)),

@@ -113,6 +113,7 @@ fn table(outcome: &Outcome, index: usize, set: &SetOutcome, style: Style) -> Vec
         }
     }
     lines.push(rule);
+    lines.extend(orientation_lines(outcome, index, style));
     if let Some(repeats) = set.measurements.repeats() {
         let words = format!(
             "repeats of {} scatter by {} mm (RMS 3D of a reading about the mean of its pose, {} more): no model leaves less on single readings",
@@ -127,6 +128,19 @@ fn table(outcome: &Outcome, index: usize, set: &SetOutcome, style: Style) -> Vec
             set.dropped.iter().map(|(pose, why)| format!("{pose} ({})", printable(why))).collect();
         let words = format!("{} not measured: {}", counted(set.dropped.len(), "pose"), poses.join(", "));
         lines.extend(wrap(&words, "    ").iter().map(|l| style.paint(Ink::Warning, l)));
+    }
+    lines
+}
+
+/// Orientation errors of a set, where any were measured.
+fn orientation_lines(outcome: &Outcome, index: usize, style: Style) -> Vec<String> {
+    let rows = outcome.modes.iter().filter_map(|mode| Some((mode.mode, mode.orientation_row(index)?)));
+    let mut lines: Vec<String> =
+        rows.map(|(mode, row)| aligned(mode.title(), &[row.rms, row.max].map(millimetres))).collect();
+    if let Some(row) = outcome.modes.iter().find_map(|mode| mode.orientation_row(index)) {
+        let title = format!("angle to the measured orientation of {}, mrad", counted(row.count, "reading"));
+        lines.insert(0, style.paint(Ink::Dim, &aligned("", &["RMS", "max"].map(str::to_owned))));
+        lines.insert(0, title);
     }
     lines
 }
@@ -204,7 +218,9 @@ fn state(estimate: &Estimate, style: Style) -> Vec<String> {
         let bounds: Vec<_> = estimate.bounds.iter().map(ToString::to_string).collect();
         say(Ink::Good, &format!("  held within bounds: {}", bounds.join(", ")), "    ");
     }
-    for found in estimate.assumptions.iter().filter(|a| matches!(a, Assumption::NoiseOfMachine(_))) {
+    let is_found =
+        |a: &&Assumption| matches!(a, Assumption::NoiseOfMachine(_) | Assumption::NoiseOfOrientations { .. });
+    for found in estimate.assumptions.iter().filter(is_found) {
         say(Ink::Dim, &format!("  {}", printable(&found.to_string())), "    ");
     }
     if let Some(freedom) = estimate.interval_freedom.filter(|freedom| freedom.is_finite()) {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Rotation3, Vector3};
 use serde::Deserialize;
 
 use super::Scenario;
@@ -17,7 +17,7 @@ use calibrig_model::measurement::SetKind;
 use calibrig_model::{JointKind, KinematicModel};
 use calibrig_plant::AsBuilt;
 use calibrig_plant::experiment::WorkingRegion;
-use calibrig_plant::tracker::{LaserTracker, Outliers};
+use calibrig_plant::tracker::{LaserTracker, Outliers, Probe};
 
 const SCHEMA: &str = "calibrig.scenario/1";
 
@@ -89,6 +89,17 @@ pub(super) struct TrackerFile {
     target_sigma_um: Spanned<f64>,
     nest: Spanned<Vec<Spanned<NestFile>>>,
     outliers: Option<OutliersFile>,
+    pose: Option<PoseFile>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PoseFile {
+    rotation_sigma_deg: Spanned<f64>,
+    mounted_rx_deg: Option<Spanned<f64>>,
+    mounted_ry_deg: Option<Spanned<f64>>,
+    mounted_rz_deg: Option<Spanned<f64>>,
+    mounting_sigma_deg: Option<Spanned<f64>>,
 }
 
 #[derive(Deserialize)]
@@ -177,6 +188,8 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
     let tracker = tracker(&source, &file.tracker, &as_built, file.seed)?;
     let section = file.tracker.get_ref();
     let outliers = section.outliers.as_ref().map(|file| outliers(&source, file)).transpose()?;
+    let noise = tracker.instrument.noise;
+    let probe = section.pose.as_ref().map(|pose| probe(&source, pose, noise)).transpose()?;
     let nest_sigma = 1e-6 * source.positive("tracker.nest_sigma_um", &section.nest_sigma_um)?;
     let nests = nests(&source, section, &tracker, nest_sigma)?;
     let target_sigma = 1e-6 * source.positive("tracker.target_sigma_um", &section.target_sigma_um)?;
@@ -220,6 +233,7 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
         verification_poses,
         tracker,
         outliers,
+        probe,
         nests,
         nest_sigma,
         target_covariance: Matrix3::identity() * target_sigma * target_sigma,
@@ -367,6 +381,31 @@ fn tracker(
         return Err(source.error(place, format!("tracker: {error}"), Some(help.to_owned())));
     }
     Ok(tracker)
+}
+
+/// The target as a probe whose orientation is measured, too.
+fn probe(source: &Source, file: &PoseFile, noise: bool) -> Result<Probe, InputError> {
+    let about = |key: &str, value: Option<&Spanned<f64>>| {
+        value.map_or(Ok(0.0), |value| Ok(source.finite(&format!("tracker.pose.{key}"), value)?.to_radians()))
+    };
+    let mounted = Vector3::new(
+        about("mounted_rx_deg", file.mounted_rx_deg.as_ref())?,
+        about("mounted_ry_deg", file.mounted_ry_deg.as_ref())?,
+        about("mounted_rz_deg", file.mounted_rz_deg.as_ref())?,
+    );
+    let sigma = |key: &str, value: &Spanned<f64>| {
+        Ok::<_, InputError>(source.positive(&format!("tracker.pose.{key}"), value)?.to_radians())
+    };
+    Ok(Probe {
+        flange_from_target: Rotation3::new(mounted),
+        turn_sigma: sigma("rotation_sigma_deg", &file.rotation_sigma_deg)?,
+        mounting_sigma: file
+            .mounting_sigma_deg
+            .as_ref()
+            .map(|value| sigma("mounting_sigma_deg", value))
+            .transpose()?,
+        noise,
+    })
 }
 
 /// Half of all readings: with more, no method can tell which half is in error.

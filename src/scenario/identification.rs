@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use serde::Deserialize;
 
 use calibrig_estimation::identification::{
-    ComplianceChoice, FrameChoice, IdentificationOptions, LINKAGE, Loss, MachineNoiseChoice, Mode,
-    ParameterBound, ParameterBoundError, ParameterChoice, Redundancy, RefusedBound, SolverOptions,
-    TargetChoice, TermPrior, Tolerance, check_bounds, check_named,
+    ComplianceChoice, FrameChoice, IdentificationOptions, InstrumentChoice, LINKAGE, Loss,
+    MachineNoiseChoice, Mode, ParameterBound, ParameterBoundError, ParameterChoice, Redundancy, RefusedBound,
+    SolverOptions, TargetChoice, TermPrior, Tolerance, check_bounds, check_named,
 };
 use calibrig_files::Robot;
 use calibrig_files::{InputError, Source, Spanned};
@@ -37,6 +37,7 @@ pub(super) struct IdentificationFile {
     bound: Vec<BoundFile>,
     redundant: Option<RedundantFile>,
     frame: Option<FrameFile>,
+    instrument: Option<InstrumentFile>,
     target: Option<TargetFile>,
     unmodelled_sigma_um: Option<Spanned<f64>>,
     machine_noise: Option<Spanned<MachineNoiseFile>>,
@@ -103,6 +104,13 @@ enum FrameFile {
     Nests,
     Free,
     Fixed,
+}
+
+#[derive(Deserialize, Clone, Copy)]
+#[serde(rename_all = "snake_case")]
+enum InstrumentFile {
+    AsStated,
+    Ignored,
 }
 
 #[derive(Deserialize, Clone, Copy)]
@@ -327,6 +335,12 @@ impl IdentificationFile {
                 FrameFile::Nests => FrameChoice::Nests,
                 FrameFile::Free => FrameChoice::Free,
                 FrameFile::Fixed => FrameChoice::Fixed,
+            };
+        }
+        if let Some(instrument) = self.instrument {
+            options.instrument = match instrument {
+                InstrumentFile::AsStated => InstrumentChoice::AsStated,
+                InstrumentFile::Ignored => InstrumentChoice::Ignored,
             };
         }
         if let Some(target) = self.target {

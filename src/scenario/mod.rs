@@ -22,7 +22,7 @@ use calibrig_model::random;
 use calibrig_plant::experiment::WorkingRegion;
 use calibrig_plant::session::MeasuringSession;
 pub use calibrig_plant::session::{Approach, PoseOrder, SessionPlan, StationShare};
-use calibrig_plant::tracker::{LaserTracker, Outliers, TrackerError};
+use calibrig_plant::tracker::{LaserTracker, Outliers, Probe, TrackerError};
 use calibrig_plant::{AsBuilt, AsBuiltDistribution};
 
 /// A validated scenario, SI.
@@ -48,6 +48,8 @@ pub struct Scenario {
     pub tracker: LaserTracker,
     /// Gross errors among its readings of the target, where there are any.
     pub outliers: Option<Outliers>,
+    /// What measures the target's orientation with its place; `None` where the target is a point.
+    pub probe: Option<Probe>,
     /// Base nests: name and true place in the base frame, m.
     pub nests: Vec<(String, Vector3<f64>)>,
     /// Standard deviation of the nests' certified coordinates, m.
@@ -93,6 +95,7 @@ impl Scenario {
             verification_poses: self.verification_poses,
             tracker: &self.tracker,
             outliers: self.outliers.as_ref(),
+            probe: self.probe.as_ref(),
             nests: &self.nests,
             nest_sigma: self.nest_sigma,
             target_covariance: &self.target_covariance,

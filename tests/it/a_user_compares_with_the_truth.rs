@@ -41,6 +41,7 @@ fn assert_found(effects: Effects, families: &[&str], named: &[(&str, f64)]) {
     let model = &scenario.robot.model;
     let estimate = identify(model, set, &scenario.options).expect("an estimate");
     let known = KnownTruth {
+        orientation: None,
         as_built: &simulation.truth.as_built,
         nominal: model,
         stations: &simulation.truth.stations,
@@ -92,6 +93,7 @@ fn friction_is_hysteresis_where_it_depends_on_the_direction_alone() {
         run(&Scenario { modes: vec![Mode::Extended], ..scenario.clone() }, 1, |_, _| {}).expect("a run");
     let estimate = outcome.modes[0].estimate.as_ref().expect("an estimate");
     let known = KnownTruth {
+        orientation: None,
         as_built: &scenario.as_built,
         nominal: &scenario.robot.model,
         stations: &[scenario.tracker.tracker_from_base],

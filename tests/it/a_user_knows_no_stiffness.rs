@@ -60,12 +60,14 @@ fn write_measurements(sandbox: &Sandbox) {
     let station = translation(2.5, 0.4, 0.1) * rotation_x(0.2);
     let target = Vector3::new(0.4, 0.03, 0.05);
     let robot = CalibratedRobot {
+        instruments: Vec::new(),
         mode: Mode::ElastoGeometric,
         nominal: machine.clone(),
         model: machine,
         terms: Vec::new(),
         stations: vec![station],
         targets: vec![target],
+        orientations: vec![None],
     };
     let mut predictor = Predictor::new(&robot).expect("a robot");
     let mut rng = stream(2, 0, Source::IdentificationNoise);

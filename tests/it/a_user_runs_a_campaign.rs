@@ -150,6 +150,7 @@ fn estimate(scenario: &Scenario, trial: u32) -> (Simulation, Estimate) {
 /// Adds the squares of estimate minus truth.
 fn add_squares(sums: &mut Vec<f64>, scenario: &Scenario, (simulation, estimate): &(Simulation, Estimate)) {
     let known = KnownTruth {
+        orientation: None,
         as_built: &simulation.truth.as_built,
         nominal: &scenario.robot.model,
         stations: &simulation.truth.stations,

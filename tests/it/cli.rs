@@ -8,7 +8,7 @@ use std::time::Duration;
 use crate::a_user_makes_a_mistake::with_measurements;
 use crate::sandbox::{Ended, ROBOT, SCENARIO, Sandbox, assert_refused};
 
-const COMMANDS: [&str; 12] = [
+const COMMANDS: [&str; 13] = [
     "run",
     "check",
     "choose",
@@ -16,6 +16,7 @@ const COMMANDS: [&str; 12] = [
     "diagnose",
     "identify",
     "identifiability",
+    "iso9283",
     "model",
     "replay",
     "inspect",
@@ -47,6 +48,7 @@ fn sound_commands() -> (Sandbox, Vec<(&'static str, Vec<&'static str>)>) {
             vec!["identify", "--model", ROBOT, "--measurements", "set.csv", "--verify", "set.csv"],
         ),
         ("calibrig.diagnosis/1", vec!["diagnose", "--model", ROBOT, "--measurements", "set.csv"]),
+        ("calibrig.iso9283/1", vec!["iso9283", SCENARIO, "--cycles", "3"]),
         ("calibrig.report/1", vec!["replay", "first/recording.mcap"]),
         ("calibrig.report/1", vec!["report", "first/recording.mcap", "--out", "again"]),
         ("calibrig.inspect/1", vec!["inspect", "first/recording.mcap"]),

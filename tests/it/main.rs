@@ -5,6 +5,7 @@
 
 mod a_user_brings_a_robot;
 mod a_user_brings_files;
+mod a_user_brings_full_poses;
 mod a_user_calibrates_a_real_robot;
 mod a_user_checks_the_elimination;
 mod a_user_chooses_parameters;
@@ -21,12 +22,14 @@ mod a_user_has_no_room;
 mod a_user_judges_an_estimate;
 mod a_user_knows_no_stiffness;
 mod a_user_makes_a_mistake;
+mod a_user_measures_full_poses;
 mod a_user_measures_in_two_faces;
 mod a_user_plans_a_session;
 mod a_user_replays_a_recording;
 mod a_user_reproduces_the_paper;
 mod a_user_runs_a_campaign;
 mod a_user_states_what_is_known;
+mod a_user_tests_poses;
 mod a_user_trusts_a_model_that_lacks_something;
 mod a_user_trusts_the_uncertainty;
 mod cli;

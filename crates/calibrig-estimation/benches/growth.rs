@@ -51,12 +51,14 @@ fn machine(nominal: &CalibrationModel, mode: Mode) -> CalibratedRobot {
         apply(&mut model, nominal, ParameterId::Compliance(compliance), off).expect("a spring");
     }
     CalibratedRobot {
+        instruments: Vec::new(),
         mode,
         nominal: nominal.clone(),
         model,
         terms: Vec::new(),
         stations: vec![translation(5.0, 1.0, 1.5) * rotation_x(0.4)],
         targets: vec![Vector3::new(0.1, 0.15, 0.2)],
+        orientations: Vec::new(),
     }
 }
 

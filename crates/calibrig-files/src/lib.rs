@@ -41,7 +41,9 @@ mod followers;
 mod input;
 pub mod mcap_chunk;
 mod measurements;
+mod orientation;
 mod robot;
+mod rotation;
 mod session;
 mod stated;
 
@@ -56,5 +58,6 @@ pub use measurements::{
     write_measurements,
 };
 pub use robot::{LoadTable, Robot, StatedTarget, load_robot, parse_robot, read_loads};
-pub use session::{SessionFile, SessionSet, load_session, parse_session, session_text};
+pub use rotation::{RotationError, rotation_of_matrix};
+pub use session::{SessionFile, SessionSet, SessionTextError, load_session, parse_session, session_text};
 pub use stated::{MeasuredFile, Statements, state};

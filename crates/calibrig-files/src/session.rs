@@ -1,26 +1,29 @@
 //! `session.toml`: what of a session its measurement files have no columns for. Stations with their base nests, targets with their
 //! uncertainty, poses that were not measured. Every number reads back to the same bits.
 
+mod instrument;
 #[cfg(test)]
 mod tests;
+mod text;
 
-use std::fmt::Write;
+pub use text::{SessionTextError, session_text};
+
 use std::ops::Range;
 use std::path::Path;
 
 use nalgebra::{Cholesky, Matrix3, Vector3};
 use serde::Deserialize;
 
+use self::instrument::InstrumentTable;
 use crate::LoadedMeasurements;
 use crate::input::{InputError, Source, Spanned};
+use crate::orientation::{Four, OrientationKeys, Square, Three, check_numbers, covariance_of};
 use calibrig_model::measurement::{
-    Face, MeasurementSet, NestObservation, Reading, RegistrationError, SetKind, SphericalReading, Station,
-    Target, register,
+    Face, MeasurementSet, NestObservation, Reading, RegistrationError, SetKind, SphericalReading,
+    StatedInstrument, Station, Target, register,
 };
 
 const SCHEMA: &str = "calibrig.session/1";
-/// As of any number in an input file.
-const LARGEST: f64 = 1e15;
 
 /// What a `session.toml` says.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -51,9 +54,6 @@ impl<T> Described<T> {
 /// A set as a session file tells it: which, what was measured, and the poses that were not.
 pub type SessionSet<'a> = (SetKind, &'a MeasurementSet, &'a [(u32, String)]);
 
-type Three = Spanned<[f64; 3]>;
-type Square = Spanned<[[f64; 3]; 3]>;
-
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SessionTable {
@@ -71,6 +71,7 @@ struct SessionTable {
 struct StationTable {
     name: Spanned<String>,
     set: Option<Spanned<String>>,
+    instrument: Option<InstrumentTable>,
     #[serde(default)]
     nest: Vec<Spanned<NestTable>>,
 }
@@ -78,7 +79,9 @@ struct StationTable {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct NestTable {
-    name: String,
+    name: Spanned<String>,
+    time_s: Option<Spanned<f64>>,
+    face: Option<Spanned<String>>,
     in_base_m: Three,
     in_base_sigma_m: Option<Spanned<f64>>,
     in_base_covariance_m2: Option<Square>,
@@ -102,6 +105,29 @@ struct TargetTable {
     in_flange_m: Three,
     sigma_m: Option<Spanned<f64>>,
     covariance_m2: Option<Square>,
+    rotation_quaternion_wxyz: Option<Four>,
+    rotation_quaternion_xyzw: Option<Four>,
+    rotation_vector_rad: Option<Three>,
+    rotation_euler_rad: Option<Three>,
+    rotation_sequence: Option<Spanned<String>>,
+    rotation_matrix: Option<Square>,
+    rotation_sigma_rad: Option<Spanned<f64>>,
+    rotation_covariance_rad2: Option<Square>,
+}
+
+impl TargetTable {
+    fn orientation(&self) -> OrientationKeys<'_> {
+        OrientationKeys {
+            quaternion_wxyz: self.rotation_quaternion_wxyz.as_ref(),
+            quaternion_xyzw: self.rotation_quaternion_xyzw.as_ref(),
+            vector_rad: self.rotation_vector_rad.as_ref(),
+            euler_rad: self.rotation_euler_rad.as_ref(),
+            sequence: self.rotation_sequence.as_ref(),
+            matrix: self.rotation_matrix.as_ref(),
+            sigma_rad: self.rotation_sigma_rad.as_ref(),
+            covariance_rad2: self.rotation_covariance_rad2.as_ref(),
+        }
+    }
 }
 
 #[derive(Deserialize)]
@@ -128,30 +154,12 @@ pub fn parse_session(source: &Source) -> Result<SessionFile, InputError> {
     let reader = Reader { source };
     let mut session = SessionFile::default();
     for table in file.station {
-        let set = reader.some_set(table.set.as_ref())?;
-        let others = session.stations.iter().map(|known| (known.set, &*known.item.name));
-        reader.distinct("station", &table.name, set, others)?;
-        let nests = table.nest.iter().map(|nest| reader.nest(nest)).collect::<Result<_, _>>()?;
-        session.stations.push(Described {
-            set,
-            place: table.name.span(),
-            nests: table.nest.iter().map(Spanned::span).collect(),
-            item: Station { name: table.name.into_inner(), nests, instrument: None },
-        });
+        let station = reader.station(table, &session.stations)?;
+        session.stations.push(station);
     }
     for table in file.target {
-        let set = reader.some_set(table.set.as_ref())?;
-        let others = session.targets.iter().map(|known| (known.set, &*known.item.name));
-        reader.distinct("target", &table.name, set, others)?;
-        let in_flange = reader.vector("in_flange_m", &table.in_flange_m)?;
-        let covariance = reader
-            .spread(("sigma_m", table.sigma_m.as_ref()), ("covariance_m2", table.covariance_m2.as_ref()))?;
-        session.targets.push(Described {
-            set,
-            place: table.name.span(),
-            nests: Vec::new(),
-            item: Target { name: table.name.into_inner(), in_flange, covariance, orientation: None },
-        });
+        let target = reader.target(table, &session.targets)?;
+        session.targets.push(target);
     }
     for table in file.dropped {
         session.dropped.push((reader.set(&table.set)?, table.pose, table.reason));
@@ -195,35 +203,118 @@ impl Reader<'_> {
         Ok(())
     }
 
-    fn numbers<'n>(
+    fn station(
         &self,
-        key: &str,
-        span: Range<usize>,
-        mut numbers: impl Iterator<Item = &'n f64>,
-    ) -> Result<(), InputError> {
-        match numbers.find(|number| number.is_nan() || number.abs() > LARGEST) {
-            Some(number) => {
-                let expected = format!("finite numbers of at most {LARGEST:e}");
-                Err(self.error(span, format!("{key} holds {number}"), &expected))
-            }
-            None => Ok(()),
+        table: StationTable,
+        known: &[Described<Station>],
+    ) -> Result<Described<Station>, InputError> {
+        let set = self.some_set(table.set.as_ref())?;
+        self.distinct("station", &table.name, set, known.iter().map(|known| (known.set, &*known.item.name)))?;
+        let mut nests: Vec<NestObservation> = Vec::with_capacity(table.nest.len());
+        for nest in &table.nest {
+            let read = self.nest(nest)?;
+            self.distinct_nest(&nest.get_ref().name, &read, &nests)?;
+            nests.push(read);
         }
+        let instrument =
+            table.instrument.as_ref().map(|stated| self.instrument(stated, known)).transpose()?;
+        Ok(Described {
+            set,
+            place: table.name.span(),
+            nests: table.nest.iter().map(Spanned::span).collect(),
+            item: Station { name: table.name.into_inner(), nests, instrument },
+        })
+    }
+
+    /// Stations whose instruments have one name share its errors, which therefore are the same.
+    fn instrument(
+        &self,
+        table: &InstrumentTable,
+        stations: &[Described<Station>],
+    ) -> Result<StatedInstrument, InputError> {
+        let stated = table.read(self.source)?;
+        for station in stations {
+            let Some(known) = station.item.instrument.as_ref().filter(|known| known.name == stated.name)
+            else {
+                continue;
+            };
+            if let Some(difference) = instrument::difference(&stated, known) {
+                let message = format!(
+                    "instrument {:?} is stated otherwise at station {:?}: {difference}",
+                    stated.name, station.item.name
+                );
+                let expected =
+                    "the same errors wherever one instrument is named, or another name of another instrument";
+                return Err(self.error(table.name.span(), message, expected));
+            }
+        }
+        Ok(stated)
+    }
+
+    /// A nest that is measured again has one certified place, and another time or face.
+    fn distinct_nest(
+        &self,
+        name: &Spanned<String>,
+        nest: &NestObservation,
+        others: &[NestObservation],
+    ) -> Result<(), InputError> {
+        for known in others.iter().filter(|known| known.name == nest.name) {
+            let apart = (known.in_base - nest.in_base).norm();
+            if apart > 0.0 {
+                let message = format!(
+                    "nest {:?} is there twice, and its certified places are {:.4} mm apart",
+                    nest.name,
+                    1e3 * apart
+                );
+                return Err(self.error(
+                    name.span(),
+                    message,
+                    "one certified place of a nest, or another name",
+                ));
+            }
+            let differ = matches!((known.time, nest.time), (Some(a), Some(b)) if a != b);
+            if !differ && known.reading.face() == nest.reading.face() {
+                let message = format!("nest {:?} is there twice, and not at two times", nest.name);
+                let expected = "time_s of each measurement of a nest that is measured again, or another name";
+                return Err(self.error(name.span(), message, expected));
+            }
+        }
+        Ok(())
+    }
+
+    fn target(
+        &self,
+        table: TargetTable,
+        known: &[Described<Target>],
+    ) -> Result<Described<Target>, InputError> {
+        let set = self.some_set(table.set.as_ref())?;
+        self.distinct("target", &table.name, set, known.iter().map(|known| (known.set, &*known.item.name)))?;
+        let in_flange = self.vector("in_flange_m", &table.in_flange_m)?;
+        let covariance = self
+            .spread(("sigma_m", table.sigma_m.as_ref()), ("covariance_m2", table.covariance_m2.as_ref()))?;
+        let orientation = table.orientation().read(self.source)?;
+        Ok(Described {
+            set,
+            place: table.name.span(),
+            nests: Vec::new(),
+            item: Target { name: table.name.into_inner(), in_flange, covariance, orientation },
+        })
+    }
+
+    fn face(&self, key: Option<&Spanned<String>>) -> Result<Face, InputError> {
+        let Some(key) = key else { return Ok(Face::Front) };
+        [Face::Front, Face::Back].into_iter().find(|face| face.key() == key.get_ref()).ok_or_else(|| {
+            self.error(key.span(), format!("face is {:?}", key.get_ref()), "\"front\" or \"back\"")
+        })
     }
 
     fn vector(&self, key: &str, value: &Three) -> Result<Vector3<f64>, InputError> {
-        self.numbers(key, value.span(), value.get_ref().iter())?;
+        check_numbers(self.source, key, value.span(), value.get_ref().iter())?;
         Ok((*value.get_ref()).into())
     }
 
     fn covariance(&self, key: &str, value: &Square) -> Result<Matrix3<f64>, InputError> {
-        let rows = value.get_ref();
-        self.numbers(key, value.span(), rows.as_flattened().iter())?;
-        let matrix = Matrix3::from_fn(|i, j| rows[i][j]);
-        if let Some(variance) = matrix.diagonal().iter().find(|variance| **variance < 0.0) {
-            let message = format!("{key} has {variance:e} on its diagonal");
-            return Err(self.error(value.span(), message, "variances of zero or more"));
-        }
-        Ok(matrix)
+        covariance_of(self.source, key, value)
     }
 
     /// A covariance that is stated whole, or as the standard deviation of each axis.
@@ -253,15 +344,15 @@ impl Reader<'_> {
             ("in_base_covariance_m2", nest.in_base_covariance_m2.as_ref()),
         )?;
         let Some(in_base_covariance) = in_base_covariance else {
-            let message = format!("nest {:?}: its certified place has no uncertainty", nest.name);
+            let message = format!("nest {:?}: its certified place has no uncertainty", nest.name.get_ref());
             return Err(self.error(span, message, "in_base_sigma_m or in_base_covariance_m2"));
         };
         Ok(NestObservation {
-            name: nest.name.clone(),
+            name: nest.name.get_ref().clone(),
             in_base: self.vector("in_base_m", &nest.in_base_m)?,
             in_base_covariance,
             reading: self.reading(nest, span)?,
-            time: None,
+            time: nest.time_s.as_ref().map(|time| self.source.finite("time_s", time)).transpose()?,
         })
     }
 
@@ -269,10 +360,14 @@ impl Reader<'_> {
         let spherical = [nest.range_m.as_ref(), nest.az_rad.as_ref(), nest.el_rad.as_ref()];
         let refused = |message: &str| {
             let expected = "range_m, az_rad and el_rad, or position_m";
-            Err(self.error(span.clone(), format!("nest {:?}: {message}", nest.name), expected))
+            Err(self.error(span.clone(), format!("nest {:?}: {message}", nest.name.get_ref()), expected))
         };
         match (&nest.position_m, spherical) {
             (Some(position), [None, None, None]) => {
+                if let Some(face) = &nest.face {
+                    let message = "face is of range and angles, and this reading is a position";
+                    return Err(self.error(face.span(), message, "range_m, az_rad and el_rad, or no face"));
+                }
                 let covariance = self.spread(
                     ("sigma_m", nest.sigma_m.as_ref()),
                     ("covariance_m2", nest.covariance_m2.as_ref()),
@@ -285,7 +380,7 @@ impl Reader<'_> {
                     azimuth: self.source.finite("az_rad", azimuth)?,
                     elevation: self.source.finite("el_rad", elevation)?,
                     covariance: Some(self.spherical_covariance(nest, span)?),
-                    face: Face::Front,
+                    face: self.face(nest.face.as_ref())?,
                 }))
             }
             (None, [None, None, None]) => refused("there is no reading"),
@@ -307,7 +402,8 @@ impl Reader<'_> {
                 Ok(Matrix3::from_diagonal(&sigma.component_mul(&sigma)))
             }
             _ => {
-                let message = format!("nest {:?}: the uncertainty of its reading is not clear", nest.name);
+                let message =
+                    format!("nest {:?}: the uncertainty of its reading is not clear", nest.name.get_ref());
                 let expected = "sigma_range_m, sigma_az_rad and sigma_el_rad, or covariance_m_rad";
                 Err(self.error(span, message, expected))
             }
@@ -421,7 +517,7 @@ impl SessionFile {
                     "three nests or more that are not on one line, or none: then the station's place is identified",
                 ),
             };
-            let message = format!("station {:?}: {error}", station.name);
+            let message = format!("station {:?}: {error}{}", station.name, on_one_line(station, &error));
             return Err(source.error(place.clone(), message, Some(format!("expected {expected}"))));
         }
         for Described { item: target, place, .. } in &self.targets {
@@ -431,97 +527,48 @@ impl SessionFile {
                 let expected = "expected sigma_m or covariance_m2 of a measured offset, or neither: then it is identified";
                 return Err(source.error(place.clone(), message, Some(expected.to_owned())));
             }
+            let turn = target.orientation.as_ref().and_then(|orientation| orientation.covariance);
+            if turn.is_some_and(|covariance| Cholesky::new(covariance).is_none()) {
+                let message = format!(
+                    "target {:?}: the uncertainty of its rotation is not above zero in every direction",
+                    target.name
+                );
+                let expected = "expected rotation_sigma_rad or rotation_covariance_rad2 of a measured rotation, or neither: then it is identified";
+                return Err(source.error(place.clone(), message, Some(expected.to_owned())));
+            }
         }
         Ok(())
     }
+}
+
+/// Which nests lie on one line, and how near to it.
+fn on_one_line(station: &Station, error: &RegistrationError) -> String {
+    let nests = &station.nests;
+    let far = |from: &NestObservation| {
+        let away = |nest: &NestObservation| (nest.in_base - from.in_base).norm();
+        nests.iter().max_by(|a, b| away(a).total_cmp(&away(b)))
+    };
+    let ends = nests.first().and_then(far).and_then(|end| Some((end, far(end)?)));
+    let (RegistrationError::OnOneLine, Some((one, other))) = (error, ends) else { return String::new() };
+    let mut names: Vec<&str> = Vec::new();
+    for nest in nests {
+        if !names.contains(&&*nest.name) {
+            names.push(&nest.name);
+        }
+    }
+    let along = other.in_base - one.in_base;
+    let off = |nest: &NestObservation| match along.try_normalize(0.0) {
+        Some(along) => (nest.in_base - one.in_base).cross(&along).norm(),
+        None => 0.0,
+    };
+    let off = nests.iter().map(off).fold(0.0, f64::max);
+    format!(": {} are on it to {:.3} mm", names.join(", "), 1e3 * off)
 }
 
 /// Those of one set; `None` where the file describes none at all.
 fn of_set<T: Clone>(described: &[Described<T>], kind: SetKind) -> Option<Vec<T>> {
     let own = described.iter().filter(|known| known.is_of(kind));
     (!described.is_empty()).then(|| own.map(|known| known.item.clone()).collect())
-}
-
-/// The session file of these sets. What is the same in all of them is written once.
-pub fn session_text(sets: &[SessionSet<'_>]) -> String {
-    let mut text = format!("schema = {SCHEMA:?}\n");
-    let stations: Vec<_> = sets.iter().map(|(_, set, _)| stations_text(&set.stations)).collect();
-    let targets: Vec<_> = sets.iter().map(|(_, set, _)| targets_text(&set.targets)).collect();
-    for tables in [stations, targets] {
-        let alike = tables.windows(2).all(|pair| pair[0] == pair[1]);
-        for ((kind, ..), tables) in sets.iter().zip(&tables).take(if alike { 1 } else { sets.len() }) {
-            let set = if alike { String::new() } else { format!("set = {:?}\n", kind.key()) };
-            for Entry { header, name, rest } in tables {
-                // Writing to a String cannot fail.
-                let _ = write!(text, "\n[[{header}]]\nname = {name}\n{set}{rest}");
-            }
-        }
-    }
-    for (kind, _, dropped) in sets {
-        for (pose, reason) in *dropped {
-            let (set, reason) = (kind.key(), quoted(reason));
-            // Writing to a String does not fail, here and below.
-            let _ = write!(text, "\n[[dropped]]\nset = {set:?}\npose = {pose}\nreason = {reason}\n");
-        }
-    }
-    text
-}
-
-/// A table in parts, with room for its set.
-#[derive(PartialEq)]
-struct Entry {
-    header: &'static str,
-    name: String,
-    rest: String,
-}
-
-fn stations_text(stations: &[Station]) -> Vec<Entry> {
-    let entry = |station: &Station| {
-        let rest = station.nests.iter().map(nest_text).collect();
-        Entry { header: "station", name: quoted(&station.name), rest }
-    };
-    stations.iter().map(entry).collect()
-}
-
-fn nest_text(nest: &NestObservation) -> String {
-    let mut text = format!(
-        "\n[[station.nest]]\nname = {}\nin_base_m = {:?}\nin_base_covariance_m2 = {:?}\n",
-        quoted(&nest.name),
-        <[f64; 3]>::from(nest.in_base),
-        rows(&nest.in_base_covariance),
-    );
-    let _ = match &nest.reading {
-        Reading::Spherical(SphericalReading { range, azimuth, elevation, covariance, .. }) => {
-            let covariance = covariance.as_ref().map(|c| format!("covariance_m_rad = {:?}\n", rows(c)));
-            write!(
-                text,
-                "range_m = {range:?}\naz_rad = {azimuth:?}\nel_rad = {elevation:?}\n{}",
-                covariance.unwrap_or_default()
-            )
-        }
-        Reading::Cartesian { position, covariance } => {
-            let covariance = covariance.as_ref().map(|c| format!("covariance_m2 = {:?}\n", rows(c)));
-            let position = <[f64; 3]>::from(*position);
-            write!(text, "position_m = {position:?}\n{}", covariance.unwrap_or_default())
-        }
-        Reading::Pose(_) => Ok(()),
-    };
-    text
-}
-
-fn targets_text(targets: &[Target]) -> Vec<Entry> {
-    let entry = |target: &Target| {
-        let covariance = target.covariance.as_ref().map(|c| format!("covariance_m2 = {:?}\n", rows(c)));
-        let in_flange = <[f64; 3]>::from(target.in_flange);
-        let rest = format!("in_flange_m = {in_flange:?}\n{}", covariance.unwrap_or_default());
-        Entry { header: "target", name: quoted(&target.name), rest }
-    };
-    targets.iter().map(entry).collect()
-}
-
-/// `{:?}` of it is TOML, and reads back to the same bits.
-fn rows(matrix: &Matrix3<f64>) -> [[f64; 3]; 3] {
-    matrix.transpose().into()
 }
 
 fn quoted(text: &str) -> String {

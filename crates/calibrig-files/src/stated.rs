@@ -10,7 +10,7 @@ use crate::LoadedMeasurements;
 use crate::input::{InputError, Source};
 use crate::robot::{Robot, StatedTarget};
 use crate::session::SessionFile;
-use calibrig_model::measurement::{MeasurementSet, SetKind, Station, Target};
+use calibrig_model::measurement::{MeasurementSet, Reading, SetKind, Station, Target};
 
 /// A measurement file and what it holds.
 #[derive(Debug, Clone, PartialEq)]
@@ -97,15 +97,22 @@ fn count_identical_once(file: &mut MeasuredFile) -> Option<String> {
         .map(|observation| {
             let position = observation.reading.position();
             let covariance = observation.reading.position_covariance();
+            // A probe that turns about its centre is seen in another pose.
+            let turn: &[f64] = match &observation.reading {
+                Reading::Pose(pose) => pose.rotation.matrix().as_slice(),
+                Reading::Spherical(_) | Reading::Cartesian { .. } => &[],
+            };
             let numbers: Vec<_> = observation
                 .command
                 .iter()
                 .chain(position.iter())
+                .chain(turn)
                 .chain(covariance.iter().flatten())
                 .map(|v| v.to_bits())
                 .collect();
-            let is_new =
-                seen.insert((observation.station, observation.target, observation.approach.clone(), numbers));
+            let (station, target, face) =
+                (observation.station, observation.target, observation.reading.face());
+            let is_new = seen.insert((station, target, face, observation.approach.clone(), numbers));
             if !is_new {
                 copies.push(observation.pose.to_string());
             }
@@ -224,6 +231,7 @@ fn state_targets(
             }
             target.in_flange = known.in_flange;
             target.covariance = known.covariance();
+            target.orientation.clone_from(&known.orientation);
             matched.insert(target.name.clone());
         }
     }

@@ -10,6 +10,7 @@ use calibrig_files::{
     MeasurementFiles, PointsFile, RowOptions, Source, parse_column_map, read_files, suggest_columns,
 };
 use calibrig_model::JointKind::{self, Prismatic, Revolute};
+use calibrig_model::measurement::Reading;
 
 const ROWS: usize = 24;
 
@@ -515,6 +516,174 @@ fn the_controllers_own_place_is_not_taken_for_the_trackers() {
     check(&Case {
         files: &[("log.csv", log), ("seen.csv", seen)],
         says: &["--joints", "by = \"row\""],
+        ..PLAIN
+    });
+}
+
+/// A turn by row, as a unit quaternion with w first.
+fn quaternion(row: usize) -> [f64; 4] {
+    let (half, about) = (0.02 * row as f64, [0.36, 0.48, 0.8]);
+    [half.cos(), half.sin() * about[0], half.sin() * about[1], half.sin() * about[2]]
+}
+
+fn quaternion_text(row: usize, order: [usize; 4], between: &str) -> String {
+    order.map(|place| format!("{:.6}", quaternion(row)[place])).join(between)
+}
+
+/// The rotation angles of what a map reads, by row; all about one axis.
+fn turns_of(files: &[(&str, String)], kinds: &[JointKind], map: &str) -> Vec<f64> {
+    let folder = tempfile::tempdir().unwrap();
+    let paths: Vec<PathBuf> = files
+        .iter()
+        .map(|(name, text)| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, text).unwrap();
+            path
+        })
+        .collect();
+    let several = paths.len() > 1;
+    let files = MeasurementFiles {
+        joints: several.then(|| paths[0].clone()),
+        points: vec![PointsFile { target: None, path: paths[usize::from(several)].clone() }],
+    };
+    let map = parse_column_map(&Source::new("map.toml", map)).unwrap_or_else(|e| panic!("{e}\n{map}"));
+    let loaded = read_files(&files, &map, kinds, &RowOptions::default()).unwrap();
+    let angle = |reading: &Reading| match reading {
+        Reading::Pose(pose) => pose.rotation.angle(),
+        other => panic!("{other:?}"),
+    };
+    loaded.set.observations.iter().map(|o| angle(&o.reading)).collect()
+}
+
+#[test]
+fn full_poses_of_probes_and_cameras_are_suggested_with_what_a_person_states() {
+    // A probe's export beside the commands: which of Q0 to Q3 is the scalar is nowhere.
+    let tmac = file("Point;TMac_X [mm];TMac_Y [mm];TMac_Z [mm];Q0;Q1;Q2;Q3;J1;J2;J3;J4;J5;J6\n", |k| {
+        format!("P{k};{};{};{}", place(k, 1.0, ";"), quaternion_text(k, [0, 1, 2, 3], ";"), angles(k, 6, ";"))
+    });
+    let tmac = [("tmac.csv", tmac)];
+    let decisions = [("transform", "\"target_in_tracker\""), ("order", "\"wxyz\"")];
+    check(&Case {
+        files: &tmac,
+        decisions: &decisions,
+        says: &[
+            "[rotation]",
+            "form = \"quaternion\"",
+            "columns = [\"Q0\", \"Q1\", \"Q2\", \"Q3\"]",
+            "leave out [rotation]",
+        ],
+        ..PLAIN
+    });
+    // A camera system's, with names that tell the order, in a file of its own; its quaternion stands in front of the place.
+    let joints = file("J1,J2,J3,J4,J5,J6\n", |k| angles(k, 6, ","));
+    let axes = |what: &str, axes: &[&str]| {
+        axes.iter().map(|axis| format!("RigidBody {what} {axis}")).collect::<Vec<_>>().join(",")
+    };
+    let head =
+        format!("Frame,{},{}\n", axes("Rotation", &["X", "Y", "Z", "W"]), axes("Position", &["X", "Y", "Z"]));
+    let seen =
+        file(&head, |k| format!("{k},{},{}", quaternion_text(k, [1, 2, 3, 0], ","), place(k, 1e-3, ",")));
+    let mocap = [("joints.csv", joints), ("mocap.csv", seen)];
+    check(&Case {
+        files: &mocap,
+        decisions: &decisions[..1],
+        says: &["order = \"xyzw\"", "by the names", "unit = \"m\""],
+        ..PLAIN
+    });
+    // A tracker that writes in the manner of a controller.
+    let abc = file("Tracker X,Tracker Y,Tracker Z,Tracker A,Tracker B,Tracker C,A1,A2,A3,A4,A5,A6\n", |k| {
+        format!("{},{:.4},0,0,{}", place(k, 1.0, ","), (0.04 * k as f64).to_degrees(), angles(k, 6, ","))
+    });
+    let abc = [("abc.csv", abc)];
+    check(&Case {
+        files: &abc,
+        decisions: &[decisions[0], ("form", "\"kuka_abc\"")],
+        says: &["unit = \"deg\"", "KUKA's A, B, C"],
+        ..PLAIN
+    });
+    // The only place of a file, beside an orientation: first a person says whether the tracker saw it.
+    let bare = file("X,Y,Z,q0,q1,q2,q3\n", |k| {
+        format!("{},{}", place(k, 1.0, ","), quaternion_text(k, [0, 1, 2, 3], ","))
+    });
+    check(&Case {
+        files: &[("bare.csv", bare)],
+        kinds: &[],
+        decisions: &[("columns", ""), ("x", ""), ("y", ""), ("z", "")],
+        says: &[
+            "which is no measurement",
+            "# columns = [\"q0\", \"q1\", \"q2\", \"q3\"]",
+            "# transform = \"target_in_tracker\"",
+        ],
+        ..PLAIN
+    });
+    let rotation = "[rotation]\ntransform = \"target_in_tracker\"\n";
+    let head = |joints: &str, position: &str| {
+        format!(
+            "schema = \"calibrig.columns/1\"\n[joints]\ncolumns = {joints}\nrevolute_unit = \"deg\"\n[position]\nsystem = \"cartesian\"\n{position}\n"
+        )
+    };
+    let position = |name: &dyn Fn(&str) -> String| {
+        ["x", "y", "z"].map(|axis| format!("{axis} = {:?}", name(&axis.to_uppercase()))).join("\n")
+    };
+    let six = |letter: &str| format!("{:?}", (1..=6).map(|k| format!("{letter}{k}")).collect::<Vec<_>>());
+    for (files, map) in [
+        (
+            &tmac[..],
+            format!(
+                "{}{rotation}form = \"quaternion\"\norder = \"wxyz\"\ncolumns = [\"Q0\", \"Q1\", \"Q2\", \"Q3\"]\n",
+                head(&six("J"), &position(&|axis| format!("TMac_{axis}")))
+            ),
+        ),
+        (
+            &mocap[..],
+            format!(
+                "{}unit = \"m\"\n{rotation}form = \"quaternion\"\norder = \"xyzw\"\ncolumns = [2, 3, 4, 5]\n",
+                head(&six("J"), &position(&|axis| format!("RigidBody Position {axis}")))
+            ),
+        ),
+    ] {
+        let found = turns_of(files, &[Revolute; 6], &map);
+        for (row, angle) in (1..=ROWS).zip(found) {
+            assert!((angle - 0.04 * row as f64).abs() < 1e-5, "row {row}: {angle}");
+        }
+    }
+}
+
+#[test]
+fn faces_and_the_air_are_suggested() {
+    let spherical = |k: usize| {
+        let [x, y, z] = point(k).map(|v| 1e-3 * v);
+        let range = (x * x + y * y + z * z).sqrt();
+        let (azimuth, zenith) = (y.atan2(x).to_degrees(), (z / range).acos().to_degrees());
+        if k % 2 == 0 { (range, azimuth + 180.0, 360.0 - zenith) } else { (range, azimuth, zenith) }
+    };
+    let text = |face: &'static [&'static str; 2], air: &'static str| {
+        move |k: usize| {
+            let (range, azimuth, zenith) = spherical(k);
+            format!("{},{range:.9},{azimuth:.9},{zenith:.9},{},{air}", angles(k, 6, ","), face[(k + 1) % 2])
+        }
+    };
+    let head = "J1,J2,J3,J4,J5,J6,R [m],Hz [deg],V [deg],Face,Temp,Pressure,Humidity\n";
+    check(&Case {
+        files: &[("faces.csv", file(head, text(&["F1", "F2"], "20.5,1013,45")))],
+        says: &[
+            "front = [\"F1\"]",
+            "back = [\"F2\"]",
+            "temperature_c = \"Temp\"",
+            "pressure_hpa = \"Pressure\"",
+            "humidity_percent",
+        ],
+        ..PLAIN
+    });
+    check(&Case {
+        files: &[("words.csv", file(head, text(&["left", "right"], "293.6,760,0.45")))],
+        decisions: &[
+            ("front", "[\"left\"]"),
+            ("back", "[\"right\"]"),
+            ("pressure_hpa", "\"Pressure\""),
+            ("humidity_percent", "\"Humidity\""),
+        ],
+        says: &["temperature_k = \"Temp\"", "K by its size"],
         ..PLAIN
     });
 }

@@ -4,6 +4,7 @@ use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 
+use super::measurement::InstrumentTerm;
 use super::terms::TermId;
 
 /// One of the five parameters of a Craig/Hayati link.
@@ -127,6 +128,13 @@ pub enum ParameterId {
         /// 0..3 for x, y, z
         axis: usize,
     },
+    /// Deviation of how the target is turned on the flange: a component of ξ in `flange_from_target · exp(ξ)`.
+    Orientation {
+        /// Index of the target.
+        target: usize,
+        /// 0..3 about the target's own x, y, z
+        axis: usize,
+    },
     /// Relative deviation x of a compliance from its predicted value c: it is c (1 + x), and x is at least -1.
     Compliance(Compliance),
     /// Relative deviation of the mass of a link's body from its stated value.
@@ -145,12 +153,26 @@ pub enum ParameterId {
     Linkage(LinkageLength),
     /// Amplitude of a correction that depends on the pose, its approach or its time.
     Term(TermId),
+    /// Error of the measuring instrument that all its readings share.
+    Instrument {
+        /// Index of the instrument, in the order in which stations name theirs first.
+        instrument: usize,
+        /// Which error.
+        term: InstrumentTerm,
+    },
+    /// Steady motion of a station on its stand, as [`Frame`](Self::Frame) displaces it: what it amounts to in an hour.
+    Drift {
+        /// Index of the tracker station.
+        station: usize,
+        /// 0..6
+        component: usize,
+    },
 }
 
 impl ParameterId {
     /// What names look like, for messages.
-    pub const EXAMPLES: &str = "a name such as delta_a2, delta_theta4, compliance_drive3, mass3, frame_x, target_z, linkage_rod or \
-                                ratio_d5 (docs/notation.md)";
+    pub const EXAMPLES: &str = "a name such as delta_a2, delta_theta4, compliance_drive3, mass3, frame_x, target_z, linkage_rod, \
+                                ratio_d5 or tracker_range_offset (docs/notation.md)";
 
     /// A link parameter by zero-based link index.
     pub const fn link(link: usize, term: LinkTerm) -> Self {
@@ -161,10 +183,16 @@ impl ParameterId {
     pub fn unit(self) -> Unit {
         match self {
             Self::Link { term, .. } => term.unit(),
-            Self::Frame { component, .. } if component >= 3 => Unit::Radian,
-            Self::Frame { .. } | Self::Target { .. } | Self::Centre { .. } | Self::Linkage(_) => Unit::Metre,
+            Self::Frame { component, .. } | Self::Drift { component, .. } if component >= 3 => Unit::Radian,
+            Self::Frame { .. }
+            | Self::Drift { .. }
+            | Self::Target { .. }
+            | Self::Centre { .. }
+            | Self::Linkage(_) => Unit::Metre,
+            Self::Orientation { .. } => Unit::Radian,
             Self::Compliance(_) | Self::Mass { .. } => Unit::One,
             Self::Term(term) => term.unit(),
+            Self::Instrument { term, .. } => term.unit(),
         }
     }
 
@@ -181,6 +209,21 @@ impl ParameterId {
     /// The three components of a target's offset.
     pub fn all_of_target(target: usize) -> Vec<Self> {
         (0..3).map(|axis| Self::Target { target, axis }).collect()
+    }
+
+    /// The six components of a station's drift.
+    pub fn all_of_drift(station: usize) -> Vec<Self> {
+        (0..6).map(|component| Self::Drift { station, component }).collect()
+    }
+
+    /// All errors of an instrument.
+    pub fn all_of_instrument(instrument: usize) -> Vec<Self> {
+        InstrumentTerm::ALL.map(|term| Self::Instrument { instrument, term }).to_vec()
+    }
+
+    /// The three components of how a target is turned on the flange.
+    pub fn all_of_orientation(target: usize) -> Vec<Self> {
+        (0..3).map(|axis| Self::Orientation { target, axis }).collect()
     }
 
     /// Reads the name that `Display` prints.
@@ -213,18 +256,32 @@ impl ParameterId {
             return LinkageLength::ALL.into_iter().find(|l| l.name() == rest).map(Self::Linkage);
         }
         let (group, component) = name.split_once('_')?;
-        if let Some(index) = group.strip_prefix("frame") {
+        if let Some(index) = group.strip_prefix("tracker") {
+            let instrument = if index.is_empty() { 0 } else { number(index)? };
+            return InstrumentTerm::parse(component).map(|term| Self::Instrument { instrument, term });
+        }
+        for (prefix, is_drift) in [("frame", false), ("drift", true)] {
+            let Some(index) = group.strip_prefix(prefix) else { continue };
             let station = if index.is_empty() { 0 } else { number(index)? };
             let component = FRAME_NAMES.iter().position(|n| *n == component)?;
-            return Some(Self::Frame { station, component });
+            return Some(if is_drift {
+                Self::Drift { station, component }
+            } else {
+                Self::Frame { station, component }
+            });
         }
-        let axis = FRAME_NAMES[..3].iter().position(|n| *n == component)?;
+        let component = FRAME_NAMES.iter().position(|n| *n == component)?;
         if let Some(index) = group.strip_prefix("centre") {
-            return number(index).map(|link| Self::Centre { link, axis });
+            return number(index)
+                .filter(|_| component < 3)
+                .map(|link| Self::Centre { link, axis: component });
         }
         let index = group.strip_prefix("target")?;
         let target = if index.is_empty() { 0 } else { number(index)? };
-        Some(Self::Target { target, axis })
+        Some(match component.checked_sub(3) {
+            None => Self::Target { target, axis: component },
+            Some(axis) => Self::Orientation { target, axis },
+        })
     }
 }
 
@@ -284,8 +341,14 @@ impl fmt::Display for ParameterId {
             Self::Frame { station, component } => {
                 format!("frame{}_{}", counted(station), frame_name(component))
             }
+            Self::Drift { station, component } => {
+                format!("drift{}_{}", counted(station), frame_name(component))
+            }
             Self::Target { target, axis } => {
                 format!("target{}_{}", counted(target), frame_name(axis))
+            }
+            Self::Orientation { target, axis } => {
+                format!("target{}_{}", counted(target), frame_name(axis.saturating_add(3)))
             }
             Self::Compliance(Compliance::Drive { joint }) => {
                 format!("compliance_drive{}", joint.saturating_add(1))
@@ -301,6 +364,7 @@ impl fmt::Display for ParameterId {
             Self::Centre { link, axis } => format!("centre{}_{}", link.saturating_add(1), frame_name(axis)),
             Self::Linkage(length) => format!("linkage_{}", length.name()),
             Self::Term(term) => term.to_string(),
+            Self::Instrument { instrument, term } => format!("tracker{}_{term}", counted(instrument)),
         };
         f.pad(&name)
     }
@@ -317,6 +381,8 @@ mod tests {
         all.extend(ParameterId::all_of_frame(2));
         all.extend(ParameterId::all_of_target(0));
         all.extend(ParameterId::all_of_target(1));
+        all.extend(ParameterId::all_of_orientation(0));
+        all.extend(ParameterId::all_of_orientation(2));
         all.extend([
             ParameterId::Compliance(Compliance::Drive { joint: 2 }),
             ParameterId::Compliance(Compliance::Bearing { joint: 11, axis: 4 }),
@@ -327,6 +393,10 @@ mod tests {
             ParameterId::Centre { link: 11, axis: 2 },
         ]);
         all.extend(LinkageLength::ALL.map(ParameterId::Linkage));
+        all.extend(ParameterId::all_of_instrument(0));
+        all.extend(ParameterId::all_of_instrument(1));
+        all.extend(ParameterId::all_of_drift(0));
+        all.extend(ParameterId::all_of_drift(3));
         for id in all {
             assert_eq!(ParameterId::parse(&id.to_string()), Some(id), "{id}");
         }
@@ -334,7 +404,7 @@ mod tests {
             "delta_a0",
             "delta_x1",
             "frame_q",
-            "target_rx",
+            "target_r",
             "",
             "delta_",
             "beta4",
@@ -342,6 +412,9 @@ mod tests {
             "centre_x",
             "centre2_rx",
             "linkage_x",
+            "tracker_x",
+            "tracker0_collimation",
+            "drift_q",
             "compliance_drive",
             "compliance_bearing2_q",
         ] {

@@ -43,6 +43,16 @@ pub enum Source {
     Smr = 24,
     /// Which readings do not come; their place in the stream is the pose's.
     Misses = 25,
+    /// Noise of measured orientations; its place in the stream is the pose's.
+    ProbeNoise = 30,
+    /// The error of the measured orientation of a probe on the flange.
+    ProbeMounting = 31,
+    /// Readings of several kinds of targets at the same poses; their place in the stream is that of set, pose and point.
+    SensorComparison = 32,
+    /// Noise of the tracker on the cycles of a pose test (ISO 9283).
+    Iso9283Noise = 40,
+    /// Draws behind the intervals of a repeatability.
+    Iso9283Intervals = 41,
 }
 
 /// The stream of `(seed, trial, source)`. `ChaCha8` with the seed as key and (trial, source) as stream number.

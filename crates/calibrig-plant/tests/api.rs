@@ -268,6 +268,7 @@ proptest! {
             verification_poses: 0,
             tracker: &tracker,
             outliers: None,
+            probe: None,
             nests: &[],
             nest_sigma: 1e-5,
             target_covariance: &(Matrix3::identity() * 1e-10),

@@ -18,8 +18,8 @@ use super::story::record_sets;
 use super::{McapRecorder, Preamble, Recording, RecordingError, read_recording};
 use calibrig_files::Robot;
 use calibrig_files::{
-    ColumnMap, CsvError, LoadedMeasurements, SessionSet, commanded_joints, measurements_text,
-    parse_measurements, parse_session, session_text, without_followers,
+    ColumnMap, CsvError, LoadedMeasurements, SessionSet, SessionTextError, commanded_joints,
+    measurements_text, parse_measurements, parse_session, session_text, without_followers,
 };
 use calibrig_files::{InputError, Source};
 use calibrig_model::JointKind;
@@ -58,6 +58,10 @@ pub enum ExportError {
         /// Why.
         source: CsvError,
     },
+    /// A session that its file cannot hold.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Session(#[from] SessionTextError),
     /// What was written would not be read back as it was.
     #[error("/measurement/{set}: a measurement file cannot hold it: {reason}")]
     #[diagnostic(help(
@@ -119,7 +123,7 @@ pub fn export_csv(path: &Path, model: Option<Robot>) -> Result<CsvExport, Export
         texts.push((*kind, Source::new(format!("{set}.csv"), text)));
         told.push((*kind, measurements, dropped));
     }
-    let session = Source::new("session.toml", session_text(&told));
+    let session = Source::new("session.toml", session_text(&told)?);
     check(&told, &texts, &session, &joints)?;
     for file in texts.into_iter().map(|(_, source)| source).chain([session]) {
         export.files.push(ExportedFile { name: file.name, text: file.text });
@@ -363,14 +367,15 @@ fn free_name(role: &str, name: &str, taken: &[&str]) -> String {
 mod tests {
     use super::*;
     use crate::synthetic;
-    use calibrig_model::measurement::Reading;
-    use calibrig_model::measurement::SetOutcome;
-    use nalgebra::Vector3;
+    use calibrig_model::measurement::{
+        Face, InstrumentTerm, PoseReading, Reading, SetOutcome, StatedInstrument, TargetOrientation,
+    };
+    use nalgebra::{Matrix6, Rotation3, Vector3};
 
     fn written_and_read(set: &SetOutcome, joints: &[JointKind]) -> Result<(), ExportError> {
         let told: [SessionSet<'_>; 1] = [(set.kind, &set.measurements, &set.dropped)];
         let text = measurements_text(&set.measurements, joints).expect("written");
-        let session = Source::new("session.toml", session_text(&told));
+        let session = Source::new("session.toml", session_text(&told)?);
         check(&told, &[(set.kind, Source::new("set.csv", text))], &session, joints)
     }
 
@@ -409,6 +414,46 @@ mod tests {
         let expected = format!("pose {}: missed shot", missed.pose);
         let error = written_and_read(&cartesian, &joints).expect_err("lossy").to_string();
         assert!(error.contains(&expected), "{error}");
+    }
+
+    #[test]
+    fn full_poses_faces_rounds_of_nests_and_instruments_are_told_in_text() {
+        let outcome = synthetic::outcome(4, 0, false);
+        let joints: Vec<_> = outcome.model.kinematics.links.iter().map(|link| link.kind).collect();
+        let mut set = outcome.sets[0].clone();
+        let station = &mut set.measurements.stations[0];
+        let mut again = station.nests[0].clone();
+        (station.nests[0].time, again.time) = (Some(0.5), Some(1800.5));
+        station.nests.push(again);
+        station.instrument = Some(StatedInstrument {
+            drift: None,
+            name: "AT".to_owned(),
+            sigmas: vec![(InstrumentTerm::Collimation, 1.7e-6), (InstrumentTerm::RangeOffset, 5e-6)],
+        });
+        if let Reading::Spherical(reading) = &mut set.measurements.observations[1].reading {
+            reading.face = Face::Back;
+        }
+        written_and_read(&set, &joints).expect("the same");
+        for (place, observation) in set.measurements.observations.iter_mut().enumerate() {
+            observation.reading = Reading::Pose(Box::new(PoseReading {
+                position: observation.reading.position(),
+                rotation: Rotation3::new(Vector3::new(0.1, 0.2, 0.3 * place as f64)),
+                covariance: (place != 2).then(|| Matrix6::identity() * 1e-10),
+            }));
+        }
+        set.measurements.targets[0].orientation = Some(TargetOrientation {
+            flange_from_target: Rotation3::new(Vector3::new(0.0, 0.4, 0.0)),
+            covariance: None,
+        });
+        written_and_read(&set, &joints).expect("the same");
+        // A nest is a point, and a nest that is measured again was measured at another time.
+        let mut twice = set.clone();
+        twice.measurements.stations[0].nests[0].time = None;
+        let error = written_and_read(&twice, &joints).expect_err("no time").to_string();
+        assert!(error.contains("is there twice, and not at two times"), "{error}");
+        set.measurements.stations[0].nests[1].reading = set.measurements.observations[0].reading.clone();
+        let error = written_and_read(&set, &joints).expect_err("a nest").to_string();
+        assert!(error.contains("was read as a full pose, and a nest is a point"), "{error}");
     }
 
     #[test]

@@ -107,11 +107,15 @@ pub(super) fn group(id: ParameterId) -> String {
     match id {
         ParameterId::Link { link, .. } => format!("link {}", link + 1),
         ParameterId::Frame { station, .. } => format!("frame {}", station + 1),
-        ParameterId::Target { target, .. } => format!("target {}", target + 1),
+        ParameterId::Target { target, .. } | ParameterId::Orientation { target, .. } => {
+            format!("target {}", target + 1)
+        }
         ParameterId::Compliance(_) => "compliances".to_owned(),
         ParameterId::Mass { .. } | ParameterId::Centre { .. } => "masses".to_owned(),
         ParameterId::Linkage(_) => "linkage".to_owned(),
         ParameterId::Term(term) => term.family().key().to_owned(),
+        ParameterId::Instrument { instrument, .. } => format!("tracker {}", instrument + 1),
+        ParameterId::Drift { station, .. } => format!("drift {}", station + 1),
     }
 }
 

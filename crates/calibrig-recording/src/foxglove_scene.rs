@@ -211,6 +211,9 @@ pub(super) fn moving_lines(step: &PoseStep<'_>) -> SceneUpdate {
     for sighting in &step.sightings {
         seen.lines.push(line(&[sighting.tracker, sighting.point], 0.01, scene::BEAM));
         seen.spheres.push(ball(&sighting.point, 0.08, scene::POINT));
+        let axes =
+            sighting.axes().map(|(axis, rgba)| line(&[axis.origin, axis.origin + axis.vector], 0.015, rgba));
+        seen.lines.extend(axes);
     }
     SceneUpdate { deletions: Vec::new(), entities: step.chains.iter().map(chain).chain([seen]).collect() }
 }

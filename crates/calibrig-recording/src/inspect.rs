@@ -217,6 +217,10 @@ pub struct SetReport {
     pub targets: u64,
     /// Nests measured, over all stations.
     pub nests: u64,
+    /// Of the observations, those that are full poses.
+    pub full_poses: u64,
+    /// Of the observations, those of the back face.
+    pub back_face: u64,
 }
 
 /// A recorded estimate.

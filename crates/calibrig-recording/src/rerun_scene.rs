@@ -175,7 +175,17 @@ impl RerunRecorder {
             colour: scene::BEAM,
             radius: Radius::new_scene_units(0.05),
         };
-        self.put(&format!("{SCENE}/target"), targets)
+        self.put(&format!("{SCENE}/target"), targets)?;
+        // Only of full poses: other recordings need no path for them.
+        for (place, (name, colour)) in ["x", "y", "z"].into_iter().zip(scene::AXES).enumerate() {
+            let of_axis = sightings.iter().filter_map(|seen| seen.axes().nth(place));
+            let arrows: Vec<Arrow> = of_axis.map(|(arrow, _)| arrow).collect();
+            if !arrows.is_empty() {
+                let axis = Shown::Arrows { arrows, colour, radius: Radius::new_ui_points(2.5), label: None };
+                self.put(&format!("{SCENE}/target/{name}"), axis)?;
+            }
+        }
+        Ok(())
     }
 }
 

@@ -9,7 +9,7 @@ use calibrig_estimation::identification::{CalibratedRobot, Mode, Predictor};
 use calibrig_estimation::kinematics::{joints_from_command, link_frames};
 use calibrig_model::geometry::{Transform, rotation_vector, rotation_z};
 use calibrig_model::measurement::SetOutcome;
-use calibrig_model::measurement::{MeasurementSet, Observation};
+use calibrig_model::measurement::{MeasurementSet, Observation, Reading};
 use calibrig_model::{CalibrationModel, KinematicModel, LinkTerm, ParameterId};
 use calibrig_plant::{AsBuilt, SettledPose};
 
@@ -241,7 +241,24 @@ pub struct Sighting {
     pub tracker: Vector3<f64>,
     /// Where it saw the target.
     pub point: Vector3<f64>,
+    /// How it saw the target turned, `base_from_target`, of a reading that is a full pose.
+    pub turned: Option<Rotation3<f64>>,
 }
+
+impl Sighting {
+    /// The target's axes where they were seen: x red, y green, z blue.
+    pub(super) fn axes(&self) -> impl Iterator<Item = (Arrow, Colour)> {
+        let arrow = |turned: Rotation3<f64>| {
+            let along = move |axis: usize| AXIS_LENGTH * turned.matrix().column(axis).into_owned();
+            let point = self.point;
+            (0..3).zip(AXES).map(move |(axis, colour)| (Arrow { origin: point, vector: along(axis) }, colour))
+        };
+        self.turned.map(arrow).into_iter().flatten()
+    }
+}
+
+/// Length of a target's axes as drawn, m.
+const AXIS_LENGTH: f64 = 0.15;
 
 /// Where `robot` holds the observation's tracker and target to be.
 pub(super) fn sighting(robot: &CalibratedRobot, observation: &Observation) -> Option<Sighting> {
@@ -252,7 +269,11 @@ pub(super) fn sighting(robot: &CalibratedRobot, observation: &Observation) -> Op
 pub(super) fn sighting_from(tracker_from_base: &Transform, observation: &Observation) -> Sighting {
     let base_from_tracker = tracker_from_base.inverse();
     let tracker = base_from_tracker.translation.vector;
-    Sighting { tracker, point: base_from_tracker.rotation * observation.reading.position() + tracker }
+    let turned = match &observation.reading {
+        Reading::Pose(pose) => Some(base_from_tracker.rotation * pose.rotation),
+        Reading::Spherical(_) | Reading::Cartesian { .. } => None,
+    };
+    Sighting { tracker, point: base_from_tracker.rotation * observation.reading.position() + tracker, turned }
 }
 
 /// All points of a set in the base frame, m.
@@ -363,6 +384,8 @@ pub(super) const ROD_RADIUS: f64 = 0.03;
 pub(super) const DEFLECTED: Colour = [255, 90, 255, 255];
 pub(super) const BEAM: Colour = [255, 64, 64, 255];
 pub(super) const TRACKER: Colour = [255, 140, 60, 255];
+/// x, y and z of a target's axes.
+pub(super) const AXES: [Colour; 3] = [[230, 60, 60, 255], [60, 190, 90, 255], [80, 120, 255, 255]];
 pub(super) const POINT: Colour = [235, 235, 235, 255];
 /// Of correlations.
 #[cfg(feature = "rerun")]
@@ -376,6 +399,7 @@ mod tests {
     use super::*;
     use crate::synthetic::{self, Outcome};
     use calibrig_files::load_robot;
+    use calibrig_model::measurement::PoseReading;
     use calibrig_plant::effects::Effects;
     use calibrig_plant::{Plant, SettleOptions};
 
@@ -479,6 +503,28 @@ mod tests {
         }
         assert_eq!(up(&outcome.story()), -Vector3::z());
         assert!((world_from_base(&outcome.story()) * -Vector3::z() - Vector3::z()).norm() < 1e-15);
+    }
+
+    #[test]
+    fn the_axes_of_a_full_pose_are_those_of_the_target_in_the_base() {
+        let outcome = synthetic::outcome(2, 1, false);
+        let mut observation = outcome.sets[0].measurements.observations[0].clone();
+        let robot = &outcome.modes[0].robot;
+        assert_eq!(sighting(robot, &observation).expect("a station").axes().count(), 0);
+        let base_from_target = Rotation3::new(Vector3::new(0.3, -0.8, 1.1));
+        observation.reading = Reading::Pose(Box::new(PoseReading {
+            position: observation.reading.position(),
+            rotation: robot.stations[0].rotation * base_from_target,
+            covariance: None,
+        }));
+        let seen = sighting(robot, &observation).expect("a station");
+        let axes: Vec<_> = seen.axes().collect();
+        let directions = [Vector3::x(), Vector3::y(), Vector3::z()];
+        assert_eq!(axes.len(), 3);
+        for ((arrow, colour), (direction, own)) in axes.iter().zip(directions.iter().zip(AXES)) {
+            assert!((arrow.vector - AXIS_LENGTH * (base_from_target * direction)).norm() < 1e-14);
+            assert_eq!((arrow.origin, *colour), (seen.point, own));
+        }
     }
 
     #[test]

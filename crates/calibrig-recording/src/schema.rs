@@ -2,10 +2,11 @@
 
 use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3};
 
+use calibrig_files::rotation_of_matrix;
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{
     Face, InstrumentTerm, NestObservation, Observation, PoseReading, Reading, SetKind, SetOutcome,
-    SphericalReading, StatedInstrument, Station, Target, TargetOrientation,
+    SphericalReading, StatedDrift, StatedInstrument, Station, Target, TargetOrientation,
 };
 
 /// The generated types.
@@ -65,7 +66,8 @@ fn to_matrix(values: &[f64], name: &str) -> Result<Matrix3<f64>, String> {
     numbers::<9>(values, name).map(|v| Matrix3::from_row_slice(&v))
 }
 
-/// A rotation matrix as it is written: right-handed and of unit columns, up to the digits of a program in single precision.
+/// A rotation matrix as it is written: right-handed and of unit columns, up to the digits of a program in single precision, whose nearest
+/// rotation is taken.
 fn to_rotation(values: &[f64], name: &str) -> Result<Rotation3<f64>, String> {
     let matrix = to_matrix(values, name)?;
     let off = (matrix.transpose() * matrix - Matrix3::identity()).amax();
@@ -77,7 +79,7 @@ fn to_rotation(values: &[f64], name: &str) -> Result<Rotation3<f64>, String> {
     if matrix.determinant() < 0.0 {
         return Err(format!("{name} is left-handed: a right-handed rotation was expected"));
     }
-    Ok(Rotation3::from_matrix_unchecked(matrix))
+    rotation_of_matrix(&matrix).map_err(|error| format!("{name}: {error}"))
 }
 
 fn to_optional_matrix(values: &[f64], name: &str) -> Result<Option<Matrix3<f64>>, String> {
@@ -133,14 +135,14 @@ fn to_reading(message: Option<&v1::Reading>) -> Result<Reading, String> {
             position: to_vector(&reading.position, "position")?,
             covariance: to_optional_matrix(&reading.covariance, "covariance of the reading")?,
         }),
-        v1::reading::Kind::Pose(pose) => Ok(Reading::Pose(PoseReading {
+        v1::reading::Kind::Pose(pose) => Ok(Reading::Pose(Box::new(PoseReading {
             position: to_vector(&pose.position, "position")?,
             rotation: to_rotation(&pose.rotation, "rotation of the reading")?,
             covariance: match pose.covariance.as_slice() {
                 [] => None,
                 stated => Some(Matrix6::from_row_slice(&numbers::<36>(stated, "covariance of the reading")?)),
             },
-        })),
+        }))),
     }
 }
 
@@ -149,7 +151,12 @@ fn instrument(stated: &StatedInstrument) -> v1::Instrument {
         term: term.key().to_owned(),
         sigma: Some(*sigma),
     };
-    v1::Instrument { name: stated.name.clone(), errors: stated.sigmas.iter().map(error).collect() }
+    v1::Instrument {
+        name: stated.name.clone(),
+        errors: stated.sigmas.iter().map(error).collect(),
+        drift_motion_per_hour: stated.drift.map(|drift| drift.motion_per_hour),
+        drift_turn_per_hour: stated.drift.map(|drift| drift.turn_per_hour),
+    }
 }
 
 fn to_instrument(message: &v1::Instrument) -> Result<StatedInstrument, String> {
@@ -161,6 +168,13 @@ fn to_instrument(message: &v1::Instrument) -> Result<StatedInstrument, String> {
     Ok(StatedInstrument {
         name: message.name.clone(),
         sigmas: message.errors.iter().map(error).collect::<Result<_, _>>()?,
+        drift: match (message.drift_motion_per_hour, message.drift_turn_per_hour) {
+            (None, None) => None,
+            (motion, turn) => Some(StatedDrift {
+                motion_per_hour: number(motion, "drift_motion_per_hour")?,
+                turn_per_hour: number(turn, "drift_turn_per_hour")?,
+            }),
+        },
     })
 }
 
@@ -340,6 +354,117 @@ mod tests {
                 // `{:?}` tells -0.0 from 0.0 and prints enough digits for every bit.
                 assert_eq!(format!("{back:?}"), format!("{o:?}"));
             }
+        }
+    }
+
+    fn full_pose() -> PoseReading {
+        let half = Matrix6::from_fn(|i, j| if i >= j { 1e-5 * (1.0 + (i * j) as f64) } else { 0.0 });
+        let covariance = half * half.transpose();
+        PoseReading {
+            position: Vector3::new(1.0, -0.0, f64::MIN_POSITIVE),
+            rotation: Rotation3::new(Vector3::new(0.4, -1.2, 2.0)),
+            covariance: Some(Matrix6::from_fn(|i, j| covariance[(i.min(j), i.max(j))])),
+        }
+    }
+
+    #[test]
+    fn faces_full_poses_nests_in_rounds_instruments_and_turned_targets_come_back_bit_for_bit() {
+        let outcome = synthetic::outcome(3, 1, false);
+        let mut set = outcome.sets[0].clone();
+        let measurements = &mut set.measurements;
+        measurements.observations[0].reading = Reading::Pose(Box::new(full_pose()));
+        measurements.observations[1].reading =
+            Reading::Pose(Box::new(PoseReading { covariance: None, ..full_pose() }));
+        let Reading::Spherical(reading) = &mut measurements.observations[2].reading else {
+            panic!("spherical")
+        };
+        reading.face = Face::Back;
+        let station = &mut measurements.stations[0];
+        let mut again = station.nests[0].clone();
+        (station.nests[0].time, again.time) = (Some(-0.0), Some(1800.5));
+        station.nests.push(again);
+        // In another order than that of the terms.
+        let sigmas =
+            InstrumentTerm::ALL.into_iter().rev().zip(1..).map(|(term, n)| (term, 1e-7 * f64::from(n)));
+        station.instrument = Some(StatedInstrument {
+            name: "AT \"1\"".to_owned(),
+            sigmas: sigmas.collect(),
+            drift: Some(StatedDrift { motion_per_hour: 1e-5, turn_per_hour: 0.0 }),
+        });
+        measurements.targets[0].orientation = Some(TargetOrientation {
+            flange_from_target: Rotation3::new(Vector3::new(0.0, 0.1, -3.0)),
+            covariance: Some(Matrix3::identity() * 1e-8),
+        });
+        let bytes = session(&set, None).encode_to_vec();
+        let message = v1::Session::decode(bytes.as_slice()).expect("decoded");
+        let mut back = SetOutcome::try_from(&message).expect("sound");
+        for nest in nests(&set) {
+            let decoded = v1::BaseNest::decode(nest.encode_to_vec().as_slice()).expect("decoded");
+            let nest = to_nest(decoded.nest.as_ref().expect("a nest")).expect("sound");
+            back.measurements.stations[decoded.station as usize].nests.push(nest);
+        }
+        for (i, o) in set.measurements.observations.iter().enumerate() {
+            let bytes = observation(set.kind, i, o).encode_to_vec();
+            let message = v1::Observation::decode(bytes.as_slice()).expect("decoded");
+            let read = to_observation(&message, &back).expect("sound");
+            back.measurements.observations.push(read);
+        }
+        assert_eq!(format!("{:?}", back.measurements), format!("{:?}", set.measurements));
+    }
+
+    #[test]
+    fn rotations_and_instruments_that_make_no_sense_are_refused_with_the_field() {
+        let outcome = synthetic::outcome(2, 1, false);
+        let set = &outcome.sets[0];
+        let mut good = set.measurements.observations[0].clone();
+        good.reading = Reading::Pose(Box::new(full_pose()));
+        let good = observation(set.kind, 0, &good);
+        type Change = fn(&mut v1::PoseReading);
+        let cases: [(Change, &str); 6] = [
+            (|p| p.rotation[..3].iter_mut().for_each(|x| *x = -*x), "rotation of the reading is left-handed"),
+            (|p| p.rotation[0] += 0.01, "rotation of the reading is no rotation"),
+            (|p| p.rotation.truncate(4), "rotation of the reading has 4 numbers, 9 were expected"),
+            (|p| p.rotation[2] = f64::NAN, "rotation of the reading holds NaN"),
+            (|p| p.covariance.truncate(21), "covariance of the reading has 21 numbers, 36 were expected"),
+            (|p| p.position.clear(), "position has 0 numbers, 3 were expected"),
+        ];
+        for (change, expected) in cases {
+            let mut bad = good.clone();
+            let Some(v1::reading::Kind::Pose(pose)) = bad.reading.as_mut().and_then(|r| r.kind.as_mut())
+            else {
+                panic!("a full pose")
+            };
+            change(pose);
+            let error = to_observation(&bad, set).expect_err(expected);
+            assert!(error.contains(expected), "{error}");
+        }
+        // In single precision it is the nearest rotation, and one to all digits.
+        let mut single = good.clone();
+        if let Some(v1::reading::Kind::Pose(pose)) = single.reading.as_mut().and_then(|r| r.kind.as_mut()) {
+            #[expect(clippy::cast_possible_truncation, reason = "as a program in single precision has it")]
+            pose.rotation.iter_mut().for_each(|x| *x = f64::from(*x as f32));
+        }
+        let Reading::Pose(read) = to_observation(&single, set).expect("sound").reading else {
+            panic!("a pose")
+        };
+        let r = read.rotation.matrix();
+        assert!((r.transpose() * r - Matrix3::identity()).amax() < 1e-14);
+        assert!((r - full_pose().rotation.matrix()).amax() < 1e-7);
+
+        let mut message = session(set, None);
+        let instrument = |term: &str, sigma| v1::Instrument {
+            drift_motion_per_hour: None,
+            drift_turn_per_hour: None,
+            name: "AT".to_owned(),
+            errors: vec![v1::InstrumentError { term: term.to_owned(), sigma }],
+        };
+        for (bad, expected) in [
+            (instrument("colimation", Some(1e-6)), "there is no error \"colimation\" of an instrument"),
+            (instrument("collimation", None), "sigma of an instrument's error is missing"),
+        ] {
+            message.stations[0].instrument = Some(bad);
+            let error = SetOutcome::try_from(&message).expect_err(expected);
+            assert!(error.contains(expected), "{error}");
         }
     }
 

@@ -67,6 +67,8 @@ struct SetTally {
     stations: u64,
     targets: u64,
     nests: u64,
+    full_poses: u64,
+    back_face: u64,
 }
 
 impl Survey {
@@ -168,6 +170,11 @@ impl Survey {
                 let observation = v1::Observation::decode(data).ok()?;
                 let set = self.set(&observation.set)?;
                 set.observations += 1;
+                match observation.reading.and_then(|reading| reading.kind) {
+                    Some(v1::reading::Kind::Pose(_)) => set.full_poses += 1,
+                    Some(v1::reading::Kind::Spherical(reading)) if reading.back_face => set.back_face += 1,
+                    _ => {}
+                }
                 if set.last_pose.replace(observation.pose) != Some(observation.pose) {
                     set.poses += 1;
                 }
@@ -216,6 +223,8 @@ impl Survey {
             stations: set.stations,
             targets: set.targets,
             nests: set.nests,
+            full_poses: set.full_poses,
+            back_face: set.back_face,
         };
         self.sets.iter().map(report).collect()
     }

@@ -121,6 +121,7 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
         },
         stations: vec![tracker_from_base],
         further_targets: Vec::new(),
+        orientation: None,
         poses: settled,
         outliers: Vec::new(),
         effects,
@@ -309,12 +310,14 @@ fn mode_outcome(
     sets: &[SetOutcome],
 ) -> ModeOutcome {
     let robot = CalibratedRobot {
+        instruments: Vec::new(),
         mode,
         nominal: model.clone(),
         model: CalibrationModel { kinematics: with_errors(&model.kinematics, share), ..model.clone() },
         terms: Vec::new(),
         stations: vec![tracker_from_base * rotation_z(1e-5 * share)],
         targets: vec![IN_FLANGE.into()],
+        orientations: vec![None],
     };
     let errors: Vec<Vec<_>> = sets
         .iter()
@@ -324,7 +327,8 @@ fn mode_outcome(
         .collect();
     let rows = errors.iter().map(|e| accuracy(e)).collect();
     let estimate = (share > 0.0).then(|| estimate(robot.clone(), share));
-    ModeOutcome { mode, robot, estimate, errors, rows }
+    let turns = errors.iter().map(|errors| vec![None; errors.len()]).collect();
+    ModeOutcome { mode, robot, estimate, errors, rows, turns }
 }
 
 fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
@@ -351,6 +355,7 @@ fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
         })
         .collect();
     Estimate {
+        turn_noise: None,
         robot,
         parameters,
         covariance: Some(DMatrix::from_fn(n, n, |i, j| if i == j { 1e-9 } else { 1e-12 * i as f64 })),

@@ -75,11 +75,12 @@ fn kinds(parameters: &[ParameterId]) -> Vec<(&'static str, Vec<String>)> {
     let kind = |id: &ParameterId| match id {
         ParameterId::Link { .. } => "links",
         ParameterId::Frame { .. } => "frame",
-        ParameterId::Target { .. } => "target",
+        ParameterId::Target { .. } | ParameterId::Orientation { .. } => "target",
         ParameterId::Compliance(_) => "compliances",
         ParameterId::Mass { .. } | ParameterId::Centre { .. } => "masses",
         ParameterId::Linkage(_) => "linkage",
         ParameterId::Term(_) => "terms",
+        ParameterId::Instrument { .. } | ParameterId::Drift { .. } => "tracker",
     };
     let mut kinds: Vec<(&'static str, Vec<String>)> = Vec::new();
     for id in parameters {

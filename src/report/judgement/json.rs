@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::super::json::JsonOutlier;
+use super::super::scatter::{JsonScatter, json_scatters};
 use super::quantiles;
 use crate::pipeline::{Confidence, Judgement, Outcome, PredictedPosition};
 
@@ -28,6 +29,9 @@ pub struct JsonJudgement {
     /// How sure; absent from a singular system.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub confidence: Option<JsonConfidence>,
+    /// What is stated of the readings' scatter against what is seen of it, by the key of the set.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub scatter: BTreeMap<String, JsonScatter>,
 }
 
 /// A dependence of the residual.
@@ -158,6 +162,7 @@ pub(in crate::report) fn json_judgement(outcome: &Outcome, judgement: &Judgement
             .collect(),
         serial_correlation: consistency.shape.as_ref().and_then(|s| s.serial_correlation).and_then(finite),
         confidence: judgement.confidence.as_ref().map(|confidence| json_confidence(outcome, confidence)),
+        scatter: json_scatters(outcome, judgement),
     }
 }
 

@@ -15,6 +15,7 @@ use maud::{Markup, PreEscaped, html};
 use self::figures::{map_figure, pattern_figure};
 use super::html::number;
 use super::parameters::{parameter_words, printed_unit};
+use super::scatter::scatter_words;
 use super::summary::{length_words, significant};
 use super::tables::{Ink, Style, printable, wrap};
 use super::{ReportError, counted};
@@ -73,6 +74,9 @@ pub(super) fn judgement_lines(outcome: &Outcome, mode: Mode, style: Style) -> Ve
             words = format!("{words}; predicted position +- {usual} over the region, {worst} at worst");
         }
         say(Ink::Dim, &words, "    ");
+    }
+    for words in scatter_words(outcome, judgement) {
+        say(Ink::Dim, &format!("  {}", printable(&words)), "    ");
     }
     for outside in &judgement.outside {
         say(Ink::Warning, &format!("  warning: {outside}"), "           ");
@@ -232,7 +236,17 @@ fn overview(sure: &[(&Judgement, &Confidence)]) -> Markup {
 
 fn weakest(confidence: &Confidence) -> Markup {
     // Tracker and target were measured beforehand: that the poses add little to it is as it should be.
-    let of_robot = |id: ParameterId| !matches!(id, ParameterId::Frame { .. } | ParameterId::Target { .. });
+    let is_end = |id: ParameterId| {
+        matches!(
+            id,
+            ParameterId::Frame { .. }
+                | ParameterId::Target { .. }
+                | ParameterId::Orientation { .. }
+                | ParameterId::Instrument { .. }
+                | ParameterId::Drift { .. }
+        )
+    };
+    let of_robot = |id: ParameterId| !is_end(id);
     let held = confidence.support.iter().filter(|s| s.prior_sigma.is_some() && of_robot(s.id));
     let mut held: Vec<_> = held.collect();
     held.sort_by(|a, b| a.data_share.total_cmp(&b.data_share));

@@ -48,7 +48,12 @@ pub(crate) fn put(model: &mut CalibrationModel, reference: &CalibrationModel, id
             }
         }
         ParameterId::Linkage(length) => apply_length(model, reference, length, value),
-        ParameterId::Frame { .. } | ParameterId::Target { .. } | ParameterId::Term(_) => {}
+        ParameterId::Frame { .. }
+        | ParameterId::Target { .. }
+        | ParameterId::Orientation { .. }
+        | ParameterId::Term(_)
+        | ParameterId::Instrument { .. }
+        | ParameterId::Drift { .. } => {}
     }
 }
 

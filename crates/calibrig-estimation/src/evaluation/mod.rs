@@ -3,10 +3,12 @@
 mod comparison;
 mod consistency;
 mod criteria;
+pub mod iso9283;
 mod model_choice;
 mod nested;
 mod outcome;
 mod patterns;
+mod scatter;
 mod splits;
 
 pub use comparison::{Interval, paired_rms_difference, resampled_difference};
@@ -18,6 +20,7 @@ pub use model_choice::{Variant, VariantRow, Verdict, compare_variants};
 pub use nested::{NestedFits, paired_by_pose};
 pub use outcome::{ModeOutcome, RegistrationSummary};
 pub use patterns::{Cause, PatternReport, PoseConditions, ResidualPattern, ResidualSet, find_patterns};
+pub use scatter::{REPEATS_LEVEL, RepeatScatter, ScatterComparison, compare_scatter};
 use serde::{Deserialize, Serialize};
 pub use splits::{Split, k_fold, leave_one_out, repeated_splits};
 
@@ -60,9 +63,40 @@ pub fn accuracy(errors: &[Vector3<f64>]) -> Option<AccuracyRow> {
     })
 }
 
+/// One row of a table of orientation errors, rad.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct OrientationRow {
+    /// Root mean square of the angle between measured and predicted orientation.
+    pub rms: f64,
+    /// Largest such angle.
+    pub max: f64,
+    /// Number of orientations.
+    pub count: usize,
+}
+
+/// The row of `turns` (rotation vectors of measured against predicted, rad); `None` where no reading has an orientation.
+pub fn orientation_accuracy(turns: &[Option<Vector3<f64>>]) -> Option<OrientationRow> {
+    let angles: Vec<f64> = turns.iter().flatten().map(Vector3::norm).collect();
+    let squares: f64 = angles.iter().map(|angle| angle * angle).sum();
+    (!angles.is_empty()).then(|| OrientationRow {
+        rms: (squares / angles.len() as f64).sqrt(),
+        max: angles.iter().copied().fold(0.0, f64::max),
+        count: angles.len(),
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_row_of_orientations_by_hand() {
+        let turns = [Some(Vector3::new(0.0, 3e-3, 4e-3)), None, Some(Vector3::new(-1e-3, 0.0, 0.0))];
+        let row = orientation_accuracy(&turns).expect("two orientations");
+        assert!((row.rms - 13e-6_f64.sqrt()).abs() < 1e-15 && (row.max - 5e-3).abs() < 1e-15);
+        assert_eq!(row.count, 2);
+        assert!(orientation_accuracy(&[None, None]).is_none());
+    }
 
     #[test]
     fn a_row_by_hand() {

@@ -36,7 +36,8 @@ impl<'a> NestedFits<'a> {
         poses: &'a [u32],
         splits: &'a [Split],
     ) -> Option<Self> {
-        let (observations, n) = (system.data_rows / 3, system.jacobian.ncols());
+        let (observations, n) =
+            ((system.data_rows / 3).saturating_sub(system.orientations.len()), system.jacobian.ncols());
         let held_out: usize = splits.iter().map(|split| split.held_out.len()).sum();
         let fits = poses.len() == observations
             && system.whitening.observations() == observations
@@ -49,12 +50,16 @@ impl<'a> NestedFits<'a> {
         let weights: Vec<_> =
             (0..observations).map(|i| weights.get(i).map_or(1.0, |w| w.max(0.0).sqrt())).collect();
         let part = |split: &Split| {
-            let mut rows = DMatrix::zeros(3 * split.held_out.len(), n + 1);
-            for (place, i) in split.held_out.iter().enumerate() {
+            // An orientation is held out with its observation.
+            let turned = system.orientations.iter().enumerate().filter(|(_, i)| split.held_out.contains(i));
+            let blocks = split.held_out.iter().map(|i| (*i, *i));
+            let blocks: Vec<_> = blocks.chain(turned.map(|(turn, i)| (observations + turn, *i))).collect();
+            let mut rows = DMatrix::zeros(3 * blocks.len(), n + 1);
+            for (place, (block, i)) in blocks.iter().enumerate() {
                 rows.view_mut((3 * place, 0), (3, n))
-                    .copy_from(&(system.jacobian.rows(3 * i, 3) * weights[*i]));
+                    .copy_from(&(system.jacobian.rows(3 * block, 3) * weights[*i]));
                 rows.view_mut((3 * place, n), (3, 1))
-                    .copy_from(&(system.residuals.rows(3 * i, 3) * weights[*i]));
+                    .copy_from(&(system.residuals.rows(3 * block, 3) * weights[*i]));
             }
             triangular_factor_of_all(rows.as_view())
         };
@@ -188,6 +193,7 @@ mod tests {
             residuals: &a * &x - b,
             jacobian: a,
             data_rows: 3 * OBSERVATIONS,
+            orientations: Vec::new(),
             measured_rows: 3 * OBSERVATIONS,
             poses: (0..OBSERVATIONS).map(|i| vec![i]).collect(),
             bounded: Vec::new(),

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::AccuracyRow;
+use super::{AccuracyRow, OrientationRow, orientation_accuracy};
 use crate::identification::{CalibratedRobot, Estimate, Mode};
 
 /// How the tracker's frame was tied to the robot's for the row "without calibration".
@@ -29,4 +29,13 @@ pub struct ModeOutcome {
     pub errors: Vec<Vec<Vector3<f64>>>,
     /// The rows of the tables, one a set.
     pub rows: Vec<Option<AccuracyRow>>,
+    /// Measured against predicted orientations, rotation vectors in base axes, rad: as `errors`; `None` of a reading without one.
+    pub turns: Vec<Vec<Option<Vector3<f64>>>>,
+}
+
+impl ModeOutcome {
+    /// The row of a set's orientations; `None` where it has none.
+    pub fn orientation_row(&self, set: usize) -> Option<OrientationRow> {
+        orientation_accuracy(self.turns.get(set)?)
+    }
 }

@@ -3,17 +3,19 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 
 use super::factor::triangular_factor;
+use super::instrument::Instruments;
 use super::machine::Machine;
 use super::noise::{MachineNoise, MachineNoiseChoice, Noise, poses};
 use super::parameters::{Column, Columns, PriorKind, columns};
-use super::place::{Ends, best_fit_station, starting_offsets};
+use super::place::{Ends, best_fit_station, flanges, starting_offsets};
 use super::problem::{CalibrationProblem, Current, Prior, Row};
+use super::turns::{TurnRow, starting_turn, stated_orientations, turns};
 use super::{
     DependentGroup, FrameChoice, IdentificationOptions, IdentifyError, LeastSquares, LeftOut, LeftOutReason,
     Redundancy, Solution, TargetChoice, select_independent,
 };
 use calibrig_model::geometry::Transform;
-use calibrig_model::measurement::{MeasurementSet, Observation, register};
+use calibrig_model::measurement::{MeasurementSet, Observation, Reading, register};
 use calibrig_model::{CalibrationModel, ParameterId};
 
 /// A compliance whose prior's standard deviation moves the whitened measurements by less than this in all, beside what the geometry can
@@ -58,8 +60,7 @@ pub(super) fn build(
     set: &MeasurementSet,
     options: &IdentificationOptions,
 ) -> Result<Built, IdentifyError> {
-    let Columns { robot: mut columns, redundant_ends } =
-        columns(model, options, options.freedom(&set.stations, &set.targets))?;
+    let Columns { robot: mut columns, redundant_ends } = columns(model, options, options.freedom_in(set))?;
     let ends = Ends::new(set, options, &redundant_ends);
     let mut built = assemble(model, set, options, &columns, &ends)?;
     if !options.mode.is_coupled() && options.redundant != Redundancy::Fix {
@@ -70,7 +71,7 @@ pub(super) fn build(
     let effects = measured.effects_beyond_geometry();
     // What noise is unknown is looked at again when the residuals tell it.
     let noise = if has_stated_noise(set) { 1.0 } else { LEAST_NOISE };
-    let rows = 3 * built.problem.rows.len();
+    let rows = built.problem.data_rows();
     let reason = |(place, column): (usize, &Column)| match column.id {
         ParameterId::Compliance(_) => {
             let effect = effects[place] * column.reach() / noise;
@@ -138,13 +139,13 @@ pub(super) fn reconsider(
     if !fitted.iter().any(is_compliance) && !built.left_out.iter().any(is_unloaded) {
         return Ok(None);
     }
-    let Columns { robot: mut columns, redundant_ends } =
-        columns(model, options, options.freedom(&set.stations, &set.targets))?;
+    let Columns { robot: mut columns, redundant_ends } = columns(model, options, options.freedom_in(set))?;
     let ends = Ends::new(set, options, &redundant_ends);
     let returns = |id| built.left_out.iter().any(|left| left.id == id && is_unloaded(left));
     columns.retain(|column| fitted.contains(&column.id) || returns(column.id));
     let mut whole = assemble(model, set, options, &columns, &ends)?.problem;
     whole.motions.clone_from(&built.problem.motions);
+    whole.turn_motions.clone_from(&built.problem.turn_motions);
     whole.weigh(&built.problem.noise)?;
     let value = |id: &ParameterId| fitted.iter().position(|own| own == id).map_or(0.0, |at| solution.x[at]);
     let x: Vec<f64> = whole.parameters.iter().map(value).collect();
@@ -186,6 +187,7 @@ pub(super) fn reconsider(
     if solution.weights.is_empty() && next.problem.stated_actuators.is_none() && noise.unstated.is_none() {
         next.goes_on = noise.machine.is_some();
         next.problem.motions = whole.motions;
+        next.problem.turn_motions = whole.turn_motions;
         next.problem.weigh(noise)?;
         let place = |id: &ParameterId| whole.parameters.iter().position(|own| own == id);
         let places: Vec<usize> = next.problem.parameters.iter().filter_map(place).collect();
@@ -228,7 +230,12 @@ struct Measured {
 impl Measured {
     fn new(problem: &CalibrationProblem, jacobian: &DMatrix<f64>, residuals: &DVector<f64>) -> Self {
         let is_geometric = |column: &usize| match problem.parameters[*column] {
-            ParameterId::Link { .. } | ParameterId::Frame { .. } | ParameterId::Target { .. } => true,
+            ParameterId::Link { .. }
+            | ParameterId::Frame { .. }
+            | ParameterId::Target { .. }
+            | ParameterId::Orientation { .. }
+            | ParameterId::Instrument { .. }
+            | ParameterId::Drift { .. } => true,
             ParameterId::Mass { .. } | ParameterId::Centre { .. } => {
                 problem.own_priors.iter().all(|(own, _)| own != column)
             }
@@ -296,8 +303,7 @@ pub(super) fn rebuild(
     options: &IdentificationOptions,
     kept: &[ParameterId],
 ) -> Result<CalibrationProblem, IdentifyError> {
-    let Columns { robot: mut columns, redundant_ends } =
-        columns(model, options, options.freedom(&set.stations, &set.targets))?;
+    let Columns { robot: mut columns, redundant_ends } = columns(model, options, options.freedom_in(set))?;
     columns.retain(|column| kept.contains(&column.id));
     Ok(assemble(model, set, options, &columns, &Ends::new(set, options, &redundant_ends))?.problem)
 }
@@ -307,12 +313,13 @@ pub(super) fn rebuild(
 pub(super) fn redundant(measured: &DMatrix<f64>, parameters: &[ParameterId]) -> Vec<DependentGroup> {
     let rank = |id: &ParameterId| match id {
         ParameterId::Frame { .. } => 0,
-        ParameterId::Target { .. } => 1,
+        ParameterId::Target { .. } | ParameterId::Orientation { .. } => 1,
         ParameterId::Link { .. } => 2,
         ParameterId::Compliance(_) => 3,
         ParameterId::Mass { .. } | ParameterId::Centre { .. } => 4,
         ParameterId::Linkage(_) => 5,
         ParameterId::Term(_) => 6,
+        ParameterId::Instrument { .. } | ParameterId::Drift { .. } => 7,
     };
     let mut order: Vec<usize> = (0..parameters.len()).collect();
     order.sort_by_key(|column| rank(&parameters[*column]));
@@ -358,28 +365,48 @@ fn assemble(
     let logarithmic = columns.iter().enumerate().filter_map(is_logarithmic).collect();
     let stated = columns.iter().enumerate().filter(|(_, column)| column.prior == PriorKind::Stated);
     let body = |(column, of): (usize, &Column)| {
-        Some(Prior { column, whitening: DMatrix::from_element(1, 1, 1.0 / of.sigma?) })
+        Some(Prior {
+            columns: vec![column],
+            whitening: DMatrix::from_element(1, 1, 1.0 / of.sigma?),
+            offset: DVector::zeros(1),
+        })
     };
     let mut priors: Vec<_> = stated.filter_map(body).collect();
     let offsets = starting_offsets(model, set, options.target, &ends.target_axes);
-    let stations = stations(model, set, options.frame, (&offsets, ends), &mut parameters, &mut priors)?;
+    let Stations { places, by_nests } =
+        stations(model, set, options.frame, (&offsets, ends), &mut parameters)?;
+    let stations = places;
     targets(set, options, ends, &mut parameters, &mut priors)?;
+    orientations(set, options, ends, &mut parameters, &mut priors)?;
+    let instruments = Instruments::new(set, options, &mut parameters, &mut priors);
+    for (index, frame, covariance) in by_nests {
+        let station = &set.stations[index];
+        let with_errors = instruments.nests((index, station), &stations[index], frame)?;
+        priors.push(match with_errors {
+            Some(prior) => prior,
+            None => prior(&format!("station {}", station.name), frame, covariance)?,
+        });
+    }
     sigmas.resize(parameters.len(), None);
     let targets: Vec<Vector3<f64>> = set.targets.iter().map(|t| t.in_flange).collect();
-    let x = parameters.iter().map(|id| match *id {
-        ParameterId::Target { target, axis } => offsets[target][axis] - targets[target][axis],
-        _ => 0.0,
-    });
-    let x = x.collect();
+    let x = starting_values(model, set, options, &parameters, (&stations, &offsets));
+    let (turns, orientations) = (turns(set), stated_orientations(set));
     let mut machine = Machine::new(options.mode, model);
     machine.set_terms(columns.iter().filter_map(|column| match column.id {
         ParameterId::Term(term) => Some(term),
         _ => None,
     }));
+    let mut rows = rows(set, options.unmodelled_sigma, &mut machine)?;
+    instruments.add_to(&mut rows, set, &stations);
     let mut problem = CalibrationProblem {
         nominal: model.clone(),
-        rows: rows(set, options.unmodelled_sigma, &mut machine)?,
-        current: Current::new(model, machine, &stations, &targets),
+        rows,
+        turn_of: turn_of(set.observations.len(), &turns),
+        turns,
+        current: Current::new(model, machine, &stations, &targets, &orientations),
+        orientations,
+        turn_motions: Vec::new(),
+        turn_whitening: Vec::new(),
         parameters,
         priors,
         own_priors,
@@ -395,6 +422,7 @@ fn assemble(
         joined: Vec::new(),
         start: None,
     };
+    problem.set(&vec![0.0; problem.parameters.len()]);
     if problem.stated_actuators.is_some() {
         let targets = problem.targets.clone();
         problem.prepare_motions(set, &targets);
@@ -414,15 +442,22 @@ fn assemble(
     Ok(Built { problem, sigmas, named, unexcited: Vec::new(), fixed, left_out, x, goes_on: false })
 }
 
+/// Where the stations are before the fit.
+struct Stations {
+    /// `tracker_from_base`, what the frame parameters displace.
+    places: Vec<Transform>,
+    /// Stations whose nests are a prior: index, first column of the frame, and covariance of the registration.
+    by_nests: Vec<(usize, usize, DMatrix<f64>)>,
+}
+
 fn stations(
     model: &CalibrationModel,
     set: &MeasurementSet,
     choice: FrameChoice,
     (offsets, ends): (&[Vector3<f64>], &Ends),
     parameters: &mut Vec<ParameterId>,
-    priors: &mut Vec<Prior>,
-) -> Result<Vec<Transform>, IdentifyError> {
-    let mut stations = Vec::new();
+) -> Result<Stations, IdentifyError> {
+    let (mut stations, mut by_nests) = (Vec::new(), Vec::new());
     for (index, station) in set.stations.iter().enumerate() {
         let choice = choice.of(station);
         if choice == FrameChoice::Free {
@@ -435,12 +470,12 @@ fn stations(
             .map_err(|source| IdentifyError::Registration { station: station.name.clone(), source })?;
         if choice == FrameChoice::Nests {
             let covariance = DMatrix::from_iterator(6, 6, registration.covariance.iter().copied());
-            priors.push(prior(&format!("station {}", station.name), parameters.len(), covariance)?);
+            by_nests.push((index, parameters.len(), covariance));
             parameters.extend(ParameterId::all_of_frame(index));
         }
         stations.push(registration.tracker_from_base);
     }
-    Ok(stations)
+    Ok(Stations { places: stations, by_nests })
 }
 
 fn targets(
@@ -481,6 +516,77 @@ fn targets(
     Ok(())
 }
 
+/// The parameters of how targets are turned on the flange, of those whose orientation the set shows.
+fn orientations(
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    ends: &Ends,
+    parameters: &mut Vec<ParameterId>,
+    priors: &mut Vec<Prior>,
+) -> Result<(), IdentifyError> {
+    for (index, target) in set.targets.iter().enumerate() {
+        let Some(orientation) = &target.orientation else { continue };
+        let is_seen = |o: &Observation| o.target == index && matches!(o.reading, Reading::Pose(_));
+        if !set.observations.iter().any(is_seen) {
+            continue;
+        }
+        let ids = ParameterId::all_of_orientation(index);
+        let freed = |axis: &usize| options.free.contains(&ids[*axis]);
+        let mut axes: Vec<usize> = (0..3).filter(|axis| ends.orientation_axes[index][*axis]).collect();
+        match (options.target.of_orientation(orientation), orientation.covariance) {
+            (TargetChoice::Fixed, _) => axes.retain(freed),
+            (TargetChoice::Measured, Some(covariance)) => {
+                axes.sort_by_key(freed);
+                let held = axes.iter().filter(|axis| !freed(axis)).count();
+                if held > 0 {
+                    let what = format!("the orientation of target {}", target.name);
+                    let covariance = of_axes(&covariance, &axes, held)
+                        .ok_or_else(|| IdentifyError::Covariance { what: what.clone() })?;
+                    priors.push(prior(&what, parameters.len(), covariance)?);
+                }
+            }
+            (TargetChoice::Measured | TargetChoice::Identified | TargetChoice::AsStated, _) => {}
+        }
+        parameters.extend(axes.into_iter().map(|axis| ids[axis]));
+    }
+    Ok(())
+}
+
+/// Where the search starts: at zero, but for targets that are far from where they are stated to be.
+fn starting_values(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    parameters: &[ParameterId],
+    (stations, offsets): (&[Transform], &[Vector3<f64>]),
+) -> Vec<f64> {
+    let is_unknown = |target: usize| {
+        let orientation = set.targets[target].orientation.as_ref();
+        orientation.is_some_and(|o| options.target.of_orientation(o) == TargetChoice::Identified)
+    };
+    let mut turned = vec![None; set.targets.len()];
+    if parameters.iter().any(|id| matches!(id, ParameterId::Orientation { .. })) {
+        let flanges = flanges(model, set);
+        for (target, stated) in stated_orientations(set).iter().enumerate().filter(|(t, _)| is_unknown(*t)) {
+            turned[target] = starting_turn(set, &flanges, stations, target, stated);
+        }
+    }
+    let value = |id: &ParameterId| match *id {
+        ParameterId::Target { target, axis } => offsets[target][axis] - set.targets[target].in_flange[axis],
+        ParameterId::Orientation { target, axis } => turned[target].map_or(0.0, |turn| turn[axis]),
+        _ => 0.0,
+    };
+    parameters.iter().map(value).collect()
+}
+
+fn turn_of(observations: usize, turns: &[TurnRow]) -> Vec<Option<usize>> {
+    let mut of = vec![None; observations];
+    for (turn, row) in turns.iter().enumerate() {
+        of[row.observation] = Some(turn);
+    }
+    of
+}
+
 /// Of a target's coordinates `axes`, with the others exactly where they were stated to be, the covariance of the first `held`.
 fn of_axes(covariance: &Matrix3<f64>, axes: &[usize], held: usize) -> Option<DMatrix<f64>> {
     if axes == [0, 1, 2] {
@@ -514,6 +620,8 @@ fn rows(
             seen: observation.reading.position(),
             reading: observation.reading.position_covariance().map(|covariance| covariance + unmodelled),
             whitening: Matrix3::identity(),
+            instrument: Vec::new(),
+            hours: 0.0,
             station: observation.station,
             target: observation.target,
         })
@@ -525,7 +633,8 @@ fn prior(what: &str, column: usize, covariance: DMatrix<f64>) -> Result<Prior, I
     let whitening = Cholesky::new(covariance)
         .and_then(|c| c.l().try_inverse())
         .ok_or_else(|| IdentifyError::Covariance { what: what.to_owned() })?;
-    Ok(Prior { column, whitening })
+    let n = whitening.nrows();
+    Ok(Prior { columns: (column..column + n).collect(), whitening, offset: DVector::zeros(n) })
 }
 
 #[cfg(test)]

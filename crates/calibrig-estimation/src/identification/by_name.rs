@@ -4,6 +4,7 @@ use thiserror::Error;
 
 use super::build::build;
 use super::identify::check;
+use super::instrument::parameters_of;
 use super::parameters::candidate_parameters;
 use super::{IdentificationOptions, IdentifyError, LeftOutReason, Mode};
 use calibrig_model::measurement::{MeasurementSet, Station, Target};
@@ -53,7 +54,7 @@ impl ByNameError {
     pub fn help(&self) -> String {
         match self {
             Self::Frame { .. } => {
-                "expected names of links, targets, compliances, masses, centres, the linkage or terms; for the tracker's place the choice \
+                "expected names of links, targets, compliances, masses, centres, the linkage, terms or errors of the instrument; for the tracker's place the choice \
                  is nests, free or fixed (--frame; frame in a scenario)"
                     .to_owned()
             }
@@ -84,7 +85,7 @@ pub fn check_named(
         if matches!(id, ParameterId::Frame { .. }) {
             return Err(ByNameError::Frame { id });
         }
-        if !is_of(model, targets.len(), id) {
+        if !is_of(model, stations, targets, id) {
             return Err(ByNameError::Unknown { id });
         }
         if options.fix.contains(&id) && options.free.contains(&id) {
@@ -148,9 +149,7 @@ pub fn list_parameters(
     }
     let built = build(model, set, options)?;
     let priors = &built.problem.priors;
-    let in_block = |column: usize| {
-        priors.iter().any(|prior| (prior.column..prior.column + prior.whitening.nrows()).contains(&column))
-    };
+    let in_block = |column: usize| priors.iter().any(|prior| prior.columns.contains(&column));
     let state = |id: ParameterId| {
         if let Some(column) = built.problem.parameters.iter().position(|own| *own == id) {
             let prior = built.sigmas[column];
@@ -159,27 +158,35 @@ pub fn list_parameters(
         let left = built.left_out.iter().find(|left| left.id == id);
         left.map_or(ParameterState::NotChosen, |left| ParameterState::LeftOut(left.reason))
     };
-    let ids = all_of(model, options.mode, set.stations.len(), set.targets.len());
+    let ids = all_of(model, options.mode, &set.stations, &set.targets);
     Ok(ids.into_iter().map(|id| ListedParameter { id, state: state(id) }).collect())
 }
 
 /// Every parameter that a mode can have of a robot, its stations and targets.
-fn all_of(model: &CalibrationModel, mode: Mode, stations: usize, targets: usize) -> Vec<ParameterId> {
+fn all_of(
+    model: &CalibrationModel,
+    mode: Mode,
+    stations: &[Station],
+    targets: &[Target],
+) -> Vec<ParameterId> {
     let bodies = model.statics.as_ref().map_or(0, |statics| statics.bodies.len());
     let mut ids = ParameterId::all_of_links(model.kinematics.joint_count());
-    ids.extend((0..stations).flat_map(ParameterId::all_of_frame));
-    ids.extend((0..targets).flat_map(ParameterId::all_of_target));
+    ids.extend((0..stations.len()).flat_map(ParameterId::all_of_frame));
+    ids.extend((0..targets.len()).flat_map(ParameterId::all_of_target));
+    let turned = targets.iter().enumerate().filter(|(_, target)| target.orientation.is_some());
+    ids.extend(turned.flat_map(|(target, _)| ParameterId::all_of_orientation(target)));
     ids.extend(model.compliances().into_iter().map(ParameterId::Compliance));
     ids.extend((0..bodies).map(|link| ParameterId::Mass { link }));
     ids.extend((0..bodies).flat_map(|link| (0..3).map(move |axis| ParameterId::Centre { link, axis })));
     ids.extend(model.linkage_lengths().into_iter().map(ParameterId::Linkage));
     let terms = FAMILIES.iter().filter_map(|family| TermId::all_of(family.key(), model));
     ids.extend(terms.flatten().map(ParameterId::Term));
+    ids.extend(parameters_of(stations));
     ids.retain(|id| mode.can_fit(*id));
     ids
 }
 
-/// Whether the robot, or one of its targets, has such a parameter in some mode.
-fn is_of(model: &CalibrationModel, targets: usize, id: ParameterId) -> bool {
-    all_of(model, Mode::Extended, 0, targets).contains(&id)
+/// Whether the robot, one of its targets or an instrument has such a parameter in some mode.
+fn is_of(model: &CalibrationModel, stations: &[Station], targets: &[Target], id: ParameterId) -> bool {
+    all_of(model, Mode::Extended, stations, targets).contains(&id)
 }

@@ -12,14 +12,16 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::ops::Range;
 
-use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use nalgebra::{DMatrix, DVector, SymmetricEigen, Vector3};
 
 use super::factor::triangular_factor_of_all;
 use super::limits::shown;
 use super::problem::CalibrationProblem;
 use super::solver::Solution;
 use super::{FrameChoice, NoiseScale};
-use calibrig_model::measurement::{MeasurementSet, NestSystem, nest_system};
+use calibrig_model::measurement::{
+    MeasurementSet, NestSystem, StatedInstrument, Station, WhitenedNest, nest_system,
+};
 use calibrig_model::statistics::{chi2_survival, f_ln_survival};
 use calibrig_model::{ParameterId, Unit};
 
@@ -80,6 +82,13 @@ pub enum Stated {
         /// How far from there the measurements of the robot put it, m.
         length: f64,
     },
+    /// How a target was measured to be turned on the flange.
+    Orientation {
+        /// Its name.
+        target: String,
+        /// How far turned from there the measurements of the robot put it, rad.
+        angle: f64,
+    },
     /// The certified place of a nest.
     Nest {
         /// Its name.
@@ -98,6 +107,7 @@ impl Stated {
             Self::Parameter { id, .. } => id.to_string(),
             Self::Nests { station, .. } => format!("the nests of station {station}"),
             Self::Target { target, .. } => format!("the offset of target {target}"),
+            Self::Orientation { target, .. } => format!("the orientation of target {target}"),
             Self::Nest { nest, station, .. } => format!("nest \"{nest}\" of station {station}"),
         }
     }
@@ -126,6 +136,10 @@ impl fmt::Display for Contradiction {
             }
             Stated::Target { length, .. } => {
                 write!(f, " (they put it {}{} from there", self.at_least(3), metres(*length))?;
+            }
+            Stated::Orientation { angle, .. } => {
+                let (least, angle) = (self.at_least(3), shown(Unit::Radian, rounded(*angle)));
+                write!(f, " (they put it {least}{angle} from there")?;
             }
             Stated::Nest { length, .. } => {
                 write!(f, " (the other nests put it {} from there", metres(*length))?;
@@ -350,7 +364,7 @@ impl<'a> Checks<'a> {
             .filter(|(_, (station, _))| frame.of(station) != FrameChoice::Free)
             .filter_map(|(index, (station, place))| {
                 let system = nest_system(station, place).ok()?;
-                let family = of_nests(&system, index)?;
+                let family = of_nests(&system, station, index)?;
                 Some((system, family))
             })
             .collect();
@@ -381,7 +395,7 @@ impl<'a> Checks<'a> {
             let (residuals, groups) = (residuals / variance.sqrt(), groups.clone());
             return Some(Family { residuals, covariance: covariance.clone(), groups });
         }
-        let data = 3 * self.problem.rows.len();
+        let data = self.problem.data_rows();
         let (mut residuals, mut jacobian) = (self.solution.residuals.clone(), self.solution.jacobian.clone());
         residuals.rows_mut(0, data).scale_mut(1.0 / variance.sqrt());
         jacobian.rows_mut(0, data).scale_mut(1.0 / variance.sqrt());
@@ -427,15 +441,20 @@ impl<'a> Checks<'a> {
             },
             Kind::Block(index) => {
                 let prior = &self.problem.priors[index];
-                let shift =
-                    prior.whitening.solve_lower_triangular(left_out).unwrap_or_else(|| left_out.clone());
+                // Of nests that tell the instrument's errors as well, the least change that does it.
+                let shift = prior.whitening.clone().pseudo_inverse(f64::EPSILON);
+                let shift = shift.map_or_else(|_| left_out.clone(), |inverse| inverse * left_out);
                 let length = |rows: Range<usize>| {
                     shift.iter().skip(rows.start).take(rows.len()).map(|v| v * v).sum::<f64>().sqrt()
                 };
-                match self.problem.parameters[prior.column] {
+                match self.problem.parameters[prior.columns[0]] {
                     ParameterId::Target { target, .. } => {
                         Stated::Target { target: self.set.targets[target].name.clone(), length: length(0..3) }
                     }
+                    ParameterId::Orientation { target, .. } => Stated::Orientation {
+                        target: self.set.targets[target].name.clone(),
+                        angle: length(0..3),
+                    },
                     ParameterId::Frame { station, .. } => Stated::Nests {
                         station: self.set.stations[station].name.clone(),
                         length: length(0..3),
@@ -449,18 +468,21 @@ impl<'a> Checks<'a> {
                 }
             }
             Kind::Nest(station, nest) => {
-                let whitening = self.nests.iter().find_map(|(system, family)| {
-                    let own = family
-                        .groups
-                        .iter()
-                        .any(|group| matches!(group.kind, Kind::Nest(s, _) if s == station));
-                    own.then(|| system.whitening.get(nest)).flatten()
+                let system = self.nests.iter().find_map(|(system, family)| {
+                    let is_own = |group: &Group| matches!(group.kind, Kind::Nest(s, _) if s == station);
+                    family.groups.iter().any(is_own).then_some(system)
                 });
-                let shift = nalgebra::Vector3::from_iterator(left_out.iter().copied());
-                let shift = whitening.and_then(|w| w.solve_lower_triangular(&shift)).unwrap_or(shift);
+                let own = system.and_then(|system| system.nests.get(nest));
+                let shift = own.and_then(|own| own.whitening.solve_lower_triangular(left_out));
+                let shift = shift.unwrap_or_else(|| left_out.clone());
+                // Of several readings, what they have in common.
+                let readings = (shift.len() / 3).max(1) as f64;
+                let mean = shift.as_slice().chunks_exact(3).map(Vector3::from_column_slice);
+                let shift = mean.sum::<Vector3<f64>>() / readings;
+                let reading = own.and_then(|own| own.readings.first().copied()).unwrap_or(nest);
                 let station = &self.set.stations[station];
                 Stated::Nest {
-                    nest: station.nests[nest].name.clone(),
+                    nest: station.nests[reading].name.clone(),
                     station: station.name.clone(),
                     length: shift.norm(),
                 }
@@ -531,7 +553,7 @@ fn noise_without_priors(problem: &CalibrationProblem, solution: &Solution, bound
         .filter(|(_, (column, _))| matches!(problem.parameters[*column], ParameterId::Compliance(_)))
         .map(|(row, _)| row)
         .collect();
-    let of_places: Vec<usize> = (3 * problem.rows.len()..first).collect();
+    let of_places: Vec<usize> = (problem.data_rows()..first).collect();
     let without_compliances = noise_without(&of_compliances, solution, bounded);
     let all = [of_places, of_compliances].concat();
     let share = |variance: &f64| *variance < MADE_BY_STATEMENT * without_compliances.unwrap_or(1.0);
@@ -565,22 +587,22 @@ fn priors(
 ) -> Family {
     let mut rows = Vec::new();
     let mut groups = Vec::new();
-    let mut first = 3 * problem.rows.len();
+    let mut first = problem.data_rows();
     // What a bound holds has told so already, and its prior pulls at nothing.
-    let mut take = |first: usize, columns: Range<usize>, kind: Kind| {
-        if columns.clone().any(|column| bounded.contains(&column)) {
+    let mut take = |first: usize, count: usize, columns: &[usize], kind: Kind| {
+        if columns.iter().any(|column| bounded.contains(column)) {
             return;
         }
-        groups.push(Group { rows: rows.len()..rows.len() + columns.len(), kind });
-        rows.extend(first..first + columns.len());
+        groups.push(Group { rows: rows.len()..rows.len() + count, kind });
+        rows.extend(first..first + count);
     };
     for (index, prior) in problem.priors.iter().enumerate() {
         let n = prior.whitening.nrows();
-        take(first, prior.column..prior.column + n, Kind::Block(index));
+        take(first, n, &prior.columns, Kind::Block(index));
         first += n;
     }
     for (row, (column, weight)) in (first..).zip(problem.own_priors.iter().chain(&problem.tolerances)) {
-        take(row, *column..column + 1, Kind::Own(*column, 1.0 / weight));
+        take(row, 1, &[*column], Kind::Own(*column, 1.0 / weight));
     }
     let jacobian = jacobian.select_rows(&rows);
     let hat = &jacobian * covariance * jacobian.transpose();
@@ -591,16 +613,31 @@ fn priors(
     }
 }
 
-fn of_nests(system: &NestSystem, station: usize) -> Option<Family> {
+/// The nests of a station at the place, and with the errors of its instrument, that fit them best.
+fn of_nests(system: &NestSystem, station: &Station, index: usize) -> Option<Family> {
     let rows = system.residuals.len();
-    let information = system.jacobian.tr_mul(&system.jacobian);
-    let hat = &system.jacobian * information.cholesky()?.solve(&system.jacobian.transpose());
+    let errors = system.instrument.ncols();
+    let mut jacobian = system.jacobian.clone().insert_columns(6, errors, 0.0);
+    jacobian.columns_mut(6, errors).copy_from(&system.instrument);
+    let mut information = jacobian.tr_mul(&jacobian);
+    let stated = station.instrument.iter().flat_map(StatedInstrument::errors);
+    for (column, (_, sigma)) in (6..).zip(stated) {
+        information[(column, column)] += 1.0 / (sigma * sigma);
+    }
+    let information = information.cholesky()?;
+    let hat = &jacobian * information.solve(&jacobian.transpose());
+    let step = information.solve(&jacobian.tr_mul(&system.residuals));
+    let mut first = 0;
+    let group = |(nest, own): (usize, &WhitenedNest)| {
+        let rows = first..first + own.whitening.nrows();
+        first = rows.end;
+        Group { rows, kind: Kind::Nest(index, nest) }
+    };
+    let groups = system.nests.iter().enumerate().map(group).collect();
     Some(Family {
-        residuals: system.residuals.clone(),
+        residuals: &system.residuals - jacobian * step,
         covariance: DMatrix::identity(rows, rows) - hat,
-        groups: (0..rows / 3)
-            .map(|nest| Group { rows: 3 * nest..3 * nest + 3, kind: Kind::Nest(station, nest) })
-            .collect(),
+        groups,
     })
 }
 

@@ -163,6 +163,24 @@ pub enum Assumption {
         /// Root mean square of its coordinates' standard deviations, m.
         sigma: f64,
     },
+    /// An instrument's readings share errors that were stated.
+    #[error(
+        "tracker {name}: {errors} errors that its readings share are identified, with what is stated of them as a prior"
+    )]
+    InstrumentStated {
+        /// Its name.
+        name: String,
+        /// Their number.
+        errors: usize,
+    },
+    /// They are taken to share none, although some were stated.
+    #[error(
+        "tracker {name}: what is stated of the errors that its readings share is ignored; the intervals do not contain them"
+    )]
+    InstrumentIgnored {
+        /// Its name.
+        name: String,
+    },
     /// Links are about as drawn.
     #[error("links: within +- {:.1} mm and +- {:.1} mrad of their nominal values (standard deviations of a prior)", 1e3 * .0.length, 1e3 * .0.angle)]
     LinksWithin(Tolerance),
@@ -175,6 +193,27 @@ pub enum Assumption {
          not contain theirs (mass_percent and centre_mm in the robot's file, or --mass-percent and --centre-mm)"
     )]
     BodiesExact,
+    /// Nothing is known of how a target is turned on the flange.
+    #[error("target {target}: no uncertainty of its orientation is stated; it is identified")]
+    OrientationFree {
+        /// Its name.
+        target: String,
+    },
+    /// It was measured how a target is turned on the flange.
+    #[error("target {target}: its stated orientation is a prior, +- {:.3} mrad", 1e3 * sigma)]
+    OrientationStated {
+        /// Its name.
+        target: String,
+        /// Root mean square of the standard deviations about its axes, rad.
+        sigma: f64,
+    },
+    /// Orientations scatter by more than their readings state, or these state nothing.
+    #[error("orientations: beside what readings state, {:.3} mrad about each axis, found with the fit", 1e3 * sigma)]
+    NoiseOfOrientations {
+        /// Standard deviation, rad.
+        #[serde(with = "calibrig_model::float::scalar")]
+        sigma: f64,
+    },
     /// How well masses and centres are known was stated.
     #[error(
         "masses and centres of gravity: their stated uncertainty is a prior, and is in the standard deviations of the compliances"
@@ -522,10 +561,13 @@ pub struct Outlier {
     pub target: Option<String>,
     /// Name of its station, where there are several.
     pub station: Option<String>,
-    /// How far it is from where a fit without it predicts it, m.
+    /// How far it is from where a fit without it predicts it, m; zero where its orientation alone is off.
     #[serde(with = "calibrig_model::float::scalar")]
     pub distance: f64,
-    /// The same in standard deviations of a coordinate, those of noise and prediction.
+    /// How far it is turned from there, rad, where its orientation is one.
+    #[serde(default)]
+    pub turn: Option<f64>,
+    /// The larger of the two in standard deviations of a coordinate, those of noise and prediction.
     #[serde(with = "calibrig_model::float::scalar")]
     pub size: f64,
     /// What it still counts for in the fit, from 1 down to 0.
@@ -562,7 +604,14 @@ impl fmt::Display for Outlier {
                 write!(f, ", {}", format!("{what} {name}").trim_start())?;
             }
         }
-        write!(f, " ({:.3} mm, {:.0} sigma", 1e3 * self.distance, self.size)?;
+        f.write_str(" (")?;
+        if self.turn.is_none() || self.distance > 0.0 {
+            write!(f, "{:.3} mm, ", 1e3 * self.distance)?;
+        }
+        if let Some(turn) = self.turn {
+            write!(f, "turned by {:.3} mrad, ", 1e3 * turn)?;
+        }
+        write!(f, "{:.0} sigma", self.size)?;
         if !self.carries_weight() {
             write!(f, ", weight {:.2}", self.weight)?;
         }
@@ -594,6 +643,9 @@ pub struct Estimate {
     /// What the machine does beside the model, in independent parts, as stated and (with its degrees of freedom) as estimated: it is in the
     /// weights of the fit, in the covariance, and in the covariance of what is predicted.
     pub machine_noise: Vec<MachineNoise>,
+    /// Standard deviation that was found of every orientation about each axis beside what its reading states, rad; `None` where none was looked for.
+    #[serde(default)]
+    pub turn_noise: Option<f64>,
     /// Degrees of freedom of Student's distribution for intervals; `None` where nothing of the noise was estimated and intervals are normal.
     pub interval_freedom: Option<f64>,
     /// Sum of squares of the residuals of observations, nests and targets, in the noise that was stated (where none was: in that of the residuals).

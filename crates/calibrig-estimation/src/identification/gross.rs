@@ -11,7 +11,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::factor::extended;
 use super::scale_of;
-use super::summary::outliers;
+use super::summary::{FarOff, Off, outliers};
 use super::{Loss, Outlier};
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::statistics::{chi2_survival, f_ln_survival};
@@ -46,6 +46,7 @@ const PART: usize = 1023;
 /// A reading that is one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct GrossError {
+    /// Its block: an observation, or behind all of them an orientation.
     pub observation: usize,
     /// Distance from what the others say of it, in standard deviations of a coordinate.
     pub size: f64,
@@ -53,7 +54,8 @@ pub(super) struct GrossError {
     pub left_out: Vector3<f64>,
 }
 
-/// A fit, as linear: blocks of three rows an observation, then priors.
+/// A fit, as linear: blocks of three rows an observation, the same of orientations, then priors. Of readings that correlate the two, an error of
+/// the place is told of the orientation as well.
 pub(super) struct LinearFit<'a> {
     pub jacobian: &'a DMatrix<f64>,
     pub residuals: &'a DVector<f64>,
@@ -323,8 +325,13 @@ pub fn held_out_outliers(set: &MeasurementSet, errors: &[Vector3<f64>]) -> Vec<O
         joined: &[],
         is_stated: false,
     };
-    let found: Vec<_> = fit.gross_errors(None).into_iter().map(|e| (e, e.left_out, 0.0)).collect();
-    outliers(set, &found)
+    let far = |error: GrossError| FarOff {
+        observation: error.observation,
+        size: error.size,
+        off: Off::Place(error.left_out),
+        weight: 0.0,
+    };
+    outliers(set, &fit.gross_errors(None).into_iter().map(far).collect::<Vec<_>>())
 }
 
 #[cfg(test)]

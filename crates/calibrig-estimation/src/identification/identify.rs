@@ -16,7 +16,7 @@ use super::{
     MachineNoiseChoice, Mode, ParameterBoundError, ParameterChoice, Predictor, Solution, SolverOptions,
     TargetChoice, minimise, minimise_within,
 };
-use calibrig_model::measurement::{MeasurementError, MeasurementSet, RegistrationError};
+use calibrig_model::measurement::{MeasurementError, MeasurementSet, RegistrationError, Target};
 use calibrig_model::{CalibrationModel, ModelError, ParameterId, Unit};
 
 /// Measurements that cannot be used with these options.
@@ -180,6 +180,12 @@ fn fit(
     unknown.machine |= as_needed && !unknown.readings && is_misfit();
     // Short of the minimum, residuals say more of the way there than of the noise.
     unknown.machine &= solution.termination.converged() || unknown.readings;
+    // What is stated of the machine says nothing of how it turns its flange.
+    unknown.turn |=
+        !as_needed && !built.problem.turns.is_empty() && solution.termination.converged() && is_misfit();
+    if unknown.machine {
+        unknown = unknown.with_machine(&built.problem);
+    }
     if !unknown.any() || !solution.cost.is_finite() {
         return Ok(Fitted { solution, factorised, size: stated, stated_sigmas: None });
     }
@@ -193,7 +199,7 @@ fn fit(
     let solution = if !is_nominal && is_without_freedom(&built.problem, &solution, unknown, options.redundant)
     {
         let most = most_noise(model, set)?;
-        built.problem.weigh(&Noise { unstated: Some(most), machine: None, freedom: None })?;
+        built.problem.weigh(&Noise { unstated: Some(most), ..Noise::default() })?;
         solve(built, solution.x, options)?
     } else {
         solution
@@ -216,7 +222,8 @@ fn fit_on(
     if !solution.termination.converged() {
         return Ok(None);
     }
-    let solution = find_noise(built, solution, Unknown { readings: false, machine: true }, options)?;
+    let unknown = Unknown::of(&built.problem, options).with_machine(&built.problem);
+    let solution = find_noise(built, solution, Unknown { readings: false, ..unknown }, options)?;
     let found = built.problem.noise.clone();
     let Some(plain) = built.problem.in_stated_noise(&solution)? else { return Ok(None) };
     let factorised = Factorised::new(&built.problem, &plain, options.redundant);
@@ -299,7 +306,9 @@ pub fn without_calibration(
     set: &MeasurementSet,
     loss: Loss,
 ) -> Result<CalibratedRobot, IdentifyError> {
-    let is_unknown = set.targets.iter().any(|target| target.covariance.is_none());
+    let is_turned = |target: &Target| target.orientation.as_ref().is_some_and(|o| o.covariance.is_none());
+    let is_unknown = set.targets.iter().any(|target| target.covariance.is_none())
+        || set.has_poses() && set.targets.iter().any(is_turned);
     if is_unknown || loss != Loss::Squared {
         let options = IdentificationOptions {
             mode: Mode::WithoutCalibration,
@@ -320,6 +329,12 @@ pub fn without_calibration(
         terms: Vec::new(),
         stations: best_fit_stations(model, set, &targets)?,
         targets,
+        instruments: Vec::new(),
+        orientations: set
+            .targets
+            .iter()
+            .map(|t| t.orientation.as_ref().map(|o| o.flange_from_target))
+            .collect(),
     })
 }
 

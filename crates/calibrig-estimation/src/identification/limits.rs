@@ -127,7 +127,12 @@ fn origin(id: ParameterId) -> &'static str {
     match id {
         ParameterId::Link { .. } | ParameterId::Linkage(_) | ParameterId::Term(_) => "nominal",
         ParameterId::Frame { .. } => "registered",
-        ParameterId::Target { .. } | ParameterId::Mass { .. } | ParameterId::Centre { .. } => "stated",
+        ParameterId::Instrument { .. } => "ideal",
+        ParameterId::Drift { .. } => "standing",
+        ParameterId::Target { .. }
+        | ParameterId::Orientation { .. }
+        | ParameterId::Mass { .. }
+        | ParameterId::Centre { .. } => "stated",
         ParameterId::Compliance(_) => "predicted",
     }
 }

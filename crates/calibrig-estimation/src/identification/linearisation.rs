@@ -1,6 +1,6 @@
 //! The whitened system at an estimate, for what is read from it: uncertainty, leverage, residual patterns.
 
-use nalgebra::{DMatrix, DVector, Matrix3, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Vector3, Vector6};
 
 use super::build::{rebuild, start};
 use super::factorised::determined_by;
@@ -15,15 +15,17 @@ use calibrig_model::{CalibrationModel, ParameterId};
 /// Residuals and Jacobian of a fit at its estimate. A residual of 1 is one standard deviation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Linearisation {
-    /// m x n, in the order of the estimate's parameters; rows of the observations, then of nests and target, then of the other priors.
+    /// m x n, in the order of the estimate's parameters; rows of the observations and their orientations, then of nests and target, then of the other priors.
     pub jacobian: DMatrix<f64>,
     /// Predicted minus measured, and the priors; m.
     pub residuals: DVector<f64>,
-    /// The first rows: three an observation.
+    /// The first rows, in blocks of three: one an observation, and behind those one for every orientation.
     pub data_rows: usize,
+    /// Of every orientation, its observation.
+    pub orientations: Vec<usize>,
     /// Those, and the rows of nests and targets behind them.
     pub measured_rows: usize,
-    /// The observations of every pose.
+    /// The blocks of every pose: its observations, and their orientations.
     pub poses: Vec<Vec<usize>>,
     /// Takes displacements of the observations' targets to standard deviations.
     pub whitening: Whitening,
@@ -102,7 +104,8 @@ impl Linearisation {
     /// The system as it was solved, with the weights of the estimate's robust loss: its covariance is the estimate's.
     #[must_use]
     pub fn weighted(mut self, estimate: &Estimate) -> Self {
-        for (i, weight) in estimate.weights.iter().enumerate().take(self.data_rows / 3) {
+        let observations = (self.data_rows / 3).saturating_sub(self.orientations.len());
+        for (i, weight) in estimate.weights.iter().enumerate().take(observations) {
             // What counts for nothing still has an error by itself.
             let factor = (weight.max(LEAST_WEIGHT) / estimate.weight_unit).sqrt();
             let factor = if factor.is_finite() { factor } else { LEAST_WEIGHT };
@@ -110,6 +113,11 @@ impl Linearisation {
             self.jacobian.rows_mut(3 * i, 3).scale_mut(factor);
             if let Some(whitening) = self.whitening.single.get_mut(i) {
                 *whitening *= factor;
+            }
+            if let Some(place) = self.orientations.iter().position(|own| *own == i) {
+                let first = 3 * (observations + place);
+                self.residuals.rows_mut(first, 3).scale_mut(factor);
+                self.jacobian.rows_mut(first, 3).scale_mut(factor);
             }
         }
         self
@@ -157,9 +165,10 @@ pub(super) fn linearise_at(
     let mut linearisation = Linearisation {
         jacobian,
         residuals,
-        data_rows: 3 * problem.rows.len(),
+        data_rows: problem.data_rows(),
+        orientations: problem.turns.iter().map(|turn| turn.observation).collect(),
         measured_rows: problem.measured_rows(),
-        poses: problem.poses.clone(),
+        poses: problem.poses.iter().map(|pose| problem.blocks_of(pose)).collect(),
         whitening: Whitening::default(),
         bounded: Vec::new(),
     };
@@ -195,16 +204,26 @@ pub fn predict_readings(
     let Some(factor) = &estimate.factor else { return Ok(None) };
     let mut in_metres = set.clone();
     for observation in &mut in_metres.observations {
-        let position = observation.reading.position();
         // Weighed with one, residuals and Jacobian are in metres.
-        observation.reading = Reading::Cartesian { position, covariance: Some(Matrix3::identity()) };
+        match &mut observation.reading {
+            Reading::Pose(pose) => pose.covariance = Some(Matrix6::identity()),
+            other => {
+                let position = other.position();
+                *other = Reading::Cartesian { position, covariance: Some(Matrix3::identity()) };
+            }
+        }
     }
     let plain = IdentificationOptions {
         unmodelled_sigma: 0.0,
         machine_noise: MachineNoiseChoice::Stated(Vec::new()),
         ..options.clone()
     };
-    let bare = Estimate { machine_noise: Vec::new(), noise: NoiseScale::Stated, ..estimate.clone() };
+    let bare = Estimate {
+        machine_noise: Vec::new(),
+        turn_noise: None,
+        noise: NoiseScale::Stated,
+        ..estimate.clone()
+    };
     check(model, set)?;
     let mut problem = solved(model, &in_metres, &plain, &bare)?;
     // Where nothing places a station, its frame was displaced from where the fitted set had it.
@@ -294,11 +313,12 @@ fn weigh_as(
         _ => None,
     };
     let machine = estimate.found_machine().cloned();
-    if unstated.is_none() && machine.is_none() {
+    let turn = estimate.turn_noise;
+    if unstated.is_none() && machine.is_none() && turn.is_none() {
         return Ok(());
     }
     if machine.is_some() {
         problem.prepare_motions(set, &estimate.robot.targets);
     }
-    problem.weigh(&Noise { unstated, machine, freedom: estimate.interval_freedom })
+    problem.weigh(&Noise { unstated, machine, turn, freedom: estimate.interval_freedom })
 }

@@ -1,6 +1,6 @@
 //! What stands behind a prediction: the chain of a mode, placed at one observation after the other.
 
-use nalgebra::Vector3;
+use nalgebra::{Rotation3, Vector3};
 
 use super::Mode;
 use crate::elastostatics::{Deflection, ElasticChain, ElasticError};
@@ -197,7 +197,35 @@ impl Machine {
         }
     }
 
-    /// The same per unit of a term's amplitude, by its place in the order of the terms.
+    /// `base_from_flange`, the axes alone.
+    pub fn rotation(&self) -> Rotation3<f64> {
+        match &self.kind {
+            Kind::Joints { chain, .. } | Kind::Frozen { chain, .. } => chain.base_from_flange().rotation,
+            Kind::Elastic { chain } => chain.base_from_flange().rotation,
+        }
+    }
+
+    /// Makes the columns of the flange's rotation ready, in place of those of a target.
+    pub fn differentiate_turn(&mut self, told: &Prepared) -> Result<(), MachineError> {
+        match &mut self.kind {
+            Kind::Joints { .. } | Kind::Frozen { .. } => {}
+            Kind::Elastic { chain } => {
+                chain.prepare_turn()?;
+                self.terms.differentiate(chain, &told.basis);
+            }
+        }
+        Ok(())
+    }
+
+    /// How the flange turns per unit of a parameter of links, compliances, masses or linkage: a rotation vector in the base's axes, rad per unit.
+    pub fn turn(&self, id: ParameterId) -> Vector3<f64> {
+        match &self.kind {
+            Kind::Joints { chain, .. } | Kind::Frozen { chain, .. } => chain.turn(id),
+            Kind::Elastic { chain } => chain.change(id),
+        }
+    }
+
+    /// Change of what was made ready per unit of a term's amplitude, by its place in the order of the terms.
     pub fn term_column(&self, term: usize) -> Vector3<f64> {
         self.terms.columns[term]
     }

@@ -13,6 +13,7 @@ mod gross;
 mod identifiability;
 mod identify;
 mod information;
+mod instrument;
 mod limits;
 mod linearisation;
 mod machine;
@@ -28,6 +29,7 @@ mod solver;
 mod summary;
 #[cfg(test)]
 mod tests;
+mod turns;
 mod uncertainty;
 mod variance;
 mod verdict;
@@ -55,11 +57,14 @@ pub use machine::MachineError;
 pub use mode::Mode;
 pub use noise::{MachineNoise, MachineNoiseChoice};
 pub use options::{
-    ComplianceChoice, DEFAULT_TOLERANCE, FrameChoice, IdentificationOptions, LINKAGE, ParameterChoice,
-    Redundancy, TargetChoice, TermPrior, Tolerance, UNKNOWN_STIFFNESS,
+    ComplianceChoice, DEFAULT_TOLERANCE, FrameChoice, IdentificationOptions, InstrumentChoice, LINKAGE,
+    ParameterChoice, Redundancy, TargetChoice, TermPrior, Tolerance, UNKNOWN_STIFFNESS,
 };
 pub use prospect::{Prospect, prospect};
-pub use robot::{CalibratedRobot, EstimatePredictor, Prediction, PredictionError, Predictor};
+pub use robot::{
+    CalibratedRobot, EstimatePredictor, InstrumentErrors, PredictedOrientation, Prediction, PredictionError,
+    Predictor,
+};
 pub(crate) use solver::scale_of;
 use solver::{Bounds, LeastSquares, Solution, minimise, minimise_within};
 pub use solver::{BoundsError, Loss, LossScale, SolverOptions};

@@ -60,7 +60,12 @@ impl Mode {
     pub fn can_fit(self, id: ParameterId) -> bool {
         match id {
             _ if self == Self::WithoutCalibration => false,
-            ParameterId::Link { .. } | ParameterId::Frame { .. } | ParameterId::Target { .. } => true,
+            ParameterId::Link { .. }
+            | ParameterId::Frame { .. }
+            | ParameterId::Target { .. }
+            | ParameterId::Orientation { .. }
+            | ParameterId::Instrument { .. }
+            | ParameterId::Drift { .. } => true,
             ParameterId::Compliance(_) | ParameterId::Mass { .. } | ParameterId::Centre { .. } => {
                 self.is_coupled()
             }

@@ -126,6 +126,21 @@ impl ActuatorMotions {
         }
     }
 
+    /// How every actuator turns the flange, rotation vectors in the base frame, rad/m or rad/rad.
+    pub fn turns(&mut self, command: &[f64]) -> Vec<Vector3<f64>> {
+        let mut joints = vec![0.0; self.joints.len()];
+        self.model.actuators.joints_from_command(command, &mut joints);
+        self.chain.place(&joints);
+        let of_joint = |link: usize| match self.model.kinematics.links[link].kind {
+            JointKind::Prismatic => Vector3::zeros(),
+            JointKind::Revolute => self.chain.turn(ParameterId::Link { link, term: LinkTerm::Theta }),
+        };
+        let columns: Vec<_> = (0..joints.len()).map(of_joint).collect();
+        let sum =
+            |shares: &Vec<f64>| shares.iter().zip(&columns).map(|(share, column)| *share * column).sum();
+        self.joints.iter().map(sum).collect()
+    }
+
     /// Derivatives of a target at `in_flange` by every actuator, in the base frame, m/m or m/rad.
     pub fn at(&mut self, command: &[f64], in_flange: &Vector3<f64>) -> Vec<Vector3<f64>> {
         let mut joints = vec![0.0; self.joints.len()];
@@ -152,6 +167,8 @@ pub(super) struct Noise {
     /// Of readings that state none, m.
     pub unstated: Option<f64>,
     pub machine: Option<MachineNoise>,
+    /// Of every orientation about each axis beside what its reading states, rad.
+    pub turn: Option<f64>,
     /// Of Student's distribution; `None` where nothing was estimated.
     pub freedom: Option<f64>,
 }
@@ -167,6 +184,9 @@ impl Noise {
             let machine = self.machine.as_ref()?;
             sigmas.push(machine.position);
             sigmas.extend(&machine.actuators);
+        }
+        if unknown.turn {
+            sigmas.push(self.turn?);
         }
         Some(sigmas.iter().map(|sigma| sigma * sigma).collect())
     }
@@ -191,6 +211,8 @@ pub(super) fn poses(set: &MeasurementSet) -> Vec<Vec<usize>> {
 pub(super) struct Unknown {
     pub readings: bool,
     pub machine: bool,
+    /// Of orientations, beside what their readings state.
+    pub turn: bool,
 }
 
 impl Unknown {
@@ -199,24 +221,31 @@ impl Unknown {
         let unstated = problem.rows.iter().filter(|row| row.reading.is_none()).count();
         let several = problem.poses.iter().any(|pose| pose.len() > 1);
         let mixed = unstated > 0 && unstated < problem.rows.len();
-        Self {
+        let unknown = Self {
             readings: unstated > 0,
+            turn: problem.turns.iter().any(|turn| turn.reading.is_none()),
             machine: match options.machine_noise {
                 MachineNoiseChoice::Stated(_) => false,
                 MachineNoiseChoice::Estimated => true,
                 MachineNoiseChoice::AsNeeded => unstated > 0 && (several || mixed),
             },
-        }
+        };
+        if unknown.machine { unknown.with_machine(problem) } else { unknown }
+    }
+
+    /// The same with the machine's: what it does beside its model turns the flange as well.
+    pub fn with_machine(self, problem: &CalibrationProblem) -> Self {
+        Self { machine: true, turn: !problem.turns.is_empty(), ..self }
     }
 
     pub fn any(self) -> bool {
-        self.readings || self.machine
+        self.readings || self.machine || self.turn
     }
 
-    /// How many variances: of the readings, of the flange's place, and of every actuator.
+    /// How many variances: of the readings, of the flange's place, of every actuator, and of orientations.
     fn components(self, problem: &CalibrationProblem) -> usize {
         let actuators = problem.motions.first().map_or(0, Vec::len);
-        usize::from(self.readings) + if self.machine { 1 + actuators } else { 0 }
+        usize::from(self.readings) + if self.machine { 1 + actuators } else { 0 } + usize::from(self.turn)
     }
 }
 
@@ -235,13 +264,14 @@ pub(super) fn find(
 ) -> Result<Solution, IdentifyError> {
     let mut before = problem.noise.variances(unknown);
     for _ in 0..MOST_ROUNDS {
-        let system = system(problem, &solution, unknown);
+        let (system, lever) = system(problem, &solution, unknown);
         let Some(found) = system.components(before.as_deref()) else { break };
         if before.as_ref().is_some_and(|before| is_settled(before, &found.variances, &system)) {
             break;
         }
         problem.weigh(&named(&found, unknown))?;
         let System { mut residuals, mut jacobian, .. } = system;
+        problem.scale_turns(1.0 / lever, &mut residuals, &mut jacobian);
         problem.whiten(&mut residuals, &mut jacobian);
         problem.start_from(&solution.x, residuals, jacobian);
         let first = std::mem::take(&mut solution.iterations);
@@ -274,27 +304,31 @@ fn is_settled(before: &[f64], now: &[f64], system: &System) -> bool {
 fn named(found: &Components, unknown: Unknown) -> Noise {
     let mut sigmas = found.variances.iter().map(|variance| variance.sqrt());
     let unstated = if unknown.readings { sigmas.next() } else { None };
+    let turn = if unknown.turn { sigmas.next_back() } else { None };
     let machine = unknown.machine.then(|| MachineNoise {
         position: sigmas.next().unwrap_or(0.0),
         actuators: sigmas.collect(),
         freedom: Some(found.freedom),
     });
-    Noise { unstated, machine, freedom: Some(found.freedom) }
+    Noise { unstated, machine, turn, freedom: Some(found.freedom) }
 }
 
 /// Observations with a smaller weight are no sign of the noise.
 const REJECTED: f64 = 0.5;
 
-/// The system at a solution, in metres, with the shapes of what is unknown.
-fn system(problem: &mut CalibrationProblem, solution: &Solution, unknown: Unknown) -> System {
-    let (residuals, jacobian) = problem.metres(solution);
-    let data = 3 * problem.rows.len();
+/// The system at a solution, in metres, with the shapes of what is unknown; rotations are multiplied by the length that comes with it.
+fn system(problem: &mut CalibrationProblem, solution: &Solution, unknown: Unknown) -> (System, f64) {
+    let (mut residuals, mut jacobian) = problem.metres(solution);
+    let lever = problem.lever(&residuals);
+    problem.scale_turns(lever, &mut residuals, &mut jacobian);
+    let data = problem.data_rows();
     let below = residuals.len() - data;
     let used = |index: &usize| solution.weights.get(*index).is_none_or(|weight| *weight >= REJECTED);
     let is_free = |column: &usize| solution.at_bound.iter().all(|at| at.parameter != *column);
     let poses = problem.poses.iter().map(|pose| pose.iter().copied().filter(used).collect::<Vec<_>>());
-    let blocks = poses.filter(|pose| !pose.is_empty()).map(|pose| block(problem, pose, unknown)).collect();
-    System {
+    let blocks =
+        poses.filter(|pose| !pose.is_empty()).map(|pose| block(problem, &pose, unknown, lever)).collect();
+    let system = System {
         prior_residuals: residuals.rows(data, below).into_owned(),
         prior_jacobian: jacobian.rows(data, below).into_owned(),
         residuals,
@@ -303,13 +337,16 @@ fn system(problem: &mut CalibrationProblem, solution: &Solution, unknown: Unknow
         blocks,
         count: unknown.components(problem),
     }
-    .without_unseen()
+    .without_unseen();
+    (system, lever)
 }
 
-fn block(problem: &CalibrationProblem, observations: Vec<usize>, unknown: Unknown) -> Block {
-    let size = 3 * observations.len();
-    let stated = problem.stated_actuators.as_ref().map(|machine| problem.common(&observations, machine));
+fn block(problem: &CalibrationProblem, observations: &[usize], unknown: Unknown, lever: f64) -> Block {
+    let blocks = problem.blocks_of(observations);
+    let (positions, size) = (3 * observations.len(), 3 * blocks.len());
+    let stated = problem.stated_actuators.as_ref().map(|machine| problem.common(&blocks, machine));
     let mut known = stated.unwrap_or_else(|| DMatrix::zeros(size, size));
+    problem.add_stated_turns(&blocks, &mut known);
     let unstated: Vec<_> = observations.iter().map(|i| problem.rows[*i].reading.is_none()).collect();
     for (k, i) in observations.iter().enumerate() {
         if let Some(reading) = &problem.rows[*i].reading {
@@ -318,21 +355,34 @@ fn block(problem: &CalibrationProblem, observations: Vec<usize>, unknown: Unknow
         }
     }
     let own: Vec<usize> =
-        if unknown.readings { (0..size).filter(|row| unstated[row / 3]).collect() } else { Vec::new() };
+        if unknown.readings { (0..positions).filter(|row| unstated[row / 3]).collect() } else { Vec::new() };
     let mut components = vec![0; own.len()];
     if unknown.machine {
         let place = usize::from(unknown.readings);
         components.extend([place; 3]);
-        components.extend(place + 1..unknown.components(problem));
+        components.extend(place + 1..unknown.components(problem) - usize::from(unknown.turn));
+    }
+    let of_machine = own.len()..components.len();
+    if unknown.turn {
+        components.extend(std::iter::repeat_n(unknown.components(problem) - 1, size - positions));
     }
     let mut shapes = DMatrix::zeros(size, components.len());
     for (column, row) in own.iter().enumerate() {
         shapes[(*row, column)] = 1.0;
     }
     if unknown.machine {
-        problem.fill_motions(&observations, shapes.columns_range_mut(own.len()..));
+        problem.fill_motions(&blocks, shapes.columns_range_mut(of_machine.clone()));
     }
-    Block { observations, known, shapes, components }
+    if unknown.turn {
+        for (column, row) in (of_machine.end..).zip(positions..size) {
+            shapes[(row, column)] = 1.0;
+        }
+    }
+    let turns = size - positions;
+    known.rows_mut(positions, turns).scale_mut(lever);
+    known.columns_mut(positions, turns).scale_mut(lever);
+    shapes.rows_mut(positions, turns).scale_mut(lever);
+    Block { blocks, known, shapes, components }
 }
 
 impl CalibrationProblem {
@@ -341,6 +391,7 @@ impl CalibrationProblem {
         self.noise = noise.clone();
         self.start = None;
         self.joined.clear();
+        self.turn_whitening.clear();
         for place in 0..self.poses.len() {
             let pose = self.poses[place].clone();
             let known = pose.iter().map(|i| self.own_covariance(*i)).collect::<Vec<_>>();
@@ -351,6 +402,7 @@ impl CalibrationProblem {
                 (_, None) => self.weigh_apart(&pose, &known),
                 (_, Some(common)) => self.weigh_together(&pose, &known, common),
             };
+            let weighed = weighed.and_then(|()| self.weigh_turns(&pose, &known));
             weighed.ok_or_else(|| IdentifyError::Covariance {
                 what: format!("pose {}", self.rows[pose[0]].pose),
             })?;
@@ -358,8 +410,10 @@ impl CalibrationProblem {
         Ok(())
     }
 
-    /// Weighs the observations as if none stated its noise: alike in all directions, and each by itself.
-    pub(super) fn weigh_alike(&mut self) {
+    /// Weighs the observations as if none stated its noise: alike in all directions, and each by itself; orientations so that they count as much
+    /// as positions in the `residuals` (m and rad).
+    pub(super) fn weigh_alike(&mut self, residuals: &nalgebra::DVector<f64>) {
+        self.weigh_turns_alike(UNSTATED_SIGMA / self.lever(residuals));
         self.start = None;
         self.joined.clear();
         for row in &mut self.rows {
@@ -409,19 +463,18 @@ impl CalibrationProblem {
         (position > 0.0).then_some(isotropic).into_iter().chain(self.stated_actuators.clone()).collect()
     }
 
-    /// What observations of one pose share, m²; `None` where they share nothing.
-    fn common_covariance(&self, observations: &[usize]) -> Option<DMatrix<f64>> {
+    /// What blocks of one pose share, m² (of orientations rad²); `None` where they share nothing.
+    pub(super) fn common_covariance(&self, blocks: &[usize]) -> Option<DMatrix<f64>> {
         let found = self.noise.machine.iter().filter(|machine| !machine.is_none());
-        let parts =
-            self.stated_actuators.iter().chain(found).map(|machine| self.common(observations, machine));
+        let parts = self.stated_actuators.iter().chain(found).map(|machine| self.common(blocks, machine));
         parts.reduce(|sum, part| sum + part)
     }
 
-    /// What some noise of the machine gives observations of one pose, in the trackers' axes, m².
-    fn common(&self, observations: &[usize], machine: &MachineNoise) -> DMatrix<f64> {
-        let size = 3 * observations.len();
+    /// What some noise of the machine gives blocks of one pose, in the trackers' axes, m² (of orientations rad²).
+    fn common(&self, blocks: &[usize], machine: &MachineNoise) -> DMatrix<f64> {
+        let size = 3 * blocks.len();
         let mut spread = DMatrix::zeros(size, 3 + machine.actuators.len());
-        self.fill_motions(observations, spread.as_view_mut());
+        self.fill_motions(blocks, spread.as_view_mut());
         let sigmas = std::iter::repeat_n(&machine.position, 3).chain(&machine.actuators);
         for (mut column, sigma) in spread.column_iter_mut().zip(sigmas) {
             column *= *sigma;
@@ -429,22 +482,29 @@ impl CalibrationProblem {
         &spread * spread.transpose()
     }
 
-    /// How observations of one pose move, in the trackers' axes, with the flange along each axis, and then by as many actuators as there are
-    /// columns left.
-    fn fill_motions(&self, observations: &[usize], mut shapes: DMatrixViewMut<'_, f64>) {
-        for (k, i) in observations.iter().enumerate() {
-            let axes = self.stations[self.rows[*i].station].rotation;
-            shapes.fixed_view_mut::<3, 3>(3 * k, 0).copy_from(axes.matrix());
+    /// How blocks of one pose move, in the trackers' axes, with the flange along each axis, and then by as many actuators as there are columns
+    /// left. Orientations turn with the actuators alone.
+    fn fill_motions(&self, blocks: &[usize], mut shapes: DMatrixViewMut<'_, f64>) {
+        for (k, block) in blocks.iter().enumerate() {
+            let (observation, turn) = self.owner(*block);
+            let axes = self.stations[self.rows[observation].station].rotation;
+            let motions = match turn {
+                Some(turn) => &self.turn_motions[turn],
+                None => {
+                    shapes.fixed_view_mut::<3, 3>(3 * k, 0).copy_from(axes.matrix());
+                    &self.motions[observation]
+                }
+            };
             let columns = 3..shapes.ncols();
-            for (column, motion) in columns.zip(&self.motions[*i]) {
+            for (column, motion) in columns.zip(motions) {
                 shapes.fixed_view_mut::<3, 1>(3 * k, column).copy_from(&(axes * motion));
             }
         }
     }
 
-    /// Residuals and Jacobian of a solution with the observations in metres, in the trackers' axes; priors as they are.
+    /// Residuals and Jacobian of a solution with the observations in metres and rad, in the trackers' axes; priors as they are.
     pub(super) fn metres(&mut self, solution: &Solution) -> (nalgebra::DVector<f64>, DMatrix<f64>) {
-        if solution.weights.is_empty() && self.joined.is_empty() {
+        if solution.weights.is_empty() && self.joined.is_empty() && self.turns.is_empty() {
             self.unweighed(solution)
         } else {
             self.in_metres(&solution.x)
@@ -494,6 +554,7 @@ impl CalibrationProblem {
             .map(|row| std::mem::replace(&mut row.whitening, Matrix3::identity()))
             .collect();
         let joined = std::mem::take(&mut self.joined);
+        let turn_whitening = std::mem::take(&mut self.turn_whitening);
         let mut residuals = nalgebra::DVector::zeros(self.rows());
         let mut jacobian = DMatrix::zeros(self.rows(), self.parameters());
         self.start = None;
@@ -502,6 +563,7 @@ impl CalibrationProblem {
             row.whitening = whitening;
         }
         self.joined = joined;
+        self.turn_whitening = turn_whitening;
         (residuals, jacobian)
     }
 }

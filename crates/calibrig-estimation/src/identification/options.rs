@@ -1,7 +1,7 @@
 //! What to fit, and how.
 
 use super::{IdentifyError, Loss, LossScale, MachineNoiseChoice, Mode, ParameterBound, SolverOptions};
-use calibrig_model::measurement::{Station, Target};
+use calibrig_model::measurement::{MeasurementSet, Station, Target, TargetOrientation};
 use calibrig_model::{BodyUncertainty, Compliance, ParameterId, Unit};
 use serde::{Deserialize, Serialize};
 
@@ -21,10 +21,11 @@ pub enum FrameChoice {
 
 /// Whether a station has nests enough to be placed by them.
 pub(super) fn is_placed(station: &Station) -> bool {
-    station.nests.len() >= 3
+    station.distinct_nests().len() >= 3
 }
 
-/// What is known of the target's offset.
+/// What is known of the target's offset. How a target with axes is turned on the flange is a prior where an uncertainty of it is stated, else
+/// identified; with [`Identified`](Self::Identified) and [`Fixed`](Self::Fixed) as they say.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum TargetChoice {
     /// What the set says of each target: [`Measured`](Self::Measured) where it states an uncertainty, else [`Identified`](Self::Identified).
@@ -58,6 +59,15 @@ impl TargetChoice {
             choice => choice,
         }
     }
+
+    /// The choice for how one target is turned on the flange: an offset can have been measured without it.
+    pub(super) fn of_orientation(self, orientation: &TargetOrientation) -> Self {
+        match self {
+            Self::AsStated | Self::Measured if orientation.covariance.is_some() => Self::Measured,
+            Self::AsStated | Self::Measured => Self::Identified,
+            choice => choice,
+        }
+    }
 }
 
 /// What of a set ties the robot's ends: without it, only what does not depend on them can be told.
@@ -67,6 +77,18 @@ pub(super) struct Freedom {
     pub frame: bool,
     /// No target's offset is known.
     pub target: bool,
+    /// Of targets that are seen with their orientation, that of none is known how it is turned on the flange; `None` where all are points.
+    pub orientation: Option<bool>,
+}
+
+/// What becomes of the errors that an instrument's readings share.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum InstrumentChoice {
+    /// Those that the set states of a station's instrument are identified, with what is stated as a prior.
+    #[default]
+    AsStated,
+    /// There are none: every reading errs by itself.
+    Ignored,
 }
 
 /// Which link parameters are identified.
@@ -180,7 +202,10 @@ pub struct IdentificationOptions {
     pub frame: FrameChoice,
     /// The target's offset.
     pub target: TargetChoice,
-    /// Standard deviation of what the model leaves out, per axis, m; added to the readings' covariance. A stated choice.
+    /// Errors that the readings of an instrument share.
+    pub instrument: InstrumentChoice,
+    /// Standard deviation of what the model leaves out, per axis, m; added to the readings' covariance. A stated choice, of places: what
+    /// orientations scatter by beside their readings is found where the residuals ask for it.
     pub unmodelled_sigma: f64,
     /// What the machine does beside its model, pose by pose.
     pub machine_noise: MachineNoiseChoice,
@@ -206,6 +231,7 @@ impl Default for IdentificationOptions {
             parameters: ParameterChoice::Complete,
             frame: FrameChoice::AsStated,
             target: TargetChoice::AsStated,
+            instrument: InstrumentChoice::AsStated,
             tolerance: Some(DEFAULT_TOLERANCE),
             ..Self::published()
         }
@@ -235,6 +261,7 @@ impl IdentificationOptions {
             redundant: Redundancy::default(),
             frame: FrameChoice::Nests,
             target: TargetChoice::Measured,
+            instrument: InstrumentChoice::AsStated,
             unmodelled_sigma: 0.0,
             machine_noise: MachineNoiseChoice::AsNeeded,
             tolerance: None,
@@ -282,12 +309,24 @@ impl IdentificationOptions {
     pub(super) fn freedom(&self, stations: &[Station], targets: &[Target]) -> Freedom {
         let free = |station: &Station| self.frame.of(station) == FrameChoice::Free;
         let identified = |target: &Target| self.target.of(target) == TargetChoice::Identified;
-        Freedom { frame: stations.iter().all(free), target: targets.iter().all(identified) }
+        let mut turned = targets.iter().filter_map(|target| target.orientation.as_ref()).peekable();
+        let unknown = |o: &TargetOrientation| self.target.of_orientation(o) == TargetChoice::Identified;
+        Freedom {
+            frame: stations.iter().all(free),
+            target: targets.iter().all(identified),
+            orientation: turned.peek().is_some().then(|| turned.all(unknown)),
+        }
+    }
+
+    /// The same of a set, of whose targets only readings tell whether their orientation is seen.
+    pub(super) fn freedom_in(&self, set: &MeasurementSet) -> Freedom {
+        let free = self.freedom(&set.stations, &set.targets);
+        Freedom { orientation: free.orientation.filter(|_| set.has_poses()), ..free }
     }
 
     /// Coordinates that are fixed by name in target 0, and so in all that have no target of their own by name.
     pub(super) fn fixed_of_all_targets(&self) -> Vec<ParameterId> {
-        let axes = ParameterId::all_of_target(0).into_iter();
+        let axes = ParameterId::all_of_target(0).into_iter().chain(ParameterId::all_of_orientation(0));
         axes.filter(|id| self.fix.contains(id)).collect()
     }
 

@@ -1,6 +1,7 @@
 //! The parameters of a mode, and what is known of each beforehand.
 
-use super::options::Freedom;
+use super::instrument::parameters_of;
+use super::options::{Freedom, InstrumentChoice};
 use super::{
     ComplianceChoice, DependentGroup, FrameChoice, IdentifiabilityReport, IdentificationOptions,
     IdentifyError, LINKAGE, Mode, ParameterChoice, UNKNOWN_STIFFNESS, complete_set_by_name, dependent_ends,
@@ -93,7 +94,12 @@ pub(super) fn candidate_parameters(
         ids.extend((0..stations.len()).flat_map(ParameterId::all_of_frame));
     }
     let of_targets = (0..targets.len()).flat_map(ParameterId::all_of_target);
-    ids.extend(of_targets.filter(|id| options.fits_target(*id)));
+    let turned = targets.iter().enumerate().filter(|(_, target)| target.orientation.is_some());
+    let of_orientations = turned.flat_map(|(target, _)| ParameterId::all_of_orientation(target));
+    ids.extend(of_targets.chain(of_orientations).filter(|id| options.fits_target(*id)));
+    if options.instrument == InstrumentChoice::AsStated {
+        ids.extend(parameters_of(stations).into_iter().filter(|id| !options.fix.contains(id)));
+    }
     Ok(ids)
 }
 
@@ -108,17 +114,12 @@ fn links(
     let fixed_ends = options.fixed_of_all_targets();
     let fix: Vec<_> =
         options.fix.iter().copied().filter(|id| matches!(id, ParameterId::Link { .. })).collect();
-    let ends = || dependent_ends(model, free.frame, free.target, &fixed_ends);
+    let ends = || dependent_ends(model, free, &fixed_ends);
     let (mut chosen, redundant_ends) = match choice {
         ParameterChoice::NeighbourAxisRules => (neighbour_axis_rules(&model.kinematics).0, ends()?),
         ParameterChoice::Complete => {
-            let IdentifiabilityReport { mut selected, mut dependent, .. } = complete_set_by_name(
-                model,
-                free.frame,
-                free.target,
-                &[fix.as_slice(), &fixed_ends].concat(),
-                &options.free,
-            )?;
+            let IdentifiabilityReport { mut selected, mut dependent, .. } =
+                complete_set_by_name(model, free, &[fix.as_slice(), &fixed_ends].concat(), &options.free)?;
             selected.retain(|id| matches!(id, ParameterId::Link { .. }));
             dependent.retain(|group| !matches!(group.redundant, ParameterId::Link { .. }));
             (selected, dependent)

@@ -6,7 +6,7 @@ use super::options::is_placed;
 use super::{DependentGroup, FrameChoice, IdentificationOptions, IdentifyError, TargetChoice};
 use crate::kinematics::{forward_kinematics, nominal_joints, target};
 use calibrig_model::geometry::{Transform, best_fit_transform};
-use calibrig_model::measurement::{MeasurementSet, register};
+use calibrig_model::measurement::{MeasurementSet, Observation, Reading, TargetOrientation, register};
 use calibrig_model::{CalibrationModel, ParameterId};
 
 /// Which components of free stations and unknown targets are parameters of the fit.
@@ -16,6 +16,8 @@ pub(super) struct Ends {
     pub frame_components: [bool; 6],
     /// Of every target.
     pub target_axes: Vec<[bool; 3]>,
+    /// Of how every target is turned on the flange.
+    pub orientation_axes: Vec<[bool; 3]>,
     /// The others.
     pub fixed: Vec<DependentGroup>,
 }
@@ -27,20 +29,28 @@ impl Ends {
         let mut ends = Self {
             frame_components: [true; 6],
             target_axes: vec![[true; 3]; set.targets.len()],
+            orientation_axes: vec![[true; 3]; set.targets.len()],
             fixed: Vec::new(),
         };
         for id in &options.fix {
-            if let ParameterId::Target { target, axis } = *id
-                && let Some(axes) = ends.target_axes.get_mut(target)
-                && let Some(told) = axes.get_mut(axis)
-            {
+            let told = match *id {
+                ParameterId::Target { target, axis } => {
+                    ends.target_axes.get_mut(target).and_then(|axes| axes.get_mut(axis))
+                }
+                ParameterId::Orientation { target, axis } => {
+                    ends.orientation_axes.get_mut(target).and_then(|axes| axes.get_mut(axis))
+                }
+                _ => None,
+            };
+            if let Some(told) = told {
                 *told = false;
             }
         }
         if redundant.is_empty() {
             return ends;
         }
-        let firsts = firsts(set);
+        let firsts_of_poses = firsts(set, |o| matches!(o.reading, Reading::Pose(_)));
+        let firsts = firsts(set, |_| true);
         for group in redundant {
             match group.redundant {
                 ParameterId::Frame { component, .. } => {
@@ -58,6 +68,18 @@ impl Ends {
                         }
                     }
                 }
+                ParameterId::Orientation { axis, .. } => {
+                    for (target, station) in &firsts_of_poses {
+                        let orientation = set.targets[*target].orientation.as_ref();
+                        let is_unknown = |o: &TargetOrientation| {
+                            options.target.of_orientation(o) == TargetChoice::Identified
+                        };
+                        if orientation.is_some_and(is_unknown) {
+                            ends.orientation_axes[*target][axis] = false;
+                            ends.fixed.push(of(group, *station, *target));
+                        }
+                    }
+                }
                 _ => {}
             }
         }
@@ -70,6 +92,7 @@ fn of(group: &DependentGroup, station: usize, target: usize) -> DependentGroup {
     let id = |id: ParameterId| match id {
         ParameterId::Frame { component, .. } => ParameterId::Frame { station, component },
         ParameterId::Target { axis, .. } => ParameterId::Target { target, axis },
+        ParameterId::Orientation { axis, .. } => ParameterId::Orientation { target, axis },
         other => other,
     };
     DependentGroup {
@@ -79,17 +102,18 @@ fn of(group: &DependentGroup, station: usize, target: usize) -> DependentGroup {
     }
 }
 
-/// Of all measured targets that stations tie to each other, the first, with a station that saw it.
-fn firsts(set: &MeasurementSet) -> Vec<(usize, usize)> {
+/// Of all targets that the `looked` at observations are of and that stations tie to each other, the first, with a station that saw it.
+fn firsts(set: &MeasurementSet, looked: impl Fn(&Observation) -> bool) -> Vec<(usize, usize)> {
+    let observations: Vec<&Observation> = set.observations.iter().filter(|o| looked(o)).collect();
     let mut first: Vec<usize> = (0..set.targets.len()).collect();
     let mut seen_by: Vec<Option<usize>> = vec![None; set.targets.len()];
-    for observation in &set.observations {
+    for observation in &observations {
         seen_by[observation.target].get_or_insert(observation.station);
     }
     // As many rounds as there are links in the longest row of targets.
     for _ in 0..set.targets.len() {
         for station in 0..set.stations.len() {
-            let targets = || set.observations.iter().filter(|o| o.station == station).map(|o| o.target);
+            let targets = || observations.iter().filter(|o| o.station == station).map(|o| o.target);
             let Some(least) = targets().map(|target| first[target]).min() else { continue };
             targets().for_each(|target| first[target] = least);
         }
@@ -155,7 +179,7 @@ pub(super) fn starting_offsets(
     }
     let axes = |(target, axes): (usize, &[bool; 3])| axes.map(|told| told && unknown[target]);
     let told: Vec<[bool; 3]> = told.iter().enumerate().map(axes).collect();
-    let flanges = Flanges::new(model, set);
+    let flanges = Flanges(flanges(model, set));
     let (seen, nominal) = flanges.spreads(set, &stated);
     if nominal > HARDLY_MOVES * seen {
         return stated;
@@ -176,17 +200,18 @@ pub(super) fn starting_offsets(
 /// `base_from_flange` of the nominal robot at every observation.
 struct Flanges(Vec<Transform>);
 
-impl Flanges {
-    fn new(model: &CalibrationModel, set: &MeasurementSet) -> Self {
-        let mut joints = vec![0.0; model.kinematics.joint_count()];
-        let flange = |command: &[f64]| {
-            let _ = nominal_joints(model, command, &mut joints);
-            // Commands have been checked.
-            forward_kinematics(&model.kinematics, &joints).unwrap_or_else(|_| Transform::identity())
-        };
-        Self(set.observations.iter().map(|o| o.command.as_slice()).map(flange).collect())
-    }
+/// `base_from_flange` of the nominal robot at every observation.
+pub(super) fn flanges(model: &CalibrationModel, set: &MeasurementSet) -> Vec<Transform> {
+    let mut joints = vec![0.0; model.kinematics.joint_count()];
+    let flange = |command: &[f64]| {
+        let _ = nominal_joints(model, command, &mut joints);
+        // Commands have been checked.
+        forward_kinematics(&model.kinematics, &joints).unwrap_or_else(|_| Transform::identity())
+    };
+    set.observations.iter().map(|o| o.command.as_slice()).map(flange).collect()
+}
 
+impl Flanges {
     /// Root mean square distances of seen and nominal points from their middle, the widest of the stations.
     fn spreads(&self, set: &MeasurementSet, offsets: &[Vector3<f64>]) -> (f64, f64) {
         let of = |station: usize| {

@@ -6,6 +6,7 @@ use super::LeastSquares;
 use super::linearisation::Whitening;
 use super::machine::{Machine, MachineError, Prepared};
 use super::noise::{ActuatorMotions, MachineNoise, Noise};
+use super::turns::{TurnRow, TurnWhitening};
 use crate::elastostatics::put;
 use calibrig_model::geometry::{Transform, cross_matrix, small_displacement};
 use calibrig_model::measurement::MeasurementSet;
@@ -27,17 +28,23 @@ pub(super) struct Row {
     pub reading: Option<Matrix3<f64>>,
     /// Inverse Cholesky factor of its covariance: turns a difference in metres into standard deviations.
     pub whitening: Matrix3<f64>,
+    /// Of every error of its instrument that is a parameter, and of its drift, the column and what a unit of it displaces, m in the tracker's axes.
+    pub instrument: Vec<(usize, Vector3<f64>)>,
+    /// Since its station was placed by nests, h.
+    pub hours: f64,
     pub station: usize,
     pub target: usize,
 }
 
-/// A Gaussian prior on consecutive parameters, zero mean.
+/// A Gaussian prior on some parameters x: its rows are `whitening · x + offset`.
 #[derive(Debug, Clone)]
 pub(super) struct Prior {
-    /// Column of its first parameter.
-    pub column: usize,
-    /// Inverse Cholesky factor of its covariance.
+    /// Columns of its parameters.
+    pub columns: Vec<usize>,
+    /// Triangular: the inverse Cholesky factor of their covariance, or the factor of the measurements that told it.
     pub whitening: DMatrix<f64>,
+    /// One a row: zero, unless the prior's mean is not.
+    pub offset: DVector<f64>,
 }
 
 /// Observations, priors and the model that joins them. All memory is taken when it is made; [`evaluate`](LeastSquares::evaluate)
@@ -48,7 +55,10 @@ pub(super) struct CalibrationProblem {
     pub parameters: Vec<ParameterId>,
     /// In blocks of three coordinates, the first rows of the system.
     pub rows: Vec<Row>,
-    /// The next rows: nests and targets.
+    /// The next blocks of three rows: orientations, and of every observation which of them is its own.
+    pub turns: Vec<TurnRow>,
+    pub turn_of: Vec<Option<usize>>,
+    /// Behind the observations: nests and targets.
     pub priors: Vec<Prior>,
     /// The next rows: (column, one over the standard deviation) of parameters with a prior of their own that is not the links' tolerance.
     pub own_priors: Vec<(usize, f64)>,
@@ -60,10 +70,14 @@ pub(super) struct CalibrationProblem {
     pub stations: Vec<Transform>,
     /// Offsets that the target parameters change.
     pub targets: Vec<Vector3<f64>>,
+    /// `flange_from_target` that the orientation parameters change.
+    pub orientations: Vec<Rotation3<f64>>,
     /// The observations of every pose.
     pub poses: Vec<Vec<usize>>,
     /// Of every observation, its target's derivatives by the actuators in the base frame; empty where no noise of actuators is looked at.
     pub motions: Vec<Vec<Vector3<f64>>>,
+    /// The same of every orientation: how the actuators turn it.
+    pub turn_motions: Vec<Vec<Vector3<f64>>>,
     /// Standard deviation of what the model leaves out, stated for every reading, m.
     pub unmodelled: f64,
     /// What the options state of the actuators.
@@ -72,6 +86,8 @@ pub(super) struct CalibrationProblem {
     pub noise: Noise,
     /// Poses whose observations depend on each other, with the inverse Cholesky factor of their covariance, once each is whitened by itself.
     pub joined: Vec<(Vec<usize>, DMatrix<f64>)>,
+    /// What takes orientations to standard deviations, pose by pose.
+    pub turn_whitening: Vec<TurnWhitening>,
     pub current: Current,
     /// What is known already, until it is asked for.
     pub start: Option<Start>,
@@ -91,17 +107,22 @@ pub(super) struct Current {
     pub model: CalibrationModel,
     pub stations: Vec<Transform>,
     pub targets: Vec<Vector3<f64>>,
-    displacements: Vec<Displacement>,
+    /// `flange_from_target`, and how far each is displaced.
+    pub orientations: Vec<Rotation3<f64>>,
+    pub(super) turned: Vec<Vector3<f64>>,
+    pub(super) displacements: Vec<Displacement>,
     amplitudes: Vec<f64>,
+    /// Errors of the instruments by the parameters' columns; empty where none is one.
+    pub(super) errors: Vec<f64>,
     pub machine: Machine,
 }
 
 /// How a station's frame is displaced.
 #[derive(Debug, Clone, Copy)]
-struct Displacement {
+pub(super) struct Displacement {
     xi: Vector6<f64>,
     rotation: Rotation3<f64>,
-    left: Matrix3<f64>,
+    pub left: Matrix3<f64>,
 }
 
 impl Displacement {
@@ -118,13 +139,17 @@ impl Current {
         machine: Machine,
         stations: &[Transform],
         targets: &[Vector3<f64>],
+        orientations: &[Rotation3<f64>],
     ) -> Self {
         Self {
+            orientations: orientations.to_vec(),
+            turned: vec![Vector3::zeros(); orientations.len()],
             model: nominal.clone(),
             stations: stations.to_vec(),
             targets: targets.to_vec(),
             displacements: vec![Displacement::new(Vector6::zeros()); stations.len()],
             amplitudes: Vec::new(),
+            errors: Vec::new(),
             machine,
         }
     }
@@ -135,15 +160,22 @@ impl CalibrationProblem {
     pub fn set(&mut self, x: &[f64]) {
         let now = &mut self.current;
         now.targets.copy_from_slice(&self.targets);
+        now.turned.fill(Vector3::zeros());
         for displacement in &mut now.displacements {
             displacement.xi.fill(0.0);
         }
         now.amplitudes.clear();
+        now.errors.clear();
+        if self.rows.iter().any(|row| !row.instrument.is_empty()) {
+            now.errors.extend_from_slice(x);
+        }
         for (id, &value) in self.parameters.iter().zip(x) {
             match *id {
                 ParameterId::Frame { station, component } => now.displacements[station].xi[component] = value,
                 ParameterId::Target { target, axis } => now.targets[target][axis] += value,
+                ParameterId::Orientation { target, axis } => now.turned[target][axis] = value,
                 ParameterId::Term(_) => now.amplitudes.push(value),
+                ParameterId::Instrument { .. } | ParameterId::Drift { .. } => {}
                 ParameterId::Link { .. }
                 | ParameterId::Compliance(_)
                 | ParameterId::Mass { .. }
@@ -152,6 +184,11 @@ impl CalibrationProblem {
             }
         }
         now.machine.set_model(&now.model, now.amplitudes.iter().copied());
+        let turned = self.orientations.iter().zip(&now.turned);
+        for (orientation, (origin, turned)) in now.orientations.iter_mut().zip(turned) {
+            *orientation =
+                if *turned == Vector3::zeros() { *origin } else { origin * Rotation3::new(*turned) };
+        }
         let stations = now.stations.iter_mut().zip(&self.stations);
         for ((station, origin), displacement) in stations.zip(&mut now.displacements) {
             *station = origin * small_displacement(&displacement.xi);
@@ -169,7 +206,7 @@ impl CalibrationProblem {
         self.start = Some(Start { x: x.to_vec(), residuals, jacobian });
     }
 
-    /// Takes rows of observations in metres, in the trackers' axes, to the rows that the fit has.
+    /// Takes rows of observations in metres and rad, in the trackers' axes, to the rows that the fit has.
     pub fn whiten(&self, residuals: &mut DVector<f64>, jacobian: &mut DMatrix<f64>) {
         for (i, row) in self.rows.iter().enumerate() {
             let own = row.whitening * residuals.fixed_rows::<3>(3 * i);
@@ -182,6 +219,7 @@ impl CalibrationProblem {
             }
         }
         self.whiten_joined(residuals, Some(jacobian));
+        self.whiten_turns(residuals, Some(jacobian));
     }
 
     fn whiten_joined(&self, residuals: &mut DVector<f64>, mut jacobian: Option<&mut DMatrix<f64>>) {
@@ -200,6 +238,10 @@ impl CalibrationProblem {
         let now = &mut self.current;
         let placed = now.machine.place(&row.told);
         let ready = placed.and_then(|()| now.machine.differentiate(&now.targets[row.target], &row.told));
+        let ready = match self.turn_of[index] {
+            Some(_) => ready.and_then(|()| now.machine.differentiate_turn(&row.told)),
+            None => ready,
+        };
         ready.err().map(|error| (row.pose, error))
     }
 
@@ -214,6 +256,8 @@ impl CalibrationProblem {
         let mut motions = ActuatorMotions::new(&self.nominal);
         let at = |index: usize| targets.get(index).copied().unwrap_or_default();
         self.motions = set.observations.iter().map(|o| motions.at(&o.command, &at(o.target))).collect();
+        let turned = self.turns.iter().map(|turn| motions.turns(&set.observations[turn.observation].command));
+        self.turn_motions = turned.collect();
     }
 
     /// The same with the targets of the parameters `x`.
@@ -226,7 +270,7 @@ impl CalibrationProblem {
     /// Rows of observations, nests and targets.
     pub fn measured_rows(&self) -> usize {
         let priors: usize = self.priors.iter().map(|p| p.whitening.nrows()).sum();
-        3 * self.rows.len() + priors
+        self.data_rows() + priors
     }
 
     fn fill_observation(
@@ -248,7 +292,10 @@ impl CalibrationProblem {
         }
         let in_base = now.machine.target(target);
         let tracker_from_base = &now.stations[row.station];
-        let predicted = tracker_from_base.rotation * in_base + tracker_from_base.translation.vector;
+        let mut predicted = tracker_from_base.rotation * in_base + tracker_from_base.translation.vector;
+        for (column, displacement) in &row.instrument {
+            predicted += displacement * now.errors[*column];
+        }
         residuals.fixed_rows_mut::<3>(3 * index).copy_from(&(row.whitening * (predicted - row.seen)));
         let Some(jacobian) = jacobian else { return };
         let from_base = row.whitening * tracker_from_base.rotation.matrix();
@@ -269,6 +316,9 @@ impl CalibrationProblem {
             };
             jacobian.fixed_view_mut::<3, 1>(3 * index, column).copy_from(&derivative);
         }
+        for (column, displacement) in &row.instrument {
+            jacobian.fixed_view_mut::<3, 1>(3 * index, *column).copy_from(&(row.whitening * displacement));
+        }
     }
 
     /// Readings that state no noise, among others that do, where they are too few to tell a gross error of theirs from noise: with the factor
@@ -288,15 +338,19 @@ impl CalibrationProblem {
     }
 
     fn fill_priors(&self, x: &[f64], residuals: &mut DVector<f64>, mut jacobian: Option<&mut DMatrix<f64>>) {
-        let mut first = 3 * self.rows.len();
+        let mut first = self.data_rows();
         for prior in &self.priors {
             let n = prior.whitening.nrows();
             for i in 0..n {
-                residuals[first + i] = (0..n).map(|j| prior.whitening[(i, j)] * x[prior.column + j]).sum();
+                let columns = prior.columns.iter().enumerate();
+                let row = columns.map(|(j, column)| prior.whitening[(i, j)] * x[*column]);
+                residuals[first + i] = row.sum::<f64>() + prior.offset[i];
             }
             if let Some(jacobian) = jacobian.as_deref_mut() {
                 jacobian.rows_mut(first, n).fill(0.0);
-                jacobian.view_mut((first, prior.column), (n, n)).copy_from(&prior.whitening);
+                for (j, column) in prior.columns.iter().enumerate() {
+                    jacobian.view_mut((first, *column), (n, 1)).copy_from(&prior.whitening.column(j));
+                }
             }
             first += n;
         }
@@ -325,7 +379,14 @@ impl LeastSquares for CalibrationProblem {
     }
 
     fn blocks(&self) -> usize {
-        self.rows.len()
+        self.rows.len() + self.turns.len()
+    }
+
+    fn partner(&self, block: usize) -> usize {
+        match self.owner(block) {
+            (observation, Some(_)) => observation,
+            (observation, None) => self.turn_of[observation].map_or(block, |turn| self.turn_block(turn)),
+        }
     }
 
     fn evaluate(&mut self, x: &[f64], residuals: &mut DVector<f64>, mut jacobian: Option<&mut DMatrix<f64>>) {
@@ -338,8 +399,10 @@ impl LeastSquares for CalibrationProblem {
         }
         for index in 0..self.rows.len() {
             self.fill_observation(index, residuals, jacobian.as_deref_mut());
+            self.fill_turn(index, residuals, jacobian.as_deref_mut());
         }
         self.whiten_joined(residuals, jacobian.as_deref_mut());
+        self.whiten_turns(residuals, jacobian.as_deref_mut());
         self.fill_priors(x, residuals, jacobian);
     }
 }
@@ -359,7 +422,7 @@ pub(super) fn whiten_together(pose: &[usize], whitening: &DMatrix<f64>, columns:
     }
 }
 
-/// Change of `target` at `in_base` per unit of a parameter, in the base frame; zero for the tracker's place and for other targets. `term`
+/// Change of `target` at `in_base` per unit of a parameter, in the base frame; zero for the tracker's place and errors, and for other targets. `term`
 /// counts the terms that were asked for.
 pub(super) fn in_base_column(
     machine: &Machine,
@@ -369,7 +432,10 @@ pub(super) fn in_base_column(
     term: &mut usize,
 ) -> Vector3<f64> {
     match id {
-        ParameterId::Frame { .. } => Vector3::zeros(),
+        ParameterId::Frame { .. }
+        | ParameterId::Orientation { .. }
+        | ParameterId::Instrument { .. }
+        | ParameterId::Drift { .. } => Vector3::zeros(),
         ParameterId::Target { target: other, .. } if other != target => Vector3::zeros(),
         ParameterId::Term(_) => {
             *term += 1;
@@ -385,7 +451,7 @@ pub(super) fn in_base_column(
 }
 
 /// The matrix J with `R(r + dr) ≈ exp(J dr) R(r)`.
-fn left_jacobian(r: &Vector3<f64>) -> Matrix3<f64> {
+pub(super) fn left_jacobian(r: &Vector3<f64>) -> Matrix3<f64> {
     let angle = r.norm();
     let cross = cross_matrix(r);
     // Below 1e-3 rad the series is exact to rounding, and the quotients are not.

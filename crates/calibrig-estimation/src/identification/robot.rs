@@ -1,15 +1,16 @@
 //! A robot as it was identified, and what it predicts.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Rotation3, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::machine::{Machine, MachineError, Prepared};
 use super::noise::{ActuatorMotions, MachineNoise};
-use super::problem::in_base_column;
+use super::problem::{in_base_column, left_jacobian};
+use super::turns::turn_column;
 use super::{Estimate, Mode, PositionJacobian};
-use calibrig_model::geometry::Transform;
-use calibrig_model::measurement::{MeasurementSet, Observation};
+use calibrig_model::geometry::{Transform, rotation_vector};
+use calibrig_model::measurement::{DRIFT_UNIT, InstrumentTerm, MeasurementSet, Observation, Reading};
 use calibrig_model::{CalibrationModel, Compliance, ModelError, ParameterId, PoseQuery, TermId};
 
 /// A robot as a mode believes it to be: all that is needed to predict where a target is seen.
@@ -27,6 +28,49 @@ pub struct CalibratedRobot {
     pub stations: Vec<Transform>,
     /// Offsets in the flange frame, m, one a target.
     pub targets: Vec<Vector3<f64>>,
+    /// Errors of the instrument at every station: what its readings are corrected by. Empty where none was identified.
+    pub instruments: Vec<InstrumentErrors>,
+    /// `flange_from_target`, one a target; `None` of a point.
+    #[serde(default)]
+    pub orientations: Vec<Option<Rotation3<f64>>>,
+}
+
+/// What the readings of a station are off by.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct InstrumentErrors {
+    /// Errors that they share, m, rad or 1.
+    pub shared: Vec<(InstrumentTerm, f64)>,
+    /// Motion of the station in an hour, as a displacement of the base that it sees, m and rad.
+    pub drift: Vector6<f64>,
+    /// When it stands where it was placed, s.
+    pub placed_at: f64,
+}
+
+impl InstrumentErrors {
+    /// What is displaced of a reading at a time (s) from a station at its place, m in the tracker's axes.
+    pub fn displacement(&self, reading: &Reading, time: f64, tracker_from_base: &Transform) -> Vector3<f64> {
+        let shared = self.shared.iter().map(|(term, amplitude)| reading.displaced_by(*term) * *amplitude);
+        let hours = (time - self.placed_at) / DRIFT_UNIT;
+        let seen = reading.position();
+        let drift = (0..6)
+            .map(|part| drift_displacement(part, &seen, tracker_from_base) * (self.drift[part] * hours));
+        shared.chain(drift).sum()
+    }
+}
+
+/// What a unit of a component of the base's displacement does to a point that the tracker sees at `seen`, m in the tracker's axes.
+pub(super) fn drift_displacement(
+    component: usize,
+    seen: &Vector3<f64>,
+    tracker_from_base: &Transform,
+) -> Vector3<f64> {
+    let rotation = &tracker_from_base.rotation;
+    let axis = Vector3::ith(component % 3, 1.0);
+    if component < 3 {
+        return rotation * axis;
+    }
+    let in_base = rotation.inverse() * (seen - tracker_from_base.translation.vector);
+    rotation * axis.cross(&in_base)
 }
 
 impl CalibratedRobot {
@@ -40,7 +84,14 @@ impl CalibratedRobot {
             rotation.into_iter().chain(station.translation.vector.iter().copied().collect::<Vec<_>>())
         };
         let stations = self.stations.iter().flat_map(placed).map(|v| ("a place of stations", v));
-        terms.chain(targets).chain(stations)
+        let of_station = |own: &InstrumentErrors| {
+            let shared = own.shared.iter().map(|(_, value)| *value);
+            shared.chain(own.drift.iter().copied()).chain([own.placed_at]).collect::<Vec<_>>()
+        };
+        let errors = self.instruments.iter().flat_map(of_station).map(|v| ("an error of instruments", v));
+        let turned = self.orientations.iter().flatten().flat_map(|rotation| rotation.matrix().iter());
+        let turned = turned.map(|v| ("an orientation of targets", *v));
+        terms.chain(targets).chain(stations).chain(turned).chain(errors)
     }
 
     /// Whether a parameter is one that an estimate of this robot can have; `terms` counts the terms before it.
@@ -56,6 +107,14 @@ impl CalibratedRobot {
             ParameterId::Centre { link, axis } => link < joints && axis < 3,
             ParameterId::Frame { station, component } => station < self.stations.len() && component < 6,
             ParameterId::Target { target, axis } => target < self.targets.len() && axis < 3,
+            ParameterId::Instrument { term, .. } => {
+                let has = |own: &InstrumentErrors| own.shared.iter().any(|(known, _)| *known == term);
+                self.instruments.iter().any(has)
+            }
+            ParameterId::Drift { station, component } => station < self.instruments.len() && component < 6,
+            ParameterId::Orientation { target, axis } => {
+                self.orientations.get(target).is_some_and(Option::is_some) && axis < 3
+            }
             ParameterId::Term(term) => {
                 *terms += 1;
                 self.mode == Mode::Extended && self.terms.get(*terms - 1).is_some_and(|(own, _)| *own == term)
@@ -146,8 +205,45 @@ impl<'a> Predictor<'a> {
         let Some(tracker_from_base) = self.robot.stations.get(station) else {
             return Err(of_pose(PredictionError::Station { station, stations }));
         };
-        let seen = observation.reading.position() - tracker_from_base.translation.vector;
+        let errors = self.robot.instruments.get(station);
+        let off =
+            errors.map(|own| own.displacement(&observation.reading, observation.time, tracker_from_base));
+        let read = observation.reading.position() - off.unwrap_or_default();
+        let seen = read - tracker_from_base.translation.vector;
         Ok(tracker_from_base.rotation.inverse() * seen - self.in_base(observation).map_err(of_pose)?)
+    }
+
+    /// `base_from_target` at a pose, the axes alone; `None` for a target that is a point.
+    pub fn orientation_in_base<'q>(
+        &mut self,
+        pose: impl Into<PoseQuery<'q>>,
+    ) -> Result<Option<Rotation3<f64>>, PredictionError> {
+        let pose = pose.into();
+        self.place(&pose)?;
+        let mounted = self.robot.orientations.get(pose.target).copied().flatten();
+        Ok(mounted.map(|flange_from_target| self.machine.rotation() * flange_from_target))
+    }
+
+    /// Measured against predicted orientation: φ with `exp(φ) · predicted = measured`, in the axes of the base frame, rad. `None` for a reading
+    /// without one, or a target that is a point.
+    pub fn turn_in_base(
+        &mut self,
+        observation: &Observation,
+    ) -> Result<Option<Vector3<f64>>, PredictionError> {
+        let Reading::Pose(reading) = &observation.reading else { return Ok(None) };
+        let of_pose = |source| PredictionError::Pose { pose: observation.pose, source: Box::new(source) };
+        let (station, stations) = (observation.station, self.robot.stations.len());
+        let Some(tracker_from_base) = self.robot.stations.get(station) else {
+            return Err(of_pose(PredictionError::Station { station, stations }));
+        };
+        let predicted = self.orientation_in_base(observation).map_err(of_pose)?;
+        let seen = tracker_from_base.rotation.inverse() * reading.rotation;
+        Ok(predicted.map(|predicted| rotation_vector(&(seen * predicted.inverse()))))
+    }
+
+    /// [`turn_in_base`](Self::turn_in_base) of every observation.
+    pub fn turns(&mut self, set: &MeasurementSet) -> Result<Vec<Option<Vector3<f64>>>, PredictionError> {
+        set.observations.iter().map(|observation| self.turn_in_base(observation)).collect()
     }
 
     /// [`error_in_base`](Self::error_in_base) of every observation.
@@ -189,6 +285,27 @@ pub struct Prediction {
     pub of_machine: Matrix3<f64>,
     /// Derivative of the position with respect to the estimate's parameters, 3 x n.
     pub jacobian: PositionJacobian,
+    /// How the target is turned; `None` of a point.
+    pub orientation: Option<PredictedOrientation>,
+}
+
+/// How a target is predicted to be turned in the robot's base frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PredictedOrientation {
+    /// `base_from_target`.
+    pub rotation: Rotation3<f64>,
+    /// Covariance of the rotation vector φ in `exp(φ) · rotation`, base axes, rad²: of the parameters and of what the machine does beside its
+    /// model. `None` where the estimate has none.
+    pub covariance: Option<Matrix3<f64>>,
+    /// Derivative of φ with respect to the estimate's parameters, 3 x n.
+    pub jacobian: PositionJacobian,
+}
+
+impl PredictedOrientation {
+    /// Standard deviations about the base's axes, rad.
+    pub fn sigma(&self) -> Option<Vector3<f64>> {
+        self.covariance.map(|covariance| covariance.diagonal().map(f64::sqrt))
+    }
 }
 
 impl Prediction {
@@ -267,6 +384,53 @@ impl EstimatePredictor<'_> {
             let spread = &jacobian * factor;
             &spread * spread.transpose() + of_machine
         });
-        Ok(Prediction { position, covariance, of_machine, jacobian })
+        let orientation = self.orientation(pose, &told)?;
+        Ok(Prediction { position, covariance, of_machine, jacobian, orientation })
+    }
+
+    /// How the target of a pose is turned at which the robot was placed.
+    fn orientation(
+        &mut self,
+        pose: &PoseQuery<'_>,
+        told: &Prepared,
+    ) -> Result<Option<PredictedOrientation>, PredictionError> {
+        let mounted = self.estimate.robot.orientations.get(pose.target).copied().flatten();
+        let Some(flange_from_target) = mounted else { return Ok(None) };
+        let machine = &mut self.predictor.machine;
+        machine.differentiate_turn(told)?;
+        let parameters = &self.estimate.parameters;
+        let turned = |axis: usize| {
+            let id = ParameterId::Orientation { target: pose.target, axis };
+            self.estimate.value(id).unwrap_or(0.0)
+        };
+        let turned = Vector3::from_fn(|axis, _| turned(axis));
+        let rotation = machine.rotation() * flange_from_target;
+        // The parameters displace what was stated, and what they give is what is known now.
+        let by_target =
+            rotation.matrix() * Rotation3::new(turned).inverse().matrix() * left_jacobian(&turned);
+        let mut jacobian = PositionJacobian::zeros(parameters.len());
+        let mut term = 0;
+        for (mut column, parameter) in jacobian.column_iter_mut().zip(parameters) {
+            column.copy_from(&match parameter.id {
+                ParameterId::Orientation { target, axis } if target == pose.target => {
+                    by_target.column(axis).into_owned()
+                }
+                id => turn_column(machine, id, &mut term),
+            });
+        }
+        let factor = self.estimate.factor.as_ref().filter(|factor| factor.nrows() == parameters.len());
+        let turns = self.motions.turns(pose.command);
+        let beside = self.estimate.turn_noise.unwrap_or(0.0);
+        let of_actuators = |part: &MachineNoise| {
+            let turned = turns.iter().zip(&part.actuators).map(|(turn, sigma)| turn * *sigma);
+            turned.map(|turn| turn * turn.transpose()).sum::<Matrix3<f64>>()
+        };
+        let of_machine = Matrix3::identity() * beside * beside
+            + self.beside.iter().map(of_actuators).sum::<Matrix3<f64>>();
+        let covariance = factor.map(|factor| {
+            let spread = &jacobian * factor;
+            &spread * spread.transpose() + of_machine
+        });
+        Ok(Some(PredictedOrientation { rotation, covariance, jacobian }))
     }
 }

@@ -1,6 +1,6 @@
 //! What a solution tells: parameters, covariance, what is determined and what is not.
 
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector, Rotation3, Vector3};
 
 use super::build::Built;
 use super::contradiction::{Checks, Found, Minimum, free_columns};
@@ -8,6 +8,7 @@ use super::divided::divided;
 use super::factorised::Factorised;
 use super::gross::{GrossError, LinearFit};
 use super::identify::LEAST_OF_UNKNOWN;
+use super::instrument::Instruments;
 use super::noise::{LEAST_FREEDOM, Noise, is_doubted};
 use super::problem::CalibrationProblem;
 use super::solver::Solution;
@@ -16,7 +17,7 @@ use super::{
     LeastSquares, Mode, NoiseScale, Outlier, ParameterBound, ParameterEstimate, Spectrum, Stated,
     TargetChoice, Warning,
 };
-use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::measurement::{MeasurementSet, StatedInstrument};
 use calibrig_model::statistics::chi2_survival;
 use calibrig_model::{BodyUncertainty, ParameterId};
 
@@ -107,7 +108,7 @@ pub(super) fn summarise(
 ) -> Estimate {
     let Fitted { solution, factorised, size, stated_sigmas } = fitted;
     let Built { mut problem, sigmas, named, fixed, left_out, .. } = built;
-    let n = problem.parameters.len();
+    let (n, observations) = (problem.parameters.len(), problem.rows.len());
     let noise = noise_scale(&problem);
     let held = factorised.factors.held(&problem, options.redundant);
     let bounded = &factorised.bounded;
@@ -115,7 +116,7 @@ pub(super) fn summarise(
     let checks =
         covariance.as_ref().map(|c| Checks::new(&problem, set, &solution, c, bounded, options.frame, noise));
     let is_stated = noise == NoiseScale::Stated;
-    let accounted = problem.noise.machine.is_some();
+    let accounted = problem.noise.machine.is_some() || problem.noise.turn.is_some();
     let is_misfit = is_stated
         && !accounted
         && size.is_too_large()
@@ -158,6 +159,7 @@ pub(super) fn summarise(
         _ => None,
     });
     let terms = terms.collect();
+    let orientations = orientations(&problem, set);
     let parameter = |(i, (id, value)): (usize, (&ParameterId, &f64))| {
         let is_free = !bounded.contains(&i);
         ParameterEstimate {
@@ -177,14 +179,18 @@ pub(super) fn summarise(
             terms,
             stations: problem.current.stations,
             targets: problem.current.targets,
+            instruments: Instruments::at(set, &problem.parameters, &solution.x),
+            orientations,
         },
         assumptions,
         factor: factorised.spread().cloned(),
         covariance,
         weight_unit: weight_unit(&solution),
-        weights: solution.weights,
+        // An orientation weighs as its observation does.
+        weights: solution.weights.iter().copied().take(observations).collect(),
         noise,
         machine_noise,
+        turn_noise: problem.noise.turn,
         interval_freedom: problem.noise.freedom,
         chi2: size.chi2,
         degrees_of_freedom: size.freedom,
@@ -200,6 +206,12 @@ pub(super) fn summarise(
         outliers,
         warnings,
     }
+}
+
+/// How the targets that have axes are turned on the flange.
+fn orientations(problem: &CalibrationProblem, set: &MeasurementSet) -> Vec<Option<Rotation3<f64>>> {
+    let turned = set.targets.iter().zip(&problem.current.orientations);
+    turned.map(|(target, now)| target.orientation.as_ref().map(|_| *now)).collect()
 }
 
 /// What weights are divided by in the covariance: the rows that it is made of are those of the Jacobian times the root of the quotient.
@@ -281,7 +293,7 @@ fn gross_errors_beside_the_machine(
 ) -> Vec<Outlier> {
     let found = problem.noise.clone();
     let (mut residuals, mut jacobian) = problem.metres(solution);
-    problem.weigh_alike();
+    problem.weigh_alike(&residuals);
     problem.whiten(&mut residuals, &mut jacobian);
     let free = free_columns(&jacobian, bounded);
     let mut outliers = Vec::new();
@@ -317,55 +329,100 @@ fn gross_errors(
     let fit = LinearFit {
         jacobian: &jacobian,
         residuals: &residuals,
-        blocks: set.observations.len(),
+        blocks: problem.blocks(),
         weights: rows.weights,
         joined: &problem.joined,
         is_stated: is_stated || !few.is_empty(),
     };
     let place = |error: &GrossError| {
-        let whitening = problem.rows[error.observation].whitening;
+        let (observation, turn) = problem.owner(error.observation);
+        let weight = rows.weights.get(observation).copied().unwrap_or(1.0);
+        if let Some(turn) = turn {
+            let off = problem.turned_back(turn, &error.left_out).unwrap_or_default();
+            return FarOff { observation, size: error.size, off: Off::Turn(-off), weight };
+        }
+        let whitening = problem.rows[observation].whitening;
         let scaled = few.iter().find(|(i, _)| *i == error.observation).map_or(1.0, |(_, factor)| *factor);
         // Measured minus predicted, in the tracker's frame.
         let off = whitening.lu().solve(&-error.left_out).unwrap_or_default() / scaled;
-        (*error, off, rows.weights.get(error.observation).copied().unwrap_or(1.0))
+        FarOff { observation, size: error.size, off: Off::Place(off), weight }
     };
     // The spread is that of the rows as they were weighed.
     let spread = spread.filter(|_| few.is_empty());
     outliers(set, &fit.gross_errors(spread).iter().map(place).collect::<Vec<_>>())
 }
 
-/// Gross errors in words that a person finds in the file: the error, what the reading is off by in the tracker's frame (m), and its weight.
-pub(super) fn outliers(set: &MeasurementSet, found: &[(GrossError, Vector3<f64>, f64)]) -> Vec<Outlier> {
-    let seen = |error: &GrossError| set.observations[error.observation].reading.position();
-    let exchanged = |(error, off, _): &(GrossError, Vector3<f64>, f64)| {
-        let observation = &set.observations[error.observation];
+/// A reading that is a gross error: in which way, and what it counts for.
+pub(super) struct FarOff {
+    pub observation: usize,
+    /// In standard deviations.
+    pub size: f64,
+    pub off: Off,
+    pub weight: f64,
+}
+
+/// Measured less predicted, in the tracker's frame.
+pub(super) enum Off {
+    /// m
+    Place(Vector3<f64>),
+    /// rad
+    Turn(Vector3<f64>),
+}
+
+/// Gross errors in words that a person finds in the file; a reading of which both place and orientation are is one.
+pub(super) fn outliers(set: &MeasurementSet, found: &[FarOff]) -> Vec<Outlier> {
+    let seen = |far: &FarOff| set.observations[far.observation].reading.position();
+    let displaced = |far: &FarOff| match far.off {
+        Off::Place(off) => Some(off),
+        Off::Turn(_) => None,
+    };
+    let exchanged = |far: &FarOff| {
+        let off = displaced(far)?;
+        let observation = &set.observations[far.observation];
         // The point lies where the other's should be, and the other's where this one should be.
-        let partner = found.iter().filter(|(other, ..)| other.observation != error.observation);
-        let mut partner = partner.filter(|(other, other_off, _)| {
-            let apart = seen(error) - seen(other);
+        let others = found.iter().filter(|other| other.observation != far.observation);
+        let partner = others.filter_map(|other| Some((other, displaced(other)?)));
+        let mut partner = partner.filter(|(other, other_off)| {
+            let apart = seen(far) - seen(other);
             let near = NEAR_PARTNER * off.norm().min(other_off.norm());
             set.observations[other.observation].station == observation.station
                 && (apart - off).norm() < near
                 && (apart + other_off).norm() < near
         });
-        partner.next().map(|(other, ..)| set.observations[other.observation].pose)
+        partner.next().map(|(other, _)| set.observations[other.observation].pose)
     };
-    let outlier = |entry: &(GrossError, Vector3<f64>, f64)| {
-        let (error, off, weight) = entry;
-        let observation = &set.observations[error.observation];
+    let outlier = |far: &FarOff| {
+        let (distance, turn) = match far.off {
+            Off::Place(off) => (off.norm(), None),
+            Off::Turn(off) => (0.0, Some(off.norm())),
+        };
+        let observation = &set.observations[far.observation];
         let of_several = |name: &str, count: usize| (count > 1).then(|| name.to_owned());
         Outlier {
             pose: observation.pose,
-            observation: error.observation,
+            observation: far.observation,
             target: of_several(&set.targets[observation.target].name, set.targets.len()),
             station: of_several(&set.stations[observation.station].name, set.stations.len()),
-            distance: off.norm(),
-            size: error.size,
-            weight: *weight,
-            exchanged_with: exchanged(entry),
+            distance,
+            turn,
+            size: far.size,
+            weight: far.weight,
+            exchanged_with: exchanged(far),
         }
     };
-    found.iter().map(outlier).collect()
+    let mut told: Vec<Outlier> = Vec::new();
+    for other in found.iter().map(outlier) {
+        // Orientations come behind all places.
+        match told.iter_mut().find(|known| known.observation == other.observation) {
+            Some(known) => {
+                known.turn = known.turn.or(other.turn);
+                known.size = known.size.max(other.size);
+            }
+            None => told.push(other),
+        }
+    }
+    told.sort_by_key(|outlier| outlier.observation);
+    told
 }
 
 /// How near to each other's place two readings are that were exchanged, as a share of what they are off by.
@@ -412,7 +469,7 @@ fn assumptions(
 ) -> Vec<Assumption> {
     let mut made = Vec::new();
     for station in set.stations.iter().filter(|_| options.frame == FrameChoice::AsStated) {
-        let (name, nests) = (station.name.clone(), station.nests.len());
+        let (name, nests) = (station.name.clone(), station.distinct_nests().len());
         made.push(match options.frame.of(station) {
             FrameChoice::Free => Assumption::StationFree { station: name, nests },
             _ => Assumption::StationByNests { station: name, nests },
@@ -428,6 +485,25 @@ fn assumptions(
             }
         });
     }
+    let (instruments, _) = StatedInstrument::of_stations(&set.stations);
+    for (index, stated) in instruments.into_iter().enumerate() {
+        let is_own = |id: &&ParameterId| matches!(id, ParameterId::Instrument { instrument, .. } if *instrument == index);
+        let (name, errors) = (stated.name.clone(), parameters.iter().filter(is_own).count());
+        made.push(match errors {
+            0 => Assumption::InstrumentIgnored { name },
+            errors => Assumption::InstrumentStated { name, errors },
+        });
+    }
+    for target in set.targets.iter().filter(|_| options.target == TargetChoice::AsStated && set.has_poses()) {
+        let name = target.name.clone();
+        made.extend(target.orientation.as_ref().map(|orientation| match &orientation.covariance {
+            None => Assumption::OrientationFree { target: name },
+            Some(covariance) => {
+                let sigma = (covariance.trace() / 3.0).max(0.0).sqrt();
+                Assumption::OrientationStated { target: name, sigma }
+            }
+        }));
+    }
     made.extend(options.tolerance.map(Assumption::LinksWithin));
     if parameters.iter().any(|id| matches!(id, ParameterId::Compliance(_))) {
         made.extend(options.stiffness_unknown.then_some(Assumption::StiffnessUnknown));
@@ -438,6 +514,7 @@ fn assumptions(
         made.push(Assumption::NoiseOfResiduals { sigma });
     }
     made.extend(found.machine.clone().map(Assumption::NoiseOfMachine));
+    made.extend(found.turn.map(|sigma| Assumption::NoiseOfOrientations { sigma }));
     made
 }
 

@@ -34,12 +34,14 @@ pub(super) fn truth(
         put(&mut model, nominal, *id, *value);
     }
     CalibratedRobot {
+        instruments: Vec::new(),
         mode: Mode::Extended,
         nominal: model.clone(),
         model,
         terms,
         stations: vec![translation(5.0, 1.0, 1.5) * rotation_x(0.4)],
         targets: vec![Vector3::new(0.1, 0.15, 0.2)],
+        orientations: vec![None],
     }
 }
 

@@ -192,8 +192,8 @@ impl Uncertainty {
     }
 
     /// The influence of every observation on the estimate, from the same `jacobian` and the whitened `residuals` at the minimum; whole
-    /// observations of the data rows only; none where the Jacobian is of other parameters. Those of one of the `poses` share its errors and are
-    /// left out together; what is in none of them is a pose of its own.
+    /// blocks of the data rows only (observations, and behind them orientations); none where the Jacobian is of other parameters. Those of one of
+    /// the `poses` share its errors and are left out together; what is in none of them is a pose of its own.
     pub fn influences(
         &self,
         jacobian: &DMatrix<f64>,

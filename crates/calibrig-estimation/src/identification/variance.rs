@@ -14,8 +14,8 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 /// Observations whose errors depend on each other, and on those of no other block.
 #[derive(Debug, Clone)]
 pub(super) struct Block {
-    /// Their places in the system, three rows each.
-    pub observations: Vec<usize>,
+    /// The places of their blocks in the system, three rows each.
+    pub blocks: Vec<usize>,
     /// What of their covariance is known, m².
     pub known: DMatrix<f64>,
     /// The columns of all `Z_k` beside each other, one row a coordinate.
@@ -59,12 +59,12 @@ const LEAST: f64 = 1e-12;
 
 impl System {
     fn coordinates(&self) -> usize {
-        self.blocks.iter().map(|block| 3 * block.observations.len()).sum()
+        self.blocks.iter().map(|block| 3 * block.blocks.len()).sum()
     }
 
     /// Mean square of the residuals of those coordinates, m².
     fn mean_square(&self) -> f64 {
-        let rows = self.blocks.iter().flat_map(|block| &block.observations);
+        let rows = self.blocks.iter().flat_map(|block| &block.blocks);
         let sum: f64 = rows.map(|i| self.residuals.fixed_rows::<3>(3 * i).norm_squared()).sum();
         sum / self.coordinates() as f64
     }
@@ -200,7 +200,7 @@ impl<'a> Stacked<'a> {
         let mut blocks = Vec::with_capacity(system.blocks.len());
         let mut first = 0;
         for block in &system.blocks {
-            for (k, observation) in block.observations.iter().enumerate() {
+            for (k, observation) in block.blocks.iter().enumerate() {
                 let (from, to) = (3 * observation, first + 3 * k);
                 rows.view_mut((0, to), (n, 3)).copy_from(&transposed.columns(from, 3));
                 rows.view_mut((n, to), (1, 3)).tr_copy_from(&system.residuals.rows(from, 3));
@@ -208,7 +208,7 @@ impl<'a> Stacked<'a> {
             let (size, width) = block.shapes.shape();
             rows.view_mut((n + 1, first), (width, size)).tr_copy_from(&block.shapes);
             blocks.push(Slice { first, known: &block.known, components: &block.components });
-            first += 3 * block.observations.len();
+            first += 3 * block.blocks.len();
         }
         Self { rows, residuals: n, priors: system.prior_jacobian.select_columns(&system.free), blocks }
     }
@@ -449,7 +449,7 @@ mod tests {
             residuals.rows_mut(6 * pair, 6).copy_from(&error);
             let columns: Vec<_> = shapes.iter().flat_map(DMatrix::column_iter).collect();
             blocks.push(Block {
-                observations: vec![2 * pair, 2 * pair + 1],
+                blocks: vec![2 * pair, 2 * pair + 1],
                 known: DMatrix::identity(6, 6) * 1e-4,
                 shapes: DMatrix::from_columns(&columns),
                 components: [vec![0; 6], vec![1; 3], vec![2]].concat(),
@@ -466,7 +466,7 @@ mod tests {
         let rows = system.residuals.len();
         let mut v = DMatrix::identity(rows + 1, rows + 1);
         for block in &system.blocks {
-            let first = 3 * block.observations[0];
+            let first = 3 * block.blocks[0];
             let mut own = block.known.clone();
             for (shape, component) in block.shapes.column_iter().zip(&block.components) {
                 own += variances[*component] * shape * shape.transpose();

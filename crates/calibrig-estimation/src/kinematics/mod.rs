@@ -287,11 +287,32 @@ impl PlacedChain {
             ParameterId::Target { axis, .. } => {
                 self.base_from_flange.rotation.matrix().column(axis).into_owned()
             }
-            ParameterId::Compliance(_)
+            ParameterId::Orientation { .. }
+            | ParameterId::Compliance(_)
             | ParameterId::Mass { .. }
             | ParameterId::Centre { .. }
             | ParameterId::Linkage(_)
-            | ParameterId::Term(_) => Vector3::zeros(),
+            | ParameterId::Term(_)
+            | ParameterId::Instrument { .. }
+            | ParameterId::Drift { .. } => Vector3::zeros(),
+        }
+    }
+
+    /// How the flange turns per unit of any parameter: a rotation vector in base axes, rad per unit. Frame parameters turn the base as the
+    /// tracker sees it; those of how a target is turned on the flange are the caller's.
+    pub fn turn(&self, id: ParameterId) -> Vector3<f64> {
+        match id {
+            ParameterId::Link { link, term } => {
+                let m = &self.motions[link];
+                match term {
+                    LinkTerm::A | LinkTerm::D => Vector3::zeros(),
+                    LinkTerm::Alpha => m.x,
+                    LinkTerm::Beta => m.y,
+                    LinkTerm::Theta => m.z,
+                }
+            }
+            ParameterId::Frame { component, .. } if component >= 3 => Vector3::ith(component % 3, 1.0),
+            _ => Vector3::zeros(),
         }
     }
 }
@@ -329,7 +350,7 @@ pub fn stacked_jacobian(
     let is_foreign = |id: &&ParameterId| match id {
         ParameterId::Link { link, .. } => *link >= model.joint_count(),
         ParameterId::Frame { component, .. } => *component >= 6,
-        ParameterId::Target { axis, .. } => *axis >= 3,
+        ParameterId::Target { axis, .. } | ParameterId::Orientation { axis, .. } => *axis >= 3,
         _ => false,
     };
     if let Some(id) = parameters.iter().find(is_foreign) {
@@ -352,6 +373,34 @@ pub(crate) fn stack(
         let target = chain.target(in_flange);
         for (column, id) in parameters.iter().enumerate() {
             jacobian.fixed_view_mut::<3, 1>(3 * row, column).copy_from(&chain.column(*id, &target));
+        }
+    }
+    jacobian
+}
+
+/// The Jacobians of full poses, stacked: of each pose three rows of the target's position and three of its rotation (rotation vector in base
+/// axes, rad) times `lever` (m), so that both count alike. The target's axes are those of the flange turned by `flange_from_target`.
+pub(crate) fn stack_poses(
+    model: &KinematicModel,
+    poses: &[impl AsRef<[f64]>],
+    in_flange: &Vector3<f64>,
+    flange_from_target: &Rotation3<f64>,
+    lever: f64,
+    parameters: &[ParameterId],
+) -> DMatrix<f64> {
+    let mut chain = PlacedChain::new(model);
+    let mut jacobian = DMatrix::zeros(6 * poses.len(), parameters.len());
+    for (row, q) in poses.iter().enumerate() {
+        chain.place(q.as_ref());
+        let target = chain.target(in_flange);
+        let axes = chain.base_from_flange().rotation * flange_from_target;
+        for (column, id) in parameters.iter().enumerate() {
+            let turn = match *id {
+                ParameterId::Orientation { axis, .. } => axes.matrix().column(axis).into_owned(),
+                id => chain.turn(id),
+            };
+            jacobian.fixed_view_mut::<3, 1>(6 * row, column).copy_from(&chain.column(*id, &target));
+            jacobian.fixed_view_mut::<3, 1>(6 * row + 3, column).copy_from(&(lever * turn));
         }
     }
     jacobian
@@ -432,6 +481,34 @@ mod tests {
                 let analytic = jacobian.column(column);
                 let scale = jacobian.norm();
                 prop_assert!((analytic - difference).norm() <= 1e-7 * scale.max(1.0), "{id}: {analytic} {difference}");
+            }
+        }
+
+        /// Rotations against differences of the product of the link transforms.
+        #[test]
+        fn the_turn_of_the_flange_is_the_central_difference((model, q, target) in robot_and_pose()) {
+            let mut ids = ParameterId::all_of_links(model.joint_count());
+            ids.extend(ParameterId::all_of_frame(0));
+            ids.extend(ParameterId::all_of_orientation(0));
+            let mounted = Rotation3::new(2.0 * target);
+            let jacobian = stack_poses(&model, &[&q], &target, &mounted, 1.0, &ids);
+            let at = |id: ParameterId, delta: f64| {
+                let (mut model, mut frame, mut turn) = (model.clone(), nalgebra::Vector6::zeros(), Vector3::zeros());
+                match id {
+                    ParameterId::Link { .. } => model.add(id, delta),
+                    ParameterId::Frame { component, .. } => frame[component] = delta,
+                    ParameterId::Orientation { axis, .. } => turn[axis] = delta,
+                    _ => {}
+                }
+                let base = calibrig_model::geometry::small_displacement(&frame);
+                base.rotation * flange(&model, &q).rotation * mounted * Rotation3::new(turn)
+            };
+            let step = 1e-5;
+            for (column, id) in ids.iter().enumerate() {
+                let change = at(*id, step) * at(*id, -step).inverse();
+                let difference = calibrig_model::geometry::rotation_vector(&change) / (2.0 * step);
+                let analytic = jacobian.fixed_view::<3, 1>(3, column);
+                prop_assert!((analytic - difference).norm() <= 1e-8, "{id}: {analytic} {difference}");
             }
         }
 

@@ -116,7 +116,7 @@ fn count(model: &CalibrationModel, poses: usize, stated: bool, trials: u32) -> C
 }
 
 /// Two-sided: so seldom are as many or as few hits.
-fn p_value(hits: u64, trials: u64, p: f64) -> f64 {
+pub fn p_value(hits: u64, trials: u64, p: f64) -> f64 {
     let less = binomial_cdf(hits, trials, p);
     let more = if hits == 0 { 1.0 } else { 1.0 - binomial_cdf(hits - 1, trials, p) };
     2.0 * less.min(more)

@@ -135,13 +135,15 @@ impl Mistake<'_> {
 const WRONG_VALUE: [&str; 4] = ["invalid type", "invalid value", "invalid length", "unknown variant"];
 
 /// What keys of quantities end with.
-const UNITS: [&str; 16] = [
+const UNITS: [&str; 18] = [
     "m",
     "mm",
     "um",
     "um_per_m",
+    "m_per_m",
     "rad",
     "mrad",
+    "urad",
     "deg",
     "arcsec",
     "n",

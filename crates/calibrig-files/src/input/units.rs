@@ -9,9 +9,10 @@ use toml::de::{DeTable, DeValue};
 
 /// A unit as keys end with it, and its size in SI. Lengths in powers of ten, so that a number's decimal point can be shifted.
 const LENGTHS: [(&str, i32); 3] = [("m", 0), ("mm", -3), ("um", -6)];
-const ANGLES: [(&str, f64); 4] = [
+const ANGLES: [(&str, f64); 5] = [
     ("rad", 1.0),
     ("mrad", 1e-3),
+    ("urad", 1e-6),
     ("deg", std::f64::consts::PI / 180.0),
     ("arcsec", std::f64::consts::PI / 648_000.0),
 ];

@@ -5,7 +5,9 @@
 //! `approach1` and so on, and the uncertainty: `sigma_range_m`, `sigma_az_rad`, `sigma_el_rad` (`sigma_x_m`, `sigma_y_m`,
 //! `sigma_z_m`), or the covariance's upper triangle `cov_range_range_m2`, `cov_range_az_m_rad`, `cov_range_el_m_rad`,
 //! `cov_az_az_rad2`, `cov_az_el_rad2`, `cov_el_el_rad2` (`cov_xx_m2`, `cov_xy_m2`, `cov_xz_m2`, `cov_yy_m2`, `cov_yz_m2`,
-//! `cov_zz_m2`).
+//! `cov_zz_m2`). A full pose has beside `x_m`, `y_m`, `z_m` its rotation `tracker_from_target` by rows, `r11` to `r33`, `sigma_rx_rad`,
+//! `sigma_ry_rad`, `sigma_rz_rad` beside the sigmas of the place, or the 21 elements of both, `cov_x_rx_m_rad` and `cov_rx_rx_rad2` among them.
+//! A spherical reading may have its `face`, `front` or `back`.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -13,10 +15,11 @@ use std::sync::Arc;
 use super::layout::{TableFormat, Wanted};
 use super::table::bag::BagOptions;
 use super::text::TextFormat;
-use super::units::{AngleUnit, LengthUnit, TimeUnit};
+use super::units::{AirQuantity, AngleUnit, LengthUnit, TemperatureUnit, TimeUnit};
 use crate::input::{InputError, Source};
+use crate::rotation::{MatrixOrder, RotationForm};
 use calibrig_model::JointKind;
-use calibrig_model::measurement::SphericalReading;
+use calibrig_model::measurement::{Face, SphericalReading};
 use nalgebra::{Matrix3, Vector3};
 
 /// Which columns of a file mean what, and in which unit. The default is calibrig's own columns.
@@ -39,6 +42,8 @@ pub(super) struct Mapping {
     pub revolute: Option<AngleUnit>,
     pub prismatic: Option<LengthUnit>,
     pub position: PositionColumns,
+    /// Of a target with axes of its own, whose readings are full poses.
+    pub rotation: Option<RotationColumns>,
     pub uncertainty: Option<Uncertainty>,
     pub noise: Option<Noise>,
     pub pose: Option<Entry>,
@@ -48,6 +53,9 @@ pub(super) struct Mapping {
     /// Of times that are numbers.
     pub time_unit: TimeUnit,
     pub temperature: Option<Entry>,
+    pub temperature_unit: TemperatureUnit,
+    pub air: Vec<(AirQuantity, Entry)>,
+    pub face: Option<FaceColumn>,
     pub approach: Vec<Entry>,
     pub rows: RowChoices,
     pub sets: Sets,
@@ -112,6 +120,52 @@ pub(super) enum Uncertainty {
     },
     /// Upper triangle by rows, SI.
     Covariance([Entry; 6]),
+    /// Of position and rotation, in the tracker's axes: the upper triangle by rows, or the whole matrix. Units of lengths and angles.
+    Pose { columns: Vec<Entry>, units: (LengthUnit, AngleUnit) },
+}
+
+/// Columns with the rotation of a target that has axes of its own.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct RotationColumns {
+    pub form: RotationForm,
+    pub columns: Vec<Entry>,
+    /// Of the angles of some forms.
+    pub unit: Option<AngleUnit>,
+    /// Whether position and rotation are those of the tracker in the target's frame.
+    pub is_of_tracker: bool,
+    pub sigma: Option<RotationSigma>,
+}
+
+/// Columns with the standard deviations of a rotation about the tracker's axes.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct RotationSigma {
+    /// One about each axis, or one about every axis.
+    pub columns: Vec<Entry>,
+    pub unit: Option<AngleUnit>,
+    /// What the columns state is so many standard deviations.
+    pub coverage: f64,
+}
+
+/// The column with the face of a reading.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct FaceColumn {
+    pub column: Entry,
+    /// What stands in it of the front and of the back face.
+    pub words: [Vec<String>; 2],
+    pub angles: BackAngles,
+}
+
+/// What the angles of a back-face reading are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum BackAngles {
+    /// As the encoders show them: azimuth + 180° and 360° - zenith.
+    Raw,
+    /// Of the point, as in the front face.
+    Direction,
+    /// The same in calibrig's own columns, which may count any number of turns.
+    Own,
+    /// Found from the values.
+    Found,
 }
 
 /// Units of standard deviations, where the map states them.
@@ -127,6 +181,8 @@ pub(super) enum SigmaUnits {
 pub(super) struct Noise {
     pub range: [f64; 2],
     pub transverse: [f64; 2],
+    /// Of a rotation, about every axis, rad.
+    pub rotation: Option<f64>,
     /// Place of the instrument in the frame of the positions, m.
     pub tracker: Vector3<f64>,
 }
@@ -164,6 +220,8 @@ pub(super) struct RowChoices {
     pub missed: Vec<MissedCode>,
     pub approach_from_order: bool,
     pub average_repeats: bool,
+    /// Whether a front-face reading and a back-face one are put together.
+    pub average_faces: bool,
 }
 
 /// A mark of a missed shot.
@@ -354,6 +412,33 @@ pub(super) mod own {
     pub const CARTESIAN_SIGMA: [&str; 3] = ["sigma_x_m", "sigma_y_m", "sigma_z_m"];
     pub const CARTESIAN_COVARIANCE: [&str; 6] =
         ["cov_xx_m2", "cov_xy_m2", "cov_xz_m2", "cov_yy_m2", "cov_yz_m2", "cov_zz_m2"];
+    /// `tracker_from_target` by rows.
+    pub const ROTATION: [&str; 9] = ["r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33"];
+    pub const ROTATION_SIGMA: [&str; 3] = ["sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad"];
+    pub const POSE_COVARIANCE: [&str; 21] = [
+        "cov_xx_m2",
+        "cov_xy_m2",
+        "cov_xz_m2",
+        "cov_x_rx_m_rad",
+        "cov_x_ry_m_rad",
+        "cov_x_rz_m_rad",
+        "cov_yy_m2",
+        "cov_yz_m2",
+        "cov_y_rx_m_rad",
+        "cov_y_ry_m_rad",
+        "cov_y_rz_m_rad",
+        "cov_zz_m2",
+        "cov_z_rx_m_rad",
+        "cov_z_ry_m_rad",
+        "cov_z_rz_m_rad",
+        "cov_rx_rx_rad2",
+        "cov_rx_ry_rad2",
+        "cov_rx_rz_rad2",
+        "cov_ry_ry_rad2",
+        "cov_ry_rz_rad2",
+        "cov_rz_rz_rad2",
+    ];
+    pub const FACE: &str = "face";
     pub const TIME: &str = "time_s";
     pub const TEMPERATURE: &str = "temperature_c";
 
@@ -393,6 +478,8 @@ pub struct RowOptions {
     pub approach_from_order: bool,
     /// Whether repeats of a pose count as one reading with their mean.
     pub average_repeats: bool,
+    /// Whether a reading of the front face and one of the back face count as one.
+    pub average_faces: bool,
     /// The sheet of a spreadsheet that is read; the first where none is named.
     pub sheet: Option<String>,
     /// What of a bag is read.
@@ -474,8 +561,8 @@ impl ColumnMap {
             return wanted;
         }
         if part != Part::Joints {
-            let fixed = [own::POSE, own::STATION, own::TARGET, own::TIME, own::TEMPERATURE];
-            let fixed = fixed.iter().chain(&own::SPHERICAL).chain(&own::CARTESIAN);
+            let fixed = [own::POSE, own::STATION, own::TARGET, own::FACE, own::TIME, own::TEMPERATURE];
+            let fixed = fixed.iter().chain(&own::SPHERICAL).chain(&own::CARTESIAN).chain(&own::ROTATION);
             wanted.names.extend(fixed.map(|name| (*name).to_owned()));
         }
         if part != Part::Points {
@@ -518,37 +605,21 @@ fn own_mapping(header: &[&str], joints: &[JointKind]) -> Result<Mapping, String>
     if cartesian && own::SPHERICAL.iter().any(|name| has(name)) {
         return Err("there are columns of both x_m, y_m, z_m and range_m, az_rad, el_rad".to_owned());
     }
-    let (position, sigma, covariance) = if cartesian {
-        let axes = own::CARTESIAN.map(Entry::named);
-        let position = PositionColumns::Cartesian { axes, unit: Some(LengthUnit::M) };
-        (position, own::CARTESIAN_SIGMA, own::CARTESIAN_COVARIANCE)
+    let position = if cartesian {
+        PositionColumns::Cartesian { axes: own::CARTESIAN.map(Entry::named), unit: Some(LengthUnit::M) }
     } else {
         let [range, azimuth, polar] = own::SPHERICAL.map(Entry::named);
-        let position = PositionColumns::Spherical {
+        PositionColumns::Spherical {
             range,
             range_unit: Some(LengthUnit::M),
             azimuth,
             polar,
             polar_angle: PolarAngle::Elevation,
             angle_unit: Some(AngleUnit::Rad),
-        };
-        (position, own::SPHERICAL_SIGMA, own::SPHERICAL_COVARIANCE)
+        }
     };
-    // One column of a group calls for the whole group, so that a misspelt one is reported.
-    let uncertainty = match (sigma.iter().any(|name| has(name)), covariance.iter().any(|name| has(name))) {
-        (true, true) => return Err("there are columns of both sigma and cov".to_owned()),
-        (true, false) => Some(Uncertainty::Sigmas {
-            columns: sigma.map(Entry::named),
-            units: if cartesian {
-                SigmaUnits::Cartesian(Some(LengthUnit::M))
-            } else {
-                SigmaUnits::Spherical(Some(LengthUnit::M), Some(AngleUnit::Rad))
-            },
-            coverage: 1.0,
-        }),
-        (false, true) => Some(Uncertainty::Covariance(covariance.map(Entry::named))),
-        (false, false) => None,
-    };
+    let rotation = own_rotation(header, cartesian)?;
+    let uncertainty = own_uncertainty(header, cartesian, rotation.is_some())?;
     let optional = |name: &str| has(name).then(|| Entry::named(name));
     let approach: Vec<_> = (0..joints.len()).map(own::approach).collect();
     let directed = approach.iter().any(|name| has(name));
@@ -561,6 +632,7 @@ fn own_mapping(header: &[&str], joints: &[JointKind]) -> Result<Mapping, String>
         revolute: Some(AngleUnit::Rad),
         prismatic: Some(LengthUnit::M),
         position,
+        rotation,
         uncertainty,
         noise: None,
         pose: optional(own::POSE),
@@ -569,6 +641,13 @@ fn own_mapping(header: &[&str], joints: &[JointKind]) -> Result<Mapping, String>
         time: optional(own::TIME),
         time_unit: TimeUnit::S,
         temperature: optional(own::TEMPERATURE),
+        temperature_unit: TemperatureUnit::C,
+        air: Vec::new(),
+        face: optional(own::FACE).map(|column| FaceColumn {
+            column,
+            words: [Face::Front, Face::Back].map(|face| vec![face.key().to_owned()]),
+            angles: BackAngles::Own,
+        }),
         approach: if directed {
             approach.iter().map(|name| Entry::named(name)).collect()
         } else {
@@ -582,6 +661,61 @@ fn own_mapping(header: &[&str], joints: &[JointKind]) -> Result<Mapping, String>
     })
 }
 
+/// The own columns of a rotation, where the file has them.
+fn own_rotation(header: &[&str], cartesian: bool) -> Result<Option<RotationColumns>, String> {
+    let has = |name: &&str| header.contains(name);
+    if !own::ROTATION.iter().any(has) {
+        return Ok(None);
+    }
+    if !cartesian {
+        return Err("there are columns of a rotation, r11 to r33, and none of x_m, y_m, z_m".to_owned());
+    }
+    // One column of a group calls for the whole group, so that a misspelt one is reported.
+    let sigma = own::ROTATION_SIGMA.iter().any(has).then(|| RotationSigma {
+        columns: own::ROTATION_SIGMA.map(Entry::named).into(),
+        unit: Some(AngleUnit::Rad),
+        coverage: 1.0,
+    });
+    Ok(Some(RotationColumns {
+        form: RotationForm::Matrix(MatrixOrder::ByRows),
+        columns: own::ROTATION.map(Entry::named).into(),
+        unit: None,
+        is_of_tracker: false,
+        sigma,
+    }))
+}
+
+/// The own columns of an uncertainty, where the file has them; one column of a group calls for the whole group here as well.
+fn own_uncertainty(header: &[&str], cartesian: bool, is_pose: bool) -> Result<Option<Uncertainty>, String> {
+    let (sigma, covariance) = if cartesian {
+        (own::CARTESIAN_SIGMA, own::CARTESIAN_COVARIANCE)
+    } else {
+        (own::SPHERICAL_SIGMA, own::SPHERICAL_COVARIANCE)
+    };
+    let covariance: Vec<&str> = if is_pose { own::POSE_COVARIANCE.into() } else { covariance.into() };
+    let has = |name: &&str| header.contains(name);
+    Ok(match (sigma.iter().any(has), covariance.iter().any(has)) {
+        (true, true) => return Err("there are columns of both sigma and cov".to_owned()),
+        (true, false) => Some(Uncertainty::Sigmas {
+            columns: sigma.map(Entry::named),
+            units: if cartesian {
+                SigmaUnits::Cartesian(Some(LengthUnit::M))
+            } else {
+                SigmaUnits::Spherical(Some(LengthUnit::M), Some(AngleUnit::Rad))
+            },
+            coverage: 1.0,
+        }),
+        (false, true) => {
+            let columns: Vec<Entry> = covariance.iter().map(|name| Entry::named(name)).collect();
+            Some(match <[Entry; 6]>::try_from(columns) {
+                Ok(columns) => Uncertainty::Covariance(columns),
+                Err(columns) => Uncertainty::Pose { columns, units: (LengthUnit::M, AngleUnit::Rad) },
+            })
+        }
+        (false, false) => None,
+    })
+}
+
 impl Mapping {
     /// Every entry that is looked for in that part.
     pub fn entries(&self, part: Part) -> Vec<&Entry> {
@@ -591,8 +725,13 @@ impl Mapping {
             match &self.uncertainty {
                 Some(Uncertainty::Sigmas { columns, .. }) => entries.extend(columns),
                 Some(Uncertainty::Covariance(columns)) => entries.extend(columns),
+                Some(Uncertainty::Pose { columns, .. }) => entries.extend(columns),
                 None => {}
             }
+            let rotation = self.rotation.iter().flat_map(|rotation| &rotation.sigma);
+            entries.extend(rotation.flat_map(|sigma| &sigma.columns));
+            entries.extend(self.face.iter().map(|face| &face.column));
+            entries.extend(self.air.iter().map(|(_, entry)| entry));
             let rest = [&self.pose, &self.station, &self.target, &self.time, &self.temperature];
             entries.extend(rest.into_iter().flatten());
             entries.extend(&self.sets.column);
@@ -620,6 +759,7 @@ impl Mapping {
                     entries.extend([range, azimuth, polar]);
                 }
             }
+            entries.extend(self.rotation.iter().flat_map(|rotation| &rotation.columns));
         }
         entries
     }

@@ -1,9 +1,11 @@
 //! Reading one file of measurements, or several that belong together.
 
+use std::cell::Cell;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use super::columns::{ColumnMap, JoinBy, Part, PoseList, RowOptions};
+use super::faces::{self, Faces};
 use super::header::{FileColumns, Head};
 use super::join::{Joints, Key, unmatched};
 use super::layout::Table;
@@ -162,6 +164,7 @@ impl<'a> Reading<'a> {
             options.missed.extend(rows.missed.iter().cloned());
             options.approach_from_order |= rows.approach_from_order;
             options.average_repeats |= rows.average_repeats;
+            options.average_faces |= rows.average_faces;
         }
         Self {
             map,
@@ -229,6 +232,8 @@ impl<'a> Reading<'a> {
                 TimeReader::new(time, of_joints.map_or(&table.dates, Joints::dates).clone())
             }),
             motion: Motion::default(),
+            faces: Faces::default(),
+            rounded: Cell::new(0.0),
             rows: 0,
         };
         let mut row = Row::default();
@@ -260,6 +265,7 @@ impl<'a> Reading<'a> {
             return Err(of_points.refuse("there are no measurements below the header", expected));
         }
         remarks.extend(reader.time.iter().flat_map(|time| time.remarks(&file)));
+        remarks.extend(reader.remarks());
         if let Some(commands) = &mut commands {
             remarks.extend(key.remarks(&file));
             remarks.extend(commands.remarks(&file));
@@ -352,6 +358,7 @@ impl<'a> Reading<'a> {
                 .push(format!("held out are also poses that no row is of: {}", absent.join(", ")));
         }
         self.loaded.pose_names = poses;
+        faces::pair(&mut self.loaded, self.numbers_poses, self.options.average_faces)?;
         if self.options.average_repeats {
             repeats::average(&mut self.loaded, self.numbers_poses)?;
         }

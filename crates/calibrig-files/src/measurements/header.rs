@@ -3,13 +3,15 @@
 use std::fmt;
 
 use super::columns::{
-    ColumnRef, Entry, Mapping, Noise, PolarAngle, PositionColumns, Sets, SigmaUnits, Uncertainty,
+    ColumnRef, Entry, FaceColumn, Mapping, Noise, PolarAngle, PositionColumns, RotationColumns, Sets,
+    SigmaUnits, Uncertainty,
 };
 use super::layout::Column;
 use super::rows::Row;
 use super::times::TimeColumns;
-use super::units::{AngleUnit, HeaderUnit, LengthUnit, TimeUnit};
+use super::units::{AirQuantity, AngleUnit, HeaderUnit, LengthUnit, TemperatureUnit, TimeUnit};
 use crate::input::{InputError, Source};
+use crate::rotation::RotationForm;
 use calibrig_model::JointKind;
 
 /// Columns of one file.
@@ -80,6 +82,7 @@ impl FileColumns<'_> {
 pub(super) struct Columns {
     pub joints: Vec<Quantity>,
     pub position: Position,
+    pub rotation: Option<RotationQuantities>,
     pub uncertainty: Option<UncertaintyColumns>,
     pub noise: Option<Noise>,
     pub pose: Option<usize>,
@@ -89,6 +92,10 @@ pub(super) struct Columns {
     pub target: Option<usize>,
     pub time: Option<TimeColumns>,
     pub temperature: Option<Quantity>,
+    pub temperature_unit: TemperatureUnit,
+    pub air: Vec<(AirQuantity, Quantity)>,
+    /// The column, and what stands in it.
+    pub face: Option<(usize, FaceColumn)>,
     pub approach: Vec<Quantity>,
     pub sets: Sets,
     pub set: Option<usize>,
@@ -148,8 +155,25 @@ impl Position {
 }
 
 pub(super) enum UncertaintyColumns {
-    Sigmas { columns: [Quantity; 3], coverage: f64 },
+    Sigmas {
+        columns: [Quantity; 3],
+        coverage: f64,
+    },
     Covariance([Quantity; 6]),
+    /// Of a full pose, 21 or 36; a unit of each of its six coordinates in SI.
+    Pose {
+        columns: Vec<Quantity>,
+        scales: [f64; 6],
+    },
+}
+
+/// Columns with a rotation.
+pub(super) struct RotationQuantities {
+    pub form: RotationForm,
+    pub columns: Vec<Quantity>,
+    pub is_of_tracker: bool,
+    /// Standard deviations about the axes, one or three, and how many of them the columns state.
+    pub sigma: Option<(Vec<Quantity>, f64)>,
 }
 
 /// What kind of quantity a column holds, and the unit that the map says, with the key that it would stand at.
@@ -188,6 +212,7 @@ impl<'a> Head<'a> {
         let columns = Columns {
             joints: commands,
             position: self.position(&mapping.position)?,
+            rotation: mapping.rotation.as_ref().map(|columns| self.rotation(columns)).transpose()?,
             uncertainty: mapping.uncertainty.as_ref().map(|columns| self.uncertainty(columns)).transpose()?,
             noise: mapping.noise,
             pose: self.optional(mapping.pose.as_ref())?,
@@ -200,11 +225,17 @@ impl<'a> Head<'a> {
                 .as_ref()
                 .map(|entry| self.quantity(entry, Kind::Plain, false))
                 .transpose()?,
-            approach: mapping
-                .approach
+            temperature_unit: mapping.temperature_unit,
+            air: mapping
+                .air
                 .iter()
-                .map(|entry| self.quantity(entry, Kind::Plain, false))
-                .collect::<Result<_, _>>()?,
+                .map(|(what, entry)| Ok((*what, self.quantity(entry, Kind::Plain, false)?)))
+                .collect::<Result<_, InputError>>()?,
+            face: match &mapping.face {
+                Some(face) => self.optional(Some(&face.column))?.map(|column| (column, face.clone())),
+                None => None,
+            },
+            approach: self.quantities(&mapping.approach, Kind::Plain)?,
             set: self.optional(mapping.sets.column.as_ref())?,
             sets: mapping.sets.clone(),
         };
@@ -406,6 +437,28 @@ impl<'a> Head<'a> {
         })
     }
 
+    fn quantities(&mut self, entries: &[Entry], kind: Kind) -> Result<Vec<Quantity>, InputError> {
+        entries.iter().map(|entry| self.quantity(entry, kind, false)).collect()
+    }
+
+    fn rotation(&mut self, columns: &RotationColumns) -> Result<RotationQuantities, InputError> {
+        let kind =
+            if columns.form.has_unit() { Kind::Angle(columns.unit, "rotation.unit") } else { Kind::Plain };
+        let sigma = match &columns.sigma {
+            Some(sigma) => {
+                let kind = Kind::Angle(sigma.unit, "rotation.sigma_unit");
+                Some((self.quantities(&sigma.columns, kind)?, sigma.coverage))
+            }
+            None => None,
+        };
+        Ok(RotationQuantities {
+            form: columns.form,
+            columns: self.quantities(&columns.columns, kind)?,
+            is_of_tracker: columns.is_of_tracker,
+            sigma,
+        })
+    }
+
     fn uncertainty(&mut self, columns: &Uncertainty) -> Result<UncertaintyColumns, InputError> {
         let (columns, units, coverage) = match columns {
             Uncertainty::Covariance(entries) => {
@@ -419,6 +472,13 @@ impl<'a> Head<'a> {
                         Err(self.points.refuse("a covariance of other than six columns", "six columns"))
                     }
                 };
+            }
+            Uncertainty::Pose { columns, units: (length, angle) } => {
+                let [length, angle] = [length.in_si(1.0), angle.in_si(1.0)];
+                return Ok(UncertaintyColumns::Pose {
+                    columns: self.quantities(columns, Kind::Plain)?,
+                    scales: [length, length, length, angle, angle, angle],
+                });
             }
             Uncertainty::Sigmas { columns, units, coverage } => (columns, units, coverage),
         };

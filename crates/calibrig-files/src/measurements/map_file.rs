@@ -25,22 +25,39 @@
 //! z = "sz"
 //! k = 2                             # optional: coverage factor; the columns state k standard deviations, as U(95) does
 //!
+//! [rotation]                        # optional: of a target with axes of its own, whose rows are full poses
+//! transform = "target_in_tracker"   # what position and rotation are of; or "tracker_in_target"
+//! form = "quaternion"               # rotation_vector, euler, matrix; kuka_abc, abb_quaternion, fanuc_wpr, ur_rotation_vector, staubli_rxryrz, kawasaki_oat
+//! order = "wxyz"                    # of a quaternion, or "xyzw"; of a matrix "rows" or "columns"; an euler form has sequence = "zyx intrinsic" or "xyz fixed"
+//! columns = ["qw", "qx", "qy", "qz"]
+//! sigma = ["srx", "sry", "srz"]     # optional: standard deviations about the tracker's axes, or one for all; sigma_unit, k
+//!
+//! # in place of the sigmas of a full pose [covariance] with columns (21: the upper triangle by rows, position before rotation; or all 36),
+//! # unit = "mm" and angle_unit = "rad"
+//!
 //! [noise]                           # optional: standard deviations a + b R of rows that state none
 //! range_um = 2                      # a along the line of sight; range_um_per_m: b
 //! transverse_um = 5                 # a across it
 //! transverse_um_per_m = 1.5         # b
+//! rotation_urad = 30                # of full poses: about every axis
+//!
+//! # of spherical positions [face], optional: column = "Face", front = ["1"] and back = ["2"], what stands in it ("front" and "back" without), and
+//! # angles = "raw", of the back face as the encoders show them, or "direction", as in the front face; found from the values without
 //!
 //! [columns]                         # each optional
 //! pose = "No"                       # whole numbers, or names
 //! station = "Station"
 //! target = "SMR"                    # the reflector, the same name in all its rows; not the name of the shot
 //! time_s = "t"
-//! temperature_c = "T"
+//! temperature_c = "T"               # or temperature_k, temperature_f
+//! pressure_hpa = "P"                # or pressure_pa, _kpa, _mmhg, _inhg; checked, and not used
+//! humidity_percent = "H"            # the same
 //! approach = ["dir1", "dir2", "dir3"]  # -1, 0 or 1, one an actuator
 //!
 //! [rows]                            # each optional
 //! approach_from = "order"           # signs of approach from the order of the rows
 //! repeats = "average"               # repeats of a pose count as one reading
+//! faces = "average"                 # a reading of the front face and one of the back face count as one
 //!
 //! [sets]                            # optional: which rows are held out
 //! column = "use"
@@ -59,6 +76,7 @@
 mod coordinates;
 mod entries;
 mod form;
+mod pose;
 mod tables;
 
 use std::fmt;
@@ -135,27 +153,34 @@ pub fn parse_column_map(source: &Source) -> Result<ColumnMap, InputError> {
         return Err(reader.error(list.span(), message, "one of them"));
     }
     let optional = |entry: Option<&Spanned<RawEntry>>| entry.map(|entry| reader.single(entry)).transpose();
-    let quantity = |entry: Option<&Spanned<RawEntry>>| entry.map(|entry| reader.sum(entry)).transpose();
     let rest = &file.columns;
     let (time, time_unit) = reader.time(rest)?;
+    let (temperature, temperature_unit) = reader.temperature(rest)?;
+    let uncertainty = file.sigma.as_ref().map(|sigma| reader.sigmas(sigma, polar)).transpose()?;
+    let of_pose = reader.pose(&file, &position, uncertainty)?;
     let mapping = Mapping {
         joints: columns,
         revolute: joints.revolute_unit,
         prismatic: joints.prismatic_unit,
+        face: file.face.as_ref().map(|face| reader.face(face, &position)).transpose()?,
         position,
-        uncertainty: file.sigma.as_ref().map(|sigma| reader.sigmas(sigma, polar)).transpose()?,
-        noise: file.noise.as_ref().map(|noise| reader.noise(noise)).transpose()?,
+        rotation: of_pose.rotation,
+        uncertainty: of_pose.uncertainty,
+        noise: of_pose.noise,
         pose: optional(rest.pose.as_ref())?,
         station: optional(rest.station.as_ref())?,
         target: optional(rest.target.as_ref())?,
         time,
         time_unit,
-        temperature: quantity(rest.temperature_c.as_ref())?,
+        temperature,
+        temperature_unit,
+        air: reader.air(rest)?,
         approach,
         rows: RowChoices {
             missed: missed(file.position.get_ref()),
             approach_from_order,
             average_repeats: file.rows.repeats == Repeats::Average,
+            average_faces: file.rows.faces == Repeats::Average,
         },
         sets: file.sets.as_ref().map(|sets| reader.sets(sets)).transpose()?.unwrap_or_default(),
         join: file.join.as_ref().map(|join| reader.join(join)).transpose()?,
@@ -171,15 +196,30 @@ pub fn parse_column_map(source: &Source) -> Result<ColumnMap, InputError> {
 
 /// Says of an unknown key in which table it is known.
 fn with_the_table_of_a_stray_key(mut error: InputError) -> InputError {
-    const TABLES: [(&str, &[&str]); 7] = [
+    const TABLES: [(&str, &[&str]); 9] = [
         ("[joints]", &["revolute_unit", "prismatic_unit"]),
         ("[position]", &["missed", "unit", "system", "range_unit", "angle_unit"]),
         ("[sigma]", &["k"]),
         (
             "[columns]",
-            &["pose", "station", "time_s", "time_ms", "time_us", "time_ns", "temperature_c", "approach"],
+            &[
+                "pose",
+                "station",
+                "time_s",
+                "time_ms",
+                "time_us",
+                "time_ns",
+                "temperature_c",
+                "temperature_k",
+                "temperature_f",
+                "pressure_hpa",
+                "humidity_percent",
+                "approach",
+            ],
         ),
-        ("[rows]", &["approach_from", "repeats"]),
+        ("[rows]", &["approach_from", "repeats", "faces"]),
+        ("[rotation]", &["transform", "form", "order", "sequence", "sigma_unit"]),
+        ("[face]", &["front", "back", "angles"]),
         ("[sets]", &["identification", "verification", "verification_poses"]),
         ("[text]", &["delimiter", "decimal", "date", "header", "comments", "skip_lines", "widths"]),
     ];

@@ -6,6 +6,7 @@
 
 mod cells;
 mod columns;
+mod faces;
 mod files;
 mod header;
 mod join;

@@ -1,20 +1,21 @@
 //! From rows to observations.
 
+mod readings;
+
+use std::cell::Cell;
 use std::collections::HashMap;
 use std::fmt;
 
-use nalgebra::{Matrix3, Vector3};
-
 use super::LoadedMeasurements;
-use super::columns::{MissedCode, PolarAngle, RowOptions};
-use super::header::{Columns, Position, Quantity, QuantityTerm, UncertaintyColumns};
+use super::columns::{MissedCode, RowOptions};
+use super::faces::Faces;
+use super::header::{Columns, Quantity, QuantityTerm};
 use super::layout::{Column, Decimal};
 use super::rows::{Place, Row};
 use super::times::TimeReader;
+use super::units::{TEMPERATURES, likelier_temperature};
 use crate::input::InputError;
-use calibrig_model::measurement::{
-    Face, MeasurementSet, Observation, Reading, SphericalReading, Station, Target,
-};
+use calibrig_model::measurement::{MeasurementSet, Observation, Reading, Station, Target};
 
 /// Least motion of an actuator that is one, m or rad.
 const MOTION: f64 = 1e-6;
@@ -35,6 +36,9 @@ pub(super) struct RowReader<'a> {
     pub time: Option<TimeReader>,
     /// What approaches follow from.
     pub motion: Motion,
+    pub faces: Faces,
+    /// How far the numbers of a rotation were from one, at most.
+    pub rounded: Cell<f64>,
     pub rows: u32,
 }
 
@@ -164,7 +168,7 @@ impl RowReader<'_> {
             Some(why) => Err(why),
             None => cells.reading()?.ok_or_else(|| "the position is (0, 0, 0)".to_owned()),
         };
-        let reading = match reading {
+        let mut reading = match reading {
             Ok(reading) => reading,
             Err(why) => {
                 let why = format!("missed shot: {why} ({})", row.place().of(self.file));
@@ -173,7 +177,11 @@ impl RowReader<'_> {
                 return Ok(());
             }
         };
+        cells.is_like(&reading, loaded)?;
+        let seen = cells.turn_to_point(&mut reading, &self.faces)?;
         let temperature = cells.temperature()?;
+        cells.check_air()?;
+        self.faces.note(seen, || row.place().of(self.file));
         let time = match &mut self.time {
             Some(time) => {
                 let decimal = self.decimals[usize::from(time.first() >= self.joints_from)];
@@ -196,6 +204,27 @@ impl RowReader<'_> {
 }
 
 impl RowReader<'_> {
+    /// What is to be said of the file's readings beside the rows.
+    pub fn remarks(&self) -> Vec<String> {
+        let mut remarks = self.faces.remarks(self.file);
+        let off = self.rounded.get();
+        if off > 1e-6 {
+            remarks.push(format!(
+                "{}: rotations are off their form by up to {off:.1e}, as few digits leave them: the nearest ones are taken, and about as much \
+                 (in rad) is not known of them",
+                self.file
+            ));
+        }
+        remarks.extend(self.columns.air.iter().map(|(what, _)| {
+            format!(
+                "{}: {} is checked, and not used: ranges are taken as the instrument gives them",
+                self.file,
+                what.key()
+            )
+        }));
+        remarks
+    }
+
     /// Number of the pose where no column has it: that of the row, or of the first one of a stop, at which several shots are taken or several
     /// targets are measured one behind the other with the same command.
     fn stop(&self, cells: &Cells<'_>, loaded: &LoadedMeasurements) -> Result<u32, InputError> {
@@ -340,6 +369,8 @@ impl<'r> Cells<'r> {
     fn missed(&self) -> Option<String> {
         let quantities = self.reader.columns.position.quantities();
         let columns = || quantities.iter().flat_map(|quantity| &quantity.terms).map(|term| term.column);
+        let rotation = self.reader.columns.rotation.iter().flat_map(|rotation| &rotation.columns);
+        let rotation = rotation.flat_map(|quantity| &quantity.terms).map(|term| term.column);
         if columns().all(|column| self.cell(column).is_empty()) {
             return Some("the position is empty".to_owned());
         }
@@ -353,7 +384,10 @@ impl<'r> Cells<'r> {
                 MissedCode::Number(number) => self.decimal(*column).parse(cell) == Some(*number),
             })
         };
-        columns().find(is_marked).map(|column| format!("{} is {}", self.header(column), self.cell(column)))
+        columns()
+            .chain(rotation)
+            .find(is_marked)
+            .map(|column| format!("{} is {}", self.header(column), self.cell(column)))
     }
 
     fn command(&self) -> Result<Vec<f64>, InputError> {
@@ -387,157 +421,60 @@ impl<'r> Cells<'r> {
     }
 
     fn temperature(&self) -> Result<Option<f64>, InputError> {
-        match &self.reader.columns.temperature {
-            Some(quantity) if !self.is_empty(std::slice::from_ref(quantity)) => {
-                Ok(Some(self.value(quantity)?))
-            }
-            _ => Ok(None),
+        let Some(quantity) = &self.reader.columns.temperature else { return Ok(None) };
+        if self.is_empty(std::slice::from_ref(quantity)) {
+            return Ok(None);
         }
+        let stated = self.reader.columns.temperature_unit;
+        let value = self.value(quantity)?;
+        let temperature = stated.in_celsius(value);
+        let [least, most] = TEMPERATURES;
+        if (least..=most).contains(&temperature) {
+            return Ok(Some(temperature));
+        }
+        let hint = likelier_temperature(value, stated).map_or_else(String::new, |unit| {
+            let (sign, key) = (unit.sign(), unit.key());
+            format!("; as {sign} it can be one: then the key in a column map is temperature_{key}")
+        });
+        let expected = format!(
+            "a temperature from {least} to {most} °C, and the column is read in {}{hint}",
+            stated.sign()
+        );
+        Err(self.refuse_cell(quantity.terms[0].column, &expected))
+    }
+
+    /// Refuses a pressure or humidity that cannot be. They are not used: ranges are those of the instrument, which allows for the air.
+    fn check_air(&self) -> Result<(), InputError> {
+        for (what, quantity) in &self.reader.columns.air {
+            if self.is_empty(std::slice::from_ref(quantity)) {
+                continue;
+            }
+            if let Some(expected) = what.refused(self.value(quantity)?) {
+                return Err(self.refuse_cell(quantity.terms[0].column, &expected));
+            }
+        }
+        Ok(())
+    }
+
+    /// Refuses a point among full poses, and a full pose among points.
+    fn is_like(&self, reading: &Reading, loaded: &LoadedMeasurements) -> Result<(), InputError> {
+        let is_pose = |reading: &Reading| matches!(reading, Reading::Pose(_));
+        let Some(first) = loaded.set.observations.first() else { return Ok(()) };
+        if is_pose(&first.reading) == is_pose(reading) {
+            return Ok(());
+        }
+        let (this, other) =
+            if is_pose(reading) { ("a full pose", "a point") } else { ("a point", "a full pose") };
+        let place = loaded.places.of(0).unwrap_or_default();
+        let message = format!("this row is {this}, and {place} is {other}");
+        let expected = "either full poses or points in a set: identify from each alone";
+        Err(self.row.refuse(self.reader.file, None, message, expected))
     }
 
     fn name(&self, column: Option<usize>) -> Option<&'r str> {
         column.map(|column| self.cell(column))
     }
-
-    /// `None` for a missed shot.
-    fn reading(&self) -> Result<Option<Reading>, InputError> {
-        match &self.reader.columns.position {
-            Position::Cartesian(axes) => {
-                let mut position = Vector3::zeros();
-                for (coordinate, quantity) in position.iter_mut().zip(axes) {
-                    *coordinate = self.value(quantity)?;
-                    self.check_size(quantity.terms[0].column, *coordinate)?;
-                }
-                if position == Vector3::zeros() {
-                    return Ok(None);
-                }
-                let stated = self.covariance()?;
-                let covariance = match (stated, &self.reader.columns.noise) {
-                    (None, Some(noise)) => Some(noise.at(&position)),
-                    (stated, _) => stated,
-                };
-                Ok(Some(Reading::Cartesian { position, covariance }))
-            }
-            Position::Spherical { range, azimuth, polar, polar_angle } => {
-                let values = [self.value(range)?, self.value(azimuth)?, self.value(polar)?];
-                if values.iter().all(|v| *v == 0.0) {
-                    return Ok(None);
-                }
-                if values[0] <= 0.0 {
-                    return Err(self.refuse_cell(range.terms[0].column, "a range above zero; what marks a missed shot is named by `--missed CODE`, or `missed` in [position] of the column map"));
-                }
-                // The standard deviation of an elevation is that of the zenith angle.
-                let mut reading = SphericalReading {
-                    range: values[0],
-                    azimuth: values[1],
-                    elevation: match polar_angle {
-                        PolarAngle::Elevation => values[2],
-                        PolarAngle::Zenith => std::f64::consts::FRAC_PI_2 - values[2],
-                    },
-                    covariance: self.covariance()?,
-                    face: Face::Front,
-                };
-                if let (None, Some(noise)) = (&reading.covariance, &self.reader.columns.noise) {
-                    match noise.of_reading(&reading) {
-                        Some(own) => reading.covariance = Some(own),
-                        None => {
-                            let position = reading.position();
-                            return Ok(Some(Reading::Cartesian {
-                                position,
-                                covariance: Some(noise.at(&position)),
-                            }));
-                        }
-                    }
-                }
-                Ok(Some(Reading::Spherical(reading)))
-            }
-        }
-    }
-
-    /// `None` where the file has no columns for it, or the row nothing in them.
-    fn covariance(&self) -> Result<Option<Matrix3<f64>>, InputError> {
-        match &self.reader.columns.uncertainty {
-            None => Ok(None),
-            Some(UncertaintyColumns::Sigmas { columns, coverage }) => {
-                if self.is_empty(columns) {
-                    return Ok(None);
-                }
-                let mut variances = Vector3::zeros();
-                for (variance, quantity) in variances.iter_mut().zip(columns) {
-                    let sigma = self.above_zero(quantity, "standard deviation")? / coverage;
-                    *variance = sigma * sigma;
-                    self.check_variance(quantity.terms[0].column, *variance)?;
-                }
-                Ok(Some(Matrix3::from_diagonal(&variances)))
-            }
-            Some(UncertaintyColumns::Covariance(columns)) => {
-                if self.is_empty(columns) {
-                    return Ok(None);
-                }
-                let mut values = [0.0; 6];
-                for (value, quantity) in values.iter_mut().zip(columns) {
-                    *value = self.value(quantity)?;
-                }
-                for axis in 0..3 {
-                    self.above_zero(&columns[TRIANGLE[axis][axis]], "variance")?;
-                }
-                let covariance = Matrix3::from_fn(|i, j| values[TRIANGLE[i][j]]);
-                if covariance.cholesky().is_none() {
-                    return Err(self.refuse_covariance(columns));
-                }
-                Ok(Some(covariance))
-            }
-        }
-    }
-
-    /// `what` is a measure of uncertainty.
-    fn above_zero(&self, quantity: &Quantity, what: &str) -> Result<f64, InputError> {
-        let number = self.value(quantity)?;
-        let column = quantity.terms[0].column;
-        if number == 0.0 {
-            return Err(self.refuse_zero(column, what));
-        }
-        let expected = format!("a {what} above zero");
-        if number > 0.0 { Ok(number) } else { Err(self.refuse_cell(column, &expected)) }
-    }
-
-    fn refuse_zero(&self, column: usize, what: &str) -> InputError {
-        let message =
-            format!("column {} is {:?}: a {what} of 0 was read", self.header(column), self.cell(column));
-        let help = format!(
-            "a {what} above zero, since no reading is exact: where the instrument rounds, what it rounds to or more; \
-             or the cells of the row's uncertainty empty, so that it counts as not stated"
-        );
-        self.refuse(column, message, &help)
-    }
-
-    fn refuse_covariance(&self, columns: &[Quantity; 6]) -> InputError {
-        let names: Vec<_> = columns.iter().map(|quantity| self.header(quantity.terms[0].column)).collect();
-        let message = format!("the covariance of {} is not positive definite", names.join(", "));
-        let expected = "correlations between -1 and 1 that do not contradict each other";
-        self.refuse(columns[0].terms[0].column, message, expected)
-    }
-
-    fn check_variance(&self, column: usize, variance: f64) -> Result<(), InputError> {
-        // The square of a very small number is zero.
-        if variance == 0.0 {
-            Err(self.refuse_zero(column, "variance"))
-        } else {
-            self.check_size(column, variance)
-        }
-    }
-
-    fn check_size(&self, column: usize, value: f64) -> Result<(), InputError> {
-        if value.is_finite() {
-            Ok(())
-        } else {
-            Err(self.refuse_cell(column, "a number of a measurable size"))
-        }
-    }
 }
-
-/// Place of a symmetric matrix's element in its upper triangle by rows.
-const TRIANGLE: [[usize; 3]; 3] = [[0, 1, 2], [1, 3, 4], [2, 4, 5]];
 
 /// Place of a name among those that were named before; a new one is made.
 fn index_of(known: &mut HashMap<String, usize>, name: &str, make: impl FnOnce()) -> usize {

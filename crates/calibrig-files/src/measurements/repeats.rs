@@ -3,11 +3,12 @@
 use std::collections::HashMap;
 use std::f64::consts::{PI, TAU};
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3};
 
 use super::LoadedMeasurements;
 use crate::input::InputError;
-use calibrig_model::measurement::{Observation, Reading, SphericalReading};
+use calibrig_model::geometry::rotation_vector;
+use calibrig_model::measurement::{Face, Observation, PoseReading, Reading, SphericalReading};
 
 /// Commands of one pose may differ by so much, m or rad.
 pub(super) const SAME_COMMAND: f64 = 1e-3;
@@ -15,8 +16,40 @@ pub(super) const SAME_COMMAND: f64 = 1e-3;
 /// Fewest degrees of freedom whose scatter is a standard deviation.
 const ENOUGH: usize = 6;
 
-/// Station, target and approach.
-type Reached<'a> = (usize, usize, &'a [i8]);
+/// Station, target, approach, and the face where readings of both stay apart.
+type Reached<'a> = (usize, usize, &'a [i8], Face);
+
+/// Observations that are of one pose, station and target, in the order of their first ones; those of both faces in one group, or apart.
+pub(super) fn groups(
+    observations: &[Observation],
+    numbers_poses: bool,
+    with_both_faces: bool,
+) -> Vec<Vec<usize>> {
+    let mut groups: Vec<Vec<usize>> = Vec::new();
+    // From another side a machine with play goes elsewhere: that is no scatter.
+    let mut known: HashMap<(u32, Reached<'_>), usize> = HashMap::new();
+    let mut by_command: HashMap<(Vec<u64>, Reached<'_>), usize> = HashMap::new();
+    // Where no column has the poses, or every row has a number of its own, it is the command that tells which rows are repeats.
+    let face = |o: &Observation| if with_both_faces { Face::Front } else { o.reading.face() };
+    let numbers: std::collections::HashSet<_> =
+        observations.iter().map(|o| (o.pose, o.station, o.target, face(o))).collect();
+    let are_rows = !numbers_poses || numbers.len() == observations.len();
+    for (index, o) in observations.iter().enumerate() {
+        let next = groups.len();
+        let reached: Reached<'_> = (o.station, o.target, &o.approach, face(o));
+        let group = if are_rows {
+            let command = o.command.iter().map(|v| v.to_bits()).collect();
+            *by_command.entry((command, reached)).or_insert(next)
+        } else {
+            *known.entry((o.pose, reached)).or_insert(next)
+        };
+        if group == next {
+            groups.push(Vec::new());
+        }
+        groups[group].push(index);
+    }
+    groups
+}
 
 /// Puts the mean in the place of the repeats of a pose (the same number, station, target and approach), and their scatter where they state no
 /// uncertainty: pooled over all poses and axes, over the square root of the repeats.
@@ -24,28 +57,8 @@ type Reached<'a> = (usize, usize, &'a [i8]);
 /// # Errors
 /// Rows of one pose whose commands are not the same.
 pub(super) fn average(loaded: &mut LoadedMeasurements, numbers_poses: bool) -> Result<(), InputError> {
-    let mut groups: Vec<Vec<usize>> = Vec::new();
-    // From another side a machine with play goes elsewhere: that is no scatter.
-    let mut known: HashMap<(u32, Reached<'_>), usize> = HashMap::new();
-    let mut by_command: HashMap<(Vec<u64>, Reached<'_>), usize> = HashMap::new();
     let observations = &loaded.set.observations;
-    // Where no column has the poses, or every row has a number of its own, it is the command that tells which rows are repeats.
-    let numbers: std::collections::HashSet<_> =
-        observations.iter().map(|o| (o.pose, o.station, o.target)).collect();
-    let are_rows = !numbers_poses || numbers.len() == observations.len();
-    for (index, o) in observations.iter().enumerate() {
-        let next = groups.len();
-        let group = if are_rows {
-            let command = o.command.iter().map(|v| v.to_bits()).collect();
-            *by_command.entry((command, (o.station, o.target, &o.approach))).or_insert(next)
-        } else {
-            *known.entry((o.pose, (o.station, o.target, &o.approach))).or_insert(next)
-        };
-        if group == next {
-            groups.push(Vec::new());
-        }
-        groups[group].push(index);
-    }
+    let groups = groups(observations, numbers_poses, false);
     let repeated = groups.iter().filter(|group| group.len() > 1).count();
     if repeated == 0 {
         loaded.remarks.push("no pose is measured more than once: there is nothing to average".to_owned());
@@ -71,12 +84,17 @@ pub(super) fn average(loaded: &mut LoadedMeasurements, numbers_poses: bool) -> R
     let scatter = 1e3 * (squares / free as f64).sqrt();
     let stated = averaged.iter().all(|o| o.reading.position_covariance().is_some());
     loaded.keep(&kept);
+    let averaged_are_poses = averaged.iter().any(|o| matches!(o.reading, Reading::Pose(_)));
     loaded.set.observations = averaged;
     loaded.remarks.push(format!(
         "{readings} readings are averaged to {}: {repeated} poses are repeated, and their readings scatter by {scatter:.4} mm (RMS in 3-D, \
          {free} repeats){}",
         loaded.set.observations.len(),
-        if stated { "" } else { "; too few to state an uncertainty from" },
+        match averaged_are_poses {
+            _ if stated => "",
+            true => "; full poses that state no uncertainty keep none, since this says nothing of rotations",
+            false => "; too few to state an uncertainty from",
+        },
     ));
     Ok(())
 }
@@ -86,7 +104,7 @@ fn mean_of(positions: impl Iterator<Item = Vector3<f64>>) -> Vector3<f64> {
     sum / f64::max(count, 1.0)
 }
 
-fn check_commands(loaded: &LoadedMeasurements, group: &[usize]) -> Result<(), InputError> {
+pub(super) fn check_commands(loaded: &LoadedMeasurements, group: &[usize]) -> Result<(), InputError> {
     let first = &loaded.set.observations[group[0]];
     for index in group {
         let other = &loaded.set.observations[*index];
@@ -132,9 +150,10 @@ fn mean_observation(members: &[&Observation], scatter: Option<f64>) -> Observati
     mean.time = members.iter().map(|o| o.time).sum::<f64>() / count;
     let temperatures: Option<Vec<f64>> = members.iter().map(|o| o.temperature).collect();
     mean.temperature = temperatures.map(|temperatures| temperatures.iter().sum::<f64>() / count);
-    mean.reading = match spherical(members) {
-        Some(reading) => Reading::Spherical(reading),
-        None => {
+    mean.reading = match (spherical(members), full_pose(members)) {
+        (Some(reading), _) => Reading::Spherical(reading),
+        (None, Some(pose)) => Reading::Pose(Box::new(pose)),
+        (None, None) => {
             let position = mean_of(members.iter().map(|o| o.reading.position()));
             let stated: Option<Vec<_>> = members.iter().map(|o| o.reading.position_covariance()).collect();
             let stated = stated.map(|all| all.iter().sum::<Matrix3<f64>>() / (count * count));
@@ -166,5 +185,28 @@ fn spherical(members: &[&Observation]) -> Option<SphericalReading> {
         elevation: mean(&|r| r.elevation),
         covariance: Some(covariance / (count * count)),
         face: first.face,
+    })
+}
+
+/// The mean of full poses; `None` where there is another reading among them. Its uncertainty is that of the readings over the root of their
+/// number, where all state one: the scatter of positions says nothing of rotations.
+fn full_pose(members: &[&Observation]) -> Option<PoseReading> {
+    let poses: Vec<&PoseReading> = members
+        .iter()
+        .map(|o| match &o.reading {
+            Reading::Pose(pose) => Some(&**pose),
+            Reading::Cartesian { .. } | Reading::Spherical(_) => None,
+        })
+        .collect::<Option<_>>()?;
+    let count = poses.len() as f64;
+    let stated: Option<Vec<Matrix6<f64>>> = poses.iter().map(|pose| pose.covariance).collect();
+    let first = poses.first()?.rotation;
+    // Repeats are turned by so little that the mean of the rotation vectors between them is that of the rotations.
+    let apart = poses.iter().map(|pose| rotation_vector(&(pose.rotation * first.inverse())));
+    let mean = apart.sum::<Vector3<f64>>() / count;
+    Some(PoseReading {
+        position: mean_of(poses.iter().map(|pose| pose.position)),
+        rotation: Rotation3::new(mean) * first,
+        covariance: stated.map(|all| all.iter().sum::<Matrix6<f64>>() / (count * count)),
     })
 }

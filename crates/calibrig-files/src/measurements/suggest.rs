@@ -3,6 +3,8 @@
 mod apart;
 mod column;
 mod names;
+mod rotation;
+mod surroundings;
 mod told;
 mod triples;
 mod widths;
@@ -163,6 +165,13 @@ impl SeenFile {
 
     pub fn one(&self, role: Role) -> Option<&SeenColumn> {
         self.columns.iter().find(|column| column.role == Some(role))
+    }
+
+    /// Columns of the orientation beside the position, in their order.
+    pub fn turn(&self) -> Vec<&SeenColumn> {
+        let mut columns: Vec<_> = self.columns.iter().filter(|column| column.is_beside).collect();
+        columns.sort_by_key(|column| column.order);
+        columns
     }
 
     /// What is not used.

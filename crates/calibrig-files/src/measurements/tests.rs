@@ -2,14 +2,19 @@
 
 use std::path::Path;
 
+mod faces;
+mod poses;
+
 use super::*;
 use crate::input::{InputError, Source};
 use crate::robot::tests::base_from_flange;
 use crate::{Robot, load_robot};
 use calibrig_model::JointKind;
 use calibrig_model::geometry::{Transform, best_fit_transform, cross_matrix, small_displacement};
-use calibrig_model::measurement::{MeasurementSet, Observation, Reading, SphericalReading, Station, Target};
-use nalgebra::{DMatrix, DVector, Matrix3, Point3, Vector3, Vector6};
+use calibrig_model::measurement::{
+    Face, MeasurementSet, Observation, PoseReading, Reading, SphericalReading, Station, Target,
+};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Point3, Rotation3, Vector3, Vector6};
 use proptest::prelude::*;
 
 const KINDS: [JointKind; 2] = [JointKind::Prismatic, JointKind::Revolute];
@@ -305,48 +310,70 @@ fn finite() -> impl Strategy<Value = f64> {
     any::<f64>().prop_filter("finite", |number| number.is_finite())
 }
 
-fn observation(spherical: bool, diagonal: bool) -> impl Strategy<Value = Observation> {
+/// A full pose whose covariance is what six scales make of a triangle.
+fn pose(place: [f64; 3], turn: [f64; 3], c: [f64; 6], (diagonal, stated): (bool, bool)) -> Reading {
+    let factor = Matrix6::from_fn(|i, j| match (i, j) {
+        (i, j) if i == j => 1e-5 + c[i].abs(),
+        (i, j) if i > j && !diagonal => c[i] * c[j],
+        _ => 0.0,
+    });
+    let covariance = if diagonal { factor.component_mul(&factor) } else { factor * factor.transpose() };
+    // Rounding leaves a product not quite symmetric.
+    let covariance = Matrix6::from_fn(|i, j| covariance[(i.min(j), i.max(j))]);
+    Reading::Pose(Box::new(PoseReading {
+        position: place.into(),
+        rotation: Rotation3::new(turn.into()),
+        covariance: stated.then_some(covariance),
+    }))
+}
+
+fn observation(kind: u8, diagonal: bool) -> impl Strategy<Value = Observation> {
     let parts = (
         (any::<u32>(), prop::collection::vec(finite(), 2), prop::collection::vec(-1i8..=1, 2)),
         (
-            prop::option::of(finite()),
+            prop::option::of(-60.0f64..=120.0),
             finite(),
             prop::array::uniform3(finite()),
             prop::array::uniform6(-1e-3f64..1e-3),
         ),
-        any::<bool>(),
+        (any::<bool>(), any::<bool>(), prop::array::uniform3(-3.0f64..3.0)),
     );
-    parts.prop_map(move |((pose, command, approach), (temperature, time, place, c), stated)| {
-        let c = c.map(|value| value + f64::copysign(1e-9, value));
-        let covariance = if diagonal {
-            Matrix3::from_diagonal(&Vector3::new(c[0] * c[0], c[1] * c[1], c[2] * c[2]))
-        } else {
-            // A diagonal that outweighs its rows makes it positive definite.
-            let least = c[1].abs() + c[2].abs() + c[4].abs();
-            let [x, y, z] = [c[0], c[3], c[5]].map(|value| least + value.abs());
-            Matrix3::new(x, c[1], c[2], c[1], y, c[4], c[2], c[4], z)
-        };
-        let [x, y, z] = place;
-        let reading = if spherical {
-            let range = x.abs().max(f64::MIN_POSITIVE);
-            Reading::Spherical(SphericalReading {
-                face: calibrig_model::measurement::Face::Front,
-                range,
-                azimuth: y,
-                elevation: z,
-                covariance: stated.then_some(covariance),
-            })
-        } else {
-            let position = Vector3::new(x, y, if (x, y, z) == (0.0, 0.0, 0.0) { 1.0 } else { z });
-            Reading::Cartesian { position, covariance: stated.then_some(covariance) }
-        };
-        Observation { pose, command, approach, temperature, time, station: 0, target: 0, reading }
-    })
+    parts.prop_map(
+        move |((number, command, approach), (temperature, time, place, c), (stated, is_back, turn))| {
+            let c = c.map(|value| value + f64::copysign(1e-9, value));
+            let covariance = if diagonal {
+                Matrix3::from_diagonal(&Vector3::new(c[0] * c[0], c[1] * c[1], c[2] * c[2]))
+            } else {
+                // A diagonal that outweighs its rows makes it positive definite.
+                let least = c[1].abs() + c[2].abs() + c[4].abs();
+                let [x, y, z] = [c[0], c[3], c[5]].map(|value| least + value.abs());
+                Matrix3::new(x, c[1], c[2], c[1], y, c[4], c[2], c[4], z)
+            };
+            let [x, y, z] = place;
+            let reading = if kind == 2 {
+                let place = [x, y, if place == [0.0; 3] { 1.0 } else { z }];
+                pose(place, turn, c.map(|value| value - f64::copysign(1e-9, value)), (diagonal, stated))
+            } else if kind == 0 {
+                let range = x.abs().max(f64::MIN_POSITIVE);
+                Reading::Spherical(SphericalReading {
+                    face: if is_back { Face::Back } else { Face::Front },
+                    range,
+                    azimuth: y,
+                    elevation: z,
+                    covariance: stated.then_some(covariance),
+                })
+            } else {
+                let position = Vector3::new(x, y, if (x, y, z) == (0.0, 0.0, 0.0) { 1.0 } else { z });
+                Reading::Cartesian { position, covariance: stated.then_some(covariance) }
+            };
+            Observation { pose: number, command, approach, temperature, time, station: 0, target: 0, reading }
+        },
+    )
 }
 
 fn set() -> impl Strategy<Value = MeasurementSet> {
-    (any::<bool>(), any::<bool>()).prop_flat_map(|(spherical, diagonal)| {
-        let observations = prop::collection::vec(observation(spherical, diagonal), 1..6);
+    (0u8..3, any::<bool>()).prop_flat_map(|(kind, diagonal)| {
+        let observations = prop::collection::vec(observation(kind, diagonal), 1..6);
         (observations, "[a-z ,;\"#/.é0-9]{0,8}", "[A-Z]{1,3}").prop_map(
             |(mut observations, station, target)| {
                 // The second half was taken from a second station.
@@ -377,6 +404,16 @@ fn ur5_map() -> ColumnMap {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/ur5/columns.toml");
     crate::load_column_map(&path).expect("the map of the repository").0
 }
+
+const OWN_POSE: &str = "q1_m,q2_rad,x_m,y_m,z_m,r11,r12,r13,r21,r22,r23,r31,r32,r33,sigma_x_m,sigma_y_m,sigma_z_m,sigma_rx_rad,sigma_ry_rad,sigma_rz_rad\n\
+0.5,-1.25,3.5,0.25,-0.125,0,-1,0,1,0,0,0,0,1,1e-5,2e-6,3e-6,1e-5,2e-6,3e-6\n0.6,-1.25,3.5,0.25,-0.125,1,0,0,0,1,0,0,0,1,,,,,,\n";
+const FACES: &str = "s,t,F,R,Hz,V,P\n1,2,I,3,30,80,1013\n1,2,II,3,210,280,\n3,4,II,2,211,281,990\n";
+const FACES_MAP: &str = "[position]\nsystem = \"spherical\"\nrange = \"R\"\nrange_unit = \"m\"\nazimuth = \"Hz\"\nzenith = \"V\"\nangle_unit = \"deg\"\n\
+[face]\ncolumn = \"F\"\nfront = [\"I\"]\nback = [\"II\"]\n[columns]\npressure_hpa = \"P\"\n";
+const INVERSE: &str =
+    "s,t,x,y,z,a,b,c,sr\n1,2,3000,100,-20,0.1,0.2,0.3,1e-4\n2,2,3000,100,-20,-0.1,0.2,3.3,\n";
+const INVERSE_MAP: &str = "[position]\nsystem = \"cartesian\"\nunit = \"mm\"\nx = \"x\"\ny = \"y\"\nz = \"z\"\n[rotation]\ntransform = \"tracker_in_target\"\n\
+form = \"rotation_vector\"\nunit = \"rad\"\ncolumns = [\"a\", \"b\", \"c\"]\nsigma = \"sr\"\nsigma_unit = \"rad\"\n[noise]\nrange_um = 5\ntransverse_um = 9\nrotation_urad = 30\n";
 
 const UR5_FILE: &str = "step_order,x_t,y_t,z_t,x_dif,y_dif,z_dif,joint_1,joint_2,joint_3,joint_4,joint_5,joint_6\n\
 0,-430.3,-6.2,-98.6,-2.1,-3.5,0.8,-22.9,-43.7,135.4,-94.7,55.4,-5.5\n1,-463.7,-3.9,-104.9,-2.1,-2.9,-0.03,-19.7,-45.9,127.6,-71.4,63.3,-12.7\n";
@@ -410,6 +447,9 @@ fn no_mutation_of_a_file_panics(
     for (text, map, joints) in [
         (OWN, ColumnMap::default(), &KINDS[..]),
         (UR5_FILE, ur5_map(), &[JointKind::Revolute; 6]),
+        (OWN_POSE, ColumnMap::default(), &KINDS[..]),
+        (FACES, map(FACES_MAP), &KINDS[..]),
+        (INVERSE, map(INVERSE_MAP), &KINDS[..]),
     ] {
         let mut text: Vec<char> = text.chars().collect();
         let at = at.min(text.len());

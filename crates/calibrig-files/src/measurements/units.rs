@@ -124,6 +124,137 @@ impl TimeUnit {
     }
 }
 
+/// Unit of a temperature.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) enum TemperatureUnit {
+    #[default]
+    C,
+    K,
+    F,
+}
+
+impl TemperatureUnit {
+    /// °C
+    pub fn in_celsius(self, value: f64) -> f64 {
+        match self {
+            Self::C => value,
+            Self::K => value - 273.15,
+            Self::F => (value - 32.0) / 1.8,
+        }
+    }
+
+    /// As keys of column maps end with it.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::C => "c",
+            Self::K => "k",
+            Self::F => "f",
+        }
+    }
+
+    /// As people write it.
+    pub fn sign(self) -> &'static str {
+        match self {
+            Self::C => "°C",
+            Self::K => "K",
+            Self::F => "°F",
+        }
+    }
+}
+
+/// Temperatures that a robot and the air around it can have, °C.
+pub(super) const TEMPERATURES: [f64; 2] = [-60.0, 120.0];
+
+/// The unit in which a number would be a temperature that can be, where it is none in the stated one.
+pub(super) fn likelier_temperature(value: f64, stated: TemperatureUnit) -> Option<TemperatureUnit> {
+    let others = [TemperatureUnit::C, TemperatureUnit::K, TemperatureUnit::F];
+    others.into_iter().filter(|unit| *unit != stated).find(|unit| {
+        // Where people work.
+        (-10.0..=60.0).contains(&unit.in_celsius(value))
+    })
+}
+
+/// What is said of the air beside its temperature, in a unit of its key.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum AirQuantity {
+    Pressure(PressureUnit),
+    /// Relative humidity, %.
+    HumidityPercent,
+}
+
+/// Unit of a pressure.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum PressureUnit {
+    Hpa,
+    Pa,
+    Kpa,
+    Mmhg,
+    Inhg,
+}
+
+impl PressureUnit {
+    pub const ALL: [Self; 5] = [Self::Hpa, Self::Pa, Self::Kpa, Self::Mmhg, Self::Inhg];
+
+    /// hPa
+    fn in_hpa(self, value: f64) -> f64 {
+        match self {
+            Self::Hpa => value,
+            Self::Pa => value / 100.0,
+            Self::Kpa => value * 10.0,
+            // The conventional millimetre and inch of mercury.
+            Self::Mmhg => value * 1.333_223_874_15,
+            Self::Inhg => value * 33.863_886_403_41,
+        }
+    }
+
+    /// As keys of column maps end with it.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Hpa => "hpa",
+            Self::Pa => "pa",
+            Self::Kpa => "kpa",
+            Self::Mmhg => "mmhg",
+            Self::Inhg => "inhg",
+        }
+    }
+}
+
+/// Pressures of the air where people work, from the highest towns to the Dead Sea, hPa.
+const PRESSURES: [f64; 2] = [500.0, 1100.0];
+
+impl AirQuantity {
+    /// Key of a column map.
+    pub fn key(self) -> String {
+        match self {
+            Self::Pressure(unit) => format!("pressure_{}", unit.key()),
+            Self::HumidityPercent => "humidity_percent".to_owned(),
+        }
+    }
+
+    /// What is expected of a number that cannot be; `None` of one that can.
+    pub fn refused(self, value: f64) -> Option<String> {
+        match self {
+            Self::Pressure(unit) => {
+                let can_be = |unit: PressureUnit| {
+                    let hpa = unit.in_hpa(value);
+                    (PRESSURES[0]..=PRESSURES[1]).contains(&hpa)
+                };
+                if can_be(unit) {
+                    return None;
+                }
+                let other = PressureUnit::ALL.into_iter().find(|other| can_be(*other));
+                let hint = other.map_or_else(String::new, |other| {
+                    format!(": as {} it can be one, then the key is pressure_{0}", other.key())
+                });
+                let [least, most] = PRESSURES;
+                Some(format!("a pressure of the air from {least} to {most} hPa{hint}"))
+            }
+            Self::HumidityPercent if (0.0..=100.0).contains(&value) => None,
+            Self::HumidityPercent => Some("a relative humidity from 0 to 100 %".to_owned()),
+        }
+    }
+}
+
 /// A unit as a header states it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum HeaderUnit {

@@ -3,13 +3,15 @@
 use std::path::{Path, PathBuf};
 
 use miette::Diagnostic;
-use nalgebra::Matrix3;
+use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
 
 use super::columns::own;
+use super::units::TEMPERATURES;
 use crate::input::InputError;
+use crate::rotation::{RotationError, rotation_of_matrix};
 use calibrig_model::JointKind;
-use calibrig_model::measurement::{MeasurementSet, Observation, Reading};
+use calibrig_model::measurement::{Face, MeasurementSet, Observation, Reading};
 
 /// A measurement file that cannot be used, or a set that cannot be written as one.
 #[derive(Debug, Error, Diagnostic)]
@@ -60,11 +62,30 @@ pub enum CsvError {
         /// The direction.
         value: i8,
     },
-    /// Spherical and Cartesian readings in one set.
-    #[error("pose {pose}: a set holds either spherical or Cartesian readings")]
+    /// Readings of several kinds in one set.
+    #[error("pose {pose}: a set holds either spherical or Cartesian readings, or full poses")]
+    #[diagnostic(help("expected readings of one kind; write those of each kind as a file of their own"))]
     MixedReadings {
         /// First pose that differs from the poses before it.
         pose: u32,
+    },
+    /// The rotation of a full pose that is none.
+    #[error("pose {pose}: {error}")]
+    #[diagnostic(help("expected {}", error.expected()))]
+    Rotation {
+        /// Pose.
+        pose: u32,
+        /// What it is.
+        error: RotationError,
+    },
+    /// A temperature that neither a robot nor the air around it can have.
+    #[error("pose {pose}: the temperature is {value} °C")]
+    #[diagnostic(help("expected a temperature from {} to {} °C", TEMPERATURES[0], TEMPERATURES[1]))]
+    Temperature {
+        /// Pose.
+        pose: u32,
+        /// °C
+        value: f64,
     },
     /// A station or target that the set does not have.
     #[error("pose {pose}: {what} {index} is not in the set")]
@@ -102,6 +123,15 @@ pub fn measurements_text(set: &MeasurementSet, joints: &[JointKind]) -> Result<S
     Writer { set, joints }.text()
 }
 
+/// What the columns of a file are.
+#[derive(Debug, Clone, Copy)]
+struct Form {
+    kind: Kind,
+    as_sigmas: bool,
+    /// Whether some reading is of the back face.
+    has_faces: bool,
+}
+
 struct Writer<'a> {
     set: &'a MeasurementSet,
     joints: &'a [JointKind],
@@ -113,11 +143,66 @@ fn exact(number: f64) -> String {
 }
 
 /// The standard deviations whose squares are exactly the covariance.
-fn exact_sigmas(covariance: &Matrix3<f64>) -> Option<[f64; 3]> {
+fn exact_sigmas(covariance: &DMatrix<f64>) -> Option<DVector<f64>> {
     let sigmas = covariance.diagonal().map(f64::sqrt);
-    let squared = Matrix3::from_diagonal(&sigmas.component_mul(&sigmas));
+    let squared = DMatrix::from_diagonal(&sigmas.component_mul(&sigmas));
     let same = |(a, b): (&f64, &f64)| a.to_bits() == b.to_bits();
-    squared.iter().zip(covariance).all(same).then(|| sigmas.into())
+    squared.iter().zip(covariance).all(same).then_some(sigmas)
+}
+
+/// What kind of readings a file holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Spherical,
+    Cartesian,
+    Pose,
+}
+
+impl Kind {
+    fn of(reading: &Reading) -> Self {
+        match reading {
+            Reading::Spherical(_) => Self::Spherical,
+            Reading::Cartesian { .. } => Self::Cartesian,
+            Reading::Pose(_) => Self::Pose,
+        }
+    }
+
+    /// Its coordinates, and how their uncertainty is written.
+    fn columns(self, as_sigmas: bool) -> Vec<&'static str> {
+        match (self, as_sigmas) {
+            (Self::Spherical, true) => [own::SPHERICAL, own::SPHERICAL_SIGMA].concat(),
+            (Self::Spherical, false) => [&own::SPHERICAL[..], &own::SPHERICAL_COVARIANCE].concat(),
+            (Self::Cartesian, true) => [own::CARTESIAN, own::CARTESIAN_SIGMA].concat(),
+            (Self::Cartesian, false) => [&own::CARTESIAN[..], &own::CARTESIAN_COVARIANCE].concat(),
+            (Self::Pose, true) => {
+                [&own::CARTESIAN[..], &own::ROTATION, &own::CARTESIAN_SIGMA, &own::ROTATION_SIGMA].concat()
+            }
+            (Self::Pose, false) => [&own::CARTESIAN[..], &own::ROTATION, &own::POSE_COVARIANCE].concat(),
+        }
+    }
+
+    /// Numbers of the uncertainty.
+    fn uncertainties(self, as_sigmas: bool) -> usize {
+        match (self, as_sigmas) {
+            (Self::Pose, true) => 6,
+            (Self::Pose, false) => 21,
+            (_, true) => 3,
+            (_, false) => 6,
+        }
+    }
+}
+
+/// The covariance of a reading, of as many rows as it has coordinates.
+fn covariance_of(reading: &Reading) -> Option<DMatrix<f64>> {
+    match reading {
+        Reading::Spherical(reading) => {
+            reading.covariance.map(|c| DMatrix::from_column_slice(3, 3, c.as_slice()))
+        }
+        Reading::Cartesian { covariance, .. } => {
+            covariance.map(|c| DMatrix::from_column_slice(3, 3, c.as_slice()))
+        }
+        Reading::Pose(pose) => pose.covariance.map(|c| DMatrix::from_column_slice(6, 6, c.as_slice())),
+    }
 }
 
 fn check_names<'n>(what: &'static str, names: impl Iterator<Item = &'n String>) -> Result<(), CsvError> {
@@ -136,24 +221,23 @@ impl Writer<'_> {
         check_names("station", self.set.stations.iter().map(|station| &station.name))?;
         check_names("target", self.set.targets.iter().map(|target| &target.name))?;
         let observations = &self.set.observations;
-        let spherical =
-            matches!(observations.first().map(|o| &o.reading), None | Some(Reading::Spherical(_)));
-        let mut covariances = Vec::with_capacity(observations.len());
-        for observation in observations {
-            covariances.push(match &observation.reading {
-                Reading::Spherical(reading) if spherical => reading.covariance,
-                Reading::Cartesian { covariance, .. } if !spherical => *covariance,
-                _ => return Err(CsvError::MixedReadings { pose: observation.pose }),
-            });
+        let kind = observations.first().map_or(Kind::Spherical, |o| Kind::of(&o.reading));
+        if let Some(other) = observations.iter().find(|o| Kind::of(&o.reading) != kind) {
+            return Err(CsvError::MixedReadings { pose: other.pose });
         }
-        let sigmas = covariances.iter().flatten().all(|covariance| exact_sigmas(covariance).is_some());
-        let header = self.header(spherical, sigmas);
+        let covariances: Vec<_> = observations.iter().map(|o| covariance_of(&o.reading)).collect();
+        let form = Form {
+            kind,
+            as_sigmas: covariances.iter().flatten().all(|covariance| exact_sigmas(covariance).is_some()),
+            has_faces: observations.iter().any(|o| o.reading.face() == Face::Back),
+        };
+        let header = self.header(form);
         let mut writer = csv::Writer::from_writer(Vec::new());
         let unwritable =
             |e: csv::Error| CsvError::Unwritable { path: PathBuf::from("(memory)"), reason: e.to_string() };
         writer.write_record(&header).map_err(unwritable)?;
         for (observation, covariance) in observations.iter().zip(&covariances) {
-            let row = self.row(&header, observation, covariance.as_ref(), sigmas)?;
+            let row = self.row(&header, observation, covariance.as_ref(), form)?;
             writer.write_record(&row).map_err(unwritable)?;
         }
         let text = writer.into_inner().map_err(|e| unwritable(e.into_error().into()))?;
@@ -161,20 +245,11 @@ impl Writer<'_> {
         Ok(String::from_utf8_lossy(&text).into_owned())
     }
 
-    fn header(&self, spherical: bool, sigmas: bool) -> Vec<String> {
+    fn header(&self, form: Form) -> Vec<String> {
         let mut header: Vec<String> = [own::POSE, own::STATION, own::TARGET].map(str::to_owned).into();
+        header.extend(form.has_faces.then(|| own::FACE.to_owned()));
         header.extend(self.joints.iter().enumerate().map(|(index, kind)| own::joint(index, *kind)));
-        let (position, sigma, covariance) = if spherical {
-            (own::SPHERICAL, own::SPHERICAL_SIGMA, own::SPHERICAL_COVARIANCE)
-        } else {
-            (own::CARTESIAN, own::CARTESIAN_SIGMA, own::CARTESIAN_COVARIANCE)
-        };
-        header.extend(position.map(str::to_owned));
-        if sigmas {
-            header.extend(sigma.map(str::to_owned));
-        } else {
-            header.extend(covariance.map(str::to_owned));
-        }
+        header.extend(form.kind.columns(form.as_sigmas).into_iter().map(str::to_owned));
         header.extend([own::TIME, own::TEMPERATURE].map(str::to_owned));
         header.extend((0..self.joints.len()).map(own::approach));
         header
@@ -184,8 +259,8 @@ impl Writer<'_> {
         &self,
         header: &[String],
         observation: &Observation,
-        covariance: Option<&Matrix3<f64>>,
-        sigmas: bool,
+        covariance: Option<&DMatrix<f64>>,
+        form: Form,
     ) -> Result<Vec<String>, CsvError> {
         let (pose, expected) = (observation.pose, self.joints.len());
         for (what, found) in
@@ -207,17 +282,34 @@ impl Writer<'_> {
         match &observation.reading {
             Reading::Spherical(r) => numbers.extend([r.range, r.azimuth, r.elevation].map(Some)),
             Reading::Cartesian { position, .. } => numbers.extend(position.iter().copied().map(Some)),
-            Reading::Pose(_) => return Err(CsvError::MixedReadings { pose }),
-        }
-        match covariance {
-            Some(c) if sigmas => numbers.extend(exact_sigmas(c).unwrap_or_default().map(Some)),
-            Some(c) => {
-                numbers.extend([c.m11, c.m12, c.m13, c.m22, c.m23, c.m33].map(Some));
+            Reading::Pose(reading) => {
+                let matrix = reading.rotation.matrix();
+                rotation_of_matrix(matrix).map_err(|error| CsvError::Rotation { pose, error })?;
+                numbers.extend(reading.position.iter().chain(&matrix.transpose()).copied().map(Some));
             }
-            None => numbers.extend(vec![None; if sigmas { 3 } else { 6 }]),
+        }
+        let uncertainties = form.kind.uncertainties(form.as_sigmas);
+        match covariance {
+            Some(c) if form.as_sigmas => {
+                numbers.extend(
+                    exact_sigmas(c).into_iter().flat_map(|sigmas| sigmas.data.as_vec().clone()).map(Some),
+                );
+            }
+            Some(c) => {
+                let upper = (0..c.nrows()).flat_map(|i| (i..c.ncols()).map(move |j| (i, j)));
+                numbers.extend(upper.map(|place| Some(c[place])));
+            }
+            None => numbers.extend(vec![None; uncertainties]),
+        }
+        if let Some(value) = observation
+            .temperature
+            .filter(|t| t.is_finite() && !(TEMPERATURES[0]..=TEMPERATURES[1]).contains(t))
+        {
+            return Err(CsvError::Temperature { pose, value });
         }
         numbers.extend([Some(observation.time), observation.temperature]);
         let mut row = vec![pose.to_string(), station.name.clone(), target.name.clone()];
+        row.extend(form.has_faces.then(|| observation.reading.face().key().to_owned()));
         for (number, column) in numbers.into_iter().zip(&header[row.len()..]) {
             match number {
                 Some(value) if !value.is_finite() => {

@@ -3,12 +3,14 @@
 use std::fmt;
 use std::ops::Range;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Cholesky, Matrix3, Vector3};
 use serde::Deserialize;
 use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
 use serde::de::{Deserializer, MapAccess, SeqAccess, Visitor};
 
 use crate::input::{InputError, Source, Spanned};
+use crate::orientation::{Four, OrientationKeys, Square, Three};
+use calibrig_model::measurement::TargetOrientation;
 
 /// A target as the robot's file states it.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,6 +21,8 @@ pub struct StatedTarget {
     pub in_flange: Vector3<f64>,
     /// Standard deviation of it along every axis, m; `None` for a nominal value of unknown uncertainty.
     pub sigma: Option<f64>,
+    /// How it is turned on the flange, of a target whose readings are full poses.
+    pub orientation: Option<TargetOrientation>,
     /// Where the file states it, for messages.
     pub place: Range<usize>,
 }
@@ -38,6 +42,29 @@ struct TargetTable {
     y_mm: Spanned<f64>,
     z_mm: Spanned<f64>,
     sigma_mm: Option<Spanned<f64>>,
+    rotation_quaternion_wxyz: Option<Four>,
+    rotation_quaternion_xyzw: Option<Four>,
+    rotation_vector_rad: Option<Three>,
+    rotation_euler_rad: Option<Three>,
+    rotation_sequence: Option<Spanned<String>>,
+    rotation_matrix: Option<Square>,
+    rotation_sigma_rad: Option<Spanned<f64>>,
+    rotation_covariance_rad2: Option<Square>,
+}
+
+impl TargetTable {
+    fn orientation(&self) -> OrientationKeys<'_> {
+        OrientationKeys {
+            quaternion_wxyz: self.rotation_quaternion_wxyz.as_ref(),
+            quaternion_xyzw: self.rotation_quaternion_xyzw.as_ref(),
+            vector_rad: self.rotation_vector_rad.as_ref(),
+            euler_rad: self.rotation_euler_rad.as_ref(),
+            sequence: self.rotation_sequence.as_ref(),
+            matrix: self.rotation_matrix.as_ref(),
+            sigma_rad: self.rotation_sigma_rad.as_ref(),
+            covariance_rad2: self.rotation_covariance_rad2.as_ref(),
+        }
+    }
 }
 
 /// One table or several. No untagged enum: that would lose where a mistake is.
@@ -100,6 +127,14 @@ pub(super) fn read_targets(source: &Source, tables: &TargetTables) -> Result<Vec
         }
         let millimetres =
             |key: &str, value: &Spanned<f64>| Ok::<_, InputError>(source.finite(key, value)? / 1e3);
+        let orientation = target.orientation().read(source)?;
+        let is_exact = orientation.as_ref().and_then(|turn| turn.covariance);
+        if is_exact.is_some_and(|covariance| Cholesky::new(covariance).is_none()) {
+            let message =
+                "the uncertainty of the target's rotation is not above zero in every direction".to_owned();
+            let expected = "rotation_sigma_rad or rotation_covariance_rad2 of a measured rotation, or neither where it is not known";
+            return Err(refused(span, message, expected));
+        }
         let sigma = target.sigma_mm.as_ref().map(|sigma| {
             if *sigma.get_ref() == 0.0 {
                 let message = "target.sigma_mm is 0, and nothing is measured exactly".to_owned();
@@ -119,6 +154,7 @@ pub(super) fn read_targets(source: &Source, tables: &TargetTables) -> Result<Vec
                 millimetres("target.z_mm", &target.z_mm)?,
             ),
             sigma: sigma.transpose()?,
+            orientation,
             place: span,
         });
     }

@@ -449,6 +449,13 @@ fn a_target_is_stated_alone_or_as_one_of_several() {
     let several = with_target(&(table("A", "sigma_mm = 0.02") + &table("B", ""))).expect("valid");
     let told: Vec<_> = several.targets.iter().map(|t| (t.name.as_deref(), t.sigma)).collect();
     assert_eq!(told, [(Some("A"), Some(2e-5)), (Some("B"), None)]);
+    assert_eq!(sure.targets[0].orientation, None);
+    let turned =
+        with_target(&format!("[target]\n{at}\nrotation_vector_deg = [0, 0, 90]\nrotation_sigma_urad = 50"))
+            .expect("valid");
+    let turn = turned.targets[0].orientation.as_ref().expect("stated");
+    assert!((turn.flange_from_target * Vector3::x() - Vector3::y()).amax() < 1e-15);
+    assert!((turn.covariance.expect("stated").m33.sqrt() - 5e-5).abs() < 1e-18);
 }
 
 #[test]
@@ -464,6 +471,24 @@ fn a_target_that_cannot_be_is_refused_at_its_line() {
         ("[target]\nx_s = 1\ny_mm = 2\nz_mm = 3".to_owned(), "unknown key `x_s`", 25, "`x_mm`"),
         ("[target]\nx_mm = inf\ny_mm = 2\nz_mm = 3".to_owned(), "target.x_mm is inf", 25, "finite"),
         (format!("[target]\nname = \" \"\n{at}"), "target.name is empty", 25, "measurement files"),
+        (
+            format!("[target]\n{at}\nrotation_quaternion_xyzw = [0, 0, 0, 0.9]"),
+            "the quaternion has length 0.900000, off 1 by 1.0e-1",
+            28,
+            "w among them",
+        ),
+        (
+            format!("[target]\n{at}\nrotation_matrix = [[0, 1, 0], [1, 0, 0], [0, 0, 1]]"),
+            "the matrix is left-handed: its determinant is -1.0000",
+            28,
+            "right-handed",
+        ),
+        (
+            format!("[target]\n{at}\nrotation_euler_deg = [0, 1, 2]"),
+            "the sequence of the angles is not stated",
+            28,
+            "rotation_sequence = \"zyx intrinsic\"",
+        ),
         (
             format!("[[target]]\nname = \"A\"\n{at}\n[[target]]\n{at}"),
             "2 targets are stated, and this one has no name",

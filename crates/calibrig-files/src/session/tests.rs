@@ -1,4 +1,6 @@
 use super::*;
+use calibrig_model::measurement::{InstrumentTerm, PoseReading, StatedDrift, TargetOrientation};
+use nalgebra::Rotation3;
 use proptest::prelude::*;
 
 fn parse(text: &str) -> Result<SessionFile, InputError> {
@@ -19,45 +21,83 @@ fn matrix() -> impl Strategy<Value = Matrix3<f64>> {
 }
 
 fn reading() -> impl Strategy<Value = Reading> {
-    let spherical =
-        (1e-15..1e15, numbers::<2>(), matrix()).prop_map(|(range, [azimuth, elevation], covariance)| {
+    let spherical = (1e-15..1e15, numbers::<2>(), matrix(), any::<bool>()).prop_map(
+        |(range, [azimuth, elevation], covariance, is_back)| {
             Reading::Spherical(SphericalReading {
-                face: calibrig_model::measurement::Face::Front,
+                face: if is_back { Face::Back } else { Face::Front },
                 range,
                 azimuth,
                 elevation,
                 covariance: Some(covariance),
             })
-        });
+        },
+    );
     let cartesian = (numbers::<3>(), prop::option::of(matrix()))
         .prop_map(|(position, covariance)| Reading::Cartesian { position: position.into(), covariance });
     prop_oneof![spherical, cartesian]
 }
 
+/// Errors in any order, each once.
+fn instrument() -> impl Strategy<Value = StatedInstrument> {
+    let terms = prop::sample::subsequence(InstrumentTerm::ALL.to_vec(), 0..=16).prop_shuffle();
+    let sigma = prop_oneof![1e-9..1e-3f64, Just(1e-15), Just(1e15)];
+    let drift = prop::option::of((0.0..1e-3f64, 0.0..1e-3f64));
+    ("\\PC{0,6}", terms, prop::collection::vec(sigma, 16), drift).prop_map(|(name, terms, sigmas, drift)| {
+        let drift =
+            drift.map(|(motion_per_hour, turn_per_hour)| StatedDrift { motion_per_hour, turn_per_hour });
+        StatedInstrument { name, sigmas: terms.into_iter().zip(sigmas).collect(), drift }
+    })
+}
+
+/// Rounds of nests, each measured once a round; without times where there is one round.
 fn stations() -> impl Strategy<Value = Vec<Station>> {
-    let nest = ("\\PC{0,6}", numbers::<3>(), matrix(), reading()).prop_map(
-        |(name, in_base, in_base_covariance, reading)| NestObservation {
-            time: None,
-            name,
-            in_base: in_base.into(),
-            in_base_covariance,
-            reading,
-        },
-    );
-    prop::collection::vec(prop::collection::vec(nest, 0..3), 1..3).prop_map(|stations| {
-        let station = |(i, nests)| Station { name: format!("\"{i}\\ é"), nests, instrument: None };
+    let nest = ("\\PC{0,6}", numbers::<3>(), matrix(), prop::collection::vec(reading(), 1..3));
+    let rounds = |nests: Vec<(String, [f64; 3], Matrix3<f64>, Vec<Reading>)>| {
+        let of_nest = |(i, (name, in_base, in_base_covariance, readings)): (
+            usize,
+            (String, [f64; 3], _, Vec<Reading>),
+        )| {
+            let is_repeated = readings.len() > 1;
+            readings
+                .into_iter()
+                .enumerate()
+                .map(move |(round, reading)| NestObservation {
+                    name: format!("{i}{name}"),
+                    in_base: in_base.into(),
+                    in_base_covariance,
+                    reading,
+                    time: is_repeated.then(|| 0.1 * round as f64 - 1.0),
+                })
+                .collect::<Vec<_>>()
+        };
+        nests.into_iter().enumerate().flat_map(of_nest).collect::<Vec<_>>()
+    };
+    let station = (prop::collection::vec(nest, 0..3).prop_map(rounds), prop::option::of(instrument()));
+    prop::collection::vec(station, 1..3).prop_map(|stations| {
+        let station = |(i, (nests, instrument)): (usize, (_, Option<StatedInstrument>))| {
+            // One name is one instrument.
+            let instrument =
+                instrument.map(|stated| StatedInstrument { name: format!("{i}{}", stated.name), ..stated });
+            Station { name: format!("\"{i}\\ é"), nests, instrument }
+        };
         stations.into_iter().enumerate().map(station).collect()
     })
 }
 
 fn targets() -> impl Strategy<Value = Vec<Target>> {
-    let target = |(i, (at, covariance)): (usize, ([f64; 3], _))| Target {
-        orientation: None,
+    let turn = (prop::array::uniform3(-3.0f64..3.0), prop::option::of(matrix()));
+    let turn = turn.prop_map(|(v, covariance)| TargetOrientation {
+        flange_from_target: Rotation3::new(v.into()),
+        covariance,
+    });
+    let target = |(i, (at, covariance, orientation)): (usize, ([f64; 3], _, _))| Target {
         name: format!("target {i}"),
         in_flange: at.into(),
         covariance,
+        orientation,
     };
-    let targets = prop::collection::vec((numbers::<3>(), prop::option::of(matrix())), 1..3);
+    let targets = (numbers::<3>(), prop::option::of(matrix()), prop::option::of(turn));
+    let targets = prop::collection::vec(targets, 1..3);
     targets.prop_map(move |targets| targets.into_iter().enumerate().map(target).collect())
 }
 
@@ -72,11 +112,17 @@ proptest! {
             .collect();
         if same && sets.len() == 2 {
             sets[1] = sets[0].clone();
+        } else if let [first, second] = sets.as_mut_slice() {
+            for (station, other) in second.stations.iter_mut().zip(&first.stations) {
+                if station.instrument.is_some() && other.instrument.is_some() {
+                    station.instrument.clone_from(&other.instrument);
+                }
+            }
         }
         let dropped = [(3, reason)];
         let told: Vec<SessionSet<'_>> =
             SetKind::ALL.into_iter().zip(&sets).map(|(kind, set)| (kind, set, &dropped[..])).collect();
-        let text = session_text(&told);
+        let text = session_text(&told).expect("no nest is a full pose");
         let source = Source::new("session.toml", text);
         let file = parse_session(&source).expect("as written");
         for (kind, set, dropped) in told {
@@ -146,6 +192,12 @@ fn stations_are_found_by_their_names() {
 #[test]
 fn refusals_name_line_and_key() {
     let nest = "[[station]]\nname = \"s\"\n[[station.nest]]\nname = \"n\"\nin_base_m = [1, 2, 3]\n";
+    let seen = format!("{nest}in_base_sigma_m = 1e-5\nposition_m = [1, 2, 3]\n");
+    let again = seen
+        .split_once("[[station.nest]]")
+        .map(|(_, nest)| format!("[[station.nest]]{nest}"))
+        .expect("a nest");
+    let target = "[[target]]\nname = \"t\"\nin_flange_m = [1, 2, 3]\n";
     let cases = [
         ("[[station]]\nname = \"s\"\nset = \"test\"", "session.toml:4: set is \"test\""),
         (
@@ -171,6 +223,61 @@ fn refusals_name_line_and_key() {
             "session.toml:5: covariance_m2 has -1e0 on its diagonal",
         ),
         ("[[dropped]]\nset = \"verification\"\npose = -1\nreason = \"r\"", "session.toml:4:"),
+        (&format!("{seen}{again}"), "session.toml:10: nest \"n\" is there twice, and not at two times"),
+        (
+            &format!("{seen}time_s = 1\n{again}time_s = 1\n"),
+            "session.toml:11: nest \"n\" is there twice, and not at two times",
+        ),
+        (
+            &format!("{seen}time_s = 1\n{}time_s = 2\n", again.replace("3]\nin", "3.002]\nin")),
+            "session.toml:11: nest \"n\" is there twice, and its certified places are 2.0000 mm apart",
+        ),
+        (&format!("{seen}face = \"back\"\n"), "session.toml:9: face is of range and angles"),
+        (
+            &format!(
+                "{nest}in_base_sigma_m = 1e-5\nrange_m = 2\naz_rad = 0\nel_rad = 0\nsigma_range_m = 1\nsigma_az_rad = 1\nsigma_el_rad = 1\nface = \"rear\"\n"
+            ),
+            "session.toml:14: face is \"rear\"",
+        ),
+        (
+            "[[station]]\nname = \"s\"\n[station.instrument]\nname = \"i\"\ncollimation_urad = 0\n",
+            "session.toml:6: collimation_urad is 0",
+        ),
+        (
+            "[[station]]\nname = \"s\"\n[station.instrument]\nname = \"i\"\ncollimation_urad = -1\n",
+            "session.toml:6: collimation_urad is -1",
+        ),
+        (
+            "[[station]]\nname = \"s\"\n[station.instrument]\nname = \"i\"\ncollimation = 1\n",
+            "session.toml:6: unknown key `collimation`",
+        ),
+        ("[[station]]\nname = \"s\"\n[station.instrument]\ncollimation_rad = 1\n", "missing key `name`"),
+        (
+            &format!(
+                "{target}rotation_vector_deg = [1, 2, 3]\nrotation_matrix = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n"
+            ),
+            "session.toml:6: the rotation is stated twice",
+        ),
+        (
+            &format!("{target}rotation_matrix = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]\n"),
+            "session.toml:5: the matrix is left-handed",
+        ),
+        (
+            &format!("{target}rotation_quaternion_wxyz = [0, 0, 0, 0]\n"),
+            "session.toml:5: the quaternion has length 0",
+        ),
+        (
+            &format!("{target}rotation_euler_deg = [0, 0, 0]\n"),
+            "session.toml:5: the sequence of the angles is not stated",
+        ),
+        (
+            &format!("{target}rotation_sequence = \"zyx\"\n"),
+            "rotation_sequence is of angles, and there are none",
+        ),
+        (
+            &format!("{target}rotation_sigma_mrad = 1\n"),
+            "session.toml:5: the uncertainty of a rotation is stated, and no rotation",
+        ),
     ];
     for (text, expected) in cases {
         let error = parse(text).expect_err(expected);
@@ -208,7 +315,8 @@ fn what_no_identification_can_use_is_refused_at_its_line() {
         ),
         (
             station(["0, 0, 0", "1, 0, 0", "2, 0, 0"], "1e-5"),
-            "session.toml:3: station \"s\": the base nests lie on one line",
+            "session.toml:3: station \"s\": the base nests lie on one line and do not determine the tracker's place: \
+             n0, 0, 0, n1, 0, 0, n2, 0, 0 are on it to 0.000 mm",
         ),
         (station(sound, "0"), "session.toml:4: station \"s\": nest n0, 0, 0: the covariance is missing"),
         (target("sigma_m = 0"), "session.toml:3: target \"t\": its uncertainty is not above zero"),
@@ -220,4 +328,71 @@ fn what_no_identification_can_use_is_refused_at_its_line() {
         let error = check(&text).expect_err(expected);
         assert!(error.contains(expected), "{error} lacks {expected}");
     }
+}
+
+#[test]
+fn instruments_nests_in_rounds_and_turned_targets_are_read_in_units_that_people_write() {
+    let nest = |more: &str| {
+        format!(
+            "[[station.nest]]\nname = \"n\"\nin_base_m = [1, 2, 3]\nin_base_sigma_m = 1e-5\nrange_m = 4\naz_rad = 0.5\nel_rad = 0\n\
+             sigma_range_m = 1e-5\nsigma_az_rad = 2e-6\nsigma_el_rad = 3e-6\n{more}"
+        )
+    };
+    let text = format!(
+        "[[station]]\nname = \"s\"\n[station.instrument]\nname = \"AT1\"\nrange_offset_um = 5\ncollimation_urad = 2.5\nrange_scale_um_per_m = 0.3\n\
+         vertical_index_arcsec = 1\n{}{}{}[[target]]\nname = \"probe\"\nin_flange_m = [0, 0, 0.1]\nrotation_euler_deg = [90, 0, 0]\n\
+         rotation_sequence = \"zyx intrinsic\"\nrotation_sigma_mrad = 2\n",
+        nest("time_s = 1\n"),
+        nest("time_s = 1\nface = \"back\"\n"),
+        nest("time_s = 600\n")
+    );
+    let session = parse(&text).expect("valid");
+    let station = &session.stations[0].item;
+    let instrument = station.instrument.as_ref().expect("stated");
+    let terms: Vec<_> = instrument.sigmas.iter().map(|(term, _)| *term).collect();
+    use InstrumentTerm::{Collimation, RangeOffset, RangeScale, VerticalIndex};
+    assert_eq!(terms, [RangeOffset, Collimation, RangeScale, VerticalIndex], "in the order of the file");
+    let expected = [5e-6, 2.5e-6, 0.3e-6, (1.0_f64 / 3600.0).to_radians()];
+    for ((_, found), expected) in instrument.sigmas.iter().zip(expected) {
+        assert!((found / expected - 1.0).abs() < 1e-14, "{found} {expected}");
+    }
+    let rounds: Vec<_> = station.nests.iter().map(|nest| (nest.time, nest.reading.face())).collect();
+    assert_eq!(rounds, [(Some(1.0), Face::Front), (Some(1.0), Face::Back), (Some(600.0), Face::Front)]);
+    let turn = session.targets[0].item.orientation.as_ref().expect("stated");
+    assert!((turn.flange_from_target * Vector3::x() - Vector3::y()).amax() < 1e-15);
+    assert!((turn.covariance.expect("stated").m22 - 4e-6).abs() < 1e-18);
+
+    let two = format!(
+        "{text}[[station]]\nname = \"b\"\n[station.instrument]\nname = \"AT1\"\nrange_offset_um = 5\ncollimation_urad = 3\n"
+    );
+    let refused = parse(&two).expect_err("contradicts").to_string();
+    assert!(
+        refused.contains("instrument \"AT1\" is stated otherwise at station \"s\": range_scale_m_per_m is not stated here and 3e-7 there"),
+        "{refused}"
+    );
+}
+
+#[test]
+fn a_nest_that_is_a_full_pose_is_not_written() {
+    let reading = Reading::Pose(Box::new(PoseReading {
+        position: Vector3::x(),
+        rotation: Rotation3::identity(),
+        covariance: None,
+    }));
+    let nest = NestObservation {
+        name: "n".to_owned(),
+        in_base: Vector3::x(),
+        in_base_covariance: Matrix3::identity(),
+        reading,
+        time: None,
+    };
+    let set = MeasurementSet {
+        stations: vec![Station { name: "s".to_owned(), nests: vec![nest], instrument: None }],
+        ..MeasurementSet::default()
+    };
+    let refused = session_text(&[(SetKind::Identification, &set, &[])]).expect_err("a pose");
+    assert_eq!(
+        refused.to_string(),
+        "station \"s\": nest \"n\" was read as a full pose, and a nest is a point"
+    );
 }

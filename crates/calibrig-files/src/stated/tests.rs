@@ -286,3 +286,19 @@ fn rows_that_repeat_another_to_the_last_digit_count_once_and_are_told() {
         "m.csv: 2 of the readings repeat another to the last digit and count once with it (pose 3)";
     assert!(told.iter().any(|line| line == expected), "{told:?}");
 }
+
+#[test]
+fn a_probe_that_turns_about_its_centre_is_seen_in_another_pose() {
+    let head = "q1_rad,x_m,y_m,z_m,r11,r12,r13,r21,r22,r23,r31,r32,r33\n";
+    let turned = "0.1,1,2,3,0,-1,0,1,0,0,0,0,1\n";
+    let source = Source::new("m.csv", format!("{head}0.1,1,2,3,1,0,0,0,1,0,0,0,1\n{turned}{turned}"));
+    let loaded = parse_measurements(&source, &ColumnMap::default(), &[JointKind::Revolute]).expect("valid");
+    let mut files = vec![MeasuredFile { kind: SetKind::Identification, name: source.name, loaded }];
+    let text = format!("{JOINT}[target]\nx_mm = 0\ny_mm = 0\nz_mm = 0\nrotation_vector_rad = [0, 0, 0.5]\n");
+    let robot = parse_robot(Source::new("robot.toml", text), None, None).expect("valid");
+    let told = state(&robot, None, &mut files).expect("valid").remarks;
+    assert_eq!(files[0].loaded.set.observations.len(), 2);
+    assert!(told.iter().any(|line| line.contains("1 of the readings repeats another")), "{told:?}");
+    let turn = files[0].loaded.set.targets[0].orientation.as_ref().expect("as the robot's file states it");
+    assert!((turn.flange_from_target.angle() - 0.5).abs() < 1e-12);
+}

@@ -11,6 +11,7 @@ use nalgebra::Vector3;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
+use super::Station;
 use crate::Unit;
 
 /// In which of its two positions a tracker took a reading. In the back face its head is turned by half a turn and its telescope is turned over, so
@@ -123,6 +124,24 @@ impl InstrumentTerm {
         }
     }
 
+    /// What it is, for people.
+    pub fn about(self) -> &'static str {
+        match self {
+            Self::RangeOffset => "offset of the range",
+            Self::RangeScale => "scale of the range",
+            Self::TransitOffset => "distance between standing and transit axis",
+            Self::BeamOffsetTransverse => "sideways offset of the beam",
+            Self::BeamOffsetNormal => "offset of the beam from the transit axis",
+            Self::Collimation => "collimation",
+            Self::AxisTilt => "tilt of the transit axis",
+            Self::VerticalIndex => "zero of the elevation",
+            Self::AzimuthSin1 | Self::AzimuthCos1 => "eccentricity of the azimuth encoder",
+            Self::AzimuthSin2 | Self::AzimuthCos2 => "second order of the azimuth encoder",
+            Self::ElevationSin1 | Self::ElevationCos1 => "eccentricity of the elevation encoder",
+            Self::ElevationSin2 | Self::ElevationCos2 => "second order of the elevation encoder",
+        }
+    }
+
     /// Reads [`key`](Self::key).
     pub fn parse(key: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|term| term.key() == key)
@@ -198,6 +217,50 @@ pub struct StatedInstrument {
     pub name: String,
     /// Standard deviation about zero of each error that the instrument can have, m, rad or 1. Those that are not listed are taken for zero.
     pub sigmas: Vec<(InstrumentTerm, f64)>,
+    /// How far its stand lets it move while it measures, where that is not taken out by nests that are measured again. Every station moves by itself.
+    pub drift: Option<StatedDrift>,
+}
+
+/// Standard deviations about zero of a steady motion of a tracker on its stand.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct StatedDrift {
+    /// Along each axis of the base, m in an hour.
+    pub motion_per_hour: f64,
+    /// About each of them, rad in an hour.
+    pub turn_per_hour: f64,
+}
+
+impl StatedDrift {
+    /// Of a component of the motion: 0..3 along, 3..6 about.
+    pub fn sigma(&self, component: usize) -> f64 {
+        if component < 3 { self.motion_per_hour } else { self.turn_per_hour }
+    }
+}
+
+/// Seconds of the unit of time that [`StatedDrift`] counts in.
+pub const DRIFT_UNIT: f64 = 3600.0;
+
+impl StatedInstrument {
+    /// The errors that it can have, with their standard deviations above zero.
+    pub fn errors(&self) -> impl Iterator<Item = (InstrumentTerm, f64)> + '_ {
+        self.sigmas.iter().copied().filter(|(_, sigma)| *sigma > 0.0)
+    }
+
+    /// The instruments of stations, each once, and of every station the place of its own among them. Of stations that name the same one, the
+    /// first states its errors.
+    pub fn of_stations(stations: &[Station]) -> (Vec<&Self>, Vec<Option<usize>>) {
+        let mut known: Vec<&Self> = Vec::new();
+        let mut own = Vec::with_capacity(stations.len());
+        for station in stations {
+            own.push(station.instrument.as_ref().map(|stated| {
+                known.iter().position(|other| other.name == stated.name).unwrap_or_else(|| {
+                    known.push(stated);
+                    known.len() - 1
+                })
+            }));
+        }
+        (known, own)
+    }
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 mod drift;
 mod instrument;
+mod pose;
 mod registration;
 mod repeats;
 
@@ -9,8 +10,9 @@ pub use drift::{
     DRIFT_FALSE_ALARM, DriftError, DriftSize, DriftVerdict, MissingForDrift, NEST_FALSE_ALARM,
     NestContradiction, StationDrift, Steady, remove_drift,
 };
-pub use instrument::{Face, InstrumentTerm, StatedInstrument};
-pub use registration::{NestSystem, Registration, RegistrationError, nest_system, register};
+pub use instrument::{DRIFT_UNIT, Face, InstrumentTerm, StatedDrift, StatedInstrument};
+pub use pose::{CombineError, combine};
+pub use registration::{NestSystem, Registration, RegistrationError, WhitenedNest, nest_system, register};
 pub use repeats::Repeats;
 
 use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3};
@@ -132,6 +134,10 @@ pub struct Observation {
 
 /// What the tracker read, in its own frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "a session of poses is made of the largest, and one of points is small"
+)]
 pub enum Reading {
     /// As the instrument observes.
     Spherical(SphericalReading),
@@ -143,7 +149,7 @@ pub enum Reading {
         covariance: Option<Matrix3<f64>>,
     },
     /// Place and orientation of a target with axes of its own.
-    Pose(PoseReading),
+    Pose(Box<PoseReading>),
 }
 
 /// A target's place and orientation as a tracker with a six-degree-of-freedom probe or a camera system sees it.
@@ -213,11 +219,89 @@ pub enum MeasurementError {
         /// The pose.
         pose: u32,
     },
+    /// An instrument's error that cannot be as large as stated.
+    #[error(
+        "station {station}: the standard deviation of its instrument's {term} is {sigma}: expected a finite number of zero or more"
+    )]
+    InstrumentSigma {
+        /// Name of the station.
+        station: String,
+        /// Which error.
+        term: InstrumentTerm,
+        /// m, rad or 1.
+        sigma: f64,
+    },
+    /// A drift that cannot be as large as stated.
+    #[error(
+        "station {station}: the standard deviation of its drift is {sigma} m or rad in an hour: expected a finite number of zero or more"
+    )]
+    DriftSigma {
+        /// Name of the station.
+        station: String,
+        /// m or rad in an hour.
+        sigma: f64,
+    },
+    /// An instrument's error that is stated twice.
+    #[error("station {station}: its instrument's {term} is stated twice: expected one standard deviation")]
+    InstrumentTwice {
+        /// Name of the station.
+        station: String,
+        /// Which error.
+        term: InstrumentTerm,
+    },
     /// A certified place, an offset or a covariance that is not finite.
     #[error("{what}: a coordinate or covariance is not a finite number")]
     NotFiniteIn {
         /// Which station, nest or target.
         what: String,
+    },
+    /// Axes that do not stand at right angles, or are not of length one.
+    #[error(
+        "{what}: the three columns of the rotation are off right angles and unit length by {off:.1e}: expected a rotation, as a matrix \
+         with orthonormal columns; check which columns of the file hold it, and their convention"
+    )]
+    NoRotation {
+        /// Which pose or target.
+        what: String,
+        /// Largest entry of `RᵀR - 1`.
+        off: f64,
+    },
+    /// Axes that are mirrored.
+    #[error(
+        "{what}: the axes of the rotation are left-handed: expected right-handed ones; check the signs and the order of its columns"
+    )]
+    LeftHanded {
+        /// Which pose or target.
+        what: String,
+    },
+    /// The covariance of a full pose cannot be one.
+    #[error(
+        "pose {pose}: the 6 x 6 covariance of its position (m) and rotation (rad) is not symmetric and positive definite: expected the \
+         covariance of six errors none of which is exact; give every one of them a standard deviation above zero"
+    )]
+    PoseCovariance {
+        /// The pose.
+        pose: u32,
+    },
+    /// The covariance of how a target is turned on the flange cannot be one.
+    #[error(
+        "target {target}: the covariance of its orientation is not symmetric and positive definite: expected standard deviations above \
+         zero (rad), or none where the orientation is unknown"
+    )]
+    OrientationCovariance {
+        /// The target.
+        target: String,
+    },
+    /// A full pose of what has no axes.
+    #[error(
+        "pose {pose} has a rotation, but nothing says how target {target} is turned on the flange: state its orientation; without an \
+         uncertainty it is identified, and need not be near"
+    )]
+    PoseOfPoint {
+        /// The pose.
+        pose: u32,
+        /// The target.
+        target: String,
     },
 }
 
@@ -322,17 +406,72 @@ impl MeasurementSet {
                 && observation.time.is_finite()
                 && observation.temperature.is_none_or(f64::is_finite)
                 && observation.reading.is_finite();
-            if finite { Ok(()) } else { Err(MeasurementError::NotFinite { pose }) }
+            if !finite {
+                return Err(MeasurementError::NotFinite { pose });
+            }
+            match &observation.reading {
+                Reading::Pose(reading) => reading.check(pose, &self.targets[observation.target]),
+                Reading::Spherical(_) | Reading::Cartesian { .. } => Ok(()),
+            }
         })
+    }
+
+    /// Whether any reading has an orientation.
+    pub fn has_poses(&self) -> bool {
+        self.observations.iter().any(|observation| matches!(observation.reading, Reading::Pose(_)))
     }
 }
 
 impl Station {
+    /// The time at which the nests place it, s: the mean of their times; zero where one has none.
+    pub fn placed_at(&self) -> f64 {
+        let times: Option<Vec<f64>> = self.nests.iter().map(|nest| nest.time).collect();
+        times
+            .filter(|times| !times.is_empty())
+            .map_or(0.0, |times| times.iter().sum::<f64>() / times.len() as f64)
+    }
+
+    /// The readings of every nest (indices into [`nests`](Self::nests)): those that have its name and its certified place.
+    pub fn distinct_nests(&self) -> Vec<Vec<usize>> {
+        let mut distinct: Vec<Vec<usize>> = Vec::new();
+        for (index, nest) in self.nests.iter().enumerate() {
+            let is_same = |other: &NestObservation| {
+                other.name == nest.name
+                    && other.in_base == nest.in_base
+                    && other.in_base_covariance == nest.in_base_covariance
+            };
+            match distinct.iter_mut().find(|readings| is_same(&self.nests[readings[0]])) {
+                Some(readings) => readings.push(index),
+                None => distinct.push(vec![index]),
+            }
+        }
+        distinct
+    }
+
     fn check(&self) -> Result<(), MeasurementError> {
         let is_finite = |nest: &NestObservation| {
             let certified = nest.in_base.iter().chain(nest.in_base_covariance.iter());
             certified.copied().all(f64::is_finite) && nest.reading.is_finite()
         };
+        for (place, (term, sigma)) in
+            self.instrument.iter().flat_map(|stated| stated.sigmas.iter().enumerate())
+        {
+            let (station, term, sigma) = (self.name.clone(), *term, *sigma);
+            if !(sigma.is_finite() && sigma >= 0.0) {
+                return Err(MeasurementError::InstrumentSigma { station, term, sigma });
+            }
+            let before = self.instrument.iter().flat_map(|stated| &stated.sigmas).take(place);
+            if before.into_iter().any(|(other, _)| *other == term) {
+                return Err(MeasurementError::InstrumentTwice { station, term });
+            }
+        }
+        for drift in self.instrument.iter().filter_map(|stated| stated.drift) {
+            for sigma in [drift.motion_per_hour, drift.turn_per_hour] {
+                if !(sigma.is_finite() && sigma >= 0.0) {
+                    return Err(MeasurementError::DriftSigma { station: self.name.clone(), sigma });
+                }
+            }
+        }
         match self.nests.iter().find(|nest| !is_finite(nest)) {
             Some(nest) => {
                 let what = format!("nest {} of station {}", nest.name, self.name);
@@ -346,11 +485,22 @@ impl Station {
 impl Target {
     fn check(&self) -> Result<(), MeasurementError> {
         let covariance = self.covariance.iter().flat_map(|c| c.iter());
-        let finite = self.in_flange.iter().chain(covariance).all(|v| v.is_finite());
-        if finite {
-            Ok(())
-        } else {
-            Err(MeasurementError::NotFiniteIn { what: format!("target {}", self.name) })
+        let turned = self.orientation.iter().flat_map(|orientation| {
+            let covariance = orientation.covariance.iter().flat_map(|c| c.iter());
+            orientation.flange_from_target.matrix().iter().chain(covariance)
+        });
+        if !self.in_flange.iter().chain(covariance).chain(turned).all(|v| v.is_finite()) {
+            return Err(MeasurementError::NotFiniteIn { what: format!("target {}", self.name) });
+        }
+        let Some(orientation) = &self.orientation else { return Ok(()) };
+        pose::check_rotation(&orientation.flange_from_target, || {
+            format!("the orientation of target {}", self.name)
+        })?;
+        match &orientation.covariance {
+            Some(covariance) if !pose::is_covariance(covariance) => {
+                Err(MeasurementError::OrientationCovariance { target: self.name.clone() })
+            }
+            _ => Ok(()),
         }
     }
 }
@@ -406,6 +556,18 @@ impl Reading {
             Self::Spherical(reading) => reading.face,
             Self::Cartesian { .. } | Self::Pose(_) => Face::Front,
         }
+    }
+
+    /// How far an error of the instrument displaces the position that it reads there, per unit of its amplitude, m in the tracker's axes.
+    pub fn displaced_by(&self, term: InstrumentTerm) -> Vector3<f64> {
+        let [range, azimuth, elevation] = self.spherical();
+        let (sin_az, cos_az) = azimuth.sin_cos();
+        let (sin_el, cos_el) = elevation.sin_cos();
+        let along = Vector3::new(cos_el * cos_az, cos_el * sin_az, sin_el);
+        let across = Vector3::new(-sin_az, cos_az, 0.0);
+        let up = Vector3::new(-sin_el * cos_az, -sin_el * sin_az, cos_el);
+        let own = term.displacement(range, azimuth, elevation, self.face());
+        along * own.x + across * own.y + up * own.z
     }
 
     /// Position in the tracker's frame, m.

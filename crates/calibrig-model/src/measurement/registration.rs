@@ -1,10 +1,10 @@
 //! Where the tracker stands, from the base nests.
 
-use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Matrix6, SMatrix, Vector3, Vector6};
+use nalgebra::{Cholesky, DMatrix, DVector, Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{NestObservation, Station};
+use super::{DRIFT_UNIT, StatedInstrument, Station};
 use crate::geometry::{Transform, best_fit_transform, cross_matrix, small_displacement};
 
 /// Where a station stands, and how well that is known.
@@ -44,7 +44,8 @@ pub enum RegistrationError {
 /// Gauss-Newton passes; from a best fit two reach rounding, the third is for poor geometry.
 const PASSES: usize = 3;
 
-/// Fits `tracker_from_base` to a station's nests, weighted with the readings' and the certified coordinates' covariance.
+/// Fits `tracker_from_base` to a station's nests, weighted with the readings' and the certified coordinates' covariance. Readings of one nest
+/// share the error of its certified place.
 pub fn register(station: &Station) -> Result<Registration, RegistrationError> {
     let nests = &station.nests;
     if nests.len() < 3 {
@@ -54,56 +55,43 @@ pub fn register(station: &Station) -> Result<Registration, RegistrationError> {
     let certified: Vec<_> = nests.iter().map(|n| n.in_base).collect();
     let mut tracker_from_base = best_fit_transform(&seen, &certified).ok_or(RegistrationError::OnOneLine)?;
     for pass in 0.. {
-        let mut information = Matrix6::zeros();
-        let mut gradient = Vector6::zeros();
-        let mut chi2 = 0.0;
-        for nest in nests {
-            let NestRow { covariance, residual, jacobian } = nest_row(nest, &tracker_from_base)?;
-            let failed = || RegistrationError::Covariance { nest: nest.name.clone() };
-            let weight: Matrix3<f64> = Cholesky::new(covariance).ok_or_else(failed)?.inverse();
-            information += jacobian.transpose() * weight * jacobian;
-            gradient += jacobian.transpose() * weight * residual;
-            chi2 += (residual.transpose() * weight * residual)[0];
-        }
+        let system = nest_system(station, &tracker_from_base)?;
+        let gradient = system.jacobian.tr_mul(&system.residuals);
+        let information = system.jacobian.tr_mul(&system.jacobian);
+        let information = Matrix6::from_iterator(information.iter().copied());
         let factor = Cholesky::new(information).ok_or(RegistrationError::OnOneLine)?;
         if pass == PASSES {
+            let chi2 = system.residuals.norm_squared();
             return Ok(Registration { tracker_from_base, covariance: factor.inverse(), chi2 });
         }
-        tracker_from_base *= small_displacement(&-factor.solve(&gradient));
+        let step = factor.solve(&Vector6::from_iterator(gradient.iter().copied()));
+        tracker_from_base *= small_displacement(&-step);
     }
     Err(RegistrationError::OnOneLine)
 }
 
-/// A nest as a station sees it: covariance of what is seen and certified, m²; predicted minus seen place, m; its derivative by `xi`.
-struct NestRow {
-    covariance: Matrix3<f64>,
-    residual: Vector3<f64>,
-    jacobian: SMatrix<f64, 3, 6>,
-}
-
-fn nest_row(nest: &NestObservation, tracker_from_base: &Transform) -> Result<NestRow, RegistrationError> {
-    let rotation = *tracker_from_base.rotation.matrix();
-    let reading = nest.reading.position_covariance();
-    let reading = reading.ok_or_else(|| RegistrationError::Covariance { nest: nest.name.clone() })?;
-    let mut jacobian = SMatrix::<f64, 3, 6>::zeros();
-    jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
-    jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-rotation * cross_matrix(&nest.in_base)));
-    Ok(NestRow {
-        covariance: reading + rotation * nest.in_base_covariance * rotation.transpose(),
-        residual: rotation * nest.in_base + tracker_from_base.translation.vector - nest.reading.position(),
-        jacobian,
-    })
-}
-
-/// The whitened system that [`register`] solves, three rows a nest.
+/// The whitened system that [`register`] solves: three rows a reading, those of one nest behind each other.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NestSystem {
-    /// Derivative by the displacement `xi` in `tracker_from_base · exp(xi)`, 3 nests x 6.
+    /// Derivative by the displacement `xi` in `tracker_from_base · exp(xi)`, 3 readings x 6.
     pub jacobian: DMatrix<f64>,
     /// Predicted minus seen places, in standard deviations.
     pub residuals: DVector<f64>,
-    /// One a nest, lower triangular: takes a displacement in the tracker's frame, m, to standard deviations.
-    pub whitening: Vec<Matrix3<f64>>,
+    /// Derivative by the errors that the station's instrument is stated to have, 3 readings x their number.
+    pub instrument: DMatrix<f64>,
+    /// Derivative by a steady motion of the tracker, per hour, 3 readings x 6; zero where the nests have no times.
+    pub drift: DMatrix<f64>,
+    /// The nests, in the order of the rows.
+    pub nests: Vec<WhitenedNest>,
+}
+
+/// The rows of a nest.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct WhitenedNest {
+    /// Its readings: indices into the station's.
+    pub readings: Vec<usize>,
+    /// Lower triangular: takes displacements of its readings in the tracker's axes, m, to standard deviations.
+    pub whitening: DMatrix<f64>,
 }
 
 /// The nests of a station as seen from `tracker_from_base`.
@@ -116,18 +104,93 @@ pub fn nest_system(
     tracker_from_base: &Transform,
 ) -> Result<NestSystem, RegistrationError> {
     let rows = 3 * station.nests.len();
+    let stated: Vec<_> = station.instrument.iter().flat_map(StatedInstrument::errors).collect();
     let mut system = NestSystem {
         jacobian: DMatrix::zeros(rows, 6),
         residuals: DVector::zeros(rows),
-        whitening: Vec::new(),
+        instrument: DMatrix::zeros(rows, stated.len()),
+        drift: DMatrix::zeros(rows, 6),
+        nests: Vec::new(),
     };
-    for (index, nest) in station.nests.iter().enumerate() {
-        let NestRow { covariance, residual, jacobian } = nest_row(nest, tracker_from_base)?;
-        let factor = Cholesky::new(covariance).and_then(|c| c.l().try_inverse());
-        let whitening = factor.ok_or_else(|| RegistrationError::Covariance { nest: nest.name.clone() })?;
-        system.jacobian.fixed_view_mut::<3, 6>(3 * index, 0).copy_from(&(whitening * jacobian));
-        system.residuals.fixed_rows_mut::<3>(3 * index).copy_from(&(whitening * residual));
-        system.whitening.push(whitening);
+    let placed_at = station.placed_at();
+    let rotation = *tracker_from_base.rotation.matrix();
+    let mut first = 0;
+    for readings in station.distinct_nests() {
+        let n = 3 * readings.len();
+        let failed = || RegistrationError::Covariance { nest: station.nests[readings[0]].name.clone() };
+        let certified = rotation * station.nests[readings[0]].in_base_covariance * rotation.transpose();
+        let mut covariance = DMatrix::from_fn(n, n, |i, j| certified[(i % 3, j % 3)]);
+        let mut jacobian = DMatrix::zeros(n, 6);
+        let mut residuals = DVector::zeros(n);
+        let mut instrument = DMatrix::zeros(n, stated.len());
+        let mut drift = DMatrix::zeros(n, 6);
+        for (row, index) in (0..n).step_by(3).zip(&readings) {
+            let nest = &station.nests[*index];
+            let own = nest.reading.position_covariance().ok_or_else(failed)?;
+            let mut block = covariance.fixed_view_mut::<3, 3>(row, row);
+            block += own;
+            let seen = nest.reading.position();
+            let predicted = rotation * nest.in_base + tracker_from_base.translation.vector;
+            residuals.fixed_rows_mut::<3>(row).copy_from(&(predicted - seen));
+            jacobian.fixed_view_mut::<3, 3>(row, 0).copy_from(&rotation);
+            let turn = -rotation * cross_matrix(&nest.in_base);
+            jacobian.fixed_view_mut::<3, 3>(row, 3).copy_from(&turn);
+            let hours = nest.time.map_or(0.0, |time| (time - placed_at) / DRIFT_UNIT);
+            drift.fixed_view_mut::<3, 6>(row, 0).copy_from(&(jacobian.fixed_view::<3, 6>(row, 0) * hours));
+            for (column, (term, _)) in stated.iter().enumerate() {
+                let displaced = nest.reading.displaced_by(*term);
+                instrument.fixed_view_mut::<3, 1>(row, column).copy_from(&displaced);
+            }
+        }
+        let factor = Cholesky::new(covariance).ok_or_else(failed)?;
+        let whitening = factor.l().solve_lower_triangular(&DMatrix::identity(n, n)).ok_or_else(failed)?;
+        system.jacobian.rows_mut(first, n).copy_from(&(&whitening * jacobian));
+        system.residuals.rows_mut(first, n).copy_from(&(&whitening * residuals));
+        system.instrument.rows_mut(first, n).copy_from(&(&whitening * instrument));
+        system.drift.rows_mut(first, n).copy_from(&(&whitening * drift));
+        system.nests.push(WhitenedNest { readings, whitening });
+        first += n;
     }
     Ok(system)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{rotation_x, rotation_z, translation};
+    use crate::measurement::{NestObservation, Reading};
+    use nalgebra::{Matrix3, Vector3};
+
+    /// Three readings of a nest are one mean reading with a third of the noise, and the whole error of its certified place.
+    #[test]
+    fn readings_of_one_nest_share_the_error_of_its_place() {
+        let truth = translation(1.0, -2.0, 0.4) * rotation_z(0.7) * rotation_x(0.2);
+        let (certified, noise) = (Matrix3::identity() * 4e-10, Matrix3::identity() * 9e-10);
+        let places = [[0.0, 0.0, 0.0], [2.0, 0.1, 0.0], [0.3, 1.5, 0.2], [1.0, 1.0, 1.2]].map(Vector3::from);
+        let nest = |number: usize, shift: f64, covariance: Matrix3<f64>| {
+            let place = places[number];
+            let seen = truth.rotation * place + truth.translation.vector;
+            let off = shift * Vector3::new(1.0, (number as f64).sin(), -1.0) * 1e-5;
+            NestObservation {
+                name: format!("N{number}"),
+                in_base: place,
+                in_base_covariance: certified,
+                reading: Reading::Cartesian { position: seen + off, covariance: Some(covariance) },
+                time: None,
+            }
+        };
+        let shifts = [0.5, -2.0, 3.0];
+        let mean = shifts.iter().sum::<f64>() / 3.0;
+        let station = |nests| Station { name: "T".to_owned(), nests, instrument: None };
+        let repeated = (0..3).flat_map(|round: usize| (0..4).map(move |n| (n, round)));
+        let repeated = station(repeated.map(|(n, round)| nest(n, shifts[round], noise)).collect());
+        let averaged = station((0..4).map(|n| nest(n, mean, noise / 3.0)).collect());
+        assert_eq!(repeated.distinct_nests().len(), 4);
+        let (repeated, averaged) =
+            (register(&repeated).expect("four nests"), register(&averaged).expect("four nests"));
+        let apart = repeated.tracker_from_base.to_homogeneous() - averaged.tracker_from_base.to_homogeneous();
+        assert!(apart.amax() < 1e-13, "{apart}");
+        let relative = (repeated.covariance - averaged.covariance).amax() / averaged.covariance.amax();
+        assert!(relative < 1e-9, "{relative}");
+    }
 }

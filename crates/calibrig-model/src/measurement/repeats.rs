@@ -1,10 +1,11 @@
 //! Poses that are measured more than once: what the machine and its tracker repeat.
 
 use std::collections::HashMap;
+use std::hash::Hash;
 
 use nalgebra::Vector3;
 
-use super::MeasurementSet;
+use super::{MeasurementSet, Observation};
 
 /// What repeats of a pose say of a set.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,26 +27,50 @@ impl MeasurementSet {
     /// target, and the same command: to the last bit, or within 1e-5 m or rad where they have the number of one pose.
     #[must_use]
     pub fn repeats(&self) -> Option<Repeats> {
-        let mut groups: HashMap<_, Vec<Vector3<f64>>> = HashMap::new();
+        let groups = self.repeated_readings();
+        let repeats: usize = groups.iter().map(|group| group.len() - 1).sum();
+        let scatter = |group: &Vec<usize>| {
+            let points = || group.iter().map(|i| self.observations[*i].reading.position());
+            let mean = points().sum::<Vector3<f64>>() / group.len() as f64;
+            points().map(|point| (point - mean).norm_squared()).sum::<f64>()
+        };
+        // In an order of its own, so that the sum is the same every time.
+        let mut squares: Vec<f64> = groups.iter().map(scatter).collect();
+        squares.sort_by(f64::total_cmp);
+        let rms_3d = (squares.iter().sum::<f64>() / repeats as f64).sqrt();
+        (repeats > 0).then_some(Repeats { poses: groups.len(), repeats, rms_3d })
+    }
+
+    /// The observations that are [repeats](Self::repeats) of each other, by index: a list of two or more a pose, in the order of their first ones.
+    #[must_use]
+    pub fn repeated_readings(&self) -> Vec<Vec<usize>> {
+        let groups = self.grouped(|o| (o.approach.as_slice(), o.station, o.target));
+        groups.into_iter().filter(|group| group.len() > 1).collect()
+    }
+
+    /// The observations of one target at one command, from whichever side it was approached and whichever station it was seen, by index; also those of
+    /// poses that were measured once.
+    #[must_use]
+    pub fn same_commands(&self) -> Vec<Vec<usize>> {
+        self.grouped(|o| o.target)
+    }
+
+    fn grouped<'a, K: Hash + Eq>(&'a self, also: impl Fn(&'a Observation) -> K) -> Vec<Vec<usize>> {
+        let mut groups: Vec<Vec<usize>> = Vec::new();
+        let mut places: HashMap<_, usize> = HashMap::new();
         let mut of_poses: HashMap<u32, &[f64]> = HashMap::new();
-        for o in &self.observations {
+        for (index, o) in self.observations.iter().enumerate() {
             let first = *of_poses.entry(o.pose).or_insert(&o.command);
             let is_same = first.iter().zip(&o.command).all(|(a, b)| (a - b).abs() <= SAME_COMMAND);
             let command = if is_same { first } else { &o.command };
             let command: Vec<u64> = command.iter().map(|value| value.to_bits()).collect();
-            groups.entry((command, &o.approach, o.station, o.target)).or_default().push(o.reading.position());
+            let place = *places.entry((command, also(o))).or_insert(groups.len());
+            match groups.get_mut(place) {
+                Some(group) => group.push(index),
+                None => groups.push(vec![index]),
+            }
         }
-        let repeated: Vec<&Vec<Vector3<f64>>> = groups.values().filter(|points| points.len() > 1).collect();
-        let repeats: usize = repeated.iter().map(|points| points.len() - 1).sum();
-        let scatter = |points: &Vec<Vector3<f64>>| {
-            let mean = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
-            points.iter().map(|point| (point - mean).norm_squared()).sum::<f64>()
-        };
-        // In an order of its own, so that the sum is the same every time.
-        let mut squares: Vec<f64> = repeated.iter().map(|points| scatter(points)).collect();
-        squares.sort_by(f64::total_cmp);
-        let rms_3d = (squares.iter().sum::<f64>() / repeats as f64).sqrt();
-        (repeats > 0).then_some(Repeats { poses: repeated.len(), repeats, rms_3d })
+        groups
     }
 }
 

@@ -14,11 +14,11 @@ use super::sight::Mounted;
 use super::{Machine, MissingReading, SessionError, Simulation, Truth};
 use crate::effects::PoseEffects;
 use crate::experiment::WorkingRegion;
-use crate::tracker::{LaserTracker, Outliers, Shot, TrackerError, is_missed};
+use crate::tracker::{LaserTracker, Outliers, Probe, Shot, TrackerError, is_missed};
 use crate::{AsBuilt, SettledPose};
 use calibrig_model::geometry::{Transform, rotation_vector, small_displacement};
 use calibrig_model::measurement::{
-    MeasurementSet, Observation, Reading, SetKind, SetOutcome, Station, Target,
+    MeasurementSet, Observation, Reading, SetKind, SetOutcome, SphericalReading, Station, Target,
 };
 use calibrig_model::random::{self, Source};
 use calibrig_model::{ActuatorMap, JointKind};
@@ -40,6 +40,8 @@ pub struct MeasuringSession<'a> {
     pub tracker: &'a LaserTracker,
     /// Gross errors among the readings of targets, where there are any.
     pub outliers: Option<&'a Outliers>,
+    /// What measures the target's orientation with its place; `None` where the target is a point.
+    pub probe: Option<&'a Probe>,
     /// Base nests: name and true place in the base frame, m.
     pub nests: &'a [(String, Vector3<f64>)],
     /// Standard deviation of the nests' certified coordinates, m.
@@ -62,11 +64,11 @@ struct Taken {
 }
 
 /// The trackers and targets of a session with their errors.
-struct Setup {
-    trackers: Vec<LaserTracker>,
-    mounted: Vec<Mounted>,
-    seed: u64,
-    trial: u32,
+pub(super) struct Setup {
+    pub trackers: Vec<LaserTracker>,
+    pub mounted: Vec<Mounted>,
+    pub seed: u64,
+    pub trial: u32,
 }
 
 impl MeasuringSession<'_> {
@@ -107,6 +109,7 @@ impl MeasuringSession<'_> {
             as_built: self.as_built.clone(),
             stations: stations.clone(),
             further_targets: further_targets.clone(),
+            orientation: self.probe.map(|probe| probe.flange_from_target),
             poses: Vec::new(),
             effects: Vec::new(),
             outliers: Vec::new(),
@@ -158,7 +161,7 @@ impl MeasuringSession<'_> {
         Ok(Simulation { sets, missing, truth })
     }
 
-    fn schedule(&self, seed: u64, trial: u32) -> Schedule {
+    pub(super) fn schedule(&self, seed: u64, trial: u32) -> Schedule {
         let counts = [
             (SetKind::Identification, self.identification_poses),
             (SetKind::Verification, self.verification_poses),
@@ -182,7 +185,7 @@ impl MeasuringSession<'_> {
     }
 
     /// Every station's tracker, with the errors that it has in this session.
-    fn trackers(
+    pub(super) fn trackers(
         &self,
         schedule: &Schedule,
         seed: u64,
@@ -306,12 +309,10 @@ impl MeasuringSession<'_> {
                     (None, Ok(_)) if missed => "the tracker gave no reading".to_owned(),
                     (None, Ok(read)) => {
                         taken.outliers.extend(outlier.map(|shift| (*pose, shift)));
-                        taken.observations.push(visit.observation(
-                            station,
-                            target,
-                            time,
-                            Reading::Spherical(read),
-                        ));
+                        let now = tracker.tracker_from_base_at(time);
+                        let at_place = (setup.seed, setup.trial, reading);
+                        let read = self.reading(read, target, settled, &now, at_place);
+                        taken.observations.push(visit.observation(station, target, time, read));
                         taken.settled.push(SettledPose { target: at.centre, ..settled.clone() });
                         taken.effects.push(effects.clone());
                         continue;
@@ -339,8 +340,26 @@ impl MeasuringSession<'_> {
         }
     }
 
+    /// The reading of a target at rest whose place was read: of the first with the orientation, where a probe measures it. Its noise is at a place of
+    /// the streams of seed and trial.
+    fn reading(
+        &self,
+        place: SphericalReading,
+        target: usize,
+        settled: &SettledPose,
+        tracker_from_base: &Transform,
+        (seed, trial, at): (u64, u32, u64),
+    ) -> Reading {
+        let (Some(probe), Some(last), 0) = (self.probe, settled.links.last(), target) else {
+            return Reading::Spherical(place);
+        };
+        let base_from_flange = last * self.as_built.kinematics.last_from_flange;
+        let mut rng = random::stream_at(seed, trial, random::Source::ProbeNoise, at);
+        Reading::Pose(Box::new(probe.measure(&place, &(tracker_from_base * base_from_flange), &mut rng)))
+    }
+
     /// What the reading at that place of the streams is off by, if it is a gross error.
-    fn outlier(&self, setup: &Setup, place: u64) -> Option<Vector3<f64>> {
+    pub(super) fn outlier(&self, setup: &Setup, place: u64) -> Option<Vector3<f64>> {
         self.outliers?.draw(&mut random::stream_at(setup.seed, setup.trial, Source::Outliers, place))
     }
 
@@ -350,7 +369,7 @@ impl MeasuringSession<'_> {
         if self.tracker.instrument.noise { sigma * drawn } else { Vector3::zeros() }
     }
 
-    fn measure_targets(&self, seed: u64, trial: u32) -> Vec<Target> {
+    pub(super) fn measure_targets(&self, seed: u64, trial: u32) -> Vec<Target> {
         let mut rng = random::stream(seed, trial, Source::TargetOffset);
         let sigma = self.target_covariance[(0, 0)].sqrt();
         let further = self.plan.targets.iter().map(|target| (target.name.as_str(), target.in_flange));
@@ -361,6 +380,12 @@ impl MeasuringSession<'_> {
                 in_flange: place + self.error_vector(sigma, &mut rng),
                 covariance: Some(*self.target_covariance),
                 orientation: None,
+            })
+            .zip(std::iter::once(self.probe).chain(std::iter::repeat(None)))
+            .map(|(target, probe)| {
+                let stated =
+                    |probe: &Probe| probe.stated(&mut random::stream(seed, trial, Source::ProbeMounting));
+                Target { orientation: probe.map(stated), ..target }
             })
             .collect()
     }

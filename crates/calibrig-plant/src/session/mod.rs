@@ -2,6 +2,7 @@
 
 mod beside;
 mod controller;
+mod cycles;
 mod events;
 mod measure;
 mod nests;
@@ -12,6 +13,7 @@ mod sight;
 mod tests;
 
 pub use beside::{BesideRigid, RigidMachine};
+pub use cycles::{CycleError, CycleMeasurements};
 pub use events::{MeasuredPose, SessionEvent, SessionListener, counting};
 pub use measure::MeasuringSession;
 pub use plan::{
@@ -19,7 +21,7 @@ pub use plan::{
     PoseOrder, SessionPlan, Sight, StationShare, Timing,
 };
 
-use nalgebra::Vector3;
+use nalgebra::{Rotation3, Vector3};
 use thiserror::Error;
 
 use super::effects::{EffectError, PoseEffects};
@@ -38,6 +40,8 @@ pub struct Truth {
     pub stations: Vec<Transform>,
     /// Real offsets of the targets beside the machine's own, in the flange frame, m.
     pub further_targets: Vec<Vector3<f64>>,
+    /// `flange_from_target` of the first target, where its orientation is measured; `None` of a point.
+    pub orientation: Option<Rotation3<f64>>,
     /// The settled poses, one vector a set, one entry an observation, with the target that was observed.
     pub poses: Vec<Vec<SettledPose>>,
     /// What the machine's effects made of every pose, in the order of `poses`.

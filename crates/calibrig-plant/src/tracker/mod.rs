@@ -20,6 +20,7 @@ mod misalignment;
 mod misses;
 mod outliers;
 mod preset;
+mod probe;
 mod smr;
 mod systematic;
 #[cfg(test)]
@@ -37,6 +38,7 @@ pub use misalignment::{Misalignment, Shown};
 pub use misses::is_missed;
 pub use outliers::Outliers;
 pub use preset::Preset;
+pub use probe::Probe;
 pub use smr::{Smr, SmrLaw};
 
 use std::f64::consts::TAU;
@@ -200,7 +202,11 @@ impl LaserTracker {
             if term == InstrumentTerm::RangeScale { own.hypot(air) } else { own }
         };
         let sigmas = InstrumentTerm::ALL.map(|term| (term, sigma(term)));
-        StatedInstrument { name, sigmas: sigmas.into_iter().filter(|(_, sigma)| *sigma > 0.0).collect() }
+        StatedInstrument {
+            drift: None,
+            name,
+            sigmas: sigmas.into_iter().filter(|(_, sigma)| *sigma > 0.0).collect(),
+        }
     }
 
     /// Observes a point of the base frame (m). The stated covariance is the one of the random part and of what the air adds to it. Takes the same numbers

@@ -9,6 +9,10 @@ use mcap::{Attachment, MAGIC};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use calibrig_model::measurement::{PoseReading, Reading};
+use nalgebra::{Matrix6, Rotation3, Vector3};
+use prost::Message;
+
 use crate::provenance::RECOVERED;
 use crate::schema::v1;
 use crate::synthetic::Outcome;
@@ -100,6 +104,37 @@ fn rewritten_with(
     writer.finish().expect("finished");
     drop(writer);
     file.into_inner()
+}
+
+#[test]
+fn a_session_of_full_poses_is_read_back_bit_for_bit_and_its_axes_are_drawn() {
+    let mut outcome = synthetic::outcome(5, 2, false);
+    let drawn = |outcome: &Outcome| {
+        let mut lines = 0;
+        rewritten(&bytes_of(outcome), &mut |topic, data| {
+            if topic == "/scene" {
+                let update = foxglove::messages::SceneUpdate::decode(data.as_slice()).expect("a scene");
+                lines += update.entities.iter().map(|entity| entity.lines.len()).sum::<usize>();
+            }
+            true
+        });
+        lines
+    };
+    let of_points = drawn(&outcome);
+    let mut poses = 0;
+    for set in &mut outcome.sets {
+        for (observation, turn) in set.measurements.observations.iter_mut().zip(1..) {
+            observation.reading = Reading::Pose(Box::new(PoseReading {
+                position: observation.reading.position(),
+                rotation: Rotation3::new(Vector3::new(0.1, -0.2, 0.3) * f64::from(turn)),
+                covariance: Some(Matrix6::identity() * 1e-10),
+            }));
+            poses += 1;
+        }
+    }
+    let recording = read(&bytes_of(&outcome)).expect("read");
+    assert_eq!(format!("{:?}", recording.sets), format!("{:?}", outcome.sets));
+    assert_eq!(drawn(&outcome), of_points + 3 * poses, "x, y and z of each");
 }
 
 #[test]

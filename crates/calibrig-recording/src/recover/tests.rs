@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::mcap_reader::read_from;
 use crate::scan::scan_whole;
-use crate::{McapRecorder, Measured, Preamble, ReadOptions, Recorder, Recording, synthetic};
+use crate::{McapRecorder, Measured, Preamble, ReadOptions, Recorder, Recording, TrueSetting, synthetic};
 use calibrig_estimation::identification::Estimate;
 use calibrig_model::measurement::SetKind;
 

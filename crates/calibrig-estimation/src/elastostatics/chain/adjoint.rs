@@ -50,10 +50,31 @@ impl Inboard {
     }
 }
 
+/// Of what the sensitivities are.
+#[derive(Debug, Clone, Copy)]
+enum Seen {
+    /// The place of a target that is now at this point of the base frame, m.
+    Place(Vector3<f64>),
+    /// The rotation of the flange, as a rotation vector in base axes.
+    Turn,
+}
+
+impl Seen {
+    /// What a unit of a motion that carries the flange does to it.
+    #[inline]
+    fn moved_by(&self, screw: &Screw) -> Vector3<f64> {
+        match self {
+            Self::Place(target) => screw.moves(target),
+            Self::Turn if screw.about => screw.axis,
+            Self::Turn => Vector3::zeros(),
+        }
+    }
+}
+
 /// Sensitivities of the target, one vector of three a slot.
 #[derive(Debug, Clone)]
 pub(super) struct Adjoint {
-    target: Vector3<f64>,
+    seen: Seen,
     /// Whether the deflections follow the loads.
     coupled: bool,
     /// What each slot does to the target at the others' deflections held.
@@ -82,7 +103,7 @@ impl Adjoint {
     pub fn new(n: usize) -> Self {
         let vectors = || vec![Vector3::zeros(); n];
         Self {
-            target: Vector3::zeros(),
+            seen: Seen::Place(Vector3::zeros()),
             coupled: false,
             direct: vectors(),
             rod_moves: vectors(),
@@ -118,7 +139,21 @@ impl ElasticChain {
 
     /// [`prepare`](Self::prepare) for a target that is known to be at a finite place.
     pub(crate) fn differentiate(&mut self, in_flange: &Vector3<f64>) -> Result<(), ElasticError> {
-        self.adjoint.target = self.target(in_flange);
+        self.look_at(Seen::Place(self.target(in_flange)))
+    }
+
+    /// Solves for the sensitivities of the flange's rotation: the columns that follow are rotation vectors in base axes, rad per unit, until
+    /// the next call of [`prepare`](Self::prepare). A target is turned as the flange that carries it.
+    ///
+    /// # Errors
+    ///
+    /// [`ElasticError::NotSettled`] if the equilibrium is hardly stable.
+    pub fn prepare_turn(&mut self) -> Result<(), ElasticError> {
+        self.look_at(Seen::Turn)
+    }
+
+    fn look_at(&mut self, seen: Seen) -> Result<(), ElasticError> {
+        self.adjoint.seen = seen;
         self.adjoint.coupled = self.deflection != Deflection::None;
         self.adjoint.lambda.fill(Vector3::zeros());
         self.adjoint.mu.fill(Vector3::zeros());
@@ -172,7 +207,7 @@ impl ElasticChain {
         let a = &mut self.adjoint;
         for (slot, screw) in self.screws.iter().enumerate() {
             a.direct[slot] = match self.slots[slot] {
-                Slot::Elastic => screw.moves(&a.target),
+                Slot::Elastic => a.seen.moved_by(screw),
                 Slot::Crank | Slot::Mark => Vector3::zeros(),
             };
         }
@@ -331,7 +366,7 @@ impl ElasticChain {
 
     /// Change of the target's position in the base frame (m) per unit of a parameter.
     ///
-    /// Parameters of the tracker's frame and of terms are the caller's: these columns are zero. A term's is its basis times
+    /// Parameters of the tracker's frame, of how the target is turned on the flange, and of terms are the caller's: these columns are zero. A term's is its basis times
     /// [`column_of_place`](Self::column_of_place).
     ///
     /// # Errors
@@ -346,14 +381,19 @@ impl ElasticChain {
     pub(crate) fn change(&self, id: ParameterId) -> Vector3<f64> {
         match id {
             ParameterId::Link { link, term } => self.link_column(link, term),
-            ParameterId::Target { axis, .. } => {
-                self.base_from_flange.rotation.matrix().column(axis).into_owned()
-            }
+            ParameterId::Target { axis, .. } => match self.adjoint.seen {
+                Seen::Place(_) => self.base_from_flange.rotation.matrix().column(axis).into_owned(),
+                Seen::Turn => Vector3::zeros(),
+            },
             ParameterId::Compliance(compliance) => self.compliance_column(compliance),
             ParameterId::Mass { link } => self.mass_column(link),
             ParameterId::Centre { link, axis } => self.centre_column(link, axis),
             ParameterId::Linkage(length) => self.linkage_column(length),
-            ParameterId::Frame { .. } | ParameterId::Term(_) => Vector3::zeros(),
+            ParameterId::Frame { .. }
+            | ParameterId::Orientation { .. }
+            | ParameterId::Term(_)
+            | ParameterId::Instrument { .. }
+            | ParameterId::Drift { .. } => Vector3::zeros(),
         }
     }
 
@@ -414,7 +454,7 @@ impl ElasticChain {
     /// What a unit of a motion at a mark does to the target.
     fn moved_at(&self, slot: usize, screw: &Screw) -> Vector3<f64> {
         let a = &self.adjoint;
-        let mut column = screw.moves(&a.target);
+        let mut column = a.seen.moved_by(screw);
         if a.coupled {
             column += a.inboard[slot].turns * a.outboard[slot].turned_by(screw);
             if screw.about {

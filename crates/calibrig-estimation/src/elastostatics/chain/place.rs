@@ -288,12 +288,14 @@ impl ElasticChain {
             | ParameterId::Compliance(Compliance::Beam { link }) => link < joints,
             ParameterId::Compliance(Compliance::Drive { joint }) => joint < joints,
             ParameterId::Compliance(Compliance::Bearing { joint, axis }) => joint < joints && axis < 6,
-            ParameterId::Target { axis, .. } => axis < 3,
+            ParameterId::Target { axis, .. } | ParameterId::Orientation { axis, .. } => axis < 3,
             ParameterId::Centre { link, axis } => link < joints && axis < 3,
             ParameterId::Compliance(Compliance::Rod)
             | ParameterId::Frame { .. }
             | ParameterId::Linkage(_)
-            | ParameterId::Term(_) => true,
+            | ParameterId::Term(_)
+            | ParameterId::Instrument { .. }
+            | ParameterId::Drift { .. } => true,
         };
         if known { Ok(()) } else { Err(ModelError::Parameter { id }) }
     }

@@ -86,12 +86,14 @@ fn measured(
     let station = translation(3.0, 0.5, 0.2) * rotation_x(0.3);
     let target = Vector3::new(0.35, 0.04, 0.06);
     let robot = CalibratedRobot {
+        instruments: Vec::new(),
         mode: Mode::ElastoGeometric,
         nominal: machine.clone(),
         model: machine.clone(),
         terms: Vec::new(),
         stations: vec![station],
         targets: vec![target],
+        orientations: Vec::new(),
     };
     let mut predictor = Predictor::new(&robot).expect("a robot");
     let covariance = stated.map(|sigma| Matrix3::identity() * sigma * sigma);

@@ -1,10 +1,11 @@
 //! A complete set of independent parameters for any chain, by rank.
 
-use nalgebra::Vector3;
+use nalgebra::{DMatrix, Rotation3, Vector3};
 
 use super::rank::{RANK_TOLERANCE, analyse_columns, select_in_rounds, select_independent};
 use super::{DependentGroup, IdentifiabilityReport, Spectrum, neighbour_axis_rules};
-use crate::kinematics::{stack, stacked_jacobian};
+use crate::identification::options::Freedom;
+use crate::kinematics::{stack, stack_poses, stacked_jacobian};
 use calibrig_model::{
     CalibrationModel, CraigLink, JointKind, KinematicModel, LinkTerm, ModelError, ParameterId,
 };
@@ -28,9 +29,10 @@ pub fn complete_set(
     target_free: bool,
 ) -> Result<IdentifiabilityReport, ModelError> {
     model.check()?;
-    let candidates = candidates(model, frame_free, target_free);
+    let free = Freedom::of_points(frame_free, target_free);
+    let candidates = candidates(model, free);
     let poses = structural_poses(model, candidates.len());
-    Ok(selected(model, candidates, &poses))
+    Ok(selected(model, candidates, &poses, free))
 }
 
 /// [`complete_set`] of a robot whose joints do not all move by themselves: what follows others is looked at where it can go.
@@ -43,38 +45,37 @@ pub fn complete_set_of(
     frame_free: bool,
     target_free: bool,
 ) -> Result<IdentifiabilityReport, ModelError> {
-    complete_set_by_name(robot, frame_free, target_free, &[], &[])
+    complete_set_by_name(robot, Freedom::of_points(frame_free, target_free), &[], &[])
 }
 
 /// The same without the parameters to `fix`; of link parameters, those to `free` come first. Of targets, number 0 stands for all.
 pub(in crate::identification) fn complete_set_by_name(
     robot: &CalibrationModel,
-    frame_free: bool,
-    target_free: bool,
+    freedom: Freedom,
     fix: &[ParameterId],
     free: &[ParameterId],
 ) -> Result<IdentifiabilityReport, ModelError> {
     robot.check()?;
-    let mut candidates = candidates(&robot.kinematics, frame_free, target_free);
+    let mut candidates = candidates(&robot.kinematics, freedom);
     candidates.retain(|id| !fix.contains(id));
     let is_end = |id: &ParameterId| !matches!(id, ParameterId::Link { .. });
     // A stable sort: among those alike the order of preference holds.
     candidates.sort_by_key(|id| (!is_end(id), !free.contains(id)));
     let poses = reachable_poses(robot, candidates.len());
-    Ok(selected(&robot.kinematics, candidates, &poses))
+    Ok(selected(&robot.kinematics, candidates, &poses, freedom))
 }
 
 fn selected(
     model: &KinematicModel,
     candidates: Vec<ParameterId>,
     poses: &[Vec<f64>],
+    free: Freedom,
 ) -> IdentifiabilityReport {
-    let target = generic_target(model);
-    let jacobian = stack(model, poses, &target, &candidates);
+    let jacobian = structural(model, poses, free, &candidates);
     let (kept, dependent) = select_in_rounds(&jacobian, &[CLEARLY_INDEPENDENT, RANK_TOLERANCE], &candidates);
     let kept: Vec<_> = kept.into_iter().map(|column| candidates[column]).collect();
     let selected = in_table_order(model, &kept);
-    let spectrum = analyse_columns(&stack(model, poses, &target, &selected), &selected);
+    let spectrum = analyse_columns(&structural(model, poses, free, &selected), &selected);
     IdentifiabilityReport { candidates, selected, spectrum, dependent }
 }
 
@@ -82,19 +83,18 @@ fn selected(
 /// [`complete_set`] leaves out of them.
 pub(in crate::identification) fn dependent_ends(
     robot: &CalibrationModel,
-    frame_free: bool,
-    target_free: bool,
+    free: Freedom,
     fix: &[ParameterId],
 ) -> Result<Vec<DependentGroup>, ModelError> {
     robot.check()?;
     let model = &robot.kinematics;
-    let mut ends = candidates(model, frame_free, target_free);
+    let mut ends = candidates(model, free);
     ends.retain(|id| !matches!(id, ParameterId::Link { .. }) && !fix.contains(id));
     if ends.is_empty() {
         return Ok(Vec::new());
     }
     let poses = reachable_poses(robot, ends.len());
-    Ok(select_independent(&stack(model, &poses, &generic_target(model), &ends), &ends).1)
+    Ok(select_independent(&structural(model, &poses, free, &ends), &ends).1)
 }
 
 /// [`complete_set`], with the spectrum that it has at `poses` (joint variables, one vector a pose) and for a target at `target` (flange
@@ -194,13 +194,39 @@ fn generalised_golden_ratio(dimensions: usize) -> f64 {
     (0..64).fold(2.0, |x: f64, _| (1.0 + x).powf(exponent))
 }
 
-fn candidates(model: &KinematicModel, frame_free: bool, target_free: bool) -> Vec<ParameterId> {
+impl Freedom {
+    /// Where points are seen.
+    fn of_points(frame: bool, target: bool) -> Self {
+        Self { frame, target, orientation: None }
+    }
+}
+
+/// What `poses` would tell of a target in general position, and turned so, by its place and where poses are seen by its orientation.
+fn structural(
+    model: &KinematicModel,
+    poses: &[Vec<f64>],
+    free: Freedom,
+    parameters: &[ParameterId],
+) -> DMatrix<f64> {
+    let target = generic_target(model);
+    if free.orientation.is_some() {
+        let turned = Rotation3::new(Vector3::new(0.4, -0.7, 0.9));
+        stack_poses(model, poses, &target, &turned, target.norm(), parameters)
+    } else {
+        stack(model, poses, &target, parameters)
+    }
+}
+
+fn candidates(model: &KinematicModel, free: Freedom) -> Vec<ParameterId> {
     let mut order = Vec::new();
-    if frame_free {
+    if free.frame {
         order.extend(ParameterId::all_of_frame(0));
     }
-    if target_free {
+    if free.target {
         order.extend(ParameterId::all_of_target(0));
+    }
+    if free.orientation == Some(true) {
+        order.extend(ParameterId::all_of_orientation(0));
     }
     let (by_rules, _) = neighbour_axis_rules(model);
     let is_beta = |id: &ParameterId| matches!(id, ParameterId::Link { term: LinkTerm::Beta, .. });
@@ -218,6 +244,7 @@ fn in_table_order(model: &KinematicModel, chosen: &[ParameterId]) -> Vec<Paramet
     let mut all = ParameterId::all_of_links(model.joint_count());
     all.extend(ParameterId::all_of_frame(0));
     all.extend(ParameterId::all_of_target(0));
+    all.extend(ParameterId::all_of_orientation(0));
     all.retain(|id| chosen.contains(id));
     all
 }

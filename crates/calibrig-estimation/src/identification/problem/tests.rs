@@ -4,6 +4,7 @@ use super::*;
 use crate::identification::{Mode, structural_poses};
 use calibrig_files::load_robot;
 use calibrig_model::geometry::{rotation_x, rotation_y, translation};
+use calibrig_model::measurement::{InstrumentTerm, Reading};
 use calibrig_model::{ActuatorMap, CraigLink, FAMILIES, JointKind, KinematicModel, PoseQuery, TermId, Unit};
 
 /// Signs of approach to a command.
@@ -42,10 +43,21 @@ fn problem() -> CalibrationProblem {
     parameters.extend(ParameterId::all_of_frame(0));
     parameters.extend(ParameterId::all_of_frame(1));
     parameters.extend(ParameterId::all_of_target(0));
+    let errors = [InstrumentTerm::RangeScale, InstrumentTerm::Collimation];
+    let first = parameters.len();
+    parameters.extend(errors.map(|term| ParameterId::Instrument { instrument: 0, term }));
     let stations =
         vec![translation(1.0, 2.0, 3.0) * rotation_x(0.3), translation(-2.0, 0.0, 1.0) * rotation_y(2.0)];
     let targets = vec![Vector3::new(0.1, 0.2, 0.3)];
     let mut row = |station, seen: Vector3<f64>, command: [f64; 3]| Row {
+        hours: 0.0,
+        // One tracker at both stations.
+        instrument: (first..)
+            .zip(errors)
+            .map(|(column, term)| {
+                (column, Reading::Cartesian { position: seen, covariance: None }.displaced_by(term))
+            })
+            .collect(),
         pose: 0,
         told: machine
             .prepare(&PoseQuery::at(&command).approached(&signs(&command)))
@@ -61,15 +73,35 @@ fn problem() -> CalibrationProblem {
         row(1, Vector3::new(0.0, -1.0, 2.0), [1.1, 0.8, -0.9]),
     ];
     CalibrationProblem {
-        rows,
-        priors: vec![Prior {
-            column: 15,
-            whitening: DMatrix::from_fn(6, 6, |i, j| if i < j { 0.0 } else { 1.0 + i as f64 - j as f64 }),
-        }],
+        // A frame by itself, and one that nests tell together with an error of the instrument, from fewer rows than both have.
+        priors: vec![
+            Prior {
+                columns: (15..21).collect(),
+                whitening: DMatrix::from_fn(6, 6, |i, j| if i < j { 0.0 } else { 1.0 + i as f64 - j as f64 }),
+                offset: DVector::zeros(6),
+            },
+            Prior {
+                columns: (21..27).chain([first + 1]).collect(),
+                whitening: DMatrix::from_fn(
+                    5,
+                    7,
+                    |i, j| {
+                        if i > j { 0.0 } else { 1.0 + j as f64 - 0.5 * i as f64 }
+                    },
+                ),
+                offset: DVector::from_fn(5, |i, _| i as f64 - 1.5),
+            },
+        ],
         own_priors: vec![(3, 0.5)],
         logarithmic: Vec::new(),
         tolerances: vec![(0, 2.0), (1, 3.0), (2, 4.0)],
-        current: Current::new(&nominal, machine, &stations, &targets),
+        current: Current::new(&nominal, machine, &stations, &targets, &[Rotation3::identity()]),
+        turns: Vec::new(),
+        turn_of: vec![None; rows.len()],
+        orientations: vec![Rotation3::identity()],
+        turn_motions: Vec::new(),
+        turn_whitening: Vec::new(),
+        rows,
         nominal,
         parameters,
         stations,
@@ -84,11 +116,33 @@ fn problem() -> CalibrationProblem {
     }
 }
 
+/// The same with an orientation at every position, of a target that is turned on the flange, and their parameters.
+fn with_turns(mut problem: CalibrationProblem) -> CalibrationProblem {
+    problem.parameters.extend(ParameterId::all_of_orientation(0));
+    problem.orientations = vec![Rotation3::new(Vector3::new(0.7, -0.4, 1.3))];
+    let reading = Some([
+        Matrix3::new(5.0, 1.0, 0.0, 1.0, 4.0, 1.0, 0.0, 1.0, 6.0),
+        Matrix3::new(0.1, 0.2, 0.0, -0.1, 0.0, 0.1, 0.2, 0.0, 0.1),
+    ]);
+    for observation in 0..problem.rows.len() {
+        let seen = Rotation3::new(Vector3::new(0.3, 0.2 * observation as f64, -0.9));
+        problem.turn_of[observation] = Some(problem.turns.len());
+        problem.turns.push(TurnRow { observation, seen, reading });
+        problem.weigh_turns(&[observation], &[Matrix3::identity()]).expect("definite");
+    }
+    problem
+}
+
 /// At displaced frames too, where a rotation vector's components do not act one after the other.
 #[test]
 fn the_jacobian_is_the_central_difference_far_from_zero() {
-    let mut problem = problem();
+    check_jacobian(problem());
+    check_jacobian(with_turns(problem()));
+}
+
+fn check_jacobian(mut problem: CalibrationProblem) {
     let n = problem.parameters.len();
+    assert_eq!(problem.rows[0].instrument.len(), 2);
     let x: Vec<f64> = (0..n).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
     let m = LeastSquares::rows(&problem);
     let mut residuals = DVector::zeros(m);
@@ -113,6 +167,7 @@ fn the_jacobian_is_the_central_difference_far_from_zero() {
 fn evaluation_takes_no_memory() {
     let mut problem = problem();
     let x = vec![0.01; problem.parameters.len()];
+    problem.set(&x);
     let mut residuals = DVector::zeros(LeastSquares::rows(&problem));
     let mut jacobian = DMatrix::zeros(residuals.len(), x.len());
     let info = allocation_counter::measure(|| problem.evaluate(&x, &mut residuals, Some(&mut jacobian)));
@@ -150,6 +205,8 @@ fn coupled() -> CalibrationProblem {
                 joints.iter().zip(middle).map(|(q, middle)| middle + 0.5 * (q - middle)).collect();
             let command = nominal.actuators.command_from_joints(&near);
             Row {
+                hours: 0.0,
+                instrument: Vec::new(),
                 pose: 0,
                 told: machine
                     .prepare(&PoseQuery::at(&command).approached(&signs(&command)))
@@ -161,16 +218,21 @@ fn coupled() -> CalibrationProblem {
                 target: 0,
             }
         })
-        .collect();
+        .collect::<Vec<_>>();
     let stations = vec![translation(1.0, 2.0, 3.0) * rotation_x(0.3)];
     let targets = vec![target];
     CalibrationProblem {
-        rows,
         priors: Vec::new(),
         own_priors: vec![(40, 10.0)],
         logarithmic: Vec::new(),
         tolerances: vec![(1, 2.0)],
-        current: Current::new(&nominal, machine, &stations, &targets),
+        current: Current::new(&nominal, machine, &stations, &targets, &[Rotation3::identity()]),
+        turns: Vec::new(),
+        turn_of: vec![None; rows.len()],
+        orientations: vec![Rotation3::identity()],
+        turn_motions: Vec::new(),
+        turn_whitening: Vec::new(),
+        rows,
         nominal,
         parameters,
         stations,
@@ -190,7 +252,11 @@ const LEAST_COLUMN: f64 = 2e-6;
 
 #[test]
 fn every_column_of_the_coupled_jacobian_is_the_central_difference() {
-    let mut problem = coupled();
+    check_coupled(coupled());
+    check_coupled(with_turns(coupled()));
+}
+
+fn check_coupled(mut problem: CalibrationProblem) {
     let n = problem.parameters.len();
     let size = |id: &ParameterId| match id {
         ParameterId::Compliance(_) | ParameterId::Mass { .. } => 0.1,

@@ -53,11 +53,11 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
         options: &'a SolverOptions,
         bounds: Option<&'a Bounds>,
     ) -> Self {
-        let (m, n) = (problem.rows(), problem.parameters());
-        let mut now = Point::new(m, n);
+        let n = problem.parameters();
+        let mut now = Point::of(problem);
         now.place(problem, &x, None);
         Self {
-            trial: Point::new(m, n),
+            trial: Point::of(problem),
             scale: DVector::zeros(n),
             iterations: Vec::new(),
             problem,

@@ -39,6 +39,12 @@ pub trait LeastSquares {
         0
     }
 
+    /// The block that counts with this one, and this one with it: a reading of six coordinates is two blocks. Itself unless stated. Both have the
+    /// weight that the mean of their squares has.
+    fn partner(&self, block: usize) -> usize {
+        block
+    }
+
     /// Fills the m residuals at the n parameters `x` and, where asked, the m x n Jacobian of the residuals.
     fn evaluate(&mut self, x: &[f64], residuals: &mut DVector<f64>, jacobian: Option<&mut DMatrix<f64>>);
 }

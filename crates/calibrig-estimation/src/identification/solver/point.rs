@@ -1,6 +1,6 @@
 //! The problem evaluated at one place, and its scaled normal equations.
 
-use nalgebra::{Cholesky, DMatrix, DVector, Vector3};
+use nalgebra::{Cholesky, DMatrix, DVector};
 
 use super::LeastSquares;
 use super::bounds::Side;
@@ -22,6 +22,8 @@ pub(super) struct Point {
     pub cost: f64,
     /// One a block; empty in plain least squares.
     pub weights: Vec<f64>,
+    /// Of every block the one that counts with it; empty where each counts by itself.
+    partners: Vec<usize>,
 }
 
 impl Point {
@@ -31,7 +33,16 @@ impl Point {
             jacobian: DMatrix::zeros(m, n),
             cost: f64::NAN,
             weights: Vec::new(),
+            partners: Vec::new(),
         }
+    }
+
+    /// Of a problem, with the blocks that count together.
+    pub fn of(problem: &impl LeastSquares) -> Self {
+        let partners: Vec<usize> = (0..problem.blocks()).map(|block| problem.partner(block)).collect();
+        let is_single = partners.iter().enumerate().all(|(block, partner)| block == *partner);
+        let partners = if is_single { Vec::new() } else { partners };
+        Self { partners, ..Self::new(problem.rows(), problem.parameters()) }
     }
 
     pub fn place(&mut self, problem: &mut impl LeastSquares, x: &[f64], robust: Option<Robust>) {
@@ -48,7 +59,7 @@ impl Point {
         self.weights.clear();
         let mut cost = 0.0;
         for i in 0..blocks {
-            let z = self.block(i).norm_squared() / (scale * scale);
+            let z = self.square(i) / (scale * scale);
             cost += loss.rho(z);
             self.weights.push(loss.weight(z));
         }
@@ -59,8 +70,13 @@ impl Point {
         self.cost.is_finite() && are_finite(self.jacobian.as_slice())
     }
 
-    pub fn block(&self, i: usize) -> Vector3<f64> {
-        self.residuals.fixed_rows::<3>(3 * i).into_owned()
+    /// The square of a block's length, or the mean of those that count together.
+    pub fn square(&self, i: usize) -> f64 {
+        let own = |i: usize| self.residuals.fixed_rows::<3>(3 * i).norm_squared();
+        match self.partners.get(i) {
+            Some(&partner) if partner != i => 0.5 * (own(i) + own(partner)),
+            _ => own(i),
+        }
     }
 
     /// Derivative of half the cost by one parameter.

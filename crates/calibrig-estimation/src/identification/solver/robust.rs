@@ -77,7 +77,7 @@ fn passes<P: LeastSquares>(
 
 /// The scale of the residuals; data without noise still leave one that residuals can be divided by.
 fn estimate(now: &Point, blocks: usize, fitted: f64, options: &SolverOptions) -> f64 {
-    let mut norms: Vec<f64> = (0..blocks).map(|i| now.block(i).norm()).collect();
+    let mut norms: Vec<f64> = (0..blocks).map(|i| now.square(i).sqrt()).collect();
     scale_of(&mut norms, fitted).max(options.absolute_decrease).max(f64::EPSILON)
 }
 
@@ -118,7 +118,7 @@ fn finish<P: LeastSquares>(
 /// Variance of the estimate over that of least squares in the stated noise (P. J. Huber, E. M. Ronchetti, "Robust Statistics", 2nd ed. 2009,
 /// section 7.6, with blocks for coordinates).
 fn variance_of(now: &Point, Robust { loss, scale, blocks }: Robust) -> f64 {
-    let squares = || (0..blocks).map(|i| now.block(i).norm_squared());
+    let squares = || (0..blocks).map(|i| now.square(i));
     let slope = mean(squares().map(|v2| loss.mean_slope(v2 / (scale * scale))));
     let spread = mean(squares().zip(&now.weights).map(|(v2, w)| w * w * v2)) / 3.0;
     let factor = spread * freedom_factor(blocks, now.fitted(blocks)) / (slope * slope);

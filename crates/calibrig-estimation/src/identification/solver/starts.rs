@@ -54,9 +54,13 @@ pub(super) fn best_of_many(
     let count = u32::try_from(minima.len()).unwrap_or(u32::MAX);
     // Costs at different scales of a loss cannot be compared: all are taken at the smallest.
     let scale = minima.iter().map(|s| s.scale).fold(f64::INFINITY, f64::min);
+    let partners: Vec<usize> = (0..problem.blocks()).map(|block| problem.partner(block)).collect();
     let lowest = minima
         .into_iter()
-        .min_by(|a, b| cost_at(a, scale, options).total_cmp(&cost_at(b, scale, options)))
+        .min_by(|a, b| {
+            let cost = |of| cost_at(of, scale, options, &partners);
+            cost(a).total_cmp(&cost(b))
+        })
         .or(unfinished);
     match lowest {
         Some(solution) => Solution { minima: count, ..solution },
@@ -80,10 +84,13 @@ fn is_same(a: &Solution, b: &Solution, options: &SolverOptions) -> bool {
     (&a.jacobian * between).norm() <= SAME * least
 }
 
-fn cost_at(solution: &Solution, scale: f64, options: &SolverOptions) -> f64 {
+fn cost_at(solution: &Solution, scale: f64, options: &SolverOptions, partners: &[usize]) -> f64 {
     let blocks = solution.weights.len();
-    let robust: f64 = (0..blocks)
-        .map(|i| options.loss.rho(solution.residuals.fixed_rows::<3>(3 * i).norm_squared() / (scale * scale)))
-        .sum();
+    let own = |i: usize| solution.residuals.fixed_rows::<3>(3 * i).norm_squared();
+    let square = |i: usize| match partners.get(i) {
+        Some(&partner) if partner != i => 0.5 * (own(i) + own(partner)),
+        _ => own(i),
+    };
+    let robust: f64 = (0..blocks).map(|i| options.loss.rho(square(i) / (scale * scale))).sum();
     scale * scale * robust + solution.residuals.rows_range(3 * blocks..).norm_squared()
 }

@@ -124,7 +124,7 @@ impl Reader<'_> {
         Ok(Uncertainty::Sigmas { columns, units: SigmaUnits::Spherical(length, angle), coverage })
     }
 
-    fn coverage(&self, k: Option<&Spanned<f64>>) -> Result<f64, InputError> {
+    pub fn coverage(&self, k: Option<&Spanned<f64>>) -> Result<f64, InputError> {
         k.map_or(Ok(1.0), |k| self.source.positive("k", k))
     }
 
@@ -148,6 +148,8 @@ impl Reader<'_> {
         for (coordinate, value) in tracker.iter_mut().zip(t.tracker_mm.iter().flatten()) {
             *coordinate = 1e-3 * self.source.finite("tracker_mm", value)?;
         }
-        Ok(Noise { range, transverse, tracker })
+        let rotation = t.rotation_urad.as_ref().map(|value| self.source.positive("rotation_urad", value));
+        let rotation = rotation.transpose()?.map(|sigma| 1e-6 * sigma / k);
+        Ok(Noise { range, transverse, rotation, tracker })
     }
 }

@@ -8,7 +8,7 @@ use crate::measurements::columns::{Entry, Join, JoinBy, PoseList, Sets};
 use crate::measurements::layout::Decimal;
 use crate::measurements::text::TextFormat;
 use crate::measurements::times::DateOrder;
-use crate::measurements::units::TimeUnit;
+use crate::measurements::units::{AirQuantity, PressureUnit, TemperatureUnit, TimeUnit};
 
 impl Reader<'_> {
     pub fn sets(&self, spanned: &Spanned<SetsTable>) -> Result<Sets, InputError> {
@@ -129,6 +129,48 @@ impl Reader<'_> {
         }
         let Some((entry, unit)) = first else { return Ok((None, TimeUnit::S)) };
         Ok((Some(self.sum(entry)?), unit))
+    }
+
+    /// The temperature's columns, and the unit that the key states.
+    pub fn temperature(&self, t: &ColumnsTable) -> Result<(Option<Entry>, TemperatureUnit), InputError> {
+        let keys = [
+            (&t.temperature_c, TemperatureUnit::C),
+            (&t.temperature_k, TemperatureUnit::K),
+            (&t.temperature_f, TemperatureUnit::F),
+        ];
+        let mut stated = keys.into_iter().filter_map(|(entry, unit)| Some((entry.as_ref()?, unit)));
+        let (first, second) = (stated.next(), stated.next());
+        if let Some((entry, _)) = second {
+            let expected = "one of temperature_c, temperature_k and temperature_f";
+            return Err(self.error(entry.span(), "the temperature is stated twice", expected));
+        }
+        let Some((entry, unit)) = first else { return Ok((None, TemperatureUnit::C)) };
+        Ok((Some(self.sum(entry)?), unit))
+    }
+
+    /// What is said of the air beside its temperature.
+    pub fn air(&self, t: &ColumnsTable) -> Result<Vec<(AirQuantity, Entry)>, InputError> {
+        let pressure = AirQuantity::Pressure;
+        let keys = [
+            (&t.pressure_hpa, pressure(PressureUnit::Hpa)),
+            (&t.pressure_pa, pressure(PressureUnit::Pa)),
+            (&t.pressure_kpa, pressure(PressureUnit::Kpa)),
+            (&t.pressure_mmhg, pressure(PressureUnit::Mmhg)),
+            (&t.pressure_inhg, pressure(PressureUnit::Inhg)),
+            (&t.humidity_percent, AirQuantity::HumidityPercent),
+        ];
+        let mut air: Vec<(AirQuantity, Entry)> = Vec::new();
+        for (entry, quantity) in keys {
+            let Some(entry) = entry else { continue };
+            let is_pressure = |quantity: &AirQuantity| matches!(quantity, AirQuantity::Pressure(_));
+            if is_pressure(&quantity) && air.iter().any(|(known, _)| is_pressure(known)) {
+                let expected =
+                    "one of pressure_hpa, pressure_pa, pressure_kpa, pressure_mmhg and pressure_inhg";
+                return Err(self.error(entry.span(), "the pressure is stated twice", expected));
+            }
+            air.push((quantity, self.sum(entry)?));
+        }
+        Ok(air)
     }
 
     pub fn date(&self, t: &TextTable) -> Result<Option<DateOrder>, InputError> {

@@ -15,7 +15,10 @@ pub(super) struct MapFile {
     pub joints: Spanned<JointsTable>,
     pub position: Spanned<CoordinateTable>,
     pub sigma: Option<Spanned<CoordinateTable>>,
+    pub rotation: Option<Spanned<RotationTable>>,
+    pub covariance: Option<Spanned<CovarianceTable>>,
     pub noise: Option<Spanned<NoiseTable>>,
+    pub face: Option<Spanned<FaceTable>>,
     #[serde(default)]
     pub columns: ColumnsTable,
     #[serde(default)]
@@ -70,6 +73,41 @@ pub(super) struct NoiseTable {
     pub transverse_um_per_m: Option<Spanned<f64>>,
     pub k: Option<Spanned<f64>>,
     pub tracker_mm: Option<[Spanned<f64>; 3]>,
+    pub rotation_urad: Option<Spanned<f64>>,
+}
+
+/// The rotation of a target with axes of its own.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RotationTable {
+    pub transform: Option<Spanned<String>>,
+    pub form: Option<Spanned<String>>,
+    pub order: Option<Spanned<String>>,
+    pub sequence: Option<Spanned<String>>,
+    pub columns: Option<Spanned<RawEntry>>,
+    pub unit: Option<Spanned<AngleUnit>>,
+    pub sigma: Option<Spanned<RawEntry>>,
+    pub sigma_unit: Option<AngleUnit>,
+    pub k: Option<Spanned<f64>>,
+}
+
+/// The covariance of a full pose.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CovarianceTable {
+    pub columns: Spanned<RawEntry>,
+    pub unit: Option<LengthUnit>,
+    pub angle_unit: Option<AngleUnit>,
+}
+
+/// The face in which a reading was taken.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FaceTable {
+    pub column: Spanned<RawEntry>,
+    pub front: Option<Spanned<Codes>>,
+    pub back: Option<Spanned<Codes>>,
+    pub angles: Option<Spanned<String>>,
 }
 
 #[derive(Deserialize, Default)]
@@ -83,6 +121,14 @@ pub(super) struct ColumnsTable {
     pub time_us: Option<Spanned<RawEntry>>,
     pub time_ns: Option<Spanned<RawEntry>>,
     pub temperature_c: Option<Spanned<RawEntry>>,
+    pub temperature_k: Option<Spanned<RawEntry>>,
+    pub temperature_f: Option<Spanned<RawEntry>>,
+    pub pressure_hpa: Option<Spanned<RawEntry>>,
+    pub pressure_pa: Option<Spanned<RawEntry>>,
+    pub pressure_kpa: Option<Spanned<RawEntry>>,
+    pub pressure_mmhg: Option<Spanned<RawEntry>>,
+    pub pressure_inhg: Option<Spanned<RawEntry>>,
+    pub humidity_percent: Option<Spanned<RawEntry>>,
     pub approach: Option<Spanned<RawEntry>>,
 }
 
@@ -92,6 +138,9 @@ pub(super) struct RowsTable {
     pub approach_from: Option<ApproachFrom>,
     #[serde(default)]
     pub repeats: Repeats,
+    /// Of readings in both faces.
+    #[serde(default)]
+    pub faces: Repeats,
 }
 
 #[derive(Deserialize, Clone, Copy)]

@@ -25,6 +25,27 @@ pose = "No"
 approach = ["a1", "a2"]
 "#;
 
+const POSE: &str = r#"schema = "calibrig.columns/1"
+[joints]
+columns = ["j1"]
+[position]
+system = "cartesian"
+x = "x"
+y = "y"
+z = "z"
+[rotation]
+transform = "target_in_tracker"
+form = "euler"
+sequence = "zyx intrinsic"
+columns = ["a", "b", "c"]
+unit = "deg"
+sigma = ["sa"]
+sigma_unit = "rad"
+[noise]
+range_um = 5
+transverse_um = 9
+"#;
+
 const SPHERICAL: &str = r#"schema = "calibrig.columns/1"
 [joints]
 columns = ["j1"]
@@ -185,14 +206,17 @@ fn the_documented_map_is_valid() {
     let documented = documented.replacen("approach = [", "# approach = [", 1);
     let map = parse(&documented).expect("as documented");
     let mapping = map.mapping().expect("named");
-    assert_eq!((mapping.joints.len(), mapping.entries(Part::Whole).len()), (3, 3 + 3 + 3 + 5 + 1));
+    assert_eq!(
+        (mapping.joints.len(), mapping.entries(Part::Whole).len()),
+        (3, 3 + 3 + 4 + 3 + 3 + 5 + 2 + 1)
+    );
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
     #[test]
     fn no_mutation_of_a_map_panics(at in 0usize..400, remove in 0usize..6, insert in "\\PC{0,3}|[\"\\[\\]=.,\n-]{0,3}") {
-        for text in [CARTESIAN, SPHERICAL] {
+        for text in [CARTESIAN, SPHERICAL, POSE] {
             let mut text: Vec<char> = text.chars().collect();
             let at = at.min(text.len());
             let end = (at + remove).min(text.len());

@@ -29,12 +29,21 @@ pub(in super::super) enum Role {
     Target,
     Time,
     Temperature,
+    Pressure,
+    Humidity,
+    /// In which face a tracker read.
+    Face,
+    /// Of the rotation of the position's target.
+    Turn,
     Set,
 }
 
 impl Role {
     fn holds_numbers(self) -> bool {
-        !matches!(self, Self::Pose | Self::Name | Self::Station | Self::Target | Self::Time | Self::Set)
+        !matches!(
+            self,
+            Self::Pose | Self::Name | Self::Station | Self::Target | Self::Time | Self::Face | Self::Set
+        )
     }
 }
 
@@ -126,6 +135,8 @@ pub(in super::super) struct SeenColumn {
     pub is_repeated: bool,
     /// Place among those of the same role.
     pub order: usize,
+    /// Whether it is of an orientation that stands beside the position.
+    pub is_beside: bool,
 }
 
 impl SeenColumn {
@@ -151,6 +162,7 @@ impl SeenColumn {
             doubt: None,
             is_repeated: false,
             order: 0,
+            is_beside: false,
         }
     }
 
@@ -298,6 +310,7 @@ fn by_name(columns: &mut [SeenColumn]) {
         }
     }
     take_axes_with_letters(columns);
+    leave_quaternions(columns);
     choose_joints(columns);
     leave_times_that_fall(columns);
     triples::choose(columns);
@@ -310,6 +323,29 @@ fn by_name(columns: &mut [SeenColumn]) {
                 if seen > 0 {
                     (column.role, column.reason) = (None, format!("a second one {}", column.reason));
                 }
+            }
+        }
+    }
+}
+
+/// Of q0 to q3, or q1 to q4, directly behind a place and within 1 nobody knows that they are joints: a probe's export has its quaternion there.
+fn leave_quaternions(columns: &mut [SeenColumn]) {
+    let numbered = |column: &SeenColumn| {
+        let joint = column.joint.as_ref().filter(|joint| joint.family.ends_with('q'))?;
+        (column.numbers.largest() <= 1.0 + 1e-3).then_some((joint.family.clone(), joint.order?))
+    };
+    for at in 1..columns.len().saturating_sub(3) {
+        let four: Option<Vec<_>> = columns[at..at + 4].iter().map(numbered).collect();
+        let Some(four) = four else { continue };
+        let family = four[0].0.clone();
+        let in_row =
+            four.iter().zip(four[0].1..).all(|((own, order), place)| *own == family && *order == place);
+        let of_family =
+            columns.iter().filter_map(|c| c.joint.as_ref()).filter(|joint| joint.family == family);
+        let is_alone = of_family.count() == 4 && four[0].1 <= 1;
+        if in_row && is_alone && columns[at - 1].role == Some(Role::Z) {
+            for column in &mut columns[at..at + 4] {
+                (column.role, column.joint) = (None, None);
             }
         }
     }

@@ -314,6 +314,9 @@ fn whole_name(name: &str) -> Option<Role> {
         "t" | "time" | "timestamp" | "datetime" | "clock" | "timeofday" | "zeit" | "uhrzeit"
         | "zeitstempel" | "date" | "datum" => Role::Time,
         "temperature" | "temp" | "airtemperature" | "temperatur" | "lufttemperatur" => Role::Temperature,
+        "pressure" | "airpressure" | "druck" | "luftdruck" => Role::Pressure,
+        "humidity" | "relativehumidity" | "rh" | "feuchte" | "luftfeuchte" => Role::Humidity,
+        "face" | "lage" | "fernrohrlage" | "telescopeface" => Role::Face,
         "set" | "use" | "usage" => Role::Set,
         _ => return None,
     })

@@ -4,7 +4,7 @@ use super::column::{Role, SeenColumn};
 use super::names::{beside_axis, words};
 
 /// Words of the names that programs and people give to what a tracker saw.
-const TRACKER: [&str; 22] = [
+const TRACKER: [&str; 30] = [
     "lt",
     "tracker",
     "lasertracker",
@@ -27,12 +27,24 @@ const TRACKER: [&str; 22] = [
     "observed",
     "obs",
     "tmac",
+    "tprobe",
+    "probe",
+    "rigidbody",
+    "mocap",
+    "optitrack",
+    "vicon",
+    "qualisys",
+    "camera",
 ];
 /// Words of the names of what a controller computes.
 const CONTROLLER: [&str; 11] =
     ["tcp", "tool", "flange", "fk", "ee", "eef", "ctrl", "controller", "krc", "trans", "computed"];
 /// Names of angles and quaternions as controllers write them behind a place.
-const TURNS: [&[&str]; 12] = [
+const TURNS: [&[&str]; 16] = [
+    &["r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33"],
+    &["m11", "m12", "m13", "m21", "m22", "m23", "m31", "m32", "m33"],
+    &["nx", "ny", "nz", "ox", "oy", "oz", "ax", "ay", "az"],
+    &["w", "x", "y", "z"],
     &["q1", "q2", "q3", "q4"],
     &["q0", "q1", "q2", "q3"],
     &["qw", "qx", "qy", "qz"],
@@ -104,6 +116,17 @@ pub(super) fn choose(columns: &mut [SeenColumn]) {
         })
         .collect();
     let keeps = !(best == 0 && is_spherical);
+    if let Some(turn) = turn_of(&triples[chosen], &triples, &turns).filter(|_| keeps) {
+        // What a person must decide first is whether the tracker saw this at all.
+        let is_seen = doubt.is_none();
+        for (order, column) in columns[turn.from..turn.to].iter_mut().enumerate() {
+            (column.is_beside, column.order) = (true, order);
+            if is_seen {
+                let called = format!("called {:?}, beside the position", column.header);
+                column.take(Role::Turn, order, called);
+            }
+        }
+    }
     for (index, column) in columns.iter_mut().enumerate() {
         if !matches!(column.role, Some(Role::X | Role::Y | Role::Z)) {
             continue;
@@ -128,15 +151,8 @@ pub(super) fn choose(columns: &mut [SeenColumn]) {
 fn rank(columns: &[SeenColumn], triple: &Triple, all: &[Triple], turns: &[Turn]) -> (u8, Option<String>) {
     let has = |word: &str| triple.family.iter().any(|own| own == word);
     let is_tracker = TRACKER.iter().any(|word| has(word));
-    let [first, _, last] = triple.columns;
-    let touches = |triple: &Triple, turn: &Turn| turn.from == triple.columns[2] + 1;
-    let turn = turns.iter().find(|turn| touches(triple, turn)).or_else(|| {
-        // One that stands elsewhere is that of the place with the same name, or of the only one.
-        turns
-            .iter()
-            .filter(|turn| !all.iter().any(|triple| touches(triple, turn)))
-            .find(|turn| turn.family == triple.family || all.len() == 1 || turn.to == first)
-    });
+    let last = triple.columns[2];
+    let turn = turn_of(triple, all, turns);
     if is_tracker {
         return (2, None);
     }
@@ -148,6 +164,18 @@ fn rank(columns: &[SeenColumn], triple: &Triple, all: &[Triple], turns: &[Turn])
         return (0, Some(format!("under a controller's name ({})", columns[last].header)));
     }
     (1, None)
+}
+
+/// The orientation that stands beside a place.
+fn turn_of<'t>(triple: &Triple, all: &[Triple], turns: &'t [Turn]) -> Option<&'t Turn> {
+    let touches = |triple: &Triple, turn: &Turn| turn.from == triple.columns[2] + 1;
+    turns.iter().find(|turn| touches(triple, turn)).or_else(|| {
+        // One that stands elsewhere is that of the place with the same name, or of the only one.
+        turns
+            .iter()
+            .filter(|turn| !all.iter().any(|triple| touches(triple, turn)))
+            .find(|turn| turn.family == triple.family || all.len() == 1 || turn.to == triple.columns[0])
+    })
 }
 
 /// X, Y and Z of one name, in the order of the file; where names are repeated, the first with the first.

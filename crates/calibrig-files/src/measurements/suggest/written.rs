@@ -5,6 +5,8 @@ use std::fmt::Write;
 use std::path::Path;
 
 use super::column::{Role, SeenColumn};
+use super::rotation::{Turned, turned};
+use super::surroundings::{self, Said};
 use super::told::{
     Told, angle_unit, header_units, is_length, is_prismatic, length_unit, reason, reasons, stroke_unit,
     time_of, unit,
@@ -51,7 +53,9 @@ pub(super) fn map_of(files: &[SeenFile]) -> SuggestedMap {
     writer.head(files);
     writer.joints();
     writer.position();
+    writer.rotation();
     writer.sigma();
+    writer.face();
     writer.rest();
     writer.join();
     writer.form();
@@ -272,6 +276,83 @@ impl Writer<'_> {
         }
     }
 
+    /// The rotation beside the position. Its conventions cannot be seen; where it is not wanted, its lines can go.
+    fn rotation(&mut self) {
+        let columns = self.points.turn();
+        let Some(turned) = turned(&columns) else { return };
+        let is_seen = columns.iter().all(|column| column.role == Some(Role::Turn));
+        self.line("");
+        let Turned { keys, open } = turned;
+        let entries: Vec<_> = columns.iter().map(|column| column.entry(self.points.has_header)).collect();
+        let mut keys: Vec<(&str, String, String)> =
+            keys.into_iter().map(|(key, value, why)| (key, format!("{value:?}"), why)).collect();
+        keys.push(("columns", format!("[{}]", entries.join(", ")), reasons(&columns)));
+        let mut open: Vec<(&str, String, String)> =
+            open.into_iter().map(|(key, value, why)| (key, format!("{value:?}"), why)).collect();
+        let why = "what position and rotation are of: of the target, in the tracker's frame; or \"tracker_in_target\"";
+        open.insert(0, ("transform", "\"target_in_tracker\"".to_owned(), why.to_owned()));
+        if columns.len() == 3 {
+            match angle_unit(&columns, "angles") {
+                Told::Header(unit) => keys.push(("# unit", unit, "as the header says".to_owned())),
+                Told::Seen(unit, why) => keys.push(("unit", format!("{:?}", unit.key()), why)),
+                Told::Open(why) => open.push(("unit", "\"deg\"".to_owned(), why)),
+            }
+        }
+        if is_seen {
+            self.line("# Where the rotation is not wanted, leave out [rotation]: then the rows are points.");
+            self.line("[rotation]");
+            for (key, value, why) in open {
+                self.undecided(key, &value, &why);
+            }
+            for (key, value, why) in keys {
+                self.key(key, &value, &why);
+            }
+            return;
+        }
+        self.line("# Where the tracker saw this as full poses (a probe, motion capture), decide and take the # away; else leave it so.");
+        self.line("# [rotation]");
+        for (key, value, why) in open {
+            self.line(&format!("# {key} = {value:<17} # to decide: {why}"));
+        }
+        for (key, value, why) in keys {
+            let line = format!("# {key} = {value}");
+            self.line(&format!("{line:<33} # {why}"));
+        }
+    }
+
+    fn face(&mut self) {
+        let Some(column) = self.points.one(Role::Face) else { return };
+        self.line("");
+        if self.points.one(Role::Range).is_none() {
+            self.line(&format!(
+                "# {}: faces are of range and angles; both of a pose count as one with repeats = \"average\" in [rows].",
+                column.header
+            ));
+            return;
+        }
+        let texts = column.texts();
+        let words = surroundings::faces(&texts);
+        if words.is_none() && texts.len() != 2 {
+            self.line(&format!(
+                "# {} holds {} different texts, and there are two faces: see [face] in docs/formats.md.",
+                column.header,
+                texts.len()
+            ));
+            return;
+        }
+        self.line("[face]");
+        self.key("column", &column.entry(self.points.has_header), &column.reason.clone());
+        if let Some([front, back]) = words {
+            self.key("front", &format!("[{front:?}]"), "as programs write it");
+            self.key("back", &format!("[{back:?}]"), "angles of the encoders' own are found from the values");
+        } else {
+            let why =
+                format!("one of {} and {} is the front face, the other the back face", texts[0], texts[1]);
+            self.undecided("front", &format!("[{:?}]", texts[0]), &why);
+            self.undecided("back", &format!("[{:?}]", texts[1]), "the other one");
+        }
+    }
+
     fn sigma(&mut self) {
         let file = self.points;
         let [x, y, z] = [Role::SigmaX, Role::SigmaY, Role::SigmaZ].map(|role| file.one(role));
@@ -342,8 +423,11 @@ impl Writer<'_> {
         if let Some((key, value, why)) = time_of(file) {
             self.key(&key, &value, &why);
         }
-        if let Some(column) = file.one(Role::Temperature) {
-            self.key("temperature_c", &column.entry(file.has_header), &reason(column));
+        for said in surroundings::of_air(file) {
+            match said {
+                Said::Key(key, entry, why) => self.key(&key, &entry, &why),
+                Said::Open(key, entry, why) => self.undecided(&key, &entry, &why),
+            }
         }
         for column in file.unused().filter(|column| column.reason.contains("no time")) {
             self.line(&format!("# {}: {}", column.header, column.reason));

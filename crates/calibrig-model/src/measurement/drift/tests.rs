@@ -334,11 +334,11 @@ fn rounds_that_make_no_sense_are_refused() {
 fn full_poses_turn_with_the_tracker() {
     let Session { mut set, places, .. } = session(Motion::Ramp, NOISE, 0);
     for (observation, from) in set.observations.iter_mut().zip(&places) {
-        observation.reading = Reading::Pose(crate::measurement::PoseReading {
+        observation.reading = Reading::Pose(Box::new(crate::measurement::PoseReading {
             position: observation.reading.position(),
             rotation: from.rotation,
             covariance: Some(nalgebra::Matrix6::identity() * 1e-12),
-        });
+        }));
     }
     let steady = remove_drift(&set).expect("sound").measurements;
     let turn = |set: &MeasurementSet| {

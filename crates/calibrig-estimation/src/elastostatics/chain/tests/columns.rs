@@ -1,9 +1,10 @@
-//! Every column against the central difference of the settled position.
+//! Every column against the central difference of the settled position, and of the rotation of the flange.
 
 use nalgebra::Vector3;
 
 use super::robots::{Case, painter, serial};
 use crate::elastostatics::{Deflection, ElasticChain, put};
+use calibrig_model::geometry::rotation_vector;
 use calibrig_model::{CalibrationModel, Compliance, LinkageLength, ParameterId, TermPlace};
 
 /// Corrections that are in place while columns are taken: the columns of corrections depend on their order, too.
@@ -65,14 +66,18 @@ impl Settler {
         &mut self,
         h: f64,
         set: impl Fn(&mut CalibrationModel, &mut Vector3<f64>, &mut Option<(TermPlace, f64)>, f64),
-    ) -> Vector3<f64> {
+    ) -> [Vector3<f64>; 2] {
         let mut at = |by: f64| {
             let (mut model, mut target, mut place) = (self.base.clone(), self.in_flange, None);
             set(&mut model, &mut target, &mut place, by);
             self.settle(&model, place);
-            self.chain.target(&target)
+            (self.chain.target(&target), self.chain.base_from_flange().rotation)
         };
-        (8.0 * (at(h) - at(-h)) - (at(2.0 * h) - at(-2.0 * h))) / (12.0 * h)
+        let [near, far] = [h, 2.0 * h].map(|h| {
+            let ((ahead, turned), (behind, from)) = (at(h), at(-h));
+            [ahead - behind, rotation_vector(&(turned * from.inverse()))]
+        });
+        [0, 1].map(|kind| (8.0 * near[kind] - far[kind]) / (12.0 * h))
     }
 
     fn check(&mut self, base: impl Fn(ParameterId) -> f64, ids: &[ParameterId], what: &str) -> usize {
@@ -86,23 +91,28 @@ impl Settler {
         let columns: Vec<_> = ids.iter().map(|id| self.chain.change(*id)).collect();
         let places = every_place(self.command.len());
         let place_columns: Vec<_> = places.iter().map(|p| self.chain.change_of_place(*p)).collect();
+        self.chain.prepare_turn().expect("a stable pose");
+        let turns: Vec<_> = ids.iter().map(|id| self.chain.change(*id)).collect();
+        let place_turns: Vec<_> = places.iter().map(|p| self.chain.change_of_place(*p)).collect();
         let mut count = 0;
-        for (id, column) in ids.iter().zip(&columns) {
+        for ((id, column), turn) in ids.iter().zip(&columns).zip(&turns) {
             let reference = self.reference.clone();
             let from = base(*id);
             // At x = -1 the difference reaches to negative compliances, which are compliances all the same.
             let h =
                 if matches!(id, ParameterId::Compliance(_) | ParameterId::Mass { .. }) { 1e-2 } else { 1e-4 };
-            let difference = self.difference(h, |model, target, _, by| match *id {
+            let [difference, turned] = self.difference(h, |model, target, _, by| match *id {
                 ParameterId::Target { axis, .. } => target[axis] += by,
                 _ => put(model, &reference, *id, from + by),
             });
             compare(&format!("{what} {id}"), column, &difference);
+            compare(&format!("{what} {id}, rotation"), turn, &turned);
             count += usize::from(column.amax() > 0.0);
         }
-        for (place, column) in places.iter().zip(&place_columns) {
-            let difference = self.difference(1e-4, |_, _, more, by| *more = Some((*place, by)));
+        for ((place, column), turn) in places.iter().zip(&place_columns).zip(&place_turns) {
+            let [difference, turned] = self.difference(1e-4, |_, _, more, by| *more = Some((*place, by)));
             compare(&format!("{what} {place:?}"), column, &difference);
+            compare(&format!("{what} {place:?}, rotation"), turn, &turned);
         }
         count
     }

@@ -1,0 +1,148 @@
+//! Which readings of a set are cycles of one pose.
+
+use thiserror::Error;
+
+use calibrig_model::measurement::MeasurementSet;
+
+/// A pose that was measured in every cycle, of one station and target.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TestPose {
+    /// Its number, that of its first reading.
+    pub pose: u32,
+    /// Indices of its observations, in the order taken.
+    pub observations: Vec<usize>,
+    /// Whether it was approached from different sides: the standard's cycles have one path.
+    pub mixed_approach: bool,
+}
+
+/// Measurements from which no repeatability can be told.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum Iso9283Error {
+    /// No observation of the target.
+    #[error("target {target} was not measured")]
+    NoReading {
+        /// Its name.
+        target: String,
+    },
+    /// Every pose was measured once.
+    #[error(
+        "none of the {poses} poses of target {target} was measured more than once: repeatability needs the same command in two cycles or more (the standard: 30)"
+    )]
+    NoRepeats {
+        /// Name of the target.
+        target: String,
+        /// Number of poses.
+        poses: usize,
+    },
+    /// There is one pose only.
+    #[error(
+        "only pose {pose} of target {target} was measured more than once: expected the cycles of two poses or more (the standard: five)"
+    )]
+    OnePose {
+        /// Name of the target.
+        target: String,
+        /// The pose.
+        pose: u32,
+    },
+    /// Poses do not have one number of cycles.
+    #[error(
+        "target {target}: pose {fewer} was measured in {fewest} cycles, pose {more} in {most}: expected as many at every pose"
+    )]
+    Unequal {
+        /// Name of the target.
+        target: String,
+        /// The pose with the fewest.
+        fewer: u32,
+        /// Its cycles.
+        fewest: usize,
+        /// The first pose with the most.
+        more: u32,
+        /// Its cycles.
+        most: usize,
+    },
+    /// Fewer than were asked for.
+    #[error("target {target}: pose {pose} was measured in {found} cycles, {asked} were asked for")]
+    TooFew {
+        /// Name of the target.
+        target: String,
+        /// The pose.
+        pose: u32,
+        /// Its cycles.
+        found: usize,
+        /// Asked for.
+        asked: usize,
+    },
+    /// A pose was measured from several stations.
+    #[error(
+        "target {target}: pose {pose} was measured from stations {stations}: its scatter would hold that of their places; expected one station a pose"
+    )]
+    Stations {
+        /// Name of the target.
+        target: String,
+        /// The pose.
+        pose: u32,
+        /// Their names.
+        stations: String,
+    },
+}
+
+/// The poses of one target that were measured more than once, in the order of their numbers, with as many cycles each; `asked`: no more than the first so
+/// many. Poses that were measured once are left out, and counted beside.
+///
+/// # Errors
+///
+/// [`Iso9283Error`].
+pub fn test_poses(
+    set: &MeasurementSet,
+    target: usize,
+    asked: Option<usize>,
+) -> Result<(Vec<TestPose>, usize), Iso9283Error> {
+    let name = || set.targets.get(target).map_or_else(String::new, |target| target.name.clone());
+    let own = |group: &Vec<usize>| set.observations[group[0]].target == target;
+    let groups: Vec<Vec<usize>> = set.same_commands().into_iter().filter(own).collect();
+    if groups.is_empty() {
+        return Err(Iso9283Error::NoReading { target: name() });
+    }
+    let count = groups.len();
+    let repeated: Vec<_> = groups.into_iter().filter(|group| group.len() > 1).collect();
+    if repeated.is_empty() {
+        return Err(Iso9283Error::NoRepeats { target: name(), poses: count });
+    }
+    let mut poses = Vec::with_capacity(repeated.len());
+    for mut observations in repeated {
+        let pose = set.observations[observations[0]].pose;
+        let station = set.observations[observations[0]].station;
+        if let Some(other) = observations.iter().map(|i| set.observations[*i].station).find(|s| *s != station)
+        {
+            let named = |s: usize| set.stations.get(s).map_or("", |station| &station.name);
+            let stations = format!("{} and {}", named(station), named(other));
+            return Err(Iso9283Error::Stations { target: name(), pose, stations });
+        }
+        if let Some(asked) = asked {
+            let found = observations.len();
+            if found < asked {
+                return Err(Iso9283Error::TooFew { target: name(), pose, found, asked });
+            }
+            observations.truncate(asked);
+        }
+        let approach = |i: &usize| &set.observations[*i].approach;
+        let mixed_approach = observations.iter().any(|i| approach(i) != approach(&observations[0]));
+        poses.push(TestPose { pose, observations, mixed_approach });
+    }
+    poses.sort_by_key(|pose: &TestPose| pose.pose);
+    if let [only] = poses.as_slice() {
+        return Err(Iso9283Error::OnePose { target: name(), pose: only.pose });
+    }
+    let cycles = |pose: &&TestPose| pose.observations.len();
+    if let (Some(fewer), Some(most)) =
+        (poses.iter().min_by_key(cycles), poses.iter().map(|p| p.observations.len()).max())
+        && cycles(&fewer) != most
+    {
+        let more = poses.iter().find(|pose| cycles(pose) == most).map_or(0, |pose| pose.pose);
+        let (fewest, fewer) = (cycles(&fewer), fewer.pose);
+        return Err(Iso9283Error::Unequal { target: name(), fewer, fewest, more, most });
+    }
+    let once = count - poses.len();
+    Ok((poses, once))
+}
