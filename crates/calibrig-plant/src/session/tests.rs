@@ -84,6 +84,7 @@ fn measure(scene: &Scene, poses: [u32; 2]) -> Simulation {
         nests: &scene.nests,
         nest_sigma: 1e-5,
         target_covariance: &(Matrix3::identity() * 1e-10),
+        probe: None,
         plan: &scene.plan,
     };
     let mut events = 0;
