@@ -7,12 +7,11 @@ use serde_json::json;
 
 use super::{CliError, Verdict, print, read_scenario};
 use crate::pipeline::hash_sources;
-use crate::scenario::Scenario;
+use crate::scenario::{Approach, PoseOrder, Scenario, SessionPlan, StationShare};
 use calibrig_estimation::identification::{
     ComplianceChoice, FrameChoice, Mode, ParameterChoice, TargetChoice,
 };
 use calibrig_model::JointKind;
-use calibrig_plant::session::{Approach, PoseOrder, SessionPlan, StationShare};
 
 /// Validate a scenario and the files it names, and say what would run
 #[derive(Debug, clap::Args)]

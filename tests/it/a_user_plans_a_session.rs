@@ -208,11 +208,11 @@ fn what_cannot_be_planned_is_refused_with_its_place() {
     );
     for (marker, start, with, message, expected) in [
         (session, "repeats", "repeats = 0", "session.repeats is 0", "1 to 1000 visits"),
-        (session, "approach ", "approach = \"sideways\"", "unknown variant `sideways`", "`both_sides`"),
+        (session, "approach ", "approach = \"sideways\"", "session.approach is \"sideways\"", "`both_sides`"),
         (session, "approach_mm", "approach_mm = 0", "session.approach_mm is 0", "above"),
         (session, "settling_s", "settling_s = -1", "session.settling_s is -1", "zero"),
         (session, "averaging_s", "averaging_s = 0", "session.averaging_s is 0", "above"),
-        (session, "warm_up_s", "warm_up_h = 1", "unknown", "`warm_up_s`"),
+        (session, "warm_up_s", "warm_up_h = 1", "unknown key `warm_up_h`", "`warm_up_s`"),
         (session, "order", "opening = [0, 0, 0]", "session.opening is [0.0, 0.0, 0.0]", "not all zero"),
         (nests, "every_poses", "every_poses = 0", "session.nests.every_poses is 0", "no such key"),
         (
@@ -269,7 +269,7 @@ fn a_station_inside_the_robot_or_below_the_floor_is_refused() {
             "station \"left\" stands inside the robot, in base, at the middle of the working region",
         ),
         ("5200", "-900", "3200", "station \"left\" stands 500.0 mm below the floor"),
-        ("-4000", "-200", "2000", "base nests with the robot in the middle of its working region: "),
+        ("-900", "-200", "2000", "base nests with the robot in the middle of its working region: "),
     ] {
         let sandbox = Sandbox::new();
         for (key, value) in [("x_mm", x), ("y_mm", y), ("z_mm", z)] {

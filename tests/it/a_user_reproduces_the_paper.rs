@@ -9,6 +9,7 @@ use calibrig::model::{ActuatorMap, ParameterId};
 use calibrig::pipeline::{self, Outcome, SetKind};
 use calibrig::plant::effects::{EffectKind, Effects};
 use calibrig::scenario::{Scenario, load_scenario};
+use calibrig::tracker::Conditions;
 
 pub fn paper() -> Scenario {
     load_scenario(Path::new("scenarios/paper.toml")).expect("the shipped scenario")
@@ -20,9 +21,11 @@ fn floor() -> Scenario {
 }
 
 /// The paper's robot as "only calibration" takes it to be: rigid, its elbow driven by an exact parallelogram, with the published errors and
-/// no others.
+/// no others; the readings of its tracker scatter, and nothing else.
 pub fn rigid_paper() -> Scenario {
     let mut scenario = paper();
+    scenario.tracker.instrument.systematic_fraction = 0.0;
+    scenario.tracker.conditions = Conditions::default();
     let machine = &mut scenario.as_built;
     machine.effects = Effects::default();
     machine.statics.make_rigid();

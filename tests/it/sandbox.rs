@@ -47,7 +47,20 @@ impl Sandbox {
             copy(&Path::new(env!("CARGO_MANIFEST_DIR")).join(folder), &sandbox.path(folder));
         }
         sandbox.switch_effects_off();
+        sandbox.switch_instrument_off();
         sandbox
+    }
+
+    /// Leaves the tracker of the shipped scenario its noise alone: what else it does is larger than what is left of the machine without its effects.
+    fn switch_instrument_off(&self) {
+        let mut text =
+            self.read(SCENARIO).replace("systematic_fraction = 0.2\n", "systematic_fraction = 0\n");
+        for section in ["environment", "smr", "drift"] {
+            let header = format!("[tracker.{section}]\n");
+            assert!(text.contains(&header), "{SCENARIO} has no {header}");
+            text = text.replace(&header, &format!("{header}enabled = false\n"));
+        }
+        self.write(SCENARIO, text);
     }
 
     /// Takes the effects out of the shipped scenario, so that tests of single sections and of long sessions can put in their own.

@@ -3,7 +3,9 @@
 use calibrig_model::geometry::{
     best_fit_transform, rotation_vector, rotation_x, rotation_z, small_displacement,
 };
-use calibrig_model::measurement::{MeasurementSet, NestObservation, Reading, Station, nest_system, register};
+use calibrig_model::measurement::{
+    MeasurementSet, NestObservation, Reading, Station, nest_system, register, remove_drift,
+};
 use calibrig_model::nalgebra::{Matrix3, Vector3, Vector6};
 use calibrig_model::statistics::{
     beta_regularised, binomial_cdf, chi2_cdf, chi2_quantile, chi2_survival, clopper_pearson, f_ln_survival,
@@ -101,6 +103,29 @@ proptest! {
             Ok(()) => prop_assert!(finite),
             Err(error) => prop_assert!(!finite && error.to_string().contains("nest N of station T"), "{}", error),
         }
+    }
+
+    #[test]
+    fn rounds_of_nests_that_cannot_be_return(
+        rounds in prop::collection::vec((0..4_u8, vector(), number(), prop::option::of(number())), 0..40), same in any::<bool>()
+    ) {
+        let nest = |(name, seen, certified, time): &(u8, Vector3<f64>, f64, Option<f64>)| NestObservation {
+            time: *time,
+            name: format!("N{name}"),
+            in_base: if same { Vector3::x() * f64::from(*name) } else { Vector3::x() * *certified },
+            in_base_covariance: Matrix3::identity(),
+            reading: Reading::Cartesian { position: *seen, covariance: certified.is_sign_positive().then(|| Matrix3::identity() * *certified) },
+        };
+        let station = Station { instrument: None, name: "T".to_owned(), nests: rounds.iter().map(nest).collect() };
+        let mut set = MeasurementSet { stations: vec![station.clone(), station], ..MeasurementSet::of_points([(vec![0.0], Vector3::x())]) };
+        match remove_drift(&set) {
+            Ok(steady) => {
+                let names: std::collections::BTreeSet<_> = steady.measurements.stations[0].nests.iter().map(|n| n.name.clone()).collect();
+                prop_assert_eq!(names.len(), steady.measurements.stations[0].nests.len(), "merged");
+            }
+            Err(error) => prop_assert!(error.to_string().contains("station T"), "{}", error),
+        }
+        set.share_certificates();
     }
 
     #[test]

@@ -22,7 +22,7 @@ impl MeasuringSession<'_> {
         (seed, trial): (u64, u32),
     ) -> Result<Vec<Station>, SessionError<E>> {
         let mut rng = stream(seed, trial, Source::NestNoise);
-        let smr = self.tracker.conditions.smr.as_ref();
+        let smr = self.smr();
         let mut seating = stream_at(seed, trial, Source::Smr, OF_NESTS);
         let smr = smr.map_or(Smr::PERFECT, |law| law.draw(&mut seating));
         let mut certified: Vec<NestObservation> = Vec::new();
@@ -100,7 +100,7 @@ impl MeasuringSession<'_> {
         in_base: &Vector3<f64>,
         rng: &mut impl Rng,
     ) -> Vector3<f64> {
-        if self.tracker.conditions.smr.is_none() {
+        if self.smr().is_none() {
             return Vector3::zeros();
         }
         let to_tracker = tracker.tracker_from_base.inverse().translation.vector - in_base;

@@ -5,7 +5,7 @@ use nalgebra::{Rotation3, Unit, Vector3};
 use super::MeasuringSession;
 use super::plan::StationShare;
 use crate::SettledPose;
-use crate::tracker::{LaserTracker, Limits, Smr};
+use crate::tracker::{LaserTracker, Limits, Smr, SmrLaw};
 use calibrig_model::random::{Source, stream_at};
 use calibrig_model::visibility::{Hidden, Reflector, Stance, TrackerReach};
 
@@ -35,13 +35,18 @@ pub(super) struct Seen {
 }
 
 impl MeasuringSession<'_> {
+    /// How reflectors err, where readings err at all.
+    pub(super) fn smr(&self) -> Option<&SmrLaw> {
+        self.tracker.conditions.smr.as_ref().filter(|_| self.tracker.instrument.noise)
+    }
+
     /// The targets with the reflectors of (seed, trial).
     pub(super) fn mounted(&self, seed: u64, trial: u32) -> Vec<Mounted> {
         let first = std::iter::once((self.as_built.target, self.plan.opening));
         let further = self.plan.targets.iter().map(|target| (target.in_flange, target.opening));
         let acceptance = self.plan.sight.as_ref().map_or(std::f64::consts::PI, |sight| sight.acceptance);
         let smr = |place| {
-            let law = self.tracker.conditions.smr.as_ref()?;
+            let law = self.smr()?;
             Some(law.draw(&mut stream_at(seed, trial, Source::Smr, place)))
         };
         let mount = |((in_flange, opening), place)| Mounted {

@@ -85,6 +85,7 @@ fn measure(scene: &Scene, poses: [u32; 2]) -> Simulation {
         nests: &scene.nests,
         nest_sigma: 1e-5,
         target_covariance: &(Matrix3::identity() * 1e-10),
+        probe: None,
         plan: &scene.plan,
     };
     let mut events = 0;
@@ -277,7 +278,8 @@ fn readings_follow_the_drift_of_their_stations_and_nests_show_it() {
 #[test]
 fn reflectors_have_a_centre_of_their_own_and_sit_anew_each_round() {
     let mut scene = scene(timed(NestRounds { every: 1, after: true, ..NestRounds::default() }));
-    scene.tracker.instrument.noise = false;
+    let exact = |offset| ErrorLine { offset, per_metre: 0.0 };
+    scene.tracker.instrument = Instrument::of_noise(exact(1e-9), exact(1e-9), 0.125);
     scene.tracker.conditions.smr = Some(SmrLaw { centring_sigma: 0.0, seat_sigma: 40e-6, acceptance: 0.5 });
     let told = measure(&scene, [100, 0]);
     let nests = &told.sets[0].measurements.stations[0].nests;

@@ -5,11 +5,11 @@
 
 use std::hint::black_box;
 
-use calibrig::measurement::Face;
-use calibrig::nalgebra::Vector3;
-use calibrig::random::{Source, stream};
-use calibrig::tracker::acceptance::draw_and_test;
-use calibrig::tracker::{
+use calibrig_model::measurement::Face;
+use calibrig_model::nalgebra::Vector3;
+use calibrig_model::random::{Source, stream};
+use calibrig_plant::tracker::acceptance::draw_and_test;
+use calibrig_plant::tracker::{
     Air, Conditions, DriftLaw, EnvironmentLaw, Instrument, LaserTracker, Motion, Preset, Shot, SmrLaw,
     is_missed,
 };
