@@ -328,6 +328,7 @@ mod tests {
         }
         // A prior of a micrometre's size pulls towards zero, by its weight.
         let stated = StatedInstrument {
+            drift: None,
             name: String::new(),
             sigmas: vec![(InstrumentTerm::Collimation, 1e-6), (InstrumentTerm::RangeScale, 1e-6)],
         };
@@ -384,7 +385,7 @@ mod tests {
         readings[0].reverse();
         assert!(matches!(two_face(&pairs(&readings), &none), Err(TwoFaceError::Faces { pair: 1, .. })));
         let sigmas = vec![(InstrumentTerm::Collimation, -1.0)];
-        let stated = StatedInstrument { name: String::new(), sigmas };
+        let stated = StatedInstrument { drift: None, name: String::new(), sigmas };
         assert!(matches!(two_face(&pairs(&good), &stated), Err(TwoFaceError::Prior { .. })));
     }
 }

@@ -353,11 +353,11 @@ fn errors_of_actuators_explain_places_and_orientations_together() {
         let real: Vec<f64> = command.iter().map(|q| q + 1e-4 * normal(&mut rng)).collect();
         let flange = station() * forward_kinematics(&model.kinematics, &real).expect("a pose");
         let error = Vector6::from_fn(|i, _| sigmas[i] * normal(&mut rng));
-        let reading = Reading::Pose(PoseReading {
+        let reading = Reading::Pose(Box::new(PoseReading {
             position: flange.rotation * OFFSET + flange.translation.vector + error.fixed_rows::<3>(0),
             rotation: Rotation3::new(error.fixed_rows::<3>(3).into_owned()) * flange.rotation * mounted(),
             covariance: Some(noise),
-        });
+        }));
         set.observations.push(observation(pose, &command, 0, reading));
     }
     let estimate = identify(&model, &set, &free()).expect("an estimate");

@@ -372,13 +372,16 @@ impl MeasuringSession<'_> {
     pub(super) fn measure_targets(&self, seed: u64, trial: u32) -> Vec<Target> {
         let mut rng = random::stream(seed, trial, Source::TargetOffset);
         let sigma = self.target_covariance[(0, 0)].sqrt();
+        // A coordinate measuring machine touches the sphere; how far the optical centre is from its centre, the makers state.
+        let smr = self.tracker.conditions.smr.as_ref();
+        let centring = smr.map_or(0.0, |law| law.centring_sigma.powi(2));
         let further = self.plan.targets.iter().map(|target| (target.name.as_str(), target.in_flange));
         std::iter::once(("SMR", self.as_built.target))
             .chain(further)
             .map(|(name, place)| Target {
                 name: name.to_owned(),
                 in_flange: place + self.error_vector(sigma, &mut rng),
-                covariance: Some(*self.target_covariance),
+                covariance: Some(self.target_covariance + Matrix3::identity() * centring),
                 orientation: None,
             })
             .zip(std::iter::once(self.probe).chain(std::iter::repeat(None)))

@@ -5,8 +5,8 @@ use rand::Rng;
 
 use super::schedule::{Round, Schedule};
 use super::{MeasuringSession, SessionError};
-use crate::tracker::{LaserTracker, Shot, Smr};
-use calibrig_model::measurement::{Face, NestObservation, Reading, Station};
+use crate::tracker::{LaserTracker, Shot, Smr, SmrLaw};
+use calibrig_model::measurement::{Face, NestObservation, Reading, SphericalReading, Station};
 use calibrig_model::random::{Source, stream, stream_at};
 use calibrig_model::visibility::{Stance, stance_at};
 
@@ -49,14 +49,15 @@ impl MeasuringSession<'_> {
                         let sight = self.plan.sight.as_ref();
                         if sight.is_none_or(|s| s.obstacles.free(stance, &tracker_at, in_base).is_ok()) {
                             let time = self.plan.rounds.timed.then_some(shot.time);
-                            let reading = Reading::Spherical(reading);
+                            let reading = Reading::Spherical(self.with_seat(reading));
                             nests.push(NestObservation { reading, time, ..certified[place].clone() });
                         }
                     }
                 }
             }
             let stated = tracker.stated();
-            let instrument = (!stated.sigmas.is_empty()).then_some(stated);
+            let states = !stated.sigmas.is_empty() || stated.drift.is_some();
+            let instrument = states.then_some(stated);
             stations.push(Station { name: name.to_owned(), nests, instrument });
         }
         Ok(stations)
@@ -80,6 +81,15 @@ impl MeasuringSession<'_> {
             reading: Reading::Cartesian { position: Vector3::zeros(), covariance: None },
             time: None,
         }
+    }
+
+    /// The same with what is known of how well a reflector sits in a nest.
+    fn with_seat(&self, reading: SphericalReading) -> SphericalReading {
+        let variance = self.tracker.conditions.smr.as_ref().map_or(0.0, SmrLaw::nest_variance);
+        let flat = reading.range * reading.elevation.cos();
+        let seat = Vector3::new(1.0, flat.powi(-2), reading.range.powi(-2)) * variance;
+        let covariance = reading.covariance.map(|own| own + Matrix3::from_diagonal(&seat));
+        SphericalReading { covariance, ..reading }
     }
 
     /// Where the reflector's optical centre is beside the nest's place, m.

@@ -5,6 +5,7 @@ use rand::Rng;
 use rand_distr::{Distribution, StandardNormal, UnitSphere};
 
 use calibrig_model::geometry::Transform;
+use calibrig_model::measurement::StatedDrift;
 
 use super::TrackerError;
 
@@ -62,6 +63,21 @@ impl DriftLaw {
             return Err(TrackerError::Figure { quantity, value: self.warm_up_time, expected });
         }
         Ok(())
+    }
+
+    /// What an operator knows of it: how far it goes in an hour along and about one axis, as one standard deviation. It is told as a steady motion,
+    /// which is the most that measurements of a robot alone can tell of it. `None` of a stand that does not move.
+    pub fn stated(&self) -> Option<StatedDrift> {
+        let [_, warm_up] = self.warm_up;
+        let of = |size: fn(&Motion) -> f64| {
+            let parts = [&self.ramp, &warm_up, &self.walk].map(|motion| size(motion).powi(2));
+            (parts.iter().sum::<f64>() / 3.0).sqrt()
+        };
+        let stated = StatedDrift {
+            motion_per_hour: of(|motion| motion.shift),
+            turn_per_hour: of(|motion| motion.turn),
+        };
+        (stated.motion_per_hour > 0.0 || stated.turn_per_hour > 0.0).then_some(stated)
     }
 
     /// The drift of a session that lasts so long (s). A longer session goes the same way, and on.

@@ -203,7 +203,7 @@ impl LaserTracker {
         };
         let sigmas = InstrumentTerm::ALL.map(|term| (term, sigma(term)));
         StatedInstrument {
-            drift: None,
+            drift: self.conditions.drift.as_ref().and_then(DriftLaw::stated),
             name,
             sigmas: sigmas.into_iter().filter(|(_, sigma)| *sigma > 0.0).collect(),
         }

@@ -199,6 +199,11 @@ pub fn remove_drift(set: &MeasurementSet) -> Result<Steady, DriftError> {
         if let (Some(correction), DriftVerdict::Removed(size)) = (&correction, &mut drift.verdict) {
             correct(measurements, index, correction, size);
         }
+        let tells = !matches!(drift.verdict, DriftVerdict::Unknown { .. });
+        if let Some(stated) = measurements.stations[index].instrument.as_mut().filter(|_| tells) {
+            // What the rounds say takes the place of what was stated.
+            stated.drift = None;
+        }
         stations.push(drift);
     }
     Ok(steady)
