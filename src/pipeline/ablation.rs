@@ -7,6 +7,7 @@ use calibrig_estimation::evaluation::AccuracyRow;
 use calibrig_estimation::identification::Mode;
 use calibrig_model::{Bearing, LinkTerm, ParameterId, Section, StaticProperties};
 use calibrig_plant::effects::EffectKind;
+use calibrig_plant::tracker::Conditions;
 
 /// A part of the machine and of its measurement that can be removed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -143,6 +144,7 @@ impl Part {
             }
             Self::Instrument => {
                 changed.tracker.instrument.noise = false;
+                changed.tracker.conditions = Conditions::default();
                 changed.outliers = None;
             }
         }

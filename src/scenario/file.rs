@@ -17,7 +17,7 @@ use calibrig_model::measurement::SetKind;
 use calibrig_model::{JointKind, KinematicModel};
 use calibrig_plant::AsBuilt;
 use calibrig_plant::experiment::WorkingRegion;
-use calibrig_plant::tracker::{LaserTracker, Outliers, Probe};
+use calibrig_plant::tracker::{Conditions, LaserTracker, Outliers, Probe};
 
 const SCHEMA: &str = "calibrig.scenario/1";
 
@@ -368,7 +368,9 @@ fn tracker(
 ) -> Result<LaserTracker, InputError> {
     let file = section.get_ref();
     let instrument = instrument(source, file, section.span())?;
-    let conditions = conditions(source, file, &instrument.limits)?;
+    let stated = conditions(source, file, &instrument.limits)?;
+    // Exact readings and nests have neither weather nor reflectors of their own.
+    let conditions = if instrument.noise { stated } else { Conditions::default() };
     let position = point(source, "tracker.", [&file.x_mm, &file.y_mm, &file.z_mm])?;
     let yaw = source.finite("tracker.yaw_deg", &file.yaw_deg)?.to_radians();
     let up = -as_built.statics.gravity;

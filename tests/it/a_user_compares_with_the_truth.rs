@@ -20,6 +20,7 @@ fn with(effects: Effects, families: &[&str]) -> Scenario {
     scenario.as_built.statics = nominal.statics.clone().expect("the shipped robot's statics");
     scenario.as_built.actuators = nominal.actuators.clone();
     scenario.as_built.effects = effects;
+    scenario.tracker = rigid_paper().tracker;
     scenario.tracker.instrument.noise = false;
     scenario.options.unmodelled_sigma = 0.0;
     scenario.options.mode = Mode::Extended;

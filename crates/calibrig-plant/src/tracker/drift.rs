@@ -138,6 +138,12 @@ impl Drift {
         })
     }
 
+    /// Coordinates in the tracker's axes at a time (s) of a point that has these in its first ones, m.
+    pub(super) fn seen(&self, first: &Vector3<f64>, time: f64) -> Vector3<f64> {
+        let [shift, turn] = self.motion(time);
+        Rotation3::from_scaled_axis(-turn) * (first - shift)
+    }
+
     /// `tracker_now_from_tracker_first` at a time, s.
     pub fn now_from_first(&self, time: f64) -> Transform {
         let [shift, turn] = self.motion(time);

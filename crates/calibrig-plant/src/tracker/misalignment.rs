@@ -48,8 +48,8 @@ pub struct Shown {
     pub elevation: f64,
 }
 
-/// Rounds of the solution. One leaves an error of the order of offset times angle, squared; two leave nothing to see.
-const ROUNDS: usize = 3;
+/// Most rounds of the solution. Each makes the error smaller by offset times angle over the distance: of an instrument two are enough.
+const ROUNDS: usize = 6;
 
 impl Misalignment {
     /// With errors by the name of what they do: an error of amplitude x (m, rad or 1) displaces small readings as
@@ -103,7 +103,10 @@ impl Misalignment {
             if !(root >= 0.0) {
                 return Err(refused);
             }
-            way = root.sqrt() - beam_y * sin_c;
+            let before = std::mem::replace(&mut way, root.sqrt() - beam_y * sin_c);
+            if (way - before).abs() <= f64::EPSILON * way {
+                break;
+            }
             let along = beam_y + way * sin_c - point.z * sin_i;
             sin_d = if along == 0.0 { 0.0 } else { along / (flat * cos_i) };
             let rest = 1.0 - sin_d * sin_d;

@@ -219,8 +219,9 @@ impl LaserTracker {
     ) -> Result<SphericalReading, TrackerError> {
         // Drawn whether used or not, so that neither the noise nor a point out of range moves another number of the stream.
         let units: [f64; 3] = std::array::from_fn(|_| StandardNormal.sample(rng));
-        let tracker_from_base = self.tracker_from_base_at(shot.time);
-        let point = tracker_from_base.rotation * in_base + tracker_from_base.translation.vector;
+        let first = self.tracker_from_base.rotation * in_base + self.tracker_from_base.translation.vector;
+        let drift = &self.errors.drift;
+        let point = if drift.is_none() { first } else { drift.seen(&first, shot.time) };
         let distance = point.norm();
         let Limits { range: [least, most], azimuth, elevation, .. } = self.instrument.limits;
         if !(least..=most).contains(&distance) {
