@@ -95,15 +95,8 @@ impl InstrumentTable {
 
     /// The terms in the order of the text.
     pub fn read(&self, source: &Source) -> Result<StatedInstrument, InputError> {
-        let sigma = |key: &str, value: &Spanned<f64>| {
-            if *value.get_ref() == 0.0 {
-                let help = format!(
-                    "expected a standard deviation above zero, or no {key}: then the instrument has no such error"
-                );
-                return Err(source.error(value.span(), format!("{key} is 0"), Some(help)));
-            }
-            source.positive(key, value)
-        };
+        // An instrument without one of the errors leaves its key out.
+        let sigma = |key: &str, value: &Spanned<f64>| source.positive(key, value);
         let mut terms: Vec<(usize, InstrumentTerm, f64)> = Vec::new();
         for term in InstrumentTerm::ALL {
             let Some(value) = self.of(term) else { continue };
