@@ -72,16 +72,16 @@ pub(super) struct Args {
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = place, requires = "scenario")]
     cube_centre_mm: Option<Place>,
     /// Plane of the cube: its corners, 1 to 4 about the upper face and 5 to 8 below them
-    #[arg(long, value_enum, default_value_t = Plane::C1C2C7C8)]
+    #[arg(long, value_enum, default_value_t = Plane::C1C2C7C8, requires = "scenario")]
     plane: Plane,
     /// Seed of the random draws, instead of the scenario's
     #[arg(long, value_name = "N", requires = "scenario")]
     seed: Option<u64>,
     /// Number of the trial of a campaign
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = trial_number())]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = trial_number(), requires = "scenario")]
     trial: u32,
     /// What stands for the machine: the multibody simulation, or the identification's own elastostatics (a matched model: for tests of the estimator)
-    #[arg(long, value_enum, default_value_t = Plant::Rapier)]
+    #[arg(long, value_enum, default_value_t = Plant::Rapier, requires = "scenario")]
     plant: Plant,
     /// Folder for iso9283.html and iso9283.json, which are written over [default: no files]
     #[arg(long, value_name = "DIR")]

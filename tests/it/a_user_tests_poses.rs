@@ -153,7 +153,7 @@ fn the_part_of_the_readings_is_told() {
         "only calibration",
         "tracker placed by the base nests",
         "its text was not at hand",
-        "none of the machine's shows beside it",
+        "none of the machine's shows",
     ] {
         assert!(text.contains(part), "{part} in\n{text}");
     }
@@ -197,6 +197,10 @@ fn a_cube_out_of_reach_is_refused_with_the_pose_and_the_distance() {
         (&["iso9283", SCENARIO, "--cube-centre-mm", "1,2"], "expected three numbers of mm"),
         (&["iso9283", "--model", "models/ur5/robot.toml"], "required arguments"),
         (&["iso9283", SCENARIO, "--measurements", "m.csv"], "cannot be used with"),
+        (
+            &["iso9283", "--model", "models/ur5/robot.toml", "--measurements", "m.csv", "--trial", "3"],
+            "required arguments",
+        ),
     ] {
         let ended = sandbox.run(arguments);
         assert_eq!(ended.code, Some(2), "{arguments:?}: {ended:?}");

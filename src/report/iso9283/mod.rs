@@ -68,7 +68,9 @@ fn title(outcome: &Iso9283Outcome) -> String {
 /// Millimetres to a tenth of a micrometre; of a failed fit in fewer digits.
 fn mm(metres: f64) -> String {
     let mm = 1e3 * metres;
-    if mm.is_finite() && mm.abs() < 9999.0 { format!("{mm:.4}") } else { format!("{mm:.0e}") }
+    let text = if mm.is_finite() && mm.abs() < 9999.0 { format!("{mm:.4}") } else { format!("{mm:.0e}") };
+    // What rounds to zero has no sign.
+    if text == "-0.0000" { "0.0000".to_owned() } else { text }
 }
 
 /// Of a target's poses the one with the largest RP.
