@@ -199,7 +199,7 @@ fn a_cube_out_of_reach_is_refused_with_the_pose_and_the_distance() {
         (&["iso9283", SCENARIO, "--measurements", "m.csv"], "cannot be used with"),
         (
             &["iso9283", "--model", "models/ur5/robot.toml", "--measurements", "m.csv", "--trial", "3"],
-            "required arguments",
+            "cannot be used with",
         ),
     ] {
         let ended = sandbox.run(arguments);
