@@ -66,22 +66,22 @@ pub(super) struct Args {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=10_000))]
     cycles: Option<u32>,
     /// Edge of the cube [default: the largest that is found in the working region, in steps of 10 mm]
-    #[arg(long, value_name = "MM", value_parser = edge, requires = "scenario")]
+    #[arg(long, value_name = "MM", value_parser = edge, conflicts_with = "robot")]
     cube_mm: Option<f64>,
     /// Middle of the cube in the base frame [default: where the target is in the middle of the working region]
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = place, requires = "scenario")]
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = place, conflicts_with = "robot")]
     cube_centre_mm: Option<Place>,
     /// Plane of the cube: its corners, 1 to 4 about the upper face and 5 to 8 below them
-    #[arg(long, value_enum, default_value_t = Plane::C1C2C7C8)]
+    #[arg(long, value_enum, default_value_t = Plane::C1C2C7C8, conflicts_with = "robot")]
     plane: Plane,
     /// Seed of the random draws, instead of the scenario's
-    #[arg(long, value_name = "N", requires = "scenario")]
+    #[arg(long, value_name = "N", conflicts_with = "robot")]
     seed: Option<u64>,
     /// Number of the trial of a campaign
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = trial_number())]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = trial_number(), conflicts_with = "robot")]
     trial: u32,
     /// What stands for the machine: the multibody simulation, or the identification's own elastostatics (a matched model: for tests of the estimator)
-    #[arg(long, value_enum, default_value_t = Plant::Rapier)]
+    #[arg(long, value_enum, default_value_t = Plant::Rapier, conflicts_with = "robot")]
     plant: Plant,
     /// Folder for iso9283.html and iso9283.json, which are written over [default: no files]
     #[arg(long, value_name = "DIR")]

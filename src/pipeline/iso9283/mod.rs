@@ -15,9 +15,9 @@ use super::{InputSummary, PipelineError, PlantKind, calibrate, input_of, measure
 use crate::scenario::Scenario;
 use calibrig_estimation::evaluation::iso9283::{
     CubePlane, ISO_CYCLES, ISO_POSES, Iso9283Error, OrientationAccuracy, OrientationRepeatability,
-    PositionAccuracy, PositionRepeatability, TestCube, TestPose, mean_rotation, orientation_accuracy,
-    orientation_repeatability, position_accuracy, position_repeatability, test_poses, turn_of_points,
-    turns_about,
+    PositionAccuracy, PositionRepeatability, ScatterOverStated, TestCube, TestPose, mean_rotation,
+    orientation_accuracy, orientation_repeatability, position_accuracy, position_repeatability,
+    scatter_over_stated, test_poses, turn_of_points, turns_about,
 };
 use calibrig_estimation::identification::{
     CalibratedRobot, IdentificationOptions, IdentifyError, Loss, Mode, PredictionError, Predictor,
@@ -124,6 +124,8 @@ pub struct Iso9283Target {
     pub name: String,
     /// By their numbers.
     pub poses: Vec<Iso9283Pose>,
+    /// Scatter of all poses against what the readings state; `None` where one states nothing.
+    pub over_stated: Option<ScatterOverStated>,
     /// Against what the poses are accurate, one row a robot.
     pub rows: Vec<AccuracyAgainst>,
 }
@@ -511,8 +513,12 @@ fn evaluate(
                 orientation: poses.iter().map(orientation).collect::<Option<_>>().unwrap_or_default(),
             })
         };
+        let poses_of_target: Vec<Iso9283Pose> = poses.iter().map(of_pose).collect::<Result<_, _>>()?;
+        let stated: Option<Vec<_>> =
+            poses_of_target.iter().map(|pose| Some((pose.position, pose.stated_sigma?))).collect();
         evaluated.push(Iso9283Target {
-            poses: poses.iter().map(of_pose).collect::<Result<_, _>>()?,
+            poses: poses_of_target,
+            over_stated: stated.and_then(|poses| scatter_over_stated(&poses)),
             rows: rows.iter().map(of_row).collect::<Result<_, Iso9283Failure>>()?,
             name: name.clone(),
         });

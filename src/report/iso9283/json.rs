@@ -65,6 +65,10 @@ pub struct JsonIsoTarget {
     pub target: String,
     /// By their numbers.
     pub poses: Vec<JsonIsoPose>,
+    /// Variance of all poses' scatter over that of the readings' stated noise; null where none is stated.
+    pub scatter_over_stated: Option<f64>,
+    /// Where that lies in 99.9 % if the machine does not scatter.
+    pub scatter_over_stated_band: Option<[f64; 2]>,
     /// Accuracy, one row a robot.
     pub accuracy: Vec<JsonIsoRow>,
 }
@@ -236,6 +240,8 @@ pub fn json_iso9283(outcome: &Iso9283Outcome) -> JsonIso9283 {
             .map(|target| JsonIsoTarget {
                 target: target.name.clone(),
                 poses: target.poses.iter().map(pose).collect(),
+                scatter_over_stated: target.over_stated.and_then(|over| finite(over.ratio)),
+                scatter_over_stated_band: target.over_stated.map(|over| over.band.into()),
                 accuracy: target.rows.iter().map(|against| row(target, against)).collect(),
             })
             .collect(),

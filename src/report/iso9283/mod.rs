@@ -14,7 +14,7 @@ use std::path::Path;
 
 use nalgebra::Vector3;
 
-use super::summary::length_words;
+use super::summary::{length_words, significant};
 use super::tables::{Ink, Style, TITLE, printable, wrap};
 use super::{ReportError, counted, stage};
 use crate::pipeline::{Iso9283Outcome, Iso9283Pose, Iso9283Target};
@@ -68,13 +68,9 @@ fn title(outcome: &Iso9283Outcome) -> String {
 /// Millimetres to a tenth of a micrometre; of a failed fit in fewer digits.
 fn mm(metres: f64) -> String {
     let mm = 1e3 * metres;
-    if mm.is_finite() && mm.abs() < 9999.0 { format!("{mm:.4}") } else { format!("{mm:.0e}") }
-}
-
-/// The part of the variance of a pose's scatter that its readings' stated noise is.
-fn instrument_share(pose: &Iso9283Pose) -> Option<f64> {
-    let scatter = pose.position.axis_sigma.norm_squared();
-    pose.stated_sigma.map(|sigma| sigma * sigma / scatter).filter(|share| share.is_finite())
+    let text = if mm.is_finite() && mm.abs() < 9999.0 { format!("{mm:.4}") } else { format!("{mm:.0e}") };
+    // What rounds to zero has no sign.
+    if text == "-0.0000" { "0.0000".to_owned() } else { text }
 }
 
 /// Of a target's poses the one with the largest RP.
@@ -97,13 +93,17 @@ fn sentences(outcome: &Iso9283Outcome) -> Vec<String> {
                 length_words(high)
             ));
         }
-        let shares: Option<Vec<f64>> = target.poses.iter().map(instrument_share).collect();
-        if let Some(shares) = shares.filter(|shares| !shares.is_empty()) {
-            let mean = shares.iter().sum::<f64>() / shares.len() as f64;
-            lines.push(format!(
-                "{of}the readings' stated noise makes {} of the variance of that scatter, the machine the rest",
-                super::scatter::percent(mean)
-            ));
+        if let Some(over) = target.over_stated {
+            let noise = format!("{of}the readings' stated noise");
+            lines.push(if over.ratio > over.band.1 {
+                let share = super::scatter::percent(1.0 / over.ratio);
+                format!("{noise} makes {share} of the variance of that scatter, the machine the rest")
+            } else if over.ratio < over.band.0 {
+                let ratio = significant(over.ratio.sqrt());
+                format!("{noise} is stated too large: all that is seen is {ratio} times as large")
+            } else {
+                format!("{noise} is all that is seen of that scatter: none of the machine's shows beside it")
+            });
         }
         let worst = |row: &crate::pipeline::AccuracyAgainst| {
             row.position.iter().map(|ap| ap.distance).fold(0.0, f64::max)
@@ -204,12 +204,12 @@ fn target_lines(outcome: &Iso9283Outcome, target: &Iso9283Target, style: Style) 
         }
         let turns: Option<Vec<_>> = poses.iter().map(|pose| pose.orientation).collect();
         lines.extend(turns.iter().flat_map(|turns| turn_rows(turns)));
+        if !target.rows.is_empty() {
+            lines.push(row("AP against", &[]));
+        }
         for against in &target.rows {
             let accuracy = &against.position[place.clone()];
-            lines.push(row(
-                &format!("AP, {}", against.title),
-                &accuracy.iter().map(|ap| mm(ap.distance)).collect::<Vec<_>>(),
-            ));
+            lines.push(row(&against.title, &accuracy.iter().map(|ap| mm(ap.distance)).collect::<Vec<_>>()));
             for (axis, name) in ["x", "y", "z"].iter().enumerate() {
                 let along: Vec<_> = accuracy.iter().map(|ap| mm(ap.error[axis])).collect();
                 lines.push(row(&format!("  AP {name}"), &along));
@@ -220,7 +220,7 @@ fn target_lines(outcome: &Iso9283Outcome, target: &Iso9283Target, style: Style) 
                 .expected_sigma
                 .get(place.clone())
                 .and_then(|all| all.iter().map(|sigma| sigma.map(mm)).collect());
-            lines.extend(expected.map(|cells| row("  expected by the robot (sigma 3D)", &cells)));
+            lines.extend(expected.map(|cells| row("  expected by it (sigma 3D)", &cells)));
             if let Some(turns) = against.orientation.get(place.clone()).filter(|turns| !turns.is_empty()) {
                 lines.extend(turn_accuracy_rows("", turns));
             }

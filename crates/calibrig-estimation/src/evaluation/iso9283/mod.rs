@@ -28,6 +28,7 @@ use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 
+use super::chi2_band;
 use calibrig_model::random::{Source, stream};
 use calibrig_model::statistics::{chi2_quantile, f_ln_survival, student_t_quantile};
 
@@ -71,6 +72,17 @@ pub struct PositionRepeatability {
     pub interval: [f64; 2],
     /// Standard deviation along each axis.
     pub axis_sigma: Vector3<f64>,
+    /// In how many directions it scatters: 1 along a line, 3 alike in all; 0 without scatter.
+    pub directions: f64,
+}
+
+/// Scatter of all poses of a target against what its readings state by themselves.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ScatterOverStated {
+    /// Sum of the poses' observed variances over that of the stated ones.
+    pub ratio: f64,
+    /// Where it lies in 99.9 % if the readings scatter as stated and the machine not at all.
+    pub band: (f64, f64),
 }
 
 /// How far the mean orientation is from the commanded one, rad.
@@ -123,8 +135,7 @@ pub fn position_accuracy(errors: &[Vector3<f64>]) -> Option<PositionAccuracy> {
     let n = errors.len() as f64;
     let trace = covariance.trace();
     let radius = if trace > 0.0 {
-        // 1 for scatter along a line, 3 for scatter that is alike in every direction.
-        let dof = trace * trace / (covariance * covariance).trace();
+        let dof = directions(&covariance);
         (trace / n * f_quantile(ISO_LEVEL, dof, dof * (n - 1.0))).sqrt()
     } else {
         0.0
@@ -153,7 +164,29 @@ pub fn position_repeatability(attained: &[Vector3<f64>]) -> Option<PositionRepea
         repeatability,
         interval: [repeatability / high, repeatability / low],
         axis_sigma: covariance.diagonal().map(f64::sqrt),
+        directions: directions(&covariance),
     })
+}
+
+/// Of a positive semidefinite matrix, the number of directions of a scatter alike in each whose squared length varies as much (Satterthwaite); 0 of zero.
+fn directions(covariance: &Matrix3<f64>) -> f64 {
+    let trace = covariance.trace();
+    if trace > 0.0 { trace * trace / (covariance * covariance).trace() } else { 0.0 }
+}
+
+/// Whether poses scatter by more than their readings state, from RP and the stated standard deviation (root of the mean squared length of a reading's error, m) of
+/// each pose. `None` without any, and where nothing scatters or is stated.
+pub fn scatter_over_stated(poses: &[(PositionRepeatability, f64)]) -> Option<ScatterOverStated> {
+    let (mut seen, mut stated, mut square) = (0.0, 0.0, 0.0);
+    for (rp, sigma) in poses.iter().filter(|(rp, _)| rp.directions > 0.0) {
+        let variance = rp.axis_sigma.norm_squared();
+        seen += variance;
+        stated += sigma * sigma;
+        square += variance * variance / (rp.directions * (rp.cycles as f64 - 1.0));
+    }
+    let (ratio, dof) = (seen / stated, seen * seen / square);
+    let is_told = ratio.is_finite() && dof.is_finite() && dof > 0.0;
+    is_told.then(|| ScatterOverStated { ratio, band: chi2_band(dof, 0.999) })
 }
 
 /// AP of the orientation from the turns between the commanded and the attained orientation of every cycle (rotation vectors, rad); `None` as

@@ -242,3 +242,38 @@ fn two_cycles_give_a_wide_interval_and_no_failure() {
     let band = ratio_band(&Matrix3::identity(), 30);
     assert_eq!(band, ratio_band(&(4.0 * Matrix3::identity()), 30));
 }
+
+/// Scatter as stated is told from scatter of a machine beside it: of 300 tests of five poses no more than 3 (p = 3e-5 at a rate of 0.1 %) are outside of the
+/// band of 99.9 %, and twice the variance is in every one of 20. What is stated is exact, so that sums over poses are compared.
+#[test]
+fn scatter_beyond_what_is_stated_is_found() {
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let sigmas = Vector3::new(0.3, 1.0, 1.0);
+    let mut of = |factor: f64| {
+        let poses: Vec<_> = (0..5)
+            .map(|_| {
+                let set: Vec<_> = (0..30).map(|_| factor * draw(&mut rng, &sigmas)).collect();
+                let (_, covariance) = moments(&set).expect("30 cycles");
+                let rp = PositionRepeatability {
+                    cycles: 30,
+                    mean_distance: 0.0,
+                    distance_sigma: 0.0,
+                    repeatability: 0.0,
+                    interval: [0.0, 0.0],
+                    axis_sigma: covariance.diagonal().map(f64::sqrt),
+                    directions: directions(&covariance),
+                };
+                (rp, sigmas.norm())
+            })
+            .collect();
+        let found = scatter_over_stated(&poses).expect("scatter");
+        (found.ratio, found.ratio < found.band.0, found.ratio > found.band.1)
+    };
+    let outside = (0..300).map(|_| of(1.0)).filter(|(_, below, above)| *below || *above).count();
+    assert!(outside <= 3, "{outside}");
+    assert!((0..20).all(|_| of(2.0_f64.sqrt()).2));
+    assert!((0..20).all(|_| of(0.5).1));
+    assert!(scatter_over_stated(&[]).is_none());
+    let same = position_repeatability(&[Vector3::x(); 3]).expect("three cycles");
+    assert!(scatter_over_stated(&[(same, 1.0)]).is_none() && same.directions == 0.0);
+}
