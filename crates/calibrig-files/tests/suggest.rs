@@ -655,7 +655,7 @@ fn faces_and_the_air_are_suggested() {
         let [x, y, z] = point(k).map(|v| 1e-3 * v);
         let range = (x * x + y * y + z * z).sqrt();
         let (azimuth, zenith) = (y.atan2(x).to_degrees(), (z / range).acos().to_degrees());
-        if k % 2 == 0 { (range, azimuth + 180.0, 360.0 - zenith) } else { (range, azimuth, zenith) }
+        if k.is_multiple_of(2) { (range, azimuth + 180.0, 360.0 - zenith) } else { (range, azimuth, zenith) }
     };
     let text = |face: &'static [&'static str; 2], air: &'static str| {
         move |k: usize| {

@@ -49,10 +49,13 @@ fn instrument() -> impl Strategy<Value = StatedInstrument> {
     })
 }
 
+/// Name, certified place and its covariance, and the readings of the rounds.
+type SeenNest = (String, [f64; 3], Matrix3<f64>, Vec<Reading>);
+
 /// Rounds of nests, each measured once a round; without times where there is one round.
 fn stations() -> impl Strategy<Value = Vec<Station>> {
     let nest = ("\\PC{0,6}", numbers::<3>(), matrix(), prop::collection::vec(reading(), 1..3));
-    let rounds = |nests: Vec<(String, [f64; 3], Matrix3<f64>, Vec<Reading>)>| {
+    let rounds = |nests: Vec<SeenNest>| {
         let of_nest = |(i, (name, in_base, in_base_covariance, readings)): (
             usize,
             (String, [f64; 3], _, Vec<Reading>),
@@ -66,7 +69,7 @@ fn stations() -> impl Strategy<Value = Vec<Station>> {
                     in_base: in_base.into(),
                     in_base_covariance,
                     reading,
-                    time: is_repeated.then(|| 0.1 * round as f64 - 1.0),
+                    time: is_repeated.then_some(0.1 * round as f64 - 1.0),
                 })
                 .collect::<Vec<_>>()
         };

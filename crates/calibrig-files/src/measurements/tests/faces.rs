@@ -64,7 +64,7 @@ fn what_both_faces_turn_over_is_averaged_out() {
         loaded.remarks.iter().find(|r| r.contains("2 pairs of both faces are averaged")).expect("told");
     // 0.02° and 0.04° at 3 m, the first by the sine of the zenith.
     let size = |zenith: f64| (0.02 * zenith.to_radians().sin()).hypot(0.04).to_radians() * 3e3;
-    let apart = ((size(60.0).powi(2) + size(80.0).powi(2)) / 2.0).sqrt();
+    let apart = f64::midpoint(size(60.0).powi(2), size(80.0).powi(2)).sqrt();
     assert!(told.contains(&format!("differ by {apart:.4} mm")), "{told} {apart}");
     let kept = mapped(text, &face_map(&more.replace("average", "keep"))).expect("valid");
     assert_eq!(kept.set.observations.len(), 4);
