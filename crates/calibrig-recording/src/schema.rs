@@ -105,6 +105,7 @@ impl From<&Reading> for v1::Reading {
                 elevation: Some(reading.elevation),
                 covariance: reading.covariance.as_ref().map(matrix).unwrap_or_default(),
                 back_face: reading.face == Face::Back,
+                both_faces: reading.face == Face::Both,
             }),
             Reading::Cartesian { position, covariance } => {
                 v1::reading::Kind::Cartesian(v1::CartesianReading {
@@ -129,7 +130,11 @@ fn to_reading(message: Option<&v1::Reading>) -> Result<Reading, String> {
             azimuth: number(message.azimuth, "azimuth")?,
             elevation: number(message.elevation, "elevation")?,
             covariance: to_optional_matrix(&message.covariance, "covariance of the reading")?,
-            face: if message.back_face { Face::Back } else { Face::Front },
+            face: match (message.back_face, message.both_faces) {
+                (_, true) => Face::Both,
+                (true, false) => Face::Back,
+                (false, false) => Face::Front,
+            },
         })),
         v1::reading::Kind::Cartesian(reading) => Ok(Reading::Cartesian {
             position: to_vector(&reading.position, "position")?,

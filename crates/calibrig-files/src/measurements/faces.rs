@@ -166,7 +166,7 @@ fn mean(front: &Observation, back: &Observation) -> Observation {
             azimuth: f64::midpoint(a.azimuth, near),
             elevation: f64::midpoint(a.elevation, b.elevation),
             covariance: a.covariance.zip(b.covariance).map(|(a, b)| (a + b) / 4.0),
-            face: Face::Front,
+            face: Face::Both,
         });
     }
     mean

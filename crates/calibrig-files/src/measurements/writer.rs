@@ -229,7 +229,7 @@ impl Writer<'_> {
         let form = Form {
             kind,
             as_sigmas: covariances.iter().flatten().all(|covariance| exact_sigmas(covariance).is_some()),
-            has_faces: observations.iter().any(|o| o.reading.face() == Face::Back),
+            has_faces: observations.iter().any(|o| o.reading.face() != Face::Front),
         };
         let header = self.header(form);
         let mut writer = csv::Writer::from_writer(Vec::new());

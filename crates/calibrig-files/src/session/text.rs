@@ -104,7 +104,7 @@ fn nest_text(station: &Station, nest: &NestObservation) -> Result<String, Sessio
             if let Some(covariance) = covariance {
                 let _ = writeln!(text, "covariance_m_rad = {:?}", rows(covariance));
             }
-            if *face == Face::Back {
+            if *face != Face::Front {
                 let _ = writeln!(text, "face = {:?}", face.key());
             }
         }

@@ -23,6 +23,8 @@ pub enum Face {
     Front,
     /// Head and telescope turned over.
     Back,
+    /// The mean of one reading in each: what turns over with the telescope is not in it.
+    Both,
 }
 
 impl Face {
@@ -31,14 +33,16 @@ impl Face {
         match self {
             Self::Front => "front",
             Self::Back => "back",
+            Self::Both => "both",
         }
     }
 
-    /// 1 of the front face, -1 of the back face.
+    /// 1 of the front face, -1 of the back face, 0 of the mean of both.
     pub fn sign(self) -> f64 {
         match self {
             Self::Front => 1.0,
             Self::Back => -1.0,
+            Self::Both => 0.0,
         }
     }
 }

@@ -84,12 +84,12 @@ impl MeasuringSession<'_> {
     }
 
     /// The same with what is known of how well a reflector sits in a nest.
-    fn with_seat(&self, reading: SphericalReading) -> SphericalReading {
+    fn with_seat(&self, mut reading: SphericalReading) -> SphericalReading {
         let variance = self.tracker.conditions.smr.as_ref().map_or(0.0, SmrLaw::nest_variance);
         let flat = reading.range * reading.elevation.cos();
         let seat = Vector3::new(1.0, flat.powi(-2), reading.range.powi(-2)) * variance;
-        let covariance = reading.covariance.map(|own| own + Matrix3::from_diagonal(&seat));
-        SphericalReading { covariance, ..reading }
+        reading.covariance = reading.covariance.map(|own| own + Matrix3::from_diagonal(&seat));
+        reading
     }
 
     /// Where the reflector's optical centre is beside the nest's place, m.

@@ -74,7 +74,6 @@ fn scene(plan: SessionPlan) -> Scene {
 
 fn measure(scene: &Scene, poses: [u32; 2]) -> Simulation {
     let session = MeasuringSession {
-        probe: None,
         as_built: &scene.machine,
         actuators: &scene.machine.actuators,
         region: &scene.region,

@@ -82,6 +82,16 @@ impl Misalignment {
 
     /// What is shown of a point in the tracker's frame (m).
     pub fn read(&self, point: &Vector3<f64>, face: Face) -> Result<Shown, TrackerError> {
+        if face == Face::Both {
+            let (front, back) = (self.read(point, Face::Front)?, self.read(point, Face::Back)?);
+            // Both show the direction of the point, and may be a turn apart.
+            let turns = ((back.azimuth - front.azimuth) / TAU).round();
+            return Ok(Shown {
+                range: f64::midpoint(front.range, back.range),
+                azimuth: f64::midpoint(front.azimuth, back.azimuth - turns * TAU),
+                elevation: f64::midpoint(front.elevation, back.elevation),
+            });
+        }
         let flat = point.x.hypot(point.y);
         let direction = point.y.atan2(point.x);
         if *self == Self::default() {
@@ -119,7 +129,7 @@ impl Misalignment {
         let (ahead, up) = (flat * cos_d - t, cos_i * point.z - sin_i * flat * sin_d);
         let lead = beam_z.atan2(way * cos_c);
         let (azimuth, elevation) = match face {
-            Face::Front => {
+            Face::Front | Face::Both => {
                 let theta = direction - turn;
                 let phi = up.atan2(ahead) - lead;
                 (theta + self.azimuth.error(theta), phi + self.elevation.error(phi))

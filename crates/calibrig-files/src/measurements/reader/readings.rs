@@ -248,6 +248,10 @@ impl Cells<'_> {
             words.iter().any(|word| word.eq_ignore_ascii_case(cell) || self.is_same_number(*column, word))
         };
         let [front, back] = &face.words;
+        if face.angles == BackAngles::Own && cell == Face::Both.key() {
+            spherical.face = Face::Both;
+            return Ok(FaceSeen::Front);
+        }
         if is_one_of(front) {
             if is_beyond && face.angles != BackAngles::Own {
                 let expected = "an angle of the front face: a zenith from 0 to 180°, an elevation from -90° to 90°; or the back face";

@@ -78,7 +78,7 @@ fn mean_of(
         return Some(NestObservation { time: None, ..first.clone() });
     }
     // Faces count the same, however often each was measured: their errors are opposite.
-    let faces: Vec<Vec<&NestObservation>> = [Face::Front, Face::Back]
+    let faces: Vec<Vec<&NestObservation>> = [Face::Front, Face::Back, Face::Both]
         .into_iter()
         .map(|face| group.iter().copied().filter(|nest| nest.reading.face() == face).collect::<Vec<_>>())
         .filter(|own| !own.is_empty())
@@ -99,7 +99,7 @@ fn mean_of(
             let [range, azimuth, elevation] = spherical(&position, read.azimuth);
             let jacobian = spherical_by_position(&position);
             let covariance = covariance.zip(jacobian).map(|(c, j)| j * c * j.transpose());
-            let face = if by_face { read.face } else { Face::Front };
+            let face = if by_face || faces.len() == 1 { read.face } else { Face::Both };
             Reading::Spherical(SphericalReading { range, azimuth, elevation, covariance, face })
         }
         Reading::Cartesian { .. } | Reading::Pose(_) => Reading::Cartesian { position, covariance },
