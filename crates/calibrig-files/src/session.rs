@@ -303,9 +303,15 @@ impl Reader<'_> {
 
     fn face(&self, key: Option<&Spanned<String>>) -> Result<Face, InputError> {
         let Some(key) = key else { return Ok(Face::Front) };
-        [Face::Front, Face::Back, Face::Both].into_iter().find(|face| face.key() == key.get_ref()).ok_or_else(|| {
-            self.error(key.span(), format!("face is {:?}", key.get_ref()), "\"front\", \"back\", or \"both\" of the mean of the two")
-        })
+        [Face::Front, Face::Back, Face::Both].into_iter().find(|face| face.key() == key.get_ref()).ok_or_else(
+            || {
+                self.error(
+                    key.span(),
+                    format!("face is {:?}", key.get_ref()),
+                    "\"front\", \"back\", or \"both\" of the mean of the two",
+                )
+            },
+        )
     }
 
     fn vector(&self, key: &str, value: &Three) -> Result<Vector3<f64>, InputError> {

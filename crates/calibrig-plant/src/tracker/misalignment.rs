@@ -85,10 +85,10 @@ impl Misalignment {
         if face == Face::Both {
             let (front, back) = (self.read(point, Face::Front)?, self.read(point, Face::Back)?);
             // Both show the direction of the point, and may be a turn apart.
-            let turns = ((back.azimuth - front.azimuth) / TAU).round();
+            let turns = ((back.azimuth - front.azimuth) / std::f64::consts::TAU).round();
             return Ok(Shown {
                 range: f64::midpoint(front.range, back.range),
-                azimuth: f64::midpoint(front.azimuth, back.azimuth - turns * TAU),
+                azimuth: f64::midpoint(front.azimuth, back.azimuth - turns * std::f64::consts::TAU),
                 elevation: f64::midpoint(front.elevation, back.elevation),
             });
         }
