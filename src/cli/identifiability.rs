@@ -57,7 +57,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "FAMILY,..", value_delimiter = ',', value_parser = family)]
     terms: Option<Vec<String>>,
     /// Compare what the target can be: one SMR, three, the pose that these make, and the scenario's probe, by a simulated session
-    #[arg(long, requires = "scenario")]
+    #[arg(long)]
     sensors: bool,
     /// Print as JSON
     #[arg(long)]
@@ -105,6 +105,9 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         let message = format!("{flag}: expected {expected} beside it");
         Cli::command().error(ErrorKind::ArgumentConflict, message).exit()
     };
+    if args.sensors && args.scenario.is_none() {
+        refuse("--sensors", "a scenario, whose machine is measured,");
+    }
     if let (true, Some(scenario)) = (args.sensors, &args.scenario) {
         let mode = match args.mode {
             Analysed::Geometry => Mode::OnlyCalibration,
