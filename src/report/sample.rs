@@ -376,7 +376,8 @@ fn mode_outcome(
     ModeOutcome { mode, robot, estimate, errors, rows, turns }
 }
 
-fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio: f64) -> Estimate {
+/// What the parameters of the sample really are.
+fn simulated_truths() -> Vec<(ParameterId, f64)> {
     let mut truths: Vec<(ParameterId, f64)> = Vec::new();
     for (link, row) in DEVIATIONS.iter().enumerate() {
         let terms = LinkTerm::ALL.into_iter().zip(row).filter(|(_, value)| **value != 0.0);
@@ -384,6 +385,11 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
     }
     truths.extend(ParameterId::all_of_frame(0).into_iter().zip(TRUE_FRAME));
     truths.extend(ParameterId::all_of_target(0).into_iter().zip(TARGET_ERROR));
+    truths
+}
+
+fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio: f64) -> Estimate {
+    let truths = simulated_truths();
     let parameters: Vec<_> = truths
         .iter()
         .map(|(id, truth)| {
@@ -436,7 +442,6 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
         parameters: parameters.iter().map(|p| p.value).collect(),
     };
     Estimate {
-        turn_noise: None,
         robot: CalibratedRobot {
             instruments: Vec::new(),
             mode,

@@ -355,7 +355,6 @@ fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
         })
         .collect();
     Estimate {
-        turn_noise: None,
         robot,
         parameters,
         covariance: Some(DMatrix::from_fn(n, n, |i, j| if i == j { 1e-9 } else { 1e-12 * i as f64 })),
