@@ -245,13 +245,13 @@ pub fn acceptance_html(outcome: &AcceptanceOutcome) -> Result<String, ReportErro
                     p { strong { (verdict(outcome)) } }
                     @for line in about(outcome) { p.note { (line) } }
                     figure {
-                        (PreEscaped(&figure))
+                        div.scroll { (PreEscaped(&figure)) }
                         figcaption {
                             @if one { "Every error of the instrument: round and orange where it is beyond the limit, blue within." }
                             @else { "The largest error in each test of " (drawn) " instruments: round and orange beyond the limit, blue within." }
                         }
                     }
-                    table {
+                    div.scroll { table {
                         thead { tr {
                             th scope="col" { "test" }
                             th scope="col" { "number" }
@@ -268,7 +268,7 @@ pub fn acceptance_html(outcome: &AcceptanceOutcome) -> Result<String, ReportErro
                                 }
                             }
                         }
-                    }
+                    } }
                     p.note {
                         "In the style of ASME B89.4.19, whose text was not at hand: docs/formats.md says which places are our own choice."
                     }

@@ -143,7 +143,10 @@ fn drift_is_removed_before_the_fit_and_an_uncorrected_one_would_show() {
         } else {
             let mut sets = told.sets;
             // As a session without rounds: the nests of the first alone.
-            sets[0].measurements.stations[0].nests.truncate(scenario.nests.len());
+            let station = &mut sets[0].measurements.stations[0];
+            station.nests.truncate(scenario.nests.len());
+            // And nothing said of its drift, which the fit could look for.
+            station.instrument = None;
             sets
         };
         let (_, modes) =
