@@ -11,7 +11,10 @@ use thiserror::Error;
 
 use self::reach::Reach;
 use super::machine::AnalyticMachine;
-use super::{InputSummary, PipelineError, PlantKind, calibrate, input_of, measure_session};
+use super::{
+    InputSummary, PipelineError, PlantKind, SetKind, SetOutcome, calibrate, input_of, measure_session,
+    without_drift,
+};
 use crate::scenario::Scenario;
 use calibrig_estimation::evaluation::iso9283::{
     CubePlane, ISO_CYCLES, ISO_POSES, Iso9283Error, OrientationAccuracy, OrientationRepeatability,
@@ -62,6 +65,16 @@ pub enum Iso9283Failure {
         cycle: u32,
         /// Why.
         source: Box<PipelineError>,
+    },
+    /// Something hides a target from the tracker.
+    #[error("P{pose} in cycle {cycle}: {why}")]
+    Hidden {
+        /// Number of the pose.
+        pose: u32,
+        /// Number of the cycle.
+        cycle: u32,
+        /// What.
+        why: String,
     },
     /// The tracker cannot read a pose.
     #[error("P{pose} in cycle {cycle}: {source}")]
@@ -240,11 +253,17 @@ pub fn iso9283_of_scenario(
         }
     })?;
     let model = &scenario.robot.model;
-    let (registration, modes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;
     let measured = measure_cycles(scenario, (seed, trial, plant), &poses, plan.cycles, &mut |done, _| {
         progress(before.saturating_add(done), total)
     })?;
-    let set = &measured.measurements;
+    let cycles =
+        SetOutcome { kind: SetKind::Verification, measurements: measured.measurements, dropped: Vec::new() };
+    let mut sets = simulation.sets;
+    sets.push(cycles);
+    let mut steady = without_drift(sets)?.sets;
+    let cycles = steady.pop().map(|set| set.measurements).unwrap_or_default();
+    let (registration, modes) = calibrate(model, &steady, &scenario.modes, &scenario.options)?;
+    let set = &cycles;
     let mut remarks = Vec::new();
     let mut against = Vec::new();
     match by_nests(model, set) {
@@ -273,7 +292,8 @@ pub fn iso9283_of_scenario(
     }
     let input = input_of(scenario, seed, trial, plant);
     let facts = Facts { input, robot: scenario.robot.name.clone(), cube: Some(cube), remarks, doubts };
-    evaluate(set, &[0], None, &against, facts)
+    let targets: Vec<usize> = (0..set.targets.len()).collect();
+    evaluate(set, &targets, None, &against, facts)
 }
 
 /// The test cube of a scenario and the joint variables of its poses, as the controller believes them to be.
@@ -333,6 +353,7 @@ fn failed<E: Into<PipelineError>>(error: CycleError<E>) -> Iso9283Failure {
         CycleError::Pose { pose, cycle, source } => {
             Iso9283Failure::Pose { pose, cycle, source: Box::new(source.into()) }
         }
+        CycleError::Hidden { pose, cycle, why } => Iso9283Failure::Hidden { pose, cycle, why },
         CycleError::Reading { pose, cycle, source } => Iso9283Failure::Reading { pose, cycle, source },
     }
 }

@@ -6,10 +6,10 @@ use nalgebra::Vector3;
 use thiserror::Error;
 
 use super::controller::Controller;
-use super::measure::Setup;
+use super::measure::{READING, Setup};
 use super::{Machine, MeasuringSession, SessionError};
 use crate::tracker::{Shot, TrackerError};
-use calibrig_model::measurement::{MeasurementSet, Observation, Reading};
+use calibrig_model::measurement::{MeasurementSet, Observation};
 use calibrig_model::random;
 
 /// Place of the test in the streams of a session, behind those of its two sets.
@@ -51,6 +51,16 @@ pub enum CycleError<E> {
         /// Why.
         source: E,
     },
+    /// Something hides a target from the tracker.
+    #[error("P{pose} in cycle {cycle}: {why}")]
+    Hidden {
+        /// Number of the pose, from one.
+        pose: u32,
+        /// Number of the cycle, from one.
+        cycle: u32,
+        /// What.
+        why: String,
+    },
     /// The tracker cannot read a pose.
     #[error("P{pose} in cycle {cycle}: {source}")]
     Reading {
@@ -64,7 +74,7 @@ pub enum CycleError<E> {
 }
 
 impl MeasuringSession<'_> {
-    /// Drives `cycles` cycles over `poses` (joint variables, P1 first), and measures the target at every one. The machine goes to P1, and then in every cycle through
+    /// Drives `cycles` cycles over `poses` (joint variables, P1 first), and measures every target at every one from the first station. The machine goes to P1, and then in every cycle through
     /// the poses from the last one to P1, so that each has one approach. It is the machine, the tracker and the set-up of [`measure`](Self::measure), and the
     /// clock goes on where both of its sets end. `progress` is told the number of poses done and of all poses, and may end the test.
     ///
@@ -125,22 +135,34 @@ impl MeasuringSession<'_> {
             if cycle == 0 {
                 continue;
             }
-            let seen = settled.target + self.outlier(&setup, place).unwrap_or_default();
-            let shot = Shot { averaging: self.plan.timing.averaging, ..Shot::at(time) };
-            let reading = setup.trackers[0]
-                .measure(&seen, &shot, &mut noise)
-                .map_err(|source| CycleError::Reading { pose, cycle, source })?;
-            test.attained.push(settled.target);
-            test.measurements.observations.push(Observation {
-                pose,
-                command: command.clone(),
-                approach: controller.approach.clone(),
-                temperature: effects.temperature,
-                time,
-                station: 0,
-                target: 0,
-                reading: Reading::Spherical(reading),
-            });
+            let seen = self.look(&setup.trackers, &setup.mounted, &settled);
+            let averaging = self.plan.timing.averaging;
+            for (target, at) in seen.places.iter().enumerate() {
+                if let Some(hidden) = &seen.hidden[0][target] {
+                    return Err(CycleError::Hidden { pose, cycle, why: hidden.to_string() });
+                }
+                let time = time + averaging * target as f64;
+                let of_target = place + target as u64 * READING;
+                let point = at.optical + self.outlier(&setup, of_target).unwrap_or_default();
+                let shot = Shot { averaging, ..Shot::at(time) };
+                let tracker = &setup.trackers[0];
+                let reading = tracker
+                    .measure(&point, &shot, &mut noise)
+                    .map_err(|source| CycleError::Reading { pose, cycle, source })?;
+                let now = tracker.tracker_from_base_at(time);
+                let reading = self.reading(reading, target, &settled, &now, (seed, trial, of_target));
+                test.attained.push(at.centre);
+                test.measurements.observations.push(Observation {
+                    pose,
+                    command: command.clone(),
+                    approach: controller.approach.clone(),
+                    temperature: effects.temperature,
+                    time,
+                    station: 0,
+                    target,
+                    reading,
+                });
+            }
             let done = visited - 1;
             if progress(done, total).is_break() && done < total {
                 return Err(session(SessionError::Interrupted { done, total }));

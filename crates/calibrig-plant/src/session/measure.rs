@@ -342,7 +342,7 @@ impl MeasuringSession<'_> {
 
     /// The reading of a target at rest whose place was read: of the first with the orientation, where a probe measures it. Its noise is at a place of
     /// the streams of seed and trial.
-    fn reading(
+    pub(super) fn reading(
         &self,
         place: SphericalReading,
         target: usize,
@@ -438,4 +438,4 @@ fn entry(kind: SetKind, pose: u32) -> u64 {
 /// What sets the way to a pose apart from the pose in the stream of repeatability.
 const VIA: u64 = 1 << 33;
 /// From one reading of a visit to the next in the streams: behind a million poses.
-const READING: u64 = 1 << 20;
+pub(super) const READING: u64 = 1 << 20;

@@ -58,7 +58,7 @@ fn what_both_faces_turn_over_is_averaged_out() {
         ((first.azimuth.to_degrees() - 180.0).abs() < 1e-12)
             && (first.elevation.to_degrees() - 30.0).abs() < 1e-12
     );
-    assert_eq!((first.face, loaded.set.observations[0].temperature), (Face::Front, Some(21.0)));
+    assert_eq!((first.face, loaded.set.observations[0].temperature), (Face::Both, Some(21.0)));
     assert_eq!(loaded.places.of(1), Some("set.csv:4".to_owned()));
     let told =
         loaded.remarks.iter().find(|r| r.contains("2 pairs of both faces are averaged")).expect("told");
