@@ -156,6 +156,13 @@ fn verdict(judgement: &Judgement) -> Markup {
             p { "Not tested: the fit leaves no degree of freedom." }
         } @else if consistency.is_consistent() {
             p { "Nothing that chance does not explain." }
+        } @else if found.is_empty() && consistency.too_small() {
+            p {
+                strong { "The noise is smaller than stated. " }
+                @if let Some(size) = consistency.size {
+                    "The residuals are " (significant(size.ratio())) " times what the stated noise explains, and have no pattern that was looked for."
+                }
+            }
         } @else {
             p {
                 strong { "The model lacks something. " }
