@@ -12,6 +12,7 @@ use calibrig_estimation::identification::{
     ComplianceChoice, FrameChoice, Mode, ParameterChoice, TargetChoice,
 };
 use calibrig_model::JointKind;
+use calibrig_plant::tracker::Preset;
 
 /// Validate a scenario and the files it names, and say what would run
 #[derive(Debug, clap::Args)]
@@ -44,11 +45,23 @@ fn as_json(scenario: &Scenario) -> String {
         "identification_poses": scenario.identification_poses,
         "verification_poses": scenario.verification_poses,
         "effects": scenario.as_built.effects.active().iter().map(|e| e.key()).collect::<Vec<_>>(),
+        "tracker": json_tracker(scenario),
         "session": json_session(scenario),
         "bounds": scenario.options.bounds.iter().map(ToString::to_string).collect::<Vec<_>>(),
         "modes": scenario.modes.iter().map(|m| m.key()).collect::<Vec<_>>(),
     });
     format!("{value:#}\n")
+}
+
+fn json_tracker(scenario: &Scenario) -> serde_json::Value {
+    let instrument = &scenario.tracker.instrument;
+    let redrawn = scenario.tracker_for(scenario.seed, 0).map_or(0, |drawn| drawn.errors.redraws);
+    json!({
+        "preset": instrument.preset.map(Preset::key),
+        "random_fraction": instrument.random_fraction,
+        "systematic_fraction": instrument.systematic_fraction,
+        "redrawn": redrawn,
+    })
 }
 
 fn json_session(scenario: &Scenario) -> serde_json::Value {

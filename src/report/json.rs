@@ -11,7 +11,7 @@ use super::parameters::{fitted, truth_of};
 use super::pose_count;
 use super::residuals::{JsonResidual, json_residuals};
 use super::splits::{JsonSplits, json_splits};
-use crate::pipeline::{AblatedPart, Ablation, Outcome, SetOutcome, Worse};
+use crate::pipeline::{AblatedPart, Ablation, MissingReading, Outcome, SetOutcome, Worse};
 use calibrig_estimation::evaluation::AccuracyRow;
 use calibrig_estimation::identification::{Estimate, Mode, NoiseScale, Outlier, Warning};
 
@@ -121,11 +121,27 @@ pub struct JsonSet {
     pub poses: usize,
     /// Poses planned but not measured.
     pub dropped: Vec<JsonDropped>,
+    /// Readings of measured poses that were planned and did not come; absent where none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub missing: Vec<JsonMissing>,
     /// What repeats of a pose scatter by; absent where no pose is measured more than once.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub repeats: Option<JsonRepeats>,
     /// By the key of the mode; rows that do not apply are absent.
     pub rows: BTreeMap<String, JsonRow>,
+}
+
+/// A reading that did not come.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonMissing {
+    /// Number of the pose.
+    pub pose: u32,
+    /// Name of the station.
+    pub station: String,
+    /// Name of the target.
+    pub target: String,
+    /// Why, such as the link that hides it.
+    pub why: String,
 }
 
 /// Poses that are measured more than once.
@@ -485,6 +501,16 @@ fn json_ablation(ablation: &Ablation) -> JsonAblation {
     JsonAblation { parts: ablation.parts.iter().map(part).collect() }
 }
 
+fn missing(outcome: &Outcome, index: usize, set: &SetOutcome) -> Vec<JsonMissing> {
+    let of = |missing: &MissingReading| JsonMissing {
+        pose: missing.pose,
+        station: set.measurements.stations.get(missing.station).map(|s| s.name.clone()).unwrap_or_default(),
+        target: set.measurements.targets.get(missing.target).map(|t| t.name.clone()).unwrap_or_default(),
+        why: missing.why.clone(),
+    };
+    outcome.missing.get(index).into_iter().flatten().map(of).collect()
+}
+
 fn json_set(outcome: &Outcome, index: usize, set: &SetOutcome) -> JsonSet {
     let row = |rows: &[Option<AccuracyRow>]| rows.get(index).copied().flatten();
     JsonSet {
@@ -494,6 +520,7 @@ fn json_set(outcome: &Outcome, index: usize, set: &SetOutcome) -> JsonSet {
             .iter()
             .map(|(pose, why)| JsonDropped { pose: *pose, why: why.clone() })
             .collect(),
+        missing: missing(outcome, index, set),
         repeats: set.measurements.repeats().map(|repeats| JsonRepeats {
             poses: repeats.poses,
             repeats: repeats.repeats,
