@@ -9,7 +9,7 @@ use super::factor::triangular_factor_of_all;
 use super::options::InstrumentChoice;
 use super::problem::{Prior, Row};
 use super::robot::{InstrumentErrors, drift_displacement};
-use super::{IdentificationOptions, IdentifyError};
+use super::{IdentificationOptions, IdentifyError, Mode};
 use calibrig_model::ParameterId;
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{DRIFT_UNIT, MeasurementSet, StatedInstrument, Station, nest_system};
@@ -53,7 +53,8 @@ impl Instruments {
         parameters: &mut Vec<ParameterId>,
         priors: &mut Vec<Prior>,
     ) -> Self {
-        if options.instrument == InstrumentChoice::Ignored {
+        // What the nominal robot is off by would be taken for the instrument's.
+        if options.instrument == InstrumentChoice::Ignored || options.mode == Mode::WithoutCalibration {
             return Self { columns: Vec::new(), own: vec![None; set.stations.len()] };
         }
         let mut columns = Vec::new();

@@ -97,7 +97,7 @@ pub(super) fn candidate_parameters(
     let turned = targets.iter().enumerate().filter(|(_, target)| target.orientation.is_some());
     let of_orientations = turned.flat_map(|(target, _)| ParameterId::all_of_orientation(target));
     ids.extend(of_targets.chain(of_orientations).filter(|id| options.fits_target(*id)));
-    if options.instrument == InstrumentChoice::AsStated {
+    if options.instrument == InstrumentChoice::AsStated && options.mode != Mode::WithoutCalibration {
         ids.extend(parameters_of(stations).into_iter().filter(|id| !options.fix.contains(id)));
     }
     Ok(ids)

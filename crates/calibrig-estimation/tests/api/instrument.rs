@@ -3,7 +3,8 @@
 use std::f64::consts::PI;
 
 use calibrig_estimation::identification::{
-    Estimate, IdentificationOptions, InstrumentChoice, Mode, Predictor, Stated, identify,
+    Estimate, IdentificationOptions, InstrumentChoice, Loss, Mode, Predictor, Stated, identify,
+    without_calibration,
 };
 use calibrig_estimation::kinematics::target_in_base;
 use calibrig_model::geometry::{Transform, rotation_z, small_displacement, translation};
@@ -392,4 +393,35 @@ fn a_steady_drift_is_identified_with_the_robot() {
     let without = identify(&model, &set, &ignored).expect("an estimate");
     let (with, without) = (worst(&estimate), worst(&without));
     assert!(with < 2e-7 && without > 20.0 * with, "{with:e}, {without:e}");
+}
+
+/// The nominal robot is millimetres off: laid over the measurements, none of that is the instrument's.
+#[test]
+fn what_the_nominal_robot_is_off_by_is_not_the_instruments() {
+    let [model, _] = robots();
+    let stated = data_sheet(0.2);
+    let mut machine = model.kinematics.clone();
+    for (place, id) in (0..).zip(ParameterId::all_of_links(6)) {
+        machine.add(id, 1e-3 * f64::from(place).sin());
+    }
+    let tracker =
+        Tracker { from_base: place(), drift: Vector6::zeros(), errors: Vec::new(), fraction: 0.125 };
+    let plan = Plan {
+        machine: &machine,
+        tracker: &tracker,
+        stated: &stated,
+        poses: 40,
+        back_every: 0,
+        certified: CERTIFIED,
+    };
+    let mut set = plan.measure(&mut stream(31, 0, Source::IdentificationPoses));
+    set.targets[0].covariance = None;
+    let robot = without_calibration(&model, &set, Loss::Squared).expect("a robot laid over the points");
+    assert!(robot.instruments.is_empty(), "{:?}", robot.instruments);
+    // Identified, the instrument stays within what is stated of it.
+    let estimate = identify(&model, &set, &IdentificationOptions::default()).expect("an estimate");
+    for (term, sigma) in stated.errors() {
+        let found = estimate.value(ParameterId::Instrument { instrument: 0, term }).expect("a parameter");
+        assert!(found.abs() < 4.0 * sigma, "{term}: {found:e}");
+    }
 }
