@@ -104,6 +104,7 @@ fn fit(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Estimate) ->
         as_built: &simulation.truth.as_built,
         nominal: &campaign.scenario.robot.model,
         stations: &simulation.truth.stations,
+        instrument: &simulation.truth.instrument,
         further_targets: &simulation.truth.further_targets,
         orientation: simulation.truth.orientation,
         targets: simulation.sets.first().map_or(&[], |set| &set.measurements.targets),
