@@ -419,6 +419,8 @@ pub fn recorded_truth(path: &Path) -> Result<Result<Truth, NoTruth>, ReplayError
     Ok(Ok(Truth {
         as_built,
         stations,
+        // A recording does not tell it.
+        instrument: Vec::new(),
         further_targets,
         orientation: scenario.probe.map(|probe| probe.flange_from_target),
         poses: Vec::new(),

@@ -8,7 +8,7 @@ use crate::pipeline::{
 };
 use calibrig_estimation::evaluation::{AccuracyRow, nees};
 use calibrig_estimation::identification::{
-    Estimate, IdentificationOptions, Information, Mode, PredictedReading, TerminationReason, predict_readings,
+    Estimate, IdentificationOptions, Information, Mode, PredictedReading, TerminationReason, predict_places,
 };
 use calibrig_model::ParameterId;
 use calibrig_model::measurement::{MeasurementSet, Reading, SetKind};
@@ -104,6 +104,7 @@ fn fit(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Estimate) ->
         as_built: &simulation.truth.as_built,
         nominal: &campaign.scenario.robot.model,
         stations: &simulation.truth.stations,
+        instrument: &simulation.truth.instrument,
         further_targets: &simulation.truth.further_targets,
         orientation: simulation.truth.orientation,
         targets: simulation.sets.first().map_or(&[], |set| &set.measurements.targets),
@@ -164,7 +165,7 @@ fn predictions(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Esti
     }
     let options = IdentificationOptions { mode: estimate.robot.mode, ..campaign.scenario.options.clone() };
     let model = &campaign.scenario.robot.model;
-    let Ok(Some(predicted)) = predict_readings(model, &truth, &options, estimate) else { return (0, 0) };
+    let Ok(Some(predicted)) = predict_places(model, &truth, &options, estimate) else { return (0, 0) };
     let factor = estimate.interval_factor(0.95);
     let inside = |reading: &PredictedReading| {
         let variance = (reading.of_parameters + reading.of_machine).diagonal();

@@ -36,6 +36,7 @@ pub fn bounds_at_truth(
         as_built: &truth.as_built,
         nominal: model,
         stations: &truth.stations,
+        instrument: &truth.instrument,
         further_targets: &truth.further_targets,
         orientation: truth.orientation,
         targets: &fitted.targets,

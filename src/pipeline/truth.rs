@@ -4,7 +4,7 @@ use nalgebra::{Rotation3, UnitQuaternion, Vector3, Vector6};
 
 use calibrig_estimation::identification::Estimate;
 use calibrig_model::geometry::{Transform, rotation_vector, small_displacement};
-use calibrig_model::measurement::Target;
+use calibrig_model::measurement::{InstrumentTerm, Target};
 use calibrig_model::{
     CalibrationModel, JointKind, LinkTerm, ParameterId, PoseQuery, StaticProperties, TermId, TermPlace,
 };
@@ -20,6 +20,8 @@ pub struct KnownTruth<'a> {
     pub nominal: &'a CalibrationModel,
     /// `tracker_from_base` of every station.
     pub stations: &'a [Transform],
+    /// What the readings of the one instrument that all stations have are off by, m, rad or 1; empty where not known.
+    pub instrument: &'a [(InstrumentTerm, f64)],
     /// Real offsets of the targets beside the machine's own, in the flange frame, m.
     pub further_targets: &'a [Vector3<f64>],
     /// `flange_from_target` of the first target, where it has axes.
@@ -36,7 +38,8 @@ impl KnownTruth<'_> {
     /// - term: what the machine's effect of that shape amounts to; zero where it has none;
     /// - frame: the estimate holds `station = prior · exp(value)` for the station's six components (absent ones are zero), so the prior
     ///   is recovered exactly and the truth is the `xi` of `prior · exp(xi) = tracker_from_base`;
-    /// - target: as-built minus stated offset; of the first, what turns the stated orientation to the real one.
+    /// - target: as-built minus stated offset; of the first, what turns the stated orientation to the real one;
+    /// - instrument: its error to first order. No motion of a tracker is steady, so that a drift has none.
     pub fn of(&self, estimate: &Estimate, id: ParameterId) -> Option<f64> {
         let value = match id {
             ParameterId::Link { link, term } => Some(self.link(id)? + self.zero_error(estimate, link, term)),
@@ -74,6 +77,9 @@ impl KnownTruth<'_> {
                 Some(self.as_built.actuators.length(length)? - self.nominal.actuators.length(length)?)
             }
             ParameterId::Term(term) => self.term(term),
+            ParameterId::Instrument { instrument: 0, term } => {
+                self.instrument.iter().find(|(own, _)| *own == term).map(|(_, amplitude)| *amplitude)
+            }
             ParameterId::Orientation { .. } | ParameterId::Instrument { .. } | ParameterId::Drift { .. } => {
                 None
             }

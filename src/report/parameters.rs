@@ -96,6 +96,7 @@ fn known_truth<'a>(outcome: &'a Outcome, truth: &'a Truth, targets: &'a [Target]
         as_built: &truth.as_built,
         nominal: &outcome.model,
         stations: &truth.stations,
+        instrument: &truth.instrument,
         further_targets: &truth.further_targets,
         orientation: truth.orientation,
         targets,

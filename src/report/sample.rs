@@ -143,6 +143,7 @@ pub(super) fn simulated() -> Outcome {
                 effects: Effects::default(),
             },
             stations: vec![tracker_from_base],
+            instrument: Vec::new(),
             further_targets: Vec::new(),
             orientation: None,
             poses: Vec::new(),

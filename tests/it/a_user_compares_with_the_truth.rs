@@ -46,6 +46,7 @@ fn assert_found(effects: Effects, families: &[&str], named: &[(&str, f64)]) {
         as_built: &simulation.truth.as_built,
         nominal: model,
         stations: &simulation.truth.stations,
+        instrument: &simulation.truth.instrument,
         further_targets: &simulation.truth.further_targets,
         targets: &set.targets,
     };
@@ -98,6 +99,7 @@ fn friction_is_hysteresis_where_it_depends_on_the_direction_alone() {
         as_built: &scenario.as_built,
         nominal: &scenario.robot.model,
         stations: &[scenario.tracker.tracker_from_base],
+        instrument: &[],
         further_targets: &[],
         targets: &outcome.sets[0].measurements.targets,
     };

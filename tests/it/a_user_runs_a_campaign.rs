@@ -154,6 +154,7 @@ fn add_squares(sums: &mut Vec<f64>, scenario: &Scenario, (simulation, estimate):
         as_built: &simulation.truth.as_built,
         nominal: &scenario.robot.model,
         stations: &simulation.truth.stations,
+        instrument: &simulation.truth.instrument,
         further_targets: &simulation.truth.further_targets,
         targets: &simulation.sets[0].measurements.targets,
     };

@@ -120,6 +120,7 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
             effects: Effects::default(),
         },
         stations: vec![tracker_from_base],
+        instrument: Vec::new(),
         further_targets: Vec::new(),
         orientation: None,
         poses: settled,

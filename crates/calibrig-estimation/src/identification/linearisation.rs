@@ -201,6 +201,40 @@ pub fn predict_readings(
     options: &IdentificationOptions,
     estimate: &Estimate,
 ) -> Result<Option<Vec<PredictedReading>>, IdentifyError> {
+    predict(model, set, options, estimate, Seen::ByTheInstrument)
+}
+
+/// The same of true places of the targets in the trackers' frames, which no error of an instrument displaces and no drift: readings of a perfect
+/// instrument. What the errors of the real one leave unknown of the robot and of the tracker's place still counts.
+///
+/// # Errors
+///
+/// As [`linearise`].
+pub fn predict_places(
+    model: &CalibrationModel,
+    places: &MeasurementSet,
+    options: &IdentificationOptions,
+    estimate: &Estimate,
+) -> Result<Option<Vec<PredictedReading>>, IdentifyError> {
+    predict(model, places, options, estimate, Seen::Truly)
+}
+
+/// What is predicted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Seen {
+    /// Readings with the instrument's errors.
+    ByTheInstrument,
+    /// Places.
+    Truly,
+}
+
+fn predict(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    estimate: &Estimate,
+    seen: Seen,
+) -> Result<Option<Vec<PredictedReading>>, IdentifyError> {
     let Some(factor) = &estimate.factor else { return Ok(None) };
     let mut in_metres = set.clone();
     for observation in &mut in_metres.observations {
@@ -226,6 +260,9 @@ pub fn predict_readings(
     };
     check(model, set)?;
     let mut problem = solved(model, &in_metres, &plain, &bare)?;
+    if seen == Seen::Truly {
+        problem.rows.iter_mut().for_each(|row| row.instrument.clear());
+    }
     // Where nothing places a station, its frame was displaced from where the fitted set had it.
     problem.stations = estimate.frame_origins();
     let x: Vec<f64> = estimate.parameters.iter().map(|parameter| parameter.value).collect();

@@ -52,7 +52,9 @@ use identifiability::{analyse_r, complete_set_by_name, dependent_ends, select_in
 pub use identify::{IdentifyError, identify, without_calibration};
 pub use information::{Information, information_at};
 pub use limits::{ParameterBound, ParameterBoundError, RefusedBound, check_bounds};
-pub use linearisation::{Linearisation, PredictedReading, Whitening, linearise, predict_readings};
+pub use linearisation::{
+    Linearisation, PredictedReading, Whitening, linearise, predict_places, predict_readings,
+};
 pub use machine::MachineError;
 pub use mode::Mode;
 pub use noise::{MachineNoise, MachineNoiseChoice};

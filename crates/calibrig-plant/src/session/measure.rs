@@ -18,7 +18,8 @@ use crate::tracker::{LaserTracker, Outliers, Probe, Shot, TrackerError, is_misse
 use crate::{AsBuilt, SettledPose};
 use calibrig_model::geometry::{Transform, rotation_vector, small_displacement};
 use calibrig_model::measurement::{
-    MeasurementSet, Observation, Reading, SetKind, SetOutcome, SphericalReading, Station, Target,
+    InstrumentTerm, MeasurementSet, Observation, Reading, SetKind, SetOutcome, SphericalReading, Station,
+    Target,
 };
 use calibrig_model::random::{self, Source};
 use calibrig_model::{ActuatorMap, JointKind};
@@ -108,6 +109,7 @@ impl MeasuringSession<'_> {
         let mut truth = Truth {
             as_built: self.as_built.clone(),
             stations: stations.clone(),
+            instrument: shared_errors(&setup.trackers),
             further_targets: further_targets.clone(),
             orientation: self.probe.map(|probe| probe.flange_from_target),
             poses: Vec::new(),
@@ -418,6 +420,12 @@ impl Visit<'_> {
             reading,
         }
     }
+}
+
+/// What all readings of the session are off by; empty where not all trackers have the same errors.
+fn shared_errors(trackers: &[LaserTracker]) -> Vec<(InstrumentTerm, f64)> {
+    let own = trackers.first().map(LaserTracker::real_errors).unwrap_or_default();
+    if trackers.iter().all(|tracker| tracker.real_errors() == own) { own } else { Vec::new() }
 }
 
 fn empty_set(kind: SetKind, stations: &[Station], targets: &[Target]) -> SetOutcome {

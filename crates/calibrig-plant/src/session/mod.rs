@@ -29,7 +29,7 @@ use super::experiment::RegionError;
 use super::tracker::TrackerError;
 use super::{AsBuilt, Plant, PlantError, SettledPose};
 use calibrig_model::geometry::Transform;
-use calibrig_model::measurement::{SetKind, SetOutcome};
+use calibrig_model::measurement::{InstrumentTerm, SetKind, SetOutcome};
 
 /// The truth of a simulated session, for reports and recordings alone.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,6 +38,8 @@ pub struct Truth {
     pub as_built: AsBuilt,
     /// `tracker_from_base` of every station, on the average of its rounds of nests.
     pub stations: Vec<Transform>,
+    /// What the readings of the instrument are really off by, m, rad or 1; empty where that is not known, or the stations' instruments differ.
+    pub instrument: Vec<(InstrumentTerm, f64)>,
     /// Real offsets of the targets beside the machine's own, in the flange frame, m.
     pub further_targets: Vec<Vector3<f64>>,
     /// `flange_from_target` of the first target, where its orientation is measured; `None` of a point.

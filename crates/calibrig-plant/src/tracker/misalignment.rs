@@ -80,6 +80,33 @@ impl Misalignment {
         own
     }
 
+    /// What [`of`](Self::of) makes it of: the amplitude (m, rad or 1) of every error, to first order and in the order of [`InstrumentTerm::ALL`]. The zero
+    /// of the azimuth is not among them: it is where the instrument is turned to.
+    pub fn amplitudes(&self) -> Vec<(InstrumentTerm, f64)> {
+        let Self { transit_offset, beam_offset, collimation, axis_tilt, range_offset, range_scale, .. } =
+            *self;
+        let [azimuth, elevation] = [&self.azimuth, &self.elevation];
+        let amplitude = |term| match term {
+            InstrumentTerm::RangeOffset => range_offset,
+            InstrumentTerm::RangeScale => range_scale,
+            InstrumentTerm::TransitOffset => 0.0 - transit_offset,
+            InstrumentTerm::BeamOffsetTransverse => 0.0 - beam_offset[0],
+            InstrumentTerm::BeamOffsetNormal => 0.0 - beam_offset[1],
+            InstrumentTerm::Collimation => 0.0 - collimation,
+            InstrumentTerm::AxisTilt => axis_tilt,
+            InstrumentTerm::VerticalIndex => elevation.zero,
+            InstrumentTerm::AzimuthSin1 => azimuth.centre[0],
+            InstrumentTerm::AzimuthCos1 => 0.0 - azimuth.centre[1],
+            InstrumentTerm::AzimuthSin2 => 0.0 - azimuth.oval,
+            InstrumentTerm::AzimuthCos2 => azimuth.oval_diagonal,
+            InstrumentTerm::ElevationSin1 => elevation.centre[0],
+            InstrumentTerm::ElevationCos1 => 0.0 - elevation.centre[1],
+            InstrumentTerm::ElevationSin2 => 0.0 - elevation.oval,
+            InstrumentTerm::ElevationCos2 => elevation.oval_diagonal,
+        };
+        InstrumentTerm::ALL.map(|term| (term, amplitude(term))).to_vec()
+    }
+
     /// What is shown of a point in the tracker's frame (m).
     pub fn read(&self, point: &Vector3<f64>, face: Face) -> Result<Shown, TrackerError> {
         if face == Face::Both {

@@ -209,6 +209,16 @@ impl LaserTracker {
         }
     }
 
+    /// The amplitude (m, rad or 1) that each error of the instrument really has, to first order: those of its geometry, and in the range's scale what the
+    /// sensed air leaves. How layered air bends the beam is none of them.
+    pub fn real_errors(&self) -> Vec<(InstrumentTerm, f64)> {
+        let mut errors = self.errors.misalignment.amplitudes();
+        for (_, scale) in errors.iter_mut().filter(|(term, _)| *term == InstrumentTerm::RangeScale) {
+            *scale += (1.0 + *scale) * (self.errors.air.scale - 1.0);
+        }
+        errors
+    }
+
     /// Observes a point of the base frame (m). The stated covariance is the one of the random part and of what the air adds to it. Takes the same numbers
     /// from `rng` whatever the point and the instrument are.
     pub fn measure(

@@ -118,6 +118,53 @@ fn each_error_displaces_as_published_up_to_its_square() {
     }
 }
 
+/// What a whole instrument is said to have displaces its readings by that, all errors at once and the air with them.
+#[test]
+fn real_errors_are_what_readings_are_off_by_to_first_order() {
+    let mut tracker = at500();
+    tracker.instrument.systematic_fraction = 0.5;
+    if let Some(law) = &mut tracker.conditions.environment {
+        law.gradient = 0.0;
+        law.sensor_sigma.temperature = 3.0;
+    }
+    tracker.conditions.drift = None;
+    for trial in 0..20 {
+        let mut own = tracker.drawn(1, trial, 0, 60.0).expect("one passes");
+        let air = own.errors.air.scale - 1.0;
+        own.instrument.noise = false;
+        own.tracker_from_base = Transform::identity();
+        let errors = own.real_errors();
+        let terms: Vec<_> = errors.iter().map(|(term, _)| *term).collect();
+        assert_eq!(terms, InstrumentTerm::ALL);
+        assert_eq!(Misalignment::of(own.errors.misalignment.amplitudes()), own.errors.misalignment);
+        assert!(air.abs() > 1e-8 && errors.iter().all(|(_, amplitude)| *amplitude != 0.0));
+        for place in PLACES {
+            let point = Vector3::from(place);
+            let [range, azimuth, elevation] =
+                [point.norm(), point.y.atan2(point.x), point.z.atan2(point.x.hypot(point.y))];
+            for face in [Face::Front, Face::Back] {
+                let rng = &mut stream(1, 0, Source::IdentificationNoise);
+                let shot = Shot { face, azimuth_before: azimuth, ..Shot::default() };
+                let read = own.measure(&point, &shot, rng).expect("a point that can be reached");
+                let off = Vector3::new(
+                    read.range - range,
+                    point.x.hypot(point.y) * (read.azimuth - azimuth),
+                    range * (read.elevation - elevation),
+                );
+                let told: Vector3<f64> = errors
+                    .iter()
+                    .map(|(term, x)| *x * term.displacement(range, azimuth, elevation, face))
+                    .sum();
+                // The square of errors of some 1e-5 is 1e-10, of any wrong sign 1e-6 is left.
+                assert!((off - told).norm() < 2e-9, "{trial} {place:?} {face:?}: {off} is not {told}");
+            }
+        }
+    }
+    // Without errors there are none, which is known.
+    let sound = LaserTracker::placed(INSTRUMENT, Transform::identity());
+    assert!(sound.real_errors().iter().all(|(_, amplitude)| *amplitude == 0.0));
+}
+
 #[test]
 fn the_beam_of_a_misaligned_instrument_ends_at_the_point_that_it_reads() {
     // Far larger than any instrument's.

@@ -1,0 +1,100 @@
+//! A matched machine under a tracker that has errors of its own: with the instrument's terms, what is stated of parameters and positions holds.
+
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+use calibrig::identification::{InstrumentChoice, Mode};
+use calibrig::model::ParameterId;
+use calibrig::montecarlo::{Campaign, ModeSummary, summarise};
+use calibrig::pipeline::{PlantKind, run};
+use calibrig::scenario::{Scenario, load_scenario};
+use calibrig::tracker::Preset;
+
+use crate::repeated;
+
+/// `scenarios/matched.toml` with `preset = "at500"` and `systematic_fraction = 0.2` in place of the four figures.
+fn matched() -> Scenario {
+    let mut scenario = load_scenario(Path::new("scenarios/matched.toml")).expect("the shipped scenario");
+    scenario.tracker.instrument = Preset::At500.instrument();
+    assert!((scenario.tracker.instrument.systematic_fraction - 0.2).abs() < 1e-15);
+    scenario.outliers = None;
+    scenario
+}
+
+fn campaign_of(scenario: &Scenario, trials: u32) -> ModeSummary {
+    let campaign = Campaign { scenario, seed: scenario.seed, plant: PlantKind::Analytic };
+    let done = campaign.run(0..trials, 0, &AtomicBool::new(false), |_| {}).expect("threads");
+    let mut summary = summarise(&campaign, &done);
+    assert!(summary.failures.is_empty(), "{:?}", summary.failures);
+    summary.modes.remove(0)
+}
+
+/// Lowest and highest coverage over the parameters that `is_one` takes, and of predicted coordinates.
+fn print(name: &str, mode: &ModeSummary) {
+    let range = |is_one: &dyn Fn(ParameterId) -> bool| {
+        let shares = mode
+            .parameters
+            .iter()
+            .filter(|p| is_one(p.id))
+            .map(|p| (p.coverage.fraction(), p.id.to_string()));
+        let mut shares: Vec<_> = shares.collect();
+        shares.sort_by(|a, b| a.0.total_cmp(&b.0));
+        match (shares.first(), shares.last()) {
+            (Some(low), Some(high)) => {
+                format!("{:.1} % ({}) to {:.1} % ({})", 1e2 * low.0, low.1, 1e2 * high.0, high.1)
+            }
+            _ => "none".to_owned(),
+        }
+    };
+    let predictions = mode.predictions.expect("verification poses");
+    println!(
+        "{name}: tracker_* {}; frame {}; others {}; predicted coordinates {:.2} % +- {:.2}; NEES {:.3} a parameter",
+        range(&|id| matches!(id, ParameterId::Instrument { .. })),
+        range(&|id| matches!(id, ParameterId::Frame { .. })),
+        range(&|id| !matches!(id, ParameterId::Instrument { .. } | ParameterId::Frame { .. })),
+        1e2 * predictions.coverage.fraction(),
+        1e2 * predictions.half_width.expect("trials"),
+        mode.nees.map_or(f64::NAN, |nees| nees.mean / nees.parameters as f64)
+    );
+}
+
+#[test]
+fn with_the_instruments_terms_intervals_hold_as_stated() {
+    let trials = repeated(1000, 100);
+    let scenario = matched();
+    let mode = campaign_of(&scenario, trials);
+    print("with the instrument's terms", &mode);
+    let mut ignored = scenario.clone();
+    ignored.options.instrument = InstrumentChoice::Ignored;
+    print("without", &campaign_of(&ignored, trials));
+
+    assert_eq!(mode.parameters.len(), 24 + 5 + 6 + 3 + 16);
+    for p in &mode.parameters {
+        assert_eq!(p.coverage.trials, u64::from(trials), "{}", p.id);
+        // Binomial, 99.9 %.
+        assert!(p.coverage.p_value(0.95) >= 0.001, "{}: {:?}", p.id, p.coverage);
+    }
+    let nees = mode.nees.expect("every truth is known");
+    assert!((nees.band.0..=nees.band.1).contains(&nees.mean), "{nees:?}");
+    // Coordinates of a trial depend on one estimate, so that the scatter between trials says how far the share is known: 99.9 %.
+    let predictions = mode.predictions.expect("verification poses");
+    let (share, half) = (predictions.coverage.fraction(), predictions.half_width.expect("trials"));
+    assert!(half < 0.05 && (share - 0.95).abs() <= half, "{predictions:?}");
+}
+
+/// The report tells the drawn instrument's errors beside what is identified of them, and a scenario without noise has none.
+#[test]
+fn a_report_tells_the_instruments_real_errors() {
+    let mut scenario = Scenario { verification_poses: 0, ..matched() };
+    scenario.modes = vec![Mode::ElastoGeometric];
+    let outcome = run(&scenario, 1, |_, _| {}).expect("a run");
+    let real = &outcome.truth.as_ref().expect("simulated").instrument;
+    assert!(real.len() == 16 && real.iter().all(|(_, amplitude)| *amplitude != 0.0));
+    let json = calibrig::report::json_report(&outcome);
+    for (term, amplitude) in real {
+        let name = ParameterId::Instrument { instrument: 0, term: *term }.to_string();
+        let row = json.parameters.iter().find(|p| p.name == name).expect(&name);
+        assert_eq!(row.truth, Some(*amplitude), "{name}");
+    }
+    assert_eq!(outcome.bounds.len(), 1, "every truth is known");
+}
