@@ -258,6 +258,9 @@ pub(super) fn help(failure: &Iso9283Failure) -> &'static str {
         }
         Iso9283Failure::Cycles(Iso9283Error::TooFew { .. }) => "expected a smaller --cycles",
         Iso9283Failure::Target { .. } => "expected --target with one of these names, or none for all of them",
+        Iso9283Failure::Hidden { .. } => {
+            "expected poses that the first station sees: another --plane, or another cube (--cube-centre-mm, --cube-mm)"
+        }
         _ => "expected rows of finite numbers, a row for every cycle at a pose",
     }
 }

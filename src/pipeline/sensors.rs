@@ -15,6 +15,7 @@ use calibrig_model::measurement::{
 use calibrig_model::random::{Source, stream_at};
 use calibrig_model::statistics::normal_quantile;
 
+use calibrig_plant::session::SessionPlan;
 use calibrig_plant::tracker::{Shot, TrackerError};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -90,6 +91,8 @@ pub fn compare_sensors(
     mode: Mode,
     progress: impl FnMut(u32, u32),
 ) -> Result<Vec<SensorResult>, PipelineError> {
+    // One reading a pose, from the first station: what differs is the sensor alone.
+    let scenario = &Scenario { plan: SessionPlan::default(), ..scenario.clone() };
     let simulation = simulate(scenario, seed, 0, PlantKind::Rapier, progress)?;
     let machine = &simulation.truth.as_built;
     let last = machine.kinematics.last_from_flange;

@@ -96,7 +96,8 @@ pub(super) fn session_facts(outcome: &Outcome) -> Markup {
     let minutes = span(observations().map(|o| o.time / 60.0).collect()).filter(|(first, last)| last > first);
     let air = span(observations().filter_map(|o| o.temperature).collect());
     let spherical = observations().filter(|o| matches!(o.reading, Reading::Spherical(_))).count();
-    let nests = |set: &SetOutcome| set.measurements.stations.iter().map(|s| s.nests.len()).sum::<usize>();
+    let nests =
+        |set: &SetOutcome| set.measurements.stations.iter().map(|s| s.distinct_nests().len()).sum::<usize>();
     html! {
         div {
             dt { "Tracker" }

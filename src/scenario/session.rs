@@ -11,8 +11,8 @@ use calibrig_model::visibility::{Obstacles, Stance, stance_at};
 use calibrig_plant::AsBuilt;
 use calibrig_plant::experiment::WorkingRegion;
 use calibrig_plant::session::{
-    Approach, FurtherStation, FurtherTarget, MOST_ORDERED_POSES, MOST_REPEATS, NestRounds, PoseOrder,
-    SessionPlan, Sight, StationShare, Timing,
+    Approach, FurtherStation, FurtherTarget, MOST_ORDERED_POSES, MOST_REPEATS, MOST_SECONDS, NestRounds,
+    PoseOrder, SessionPlan, Sight, StationShare, Timing,
 };
 use calibrig_plant::tracker::LaserTracker;
 
@@ -315,6 +315,12 @@ fn timing(source: &Source, file: &SessionFile) -> Result<Timing, InputError> {
         Some(value) => source.not_negative(&format!("session.{key}"), value),
         None => Ok(usual),
     };
+    let given =
+        [&file.warm_up_s, &file.motion_s, &file.settling_s, &file.averaging_s, &file.nests.seconds_each_s];
+    if let Some(long) = given.into_iter().flatten().find(|value| *value.get_ref() > MOST_SECONDS) {
+        let message = format!("a part of the session takes {} s", long.get_ref());
+        return Err(source.error(long.span(), message, Some(format!("expected up to {MOST_SECONDS} s"))));
+    }
     Ok(Timing {
         warm_up: time("warm_up_s", file.warm_up_s.as_ref(), usual.warm_up)?,
         motion: time("motion_s", file.motion_s.as_ref(), usual.motion)?,

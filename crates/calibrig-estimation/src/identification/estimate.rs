@@ -407,6 +407,17 @@ pub enum Warning {
         #[serde(with = "calibrig_model::float::scalar")]
         spread: f64,
     },
+    /// The identified robot is not turned as its full poses say.
+    #[error(
+        "orientations are off by {:.0} mrad about each axis, more than any robot's: the convention of the rotations is hardly the one that is stated. \
+         Check the form, the order or sequence, and which way the transform goes ([rotation] of the column map)",
+        1e3 * sigma
+    )]
+    OrientationsOff {
+        /// Standard deviation about each axis, rad.
+        #[serde(with = "calibrig_model::float::scalar")]
+        sigma: f64,
+    },
     /// Readings of several targets under one name.
     #[error(
         "the readings of {} are of {targets} targets {:.3} mm apart, or the last joint has that much play: with an offset for each of them the residuals fall from {:.3} to {:.3} mm \

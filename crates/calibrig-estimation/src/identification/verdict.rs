@@ -14,6 +14,7 @@ impl Warning {
             Self::AtBound { .. } => Some("at_bound"),
             Self::Contradicted(_) => Some("contradicted"),
             Self::OffThePoints { .. } => Some("off_the_points"),
+            Self::OrientationsOff { .. } => Some("orientations_off"),
             Self::SeveralTargets { .. } => Some("several_targets"),
             Self::StationMoved { .. } => Some("station_moved"),
             // What carries no weight in the fit does not move it.

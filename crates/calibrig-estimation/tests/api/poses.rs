@@ -486,3 +486,23 @@ fn an_estimate_from_poses_is_linearised_and_predicts() {
     let turns = predictor.turns(&set).expect("poses");
     assert!(turns.iter().all(|turn| turn.is_some_and(|turn| turn.norm() < 10.0 * TURN)));
 }
+
+/// Rotations that were written the other way round scatter as no robot's do: that is told, and a reason to look at the result.
+#[test]
+fn a_wrong_convention_of_rotations_is_told() {
+    let [model, _] = robots();
+    let mut rng = stream(71, 0, Source::IdentificationPoses);
+    let known = covariance(TURN);
+    let mut set = measured(&model, 40, Some(&known), Some(&known), &mut rng);
+    let reasons = |set: &MeasurementSet| -> Vec<_> {
+        let estimate = identify(&model, set, &free()).expect("an estimate");
+        estimate.reasons().filter_map(calibrig_estimation::identification::Warning::reason).collect()
+    };
+    assert!(!reasons(&set).contains(&"orientations_off"));
+    for observation in &mut set.observations {
+        if let Reading::Pose(pose) = &mut observation.reading {
+            pose.rotation = pose.rotation.inverse();
+        }
+    }
+    assert!(reasons(&set).contains(&"orientations_off"), "{:?}", reasons(&set));
+}

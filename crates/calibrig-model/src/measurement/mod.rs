@@ -294,7 +294,7 @@ pub enum MeasurementError {
     },
     /// A full pose of what has no axes.
     #[error(
-        "pose {pose} has a rotation, but nothing says how target {target} is turned on the flange: state its orientation; without an \
+        "pose {pose} has a rotation, but nothing says how its target is turned on the flange ({target}): state a rotation of [[target]] in a session file, or of [target] in the robot's file; without an \
          uncertainty it is identified, and need not be near"
     )]
     PoseOfPoint {

@@ -238,7 +238,10 @@ mod tests {
             }),
             "symmetric",
         );
-        has(&told(&|set, _| set.targets[0].orientation = None), "nothing says how target 1 is turned");
+        has(
+            &told(&|set, _| set.targets[0].orientation = None),
+            "nothing says how its target is turned on the flange (1)",
+        );
         let of_target = |rotation, covariance| {
             told(&|set: &mut MeasurementSet, _: &mut PoseReading| {
                 set.targets[0].orientation =

@@ -17,8 +17,8 @@ pub use cycles::{CycleError, CycleMeasurements};
 pub use events::{MeasuredPose, SessionEvent, SessionListener, counting};
 pub use measure::MeasuringSession;
 pub use plan::{
-    Approach, FurtherStation, FurtherTarget, MOST_ORDERED_POSES, MOST_REPEATS, NestRounds, PlanError,
-    PoseOrder, SessionPlan, Sight, StationShare, Timing,
+    Approach, FurtherStation, FurtherTarget, MOST_ORDERED_POSES, MOST_REPEATS, MOST_SECONDS, NestRounds,
+    PlanError, PoseOrder, SessionPlan, Sight, StationShare, Timing,
 };
 
 use nalgebra::{Rotation3, Vector3};

@@ -183,9 +183,7 @@ pub enum PlanError {
         repeats: u32,
     },
     /// A time that cannot be.
-    #[error(
-        "{what} takes {seconds} s: expected a finite number of zero or more, and an averaging above zero"
-    )]
+    #[error("{what} takes {seconds} s: expected zero to {MOST_SECONDS} s, and an averaging above zero")]
     Time {
         /// Which.
         what: &'static str,
@@ -208,6 +206,9 @@ pub enum PlanError {
     },
 }
 
+/// Longest time of a part of a session, s: a day and a bit. A drift is drawn minute by minute.
+pub const MOST_SECONDS: f64 = 1e5;
+
 impl SessionPlan {
     /// Whether it can be carried out with sets of so many poses.
     ///
@@ -227,7 +228,7 @@ impl SessionPlan {
             ("a nest", nest),
         ];
         for (what, seconds) in times {
-            let is_sound = seconds.is_finite() && seconds >= 0.0 && (what != "a reading" || seconds > 0.0);
+            let is_sound = (0.0..=MOST_SECONDS).contains(&seconds) && (what != "a reading" || seconds > 0.0);
             if !is_sound {
                 return Err(PlanError::Time { what, seconds });
             }
