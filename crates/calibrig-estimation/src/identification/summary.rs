@@ -143,8 +143,7 @@ pub(super) fn summarise(
         warnings.push(Warning::Outliers(outliers.clone()));
     }
     warnings.extend(off_the_points(&problem, &solution, set, &outliers));
-    let turned = problem.noise.turn.filter(|sigma| *sigma > MOST_TURNED);
-    warnings.extend(turned.map(|sigma| Warning::OrientationsOff { sigma }));
+    warnings.extend(orientations_off(&problem.noise));
     if solution.termination.converged() && (!is_stated || accounted || is_misfit) {
         warnings.extend(divided(&mut problem, &solution, &jacobian, &factorised.bounded, set));
     }
@@ -433,6 +432,10 @@ const NEAR_PARTNER: f64 = 0.1;
 /// Scatter of orientations about the identified robot's that none has whose rotations are read as they were written, rad: a robot that repeats
 /// to a millimetre at the end of a tool of 50 mm is within half of it.
 const MOST_TURNED: f64 = 0.04;
+
+fn orientations_off(noise: &Noise) -> Option<Warning> {
+    noise.turn.filter(|sigma| *sigma > MOST_TURNED).map(|sigma| Warning::OrientationsOff { sigma })
+}
 
 /// Share of the robot's reach, and of the points' spread, that no nominal robot leaves which was measured as it was commanded ...
 const NOMINAL_OFF: (f64, f64) = (0.02, 0.03);
