@@ -12,7 +12,6 @@ use calibrig_estimation::identification::{
     ComplianceChoice, FrameChoice, Mode, ParameterChoice, TargetChoice,
 };
 use calibrig_model::JointKind;
-use calibrig_plant::tracker::Preset;
 
 /// Validate a scenario and the files it names, and say what would run
 #[derive(Debug, clap::Args)]
@@ -57,7 +56,7 @@ fn json_tracker(scenario: &Scenario) -> serde_json::Value {
     let instrument = &scenario.tracker.instrument;
     let redrawn = scenario.tracker_for(scenario.seed, 0).map_or(0, |drawn| drawn.errors.redraws);
     json!({
-        "preset": instrument.preset.map(Preset::key),
+        "preset": instrument.preset.map(|preset| preset.key()),
         "random_fraction": instrument.random_fraction,
         "systematic_fraction": instrument.systematic_fraction,
         "redrawn": redrawn,
