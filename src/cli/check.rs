@@ -56,7 +56,7 @@ fn json_tracker(scenario: &Scenario) -> serde_json::Value {
     let instrument = &scenario.tracker.instrument;
     let redrawn = scenario.tracker_for(scenario.seed, 0).map_or(0, |drawn| drawn.errors.redraws);
     json!({
-        "preset": instrument.preset.map(|preset| preset.key()),
+        "name": scenario.tracker.stated().name,
         "random_fraction": instrument.random_fraction,
         "systematic_fraction": instrument.systematic_fraction,
         "redrawn": redrawn,
