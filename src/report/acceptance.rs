@@ -8,7 +8,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use serde_json::{Value, json};
 
 use super::ReportError;
-use super::html::{CSS, figure_css};
+use super::html::head;
 use super::plots::{self, Drawn, GRID, LOOKS, foot, ink, px, text_style, values_below};
 use crate::pipeline::{AcceptanceOutcome, Finding, Ratios, Test};
 
@@ -231,14 +231,7 @@ pub fn acceptance_html(outcome: &AcceptanceOutcome) -> Result<String, ReportErro
     let page = html! {
         (DOCTYPE)
         html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                meta name="generator" content={ "calibrig " (env!("CARGO_PKG_VERSION")) };
-                title { (title) }
-                style { (PreEscaped(CSS)) (PreEscaped(figure_css())) }
-            }
+            (head(&title))
             body {
                 main {
                     h1 { (title) }

@@ -23,7 +23,21 @@ use calibrig_estimation::identification::{
 use calibrig_model::statistics::NORMAL_95;
 use calibrig_model::{ParameterId, Unit};
 
-pub(super) const CSS: &str = include_str!("report.css");
+const CSS: &str = include_str!("report.css");
+
+/// The head of every page, which needs no file beside it.
+pub(super) fn head(title: &str) -> Markup {
+    html! {
+        head {
+            meta charset="utf-8";
+            meta name="viewport" content="width=device-width, initial-scale=1";
+            meta name="color-scheme" content="light dark";
+            meta name="generator" content={ "calibrig " (env!("CARGO_PKG_VERSION")) };
+            title { (title) }
+            style { (PreEscaped(CSS)) (PreEscaped(figure_css())) }
+        }
+    }
+}
 
 /// The page of a run.
 pub fn html_report(outcome: &Outcome) -> Result<String, ReportError> {
@@ -34,14 +48,7 @@ pub fn html_report(outcome: &Outcome) -> Result<String, ReportError> {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                meta name="generator" content={ "calibrig " (env!("CARGO_PKG_VERSION")) };
-                title { "Calibration of " (outcome.input.name) }
-                style { (PreEscaped(CSS)) (PreEscaped(figure_css())) }
-            }
+            (head(&format!("Calibration of {}", outcome.input.name)))
             body {
                 (header(outcome))
                 main {
@@ -65,7 +72,7 @@ pub fn html_report(outcome: &Outcome) -> Result<String, ReportError> {
 }
 
 /// The figures' colours on a dark page; on a light one their own attributes hold.
-pub(super) fn figure_css() -> String {
+fn figure_css() -> String {
     let (ink, grid) = (hex(INK), hex(GRID));
     let mut css = format!(
         "figure svg [fill=\"{ink}\"]{{fill:currentColor}}figure svg [stroke=\"{ink}\"]{{stroke:currentColor}}\

@@ -336,7 +336,7 @@ pub struct JsonOutlier {
     /// How far it is from where a fit without it predicts it, m.
     #[serde(default)]
     pub distance_m: Option<f64>,
-    /// How far it is turned from there, rad; absent where its orientation is none.
+    /// How far it is turned from there, rad; absent where its orientation is not a gross error.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub turn_rad: Option<f64>,
     /// The larger of the two in standard deviations of a coordinate.

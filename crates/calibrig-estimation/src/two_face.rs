@@ -94,7 +94,7 @@ pub enum TwoFaceError {
         /// Of the reading that should be in the front face, and of the other.
         faces: [Face; 2],
     },
-    /// A reading without a covariance, or with one that is none, or that is no number.
+    /// A reading that is not a finite number, or whose covariance is missing or not positive definite.
     #[error(
         "pair {pair}: a reading is no finite number or states no positive definite covariance, so that nothing can be weighed"
     )]

@@ -5,7 +5,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use super::figure::{accuracy_figure, look_of, scatter_figure};
 use super::{ANGLES, RECALLED, pose_name, pose_names, sentences, title_of};
 use crate::pipeline::{AccuracyAgainst, Iso9283Outcome, Iso9283Pose, Iso9283Target};
-use crate::report::html::{CSS, figure_css, key, number};
+use crate::report::html::{head, key, number};
 use crate::report::{ReportError, counted};
 use calibrig_estimation::evaluation::iso9283::{OrientationAccuracy, OrientationRepeatability};
 
@@ -18,14 +18,7 @@ pub fn iso9283_html(outcome: &Iso9283Outcome) -> Result<String, ReportError> {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                meta name="generator" content={ "calibrig " (env!("CARGO_PKG_VERSION")) };
-                title { "ISO 9283: " (outcome.robot) }
-                style { (PreEscaped(CSS)) (PreEscaped(figure_css())) }
-            }
+            (head(&format!("ISO 9283: {}", outcome.robot)))
             body {
                 (header(outcome))
                 main {

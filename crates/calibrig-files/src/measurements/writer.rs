@@ -69,7 +69,7 @@ pub enum CsvError {
         /// First pose that differs from the poses before it.
         pose: u32,
     },
-    /// The rotation of a full pose that is none.
+    /// A full pose whose matrix is not a rotation.
     #[error("pose {pose}: {error}")]
     #[diagnostic(help("expected {}", error.expected()))]
     Rotation {

@@ -70,7 +70,7 @@ pub struct Station {
     pub name: String,
     /// Empty where the base was not measured: then nothing is known of the station beforehand.
     pub nests: Vec<NestObservation>,
-    /// What is known of the errors of its instrument; `None` where readings are taken to have none that they share.
+    /// What is known of the errors of its instrument; `None` where no error is taken to be shared by its readings.
     pub instrument: Option<StatedInstrument>,
 }
 
@@ -134,10 +134,6 @@ pub struct Observation {
 
 /// What the tracker read, in its own frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[allow(
-    clippy::large_enum_variant,
-    reason = "a session of poses is made of the largest, and one of points is small"
-)]
 pub enum Reading {
     /// As the instrument observes.
     Spherical(SphericalReading),

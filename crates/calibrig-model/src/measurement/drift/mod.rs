@@ -462,7 +462,7 @@ impl Correction<'_> {
     }
 
     /// Moves a reading and adds what the correction leaves open to its covariance. By how much, m, and the trace of what was added, m²;
-    /// `None` where the time is none.
+    /// `None` where the time is not a finite number.
     fn apply(&self, reading: &mut Reading, time: f64) -> Option<(Vector3<f64>, f64)> {
         let (still_from_seen, covariance) = self.at(time)?;
         let seen = reading.position();
