@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{ChiSquareTest, chi2_band};
-use calibrig_model::measurement::{MeasurementSet, Reading};
+use calibrig_model::measurement::{MeasurementSet, Reading, beam_axes};
 
 /// Probability with which the band of repeats holds their chi-square, if the readings scatter as stated.
 pub const REPEATS_LEVEL: f64 = 0.999;
@@ -45,16 +45,9 @@ pub struct RepeatScatter {
     pub band: (f64, f64),
 }
 
-/// Directions along the beam to a point, and along growing azimuth and elevation there, in the tracker's frame: columns.
+/// Directions along the beam to a point, and across it there, in the tracker's frame: columns.
 fn directions(point: &Vector3<f64>) -> Matrix3<f64> {
-    let (azimuth, elevation) = (point.y.atan2(point.x), point.z.atan2(point.x.hypot(point.y)));
-    let (sin_az, cos_az) = azimuth.sin_cos();
-    let (sin_el, cos_el) = elevation.sin_cos();
-    Matrix3::from_columns(&[
-        Vector3::new(cos_el * cos_az, cos_el * sin_az, sin_el),
-        Vector3::new(-sin_az, cos_az, 0.0),
-        Vector3::new(-sin_el * cos_az, -sin_el * sin_az, cos_el),
-    ])
+    beam_axes(point.y.atan2(point.x), point.z.atan2(point.x.hypot(point.y)))
 }
 
 /// Compares what the readings of a set state with its `errors` (measured minus predicted in the frame of their station's tracker, m, one an observation). `left`

@@ -522,6 +522,17 @@ impl SphericalReading {
     }
 }
 
+/// Directions along the beam to a point, and along growing azimuth and elevation there, in the tracker's axes: columns.
+pub fn beam_axes(azimuth: f64, elevation: f64) -> Matrix3<f64> {
+    let (sin_az, cos_az) = azimuth.sin_cos();
+    let (sin_el, cos_el) = elevation.sin_cos();
+    Matrix3::from_columns(&[
+        Vector3::new(cos_el * cos_az, cos_el * sin_az, sin_el),
+        Vector3::new(-sin_az, cos_az, 0.0),
+        Vector3::new(-sin_el * cos_az, -sin_el * sin_az, cos_el),
+    ])
+}
+
 impl Reading {
     /// Whether all its numbers are finite.
     fn is_finite(&self) -> bool {
@@ -557,13 +568,7 @@ impl Reading {
     /// How far an error of the instrument displaces the position that it reads there, per unit of its amplitude, m in the tracker's axes.
     pub fn displaced_by(&self, term: InstrumentTerm) -> Vector3<f64> {
         let [range, azimuth, elevation] = self.spherical();
-        let (sin_az, cos_az) = azimuth.sin_cos();
-        let (sin_el, cos_el) = elevation.sin_cos();
-        let along = Vector3::new(cos_el * cos_az, cos_el * sin_az, sin_el);
-        let across = Vector3::new(-sin_az, cos_az, 0.0);
-        let up = Vector3::new(-sin_el * cos_az, -sin_el * sin_az, cos_el);
-        let own = term.displacement(range, azimuth, elevation, self.face());
-        along * own.x + across * own.y + up * own.z
+        beam_axes(azimuth, elevation) * term.displacement(range, azimuth, elevation, self.face())
     }
 
     /// Position in the tracker's frame, m.
