@@ -112,6 +112,8 @@ pub struct ElasticChain {
     slots: Vec<Slot>,
     lumps: Vec<Lump>,
     four_bar: Option<Loop>,
+    /// Whether the reference model says what its parts weigh and how they yield.
+    has_statics: bool,
     actuators: ActuatorMap,
     gravity: Vector3<f64>,
     base_from_first: Transform,
@@ -175,6 +177,7 @@ impl ElasticChain {
             base_from_first: Transform::identity(),
             last_from_flange: Transform::identity(),
             gravity: Vector3::zeros(),
+            has_statics: reference.statics.is_some(),
             actuators: reference.actuators.clone(),
             deflection: Deflection::None,
             parts,
@@ -213,7 +216,7 @@ impl ElasticChain {
         let ends = |map: &ActuatorMap| map.four_bar().map(|(shoulder, elbow, _, _)| (shoulder, elbow));
         same(ends(&model.actuators) == ends(&self.actuators), "the four-bar of actuators")?;
         let statics = model.statics.as_ref();
-        same(statics.is_some() || self.gravity == Vector3::zeros(), "statics")?;
+        same(statics.is_some() == self.has_statics, "statics")?;
         (0..).zip(&self.parts).try_for_each(|(index, part)| {
             let segments =
                 statics.and_then(|s| s.beams[index].as_ref()).map_or(0, |beam| beam.segments.len());

@@ -3,7 +3,7 @@
 use super::robots::{painter, serial};
 use crate::elastostatics::{Deflection, ElasticChain, ElasticError};
 use crate::kinematics::{forward_kinematics, joints_from_command};
-use calibrig_model::{ActuatorMap, Compliance, LinkTerm, LinkageLength, ParameterId, TermPlace};
+use calibrig_model::{ActuatorMap, Compliance, LinkTerm, LinkageLength, ModelError, ParameterId, TermPlace};
 
 #[test]
 fn a_rigid_chain_is_the_product_of_the_link_transforms() {
@@ -44,6 +44,18 @@ fn a_pose_does_not_depend_on_the_poses_before_it() {
     let first = evaluate(&case.command, &[]);
     evaluate(&other.command, &corrections);
     assert_eq!(evaluate(&case.command, &[]), first);
+}
+
+#[test]
+fn a_model_with_statics_does_not_replace_one_without_them() {
+    let case = serial(0);
+    let mut bare = case.model.clone();
+    bare.statics = None;
+    for (reference, other) in [(&case.model, &bare), (&bare, &case.model)] {
+        let mut chain = ElasticChain::of(reference);
+        assert_eq!(chain.set_model(other), Err(ModelError::Structure { field: "statics" }));
+        assert_eq!(chain.set_model(reference), Ok(()));
+    }
 }
 
 #[test]
