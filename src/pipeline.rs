@@ -16,6 +16,7 @@ mod sensors;
 mod simulate;
 mod splits;
 mod steady;
+mod swept;
 mod truth;
 mod worth;
 
@@ -38,6 +39,7 @@ pub use sensors::{ARM, Sensor, SensorResult, compare_sensors};
 pub use simulate::{measure_session, simulate};
 pub use splits::{SplitMode, SplitPlan, SplitStudy, pose_count, repeat_splits, without_gross_errors};
 pub use steady::{SteadySets, without_drift};
+pub use swept::swept_stations;
 pub use truth::KnownTruth;
 pub use worth::Worse;
 
@@ -172,6 +174,14 @@ pub enum PipelineError {
         /// Poses planned.
         total: u32,
     },
+    /// The machine cannot take a place of a sweep.
+    #[error("place {} of the sweeps: {source}", place.saturating_add(1))]
+    Sweep {
+        /// Its number among those of all sweeps.
+        place: u32,
+        /// Why.
+        source: Box<PipelineError>,
+    },
     /// A nest is out of the tracker's reach.
     #[error("base nest {nest}: {source}")]
     Nest {
@@ -235,6 +245,7 @@ impl<E: Into<Self>> From<SessionError<E>> for PipelineError {
             SessionError::Pose { set, pose, source } => {
                 Self::Pose { set, pose, source: Box::new(source.into()) }
             }
+            SessionError::Sweep { place, source } => Self::Sweep { place, source: Box::new(source.into()) },
             SessionError::Nest { nest, source } => Self::Nest { nest, source },
             SessionError::Interrupted { done, total } => Self::Interrupted { done, total },
         }

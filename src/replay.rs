@@ -17,7 +17,7 @@ use calibrig_estimation::identification::{
 };
 use calibrig_files::InputError;
 use calibrig_files::Robot;
-use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::measurement::{MeasurementSet, Station};
 use calibrig_model::{CalibrationModel, Visual};
 use calibrig_recording::{
     MissingPart, Provenance, ReadOptions, RecordedEstimate, RecordedMachine, Recording, RecordingError,
@@ -242,7 +242,12 @@ impl Plan {
 
 /// Leaves to the measurements what the options expect of them and a recording, such as one whose nests were dropped, does not hold.
 fn free_what_is_missing(options: &mut IdentificationOptions, set: &MeasurementSet) {
-    if options.frame != FrameChoice::Free && set.stations.iter().any(|station| station.nests.len() < 3) {
+    let lacks = |station: &Station| match options.frame {
+        FrameChoice::Nests | FrameChoice::Fixed => station.nests.len() < 3,
+        FrameChoice::Sweeps => station.sweeps.is_empty(),
+        FrameChoice::AsStated | FrameChoice::Free => false,
+    };
+    if set.stations.iter().any(lacks) {
         options.frame = FrameChoice::AsStated;
     }
     if options.target == TargetChoice::Measured && set.targets.iter().any(|t| t.covariance.is_none()) {

@@ -57,6 +57,8 @@ fn which(text: &str) -> Result<String, String> {
 enum FrameArg {
     /// The base nests place it; their uncertainty is a prior
     Nests,
+    /// Sweeps of two axes among the poses place it; their uncertainty is a prior
+    Sweeps,
     /// Nothing
     Free,
     /// The nests' result is exact
@@ -104,6 +106,7 @@ impl ByNameArgs {
         if let Some(frame) = self.frame {
             options.frame = match frame {
                 FrameArg::Nests => FrameChoice::Nests,
+                FrameArg::Sweeps => FrameChoice::Sweeps,
                 FrameArg::Free => FrameChoice::Free,
                 FrameArg::Fixed => FrameChoice::Fixed,
             };

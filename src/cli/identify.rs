@@ -26,7 +26,7 @@ use calibrig_files::{ColumnMap, Places, is_bag, load_column_map, parse_column_ma
 use calibrig_files::{InputError, Robot};
 use calibrig_files::{MeasuredFile, SessionFile, Source, Statements, load_session, state};
 use calibrig_files::{add_followers, commanded_joints};
-use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::measurement::{MeasurementSet, Observation, SetKind};
 use calibrig_model::{BodyUncertainty, CalibrationModel, FAMILIES, JointKind, ParameterId, Unit};
 
 /// Calibrate a robot from measured positions in a file, and verify on another file
@@ -52,6 +52,7 @@ use calibrig_model::{BodyUncertainty, CalibrationModel, FAMILIES, JointKind, Par
   calibrig identify --model robot.toml --measurements m.csv --fix target_z --free delta_d3
   calibrig identify --model robot.toml --measurements m.csv --splits 20 --fit 200
   calibrig identify --model robot.toml --measurements m.csv --session session.toml   nests, targets
+  calibrig identify --model robot.toml --measurements m.csv --sweeps rail.csv --sweeps waist.csv
   calibrig identify --urdf ur5.urdf --tip tool0 --measurements grid.csv --columns map.toml
 
 What the columns of the file mean is told by --columns MAP.toml, else by the map that the robot's file names, else (and where the file
@@ -155,6 +156,10 @@ pub(super) struct FileArgs {
     /// robot's file's [default: stations of unknown place, and [target] of the robot's file]
     #[arg(long, value_name = "SESSION.toml")]
     session: Option<PathBuf>,
+    /// Readings while single joints moved and all others rested, by which the tracker is placed where there are no base nests, or with --frame
+    /// sweeps; laid out as the measurements. May be repeated
+    #[arg(long, value_name = "FILE")]
+    sweeps: Vec<String>,
     #[command(flatten)]
     reread: RereadArgs,
 }
@@ -174,7 +179,51 @@ impl FileArgs {
         let sets = self.rows.sets(&self.measurements, &self.verify, self.verify_joints.as_deref());
         let mut loaded = load(robot, self.columns.as_deref(), self.session.as_deref(), &self.rows, sets)?;
         self.reread.apply(&mut loaded.sets, &mut loaded.places);
+        self.add_sweeps(&mut loaded)?;
         Ok(loaded)
+    }
+}
+
+impl FileArgs {
+    /// Gives the stations of all sets the readings of the files of sweeps.
+    fn add_sweeps(&self, loaded: &mut Loaded) -> Result<(), CliError> {
+        if self.sweeps.is_empty() {
+            return Ok(());
+        }
+        let rows = self.rows.of_sweeps();
+        let asked = rows.sets(&self.sweeps, &[], None);
+        let robot = loaded.robot.clone();
+        let mut swept = load(robot, self.columns.as_deref(), self.session.as_deref(), &rows, asked)?;
+        self.reread.apply(&mut swept.sets, &mut swept.places);
+        let mut hash = InputHash::default();
+        hash.add("measurements", &loaded.sha256);
+        hash.add("sweeps", &swept.sha256);
+        loaded.sha256 = hash.hex();
+        loaded.read.append(&mut swept.read);
+        let of_sweeps = |(role, source): &(String, Source)| {
+            (role == SetKind::Identification.key()).then(|| ("sweeps".to_owned(), source.clone()))
+        };
+        loaded.sources.extend(swept.sources.iter().filter_map(of_sweeps));
+        let Some((read, places)) = swept.sets.first().zip(swept.places.first()) else { return Ok(()) };
+        let read = &read.measurements;
+        for (row, reading) in read.observations.iter().enumerate() {
+            let (station, target) =
+                (&read.stations[reading.station].name, &read.targets[reading.target].name);
+            for set in loaded.sets.iter_mut().map(|set| &mut set.measurements) {
+                let at = set.stations.iter().position(|own| own.name == *station);
+                let of = set.targets.iter().position(|own| own.name == *target);
+                let (Some(at), Some(of)) = (at, of) else {
+                    return Err(InputError::Place {
+                        place: places.of(row).unwrap_or_default(),
+                        message: format!("a sweep from station {station} with target {target}, of which one is in none of the measurements"),
+                        help: Some("expected sweeps from the stations, and with a target, of --measurements".to_owned()),
+                    }
+                    .into());
+                };
+                set.stations[at].sweeps.push(Observation { station: at, target: of, ..reading.clone() });
+            }
+        }
+        Ok(())
     }
 }
 

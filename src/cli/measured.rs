@@ -126,6 +126,11 @@ impl RowArgs {
         sets
     }
 
+    /// The same for files of sweeps, which have their commands beside their points and are held out as a whole.
+    pub fn of_sweeps(&self) -> Self {
+        Self { joints: None, verify_poses: None, ..self.clone() }
+    }
+
     fn options(&self) -> RowOptions {
         RowOptions {
             missed: self.missed.iter().map(|code| MissedCode::parse(code)).collect(),

@@ -12,6 +12,7 @@ use super::plots::{self, GRID, INK, LOOKS, Look, Marker, hex, look};
 use super::scatter::{has_scatter, scatter_section};
 use super::splits::split_section;
 use super::summary::{factor_words, judged_set, length_words, row, significant, summarise};
+use super::sweeps::sweep_section;
 use super::{
     ReportError, condition_words, consistency_ratio, counted, forest, left_out_words, pose_words, published,
     region, set_title,
@@ -464,6 +465,7 @@ fn trust_section(outcome: &Outcome) -> Markup {
             @for (mode, estimate) in &fitted {
                 (mode_trust(*mode, estimate))
             }
+            (sweep_section(outcome))
             (drift_section(outcome))
             @for set in outcome.sets.iter().filter(|s| !s.dropped.is_empty()) {
                 h3 { (set_title(set.kind)) ": " (counted(set.dropped.len(), "pose")) " not measured" }

@@ -11,6 +11,7 @@ use super::parameters::{fitted, truth_of};
 use super::pose_count;
 use super::residuals::{JsonResidual, json_residuals};
 use super::splits::{JsonSplits, json_splits};
+use super::sweeps::{JsonSweeps, json_sweeps};
 use crate::pipeline::{AblatedPart, Ablation, MissingReading, Outcome, SetOutcome, Worse};
 use calibrig_estimation::evaluation::AccuracyRow;
 use calibrig_estimation::identification::{Estimate, Mode, NoiseScale, Outlier, Warning};
@@ -44,6 +45,9 @@ pub struct JsonReport {
     /// What rounds of nests say of the trackers' own motion; absent where no nest was measured more than once.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub drift: Vec<JsonDrift>,
+    /// What sweeps of single axes show; absent where no station read any.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sweeps: Vec<JsonSweeps>,
 }
 
 /// What the parts of a simulated machine contribute.
@@ -458,6 +462,7 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
         ablation: outcome.ablation.as_ref().map(json_ablation),
         splits: outcome.splits.as_ref().map(json_splits),
         drift: json_drift(outcome),
+        sweeps: json_sweeps(outcome),
     }
 }
 

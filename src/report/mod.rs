@@ -17,6 +17,7 @@ mod sample;
 mod scatter;
 mod splits;
 mod summary;
+mod sweeps;
 mod tables;
 
 pub use acceptance::{acceptance_html, acceptance_json, acceptance_svg, acceptance_text};

@@ -6,6 +6,7 @@ use super::ablation::ablation_lines;
 use super::drift::{drift_words, missing_words};
 use super::judgement::judgement_lines;
 use super::splits::split_lines;
+use super::sweeps::sweep_words;
 use super::{condition_words, consistency_ratio, counted, left_out_words, pose_words, published, set_title};
 use crate::pipeline::{Outcome, SetOutcome};
 use calibrig_estimation::evaluation::AccuracyRow;
@@ -63,7 +64,8 @@ pub fn render_tables(outcome: &Outcome, style: Style) -> String {
         }
         line("");
     }
-    for drift in outcome.drift.iter().flat_map(drift_words).chain(missing_words(outcome)) {
+    let drift = outcome.drift.iter().flat_map(drift_words);
+    for drift in sweep_words(outcome).into_iter().chain(drift).chain(missing_words(outcome)) {
         for l in &wrap(&drift, "    ") {
             line(l);
         }

@@ -1,5 +1,6 @@
 //! `scenarios/*.toml`: units in the keys, unknown keys refused, every refusal with its place.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
@@ -11,12 +12,14 @@ use super::effects::{EffectsFile, effects};
 use super::identification::{IdentificationFile, ModeFile};
 use super::instrument::{DriftFile, EnvironmentFile, SmrFile, conditions, instrument};
 use super::session::{Around, SessionFile, session};
+use calibrig_estimation::identification::{FrameChoice, IdentificationOptions};
 use calibrig_files::{InputError, Source, Spanned};
 use calibrig_files::{Robot, load_robot};
 use calibrig_model::measurement::SetKind;
 use calibrig_model::{JointKind, KinematicModel};
 use calibrig_plant::AsBuilt;
 use calibrig_plant::experiment::WorkingRegion;
+use calibrig_plant::session::SessionPlan;
 use calibrig_plant::tracker::{Conditions, LaserTracker, Outliers, Probe};
 
 const SCHEMA: &str = "calibrig.scenario/1";
@@ -87,7 +90,7 @@ pub(super) struct TrackerFile {
     yaw_deg: Spanned<f64>,
     nest_sigma_um: Spanned<f64>,
     target_sigma_um: Spanned<f64>,
-    nest: Spanned<Vec<Spanned<NestFile>>>,
+    nest: Option<Spanned<Vec<Spanned<NestFile>>>>,
     outliers: Option<OutliersFile>,
     pose: Option<PoseFile>,
 }
@@ -191,7 +194,8 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
     let noise = tracker.instrument.noise;
     let probe = section.pose.as_ref().map(|pose| probe(&source, pose, noise)).transpose()?;
     let nest_sigma = 1e-6 * source.positive("tracker.nest_sigma_um", &section.nest_sigma_um)?;
-    let nests = nests(&source, section, &tracker, nest_sigma)?;
+    let options = file.identification.options(&source, &robot)?;
+    let nests = nests(&source, (section, &file.tracker), &tracker, nest_sigma, options.frame)?;
     let target_sigma = 1e-6 * source.positive("tracker.target_sigma_um", &section.target_sigma_um)?;
     let around = Around {
         robot: &robot,
@@ -202,7 +206,7 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
         most_poses: identification_poses.max(verification_poses),
     };
     let plan = session(&source, file.session.as_ref(), &around)?;
-    let options = file.identification.options(&source, &robot)?;
+    swept(&source, &options, &plan)?;
     let modes = file.identification.modes(&source)?;
     let published = file
         .published
@@ -243,6 +247,17 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
         published,
         sources,
     })
+}
+
+/// Stations that sweeps are to place need some of two axes.
+fn swept(source: &Source, options: &IdentificationOptions, plan: &SessionPlan) -> Result<(), InputError> {
+    let joints: BTreeSet<usize> = plan.sweeps.iter().map(|sweep| sweep.joint).collect();
+    if options.frame != FrameChoice::Sweeps || joints.len() >= 2 {
+        return Ok(());
+    }
+    let message = format!("frame is \"sweeps\", and {} joints are swept", joints.len());
+    let help = "expected a [[session.sweep]] of each of two joints whose axes are not parallel, such as those of rail and waist";
+    Err(source.error(source.place_of("identification.frame"), message, Some(help.to_owned())))
 }
 
 /// Poses a set, at 10 s a pose eleven days of measuring.
@@ -434,12 +449,18 @@ fn outliers(source: &Source, file: &OutliersFile) -> Result<Outliers, InputError
 
 fn nests(
     source: &Source,
-    file: &TrackerFile,
+    (file, whole): (&TrackerFile, &Spanned<TrackerFile>),
     tracker: &LaserTracker,
     sigma: f64,
+    frame: FrameChoice,
 ) -> Result<Vec<(String, Vector3<f64>)>, InputError> {
     let mut nests: Vec<(String, Vector3<f64>)> = Vec::new();
-    for entry in file.nest.get_ref() {
+    let entries = file.nest.as_ref();
+    if entries.is_none() && matches!(frame, FrameChoice::Free | FrameChoice::Sweeps) {
+        return Ok(nests);
+    }
+    let span = entries.map_or_else(|| whole.span(), Spanned::span);
+    for entry in entries.iter().flat_map(|entries| entries.get_ref()) {
         let nest = entry.get_ref();
         let name = nest.name.get_ref();
         let place = point(source, "tracker.nest.", [&nest.x_mm, &nest.y_mm, &nest.z_mm])?;
@@ -460,16 +481,19 @@ fn nests(
     }
     if nests.len() < 3 {
         return Err(source.error(
-            file.nest.span(),
+            span,
             format!("{} base nests", nests.len()),
-            Some("expected at least three [[tracker.nest]], not on one line".to_owned()),
+            Some(
+                "expected at least three [[tracker.nest]], not on one line; or none, and frame = \"sweeps\" or \"free\" in [identification]"
+                    .to_owned(),
+            ),
         ));
     }
     let off_line = distance_off_line(&nests);
     // Nearer, the turn about the line is uncertain by 0.1 rad and more.
     if off_line < 10.0 * sigma {
         return Err(source.error(
-            file.nest.span(),
+            span,
             format!("the base nests lie on one line, within {:.3} mm", 1e3 * off_line),
             Some(format!(
                 "expected a [[tracker.nest]] at least {:.3} mm off the line of the others, ten times nest_sigma_um",

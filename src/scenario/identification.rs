@@ -102,6 +102,7 @@ enum RedundantFile {
 #[serde(rename_all = "snake_case")]
 enum FrameFile {
     Nests,
+    Sweeps,
     Free,
     Fixed,
 }
@@ -333,6 +334,7 @@ impl IdentificationFile {
         if let Some(frame) = self.frame {
             options.frame = match frame {
                 FrameFile::Nests => FrameChoice::Nests,
+                FrameFile::Sweeps => FrameChoice::Sweeps,
                 FrameFile::Free => FrameChoice::Free,
                 FrameFile::Fixed => FrameChoice::Fixed,
             };

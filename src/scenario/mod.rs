@@ -6,6 +6,7 @@ mod file;
 mod identification;
 mod instrument;
 mod session;
+mod sweep;
 pub use identification::with_stated_of;
 
 pub use file::{load_scenario, parse_scenario};

@@ -5,6 +5,7 @@ use std::f64::consts::PI;
 use nalgebra::{UnitVector3, Vector3};
 use serde::Deserialize;
 
+use super::sweep::{SweepFile, sweeps};
 use calibrig_files::{InputError, Robot, Source, Spanned};
 use calibrig_model::geometry::Transform;
 use calibrig_model::visibility::{Obstacles, Stance, stance_at};
@@ -46,6 +47,8 @@ pub(super) struct SessionFile {
     station: Vec<Spanned<StationFile>>,
     #[serde(default)]
     target: Vec<Spanned<TargetFile>>,
+    #[serde(default)]
+    sweep: Vec<Spanned<SweepFile>>,
     line_of_sight: Option<Spanned<SightFile>>,
 }
 
@@ -153,6 +156,7 @@ pub(super) fn session(
         order: order(source, section, around)?,
         timing: timing(source, file)?,
         rounds: rounds(source, file)?,
+        sweeps: sweeps(source, &file.sweep, around)?,
         sight: file.line_of_sight.as_ref().map(|sight| self::sight(source, sight, around)).transpose()?,
     };
     stands(source, file, around, &plan)?;

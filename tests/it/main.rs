@@ -29,6 +29,7 @@ mod a_user_replays_a_recording;
 mod a_user_reproduces_the_paper;
 mod a_user_runs_a_campaign;
 mod a_user_states_what_is_known;
+mod a_user_sweeps_axes;
 mod a_user_tests_poses;
 mod a_user_trusts_a_drawn_tracker;
 mod a_user_trusts_a_model_that_lacks_something;

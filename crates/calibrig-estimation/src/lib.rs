@@ -62,6 +62,7 @@
 /// the number was recorded.
 pub const METHOD: u32 = 2;
 
+pub mod circle_points;
 pub mod diagnosis;
 pub mod elastostatics;
 pub mod evaluation;

@@ -43,6 +43,8 @@ pub enum Source {
     Smr = 24,
     /// Which readings do not come; their place in the stream is the pose's.
     Misses = 25,
+    /// Noise of the tracker on the sweeps of single joints.
+    SweepNoise = 26,
     /// Noise of measured orientations; its place in the stream is the pose's.
     ProbeNoise = 30,
     /// The error of the measured orientation of a probe on the flange.

@@ -87,7 +87,7 @@ pub struct ExportedFile {
 /// A recording as files of text.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CsvExport {
-    /// `robot.toml` and the other inputs, `identification.csv`, `verification.csv`, `session.toml`, `residuals.csv`, `parameters.csv`.
+    /// `robot.toml` and the other inputs, `identification.csv`, `verification.csv`, `sweeps.csv`, `session.toml`, `residuals.csv`, `parameters.csv`.
     pub files: Vec<ExportedFile>,
     /// What is different from the recording, or not there, in words.
     pub remarks: Vec<String>,
@@ -108,7 +108,8 @@ pub fn export_csv(path: &Path, model: Option<Robot>) -> Result<CsvExport, Export
         measurements: without_followers(&robot.model, &set.measurements),
         ..set.clone()
     };
-    let sets: Vec<SetOutcome> = recording.sets.iter().map(in_columns).collect();
+    let mut sets: Vec<SetOutcome> = recording.sets.iter().map(in_columns).collect();
+    let swept = take_sweeps(&mut sets);
     let mut export = CsvExport { files: Vec::new(), remarks: Vec::new() };
     let mut told: Vec<SessionSet<'_>> = Vec::new();
     let mut texts = Vec::new();
@@ -125,6 +126,9 @@ pub fn export_csv(path: &Path, model: Option<Robot>) -> Result<CsvExport, Export
     }
     let session = Source::new("session.toml", session_text(&told)?);
     check(&told, &texts, &session, &joints)?;
+    if let Some(swept) = &swept {
+        texts.push((SetKind::Identification, sweeps_text(swept, &session, &joints)?));
+    }
     for file in texts.into_iter().map(|(_, source)| source).chain([session]) {
         export.files.push(ExportedFile { name: file.name, text: file.text });
     }
@@ -149,6 +153,34 @@ pub fn export_csv(path: &Path, model: Option<Robot>) -> Result<CsvExport, Export
     }
     add_inputs(inputs, &mut export);
     Ok(export)
+}
+
+/// The readings of sweeps as a set of their own, and the sets without them: a file of text holds either.
+fn take_sweeps(sets: &mut [SetOutcome]) -> Option<MeasurementSet> {
+    let mut first = sets.first()?.measurements.clone();
+    first.observations =
+        first.stations.iter_mut().flat_map(|station| std::mem::take(&mut station.sweeps)).collect();
+    for station in sets.iter_mut().flat_map(|set| &mut set.measurements.stations) {
+        station.sweeps.clear();
+    }
+    (!first.observations.is_empty()).then_some(first)
+}
+
+/// `sweeps.csv`, which has been read back.
+fn sweeps_text(
+    swept: &MeasurementSet,
+    session: &Source,
+    joints: &[JointKind],
+) -> Result<Source, ExportError> {
+    let (kind, set) = (SetKind::Identification, "swept");
+    let text =
+        measurements_text(swept, joints).map_err(|source| ExportError::Measurements { set, source })?;
+    let text = Source::new("sweeps.csv", text);
+    let read = read_back(kind, &text, session, joints).map_err(|error| error.to_string());
+    match read.map(|read| differing_reading(kind, swept, &read.set)) {
+        Err(reason) | Ok(Some(reason)) => Err(ExportError::Lossy { set, reason }),
+        Ok(None) => Ok(text),
+    }
 }
 
 /// Records sets that were measured somewhere else. The file is whole or not there.
@@ -206,11 +238,8 @@ fn difference(
     if let Some((pose, why)) = read.dropped.get(dropped.len()) {
         return Some(format!("pose {pose}: {why}"));
     }
-    let message = |index, observation| schema::observation(kind, index, observation).encode_to_vec();
-    for (index, (recorded, read)) in set.observations.iter().zip(&read.set.observations).enumerate() {
-        if message(index, recorded) != message(index, read) {
-            return Some(format!("pose {} is read back with other bits", recorded.pose));
-        }
+    if let Some(reason) = differing_reading(kind, set, &read.set) {
+        return Some(reason);
     }
     let around = |set: &MeasurementSet| {
         let (stations, targets) = (set.stations.clone(), set.targets.clone());
@@ -222,6 +251,19 @@ fn difference(
     let same = around(set) == around(&read.set) && read.dropped == dropped;
     let told = "its stations, targets or dropped poses are read back with other bits";
     (!same).then(|| told.to_owned())
+}
+
+fn differing_reading(kind: SetKind, set: &MeasurementSet, read: &MeasurementSet) -> Option<String> {
+    let message = |index, observation| schema::observation(kind, index, observation).encode_to_vec();
+    let pairs = set.observations.iter().zip(&read.observations).enumerate();
+    let mut differing =
+        pairs.filter(|(index, (recorded, read))| message(*index, recorded) != message(*index, read));
+    let fewer = (set.observations.len() != read.observations.len())
+        .then(|| "not all readings are read back".to_owned());
+    differing
+        .next()
+        .map(|(_, (recorded, _))| format!("pose {} is read back with other bits", recorded.pose))
+        .or(fewer)
 }
 
 /// What was made of the measurements, as tables; `None` where nothing was.

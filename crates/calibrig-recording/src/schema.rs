@@ -186,10 +186,12 @@ fn to_instrument(message: &v1::Instrument) -> Result<StatedInstrument, String> {
 /// A set before its observations.
 pub(super) fn session(set: &SetOutcome, planned: Option<u32>) -> v1::Session {
     let measurements = &set.measurements;
+    let swept = |(index, reading): (usize, &Observation)| observation(set.kind, index, reading);
     let station = |station: &Station| v1::Station {
         name: station.name.clone(),
         nests: Vec::new(),
         instrument: station.instrument.as_ref().map(instrument),
+        sweeps: station.sweeps.iter().enumerate().map(swept).collect(),
     };
     let target = |target: &Target| v1::Target {
         name: target.name.clone(),
@@ -267,7 +269,7 @@ impl TryFrom<&v1::Session> for SetOutcome {
         let station = |station: &v1::Station| {
             let nests = station.nests.iter().map(to_nest).collect::<Result<_, _>>()?;
             let instrument = station.instrument.as_ref().map(to_instrument).transpose()?;
-            Ok::<_, String>(Station { name: station.name.clone(), nests, instrument })
+            Ok::<_, String>(Station { name: station.name.clone(), nests, instrument, sweeps: Vec::new() })
         };
         let target = |target: &v1::Target| {
             Ok::<_, String>(Target {
@@ -277,7 +279,7 @@ impl TryFrom<&v1::Session> for SetOutcome {
                 orientation: to_orientation(target)?,
             })
         };
-        Ok(Self {
+        let mut set = Self {
             kind: set_kind(&message.set)?,
             measurements: calibrig_model::measurement::MeasurementSet {
                 stations: message.stations.iter().map(station).collect::<Result<_, _>>()?,
@@ -285,7 +287,12 @@ impl TryFrom<&v1::Session> for SetOutcome {
                 observations: Vec::new(),
             },
             dropped: message.dropped.iter().map(|d| (d.pose, d.reason.clone())).collect(),
-        })
+        };
+        for (index, station) in message.stations.iter().enumerate() {
+            let swept = station.sweeps.iter().map(|reading| to_observation(reading, &set));
+            set.measurements.stations[index].sweeps = swept.collect::<Result<_, _>>()?;
+        }
+        Ok(set)
     }
 }
 

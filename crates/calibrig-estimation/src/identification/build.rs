@@ -3,7 +3,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 
 use super::factor::triangular_factor;
-use super::instrument::Instruments;
+use super::instrument::{Instruments, PlacedBy};
 use super::machine::Machine;
 use super::noise::{MachineNoise, MachineNoiseChoice, Noise, poses};
 use super::parameters::{Column, Columns, PriorKind, columns};
@@ -14,6 +14,7 @@ use super::{
     DependentGroup, FrameChoice, IdentificationOptions, IdentifyError, LeastSquares, LeftOut, LeftOutReason,
     Redundancy, Solution, TargetChoice, select_independent,
 };
+use crate::circle_points::place_by_sweeps;
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{MeasurementSet, Observation, Reading, register};
 use calibrig_model::{CalibrationModel, ParameterId};
@@ -373,18 +374,18 @@ fn assemble(
     };
     let mut priors: Vec<_> = stated.filter_map(body).collect();
     let offsets = starting_offsets(model, set, options.target, &ends.target_axes);
-    let Stations { places, by_nests } =
-        stations(model, set, options.frame, (&offsets, ends), &mut parameters)?;
+    let Stations { places, placed } = stations(model, set, options.frame, (&offsets, ends), &mut parameters)?;
     let stations = places;
     targets(set, options, ends, &mut parameters, &mut priors)?;
     orientations(set, options, ends, &mut parameters, &mut priors)?;
     let instruments = Instruments::new(set, options, &mut parameters, &mut priors);
-    for (index, frame, covariance) in by_nests {
+    for (index, frame, placed_by) in placed {
         let station = &set.stations[index];
-        let with_errors = instruments.nests((index, station), &stations[index], frame)?;
+        let with_errors = instruments.place((index, station), &placed_by, frame)?;
+        let covariance = || DMatrix::from_iterator(6, 6, placed_by.covariance().iter().copied());
         priors.push(match with_errors {
             Some(prior) => prior,
-            None => prior(&format!("station {}", station.name), frame, covariance)?,
+            None => prior(&format!("station {}", station.name), frame, covariance())?,
         });
     }
     sigmas.resize(parameters.len(), None);
@@ -446,8 +447,8 @@ fn assemble(
 struct Stations {
     /// `tracker_from_base`, what the frame parameters displace.
     places: Vec<Transform>,
-    /// Stations whose nests are a prior: index, first column of the frame, and covariance of the registration.
-    by_nests: Vec<(usize, usize, DMatrix<f64>)>,
+    /// Stations whose nests or sweeps are a prior: index, first column of the frame, and what these say.
+    placed: Vec<(usize, usize, PlacedBy)>,
 }
 
 fn stations(
@@ -457,7 +458,7 @@ fn stations(
     (offsets, ends): (&[Vector3<f64>], &Ends),
     parameters: &mut Vec<ParameterId>,
 ) -> Result<Stations, IdentifyError> {
-    let (mut stations, mut by_nests) = (Vec::new(), Vec::new());
+    let (mut stations, mut placed) = (Vec::new(), Vec::new());
     for (index, station) in set.stations.iter().enumerate() {
         let choice = choice.of(station);
         if choice == FrameChoice::Free {
@@ -466,16 +467,20 @@ fn stations(
             stations.push(best_fit_station(model, set, offsets, index)?);
             continue;
         }
-        let registration = register(station)
-            .map_err(|source| IdentifyError::Registration { station: station.name.clone(), source })?;
-        if choice == FrameChoice::Nests {
-            let covariance = DMatrix::from_iterator(6, 6, registration.covariance.iter().copied());
-            by_nests.push((index, parameters.len(), covariance));
+        let placed_by =
+            match choice {
+                FrameChoice::Sweeps => PlacedBy::Sweeps(Box::new(place_by_sweeps(model, set, index)?.0)),
+                _ => PlacedBy::Nests(Box::new(register(station).map_err(|source| {
+                    IdentifyError::Registration { station: station.name.clone(), source }
+                })?)),
+            };
+        stations.push(*placed_by.tracker_from_base());
+        if choice != FrameChoice::Fixed {
+            placed.push((index, parameters.len(), placed_by));
             parameters.extend(ParameterId::all_of_frame(index));
         }
-        stations.push(registration.tracker_from_base);
     }
-    Ok(Stations { places: stations, by_nests })
+    Ok(Stations { places: stations, placed })
 }
 
 fn targets(

@@ -361,7 +361,7 @@ impl<'a> Checks<'a> {
             .iter()
             .zip(&problem.stations)
             .enumerate()
-            .filter(|(_, (station, _))| frame.of(station) != FrameChoice::Free)
+            .filter(|(_, (station, _))| !matches!(frame.of(station), FrameChoice::Free | FrameChoice::Sweeps))
             .filter_map(|(index, (station, place))| {
                 let system = nest_system(station, place).ok()?;
                 let family = of_nests(&system, station, index)?;

@@ -141,6 +141,19 @@ pub enum Assumption {
         /// Nests measured.
         nests: usize,
     },
+    /// Sweeps of two axes place the tracker.
+    #[error(
+        "station {station}: placed by sweeps of {} and {}, whose uncertainty is a prior; the base is where these axes of the nominal robot are",
+        axes[0], axes[1]
+    )]
+    StationBySweeps {
+        /// Its name.
+        station: String,
+        /// Names of the axes.
+        axes: [String; 2],
+        /// Indices of their joints.
+        joints: [usize; 2],
+    },
     /// Its nests place the tracker.
     #[error("station {station}: placed by {nests} base nests, whose uncertainty is a prior")]
     StationByNests {

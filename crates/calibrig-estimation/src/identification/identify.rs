@@ -16,6 +16,7 @@ use super::{
     MachineNoiseChoice, Mode, ParameterBoundError, ParameterChoice, Predictor, Solution, SolverOptions,
     TargetChoice, minimise, minimise_within,
 };
+use crate::circle_points::SweepError;
 use calibrig_model::measurement::{MeasurementError, MeasurementSet, RegistrationError, Target};
 use calibrig_model::{CalibrationModel, ModelError, ParameterId, Unit};
 
@@ -45,6 +46,9 @@ pub enum IdentifyError {
         /// Why.
         source: RegistrationError,
     },
+    /// Sweeps do not place a station.
+    #[error(transparent)]
+    Sweeps(#[from] SweepError),
     /// The nominal robot cannot be laid over the measurements.
     #[error("the measured points do not determine the tracker's place: fewer than three, or all on one line")]
     BestFit,

@@ -8,11 +8,14 @@ use serde::{Deserialize, Serialize};
 /// What is known of the tracker's place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum FrameChoice {
-    /// What the set says of each station: [`Nests`](Self::Nests) where at least three were measured, else [`Free`](Self::Free).
+    /// What the set says of each station: [`Nests`](Self::Nests) where at least three were measured, else [`Sweeps`](Self::Sweeps) where it
+    /// has some, else [`Free`](Self::Free).
     #[default]
     AsStated,
     /// The base nests place the tracker; their uncertainty is a prior in the fit.
     Nests,
+    /// [Sweeps](crate::circle_points) of two of the robot's axes place the tracker; their uncertainty is a prior in the fit.
+    Sweeps,
     /// Nothing: six free parameters a station.
     Free,
     /// The nests' result is taken as exact.
@@ -44,6 +47,7 @@ impl FrameChoice {
     pub(super) fn of(self, station: &Station) -> Self {
         match self {
             Self::AsStated if is_placed(station) => Self::Nests,
+            Self::AsStated if !station.sweeps.is_empty() => Self::Sweeps,
             Self::AsStated => Self::Free,
             choice => choice,
         }

@@ -17,6 +17,7 @@ use super::{
     LeastSquares, Mode, NoiseScale, Outlier, ParameterBound, ParameterEstimate, Spectrum, Stated,
     TargetChoice, Warning,
 };
+use crate::circle_points::place_by_sweeps;
 use calibrig_model::measurement::{MeasurementSet, StatedInstrument};
 use calibrig_model::statistics::chi2_survival;
 use calibrig_model::{BodyUncertainty, ParameterId};
@@ -152,7 +153,7 @@ pub(super) fn summarise(
     }
     let unexcited = unexcited(&problem, &named, covariance.as_ref(), &sigmas, &solution.x);
     warnings.extend(left_open_warnings(&held, &fixed, &unexcited));
-    let assumptions = assumptions(&problem.parameters, set, options, noise, &problem.noise);
+    let assumptions = assumptions(&problem, set, options, noise);
     let machine_noise = problem.stated_machine().into_iter().chain(problem.noise.machine.clone()).collect();
     let values = problem.parameters.iter().zip(&solution.x);
     let terms = values.filter_map(|(id, value)| match id {
@@ -470,18 +471,23 @@ fn off_the_points(
 
 /// What the options left to the set, and what came of it.
 fn assumptions(
-    parameters: &[ParameterId],
+    problem: &CalibrationProblem,
     set: &MeasurementSet,
     options: &IdentificationOptions,
     noise: NoiseScale,
-    found: &Noise,
 ) -> Vec<Assumption> {
+    let (parameters, found) = (&problem.parameters, &problem.noise);
     let mut made = Vec::new();
-    for station in set.stations.iter().filter(|_| options.frame == FrameChoice::AsStated) {
+    for (index, station) in set.stations.iter().enumerate() {
         let (name, nests) = (station.name.clone(), station.distinct_nests().len());
-        made.push(match options.frame.of(station) {
-            FrameChoice::Free => Assumption::StationFree { station: name, nests },
-            _ => Assumption::StationByNests { station: name, nests },
+        made.extend(match options.frame.of(station) {
+            FrameChoice::Sweeps => place_by_sweeps(&problem.nominal, set, index).ok().map(|(_, swept)| {
+                let joints = swept.axes.each_ref().map(|axis| axis.joint);
+                Assumption::StationBySweeps { station: name, axes: swept.axes.map(|axis| axis.name), joints }
+            }),
+            _ if options.frame != FrameChoice::AsStated => None,
+            FrameChoice::Free => Some(Assumption::StationFree { station: name, nests }),
+            _ => Some(Assumption::StationByNests { station: name, nests }),
         });
     }
     for target in set.targets.iter().filter(|_| options.target == TargetChoice::AsStated) {

@@ -5,6 +5,7 @@
 // What a test expects of its own robots is no case of the interface.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod circle_points;
 mod coverage;
 mod diagnosis;
 mod divided;

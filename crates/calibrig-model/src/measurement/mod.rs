@@ -72,6 +72,8 @@ pub struct Station {
     pub nests: Vec<NestObservation>,
     /// What is known of the errors of its instrument; `None` where no error is taken to be shared by its readings.
     pub instrument: Option<StatedInstrument>,
+    /// Readings while single axes of the robot moved, which can place the station instead of nests. Their [`station`](Observation::station) is this one.
+    pub sweeps: Vec<Observation>,
 }
 
 /// A nest at a certified place of the base, and where the tracker saw it.
@@ -386,30 +388,40 @@ impl MeasurementSet {
         }
         self.stations.iter().try_for_each(Station::check)?;
         self.targets.iter().try_for_each(Target::check)?;
-        self.observations.iter().try_for_each(|observation| {
-            let pose = observation.pose;
-            let (found, approaches) = (observation.command.len(), observation.approach.len());
-            if found != joints {
-                return Err(MeasurementError::JointCount { pose, found, expected: joints });
-            }
-            if approaches != joints && approaches != 0 {
-                return Err(MeasurementError::Approach { pose, found: approaches, expected: joints });
-            }
-            if observation.station >= self.stations.len() || observation.target >= self.targets.len() {
-                return Err(MeasurementError::UnknownStationOrTarget { pose });
-            }
-            let finite = observation.command.iter().all(|v| v.is_finite())
-                && observation.time.is_finite()
-                && observation.temperature.is_none_or(f64::is_finite)
-                && observation.reading.is_finite();
-            if !finite {
-                return Err(MeasurementError::NotFinite { pose });
-            }
-            match &observation.reading {
-                Reading::Pose(reading) => reading.check(pose, &self.targets[observation.target]),
-                Reading::Spherical(_) | Reading::Cartesian { .. } => Ok(()),
-            }
-        })
+        let of_sweeps =
+            self.stations.iter().enumerate().flat_map(|(index, station)| {
+                station.sweeps.iter().map(move |reading| (Some(index), reading))
+            });
+        self.observations.iter().map(|reading| (None, reading)).chain(of_sweeps).try_for_each(
+            |(swept_by, observation)| {
+                let pose = observation.pose;
+                let (found, approaches) = (observation.command.len(), observation.approach.len());
+                if found != joints {
+                    return Err(MeasurementError::JointCount { pose, found, expected: joints });
+                }
+                if approaches != joints && approaches != 0 {
+                    return Err(MeasurementError::Approach { pose, found: approaches, expected: joints });
+                }
+                let is_foreign = swept_by.is_some_and(|own| own != observation.station);
+                if is_foreign
+                    || observation.station >= self.stations.len()
+                    || observation.target >= self.targets.len()
+                {
+                    return Err(MeasurementError::UnknownStationOrTarget { pose });
+                }
+                let finite = observation.command.iter().all(|v| v.is_finite())
+                    && observation.time.is_finite()
+                    && observation.temperature.is_none_or(f64::is_finite)
+                    && observation.reading.is_finite();
+                if !finite {
+                    return Err(MeasurementError::NotFinite { pose });
+                }
+                match &observation.reading {
+                    Reading::Pose(reading) => reading.check(pose, &self.targets[observation.target]),
+                    Reading::Spherical(_) | Reading::Cartesian { .. } => Ok(()),
+                }
+            },
+        )
     }
 
     /// Whether any reading has an orientation.
@@ -419,9 +431,12 @@ impl MeasurementSet {
 }
 
 impl Station {
-    /// The time at which the nests place it, s: the mean of their times; zero where one has none.
+    /// The time at which nests, or without them sweeps, place it, s: the mean of their times; zero where a nest has none.
     pub fn placed_at(&self) -> f64 {
-        let times: Option<Vec<f64>> = self.nests.iter().map(|nest| nest.time).collect();
+        let of_nests = self.nests.iter().map(|nest| nest.time);
+        let of_sweeps =
+            self.sweeps.iter().map(|reading| Some(reading.time)).filter(|_| self.nests.is_empty());
+        let times: Option<Vec<f64>> = of_nests.chain(of_sweeps).collect();
         times
             .filter(|times| !times.is_empty())
             .map_or(0.0, |times| times.iter().sum::<f64>() / times.len() as f64)

@@ -8,7 +8,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::controller::Controller;
 use super::events::{MeasuredPose, SessionEvent, SessionListener};
-use super::plan::{Approach, SessionPlan};
+use super::plan::{Approach, SessionPlan, StationShare};
 use super::schedule::{PlannedSet, Schedule, schedule};
 use super::sight::Mounted;
 use super::{Machine, MissingReading, SessionError, Simulation, Truth};
@@ -55,8 +55,8 @@ pub struct MeasuringSession<'a> {
 
 /// What of a pose was read, one entry a reading in each.
 #[derive(Default)]
-struct Taken {
-    observations: Vec<Observation>,
+pub(super) struct Taken {
+    pub observations: Vec<Observation>,
     settled: Vec<SettledPose>,
     effects: Vec<PoseEffects>,
     outliers: Vec<(u32, Vector3<f64>)>,
@@ -89,11 +89,12 @@ impl MeasuringSession<'_> {
         let schedule = self.schedule(seed, trial);
         self.as_built.check_effects(schedule.duration)?;
         let trackers = self.trackers(&schedule, seed, trial)?;
-        let described = self.measure_nests(&trackers, &schedule, (seed, trial))?;
+        let mut described = self.measure_nests(&trackers, &schedule, (seed, trial))?;
         let targets = self.measure_targets(seed, trial);
         let stations = self.mean_places(&trackers, &schedule);
         let further_targets: Vec<_> = self.plan.targets.iter().map(|target| target.in_flange).collect();
         let setup = Setup { trackers, mounted: self.mounted(seed, trial), seed, trial };
+        self.measure_sweeps(machine, &setup, &schedule, &mut described)?;
         let mut done = 0;
         let mut tell = |event: SessionEvent<'_>, done| match listener(event) {
             ControlFlow::Continue(()) => Ok(()),
@@ -253,7 +254,8 @@ impl MeasuringSession<'_> {
             }
             let mut own = random::stream_at(seed, trial, Source::Repeatability, place);
             let (settled, effects) = controller.go_to(machine, &command, time, &mut own)?;
-            let visit = Visit { command: &command, controller, pose, place, time, settled, effects };
+            let share = self.plan.share;
+            let visit = Visit { command: &command, controller, pose, place, time, settled, effects, share };
             self.read(setup, &visit, noise, &mut taken);
         }
         Ok(taken)
@@ -279,10 +281,10 @@ impl MeasuringSession<'_> {
     }
 
     /// Every reading of a visit. Numbers are taken from `noise` for all stations and targets, whichever see each other.
-    fn read(&self, setup: &Setup, visit: &Visit<'_>, noise: &mut impl Rng, taken: &mut Taken) {
+    pub(super) fn read(&self, setup: &Setup, visit: &Visit<'_>, noise: &mut impl Rng, taken: &mut Taken) {
         let Visit { pose, place, settled, effects, .. } = visit;
         let seen = self.look(&setup.trackers, &setup.mounted, settled);
-        let chosen = seen.chosen(self.plan.share);
+        let chosen = seen.chosen(visit.share);
         let targets = setup.mounted.len();
         let mut number = 0;
         for (station, tracker) in setup.trackers.iter().enumerate() {
@@ -397,14 +399,16 @@ impl MeasuringSession<'_> {
 }
 
 /// The machine at rest, on one of its visits of a pose.
-struct Visit<'a> {
-    command: &'a [f64],
-    controller: &'a Controller<'a>,
-    pose: u32,
-    place: u64,
-    time: f64,
-    settled: SettledPose,
-    effects: PoseEffects,
+pub(super) struct Visit<'a> {
+    pub command: &'a [f64],
+    pub controller: &'a Controller<'a>,
+    pub pose: u32,
+    pub place: u64,
+    pub time: f64,
+    pub settled: SettledPose,
+    pub effects: PoseEffects,
+    /// Which stations read it.
+    pub share: StationShare,
 }
 
 impl Visit<'_> {

@@ -9,6 +9,7 @@ mod nests;
 mod plan;
 mod schedule;
 mod sight;
+mod sweeps;
 #[cfg(test)]
 mod tests;
 
@@ -17,9 +18,10 @@ pub use cycles::{CycleError, CycleMeasurements};
 pub use events::{MeasuredPose, SessionEvent, SessionListener, counting};
 pub use measure::MeasuringSession;
 pub use plan::{
-    Approach, FurtherStation, FurtherTarget, MOST_ORDERED_POSES, MOST_REPEATS, MOST_SECONDS, NestRounds,
-    PlanError, PoseOrder, SessionPlan, Sight, StationShare, Timing,
+    Approach, FurtherStation, FurtherTarget, LEAST_PLACES, MOST_ORDERED_POSES, MOST_PLACES, MOST_REPEATS,
+    MOST_SECONDS, NestRounds, PlanError, PoseOrder, SessionPlan, Sight, StationShare, Timing,
 };
+pub use sweeps::PlannedSweep;
 
 use nalgebra::{Rotation3, Vector3};
 use thiserror::Error;
@@ -119,6 +121,14 @@ pub enum SessionError<E> {
         set: SetKind,
         /// Its number in the set.
         pose: u32,
+        /// Why.
+        source: E,
+    },
+    /// The machine cannot take a place of a sweep.
+    #[error("place {} of the sweeps: {source}", place.saturating_add(1))]
+    Sweep {
+        /// Its number among those of all sweeps.
+        place: u32,
         /// Why.
         source: E,
     },

@@ -3,6 +3,7 @@
 use nalgebra::{UnitVector3, Vector3};
 use thiserror::Error;
 
+use super::sweeps::PlannedSweep;
 use crate::tracker::STATED_AVERAGING;
 use calibrig_model::geometry::Transform;
 use calibrig_model::visibility::Obstacles;
@@ -30,6 +31,8 @@ pub struct SessionPlan {
     pub timing: Timing,
     /// When nests are measured.
     pub rounds: NestRounds,
+    /// Joints that are moved alone, one after the other, behind the first round of nests.
+    pub sweeps: Vec<PlannedSweep>,
     /// What can hide a target; `None`: every line of sight is free and every target turned to the tracker.
     pub sight: Option<Sight>,
 }
@@ -162,6 +165,7 @@ impl Default for SessionPlan {
             order: PoseOrder::default(),
             timing: Timing::default(),
             rounds: NestRounds::default(),
+            sweeps: Vec::new(),
             sight: None,
         }
     }
@@ -171,6 +175,11 @@ impl Default for SessionPlan {
 pub const MOST_ORDERED_POSES: u32 = 5000;
 /// Visits of a pose up to which places in the random streams do not meet those of others.
 pub const MOST_REPEATS: u32 = 1000;
+
+/// Places of a sweep from which its line or circle can be told ...
+pub const LEAST_PLACES: u32 = 5;
+/// ... and beyond which it takes longer than it is worth.
+pub const MOST_PLACES: u32 = 1000;
 
 /// A plan that cannot be carried out.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
@@ -197,6 +206,15 @@ pub enum PlanError {
     Order {
         /// Their number.
         poses: u32,
+    },
+    /// A sweep that does not move its joint, or in too few or too many places.
+    #[error(
+        "a sweep of joint {} from {} to {} (m or rad) in {} places: expected two finite values that differ, and {} to {MOST_PLACES} places",
+        sweep.joint.saturating_add(1), sweep.range[0], sweep.range[1], sweep.places, LEAST_PLACES
+    )]
+    Sweep {
+        /// As planned.
+        sweep: PlannedSweep,
     },
     /// An approach that is no distance.
     #[error("an approach from {distance} (m or rad) beside: expected a finite number above zero")]
@@ -236,12 +254,26 @@ impl SessionPlan {
         if self.order == PoseOrder::ShortTravel && most_poses > MOST_ORDERED_POSES {
             return Err(PlanError::Order { poses: most_poses });
         }
+        let is_sound = |sweep: &&PlannedSweep| {
+            let moves = sweep.range.iter().all(|end| end.is_finite()) && sweep.range[0] != sweep.range[1];
+            moves && (LEAST_PLACES..=MOST_PLACES).contains(&sweep.places)
+        };
+        if let Some(sweep) = self.sweeps.iter().find(|sweep| !is_sound(sweep)) {
+            return Err(PlanError::Sweep { sweep: *sweep });
+        }
         if let Approach::OneSide(distances) | Approach::BothSides(distances) = self.approach
             && let Some(&distance) = distances.iter().find(|d| !(d.is_finite() && **d > 0.0))
         {
             return Err(PlanError::Approach { distance });
         }
         Ok(())
+    }
+
+    /// Time that a place of a sweep takes, s.
+    pub(super) fn seconds_per_place(&self) -> f64 {
+        let Timing { motion, settling, averaging, .. } = self.timing;
+        let readings = (1 + self.stations.len()) * (1 + self.targets.len());
+        motion + settling + averaging * readings as f64
     }
 
     /// Readings of a visit: of every target, by one station or by all.

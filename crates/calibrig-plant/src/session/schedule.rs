@@ -28,6 +28,8 @@ pub(super) struct Round {
 pub(super) struct Schedule {
     pub sets: Vec<PlannedSet>,
     pub rounds: Vec<Round>,
+    /// Joint variables of the places of all sweeps, and when each is taken, s.
+    pub sweeps: Vec<(Vec<f64>, f64)>,
     /// From the beginning to the end, s.
     pub duration: f64,
 }
@@ -46,6 +48,11 @@ pub(super) fn schedule(
     let mut at = region.centre.clone();
     let mut rounds = vec![Round { time, joints: at.clone() }];
     time += of_round;
+    let mut sweeps = Vec::new();
+    for joints in plan.sweeps.iter().flat_map(|sweep| sweep.poses(&region.centre)) {
+        sweeps.push((joints, time));
+        time += plan.seconds_per_place();
+    }
     let (mut sets, mut done) = (Vec::new(), 0_u32);
     for (kind, count) in counts.into_iter().filter(|(_, count)| *count > 0) {
         let (drawing, noise) = match kind {
@@ -75,5 +82,5 @@ pub(super) fn schedule(
         rounds.push(Round { time, joints: at });
         time += of_round;
     }
-    Schedule { sets, rounds, duration: time }
+    Schedule { sets, rounds, sweeps, duration: time }
 }

@@ -212,7 +212,8 @@ pub fn remove_drift(set: &MeasurementSet) -> Result<Steady, DriftError> {
 /// Moves the readings of a station, and says by how much.
 fn correct(set: &mut MeasurementSet, station: usize, correction: &Correction<'_>, size: &mut DriftSize) {
     let (mut moved, mut left, mut count) = (0.0, 0.0, 0.0_f64);
-    for observation in set.observations.iter_mut().filter(|o| o.station == station) {
+    let sweeps = set.stations[station].sweeps.iter_mut();
+    for observation in set.observations.iter_mut().filter(|o| o.station == station).chain(sweeps) {
         if let Some((by, variance)) = correction.apply(&mut observation.reading, observation.time) {
             moved += by.norm_squared();
             left += variance;
