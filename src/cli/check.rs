@@ -148,7 +148,7 @@ fn write_text(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     let frame = match options.frame {
         FrameChoice::AsStated => "the base nests where three or more were measured, else free",
         FrameChoice::Nests => "the base nests, with their uncertainty as a prior",
-        FrameChoice::Sweeps => "sweeps of two axes, with their uncertainty as a prior",
+        FrameChoice::Sweeps => "sweeps of two axes, with their uncertainty",
         FrameChoice::Free => "free",
         FrameChoice::Fixed => "the base nests, taken as exact",
     };

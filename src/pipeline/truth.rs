@@ -2,7 +2,7 @@
 
 use nalgebra::{Rotation3, UnitQuaternion, Vector3, Vector6};
 
-use calibrig_estimation::identification::{Assumption, Estimate};
+use calibrig_estimation::identification::Estimate;
 use calibrig_model::geometry::{Transform, rotation_vector, small_displacement};
 use calibrig_model::measurement::{InstrumentTerm, Target};
 use calibrig_model::{
@@ -36,16 +36,12 @@ impl KnownTruth<'_> {
     /// - link, four-bar: as-built minus nominal; to an actuator's own theta or d comes what its encoder is off by and, where the estimate has
     ///   the term of its ratio, that error in the middle of the travel; compliance, mass: as-built over nominal, minus one;
     /// - term: what the machine's effect of that shape amounts to; zero where it has none;
-    /// - frame and links up to the second swept joint, where sweeps place the station: not known, since their base is another;
     /// - frame: the estimate holds `station = prior · exp(value)` for the station's six components (absent ones are zero), so the prior
     ///   is recovered exactly and the truth is the `xi` of `prior · exp(xi) = tracker_from_base`;
     /// - target: as-built minus stated offset; of the first, what turns the stated orientation to the real one;
     /// - instrument: its error to first order. No motion of a tracker is steady, so that a drift has none.
     pub fn of(&self, estimate: &Estimate, id: ParameterId) -> Option<f64> {
         let value = match id {
-            // The base is then that of the axes as they are, of which the truth's base knows nothing.
-            ParameterId::Link { link, .. } if swept(estimate).any(|joints| joints.contains(&link)) => None,
-            ParameterId::Frame { .. } if swept(estimate).next().is_some() => None,
             ParameterId::Link { link, term } => Some(self.link(id)? + self.zero_error(estimate, link, term)),
             ParameterId::Frame { station, component } => {
                 self.frame(estimate, station)?.get(component).copied()
@@ -210,14 +206,6 @@ impl KnownTruth<'_> {
         let (along, about) = (displacement.translation.vector, rotation_vector(&displacement.rotation));
         Some(Vector6::new(along.x, along.y, along.z, about.x, about.y, about.z))
     }
-}
-
-/// Joints up to the farther of those that sweeps placed a station by, of every such station.
-fn swept(estimate: &Estimate) -> impl Iterator<Item = std::ops::RangeInclusive<usize>> {
-    estimate.assumptions.iter().filter_map(|assumption| match assumption {
-        Assumption::StationBySweeps { joints, .. } => Some(0..=joints[0].max(joints[1])),
-        _ => None,
-    })
 }
 
 /// The coefficient of the term in `effect`, a function of its actuator's command, by least squares over weighted `points`.

@@ -36,25 +36,32 @@ fn rail_and_waist_place_the_tracker_in_run_replay_and_files() {
     let number = |of: &serde_json::Value, key: &str| of[key].as_f64().expect(key);
     // Lines and circles within the tracker's scatter of some 10 um.
     assert!(sweeps["axes"].as_array().expect("two").iter().all(|axis| number(axis, "rms_m") < 15e-6));
-    // What is off right angles is an angle of the machine, drawn with 3 mrad, and known from its truth.
     let parameters = run["parameters"].as_array().expect("parameters");
-    let of = |name: &str| parameters.iter().find(|p| p["name"] == name).unwrap_or_else(|| panic!("no {name}"));
-    assert!(of("delta_alpha2")["truth"].is_null() && of("frame_x")["truth"].is_null());
-    assert!(of("delta_a4")["truth"].is_f64());
+    assert!(parameters.iter().any(|p| p["name"] == "frame_x" && p["truth"].is_f64()));
     for parameter in parameters.iter().filter(|p| p["truth"].is_f64()) {
         let off = number(parameter, "estimate") - number(parameter, "truth");
         assert!(off.abs() < 4.5 * number(parameter, "sigma"), "{parameter}");
     }
     assert!(sandbox.read("out/report.html").contains("Sweeps of single axes"));
 
-    let replayed = ended_well(sandbox.run(["replay", "out/recording.mcap", "--json"])).json();
-    assert_eq!(replayed["replay"]["differences"], serde_json::json!([]), "{}", replayed["replay"]);
-    assert_eq!(replayed["sweeps"], run["sweeps"]);
+    let replayed = ended_well(sandbox.run(["replay", "out/recording.mcap"]));
+    assert!(replayed.stdout.contains("identical bit for bit"), "{replayed:?}");
+    assert!(replayed.stdout.contains("sweeps of rail"), "{replayed:?}");
 
     ended_well(sandbox.run(["export", "csv", "out/recording.mcap", "--out", "text"]));
     let files = [
-        "identify", "--model", "text/robot.toml", "--measurements", "text/identification.csv", "--session",
-        "text/session.toml", "--sweeps", "text/sweeps.csv", "--mode", "only_calibration", "--json",
+        "identify",
+        "--model",
+        "text/robot.toml",
+        "--measurements",
+        "text/identification.csv",
+        "--session",
+        "text/session.toml",
+        "--sweeps",
+        "text/sweeps.csv",
+        "--mode",
+        "only_calibration",
+        "--json",
     ];
     let identified = sandbox.run(files);
     assert!(matches!(identified.code, Some(0 | 3)), "{identified:?}");
@@ -69,12 +76,22 @@ fn sweeps_that_cannot_be_are_refused_with_their_key() {
     let sandbox = without_nests();
     let text = sandbox.read(SWEPT);
     for (from, to, message, expected) in [
-        ("joint = \"waist\"", "joint = \"hip\"", "session.sweep.joint is \"hip\"", "rail, waist"),
+        (
+            "joint = \"waist\"\nfrom_deg",
+            "joint = \"hip\"\nfrom_deg",
+            "session.sweep.joint is \"hip\"",
+            "rail, waist",
+        ),
         ("from_deg = -50", "from_mm = -50", "joint \"waist\" turns", "from_deg and to_deg"),
         ("from_deg = -50", "from_deg = -80", "session.sweep.from_deg is -80.000", "-60.000 to 60.000"),
         ("places = 21", "places = 4", "session.sweep.places is 4", "5 to 1000"),
         ("to_deg = 55", "to_deg = -50", "does not move", "differ"),
-        ("joint = \"waist\"\nfrom_deg = -50\nto_deg = 55", "joint = \"rail\"", "1 joints are swept", "rail and waist"),
+        (
+            "joint = \"waist\"\nfrom_deg = -50\nto_deg = 55",
+            "joint = \"rail\"",
+            "1 joints are swept",
+            "rail and waist",
+        ),
     ] {
         assert!(text.contains(from), "{from}");
         sandbox.write(SWEPT, text.replace(from, to));
@@ -84,12 +101,19 @@ fn sweeps_that_cannot_be_are_refused_with_their_key() {
     assert_refused(&sandbox, &["check", SWEPT], SWEPT, "0 base nests", "sweeps");
 }
 
-/// Intervals hold as often as stated: 150 machines drawn from the priors, each in the frame of its own axes.
+/// Intervals hold as often as stated, with no nest: 150 machines drawn from the priors.
 #[test]
-fn intervals_hold_in_the_frame_of_the_sweeps() {
+fn intervals_hold_where_sweeps_place_the_tracker() {
     let sandbox = without_nests();
     let campaign = ["montecarlo", SWEPT, "--trials", "150", "--plant", "analytic", "--json"];
     let json = ended_well(sandbox.run(campaign)).json();
-    let found = &json["modes"][0];
-    println!("{}", serde_json::to_string_pretty(found).unwrap_or_default());
+    let found =
+        json["modes"].as_array().and_then(|modes| modes.iter().find(|mode| mode["parameters"].is_array()));
+    let parameters = found.and_then(|mode| mode["parameters"].as_array()).unwrap_or_else(|| panic!("{json}"));
+    assert!(parameters.len() > 30, "{}", parameters.len());
+    for parameter in parameters {
+        let interval = parameter["coverage"]["interval_99_9"].as_array().expect("an interval");
+        let [least, most] = [0, 1].map(|end| interval[end].as_f64().expect("a number"));
+        assert!((least..=most).contains(&0.95), "{}: {}", parameter["name"], parameter["coverage"]);
+    }
 }

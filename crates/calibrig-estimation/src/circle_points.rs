@@ -1,7 +1,7 @@
 //! Where sweeps of single axes put the tracker: circle point analysis.
 //!
 //! While one joint moves alone, a target runs along a line or round a circle whose direction and centre are those of the joint's axis. Two axes of the robot, seen so,
-//! place the tracker without any nest: the base is then where these two axes of the nominal robot are. How far the angle between them and their distance are off the nominal
+//! place the tracker without any nest, as well as it is known where they are in the base. How far the angle between them and their distance are off the nominal
 //! ones has no part in it. What they leave open is taken from the nominal target, and stated to be as uncertain as that: the height along the waist of a robot on a rail.
 //!
 //! The points of a sweep are fitted with the joint's variable q, which makes the fit linear: `c + a cos q + b sin q` of a turning joint, whose axis is `a x b` through c, and
@@ -14,8 +14,8 @@ use thiserror::Error;
 
 use crate::kinematics::{nominal_joints, target};
 use calibrig_model::geometry::{Transform, rotation_vector};
-use calibrig_model::measurement::{MeasurementSet, Observation, StatedInstrument, Station, Target};
-use calibrig_model::{CalibrationModel, JointKind};
+use calibrig_model::measurement::{MeasurementSet, Observation, Station, Target};
+use calibrig_model::{CalibrationModel, JointKind, KinematicModel};
 
 /// What a station saw of two axes.
 #[derive(Debug, Clone, PartialEq)]
@@ -108,14 +108,38 @@ const GROSS: f64 = 6.0;
 /// Where sweeps of two axes put a station.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SweptPlace {
-    /// `tracker_from_base`.
+    /// `tracker_from_base`, if the axes are where the nominal robot has them.
     pub tracker_from_base: Transform,
     /// Covariance of the displacement `xi` in `tracker_from_base · exp(xi)`, from the scatter of the sweeps: m², m rad, rad².
     pub covariance: Matrix6<f64>,
-    /// What a unit of every error that the instrument is stated to have, in their order, displaces the place by, as xi: 6 x their number.
-    pub instrument: DMatrix<f64>,
-    /// Mean time of the readings, s.
-    pub time: f64,
+    /// Index of the last joint that the place of the two axes in the base depends on.
+    pub last_joint: usize,
+    /// Readings of all sweeps but gross errors, as indices into [`Station::sweeps`], and the covariance of each: the stated one, or the scatter of its sweep where that is larger, m².
+    pub readings: Vec<(usize, Matrix3<f64>)>,
+}
+
+/// An axis of the robot in its sweep.
+#[derive(Debug, Clone, PartialEq)]
+struct AxisOfRobot {
+    joint: usize,
+    /// Joint variables of the sweep, with the mean of its own.
+    joints: Vec<f64>,
+    /// Of the target, m.
+    in_flange: Vector3<f64>,
+}
+
+impl AxisOfRobot {
+    fn of(&self, kinematics: &KinematicModel) -> Option<Axis> {
+        let up_to = kinematics.links.iter().zip(&self.joints).take(self.joint + 1);
+        let frame = up_to.fold(kinematics.base_from_first, |frame, (link, q)| frame * link.transform(*q));
+        let direction = UnitVector3::new_normalize(frame.rotation * Vector3::z());
+        let seen = target(kinematics, &self.joints, &self.in_flange);
+        let turns = kinematics.links.get(self.joint)?.kind == JointKind::Revolute;
+        let beside = seen - frame.translation.vector;
+        let along = direction.scale(beside.dot(&direction));
+        let centre = if turns { frame.translation.vector + along } else { seen };
+        Some(Axis { turns, direction, centre, radius: (beside - along).norm() })
+    }
 }
 
 /// Places a station of a set by its [sweeps](Station::sweeps): by the first two axes of the robot that do.
@@ -148,7 +172,10 @@ pub fn place_by_sweeps(
     }
     let view = View { model, targets: &set.targets, seen: &seen, station };
     let placed = pairs(runs.len()).find_map(|(a, b)| view.analyse(&runs[a], &runs[b]).transpose());
-    placed.ok_or_else(|| SweepError::Parallel { station: station.name.clone(), axes: names() })?
+    let (mut place, swept) =
+        placed.ok_or_else(|| SweepError::Parallel { station: station.name.clone(), axes: names() })??;
+    place.readings = runs.iter().flat_map(|run| view.weighed(run)).collect();
+    Ok((place, swept))
 }
 
 /// All pairs of `n`, the first ones first.
@@ -230,6 +257,8 @@ struct Fitted {
     whitened: Vec<f64>,
     rms: f64,
     chi2_per_dof: Option<f64>,
+    /// What the stated covariance, or one of 1 m² a coordinate, is to be multiplied with.
+    scale: f64,
 }
 
 impl Fitted {
@@ -265,7 +294,7 @@ impl Fitted {
         let whitened = left.as_slice().chunks(3).map(|own| own.iter().map(|v| v * v).sum::<f64>().sqrt());
         let whitened = whitened.collect();
         let chi2_per_dof = stated.then_some(scatter);
-        Some(Self { kind, covariance: normal.inverse() * scale, values, whitened, rms, chi2_per_dof })
+        Some(Self { kind, covariance: normal.inverse() * scale, values, whitened, rms, chi2_per_dof, scale })
     }
 
     /// The point that is much farther off than the others.
@@ -374,10 +403,11 @@ struct View<'a> {
 impl View<'_> {
     /// `None` where the two axes do not place the station.
     fn analyse(&self, first: &Run, second: &Run) -> Result<Option<(SweptPlace, SweptStation)>, SweepError> {
-        let runs = [first, second];
         let fitted = [self.fitted(first)?, self.fitted(second)?];
-        let nominal = fitted.each_ref().map(|sweep| sweep.nominal.axis());
-        let [Some(n1), Some(n2)] = nominal else { return Ok(None) };
+        let of_robot = fitted.each_ref().map(|sweep| self.of_robot(sweep));
+        let [Some(n1), Some(n2)] = of_robot.each_ref().map(|axis| axis.of(&self.model.kinematics)) else {
+            return Ok(None);
+        };
         let parallel = n1.direction.cross(&n2.direction).norm() < PARALLEL;
         let Some(from_base) = frame_of(&n1, &n2, parallel).map(|frame| frame.inverse()) else {
             return Ok(None);
@@ -414,9 +444,6 @@ impl View<'_> {
             let along = Vector6::new(along.x, along.y, along.z, 0.0, 0.0, 0.0);
             of_place += along * along.transpose() * NOMINAL * NOMINAL;
         }
-        let instrument = self.by_instrument(&fitted, off);
-        let both = || runs.iter().flat_map(|run| &run.readings);
-        let time = both().map(|row| self.station.sweeps[*row].time).sum::<f64>() / both().count() as f64;
         let sigma = |at: usize| covariance[(at, at)].max(0.0).sqrt();
         let swept = SweptStation {
             station: self.station.name.clone(),
@@ -427,7 +454,9 @@ impl View<'_> {
             }),
             open: open.len(),
         };
-        Ok(Some((SweptPlace { tracker_from_base, covariance: of_place, instrument, time }, swept)))
+        let last_joint = first.joint.max(second.joint);
+        let place = SweptPlace { tracker_from_base, covariance: of_place, last_joint, readings: Vec::new() };
+        Ok(Some((place, swept)))
     }
 
     fn told(&self, run: &Run, sweep: &Sweep, axis: &Axis) -> SweptAxis {
@@ -465,52 +494,40 @@ impl View<'_> {
                 _ => break fitted,
             }
         };
-        let nominal: Vec<_> = rows.iter().map(|row| self.nominal(run, *row)).collect();
-        let nominal = Fitted::new(link.kind, &nominal).ok_or_else(|| fails("it is too short"))?;
         let axis = seen.axis().ok_or_else(|| fails("the target hardly moves"))?;
         if axis.turns && axis.radius < 100.0 * seen.rms {
             return Err(fails("the target hardly moves"));
         }
-        Ok(Sweep { rows, gross, seen, nominal, run: run.clone() })
+        Ok(Sweep { rows, gross, seen, run: run.clone() })
     }
 
-    /// Where the nominal robot has the target, in the base.
-    fn nominal(&self, run: &Run, row: usize) -> Point {
-        let (observation, joints) = (&self.station.sweeps[row], &self.seen[row]);
-        let in_flange = self.targets[observation.target].in_flange;
-        (joints[run.joint], target(&self.model.kinematics, joints, &in_flange), None)
-    }
-
-    /// What a unit of every stated error of the instrument displaces the place by.
-    fn by_instrument(
-        &self,
-        fitted: &[Sweep; 2],
-        off: impl Fn(&DVector<f64>) -> Option<DVector<f64>>,
-    ) -> DMatrix<f64> {
-        let stated: Vec<_> = self.station.instrument.iter().flat_map(StatedInstrument::errors).collect();
-        let mut columns = DMatrix::zeros(6, stated.len());
-        for (column, (term, _)) in stated.iter().enumerate() {
-            let displaced = |step: f64| {
-                let values = fitted.each_ref().map(|sweep| {
-                    let points = sweep.rows.iter().map(|row| {
-                        let (q, place, noise) = self.point(&sweep.run, *row);
-                        let reading = &self.station.sweeps[*row].reading;
-                        (q, place + reading.displaced_by(*term) * step, noise)
-                    });
-                    Some(Fitted::new(sweep.seen.kind, &points.collect::<Vec<_>>())?.values)
-                });
-                let [Some(a), Some(b)] = values else { return None };
-                off(&joined(&[&a, &b]))
-            };
-            if let (Some(ahead), Some(behind)) = (displaced(STEP), displaced(-STEP)) {
-                columns.column_mut(column).copy_from(&((ahead - behind).rows(0, 6) / (2.0 * STEP)));
-            }
+    /// The swept axis of the robot, with its joint in the mean of its readings.
+    fn of_robot(&self, sweep: &Sweep) -> AxisOfRobot {
+        let joint = sweep.run.joint;
+        let of_first = sweep.rows.first().map_or(&[][..], |row| &self.seen[*row]);
+        let mut joints = of_first.to_vec();
+        let mean = sweep.rows.iter().map(|row| self.seen[*row][joint]).sum::<f64>() / sweep.rows.len() as f64;
+        if let Some(own) = joints.get_mut(joint) {
+            *own = mean;
         }
-        columns
+        let target = sweep.rows.first().map(|row| self.station.sweeps[*row].target);
+        let in_flange =
+            target.and_then(|target| self.targets.get(target)).map_or_else(Vector3::zeros, |t| t.in_flange);
+        AxisOfRobot { joint, joints, in_flange }
+    }
+
+    /// The readings of a sweep with their covariances.
+    fn weighed(&self, run: &Run) -> Vec<(usize, Matrix3<f64>)> {
+        let Ok(sweep) = self.fitted(run) else { return Vec::new() };
+        let of = |row: &usize| {
+            let stated = self.point(run, *row).2.filter(|_| sweep.seen.chi2_per_dof.is_some());
+            (*row, stated.unwrap_or_else(Matrix3::identity) * sweep.seen.scale)
+        };
+        sweep.rows.iter().map(of).collect()
     }
 }
 
-/// Of derivatives, m or rad.
+/// Of central differences, m or rad.
 const STEP: f64 = 1e-6;
 
 /// A sweep with its fits.
@@ -521,9 +538,9 @@ struct Sweep {
     /// Of those that were left out.
     gross: Vec<usize>,
     seen: Fitted,
-    nominal: Fitted,
 }
 
+/// The xi of a displacement `exp(xi)`.
 fn xi(displacement: &Transform) -> Vector6<f64> {
     let (along, about) = (displacement.translation.vector, rotation_vector(&displacement.rotation));
     Vector6::new(along.x, along.y, along.z, about.x, about.y, about.z)

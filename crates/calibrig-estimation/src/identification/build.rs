@@ -3,20 +3,21 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 
 use super::factor::triangular_factor;
-use super::instrument::{Instruments, PlacedBy};
+use super::instrument::Instruments;
 use super::machine::Machine;
 use super::noise::{MachineNoise, MachineNoiseChoice, Noise, poses};
 use super::parameters::{Column, Columns, PriorKind, columns};
 use super::place::{Ends, best_fit_station, flanges, starting_offsets};
 use super::problem::{CalibrationProblem, Current, Prior, Row};
+use super::swept::swept_rows;
 use super::turns::{TurnRow, starting_turn, stated_orientations, turns};
 use super::{
     DependentGroup, FrameChoice, IdentificationOptions, IdentifyError, LeastSquares, LeftOut, LeftOutReason,
     Redundancy, Solution, TargetChoice, select_independent,
 };
-use crate::circle_points::place_by_sweeps;
+use crate::circle_points::{SweptPlace, place_by_sweeps};
 use calibrig_model::geometry::Transform;
-use calibrig_model::measurement::{MeasurementSet, Observation, Reading, register};
+use calibrig_model::measurement::{MeasurementSet, Observation, Reading, Registration, register};
 use calibrig_model::{CalibrationModel, ParameterId};
 
 /// A compliance whose prior's standard deviation moves the whitened measurements by less than this in all, beside what the geometry can
@@ -360,7 +361,7 @@ fn assemble(
         let columns = columns.iter().enumerate().filter(move |(_, column)| is_own(column));
         columns.filter_map(|(place, column)| Some((place, 1.0 / column.sigma?))).collect::<Vec<_>>()
     };
-    let (own_priors, tolerances) = (weights(false), weights(true));
+    let (mut own_priors, mut tolerances) = (weights(false), weights(true));
     let is_logarithmic =
         |(place, column): (usize, &Column)| (column.prior == PriorKind::Logarithm).then_some(place);
     let logarithmic = columns.iter().enumerate().filter_map(is_logarithmic).collect();
@@ -379,26 +380,38 @@ fn assemble(
     targets(set, options, ends, &mut parameters, &mut priors)?;
     orientations(set, options, ends, &mut parameters, &mut priors)?;
     let instruments = Instruments::new(set, options, &mut parameters, &mut priors);
-    for (index, frame, placed_by) in placed {
-        let station = &set.stations[index];
-        let with_errors = instruments.place((index, station), &placed_by, frame)?;
-        let covariance = || DMatrix::from_iterator(6, 6, placed_by.covariance().iter().copied());
-        priors.push(match with_errors {
-            Some(prior) => prior,
-            None => prior(&format!("station {}", station.name), frame, covariance())?,
-        });
-    }
-    sigmas.resize(parameters.len(), None);
-    let targets: Vec<Vector3<f64>> = set.targets.iter().map(|t| t.in_flange).collect();
-    let x = starting_values(model, set, options, &parameters, (&stations, &offsets));
-    let (turns, orientations) = (turns(set), stated_orientations(set));
     let mut machine = Machine::new(options.mode, model);
     machine.set_terms(columns.iter().filter_map(|column| match column.id {
         ParameterId::Term(term) => Some(term),
         _ => None,
     }));
+    let mut swept = Vec::new();
+    for (index, frame, placed_by) in placed {
+        let station = &set.stations[index];
+        let own = match placed_by {
+            PlacedBy::Sweeps(place) => {
+                // Where its axes are in the base is what places this station: their tolerance is a part of that.
+                let carries = |(column, _): &mut (usize, f64)| matches!(parameters[*column], ParameterId::Link { link, .. } if link <= place.last_joint);
+                own_priors.extend(tolerances.extract_if(.., carries));
+                let with = (&instruments, stations.as_slice());
+                swept.push((priors.len(), swept_rows(set, index, &place, &mut machine, with)?));
+                Prior { columns: Vec::new(), whitening: DMatrix::zeros(0, 0), offset: DVector::zeros(0) }
+            }
+            PlacedBy::Nests(covariance) => {
+                match instruments.nests((index, station), &stations[index], frame)? {
+                    Some(own) => own,
+                    None => prior(&format!("station {}", station.name), frame, covariance)?,
+                }
+            }
+        };
+        priors.push(own);
+    }
+    sigmas.resize(parameters.len(), None);
+    let targets: Vec<Vector3<f64>> = set.targets.iter().map(|t| t.in_flange).collect();
+    let x = starting_values(model, set, options, &parameters, (&stations, &offsets));
+    let (turns, orientations) = (turns(set), stated_orientations(set));
     let mut rows = rows(set, options.unmodelled_sigma, &mut machine)?;
-    instruments.add_to(&mut rows, set, &stations);
+    instruments.add_to(&mut rows, set.observations.iter(), set, &stations);
     let mut problem = CalibrationProblem {
         nominal: model.clone(),
         rows,
@@ -413,6 +426,7 @@ fn assemble(
         own_priors,
         logarithmic,
         tolerances,
+        swept,
         stations,
         targets,
         poses: poses(set),
@@ -443,6 +457,13 @@ fn assemble(
     Ok(Built { problem, sigmas, named, unexcited: Vec::new(), fixed, left_out, x, goes_on: false })
 }
 
+/// What puts a station where it is before the fit.
+enum PlacedBy {
+    /// Covariance of the displacement of the frame.
+    Nests(DMatrix<f64>),
+    Sweeps(Box<SweptPlace>),
+}
+
 /// Where the stations are before the fit.
 struct Stations {
     /// `tracker_from_base`, what the frame parameters displace.
@@ -467,14 +488,22 @@ fn stations(
             stations.push(best_fit_station(model, set, offsets, index)?);
             continue;
         }
-        let placed_by =
-            match choice {
-                FrameChoice::Sweeps => PlacedBy::Sweeps(Box::new(place_by_sweeps(model, set, index)?.0)),
-                _ => PlacedBy::Nests(Box::new(register(station).map_err(|source| {
-                    IdentifyError::Registration { station: station.name.clone(), source }
-                })?)),
-            };
-        stations.push(*placed_by.tracker_from_base());
+        let (place, placed_by) = match choice {
+            FrameChoice::Sweeps => {
+                let swept = place_by_sweeps(model, set, index)?.0;
+                (swept.tracker_from_base, PlacedBy::Sweeps(Box::new(swept)))
+            }
+            _ => {
+                let Registration { tracker_from_base, covariance, .. } =
+                    register(station).map_err(|source| IdentifyError::Registration {
+                        station: station.name.clone(),
+                        source,
+                    })?;
+                let covariance = DMatrix::from_iterator(6, 6, covariance.iter().copied());
+                (tracker_from_base, PlacedBy::Nests(covariance))
+            }
+        };
+        stations.push(place);
         if choice != FrameChoice::Fixed {
             placed.push((index, parameters.len(), placed_by));
             parameters.extend(ParameterId::all_of_frame(index));

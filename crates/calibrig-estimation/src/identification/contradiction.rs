@@ -75,6 +75,15 @@ pub enum Stated {
         /// And how far turned, rad.
         angle: f64,
     },
+    /// The place of a station by sweeps of two axes.
+    Sweeps {
+        /// Name of the station.
+        station: String,
+        /// How far from there the measurements of the robot put it, m.
+        length: f64,
+        /// And how far turned, rad.
+        angle: f64,
+    },
     /// The measured offset of a target.
     Target {
         /// Its name.
@@ -106,6 +115,7 @@ impl Stated {
         match self {
             Self::Parameter { id, .. } => id.to_string(),
             Self::Nests { station, .. } => format!("the nests of station {station}"),
+            Self::Sweeps { station, .. } => format!("the sweeps of station {station}"),
             Self::Target { target, .. } => format!("the offset of target {target}"),
             Self::Orientation { target, .. } => format!("the orientation of target {target}"),
             Self::Nest { nest, station, .. } => format!("nest \"{nest}\" of station {station}"),
@@ -130,7 +140,7 @@ impl fmt::Display for Contradiction {
                     [*found, *sigma, *prior_sigma].map(|v| shown(id.unit(), rounded(v)));
                 write!(f, " (they put it at {found} +- {sigma}, the prior at 0 +- {prior}")?;
             }
-            Stated::Nests { length, angle, .. } => {
+            Stated::Nests { length, angle, .. } | Stated::Sweeps { length, angle, .. } => {
                 let (least, angle) = (self.at_least(6), shown(Unit::Radian, rounded(*angle)));
                 write!(f, " (they put the base {least}{} and {angle} from there", metres(*length))?;
             }
@@ -455,6 +465,18 @@ impl<'a> Checks<'a> {
                         target: self.set.targets[target].name.clone(),
                         angle: length(0..3),
                     },
+                    ParameterId::Frame { station, .. }
+                        if self.problem.swept.iter().any(|(swept, _)| *swept == index) =>
+                    {
+                        // The first six columns are the frame's; the others are tied to them.
+                        let of_frame = prior.whitening.columns(0, 6).into_owned().try_inverse();
+                        let moved = of_frame.map_or_else(|| left_out.clone(), |inverse| inverse * left_out);
+                        Stated::Sweeps {
+                            station: self.set.stations[station].name.clone(),
+                            length: moved.rows(0, 3).norm(),
+                            angle: moved.rows(3, 3).norm(),
+                        }
+                    }
                     ParameterId::Frame { station, .. } => Stated::Nests {
                         station: self.set.stations[station].name.clone(),
                         length: length(0..3),

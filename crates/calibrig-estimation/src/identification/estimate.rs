@@ -143,7 +143,7 @@ pub enum Assumption {
     },
     /// Sweeps of two axes place the tracker.
     #[error(
-        "station {station}: placed by sweeps of {} and {}, whose uncertainty is a prior; the base is where these axes of the nominal robot are",
+        "station {station}: placed by sweeps of {} and {}, which tie it to the links up to these axes; their uncertainty is in the fit",
         axes[0], axes[1]
     )]
     StationBySweeps {
@@ -151,8 +151,6 @@ pub enum Assumption {
         station: String,
         /// Names of the axes.
         axes: [String; 2],
-        /// Indices of their joints.
-        joints: [usize; 2],
     },
     /// Its nests place the tracker.
     #[error("station {station}: placed by {nests} base nests, whose uncertainty is a prior")]

@@ -3,18 +3,17 @@
 //! What is stated of an instrument is a zero-mean prior on each of its errors. Readings of the robot and of the nests have a column for each, so that
 //! nests no longer place a station better than the instrument that saw them: they, the robot and the data sheet are solved together.
 
-use nalgebra::{Cholesky, DMatrix, DVector, Matrix6, Vector3};
+use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::factor::triangular_factor_of_all;
 use super::options::InstrumentChoice;
 use super::problem::{Prior, Row};
 use super::robot::{InstrumentErrors, drift_displacement};
 use super::{IdentificationOptions, IdentifyError, Mode};
-use crate::circle_points::SweptPlace;
 use calibrig_model::ParameterId;
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{
-    DRIFT_UNIT, MeasurementSet, Registration, StatedInstrument, Station, nest_system,
+    DRIFT_UNIT, MeasurementSet, Observation, StatedInstrument, Station, nest_system,
 };
 
 /// The errors of all instruments that the stations name, and the drift of the stations, each with the standard deviation of its prior.
@@ -38,29 +37,6 @@ fn stated(stations: &[Station]) -> Vec<(ParameterId, f64)> {
 /// The parameters of all instruments that the stations name.
 pub(super) fn parameters_of(stations: &[Station]) -> Vec<ParameterId> {
     stated(stations).into_iter().map(|(id, _)| id).collect()
-}
-
-/// What puts a station where it is before the fit.
-pub(super) enum PlacedBy {
-    Nests(Box<Registration>),
-    Sweeps(Box<SweptPlace>),
-}
-
-impl PlacedBy {
-    pub fn tracker_from_base(&self) -> &Transform {
-        match self {
-            Self::Nests(registration) => &registration.tracker_from_base,
-            Self::Sweeps(swept) => &swept.tracker_from_base,
-        }
-    }
-
-    /// Of the displacement of the frame's parameters.
-    pub fn covariance(&self) -> &Matrix6<f64> {
-        match self {
-            Self::Nests(registration) => &registration.covariance,
-            Self::Sweeps(swept) => &swept.covariance,
-        }
-    }
 }
 
 /// The errors that are parameters, with their columns.
@@ -100,7 +76,7 @@ impl Instruments {
     }
 
     /// The errors of a station's instrument, and its drift.
-    fn of(&self, station: usize) -> Vec<(ParameterId, usize)> {
+    pub fn of(&self, station: usize) -> Vec<(ParameterId, usize)> {
         let instrument = self.own.get(station).copied().flatten();
         let is_own = |(id, _): &&(ParameterId, usize)| match *id {
             ParameterId::Instrument { instrument: own, .. } => Some(own) == instrument,
@@ -111,10 +87,16 @@ impl Instruments {
     }
 
     /// Gives the rows of observations their columns.
-    pub fn add_to(&self, rows: &mut [Row], set: &MeasurementSet, places: &[Transform]) {
+    pub fn add_to<'a>(
+        &self,
+        rows: &mut [Row],
+        observations: impl Iterator<Item = &'a Observation>,
+        set: &MeasurementSet,
+        places: &[Transform],
+    ) {
         let own: Vec<_> = (0..set.stations.len()).map(|station| self.of(station)).collect();
         let placed_at: Vec<f64> = set.stations.iter().map(Station::placed_at).collect();
-        for (row, observation) in rows.iter_mut().zip(&set.observations) {
+        for (row, observation) in rows.iter_mut().zip(observations) {
             let station = observation.station;
             let hours = (observation.time - placed_at[station]) / DRIFT_UNIT;
             let seen = observation.reading.position();
@@ -133,60 +115,11 @@ impl Instruments {
         }
     }
 
-    /// What nests or sweeps say of a station's place, whose columns begin at `frame`, and of its instrument's errors; `None` of a station without these.
-    pub fn place(
-        &self,
-        station: (usize, &Station),
-        placed_by: &PlacedBy,
-        frame: usize,
-    ) -> Result<Option<Prior>, IdentifyError> {
-        match placed_by {
-            PlacedBy::Nests(registration) => self.nests(station, &registration.tracker_from_base, frame),
-            PlacedBy::Sweeps(swept) => self.sweeps(station, swept, frame),
-        }
-    }
-
-    /// What sweeps say. The errors of the instrument, and its drift until then, have displaced the place that they gave.
-    fn sweeps(
-        &self,
-        (index, station): (usize, &Station),
-        swept: &SweptPlace,
-        frame: usize,
-    ) -> Result<Option<Prior>, IdentifyError> {
-        let own = self.of(index);
-        if own.is_empty() {
-            return Ok(None);
-        }
-        let failed = || IdentifyError::Covariance { what: format!("the sweeps of station {}", station.name) };
-        let inverse = Cholesky::new(swept.covariance)
-            .and_then(|factor| factor.l().solve_lower_triangular(&Matrix6::identity()));
-        let inverse = inverse.ok_or_else(failed)?;
-        let told: Vec<_> = station.instrument.iter().flat_map(StatedInstrument::errors).collect();
-        let mut whitening = DMatrix::zeros(6, 6 + own.len());
-        whitening.columns_mut(0, 6).copy_from(&inverse);
-        let hours = (swept.time - station.placed_at()) / DRIFT_UNIT;
-        for (column, (id, _)) in (6..).zip(&own) {
-            let displaced = match *id {
-                ParameterId::Drift { component, .. } => inverse.column(component) * hours,
-                ParameterId::Instrument { term, .. } => {
-                    match told.iter().position(|(other, _)| *other == term) {
-                        Some(place) => inverse * swept.instrument.fixed_view::<6, 1>(0, place),
-                        None => continue,
-                    }
-                }
-                _ => continue,
-            };
-            whitening.column_mut(column).copy_from(&displaced);
-        }
-        let columns = (frame..frame + 6).chain(own.iter().map(|(_, column)| *column)).collect();
-        Ok(Some(Prior { columns, whitening, offset: DVector::zeros(6) }))
-    }
-
     /// What the nests of a station say of its place, whose columns begin at `frame`, and of its instrument's errors; `None` of a station without.
     ///
     /// `place` is where the nests put the station if the instrument has none. From there on the system is linear to rounding: what an instrument's errors
     /// move it is some hundredths of a millimetre.
-    fn nests(
+    pub fn nests(
         &self,
         (index, station): (usize, &Station),
         place: &Transform,

@@ -27,6 +27,7 @@ mod prospect;
 mod robot;
 mod solver;
 mod summary;
+mod swept;
 #[cfg(test)]
 mod tests;
 mod turns;

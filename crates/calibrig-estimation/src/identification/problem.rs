@@ -6,6 +6,7 @@ use super::LeastSquares;
 use super::linearisation::Whitening;
 use super::machine::{Machine, MachineError, Prepared};
 use super::noise::{ActuatorMotions, MachineNoise, Noise};
+use super::swept::condensed;
 use super::turns::{TurnRow, TurnWhitening};
 use crate::elastostatics::put;
 use calibrig_model::geometry::{Transform, cross_matrix, small_displacement};
@@ -60,6 +61,8 @@ pub(super) struct CalibrationProblem {
     pub turn_of: Vec<Option<usize>>,
     /// Behind the observations: nests and targets.
     pub priors: Vec<Prior>,
+    /// Of the priors those that sweeps make, by their index, and the readings of these.
+    pub swept: Vec<(usize, Vec<Row>)>,
     /// The next rows: (column, one over the standard deviation) of parameters with a prior of their own that is not the links' tolerance.
     pub own_priors: Vec<(usize, f64)>,
     /// Columns whose own prior is on the logarithm of one and the parameter.
@@ -194,6 +197,27 @@ impl CalibrationProblem {
             *station = origin * small_displacement(&displacement.xi);
             *displacement = Displacement::new(displacement.xi);
         }
+        self.linearise_sweeps(x);
+    }
+
+    /// Gives the priors that sweeps make what these say at `x`.
+    fn linearise_sweeps(&mut self, x: &[f64]) {
+        for (prior, rows) in &self.swept {
+            let mut residuals = DVector::zeros(3 * rows.len());
+            let mut jacobian = DMatrix::zeros(3 * rows.len(), x.len());
+            for (index, row) in rows.iter().enumerate() {
+                let at = Evaluation {
+                    now: &mut self.current,
+                    parameters: &self.parameters,
+                    stations: &self.stations,
+                };
+                at.fill(row, index, &mut residuals, Some(&mut jacobian));
+            }
+            // A robot that cannot take a place of its sweeps says nothing new.
+            if residuals.iter().all(|v| v.is_finite()) {
+                self.priors[*prior] = condensed(&residuals, &jacobian, x);
+            }
+        }
     }
 
     /// Keeps what an evaluation at `x` gave, for the next one there: the first rows of both are those of the observations, and the columns
@@ -279,46 +303,9 @@ impl CalibrationProblem {
         residuals: &mut DVector<f64>,
         jacobian: Option<&mut DMatrix<f64>>,
     ) {
-        let row = &self.rows[index];
-        let now = &mut self.current;
-        let target = &now.targets[row.target];
-        let ready = now.machine.place(&row.told).and_then(|()| match jacobian {
-            Some(_) => now.machine.differentiate(target, &row.told),
-            None => Ok(()),
-        });
-        if ready.is_err() {
-            residuals.fixed_rows_mut::<3>(3 * index).fill(f64::NAN);
-            return;
-        }
-        let in_base = now.machine.target(target);
-        let tracker_from_base = &now.stations[row.station];
-        let mut predicted = tracker_from_base.rotation * in_base + tracker_from_base.translation.vector;
-        for (column, displacement) in &row.instrument {
-            predicted += displacement * now.errors[*column];
-        }
-        residuals.fixed_rows_mut::<3>(3 * index).copy_from(&(row.whitening * (predicted - row.seen)));
-        let Some(jacobian) = jacobian else { return };
-        let from_base = row.whitening * tracker_from_base.rotation.matrix();
-        let from_origin = row.whitening * self.stations[row.station].rotation.matrix();
-        let Displacement { rotation, left, .. } = &now.displacements[row.station];
-        let turned = rotation * in_base;
-        let mut term = 0;
-        for (column, id) in self.parameters.iter().enumerate() {
-            let derivative = match *id {
-                ParameterId::Frame { station, component } if station == row.station => {
-                    if component < 3 {
-                        from_origin.column(component).into_owned()
-                    } else {
-                        from_origin * left.column(component - 3).cross(&turned)
-                    }
-                }
-                id => from_base * in_base_column(&now.machine, id, row.target, &in_base, &mut term),
-            };
-            jacobian.fixed_view_mut::<3, 1>(3 * index, column).copy_from(&derivative);
-        }
-        for (column, displacement) in &row.instrument {
-            jacobian.fixed_view_mut::<3, 1>(3 * index, *column).copy_from(&(row.whitening * displacement));
-        }
+        let at =
+            Evaluation { now: &mut self.current, parameters: &self.parameters, stations: &self.stations };
+        at.fill(&self.rows[index], index, residuals, jacobian);
     }
 
     /// Readings that state no noise, among others that do, where they are too few to tell a gross error of theirs from noise: with the factor
@@ -365,6 +352,65 @@ impl CalibrationProblem {
                 jacobian.row_mut(row).fill(0.0);
                 jacobian[(row, *column)] = weight * slope;
             }
+        }
+    }
+}
+
+/// What the rows of a reading are computed from.
+struct Evaluation<'a> {
+    now: &'a mut Current,
+    parameters: &'a [ParameterId],
+    /// `tracker_from_base` that the frame parameters displace.
+    stations: &'a [Transform],
+}
+
+impl Evaluation<'_> {
+    /// Fills the block `index` of three rows.
+    fn fill(
+        self,
+        row: &Row,
+        index: usize,
+        residuals: &mut DVector<f64>,
+        jacobian: Option<&mut DMatrix<f64>>,
+    ) {
+        let now = self.now;
+        let target = &now.targets[row.target];
+        let ready = now.machine.place(&row.told).and_then(|()| match jacobian {
+            Some(_) => now.machine.differentiate(target, &row.told),
+            None => Ok(()),
+        });
+        if ready.is_err() {
+            residuals.fixed_rows_mut::<3>(3 * index).fill(f64::NAN);
+            return;
+        }
+        let in_base = now.machine.target(target);
+        let tracker_from_base = &now.stations[row.station];
+        let mut predicted = tracker_from_base.rotation * in_base + tracker_from_base.translation.vector;
+        for (column, displacement) in &row.instrument {
+            predicted += displacement * now.errors[*column];
+        }
+        residuals.fixed_rows_mut::<3>(3 * index).copy_from(&(row.whitening * (predicted - row.seen)));
+        let Some(jacobian) = jacobian else { return };
+        let from_base = row.whitening * tracker_from_base.rotation.matrix();
+        let from_origin = row.whitening * self.stations[row.station].rotation.matrix();
+        let Displacement { rotation, left, .. } = &now.displacements[row.station];
+        let turned = rotation * in_base;
+        let mut term = 0;
+        for (column, id) in self.parameters.iter().enumerate() {
+            let derivative = match *id {
+                ParameterId::Frame { station, component } if station == row.station => {
+                    if component < 3 {
+                        from_origin.column(component).into_owned()
+                    } else {
+                        from_origin * left.column(component - 3).cross(&turned)
+                    }
+                }
+                id => from_base * in_base_column(&now.machine, id, row.target, &in_base, &mut term),
+            };
+            jacobian.fixed_view_mut::<3, 1>(3 * index, column).copy_from(&derivative);
+        }
+        for (column, displacement) in &row.instrument {
+            jacobian.fixed_view_mut::<3, 1>(3 * index, *column).copy_from(&(row.whitening * displacement));
         }
     }
 }

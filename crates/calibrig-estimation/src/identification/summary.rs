@@ -482,8 +482,7 @@ fn assumptions(
         let (name, nests) = (station.name.clone(), station.distinct_nests().len());
         made.extend(match options.frame.of(station) {
             FrameChoice::Sweeps => place_by_sweeps(&problem.nominal, set, index).ok().map(|(_, swept)| {
-                let joints = swept.axes.each_ref().map(|axis| axis.joint);
-                Assumption::StationBySweeps { station: name, axes: swept.axes.map(|axis| axis.name), joints }
+                Assumption::StationBySweeps { station: name, axes: swept.axes.map(|axis| axis.name) }
             }),
             _ if options.frame != FrameChoice::AsStated => None,
             FrameChoice::Free => Some(Assumption::StationFree { station: name, nests }),
@@ -608,7 +607,8 @@ fn doubts(
     // Where the readings' own noise explains the residuals, there is nothing for a shift of the base to stand in for.
     let explained = is_stated && !accounted && !is_misfit;
     let found = checks.map_or_else(Found::default, |checks| checks.of_priors(1.0));
-    let is_place = |c: &Contradiction| !explained && matches!(c.stated, Stated::Nests { .. });
+    let is_place =
+        |c: &Contradiction| !explained && matches!(c.stated, Stated::Nests { .. } | Stated::Sweeps { .. });
     let (places, mut contradicted): (Vec<_>, Vec<_>) = found.contradictions.into_iter().partition(is_place);
     let mut warnings = Vec::new();
     let is_too_large = is_stated && size.is_too_large();

@@ -390,7 +390,12 @@ fn a_nest_that_is_a_full_pose_is_not_written() {
         time: None,
     };
     let set = MeasurementSet {
-        stations: vec![Station { name: "s".to_owned(), nests: vec![nest], instrument: None, sweeps: Vec::new() }],
+        stations: vec![Station {
+            name: "s".to_owned(),
+            nests: vec![nest],
+            instrument: None,
+            sweeps: Vec::new(),
+        }],
         ..MeasurementSet::default()
     };
     let refused = session_text(&[(SetKind::Identification, &set, &[])]).expect_err("a pose");

@@ -73,6 +73,7 @@ fn problem() -> CalibrationProblem {
         row(1, Vector3::new(0.0, -1.0, 2.0), [1.1, 0.8, -0.9]),
     ];
     CalibrationProblem {
+        swept: Vec::new(),
         // A frame by itself, and one that nests tell together with an error of the instrument, from fewer rows than both have.
         priors: vec![
             Prior {
@@ -222,6 +223,7 @@ fn coupled() -> CalibrationProblem {
     let stations = vec![translation(1.0, 2.0, 3.0) * rotation_x(0.3)];
     let targets = vec![target];
     CalibrationProblem {
+        swept: Vec::new(),
         priors: Vec::new(),
         own_priors: vec![(40, 10.0)],
         logarithmic: Vec::new(),
