@@ -142,7 +142,12 @@ impl Plan<'_> {
             }
         }
         MeasurementSet {
-            stations: vec![Station { name: "T1".to_owned(), nests, instrument: Some(self.stated.clone()) }],
+            stations: vec![Station {
+                name: "T1".to_owned(),
+                nests,
+                instrument: Some(self.stated.clone()),
+                motion: None,
+            }],
             targets: vec![Target {
                 name: "S1".to_owned(),
                 in_flange: TARGET + vector(rng),

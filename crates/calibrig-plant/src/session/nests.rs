@@ -58,7 +58,7 @@ impl MeasuringSession<'_> {
             let stated = tracker.stated();
             let states = !stated.sigmas.is_empty() || stated.drift.is_some();
             let instrument = states.then_some(stated);
-            stations.push(Station { name: name.to_owned(), nests, instrument });
+            stations.push(Station { name: name.to_owned(), nests, instrument, motion: None });
         }
         Ok(stations)
     }

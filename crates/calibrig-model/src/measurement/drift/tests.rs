@@ -122,7 +122,7 @@ fn session(motion: Motion, noise: f64, trial: u32) -> Session {
         places.push(from);
         time += PER_POSE;
     }
-    let stations = vec![Station { name: "1".to_owned(), nests, instrument: None }];
+    let stations = vec![Station { name: "1".to_owned(), nests, ..Station::default() }];
     let targets = vec![Target { name: "SMR".to_owned(), ..Target::default() }];
     Session { set: MeasurementSet { stations, targets, observations }, points, places }
 }

@@ -67,6 +67,8 @@ pub(super) struct Smoothed {
     dof: f64,
     /// What the places are off by, in the columns of `loose`, and its covariance.
     places: (DVector<f64>, DMatrix<f64>),
+    /// Covariance of the walk at the chosen knots with each other, six rows a knot in the order of time.
+    pub joint: DMatrix<f64>,
 }
 
 struct Filtered {
@@ -233,8 +235,29 @@ impl Walk {
         rates
     }
 
-    /// The walk of greatest likelihood, or none where `still`. `None` where the readings do not tell it.
-    pub(super) fn smooth(&self, still: bool) -> Option<Smoothed> {
+    /// Times of the sightings next to the given `times`, before and behind, ascending; and of all sightings the share that is nearest to each.
+    pub(super) fn around(&self, times: &[f64]) -> (Vec<f64>, Vec<f64>) {
+        let mut chosen: Vec<f64> = Vec::new();
+        for time in times {
+            let behind = self.sightings.partition_point(|sighting| sighting.time <= *time);
+            let next_to = [behind.checked_sub(1), Some(behind)].into_iter().flatten();
+            chosen
+                .extend(next_to.filter_map(|index| self.sightings.get(index)).map(|sighting| sighting.time));
+        }
+        chosen.sort_by(f64::total_cmp);
+        chosen.dedup();
+        let mut shares = vec![0.0; chosen.len()];
+        for sighting in &self.sightings {
+            let off = |index: &usize| (chosen[*index] - sighting.time).abs();
+            if let Some(nearest) = (0..chosen.len()).min_by(|a, b| off(a).total_cmp(&off(b))) {
+                shares[nearest] += 1.0 / self.sightings.len() as f64;
+            }
+        }
+        (chosen, shares)
+    }
+
+    /// The walk of greatest likelihood, or none where `still`, with its joint covariance at the times `chosen` of sightings, ascending. `None` where the readings do not tell it.
+    pub(super) fn smooth(&self, still: bool, chosen: &[f64]) -> Option<Smoothed> {
         if self.dof() == 0 || !(self.span() > 0.0) {
             return None;
         }
@@ -250,12 +273,15 @@ impl Walk {
             ln_p: vec![0.0; self.sightings.len()],
             dof,
             places: (DVector::zeros(0), DMatrix::zeros(0, 0)),
+            joint: DMatrix::zeros(6 * chosen.len(), 6 * chosen.len()),
         };
         if let Some(last) = steps.last() {
             let count = self.loose.ncols();
             let covariance = last.covariance.view((6, 6), (count, count)) * noise_factor;
             smoothed.places = (last.mean.rows(6, count).into_owned(), covariance);
         }
+        // Of the state here with the walk at all knots: those that are chosen and behind are filled.
+        let mut across = DMatrix::zeros(self.states(), smoothed.joint.ncols());
         let mut later: Option<(DVector<f64>, DMatrix<f64>, f64)> = None;
         for (index, step) in steps.iter().enumerate().rev() {
             let (mean, covariance, with_next) = match later.take() {
@@ -267,6 +293,7 @@ impl Walk {
                     let mean = &step.mean + &gain * (&next_mean - &step.mean);
                     let covariance =
                         &step.covariance + &gain * (&next_covariance - predicted) * gain.transpose();
+                    across = &gain * across;
                     let crossed = &gain * &next_covariance;
                     (mean, covariance, crossed.fixed_view::<6, 6>(0, 0) * noise_factor)
                 }
@@ -281,6 +308,12 @@ impl Walk {
                 covariance: covariance.fixed_view::<6, 6>(0, 0) * noise_factor,
                 with_next,
             });
+            if let Some(place) = chosen.iter().position(|time| *time == step.time) {
+                across.columns_mut(6 * place, 6).copy_from(&covariance.columns(0, 6));
+                let own = across.rows(0, 6) * noise_factor;
+                smoothed.joint.rows_mut(6 * place, 6).copy_from(&own);
+                smoothed.joint.columns_mut(6 * place, 6).copy_from(&own.transpose());
+            }
             later = Some((mean, covariance, step.time));
         }
         smoothed.knots.reverse();
