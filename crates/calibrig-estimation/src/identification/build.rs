@@ -9,10 +9,11 @@ use super::noise::{MachineNoise, MachineNoiseChoice, Noise, poses};
 use super::parameters::{Column, Columns, PriorKind, columns};
 use super::place::{Ends, best_fit_station, flanges, starting_offsets};
 use super::problem::{CalibrationProblem, Current, Prior, Row};
+use super::shared::shared_errors;
 use super::turns::{TurnRow, starting_turn, stated_orientations, turns};
 use super::{
     DependentGroup, FrameChoice, IdentificationOptions, IdentifyError, LeastSquares, LeftOut, LeftOutReason,
-    Redundancy, Solution, TargetChoice, select_independent,
+    Loss, Redundancy, Solution, TargetChoice, select_independent,
 };
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{MeasurementSet, Observation, Reading, register};
@@ -390,7 +391,7 @@ fn assemble(
     sigmas.resize(parameters.len(), None);
     let targets: Vec<Vector3<f64>> = set.targets.iter().map(|t| t.in_flange).collect();
     let x = starting_values(model, set, options, &parameters, (&stations, &offsets));
-    let (turns, orientations) = (turns(set), stated_orientations(set));
+    let (mut turns, orientations) = (turns(set), stated_orientations(set));
     let mut machine = Machine::new(options.mode, model);
     machine.set_terms(columns.iter().filter_map(|column| match column.id {
         ParameterId::Term(term) => Some(term),
@@ -398,6 +399,11 @@ fn assemble(
     }));
     let mut rows = rows(set, options.unmodelled_sigma, &mut machine)?;
     instruments.add_to(&mut rows, set, &stations);
+    // A loss weighs every reading by its own rows: what readings share is then taken for each reading's own.
+    let shared = match options.solver.loss {
+        Loss::Squared => shared_errors(set, &mut rows, &mut turns),
+        _ => DMatrix::zeros(0, 0),
+    };
     let mut problem = CalibrationProblem {
         nominal: model.clone(),
         rows,
@@ -407,6 +413,8 @@ fn assemble(
         orientations,
         turn_motions: Vec::new(),
         turn_whitening: Vec::new(),
+        shared,
+        shared_whitening: None,
         parameters,
         priors,
         own_priors,
