@@ -9,7 +9,7 @@ use super::noise::{MachineNoise, MachineNoiseChoice, Noise, poses};
 use super::parameters::{Column, Columns, PriorKind, columns};
 use super::place::{Ends, best_fit_station, flanges, starting_offsets};
 use super::problem::{CalibrationProblem, Current, Prior, Row};
-use super::shared::shared_errors;
+use super::shared::{shared_errors, take_out};
 use super::turns::{TurnRow, starting_turn, stated_orientations, turns};
 use super::{
     DependentGroup, FrameChoice, IdentificationOptions, IdentifyError, LeastSquares, LeftOut, LeftOutReason,
@@ -63,7 +63,7 @@ pub(super) fn build(
 ) -> Result<Built, IdentifyError> {
     let Columns { robot: mut columns, redundant_ends } = columns(model, options, options.freedom_in(set))?;
     let ends = Ends::new(set, options, &redundant_ends);
-    let mut built = assemble(model, set, options, &columns, &ends)?;
+    let mut built = assemble(model, set, options, &columns, (&ends, None))?;
     if !options.mode.is_coupled() && options.redundant != Redundancy::Fix {
         return Ok(built);
     }
@@ -112,7 +112,8 @@ pub(super) fn build(
     if !dropped.is_empty() {
         let mut place = 0..;
         columns.retain(|_| place.next().is_none_or(|place| !dropped.contains(&place)));
-        built = assemble(model, set, options, &columns, &ends)?;
+        let known = std::mem::take(&mut built.problem.shared);
+        built = assemble(model, set, options, &columns, (&ends, Some(known)))?;
         // The robot's own parameters are the first.
         jacobian = jacobian.remove_columns_at(&dropped);
     }
@@ -144,7 +145,8 @@ pub(super) fn reconsider(
     let ends = Ends::new(set, options, &redundant_ends);
     let returns = |id| built.left_out.iter().any(|left| left.id == id && is_unloaded(left));
     columns.retain(|column| fitted.contains(&column.id) || returns(column.id));
-    let mut whole = assemble(model, set, options, &columns, &ends)?.problem;
+    let known = || Some(built.problem.shared.clone());
+    let mut whole = assemble(model, set, options, &columns, (&ends, known()))?.problem;
     whole.motions.clone_from(&built.problem.motions);
     whole.turn_motions.clone_from(&built.problem.turn_motions);
     whole.weigh(&built.problem.noise)?;
@@ -177,7 +179,7 @@ pub(super) fn reconsider(
         }
         stays
     });
-    let mut next = assemble(model, set, options, &columns, &ends)?;
+    let mut next = assemble(model, set, options, &columns, (&ends, known()))?;
     if next.problem.parameters == *fitted {
         return Ok(None);
     }
@@ -306,7 +308,8 @@ pub(super) fn rebuild(
 ) -> Result<CalibrationProblem, IdentifyError> {
     let Columns { robot: mut columns, redundant_ends } = columns(model, options, options.freedom_in(set))?;
     columns.retain(|column| kept.contains(&column.id));
-    Ok(assemble(model, set, options, &columns, &Ends::new(set, options, &redundant_ends))?.problem)
+    let ends = Ends::new(set, options, &redundant_ends);
+    Ok(assemble(model, set, options, &columns, (&ends, None))?.problem)
 }
 
 /// The robot's parameters that the observations, nests and targets alone cannot tell from the others; of two that do the same, the one
@@ -344,12 +347,13 @@ pub(super) fn start(
     }
 }
 
+/// `known` are the errors that readings of the set share, where they were looked for before.
 fn assemble(
     model: &CalibrationModel,
     set: &MeasurementSet,
     options: &IdentificationOptions,
     columns: &[Column],
-    ends: &Ends,
+    (ends, known): (&Ends, Option<DMatrix<f64>>),
 ) -> Result<Built, IdentifyError> {
     options.machine_noise.check(model.kinematics.joint_count())?;
     let mut parameters: Vec<ParameterId> = columns.iter().map(|column| column.id).collect();
@@ -401,9 +405,10 @@ fn assemble(
     instruments.add_to(&mut rows, set, &stations);
     // A loss weighs every reading by its own rows: what readings share is then taken for each reading's own.
     let shared = match options.solver.loss {
-        Loss::Squared => shared_errors(set, &mut rows, &mut turns),
+        Loss::Squared => known.unwrap_or_else(|| shared_errors(set, &rows, &turns)),
         _ => DMatrix::zeros(0, 0),
     };
+    take_out(&shared, &mut rows, &mut turns);
     let mut problem = CalibrationProblem {
         nominal: model.clone(),
         rows,

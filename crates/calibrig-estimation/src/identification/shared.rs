@@ -4,12 +4,12 @@
 //! `W = 1 - U (C + 1)⁻ᵀ C⁻¹ Uᵀ` has `W (1 + U Uᵀ) Wᵀ = 1` (A. Andrews, "A square root formulation of the Kalman covariance equations", AIAA J. 6
 //! (1968) 1165): the fit is the one in which all these errors are parameters with their priors, without their columns.
 
-use nalgebra::{Cholesky, DMatrix, DVector, Dim, Dyn, Matrix, StorageMut};
+use nalgebra::{Cholesky, DMatrix, DVector, Dim, Dyn, Matrix, StorageMut, Vector3};
 
 use super::IdentifyError;
 use super::problem::{CalibrationProblem, Row};
 use super::turns::TurnRow;
-use calibrig_model::measurement::{MeasurementSet, OpenMotion};
+use calibrig_model::measurement::MeasurementSet;
 
 /// Share of a row's variance that errors which are not taken for shared may have.
 const LITTLE: f64 = 0.02;
@@ -61,48 +61,70 @@ impl SharedWhitening {
     }
 }
 
-/// Of every mode of what the corrections of the stations' drifts leave open, the displacement of all data rows, m and rad in the trackers' axes.
-fn of_motions(set: &MeasurementSet, turns: &[TurnRow]) -> DMatrix<f64> {
-    let places = set.observations.len();
-    let motions = || set.stations.iter().map(|station| station.motion.as_ref());
-    let modes = motions().map(|motion| motion.map_or(0, OpenMotion::modes)).sum();
-    let mut all = DMatrix::zeros(3 * (places + turns.len()), modes);
-    let mut first = 0;
-    for (station, motion) in motions().enumerate() {
-        let Some(motion) = motion else { continue };
-        let by = |i: usize| {
-            let observation = &set.observations[i];
-            let is_own = observation.station == station;
-            is_own.then(|| motion.displacements(observation.time, &observation.reading.position()))
-        };
-        for (i, by) in (0..places).filter_map(|i| Some((i, by(i)?))) {
-            all.view_mut((3 * i, first), (3, by.ncols())).copy_from(&by.fixed_rows::<3>(0));
-        }
-        for (turn, by) in turns.iter().enumerate().filter_map(|(turn, of)| Some((turn, by(of.observation)?)))
-        {
-            let row = 3 * (places + turn);
-            all.view_mut((row, first), (3, by.ncols())).copy_from(&by.fixed_rows::<3>(3));
-        }
-        first += motion.modes();
-    }
-    all
+/// What all data rows share with one of them, m² (of orientations rad², m rad): by the corrections of the stations' drifts.
+struct Motions<'a> {
+    set: &'a MeasurementSet,
+    /// The observation of every block, and whether it is an orientation.
+    blocks: Vec<(usize, bool)>,
 }
 
-/// The errors that readings of a station share, of all data rows; what a reading states is less by them afterwards. Modes that add little to what readings have
-/// by themselves stay with these.
-pub(super) fn shared_errors(set: &MeasurementSet, rows: &mut [Row], turns: &mut [TurnRow]) -> DMatrix<f64> {
-    let all = of_motions(set, turns);
-    let stated = |block: usize| match block.checked_sub(rows.len()) {
-        Some(turn) => turns[turn].reading.map(|[own, _]| own),
-        None => rows[block].reading,
+impl<'a> Motions<'a> {
+    fn new(set: &'a MeasurementSet, turns: &[TurnRow]) -> Self {
+        let places = (0..set.observations.len()).map(|i| (i, false));
+        Self { set, blocks: places.chain(turns.iter().map(|turn| (turn.observation, true))).collect() }
+    }
+
+    /// The rows of a block with coordinate `axis` of another.
+    fn between(&self, block: usize, other: usize, axis: usize) -> Vector3<f64> {
+        let [(i, turn), (j, of_turn)] = [block, other].map(|block| self.blocks[block]);
+        let [a, b] = [i, j].map(|i| &self.set.observations[i]);
+        match &self.set.stations[a.station].motion {
+            Some(motion) if a.station == b.station => {
+                let (at, of) = (a.reading.position(), b.reading.position());
+                let covariance = motion.covariance((a.time, &at), (b.time, &of));
+                let column = axis + if of_turn { 3 } else { 0 };
+                covariance.fixed_view::<3, 1>(if turn { 3 } else { 0 }, column).into_owned()
+            }
+            _ => Vector3::zeros(),
+        }
+    }
+
+    fn column(&self, row: usize) -> DVector<f64> {
+        let own = (0..self.blocks.len()).flat_map(|block| self.between(block, row / 3, row % 3).data.0[0]);
+        DVector::from_iterator(3 * self.blocks.len(), own)
+    }
+
+    /// Variances of all rows.
+    fn variances(&self) -> DVector<f64> {
+        let rows = 3 * self.blocks.len();
+        DVector::from_iterator(rows, (0..rows).map(|row| self.between(row / 3, row / 3, row % 3)[row % 3]))
+    }
+}
+
+/// The errors that readings of a station share, with a unit of each as a displacement of all data rows, m and rad in the trackers' axes. Errors that add little to
+/// what readings have by themselves stay with these.
+pub(super) fn shared_errors(set: &MeasurementSet, rows: &[Row], turns: &[TurnRow]) -> DMatrix<f64> {
+    if set.stations.iter().all(|station| station.motion.is_none()) {
+        return DMatrix::zeros(3 * (rows.len() + turns.len()), 0);
+    }
+    let motions = Motions::new(set, turns);
+    let variances = motions.variances();
+    let sigma = |row: usize| {
+        let (stated, least) = match (row / 3).checked_sub(rows.len()) {
+            Some(turn) => (turns[turn].reading.map(|[own, _]| own), LEAST_TURN),
+            None => (rows[row / 3].reading, LEAST_NOISE),
+        };
+        stated.map_or(variances[row].max(least * least), |stated| stated[(row % 3, row % 3)]).sqrt()
     };
-    let least = [LEAST_NOISE, LEAST_TURN];
-    let sigma = |row: usize| match stated(row / 3) {
-        Some(stated) => stated[(row % 3, row % 3)].sqrt(),
-        None => all.row(row).norm().max(least[usize::from(row / 3 >= rows.len())]),
-    };
-    let sigmas = DVector::from_iterator(all.nrows(), (0..all.nrows()).map(sigma));
-    let shared = most_of(all, &sigmas);
+    let sigmas = DVector::from_iterator(variances.len(), (0..variances.len()).map(sigma));
+    most_of(&variances, |row| motions.column(row), &sigmas)
+}
+
+/// Takes shared errors out of what readings state.
+pub(super) fn take_out(shared: &DMatrix<f64>, rows: &mut [Row], turns: &mut [TurnRow]) {
+    if shared.ncols() == 0 {
+        return;
+    }
     let of = |block: usize| shared.fixed_rows::<3>(3 * block).into_owned();
     for (turn, row) in turns.iter_mut().enumerate() {
         if let Some([own, with_position]) = &mut row.reading {
@@ -117,31 +139,31 @@ pub(super) fn shared_errors(set: &MeasurementSet, rows: &mut [Row], turns: &mut 
             *reading -= &by * by.transpose();
         }
     }
-    shared
 }
 
-/// Fewer columns whose product with themselves is that of `all`, but for a small share of every row's variance `sigmas²`: Cholesky's, the largest of what is left first (H.
-/// Harbrecht, M. Peters, R. Schneider, Appl. Numer. Math. 62 (2012) 428).
-fn most_of(mut all: DMatrix<f64>, sigmas: &DVector<f64>) -> DMatrix<f64> {
-    for mut column in all.column_iter_mut() {
-        column.component_div_assign(sigmas);
-    }
-    let mut left = DVector::from_iterator(all.nrows(), all.row_iter().map(|row| row.norm_squared()));
+/// Columns whose product with themselves is a covariance, of which there are `variances` and single columns, but for a small share of every row's `sigmas²`: Cholesky's, the
+/// largest of what is left first (H. Harbrecht, M. Peters, R. Schneider, Appl. Numer. Math. 62 (2012) 428).
+fn most_of(
+    variances: &DVector<f64>,
+    column: impl Fn(usize) -> DVector<f64>,
+    sigmas: &DVector<f64>,
+) -> DMatrix<f64> {
+    let mut left = variances.component_div(&sigmas.component_mul(sigmas));
     let mut columns: Vec<DVector<f64>> = Vec::new();
-    while columns.len() < all.ncols() {
+    while columns.len() < variances.len() {
         let (pivot, largest) = left.argmax();
         if !(largest > LITTLE) {
             break;
         }
-        let mut column = &all * all.row(pivot).transpose();
+        let mut next = column(pivot).component_div(sigmas) / sigmas[pivot];
         for known in &columns {
-            column.axpy(-known[pivot], known, 1.0);
+            next.axpy(-known[pivot], known, 1.0);
         }
-        column /= largest.sqrt();
-        left.zip_apply(&column, |left, shared| *left -= shared * shared);
-        columns.push(column);
+        next /= largest.sqrt();
+        left.zip_apply(&next, |left, shared| *left -= shared * shared);
+        columns.push(next);
     }
-    let mut most = DMatrix::zeros(all.nrows(), columns.len());
+    let mut most = DMatrix::zeros(variances.len(), columns.len());
     for (mut to, column) in most.column_iter_mut().zip(&columns) {
         to.copy_from(&column.component_mul(sigmas));
     }
@@ -194,4 +216,73 @@ pub(super) fn with_errors(errors: &DMatrix<f64>, residuals: &mut DVector<f64>, j
     *jacobian = jacobian.clone().resize(m + count, n + count, 0.0);
     jacobian.view_mut((0, n), errors.shape()).copy_from(errors);
     jacobian.view_mut((m, n), (count, count)).fill_with_identity();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn matrix(rows: usize, columns: usize) -> DMatrix<f64> {
+        DMatrix::from_fn(rows, columns, |i, j| ((i * i * 5 + 3 * j * i + j * j * 17 + 2) as f64).sin())
+    }
+
+    #[test]
+    fn whitened_rows_are_independent_and_come_back() {
+        let errors = matrix(12, 5) * 1.7;
+        let shared = SharedWhitening::new(errors.clone()).expect("numbers");
+        let mut whitening = DMatrix::identity(12, 12);
+        shared.apply(&mut whitening);
+        let covariance = DMatrix::identity(12, 12) + &errors * errors.transpose();
+        let independent = &whitening * covariance * whitening.transpose();
+        assert!((independent - DMatrix::identity(12, 12)).amax() < 1e-12);
+        // Rows below are priors, and as they were.
+        let rows = matrix(15, 3);
+        let mut there = rows.clone();
+        shared.apply(&mut there);
+        assert_eq!(there.rows(12, 3), rows.rows(12, 3));
+        assert!((there.rows(0, 12) - &whitening * rows.rows(0, 12)).amax() < 1e-12);
+        shared.undo(&mut there);
+        assert!((there - rows).amax() < 1e-12);
+    }
+
+    #[test]
+    fn errors_as_parameters_have_the_same_minimum() {
+        let (errors, mut jacobian) = (matrix(15, 4), matrix(18, 3));
+        let mut residuals = matrix(18, 7).column(6).into_owned();
+        let shared = SharedWhitening::new(errors).expect("numbers");
+        let (with_residuals, with_jacobian) = {
+            shared.apply(&mut residuals);
+            shared.apply(&mut jacobian);
+            as_parameters(&shared, &residuals, &jacobian)
+        };
+        let solve = |jacobian: &DMatrix<f64>, residuals: &DVector<f64>| {
+            let step = -jacobian.clone().svd(true, true).solve(residuals, 1e-12).expect("a solution");
+            let left = (residuals + jacobian * &step).norm_squared();
+            (step, left)
+        };
+        let (step, left) = solve(&jacobian, &residuals);
+        let (with, left_with) = solve(&with_jacobian, &with_residuals);
+        assert!((with.rows(0, 3) - step).amax() < 1e-10);
+        assert!((left - left_with).abs() < 1e-10);
+    }
+
+    #[test]
+    fn what_is_left_out_is_little_of_every_row() {
+        let sigmas = DVector::from_fn(30, |i, _| if i < 15 { 1.0 } else { 1e-3 });
+        let mut all = DMatrix::from_fn(30, 40, |i, j| {
+            ((i * i * 5 + 3 * j * i + j) as f64).sin() * 0.5_f64.powi(j as i32)
+        });
+        for (mut row, sigma) in all.row_iter_mut().zip(&sigmas) {
+            row *= *sigma;
+        }
+        let whole = &all * all.transpose();
+        let most = most_of(&whole.diagonal(), |row| whole.column(row).into_owned(), &sigmas);
+        assert!(most.ncols() < 12, "{}", most.ncols());
+        let left = whole - &most * most.transpose();
+        for (i, sigma) in sigmas.iter().enumerate() {
+            let share = left[(i, i)] / (sigma * sigma);
+            assert!((-1e-12..=LITTLE).contains(&share), "{share}");
+        }
+        assert!(left.symmetric_eigenvalues().min() > -1e-12);
+    }
 }

@@ -8,6 +8,7 @@
 mod coverage;
 mod diagnosis;
 mod divided;
+mod drift;
 mod faults;
 mod frames;
 mod hidden;

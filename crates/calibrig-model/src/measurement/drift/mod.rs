@@ -373,7 +373,7 @@ fn drift_of(
     }
     drift.noise_ratio = Some(moving.noise_factor.sqrt());
     drift.verdict = DriftVerdict::Removed(size_of(&moving, frame, p_value, &station.name)?);
-    let open = OpenMotion::new(&moving, frame, around, times);
+    let open = OpenMotion::new(&moving, frame, around);
     Ok((drift, Some((moving, open)), left_out))
 }
 
@@ -486,7 +486,7 @@ impl Correction<'_> {
         let still_from_seen = self.at(time)?;
         let seen = reading.position();
         let position = still_from_seen.rotation * seen + still_from_seen.translation.vector;
-        let open = self.open.covariance(time, &position);
+        let open = self.open.covariance((time, &position), (time, &position));
         let added: Matrix3<f64> = open.fixed_view::<3, 3>(0, 0).into_owned();
         match reading {
             Reading::Spherical(reading) => merge::move_spherical(reading, &position, &added),
