@@ -141,8 +141,8 @@ pub(super) fn take_out(shared: &DMatrix<f64>, rows: &mut [Row], turns: &mut [Tur
     }
 }
 
-/// Columns whose product with themselves is a covariance, of which there are `variances` and single columns, but for a small share of every row's `sigmas²`: Cholesky's, the
-/// largest of what is left first (H. Harbrecht, M. Peters, R. Schneider, Appl. Numer. Math. 62 (2012) 428).
+/// Columns whose product with their transpose is a covariance, given by its `variances` and a `column` of it at a time, but for a small share of every
+/// row's `sigmas²`: Cholesky's, the largest of what is left first (H. Harbrecht, M. Peters, R. Schneider, Appl. Numer. Math. 62 (2012) 428).
 fn most_of(
     variances: &DVector<f64>,
     column: impl Fn(usize) -> DVector<f64>,
@@ -195,8 +195,8 @@ impl CalibrationProblem {
     }
 }
 
-/// A whitened system with the shared errors as parameters behind the others, each with a row for its prior below all: its rows are whitened pose by pose, so that what a
-/// reading is off by is in its own.
+/// A whitened system with the shared errors as parameters behind the others, each with a row for its prior below all: its rows are whitened pose by
+/// pose, so that what a reading is off by is in its own.
 pub(super) fn as_parameters(
     shared: &SharedWhitening,
     residuals: &DVector<f64>,

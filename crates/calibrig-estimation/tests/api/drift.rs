@@ -40,8 +40,8 @@ fn options() -> IdentificationOptions {
     IdentificationOptions { tolerance: Some(DEFAULT_TOLERANCE), ..IdentificationOptions::published() }
 }
 
-/// A session of a machine that is as its model, whose tracker walks on its stand; every so many poses the nests are measured, and before and after all. Beside it where the
-/// tracker stood on the average of the nests' readings.
+/// A session of a machine that is as its model, whose tracker walks on its stand; every so many poses the nests are measured, and before and after
+/// all. Beside it where the tracker stood on the average of the nests' readings.
 fn session(machine: &KinematicModel, (poses, every): (u32, u32), trial: u32) -> (MeasurementSet, Transform) {
     let mut rng = stream(31, trial, Source::IdentificationNoise);
     let stand = translation(0.3, -0.2, 2.2) * rotation_z(0.7) * rotation_x(1.3);
@@ -304,7 +304,7 @@ fn intervals_of_parameters_and_places_hold_beside_a_drift() {
     let model = &robots()[0];
     let options = options();
     let mut tests = Vec::new();
-    for plan in [(30, 5), (60, 20)] {
+    for plan in [(30, 5), (60, 10)] {
         let any = remove_drift(&session(&model.kinematics, plan, 0).0).expect("sound nests").measurements;
         let ids = links(&identify(model, &any, &options).expect("an estimate"));
         let (mut held, mut at_places) = (vec![0; ids.len()], [0; 3]);

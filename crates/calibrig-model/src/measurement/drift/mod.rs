@@ -361,7 +361,7 @@ fn drift_of(
     }
     let Rounds { walk, frame, .. } = rounds;
     let around = walk.around(times);
-    let (Some(still), Some(moving)) = (walk.smooth(true, &[]), walk.smooth(false, &around.0)) else {
+    let (Some(still), Some(moving)) = (walk.smooth(true, &[]), walk.smooth(false, &around)) else {
         drift.verdict = DriftVerdict::Unknown { missing: MissingForDrift::Readings };
         return Ok((drift, None, left_out));
     };

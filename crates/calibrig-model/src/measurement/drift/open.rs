@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use super::WalkFrame;
 use super::walk::{Rates, Smoothed};
 
-/// Errors that the readings of a station share, because one motion of its tracker was taken off all of them: joint normal at the sightings of nests next to readings; in
-/// between, readings stand on a line between two of these and a Brownian bridge, and before the first and behind the last on a walk.
+/// Errors that the readings of a station share, because one motion of its tracker was taken off all of them: joint normal at the sightings of nests
+/// next to readings; in between, readings stand on a line between two of these and a Brownian bridge, before the first and behind the last on a walk.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OpenMotion {
     /// Times of the sightings next to readings, s, ascending.
@@ -29,18 +29,17 @@ struct Place {
 }
 
 impl OpenMotion {
-    /// `told` is joint at `knots`, near which are these `shares` of all sightings.
-    pub(super) fn new(told: &Smoothed, frame: WalkFrame, (knots, shares): (Vec<f64>, Vec<f64>)) -> Self {
-        let covariance = about_mean(told.joint.clone(), &shares);
-        Self { knots, covariance, rates: told.rates, frame }
+    /// `told` is joint at `knots`.
+    pub(super) fn new(told: &Smoothed, frame: WalkFrame, knots: Vec<f64>) -> Self {
+        Self { knots, covariance: told.joint.clone(), rates: told.rates, frame }
     }
 
     pub(super) fn frame(&self) -> WalkFrame {
         self.frame
     }
 
-    /// Covariance of what two readings are off by, each of a point seen at a place (m, in the tracker's frame) at a time (s): rows are the displacement (m) and the turn (rad) of the
-    /// first, columns those of the second.
+    /// Covariance of what two readings are off by, each of a point seen at a time (s) at a place (m, in the tracker's frame): rows are the displacement
+    /// (m) and the turn (rad) of the first, columns those of the second.
     pub fn covariance(&self, first: (f64, &Vector3<f64>), second: (f64, &Vector3<f64>)) -> Matrix6<f64> {
         let (a, b) = (self.place(first.0), self.place(second.0));
         let mut walk = Matrix6::zeros();
@@ -84,22 +83,6 @@ impl OpenMotion {
     }
 }
 
-/// The covariance of differences from the mean: how far that is off is in the places of the nests.
-fn about_mean(mut covariance: DMatrix<f64>, shares: &[f64]) -> DMatrix<f64> {
-    for _ in 0..2 {
-        let mut mean = DMatrix::zeros(6, covariance.ncols());
-        for (knot, share) in shares.iter().enumerate() {
-            mean += covariance.rows(6 * knot, 6) * *share;
-        }
-        for knot in 0..shares.len() {
-            let mut rows = covariance.rows_mut(6 * knot, 6);
-            rows -= &mean;
-        }
-        covariance.transpose_mut();
-    }
-    covariance
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -117,15 +100,5 @@ mod tests {
             assert!((at(a, b) - (walk(a, b) - walk(a, 6.0) * walk(6.0, b) / walk(6.0, 6.0))).abs() < 1e-12);
         }
         assert_eq!([at(7.0, 9.0), at(1.5, 0.5), at(3.0, 7.0), at(1.0, 8.0)], [1.0, 0.5, 0.0, 0.0]);
-    }
-
-    #[test]
-    fn differences_from_the_mean_have_none() {
-        let root = DMatrix::from_fn(18, 18, |i, j| (1.3 * ((i + 1) * (j + 2)) as f64).sin());
-        let shares = [0.2, 0.5, 0.3];
-        let found = about_mean(&root * root.transpose(), &shares);
-        let mean = shares.iter().enumerate().map(|(k, s)| found.rows(6 * k, 6) * *s);
-        assert!(mean.sum::<DMatrix<f64>>().amax() < 1e-12);
-        assert!((&found - found.transpose()).amax() < 1e-12);
     }
 }

@@ -193,6 +193,25 @@ fn what_a_correction_leaves_open_is_what_it_states() {
 }
 
 #[test]
+fn knots_are_known_together_about_the_mean_of_all_sightings() {
+    let mut station = session(Motion::Walk, NOISE, 1).set.stations.remove(0);
+    station.nests.truncate(8 * 6);
+    let times: Vec<f64> = station.nests.iter().filter_map(|nest| nest.time).collect();
+    let walk = rounds_of(&station, &[]).expect("nests").walk;
+    let all = walk.smooth(false, &times).expect("six rounds").joint;
+    let mean: nalgebra::DMatrix<f64> =
+        (0..times.len()).map(|k| all.rows(6 * k, 6) / times.len() as f64).sum();
+    assert!(mean.amax() < 1e-8 * all.amax(), "{} of {}", mean.amax(), all.amax());
+    assert!(
+        (&all - all.transpose()).amax() < 1e-12 * all.amax()
+            && all.symmetric_eigenvalues().min() > -1e-8 * all.amax()
+    );
+    // Whichever of them are asked for.
+    let few = walk.smooth(false, &times[3..9]).expect("six rounds").joint;
+    assert_eq!(few, all.view((18, 18), (36, 36)));
+}
+
+#[test]
 fn errors_of_certificates_are_no_drift_and_a_still_tracker_is_left_alone() {
     let mut false_alarms = 0;
     for trial in 0..20 {
