@@ -298,7 +298,8 @@ fn elsewhere(
     places
 }
 
-/// All tests share one false alarm in a thousand.
+/// All tests share one false alarm in a thousand. How often the size of a single session's residuals is doubted is shown and not tested: the walk's variances
+/// are estimates from seven rounds, which chi-square does not know of.
 #[test]
 fn intervals_of_parameters_and_places_hold_beside_a_drift() {
     let trials = if std::env::var_os("CALIBRIG_FULL").is_some() { 1000 } else { 250 };
@@ -356,7 +357,6 @@ fn intervals_of_parameters_and_places_hold_beside_a_drift() {
         };
         tests.push((of_square(chi2, freedom), format!("{plan:?}: chi-square {}", chi2 / freedom)));
         tests.push((of_square(nees, n), format!("{plan:?}: NEES {}", nees / n)));
-        tests.push((p_value(doubted, count, 1e-3), format!("{plan:?}: {doubted} doubted")));
     }
     let level = 1e-3 / tests.len() as f64;
     let failed: Vec<_> = tests.iter().filter(|(p, _)| *p < level).collect();
