@@ -82,12 +82,7 @@ fn measure(nominal: &CalibrationModel, robot: &CalibratedRobot, poses: usize, mi
     let corners = [Vector3::zeros(), Vector3::x(), Vector3::y(), 4.0 * Vector3::z()];
     let target = Target { orientation: None, name: String::new(), in_flange: robot.targets[0], covariance };
     let mut set = MeasurementSet {
-        stations: vec![Station {
-            sweeps: Vec::new(),
-            instrument: None,
-            name: String::new(),
-            nests: corners.map(nest).to_vec(),
-        }],
+        stations: vec![Station { nests: corners.map(nest).to_vec(), ..Station::default() }],
         targets: vec![target],
         observations: Vec::with_capacity(poses),
     };

@@ -222,7 +222,13 @@ impl Reader<'_> {
             set,
             place: table.name.span(),
             nests: table.nest.iter().map(Spanned::span).collect(),
-            item: Station { name: table.name.into_inner(), nests, instrument, sweeps: Vec::new() },
+            item: Station {
+                name: table.name.into_inner(),
+                nests,
+                instrument,
+                motion: None,
+                sweeps: Vec::new(),
+            },
         })
     }
 

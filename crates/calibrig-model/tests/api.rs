@@ -88,7 +88,7 @@ proptest! {
             in_base_covariance: Matrix3::identity() * *variance,
             reading: Reading::Cartesian { position: *seen, covariance: stated.then(|| Matrix3::identity() * 1e-10) },
         };
-        let station = Station { sweeps: Vec::new(), instrument: None, name: "T".to_owned(), nests: places.iter().map(nest).collect() };
+        let station = Station { name: "T".to_owned(), nests: places.iter().map(nest).collect(), ..Station::default() };
         match register(&station) {
             Ok(registration) => prop_assert!(station.nests.len() >= 3 && registration.chi2 >= 0.0),
             Err(error) => prop_assert!(error.to_string().contains("nest")),
@@ -116,7 +116,7 @@ proptest! {
             in_base_covariance: Matrix3::identity(),
             reading: Reading::Cartesian { position: *seen, covariance: certified.is_sign_positive().then(|| Matrix3::identity() * *certified) },
         };
-        let station = Station { sweeps: Vec::new(), instrument: None, name: "T".to_owned(), nests: rounds.iter().map(nest).collect() };
+        let station = Station { name: "T".to_owned(), nests: rounds.iter().map(nest).collect(), ..Station::default() };
         let mut set = MeasurementSet { stations: vec![station.clone(), station], ..MeasurementSet::of_points([(vec![0.0], Vector3::x())]) };
         match remove_drift(&set) {
             Ok(steady) => {

@@ -269,7 +269,13 @@ impl TryFrom<&v1::Session> for SetOutcome {
         let station = |station: &v1::Station| {
             let nests = station.nests.iter().map(to_nest).collect::<Result<_, _>>()?;
             let instrument = station.instrument.as_ref().map(to_instrument).transpose()?;
-            Ok::<_, String>(Station { name: station.name.clone(), nests, instrument, sweeps: Vec::new() })
+            Ok::<_, String>(Station {
+                name: station.name.clone(),
+                nests,
+                instrument,
+                motion: None,
+                sweeps: Vec::new(),
+            })
         };
         let target = |target: &v1::Target| {
             Ok::<_, String>(Target {

@@ -9,11 +9,12 @@ use super::noise::{MachineNoise, MachineNoiseChoice, Noise, poses};
 use super::parameters::{Column, Columns, PriorKind, columns};
 use super::place::{Ends, best_fit_station, flanges, starting_offsets};
 use super::problem::{CalibrationProblem, Current, Prior, Row};
+use super::shared::{shared_errors, take_out};
 use super::swept::swept_rows;
 use super::turns::{TurnRow, starting_turn, stated_orientations, turns};
 use super::{
     DependentGroup, FrameChoice, IdentificationOptions, IdentifyError, LeastSquares, LeftOut, LeftOutReason,
-    Redundancy, Solution, TargetChoice, select_independent,
+    Loss, Redundancy, Solution, TargetChoice, select_independent,
 };
 use crate::circle_points::{SweptPlace, place_by_sweeps};
 use calibrig_model::geometry::Transform;
@@ -64,7 +65,7 @@ pub(super) fn build(
 ) -> Result<Built, IdentifyError> {
     let Columns { robot: mut columns, redundant_ends } = columns(model, options, options.freedom_in(set))?;
     let ends = Ends::new(set, options, &redundant_ends);
-    let mut built = assemble(model, set, options, &columns, &ends)?;
+    let mut built = assemble(model, set, options, &columns, (&ends, None))?;
     if !options.mode.is_coupled() && options.redundant != Redundancy::Fix {
         return Ok(built);
     }
@@ -113,7 +114,8 @@ pub(super) fn build(
     if !dropped.is_empty() {
         let mut place = 0..;
         columns.retain(|_| place.next().is_none_or(|place| !dropped.contains(&place)));
-        built = assemble(model, set, options, &columns, &ends)?;
+        let known = std::mem::take(&mut built.problem.shared);
+        built = assemble(model, set, options, &columns, (&ends, Some(known)))?;
         // The robot's own parameters are the first.
         jacobian = jacobian.remove_columns_at(&dropped);
     }
@@ -145,7 +147,8 @@ pub(super) fn reconsider(
     let ends = Ends::new(set, options, &redundant_ends);
     let returns = |id| built.left_out.iter().any(|left| left.id == id && is_unloaded(left));
     columns.retain(|column| fitted.contains(&column.id) || returns(column.id));
-    let mut whole = assemble(model, set, options, &columns, &ends)?.problem;
+    let known = || Some(built.problem.shared.clone());
+    let mut whole = assemble(model, set, options, &columns, (&ends, known()))?.problem;
     whole.motions.clone_from(&built.problem.motions);
     whole.turn_motions.clone_from(&built.problem.turn_motions);
     whole.weigh(&built.problem.noise)?;
@@ -178,7 +181,7 @@ pub(super) fn reconsider(
         }
         stays
     });
-    let mut next = assemble(model, set, options, &columns, &ends)?;
+    let mut next = assemble(model, set, options, &columns, (&ends, known()))?;
     if next.problem.parameters == *fitted {
         return Ok(None);
     }
@@ -307,7 +310,8 @@ pub(super) fn rebuild(
 ) -> Result<CalibrationProblem, IdentifyError> {
     let Columns { robot: mut columns, redundant_ends } = columns(model, options, options.freedom_in(set))?;
     columns.retain(|column| kept.contains(&column.id));
-    Ok(assemble(model, set, options, &columns, &Ends::new(set, options, &redundant_ends))?.problem)
+    let ends = Ends::new(set, options, &redundant_ends);
+    Ok(assemble(model, set, options, &columns, (&ends, None))?.problem)
 }
 
 /// The robot's parameters that the observations, nests and targets alone cannot tell from the others; of two that do the same, the one
@@ -345,12 +349,13 @@ pub(super) fn start(
     }
 }
 
+/// `known` are the errors that readings of the set share, where they were looked for before.
 fn assemble(
     model: &CalibrationModel,
     set: &MeasurementSet,
     options: &IdentificationOptions,
     columns: &[Column],
-    ends: &Ends,
+    (ends, known): (&Ends, Option<DMatrix<f64>>),
 ) -> Result<Built, IdentifyError> {
     options.machine_noise.check(model.kinematics.joint_count())?;
     let mut parameters: Vec<ParameterId> = columns.iter().map(|column| column.id).collect();
@@ -409,9 +414,15 @@ fn assemble(
     sigmas.resize(parameters.len(), None);
     let targets: Vec<Vector3<f64>> = set.targets.iter().map(|t| t.in_flange).collect();
     let x = starting_values(model, set, options, &parameters, (&stations, &offsets));
-    let (turns, orientations) = (turns(set), stated_orientations(set));
+    let (mut turns, orientations) = (turns(set), stated_orientations(set));
     let mut rows = rows(set, options.unmodelled_sigma, &mut machine)?;
     instruments.add_to(&mut rows, set.observations.iter(), set, &stations);
+    // A loss weighs every reading by its own rows: what readings share is then taken for each reading's own.
+    let shared = match options.solver.loss {
+        Loss::Squared => known.unwrap_or_else(|| shared_errors(set, &rows, &turns)),
+        _ => DMatrix::zeros(0, 0),
+    };
+    take_out(&shared, &mut rows, &mut turns);
     let mut problem = CalibrationProblem {
         nominal: model.clone(),
         rows,
@@ -421,6 +432,8 @@ fn assemble(
         orientations,
         turn_motions: Vec::new(),
         turn_whitening: Vec::new(),
+        shared,
+        shared_whitening: None,
         parameters,
         priors,
         own_priors,

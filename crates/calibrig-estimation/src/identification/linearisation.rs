@@ -7,6 +7,7 @@ use super::factorised::determined_by;
 use super::identify::check;
 use super::noise::{ActuatorMotions, Noise};
 use super::problem::{CalibrationProblem, whiten_together};
+use super::shared::SharedWhitening;
 use super::{Estimate, IdentificationOptions, IdentifyError, MachineNoise, MachineNoiseChoice, NoiseScale};
 use calibrig_model::geometry::{Transform, small_displacement};
 use calibrig_model::measurement::{MeasurementSet, Observation, Reading};
@@ -43,12 +44,14 @@ pub struct Whitening {
     pub(super) single: Vec<Matrix3<f64>>,
     /// Poses whose observations depend on each other: which, and what takes their rows further.
     pub(super) joined: Vec<(Vec<usize>, DMatrix<f64>)>,
+    /// What takes them further where many readings share errors.
+    pub(super) shared: Option<SharedWhitening>,
 }
 
 impl Whitening {
     /// Of observations that do not depend on each other: one matrix each.
     pub fn apart(single: Vec<Matrix3<f64>>) -> Self {
-        Self { single, joined: Vec::new() }
+        Self { single, ..Self::default() }
     }
 
     /// Number of observations.
@@ -66,12 +69,24 @@ impl Whitening {
             let count = rows.len();
             whiten_together(pose, whitening, rows.as_mut_slice(), count);
         }
+        if let Some(shared) = &self.shared {
+            let count = rows.len();
+            rows = rows.resize_vertically(shared.rows(), 0.0);
+            shared.apply(&mut rows);
+            rows = rows.resize_vertically(count, 0.0);
+        }
         rows
     }
 
     /// The displacements of data rows, m: the inverse of [`rows`](Self::rows). Rows beyond the observations are left aside.
     pub fn displacements(&self, rows: &DVector<f64>) -> Vec<Vector3<f64>> {
-        let mut rows = rows.rows(0, rows.len().min(3 * self.single.len())).into_owned();
+        let mut rows = rows.clone();
+        if let Some(shared) = &self.shared {
+            rows = rows.resize_vertically(shared.rows(), 0.0);
+            shared.undo(&mut rows);
+        }
+        let count = rows.len().min(3 * self.single.len());
+        rows = rows.resize_vertically(count, 0.0);
         for (pose, whitening) in &self.joined {
             let inverse =
                 whitening.solve_lower_triangular(&DMatrix::identity(whitening.nrows(), whitening.nrows()));
@@ -237,6 +252,7 @@ fn predict(
 ) -> Result<Option<Vec<PredictedReading>>, IdentifyError> {
     let Some(factor) = &estimate.factor else { return Ok(None) };
     let mut in_metres = set.clone();
+    in_metres.stations.iter_mut().for_each(|station| station.motion = None);
     for observation in &mut in_metres.observations {
         // Weighed with one, residuals and Jacobian are in metres.
         match &mut observation.reading {

@@ -25,6 +25,7 @@ mod place;
 mod problem;
 mod prospect;
 mod robot;
+mod shared;
 mod solver;
 mod summary;
 mod swept;

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::contradiction::Minimum;
 use super::factorised::Factorised;
 use super::problem::{CalibrationProblem, Row};
+use super::shared::with_errors;
 use super::solver::Solution;
 use super::summary::Size;
 use super::variance::{Block, Components, System};
@@ -270,7 +271,10 @@ pub(super) fn find(
             break;
         }
         problem.weigh(&named(&found, unknown))?;
-        let System { mut residuals, mut jacobian, .. } = system;
+        let System { mut residuals, jacobian, .. } = system;
+        let (rows, parameters) = (problem.rows(), problem.parameters());
+        residuals = residuals.resize_vertically(rows, 0.0);
+        let mut jacobian = jacobian.resize(rows, parameters, 0.0);
         problem.scale_turns(1.0 / lever, &mut residuals, &mut jacobian);
         problem.whiten(&mut residuals, &mut jacobian);
         problem.start_from(&solution.x, residuals, jacobian);
@@ -319,6 +323,10 @@ const REJECTED: f64 = 0.5;
 /// The system at a solution, in metres, with the shapes of what is unknown; rotations are multiplied by the length that comes with it.
 fn system(problem: &mut CalibrationProblem, solution: &Solution, unknown: Unknown) -> (System, f64) {
     let (mut residuals, mut jacobian) = problem.metres(solution);
+    if problem.shared.ncols() > 0 {
+        // Integrated out with the parameters, they are part of what is known of the noise.
+        with_errors(&problem.shared, &mut residuals, &mut jacobian);
+    }
     let lever = problem.lever(&residuals);
     problem.scale_turns(lever, &mut residuals, &mut jacobian);
     let data = problem.data_rows();
@@ -407,7 +415,7 @@ impl CalibrationProblem {
                 what: format!("pose {}", self.rows[pose[0]].pose),
             })?;
         }
-        Ok(())
+        self.weigh_shared()
     }
 
     /// Weighs the observations as if none stated its noise: alike in all directions, and each by itself; orientations so that they count as much
@@ -416,6 +424,7 @@ impl CalibrationProblem {
         self.weigh_turns_alike(UNSTATED_SIGMA / self.lever(residuals));
         self.start = None;
         self.joined.clear();
+        self.shared_whitening = None;
         for row in &mut self.rows {
             row.whitening = Matrix3::identity() / UNSTATED_SIGMA;
         }
@@ -504,7 +513,8 @@ impl CalibrationProblem {
 
     /// Residuals and Jacobian of a solution with the observations in metres and rad, in the trackers' axes; priors as they are.
     pub(super) fn metres(&mut self, solution: &Solution) -> (nalgebra::DVector<f64>, DMatrix<f64>) {
-        if solution.weights.is_empty() && self.joined.is_empty() && self.turns.is_empty() {
+        let is_apart = self.joined.is_empty() && self.turns.is_empty() && self.shared_whitening.is_none();
+        if solution.weights.is_empty() && is_apart {
             self.unweighed(solution)
         } else {
             self.in_metres(&solution.x)
@@ -555,6 +565,7 @@ impl CalibrationProblem {
             .collect();
         let joined = std::mem::take(&mut self.joined);
         let turn_whitening = std::mem::take(&mut self.turn_whitening);
+        let shared_whitening = self.shared_whitening.take();
         let mut residuals = nalgebra::DVector::zeros(self.rows());
         let mut jacobian = DMatrix::zeros(self.rows(), self.parameters());
         self.start = None;
@@ -564,6 +575,7 @@ impl CalibrationProblem {
         }
         self.joined = joined;
         self.turn_whitening = turn_whitening;
+        self.shared_whitening = shared_whitening;
         (residuals, jacobian)
     }
 }

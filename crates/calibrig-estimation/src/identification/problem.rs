@@ -6,6 +6,7 @@ use super::LeastSquares;
 use super::linearisation::Whitening;
 use super::machine::{Machine, MachineError, Prepared};
 use super::noise::{ActuatorMotions, MachineNoise, Noise};
+use super::shared::SharedWhitening;
 use super::swept::condensed;
 use super::turns::{TurnRow, TurnWhitening};
 use crate::elastostatics::put;
@@ -91,6 +92,10 @@ pub(super) struct CalibrationProblem {
     pub joined: Vec<(Vec<usize>, DMatrix<f64>)>,
     /// What takes orientations to standard deviations, pose by pose.
     pub turn_whitening: Vec<TurnWhitening>,
+    /// Of errors that many readings share, what a unit of each displaces the data rows by, m and rad in the trackers' axes; data rows x errors.
+    pub shared: DMatrix<f64>,
+    /// What makes rows independent that are whitened pose by pose; `None` where no errors are shared.
+    pub shared_whitening: Option<SharedWhitening>,
     pub current: Current,
     /// What is known already, until it is asked for.
     pub start: Option<Start>,
@@ -232,6 +237,12 @@ impl CalibrationProblem {
 
     /// Takes rows of observations in metres and rad, in the trackers' axes, to the rows that the fit has.
     pub fn whiten(&self, residuals: &mut DVector<f64>, jacobian: &mut DMatrix<f64>) {
+        self.whiten_apart(residuals, jacobian);
+        self.whiten_shared(residuals, Some(jacobian));
+    }
+
+    /// The same pose by pose, whatever poses share.
+    pub(super) fn whiten_apart(&self, residuals: &mut DVector<f64>, jacobian: &mut DMatrix<f64>) {
         for (i, row) in self.rows.iter().enumerate() {
             let own = row.whitening * residuals.fixed_rows::<3>(3 * i);
             residuals.fixed_rows_mut::<3>(3 * i).copy_from(&own);
@@ -272,7 +283,11 @@ impl CalibrationProblem {
     /// Takes displacements of the observations' targets in the base frame, m, to standard deviations.
     pub fn whitening(&self) -> Whitening {
         let of = |row: &Row| row.whitening * self.current.stations[row.station].rotation.matrix();
-        Whitening { single: self.rows.iter().map(of).collect(), joined: self.joined.clone() }
+        Whitening {
+            single: self.rows.iter().map(of).collect(),
+            joined: self.joined.clone(),
+            shared: self.shared_whitening.clone(),
+        }
     }
 
     /// Makes the derivatives by the actuators ready, of the nominal robot with the given `targets`.
@@ -449,6 +464,7 @@ impl LeastSquares for CalibrationProblem {
         }
         self.whiten_joined(residuals, jacobian.as_deref_mut());
         self.whiten_turns(residuals, jacobian.as_deref_mut());
+        self.whiten_shared(residuals, jacobian.as_deref_mut());
         self.fill_priors(x, residuals, jacobian);
     }
 }

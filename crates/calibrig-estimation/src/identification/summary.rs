@@ -11,6 +11,7 @@ use super::identify::LEAST_OF_UNKNOWN;
 use super::instrument::Instruments;
 use super::noise::{LEAST_FREEDOM, Noise, is_doubted};
 use super::problem::CalibrationProblem;
+use super::shared::as_parameters;
 use super::solver::Solution;
 use super::{
     Assumption, CalibratedRobot, Contradiction, DependentGroup, Estimate, FrameChoice, IdentificationOptions,
@@ -281,6 +282,16 @@ fn outliers_of(
     let few = problem.few_unstated();
     let (residuals, weights) = (&solution.residuals, solution.weights.as_slice());
     let is_stated = noise_scale(problem) == NoiseScale::Stated;
+    if let Some(shared) = &problem.shared_whitening {
+        let (residuals, jacobian) = as_parameters(shared, residuals, jacobian);
+        let free = free_columns(&jacobian, bounded);
+        let minimum = Minimum::of(&residuals, &jacobian, &free);
+        return minimum.map_or_else(Vec::new, |minimum| {
+            let spread = minimum.spread(jacobian.ncols(), &free);
+            let rows = Rows { residuals: &minimum.residuals, jacobian: &jacobian, weights, few: &few };
+            gross_errors(problem, &rows, spread.as_ref(), bounded, is_stated, set)
+        });
+    }
     let rows = Rows { residuals, jacobian, weights, few: &few };
     gross_errors(problem, &rows, factorised.spread(), bounded, is_stated, set)
 }

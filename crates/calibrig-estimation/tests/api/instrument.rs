@@ -147,6 +147,7 @@ impl Plan<'_> {
                 nests,
                 instrument: Some(self.stated.clone()),
                 sweeps: Vec::new(),
+                motion: None,
             }],
             targets: vec![Target {
                 name: "S1".to_owned(),

@@ -9,6 +9,7 @@ mod circle_points;
 mod coverage;
 mod diagnosis;
 mod divided;
+mod drift;
 mod faults;
 mod frames;
 mod hidden;

@@ -207,7 +207,7 @@ fn measured(model: &CalibrationModel, poses: u32, known: [bool; 4]) -> Measureme
         }
     };
     MeasurementSet {
-        stations: vec![Station { sweeps: Vec::new(), instrument: None, name: "T1".to_owned(), nests }],
+        stations: vec![Station { name: "T1".to_owned(), nests, ..Station::default() }],
         targets: vec![Target {
             orientation: None,
             name: "S1".to_owned(),

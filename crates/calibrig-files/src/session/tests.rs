@@ -81,7 +81,7 @@ fn stations() -> impl Strategy<Value = Vec<Station>> {
             // One name is one instrument.
             let instrument =
                 instrument.map(|stated| StatedInstrument { name: format!("{i}{}", stated.name), ..stated });
-            Station { name: format!("\"{i}\\ é"), nests, instrument, sweeps: Vec::new() }
+            Station { name: format!("\"{i}\\ é"), nests, instrument, motion: None, sweeps: Vec::new() }
         };
         stations.into_iter().enumerate().map(station).collect()
     })
@@ -390,12 +390,7 @@ fn a_nest_that_is_a_full_pose_is_not_written() {
         time: None,
     };
     let set = MeasurementSet {
-        stations: vec![Station {
-            name: "s".to_owned(),
-            nests: vec![nest],
-            instrument: None,
-            sweeps: Vec::new(),
-        }],
+        stations: vec![Station { name: "s".to_owned(), nests: vec![nest], ..Station::default() }],
         ..MeasurementSet::default()
     };
     let refused = session_text(&[(SetKind::Identification, &set, &[])]).expect_err("a pose");

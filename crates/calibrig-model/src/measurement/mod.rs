@@ -8,7 +8,7 @@ mod repeats;
 
 pub use drift::{
     DRIFT_FALSE_ALARM, DriftError, DriftSize, DriftVerdict, MissingForDrift, NEST_FALSE_ALARM,
-    NestContradiction, StationDrift, Steady, remove_drift,
+    NestContradiction, OpenMotion, StationDrift, Steady, remove_drift,
 };
 pub use instrument::{DRIFT_UNIT, Face, InstrumentTerm, StatedDrift, StatedInstrument};
 pub use pose::{CombineError, combine};
@@ -74,6 +74,8 @@ pub struct Station {
     pub instrument: Option<StatedInstrument>,
     /// Readings while single axes of the robot moved, which can place the station instead of nests. Their [`station`](Observation::station) is this one.
     pub sweeps: Vec<Observation>,
+    /// What readings share of what the correction of a drift leaves open ([`remove_drift`]): part of the covariance that each states.
+    pub motion: Option<OpenMotion>,
 }
 
 /// A nest at a certified place of the base, and where the tracker saw it.

@@ -181,7 +181,7 @@ mod tests {
         };
         let shifts = [0.5, -2.0, 3.0];
         let mean = shifts.iter().sum::<f64>() / 3.0;
-        let station = |nests| Station { name: "T".to_owned(), nests, instrument: None, sweeps: Vec::new() };
+        let station = |nests| Station { name: "T".to_owned(), nests, ..Station::default() };
         let repeated = (0..3).flat_map(|round: usize| (0..4).map(move |n| (n, round)));
         let repeated = station(repeated.map(|(n, round)| nest(n, shifts[round], noise)).collect());
         let averaged = station((0..4).map(|n| nest(n, mean, noise / 3.0)).collect());

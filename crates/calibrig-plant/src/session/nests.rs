@@ -58,7 +58,13 @@ impl MeasuringSession<'_> {
             let stated = tracker.stated();
             let states = !stated.sigmas.is_empty() || stated.drift.is_some();
             let instrument = states.then_some(stated);
-            stations.push(Station { name: name.to_owned(), nests, instrument, sweeps: Vec::new() });
+            stations.push(Station {
+                name: name.to_owned(),
+                nests,
+                instrument,
+                motion: None,
+                sweeps: Vec::new(),
+            });
         }
         Ok(stations)
     }

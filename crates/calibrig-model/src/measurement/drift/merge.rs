@@ -88,7 +88,7 @@ fn mean_of(
         let weight = 1.0 / (own.len() * faces.len()) as f64;
         for nest in own {
             let seen = nest.reading.position();
-            let still = correction.and_then(|c| c.at(nest.time?)).map(|(still_from_seen, _)| still_from_seen);
+            let still = correction.and_then(|c| c.at(nest.time?));
             position += weight * still.map_or(seen, |t| t.rotation * seen + t.translation.vector);
             let own = nest.reading.position_covariance();
             covariance = covariance.zip(own).map(|(sum, own)| sum + own * (weight * excess.max(1.0)).powi(2));

@@ -5,13 +5,16 @@
 //! greatest restricted likelihood; it is smoothed over all rounds and interpolated to the time of each reading ([`remove_drift`]).
 
 mod merge;
+mod open;
 #[cfg(test)]
 mod tests;
 mod walk;
 
+pub use open::OpenMotion;
+
 use std::collections::{HashMap, HashSet};
 
-use nalgebra::{Matrix3, Matrix6, Rotation3, SMatrix, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -175,8 +178,8 @@ struct Seat {
 }
 
 /// Finds the drift of every station whose nests were measured more than once, and removes it: readings and nests are moved to where the tracker stood on
-/// the average of its rounds, and what the correction leaves open is added to the covariance of each reading. That part is common to readings
-/// between the same rounds; it is added to each as if it were its own.
+/// the average of its rounds, and what the correction leaves open is added to the covariance of each reading, as it is for one by itself. What of it
+/// readings share is [`Station::motion`].
 ///
 /// A station whose nests were measured once each is as it was, to the bit; so are readings at a tracker that does not move by more than nests scatter (at
 /// [`DRIFT_FALSE_ALARM`]). Deterministic, and without any knowledge of the truth.
@@ -191,13 +194,16 @@ pub fn remove_drift(set: &MeasurementSet) -> Result<Steady, DriftError> {
             continue;
         }
         check_places(station)?;
-        let (mut drift, motion, left_out) = drift_of(station)?;
-        let correction = motion.as_ref().map(|(smoothed, frame)| Correction { smoothed, frame: *frame });
+        let own = set.observations.iter().filter(|o| o.station == index && o.time.is_finite());
+        let times: Vec<f64> = own.map(|o| o.time).collect();
+        let (mut drift, motion, left_out) = drift_of(station, &times)?;
+        let correction = motion.as_ref().map(|(smoothed, open)| Correction { smoothed, open });
         let excess = drift.noise_ratio.filter(|_| scatters_more(&drift)).unwrap_or(1.0);
         let Steady { measurements, stations } = &mut steady;
         measurements.stations[index].nests = merge::merged(station, correction.as_ref(), &left_out, excess);
         if let (Some(correction), DriftVerdict::Removed(size)) = (&correction, &mut drift.verdict) {
             correct(measurements, index, correction, size);
+            measurements.stations[index].motion = Some(correction.open.clone());
         }
         let tells = !matches!(drift.verdict, DriftVerdict::Unknown { .. });
         if let Some(stated) = measurements.stations[index].instrument.as_mut().filter(|_| tells) {
@@ -268,13 +274,23 @@ fn seats_of(station: &Station, left_out: &[usize]) -> Vec<Seat> {
 }
 
 /// Where the walk's displacements act: about the nests' centroid, turns times their radius, m, in the tracker's frame.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct WalkFrame {
     centre: Vector3<f64>,
     radius: f64,
 }
 
-type Motion = (Smoothed, WalkFrame);
+impl WalkFrame {
+    /// From the walk to the displacement (m) and the turn (rad) of what is `seen`.
+    fn jacobian(&self, seen: &Vector3<f64>) -> Matrix6<f64> {
+        let mut jacobian = Matrix6::identity();
+        jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&-(seen - self.centre).cross_matrix());
+        jacobian.fixed_columns_mut::<3>(3).scale_mut(1.0 / self.radius);
+        jacobian
+    }
+}
+
+type Motion = (Smoothed, OpenMotion);
 
 /// The rounds of a station as a walk sees them.
 struct Rounds {
@@ -316,7 +332,11 @@ fn rounds_of(station: &Station, left_out: &[usize]) -> Result<Rounds, Registrati
 }
 
 /// The drift of a station, its motion where it can be told, and which readings of nests contradict the others.
-fn drift_of(station: &Station) -> Result<(StationDrift, Option<Motion>, Vec<usize>), DriftError> {
+/// `times` are those of the readings that shall be corrected, s.
+fn drift_of(
+    station: &Station,
+    times: &[f64],
+) -> Result<(StationDrift, Option<Motion>, Vec<usize>), DriftError> {
     let refused = |source| DriftError::Nests { station: station.name.clone(), source };
     let names: HashSet<_> = station.nests.iter().map(|nest| nest.name.as_str()).collect();
     if names.len() < 3 {
@@ -341,7 +361,8 @@ fn drift_of(station: &Station) -> Result<(StationDrift, Option<Motion>, Vec<usiz
         rounds = rounds_of(station, &left_out).map_err(refused)?;
     }
     let Rounds { walk, frame, .. } = rounds;
-    let (Some(still), Some(moving)) = (walk.smooth(true), walk.smooth(false)) else {
+    let around = walk.around(times);
+    let (Some(still), Some(moving)) = (walk.smooth(true, &[]), walk.smooth(false, &around)) else {
         drift.verdict = DriftVerdict::Unknown { missing: MissingForDrift::Readings };
         return Ok((drift, None, left_out));
     };
@@ -353,7 +374,8 @@ fn drift_of(station: &Station) -> Result<(StationDrift, Option<Motion>, Vec<usiz
     }
     drift.noise_ratio = Some(moving.noise_factor.sqrt());
     drift.verdict = DriftVerdict::Removed(size_of(&moving, frame, p_value, &station.name)?);
-    Ok((drift, Some((moving, frame)), left_out))
+    let open = OpenMotion::new(&moving, frame, around);
+    Ok((drift, Some((moving, open)), left_out))
 }
 
 /// The readings of nests that contradict the other rounds, the worst first, until no more do or one in ten is out.
@@ -363,12 +385,12 @@ fn contradicting(rounds: &Rounds, station: &Station, drift: &mut StationDrift) -
     let count = which.len() as f64;
     let limit = (NEST_FALSE_ALARM / count).ln();
     while left_out.len() < rounds.which.len() / 10 {
-        let Some(told) = walk.smooth(false) else { break };
+        let Some(told) = walk.smooth(false, &[]) else { break };
         // A reading that is off drags the walk with it: those that look worst are held against a walk that does not know them.
         let suspects = told.suspects().into_iter().take(3).filter(|(_, ln_p)| *ln_p < limit + 10.0_f64.ln());
         let held = suspects.filter_map(|(suspect, _)| {
             let rest = walk.without(suspect);
-            let (distance, ln_p) = rest.off(&rest.smooth(false)?, &walk.sightings()[suspect])?;
+            let (distance, ln_p) = rest.off(&rest.smooth(false, &[])?, &walk.sightings()[suspect])?;
             (ln_p < limit).then_some((suspect, rest, distance, ln_p))
         });
         let Some((worst, rest, distance, ln_p)) = held.min_by(|a, b| a.3.total_cmp(&b.3)) else { break };
@@ -439,7 +461,7 @@ fn scatters_more(drift: &StationDrift) -> bool {
 /// Takes readings to where the tracker stood on the average of its rounds.
 struct Correction<'a> {
     smoothed: &'a Smoothed,
-    frame: WalkFrame,
+    open: &'a OpenMotion,
 }
 
 impl Correction<'_> {
@@ -449,30 +471,24 @@ impl Correction<'_> {
         first.is_none_or(|knot| time < knot.time) || last.is_none_or(|knot| time > knot.time)
     }
 
-    /// What takes a point as seen at a time to where it would have been seen, and the covariance of the displacement (m, then rad, about the
-    /// centre).
-    fn at(&self, time: f64) -> Option<(Transform, Matrix6<f64>)> {
-        let (xi, covariance) = self.smoothed.at(time)?;
-        let WalkFrame { centre, radius } = self.frame;
-        let scale = Matrix6::from_diagonal(&Vector6::from_fn(|i, _| if i < 3 { 1.0 } else { 1.0 / radius }));
+    /// What takes a point as seen at a time to where it would have been seen.
+    fn at(&self, time: f64) -> Option<Transform> {
+        let (xi, _) = self.smoothed.at(time)?;
+        let WalkFrame { centre, radius } = self.open.frame();
         let turn = Rotation3::new(xi.fixed_rows::<3>(3) / radius);
         let shift = xi.fixed_rows::<3>(0);
         // seen = centre + turn (still - centre) + shift
-        let moved = Transform::from_parts((centre + shift - turn * centre).into(), turn);
-        Some((moved.inverse(), scale * covariance * scale))
+        Some(Transform::from_parts((centre + shift - turn * centre).into(), turn).inverse())
     }
 
     /// Moves a reading and adds what the correction leaves open to its covariance. By how much, m, and the trace of what was added, m²;
     /// `None` where the time is not a finite number.
     fn apply(&self, reading: &mut Reading, time: f64) -> Option<(Vector3<f64>, f64)> {
-        let (still_from_seen, covariance) = self.at(time)?;
+        let still_from_seen = self.at(time)?;
         let seen = reading.position();
-        let lever = seen - self.frame.centre;
-        let mut jacobian = SMatrix::<f64, 3, 6>::zeros();
-        jacobian.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
-        jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&-lever.cross_matrix());
-        let added = jacobian * covariance * jacobian.transpose();
         let position = still_from_seen.rotation * seen + still_from_seen.translation.vector;
+        let open = self.open.covariance((time, &position), (time, &position));
+        let added: Matrix3<f64> = open.fixed_view::<3, 3>(0, 0).into_owned();
         match reading {
             Reading::Spherical(reading) => merge::move_spherical(reading, &position, &added),
             Reading::Cartesian { position: at, covariance: stated } => {
@@ -482,10 +498,7 @@ impl Correction<'_> {
             Reading::Pose(pose) => {
                 pose.position = position;
                 pose.rotation = still_from_seen.rotation * pose.rotation;
-                let mut whole = SMatrix::<f64, 6, 6>::identity();
-                whole.fixed_view_mut::<3, 6>(0, 0).copy_from(&jacobian);
-                let added = whole * covariance * whole.transpose();
-                pose.covariance = pose.covariance.map(|stated| stated + added);
+                pose.covariance = pose.covariance.map(|stated| stated + open);
             }
         }
         Some((position - seen, added.trace()))

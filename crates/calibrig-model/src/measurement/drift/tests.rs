@@ -122,7 +122,7 @@ fn session(motion: Motion, noise: f64, trial: u32) -> Session {
         places.push(from);
         time += PER_POSE;
     }
-    let stations = vec![Station { name: "1".to_owned(), nests, instrument: None, sweeps: Vec::new() }];
+    let stations = vec![Station { name: "1".to_owned(), nests, ..Station::default() }];
     let targets = vec![Target { name: "SMR".to_owned(), ..Target::default() }];
     Session { set: MeasurementSet { stations, targets, observations }, points, places }
 }
@@ -190,6 +190,25 @@ fn what_a_correction_leaves_open_is_what_it_states() {
     );
     // 360 degrees of freedom that share little: 99.9 % of chi-square / 360 within 1 +- 0.25; the rates are estimated on top.
     assert!((0.70..1.30).contains(&per_dof), "{per_dof}");
+}
+
+#[test]
+fn knots_are_known_together_about_the_mean_of_all_sightings() {
+    let mut station = session(Motion::Walk, NOISE, 1).set.stations.remove(0);
+    station.nests.truncate(8 * 6);
+    let times: Vec<f64> = station.nests.iter().filter_map(|nest| nest.time).collect();
+    let walk = rounds_of(&station, &[]).expect("nests").walk;
+    let all = walk.smooth(false, &times).expect("six rounds").joint;
+    let mean: nalgebra::DMatrix<f64> =
+        (0..times.len()).map(|k| all.rows(6 * k, 6) / times.len() as f64).sum();
+    assert!(mean.amax() < 1e-8 * all.amax(), "{} of {}", mean.amax(), all.amax());
+    assert!(
+        (&all - all.transpose()).amax() < 1e-12 * all.amax()
+            && all.symmetric_eigenvalues().min() > -1e-8 * all.amax()
+    );
+    // Whichever of them are asked for.
+    let few = walk.smooth(false, &times[3..9]).expect("six rounds").joint;
+    assert_eq!(few, all.view((18, 18), (36, 36)));
 }
 
 #[test]

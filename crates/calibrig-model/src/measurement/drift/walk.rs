@@ -67,6 +67,9 @@ pub(super) struct Smoothed {
     dof: f64,
     /// What the places are off by, in the columns of `loose`, and its covariance.
     places: (DVector<f64>, DMatrix<f64>),
+    /// Covariance of the walk at the chosen knots with each other, six rows a knot in the order of time; of its difference from its mean over all
+    /// sightings: how far that is off is in the mean places.
+    pub joint: DMatrix<f64>,
 }
 
 struct Filtered {
@@ -233,8 +236,23 @@ impl Walk {
         rates
     }
 
-    /// The walk of greatest likelihood, or none where `still`. `None` where the readings do not tell it.
-    pub(super) fn smooth(&self, still: bool) -> Option<Smoothed> {
+    /// Times of the sightings next to the given `times`, before and behind, ascending.
+    pub(super) fn around(&self, times: &[f64]) -> Vec<f64> {
+        let mut chosen: Vec<f64> = Vec::new();
+        for time in times {
+            let behind = self.sightings.partition_point(|sighting| sighting.time <= *time);
+            let next_to = [behind.checked_sub(1), Some(behind)].into_iter().flatten();
+            chosen
+                .extend(next_to.filter_map(|index| self.sightings.get(index)).map(|sighting| sighting.time));
+        }
+        chosen.sort_by(f64::total_cmp);
+        chosen.dedup();
+        chosen
+    }
+
+    /// The walk of greatest likelihood, or none where `still`, with its joint covariance at the times `chosen` of sightings, ascending. `None` where the
+    /// readings do not tell it.
+    pub(super) fn smooth(&self, still: bool, chosen: &[f64]) -> Option<Smoothed> {
         if self.dof() == 0 || !(self.span() > 0.0) {
             return None;
         }
@@ -250,7 +268,9 @@ impl Walk {
             ln_p: vec![0.0; self.sightings.len()],
             dof,
             places: (DVector::zeros(0), DMatrix::zeros(0, 0)),
+            joint: DMatrix::zeros(0, 0),
         };
+        let mut joint = Joint::new(self.states(), chosen);
         if let Some(last) = steps.last() {
             let count = self.loose.ncols();
             let covariance = last.covariance.view((6, 6), (count, count)) * noise_factor;
@@ -267,6 +287,7 @@ impl Walk {
                     let mean = &step.mean + &gain * (&next_mean - &step.mean);
                     let covariance =
                         &step.covariance + &gain * (&next_covariance - predicted) * gain.transpose();
+                    joint.before(&gain);
                     let crossed = &gain * &next_covariance;
                     (mean, covariance, crossed.fixed_view::<6, 6>(0, 0) * noise_factor)
                 }
@@ -281,9 +302,11 @@ impl Walk {
                 covariance: covariance.fixed_view::<6, 6>(0, 0) * noise_factor,
                 with_next,
             });
+            joint.at(step.time, &covariance, (step.end - start) as f64 / self.sightings.len() as f64);
             later = Some((mean, covariance, step.time));
         }
         smoothed.knots.reverse();
+        smoothed.joint = joint.about_mean() * noise_factor;
         Some(smoothed)
     }
 
@@ -310,6 +333,68 @@ impl Walk {
         let spread = sighting.noise * told.noise_factor + rigid * covariance * rigid.transpose() + of_place;
         let squares = residual.dot(&Cholesky::new(spread)?.solve(&residual));
         Some((residual.norm(), f_ln_survival(squares / 3.0, 3.0, told.dof)))
+    }
+}
+
+/// Covariance of the walk at chosen knots, filled from the last on: a state depends on what is behind it by the smoother's gain alone.
+struct Joint<'a> {
+    chosen: &'a [f64],
+    covariance: DMatrix<f64>,
+    /// Of the state here with the walk at the chosen knots behind it.
+    across: DMatrix<f64>,
+    /// Of the state here with what the walk behind it is in the mean over all sightings.
+    behind: DMatrix<f64>,
+    /// Of that mean with the walk at the chosen knots, and by itself.
+    mean: DMatrix<f64>,
+    of_mean: Matrix6<f64>,
+}
+
+impl<'a> Joint<'a> {
+    fn new(states: usize, chosen: &'a [f64]) -> Self {
+        let walks = 6 * chosen.len();
+        Self {
+            chosen,
+            covariance: DMatrix::zeros(walks, walks),
+            across: DMatrix::zeros(states, walks),
+            behind: DMatrix::zeros(states, 6),
+            mean: DMatrix::zeros(6, walks),
+            of_mean: Matrix6::zeros(),
+        }
+    }
+
+    /// Goes to the knot before.
+    fn before(&mut self, gain: &DMatrix<f64>) {
+        self.across = gain * &self.across;
+        self.behind = gain * &self.behind;
+    }
+
+    /// `covariance` is that of the state here, where there is this `share` of all sightings.
+    fn at(&mut self, time: f64, covariance: &DMatrix<f64>, share: f64) {
+        let own: Matrix6<f64> = covariance.fixed_view::<6, 6>(0, 0).into_owned();
+        let behind: Matrix6<f64> = self.behind.fixed_view::<6, 6>(0, 0).into_owned();
+        self.mean += self.across.rows(0, 6) * share;
+        self.of_mean += own * (share * share) + (behind + behind.transpose()) * share;
+        if let Some(place) = self.chosen.iter().position(|chosen| *chosen == time) {
+            let first = 6 * place;
+            self.across.columns_mut(first, 6).copy_from(&covariance.columns(0, 6));
+            self.covariance.rows_mut(first, 6).copy_from(&self.across.rows(0, 6));
+            self.covariance.columns_mut(first, 6).tr_copy_from(&self.across.rows(0, 6));
+            self.mean.columns_mut(first, 6).copy_from(&(own * share + behind.transpose()));
+        }
+        self.behind += covariance.columns(0, 6) * share;
+    }
+
+    /// Of differences from the mean.
+    fn about_mean(self) -> DMatrix<f64> {
+        let Self { mut covariance, mean, of_mean, .. } = self;
+        for first in (0..covariance.nrows()).step_by(6) {
+            let own = mean.columns(first, 6).transpose();
+            for other in (0..covariance.ncols()).step_by(6) {
+                let mut block = covariance.fixed_view_mut::<6, 6>(first, other);
+                block += of_mean - &own - mean.columns(other, 6);
+            }
+        }
+        covariance
     }
 }
 
