@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use nalgebra::{DVector, Matrix3, Vector3};
+use nalgebra::{DVector, Vector3};
 
 use super::residuals::{ObservationResidual, residuals};
 use super::worth::{Worse, worse};
@@ -109,15 +109,11 @@ fn outside(
     estimate: &Estimate,
 ) -> Option<Outside> {
     let predicted = predict_readings(model, &set.measurements, options, estimate).ok()??;
-    let of_noise = match estimate.noise {
-        NoiseScale::Residuals(sigma) => Matrix3::identity() * sigma * sigma,
-        NoiseScale::Stated => Matrix3::zeros(),
-    };
     // Student's distribution reaches as much farther along three coordinates as along one.
     let square = SQUARES_95[0] * estimate.interval_factor(0.95).powi(2) / SQUARES_95[1];
     let (mut inside, of) = (0, predicted.len());
     for (observation, predicted) in set.measurements.observations.iter().zip(&predicted) {
-        let own = observation.reading.position_covariance().unwrap_or(of_noise);
+        let own = estimate.reading_covariance(observation.reading.position_covariance());
         let covariance = predicted.of_parameters + predicted.of_machine + own;
         let off = covariance.cholesky()?.solve(&predicted.error).dot(&predicted.error);
         inside += usize::from(off <= square);

@@ -546,11 +546,12 @@ fn mode_trust(mode: Mode, estimate: &Estimate) -> Markup {
     }
 }
 
-/// What the machine was found to do beside the model, and what that makes of intervals.
+/// What readings and machine were found to do beside what is stated, and what that makes of intervals.
 fn machine_noise(estimate: &Estimate) -> Markup {
-    let found = estimate.assumptions.iter().find(|a| matches!(a, Assumption::NoiseOfMachine(_)));
+    let is_found =
+        |a: &&Assumption| matches!(a, Assumption::NoiseOfReadings { .. } | Assumption::NoiseOfMachine(_));
     html! {
-        @if let Some(found) = found { p { (found) "." } }
+        @for found in estimate.assumptions.iter().filter(is_found) { p { (found) "." } }
         @if let Some(freedom) = estimate.interval_freedom.filter(|freedom| freedom.is_finite()) {
             p {
                 "A 95 % interval is " (format!("{:.2}", estimate.interval_factor(0.95))) " standard deviations to either side (Student\u{2019}s t, "

@@ -249,6 +249,9 @@ pub struct JsonEstimate {
     /// What the machine was found to do beside the model; absent where that was not estimated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub machine_noise: Option<JsonMachineNoise>,
+    /// Noise of the readings by themselves that was found, over what they state; absent where it was not looked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reading_scale: Option<f64>,
     /// Standard deviation that was found of orientations beside what their readings state, rad; absent where none was looked for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub orientation_sigma_rad: Option<f64>,
@@ -581,6 +584,7 @@ fn json_estimate(estimate: &Estimate) -> JsonEstimate {
             actuators: found.actuators.iter().copied().map(finite).collect(),
             degrees_of_freedom: found.freedom.and_then(finite),
         }),
+        reading_scale: estimate.reading_scale.and_then(finite),
         orientation_sigma_rad: estimate.turn_noise.and_then(finite),
         interval_factor_95: finite(estimate.interval_factor(0.95)),
         warnings: estimate.warnings.iter().map(ToString::to_string).collect(),

@@ -463,6 +463,7 @@ fn simulated_estimate(rng: &mut ChaCha8Rng, mode: Mode, prior: &Transform, ratio
         assumptions: Vec::new(),
         noise: NoiseScale::Stated,
         machine_noise: Vec::new(),
+        reading_scale: None,
         turn_noise: None,
         interval_freedom: None,
         chi2: ratio * ratio * degrees_of_freedom,

@@ -220,8 +220,14 @@ fn state(estimate: &Estimate, style: Style) -> Vec<String> {
         let bounds: Vec<_> = estimate.bounds.iter().map(ToString::to_string).collect();
         say(Ink::Good, &format!("  held within bounds: {}", bounds.join(", ")), "    ");
     }
-    let is_found =
-        |a: &&Assumption| matches!(a, Assumption::NoiseOfMachine(_) | Assumption::NoiseOfOrientations { .. });
+    let is_found = |a: &&Assumption| {
+        matches!(
+            a,
+            Assumption::NoiseOfReadings { .. }
+                | Assumption::NoiseOfMachine(_)
+                | Assumption::NoiseOfOrientations { .. }
+        )
+    };
     for found in estimate.assumptions.iter().filter(is_found) {
         say(Ink::Dim, &format!("  {}", printable(&found.to_string())), "    ");
     }

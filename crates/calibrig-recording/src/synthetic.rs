@@ -367,6 +367,7 @@ fn estimate(robot: CalibratedRobot, share: f64) -> Estimate {
         chi2: 151.25,
         degrees_of_freedom: 120.0,
         machine_noise: Vec::new(),
+        reading_scale: None,
         turn_noise: None,
         interval_freedom: None,
         termination: TerminationReason::SmallStep,

@@ -198,6 +198,13 @@ pub enum Assumption {
     /// The machine does more than its model.
     #[error("machine: errors of single poses beside the model, {}", noise_in_words(.0))]
     NoiseOfMachine(MachineNoise),
+    /// Readings scatter by themselves by more than they state.
+    #[error("noise: readings by themselves {scale:.2} times what they state, found with the fit")]
+    NoiseOfReadings {
+        /// Found over stated standard deviation.
+        #[serde(with = "calibrig_model::float::scalar")]
+        scale: f64,
+    },
     /// Compliances are fitted, and nobody said how well the masses that load them are known.
     #[error(
         "masses and centres of gravity: taken as exact, as no uncertainty of them is stated; the standard deviations of the compliances do \
@@ -487,6 +494,14 @@ pub enum Warning {
         /// Whether the fit was weighed with an estimate of it.
         accounted: bool,
     },
+    /// Readings scatter among themselves by more than they state.
+    #[error(
+        "the readings of one pose scatter among themselves {ratio:.1} times as much as they state: state their noise as it is; the standard deviations include it"
+    )]
+    Understated {
+        /// Found over stated standard deviation, gross errors aside.
+        ratio: f64,
+    },
     /// Too few readings to tell their noise.
     #[error(
         "no degrees of freedom remain: the parameters take all that was measured, and the residuals say nothing of the noise. It is taken to be \
@@ -662,6 +677,10 @@ pub struct Estimate {
     pub weight_unit: f64,
     /// The noise of the readings.
     pub noise: NoiseScale,
+    /// Noise of the readings by themselves over what they state, with which the fit is weighed: found where several of a pose tell it from what
+    /// the machine does; gross errors are in it. `None` where it was not looked for.
+    #[serde(default)]
+    pub reading_scale: Option<f64>,
     /// What the machine does beside the model, in independent parts, as stated and (with its degrees of freedom) as estimated: it is in the
     /// weights of the fit, in the covariance, and in the covariance of what is predicted.
     pub machine_noise: Vec<MachineNoise>,

@@ -271,6 +271,7 @@ fn predict(
     let bare = Estimate {
         machine_noise: Vec::new(),
         turn_noise: None,
+        reading_scale: None,
         noise: NoiseScale::Stated,
         ..estimate.clone()
     };
@@ -327,6 +328,16 @@ impl Estimate {
         parts
     }
 
+    /// Covariance of a reading by itself as the fit weighs it, m², where `stated` is what it states.
+    pub fn reading_covariance(&self, stated: Option<Matrix3<f64>>) -> Matrix3<f64> {
+        let scale = self.reading_scale.unwrap_or(1.0);
+        match (stated, self.noise) {
+            (Some(stated), _) => stated * scale * scale,
+            (None, NoiseScale::Residuals(sigma)) => Matrix3::identity() * sigma * sigma,
+            (None, NoiseScale::Stated) => Matrix3::zeros(),
+        }
+    }
+
     /// The part that was estimated.
     pub fn found_machine(&self) -> Option<&MachineNoise> {
         self.machine_noise.iter().find(|part| part.freedom.is_some())
@@ -366,12 +377,12 @@ fn weigh_as(
         _ => None,
     };
     let machine = estimate.found_machine().cloned();
-    let turn = estimate.turn_noise;
-    if unstated.is_none() && machine.is_none() && turn.is_none() {
+    let (turn, scale) = (estimate.turn_noise, estimate.reading_scale);
+    if unstated.is_none() && machine.is_none() && turn.is_none() && scale.is_none() {
         return Ok(());
     }
     if machine.is_some() {
         problem.prepare_motions(set, &estimate.robot.targets);
     }
-    problem.weigh(&Noise { unstated, machine, turn, freedom: estimate.interval_freedom })
+    problem.weigh(&Noise { unstated, scale, machine, turn, freedom: estimate.interval_freedom })
 }

@@ -36,6 +36,7 @@ mod uncertainty;
 mod variance;
 mod verdict;
 mod weighed;
+mod within;
 
 pub use by_name::{ByNameError, ListedParameter, ParameterState, check_named, list_parameters};
 pub use contradiction::{CONTRADICTION_LEVEL, Contradiction, Stated};

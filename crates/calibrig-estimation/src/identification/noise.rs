@@ -4,6 +4,8 @@
 //! What a machine does beside its model is common to all targets of a pose: a displacement of the whole flange, and errors of the
 //! actuators, `J Σ_q Jᵀ` with J the target's derivative by the commands. Errors of single poses are taken as independent of each other.
 
+use std::ops::Range;
+
 use nalgebra::{Cholesky, DMatrix, DMatrixViewMut, Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -167,6 +169,8 @@ impl ActuatorMotions {
 pub(super) struct Noise {
     /// Of readings that state none, m.
     pub unstated: Option<f64>,
+    /// Of readings that state theirs, over what they state; `None` where it was not looked for.
+    pub scale: Option<f64>,
     pub machine: Option<MachineNoise>,
     /// Of every orientation about each axis beside what its reading states, rad.
     pub turn: Option<f64>,
@@ -175,21 +179,24 @@ pub(super) struct Noise {
 }
 
 impl Noise {
-    /// What [`find`] found, in its order; `None` where it found nothing of what is `unknown`.
-    fn variances(&self, unknown: Unknown) -> Option<Vec<f64>> {
-        let mut sigmas = Vec::new();
+    /// What [`find`] found, in its order; `None` where it found nothing of what is `unknown`. Readings state noise of the size `stated`, m.
+    fn variances(&self, unknown: Unknown, stated: f64) -> Option<Vec<f64>> {
+        let mut variances = Vec::new();
         if unknown.readings {
-            sigmas.push(self.unstated?);
+            variances.push(self.unstated?.powi(2));
+        }
+        if unknown.scale {
+            variances.push((self.scale?.powi(2) - 1.0).max(0.0) * stated * stated);
         }
         if unknown.machine {
             let machine = self.machine.as_ref()?;
-            sigmas.push(machine.position);
-            sigmas.extend(&machine.actuators);
+            variances.push(machine.position.powi(2));
+            variances.extend(machine.actuators.iter().map(|sigma| sigma * sigma));
         }
         if unknown.turn {
-            sigmas.push(self.turn?);
+            variances.push(self.turn?.powi(2));
         }
-        Some(sigmas.iter().map(|sigma| sigma * sigma).collect())
+        Some(variances)
     }
 }
 
@@ -210,7 +217,10 @@ pub(super) fn poses(set: &MeasurementSet) -> Vec<Vec<usize>> {
 /// What of the noise is to be found with the fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Unknown {
+    /// Of readings that state none.
     pub readings: bool,
+    /// Of readings beside what they state: where several of a pose tell it from the machine's.
+    pub scale: bool,
     pub machine: bool,
     /// Of orientations, beside what their readings state.
     pub turn: bool,
@@ -224,6 +234,7 @@ impl Unknown {
         let mixed = unstated > 0 && unstated < problem.rows.len();
         let unknown = Self {
             readings: unstated > 0,
+            scale: false,
             turn: problem.turns.iter().any(|turn| turn.reading.is_none()),
             machine: match options.machine_noise {
                 MachineNoiseChoice::Stated(_) => false,
@@ -234,9 +245,12 @@ impl Unknown {
         if unknown.machine { unknown.with_machine(problem) } else { unknown }
     }
 
-    /// The same with the machine's: what it does beside its model turns the flange as well.
+    /// The same with the machine's: what it does beside its model turns the flange as well, and what readings of one pose are off beside each
+    /// other it did not do.
     pub fn with_machine(self, problem: &CalibrationProblem) -> Self {
-        Self { machine: true, turn: !problem.turns.is_empty(), ..self }
+        let states = |i: &&usize| problem.rows[**i].reading.is_some();
+        let scale = problem.poses.iter().any(|pose| pose.iter().filter(states).count() > 1);
+        Self { machine: true, scale, turn: !problem.turns.is_empty(), ..self }
     }
 
     pub fn any(self) -> bool {
@@ -246,7 +260,27 @@ impl Unknown {
     /// How many variances: of the readings, of the flange's place, of every actuator, and of orientations.
     fn components(self, problem: &CalibrationProblem) -> usize {
         let actuators = problem.motions.first().map_or(0, Vec::len);
-        usize::from(self.readings) + if self.machine { 1 + actuators } else { 0 } + usize::from(self.turn)
+        self.of_machine() + if self.machine { 1 + actuators } else { 0 } + usize::from(self.turn)
+    }
+
+    /// The first variance of the machine: those of the readings come before.
+    fn of_machine(self) -> usize {
+        usize::from(self.readings) + usize::from(self.scale)
+    }
+
+    /// Places of the machine's variances.
+    pub fn machine_components(self, problem: &CalibrationProblem) -> Range<usize> {
+        self.of_machine()..self.components(problem) - usize::from(self.turn)
+    }
+
+    /// What of a noise was found.
+    pub fn found(noise: &Noise) -> Self {
+        Self {
+            readings: noise.unstated.is_some(),
+            scale: noise.scale.is_some(),
+            machine: noise.machine.is_some(),
+            turn: noise.turn.is_some(),
+        }
     }
 }
 
@@ -263,14 +297,14 @@ pub(super) fn find(
     unknown: Unknown,
     fit: &mut impl FnMut(&mut CalibrationProblem, Vec<f64>) -> Result<Solution, IdentifyError>,
 ) -> Result<Solution, IdentifyError> {
-    let mut before = problem.noise.variances(unknown);
+    let mut before = problem.noise.variances(unknown, problem.stated_sigma());
     for _ in 0..MOST_ROUNDS {
         let (system, lever) = system(problem, &solution, unknown);
         let Some(found) = system.components(before.as_deref()) else { break };
         if before.as_ref().is_some_and(|before| is_settled(before, &found.variances, &system)) {
             break;
         }
-        problem.weigh(&named(&found, unknown))?;
+        problem.weigh(&named(&found, unknown, problem.stated_sigma()))?;
         let System { mut residuals, jacobian, .. } = system;
         let (rows, parameters) = (problem.rows(), problem.parameters());
         residuals = residuals.resize_vertically(rows, 0.0);
@@ -305,23 +339,29 @@ fn is_settled(before: &[f64], now: &[f64], system: &System) -> bool {
     moved <= SETTLED * total
 }
 
-fn named(found: &Components, unknown: Unknown) -> Noise {
+fn named(found: &Components, unknown: Unknown, stated: f64) -> Noise {
     let mut sigmas = found.variances.iter().map(|variance| variance.sqrt());
     let unstated = if unknown.readings { sigmas.next() } else { None };
+    let beside = if unknown.scale { sigmas.next() } else { None };
+    let scale = beside.map(|beside| 1.0_f64.hypot(beside / stated));
     let turn = if unknown.turn { sigmas.next_back() } else { None };
     let machine = unknown.machine.then(|| MachineNoise {
         position: sigmas.next().unwrap_or(0.0),
         actuators: sigmas.collect(),
         freedom: Some(found.freedom),
     });
-    Noise { unstated, machine, turn, freedom: Some(found.freedom) }
+    Noise { unstated, scale, machine, turn, freedom: Some(found.freedom) }
 }
 
 /// Observations with a smaller weight are no sign of the noise.
 const REJECTED: f64 = 0.5;
 
 /// The system at a solution, in metres, with the shapes of what is unknown; rotations are multiplied by the length that comes with it.
-fn system(problem: &mut CalibrationProblem, solution: &Solution, unknown: Unknown) -> (System, f64) {
+pub(super) fn system(
+    problem: &mut CalibrationProblem,
+    solution: &Solution,
+    unknown: Unknown,
+) -> (System, f64) {
     let (mut residuals, mut jacobian) = problem.metres(solution);
     if problem.shared.ncols() > 0 {
         // Integrated out with the parameters, they are part of what is known of the noise.
@@ -365,18 +405,29 @@ fn block(problem: &CalibrationProblem, observations: &[usize], unknown: Unknown,
     let own: Vec<usize> =
         if unknown.readings { (0..positions).filter(|row| unstated[row / 3]).collect() } else { Vec::new() };
     let mut components = vec![0; own.len()];
+    let scaled: Vec<usize> =
+        if unknown.scale { (0..observations.len()).filter(|k| !unstated[*k]).collect() } else { Vec::new() };
+    components.resize(own.len() + 3 * scaled.len(), usize::from(unknown.readings));
+    let first = components.len();
     if unknown.machine {
-        let place = usize::from(unknown.readings);
+        let place = unknown.of_machine();
         components.extend([place; 3]);
         components.extend(place + 1..unknown.components(problem) - usize::from(unknown.turn));
     }
-    let of_machine = own.len()..components.len();
+    let of_machine = first..components.len();
     if unknown.turn {
         components.extend(std::iter::repeat_n(unknown.components(problem) - 1, size - positions));
     }
     let mut shapes = DMatrix::zeros(size, components.len());
     for (column, row) in own.iter().enumerate() {
         shapes[(*row, column)] = 1.0;
+    }
+    let sigma = if scaled.is_empty() { 1.0 } else { problem.stated_sigma() };
+    for (place, k) in scaled.iter().enumerate() {
+        let root = problem.rows[observations[*k]].reading.and_then(Cholesky::new).map(|root| root.l());
+        shapes
+            .fixed_view_mut::<3, 3>(3 * k, own.len() + 3 * place)
+            .copy_from(&(root.unwrap_or_default() / sigma));
     }
     if unknown.machine {
         problem.fill_motions(&blocks, shapes.columns_range_mut(of_machine.clone()));
@@ -458,11 +509,19 @@ impl CalibrationProblem {
         Some(())
     }
 
+    /// Root mean square of the standard deviations that readings state, m.
+    pub(super) fn stated_sigma(&self) -> f64 {
+        let stated = || self.rows.iter().filter_map(|row| row.reading);
+        (stated().map(|covariance| covariance.trace() / 3.0).sum::<f64>() / stated().count().max(1) as f64)
+            .sqrt()
+    }
+
     /// What an observation does not share with the others of its pose, m².
     fn own_covariance(&self, index: usize) -> Matrix3<f64> {
         let sigma = self.noise.unstated.filter(|sigma| *sigma > 0.0).unwrap_or(UNSTATED_SIGMA);
         let unstated = || Matrix3::identity() * (sigma * sigma + self.unmodelled * self.unmodelled);
-        self.rows[index].reading.unwrap_or_else(unstated)
+        let scale = self.noise.scale.unwrap_or(1.0);
+        self.rows[index].reading.map_or_else(unstated, |stated| stated * scale * scale)
     }
 
     /// What the options state of the machine.

@@ -13,6 +13,7 @@ use super::noise::{LEAST_FREEDOM, Noise, is_doubted};
 use super::problem::CalibrationProblem;
 use super::shared::as_parameters;
 use super::solver::Solution;
+use super::within::{Parts, parts};
 use super::{
     Assumption, CalibratedRobot, Contradiction, DependentGroup, Estimate, FrameChoice, IdentificationOptions,
     LeastSquares, Mode, NoiseScale, Outlier, ParameterBound, ParameterEstimate, Spectrum, Stated,
@@ -112,6 +113,8 @@ pub(super) fn summarise(
     let Built { mut problem, sigmas, named, fixed, left_out, .. } = built;
     let (n, observations) = (problem.parameters.len(), problem.rows.len());
     let noise = noise_scale(&problem);
+    let jacobian = unweighted(&mut problem, &solution);
+    let (outliers, found) = far_off_and_noise(&mut problem, &solution, &jacobian, &factorised, set);
     let held = factorised.factors.held(&problem, options.redundant);
     let bounded = &factorised.bounded;
     let covariance = factorised.covariance();
@@ -123,7 +126,7 @@ pub(super) fn summarise(
         && !accounted
         && size.is_too_large()
         && is_misfit(&problem, set, (&solution, &factorised), options.frame);
-    let (contradicted, doubts) = doubts(size, is_stated, (accounted, is_misfit), checks.as_ref());
+    let (contradicted, doubts) = doubts(size, is_stated, (accounted, is_misfit), found, checks.as_ref());
     problem.set(&solution.x);
     let mut warnings = Vec::new();
     if !solution.termination.converged() {
@@ -139,8 +142,6 @@ pub(super) fn summarise(
     let known = |bound: &&ParameterBound| has(bound) || left_out.iter().any(|left| left.id == bound.id);
     let (bounds, unused): (Vec<_>, Vec<_>) = options.bounds.iter().filter(known).copied().partition(has);
     warnings.extend(unused.into_iter().map(|bound| Warning::UnusedBound { bound }));
-    let jacobian = unweighted(&mut problem, &solution);
-    let outliers = outliers_of(&mut problem, &solution, &jacobian, &factorised, set);
     if !outliers.is_empty() {
         warnings.push(Warning::Outliers(outliers.clone()));
     }
@@ -156,12 +157,11 @@ pub(super) fn summarise(
     warnings.extend(left_open_warnings(&held, &fixed, &unexcited));
     let assumptions = assumptions(&problem, set, options, noise);
     let machine_noise = problem.stated_machine().into_iter().chain(problem.noise.machine.clone()).collect();
-    let values = problem.parameters.iter().zip(&solution.x);
-    let terms = values.filter_map(|(id, value)| match id {
+    let of_term = |(id, value): (&ParameterId, &f64)| match id {
         ParameterId::Term(term) => Some((*term, *value)),
         _ => None,
-    });
-    let terms = terms.collect();
+    };
+    let terms = problem.parameters.iter().zip(&solution.x).filter_map(of_term).collect();
     let orientations = orientations(&problem, set);
     let parameter = |(i, (id, value)): (usize, (&ParameterId, &f64))| {
         let is_free = !bounded.contains(&i);
@@ -192,6 +192,7 @@ pub(super) fn summarise(
         // An orientation weighs as its observation does.
         weights: solution.weights.iter().copied().take(observations).collect(),
         noise,
+        reading_scale: problem.noise.scale,
         machine_noise,
         turn_noise: problem.noise.turn,
         interval_freedom: problem.noise.freedom,
@@ -267,6 +268,19 @@ struct Rows<'a> {
     few: &'a [(usize, f64)],
 }
 
+/// Readings far off what the others say of them, and what the noise is made of without them.
+fn far_off_and_noise(
+    problem: &mut CalibrationProblem,
+    solution: &Solution,
+    jacobian: &DMatrix<f64>,
+    factorised: &Factorised,
+    set: &MeasurementSet,
+) -> (Vec<Outlier>, Option<Parts>) {
+    let outliers = outliers_of(problem, solution, jacobian, factorised, set);
+    let found = parts(problem, solution, outliers.iter().map(|outlier| outlier.observation));
+    (outliers, found)
+}
+
 /// Readings far off what the others say of them; `jacobian` is the solution's without the weights of a loss.
 fn outliers_of(
     problem: &mut CalibrationProblem,
@@ -276,7 +290,8 @@ fn outliers_of(
     set: &MeasurementSet,
 ) -> Vec<Outlier> {
     let bounded = &factorised.bounded;
-    if problem.noise.machine.is_some() && solution.weights.is_empty() {
+    // Behind a common covariance, what one reading is off by is in the rows of others of its pose.
+    if problem.noise.machine.is_some() && (solution.weights.is_empty() || !problem.joined.is_empty()) {
         return gross_errors_beside_the_machine(problem, solution, bounded, set);
     }
     let few = problem.few_unstated();
@@ -296,8 +311,9 @@ fn outliers_of(
     gross_errors(problem, &rows, factorised.spread(), bounded, is_stated, set)
 }
 
-/// Gross errors where the machine's noise was found with the fit: it was found with them in it. So they are looked for among readings that all
-/// count alike in all directions, as those that state no noise, against the scatter of the others. The problem is weighed as it was before.
+/// Gross errors where the noise was found with the fit: it was found with them in it. So they are looked for among readings that all
+/// count alike in all directions, as those that state no noise, against the scatter of the others; behind a robust loss from the weights that it
+/// left. The problem is weighed as it was before.
 fn gross_errors_beside_the_machine(
     problem: &mut CalibrationProblem,
     solution: &Solution,
@@ -310,7 +326,11 @@ fn gross_errors_beside_the_machine(
     problem.whiten(&mut residuals, &mut jacobian);
     let free = free_columns(&jacobian, bounded);
     let mut outliers = Vec::new();
-    if let Some(minimum) = Minimum::of(&residuals, &jacobian, &free)
+    if !solution.weights.is_empty() {
+        let weights = solution.weights.as_slice();
+        let seen = Rows { residuals: &residuals, jacobian: &jacobian, weights, few: &[] };
+        outliers = gross_errors(problem, &seen, None, bounded, false, set);
+    } else if let Some(minimum) = Minimum::of(&residuals, &jacobian, &free)
         && let Some(spread) = minimum.spread(jacobian.ncols(), &free)
     {
         let seen = Rows { residuals: &minimum.residuals, jacobian: &jacobian, weights: &[], few: &[] };
@@ -538,6 +558,8 @@ fn assumptions(
     if let NoiseScale::Residuals(sigma) = noise {
         made.push(Assumption::NoiseOfResiduals { sigma });
     }
+    let scale = found.scale.filter(|scale| *scale > 1.0);
+    made.extend(scale.map(|scale| Assumption::NoiseOfReadings { scale }));
     made.extend(found.machine.clone().map(Assumption::NoiseOfMachine));
     made.extend(found.turn.map(|sigma| Assumption::NoiseOfOrientations { sigma }));
     made
@@ -613,6 +635,7 @@ fn doubts(
     size: Size,
     is_stated: bool,
     (accounted, is_misfit): (bool, bool),
+    found_parts: Option<Parts>,
     checks: Option<&Checks>,
 ) -> (Vec<Contradiction>, Vec<Warning>) {
     // Where the readings' own noise explains the residuals, there is nothing for a shift of the base to stand in for.
@@ -629,7 +652,12 @@ fn doubts(
     }
     contradicted.extend(checks.map_or_else(Vec::new, Checks::of_nests));
     if is_too_large && (accounted || contradicted.is_empty()) {
-        warnings.push(Warning::Inconsistent { ratio: size.ratio(), accounted });
+        // Where neither shows, gross errors are all that there is.
+        if found_parts.is_none_or(|parts| parts.machine) {
+            warnings.push(Warning::Inconsistent { ratio: size.ratio(), accounted });
+        }
+        let scale = found_parts.and_then(|parts| parts.readings);
+        warnings.extend(scale.map(|ratio| Warning::Understated { ratio }));
     }
     if is_stated && size.is_too_small() {
         warnings.push(Warning::Overstated { ratio: size.ratio() });

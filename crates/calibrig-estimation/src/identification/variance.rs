@@ -47,6 +47,8 @@ pub(super) struct Components {
     /// Degrees of freedom of their sum, as a mean square over the coordinates: twice its square over its own variance (F. E. Satterthwaite, "An
     /// approximate distribution of estimates of variance components", Biometrics Bulletin 2 (1946), 110-114).
     pub freedom: f64,
+    /// Logarithm of their likelihood, but for a constant.
+    pub likelihood: f64,
 }
 
 /// An error that moves targets by less than this mean square, m² per unit, is not seen: an actuator whose axis they lie on.
@@ -82,15 +84,19 @@ impl System {
     }
 
     /// The system without the shapes that hardly move anything.
-    pub fn without_unseen(mut self) -> Self {
+    pub fn without_unseen(self) -> Self {
         let units = self.mean_squares();
-        if units.iter().any(|unit| *unit < UNSEEN) {
-            for block in &mut self.blocks {
-                let is_seen = |column: &usize| units[block.components[*column]] >= UNSEEN;
-                let seen: Vec<usize> = (0..block.components.len()).filter(is_seen).collect();
-                block.shapes = block.shapes.select_columns(&seen);
-                block.components = seen.iter().map(|column| block.components[*column]).collect();
-            }
+        let is_seen = |component: usize| units[component] >= UNSEEN;
+        if (0..units.len()).all(is_seen) { self } else { self.with_components(is_seen) }
+    }
+
+    /// The system with the shapes of those components that are `kept`.
+    pub fn with_components(mut self, kept: impl Fn(usize) -> bool) -> Self {
+        for block in &mut self.blocks {
+            let columns: Vec<usize> =
+                (0..block.components.len()).filter(|column| kept(block.components[*column])).collect();
+            block.shapes = block.shapes.select_columns(&columns);
+            block.components = columns.iter().map(|column| block.components[*column]).collect();
         }
         self
     }
@@ -134,7 +140,8 @@ impl System {
                 break;
             }
         }
-        Some(Components { freedom: self.freedom(&now, &units), variances: now.variances })
+        let likelihood = now.likelihood;
+        Some(Components { freedom: self.freedom(&now, &units), variances: now.variances, likelihood })
     }
 
     fn freedom(&self, now: &State, units: &[f64]) -> f64 {

@@ -26,6 +26,7 @@ impl Warning {
             | Self::UnusedBound { .. }
             | Self::Moved(_)
             | Self::Overstated { .. }
+            | Self::Understated { .. }
             | Self::NoFreedom { .. }
             | Self::Untested { .. }
             | Self::Rigid { .. }

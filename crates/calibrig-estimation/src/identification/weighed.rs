@@ -3,7 +3,7 @@
 use nalgebra::Matrix3;
 
 use super::noise::ActuatorMotions;
-use super::{Estimate, IdentificationOptions, NoiseScale};
+use super::{Estimate, IdentificationOptions};
 use calibrig_model::CalibrationModel;
 use calibrig_model::measurement::{MeasurementSet, Observation};
 
@@ -15,15 +15,11 @@ pub fn weighed_covariances(
     options: &IdentificationOptions,
     estimate: &Estimate,
 ) -> Vec<Matrix3<f64>> {
-    let unstated = match estimate.noise {
-        NoiseScale::Residuals(sigma) => Matrix3::identity() * sigma * sigma,
-        NoiseScale::Stated => Matrix3::zeros(),
-    };
     let unmodelled = Matrix3::identity() * options.unmodelled_sigma * options.unmodelled_sigma;
     let mut motions = ActuatorMotions::new(model);
     let of = |observation: &Observation| {
-        let reading =
-            observation.reading.position_covariance().map_or(unstated, |stated| stated + unmodelled);
+        let stated = observation.reading.position_covariance().map(|stated| stated + unmodelled);
+        let reading = estimate.reading_covariance(stated);
         if estimate.machine_noise.is_empty() {
             return reading;
         }

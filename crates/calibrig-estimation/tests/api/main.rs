@@ -19,6 +19,7 @@ mod poses;
 mod predictions;
 mod robots;
 mod round_trip;
+mod several;
 
 use std::fmt::Display;
 
