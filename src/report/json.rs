@@ -10,6 +10,7 @@ use super::judgement::{JsonJudgement, json_judgement};
 use super::parameters::{fitted, truth_of};
 use super::pose_count;
 use super::residuals::{JsonResidual, json_residuals};
+use super::sensors::{JsonSensors, json_sensors};
 use super::splits::{JsonSplits, json_splits};
 use crate::pipeline::{AblatedPart, Ablation, MissingReading, Outcome, SetOutcome, Worse};
 use calibrig_estimation::evaluation::AccuracyRow;
@@ -44,6 +45,9 @@ pub struct JsonReport {
     /// What rounds of nests say of the trackers' own motion; absent where no nest was measured more than once.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub drift: Vec<JsonDrift>,
+    /// What one point, three points and full poses tell at the same poses; absent where nothing can be compared.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sensors: Option<JsonSensors>,
 }
 
 /// What the parts of a simulated machine contribute.
@@ -458,6 +462,7 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
         ablation: outcome.ablation.as_ref().map(json_ablation),
         splits: outcome.splits.as_ref().map(json_splits),
         drift: json_drift(outcome),
+        sensors: outcome.sensors.as_ref().map(json_sensors),
     }
 }
 

@@ -5,10 +5,12 @@ mod effects;
 mod file;
 mod identification;
 mod instrument;
+mod remarks;
 mod session;
 pub use identification::with_stated_of;
 
 pub use file::{load_scenario, parse_scenario};
+pub use remarks::Passing;
 
 use std::borrow::Cow;
 
