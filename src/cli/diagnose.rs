@@ -183,7 +183,7 @@ fn orientation_words(set: &Diagnosed) -> Option<String> {
         ),
         OrientationFinding::Inverted => format!(
             "Orientations of {} full poses turn the other way around: within {inverted} if inverted, {as_read} as read. Remedy: the other transform in [rotation] \
-             of the column map (\"tracker_in_target\" for \"target_in_tracker\", or back). {UNUSED}.",
+             of the column map (\"tracker_in_target\" for \"target_in_tracker\", or back), or of Euler angles the sequence from its other end. {UNUSED}.",
             found.readings
         ),
         OrientationFinding::Otherwise => format!(

@@ -142,10 +142,8 @@ mod tests {
             let inverted = found(|rotation| rotation.inverse());
             assert!(inverted.inverted < 1e-12 && inverted.as_read > 0.1, "{inverted:?}");
             assert_eq!(inverted.finding(), OrientationFinding::Inverted);
-            let other = found(|rotation| {
-                let (a, b, c) = rotation.euler_angles();
-                Rotation3::from_euler_angles(c, b, a)
-            });
+            // As of angles in another unit: no rotation makes turns of half the size of the robot's.
+            let other = found(|rotation| Rotation3::new(0.5 * rotation.scaled_axis()));
             assert_eq!(other.finding(), OrientationFinding::Otherwise, "{other:?}");
         }
         let points = MeasurementSet::of_points([(vec![0.0; 3], Vector3::x())]);
