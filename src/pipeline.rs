@@ -35,7 +35,7 @@ pub use judgement::{Confidence, FALSE_ALARM, Judgement, PredictedPosition, judge
 pub use planned::{planned, planned_at};
 pub use plausible::{Implausible, check_plausible, commands_beyond_limits};
 pub use residuals::ObservationResidual;
-pub use sensors::{ARM, Sensor, SensorResult, compare_sensors};
+pub use sensors::{ARM, Sensor, SensorProspect, SensorResult, SensorStudy, compare_sensors, foresee_sensors};
 pub use simulate::{measure_session, simulate};
 pub use splits::{SplitMode, SplitPlan, SplitStudy, pose_count, repeat_splits, without_gross_errors};
 pub use steady::{SteadySets, without_drift};
@@ -106,6 +106,8 @@ pub struct Outcome {
     pub published: Vec<(SetKind, Mode, [f64; 6])>,
     /// How far the estimates can be trusted, one entry a mode with an estimate.
     pub judgements: Vec<Judgement>,
+    /// What other targets would have told at the same poses; `None` where nothing can be compared.
+    pub sensors: Option<SensorStudy>,
     /// What each part of the simulated machine contributes, where that was asked for.
     pub ablation: Option<Ablation>,
     /// The modes on random splits of the identification set, where that was asked for.
@@ -356,6 +358,7 @@ pub fn run_trial(
     let (registration, modes) = calibrate(model, &sets, &scenario.modes, &scenario.options)?;
     let judgements = judge(model, &sets, &modes, &scenario.options)?;
     let bounds = bounds_at_truth(model, &sets, &modes, &scenario.options, &simulation.truth);
+    let sensors = foresee_sensors(model, &sets, &modes, &scenario.options);
     Ok(Outcome {
         input: input_of(scenario, seed, trial, plant),
         sources: scenario.sources.clone(),
@@ -372,6 +375,7 @@ pub fn run_trial(
         bounds,
         published: scenario.published.clone(),
         judgements,
+        sensors,
         ablation: None,
         splits: None,
         command: None,

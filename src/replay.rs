@@ -8,7 +8,7 @@ use thiserror::Error;
 
 use crate::pipeline::{
     Implausible, InputSummary, ModeOutcome, Outcome, PipelineError, SetKind, SetOutcome, SteadySets, Truth,
-    calibrate, check_plausible, default_modes, default_options, judge, without_drift,
+    calibrate, check_plausible, default_modes, default_options, foresee_sensors, judge, without_drift,
 };
 use crate::scenario::{Scenario, parse_scenario};
 use calibrig_estimation::METHOD;
@@ -279,6 +279,7 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
     };
     let (registration, modes) = calibrate(&model, &sets, &modes, &fit)?;
     let judgements = judge(&model, &sets, &modes, &fit)?;
+    let sensors = foresee_sensors(&model, &sets, &modes, &fit);
     let whole = missing.is_empty() && !options.changes_anything();
     let (mut differences, mut parameters, mut compared) = (Vec::new(), Vec::new(), 0);
     for outcome in modes.iter().filter(|_| whole && !estimates.is_empty()) {
@@ -319,6 +320,7 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
         bounds: Vec::new(),
         published,
         judgements,
+        sensors,
         ablation: None,
         splits: None,
         command: None,

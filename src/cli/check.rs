@@ -5,9 +5,9 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
-use super::{CliError, Verdict, print, read_scenario};
+use super::{CliError, Verdict, print, read_scenario, say};
 use crate::pipeline::hash_sources;
-use crate::scenario::{Approach, PoseOrder, Scenario, SessionPlan, StationShare};
+use crate::scenario::{Approach, Passing, PoseOrder, Scenario, SessionPlan, StationShare};
 use calibrig_estimation::identification::{
     ComplianceChoice, FrameChoice, Mode, ParameterChoice, TargetChoice,
 };
@@ -30,6 +30,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     let scenario = read_scenario(&args.scenario)?;
     let text = if args.json { as_json(&scenario) } else { as_text(&scenario) };
     print(&text)?;
+    scenario.remarks().iter().for_each(|remark| say(remark));
     Ok(Verdict::Done)
 }
 
@@ -202,6 +203,12 @@ fn write_tracker(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
             text,
             "               systematic errors of {} of the MPE, drawn; {redraws} redrawn for a failed acceptance test",
             instrument.systematic_fraction
+        )?;
+    } else if let Some(Passing { passed, tested }) = scenario.passing() {
+        writeln!(
+            text,
+            "               errs at random alone, by {} of the MPE; of {tested} such instruments {passed} pass their acceptance test",
+            instrument.random_fraction
         )?;
     }
     let conditions = &tracker.conditions;

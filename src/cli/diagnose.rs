@@ -8,15 +8,19 @@ use super::identify::{FileArgs, Loaded};
 use super::inspect::with_progress;
 use super::{CliError, Verdict, print, say};
 use crate::pipeline::{Names, PipelineError, SetKind, SetOutcome, commands_beyond_limits, mm};
-use calibrig_estimation::diagnosis::{Diagnosis, Finding, Hypothesis, Part, Undetermined, diagnose_with};
+use calibrig_estimation::diagnosis::{
+    Diagnosis, Finding, Hypothesis, OrientationFinding, Orientations, Part, Undetermined, diagnose_with,
+    orientations,
+};
 use calibrig_estimation::identification::Mode;
+use calibrig_model::measurement::Reading;
 
 /// Say what would make measurements fit a robot: wrong units, signs, zeros, orders, axes, and rows that are to blame
 ///
 /// The nominal robot is laid over the points by the tracker's place and the target's offset, as the files are read and as they could be meant
 /// otherwise: every convention alone and every two together. Each is told with the RMS that it leaves, how likely it is against all others,
-/// and what applies it. What explains any points of the session equally well is of one class. Full poses are not read yet, so a rotation that
-/// is the inverse one is not looked for.
+/// and what applies it. What explains any points of the session equally well is of one class. Orientations of full poses
+/// weigh in none of it: whether they turn as the robot does, or the other way around, is told by itself.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig diagnose --model robot.toml --measurements m.csv
@@ -38,6 +42,10 @@ struct Diagnosed {
     names: Names,
     found: Diagnosis,
     beyond: Vec<String>,
+    /// Of full poses.
+    orientations: Option<Orientations>,
+    /// Readings that are full poses.
+    poses: usize,
 }
 
 pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
@@ -59,10 +67,15 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
             names: Names::new(&robot.model, set),
             found,
             beyond: commands_beyond_limits(&robot.model, set),
+            orientations: orientations(&robot.model, set),
+            poses: set.observations.iter().filter(|o| matches!(o.reading, Reading::Pose(_))).count(),
         });
     }
     print(&if args.json { as_json(&robot.name, &diagnosed) } else { as_text(&robot.name, &diagnosed) })?;
-    let is_sound = diagnosed.iter().all(|set| set.found.finding() == Finding::Sound);
+    let turns_well = |set: &Diagnosed| {
+        set.orientations.is_none_or(|found| found.finding() == OrientationFinding::AsTheRobot)
+    };
+    let is_sound = diagnosed.iter().all(|set| set.found.finding() == Finding::Sound && turns_well(set));
     if !is_sound {
         say("doubtful: the session is not as the robot's files say");
     }
@@ -101,9 +114,10 @@ fn as_text(name: &str, sets: &[Diagnosed]) -> String {
 }
 
 fn write_text(name: &str, set: &Diagnosed, text: &mut String) -> std::fmt::Result {
-    let Diagnosed { kind, names, found, beyond } = set;
-    let set = if *kind == SetKind::Identification { String::new() } else { format!(", {} set", kind.key()) };
-    writeln!(text, "{name}{set}: {} observations, spread {}", found.observations, mm(found.spread))?;
+    let Diagnosed { kind, names, found, beyond, .. } = set;
+    let which =
+        if *kind == SetKind::Identification { String::new() } else { format!(", {} set", kind.key()) };
+    writeln!(text, "{name}{which}: {} observations, spread {}", found.observations, mm(found.spread))?;
     writeln!(text)?;
     match found.finding() {
         Finding::Sound if is_too_little(found) => {
@@ -141,11 +155,57 @@ fn write_text(name: &str, set: &Diagnosed, text: &mut String) -> std::fmt::Resul
         )?;
     }
     let undetermined = found.undetermined.iter().map(|what| names.undetermined(what));
-    for line in undetermined.chain(beyond.iter().cloned()) {
+    for line in undetermined.chain(beyond.iter().cloned()).chain(orientation_words(set)) {
         writeln!(text)?;
         writeln!(text, "{line}")?;
     }
     writeln!(text)
+}
+
+/// What is said of the orientations of full poses.
+fn orientation_words(set: &Diagnosed) -> Option<String> {
+    const UNUSED: &str = "the hypotheses above are weighed by positions alone";
+    if set.poses == 0 {
+        return None;
+    }
+    let Some(found) = &set.orientations else {
+        return Some(format!(
+            "Orientations of {} full poses are too few, or turn about one axis alone, to be told from others; {UNUSED}.",
+            set.poses
+        ));
+    };
+    let mrad = |angle: f64| format!("{:.1} mrad", 1e3 * angle);
+    let (as_read, inverted) = (mrad(found.as_read), mrad(found.inverted));
+    Some(match found.finding() {
+        OrientationFinding::AsTheRobot => format!(
+            "Orientations of {} full poses turn as the robot does, within {as_read} from pose to pose (RMS); {UNUSED}.",
+            found.readings
+        ),
+        OrientationFinding::Inverted => format!(
+            "Orientations of {} full poses turn the other way around: within {inverted} if inverted, {as_read} as read. Remedy: the other transform in [rotation] \
+             of the column map (\"tracker_in_target\" for \"target_in_tracker\", or back), or of Euler angles the sequence from its other end. {UNUSED}.",
+            found.readings
+        ),
+        OrientationFinding::Otherwise => format!(
+            "Orientations of {} full poses do not turn as the robot does, by {as_read} from pose to pose ({inverted} if inverted). Unless something above explains \
+             the positions: check form, order and sequence in [rotation] of the column map. {UNUSED}.",
+            found.readings
+        ),
+    })
+}
+
+fn json_orientations(set: &Diagnosed) -> Value {
+    let Some(found) = &set.orientations else { return Value::Null };
+    json!({
+        "readings": found.readings,
+        "finding": match found.finding() {
+            OrientationFinding::AsTheRobot => "as_the_robot",
+            OrientationFinding::Inverted => "inverted",
+            OrientationFinding::Otherwise => "otherwise",
+        },
+        "as_read_rad": found.as_read,
+        "inverted_rad": found.inverted,
+    })
 }
 
 fn as_json(name: &str, sets: &[Diagnosed]) -> String {
@@ -172,7 +232,8 @@ fn of_set(set: &Diagnosed) -> Value {
         "hypotheses": found.hypotheses.iter().map(|h| of_hypothesis(names, h)).collect::<Vec<_>>(),
         "undetermined": found.undetermined.iter().map(|what| names.undetermined(what)).collect::<Vec<_>>(),
         "beyond_limits": beyond,
-        "not_tried": { "inverse_rotation": "a diagnosis looks at places, not at rotations" },
+        "orientations": json_orientations(set),
+        "not_tried": { "inverse_rotation": "hypotheses are weighed by places; orientations are told by themselves" },
     })
 }
 

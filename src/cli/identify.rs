@@ -14,8 +14,8 @@ use super::reread::RereadArgs;
 use super::{Cli, CliError, Verdict, not_identified_at, print, say};
 use crate::pipeline::{
     InputHash, InputSummary, Outcome, PipelineError, SetOutcome, SplitPlan, SplitStudy, SteadySets,
-    calibrate, commands_beyond_limits, default_options, is_default, judge, pose_count, repeat_splits,
-    without_drift, without_gross_errors,
+    calibrate, commands_beyond_limits, default_options, foresee_sensors, is_default, judge, pose_count,
+    repeat_splits, without_drift, without_gross_errors,
 };
 use calibrig_estimation::identification::{
     Assumption, ComplianceChoice, DEFAULT_TOLERANCE, IdentificationOptions, LINKAGE, Loss,
@@ -726,6 +726,7 @@ fn outcome(args: &Args, prepared: Prepared) -> Result<(Outcome, Statements, Verd
         .map_err(|error| failed(error, measurements, &sets, &places))?;
     let judgements = judge(&robot.model, &sets, &modes, &options)
         .map_err(|error| failed(error, measurements, &sets, &places))?;
+    let sensors = foresee_sensors(&robot.model, &sets, &modes, &options);
     let outcome = Outcome {
         input: InputSummary { kind: "files", name: robot.name, sha256, seed: None, trial: None },
         sources,
@@ -742,6 +743,7 @@ fn outcome(args: &Args, prepared: Prepared) -> Result<(Outcome, Statements, Verd
         bounds: Vec::new(),
         published: Vec::new(),
         judgements,
+        sensors,
         ablation: None,
         splits: None,
         command: Some(output::command_line()),

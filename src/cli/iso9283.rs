@@ -63,7 +63,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "NAME")]
     target: Option<String>,
     /// Cycles: of a scenario how many are driven, of a file how many of each pose count, from the first on [default: 30; all]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=10_000))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(3..=10_000))]
     cycles: Option<u32>,
     /// Edge of the cube [default: the largest that is found in the working region, in steps of 10 mm]
     #[arg(long, value_name = "MM", value_parser = edge, conflicts_with = "robot")]
@@ -247,7 +247,7 @@ pub(super) fn help(failure: &Iso9283Failure) -> &'static str {
         Iso9283Failure::Reading { .. } => {
             "expected a cube that the tracker can see (--cube-mm, --cube-centre-mm, --plane), or another place of it in [tracker]"
         }
-        Iso9283Failure::Cycles(Iso9283Error::NoRepeats { .. }) => {
+        Iso9283Failure::Cycles(Iso9283Error::NoRepeats { .. } | Iso9283Error::TwoCycles { .. }) => {
             "expected a row for every cycle, with the same commands or pose number, and no --average-repeats"
         }
         Iso9283Failure::Cycles(Iso9283Error::Unequal { .. }) => {

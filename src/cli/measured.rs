@@ -56,7 +56,7 @@ pub(super) struct RowArgs {
     /// Topic of the joints' states in a bag (`sensor_msgs/JointState`) [default: the only one]
     #[arg(long, value_name = "TOPIC")]
     bag_joints: Option<String>,
-    /// Topic of the points in a bag (`geometry_msgs/PointStamped`, `PoseStamped` or `TransformStamped`); repeated, each is a target [default: the
+    /// Topic of the points in a bag (`geometry_msgs/PointStamped`, `PoseStamped`, `PoseWithCovarianceStamped` or `TransformStamped`, `nav_msgs/Odometry`); repeated, each is a target [default: the
     /// only one]
     #[arg(long, value_name = "TOPIC")]
     bag_points: Vec<String>,

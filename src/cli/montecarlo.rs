@@ -71,6 +71,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     let name = format!("{}-montecarlo", scenario.name);
     let destination = args.out.as_deref().map_or(Destination::New(&name), Destination::Asked);
     destination.check(Files::Campaign)?;
+    scenario.remarks().iter().for_each(|remark| say(remark));
     let seed = args.seed.unwrap_or(scenario.seed);
     let campaign = Campaign { scenario: &scenario, seed, plant: args.plant.into() };
     let folder = destination.make()?.0;

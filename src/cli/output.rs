@@ -7,6 +7,7 @@ use super::{CliError, Verdict, colours, print, say};
 use crate::pipeline::{Implausible, Outcome, PipelineError, SetOutcome, check_plausible};
 use crate::report;
 use calibrig_estimation::identification::{Estimate, IdentificationOptions, Warning};
+use calibrig_estimation::two_face::unexplained_face_differences;
 use calibrig_model::CalibrationModel;
 use calibrig_recording::{RecordingError, UnfinishedFile};
 
@@ -304,6 +305,8 @@ pub(super) fn verdict(outcome: &Outcome) -> Verdict {
     for judgement in &outcome.judgements {
         reasons.extend(judgement.reasons().map(|(_, words)| (judgement.mode, words)));
     }
+    let fitted = outcome.sets.first().map(|set| unexplained_face_differences(&set.measurements));
+    fitted.iter().flatten().for_each(|difference| say(&difference.to_string()));
     for (mode, reason) in &reasons {
         say(&format!("doubtful: {}: {reason}", mode.title()));
     }

@@ -11,7 +11,7 @@ use super::live::{self, Live};
 use super::montecarlo::{Plant, trial_number};
 use super::output::{self, Destination, Files};
 use super::record::Recording;
-use super::{CliError, Verdict, not_identified, read_scenario};
+use super::{CliError, Verdict, not_identified, read_scenario, say};
 use crate::pipeline::{self, Ablation, Outcome, PipelineError, SessionEvent};
 use crate::scenario::Scenario;
 use calibrig_recording::Preamble;
@@ -55,6 +55,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     let scenario = read_scenario(&args.scenario)?;
     let destination = args.out.as_deref().map_or(Destination::New(&scenario.name), Destination::Asked);
     destination.check(Files::ReportsAndRecordings)?;
+    scenario.remarks().iter().for_each(|remark| say(remark));
     let (folder, new) = destination.make()?;
     output::or_removed(run_into(args, &scenario, &folder), &folder, new)
 }

@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use indicatif::{ProgressBar, ProgressStyle};
+
 use super::output::{Destination, Files};
 use super::{CliError, Verdict, print, read_scenario, say};
 use crate::pipeline::{AcceptanceOutcome, TestedKind, test_instruments};
@@ -40,8 +42,14 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         Destination::Asked(out).check(Files::Acceptance)?;
     }
     let (kind, seed) = kind_of(&args.kind)?;
-    let outcome = test_instruments(kind, args.seed.unwrap_or(seed), args.instruments)
-        .map_err(|source| CliError::Pipeline { file: args.kind.clone(), source })?;
+    let bar = ProgressBar::new(args.instruments.into());
+    if let Ok(style) = ProgressStyle::with_template("instrument {pos}/{len} {bar:40} {elapsed}, {eta} to go")
+    {
+        bar.set_style(style);
+    }
+    let outcome = test_instruments(kind, args.seed.unwrap_or(seed), args.instruments, || bar.inc(1));
+    bar.finish_and_clear();
+    let outcome = outcome.map_err(|source| CliError::Pipeline { file: args.kind.clone(), source })?;
     let json = format!("{:#}\n", acceptance_json(&outcome));
     if let Some(out) = &args.out {
         write(&outcome, &json, out)?;

@@ -91,17 +91,22 @@ impl AcceptanceOutcome {
 
 /// Tests `instruments` of a kind, at least one, as they come from the workshop: none is drawn again.
 ///
-/// The result does not depend on the number of threads.
+/// The result does not depend on the number of threads, which all tell `done` of each instrument.
 pub fn test_instruments(
     kind: TestedKind,
     seed: u64,
     instruments: u32,
+    done: impl Fn() + Sync,
 ) -> Result<AcceptanceOutcome, PipelineError> {
     let test = |trial| draw_and_test(&kind.instrument, seed, trial, 0).map(|(_, acceptance)| acceptance);
     let first = test(0)?;
     let all: Vec<Row> = (0..instruments.max(1))
         .into_par_iter()
-        .map(|trial| test(trial).map(|a| Row::of(&a)))
+        .map(|trial| {
+            let row = test(trial).map(|a| Row::of(&a));
+            done();
+            row
+        })
         .collect::<Result<_, _>>()?;
     let over = |of: fn(&Row) -> f64| ratios(all.iter().map(of).collect());
     let tests = Test::ALL.iter().enumerate().map(|(index, test)| {
@@ -165,7 +170,7 @@ mod tests {
     #[test]
     fn what_is_said_of_many_instruments_is_what_each_of_them_showed() {
         let kind = TestedKind::of_preset("vantage").expect("a preset");
-        let outcome = test_instruments(kind, 3, 40).expect("all in reach");
+        let outcome = test_instruments(kind, 3, 40, || {}).expect("all in reach");
         let each: Vec<_> =
             (0..40).map(|trial| draw_and_test(&kind.instrument, 3, trial, 0).expect("in reach").1).collect();
         let passed = each.iter().filter(|a| a.passes()).count();

@@ -1,5 +1,9 @@
 //! What a target on the flange can tell: one point, three points, or a full pose, at the same poses of the same machine.
 
+mod foreseen;
+
+pub use foreseen::{SensorProspect, SensorStudy, foresee_sensors};
+
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use super::{PipelineError, PlantKind, errors, simulate, turns};
@@ -29,12 +33,14 @@ pub enum Sensor {
     ThreeSmrs,
     /// The pose that the readings of these three make.
     CombinedPose,
-    /// The scenario's probe (`[tracker.pose]`).
+    /// A probe with axes: the scenario's (`[tracker.pose]`), or what measured full poses.
     Probe,
+    /// All targets of a session together, where they are none of the others.
+    AsMeasured,
 }
 
 impl Sensor {
-    /// All of them.
+    /// Those that can be simulated.
     pub const ALL: [Self; 4] = [Self::OneSmr, Self::ThreeSmrs, Self::CombinedPose, Self::Probe];
 
     /// The key in JSON.
@@ -44,6 +50,7 @@ impl Sensor {
             Self::ThreeSmrs => "three_smrs",
             Self::CombinedPose => "combined_pose",
             Self::Probe => "probe",
+            Self::AsMeasured => "as_measured",
         }
     }
 
@@ -54,6 +61,7 @@ impl Sensor {
             Self::ThreeSmrs => "three SMRs",
             Self::CombinedPose => "their pose",
             Self::Probe => "probe",
+            Self::AsMeasured => "all targets",
         }
     }
 }
@@ -160,7 +168,7 @@ impl Study<'_> {
         let first = |orientation| vec![Target { orientation: Some(orientation), ..points[0].clone() }];
         match sensor {
             Sensor::OneSmr => vec![points[0].clone()],
-            Sensor::ThreeSmrs => points,
+            Sensor::ThreeSmrs | Sensor::AsMeasured => points,
             Sensor::CombinedPose => {
                 // As two points an arm apart determine a direction.
                 let turn = std::f64::consts::SQRT_2 * sigma / ARM;
@@ -212,7 +220,7 @@ impl Study<'_> {
                     let mut rng = self.rng(index, pose, 3);
                     vec![Reading::Pose(Box::new(probe.measure(&points[0], &from_flange, &mut rng)))]
                 }
-                (Sensor::ThreeSmrs | Sensor::Probe, _) => {
+                (Sensor::ThreeSmrs | Sensor::Probe | Sensor::AsMeasured, _) => {
                     points.into_iter().map(Reading::Spherical).collect()
                 }
                 (Sensor::CombinedPose, _) => vec![Reading::Pose(Box::new(

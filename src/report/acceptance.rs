@@ -281,7 +281,7 @@ mod tests {
     fn table_document_and_picture_show_every_test() {
         let kind = TestedKind::of_preset("at500").expect("a preset");
         for instruments in [1, 30] {
-            let outcome = test_instruments(kind, 1, instruments).expect("all in reach");
+            let outcome = test_instruments(kind, 1, instruments, || {}).expect("all in reach");
             let (text, page) = (acceptance_text(&outcome), acceptance_html(&outcome).expect("a page"));
             for test in Test::ALL {
                 assert!(text.contains(test.title()) && page.contains(test.title()), "{test:?}");
@@ -300,7 +300,7 @@ mod tests {
     fn numbers_out_of_all_proportion_stop_no_picture() {
         let mut kind = TestedKind::of_preset("at500").expect("a preset");
         kind.instrument.random_fraction = 1e3;
-        let outcome = test_instruments(kind, 1, 3).expect("all in reach");
+        let outcome = test_instruments(kind, 1, 3, || {}).expect("all in reach");
         assert_eq!(outcome.passed, 0);
         assert!(acceptance_html(&outcome).is_ok() && acceptance_text(&outcome).contains("0 of 3 pass"));
     }

@@ -10,6 +10,7 @@ use super::judgement::{residual_section, sure_section};
 use super::parameters::{ParameterCell, ParameterRow, fitted, parameter_rows, parameter_words, printed_unit};
 use super::plots::{self, GRID, INK, LOOKS, Look, Marker, hex, look};
 use super::scatter::{has_scatter, scatter_section};
+use super::sensors::sensor_section;
 use super::splits::split_section;
 use super::summary::{factor_words, judged_set, length_words, row, significant, summarise};
 use super::sweeps::sweep_section;
@@ -46,6 +47,7 @@ pub fn html_report(outcome: &Outcome) -> Result<String, ReportError> {
     let parameters = parameters_section(outcome)?;
     let (residual, sure) = (residual_section(outcome)?, sure_section(outcome)?);
     let ablation = outcome.ablation.as_ref().map(ablation_section).transpose()?;
+    let target = sensor_section(outcome)?;
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -62,6 +64,7 @@ pub fn html_report(outcome: &Outcome) -> Result<String, ReportError> {
                     (parameters)
                     @if let Some(study) = &outcome.splits { (split_section(study)) }
                     (sure)
+                    (target)
                     @if let Some(ablation) = ablation { (ablation) }
                     (trust_section(outcome))
                     (reproduce_section(outcome))
@@ -121,6 +124,7 @@ fn header(outcome: &Outcome) -> Markup {
                 a href="#parameters" { "Parameters" } " "
                 @if outcome.splits.is_some() { a href="#splits" { "Splits" } " " }
                 @if outcome.judgements.iter().any(|j| j.confidence.is_some()) { a href="#sure" { "How sure" } " " }
+                @if outcome.sensors.is_some() { a href="#target" { "Target" } " " }
                 @if outcome.ablation.is_some() { a href="#ablation" { "Contributions" } " " }
                 a href="#trust" { "Trust" } " "
                 a href="#reproduce" { "Reproduce" }

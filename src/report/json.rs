@@ -10,6 +10,7 @@ use super::judgement::{JsonJudgement, json_judgement};
 use super::parameters::{fitted, truth_of};
 use super::pose_count;
 use super::residuals::{JsonResidual, json_residuals};
+use super::sensors::{JsonSensors, json_sensors};
 use super::splits::{JsonSplits, json_splits};
 use super::sweeps::{JsonSweeps, json_sweeps};
 use crate::pipeline::{AblatedPart, Ablation, MissingReading, Outcome, SetOutcome, Worse};
@@ -48,6 +49,9 @@ pub struct JsonReport {
     /// What sweeps of single axes show; absent where no station read any.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sweeps: Vec<JsonSweeps>,
+    /// What one point, three points and full poses tell at the same poses; absent where nothing can be compared.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sensors: Option<JsonSensors>,
 }
 
 /// What the parts of a simulated machine contribute.
@@ -466,6 +470,7 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
         splits: outcome.splits.as_ref().map(json_splits),
         drift: json_drift(outcome),
         sweeps: json_sweeps(outcome),
+        sensors: outcome.sensors.as_ref().map(json_sensors),
     }
 }
 

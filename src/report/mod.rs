@@ -15,6 +15,7 @@ mod residuals;
 #[cfg(test)]
 mod sample;
 mod scatter;
+mod sensors;
 mod splits;
 mod summary;
 mod sweeps;
@@ -37,6 +38,7 @@ pub use judgement::{
 };
 pub use residuals::{JsonResidual, residuals_csv};
 pub use scatter::{JsonRepeatScatter, JsonScatter};
+pub use sensors::{JsonSensor, JsonSensorParameter, JsonSensors};
 pub use splits::{JsonInterval, JsonSplitRow, JsonSplits};
 pub use tables::{Style, render_tables};
 

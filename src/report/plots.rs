@@ -250,7 +250,7 @@ fn mesh(chart: &mut Chart, x_title: &str, y_title: &str, x_labels: bool) -> Draw
 }
 
 /// Grid lines and labels at values of a logarithmic axis that plotters takes for a linear one.
-fn vertical_ticks(area: &Area, chart: &Chart, ticks: &[f64], y: &Range<f64>) -> Drawn {
+pub(super) fn vertical_ticks(area: &Area, chart: &Chart, ticks: &[f64], y: &Range<f64>) -> Drawn {
     let plot = chart.plotting_area();
     let style = text_style().pos(Pos::new(HPos::Center, VPos::Top));
     let (left, top) = area.get_base_pixel();
@@ -424,7 +424,7 @@ pub(super) fn largest(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// The values 1, 2, 5 times powers of ten from just below `low` to just above `high`; decades alone over a long range.
-fn one_two_five(low: f64, high: f64) -> Vec<f64> {
+pub(super) fn one_two_five(low: f64, high: f64) -> Vec<f64> {
     let low = low.max(1e-6);
     if low > high {
         return Vec::new();

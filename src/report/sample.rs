@@ -154,6 +154,7 @@ pub(super) fn simulated() -> Outcome {
         bounds: Vec::new(),
         published: PUBLISHED.to_vec(),
         judgements: Vec::new(),
+        sensors: None,
         ablation: None,
         splits: None,
         command: None,

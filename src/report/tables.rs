@@ -5,6 +5,7 @@ use std::fmt::Write;
 use super::ablation::ablation_lines;
 use super::drift::{drift_words, missing_words};
 use super::judgement::judgement_lines;
+use super::sensors::sensor_lines;
 use super::splits::split_lines;
 use super::sweeps::sweep_words;
 use super::{condition_words, consistency_ratio, counted, left_out_words, pose_words, published, set_title};
@@ -87,6 +88,11 @@ pub fn render_tables(outcome: &Outcome, style: Style) -> String {
     }
     if let Some(study) = &outcome.splits {
         for l in &split_lines(study, style) {
+            line(l);
+        }
+    }
+    if let Some(study) = &outcome.sensors {
+        for l in &sensor_lines(study, style) {
             line(l);
         }
     }

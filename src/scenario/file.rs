@@ -1,6 +1,7 @@
 //! `scenarios/*.toml`: units in the keys, unknown keys refused, every refusal with its place.
 
 use std::collections::BTreeSet;
+use std::ops::Range;
 use std::path::Path;
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
@@ -20,7 +21,7 @@ use calibrig_model::{JointKind, KinematicModel};
 use calibrig_plant::AsBuilt;
 use calibrig_plant::experiment::WorkingRegion;
 use calibrig_plant::session::SessionPlan;
-use calibrig_plant::tracker::{Conditions, LaserTracker, Outliers, Probe};
+use calibrig_plant::tracker::{Conditions, LaserTracker, Outliers, Probe, TrackerError};
 
 const SCHEMA: &str = "calibrig.scenario/1";
 
@@ -447,6 +448,30 @@ fn outliers(source: &Source, file: &OutliersFile) -> Result<Outliers, InputError
     Ok(Outliers { fraction, least: 1e-3 * least, most: 1e-3 * most })
 }
 
+/// Refuses a nest that a station cannot see, because of its range or its angles.
+pub(super) fn sees(
+    source: &Source,
+    span: Range<usize>,
+    tracker: &LaserTracker,
+    (station, nest, place): (&str, &str, Vector3<f64>),
+) -> Result<(), InputError> {
+    let seen = (tracker.tracker_from_base * nalgebra::Point3::from(place)).coords;
+    let refused = |message: String, help: String| Err(source.error(span.clone(), message, Some(help)));
+    match tracker.instrument.limits.reaches(&seen) {
+        Ok(()) => Ok(()),
+        Err(TrackerError::Range { range, least, most }) => refused(
+            format!("nest \"{nest}\" is {range:.3} m from {station} (x_mm, y_mm, z_mm of both)"),
+            format!("expected {least} to {most} m, the tracker's range"),
+        ),
+        Err(error) => refused(
+            format!("{station} cannot see nest \"{nest}\": {error}"),
+            "expected a nest within the angles of the instrument (azimuth_limits_deg, elevation_limits_deg or its preset): move one of the two, or \
+             turn the tracker (yaw_deg)"
+                .to_owned(),
+        ),
+    }
+}
+
 fn nests(
     source: &Source,
     (file, whole): (&TrackerFile, &Spanned<TrackerFile>),
@@ -468,15 +493,7 @@ fn nests(
             let help = Some("expected a name of its own".to_owned());
             return Err(source.error(nest.name.span(), format!("a second nest \"{name}\""), help));
         }
-        let range = (tracker.tracker_from_base * nalgebra::Point3::from(place)).coords.norm();
-        let [least, most] = tracker.instrument.limits.range;
-        if !(least..=most).contains(&range) {
-            return Err(source.error(
-                entry.span(),
-                format!("nest \"{name}\" is {range:.3} m from the tracker (x_mm, y_mm, z_mm of both)"),
-                Some(format!("expected {least} to {most} m, the tracker's range")),
-            ));
-        }
+        sees(source, entry.span(), tracker, ("the tracker", name, place))?;
         nests.push((name.clone(), place));
     }
     if nests.len() < 3 {

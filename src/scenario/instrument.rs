@@ -201,9 +201,10 @@ pub(super) fn conditions(
 ) -> Result<Conditions, InputError> {
     let misses = match &file.miss_fraction {
         Some(value) => {
-            let share = source.not_negative("tracker.miss_fraction", value)?;
-            if share >= 1.0 {
-                let help = Some("expected a share of all readings, below 1".to_owned());
+            let share = source.finite("tracker.miss_fraction", value)?;
+            if !(0.0..1.0).contains(&share) {
+                let help = "expected the share of all readings that do not come: zero or more and below 1, such as 0.005 for one in 200";
+                let help = Some(help.to_owned());
                 return Err(source.error(value.span(), format!("tracker.miss_fraction is {share}"), help));
             }
             share

@@ -5,11 +5,13 @@ mod effects;
 mod file;
 mod identification;
 mod instrument;
+mod remarks;
 mod session;
 mod sweep;
 pub use identification::with_stated_of;
 
 pub use file::{load_scenario, parse_scenario};
+pub use remarks::Passing;
 
 use std::borrow::Cow;
 

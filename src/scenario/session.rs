@@ -6,6 +6,7 @@ use nalgebra::{UnitVector3, Vector3};
 use serde::Deserialize;
 
 use super::sweep::{SweepFile, sweeps};
+use super::file::sees;
 use calibrig_files::{InputError, Robot, Source, Spanned};
 use calibrig_model::geometry::Transform;
 use calibrig_model::visibility::{Obstacles, Stance, stance_at};
@@ -199,23 +200,12 @@ fn stations(
         let file = entry.get_ref();
         let position = point(source, "session.station", [&file.x_mm, &file.y_mm, &file.z_mm])?;
         let yaw = source.finite("session.station.yaw_deg", &file.yaw_deg)?.to_radians();
-        let instrument = around.tracker.0.instrument;
-        let tracker_from_base = LaserTracker::levelled(instrument, position, yaw, &up).tracker_from_base;
+        let tracker = LaserTracker::levelled(around.tracker.0.instrument, position, yaw, &up);
         let name = file.name.get_ref().clone();
         for (nest, place) in around.nests {
-            let range = (tracker_from_base * nalgebra::Point3::from(*place)).coords.norm();
-            let [least, most] = instrument.limits.range;
-            if !(least..=most).contains(&range) {
-                return Err(source.error(
-                    entry.span(),
-                    format!(
-                        "station \"{name}\" is {range:.3} m from nest \"{nest}\" (x_mm, y_mm, z_mm of both)"
-                    ),
-                    Some(format!("expected {least} to {most} m, the tracker's range")),
-                ));
-            }
+            sees(source, entry.span(), &tracker, (&format!("station \"{name}\""), nest, *place))?;
         }
-        Ok(FurtherStation { name, tracker_from_base })
+        Ok(FurtherStation { name, tracker_from_base: tracker.tracker_from_base })
     };
     for entry in &file.station {
         new_name(source, "session.station", &entry.get_ref().name, &mut names)?;

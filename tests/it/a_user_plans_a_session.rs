@@ -225,7 +225,7 @@ fn what_cannot_be_planned_is_refused_with_its_place() {
             "session.station.name is \"1\", which another one has",
             "of its own",
         ),
-        (station, "x_mm", "x_mm = 60000", "station \"left\" is ", "the tracker's range"),
+        (station, "x_mm", "x_mm = 60000", "from station \"left\"", "the tracker's range"),
         (target, "name", "name = \" \"", "session.target.name is empty", "of its own"),
         (target, "y_mm", "y_mm = inf", "session.target.y_mm is inf", "finite"),
         (

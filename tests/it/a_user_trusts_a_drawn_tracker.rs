@@ -11,6 +11,7 @@ use calibrig::scenario::{Scenario, load_scenario};
 use calibrig::tracker::Preset;
 
 use crate::repeated;
+use crate::sandbox::{Ended, Sandbox};
 
 /// `scenarios/matched.toml` with `preset = "at500"` and `systematic_fraction = 0.2` in place of the four figures.
 fn matched() -> Scenario {
@@ -97,4 +98,51 @@ fn a_report_tells_the_instruments_real_errors() {
         assert_eq!(row.truth, Some(*amplitude), "{name}");
     }
     assert_eq!(outcome.bounds.len(), 1, "every truth is known");
+}
+
+/// The matched scenario with a line of `[tracker]` in place of another, and more behind it.
+fn checked(sandbox: &Sandbox, line: &str, instead: &str, more: &str) -> Ended {
+    let text = sandbox.read("scenarios/matched.toml");
+    assert!(text.contains(line), "{line}");
+    sandbox.write("scenarios/own.toml", format!("{}\n{more}", text.replace(line, instead)));
+    sandbox.run(["check", "scenarios/own.toml"])
+}
+
+/// An instrument that no maker would sell, stations in one place, readings of two kinds: simulated, and told before.
+#[test]
+fn what_is_simulated_all_the_same_is_told() {
+    const NOISE: &str = "random_fraction = 0.125";
+    let sandbox = Sandbox::new();
+    let sound = checked(&sandbox, NOISE, NOISE, "");
+    assert!(sound.stderr.is_empty(), "{sound:?}");
+    assert!(sound.stdout.contains("of 50 such instruments 50 pass their acceptance test"), "{sound:?}");
+    let station = "[[session.station]]\nname = \"2\"\nx_mm = 6000\ny_mm = 1500\nz_mm = 1500\nyaw_deg = 90\n";
+    let probe = "[[session.target]]\nname = \"B\"\nx_mm = 100\ny_mm = 0\nz_mm = 100\n[tracker.pose]\nrotation_sigma_deg = 0.003\n";
+    for (instead, more, told) in [
+        ("random_fraction = 0.5", "", "pass their own acceptance test"),
+        (NOISE, station, "stations \"1\" and \"2\" stand in one place"),
+        (NOISE, probe, "refuses a recording of them"),
+    ] {
+        let ended = checked(&sandbox, NOISE, instead, more);
+        assert_eq!(ended.code, Some(0), "{told}: {ended:?}");
+        assert!(ended.stderr.contains(told), "{told}: {}", ended.stderr);
+    }
+}
+
+/// Nests beyond the angles of the instrument are refused where the file is read, for every station.
+#[test]
+fn nests_beyond_the_angles_of_an_instrument_are_refused() {
+    const NOISE: &str = "random_fraction = 0.125";
+    let sandbox = Sandbox::new();
+    let station = "[[session.station]]\nname = \"2\"\nx_mm = 6000\ny_mm = 1500\nz_mm = 1000\nyaw_deg = 0\n";
+    for (limits, more, who) in [
+        ("elevation_limits_deg = [5, 50]", "", "the tracker cannot see nest \"rail left\": elevation"),
+        ("azimuth_limits_deg = [-10, 10]", "", "the tracker cannot see nest \"rail left\": azimuth"),
+        ("azimuth_limits_deg = [-90, 90]", station, "station \"2\" cannot see nest \"rail left\": azimuth"),
+    ] {
+        let ended = checked(&sandbox, NOISE, &format!("{NOISE}\n{limits}"), more);
+        assert_eq!(ended.code, Some(1), "{limits}: {ended:?}");
+        let told = ended.stderr.split_whitespace().collect::<Vec<_>>().join(" ").replace("\u{2502} ", "");
+        assert!(told.contains(who) && told.contains("yaw_deg"), "{who}: {told}");
+    }
 }

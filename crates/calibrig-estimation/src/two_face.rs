@@ -4,14 +4,17 @@
 //! drop out of the difference. What is left is linear in the errors, with the signatures of [`InstrumentTerm`]: weighted least squares, with what
 //! was stated of the instrument as priors about zero.
 
-use std::f64::consts::TAU;
+use std::collections::BTreeMap;
+use std::f64::consts::{PI, TAU};
+use std::fmt;
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use thiserror::Error;
 
 use calibrig_model::measurement::{
-    Face, InstrumentTerm, MeasurementSet, Observation, Reading, SphericalReading, StatedInstrument,
+    Face, InstrumentTerm, MeasurementSet, Observation, Reading, SphericalReading, StatedInstrument, Station,
 };
+use calibrig_model::statistics::student_t_quantile;
 
 /// One point in both faces.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -162,6 +165,79 @@ pub fn two_face_pairs(set: &MeasurementSet) -> Result<Vec<TwoFacePair<'_>>, TwoF
     Ok(pairs)
 }
 
+/// By how much the two faces of a station differ on the whole, back less front.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FaceDifference {
+    /// Name of the station.
+    pub station: String,
+    /// Points in both faces.
+    pub points: usize,
+    /// Across the beam in azimuth (that of the angle times the cosine of the elevation), and in elevation, rad.
+    pub mean: [f64; 2],
+    /// Standard deviations of both, from how they differ from point to point, rad.
+    pub sigma: [f64; 2],
+}
+
+/// A difference this improbable by chance, two-sided, is one.
+const DIFFERS: f64 = 0.001;
+/// Fewer points do not tell a constant difference from what differs from point to point.
+const LEAST_POINTS: usize = 4;
+
+/// Stations whose two faces differ by what chance does not explain, although nothing is stated of their instrument, so that no parameter of the fit stands
+/// for it. Points and nests count alike.
+pub fn unexplained_face_differences(set: &MeasurementSet) -> Vec<FaceDifference> {
+    let of_station = |(index, station): (usize, &Station)| {
+        if station.instrument.is_some() {
+            return None;
+        }
+        let mut faces: BTreeMap<(Option<&str>, u32, usize), [Vec<&SphericalReading>; 2]> = BTreeMap::new();
+        let points = set.observations.iter().filter(|observation| observation.station == index);
+        let points = points.map(|o| ((None, o.pose, o.target), &o.reading));
+        let nests = station.nests.iter().map(|nest| ((Some(nest.name.as_str()), 0, 0), &nest.reading));
+        for (key, reading) in points.chain(nests) {
+            if let Reading::Spherical(reading) = reading
+                && reading.face != Face::Both
+            {
+                faces.entry(key).or_default()[usize::from(reading.face == Face::Back)].push(reading);
+            }
+        }
+        let pairs = faces.values().flat_map(|[front, back]| front.iter().zip(back));
+        let apart: Vec<[f64; 2]> = pairs
+            .map(|(front, back)| {
+                let turned = (back.azimuth - front.azimuth + PI).rem_euclid(TAU) - PI;
+                [turned * front.elevation.cos(), back.elevation - front.elevation]
+            })
+            .filter(|angles| angles.iter().all(|angle| angle.is_finite()))
+            .collect();
+        let n = apart.len() as f64;
+        if apart.len() < LEAST_POINTS {
+            return None;
+        }
+        let mean = [0, 1].map(|axis| apart.iter().map(|a| a[axis]).sum::<f64>() / n);
+        let square = |axis: usize| apart.iter().map(|a| (a[axis] - mean[axis]).powi(2)).sum::<f64>();
+        let sigma = [0, 1].map(|axis| (square(axis) / (n - 1.0) / n).sqrt());
+        let factor = student_t_quantile(1.0 - 0.5 * DIFFERS, n - 1.0);
+        let differs = (0..2).any(|axis| mean[axis].abs() > factor * sigma[axis]);
+        let station = station.name.clone();
+        differs.then_some(FaceDifference { station, points: apart.len(), mean, sigma })
+    };
+    set.stations.iter().enumerate().filter_map(of_station).collect()
+}
+
+impl fmt::Display for FaceDifference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [azimuth, elevation] =
+            [0, 1].map(|axis| format!("{:.1} +- {:.1} urad", 1e6 * self.mean[axis], 1e6 * self.sigma[axis]));
+        write!(
+            f,
+            "station {}: at {} points the back face differs from the front face by {azimuth} in azimuth (across the beam) and {elevation} in elevation, and \
+             nothing is stated of the instrument: state it ([station.instrument] of a session file), so that its errors are parameters, or average the faces \
+             (repeats = \"average\" in [rows] of a column map)",
+            self.station, self.points
+        )
+    }
+}
+
 /// The errors of an instrument from points in both faces.
 ///
 /// Of `stated`, those that turn over are estimated, with the stated standard deviations as priors; where it lists none, all that turn over are,
@@ -282,7 +358,7 @@ fn difference(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use calibrig_model::measurement::{Station, Target};
+    use calibrig_model::measurement::Target;
 
     fn reading(face: Face, point: [f64; 3]) -> SphericalReading {
         let [range, azimuth, elevation] = point;
@@ -337,6 +413,35 @@ mod tests {
         assert!(held.terms[0].value < 20e-6 && held.terms[0].sigma < 1e-6, "{held:?}");
         let weight = 1.0 - (held.terms[0].sigma / 1e-6).powi(2);
         assert!((held.terms[0].value / 20e-6 - weight).abs() < 1e-6, "{held:?}");
+    }
+
+    /// A constant vertical index and collimation, twice of which is between the faces; noise alone is none, nor is an instrument that is stated.
+    #[test]
+    fn a_constant_difference_is_told_unless_the_instrument_is_stated() {
+        let set = |collimation: f64, index: f64| {
+            let readings = readings(collimation);
+            let mut set = MeasurementSet::of_points((0..readings.len()).map(|_| (vec![0.0], Vector3::x())));
+            let mut back = Vec::new();
+            for (k, (observation, pair)) in set.observations.iter_mut().zip(readings).enumerate() {
+                let [front, mut turned] = pair;
+                turned.elevation += -2.0 * index + 1e-6 * f64::sin(7.0 * k as f64);
+                turned.azimuth += 1e-6 * f64::sin(5.0 * k as f64 + 1.0);
+                observation.reading = Reading::Spherical(front);
+                back.push(Observation { reading: Reading::Spherical(turned), ..observation.clone() });
+            }
+            set.observations.extend(back);
+            set
+        };
+        assert_eq!(unexplained_face_differences(&set(0.0, 0.0)), []);
+        let mut off = set(20e-6, 30e-6);
+        let [found] = &unexplained_face_differences(&off)[..] else { panic!("one station") };
+        for (axis, expected) in [-40e-6, -60e-6].into_iter().enumerate() {
+            let (mean, sigma) = (found.mean[axis], found.sigma[axis]);
+            assert!((mean - expected).abs() < 4.0 * sigma && sigma < 1e-6, "{found:?}");
+        }
+        assert!(found.to_string().contains("[station.instrument]"), "{found}");
+        off.stations[0].instrument = Some(StatedInstrument::default());
+        assert_eq!(unexplained_face_differences(&off), []);
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 use std::path::Path;
 
+use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
 use super::{Args, CliError, Verdict};
@@ -14,7 +15,16 @@ use calibrig_model::{ParameterId, Unit};
 pub(super) fn execute(args: &Args, path: &Path, mode: Mode) -> Result<Verdict, CliError> {
     let scenario = read_scenario(path)?;
     let failed = |source: PipelineError| CliError::Pipeline { file: path.to_path_buf(), source };
-    let results = compare_sensors(&scenario, scenario.seed, mode, |_, _| {}).map_err(failed)?;
+    let bar = ProgressBar::new(0);
+    if let Ok(style) = ProgressStyle::with_template("simulating pose {pos}/{len} {bar:40} {elapsed}") {
+        bar.set_style(style);
+    }
+    let results = compare_sensors(&scenario, scenario.seed, mode, |done, all| {
+        bar.set_length(all.into());
+        bar.set_position(done.into());
+    });
+    bar.finish_and_clear();
+    let results = results.map_err(failed)?;
     let name = &scenario.name;
     print(&if args.json { as_json(name, mode, &results) } else { as_text(name, mode, &results) })?;
     for result in &results {

@@ -7,6 +7,7 @@
 mod convention;
 mod evidence;
 mod limits;
+mod orientations;
 mod part;
 mod place;
 mod rows;
@@ -17,6 +18,7 @@ mod tests;
 mod tried;
 
 pub use limits::Undetermined;
+pub use orientations::{OrientationFinding, Orientations, orientations};
 pub use part::Part;
 
 use crate::identification::IdentifyError;

@@ -121,7 +121,7 @@ pub struct ListedParameter {
 pub enum ParameterState {
     /// It is fitted.
     Fitted {
-        /// Standard deviation of its own zero-mean prior, SI; frame and target share theirs with others.
+        /// Standard deviation of its own zero-mean prior, SI; a frame shares its own with what saw its nests.
         prior: Option<f64>,
         /// Whether it has a prior at all.
         has_prior: bool,
@@ -152,7 +152,7 @@ pub fn list_parameters(
     let in_block = |column: usize| priors.iter().any(|prior| prior.columns.contains(&column));
     let state = |id: ParameterId| {
         if let Some(column) = built.problem.parameters.iter().position(|own| *own == id) {
-            let prior = built.sigmas[column];
+            let prior = built.sigmas[column].or_else(|| built.problem.stated_sigma(column));
             return ParameterState::Fitted { prior, has_prior: prior.is_some() || in_block(column) };
         }
         let left = built.left_out.iter().find(|left| left.id == id);

@@ -25,7 +25,7 @@ pub struct ParameterEstimate {
     pub sigma: Option<f64>,
     /// The one that the readings' stated noise leaves by itself, SI, where the fit was weighed with more.
     pub stated_sigma: Option<f64>,
-    /// Standard deviation of its own zero-mean prior, SI; `None` where it has none. Frame and target share theirs with others.
+    /// Standard deviation of its own zero-mean prior, SI; `None` where it has none, as a frame, which nests are measured for.
     pub prior_sigma: Option<f64>,
 }
 

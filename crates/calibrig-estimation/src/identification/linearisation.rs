@@ -362,14 +362,15 @@ fn solved(
         let name = named.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
         return Err(IdentifyError::UnknownParameter { name });
     }
-    weigh_as(&mut problem, set, estimate)?;
+    weigh_as(&mut problem, set, &estimate.robot.targets, estimate)?;
     Ok(problem)
 }
 
-/// Weighs a problem with the noise that an estimate was given or found.
-fn weigh_as(
+/// Weighs a problem, whose targets lie at `targets` on the flange, with the noise that an estimate was given or found.
+pub(super) fn weigh_as(
     problem: &mut CalibrationProblem,
     set: &MeasurementSet,
+    targets: &[Vector3<f64>],
     estimate: &Estimate,
 ) -> Result<(), IdentifyError> {
     let unstated = match estimate.noise {
@@ -382,7 +383,7 @@ fn weigh_as(
         return Ok(());
     }
     if machine.is_some() {
-        problem.prepare_motions(set, &estimate.robot.targets);
+        problem.prepare_motions(set, targets);
     }
     problem.weigh(&Noise { unstated, scale, machine, turn, freedom: estimate.interval_freedom })
 }

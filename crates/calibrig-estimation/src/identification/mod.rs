@@ -9,6 +9,7 @@ mod divided;
 mod estimate;
 mod factor;
 mod factorised;
+mod foresight;
 mod gross;
 mod identifiability;
 mod identify;
@@ -45,6 +46,7 @@ pub use estimate::{
     TerminationReason, Warning,
 };
 pub(crate) use factor::triangular_factor_of_all;
+pub use foresight::{ForeseenSpread, Foresight, foresee};
 pub use gross::held_out_outliers;
 pub use identifiability::{
     DependentGroup, Explanation, Finding, IdentifiabilityReport, RANK_TOLERANCE, Remedy, Spectrum,

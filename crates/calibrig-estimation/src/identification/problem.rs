@@ -312,6 +312,17 @@ impl CalibrationProblem {
         self.data_rows() + priors
     }
 
+    /// Standard deviation of a parameter's prior by what was stated of it: of an instrument's error, a drift, a target or a body. What nests say of a
+    /// station is measured, and none of it.
+    pub fn stated_sigma(&self, column: usize) -> Option<f64> {
+        let is_place = |own: &usize| matches!(self.parameters[*own], ParameterId::Frame { .. });
+        let stated = self.priors.iter().filter(|prior| !prior.columns.iter().any(is_place));
+        stated.into_iter().find_map(|prior| {
+            let place = prior.columns.iter().position(|own| *own == column)?;
+            Some(prior.whitening.clone().try_inverse()?.row(place).norm())
+        })
+    }
+
     fn fill_observation(
         &mut self,
         index: usize,

@@ -170,7 +170,7 @@ pub(super) fn summarise(
             value: *value,
             sigma: covariance.as_ref().filter(|_| is_free).map(|c| c[(i, i)].sqrt()),
             stated_sigma: stated_sigmas.as_ref().filter(|_| is_free).and_then(|s| s.get(i).copied()),
-            prior_sigma: sigmas[i],
+            prior_sigma: sigmas[i].or_else(|| problem.stated_sigma(i)),
         }
     };
     Estimate {

@@ -341,7 +341,9 @@ impl<'a> Head<'a> {
         let (stated, key, expected) = match kind {
             Kind::Plain => return Ok(Scale::One),
             Kind::Length(unit, key) => (unit.map(Scale::Length), key, "mm, m, um, cm or inch"),
-            Kind::Angle(unit, key) => (unit.map(Scale::Angle), key, "deg, rad, mrad, arcsec, gon or rev"),
+            Kind::Angle(unit, key) => {
+                (unit.map(Scale::Angle), key, "deg, rad, mrad, urad, arcsec, gon or rev")
+            }
         };
         let in_header = match (column.unit, kind) {
             (Some(HeaderUnit::Length(unit)), Kind::Length(..)) => Some(Scale::Length(unit)),

@@ -5,7 +5,7 @@
 //!
 //! [joints]
 //! columns = ["A1", "A2", "A3 + A2"] # what was commanded: an entry an actuator, in the robot's order
-//! revolute_unit = "deg"             # deg, rad, mrad, arcsec, gon or rev; needed where the robot has a revolute joint and the header states none
+//! revolute_unit = "deg"             # deg, rad, mrad, urad, arcsec, gon or rev; needed where the robot has a revolute joint and the header states none
 //! prismatic_unit = "mm"             # mm, m, um, cm or inch; needed where it has a prismatic one and the header states none
 //!
 //! [position]                        # of the target, in the tracker's frame
@@ -15,7 +15,7 @@
 //! y = ["y_target", "-y_error"]
 //! z = 7                             # the seventh column; in a sum #7
 //! missed = [-9999, "n/a"]           # optional: what marks a missed shot in a cell of the position, beside (0, 0, 0)
-//! # or: system = "spherical", range = "R", range_unit = "m", azimuth = "Az", angle_unit = "deg" (rad, mrad, arcsec, gon or rev), and
+//! # or: system = "spherical", range = "R", range_unit = "m", azimuth = "Az", angle_unit = "deg" (rad, mrad, urad, arcsec, gon or rev), and
 //! # either elevation = "El" (above the tracker's x-y plane) or zenith = "Ze" (from its z axis)
 //!
 //! [sigma]                           # optional: standard deviations above 0, in the system of the position

@@ -19,6 +19,7 @@ pub(super) enum LengthUnit {
 pub(super) enum AngleUnit {
     Rad,
     Mrad,
+    Urad,
     Deg,
     Gon,
     Arcsec,
@@ -55,6 +56,7 @@ impl AngleUnit {
         match self {
             Self::Rad => value,
             Self::Mrad => value / 1e3,
+            Self::Urad => value / 1e6,
             Self::Deg => value.to_radians(),
             Self::Gon => (0.9 * value).to_radians(),
             Self::Arcsec => (value / 3600.0).to_radians(),
@@ -67,6 +69,7 @@ impl AngleUnit {
         match self {
             Self::Rad => "rad",
             Self::Mrad => "mrad",
+            Self::Urad => "urad",
             Self::Deg => "deg",
             Self::Gon => "gon",
             Self::Arcsec => "arcsec",
@@ -297,10 +300,11 @@ impl HeaderUnit {
             "um" | "micron" | "microns" | "micrometers" | "micrometres" => Self::Length(LengthUnit::Um),
             "in" | "inch" | "inches" | "\"" => Self::Length(LengthUnit::Inch),
             "rad" | "radian" | "radians" => Self::Angle(AngleUnit::Rad),
-            "mrad" | "milliradians" => Self::Angle(AngleUnit::Mrad),
+            "mrad" | "milliradian" | "milliradians" => Self::Angle(AngleUnit::Mrad),
+            "urad" | "microradian" | "microradians" => Self::Angle(AngleUnit::Urad),
             "deg" | "\u{b0}" | "degree" | "degrees" => Self::Angle(AngleUnit::Deg),
             "gon" | "gons" => Self::Angle(AngleUnit::Gon),
-            "arcsec" | "arcseconds" | "''" => Self::Angle(AngleUnit::Arcsec),
+            "arcsec" | "arcsecond" | "arcseconds" | "''" => Self::Angle(AngleUnit::Arcsec),
             "rev" | "revolutions" | "turns" => Self::Angle(AngleUnit::Rev),
             "s" | "sec" | "seconds" => Self::Time(TimeUnit::S),
             "ms" | "msec" | "milliseconds" => Self::Time(TimeUnit::Ms),
@@ -374,6 +378,12 @@ mod tests {
         assert_eq!(unit_alone("[mm]"), mm);
         assert_eq!(unit_alone("mm"), mm);
         assert_eq!(unit_alone("12"), None);
+        for (text, unit) in
+            [("\u{b5}rad", AngleUnit::Urad), ("urad", AngleUnit::Urad), ("arcsec", AngleUnit::Arcsec)]
+        {
+            assert_eq!(HeaderUnit::parse(text), Some(HeaderUnit::Angle(unit)), "{text}");
+        }
+        assert_eq!(AngleUnit::Urad.in_si(250.0), 250.0 / 1e6);
         assert_eq!(AngleUnit::Gon.in_si(400.0), std::f64::consts::TAU);
         assert_eq!(LengthUnit::Inch.in_si(10.0), 0.254);
         assert_eq!(AngleUnit::Rev.in_si(0.5), std::f64::consts::PI);

@@ -2,6 +2,8 @@
 
 use std::f64::consts::{PI, TAU};
 
+use nalgebra::Vector3;
+
 use super::{Preset, TrackerError};
 
 /// A length error of the form `a + b R`.
@@ -44,7 +46,36 @@ impl Limits {
         elevation: [-PI / 2.0, PI / 2.0],
         temperature: [f64::NEG_INFINITY, f64::INFINITY],
     };
+
+    /// Whether the tracker can turn its beam to a point in its own frame (m), whatever the turns of its head before.
+    ///
+    /// # Errors
+    ///
+    /// [`TrackerError::Range`] or [`TrackerError::Angle`].
+    pub fn reaches(&self, point: &Vector3<f64>) -> Result<(), TrackerError> {
+        let range = point.norm();
+        let [least, most] = self.range;
+        if !(least..=most).contains(&range) {
+            return Err(TrackerError::Range { range, least, most });
+        }
+        let value = point.z.atan2(point.x.hypot(point.y));
+        let [least, most] = self.elevation;
+        if !(least - SLACK..=most + SLACK).contains(&value) {
+            return Err(TrackerError::Angle { angle: "elevation", value, least, most });
+        }
+        let value = point.y.atan2(point.x);
+        let [least, most] = self.azimuth;
+        // The first turn of it that is not below the limits.
+        let turned = value + TAU * ((least - SLACK - value) / TAU).ceil();
+        if turned > most + SLACK {
+            return Err(TrackerError::Angle { angle: "azimuth", value, least, most });
+        }
+        Ok(())
+    }
 }
+
+/// What an angle may be beyond its limits by an error of the instrument, rad.
+pub(super) const SLACK: f64 = 1e-3;
 
 /// What an instrument's data sheet permits, and how much of it is its random and its systematic error.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -138,5 +169,41 @@ impl Instrument {
             return Err(TrackerError::Figure { quantity: "least range in m", value: least, expected });
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A head that turns from -30 to 250 deg, and a telescope from -20 to 60 deg.
+    #[test]
+    fn a_beam_reaches_what_its_angles_and_ranges_reach() {
+        let degrees = |low: f64, high: f64| [low.to_radians(), high.to_radians()];
+        let limits =
+            Limits { azimuth: degrees(-30.0, 250.0), elevation: degrees(-20.0, 60.0), ..Limits::WIDE };
+        let at = |azimuth: f64, elevation: f64, range: f64| {
+            let (azimuth, elevation) = (azimuth.to_radians(), elevation.to_radians());
+            let across = range * elevation.cos();
+            let point = Vector3::new(across * azimuth.cos(), across * azimuth.sin(), range * elevation.sin());
+            limits.reaches(&point)
+        };
+        for (azimuth, elevation) in [(0.0, 0.0), (-29.0, 0.0), (180.0, 0.0), (-120.0, 0.0), (0.0, 59.0)] {
+            assert_eq!(at(azimuth, elevation, 3.0), Ok(()), "{azimuth} {elevation}");
+        }
+        for (azimuth, elevation, angle) in [
+            (-50.0, 0.0, "azimuth"),
+            (-100.0, 0.0, "azimuth"),
+            (0.0, 61.0, "elevation"),
+            (0.0, -21.0, "elevation"),
+        ] {
+            let refused = at(azimuth, elevation, 3.0);
+            assert!(
+                matches!(refused, Err(TrackerError::Angle { angle: own, .. }) if own == angle),
+                "{refused:?}"
+            );
+        }
+        assert!(matches!(at(0.0, 0.0, 0.01), Err(TrackerError::Range { .. })));
+        assert!(matches!(at(0.0, 0.0, 31.0), Err(TrackerError::Range { .. })));
     }
 }

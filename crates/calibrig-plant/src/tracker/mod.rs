@@ -43,6 +43,7 @@ pub use smr::{Smr, SmrLaw};
 
 use std::f64::consts::TAU;
 
+use self::instrument::SLACK;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -268,6 +269,3 @@ impl LaserTracker {
         Ok(reading)
     }
 }
-
-/// What an angle may be beyond its limits by an error of the instrument, rad.
-const SLACK: f64 = 1e-3;

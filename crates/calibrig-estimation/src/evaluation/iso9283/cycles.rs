@@ -2,6 +2,7 @@
 
 use thiserror::Error;
 
+use super::LEAST_CYCLES;
 use calibrig_model::measurement::MeasurementSet;
 
 /// A pose that was measured in every cycle, of one station and target.
@@ -27,7 +28,7 @@ pub enum Iso9283Error {
     },
     /// Every pose was measured once.
     #[error(
-        "none of the {poses} poses of target {target} was measured more than once: repeatability needs the same command in two cycles or more (the standard: 30)"
+        "none of the {poses} poses of target {target} was measured more than once: repeatability needs the same command in three cycles or more (the standard: 30)"
     )]
     NoRepeats {
         /// Name of the target.
@@ -60,6 +61,17 @@ pub enum Iso9283Error {
         more: u32,
         /// Its cycles.
         most: usize,
+    },
+    /// Every pose was measured twice.
+    #[error(
+        "target {target}: pose {pose} was measured in two cycles, which lie as far from their barycentre as each other whatever the machine scatters by: \
+         expected three cycles or more (the standard: 30)"
+    )]
+    TwoCycles {
+        /// Name of the target.
+        target: String,
+        /// The first pose.
+        pose: u32,
     },
     /// Fewer than were asked for.
     #[error("target {target}: pose {pose} was measured in {found} cycles, {asked} were asked for")]
@@ -142,6 +154,9 @@ pub fn test_poses(
         let more = poses.iter().find(|pose| cycles(pose) == most).map_or(0, |pose| pose.pose);
         let (fewest, fewer) = (cycles(&fewer), fewer.pose);
         return Err(Iso9283Error::Unequal { target: name(), fewer, fewest, more, most });
+    }
+    if let Some(first) = poses.first().filter(|pose| pose.observations.len() < LEAST_CYCLES) {
+        return Err(Iso9283Error::TwoCycles { target: name(), pose: first.pose });
     }
     let once = count - poses.len();
     Ok((poses, once))

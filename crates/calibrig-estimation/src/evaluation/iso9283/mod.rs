@@ -34,6 +34,8 @@ use calibrig_model::statistics::{chi2_quantile, f_ln_survival, student_t_quantil
 
 /// Cycles that the standard asks for.
 pub const ISO_CYCLES: usize = 30;
+/// With fewer, RP says nothing: two points lie as far from their barycentre as each other, so that `S_l` is zero however much the machine scatters.
+pub const LEAST_CYCLES: usize = 3;
 /// Poses that the standard asks for.
 pub const ISO_POSES: usize = 5;
 /// Confidence of all intervals here.
@@ -149,10 +151,10 @@ pub fn position_accuracy(errors: &[Vector3<f64>]) -> Option<PositionAccuracy> {
     })
 }
 
-/// RP of the position from attained positions of every cycle at a pose, in one frame, m; `None` for fewer than two cycles, and for numbers that are
+/// RP of the position from attained positions of every cycle at a pose, in one frame, m; `None` for fewer than [`LEAST_CYCLES`], and for numbers that are
 /// not finite.
 pub fn position_repeatability(attained: &[Vector3<f64>]) -> Option<PositionRepeatability> {
-    let (mean, covariance) = moments(attained)?;
+    let (mean, covariance) = moments(attained).filter(|_| attained.len() >= LEAST_CYCLES)?;
     let distances: Vec<f64> = attained.iter().map(|p| (p - mean).norm()).collect();
     let (mean_distance, distance_sigma) = mean_and_sigma(&distances);
     let repeatability = mean_distance + 3.0 * distance_sigma;

@@ -206,9 +206,10 @@ fn cycles_are_found_by_their_commands() {
     let found: Vec<_> = poses.iter().map(|p| (p.pose, p.observations.as_slice(), p.mixed_approach)).collect();
     assert_eq!(found, [(1, &[0, 3, 5][..], false), (2, &[1, 4, 6][..], false)]);
     assert_eq!(once, 1);
-    let (poses, _) = test_poses(&set(&[0.1, 0.2, 0.1, 0.2, 0.1]), 0, Some(2)).expect("two cycles");
-    assert!(poses.iter().all(|p| p.observations.len() == 2));
-    let mut mixed = set(&[0.1, 0.2, 0.1, 0.2]);
+    let seven = set(&[0.1, 0.2, 0.1, 0.2, 0.1, 0.2, 0.1]);
+    let (poses, _) = test_poses(&seven, 0, Some(3)).expect("three cycles");
+    assert!(poses.iter().all(|p| p.observations.len() == 3));
+    let mut mixed = set(&[0.1, 0.2, 0.1, 0.2, 0.1, 0.2]);
     mixed.observations[0].approach = vec![1];
     assert!(test_poses(&mixed, 0, None).expect("cycles").0[0].mixed_approach);
 }
@@ -226,6 +227,8 @@ fn what_is_no_test_is_refused_with_its_poses() {
     assert!(told.contains("pose 2 was measured in 2 cycles, pose 1 in 3"), "{told}");
     let told = refused(&set(&[0.1, 0.2, 0.1, 0.2]), 0, Some(3));
     assert!(told.contains("pose 1 was measured in 2 cycles, 3 were asked for"), "{told}");
+    let told = refused(&set(&[0.1, 0.2, 0.1, 0.2]), 0, None);
+    assert!(told.starts_with("target SMR: pose 1 was measured in two cycles"), "{told}");
     assert!(refused(&set(&[0.1]), 3, None).contains("was not measured"));
     let mut moved = set(&[0.1, 0.2, 0.1, 0.2]);
     moved.stations.push(moved.stations[0].clone());
@@ -233,12 +236,22 @@ fn what_is_no_test_is_refused_with_its_poses() {
     assert!(refused(&moved, 0, None).contains("pose 1 was measured from stations"));
 }
 
-/// Scatter that is singular in a direction, and cycles that are as few as can be.
+/// Scatter that is singular in a direction, and cycles that are as few as can be: the interval is wide, and holds its own value. Two cycles have `S_l` = 0
+/// whatever they scatter by, and give none.
 #[test]
-fn two_cycles_give_a_wide_interval_and_no_failure() {
-    let rp = position_repeatability(&[Vector3::zeros(), 2e-4 * Vector3::x()]).expect("two cycles");
-    assert!((rp.repeatability - 1e-4).abs() < 1e-18 && rp.distance_sigma < 1e-18);
-    assert!(rp.interval[1] > 10.0 * rp.repeatability && rp.interval[1].is_finite(), "{rp:?}");
+fn few_cycles_give_a_wide_interval_and_two_cycles_none() {
+    let far = [Vector3::zeros(), 2e-4 * Vector3::x(), 7e-4 * Vector3::x()];
+    assert_eq!(position_repeatability(&far[..2]), None);
+    let rp = position_repeatability(&far).expect("three cycles");
+    assert!(rp.interval[1] > 3.0 * rp.repeatability && rp.interval[1].is_finite(), "{rp:?}");
+    for sigmas in [Vector3::x(), Vector3::new(1.0, 1.0, 0.0), Vector3::repeat(1.0)] {
+        let shape = Matrix3::from_diagonal(&sigmas);
+        for cycles in LEAST_CYCLES..8 {
+            let [low, high] = ratio_band(&shape, cycles);
+            assert!(low < 1.0 && high > 1.0, "{cycles} cycles, {sigmas}: {low} to {high}");
+        }
+        assert!(ratio_band(&shape, 2)[1] < 1.0, "the reason for three");
+    }
     let band = ratio_band(&Matrix3::identity(), 30);
     assert_eq!(band, ratio_band(&(4.0 * Matrix3::identity()), 30));
 }

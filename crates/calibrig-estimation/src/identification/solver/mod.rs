@@ -17,9 +17,7 @@ mod tests;
 use nalgebra::{DMatrix, DVector};
 
 pub use bounds::BoundsError;
-#[cfg(test)]
-use bounds::Side;
-pub(crate) use bounds::{AtBound, Bounds};
+pub(crate) use bounds::{AtBound, Bounds, Side};
 pub(crate) use loss::scale_of;
 pub use loss::{Loss, LossScale};
 

@@ -288,10 +288,15 @@ impl Cells<'_> {
                 "of the point (a zenith up to 180°)"
             }
         };
+        let stated = |here: &str, other: &str| {
+            format!(
+                "[face] states angles = {here:?}; if all of the back face are like this one, state angles = {other:?}, or no angles"
+            )
+        };
         let (expected, why) = match (angles, &faces.back) {
             (BackAngles::Own, _) => return Ok(false),
-            (BackAngles::Raw, _) => (true, "angles = \"raw\" in [face] says so".to_owned()),
-            (BackAngles::Direction, _) => (false, "angles = \"direction\" in [face] says so".to_owned()),
+            (BackAngles::Raw, _) => (true, stated("raw", "direction")),
+            (BackAngles::Direction, _) => (false, stated("direction", "raw")),
             (BackAngles::Found, None) => return Ok(is_beyond),
             (BackAngles::Found, Some((is_raw, place))) => (
                 *is_raw,

@@ -23,6 +23,9 @@ use crate::measurements::rows::Place;
 /// states come ten times as often.
 pub const DEFAULT_TOLERANCE_S: f64 = 0.05;
 
+/// Columns of orientations, as ROS orders a quaternion.
+const TURN: [&str; 4] = ["qx", "qy", "qz", "qw"];
+
 /// Dropped points that are told one by one.
 const TOLD: usize = 5;
 
@@ -31,8 +34,8 @@ const TOLD: usize = 5;
 pub struct BagOptions {
     /// Topic of `sensor_msgs/JointState`; the only one where it is not stated.
     pub joints: Option<String>,
-    /// Topics of `PointStamped`, `PoseStamped` or `TransformStamped`; the only one where none is stated. Of several, each is a target of its
-    /// topic's name.
+    /// Topics of `PointStamped`, `PoseStamped`, `PoseWithCovarianceStamped`, `TransformStamped` or `Odometry`; the only one where none is stated. Of several,
+    /// each is a target of its topic's name.
     pub points: Vec<String>,
     /// How far the stamps of a point and of its joints may lie apart, s.
     pub tolerance_s: f64,
@@ -56,8 +59,9 @@ impl Default for BagOptions {
 
 /// Reads the bag at `path`: a row a point, with the joints' state nearest in time.
 ///
-/// Columns are `time_s` (since the first point), one a joint by its name (rad or m, as ROS has it), `x`, `y`, `z` (m), and where there are several `target`
-/// (topic, or child frame of a transform) and `station` (frame of the points). Stamps are those of the messages' headers; where no message of a topic has one,
+/// Columns are `time_s` (since the first point), one a joint by its name (rad or m, as ROS has it), `x`, `y`, `z` (m), of poses `qx`, `qy`, `qz`, `qw` (how
+/// the target is turned in the frame of the points), and where there are several `target` (topic, or child frame of a transform) and `station` (frame of
+/// the points). Stamps are those of the messages' headers; where no message of a topic has one,
 /// the times of the file, which is told. A point without a state of every joint within the tolerance is dropped, and told; so is a robot that moves.
 ///
 /// # Errors
@@ -100,6 +104,7 @@ struct Measured {
     frame: Arc<str>,
     child: Option<Arc<str>>,
     position: [f64; 3],
+    turn: Option<[f64; 4]>,
 }
 
 impl Measured {
@@ -115,7 +120,27 @@ struct Notes {
     /// Topics without stamps, whose messages have the times of the file.
     unstamped: Vec<String>,
     not_finite: Vec<String>,
-    poses: bool,
+    /// Whether all points have an orientation, or some.
+    turns: Turns,
+}
+
+/// How many of the points have an orientation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+enum Turns {
+    #[default]
+    None,
+    Some,
+    All,
+}
+
+impl Turns {
+    fn of(points: &[Measured]) -> Self {
+        match points.iter().filter(|point| point.turn.is_some()).count() {
+            0 => Self::None,
+            all if all == points.len() => Self::All,
+            _ => Self::Some,
+        }
+    }
 }
 
 impl Bag<'_> {
@@ -162,9 +187,13 @@ impl Bag<'_> {
             let topic = shared(&channel.topic);
             let number = counts.entry(Arc::clone(&topic)).or_default();
             *number += 1;
-            notes.poses |= kind == Kind::Transform || channel.schema.ends_with("PoseStamped");
-            let read = if kind == Kind::Transform { cdr::transform(data) } else { cdr::point(data) };
-            let Point { header, child, position } = read.map_err(|error| at(&topic, *number, &error))?;
+            let read = match kind {
+                Kind::Transform => cdr::transform(data),
+                Kind::Pose => cdr::pose(data),
+                Kind::Point | Kind::Joints => cdr::point(data),
+            };
+            let Point { header, child, position, turn } =
+                read.map_err(|error| at(&topic, *number, &error))?;
             if position.iter().any(|axis| !axis.is_finite()) {
                 notes.not_finite.push(format!("{topic}, message {number}"));
                 return Ok(());
@@ -177,10 +206,13 @@ impl Bag<'_> {
                 topic,
                 number: *number,
                 position,
+                // Four zeros are what a message has whose orientation nobody filled in.
+                turn: turn.filter(|turn| turn.iter().all(|part| part.is_finite()) && *turn != [0.0; 4]),
             });
             Ok(())
         })
         .map_err(|trouble| self.trouble(trouble))?;
+        notes.turns = Turns::of(&points);
         debug_assert!(chosen.iter().all(|name| topics.contains_key(name)));
         for topic in chosen {
             let of_topic = |point: &&Measured| *point.topic == **topic;
@@ -308,6 +340,8 @@ impl Bag<'_> {
         let mut header = vec!["time_s".to_owned()];
         header.extend(names.iter().cloned());
         header.extend(["x", "y", "z"].map(str::to_owned));
+        let has_turns = notes.turns == Turns::All;
+        header.extend(TURN.into_iter().filter(|_| has_turns).map(str::to_owned));
         header.extend(has_targets.then(|| "target".to_owned()));
         header.extend(has_stations.then(|| "station".to_owned()));
         let mut remarks = self.remarks(joints, chosen, notes, has_targets, has_stations.then_some(&frames));
@@ -339,6 +373,7 @@ impl Bag<'_> {
                 nearest.iter().map(|sample| number_text(sample.map_or(f64::NAN, |sample| sample.position))),
             );
             cells.extend(point.position.map(number_text));
+            cells.extend(point.turn.into_iter().filter(|_| has_turns).flatten().map(number_text));
             if has_targets {
                 let child = point.child.as_deref().filter(|_| children.len() > 1);
                 cells.push(match child {
@@ -414,10 +449,16 @@ impl Bag<'_> {
             },
             milliseconds(self.tolerance().unsigned_abs())
         )];
-        if notes.poses {
-            remarks.push(format!(
-                "{name}: of poses and transforms the position is read, the orientation is not"
-            ));
+        match notes.turns {
+            Turns::None => {}
+            Turns::Some => remarks.push(format!(
+                "{name}: not all of the points have an orientation: the positions are read, the orientations are not"
+            )),
+            Turns::All => remarks.push(format!(
+                "{name}: orientations are in the columns {}; they are read where [rotation] of a column map names them (form = \"quaternion\", \
+                 order = \"xyzw\", transform = \"target_in_tracker\"), and else the positions alone",
+                TURN.join(", ")
+            )),
         }
         if has_targets {
             remarks.push(format!("{name}: each topic or child frame is a target of its own"));

@@ -141,24 +141,38 @@ pub(super) struct Point<'a> {
     pub child: Option<&'a str>,
     /// m
     pub position: [f64; 3],
+    /// Quaternion x, y, z, w of how it is turned in the header's frame; `None` of a bare point.
+    pub turn: Option<[f64; 4]>,
 }
 
-/// `geometry_msgs/PointStamped`; and `PoseStamped`, whose orientation stands behind its position.
+/// `geometry_msgs/PointStamped`.
 pub(super) fn point(message: &[u8]) -> Result<Point<'_>, CdrError> {
     let mut cdr = Cdr::new(message)?;
     let header = cdr.header()?;
-    Ok(Point { header, child: None, position: position(&mut cdr)? })
+    Ok(Point { header, child: None, position: position(&mut cdr)?, turn: None })
 }
 
-/// `geometry_msgs/TransformStamped`.
+/// `geometry_msgs/PoseStamped` and `PoseWithCovarianceStamped`, whose covariance stands behind the pose.
+pub(super) fn pose(message: &[u8]) -> Result<Point<'_>, CdrError> {
+    let mut cdr = Cdr::new(message)?;
+    let header = cdr.header()?;
+    Ok(Point { header, child: None, position: position(&mut cdr)?, turn: Some(turn(&mut cdr)?) })
+}
+
+/// `geometry_msgs/TransformStamped`; and `nav_msgs/Odometry`, whose pose stands behind its child frame as well.
 pub(super) fn transform(message: &[u8]) -> Result<Point<'_>, CdrError> {
     let mut cdr = Cdr::new(message)?;
     let header = cdr.header()?;
     let child = Some(cdr.text("its child frame")?);
-    Ok(Point { header, child, position: position(&mut cdr)? })
+    Ok(Point { header, child, position: position(&mut cdr)?, turn: Some(turn(&mut cdr)?) })
 }
 
 fn position(cdr: &mut Cdr<'_>) -> Result<[f64; 3], CdrError> {
     let mut axis = || cdr.f64("its position");
     Ok([axis()?, axis()?, axis()?])
+}
+
+fn turn(cdr: &mut Cdr<'_>) -> Result<[f64; 4], CdrError> {
+    let mut part = || cdr.f64("its orientation");
+    Ok([part()?, part()?, part()?, part()?])
 }

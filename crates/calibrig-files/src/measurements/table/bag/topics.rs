@@ -12,10 +12,14 @@ use crate::measurements::table::mcap_records::{Channel, messages};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     Joints,
-    /// The position of a point or pose.
     Point,
+    Pose,
+    /// A pose behind its child frame.
     Transform,
 }
+
+/// Messages that hold a point, for people.
+const POINTS: &str = "geometry_msgs/PointStamped, PoseStamped, PoseWithCovarianceStamped or TransformStamped, or nav_msgs/Odometry";
 
 impl Kind {
     pub fn of(channel: &Channel) -> Option<Self> {
@@ -23,8 +27,9 @@ impl Kind {
         let name = name.strip_prefix("msg/").unwrap_or(name);
         match (package, name) {
             ("sensor_msgs", "JointState") => Some(Self::Joints),
-            ("geometry_msgs", "PointStamped" | "PoseStamped") => Some(Self::Point),
-            ("geometry_msgs", "TransformStamped") => Some(Self::Transform),
+            ("geometry_msgs", "PointStamped") => Some(Self::Point),
+            ("geometry_msgs", "PoseStamped" | "PoseWithCovarianceStamped") => Some(Self::Pose),
+            ("geometry_msgs", "TransformStamped") | ("nav_msgs", "Odometry") => Some(Self::Transform),
             _ => None,
         }
     }
@@ -78,8 +83,7 @@ impl Bag<'_> {
             let found = if others.is_empty() { "no message".to_owned() } else { others.join(", ") };
             return Err(self.refuse(
                 format!("the bag has no states of joints and no points; it has {found}"),
-                "sensor_msgs/JointState, and geometry_msgs/PointStamped, PoseStamped or TransformStamped"
-                    .to_owned(),
+                format!("sensor_msgs/JointState, and {POINTS}"),
             ));
         }
         Ok(topics)
@@ -132,10 +136,9 @@ impl Bag<'_> {
             }
         }
         match (self.options.points.as_slice(), of_points.as_slice()) {
-            ([], []) => Err(self.refuse(
-                "the bag has no measured points".to_owned(),
-                "a topic of geometry_msgs/PointStamped, PoseStamped or TransformStamped".to_owned(),
-            )),
+            ([], []) => {
+                Err(self.refuse("the bag has no measured points".to_owned(), format!("a topic of {POINTS}")))
+            }
             ([], [only]) => Ok(vec![only.clone()]),
             ([], _) => Err(self.refuse(
                 "several topics have points".to_owned(),

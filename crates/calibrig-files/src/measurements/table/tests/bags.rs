@@ -77,6 +77,11 @@ fn messages_are_read_in_both_orders_of_bytes() {
                 Cdr::new(little).header(8, "base").text(name).f64s(&[1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]);
             let transform = cdr::transform(&turned.bytes).expect("sound");
             assert_eq!((transform.child, transform.position), (Some(name), [1.0, 2.0, 3.0]));
+            assert_eq!(transform.turn, Some([0.0, 0.0, 0.0, 1.0]));
+            let pose = Cdr::new(little).header(8, name).f64s(&[1.0, 2.0, 3.0, 0.5, -0.5, 0.1, 0.7]).bytes;
+            let pose = cdr::pose(&pose).expect("sound");
+            assert_eq!((pose.position, pose.turn), ([1.0, 2.0, 3.0], Some([0.5, -0.5, 0.1, 0.7])));
+            assert!(cdr::pose(&Cdr::point(7, little, name, &[1.0, 2.0, 3.0])).is_err(), "a point has none");
         }
     }
     assert_eq!(cdr::stamp(&[0, 7, 0, 0]), Err(CdrError::Encoding(7)));
@@ -139,13 +144,16 @@ fn bags_of_another_program_are_read_to_the_last_digit() {
     let options = BagOptions { names: NAMES.map(str::to_owned).to_vec(), ..BagOptions::default() };
     for name in ["points_lz4.mcap", "poses_zstd_be.mcap", "transforms_plain.mcap"] {
         let table = bag::read_bag(&fixture(name), &options).unwrap_or_else(|error| panic!("{name}: {error}"));
-        let header = ["time_s"].into_iter().chain(NAMES).chain(["x", "y", "z"]);
+        let has_turns = name != "points_lz4.mcap";
+        let turn = ["qx", "qy", "qz", "qw"].into_iter().filter(|_| has_turns);
+        let header = ["time_s"].into_iter().chain(NAMES).chain(["x", "y", "z"]).chain(turn);
         assert_eq!(table.rows[0].cells, header.collect::<Vec<_>>());
         assert_eq!(table.rows.len(), 1 + POSES as usize, "{name}");
         for (pose, row) in (0..POSES).zip(&table.rows[1..]) {
             let joints = (0..6).map(|number| joint(pose, number));
             let expected = std::iter::once(2.0 * f64::from(pose)).chain(joints).chain(place(pose));
-            assert_near(&numbers(row), expected);
+            let turn = [0.0, 0.0, 0.0, 1.0].into_iter().filter(|_| has_turns);
+            assert_near(&numbers(row), expected.chain(turn));
         }
         let said = table.remarks.join("\n");
         for words in [
@@ -157,7 +165,7 @@ fn bags_of_another_program_are_read_to_the_last_digit() {
         ] {
             assert!(said.contains(words), "{name}: {words}: {said}");
         }
-        assert_eq!(said.contains("the orientation is not"), name != "points_lz4.mcap", "{said}");
+        assert_eq!(said.contains("orientations are in the columns qx, qy, qz, qw"), has_turns, "{said}");
     }
 }
 
@@ -190,6 +198,34 @@ fn joints_are_found_by_name_and_points_by_time_in_any_container() {
             table.rows.iter().map(|row| &row.cells).collect::<Vec<_>>()
         );
     }
+}
+
+/// Odometry and poses with covariances have the pose where transforms and poses have it; of a mixture with points, or with a pose that nobody turned,
+/// the positions alone are read.
+#[test]
+fn orientations_are_columns_where_every_point_has_one() {
+    let turn = [0.1, -0.2, 0.3, 0.9];
+    let numbers: Vec<f64> = [7.0, 8.0, 9.0].into_iter().chain(turn).chain([0.0; 36 + 6 + 36]).collect();
+    let odometry = Cdr::new(true).header(5_050 * MS, "tracker").text("probe").f64s(&numbers).bytes;
+    let with_covariance = Cdr::new(false).header(5_150 * MS, "tracker").f64s(&numbers[..43]).bytes;
+    let unset = Cdr::new(true).header(5_250 * MS, "tracker").f64s(&[7.0, 8.0, 9.0, 0.0, 0.0, 0.0, 0.0]).bytes;
+    let messages = |others: &[Message<'static>]| {
+        let mut all: Vec<_> = session().into_iter().filter(|(topic, ..)| *topic == "/states").collect();
+        all.extend(others.iter().cloned());
+        let points = others.iter().map(|(topic, ..)| (*topic).to_owned()).collect();
+        of(&all, &BagOptions { points, ..BagOptions::default() }).expect("read")
+    };
+    let odometry = ("/odometry", "nav_msgs/msg/Odometry", 1, odometry);
+    let pose = ("/pose", "geometry_msgs/msg/PoseWithCovarianceStamped", 1, with_covariance);
+    let both = messages(&[odometry.clone(), pose.clone()]);
+    assert_eq!(both.rows[0].cells[6..], ["qx", "qy", "qz", "qw", "target"]);
+    for row in &both.rows[1..] {
+        assert_eq!(row.cells[3..10], ["7", "8", "9", "0.1", "-0.2", "0.3", "0.9"], "{row:?}");
+    }
+    let unset = ("/unset", "geometry_msgs/msg/PoseStamped", 1, unset);
+    let some = messages(&[odometry, unset]);
+    assert_eq!(some.rows[0].cells.len(), 7, "{:?}", some.rows[0]);
+    assert!(some.remarks.iter().any(|line| line.contains("not all of the points have an orientation")));
 }
 
 #[test]
