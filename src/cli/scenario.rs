@@ -7,10 +7,9 @@ use clap::ValueEnum;
 use serde_json::json;
 
 use super::{CliError, Verdict, print, say};
-use crate::twin::{Mounting, SizeClass, Twin, TwinOptions, twin};
+use crate::twin::{Mounting, Preset, SizeClass, Twin, TwinOptions, twin};
 use calibrig_files::{InputError, load_robot};
 use calibrig_model::JointKind;
-use calibrig_plant::tracker::Preset;
 
 /// Make a scenario: the simulated twin of a robot
 #[derive(Debug, clap::Args)]

@@ -7,6 +7,7 @@ pub use class::SizeClass;
 
 use nalgebra::{Rotation3, UnitVector3, Vector3};
 use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 use thiserror::Error;
 
 use crate::scenario::{Scenario, parse_scenario};
@@ -16,7 +17,7 @@ use calibrig_model::random::{self, stream};
 use calibrig_model::visibility::{Obstacles, TrackerReach, stance_at};
 use calibrig_model::{JointKind, ModelError, StaticProperties};
 use calibrig_plant::experiment::{Built, Place, Room, Stand, WorkingRegion, usable_ranges};
-use calibrig_plant::tracker::Preset;
+pub use calibrig_plant::tracker::Preset;
 
 /// How the base is mounted, where it is not as the robot's file says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -180,7 +181,7 @@ pub fn twin(robot: &Robot, named: &str, options: &TwinOptions) -> Result<Twin, T
         keep_off: surveyed.reach + KEEP_OFF,
         robot: surveyed.robot,
     };
-    let drawn = |region: &WorkingRegion, count: usize, rng: &mut _| -> Vec<Vec<f64>> {
+    let drawn = |region: &WorkingRegion, count: usize, rng: &mut ChaCha8Rng| -> Vec<Vec<f64>> {
         (0..count).map(|_| room.completed(region.draw(rng))).collect()
     };
     let nowhere = |poses| TwinError::NoPlace { range: limits.range, poses };
@@ -213,10 +214,12 @@ pub fn twin(robot: &Robot, named: &str, options: &TwinOptions) -> Result<Twin, T
     }
     let drives = robot.model.statics.as_ref().map(|statics| drives(robot, statics, &surveyed, &poses));
     let unknown = parameters[0] + drives.iter().flatten().filter(|drive| drive.torque > 0.0).count();
-    let count = (2.0 * unknown as f64).max(40.0) / place.seen.max(0.2);
-    // Whole tens, and few enough for any count to fit.
-    let tens = |poses: f64| 10 * (poses / 10.0).ceil().min(1e4) as u32;
-    let counts = [tens(count), tens(0.5 * count)];
+    // Whole tens, of which so many are seen.
+    let tens = |wanted: usize| {
+        let enough = |poses: &u32| f64::from(*poses) * place.seen.max(0.2) >= wanted as f64;
+        (1..1000).map(|tens| 10 * tens).find(enough).unwrap_or(10_000)
+    };
+    let counts = [tens((2 * unknown).max(40)), tens(unknown.max(20))];
     let places: Vec<_> = poses.iter().map(|joints| room.target_at(joints)).collect();
     let extent = [f64::min, f64::max].map(|most: fn(f64, f64) -> f64| {
         places.iter().copied().reduce(|a, b| a.zip_map(&b, most)).unwrap_or_default()
@@ -383,10 +386,10 @@ fn lowest(
 fn clear_region(
     room: &Room<'_>,
     surveyed: &Surveyed,
-    rng: &mut impl rand::Rng,
+    rng: &mut ChaCha8Rng,
     told: &mut Vec<String>,
 ) -> WorkingRegion {
-    let attempt = |room: &Room<'_>, built: &Built, rng: &mut _| {
+    let attempt = |room: &Room<'_>, built: &Built, rng: &mut ChaCha8Rng| {
         let clear = surveyed.poses.iter().filter(|joints| room.is_clear(joints, built));
         let starts: Vec<_> = clear.take(STARTS).cloned().collect();
         room.clear_region(&surveyed.ranges, &starts, built, rng)

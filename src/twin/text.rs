@@ -165,8 +165,7 @@ impl Written<'_> {
                 "\n# The robot's file takes its stiffnesses for guesses. The machine has those of its class, as factors of the guesses, where gravity loads the drive."
             );
             line!(text, "# {}", figures.stiffness_why);
-            for ((joint, link), drive) in self.robot.model.kinematics.links.iter().enumerate().zip(drives) {
-                let _ = joint;
+            for (link, drive) in self.robot.model.kinematics.links.iter().zip(drives) {
                 let Some(factor) = drive.factor else { continue };
                 let (unit, load) = match link.kind {
                     JointKind::Prismatic => ("N/m", "N"),
