@@ -406,7 +406,7 @@ impl IdentificationFile {
         options.free = self.free.iter().map(|name| id("free", name)).collect::<Result<_, _>>()?;
         // A simulated session has one station and one target.
         let (stations, targets) = ([Station::default()], [Target::default()]);
-        check_named(model, &self.modes(source)?, options, &stations, &targets).map_err(|error| {
+        check_named(model, &self.modes(source, model.statics.is_some())?, options, &stations, &targets).map_err(|error| {
             let of = |name: &&Spanned<String>| ParameterId::parse(name.get_ref()) == Some(error.id());
             let place = self.free.iter().chain(&self.fix).find(of).map_or(0..0, Spanned::span);
             source.error(place, format!("identification: {error}"), Some(error.help()))
@@ -424,7 +424,7 @@ impl IdentificationFile {
             options.bounds.push(file.read(source)?);
         }
         // A simulated session has one station and one target.
-        check_bounds(model, &self.modes(source)?, options, &[Station::default()], &[Target::default()])
+        check_bounds(model, &self.modes(source, model.statics.is_some())?, options, &[Station::default()], &[Target::default()])
             .map_err(|RefusedBound { index, error }| self.bound[index].refused(source, &error))
     }
 
