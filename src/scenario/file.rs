@@ -14,7 +14,7 @@ use super::session::{Around, SessionFile, session};
 use calibrig_files::{InputError, Source, Spanned};
 use calibrig_files::{Robot, load_robot};
 use calibrig_model::measurement::SetKind;
-use calibrig_model::{JointKind, KinematicModel};
+use calibrig_model::{CalibrationModel, JointKind, KinematicModel};
 use calibrig_plant::AsBuilt;
 use calibrig_plant::experiment::WorkingRegion;
 use calibrig_plant::tracker::{Conditions, LaserTracker, Outliers, Probe};
@@ -182,7 +182,7 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
     }
     let effects = effects(&source, &file.effects, &robot)?;
     let (as_built, drawn) = as_built(&source, &file.as_built, &file.robot, &robot, effects)?;
-    let region = region(&source, &file.poses, &robot.model.kinematics)?;
+    let region = region(&source, &file.poses, &robot.model)?;
     let identification_poses = pose_count(&source, "poses.identification", &file.poses.identification, 1)?;
     let verification_poses = pose_count(&source, "poses.verification", &file.poses.verification, 0)?;
     let tracker = tracker(&source, &file.tracker, &as_built, file.seed)?;
@@ -288,7 +288,9 @@ pub(super) fn refuse_twice(
     Ok(())
 }
 
-fn region(source: &Source, poses: &PosesFile, model: &KinematicModel) -> Result<WorkingRegion, InputError> {
+/// The box of joint variables; a joint that follows others has no entry and no width of its own.
+fn region(source: &Source, poses: &PosesFile, robot: &CalibrationModel) -> Result<WorkingRegion, InputError> {
+    let model = &robot.kinematics;
     let mut seen = vec![false; model.joint_count()];
     let mut region = WorkingRegion { centre: vec![0.0; seen.len()], half_width: vec![0.0; seen.len()] };
     for entry in poses.region.get_ref() {
@@ -296,6 +298,11 @@ fn region(source: &Source, poses: &PosesFile, model: &KinematicModel) -> Result<
         let index = joint_index(source, &file.joint, model)?;
         refuse_twice(source, &mut seen, index, &file.joint)?;
         let link = &model.links[index];
+        if !robot.actuators.is_commanded(index) {
+            let message = format!("joint \"{}\" follows another one and takes no command", link.name);
+            let help = "expected no [[poses.region]] for it".to_owned();
+            return Err(source.error(file.joint.span(), message, Some(help)));
+        }
         let (unit, scale, own, foreign) = match link.kind {
             JointKind::Prismatic => {
                 ("mm", 1e-3, (&file.centre_mm, &file.half_width_mm), (&file.centre_rad, &file.half_width_rad))
@@ -341,13 +348,15 @@ fn region(source: &Source, poses: &PosesFile, model: &KinematicModel) -> Result<
             ));
         }
     }
-    if let Some(index) = seen.iter().position(|seen| !seen) {
+    let missing = |index: &usize| !seen[*index] && robot.actuators.is_commanded(*index);
+    if let Some(index) = (0..seen.len()).find(missing) {
         return Err(source.error(
             poses.region.span(),
             format!("[[poses.region]] for joint \"{}\" is missing", model.links[index].name),
-            Some("expected one entry a joint".to_owned()),
+            Some("expected one entry a joint that is commanded".to_owned()),
         ));
     }
+    robot.actuators.follow(&mut region.centre);
     Ok(region)
 }
 
