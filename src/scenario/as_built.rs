@@ -5,14 +5,16 @@ mod tests;
 
 use std::ops::Range;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
 
 use super::file::{joint_index, refuse_twice};
 use calibrig_estimation::identification::{complete_set_of, neighbour_axis_rules};
 use calibrig_files::{InputError, Source, Spanned};
 use calibrig_files::{LoadTable, Robot, read_loads};
-use calibrig_model::{CalibrationModel, Compliance, LinkTerm, ParameterId, RIGID, linkage_fault};
+use calibrig_model::{
+    Body, CalibrationModel, Compliance, LinkTerm, ParameterId, RIGID, StaticProperties, linkage_fault,
+};
 use calibrig_plant::effects::Effects;
 use calibrig_plant::{AsBuilt, AsBuiltDistribution, Spread};
 
@@ -104,13 +106,14 @@ enum DistributionFile {
     Uniform,
 }
 
-/// The machine with its `effects`, and the distribution of those that trials draw. `robot_key` is where the file names the robot.
+/// The machine with its `effects`, and the distribution of those that trials draw. `robot_key` is where the file names the robot. Of one without
+/// statics, which has to be rigid, nothing is told by its gravity but where up is.
 pub(super) fn as_built(
     source: &Source,
     file: &AsBuiltFile,
     robot_key: &Spanned<String>,
     robot: &Robot,
-    effects: Effects,
+    (effects, gravity): (Effects, Vector3<f64>),
 ) -> Result<(AsBuilt, Option<AsBuiltDistribution>), InputError> {
     let missing = |what: &str, where_: &str| {
         source.error(
@@ -119,22 +122,30 @@ pub(super) fn as_built(
             Some(format!("a simulation needs {where_}")),
         )
     };
-    let statics = robot.model.statics.clone().ok_or_else(|| {
-        missing(
-            "masses, drive stiffnesses and gravity",
-            "a URDF with inertials, stiffness_* of every joint and [gravity]",
-        )
-    })?;
+    let statics = match &robot.model.statics {
+        Some(statics) => statics.clone(),
+        None if file.drives == Drives::Rigid => weightless(robot.model.kinematics.joint_count(), gravity),
+        None => {
+            return Err(missing(
+                "masses, drive stiffnesses and gravity",
+                "a URDF with inertials (or [joint.body]), stiffness_* of every joint and [gravity]; or drives = \"rigid\" in [as_built], with which nothing yields",
+            ));
+        }
+    };
     if robot.targets.len() > 1 {
         let message =
             format!("the robot's file states {} targets, and a simulation measures one", robot.targets.len());
         return Err(source.error(
             robot_key.span(),
             message,
-            Some("expected one [target] in the robot's file".to_owned()),
+            Some(
+                "expected one [target] in the robot's file, or the one that is measured as [target] here"
+                    .to_owned(),
+            ),
         ));
     }
-    let target = robot.target().ok_or_else(|| missing("target offset", "[target] in the robot's file"))?;
+    let target =
+        robot.target().ok_or_else(|| missing("target offset", "[target] in the robot's file, or here"))?;
     let (kinematics, actuators) = (robot.model.kinematics.clone(), robot.model.actuators.clone());
     let mut machine = AsBuilt { kinematics, actuators, statics, target, effects };
     let reader = Reader { source };
@@ -157,6 +168,12 @@ pub(super) fn as_built(
     reader.check_closing(&machine, place, "as_built.linkage")?;
     let drawn = file.drawn.as_ref().map(|drawn| reader.drawn(drawn, &machine, &robot.model));
     Ok((machine, drawn.transpose()?))
+}
+
+/// What stands for the statics of a robot of which none are known and nothing yields: its bodies of a kilogram bend nothing.
+fn weightless(joints: usize, gravity: Vector3<f64>) -> StaticProperties {
+    let body = Body { mass: 1.0, centre_of_mass: Vector3::zeros(), inertia: Matrix3::identity() };
+    StaticProperties::of_drives(vec![body; joints], vec![f64::INFINITY; joints], gravity)
 }
 
 struct Reader<'a> {

@@ -275,9 +275,11 @@ impl IdentificationFile {
         }
     }
 
-    /// The rows of the tables.
-    pub(super) fn modes(&self, source: &Source) -> Result<Vec<Mode>, InputError> {
-        let Some(modes) = &self.modes else { return Ok(Mode::ALL.to_vec()) };
+    /// The rows of the tables: without the key all that the robot can have, which `bends` or not.
+    pub(super) fn modes(&self, source: &Source, bends: bool) -> Result<Vec<Mode>, InputError> {
+        let possible =
+            |mode: &Mode| bends || matches!(mode, Mode::WithoutCalibration | Mode::OnlyCalibration);
+        let Some(modes) = &self.modes else { return Ok(Mode::ALL.into_iter().filter(possible).collect()) };
         if modes.get_ref().is_empty() {
             let help = Some("expected at least one mode, or no key modes for all of them".to_owned());
             return Err(source.error(modes.span(), "identification.modes is empty", help));

@@ -5,10 +5,11 @@ mod effects;
 mod file;
 mod identification;
 mod instrument;
+mod poses;
 mod session;
 pub use identification::with_stated_of;
 
-pub use file::{load_scenario, parse_scenario};
+pub use file::{load_scenario, parse_scenario, parse_scenario_with};
 
 use std::borrow::Cow;
 
@@ -44,6 +45,8 @@ pub struct Scenario {
     pub identification_poses: u32,
     /// Poses of the verification set.
     pub verification_poses: u32,
+    /// Joint variables of the poses of the identification and of the verification set, where they are not drawn.
+    pub listed: [Option<Vec<Vec<f64>>>; 2],
     /// The tracker at its real place.
     pub tracker: LaserTracker,
     /// Gross errors among its readings of the target, where there are any.
@@ -91,6 +94,7 @@ impl Scenario {
             as_built: &self.as_built,
             actuators: &self.robot.model.actuators,
             region: &self.region,
+            listed: self.listed.each_ref().map(|poses| poses.as_deref()),
             identification_poses: self.identification_poses,
             verification_poses: self.verification_poses,
             tracker: &self.tracker,

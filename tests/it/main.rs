@@ -18,6 +18,7 @@ mod a_user_has_a_damaged_recording;
 mod a_user_has_a_killed_run;
 mod a_user_has_a_session_that_makes_no_sense;
 mod a_user_has_a_sheet_or_a_bag;
+mod a_user_has_a_twin_made;
 mod a_user_has_no_room;
 mod a_user_judges_an_estimate;
 mod a_user_knows_no_stiffness;
