@@ -9,12 +9,11 @@ use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
 
 use super::file::{joint_index, refuse_twice};
-use calibrig_estimation::identification::neighbour_axis_rules;
+use calibrig_estimation::identification::{complete_set_of, neighbour_axis_rules};
 use calibrig_files::{InputError, Source, Spanned};
 use calibrig_files::{LoadTable, Robot, read_loads};
 use calibrig_model::{
-    Body, CalibrationModel, Compliance, KinematicModel, LinkTerm, ParameterId, RIGID, StaticProperties,
-    linkage_fault,
+    Body, CalibrationModel, Compliance, LinkTerm, ParameterId, RIGID, StaticProperties, linkage_fault,
 };
 use calibrig_plant::effects::Effects;
 use calibrig_plant::{AsBuilt, AsBuiltDistribution, Spread};
@@ -322,7 +321,7 @@ impl Reader<'_> {
         };
         let distribution = AsBuiltDistribution {
             spread,
-            link_parameters: self.link_parameters(file.parameters.as_ref(), &nominal.kinematics)?,
+            link_parameters: self.link_parameters(file.parameters.as_ref(), nominal)?,
             length: size("lengths_mm", 1e-3, &file.lengths_mm)?,
             angle: size("angles_mrad", 1e-3, &file.angles_mrad)?,
             compliances: self.compliances(file.compliances.as_ref(), nominal)?,
@@ -341,14 +340,15 @@ impl Reader<'_> {
     fn link_parameters(
         &self,
         value: Option<&Spanned<toml::Value>>,
-        model: &KinematicModel,
+        nominal: &CalibrationModel,
     ) -> Result<Vec<(usize, LinkTerm)>, InputError> {
+        let model = &nominal.kinematics;
         let links = model.joint_count();
         let all = ParameterId::all_of_links(links);
         let Some(value) = value else { return Ok(of_links(&all)) };
         let refused = |what: String| {
             let expected = format!(
-                "\"all\", \"neighbour_axis_rules\", or a list of delta_a, delta_alpha, delta_beta, delta_d, delta_theta with a joint \
+                "\"all\", \"complete\", \"neighbour_axis_rules\", or a list of delta_a, delta_alpha, delta_beta, delta_d, delta_theta with a joint \
                  number from 1 to {links}"
             );
             self.error(value.span(), format!("as_built.drawn.parameters: {what}"), &expected)
@@ -357,6 +357,12 @@ impl Reader<'_> {
             toml::Value::String(name) if name == "all" => Ok(of_links(&all)),
             toml::Value::String(name) if name == "neighbour_axis_rules" => {
                 Ok(of_links(&neighbour_axis_rules(model).0))
+            }
+            // As they are identified where base and target are known.
+            toml::Value::String(name) if name == "complete" => {
+                let set =
+                    complete_set_of(nominal, false, false).map_err(|error| refused(error.to_string()))?;
+                Ok(of_links(&set.selected))
             }
             toml::Value::Array(names) => names
                 .iter()

@@ -8,7 +8,7 @@ use calibrig_files::{
     parse_measurements,
 };
 use calibrig_model::measurement::SetKind;
-use calibrig_model::{JointKind, KinematicModel};
+use calibrig_model::{CalibrationModel, JointKind};
 use calibrig_plant::experiment::WorkingRegion;
 
 #[derive(Deserialize)]
@@ -81,7 +81,7 @@ pub(super) fn poses(
     let verification = file.verification_from.as_ref();
     let (second, held_out) = set(SetKind::Verification, file.verification.as_ref(), verification, 0)?;
     let region = match &file.region {
-        Some(entries) => region(source, entries, &robot.model.kinematics)?,
+        Some(entries) => region(source, entries, &robot.model)?,
         // Nothing is drawn: what is listed is the region.
         None if (fitted.is_some() || first == 0) && (held_out.is_some() || second == 0) => {
             around(fitted.iter().chain(&held_out).flatten(), robot.model.kinematics.joint_count())
@@ -176,11 +176,13 @@ fn pose_count(source: &Source, key: &str, count: &Spanned<u32>, least: u32) -> R
     Err(source.error(count.span(), format!("{key} is {number}"), help))
 }
 
+/// The box of joint variables; a joint that follows others has no entry and no width of its own.
 fn region(
     source: &Source,
     entries: &Spanned<Vec<Spanned<RegionFile>>>,
-    model: &KinematicModel,
+    robot: &CalibrationModel,
 ) -> Result<WorkingRegion, InputError> {
+    let model = &robot.kinematics;
     let mut seen = vec![false; model.joint_count()];
     let mut region = WorkingRegion { centre: vec![0.0; seen.len()], half_width: vec![0.0; seen.len()] };
     for entry in entries.get_ref() {
@@ -188,6 +190,11 @@ fn region(
         let index = joint_index(source, &file.joint, model)?;
         refuse_twice(source, &mut seen, index, &file.joint)?;
         let link = &model.links[index];
+        if !robot.actuators.is_commanded(index) {
+            let message = format!("joint \"{}\" follows another one and takes no command", link.name);
+            let help = "expected no [[poses.region]] for it".to_owned();
+            return Err(source.error(file.joint.span(), message, Some(help)));
+        }
         let (unit, scale, own, foreign) = match link.kind {
             JointKind::Prismatic => {
                 ("mm", 1e-3, (&file.centre_mm, &file.half_width_mm), (&file.centre_rad, &file.half_width_rad))
@@ -233,12 +240,14 @@ fn region(
             ));
         }
     }
-    if let Some(index) = seen.iter().position(|seen| !seen) {
+    let missing = |index: &usize| !seen[*index] && robot.actuators.is_commanded(*index);
+    if let Some(index) = (0..seen.len()).find(missing) {
         return Err(source.error(
             entries.span(),
             format!("[[poses.region]] for joint \"{}\" is missing", model.links[index].name),
-            Some("expected one entry a joint".to_owned()),
+            Some("expected one entry a joint that is commanded".to_owned()),
         ));
     }
+    robot.actuators.follow(&mut region.centre);
     Ok(region)
 }

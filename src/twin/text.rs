@@ -328,7 +328,9 @@ impl Written<'_> {
             high.y,
             high.z
         );
-        for (joint, link) in self.robot.model.kinematics.links.iter().enumerate() {
+        let model = &self.robot.model;
+        let links = model.kinematics.links.iter().enumerate();
+        for (joint, link) in links.filter(|(joint, _)| model.actuators.is_commanded(*joint)) {
             let (centre, half) = (self.region.centre[joint], self.region.half_width[joint]);
             line!(text, "[[poses.region]]\njoint = {}", quoted(&link.name));
             match link.kind {

@@ -50,10 +50,7 @@ const SHRINK: f64 = 0.95;
 impl Room<'_> {
     /// The joint variables with those of joints that follow others.
     pub fn completed(&self, mut joints: Vec<f64>) -> Vec<f64> {
-        if (0..joints.len()).any(|joint| !self.actuators.is_commanded(joint)) {
-            let command = self.actuators.command_from_joints(&joints);
-            self.actuators.joints_from_command(&command, &mut joints);
-        }
+        self.actuators.follow(&mut joints);
         joints
     }
 

@@ -172,7 +172,12 @@ impl MeasuringSession<'_> {
             (SetKind::Identification, self.identification_poses),
             (SetKind::Verification, self.verification_poses),
         ];
-        schedule(self.plan, (self.region, self.listed), counts, self.nests.len(), (seed, trial))
+        let mut schedule =
+            schedule(self.plan, (self.region, self.listed), counts, self.nests.len(), (seed, trial));
+        let rounds = schedule.rounds.iter_mut().map(|round| &mut round.joints);
+        let poses = schedule.sets.iter_mut().flat_map(|set| &mut set.poses).map(|(joints, _)| joints);
+        rounds.chain(poses).for_each(|joints| self.actuators.follow(joints));
+        schedule
     }
 
     /// `tracker_from_base` of every station on the average of its rounds of nests, as the session of (seed, trial) has it.
