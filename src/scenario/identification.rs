@@ -406,11 +406,12 @@ impl IdentificationFile {
         options.free = self.free.iter().map(|name| id("free", name)).collect::<Result<_, _>>()?;
         // A simulated session has one station and one target.
         let (stations, targets) = ([Station::default()], [Target::default()]);
-        check_named(model, &self.modes(source, model.statics.is_some())?, options, &stations, &targets).map_err(|error| {
-            let of = |name: &&Spanned<String>| ParameterId::parse(name.get_ref()) == Some(error.id());
-            let place = self.free.iter().chain(&self.fix).find(of).map_or(0..0, Spanned::span);
-            source.error(place, format!("identification: {error}"), Some(error.help()))
-        })
+        check_named(model, &self.modes(source, model.statics.is_some())?, options, &stations, &targets)
+            .map_err(|error| {
+                let of = |name: &&Spanned<String>| ParameterId::parse(name.get_ref()) == Some(error.id());
+                let place = self.free.iter().chain(&self.fix).find(of).map_or(0..0, Spanned::span);
+                source.error(place, format!("identification: {error}"), Some(error.help()))
+            })
     }
 
     /// Adds the bounds, which are on parameters that these options fit.
@@ -424,8 +425,14 @@ impl IdentificationFile {
             options.bounds.push(file.read(source)?);
         }
         // A simulated session has one station and one target.
-        check_bounds(model, &self.modes(source, model.statics.is_some())?, options, &[Station::default()], &[Target::default()])
-            .map_err(|RefusedBound { index, error }| self.bound[index].refused(source, &error))
+        check_bounds(
+            model,
+            &self.modes(source, model.statics.is_some())?,
+            options,
+            &[Station::default()],
+            &[Target::default()],
+        )
+        .map_err(|RefusedBound { index, error }| self.bound[index].refused(source, &error))
     }
 
     /// The prior on the link parameters, for lengths and angles or for neither.

@@ -47,7 +47,7 @@ const HEIGHTS: [f64; 3] = [0.8, 1.2, 1.6];
 /// Angle above and below level within which trackers work well, rad.
 const ELEVATION: f64 = FRAC_PI_4;
 /// Part of the seen poses that a metre of distance is worth: it scatters more, and air bends it.
-const OF_A_METRE: f64 = 0.005;
+const OF_A_METRE: f64 = 0.015;
 /// Part of a joint's range that is taken off where the least is seen.
 const TRIM: f64 = 0.1;
 /// Rounds of taking off.
