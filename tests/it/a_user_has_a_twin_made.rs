@@ -76,9 +76,11 @@ fn check_twin(sandbox: &Sandbox, name: &str, scenario: &str, commands: bool) {
     let report = ran.json();
     let measured = report["sets"]["identification"]["poses"].as_u64().expect("a number");
     assert!(measured >= 40, "{name}: {measured} of 50 poses were measured");
-    // It calibrates: what is left is less than what the nominal robot leaves, on poses that no fit has seen.
-    let rms = |mode: &str| report["sets"]["verification"]["rows"][mode]["rms_3d_m"].as_f64().expect("a row");
-    let (before, after) = (rms("without_calibration"), rms("only_calibration"));
+    // It calibrates: what is left is less than what the nominal robot leaves, on poses that no fit has seen. Of a robot that sags, with its stiffness.
+    let rows = &report["sets"]["verification"]["rows"];
+    let rms = |mode: &str| rows[mode]["rms_3d_m"].as_f64();
+    let before = rms("without_calibration").expect("a row");
+    let after = rms("elasto_geometric").or_else(|| rms("only_calibration")).expect("a row");
     println!("{name}: {:.3} mm before, {:.3} mm after, exit {:?}", 1e3 * before, 1e3 * after, ran.code);
     assert!(after < before, "{name}: {before} {after}");
     if commands {
