@@ -1,5 +1,6 @@
 //! Whoever brings a robot gets its simulated twin with one command: it is checked, runs, repeats and replays.
 
+use std::f64::consts::FRAC_PI_2;
 use std::fmt::Write;
 use std::fs;
 use std::path::Path;
@@ -132,8 +133,8 @@ fn random_urdf(seed: u64) -> String {
         moving += u32::from(kind != "fixed");
         let mut number = |low: f64, high: f64| rng.random_range(low..high);
         let origin = [number(-0.2, 0.2), number(-0.2, 0.2), number(0.3, 1.0)].map(|v| v * scale);
-        let turn = [0.0, 1.570_796_326_794_896_6, -1.570_796_326_794_896_6, 0.3][joint % 4];
-        let axis = ["0 0 1", "0 1 0", "1 0 0"][(joint + seed as usize) % 3];
+        let turn = [0.0, FRAC_PI_2, -FRAC_PI_2, 0.3][joint % 4];
+        let axis = ["0 0 1", "0 1 0", "1 0 0"][(joint + usize::try_from(seed).expect("small")) % 3];
         let limit = match kind {
             "revolute" if has_limits => {
                 format!(
@@ -160,20 +161,20 @@ fn random_urdf(seed: u64) -> String {
             String::new()
         };
         let [x, y, z] = origin;
-        write!(
+        writeln!(
             text,
             "<link name=\"{child}\">{inertial}</link>\n<joint name=\"j{joint}\" type=\"{kind}\"><origin xyz=\"{x:.4} {y:.4} {z:.4}\" rpy=\"{turn} 0 0\"/>\
-             <parent link=\"{parent}\"/><child link=\"{child}\"/><axis xyz=\"{axis}\"/>{limit}</joint>\n"
+             <parent link=\"{parent}\"/><child link=\"{child}\"/><axis xyz=\"{axis}\"/>{limit}</joint>"
         )
         .expect("a text");
         parent = child;
     }
     // A camera beside the chain, and the tool at its end.
-    write!(
+    writeln!(
         text,
         "<link name=\"camera\"/><joint name=\"to camera\" type=\"revolute\"><origin xyz=\"0.1 0 0\"/><parent link=\"link1\"/><child link=\"camera\"/>\
          <axis xyz=\"0 0 1\"/><limit lower=\"-1\" upper=\"1\" effort=\"1\" velocity=\"1\"/></joint>\n\
-         <link name=\"tool\"/><joint name=\"to tool\" type=\"fixed\"><origin xyz=\"0 0 {:.3}\"/><parent link=\"{parent}\"/><child link=\"tool\"/></joint>\n</robot>\n",
+         <link name=\"tool\"/><joint name=\"to tool\" type=\"fixed\"><origin xyz=\"0 0 {:.3}\"/><parent link=\"{parent}\"/><child link=\"tool\"/></joint>\n</robot>",
         0.2 * scale
     )
     .expect("a text");
