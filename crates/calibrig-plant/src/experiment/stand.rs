@@ -113,6 +113,10 @@ impl Stand<'_> {
                         at += more * Vector3::new(cos, sin, 0.0);
                     }
                     let at = (100.0 * (level * at)).map(f64::round) / 100.0;
+                    // Nobody sees through a wall.
+                    if self.room.planes.iter().any(|(up, height)| up.dot(&at) < *height) {
+                        continue;
+                    }
                     let towards = level.inverse() * -at + middle;
                     let yaw = towards.y.atan2(towards.x).to_degrees().round().to_radians();
                     let place = self.seen_from(at, yaw, poses);
