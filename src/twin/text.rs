@@ -433,6 +433,9 @@ impl Written<'_> {
         );
         line!(text, "parameters = \"complete\"");
         line!(text, "tolerance_mm = {}\ntolerance_mrad = {}", self.figures.lengths, self.figures.angles);
-        line!(text, "frame = \"nests\"\ntarget = \"measured\"\nmachine_noise = \"as_needed\"");
+        line!(
+            text,
+            "frame = \"nests\"\ntarget = \"measured\"\nmachine_noise = \"estimated\" # what the machine does beside its model, pose by pose"
+        );
     }
 }

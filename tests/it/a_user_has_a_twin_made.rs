@@ -1,5 +1,6 @@
 //! Whoever brings a robot gets its simulated twin with one command: it is checked, runs, repeats and replays.
 
+use std::f64::consts::FRAC_PI_2;
 use std::fmt::Write;
 use std::fs;
 use std::path::Path;
@@ -76,9 +77,11 @@ fn check_twin(sandbox: &Sandbox, name: &str, scenario: &str, commands: bool) {
     let report = ran.json();
     let measured = report["sets"]["identification"]["poses"].as_u64().expect("a number");
     assert!(measured >= 40, "{name}: {measured} of 50 poses were measured");
-    // It calibrates: what is left is less than what the nominal robot leaves, on poses that no fit has seen.
-    let rms = |mode: &str| report["sets"]["verification"]["rows"][mode]["rms_3d_m"].as_f64().expect("a row");
-    let (before, after) = (rms("without_calibration"), rms("only_calibration"));
+    // It calibrates: what is left is less than what the nominal robot leaves, on poses that no fit has seen. Of a robot that sags, with its stiffness.
+    let rows = &report["sets"]["verification"]["rows"];
+    let rms = |mode: &str| rows[mode]["rms_3d_m"].as_f64();
+    let before = rms("without_calibration").expect("a row");
+    let after = rms("elasto_geometric").or_else(|| rms("only_calibration")).expect("a row");
     println!("{name}: {:.3} mm before, {:.3} mm after, exit {:?}", 1e3 * before, 1e3 * after, ran.code);
     assert!(after < before, "{name}: {before} {after}");
     if commands {
@@ -120,18 +123,17 @@ fn random_urdf(seed: u64) -> String {
     for joint in 1..=joints {
         let child = format!("link{joint}");
         let kind = match rng.random_range(0..10) {
-            0..=5 => "revolute",
             6..=7 => "continuous",
             8 => "prismatic",
             // Two joints move at least.
-            _ if joints - joint >= 2 || moving >= 2 => "fixed",
+            9 if joints - joint >= 2 || moving >= 2 => "fixed",
             _ => "revolute",
         };
         moving += u32::from(kind != "fixed");
         let mut number = |low: f64, high: f64| rng.random_range(low..high);
         let origin = [number(-0.2, 0.2), number(-0.2, 0.2), number(0.3, 1.0)].map(|v| v * scale);
-        let turn = [0.0, 1.570_796_326_794_896_6, -1.570_796_326_794_896_6, 0.3][joint % 4];
-        let axis = ["0 0 1", "0 1 0", "1 0 0"][(joint + seed as usize) % 3];
+        let turn = [0.0, FRAC_PI_2, -FRAC_PI_2, 0.3][joint % 4];
+        let axis = ["0 0 1", "0 1 0", "1 0 0"][(joint + usize::try_from(seed).expect("small")) % 3];
         let limit = match kind {
             "revolute" if has_limits => {
                 format!(
@@ -158,20 +160,20 @@ fn random_urdf(seed: u64) -> String {
             String::new()
         };
         let [x, y, z] = origin;
-        write!(
+        writeln!(
             text,
             "<link name=\"{child}\">{inertial}</link>\n<joint name=\"j{joint}\" type=\"{kind}\"><origin xyz=\"{x:.4} {y:.4} {z:.4}\" rpy=\"{turn} 0 0\"/>\
-             <parent link=\"{parent}\"/><child link=\"{child}\"/><axis xyz=\"{axis}\"/>{limit}</joint>\n"
+             <parent link=\"{parent}\"/><child link=\"{child}\"/><axis xyz=\"{axis}\"/>{limit}</joint>"
         )
         .expect("a text");
         parent = child;
     }
     // A camera beside the chain, and the tool at its end.
-    write!(
+    writeln!(
         text,
         "<link name=\"camera\"/><joint name=\"to camera\" type=\"revolute\"><origin xyz=\"0.1 0 0\"/><parent link=\"link1\"/><child link=\"camera\"/>\
          <axis xyz=\"0 0 1\"/><limit lower=\"-1\" upper=\"1\" effort=\"1\" velocity=\"1\"/></joint>\n\
-         <link name=\"tool\"/><joint name=\"to tool\" type=\"fixed\"><origin xyz=\"0 0 {:.3}\"/><parent link=\"{parent}\"/><child link=\"tool\"/></joint>\n</robot>\n",
+         <link name=\"tool\"/><joint name=\"to tool\" type=\"fixed\"><origin xyz=\"0 0 {:.3}\"/><parent link=\"{parent}\"/><child link=\"tool\"/></joint>\n</robot>",
         0.2 * scale
     )
     .expect("a text");
@@ -230,7 +232,8 @@ fn what_is_asked_for_is_in_the_file_and_the_same_is_written_again() {
         let up = -gravity.normalize();
         let place = scenario.tracker.tracker_from_base.inverse();
         assert!((place.rotation * Vector3::z() - up).norm() < 1e-9);
-        assert!(up.dot(&place.translation.vector) < 0.0, "{mounting}: {}", place.translation.vector);
+        let at = place.translation.vector;
+        assert!(up.dot(&at) < 0.0 && at.z > 0.0, "{mounting}: {at}");
         assert_eq!(scenario.seed, 7);
         assert!(sandbox.read(&file).contains("Size class \"medium\", as asked for"));
         shorten(&sandbox, &file, [40, 10]);
@@ -376,4 +379,98 @@ fn poses_of_a_measurement_file_are_measured_again_and_replay_needs_no_file() {
         "poses.region is missing",
         "[[poses.region]]",
     );
+}
+
+const MAP: &str = "schema = \"calibrig.columns/1\"
+[joints]
+columns = [\"q1_rad\", \"q2_rad\", \"q3_rad\", \"q4_rad\", \"q5_rad\", \"q6_rad\"]
+revolute_unit = \"rad\"
+[position]
+system = \"spherical\"
+range = \"range_m\"
+range_unit = \"m\"
+azimuth = \"az_rad\"
+elevation = \"el_rad\"
+angle_unit = \"rad\"
+[columns]
+pose = \"pose\"
+";
+
+/// docs/guide/sim-against-real.md: the twin of the UR5 at the poses of the real one leaves as much as that did, and knows its parameters as well.
+#[test]
+fn the_twin_of_the_ur5_leaves_what_the_real_one_left() {
+    let Some(data) = std::env::var_os("CALIBRIG_DATA") else {
+        eprintln!("SKIPPED: CALIBRIG_DATA is not set, the real measurements are not at hand");
+        return;
+    };
+    let sandbox = Sandbox::new();
+    let file = |set: &str| {
+        let name = format!("ur5_wam/UR5/3D_UR5_uncalibrated_{set}_cleaned.csv");
+        fs::canonicalize(Path::new(&data).join(name)).expect("the data").display().to_string()
+    };
+    let (grid, random) = (file("grid"), file("random"));
+    let ur5 = "models/ur5/robot.toml";
+    made(&sandbox, ur5, "twin.toml", &["--tracker", "gts3800"]);
+    let text = sandbox.read("twin.toml");
+    let (before, rest) = text.split_once("[target]").expect("a target");
+    let (_, rest) = rest.split_once("# --- The machine").expect("the machine");
+    let (machine, rest) = rest.split_once("[poses]").expect("poses");
+    let (_, rest) = rest.split_once("# --- The tracker").expect("the tracker");
+    let (tracker, rest) = rest.split_once("[session.line_of_sight]").expect("lines of sight");
+    let (_, fit) = rest.split_once("# --- Identification").expect("the identification");
+    let listed = format!("[poses]\nidentification_from = {grid:?}\nverification_from = {random:?}\n");
+    let tracker = tracker.replace("order = \"short_travel\"", "order = \"as_drawn\"");
+    let target = "[target]\nx_mm = 0.13\ny_mm = 0.19\nz_mm = 33.74\n";
+    sandbox.write("twin.toml", format!("{before}{target}# {machine}{listed}# {tracker}\n# {fit}"));
+    assert_told(&sandbox.run(["run", "twin.toml", "--out", "twin"]), "run");
+    assert_eq!(sandbox.run(["export", "csv", "twin/recording.mcap", "--out", "csv"]).code, Some(0));
+    sandbox.write("map.toml", MAP);
+    let identify = |more: &[&str]| {
+        let ended = sandbox.run([&["identify", "--json", "--model", ur5], more].concat());
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+        ended.json()
+    };
+    let real = identify(&["--measurements", &grid, "--verify", &random]);
+    let twin = identify(&[
+        "--columns",
+        "map.toml",
+        "--measurements",
+        "csv/identification.csv",
+        "--verify",
+        "csv/verification.csv",
+    ]);
+    let rms = |report: &serde_json::Value, set: &str, mode: &str| {
+        report["sets"][set]["rows"][mode]["rms_3d_m"].as_f64().expect("a row")
+    };
+    for mode in ["only_calibration", "elasto_geometric"] {
+        let [real, twin] = [&real, &twin].map(|report| rms(report, "identification", mode));
+        println!("{mode}: real {:.4} mm, twin {:.4} mm", 1e3 * real, 1e3 * twin);
+        // Over five seeds 0.101 to 0.113 mm, the real one 0.105 and 0.112.
+        assert!((0.85..1.15).contains(&(twin / real)), "{mode}: {real} {twin}");
+    }
+    let sigmas = |report: &serde_json::Value| -> Vec<f64> {
+        let names = [
+            "delta_a2",
+            "delta_a3",
+            "delta_a4",
+            "delta_alpha2",
+            "delta_theta2",
+            "delta_alpha3",
+            "delta_theta4",
+        ];
+        let parameters = report["parameters"].as_array().expect("parameters");
+        let of = |name: &&str| {
+            let found = parameters.iter().find(|p| p["mode"] == "only_calibration" && p["name"] == **name);
+            found.expect("a parameter")["sigma"].as_f64().expect("a number")
+        };
+        names.iter().map(of).collect()
+    };
+    for (real, twin) in sigmas(&real).iter().zip(sigmas(&twin)) {
+        assert!((0.9..1.1).contains(&(twin / real)), "{real} {twin}");
+    }
+    // What it lacks: residuals of neighbours in the session are alike on the real robot.
+    let serial = |report: &serde_json::Value| {
+        report["estimates"]["elasto_geometric"]["judgement"]["serial_correlation"].as_f64().expect("a number")
+    };
+    assert!(serial(&real) > 0.25 && serial(&twin) < 0.15, "{} {}", serial(&real), serial(&twin));
 }

@@ -47,7 +47,7 @@ const HEIGHTS: [f64; 3] = [0.8, 1.2, 1.6];
 /// Angle above and below level within which trackers work well, rad.
 const ELEVATION: f64 = FRAC_PI_4;
 /// Part of the seen poses that a metre of distance is worth: it scatters more, and air bends it.
-const OF_A_METRE: f64 = 0.005;
+const OF_A_METRE: f64 = 0.015;
 /// Part of a joint's range that is taken off where the least is seen.
 const TRIM: f64 = 0.1;
 /// Rounds of taking off.
@@ -113,6 +113,10 @@ impl Stand<'_> {
                         at += more * Vector3::new(cos, sin, 0.0);
                     }
                     let at = (100.0 * (level * at)).map(f64::round) / 100.0;
+                    // Nobody sees through a wall.
+                    if self.room.planes.iter().any(|(up, height)| up.dot(&at) < *height) {
+                        continue;
+                    }
                     let towards = level.inverse() * -at + middle;
                     let yaw = towards.y.atan2(towards.x).to_degrees().round().to_radians();
                     let place = self.seen_from(at, yaw, poses);
