@@ -140,3 +140,4 @@ pub mod pipeline;
 pub mod replay;
 pub mod report;
 pub mod scenario;
+pub mod twin;

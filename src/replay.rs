@@ -10,7 +10,7 @@ use crate::pipeline::{
     Implausible, InputSummary, ModeOutcome, Outcome, PipelineError, SetKind, SetOutcome, SteadySets, Truth,
     calibrate, check_plausible, default_modes, default_options, foresee_sensors, judge, without_drift,
 };
-use crate::scenario::{Scenario, parse_scenario};
+use crate::scenario::{Scenario, parse_scenario_with};
 use calibrig_estimation::METHOD;
 use calibrig_estimation::identification::{
     Estimate, FrameChoice, IdentificationOptions, Loss, Mode, TargetChoice,
@@ -262,7 +262,7 @@ fn recorded_robot(recording: &Recording) -> Result<Robot, ReplayError> {
 
 fn recorded_scenario(recording: &Recording, robot: &Robot) -> Result<Option<Scenario>, ReplayError> {
     let source = recording.source("scenario").cloned();
-    Ok(source.map(|source| parse_scenario(source, robot.clone())).transpose()?)
+    Ok(source.map(|source| parse_scenario_with(source, robot.clone(), &recording.sources)).transpose()?)
 }
 
 /// Identifies again from what `path` holds: the measurements, the robot and, where there is one, the scenario's choices.

@@ -95,13 +95,16 @@ fn write_text(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
             JointKind::Revolute => ("R", "deg", 180.0 / std::f64::consts::PI),
         };
         let (centre, half) = (scenario.region.centre[index], scenario.region.half_width[index]);
+        let measured = if model.actuators.is_commanded(index) {
+            format!("measured {:9.2} to {:9.2} {unit}", (centre - half) * scale, (centre + half) * scale)
+        } else {
+            format!("follows, {:10.2} {unit} in the middle", centre * scale)
+        };
         writeln!(
             text,
-            "    {} {kind} {:<10} measured {:9.2} to {:9.2} {unit}, limits {:9.2} to {:9.2} {unit}",
+            "    {} {kind} {:<10} {measured}, limits {:9.2} to {:9.2} {unit}",
             index + 1,
             link.name,
-            (centre - half) * scale,
-            (centre + half) * scale,
             link.limits[0] * scale,
             link.limits[1] * scale,
         )?;

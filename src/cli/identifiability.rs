@@ -180,7 +180,10 @@ fn question(args: &Args) -> Result<Question, CliError> {
     }
     let mut rng = stream(scenario.seed, 0, Source::IdentificationPoses);
     let target = scenario.robot.target().unwrap_or_else(Vector3::zeros);
-    let poses = (0..scenario.identification_poses).map(|_| scenario.region.draw(&mut rng)).collect();
+    let mut poses = scenario.listed[0].clone().unwrap_or_else(|| {
+        (0..scenario.identification_poses).map(|_| scenario.region.draw(&mut rng)).collect::<Vec<_>>()
+    });
+    poses.iter_mut().for_each(|joints| scenario.robot.model.actuators.follow(joints));
     Ok(Question {
         poses_from: scenario_poses(&scenario),
         name: scenario.name,

@@ -22,6 +22,7 @@ mod replay;
 mod report;
 mod reread;
 mod run;
+mod scenario;
 mod tracker_acceptance;
 
 use std::error::Error as _;
@@ -39,6 +40,7 @@ use crate::pipeline::{Iso9283Failure, PipelineError};
 use crate::replay::ReplayError;
 use crate::report::ReportError;
 use crate::scenario::{Scenario, load_scenario};
+use crate::twin::TwinError;
 use calibrig_estimation::identification::IdentifyError;
 use calibrig_files::{InputError, Source};
 use calibrig_model::measurement::MeasurementError;
@@ -75,6 +77,7 @@ enum Command {
     Model(model::Args),
     Diagnose(Box<diagnose::Args>),
     Montecarlo(montecarlo::Args),
+    Scenario(scenario::Args),
     TrackerAcceptance(tracker_acceptance::Args),
     Replay(replay::Args),
     Inspect(inspect::Args),
@@ -125,6 +128,9 @@ enum CliError {
     #[error("{}: {source}", file.display())]
     #[diagnostic(help("{}", iso9283::help(source)))]
     Iso9283 { file: PathBuf, source: Box<Iso9283Failure> },
+    #[error("{}: {source}", file.display())]
+    #[diagnostic(help("{}", source.help()))]
+    Twin { file: PathBuf, source: Box<TwinError> },
     #[error(transparent)]
     Report(#[from] ReportError),
     #[error("interrupted after {done} of {total} poses; what was measured is in {}", part.display())]
@@ -207,6 +213,7 @@ pub fn main() -> ExitCode {
         Command::Model(args) => model::execute(args),
         Command::Diagnose(args) => diagnose::execute(args),
         Command::Montecarlo(args) => montecarlo::execute(args),
+        Command::Scenario(args) => scenario::execute(args),
         Command::TrackerAcceptance(args) => tracker_acceptance::execute(args),
         Command::Identifiability(args) => identifiability::execute(args),
         Command::Replay(args) => replay::execute(args),
@@ -310,6 +317,20 @@ fn print(text: &str) -> Result<(), CliError> {
         Err(source) => Err(CliError::Output { what: "standard output".to_owned(), source }),
         Ok(()) => Ok(()),
     }
+}
+
+/// Writes a file that takes its name when it is whole.
+fn write_whole(folder: &Path, path: &Path, text: &str) -> io::Result<()> {
+    let mut staged = tempfile::Builder::new().prefix(".calibrig-").tempfile_in(folder)?;
+    staged.write_all(text.as_bytes())?;
+    // A temporary file is private; what a command leaves is not.
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        staged.as_file().set_permissions(std::fs::Permissions::from_mode(0o644))?;
+    }
+    staged.persist(path).map_err(|error| error.error)?;
+    Ok(())
 }
 
 /// A scenario; what was made of its robot's table is said.

@@ -225,15 +225,7 @@ fn write(made: &Converted, output: &OutputArgs) -> Result<PathBuf, CliError> {
     }
     let failed = |source| CliError::Output { what: path.display().to_string(), source };
     fs::create_dir_all(folder).map_err(failed)?;
-    let mut staged = tempfile::Builder::new().prefix(".calibrig-").tempfile_in(folder).map_err(failed)?;
-    std::io::Write::write_all(&mut staged, made.source.text.as_bytes()).map_err(failed)?;
-    // A temporary file is private; what a command leaves is not.
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        staged.as_file().set_permissions(fs::Permissions::from_mode(0o644)).map_err(failed)?;
-    }
-    staged.persist(&path).map_err(|error| failed(error.error))?;
+    super::write_whole(folder, &path, &made.source.text).map_err(failed)?;
     Ok(path)
 }
 

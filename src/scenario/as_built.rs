@@ -5,15 +5,15 @@ mod tests;
 
 use std::ops::Range;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
 
 use super::file::{joint_index, refuse_twice};
-use calibrig_estimation::identification::neighbour_axis_rules;
+use calibrig_estimation::identification::{complete_set_of, neighbour_axis_rules};
 use calibrig_files::{InputError, Source, Spanned};
 use calibrig_files::{LoadTable, Robot, read_loads};
 use calibrig_model::{
-    CalibrationModel, Compliance, KinematicModel, LinkTerm, ParameterId, RIGID, linkage_fault,
+    Body, CalibrationModel, Compliance, LinkTerm, ParameterId, RIGID, StaticProperties, linkage_fault,
 };
 use calibrig_plant::effects::Effects;
 use calibrig_plant::{AsBuilt, AsBuiltDistribution, Spread};
@@ -106,13 +106,14 @@ enum DistributionFile {
     Uniform,
 }
 
-/// The machine with its `effects`, and the distribution of those that trials draw. `robot_key` is where the file names the robot.
+/// The machine with its `effects`, and the distribution of those that trials draw. `robot_key` is where the file names the robot. Of one without
+/// statics, which has to be rigid, nothing is told by its gravity but where up is.
 pub(super) fn as_built(
     source: &Source,
     file: &AsBuiltFile,
     robot_key: &Spanned<String>,
     robot: &Robot,
-    effects: Effects,
+    (effects, gravity): (Effects, Vector3<f64>),
 ) -> Result<(AsBuilt, Option<AsBuiltDistribution>), InputError> {
     let missing = |what: &str, where_: &str| {
         source.error(
@@ -121,22 +122,30 @@ pub(super) fn as_built(
             Some(format!("a simulation needs {where_}")),
         )
     };
-    let statics = robot.model.statics.clone().ok_or_else(|| {
-        missing(
-            "masses, drive stiffnesses and gravity",
-            "a URDF with inertials, stiffness_* of every joint and [gravity]",
-        )
-    })?;
+    let statics = match &robot.model.statics {
+        Some(statics) => statics.clone(),
+        None if file.drives == Drives::Rigid => weightless(robot.model.kinematics.joint_count(), gravity),
+        None => {
+            return Err(missing(
+                "masses, drive stiffnesses and gravity",
+                "a URDF with inertials (or [joint.body]), stiffness_* of every joint and [gravity]; or drives = \"rigid\" in [as_built], with which nothing yields",
+            ));
+        }
+    };
     if robot.targets.len() > 1 {
         let message =
             format!("the robot's file states {} targets, and a simulation measures one", robot.targets.len());
         return Err(source.error(
             robot_key.span(),
             message,
-            Some("expected one [target] in the robot's file".to_owned()),
+            Some(
+                "expected one [target] in the robot's file, or the one that is measured as [target] here"
+                    .to_owned(),
+            ),
         ));
     }
-    let target = robot.target().ok_or_else(|| missing("target offset", "[target] in the robot's file"))?;
+    let target =
+        robot.target().ok_or_else(|| missing("target offset", "[target] in the robot's file, or here"))?;
     let (kinematics, actuators) = (robot.model.kinematics.clone(), robot.model.actuators.clone());
     let mut machine = AsBuilt { kinematics, actuators, statics, target, effects };
     let reader = Reader { source };
@@ -159,6 +168,12 @@ pub(super) fn as_built(
     reader.check_closing(&machine, place, "as_built.linkage")?;
     let drawn = file.drawn.as_ref().map(|drawn| reader.drawn(drawn, &machine, &robot.model));
     Ok((machine, drawn.transpose()?))
+}
+
+/// What stands for the statics of a robot of which none are known and nothing yields: its bodies of a kilogram bend nothing.
+fn weightless(joints: usize, gravity: Vector3<f64>) -> StaticProperties {
+    let body = Body { mass: 1.0, centre_of_mass: Vector3::zeros(), inertia: Matrix3::identity() };
+    StaticProperties::of_drives(vec![body; joints], vec![f64::INFINITY; joints], gravity)
 }
 
 struct Reader<'a> {
@@ -306,7 +321,7 @@ impl Reader<'_> {
         };
         let distribution = AsBuiltDistribution {
             spread,
-            link_parameters: self.link_parameters(file.parameters.as_ref(), &nominal.kinematics)?,
+            link_parameters: self.link_parameters(file.parameters.as_ref(), nominal)?,
             length: size("lengths_mm", 1e-3, &file.lengths_mm)?,
             angle: size("angles_mrad", 1e-3, &file.angles_mrad)?,
             compliances: self.compliances(file.compliances.as_ref(), nominal)?,
@@ -325,14 +340,15 @@ impl Reader<'_> {
     fn link_parameters(
         &self,
         value: Option<&Spanned<toml::Value>>,
-        model: &KinematicModel,
+        nominal: &CalibrationModel,
     ) -> Result<Vec<(usize, LinkTerm)>, InputError> {
+        let model = &nominal.kinematics;
         let links = model.joint_count();
         let all = ParameterId::all_of_links(links);
         let Some(value) = value else { return Ok(of_links(&all)) };
         let refused = |what: String| {
             let expected = format!(
-                "\"all\", \"neighbour_axis_rules\", or a list of delta_a, delta_alpha, delta_beta, delta_d, delta_theta with a joint \
+                "\"all\", \"complete\", \"neighbour_axis_rules\", or a list of delta_a, delta_alpha, delta_beta, delta_d, delta_theta with a joint \
                  number from 1 to {links}"
             );
             self.error(value.span(), format!("as_built.drawn.parameters: {what}"), &expected)
@@ -341,6 +357,12 @@ impl Reader<'_> {
             toml::Value::String(name) if name == "all" => Ok(of_links(&all)),
             toml::Value::String(name) if name == "neighbour_axis_rules" => {
                 Ok(of_links(&neighbour_axis_rules(model).0))
+            }
+            // As they are identified where base and target are known.
+            toml::Value::String(name) if name == "complete" => {
+                let set =
+                    complete_set_of(nominal, false, false).map_err(|error| refused(error.to_string()))?;
+                Ok(of_links(&set.selected))
             }
             toml::Value::Array(names) => names
                 .iter()

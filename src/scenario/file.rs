@@ -12,14 +12,14 @@ use super::as_built::{AsBuiltFile, as_built};
 use super::effects::{EffectsFile, effects};
 use super::identification::{IdentificationFile, ModeFile};
 use super::instrument::{DriftFile, EnvironmentFile, SmrFile, conditions, instrument};
+use super::poses::{Named, Poses, PosesFile, poses};
 use super::session::{Around, SessionFile, session};
 use calibrig_estimation::identification::{FrameChoice, IdentificationOptions};
 use calibrig_files::{InputError, Source, Spanned};
-use calibrig_files::{Robot, load_robot};
+use calibrig_files::{Robot, StatedTarget, load_robot};
+use calibrig_model::KinematicModel;
 use calibrig_model::measurement::SetKind;
-use calibrig_model::{JointKind, KinematicModel};
 use calibrig_plant::AsBuilt;
-use calibrig_plant::experiment::WorkingRegion;
 use calibrig_plant::session::SessionPlan;
 use calibrig_plant::tracker::{Conditions, LaserTracker, Outliers, Probe, TrackerError};
 
@@ -32,11 +32,13 @@ struct ScenarioFile {
     name: Spanned<String>,
     seed: u64,
     robot: Spanned<String>,
+    gravity: Option<Spanned<GravityFile>>,
+    target: Option<TargetFile>,
     #[serde(default)]
     as_built: AsBuiltFile,
     #[serde(default)]
     effects: EffectsFile,
-    poses: PosesFile,
+    poses: Spanned<PosesFile>,
     tracker: Spanned<TrackerFile>,
     session: Option<Spanned<SessionFile>>,
     #[serde(default)]
@@ -47,20 +49,18 @@ struct ScenarioFile {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct PosesFile {
-    identification: Spanned<u32>,
-    verification: Spanned<u32>,
-    region: Spanned<Vec<Spanned<RegionFile>>>,
+struct GravityFile {
+    x_m_per_s2: Spanned<f64>,
+    y_m_per_s2: Spanned<f64>,
+    z_m_per_s2: Spanned<f64>,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct RegionFile {
-    joint: Spanned<String>,
-    centre_mm: Option<Spanned<f64>>,
-    half_width_mm: Option<Spanned<f64>>,
-    centre_rad: Option<Spanned<f64>>,
-    half_width_rad: Option<Spanned<f64>>,
+struct TargetFile {
+    x_mm: Spanned<f64>,
+    y_mm: Spanned<f64>,
+    z_mm: Spanned<f64>,
 }
 
 #[derive(Deserialize)]
@@ -148,7 +148,8 @@ pub fn load_scenario(path: &Path) -> Result<Scenario, InputError> {
     let source = Source::read(path)?;
     let file: ScenarioFile = source.toml()?;
     check_schema(&source, &file)?;
-    let robot_path = path.parent().unwrap_or(Path::new("")).join(file.robot.get_ref());
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let robot_path = folder.join(file.robot.get_ref());
     let robot = load_robot(&robot_path).map_err(|error| match error {
         // The file that names it is where the reader will mend it.
         InputError::Unreadable { reason, .. } => source.error(
@@ -158,14 +159,60 @@ pub fn load_scenario(path: &Path) -> Result<Scenario, InputError> {
         ),
         other => other,
     })?;
-    validate(source, file, robot)
+    let in_file = source.clone();
+    let named = |_: &str, name: &Spanned<String>| {
+        let read = Source::read_foreign(&folder.join(name.get_ref()));
+        read.map(|(text, _)| text).map_err(|error| {
+            let help = "expected the path of a measurement file, relative to this file".to_owned();
+            in_file.error(name.span(), format!("poses: {error}"), Some(help))
+        })
+    };
+    validate(source, file, robot, &named)
 }
 
-/// The same from texts in memory, such as a recording's attachments.
+/// The same from texts in memory.
 pub fn parse_scenario(source: Source, robot: Robot) -> Result<Scenario, InputError> {
+    parse_scenario_with(source, robot, &[])
+}
+
+/// The same where it names measurement files whose poses are taken: `files` by role, such as a recording's attachments.
+pub fn parse_scenario_with(
+    source: Source,
+    robot: Robot,
+    files: &[(String, Source)],
+) -> Result<Scenario, InputError> {
     let file: ScenarioFile = source.toml()?;
     check_schema(&source, &file)?;
-    validate(source, file, robot)
+    let in_file = source.clone();
+    let named = |role: &str, name: &Spanned<String>| {
+        let found = files.iter().find(|(known, _)| known == role).map(|(_, text)| text.clone());
+        found.ok_or_else(|| {
+            let message = format!("the file {:?} was not given", name.get_ref());
+            in_file.error(
+                name.span(),
+                message,
+                Some("expected the text of the file that it names".to_owned()),
+            )
+        })
+    };
+    validate(source, file, robot, &named)
+}
+
+/// Where neither the robot's file nor the scenario says where down is, m/s².
+const USUAL_GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.80665);
+
+fn gravity(source: &Source, table: &Spanned<GravityFile>) -> Result<Vector3<f64>, InputError> {
+    let file = table.get_ref();
+    let gravity = Vector3::new(
+        source.finite("gravity.x_m_per_s2", &file.x_m_per_s2)?,
+        source.finite("gravity.y_m_per_s2", &file.y_m_per_s2)?,
+        source.finite("gravity.z_m_per_s2", &file.z_m_per_s2)?,
+    );
+    if (0.1..=100.0).contains(&gravity.norm()) {
+        return Ok(gravity);
+    }
+    let help = "expected 0.1 to 100 m/s² in all, such as 0, 0 and -9.80665 of a base that stands upright";
+    Err(source.error(table.span(), format!("gravity is {} m/s²", gravity.norm()), Some(help.to_owned())))
 }
 
 fn check_schema(source: &Source, file: &ScenarioFile) -> Result<(), InputError> {
@@ -179,16 +226,30 @@ fn check_schema(source: &Source, file: &ScenarioFile) -> Result<(), InputError> 
     ))
 }
 
-fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario, InputError> {
+fn validate(
+    source: Source,
+    file: ScenarioFile,
+    mut robot: Robot,
+    named: Named<'_>,
+) -> Result<Scenario, InputError> {
     if file.name.get_ref().trim().is_empty() {
         let help = Some("expected a name for people".to_owned());
         return Err(source.error(file.name.span(), "name is empty", help));
     }
+    let gravity = file.gravity.as_ref().map(|table| gravity(&source, table)).transpose()?;
+    if let (Some(statics), Some(gravity)) = (&mut robot.model.statics, gravity) {
+        statics.gravity = gravity;
+    }
+    if let Some(target) = &file.target {
+        let in_flange = point(&source, "target.", [&target.x_mm, &target.y_mm, &target.z_mm])?;
+        robot.targets =
+            vec![StatedTarget { name: None, in_flange, sigma: None, orientation: None, place: 0..0 }];
+    }
     let effects = effects(&source, &file.effects, &robot)?;
-    let (as_built, drawn) = as_built(&source, &file.as_built, &file.robot, &robot, effects)?;
-    let region = region(&source, &file.poses, &robot.model.kinematics)?;
-    let identification_poses = pose_count(&source, "poses.identification", &file.poses.identification, 1)?;
-    let verification_poses = pose_count(&source, "poses.verification", &file.poses.verification, 0)?;
+    let (as_built, drawn) =
+        as_built(&source, &file.as_built, &file.robot, &robot, (effects, gravity.unwrap_or(USUAL_GRAVITY)))?;
+    let Poses { region, listed, sources: pose_files, counts: [identification_poses, verification_poses] } =
+        poses(&source, &file.poses, &robot, named)?;
     let tracker = tracker(&source, &file.tracker, &as_built, file.seed)?;
     let section = file.tracker.get_ref();
     let outliers = section.outliers.as_ref().map(|file| outliers(&source, file)).transpose()?;
@@ -208,7 +269,7 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
     };
     let plan = session(&source, file.session.as_ref(), &around)?;
     swept(&source, &options, &plan)?;
-    let modes = file.identification.modes(&source)?;
+    let modes = file.identification.modes(&source, robot.model.statics.is_some())?;
     let published = file
         .published
         .iter()
@@ -227,6 +288,7 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
         .collect::<Result<_, InputError>>()?;
     let mut sources = vec![("scenario".to_owned(), source)];
     sources.extend(robot.sources.iter().cloned());
+    sources.extend(pose_files);
     Ok(Scenario {
         name: file.name.into_inner(),
         seed: file.seed,
@@ -236,6 +298,7 @@ fn validate(source: Source, file: ScenarioFile, robot: Robot) -> Result<Scenario
         region,
         identification_poses,
         verification_poses,
+        listed,
         tracker,
         outliers,
         probe,
@@ -259,18 +322,6 @@ fn swept(source: &Source, options: &IdentificationOptions, plan: &SessionPlan) -
     let message = format!("frame is \"sweeps\", and {} joints are swept", joints.len());
     let help = "expected a [[session.sweep]] of each of two joints whose axes are not parallel, such as those of rail and waist";
     Err(source.error(source.place_of("identification.frame"), message, Some(help.to_owned())))
-}
-
-/// Poses a set, at 10 s a pose eleven days of measuring.
-const MOST_POSES: u32 = 100_000;
-
-fn pose_count(source: &Source, key: &str, count: &Spanned<u32>, least: u32) -> Result<u32, InputError> {
-    let number = *count.get_ref();
-    if (least..=MOST_POSES).contains(&number) {
-        return Ok(number);
-    }
-    let help = Some(format!("expected {least} to {MOST_POSES} poses"));
-    Err(source.error(count.span(), format!("{key} is {number}"), help))
 }
 
 pub(super) fn joint_index(
@@ -302,69 +353,6 @@ pub(super) fn refuse_twice(
         ));
     }
     Ok(())
-}
-
-fn region(source: &Source, poses: &PosesFile, model: &KinematicModel) -> Result<WorkingRegion, InputError> {
-    let mut seen = vec![false; model.joint_count()];
-    let mut region = WorkingRegion { centre: vec![0.0; seen.len()], half_width: vec![0.0; seen.len()] };
-    for entry in poses.region.get_ref() {
-        let file = entry.get_ref();
-        let index = joint_index(source, &file.joint, model)?;
-        refuse_twice(source, &mut seen, index, &file.joint)?;
-        let link = &model.links[index];
-        let (unit, scale, own, foreign) = match link.kind {
-            JointKind::Prismatic => {
-                ("mm", 1e-3, (&file.centre_mm, &file.half_width_mm), (&file.centre_rad, &file.half_width_rad))
-            }
-            JointKind::Revolute => {
-                ("rad", 1.0, (&file.centre_rad, &file.half_width_rad), (&file.centre_mm, &file.half_width_mm))
-            }
-        };
-        let (Some(centre), Some(half_width), None, None) = (own.0, own.1, foreign.0, foreign.1) else {
-            return Err(source.error(
-                entry.span(),
-                format!(
-                    "joint \"{}\" needs centre_{unit} and half_width_{unit}, and no other unit",
-                    link.name
-                ),
-                Some(
-                    format!("the unit is part of the key; a {:?} joint is given in {unit}", link.kind)
-                        .to_lowercase(),
-                ),
-            ));
-        };
-        let (low, high) = {
-            let centre = scale * source.finite(&format!("centre_{unit}"), centre)?;
-            let half = scale * source.not_negative(&format!("half_width_{unit}"), half_width)?;
-            region.centre[index] = centre;
-            region.half_width[index] = half;
-            (centre - half, centre + half)
-        };
-        if low < link.limits[0] || high > link.limits[1] {
-            return Err(source.error(
-                entry.span(),
-                format!(
-                    "centre_{unit} and half_width_{unit} let joint \"{}\" move from {:.4} to {:.4} {unit}",
-                    link.name,
-                    low / scale,
-                    high / scale
-                ),
-                Some(format!(
-                    "expected a region within its limits, {:.4} to {:.4} {unit}",
-                    link.limits[0] / scale,
-                    link.limits[1] / scale
-                )),
-            ));
-        }
-    }
-    if let Some(index) = seen.iter().position(|seen| !seen) {
-        return Err(source.error(
-            poses.region.span(),
-            format!("[[poses.region]] for joint \"{}\" is missing", model.links[index].name),
-            Some("expected one entry a joint".to_owned()),
-        ));
-    }
-    Ok(region)
 }
 
 fn point(source: &Source, key: &str, [x, y, z]: [&Spanned<f64>; 3]) -> Result<Vector3<f64>, InputError> {

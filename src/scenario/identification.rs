@@ -276,9 +276,11 @@ impl IdentificationFile {
         }
     }
 
-    /// The rows of the tables.
-    pub(super) fn modes(&self, source: &Source) -> Result<Vec<Mode>, InputError> {
-        let Some(modes) = &self.modes else { return Ok(Mode::ALL.to_vec()) };
+    /// The rows of the tables: without the key all that the robot can have, which `bends` or not.
+    pub(super) fn modes(&self, source: &Source, bends: bool) -> Result<Vec<Mode>, InputError> {
+        let possible =
+            |mode: &Mode| bends || matches!(mode, Mode::WithoutCalibration | Mode::OnlyCalibration);
+        let Some(modes) = &self.modes else { return Ok(Mode::ALL.into_iter().filter(possible).collect()) };
         if modes.get_ref().is_empty() {
             let help = Some("expected at least one mode, or no key modes for all of them".to_owned());
             return Err(source.error(modes.span(), "identification.modes is empty", help));
@@ -406,11 +408,12 @@ impl IdentificationFile {
         options.free = self.free.iter().map(|name| id("free", name)).collect::<Result<_, _>>()?;
         // A simulated session has one station and one target.
         let (stations, targets) = ([Station::default()], [Target::default()]);
-        check_named(model, &self.modes(source)?, options, &stations, &targets).map_err(|error| {
-            let of = |name: &&Spanned<String>| ParameterId::parse(name.get_ref()) == Some(error.id());
-            let place = self.free.iter().chain(&self.fix).find(of).map_or(0..0, Spanned::span);
-            source.error(place, format!("identification: {error}"), Some(error.help()))
-        })
+        check_named(model, &self.modes(source, model.statics.is_some())?, options, &stations, &targets)
+            .map_err(|error| {
+                let of = |name: &&Spanned<String>| ParameterId::parse(name.get_ref()) == Some(error.id());
+                let place = self.free.iter().chain(&self.fix).find(of).map_or(0..0, Spanned::span);
+                source.error(place, format!("identification: {error}"), Some(error.help()))
+            })
     }
 
     /// Adds the bounds, which are on parameters that these options fit.
@@ -424,8 +427,14 @@ impl IdentificationFile {
             options.bounds.push(file.read(source)?);
         }
         // A simulated session has one station and one target.
-        check_bounds(model, &self.modes(source)?, options, &[Station::default()], &[Target::default()])
-            .map_err(|RefusedBound { index, error }| self.bound[index].refused(source, &error))
+        check_bounds(
+            model,
+            &self.modes(source, model.statics.is_some())?,
+            options,
+            &[Station::default()],
+            &[Target::default()],
+        )
+        .map_err(|RefusedBound { index, error }| self.bound[index].refused(source, &error))
     }
 
     /// The prior on the link parameters, for lengths and angles or for neither.

@@ -5,12 +5,13 @@ mod effects;
 mod file;
 mod identification;
 mod instrument;
+mod poses;
 mod remarks;
 mod session;
 mod sweep;
 pub use identification::with_stated_of;
 
-pub use file::{load_scenario, parse_scenario};
+pub use file::{load_scenario, parse_scenario, parse_scenario_with};
 pub use remarks::Passing;
 
 use std::borrow::Cow;
@@ -47,6 +48,8 @@ pub struct Scenario {
     pub identification_poses: u32,
     /// Poses of the verification set.
     pub verification_poses: u32,
+    /// Joint variables of the poses of the identification and of the verification set, where they are not drawn.
+    pub listed: [Option<Vec<Vec<f64>>>; 2],
     /// The tracker at its real place.
     pub tracker: LaserTracker,
     /// Gross errors among its readings of the target, where there are any.
@@ -94,6 +97,7 @@ impl Scenario {
             as_built: &self.as_built,
             actuators: &self.robot.model.actuators,
             region: &self.region,
+            listed: self.listed.each_ref().map(|poses| poses.as_deref()),
             identification_poses: self.identification_poses,
             verification_poses: self.verification_poses,
             tracker: &self.tracker,

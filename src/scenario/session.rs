@@ -5,8 +5,8 @@ use std::f64::consts::PI;
 use nalgebra::{UnitVector3, Vector3};
 use serde::Deserialize;
 
-use super::sweep::{SweepFile, sweeps};
 use super::file::sees;
+use super::sweep::{SweepFile, sweeps};
 use calibrig_files::{InputError, Robot, Source, Spanned};
 use calibrig_model::geometry::Transform;
 use calibrig_model::visibility::{Obstacles, Stance, stance_at};

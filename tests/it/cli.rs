@@ -8,7 +8,7 @@ use std::time::Duration;
 use crate::a_user_makes_a_mistake::with_measurements;
 use crate::sandbox::{Ended, ROBOT, SCENARIO, Sandbox, assert_refused};
 
-const COMMANDS: [&str; 13] = [
+const COMMANDS: [&str; 14] = [
     "run",
     "check",
     "choose",
@@ -22,6 +22,7 @@ const COMMANDS: [&str; 13] = [
     "inspect",
     "recover",
     "report",
+    "scenario",
 ];
 #[cfg(feature = "rerun")]
 const FILES: &[&str] = &["report.html", "report.json", "residuals.csv", "recording.mcap", "recording.rrd"];
@@ -36,6 +37,7 @@ fn sound_commands() -> (Sandbox, Vec<(&'static str, Vec<&'static str>)>) {
     sandbox.write("scara.urdf", include_str!("../fixtures/urdf/10_scara.urdf"));
     let commands = vec![
         ("calibrig.model/1", vec!["model", "from-urdf", "scara.urdf", "--out", "made", "--force"]),
+        ("calibrig.twin/1", vec!["scenario", "new", "--model", ROBOT, "--out", "twin.toml", "--force"]),
         ("calibrig.identifiability/1", vec!["identifiability", "--urdf", "scara.urdf"]),
         ("calibrig.report/1", vec!["run", SCENARIO, "--out", "out"]),
         ("calibrig.check/1", vec!["check", SCENARIO]),
@@ -85,6 +87,20 @@ fn wrong_usage_ends_with_2_and_says_what_was_expected() {
         (identify(&["--tip", "tool0"]), "--tip: expected --urdf beside it"),
         (vec!["model", "from-dh", "t.csv", "--out", "o"], "--convention <CONVENTION>"),
         (vec!["model", "from-urdf", "a.urdf"], "--out <DIR>"),
+        (vec!["scenario", "new", "--model", ROBOT], "--out <FILE>"),
+        (vec!["scenario", "new", "--out", "o.toml"], "--model <ROBOT.toml>"),
+        (
+            vec!["scenario", "new", "--model", ROBOT, "--out", "o.toml", "--tracker", "at402"],
+            "expected one of: at500",
+        ),
+        (
+            vec!["scenario", "new", "--model", ROBOT, "--out", "o.toml", "--floor-mm", "low"],
+            "expected a number of mm",
+        ),
+        (
+            vec!["scenario", "new", "--model", ROBOT, "--out", "o.toml", "--class", "tiny"],
+            "invalid value 'tiny'",
+        ),
         (
             vec!["model", "from-urdf", "a.urdf", "--out", "o", "--target-mm", "1,2"],
             "expected three numbers of mm with commas between",

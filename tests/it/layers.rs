@@ -48,14 +48,15 @@ const MOST_PACKAGES_OF_THE_ESTIMATOR: usize = 80;
 ///
 /// A recording is made by `cli` and read by `replay`; of `pipeline` it takes what it is told (`Story`). `report` is used by `cli`, `cli` by
 /// `main`; a scenario knows nothing of what is made of it.
-const MODULES: [(&str, &[&str]); 7] = [
-    ("cli", &["calibrig_recording", "montecarlo", "pipeline", "replay", "report", "scenario"]),
+const MODULES: [(&str, &[&str]); 8] = [
+    ("cli", &["calibrig_recording", "montecarlo", "pipeline", "replay", "report", "scenario", "twin"]),
     ("main", &["cli"]),
     ("montecarlo", &["pipeline", "scenario"]),
     ("pipeline", &["calibrig_plant", "calibrig_recording", "scenario"]),
     ("replay", &["calibrig_recording", "pipeline", "scenario"]),
     ("report", &["pipeline"]),
     ("scenario", &["calibrig_plant"]),
+    ("twin", &["calibrig_plant", "scenario"]),
 ];
 
 type Edges = BTreeMap<String, BTreeSet<String>>;

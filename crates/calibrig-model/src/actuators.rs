@@ -256,6 +256,19 @@ impl ActuatorMap {
         }
     }
 
+    /// Puts joints that follow others where these take them. Joint variables, as long as the chain.
+    pub fn follow(&self, joints: &mut [f64]) {
+        let followers: Vec<usize> = (0..joints.len()).filter(|axis| !self.is_commanded(*axis)).collect();
+        if followers.is_empty() {
+            return;
+        }
+        let mut led = joints.to_vec();
+        self.joints_from_command(&self.command_from_joints(joints), &mut led);
+        for follower in followers {
+            joints[follower] = led[follower];
+        }
+    }
+
     /// Change of an actuator, in the sense and unit of its joint, per unit of a command.
     pub fn rate(&self, actuator: usize, command: usize) -> f64 {
         match self {
@@ -384,6 +397,9 @@ mod tests {
         let mut joints = [0.0; 3];
         map.joints_from_command(&command, &mut joints);
         assert!((joints[2] - (0.2 - 0.5)).abs() < 1e-15);
+        let mut wherever = [0.1, 0.5, 99.0];
+        map.follow(&mut wherever);
+        assert_eq!(wherever, joints);
     }
 
     #[test]

@@ -31,6 +31,8 @@ pub enum Source {
     Folds = 11,
     /// Starting points of a solver; the start's number is in the place of the trial's.
     SolverStarts = 12,
+    /// Poses that are looked at to make a scenario of a robot.
+    Twin = 14,
     /// The systematic errors of a tracker; its place in the stream counts instruments that failed their acceptance test.
     Instrument = 20,
     /// Noise of a tracker's acceptance test; its place in the stream is the instrument's.

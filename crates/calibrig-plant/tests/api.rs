@@ -264,6 +264,7 @@ proptest! {
             as_built: &machine,
             actuators: &machine.actuators,
             region: &region,
+            listed: [None; 2],
             identification_poses: 2,
             verification_poses: 0,
             tracker: &tracker,

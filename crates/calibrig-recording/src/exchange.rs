@@ -357,8 +357,13 @@ fn add_row(table: &mut String, cells: impl Iterator<Item = String>) {
 }
 
 /// Keys of input files that name another one: role and key of the file, role of the other.
-const REFERENCES: [(&str, &str, &str); 3] =
-    [("scenario", "robot", "robot"), ("robot", "urdf", "urdf"), ("robot", "columns", "columns")];
+const REFERENCES: [(&str, &str, &str); 5] = [
+    ("scenario", "robot", "robot"),
+    ("scenario", "poses.identification_from", "identification_poses"),
+    ("scenario", "poses.verification_from", "verification_poses"),
+    ("robot", "urdf", "urdf"),
+    ("robot", "columns", "columns"),
+];
 
 /// Adds the input files. They lie beside each other now, whatever folders they came from: what one calls another is changed to that.
 fn add_inputs(inputs: Vec<(String, Source)>, export: &mut CsvExport) {

@@ -304,6 +304,7 @@ pub(crate) fn cube_of(
     let model = &scenario.robot.model;
     let reach = Reach {
         kinematics: &model.kinematics,
+        actuators: &model.actuators,
         centre: &scenario.region.centre,
         half_width: &scenario.region.half_width,
         in_flange: scenario.robot.target().unwrap_or(scenario.as_built.target),

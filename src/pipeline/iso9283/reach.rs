@@ -5,7 +5,7 @@ use thiserror::Error;
 
 use calibrig_estimation::evaluation::iso9283::{CubePlane, TestCube};
 use calibrig_estimation::kinematics::{identification_jacobian, target_in_base};
-use calibrig_model::{JointKind, KinematicModel, LinkTerm, ModelError, ParameterId};
+use calibrig_model::{ActuatorMap, JointKind, KinematicModel, LinkTerm, ModelError, ParameterId};
 
 /// A cube whose poses cannot be taken.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -56,6 +56,8 @@ const LONGEST: f64 = 0.25;
 /// The rigid nominal robot in its working region, as its controller believes it to be.
 pub(super) struct Reach<'a> {
     pub kinematics: &'a KinematicModel,
+    /// Which joints follow others.
+    pub actuators: &'a ActuatorMap,
     pub centre: &'a [f64],
     pub half_width: &'a [f64],
     pub in_flange: Vector3<f64>,
@@ -125,7 +127,23 @@ impl Reach<'_> {
 
     fn at(&self, x: &DVector<f64>) -> Vec<f64> {
         let widths = self.centre.iter().zip(self.half_width);
-        widths.zip(x).map(|((centre, half), x)| centre + half * x).collect()
+        let mut joints: Vec<f64> = widths.zip(x).map(|((centre, half), x)| centre + half * x).collect();
+        self.actuators.follow(&mut joints);
+        joints
+    }
+
+    /// How the joints move with each of them: one that others follow takes them along.
+    fn joints_by_joints(&self) -> DMatrix<f64> {
+        let count = self.centre.len();
+        let led = |joint: Option<usize>| {
+            let mut joints = vec![0.0; count];
+            joint.into_iter().for_each(|joint| joints[joint] = 1.0);
+            self.actuators.follow(&mut joints);
+            DVector::from_vec(joints)
+        };
+        let zero = led(None);
+        let columns: Vec<_> = (0..count).map(|joint| led(Some(joint)) - &zero).collect();
+        DMatrix::from_columns(&columns)
     }
 
     /// One step of Gauss and Newton to the `x` nearest to zero, in half widths of the region, that brings the target to `aim`: what leaves the box is put on its edge,
@@ -135,7 +153,8 @@ impl Reach<'_> {
         let term = |kind| if kind == JointKind::Prismatic { LinkTerm::D } else { LinkTerm::Theta };
         let links = self.kinematics.links.iter().enumerate();
         let ids: Vec<_> = links.map(|(link, l)| ParameterId::Link { link, term: term(l.kind) }).collect();
-        let mut jacobian = identification_jacobian(self.kinematics, &joints, &self.in_flange, &ids)?;
+        let by_joints = identification_jacobian(self.kinematics, &joints, &self.in_flange, &ids)?;
+        let mut jacobian = by_joints * self.joints_by_joints();
         for (mut column, half) in jacobian.column_iter_mut().zip(self.half_width) {
             column *= *half;
         }
@@ -182,7 +201,7 @@ impl Reach<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use calibrig_model::CraigLink;
+    use calibrig_model::{AxisMap, CraigLink};
     use std::f64::consts::FRAC_PI_2;
 
     /// A rail, a waist, a shoulder and an elbow: one joint more than positions need.
@@ -206,6 +225,7 @@ mod tests {
         let (centre, half_width, kinematics) = reach(&kinematics, [0.6, 0.5, 0.5, 0.6]);
         let reach = Reach {
             kinematics,
+            actuators: &ActuatorMap::Direct,
             centre: &centre,
             half_width: &half_width,
             in_flange: Vector3::new(0.8, 0.0, 0.0),
@@ -252,12 +272,48 @@ mod tests {
         }
     }
 
+    /// A palletizer: its tool stays level, whatever the arms in front of it do.
+    #[test]
+    fn joints_that_follow_others_are_taken_along() {
+        let kinematics = KinematicModel::new(vec![
+            CraigLink::revolute("waist").row(0.0, 0.0, 0.5, 0.0),
+            CraigLink::revolute("shoulder").row(0.2, -FRAC_PI_2, 0.0, 0.0),
+            CraigLink::revolute("elbow").row(1.0, 0.0, 0.0, 0.0),
+            CraigLink::revolute("level").row(1.0, 0.0, 0.0, 0.0),
+        ])
+        .expect("a chain");
+        let shown = DMatrix::from_row_slice(
+            4,
+            4,
+            &[1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 1.0],
+        );
+        let axes = AxisMap::new(shown, DVector::zeros(4)).expect("lower triangular").with_followers(&[3]);
+        let actuators = ActuatorMap::Axes { axes, elbow: None };
+        let mut centre = vec![0.1, -0.9, 1.2, 0.0];
+        actuators.follow(&mut centre);
+        let half_width = [0.8, 0.6, 0.6, 0.0];
+        let in_flange = Vector3::new(0.3, 0.2, 0.0);
+        let reach = Reach {
+            kinematics: &kinematics,
+            actuators: &actuators,
+            centre: &centre,
+            half_width: &half_width,
+            in_flange,
+        };
+        let place = reach.middle().expect("the middle") + Vector3::new(0.1, -0.1, 0.08);
+        let (joints, off) = reach.joints(&place).expect("a pose");
+        assert!(off < 1e-10, "{off}");
+        assert!((joints[1] + joints[2] + joints[3]).abs() < 1e-14, "{joints:?}");
+        assert!((target_in_base(&kinematics, &joints, &in_flange).expect("a pose") - place).norm() < 1e-10);
+    }
+
     #[test]
     fn a_region_without_width_holds_no_cube() {
         let kinematics = chain();
         let (centre, half_width, kinematics) = reach(&kinematics, [0.0; 4]);
         let reach = Reach {
             kinematics,
+            actuators: &ActuatorMap::Direct,
             centre: &centre,
             half_width: &half_width,
             in_flange: Vector3::new(0.8, 0.0, 0.0),

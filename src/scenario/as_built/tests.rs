@@ -222,6 +222,10 @@ fn only_the_listed_link_parameters_deviate() {
     assert_eq!(deviating.len(), 24);
     let all = paper_with(DRAWN).expect("valid").drawn.expect("a distribution");
     assert_eq!(all.link_parameters.len(), 35);
+    let complete = paper_with(&format!("{DRAWN}\nparameters = \"complete\"")).expect("valid");
+    let set = complete_set_of(&complete.robot.model, false, false).expect("a chain").selected;
+    assert_eq!(complete.drawn.expect("a distribution").link_parameters, of_links(&set));
+    assert_eq!(set.len(), 26, "the published ones and two betas");
 }
 
 #[test]

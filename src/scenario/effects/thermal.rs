@@ -145,7 +145,7 @@ fn growth(reader: &Reader<'_>, entry: &Spanned<GrowthFile>) -> Result<Growth, In
         let message = format!("with_travel of joint \"{}\", which is revolute", file.joint.get_ref());
         return Err(reader.refuse(travels.span(), message, "it on a prismatic joint alone"));
     }
-    let length = 1e-3 * reader.source.not_negative("length_mm", &file.length_mm)?;
+    let length = 1e-3 * reader.source.finite("length_mm", &file.length_mm)?;
     let (expansion, lag) = expansion(reader, &file.expansion_ppm_per_k, &file.lag_s)?;
     Ok(Growth { part: GrowingPart::Link { joint, axis }, length, with_travel, expansion, lag })
 }

@@ -3,6 +3,7 @@
 //!
 //! Nothing in here is fitted and nothing is random. The links are the boxes, cylinders and spheres of the robot's URDF, or capsules along its chain.
 
+mod hull;
 mod shape;
 #[cfg(test)]
 mod tests;
@@ -12,6 +13,7 @@ use thiserror::Error;
 
 use crate::geometry::Transform;
 use crate::{KinematicModel, Visual};
+pub use hull::Hull;
 use shape::{Placed, distance_of_segments, distance_to_segment};
 
 /// A reflector on the flange, and from where light comes back from it.

@@ -1,6 +1,6 @@
 //! Whether a line meets a shape.
 
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 
 use crate::geometry::Transform;
 use crate::{Visual, VisualShape};
@@ -30,6 +30,23 @@ impl Placed {
             VisualShape::Sphere(radius) => radius,
         };
         Self { link_from_shape: visual.link_from_shape, shape, bound }
+    }
+
+    /// A capsule about the shape's longest axis that holds it: its ends in the base frame, and its radius, m.
+    pub(super) fn capsule(&self, base_from_link: &Transform) -> ([Vector3<f64>; 2], f64) {
+        let (half, radius) = match self.shape {
+            VisualShape::Sphere(radius) => (Vector3::zeros(), radius),
+            VisualShape::Cylinder { radius, length } => (Vector3::new(0.0, 0.0, 0.5 * length), radius),
+            VisualShape::Box(edges) => {
+                let half = 0.5 * Vector3::from(edges);
+                let axis = half.imax();
+                let mut across = half;
+                across[axis] = 0.0;
+                (half - across, across.norm())
+            }
+        };
+        let base_from_shape = base_from_link * self.link_from_shape;
+        ([-half, half].map(|end| (base_from_shape * Point3::from(end)).coords), radius)
     }
 
     /// Whether the shape of a link at `base_from_link` holds a point of the base frame.

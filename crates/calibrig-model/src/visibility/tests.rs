@@ -197,3 +197,47 @@ proptest! {
         }
     }
 }
+
+proptest! {
+    #[test]
+    fn hulls_hold_their_shapes(
+        centre in place(), angles in prop::array::uniform2(-3.0..3.0_f64), size in prop::array::uniform3(0.1..1.2_f64),
+        part in prop::array::uniform3(-1.0..1.0_f64), kind in 0..3_u8
+    ) {
+        let (shape, inside) = match kind {
+            0 => (VisualShape::Box(size), Vector3::from_fn(|i, _| 0.5 * part[i] * size[i])),
+            1 => {
+                let across = Vector3::new(part[0], part[1], 0.0);
+                let across = size[0] * across / across.norm().max(1.0);
+                (VisualShape::Cylinder { radius: size[0], length: size[1] }, across + Vector3::z() * (0.5 * part[2] * size[1]))
+            }
+            _ => (VisualShape::Sphere(size[0]), size[0] * Vector3::from(part) / Vector3::from(part).norm().max(1.0)),
+        };
+        let placed = at(centre.x, centre.y, centre.z) * rotation_x(angles[0]) * rotation_z(angles[1]);
+        let (ends, radius) = Placed::new(&Visual { link_from_shape: placed, shape }, 0.0).capsule(&Transform::identity());
+        let point = (placed * nalgebra::Point3::from(inside)).coords;
+        prop_assert!(distance_to_segment(&point, &ends[0], &ends[1]) <= radius + 1e-12);
+        // No larger than a ball about the shape's corner.
+        let reach = (ends[0] - centre).norm() + radius;
+        let corner = match shape {
+            VisualShape::Box(edges) => 0.5 * Vector3::from(edges).norm(),
+            VisualShape::Cylinder { radius, length } => radius + 0.5 * length,
+            VisualShape::Sphere(radius) => radius,
+        };
+        prop_assert!(reach <= 2.0_f64.sqrt() * corner + 1e-12, "{} {}", reach, corner);
+    }
+}
+
+#[test]
+fn a_chain_has_hulls_along_its_links_and_below_its_first_joint() {
+    let (kinematics, _) = arms();
+    let (links, flange) = stance_at(&kinematics, &[0.3, -0.4]);
+    let stance = Stance { links: &links, flange: &flange };
+    let hulls = Obstacles::of_chain(&kinematics, 0.05).hulls(stance);
+    assert_eq!(hulls.iter().map(|hull| hull.link).collect::<Vec<_>>(), [0, 1, 2]);
+    assert!((hulls[2].ends[1] - flange.translation.vector).norm() < 1e-15);
+    let up = Vector3::z_axis();
+    assert!((hulls[2].lowest(&up) - (hulls[2].ends[0].z.min(hulls[2].ends[1].z) - 0.05)).abs() < 1e-15);
+    assert!(hulls[0].distance(&hulls[1]) <= -0.1 + 1e-12, "they meet at the joint");
+    assert!(Obstacles::none(&kinematics).hulls(stance).is_empty());
+}

@@ -65,7 +65,7 @@ pub enum GrowingPart {
 pub struct Growth {
     /// Which.
     pub part: GrowingPart,
-    /// Its length, m; of no meaning for the rod.
+    /// Its length, m, below zero where it runs against the axis; of no meaning for the rod.
     pub length: f64,
     /// Whether its joint's position adds to the length, as a telescope's.
     pub with_travel: bool,
@@ -100,7 +100,7 @@ impl Thermal {
             check(kind, (quantity, 0), value, range)?;
         }
         for (index, growth) in self.growths.iter().enumerate() {
-            check(kind, ("length", index), growth.length, Range::NotNegative)?;
+            check(kind, ("length", index), growth.length, Range::Finite)?;
             check(kind, ("expansion", index), growth.expansion, Range::NotNegative)?;
             check(kind, ("lag", index), growth.lag, Range::NotNegative)?;
             match growth.part {

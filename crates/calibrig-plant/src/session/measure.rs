@@ -13,7 +13,7 @@ use super::schedule::{PlannedSet, Schedule, schedule};
 use super::sight::Mounted;
 use super::{Machine, MissingReading, SessionError, Simulation, Truth};
 use crate::effects::PoseEffects;
-use crate::experiment::WorkingRegion;
+use crate::experiment::{WorkingRegion, check_listed};
 use crate::tracker::{LaserTracker, Outliers, Probe, Shot, TrackerError, is_missed};
 use crate::{AsBuilt, SettledPose};
 use calibrig_model::geometry::{Transform, rotation_vector, small_displacement};
@@ -33,6 +33,8 @@ pub struct MeasuringSession<'a> {
     pub actuators: &'a ActuatorMap,
     /// Where poses are drawn. Its middle is the home pose, where the machine has been referenced.
     pub region: &'a WorkingRegion,
+    /// Joint variables of the poses of the identification and of the verification set that are not drawn there but given, in their order.
+    pub listed: [Option<&'a [Vec<f64>]>; 2],
     /// Poses of the identification set.
     pub identification_poses: u32,
     /// Poses of the verification set.
@@ -84,7 +86,9 @@ impl MeasuringSession<'_> {
         listener: &mut SessionListener<'_>,
     ) -> Result<Simulation, SessionError<M::Error>> {
         let total = self.identification_poses.saturating_add(self.verification_poses);
-        self.region.check(self.as_built.kinematics.joint_count())?;
+        let joints = self.as_built.kinematics.joint_count();
+        self.region.check(joints)?;
+        self.listed.into_iter().flatten().flatten().try_for_each(|pose| check_listed(pose, joints))?;
         self.plan.check(self.identification_poses.max(self.verification_poses))?;
         let schedule = self.schedule(seed, trial);
         self.as_built.check_effects(schedule.duration)?;
@@ -169,7 +173,12 @@ impl MeasuringSession<'_> {
             (SetKind::Identification, self.identification_poses),
             (SetKind::Verification, self.verification_poses),
         ];
-        schedule(self.plan, self.region, counts, self.nests.len(), (seed, trial))
+        let mut schedule =
+            schedule(self.plan, (self.region, self.listed), counts, self.nests.len(), (seed, trial));
+        let rounds = schedule.rounds.iter_mut().map(|round| &mut round.joints);
+        let poses = schedule.sets.iter_mut().flat_map(|set| &mut set.poses).map(|(joints, _)| joints);
+        rounds.chain(poses).for_each(|joints| self.actuators.follow(joints));
+        schedule
     }
 
     /// `tracker_from_base` of every station on the average of its rounds of nests, as the session of (seed, trial) has it.

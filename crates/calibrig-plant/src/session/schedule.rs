@@ -34,10 +34,10 @@ pub(super) struct Schedule {
     pub duration: f64,
 }
 
-/// Draws and orders the poses of a session, and gives each its time.
+/// Draws and orders the poses of a session, and gives each its time. Where they are listed, as many of them as are wanted are taken in their order.
 pub(super) fn schedule(
     plan: &SessionPlan,
-    region: &WorkingRegion,
+    (region, listed): (&WorkingRegion, [Option<&[Vec<f64>]>; 2]),
     counts: [(SetKind, u32); 2],
     nests: usize,
     (seed, trial): (u64, u32),
@@ -54,13 +54,16 @@ pub(super) fn schedule(
         time += plan.seconds_per_place();
     }
     let (mut sets, mut done) = (Vec::new(), 0_u32);
-    for (kind, count) in counts.into_iter().filter(|(_, count)| *count > 0) {
+    for ((kind, count), listed) in counts.into_iter().zip(listed).filter(|((_, count), _)| *count > 0) {
         let (drawing, noise) = match kind {
             SetKind::Identification => (Source::IdentificationPoses, Source::IdentificationNoise),
             SetKind::Verification => (Source::VerificationPoses, Source::VerificationNoise),
         };
         let mut stream = random::stream(seed, trial, drawing);
-        let drawn: Vec<_> = (0..count).map(|_| region.draw(&mut stream)).collect();
+        let drawn: Vec<_> = match listed {
+            Some(listed) => listed.iter().take(count as usize).cloned().collect(),
+            None => (0..count).map(|_| region.draw(&mut stream)).collect(),
+        };
         let ordered = match plan.order {
             PoseOrder::AsDrawn => drawn,
             PoseOrder::ShortTravel => region.by_short_ways(drawn),

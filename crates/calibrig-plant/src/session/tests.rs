@@ -77,6 +77,7 @@ fn measure(scene: &Scene, poses: [u32; 2]) -> Simulation {
         as_built: &scene.machine,
         actuators: &scene.machine.actuators,
         region: &scene.region,
+        listed: [None; 2],
         identification_poses: poses[0],
         verification_poses: poses[1],
         tracker: &scene.tracker,

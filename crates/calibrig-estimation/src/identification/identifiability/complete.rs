@@ -164,14 +164,7 @@ pub fn structural_poses(model: &KinematicModel, count: usize) -> Vec<Vec<f64>> {
 /// [`structural_poses`] of a robot, with the joints that follow others where these take them.
 pub fn reachable_poses(robot: &CalibrationModel, count: usize) -> Vec<Vec<f64>> {
     let mut poses = structural_poses(&robot.kinematics, count);
-    let actuators = &robot.actuators;
-    if (0..robot.kinematics.joint_count()).all(|joint| actuators.is_commanded(joint)) {
-        return poses;
-    }
-    for joints in &mut poses {
-        let command = actuators.command_from_joints(joints);
-        actuators.joints_from_command(&command, joints);
-    }
+    poses.iter_mut().for_each(|joints| robot.actuators.follow(joints));
     poses
 }
 

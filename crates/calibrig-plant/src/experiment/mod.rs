@@ -1,4 +1,12 @@
-//! Which poses are measured.
+//! Which poses are measured, and from where.
+
+mod room;
+#[cfg(test)]
+mod room_tests;
+mod stand;
+
+pub use room::{Built, Room, usable_ranges};
+pub use stand::{Place, Stand};
 
 use rand::{Rng, RngExt};
 use thiserror::Error;
@@ -19,7 +27,7 @@ pub enum RegionError {
     /// More or fewer entries than joints.
     #[error("{field} has {found} entries: expected {expected}, one a joint")]
     Length {
-        /// `centre` or `half_width`.
+        /// `centre`, `half_width` or a listed pose.
         field: &'static str,
         /// Its length.
         found: usize,
@@ -36,6 +44,17 @@ pub enum RegionError {
         /// rad or m
         value: f64,
     },
+}
+
+/// Whether a pose that is not drawn is one finite number a joint.
+pub(crate) fn check_listed(pose: &[f64], joints: usize) -> Result<(), RegionError> {
+    if pose.len() != joints {
+        return Err(RegionError::Length { field: "a listed pose", found: pose.len(), expected: joints });
+    }
+    match pose.iter().position(|value| !value.is_finite()) {
+        Some(joint) => Err(RegionError::Number { field: "a listed pose", joint, value: pose[joint] }),
+        None => Ok(()),
+    }
 }
 
 impl WorkingRegion {
