@@ -300,7 +300,7 @@ impl Written<'_> {
         let [selected, rank] = self.parameters;
         line!(
             text,
-            "# {selected} link parameters are identifiable ({rank} of them at these poses), with drives that gravity loads {}. Two poses an unknown, six readings,",
+            "# {selected} link parameters can be identified ({rank} of them at these poses); with the drives that gravity loads that makes {} unknowns. Two poses for each, six readings,",
             self.unknown
         );
         line!(
