@@ -8,6 +8,7 @@
 mod coverage;
 mod diagnosis;
 mod divided;
+mod extremes;
 mod faults;
 mod frames;
 mod hidden;
