@@ -23,7 +23,7 @@ pub const EXTREMES: [f64; 22] = [
     f64::INFINITY,
     f64::NEG_INFINITY,
     f64::NAN,
-    1.570_796_326_794_896_6,
+    std::f64::consts::FRAC_PI_2,
     std::f64::consts::PI,
     4_294_967_296.0,
 ];

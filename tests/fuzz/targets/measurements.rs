@@ -129,7 +129,7 @@ pub fn use_measurements(loaded: &LoadedMeasurements, choices: &mut Choices<'_>) 
     }
     let steady = remove_drift(set);
     if choices.one_in(16) && set.observations.len() <= 30 {
-        let set = steady.as_ref().map_or(set, |steady| &steady.set);
+        let set = steady.as_ref().map_or(set, |steady| &steady.measurements);
         check_estimate(&arm(), set, choices);
     }
 }

@@ -58,7 +58,7 @@ pub fn read_keys_at_extremes(every: usize) {
         let texts = seeds.iter().flat_map(|seed| seed.with_each_value_as(&EXTREMES));
         for (number, text) in texts.enumerate().filter(|(number, _)| number % every == 0) {
             // Joints in the middle of their limits, more or less; now and then an identification.
-            let choices = [(number % 251) as u8; 16];
+            let choices = [u8::try_from(number % 251).unwrap_or(0); 16];
             read(text, &mut Choices::new(&choices));
         }
     }

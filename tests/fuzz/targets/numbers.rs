@@ -1,6 +1,7 @@
 //! Public functions of numbers, at extremes; and identification of robots in code.
 
-use calibrig::evaluation::{accuracy, chi2_band, position_accuracy, position_repeatability};
+use calibrig::evaluation::iso9283::{position_accuracy, position_repeatability};
+use calibrig::evaluation::{accuracy, chi2_band};
 use calibrig::files::rotation_of_matrix;
 use calibrig::geometry::{best_fit_transform, rotation_vector};
 use calibrig::identification::{IdentificationOptions, Mode, SolverOptions, identify as fit};

@@ -31,7 +31,8 @@ static PARTS: LazyLock<Vec<(String, Seed)>> = LazyLock::new(|| {
         if text.contains("<a:theme") {
             continue;
         }
-        parts.push((part.name().to_owned(), Seed::xml(&text)));
+        let name = part.name().expect("a name").into_owned();
+        parts.push((name, Seed::xml(&text)));
     }
     parts
 });
