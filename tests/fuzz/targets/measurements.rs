@@ -6,8 +6,9 @@ use calibrig::files::{
     ColumnMap, LoadedMeasurements, RowOptions, SessionSet, Source, measurements_text, parse_column_map,
     parse_measurements, parse_session, session_text, suggest_columns,
 };
-use calibrig::measurement::{SetKind, remove_drift};
+use calibrig::measurement::{SetKind, TargetOrientation, remove_drift};
 use calibrig::model::{CalibrationModel, CraigLink, JointKind};
+use calibrig::nalgebra::Rotation3;
 
 use super::choices::Choices;
 use super::edit::{Seed, text};
@@ -119,7 +120,14 @@ pub fn use_measurements(loaded: &LoadedMeasurements, choices: &mut Choices<'_>) 
     if set.observations.is_empty() {
         return;
     }
-    set.check(JOINTS.len()).expect("what is read is a set");
+    // How targets are turned on the flange is not in tables.
+    let mut stated = set.clone();
+    for target in stated.targets.iter_mut().filter(|_| set.has_poses()) {
+        target
+            .orientation
+            .get_or_insert(TargetOrientation { flange_from_target: Rotation3::identity(), covariance: None });
+    }
+    stated.check(JOINTS.len()).expect("what is read is a set");
     if let Ok(text) = measurements_text(set, &JOINTS) {
         let source = Source::new("written.csv", text);
         let again = parse_measurements(&source, &ColumnMap::default(), &JOINTS);
@@ -127,9 +135,9 @@ pub fn use_measurements(loaded: &LoadedMeasurements, choices: &mut Choices<'_>) 
             again.unwrap_or_else(|error| panic!("what is written is not read: {error}\n{}", source.text));
         assert_eq!(again.set.observations.len(), set.observations.len());
     }
-    let steady = remove_drift(set);
+    let steady = remove_drift(&stated);
     if choices.one_in(16) && set.observations.len() <= 30 {
-        let set = steady.as_ref().map_or(set, |steady| &steady.measurements);
+        let set = steady.as_ref().map_or(&stated, |steady| &steady.measurements);
         check_estimate(&arm(), set, choices);
     }
 }

@@ -71,7 +71,7 @@ pub(super) fn deviance(a: f64, x: f64) -> f64 {
 /// From here on the cube root of chi-square is normal to more digits than a series of any length gives.
 ///
 /// Source: E. B. Wilson, M. M. Hilferty, "The distribution of chi-square", Proc. Natl. Acad. Sci. 17 (1931), 684-688.
-const NORMAL: f64 = 1e11;
+const NORMAL: f64 = 1e9;
 /// Below, the part of it that is not at zero is smaller than any number that a user has.
 const NOTHING: f64 = 1e-290;
 
@@ -115,7 +115,7 @@ fn gamma_regularised(a: f64, x: f64) -> (f64, f64) {
 }
 
 /// Half of the degrees of freedom, above zero where they are.
-fn half(dof: f64) -> f64 {
+pub(super) fn half(dof: f64) -> f64 {
     if dof > 0.0 { (0.5 * dof).max(f64::MIN_POSITIVE) } else { 0.5 * dof }
 }
 
@@ -257,7 +257,8 @@ mod tests {
         close(normal_quantile(1e-20), -9.262_340_089_798_408, 1e-12);
         for z in [6.0_f64, 10.0, 30.0] {
             close(normal_quantile(normal_survival(z)), -z, 1e-12);
-            let series = 1.0 - 1.0 / (z * z) * (1.0 - 3.0 / (z * z) * (1.0 - 5.0 / (z * z) * (1.0 - 7.0 / (z * z))));
+            let series =
+                1.0 - 1.0 / (z * z) * (1.0 - 3.0 / (z * z) * (1.0 - 5.0 / (z * z) * (1.0 - 7.0 / (z * z))));
             close(normal_survival(z), (-0.5 * z * z).exp() / (z * (2.0 * PI).sqrt()) * series, 2e-5);
         }
         close(ln_gamma(1e-300), 300.0 * 10.0_f64.ln(), 1e-14);
