@@ -38,6 +38,7 @@ mod a_user_trusts_a_model_that_lacks_something;
 mod a_user_trusts_the_uncertainty;
 mod cli;
 mod elastostatics_against_plant;
+mod fuzz;
 mod layers;
 mod sandbox;
 

@@ -5,6 +5,7 @@ mod toml_text;
 mod units;
 
 pub use excerpt::Excerpt;
+pub(crate) use toml_text::quoted;
 
 use std::fmt;
 use std::ops::Range;

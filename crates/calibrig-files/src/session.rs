@@ -16,7 +16,7 @@ use serde::Deserialize;
 
 use self::instrument::InstrumentTable;
 use crate::LoadedMeasurements;
-use crate::input::{InputError, Source, Spanned};
+use crate::input::{InputError, Source, Spanned, quoted};
 use crate::orientation::{Four, OrientationKeys, Square, Three, check_numbers, covariance_of};
 use calibrig_model::measurement::{
     Face, MeasurementSet, NestObservation, Reading, RegistrationError, SetKind, SphericalReading,
@@ -581,8 +581,4 @@ fn on_one_line(station: &Station, error: &RegistrationError) -> String {
 fn of_set<T: Clone>(described: &[Described<T>], kind: SetKind) -> Option<Vec<T>> {
     let own = described.iter().filter(|known| known.is_of(kind));
     (!described.is_empty()).then(|| own.map(|known| known.item.clone()).collect())
-}
-
-fn quoted(text: &str) -> String {
-    toml::Value::from(text).to_string()
 }

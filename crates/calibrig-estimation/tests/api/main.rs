@@ -10,6 +10,7 @@ mod coverage;
 mod diagnosis;
 mod divided;
 mod drift;
+mod extremes;
 mod faults;
 mod frames;
 mod hidden;

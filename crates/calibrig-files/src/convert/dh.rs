@@ -7,9 +7,9 @@ use std::ops::Range;
 use nalgebra::Vector3;
 
 use super::dh_cells::{Column, Sign, Unit, Value, Variable, What, cells, column, number, terms, variable};
-use super::text::{line, mm, quoted, row};
+use super::text::{line, mm, row};
 use super::{Converted, doubtful_reach, file_name, in_original, made_name};
-use crate::input::{InputError, Source};
+use crate::input::{InputError, Source, quoted};
 use crate::robot::parse_robot;
 use calibrig_model::{CraigLink, JointKind};
 

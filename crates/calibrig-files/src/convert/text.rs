@@ -6,6 +6,7 @@ use std::fmt::Write;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use super::chain::Chain;
+use crate::input::quoted;
 use crate::robot::frames::sphere;
 use calibrig_model::geometry::Transform;
 use calibrig_model::{Body, CraigLink, JointKind, KinematicModel};
@@ -136,10 +137,6 @@ pub(super) fn number(value: f64) -> String {
 }
 
 /// A text in quotes.
-pub(super) fn quoted(text: &str) -> String {
-    toml::Value::String(text.to_owned()).to_string()
-}
-
 pub(super) fn mm(value: f64) -> String {
     number(1e3 * value)
 }

@@ -8,6 +8,11 @@ use toml::de::{DeTable, DeValue};
 
 use super::{InputError, Source, units};
 
+/// A text as a value of TOML: Rust's own quotes have escapes that TOML lacks.
+pub(crate) fn quoted(text: &str) -> String {
+    toml::Value::String(text.to_owned()).to_string()
+}
+
 /// A file's contents. A key whose unit is another one than the file's form has (`theta_rad` for `theta_deg`) is taken, and its value converted.
 pub(super) fn read<T: DeserializeOwned>(source: &Source) -> Result<T, InputError> {
     let literals = units::Literals::of(&source.text);

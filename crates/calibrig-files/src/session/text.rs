@@ -7,7 +7,8 @@ use nalgebra::Matrix3;
 use thiserror::Error;
 
 use super::instrument::{DRIFT_KEYS, key_of};
-use super::{SCHEMA, SessionSet, quoted};
+use super::{SCHEMA, SessionSet};
+use crate::input::quoted;
 use calibrig_model::measurement::{
     Face, NestObservation, Reading, SphericalReading, StatedInstrument, Station, Target, TargetOrientation,
 };

@@ -24,6 +24,10 @@ pub fn ln_gamma(x: f64) -> f64 {
     if x >= LARGE {
         return (x - 0.5) * x.ln() - x + 0.5 * (2.0 * PI).ln() + stirling_error(x);
     }
+    if x < SMALL {
+        // Γ(x) = 1/x - γ + ...
+        return -x.ln();
+    }
     let x = x - 1.0;
     let series: f64 = LANCZOS.iter().enumerate().skip(1).map(|(i, c)| c / (x + i as f64)).sum();
     let t = x + 7.5;
@@ -32,9 +36,11 @@ pub fn ln_gamma(x: f64) -> f64 {
 
 /// From here on Stirling's series is exact to rounding.
 const LARGE: f64 = 16.0;
+/// Below, a number is lost beside one.
+const SMALL: f64 = 1e-17;
 
 /// What Stirling's formula leaves of ln Γ(x): `1/(12x) - 1/(360x³) + ...`.
-fn stirling_error(x: f64) -> f64 {
+pub(super) fn stirling_error(x: f64) -> f64 {
     if x < LARGE {
         return ln_gamma(x) - ((x - 0.5) * x.ln() - x + 0.5 * (2.0 * PI).ln());
     }
@@ -46,16 +52,28 @@ fn stirling_error(x: f64) -> f64 {
 ///
 /// Source: C. Loader, "Fast and accurate computation of binomial probabilities" (2000), for the saddle-point form.
 fn density_factor(a: f64, x: f64) -> f64 {
-    let relative = (x - a) / a;
-    // λ - 1 - ln λ at λ = x/a.
-    let deviance = if relative.abs() < 0.1 { relative - relative.ln_1p() } else { relative - (x / a).ln() };
-    (0.5 * (a / (2.0 * PI)).ln() - a * deviance - stirling_error(a)).exp()
+    (0.5 * (a / (2.0 * PI)).ln() - a * deviance(a, x) - stirling_error(a)).exp()
+}
+
+/// λ - 1 - ln λ at λ = x/a.
+pub(super) fn deviance(a: f64, x: f64) -> f64 {
+    let (relative, ratio) = ((x - a) / a, x / a);
+    if relative.abs() < 0.1 {
+        relative - relative.ln_1p()
+    } else if ratio.is_normal() {
+        relative - ratio.ln()
+    } else {
+        // The ratio is beyond what a number holds; its logarithm is not.
+        relative - (x.ln() - a.ln())
+    }
 }
 
 /// From here on the cube root of chi-square is normal to more digits than a series of any length gives.
 ///
 /// Source: E. B. Wilson, M. M. Hilferty, "The distribution of chi-square", Proc. Natl. Acad. Sci. 17 (1931), 684-688.
-const NORMAL: f64 = 1e11;
+const NORMAL: f64 = 1e9;
+/// Below, the part of it that is not at zero is smaller than any number that a user has.
+const NOTHING: f64 = 1e-290;
 
 /// The regularised incomplete gamma functions (P, Q) of a > 0 at x >= 0; the smaller one keeps its relative accuracy. No numbers for other a.
 fn gamma_regularised(a: f64, x: f64) -> (f64, f64) {
@@ -65,7 +83,8 @@ fn gamma_regularised(a: f64, x: f64) -> (f64, f64) {
     if !(x > 0.0) {
         return if x.is_nan() { (x, x) } else { (0.0, 1.0) };
     }
-    if x.is_infinite() {
+    // With next to no degrees of freedom all of it is at zero.
+    if x.is_infinite() || a < NOTHING {
         return (1.0, 0.0);
     }
     if a > NORMAL {
@@ -83,26 +102,31 @@ fn gamma_regularised(a: f64, x: f64) -> (f64, f64) {
                 break;
             }
         }
-        let p = factor * sum;
+        let p = (factor * sum).min(1.0);
         (p, 1.0 - p)
     } else {
         let fraction = continued_fraction(terms, |i| {
             let i = i as f64;
             (-i * (i - a), x + 2.0 * i + 1.0 - a)
         });
-        let q = factor * fraction;
+        let q = (factor * fraction).min(1.0);
         (1.0 - q, q)
     }
 }
 
+/// Half of the degrees of freedom, above zero where they are.
+pub(super) fn half(dof: f64) -> f64 {
+    if dof > 0.0 { (0.5 * dof).max(f64::MIN_POSITIVE) } else { 0.5 * dof }
+}
+
 /// Probability that chi-square with `dof` degrees of freedom is below `x`.
 pub fn chi2_cdf(x: f64, dof: f64) -> f64 {
-    gamma_regularised(0.5 * dof, 0.5 * x).0
+    gamma_regularised(half(dof), 0.5 * x).0
 }
 
 /// Probability that chi-square with `dof` degrees of freedom is above `x`: the p-value of a chi-square test.
 pub fn chi2_survival(x: f64, dof: f64) -> f64 {
-    gamma_regularised(0.5 * dof, 0.5 * x).1
+    gamma_regularised(half(dof), 0.5 * x).1
 }
 
 /// The point below which chi-square with `dof` degrees of freedom lies with probability `p`; infinite for p >= 1. Not a number where `dof` is
@@ -116,6 +140,10 @@ pub fn chi2_quantile(p: f64, dof: f64) -> f64 {
     }
     if p >= 1.0 {
         return f64::INFINITY;
+    }
+    if dof > 2.0 * NORMAL {
+        let spread = (2.0 / dof).sqrt() / 3.0;
+        return dof * (1.0 - spread * spread + spread * normal_quantile(p)).powi(3);
     }
     let mut high = dof.max(1.0);
     while chi2_survival(high, dof) > 1.0 - p {
@@ -134,8 +162,14 @@ pub fn normal_survival(z: f64) -> f64 {
     if z >= 0.0 { 0.5 * above } else { 0.5 + 0.5 * below }
 }
 
-/// The point below which a standard normal variable lies with probability `p`.
+/// The point below which a standard normal variable lies with probability `p`; infinite for p <= 0 and p >= 1.
 pub fn normal_quantile(p: f64) -> f64 {
+    let tail = p.min(1.0 - p);
+    // Twice as much taken from one would lose the digits of a small tail.
+    if tail > 0.0 && tail < 1e-7 {
+        let far = invert(-tail, 0.0, 40.0, |z| -normal_survival(z));
+        return if p < 0.5 { -far } else { far };
+    }
     if p < 0.5 { -chi2_quantile(1.0 - 2.0 * p, 1.0).sqrt() } else { chi2_quantile(2.0 * p - 1.0, 1.0).sqrt() }
 }
 
@@ -209,9 +243,31 @@ mod tests {
         }
         assert_eq!(chi2_quantile(0.0, 3.0), 0.0);
         assert_eq!(chi2_quantile(1.0, 3.0), f64::INFINITY);
+        // Of so many all but a part in 1e7 is normal.
+        close(chi2_quantile(0.9995, 1e15), 1e15 + 3.290_526_731_491_9 * 2e15_f64.sqrt(), 1e-12);
         // Normal with mean n and variance 2n, plus skewness: Cornish-Fisher at the 99.95 % point.
         let (n, z) = (4e5_f64, 3.290_526_731_491_9_f64);
         let expected = n + z * (2.0 * n).sqrt() + 2.0 / 3.0 * (z * z - 1.0);
         close(chi2_quantile(0.9995, n), expected, 1e-7);
+    }
+
+    /// Tails by the asymptotic series of the error function; what is next to nothing by its first term.
+    #[test]
+    fn extremes_keep_their_digits() {
+        close(normal_quantile(1e-20), -9.262_340_089_798_408, 1e-12);
+        for z in [6.0_f64, 10.0, 30.0] {
+            close(normal_quantile(normal_survival(z)), -z, 1e-12);
+            let series =
+                1.0 - 1.0 / (z * z) * (1.0 - 3.0 / (z * z) * (1.0 - 5.0 / (z * z) * (1.0 - 7.0 / (z * z))));
+            close(normal_survival(z), (-0.5 * z * z).exp() / (z * (2.0 * PI).sqrt()) * series, 2e-5);
+        }
+        close(ln_gamma(1e-300), 300.0 * 10.0_f64.ln(), 1e-14);
+        close(ln_gamma(5e-324), -(5e-324_f64.ln()), 1e-14);
+        // x^a / Γ(a + 1), as x is small.
+        close(chi2_cdf(2e-320, 1.0), (4.0 * 1e-320 / PI).sqrt(), 1e-3);
+        for dof in [5e-324, 1e-300, 1e-20] {
+            assert_eq!((chi2_cdf(1.0, dof), chi2_cdf(1e300, dof)), (1.0, 1.0), "{dof}");
+            assert!(chi2_survival(1.0, dof) < 1e-15);
+        }
     }
 }

@@ -173,7 +173,9 @@ pub fn position_repeatability(attained: &[Vector3<f64>]) -> Option<PositionRepea
 /// Of a positive semidefinite matrix, the number of directions of a scatter alike in each whose squared length varies as much (Satterthwaite); 0 of zero.
 fn directions(covariance: &Matrix3<f64>) -> f64 {
     let trace = covariance.trace();
-    if trace > 0.0 { trace * trace / (covariance * covariance).trace() } else { 0.0 }
+    // Of the shape alone: squares of what is very small or large are no numbers.
+    let shape = covariance / trace;
+    if trace > 0.0 { 1.0 / (shape * shape).trace() } else { 0.0 }
 }
 
 /// Whether poses scatter by more than their readings state, from RP and the stated standard deviation (root of the mean squared length of a reading's error, m) of

@@ -7,6 +7,7 @@ use super::super::times;
 use super::super::units::HeaderUnit;
 use super::names::{JointName, Said, said_by, words};
 use super::triples;
+use crate::input::quoted;
 
 /// What a column may be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -231,7 +232,7 @@ impl SeenColumn {
     /// Cells that are no numbers among numbers, and numbers that are codes.
     pub fn marks(&self, decimal: Decimal) -> Vec<String> {
         let texts = self.texts.iter().filter(|text| decimal.parse(text).is_none_or(f64::is_nan));
-        texts.map(|text| format!("{text:?}")).chain(self.codes.iter().cloned()).collect()
+        texts.map(|text| quoted(text)).chain(self.codes.iter().cloned()).collect()
     }
 
     pub fn take(&mut self, role: Role, order: usize, reason: impl Into<String>) {
@@ -248,7 +249,7 @@ impl SeenColumn {
         if !has_header || self.name.is_empty() || self.is_repeated {
             return self.number.to_string();
         }
-        format!("{:?}", self.said_name())
+        quoted(self.said_name())
     }
 }
 

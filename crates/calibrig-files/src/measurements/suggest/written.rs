@@ -12,6 +12,7 @@ use super::told::{
     time_of, unit,
 };
 use super::{SeenFile, SuggestedMap};
+use crate::input::quoted;
 use crate::measurements::layout::Decimal;
 use crate::measurements::units::{HeaderUnit, LengthUnit};
 
@@ -64,7 +65,8 @@ pub(super) fn map_of(files: &[SeenFile]) -> SuggestedMap {
 
 impl Writer<'_> {
     fn line(&mut self, line: &str) {
-        self.text.push_str(line);
+        // Names of columns stand in comments as they are, and TOML has no other characters there.
+        self.text.extend(line.chars().map(|c| if c.is_control() { char::REPLACEMENT_CHARACTER } else { c }));
         self.text.push('\n');
     }
 
@@ -285,10 +287,10 @@ impl Writer<'_> {
         let Turned { keys, open } = turned;
         let entries: Vec<_> = columns.iter().map(|column| column.entry(self.points.has_header)).collect();
         let mut keys: Vec<(&str, String, String)> =
-            keys.into_iter().map(|(key, value, why)| (key, format!("{value:?}"), why)).collect();
+            keys.into_iter().map(|(key, value, why)| (key, quoted(value), why)).collect();
         keys.push(("columns", format!("[{}]", entries.join(", ")), reasons(&columns)));
         let mut open: Vec<(&str, String, String)> =
-            open.into_iter().map(|(key, value, why)| (key, format!("{value:?}"), why)).collect();
+            open.into_iter().map(|(key, value, why)| (key, quoted(value), why)).collect();
         let why = "what position and rotation are of: of the target, in the tracker's frame; or \"tracker_in_target\"";
         open.insert(0, ("transform", "\"target_in_tracker\"".to_owned(), why.to_owned()));
         if columns.len() == 3 {
@@ -343,13 +345,17 @@ impl Writer<'_> {
         self.line("[face]");
         self.key("column", &column.entry(self.points.has_header), &column.reason.clone());
         if let Some([front, back]) = words {
-            self.key("front", &format!("[{front:?}]"), "as programs write it");
-            self.key("back", &format!("[{back:?}]"), "angles of the encoders' own are found from the values");
+            self.key("front", &format!("[{}]", quoted(front)), "as programs write it");
+            self.key(
+                "back",
+                &format!("[{}]", quoted(back)),
+                "angles of the encoders' own are found from the values",
+            );
         } else {
             let why =
                 format!("one of {} and {} is the front face, the other the back face", texts[0], texts[1]);
-            self.undecided("front", &format!("[{:?}]", texts[0]), &why);
-            self.undecided("back", &format!("[{:?}]", texts[1]), "the other one");
+            self.undecided("front", &format!("[{}]", quoted(texts[0])), &why);
+            self.undecided("back", &format!("[{}]", quoted(texts[1])), "the other one");
         }
     }
 
@@ -439,7 +445,7 @@ impl Writer<'_> {
         if let Some(column) = file.one(Role::Set) {
             self.line("");
             self.line("[sets]");
-            let names: Vec<_> = column.texts().iter().map(|text| format!("{text:?}")).collect();
+            let names: Vec<_> = column.texts().into_iter().map(quoted).collect();
             self.key("column", &column.entry(file.has_header), &reason(column));
             self.undecided(
                 "verification",
