@@ -12,7 +12,7 @@ use super::turns::TurnRow;
 use calibrig_model::measurement::MeasurementSet;
 
 /// Share of a row's variance that errors which are not taken for shared may have.
-const LITTLE: f64 = 0.02;
+const LITTLE: f64 = 0.005;
 /// The least noise of rows that state none, m and rad.
 const LEAST_NOISE: f64 = 1e-6;
 const LEAST_TURN: f64 = 1e-5;
@@ -190,7 +190,9 @@ impl CalibrationProblem {
         let Some(shared) = &self.shared_whitening else { return };
         if residuals.iter().all(|v| v.is_finite()) {
             shared.apply(residuals);
-            jacobian.into_iter().for_each(|jacobian| shared.apply(jacobian));
+            if let Some(jacobian) = jacobian {
+                shared.apply(jacobian);
+            }
         }
     }
 }
