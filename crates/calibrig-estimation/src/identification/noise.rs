@@ -297,14 +297,14 @@ pub(super) fn find(
     unknown: Unknown,
     fit: &mut impl FnMut(&mut CalibrationProblem, Vec<f64>) -> Result<Solution, IdentifyError>,
 ) -> Result<Solution, IdentifyError> {
-    let mut before = problem.noise.variances(unknown, problem.stated_sigma());
+    let mut before = problem.noise.variances(unknown, problem.reading_sigma());
     for _ in 0..MOST_ROUNDS {
         let (system, lever) = system(problem, &solution, unknown);
         let Some(found) = system.components(before.as_deref()) else { break };
         if before.as_ref().is_some_and(|before| is_settled(before, &found.variances, &system)) {
             break;
         }
-        problem.weigh(&named(&found, unknown, problem.stated_sigma()))?;
+        problem.weigh(&named(&found, unknown, problem.reading_sigma()))?;
         let System { mut residuals, jacobian, .. } = system;
         let (rows, parameters) = (problem.rows(), problem.parameters());
         residuals = residuals.resize_vertically(rows, 0.0);
@@ -422,7 +422,7 @@ fn block(problem: &CalibrationProblem, observations: &[usize], unknown: Unknown,
     for (column, row) in own.iter().enumerate() {
         shapes[(*row, column)] = 1.0;
     }
-    let sigma = if scaled.is_empty() { 1.0 } else { problem.stated_sigma() };
+    let sigma = if scaled.is_empty() { 1.0 } else { problem.reading_sigma() };
     for (place, k) in scaled.iter().enumerate() {
         let root = problem.rows[observations[*k]].reading.and_then(Cholesky::new).map(|root| root.l());
         shapes
@@ -510,7 +510,7 @@ impl CalibrationProblem {
     }
 
     /// Root mean square of the standard deviations that readings state, m.
-    pub(super) fn stated_sigma(&self) -> f64 {
+    pub(super) fn reading_sigma(&self) -> f64 {
         let stated = || self.rows.iter().filter_map(|row| row.reading);
         (stated().map(|covariance| covariance.trace() / 3.0).sum::<f64>() / stated().count().max(1) as f64)
             .sqrt()

@@ -46,7 +46,7 @@ pub(super) fn parts(
             by_chance(2.0 * (found.likelihood - without.likelihood), parts.len()) < BY_CHANCE
         })
     };
-    let scale = (1.0 + found.variances[of_readings] / problem.stated_sigma().powi(2)).sqrt();
+    let scale = (1.0 + found.variances[of_readings] / problem.reading_sigma().powi(2)).sqrt();
     let readings = is_there(of_readings..of_readings + 1).then_some(scale);
     Some(Parts { readings, machine: is_there(of_machine) })
 }
