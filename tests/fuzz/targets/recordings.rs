@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::LazyLock;
 
-use calibrig::recording::{export_csv, inspect, read_recorded_machine, read_recording, recover};
+use calibrig::recording::{State, export_csv, inspect, read_recorded_machine, read_recording, recover};
 
 use super::choices::Choices;
 use super::file;
@@ -97,9 +97,7 @@ fn look(path: &Path, other: &Path) {
     if let Ok(recording) = &read {
         // What is read is sound, so that whoever looks through it says the same.
         let inspection = looked.as_ref().expect("a recording that is read is looked through");
-        assert!(
-            inspection.sound || recording.unprotected.holds_data() || !recording.unprotected.is_nothing()
-        );
+        assert_eq!(inspection.health.state, State::Whole, "{:?}", inspection.health);
         for set in recording.sets.iter().map(|set| &set.measurements) {
             if let Some(first) = set.observations.first() {
                 set.check(first.command.len()).expect("what is read is a set");
