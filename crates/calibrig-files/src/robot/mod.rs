@@ -32,7 +32,7 @@ use statics::{CompliancePercent, GravityTable};
 use targets::{TargetTables, read_targets};
 
 use crate::input::{InputError, Source, Spanned};
-use calibrig_model::{BodyUncertainty, CalibrationModel, KinematicModel, Visual};
+use calibrig_model::{BodyUncertainty, CalibrationModel, KinematicModel, ModelError, Visual};
 use urdf::UrdfRobot;
 
 /// The only schema that is read.
@@ -150,6 +150,8 @@ pub fn parse_robot(
     let bodies = reader.body_uncertainties()?;
     let in_frames = described.is_some() || statics.is_some() || actuators.four_bar().is_some();
     let remarks = reader.near_normals(&mut kinematics, in_frames);
+    let model = CalibrationModel { kinematics, actuators, statics, motor_turns };
+    reader.check_whole(&model)?;
     let visuals = described.map_or_else(Vec::new, |described| {
         let joints = described.joints.into_iter().map(|joint| joint.visuals);
         std::iter::once(described.base_visuals).chain(joints).collect()
@@ -160,7 +162,6 @@ pub fn parse_robot(
     sources.extend(
         companions.into_iter().filter_map(|(role, source)| source.map(|source| (role.to_owned(), source))),
     );
-    let model = CalibrationModel { kinematics, actuators, statics, motor_turns };
     Ok(Robot { name, model, visuals, targets, compliance_sigma, stiffness_unknown, bodies, remarks, sources })
 }
 
@@ -177,6 +178,19 @@ impl Reader<'_> {
         expected: &str,
     ) -> Result<T, InputError> {
         Err(self.source.error(span, message, Some(format!("expected {expected}"))))
+    }
+
+    /// Each number may be one, and what follows from all of them none: a section whose stiffness is too small for a number.
+    fn check_whole(&self, model: &CalibrationModel) -> Result<(), InputError> {
+        let Err(fault) = model.check() else { return Ok(()) };
+        let joint = match fault {
+            ModelError::Beam { link, .. } => Some(link),
+            ModelError::Number { joint, .. } => joint,
+            ModelError::Limits { joint, .. } => Some(joint),
+            _ => None,
+        };
+        let span = joint.and_then(|joint| self.file.joint.get(joint)).map_or(0..0, Spanned::span);
+        self.error(span, fault, "numbers that are a robot's together")
     }
 
     /// Rewrites rows whose common normals lie far away, and says so; not where other things are stated in the frames of such rows.

@@ -119,6 +119,15 @@ impl Reader<'_> {
                 return self.error(span, "there is [gravity], but no drive has a stiffness", expected);
             }
         };
+        if gravity == Vector3::zeros() && loads.iter().all(|load| load.force == Vector3::zeros()) {
+            let span = self.file.gravity.as_ref().map_or(0..0, Spanned::span);
+            let message = "[gravity] is zero, and no load has a force: nothing deflects";
+            return self.error(
+                span,
+                message,
+                "gravity in the base frame, or neither [gravity] nor stiffnesses",
+            );
+        }
         let bodies = stated.map_or_else(|| self.bodies(urdf), Ok)?;
         self.check_beam_masses(&limits, &beams, &bodies)?;
         Ok(Some(StaticProperties { bodies, drive_stiffness, bearings, beams, linkage, loads, gravity }))

@@ -101,6 +101,10 @@ impl Cells<'_> {
         pose.position.iter().try_for_each(|coordinate| self.check_size(place, *coordinate))?;
         let covariance = self.pose_covariance(rotation, &point, &pose, jacobian.as_ref())?;
         covariance.iter().flatten().try_for_each(|element| self.check_size(place, *element))?;
+        // Turned around, a rotation that is hardly known drowns the position's own digits.
+        if covariance.as_ref().is_some_and(|covariance| !is_definite(covariance)) {
+            return Err(self.refuse_apart());
+        }
         Ok(Some(Reading::Pose(Box::new(PoseReading {
             position: pose.position,
             rotation: pose.rotation,
@@ -140,6 +144,13 @@ impl Cells<'_> {
             },
             (Some(_), None) => Err(self.refuse_half("position", "rotation")),
         }
+    }
+
+    fn refuse_apart(&self) -> InputError {
+        let message =
+            "the uncertainties of its position and rotation are too far apart to be told from each other";
+        let expected = "standard deviations of a measured pose: are their units right?";
+        self.row.refuse(self.reader.file, None, message.to_owned(), expected)
     }
 
     fn refuse_half(&self, stated: &str, missing: &str) -> InputError {
@@ -448,3 +459,9 @@ fn turn_over(reading: &mut SphericalReading) {
 
 /// Place of a symmetric matrix's element in its upper triangle by rows.
 const TRIANGLE: [[usize; 3]; 3] = [[0, 1, 2], [1, 3, 4], [2, 4, 5]];
+
+/// Whether it is positive definite, whatever the units of its rows.
+fn is_definite(covariance: &Matrix6<f64>) -> bool {
+    let scale = covariance.diagonal().map(|variance| 1.0 / variance.sqrt());
+    Cholesky::new(Matrix6::from_fn(|i, j| covariance[(i, j)] * scale[i] * scale[j])).is_some()
+}
