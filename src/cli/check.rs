@@ -89,26 +89,7 @@ fn write_text(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     let model = &scenario.robot.model;
     writeln!(text, "{}: valid", scenario.name)?;
     writeln!(text, "  robot        {}, {} joints", scenario.robot.name, model.kinematics.joint_count())?;
-    for (index, link) in model.kinematics.links.iter().enumerate() {
-        let (kind, unit, scale) = match link.kind {
-            JointKind::Prismatic => ("P", "mm", 1e3),
-            JointKind::Revolute => ("R", "deg", 180.0 / std::f64::consts::PI),
-        };
-        let (centre, half) = (scenario.region.centre[index], scenario.region.half_width[index]);
-        let measured = if model.actuators.is_commanded(index) {
-            format!("measured {:9.2} to {:9.2} {unit}", (centre - half) * scale, (centre + half) * scale)
-        } else {
-            format!("follows, {:10.2} {unit} in the middle", centre * scale)
-        };
-        writeln!(
-            text,
-            "    {} {kind} {:<10} {measured}, limits {:9.2} to {:9.2} {unit}",
-            index + 1,
-            link.name,
-            link.limits[0] * scale,
-            link.limits[1] * scale,
-        )?;
-    }
+    write_joints(scenario, text)?;
     writeln!(
         text,
         "  poses        {} for identification, {} for verification, seed {}",
@@ -187,6 +168,32 @@ fn write_text(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     }
     let modes: Vec<_> = scenario.modes.iter().map(|m| m.title()).collect();
     writeln!(text, "  rows         {}", modes.join(", "))
+}
+
+/// A line a joint.
+fn write_joints(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
+    let model = &scenario.robot.model;
+    for (index, link) in model.kinematics.links.iter().enumerate() {
+        let (kind, unit, scale) = match link.kind {
+            JointKind::Prismatic => ("P", "mm", 1e3),
+            JointKind::Revolute => ("R", "deg", 180.0 / std::f64::consts::PI),
+        };
+        let (centre, half) = (scenario.region.centre[index], scenario.region.half_width[index]);
+        let measured = if model.actuators.is_commanded(index) {
+            format!("measured {:9.2} to {:9.2} {unit}", (centre - half) * scale, (centre + half) * scale)
+        } else {
+            format!("follows, {:10.2} {unit} in the middle", centre * scale)
+        };
+        writeln!(
+            text,
+            "    {} {kind} {:<10} {measured}, limits {:9.2} to {:9.2} {unit}",
+            index + 1,
+            link.name,
+            link.limits[0] * scale,
+            link.limits[1] * scale,
+        )?;
+    }
+    Ok(())
 }
 
 /// What is drawn of the tracker and its session, beside the noise.

@@ -183,7 +183,9 @@ fn question(args: &Args) -> Result<Question, CliError> {
     let mut poses = scenario.listed[0].clone().unwrap_or_else(|| {
         (0..scenario.identification_poses).map(|_| scenario.region.draw(&mut rng)).collect::<Vec<_>>()
     });
-    poses.iter_mut().for_each(|joints| scenario.robot.model.actuators.follow(joints));
+    for joints in &mut poses {
+        scenario.robot.model.actuators.follow(joints);
+    }
     Ok(Question {
         poses_from: scenario_poses(&scenario),
         name: scenario.name,

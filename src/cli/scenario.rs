@@ -267,7 +267,7 @@ fn as_json(args: &NewArgs, made: &Twin) -> String {
         "reach_m": made.reach,
         "mass_kg": made.mass,
         "region": region.collect::<Vec<_>>(),
-        "extent_m": made.extent.map(|corner| <[f64; 3]>::from(corner)),
+        "extent_m": made.extent.map(<[f64; 3]>::from),
         "tracker": {
             "preset": args.tracker.key(),
             "position_m": <[f64; 3]>::from(made.place.position),

@@ -1,5 +1,7 @@
 //! What sweeps of single axes show: circle point analysis.
 
+use std::fmt::Write;
+
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
@@ -95,7 +97,8 @@ fn of_station(swept: &SweptStation) -> Vec<String> {
         of_axis(&swept.axes[1])
     );
     if let Some([distance, sigma, nominal]) = swept.distance.map(|d| d.map(|metres| 1e3 * metres)) {
-        first += &format!(", {distance:.3} +- {sigma:.3} mm from each other (nominal {nominal:.3})");
+        // Writing to a String cannot fail.
+        let _ = write!(first, ", {distance:.3} +- {sigma:.3} mm from each other (nominal {nominal:.3})");
     }
     let mut lines = vec![first];
     match swept.open {

@@ -342,7 +342,7 @@ fn survey(robot: &Robot, options: &TwinOptions) -> Surveyed {
         planes.push((away, 0.0));
     }
     Surveyed {
-        turned: stated.is_some_and(|stated| stated != gravity) || stated.is_none(),
+        turned: stated.is_none_or(|stated| stated != gravity),
         class,
         reach,
         mass,

@@ -190,7 +190,9 @@ pub fn unexplained_face_differences(set: &MeasurementSet) -> Vec<FaceDifference>
         if station.instrument.is_some() {
             return None;
         }
-        let mut faces: BTreeMap<(Option<&str>, u32, usize), [Vec<&SphericalReading>; 2]> = BTreeMap::new();
+        // Name of a nest, or pose and target; readings of the front and of the back face.
+        type Point<'a> = (Option<&'a str>, u32, usize);
+        let mut faces: BTreeMap<Point, [Vec<&SphericalReading>; 2]> = BTreeMap::new();
         let points = set.observations.iter().filter(|observation| observation.station == index);
         let points = points.map(|o| ((None, o.pose, o.target), &o.reading));
         let nests = station.nests.iter().map(|nest| ((Some(nest.name.as_str()), 0, 0), &nest.reading));

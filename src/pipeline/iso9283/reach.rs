@@ -137,7 +137,9 @@ impl Reach<'_> {
         let count = self.centre.len();
         let led = |joint: Option<usize>| {
             let mut joints = vec![0.0; count];
-            joint.into_iter().for_each(|joint| joints[joint] = 1.0);
+            if let Some(joint) = joint {
+                joints[joint] = 1.0;
+            }
             self.actuators.follow(&mut joints);
             DVector::from_vec(joints)
         };

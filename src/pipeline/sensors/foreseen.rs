@@ -140,7 +140,7 @@ impl<'a> Session<'a> {
             (Sensor::ThreeSmrs, measured_three, three.clone()),
         ];
         if points {
-            variants.push((Sensor::CombinedPose, false, three.and_then(|three| self.combined(&three))));
+            variants.push((Sensor::CombinedPose, false, three.and_then(|three| combined(&three))));
         } else if one {
             variants.push((Sensor::Probe, true, Some(self.set.clone())));
         }
@@ -201,46 +201,46 @@ impl<'a> Session<'a> {
         set.observations = observations;
         Some(set)
     }
+}
 
-    /// The poses that three points make, where all three were seen together. Their places in the tool are taken as exact in each pose; how well the
-    /// tool is known to be turned on the flange follows from what is stated of them.
-    fn combined(&self, three: &MeasurementSet) -> Option<MeasurementSet> {
-        let in_flange: Vec<_> = three.targets.iter().map(|target| target.in_flange).collect();
-        let first = *in_flange.first()?;
-        let in_tool: Vec<_> = in_flange.iter().map(|place| place - first).collect();
-        let stated: Option<Vec<_>> = three
-            .targets
-            .iter()
-            .map(|target| {
-                Some(Reading::Cartesian { position: target.in_flange, covariance: Some(target.covariance?) })
-            })
-            .collect();
-        let turned = stated.and_then(|stated| {
-            let points: Vec<_> = in_tool.iter().copied().zip(&stated).collect();
-            combine(&points).ok()?.covariance
-        });
-        let covariance = turned.map(|covariance| covariance.fixed_view::<3, 3>(3, 3).into_owned());
-        let covariance = covariance.filter(|covariance| Cholesky::new(*covariance).is_some());
-        let others = [of_target(three, 1), of_target(three, 2)];
-        let mut observations = Vec::new();
-        for (key, observation) in of_target(three, 0) {
-            let [Some(second), Some(third)] = others.each_ref().map(|other| other.get(&key)) else {
-                continue;
-            };
-            let readings = [&observation.reading, &second.reading, &third.reading];
-            let points: Vec<_> = in_tool.iter().copied().zip(readings).collect();
-            let reading = Reading::Pose(Box::new(combine(&points).ok()?));
-            observations.push((key, Observation { reading, ..observation.clone() }));
-        }
-        observations.sort_by_key(|(key, _)| *key);
-        let orientation = TargetOrientation { flange_from_target: Rotation3::identity(), covariance };
-        let target = Target { orientation: Some(orientation), ..three.targets.first()?.clone() };
-        Some(MeasurementSet {
-            stations: three.stations.clone(),
-            targets: vec![target],
-            observations: observations.into_iter().map(|(_, observation)| observation).collect(),
+/// The poses that three points make, where all three were seen together. Their places in the tool are taken as exact in each pose; how well the
+/// tool is known to be turned on the flange follows from what is stated of them.
+fn combined(three: &MeasurementSet) -> Option<MeasurementSet> {
+    let in_flange: Vec<_> = three.targets.iter().map(|target| target.in_flange).collect();
+    let first = *in_flange.first()?;
+    let in_tool: Vec<_> = in_flange.iter().map(|place| place - first).collect();
+    let stated: Option<Vec<_>> = three
+        .targets
+        .iter()
+        .map(|target| {
+            Some(Reading::Cartesian { position: target.in_flange, covariance: Some(target.covariance?) })
         })
+        .collect();
+    let turned = stated.and_then(|stated| {
+        let points: Vec<_> = in_tool.iter().copied().zip(&stated).collect();
+        combine(&points).ok()?.covariance
+    });
+    let covariance = turned.map(|covariance| covariance.fixed_view::<3, 3>(3, 3).into_owned());
+    let covariance = covariance.filter(|covariance| Cholesky::new(*covariance).is_some());
+    let others = [of_target(three, 1), of_target(three, 2)];
+    let mut observations = Vec::new();
+    for (key, observation) in of_target(three, 0) {
+        let [Some(second), Some(third)] = others.each_ref().map(|other| other.get(&key)) else {
+            continue;
+        };
+        let readings = [&observation.reading, &second.reading, &third.reading];
+        let points: Vec<_> = in_tool.iter().copied().zip(readings).collect();
+        let reading = Reading::Pose(Box::new(combine(&points).ok()?));
+        observations.push((key, Observation { reading, ..observation.clone() }));
     }
+    observations.sort_by_key(|(key, _)| *key);
+    let orientation = TargetOrientation { flange_from_target: Rotation3::identity(), covariance };
+    let target = Target { orientation: Some(orientation), ..three.targets.first()?.clone() };
+    Some(MeasurementSet {
+        stations: three.stations.clone(),
+        targets: vec![target],
+        observations: observations.into_iter().map(|(_, observation)| observation).collect(),
+    })
 }
 
 /// A reading of another point near that of `reading`, as sure as that.

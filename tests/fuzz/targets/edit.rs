@@ -138,7 +138,9 @@ impl Seed {
         blocks: Vec<Range<usize>>,
         values: Vec<Range<usize>>,
     ) -> Self {
-        let some = |ranges: Vec<Range<usize>>| if ranges.is_empty() { vec![0..text.len()] } else { ranges };
+        let some = |ranges: Vec<Range<usize>>| {
+            if ranges.is_empty() { std::iter::once(0..text.len()).collect() } else { ranges }
+        };
         Self { text: text.to_owned(), lines: some(lines), blocks: some(blocks), values: some(values) }
     }
 

@@ -43,7 +43,7 @@ pub fn parts(file: &[u8], most: usize) -> Vec<Part> {
                 }
             }
             Record::Attachment { header, data, .. } => {
-                parts.push(Part::Attachment(header.name, data.into_owned()))
+                parts.push(Part::Attachment(header.name, data.into_owned()));
             }
             Record::Metadata(metadata) => parts.push(Part::Metadata(metadata)),
             _ => {}
@@ -107,7 +107,7 @@ pub fn damage(bytes: &mut Vec<u8>, choices: &mut Choices<'_>) {
     if choices.below(4) != 3 {
         return;
     }
-    for _ in 0..1 + choices.below(4) {
+    for _ in 0..=choices.below(4) {
         let at = choices.below(bytes.len().max(1)).min(bytes.len().saturating_sub(1));
         match choices.below(4) {
             0 => bytes.truncate(at),

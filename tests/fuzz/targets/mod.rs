@@ -51,7 +51,7 @@ pub fn read_keys_at_extremes(every: usize) {
         (scenarios::scenario_files(), scenarios::read_scenario),
         (measurements::session_files(), measurements::read_session),
         (measurements::map_files(), |text, choices| {
-            (0..3).for_each(|pair| measurements::read_map(&text, pair, choices))
+            (0..3).for_each(|pair| measurements::read_map(&text, pair, choices));
         }),
     ];
     for (seeds, read) in kinds {

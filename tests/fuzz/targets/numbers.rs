@@ -159,7 +159,7 @@ fn link(choices: &mut Choices<'_>, sized: bool) -> CraigLink {
 /// Identification of a robot in code, of any number of poses.
 pub fn identify(data: &[u8]) {
     let choices = &mut Choices::new(data);
-    let mut links: Vec<CraigLink> = (0..1 + choices.below(7)).map(|_| link(choices, true)).collect();
+    let mut links: Vec<CraigLink> = (0..=choices.below(7)).map(|_| link(choices, true)).collect();
     if choices.one_in(8) {
         // Identical joints.
         let first = links[0].clone();

@@ -16,7 +16,7 @@ struct Layout {
 /// A copy with a few of its numbers and fields replaced.
 pub fn edited(message: &[u8], choices: &mut Choices<'_>) -> Vec<u8> {
     let mut message = message.to_vec();
-    for _ in 0..1 + choices.below(4) {
+    for _ in 0..=choices.below(4) {
         let mut layout = Layout::default();
         walk(&message, 0, true, &mut layout);
         let kind = choices.below(8);

@@ -24,7 +24,7 @@ pub fn mcap(data: &[u8]) {
         7 => std::mem::replace(choices, Choices::new(&[])).rest().to_vec(),
         kind => made(usize::from(kind == 6), choices),
     };
-    file::with(&bytes, |path, other| look(path, other));
+    file::with(&bytes, look);
 }
 
 /// A recording with a few parts changed.
@@ -57,17 +57,16 @@ fn edit(part: &mut Part, choices: &mut Choices<'_>) {
     match part {
         Part::Message { data, topic, time, .. } => match choices.below(8) {
             7 => {
-                *topic = (*choices.pick(&["", "/", "/nest", "/measurement/verification", "/truth/as_built"]))
-                    .to_owned()
+                (*choices.pick(&["", "/", "/nest", "/measurement/verification", "/truth/as_built"]))
+                    .clone_into(topic);
             }
             6 => *time = *choices.pick(&[0, 1, u64::MAX, 1 << 63]),
             _ => *data = protobuf::edited(data, choices),
         },
         Part::Attachment(name, data) => {
             if choices.below(4) == 3 {
-                *name =
-                    (*choices.pick(&["robot/robot.toml", "urdf/robot.urdf", "scenario/", "/", "robot/../x"]))
-                        .to_owned();
+                (*choices.pick(&["robot/robot.toml", "urdf/robot.urdf", "scenario/", "/", "robot/../x"]))
+                    .clone_into(name);
             } else if !data.is_empty() {
                 let at = choices.below(data.len());
                 data[at] = *choices.pick(b"0-9e.\"'\n#[]=\xff");

@@ -68,13 +68,13 @@ fn message(choices: &mut Choices<'_>, time: &mut i64) -> Part {
         step => time.saturating_add([0, 10, 10, 10, 40, 100, -10][step] * 1_000_000),
     };
     let mut cdr = Cdr { bytes: vec![0, u8::from(choices.below(4) != 3), 0, 0] };
-    cdr.header(*time, if choices.below(4) == 3 { *choices.pick(&NAMES) } else { "tracker" });
+    cdr.header(*time, if choices.below(4) == 3 { choices.pick::<&str>(&NAMES) } else { "tracker" });
     match kind {
         0 => {
             let count = if choices.below(8) == 7 { choices.below(6) } else { 3 };
             cdr.u32(count);
             let names = choices.below(8) == 7;
-            (0..count).for_each(|i| cdr.text(if names { *choices.pick(&NAMES) } else { NAMES[i] }));
+            (0..count).for_each(|i| cdr.text(if names { choices.pick::<&str>(&NAMES) } else { NAMES[i] }));
             let positions = if choices.below(16) == 15 { choices.below(5) } else { count };
             cdr.u32(positions);
             (0..positions).for_each(|_| cdr.f64(value(choices)));
@@ -84,7 +84,7 @@ fn message(choices: &mut Choices<'_>, time: &mut i64) -> Part {
             cdr.u32(0);
         }
         3 => {
-            cdr.text(if choices.below(4) == 3 { *choices.pick(&NAMES) } else { "smr" });
+            cdr.text(if choices.below(4) == 3 { choices.pick::<&str>(&NAMES) } else { "smr" });
             (0..7).for_each(|_| cdr.f64(value(choices)));
         }
         _ => (0..if kind == 2 { 7 } else { 3 }).for_each(|_| cdr.f64(value(choices))),

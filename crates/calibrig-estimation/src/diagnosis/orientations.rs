@@ -71,7 +71,9 @@ pub fn orientations(model: &CalibrationModel, set: &MeasurementSet) -> Option<Or
                 }
             }
             readings += seen.len();
-            let turns = |of: fn(&[Rotation3<f64>; 2], &[Rotation3<f64>; 2]) -> Rotation3<f64>| {
+            // As the tracker sees a pose, and as the robot has it.
+            type Pair = [Rotation3<f64>; 2];
+            let turns = |of: fn(&Pair, &Pair) -> Rotation3<f64>| {
                 let own = seen.windows(2).map(|pair| axis(of(&pair[0], &pair[1]).matrix()));
                 // With their opposites the middle is zero, and the best fit is a rotation alone.
                 own.flat_map(|axis| [axis, -axis]).collect::<Vec<_>>()

@@ -390,27 +390,8 @@ fn assemble(
         ParameterId::Term(term) => Some(term),
         _ => None,
     }));
-    let mut swept = Vec::new();
-    for (index, frame, placed_by) in placed {
-        let station = &set.stations[index];
-        let own = match placed_by {
-            PlacedBy::Sweeps(place) => {
-                // Where its axes are in the base is what places this station: their tolerance is a part of that.
-                let carries = |(column, _): &mut (usize, f64)| matches!(parameters[*column], ParameterId::Link { link, .. } if link <= place.last_joint);
-                own_priors.extend(tolerances.extract_if(.., carries));
-                let with = (&instruments, stations.as_slice());
-                swept.push((priors.len(), swept_rows(set, index, &place, &mut machine, with)?));
-                Prior { columns: Vec::new(), whitening: DMatrix::zeros(0, 0), offset: DVector::zeros(0) }
-            }
-            PlacedBy::Nests(covariance) => {
-                match instruments.nests((index, station), &stations[index], frame)? {
-                    Some(own) => own,
-                    None => prior(&format!("station {}", station.name), frame, covariance)?,
-                }
-            }
-        };
-        priors.push(own);
-    }
+    let with = (&instruments, stations.as_slice(), parameters.as_slice());
+    let swept = placing(set, placed, with, &mut machine, &mut priors, (&mut own_priors, &mut tolerances))?;
     sigmas.resize(parameters.len(), None);
     let targets: Vec<Vector3<f64>> = set.targets.iter().map(|t| t.in_flange).collect();
     let x = starting_values(model, set, options, &parameters, (&stations, &offsets));
@@ -483,6 +464,41 @@ struct Stations {
     places: Vec<Transform>,
     /// Stations whose nests or sweeps are a prior: index, first column of the frame, and what these say.
     placed: Vec<(usize, usize, PlacedBy)>,
+}
+
+/// Columns with one over the standard deviation of their own prior.
+type Weights = Vec<(usize, f64)>;
+
+/// Appends the priors of stations that nests or sweeps place; of the latter the index of the prior, and the readings that it is made of.
+fn placing(
+    set: &MeasurementSet,
+    placed: Vec<(usize, usize, PlacedBy)>,
+    (instruments, stations, parameters): (&Instruments, &[Transform], &[ParameterId]),
+    machine: &mut Machine,
+    priors: &mut Vec<Prior>,
+    (own_priors, tolerances): (&mut Weights, &mut Weights),
+) -> Result<Vec<(usize, Vec<Row>)>, IdentifyError> {
+    let mut swept = Vec::new();
+    for (index, frame, placed_by) in placed {
+        let station = &set.stations[index];
+        let own = match placed_by {
+            PlacedBy::Sweeps(place) => {
+                // Where its axes are in the base is what places this station: their tolerance is a part of that.
+                let carries = |id: ParameterId| matches!(id, ParameterId::Link { link, .. } if link <= place.last_joint);
+                own_priors.extend(tolerances.extract_if(.., |(column, _)| carries(parameters[*column])));
+                swept.push((priors.len(), swept_rows(set, index, &place, machine, (instruments, stations))?));
+                Prior { columns: Vec::new(), whitening: DMatrix::zeros(0, 0), offset: DVector::zeros(0) }
+            }
+            PlacedBy::Nests(covariance) => {
+                match instruments.nests((index, station), &stations[index], frame)? {
+                    Some(own) => own,
+                    None => prior(&format!("station {}", station.name), frame, covariance)?,
+                }
+            }
+        };
+        priors.push(own);
+    }
+    Ok(swept)
 }
 
 fn stations(

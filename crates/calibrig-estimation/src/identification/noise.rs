@@ -216,6 +216,7 @@ pub(super) fn poses(set: &MeasurementSet) -> Vec<Vec<usize>> {
 
 /// What of the noise is to be found with the fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(clippy::struct_excessive_bools, reason = "any of the four can be unknown")]
 pub(super) struct Unknown {
     /// Of readings that state none.
     pub readings: bool,

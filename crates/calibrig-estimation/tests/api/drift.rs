@@ -333,9 +333,9 @@ fn intervals_of_parameters_and_places_hold_beside_a_drift() {
             let there = elsewhere(&machine, &steady, &place, trial);
             let predicted =
                 predict_places(model, &there, &options, &estimate).expect("its own").expect("known");
-            for axis in 0..3 {
+            for (axis, inside) in at_places.iter_mut().enumerate() {
                 let sigma = predicted[0].of_parameters[(axis, axis)].sqrt();
-                at_places[axis] += u64::from(predicted[0].error[axis].abs() <= factor * sigma);
+                *inside += u64::from(predicted[0].error[axis].abs() <= factor * sigma);
             }
         }
         let count = u64::from(trials);

@@ -164,7 +164,9 @@ pub fn structural_poses(model: &KinematicModel, count: usize) -> Vec<Vec<f64>> {
 /// [`structural_poses`] of a robot, with the joints that follow others where these take them.
 pub fn reachable_poses(robot: &CalibrationModel, count: usize) -> Vec<Vec<f64>> {
     let mut poses = structural_poses(&robot.kinematics, count);
-    poses.iter_mut().for_each(|joints| robot.actuators.follow(joints));
+    for joints in &mut poses {
+        robot.actuators.follow(joints);
+    }
     poses
 }
 

@@ -13,15 +13,12 @@ fn signs(command: &[f64]) -> Vec<i8> {
 }
 
 fn problem() -> CalibrationProblem {
-    let link = |kind, a, alpha, d| CraigLink {
-        name: String::new(),
-        kind,
-        a,
-        alpha,
-        beta: 0.0,
-        d,
-        theta: 0.0,
-        limits: [-3.0, 3.0],
+    let link = |kind, a, alpha, d| {
+        let link = match kind {
+            JointKind::Prismatic => CraigLink::prismatic(""),
+            JointKind::Revolute => CraigLink::revolute(""),
+        };
+        link.row(a, alpha, d, 0.0).limits(-3.0, 3.0)
     };
     let kinematics = KinematicModel {
         links: vec![
