@@ -13,8 +13,9 @@ use calibrig_model::measurement::MeasurementSet;
 
 /// Share of a row's variance that errors which are not taken for shared may have.
 const LITTLE: f64 = 0.005;
-/// Errors that are taken for shared: six for each of ten rounds of nests. Those that would come next move less, and a fit's time grows with the square of their number.
-const MOST: usize = 60;
+/// Rows times the square of the number of shared errors, which a fit's time grows with: up to 250 for 100 poses, 80 for 1000. Those beyond it, the least,
+/// stay each reading's own.
+const MOST: f64 = 2e7;
 /// The least noise of rows that state none, m and rad.
 const LEAST_NOISE: f64 = 1e-6;
 const LEAST_TURN: f64 = 1e-5;
@@ -152,7 +153,8 @@ fn most_of(
 ) -> DMatrix<f64> {
     let mut left = variances.component_div(&sigmas.component_mul(sigmas));
     let mut columns: Vec<DVector<f64>> = Vec::new();
-    while columns.len() < variances.len().min(MOST) {
+    let most = (MOST / variances.len() as f64).sqrt();
+    while columns.len() < variances.len() && (columns.len() as f64) < most {
         let (pivot, largest) = left.argmax();
         if !(largest > LITTLE) {
             break;

@@ -1,6 +1,6 @@
 //! What a row's cells say of where the target is: a point, or a full pose.
 
-use nalgebra::{Cholesky, Matrix3, Matrix6, Rotation3, Vector3};
+use nalgebra::{Cholesky, DMatrix, Matrix3, Matrix6, Rotation3, SMatrix, Vector3};
 
 use super::Cells;
 use crate::input::InputError;
@@ -28,14 +28,18 @@ impl Cells<'_> {
                     Some(own) => reading.covariance = Some(own),
                     None => {
                         let position = reading.position();
-                        return Ok(Some(Reading::Cartesian {
-                            position,
-                            covariance: Some(noise.at(&position)),
-                        }));
+                        point = Reading::Cartesian { position, covariance: Some(noise.at(&position)) };
                     }
                 }
             }
             _ => {}
+        }
+        if let Reading::Cartesian { covariance: Some(covariance), .. } = &point
+            && !is_definite(covariance)
+        {
+            let message = "the uncertainties of its coordinates are too far apart to be told from each other";
+            let expected = "standard deviations of a measured point: are their units right?";
+            return Err(self.row.refuse(self.reader.file, None, message.to_owned(), expected));
         }
         Ok(Some(point))
     }
@@ -461,7 +465,7 @@ fn turn_over(reading: &mut SphericalReading) {
 const TRIANGLE: [[usize; 3]; 3] = [[0, 1, 2], [1, 3, 4], [2, 4, 5]];
 
 /// Whether it is positive definite, whatever the units of its rows.
-fn is_definite(covariance: &Matrix6<f64>) -> bool {
-    let scale = covariance.diagonal().map(|variance| 1.0 / variance.sqrt());
-    Cholesky::new(Matrix6::from_fn(|i, j| covariance[(i, j)] * scale[i] * scale[j])).is_some()
+fn is_definite<const N: usize>(covariance: &SMatrix<f64, N, N>) -> bool {
+    let scale: Vec<f64> = covariance.diagonal().iter().map(|variance| 1.0 / variance.sqrt()).collect();
+    Cholesky::new(DMatrix::from_fn(N, N, |i, j| covariance[(i, j)] * scale[i] * scale[j])).is_some()
 }

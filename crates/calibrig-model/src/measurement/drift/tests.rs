@@ -1,6 +1,7 @@
 use nalgebra::{Matrix3, Rotation3, Vector3, Vector6};
 use rand::{Rng, RngExt};
 
+use super::walk::BEFORE;
 use super::*;
 use crate::geometry::{best_fit_transform, rotation_x, rotation_z, small_displacement, translation};
 use crate::measurement::{MeasurementSet, Observation, SphericalReading, Station, Target, register};
@@ -202,10 +203,10 @@ fn knots_are_known_together_about_the_mean_of_all_sightings() {
     let mean: nalgebra::DMatrix<f64> =
         (0..times.len()).map(|k| all.rows(6 * k, 6) / times.len() as f64).sum();
     assert!(mean.amax() < 1e-8 * all.amax(), "{} of {}", mean.amax(), all.amax());
-    assert!(
-        (&all - all.transpose()).amax() < 1e-12 * all.amax()
-            && all.symmetric_eigenvalues().min() > -1e-8 * all.amax()
-    );
+    assert_eq!(all, all.transpose());
+    let least = all.symmetric_eigenvalues().min();
+    // It is what is left of a wide variance known beforehand: singular but for the rounding of that in some fifty updates.
+    assert!(least > -1e3 * f64::EPSILON * BEFORE, "{least}");
     // Whichever of them are asked for.
     let few = walk.smooth(false, &times[3..9]).expect("six rounds").joint;
     assert_eq!(few, all.view((18, 18), (36, 36)));

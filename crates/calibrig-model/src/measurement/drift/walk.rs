@@ -8,7 +8,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix3, Matrix6, OMatrix, SMatr
 use crate::statistics::{chi2_survival, f_ln_survival};
 
 /// Variance of a state before anything was seen, m²: a centimetre, which nothing that counts as drift comes near.
-const BEFORE: f64 = 1e-4;
+pub(super) const BEFORE: f64 = 1e-4;
 /// Span of the walk over all its time within which its variance is looked for, m².
 const SPANS: [f64; 2] = [1e-16, 1e-2];
 /// Points of the first look along each variance, one a decade.
@@ -306,7 +306,9 @@ impl Walk {
             later = Some((mean, covariance, step.time));
         }
         smoothed.knots.reverse();
-        smoothed.joint = joint.about_mean() * noise_factor;
+        let joint = joint.about_mean() * noise_factor;
+        // What is known before the first sighting is wide, and its rounding is not the same on both sides.
+        smoothed.joint = (&joint + joint.transpose()) * 0.5;
         Some(smoothed)
     }
 
