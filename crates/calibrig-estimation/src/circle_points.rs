@@ -80,6 +80,16 @@ pub enum SweepError {
         /// Names of the axes.
         axes: String,
     },
+    /// Readings with more or fewer commands than the robot has joints.
+    #[error(
+        "station {station}: a reading of its sweeps has not {joints} commands, one a joint: is it of this robot?"
+    )]
+    AnotherRobot {
+        /// Name of the station.
+        station: String,
+        /// Joints of the robot.
+        joints: usize,
+    },
     /// A sweep that shows no axis.
     #[error(
         "station {station}: the sweep of {axis} shows no axis, since {why}: sweep it farther, or with the target farther from it"
@@ -156,6 +166,9 @@ pub fn place_by_sweeps(
         return Err(SweepError::TooFew { station: (station + 1).to_string(), found: "no axis".to_owned() });
     };
     let mut joints = vec![0.0; model.kinematics.joint_count()];
+    if station.sweeps.iter().any(|reading| reading.command.len() != joints.len()) {
+        return Err(SweepError::AnotherRobot { station: station.name.clone(), joints: joints.len() });
+    }
     let of_command = |reading: &Observation| {
         // A four-bar that does not close is told where the pose is fitted.
         let _ = nominal_joints(model, &reading.command, &mut joints);
@@ -201,9 +214,7 @@ fn runs_of(sweeps: &[Observation], seen: &[Vec<f64>]) -> Vec<Run> {
         while first < own.len() {
             let (mut last, mut moves) = (first + 1, None);
             while let Some(row) = own.get(last) {
-                let differs = |joint: &usize| {
-                    own[first..last].iter().any(|o| (seen[*o][*joint] - seen[*row][*joint]).abs() > RESTS)
-                };
+                let differs = |joint: &usize| (seen[own[first]][*joint] - seen[*row][*joint]).abs() > RESTS;
                 let mut moved = (0..seen[*row].len()).filter(differs);
                 match (moved.next(), moved.next(), moves) {
                     (None, ..) => {}

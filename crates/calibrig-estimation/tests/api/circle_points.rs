@@ -236,6 +236,9 @@ fn sweeps_that_do_not_place_a_station_are_refused() {
         Err(SweepError::TooFew { .. })
     ));
     assert!(place_by_sweeps(&model, &set(Vec::new(), Vec::new()), 1).is_err());
+    let of_another =
+        place_by_sweeps(&scara(), &set(readings(&model.kinematics, &one, 0.0, &mut rng), Vec::new()), 0);
+    assert_eq!(of_another, Err(SweepError::AnotherRobot { station: "T1".to_owned(), joints: 4 }));
     // Two sliding axes of one direction.
     let twice = CalibrationModel::new(vec![
         CraigLink::prismatic("rail").row(0.0, 0.0, 0.0, 0.0).limits(0.0, 4.0),
