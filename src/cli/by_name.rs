@@ -57,7 +57,7 @@ fn which(text: &str) -> Result<String, String> {
 enum FrameArg {
     /// The base nests place it; their uncertainty is a prior
     Nests,
-    /// Sweeps of two axes among the poses place it; their uncertainty is a prior
+    /// Sweeps of two axes (--sweeps) tie it to the first links
     Sweeps,
     /// Nothing
     Free,

@@ -12,7 +12,7 @@ pub enum FrameChoice {
     /// has some, else [`Free`](Self::Free).
     #[default]
     AsStated,
-    /// The base nests place the tracker; their uncertainty is a prior in the fit.
+    /// The base nests place the tracker: their readings tie it to the first links.
     Nests,
     /// [Sweeps](crate::circle_points) of two of the robot's axes place the tracker; their uncertainty is a prior in the fit.
     Sweeps,

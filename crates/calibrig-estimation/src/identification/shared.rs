@@ -30,7 +30,7 @@ pub(super) struct SharedWhitening {
 }
 
 impl SharedWhitening {
-    /// `None` where a number is none.
+    /// `None` where a number is not finite.
     pub fn new(errors: DMatrix<f64>) -> Option<Self> {
         let n = errors.ncols();
         let factor = Cholesky::<f64, Dyn>::new(errors.tr_mul(&errors) + DMatrix::identity(n, n))?.unpack();
