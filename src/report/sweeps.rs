@@ -9,6 +9,7 @@ use super::counted;
 use crate::pipeline::{Outcome, swept_stations};
 use calibrig_estimation::circle_points::{SweptAxis, SweptStation};
 use calibrig_model::JointKind;
+use calibrig_model::nalgebra::Vector3;
 
 /// A station that read sweeps of two axes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -29,6 +30,15 @@ pub struct JsonSweeps {
     pub distance_sigma_m: Option<f64>,
     /// Of the nominal robot, m.
     pub nominal_distance_m: Option<f64>,
+    /// Where the tracker stands in the base if the axes are where the nominal robot has them, m.
+    #[serde(default)]
+    pub stand_m: [f64; 3],
+    /// Its standard deviation by the scatter of the sweeps, m.
+    #[serde(default)]
+    pub stand_sigma_m: [f64; 3],
+    /// Standard deviation of its turn about the axes of the base, rad.
+    #[serde(default)]
+    pub turn_sigma_rad: [f64; 3],
     /// Directions of the place that rest on the nominal target.
     pub directions_from_nominal: usize,
 }
@@ -73,6 +83,9 @@ pub(super) fn json_sweeps(outcome: &Outcome) -> Vec<JsonSweeps> {
             distance_m: swept.distance.map(|d| d[0]),
             distance_sigma_m: swept.distance.map(|d| d[1]),
             nominal_distance_m: swept.distance.map(|d| d[2]),
+            stand_m: swept.stand[0].into(),
+            stand_sigma_m: swept.stand[1].into(),
+            turn_sigma_rad: swept.turn.into(),
             directions_from_nominal: swept.open,
         }
     };
@@ -100,7 +113,7 @@ fn of_station(swept: &SweptStation) -> Vec<String> {
         // Writing to a String cannot fail.
         let _ = write!(first, ", {distance:.3} +- {sigma:.3} mm from each other (nominal {nominal:.3})");
     }
-    let mut lines = vec![first];
+    let mut lines = vec![first, stand_words(swept)];
     match swept.open {
         0 => {}
         1 => lines
@@ -117,6 +130,19 @@ fn of_station(swept: &SweptStation) -> Vec<String> {
         ));
     }
     lines
+}
+
+fn stand_words(swept: &SweptStation) -> String {
+    let three = |of: Vector3<f64>, unit: f64, digits: usize| {
+        let [x, y, z] = (unit * of).into();
+        format!("{x:.digits$}, {y:.digits$}, {z:.digits$}")
+    };
+    format!(
+        "they put the tracker at {} mm of the base, within {} mm and {} urad by their scatter (one sigma), if the axes are where the nominal robot has them",
+        three(swept.stand[0], 1e3, 1),
+        three(swept.stand[1], 1e3, 3),
+        three(swept.turn, 1e6, 1)
+    )
 }
 
 fn of_axis(axis: &SweptAxis) -> String {

@@ -9,7 +9,7 @@
 
 use std::collections::BTreeSet;
 
-use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Matrix6, Rotation3, UnitVector3, Vector3, Vector6};
+use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Matrix3x6, Matrix6, Rotation3, UnitVector3, Vector3, Vector6};
 use thiserror::Error;
 
 use crate::kinematics::{nominal_joints, target};
@@ -28,6 +28,10 @@ pub struct SweptStation {
     pub angle: [f64; 3],
     /// Distance between the two where both turn, its standard deviation, and that of the nominal robot, m.
     pub distance: Option<[f64; 3]>,
+    /// Where the tracker stands in the base if the axes are where the nominal robot has them, and its standard deviation by the scatter of the sweeps, m.
+    pub stand: [Vector3<f64>; 2],
+    /// Standard deviation of its turn about the axes of the base, by the same, rad.
+    pub turn: Vector3<f64>,
     /// Whether a direction of the place, or all, rest on the nominal target.
     pub open: usize,
 }
@@ -402,6 +406,17 @@ fn distance_between(first: &Axis, second: &Axis, parallel: bool) -> f64 {
     if parallel { first.direction.cross(&beside).norm() } else { (beside.dot(&across) / across.norm()).abs() }
 }
 
+/// Where the tracker stands in the base with its standard deviation, m, and that of its turn, rad. `covariance` is of the base as the tracker sees it.
+fn stand_of(tracker_from_base: &Transform, covariance: &Matrix6<f64>) -> ([Vector3<f64>; 2], Vector3<f64>) {
+    let stand = tracker_from_base.inverse().translation.vector;
+    let mut change = Matrix3x6::identity();
+    change.fixed_columns_mut::<3>(3).copy_from(&-stand.cross_matrix());
+    let of_stand = change * covariance * change.transpose();
+    let sigma = |variance: f64| variance.max(0.0).sqrt();
+    let turn = covariance.diagonal().fixed_rows::<3>(3).map(sigma);
+    ([stand, of_stand.diagonal().map(sigma)], turn)
+}
+
 /// A station with its readings.
 struct View<'a> {
     model: &'a CalibrationModel,
@@ -456,6 +471,7 @@ impl View<'_> {
             of_place += along * along.transpose() * NOMINAL * NOMINAL;
         }
         let sigma = |at: usize| covariance[(at, at)].max(0.0).sqrt();
+        let (stand, turn) = stand_of(&tracker_from_base, &of_place);
         let swept = SweptStation {
             station: self.station.name.clone(),
             axes: [self.told(first, &fitted[0], &a), self.told(second, &fitted[1], &b)],
@@ -463,6 +479,8 @@ impl View<'_> {
             distance: (a.turns && b.turns).then(|| {
                 [distance_between(&a, &b, parallel), sigma(7), distance_between(&n1, &n2, parallel)]
             }),
+            stand,
+            turn,
             open: open.len(),
         };
         let last_joint = first.joint.max(second.joint);

@@ -138,7 +138,7 @@ fn exact_sweeps_of_the_nominal_robot_give_the_exact_place() {
 fn the_stated_covariance_is_that_of_the_place() {
     let trials = 400;
     for (model, commands) in robots() {
-        let mut inside = 0;
+        let (mut inside, mut stands, mut open) = (0, [0_u32; 3], 0);
         let mut rng = ChaCha8Rng::seed_from_u64(7);
         for _ in 0..trials {
             let set = set(readings(&model.kinematics, &commands, 20e-6, &mut rng), Vec::new());
@@ -148,12 +148,20 @@ fn the_stated_covariance_is_that_of_the_place() {
             // Of what the nominal target says, 0.1 m wide, nothing is seen in the sum.
             let degrees = f64::from(6 - u8::try_from(told.open).expect("few"));
             inside += u32::from(square < chi2_quantile(0.95, degrees));
+            let [stand, sigma] = told.stand;
+            let beside = stand - tracker_from_base().inverse().translation.vector;
+            for (axis, inside) in stands.iter_mut().enumerate() {
+                *inside += u32::from(beside[axis].abs() < 1.96 * sigma[axis]);
+            }
+            open = told.open;
         }
         // Where sweeps scatter by more than stated, by chance alone in half of them, the covariance is the wider one: 95 % or somewhat more, less what
         // chance does once in a thousand.
         let share = f64::from(inside) / f64::from(trials);
         let band = normal_quantile(0.9995) * (0.95 * 0.05 / f64::from(trials)).sqrt();
-        println!("inside {share}");
+        println!("inside {share}, stands {stands:?}");
+        let of = |hits: u32| f64::from(hits) / f64::from(trials);
+        assert!(open > 0 || stands.iter().all(|hits| (0.95 - band..0.99).contains(&of(*hits))), "{stands:?}");
         assert!((0.95 - band..0.99).contains(&share), "{share}");
     }
 }

@@ -242,8 +242,7 @@ fn against(reference: &(DMatrix<f64>, DVector<f64>), estimate: &Estimate) -> Aga
 #[test]
 fn the_fit_is_that_of_generalised_least_squares_with_all_readings_in_one_covariance() {
     let model = &robots()[0];
-    // With nests every 20 poses one session of three is 2.5 % too small in one parameter, and 5.3 % in the variance of one direction: open, and not known why.
-    for (plan, of_sigma, of_spread) in [((24, 6), 0.02, 0.05), ((40, 20), 0.03, 0.06)] {
+    for plan in [(24, 6), (40, 20)] {
         for trial in 0..3 {
             let (set, _) = session(&model.kinematics, plan, trial);
             let steady = remove_drift(&set).expect("sound nests");
@@ -258,8 +257,8 @@ fn the_fit_is_that_of_generalised_least_squares_with_all_readings_in_one_covaria
                 "{plan:?}: sigmas {:.3?}, covariance {:.3?}, values within {:.3} sigma; as each reading's own {:.3?}, {:.3?}, {:.3}",
                 found.sigmas, found.spread, found.value, as_own.sigmas, as_own.spread, as_own.value
             );
-            assert!(found.sigmas.iter().all(|ratio| (ratio - 1.0).abs() < of_sigma), "{:?}", found.sigmas);
-            assert!(found.spread.iter().all(|ratio| (ratio - 1.0).abs() < of_spread), "{:?}", found.spread);
+            assert!(found.sigmas.iter().all(|ratio| (ratio - 1.0).abs() < 0.02), "{:?}", found.sigmas);
+            assert!(found.spread.iter().all(|ratio| (ratio - 1.0).abs() < 0.05), "{:?}", found.spread);
             assert!(found.value < 0.1, "{}", found.value);
             // So that the bounds above can tell the two apart.
             assert!(as_own.spread[1] > 1.2, "nothing to share: {:?}", as_own.spread);

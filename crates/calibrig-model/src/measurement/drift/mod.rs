@@ -198,7 +198,8 @@ pub fn remove_drift(set: &MeasurementSet) -> Result<Steady, DriftError> {
         let times: Vec<f64> = own.map(|o| o.time).collect();
         let (mut drift, motion, left_out) = drift_of(station, &times)?;
         let correction = motion.as_ref().map(|(smoothed, open)| Correction { smoothed, open });
-        let excess = drift.noise_ratio.filter(|_| scatters_more(&drift)).unwrap_or(1.0);
+        // A walk is told by the noise that was found: where it is taken off, nests have that noise, too.
+        let excess = drift.noise_ratio.filter(|_| motion.is_some() || scatters_more(&drift)).unwrap_or(1.0);
         let Steady { measurements, stations } = &mut steady;
         measurements.stations[index].nests = merge::merged(station, correction.as_ref(), &left_out, excess);
         if let (Some(correction), DriftVerdict::Removed(size)) = (&correction, &mut drift.verdict) {
