@@ -9,7 +9,9 @@
 
 use std::collections::BTreeSet;
 
-use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Matrix3x6, Matrix6, Rotation3, UnitVector3, Vector3, Vector6};
+use nalgebra::{
+    Cholesky, DMatrix, DVector, Matrix3, Matrix3x6, Matrix6, Rotation3, UnitVector3, Vector3, Vector6,
+};
 use thiserror::Error;
 
 use crate::kinematics::{nominal_joints, target};

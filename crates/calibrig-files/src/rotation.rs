@@ -10,7 +10,7 @@ use thiserror::Error;
 const ROUNDED: f64 = 2e-3;
 
 /// Nearer to a rotation is one as it is, bit for bit.
-const EXACT: f64 = 1e-9;
+const EXACT: f64 = 1e-13;
 
 /// Numbers that are no rotation.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
@@ -216,7 +216,7 @@ fn of_matrix(matrix: &Matrix3<f64>) -> Result<ReadRotation, RotationError> {
     Ok(ReadRotation { rotation: Rotation3::from_matrix_unchecked(u * v_t), off })
 }
 
-/// The rotation of a matrix that may be rounded to a few digits: the nearest one; one that is exact to 1e-9 stays as it is, bit for bit.
+/// The rotation of a matrix that may be rounded to a few digits: the nearest one; one that is exact to 1e-13 stays as it is, bit for bit.
 ///
 /// # Errors
 /// A matrix with a number that is not finite, a left-handed one, and one that differs from a rotation by more than 2e-3.

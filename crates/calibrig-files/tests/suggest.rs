@@ -509,6 +509,10 @@ fn the_controllers_own_place_is_not_taken_for_the_trackers() {
         says: &["columns 7, 8, 9 and 10, 11, 12 can each be the position", "# DECIDE: x = 7 "],
         ..PLAIN
     });
+    // So are names that a map would read as signs.
+    let signs =
+        file(&format!("{six},X -,Y -,-Z\n"), |k| format!("{},{}", angles(k, 6, ","), place(k, 1.0, ",")));
+    check(&Case { files: &[("signs.csv", signs)], says: &["x = 7 ", "y = 8 ", "z = 9 "], ..PLAIN });
     // A controller's log with its own place, and the tracker's in another file.
     let log =
         file(&format!("{six},X,Y,Z,A,B,C\n"), |k| format!("{},{},1,2,3", angles(k, 6, ","), own(k, ",")));

@@ -132,6 +132,7 @@ fn covariances_that_no_scatter_has_are_refused_at_their_row() {
             0,0,1,0,0,4e-10,1e-10,0,1e-10,0,1e-10\n";
     for (row, message, place) in [
         ("4e-10,2.1e-10,0,1e-10,0,1e-10", "cov_zz_m2 is not positive definite", "4e-10"),
+        ("4e-10,1.99999999999999e-10,0,1e-10,0,1e-10", "cov_zz_m2 is not positive definite", "4e-10"),
         ("4e-10,0,0,0,0,1e-10", "cov_yy_m2 is \"0\": a variance of 0 was read", "0"),
         ("4e-10,0,0,1e-10,0,-1e-10", "cov_zz_m2 is \"-1e-10\"", "-1e-10"),
     ] {

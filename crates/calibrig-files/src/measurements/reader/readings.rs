@@ -203,7 +203,7 @@ impl Cells<'_> {
         if columns.len() == 36 {
             self.check_symmetry(columns, scales, &covariance)?;
         }
-        if Cholesky::new(covariance).is_none() {
+        if !is_definite(&covariance) {
             return Err(self.refuse_covariance(columns));
         }
         Ok(Some(covariance))
@@ -364,7 +364,7 @@ impl Cells<'_> {
                     self.above_zero(&columns[TRIANGLE[axis][axis]], "variance")?;
                 }
                 let covariance = Matrix3::from_fn(|i, j| values[TRIANGLE[i][j]]);
-                if covariance.cholesky().is_none() {
+                if !is_definite(&covariance) {
                     return Err(self.refuse_covariance(columns));
                 }
                 Ok(Some(covariance))
@@ -464,8 +464,12 @@ fn turn_over(reading: &mut SphericalReading) {
 /// Place of a symmetric matrix's element in its upper triangle by rows.
 const TRIANGLE: [[usize; 3]; 3] = [[0, 1, 2], [1, 3, 4], [2, 4, 5]];
 
-/// Whether it is positive definite, whatever the units of its rows.
+/// Share of a variance that the other coordinates must leave open: less is lost in the rounding of what is then done with it.
+const OPEN: f64 = 1e-12;
+
+/// Whether it is positive definite by more than rounding, whatever the units of its rows.
 fn is_definite<const N: usize>(covariance: &SMatrix<f64, N, N>) -> bool {
     let scale: Vec<f64> = covariance.diagonal().iter().map(|variance| 1.0 / variance.sqrt()).collect();
-    Cholesky::new(DMatrix::from_fn(N, N, |i, j| covariance[(i, j)] * scale[i] * scale[j])).is_some()
+    let factor = Cholesky::new(DMatrix::from_fn(N, N, |i, j| covariance[(i, j)] * scale[i] * scale[j]));
+    factor.is_some_and(|factor| factor.l_dirty().diagonal().iter().all(|pivot| pivot * pivot > OPEN))
 }

@@ -244,9 +244,12 @@ impl SeenColumn {
         if self.unit.is_some() { &self.name } else { &self.header }
     }
 
-    /// As a map names it; by number where the name is not its own.
+    /// As a map names it; by number where the name is not its own, or would be read as a sign, a sum or a number.
     pub fn entry(&self, has_header: bool) -> String {
-        if !has_header || self.name.is_empty() || self.is_repeated {
+        let name = self.said_name();
+        let is_more = name.starts_with(['-', '+', '#'])
+            || [" + ", " - "].iter().any(|sign| name.contains(sign) || name.ends_with(sign.trim_end()));
+        if !has_header || self.name.is_empty() || self.is_repeated || is_more {
             return self.number.to_string();
         }
         quoted(self.said_name())
