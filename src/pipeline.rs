@@ -66,7 +66,7 @@ use calibrig_model::{CalibrationModel, Visual};
 use calibrig_plant::PlantError;
 use calibrig_plant::effects::EffectError;
 use calibrig_plant::experiment::RegionError;
-use calibrig_plant::session::{BesideRigid, PlanError, SessionError, counting};
+use calibrig_plant::session::{BesideRigid, LEAST_PLACES, PlanError, SessionError, counting};
 pub use calibrig_plant::session::{
     MeasuredPose, MissingReading, PlantKind, SessionEvent, SessionListener, Simulation, Truth,
 };
@@ -183,6 +183,22 @@ pub enum PipelineError {
         place: u32,
         /// Why.
         source: Box<PipelineError>,
+    },
+    /// A station that the sweeps shall place does not see enough of them.
+    #[error(
+        "{station} reads {} of the {} places of the sweeps that shall place it (place {}: {why}); two sweeps need {LEAST_PLACES} places each: move the station, \
+         turn the target, sweep another range (from_mm, to_mm or from_deg, to_deg), or place it by nests",
+        counts[0],
+        counts[1],
+        counts[2]
+    )]
+    UnseenSweeps {
+        /// The station, in words.
+        station: String,
+        /// Places read, all places, and the number of the first one that was not read, from 1 on.
+        counts: [usize; 3],
+        /// Why this one was not.
+        why: String,
     },
     /// A nest is out of the tracker's reach.
     #[error("base nest {nest}: {source}")]

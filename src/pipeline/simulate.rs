@@ -3,6 +3,8 @@
 use super::machine::AnalyticMachine;
 use super::{PipelineError, PlantKind, SessionListener, Simulation, counting};
 use crate::scenario::Scenario;
+use calibrig_estimation::identification::FrameChoice;
+use calibrig_plant::session::{LEAST_PLACES, PlannedSweep, SessionPlan};
 use calibrig_plant::{Plant, SettleOptions};
 
 /// Simulates the session of `scenario`: a pure function of (scenario, seed, trial, plant).
@@ -28,7 +30,7 @@ pub fn measure_session(
 ) -> Result<Simulation, PipelineError> {
     let scenario = &*scenario.of_trial(seed, trial);
     let session = scenario.session();
-    Ok(match plant {
+    let simulation = match plant {
         PlantKind::Rapier => {
             let mut machine = Plant::new(&scenario.as_built, SettleOptions::default())?;
             session.measure(&mut machine, seed, trial, listener)?
@@ -36,5 +38,33 @@ pub fn measure_session(
         PlantKind::Analytic => {
             session.measure(&mut AnalyticMachine::new(&scenario.as_built)?, seed, trial, listener)?
         }
-    })
+    };
+    if scenario.options.frame == FrameChoice::Sweeps {
+        check_sweeps(&scenario.plan, &simulation)?;
+    }
+    Ok(simulation)
+}
+
+/// Refuses stations that see too little of the sweeps that shall place them, with the reason.
+fn check_sweeps(plan: &SessionPlan, simulation: &Simulation) -> Result<(), PipelineError> {
+    let Some(set) = simulation.sets.first() else { return Ok(()) };
+    for (index, station) in set.measurements.stations.iter().enumerate() {
+        let mut places = 0;
+        let read = |sweep: &PlannedSweep| {
+            let own = places..places + sweep.places;
+            places = own.end;
+            station.sweeps.iter().filter(|reading| own.contains(&reading.pose)).count()
+        };
+        let read: Vec<usize> = plan.sweeps.iter().map(read).collect();
+        let enough = read.iter().filter(|count| **count >= LEAST_PLACES as usize).count();
+        let missing = simulation.sweeps_missing.iter().find(|missing| missing.station == index);
+        if let (true, Some(missing)) = (enough < 2, missing) {
+            return Err(PipelineError::UnseenSweeps {
+                station: format!("station {}", station.name),
+                counts: [read.iter().sum(), places as usize, missing.pose as usize + 1],
+                why: missing.why.clone(),
+            });
+        }
+    }
+    Ok(())
 }

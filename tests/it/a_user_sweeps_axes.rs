@@ -117,3 +117,32 @@ fn intervals_hold_where_sweeps_place_the_tracker() {
         assert!((least..=most).contains(&0.95), "{}: {}", parameter["name"], parameter["coverage"]);
     }
 }
+
+/// What sweeps leave that no parameter explains changes along the way: it counts where steps are judged, or the fit ends short of its minimum.
+#[test]
+fn short_sweeps_lead_to_the_minimum_too() {
+    let sandbox = without_nests();
+    let text = sandbox.read(SWEPT).replace("from_deg = -50\nto_deg = 55\nplaces = 21\n", "");
+    sandbox.write(SWEPT, text);
+    let run = ended_well(sandbox.run(["run", SWEPT, "--json", "--out", "out"])).json();
+    let stand = |key: &str, axis: usize| run["sweeps"][0][key][axis].as_f64().expect("a number");
+    // The machine's axes are some mm and mrad off.
+    for (axis, place) in [6.0, 1.5, 1.5].into_iter().enumerate() {
+        assert!((stand("stand_m", axis) - place).abs() < 0.02, "{}", run["sweeps"]);
+    }
+    assert!(stand("stand_sigma_m", 0) < 1e-4 && stand("stand_sigma_m", 1) > 0.09, "{}", run["sweeps"]);
+}
+
+#[test]
+fn sweeps_that_a_station_does_not_see_are_told_with_what_hides_them() {
+    let sandbox = Sandbox::new();
+    let text = sandbox.read("scenarios/session.toml").replace("frame = \"nests\"", "frame = \"sweeps\"");
+    sandbox.write(SWEPT, format!("{text}\n{SWEEPS}"));
+    assert_refused(
+        &sandbox,
+        &["run", SWEPT],
+        SWEPT,
+        "of the 36 places of the sweeps",
+        "wrist hides the target",
+    );
+}

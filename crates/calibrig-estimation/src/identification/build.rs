@@ -421,6 +421,7 @@ fn assemble(
         logarithmic,
         tolerances,
         swept,
+        left_of_swept: 0.0,
         stations,
         targets,
         poses: poses(set),

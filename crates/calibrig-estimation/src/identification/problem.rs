@@ -64,6 +64,8 @@ pub(super) struct CalibrationProblem {
     pub priors: Vec<Prior>,
     /// Of the priors those that sweeps make, by their index, and the readings of these.
     pub swept: Vec<(usize, Vec<Row>)>,
+    /// Squares of what these readings are off by and no parameter changes, at the current parameters.
+    pub left_of_swept: f64,
     /// The next rows: (column, one over the standard deviation) of parameters with a prior of their own that is not the links' tolerance.
     pub own_priors: Vec<(usize, f64)>,
     /// Columns whose own prior is on the logarithm of one and the parameter.
@@ -207,6 +209,7 @@ impl CalibrationProblem {
 
     /// Gives the priors that sweeps make what these say at `x`.
     fn linearise_sweeps(&mut self, x: &[f64]) {
+        self.left_of_swept = 0.0;
         for (prior, rows) in &self.swept {
             let mut residuals = DVector::zeros(3 * rows.len());
             let mut jacobian = DMatrix::zeros(3 * rows.len(), x.len());
@@ -220,7 +223,9 @@ impl CalibrationProblem {
             }
             // A robot that cannot take a place of its sweeps says nothing new.
             if residuals.iter().all(|v| v.is_finite()) {
-                self.priors[*prior] = condensed(&residuals, &jacobian, x);
+                let (now, left) = condensed(&residuals, &jacobian, x);
+                self.priors[*prior] = now;
+                self.left_of_swept += left;
             }
         }
     }
@@ -459,6 +464,10 @@ impl LeastSquares for CalibrationProblem {
             (observation, Some(_)) => observation,
             (observation, None) => self.turn_of[observation].map_or(block, |turn| self.turn_block(turn)),
         }
+    }
+
+    fn beside(&self) -> f64 {
+        self.left_of_swept
     }
 
     fn evaluate(&mut self, x: &[f64], residuals: &mut DVector<f64>, mut jacobian: Option<&mut DMatrix<f64>>) {

@@ -48,18 +48,19 @@ pub(super) fn swept_rows(
     Ok(rows)
 }
 
-/// The prior that has the information of rows with these residuals and this Jacobian at `x`.
-pub(super) fn condensed(residuals: &DVector<f64>, jacobian: &DMatrix<f64>, x: &[f64]) -> Prior {
+/// The prior that has the information of rows with these residuals and this Jacobian at `x`, and the squares of what no parameter changes there.
+pub(super) fn condensed(residuals: &DVector<f64>, jacobian: &DMatrix<f64>, x: &[f64]) -> (Prior, f64) {
     let n = jacobian.ncols();
     let at_zero = residuals - jacobian * DVector::from_column_slice(x);
     let mut system = jacobian.clone().insert_column(n, 0.0);
     system.column_mut(n).copy_from(&at_zero);
-    // What is left below are residuals that no parameter changes.
     let r = triangular_factor_of_all(system.as_view());
     let rows = r.nrows().min(n);
-    Prior {
+    let left = if r.nrows() > n { r[(n, n)].powi(2) } else { 0.0 };
+    let prior = Prior {
         columns: (0..n).collect(),
         whitening: r.view((0, 0), (rows, n)).into_owned(),
         offset: DVector::from_iterator(rows, r.column(n).iter().copied().take(rows)),
-    }
+    };
+    (prior, left)
 }

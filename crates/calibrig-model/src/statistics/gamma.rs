@@ -93,6 +93,10 @@ fn gamma_regularised(a: f64, x: f64) -> (f64, f64) {
     }
     let terms = terms_for(a.max(x));
     let factor = density_factor(a, x);
+    if factor == 0.0 {
+        // Too far out for a number; there the fraction may not converge, for its terms are no longer whole.
+        return if x < a { (0.0, 1.0) } else { (1.0, 0.0) };
+    }
     if x < a + 1.0 {
         let (mut term, mut sum) = (1.0 / a, 1.0 / a);
         for i in 1..terms {
@@ -268,6 +272,9 @@ mod tests {
         for dof in [5e-324, 1e-300, 1e-20] {
             assert_eq!((chi2_cdf(1.0, dof), chi2_cdf(1e300, dof)), (1.0, 1.0), "{dof}");
             assert!(chi2_survival(1.0, dof) < 1e-15);
+        }
+        for dof in [1.0, 5e3, 1e9] {
+            assert_eq!((chi2_cdf(f64::MAX, dof), chi2_survival(f64::MAX, dof)), (1.0, 0.0), "{dof}");
         }
     }
 }

@@ -63,7 +63,7 @@ pub(super) struct Taken {
     effects: Vec<PoseEffects>,
     outliers: Vec<(u32, Vector3<f64>)>,
     /// Readings that the plan has and nobody took.
-    missing: Vec<MissingReading>,
+    pub missing: Vec<MissingReading>,
 }
 
 /// The trackers and targets of a session with their errors.
@@ -98,7 +98,7 @@ impl MeasuringSession<'_> {
         let stations = self.mean_places(&trackers, &schedule);
         let further_targets: Vec<_> = self.plan.targets.iter().map(|target| target.in_flange).collect();
         let setup = Setup { trackers, mounted: self.mounted(seed, trial), seed, trial };
-        self.measure_sweeps(machine, &setup, &schedule, &mut described)?;
+        let sweeps_missing = self.measure_sweeps(machine, &setup, &schedule, &mut described)?;
         let mut done = 0;
         let mut tell = |event: SessionEvent<'_>, done| match listener(event) {
             ControlFlow::Continue(()) => Ok(()),
@@ -165,7 +165,7 @@ impl MeasuringSession<'_> {
             truth.effects.push(effects);
             truth.outliers.push(outliers);
         }
-        Ok(Simulation { sets, missing, truth })
+        Ok(Simulation { sets, missing, sweeps_missing, truth })
     }
 
     pub(super) fn schedule(&self, seed: u64, trial: u32) -> Schedule {

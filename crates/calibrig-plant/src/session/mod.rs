@@ -63,11 +63,13 @@ pub struct Simulation {
     pub sets: Vec<SetOutcome>,
     /// Readings of measured poses that were planned and did not come, one vector a set.
     pub missing: Vec<Vec<MissingReading>>,
+    /// Readings of the sweeps that did not come; a pose is the number of the place among those of all sweeps.
+    pub sweeps_missing: Vec<MissingReading>,
     /// What really was.
     pub truth: Truth,
 }
 
-/// A reading that was planned and did not come, of a pose of which others did.
+/// A reading that was planned and did not come.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MissingReading {
     /// Number of the pose in its set.

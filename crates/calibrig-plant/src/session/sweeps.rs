@@ -3,7 +3,7 @@
 use super::controller::Controller;
 use super::measure::{Setup, Taken, Visit};
 use super::schedule::Schedule;
-use super::{Machine, MeasuringSession, SessionError, StationShare};
+use super::{Machine, MeasuringSession, MissingReading, SessionError, StationShare};
 use calibrig_model::measurement::Station;
 use calibrig_model::random::{self, Source};
 
@@ -37,14 +37,14 @@ impl PlannedSweep {
 }
 
 impl MeasuringSession<'_> {
-    /// Gives the stations what they read in the sweeps.
+    /// Gives the stations what they read in the sweeps, and tells which readings did not come.
     pub(super) fn measure_sweeps<M: Machine>(
         &self,
         machine: &mut M,
         setup: &Setup,
         schedule: &Schedule,
         stations: &mut [Station],
-    ) -> Result<(), SessionError<M::Error>> {
+    ) -> Result<Vec<MissingReading>, SessionError<M::Error>> {
         let (seed, trial) = (setup.seed, setup.trial);
         let mut noise = random::stream(seed, trial, Source::SweepNoise);
         let mut controller = Controller::at_home(self);
@@ -73,6 +73,7 @@ impl MeasuringSession<'_> {
                 station.sweeps.push(reading);
             }
         }
-        Ok(())
+        taken.missing.retain(|missing| missing.target == 0);
+        Ok(taken.missing)
     }
 }

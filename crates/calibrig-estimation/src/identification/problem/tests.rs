@@ -71,6 +71,7 @@ fn problem() -> CalibrationProblem {
     ];
     CalibrationProblem {
         swept: Vec::new(),
+        left_of_swept: 0.0,
         // A frame by itself, and one that nests tell together with an error of the instrument, from fewer rows than both have.
         priors: vec![
             Prior {
@@ -223,6 +224,7 @@ fn coupled() -> CalibrationProblem {
     let targets = vec![target];
     CalibrationProblem {
         swept: Vec::new(),
+        left_of_swept: 0.0,
         priors: Vec::new(),
         own_priors: vec![(40, 10.0)],
         logarithmic: Vec::new(),

@@ -196,6 +196,7 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
             DVector::from_iterator(moved.len(), moved.iter().zip(&self.x).map(|(to, from)| to - from));
         self.trial.residuals.copy_from(&self.now.residuals);
         self.trial.residuals.gemv(1.0, &self.now.jacobian, &change, 1.0);
+        self.trial.stay_beside(&self.now);
         self.trial.weigh(robust);
         let falls = self.trial.cost <= self.now.cost;
         if falls {

@@ -43,6 +43,11 @@ pub trait LeastSquares {
         block
     }
 
+    /// Squares, at the place that was evaluated last, of what no row holds and no step changes to first order: it counts where costs are compared.
+    fn beside(&self) -> f64 {
+        0.0
+    }
+
     /// Fills the m residuals at the n parameters `x` and, where asked, the m x n Jacobian of the residuals.
     fn evaluate(&mut self, x: &[f64], residuals: &mut DVector<f64>, jacobian: Option<&mut DMatrix<f64>>);
 }

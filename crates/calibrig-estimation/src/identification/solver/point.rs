@@ -20,6 +20,8 @@ pub(super) struct Point {
     pub residuals: DVector<f64>,
     pub jacobian: DMatrix<f64>,
     pub cost: f64,
+    /// Of the cost what no row holds.
+    beside: f64,
     /// One a block; empty in plain least squares.
     pub weights: Vec<f64>,
     /// Of every block the one that counts with it; empty where each counts by itself.
@@ -32,6 +34,7 @@ impl Point {
             residuals: DVector::zeros(m),
             jacobian: DMatrix::zeros(m, n),
             cost: f64::NAN,
+            beside: 0.0,
             weights: Vec::new(),
             partners: Vec::new(),
         }
@@ -47,13 +50,19 @@ impl Point {
 
     pub fn place(&mut self, problem: &mut impl LeastSquares, x: &[f64], robust: Option<Robust>) {
         problem.evaluate(x, &mut self.residuals, Some(&mut self.jacobian));
+        self.beside = problem.beside();
         self.weigh(robust);
+    }
+
+    /// Has beside its rows what another point has.
+    pub fn stay_beside(&mut self, other: &Self) {
+        self.beside = other.beside;
     }
 
     /// Cost and weights of the residuals that are there.
     pub fn weigh(&mut self, robust: Option<Robust>) {
         let Some(Robust { loss, scale, blocks }) = robust else {
-            self.cost = self.residuals.norm_squared();
+            self.cost = self.beside + self.residuals.norm_squared();
             return;
         };
         self.weights.clear();
@@ -63,7 +72,8 @@ impl Point {
             cost += loss.rho(z);
             self.weights.push(loss.weight(z));
         }
-        self.cost = scale * scale * cost + self.residuals.rows_range(3 * blocks..).norm_squared();
+        let quadratic = self.residuals.rows_range(3 * blocks..).norm_squared();
+        self.cost = self.beside + scale * scale * cost + quadratic;
     }
 
     pub fn is_finite(&self) -> bool {
