@@ -122,6 +122,7 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
         stations: vec![tracker_from_base],
         instrument: Vec::new(),
         further_targets: Vec::new(),
+        payloads: Vec::new(),
         orientation: None,
         poses: settled,
         outliers: Vec::new(),
@@ -288,6 +289,7 @@ fn measure(
             time: 12.5 * f64::from(pose),
             station: 0,
             target: 0,
+            payload: None,
             reading: see(&settled.target),
         });
     MeasurementSet {
