@@ -27,9 +27,7 @@ pub fn planned(scenario: &Scenario) -> Result<MeasurementSet, PipelineError> {
         verification_poses: 0,
         ..scenario.clone()
     };
-    for payload in &mut session.plan.payloads.payloads {
-        payload.real = payload.stated.clone();
-    }
+    session.plan.payloads.make_as_stated();
     session.tracker.instrument.noise = false;
     if let Some(probe) = &mut session.probe {
         probe.noise = false;

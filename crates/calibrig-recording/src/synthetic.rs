@@ -22,7 +22,7 @@ use calibrig_model::measurement::{
 use calibrig_model::measurement::{SetKind, SetOutcome};
 use calibrig_model::{
     ActuatorMap, Body, CalibrationModel, CraigLink, JointKind, KinematicModel, LinkTerm, ParameterId,
-    StaticProperties, Visual, VisualShape,
+    Payload, StaticProperties, Visual, VisualShape,
 };
 use calibrig_plant::effects::{Effects, PoseEffects};
 use calibrig_plant::session::Truth;
@@ -289,7 +289,7 @@ fn measure(
             time: 12.5 * f64::from(pose),
             station: 0,
             target: 0,
-            payload: None,
+            payload: (pose % 3 == 2).then(|| Payload::of_mass("plates, 25 kg", 25.0, Vector3::new(0.0, -0.0, 0.12))),
             reading: see(&settled.target),
         });
     MeasurementSet {
