@@ -419,7 +419,8 @@ pub fn recorded_truth(path: &Path) -> Result<Result<Truth, NoTruth>, ReplayError
     let Ok(stations) = scenario.session().stations(seed, trial) else {
         return Ok(Err(NoTruth::OtherMachine));
     };
-    let payloads: Vec<_> = scenario.plan.payloads.payloads.iter().map(|payload| payload.real.clone()).collect();
+    let payloads: Vec<_> =
+        scenario.plan.payloads.payloads.iter().map(|payload| payload.real.clone()).collect();
     let setting = TrueSetting {
         as_built: &as_built,
         stations: &stations,

@@ -4,10 +4,10 @@ use maud::{Markup, html};
 use nalgebra::Vector3;
 use plotters::prelude::*;
 
-use super::{ReportError, payload_words, set_title};
 use super::plots::{
     Area, Drawn, VIEWS, WIDTH, centred, finite_range, ink, look, padded, place_axes, px, svg,
 };
+use super::{ReportError, payload_words, set_title};
 use crate::pipeline::{ModeOutcome, Outcome, SetOutcome};
 use calibrig_model::measurement::{Observation, Reading};
 

@@ -145,7 +145,7 @@ pub(super) fn simulated() -> Outcome {
             stations: vec![tracker_from_base],
             instrument: Vec::new(),
             further_targets: Vec::new(),
-        payloads: Vec::new(),
+            payloads: Vec::new(),
             orientation: None,
             poses: Vec::new(),
             effects: Vec::new(),

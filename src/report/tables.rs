@@ -8,7 +8,10 @@ use super::judgement::judgement_lines;
 use super::sensors::sensor_lines;
 use super::splits::split_lines;
 use super::sweeps::sweep_words;
-use super::{condition_words, consistency_ratio, counted, left_out_words, payload_words, pose_words, published, set_title};
+use super::{
+    condition_words, consistency_ratio, counted, left_out_words, payload_words, pose_words, published,
+    set_title,
+};
 use crate::pipeline::{Outcome, SetOutcome};
 use calibrig_estimation::evaluation::AccuracyRow;
 use calibrig_estimation::identification::{Assumption, Estimate, NoiseScale, Warning};

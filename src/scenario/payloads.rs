@@ -39,7 +39,8 @@ pub(super) fn payloads(
         };
     };
     let file = section.get_ref();
-    let lists = [("identification", &file.identification, poses[0]), ("verification", &file.verification, poses[1])];
+    let lists =
+        [("identification", &file.identification, poses[0]), ("verification", &file.verification, poses[1])];
     let mut carried: [Vec<Option<usize>>; 2] = Default::default();
     for ((key, list, poses), carried) in lists.into_iter().zip(&mut carried) {
         let Some(list) = list else { continue };
@@ -57,7 +58,8 @@ pub(super) fn payloads(
             return Err(source.error(list.span(), message, Some(help)));
         }
     }
-    if let Some(idle) = (0..stated.len()).find(|index| !carried.iter().flatten().any(|c| *c == Some(*index))) {
+    if let Some(idle) = (0..stated.len()).find(|index| !carried.iter().flatten().any(|c| *c == Some(*index)))
+    {
         let message = format!("no pose carries payload {:?}", stated[idle].name);
         let help = "expected its name in carried.identification or carried.verification".to_owned();
         return Err(source.error(tables[idle].span(), message, Some(help)));

@@ -3,8 +3,8 @@
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use calibrig::identification::Estimate;
-use calibrig::model::{Compliance, ParameterId};
+use calibrig::identification::{Estimate, IdentificationOptions, Mode, Warning, identify};
+use calibrig::model::{CalibrationModel, Compliance, ParameterId};
 use calibrig::pipeline::{Outcome, PlantKind, run_trial};
 use calibrig::scenario::{Scenario, load_scenario};
 use calibrig::session::PayloadPlan;
@@ -61,7 +61,8 @@ fn reports_say_which_loads_were_carried() {
     let outcome = run(&scenario(), 1);
     let text = calibrig::report::render_tables(&outcome, calibrig::report::Style::Plain);
     let words = text.split_whitespace().collect::<Vec<_>>().join(" ");
-    let expected = "the flange carried nothing at 20 poses, 25 kg (25.0 kg) at 20 poses, 50 kg (50.0 kg) at 20 poses";
+    let expected =
+        "the flange carried nothing at 20 poses, 25 kg (25.0 kg) at 20 poses, 50 kg (50.0 kg) at 20 poses";
     assert!(words.contains(expected), "{text}");
     let json = serde_json::to_value(calibrig::report::json_report(&outcome)).expect("a report");
     let payloads = json["sets"]["identification"]["payloads"].as_array().expect("a list");
@@ -83,8 +84,18 @@ fn bad_payloads_of_a_scenario_are_refused() {
         ("mass_kg = 25\n", "mass = 25\n", "unknown key `mass`", "mass_kg"),
         ("z_mm = 120\n", "", "payload \"25 kg\" has no centre", "z_mm"),
         ("mass_kg = 25\n", "mass_kg = 25\nmass_factor = 0\n", "mass_factor is 0", "above zero"),
-        ("identification = [\"none\", \"25 kg\"", "identification = [\"none\", \"25kg\"", "names \"25kg\"", "most likely \"25 kg\""),
-        ("[carried]\nidentification = [\"none\", \"25 kg\", \"50 kg\"]\nverification = [\"none\", \"25 kg\", \"50 kg\"]\norder = \"blocks\"\n", "", "no pose carries this payload", "[carried]"),
+        (
+            "identification = [\"none\", \"25 kg\"",
+            "identification = [\"none\", \"25kg\"",
+            "names \"25kg\"",
+            "most likely \"25 kg\"",
+        ),
+        (
+            "[carried]\nidentification = [\"none\", \"25 kg\", \"50 kg\"]\nverification = [\"none\", \"25 kg\", \"50 kg\"]\norder = \"blocks\"\n",
+            "",
+            "no pose carries this payload",
+            "[carried]",
+        ),
         ("name = \"50 kg\"", "name = \"25 kg\"", "a second payload \"25 kg\"", "of its own"),
         ("order = \"blocks\"", "order = \"block\"", "block", "blocks"),
     ] {
@@ -95,4 +106,61 @@ fn bad_payloads_of_a_scenario_are_refused() {
         assert!(ended.code == Some(2) || ended.code == Some(1), "{ended:?}");
         assert!(told.contains(message) && told.contains(help) && told.contains("payloads.toml:"), "{told}");
     }
+}
+
+/// By files alone: recorded and replayed bit for bit, written as text and identified again to the same bits; a robot without springs says that it
+/// does not use them.
+#[test]
+fn payloads_go_through_recordings_and_files() {
+    let sandbox = Sandbox::new();
+    let checked = sandbox.run(["check", SCENARIO]);
+    let expected =
+        "payloads     identification: nothing, 25 kg (25.0 kg), 50 kg (50.0 kg); one behind the other";
+    assert!(checked.stdout.contains(expected), "{checked:?}");
+    let ran = sandbox.run(["run", SCENARIO, "--out", "out", "--json"]);
+    assert_eq!(ran.code, Some(0), "{ran:?}");
+    assert!(sandbox.read("out/report.html").contains("Payload, identification set"));
+    let replayed = sandbox.run(["replay", "out/recording.mcap"]);
+    assert_eq!(replayed.code, Some(0), "{replayed:?}");
+    let exported = sandbox.run(["export", "csv", "out/recording.mcap", "--out", "tables"]);
+    assert_eq!(exported.code, Some(0), "{exported:?}");
+    let rows = sandbox.read("tables/identification.csv");
+    assert!(
+        rows.lines().next().is_some_and(|header| header.contains("payload,payload_mass_kg,payload_x_m")),
+        "{rows}"
+    );
+    assert_eq!(rows.lines().filter(|row| row.contains(",50 kg,50.0,0.0,0.0,0.145,")).count(), 20, "{rows}");
+    let back = "export mcap --model tables/robot.toml --measurements tables/identification.csv --verify tables/verification.csv \
+                --session tables/session.toml --out back.mcap";
+    let back = sandbox.run(back.split_whitespace());
+    assert_eq!(back.code, Some(0), "{back:?}");
+    let again = sandbox.run(["export", "csv", "back.mcap", "--out", "again"]);
+    assert_eq!(again.code, Some(0), "{again:?}");
+    assert_eq!(sandbox.read("again/identification.csv"), rows);
+}
+
+/// A robot whose model has nothing that yields is not moved by a payload, which is told once; one that yields is silent.
+#[test]
+fn a_robot_without_springs_says_that_it_does_not_use_payloads() {
+    let scenario = scenario();
+    let outcome = run(&scenario, 1);
+    let set = &outcome.sets[0].measurements;
+    let told = |model: &CalibrationModel| {
+        let options = IdentificationOptions { mode: Mode::OnlyCalibration, ..scenario.options.clone() };
+        let estimate = identify(model, set, &options).expect("an estimate");
+        let idle = estimate.warnings.iter().filter(|w| matches!(w, Warning::IdlePayloads { .. }));
+        idle.map(ToString::to_string).collect::<Vec<_>>()
+    };
+    let mut rigid = scenario.robot.model.clone();
+    rigid.statics.as_mut().expect("statics").make_rigid();
+    let unknown = CalibrationModel { statics: None, ..rigid.clone() };
+    for model in [&rigid, &unknown] {
+        let words = told(model);
+        assert_eq!(words.len(), 1, "{words:?}");
+        assert!(
+            words[0].contains("poses carry payloads (25 kg, 50 kg)") && words[0].contains("not used"),
+            "{words:?}"
+        );
+    }
+    assert!(told(&scenario.robot.model).is_empty());
 }

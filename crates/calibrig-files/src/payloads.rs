@@ -91,7 +91,8 @@ impl PayloadTable {
         let name = self.name.get_ref();
         if name.trim().is_empty() || name.trim() != name || name == NO_PAYLOAD {
             let message = format!("payload.name is {name:?}");
-            let help = format!("expected a name for people without blanks at its ends, other than {NO_PAYLOAD:?}");
+            let help =
+                format!("expected a name for people without blanks at its ends, other than {NO_PAYLOAD:?}");
             return Err(source.error(self.name.span(), message, Some(help)));
         }
         let forces = [&self.force_x_n, &self.force_y_n, &self.force_z_n];
@@ -101,7 +102,8 @@ impl PayloadTable {
                 force[axis] = source.finite(&format!("payload.{key}"), value)?;
             }
         }
-        let refuse = |message: String, help: &str| Err(source.error(span.clone(), message, Some(help.to_owned())));
+        let refuse =
+            |message: String, help: &str| Err(source.error(span.clone(), message, Some(help.to_owned())));
         let mass = match &self.mass_kg {
             Some(mass) => source.not_negative("payload.mass_kg", mass)?,
             None if force != Vector3::zeros() => 0.0,
@@ -170,7 +172,11 @@ mod tests {
             ("mass_kg = 25\n".to_owned(), "payload \"a\" has no centre", "in the flange frame"),
             (format!("mass = 25\n{centre}"), "unknown key `mass`", "mass_kg"),
             (format!("mass_kg = 25\nz = 0.1\n{centre}"), "unknown key `z`", "z_mm"),
-            (format!("mass_kg = 25\n{centre}[[payload]]\nname = \"a\"\nmass_kg = 1\n{centre}"), "a second payload", "its own"),
+            (
+                format!("mass_kg = 25\n{centre}[[payload]]\nname = \"a\"\nmass_kg = 1\n{centre}"),
+                "a second payload",
+                "its own",
+            ),
         ] {
             let error = read(&format!("[[payload]]\nname = \"a\"\n{rest}")).expect_err(message);
             let text = format!("{:?}", miette::Report::new(error));

@@ -289,7 +289,8 @@ fn measure(
             time: 12.5 * f64::from(pose),
             station: 0,
             target: 0,
-            payload: (pose % 3 == 2).then(|| Payload::of_mass("plates, 25 kg", 25.0, Vector3::new(0.0, -0.0, 0.12))),
+            payload: (pose % 3 == 2)
+                .then(|| Payload::of_mass("plates, 25 kg", 25.0, Vector3::new(0.0, -0.0, 0.12))),
             reading: see(&settled.target),
         });
     MeasurementSet {

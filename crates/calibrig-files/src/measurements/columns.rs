@@ -19,8 +19,8 @@ use super::text::TextFormat;
 use super::units::{AirQuantity, AngleUnit, LengthUnit, TemperatureUnit, TimeUnit};
 use crate::input::{InputError, Source};
 use crate::rotation::{MatrixOrder, RotationForm};
-use calibrig_model::{JointKind, Payload};
 use calibrig_model::measurement::{Face, SphericalReading};
+use calibrig_model::{JointKind, Payload};
 use nalgebra::{Matrix3, Vector3};
 
 /// Which columns of a file mean what, and in which unit. The default is calibrig's own columns.

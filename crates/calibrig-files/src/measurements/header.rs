@@ -3,8 +3,8 @@
 use std::fmt;
 
 use super::columns::{
-    ColumnRef, Entry, FaceColumn, Mapping, Noise, PayloadColumns, PolarAngle, PositionColumns, RotationColumns, Sets,
-    SigmaUnits, Uncertainty,
+    ColumnRef, Entry, FaceColumn, Mapping, Noise, PayloadColumns, PolarAngle, PositionColumns,
+    RotationColumns, Sets, SigmaUnits, Uncertainty,
 };
 use super::layout::Column;
 use super::rows::Row;

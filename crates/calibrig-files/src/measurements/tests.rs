@@ -10,11 +10,11 @@ use super::*;
 use crate::input::{InputError, Source};
 use crate::robot::tests::base_from_flange;
 use crate::{Robot, load_robot};
-use calibrig_model::{JointKind, Payload};
 use calibrig_model::geometry::{Transform, best_fit_transform, cross_matrix, small_displacement};
 use calibrig_model::measurement::{
     Face, MeasurementSet, Observation, PoseReading, Reading, SphericalReading, Station, Target,
 };
+use calibrig_model::{JointKind, Payload};
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Point3, Rotation3, Vector3, Vector6};
 use proptest::prelude::*;
 
@@ -347,7 +347,12 @@ fn observation(kind: u8, diagonal: bool) -> impl Strategy<Value = Observation> {
         prop::option::of(payload()),
     );
     parts.prop_map(
-        move |((number, command, approach), (temperature, time, place, c), (stated, is_back, turn), payload)| {
+        move |(
+            (number, command, approach),
+            (temperature, time, place, c),
+            (stated, is_back, turn),
+            payload,
+        )| {
             let c = c.map(|value| value + f64::copysign(1e-9, value));
             let covariance = if diagonal {
                 Matrix3::from_diagonal(&Vector3::new(c[0] * c[0], c[1] * c[1], c[2] * c[2]))
@@ -375,7 +380,17 @@ fn observation(kind: u8, diagonal: bool) -> impl Strategy<Value = Observation> {
                 Reading::Cartesian { position, covariance: stated.then_some(covariance) }
             };
             let pose = number;
-            Observation { pose, command, approach, temperature, time, station: 0, target: 0, payload, reading }
+            Observation {
+                pose,
+                command,
+                approach,
+                temperature,
+                time,
+                station: 0,
+                target: 0,
+                payload,
+                reading,
+            }
         },
     )
 }

@@ -11,8 +11,8 @@ use super::units::TEMPERATURES;
 use crate::input::InputError;
 use crate::payloads::NO_PAYLOAD;
 use crate::rotation::{RotationError, rotation_of_matrix};
-use calibrig_model::{JointKind, Payload, PayloadError};
 use calibrig_model::measurement::{Face, MeasurementSet, Observation, Reading};
+use calibrig_model::{JointKind, Payload, PayloadError};
 
 /// A measurement file that cannot be used, or a set that cannot be written as one.
 #[derive(Debug, Error, Diagnostic)]

@@ -104,7 +104,8 @@ impl MeasuringSession<'_> {
             ControlFlow::Continue(()) => Ok(()),
             ControlFlow::Break(()) => Err(SessionError::Interrupted { done, total }),
         };
-        let payloads: Vec<_> = self.plan.payloads.payloads.iter().map(|payload| payload.real.clone()).collect();
+        let payloads: Vec<_> =
+            self.plan.payloads.payloads.iter().map(|payload| payload.real.clone()).collect();
         let begin = SessionEvent::Begin {
             as_built: self.as_built,
             stations: &stations,

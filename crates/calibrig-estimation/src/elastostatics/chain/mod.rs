@@ -32,7 +32,9 @@ use self::place::{LoopPlace, TermsPlace, finite};
 use self::screw::{Lump, Screw};
 use crate::kinematics::ClosureError;
 use calibrig_model::geometry::Transform;
-use calibrig_model::{ActuatorMap, CalibrationModel, ModelError, Payload, PayloadError, PointLoad, TermPlace};
+use calibrig_model::{
+    ActuatorMap, CalibrationModel, ModelError, Payload, PayloadError, PointLoad, TermPlace,
+};
 
 /// How much of the statics a pose is settled with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -16,7 +16,8 @@ impl Reader<'_> {
     ) -> Result<Option<PayloadColumns>, InputError> {
         let known = read_payloads(self.source, tables)?;
         if let Some(factor) = tables.iter().find_map(|table| table.get_ref().mass_factor.as_ref()) {
-            let expected = "it in the [[payload]] of a scenario, whose machine carries more or less than is stated";
+            let expected =
+                "it in the [[payload]] of a scenario, whose machine carries more or less than is stated";
             return Err(self.error(factor.span(), "mass_factor is of a simulated payload", expected));
         }
         let centre = [&t.payload_x_mm, &t.payload_y_mm, &t.payload_z_mm];
@@ -27,11 +28,19 @@ impl Reader<'_> {
             (None, None, None) => Ok(None),
             (_, Some(number), Some(_)) => {
                 let message = "payloads are stated twice: by columns of numbers, and by [[payload]]";
-                Err(self.error(number.span(), message, "payload with [[payload]], or payload_mass_kg and its centre"))
+                Err(self.error(
+                    number.span(),
+                    message,
+                    "payload with [[payload]], or payload_mass_kg and its centre",
+                ))
             }
             (None, None, Some(table)) => {
                 let message = "no column says which rows carry this payload";
-                Err(self.error(table.span(), message, "payload in [columns]: the column with the payloads' names"))
+                Err(self.error(
+                    table.span(),
+                    message,
+                    "payload in [columns]: the column with the payloads' names",
+                ))
             }
             (Some(column), None, Some(_)) => {
                 Ok(Some(PayloadColumns::Named { column: self.single(column)?, known }))

@@ -30,12 +30,16 @@ fn payloads_by_name_are_those_of_the_map() {
     let poses: Vec<_> = loaded.set.observations.iter().map(|o| o.pose).collect();
     assert_eq!(poses, [1, 2, 2, 4]);
     let refused = told(named("1,2,3,4,5,25kg\n").expect_err("unknown"));
-    assert!(refused.contains("set.csv:2: column Load is \"25kg\"") && refused.contains("most likely \"25 kg\""), "{refused}");
+    assert!(
+        refused.contains("set.csv:2: column Load is \"25kg\"") && refused.contains("most likely \"25 kg\""),
+        "{refused}"
+    );
 }
 
 #[test]
 fn payloads_by_numbers_are_read_in_the_units_of_their_keys() {
-    let read = |row: &str| mapped(&format!("s,t,x,y,z,m,cx,cy,cz\n{row}\n"), &map(&format!("{CARTESIAN}{NUMBERS}")));
+    let read =
+        |row: &str| mapped(&format!("s,t,x,y,z,m,cx,cy,cz\n{row}\n"), &map(&format!("{CARTESIAN}{NUMBERS}")));
     let payload = |row: &str| read(row).expect("valid").set.observations[0].payload.clone();
     let expected = Payload::of_mass("25 kg", 25.0, Vector3::new(0.001, -0.002, 0.1));
     assert_eq!(payload("1,2,3,4,5,25,1,-2,100"), Some(expected));
@@ -59,18 +63,42 @@ fn maps_that_leave_a_payload_open_are_refused() {
         (column.to_owned(), "nothing says what the names in it stand for", "[[payload]] with name"),
         (PLATES.to_owned(), "no column says which rows carry this payload", "payload in [columns]"),
         (format!("{NUMBERS}{PLATES}"), "payloads are stated twice", "payload with [[payload]]"),
-        (NUMBERS.replace("payload_z_mm = \"cz\"\n", ""), "[columns] has no payload_z_mm", "the key payload_z_mm"),
-        (NUMBERS.replace("payload_mass_kg = \"m\"\n", ""), "[columns] has no payload_mass_kg", "the key payload_mass_kg"),
+        (
+            NUMBERS.replace("payload_z_mm = \"cz\"\n", ""),
+            "[columns] has no payload_z_mm",
+            "the key payload_z_mm",
+        ),
+        (
+            NUMBERS.replace("payload_mass_kg = \"m\"\n", ""),
+            "[columns] has no payload_mass_kg",
+            "the key payload_mass_kg",
+        ),
         (NUMBERS.replace("payload_mass_kg", "payload_mass"), "unknown key `payload_mass`", "payload_mass_kg"),
         (NUMBERS.replace("payload_x_mm", "payload_x"), "unknown key `payload_x`", "payload_x_mm"),
-        (format!("{column}{}", PLATES.replace("mass_kg = 25.02\n", "")), "payload \"25 kg\" has no mass", "expected mass_kg"),
-        (format!("{column}{}", PLATES.replace("z_mm = 118\n", "")), "payload \"25 kg\" has no centre", "z_mm"),
-        (format!("{column}{PLATES}mass_factor = 1.1\n"), "mass_factor is of a simulated payload", "of a scenario"),
+        (
+            format!("{column}{}", PLATES.replace("mass_kg = 25.02\n", "")),
+            "payload \"25 kg\" has no mass",
+            "expected mass_kg",
+        ),
+        (
+            format!("{column}{}", PLATES.replace("z_mm = 118\n", "")),
+            "payload \"25 kg\" has no centre",
+            "z_mm",
+        ),
+        (
+            format!("{column}{PLATES}mass_factor = 1.1\n"),
+            "mass_factor is of a simulated payload",
+            "of a scenario",
+        ),
         (format!("{NUMBERS}payload_force_x_n = \"fx\"\n"), "[columns] has no payload_force_y_n", "the key"),
     ] {
-        let text = format!("schema = \"calibrig.columns/1\"\n[joints]\ncolumns = [\"s\", \"t\"]\n{CARTESIAN}{map}");
+        let text =
+            format!("schema = \"calibrig.columns/1\"\n[joints]\ncolumns = [\"s\", \"t\"]\n{CARTESIAN}{map}");
         let refused = told(crate::parse_column_map(&Source::new("map.toml", text)).expect_err(message));
-        assert!(refused.contains(message) && refused.contains(help) && refused.contains("map.toml"), "{refused}");
+        assert!(
+            refused.contains(message) && refused.contains(help) && refused.contains("map.toml"),
+            "{refused}"
+        );
     }
 }
 
@@ -81,8 +109,10 @@ fn own_columns_of_a_payload_call_for_mass_and_centre() {
     let loaded = read(OWN_PAYLOAD).expect("valid");
     let plates = Payload::of_mass("plates", 25.0, Vector3::new(0.0, 0.0, 0.1));
     assert_eq!([0, 1].map(|i| loaded.set.observations[i].payload.clone()), [Some(plates), None]);
-    let nameless = told(read("q1_m,q2_rad,x_m,y_m,z_m,payload\n1,2,3,4,5,plates\n").expect_err("a name alone"));
+    let nameless =
+        told(read("q1_m,q2_rad,x_m,y_m,z_m,payload\n1,2,3,4,5,plates\n").expect_err("a name alone"));
     assert!(nameless.contains("there is a column payload, and none of payload_mass_kg"), "{nameless}");
-    let centreless = told(read("q1_m,q2_rad,x_m,y_m,z_m,payload_mass_kg\n1,2,3,4,5,25\n").expect_err("no centre"));
+    let centreless =
+        told(read("q1_m,q2_rad,x_m,y_m,z_m,payload_mass_kg\n1,2,3,4,5,25\n").expect_err("no centre"));
     assert!(centreless.contains("column payload_x_m is missing"), "{centreless}");
 }

@@ -197,7 +197,9 @@ fn columns_of_loaded_robots_are_central_differences() {
         centre: Vector3::new(0.05, -0.08, 0.2),
         force: Vector3::new(60.0, -80.0, 30.0),
     };
-    for (name, case) in [("serial", serial(1)), ("serial", serial(2)), ("serial", serial(5)), ("painter", painter(0))] {
+    for (name, case) in
+        [("serial", serial(1)), ("serial", serial(2)), ("serial", serial(5)), ("painter", painter(0))]
+    {
         let mut bare = ElasticChain::of(&case.model);
         let mut compliance_of_drive = |payload: Option<&Payload>| {
             bare.set_payload(payload).expect("sound");
@@ -206,7 +208,10 @@ fn columns_of_loaded_robots_are_central_differences() {
             bare.change(ParameterId::Compliance(Compliance::Drive { joint: 2 }))
         };
         let (unloaded, loaded) = (compliance_of_drive(None), compliance_of_drive(Some(&payload)));
-        assert!((loaded - unloaded).amax() > 1e-2 * unloaded.amax().max(loaded.amax()), "{name}: {loaded} {unloaded}");
+        assert!(
+            (loaded - unloaded).amax() > 1e-2 * unloaded.amax().max(loaded.amax()),
+            "{name}: {loaded} {unloaded}"
+        );
         let (mut settler, ids) = settler(case, Deflection::Equilibrium);
         settler.chain.set_payload(Some(&payload)).expect("sound");
         settler.check(|_| 0.0, &ids, &format!("loaded {name}"));
