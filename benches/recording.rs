@@ -72,7 +72,8 @@ fn tell_session(outcome: &Outcome, tell: &mut dyn FnMut(SessionEvent<'_>)) {
     let truth = outcome.truth.as_ref().expect("simulated");
     let poses = outcome.sets.iter().map(|set| set.measurements.observations.len() as u32).sum();
     let (as_built, stations) = (&truth.as_built, &truth.stations[..]);
-    tell(SessionEvent::Begin { as_built, stations, further_targets: &truth.further_targets, poses });
+    let (further_targets, payloads) = (&truth.further_targets[..], &truth.payloads[..]);
+    tell(SessionEvent::Begin { as_built, stations, further_targets, payloads, poses });
     for (place, set) in outcome.sets.iter().enumerate() {
         let observations = &set.measurements.observations;
         tell(SessionEvent::Set { set, planned: observations.len() as u32 });

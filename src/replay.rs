@@ -419,7 +419,14 @@ pub fn recorded_truth(path: &Path) -> Result<Result<Truth, NoTruth>, ReplayError
     let Ok(stations) = scenario.session().stations(seed, trial) else {
         return Ok(Err(NoTruth::OtherMachine));
     };
-    let setting = TrueSetting { as_built: &as_built, stations: &stations, further_targets: &further_targets };
+    let payloads: Vec<_> =
+        scenario.plan.payloads.payloads.iter().map(|payload| payload.real.clone()).collect();
+    let setting = TrueSetting {
+        as_built: &as_built,
+        stations: &stations,
+        further_targets: &further_targets,
+        payloads: &payloads,
+    };
     if recorded != RecordedMachine::of(&robot.model, setting) {
         return Ok(Err(NoTruth::OtherMachine));
     }
@@ -428,6 +435,7 @@ pub fn recorded_truth(path: &Path) -> Result<Result<Truth, NoTruth>, ReplayError
         stations,
         // A recording does not tell it.
         instrument: Vec::new(),
+        payloads,
         further_targets,
         orientation: scenario.probe.map(|probe| probe.flange_from_target),
         poses: Vec::new(),

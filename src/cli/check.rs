@@ -12,6 +12,8 @@ use calibrig_estimation::identification::{
     ComplianceChoice, FrameChoice, Mode, ParameterChoice, TargetChoice,
 };
 use calibrig_model::JointKind;
+use calibrig_model::measurement::SetKind;
+use calibrig_plant::session::{PayloadOrder, PayloadPlan};
 
 /// Validate a scenario and the files it names, and say what would run
 #[derive(Debug, clap::Args)]
@@ -75,6 +77,7 @@ fn json_session(scenario: &Scenario) -> serde_json::Value {
         "order": plan.order.key(),
         "poses_shared": plan.share.key(),
         "line_of_sight": plan.sight.is_some(),
+        "payloads": plan.payloads.payloads.iter().map(|payload| &payload.stated.name).collect::<Vec<_>>(),
     })
 }
 
@@ -118,6 +121,7 @@ fn write_text(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
         )?;
     }
     writeln!(text, "  base nests   {}", scenario.nests.len())?;
+    payload_lines(scenario, text)?;
     session_lines(scenario, text)?;
     for (index, effect) in scenario.as_built.effects.active().iter().enumerate() {
         let title = if index == 0 { "effects" } else { "" };
@@ -258,10 +262,30 @@ fn write_tracker(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     Ok(())
 }
 
+/// Which poses carry which loads.
+fn payload_lines(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
+    let plan = &scenario.plan.payloads;
+    let order = match plan.order {
+        PayloadOrder::Blocks => "one behind the other",
+        PayloadOrder::Cycle => "another one at every pose",
+    };
+    for (kind, carried) in
+        SetKind::ALL.into_iter().zip(&plan.carried).filter(|(_, carried)| !carried.is_empty())
+    {
+        let name = |index: &Option<usize>| match index.and_then(|index| plan.payloads.get(index)) {
+            Some(payload) => format!("{} ({:.1} kg)", payload.stated.name, payload.stated.mass),
+            None => "nothing".to_owned(),
+        };
+        let names: Vec<_> = carried.iter().map(name).collect();
+        writeln!(text, "  payloads     {}: {}; {order}", kind.key(), names.join(", "))?;
+    }
+    Ok(())
+}
+
 /// How the session is carried out, where that is more than one reading of each pose after the other.
 fn session_lines(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     let plan = &scenario.plan;
-    if *plan == SessionPlan::default() {
+    if (SessionPlan { payloads: PayloadPlan::default(), ..plan.clone() }) == SessionPlan::default() {
         return Ok(());
     }
     let names = |first: &str, further: Vec<&str>| {

@@ -57,6 +57,7 @@ fn paired(set: &mut SetOutcome, by: i64, left_out: &[u32]) -> Vec<usize> {
                     pose: row.pose,
                     command: row.command.clone(),
                     approach: row.approach.clone(),
+                    payload: row.payload.clone(),
                     ..point.clone()
                 });
             }

@@ -28,7 +28,7 @@ pub enum Part {
     Statics,
     /// The tilt of the base against gravity.
     Tilt,
-    /// Payload, hoses and forces that the model does not know.
+    /// Loads, hoses and forces that the model does not know, and what payloads differ from what is stated of them.
     Loads,
     /// The errors of the tracker, its air and its stand, of the nests and of the target's offset.
     Instrument,
@@ -141,6 +141,7 @@ impl Part {
             }
             Self::Loads => {
                 machine.statics.loads = predicted.as_ref().map_or_else(Vec::new, |s| s.loads.clone());
+                changed.plan.payloads.make_as_stated();
             }
             Self::Instrument => {
                 changed.tracker.instrument.noise = false;

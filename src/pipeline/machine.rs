@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use calibrig_estimation::elastostatics::{Deflection, ElasticChain, ElasticError};
-use calibrig_model::{CalibrationModel, TermPlace};
+use calibrig_model::{CalibrationModel, Payload, TermPlace};
 use calibrig_plant::session::Machine;
 use calibrig_plant::{AsBuilt, SettledPose};
 
@@ -52,5 +52,9 @@ impl Machine for AnalyticMachine {
             closure: 0.0,
             steps: u32::try_from(settled.iterations).unwrap_or(u32::MAX),
         })
+    }
+
+    fn carry(&mut self, payload: Option<&Payload>) -> Result<(), ElasticError> {
+        Ok(self.chain.set_payload(payload)?)
     }
 }

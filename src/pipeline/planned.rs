@@ -27,6 +27,7 @@ pub fn planned(scenario: &Scenario) -> Result<MeasurementSet, PipelineError> {
         verification_poses: 0,
         ..scenario.clone()
     };
+    session.plan.payloads.make_as_stated();
     session.tracker.instrument.noise = false;
     if let Some(probe) = &mut session.probe {
         probe.noise = false;
@@ -79,6 +80,7 @@ pub fn planned_at(
             time: 0.0,
             station: 0,
             target: 0,
+            payload: None,
             reading: Reading::Cartesian { position, covariance: None },
         });
     }

@@ -16,6 +16,7 @@ use super::sweeps::{JsonSweeps, json_sweeps};
 use crate::pipeline::{AblatedPart, Ablation, MissingReading, Outcome, SetOutcome, Worse};
 use calibrig_estimation::evaluation::AccuracyRow;
 use calibrig_estimation::identification::{Estimate, Mode, NoiseScale, Outlier, Warning};
+use calibrig_model::Payload;
 
 /// The schema's name.
 pub const SCHEMA: &str = "calibrig.report/1";
@@ -135,6 +136,9 @@ pub struct JsonSet {
     /// What repeats of a pose scatter by; absent where no pose is measured more than once.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub repeats: Option<JsonRepeats>,
+    /// What the flange carried, in the order of the first pose with it; absent where it never carried anything.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub payloads: Vec<JsonPayload>,
     /// By the key of the mode; rows that do not apply are absent.
     pub rows: BTreeMap<String, JsonRow>,
 }
@@ -150,6 +154,21 @@ pub struct JsonMissing {
     pub target: String,
     /// Why, such as the link that hides it.
     pub why: String,
+}
+
+/// What the flange carried at some poses.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonPayload {
+    /// Its name; null for nothing, and so are the numbers.
+    pub name: Option<String>,
+    /// kg
+    pub mass_kg: Option<f64>,
+    /// Centre of mass in the flange frame, m.
+    pub centre_m: Option<[f64; 3]>,
+    /// That pulls there, in the base frame, N.
+    pub force_n: Option<[f64; 3]>,
+    /// Distinct poses with it.
+    pub poses: usize,
 }
 
 /// Poses that are measured more than once.
@@ -524,6 +543,17 @@ fn missing(outcome: &Outcome, index: usize, set: &SetOutcome) -> Vec<JsonMissing
     outcome.missing.get(index).into_iter().flatten().map(of).collect()
 }
 
+fn payloads(set: &SetOutcome) -> Vec<JsonPayload> {
+    let of = |(payload, poses): (Option<&Payload>, usize)| JsonPayload {
+        name: payload.map(|payload| payload.name.clone()),
+        mass_kg: payload.map(|payload| payload.mass),
+        centre_m: payload.map(|payload| payload.centre.into()),
+        force_n: payload.map(|payload| payload.force.into()),
+        poses,
+    };
+    set.measurements.payloads().into_iter().map(of).collect()
+}
+
 fn json_set(outcome: &Outcome, index: usize, set: &SetOutcome) -> JsonSet {
     let row = |rows: &[Option<AccuracyRow>]| rows.get(index).copied().flatten();
     JsonSet {
@@ -534,6 +564,7 @@ fn json_set(outcome: &Outcome, index: usize, set: &SetOutcome) -> JsonSet {
             .map(|(pose, why)| JsonDropped { pose: *pose, why: why.clone() })
             .collect(),
         missing: missing(outcome, index, set),
+        payloads: payloads(set),
         repeats: set.measurements.repeats().map(|repeats| JsonRepeats {
             poses: repeats.poses,
             repeats: repeats.repeats,

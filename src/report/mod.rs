@@ -51,6 +51,7 @@ use thiserror::Error;
 
 use crate::pipeline::{Outcome, SetKind, SetOutcome};
 use calibrig_estimation::identification::{Estimate, LeftOutReason, Mode};
+use calibrig_model::Payload;
 
 /// A report that could not be made or written.
 #[derive(Debug, Error)]
@@ -141,6 +142,20 @@ fn pose_words(set: &SetOutcome) -> String {
     } else {
         format!("{} ({})", counted(poses, "pose"), counted(observations, "observation"))
     }
+}
+
+/// What the flange carried: "nothing at 20 poses, 25 kg (25.0 kg) at 20 poses"; `None` where it never carried anything.
+fn payload_words(set: &SetOutcome) -> Option<String> {
+    let carried = set.measurements.payloads();
+    let words = |(payload, poses): &(Option<&Payload>, usize)| match payload {
+        None => format!("nothing at {}", counted(*poses, "pose")),
+        Some(payload) => {
+            let pull = payload.force.norm();
+            let force = if pull > 0.0 { format!(" and {pull:.1} N") } else { String::new() };
+            format!("{} ({:.1} kg{force}) at {}", payload.name, payload.mass, counted(*poses, "pose"))
+        }
+    };
+    (!carried.is_empty()).then(|| carried.iter().map(words).collect::<Vec<_>>().join(", "))
 }
 
 /// "1 pose", "2 poses".

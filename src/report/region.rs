@@ -4,10 +4,10 @@ use maud::{Markup, html};
 use nalgebra::Vector3;
 use plotters::prelude::*;
 
-use super::ReportError;
 use super::plots::{
     Area, Drawn, VIEWS, WIDTH, centred, finite_range, ink, look, padded, place_axes, px, svg,
 };
+use super::{ReportError, payload_words, set_title};
 use crate::pipeline::{ModeOutcome, Outcome, SetOutcome};
 use calibrig_model::measurement::{Observation, Reading};
 
@@ -112,8 +112,13 @@ pub(super) fn session_facts(outcome: &Outcome) -> Markup {
         @if let Some((first, last)) = minutes {
             div { dt { "Session" } dd { (format!("{:.0} min", last - first)) } }
         }
+        @for set in &outcome.sets {
+            @if let Some(carried) = payload_words(set) {
+                div { dt { "Payload, " (set_title(set.kind).to_lowercase()) } dd { (carried) } }
+            }
+        }
         div {
-            dt { "Temperature" }
+            dt { "Temperature of the air" }
             dd {
                 @match air {
                     Some((low, high)) => (format!("{low:.1} to {high:.1} \u{b0}C")),

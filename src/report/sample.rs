@@ -145,6 +145,7 @@ pub(super) fn simulated() -> Outcome {
             stations: vec![tracker_from_base],
             instrument: Vec::new(),
             further_targets: Vec::new(),
+            payloads: Vec::new(),
             orientation: None,
             poses: Vec::new(),
             effects: Vec::new(),
@@ -316,6 +317,7 @@ fn observation(pose: u32, command: Vec<f64>, position: Vector3<f64>) -> Observat
         time: f64::from(pose) * 12.0,
         station: 0,
         target: 0,
+        payload: None,
         reading: Reading::Cartesian { position, covariance: Some(Matrix3::identity() * 9e-10) },
     }
 }

@@ -8,7 +8,10 @@ use super::judgement::judgement_lines;
 use super::sensors::sensor_lines;
 use super::splits::split_lines;
 use super::sweeps::sweep_words;
-use super::{condition_words, consistency_ratio, counted, left_out_words, pose_words, published, set_title};
+use super::{
+    condition_words, consistency_ratio, counted, left_out_words, payload_words, pose_words, published,
+    set_title,
+};
 use crate::pipeline::{Outcome, SetOutcome};
 use calibrig_estimation::evaluation::AccuracyRow;
 use calibrig_estimation::identification::{Assumption, Estimate, NoiseScale, Warning};
@@ -122,6 +125,9 @@ fn table(outcome: &Outcome, index: usize, set: &SetOutcome, style: Style) -> Vec
     }
     lines.push(rule);
     lines.extend(orientation_lines(outcome, index, style));
+    if let Some(carried) = payload_words(set) {
+        lines.extend(wrap(&printable(&format!("the flange carried {carried}")), "    "));
+    }
     if let Some(repeats) = set.measurements.repeats() {
         let words = format!(
             "repeats of {} scatter by {} mm (RMS 3D of a reading about the mean of its pose, {} more): no model leaves less on single readings",

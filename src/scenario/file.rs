@@ -12,10 +12,11 @@ use super::as_built::{AsBuiltFile, as_built};
 use super::effects::{EffectsFile, effects};
 use super::identification::{IdentificationFile, ModeFile};
 use super::instrument::{DriftFile, EnvironmentFile, SmrFile, conditions, instrument};
+use super::payloads::{CarriedFile, payloads};
 use super::poses::{Named, Poses, PosesFile, poses};
 use super::session::{Around, SessionFile, session};
 use calibrig_estimation::identification::{FrameChoice, IdentificationOptions};
-use calibrig_files::{InputError, Source, Spanned};
+use calibrig_files::{InputError, PayloadTable, Source, Spanned};
 use calibrig_files::{Robot, StatedTarget, load_robot};
 use calibrig_model::KinematicModel;
 use calibrig_model::measurement::SetKind;
@@ -41,6 +42,9 @@ struct ScenarioFile {
     poses: Spanned<PosesFile>,
     tracker: Spanned<TrackerFile>,
     session: Option<Spanned<SessionFile>>,
+    #[serde(default)]
+    payload: Vec<Spanned<PayloadTable>>,
+    carried: Option<Spanned<CarriedFile>>,
     #[serde(default)]
     identification: IdentificationFile,
     #[serde(default)]
@@ -267,7 +271,11 @@ fn validate(
         nests: &nests,
         most_poses: identification_poses.max(verification_poses),
     };
-    let plan = session(&source, file.session.as_ref(), &around)?;
+    let sizes = [identification_poses, verification_poses];
+    let plan = SessionPlan {
+        payloads: payloads(&source, &file.payload, file.carried.as_ref(), sizes)?,
+        ..session(&source, file.session.as_ref(), &around)?
+    };
     swept(&source, &options, &plan)?;
     let modes = file.identification.modes(&source, robot.model.statics.is_some())?;
     let published = file

@@ -5,6 +5,7 @@ mod effects;
 mod file;
 mod identification;
 mod instrument;
+mod payloads;
 mod poses;
 mod remarks;
 mod session;

@@ -159,6 +159,7 @@ pub(super) fn session(
         rounds: rounds(source, file)?,
         sweeps: sweeps(source, &file.sweep, around)?,
         sight: file.line_of_sight.as_ref().map(|sight| self::sight(source, sight, around)).transpose()?,
+        ..SessionPlan::default()
     };
     stands(source, file, around, &plan)?;
     Ok(plan)

@@ -5,11 +5,12 @@ mod random_robot;
 #[path = "../../crates/calibrig-plant/src/tests/spray_robot.rs"]
 mod spray_robot;
 
-use rand::SeedableRng;
+use calibrig::model::nalgebra::Vector3;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use calibrig::elastostatics::{Deflection, ElasticChain};
-use calibrig::model::{CalibrationModel, TermPlace};
+use calibrig::model::{CalibrationModel, Payload, TermPlace};
 use calibrig::plant::effects::Effects;
 use calibrig::plant::{AsBuilt, Plant, SettleOptions};
 use random_robot::{random_full_robot, random_shifts};
@@ -46,4 +47,41 @@ fn elastostatics_predicts_the_whole_robot() {
     eprintln!("equilibrium: at most {largest:e} m off; first order: {first_order:.4} of the droop");
     assert!(largest <= 1e-9, "{largest:e}");
     assert!(first_order <= 0.02, "{first_order}");
+}
+
+/// The same with a load on the flange, which both hang there by themselves.
+#[test]
+fn elastostatics_predicts_the_robot_with_a_payload() {
+    let mut rng = ChaCha8Rng::seed_from_u64(41);
+    let (mut largest, mut moved) = (0.0_f64, f64::INFINITY);
+    for _ in 0..50 {
+        let robot = random_full_robot(&mut rng);
+        let command = working_command(&robot, &mut rng);
+        let payload = Payload {
+            name: "plates".to_owned(),
+            mass: rng.random_range(5.0..50.0),
+            centre: Vector3::from_fn(|_, _| rng.random_range(-0.2..0.2)),
+            force: Vector3::from_fn(|_, _| rng.random_range(-50.0..50.0)),
+        };
+        let mut chain = ElasticChain::new(&CalibrationModel {
+            kinematics: robot.kinematics.clone(),
+            actuators: robot.actuators.clone(),
+            statics: Some(robot.statics.clone()),
+            motor_turns: vec![None; 7],
+        })
+        .expect("a robot");
+        let mut plant = Plant::new(&robot, SettleOptions::default()).expect("a sound robot");
+        let mut both = |payload: Option<&Payload>| {
+            chain.set_payload(payload).expect("sound");
+            chain.settle(&command, &[], Deflection::Equilibrium).expect("a stiff robot");
+            plant.carry(payload).expect("sound");
+            [plant.settle(&command).expect("a stiff robot").target, chain.target(&robot.target)]
+        };
+        let [bare, _] = both(None);
+        let [loaded, predicted] = both(Some(&payload));
+        largest = largest.max((loaded - predicted).norm());
+        moved = moved.min((loaded - bare).norm());
+    }
+    eprintln!("at most {largest:e} m off; the payloads move the target by {moved:.5} m or more");
+    assert!(largest <= 1e-9 && moved > 1e-5, "{largest:e} {moved:e}");
 }

@@ -25,6 +25,7 @@ mod a_user_knows_no_stiffness;
 mod a_user_makes_a_mistake;
 mod a_user_measures_full_poses;
 mod a_user_measures_in_two_faces;
+mod a_user_measures_with_payloads;
 mod a_user_picks_a_robot_of_the_zoo;
 mod a_user_plans_a_session;
 mod a_user_replays_a_recording;

@@ -109,6 +109,7 @@ fn measure(nominal: &CalibrationModel, robot: &CalibratedRobot, poses: usize, mi
             time: f64::from(pose),
             station: 0,
             target: 0,
+            payload: None,
             reading: Reading::Cartesian { position, covariance },
         });
     }

@@ -63,6 +63,7 @@ mod tests {
             time: 0.0,
             station: 0,
             target: 0,
+            payload: None,
             reading: Reading::Cartesian {
                 position: Vector3::new(f64::from(pose * pose), 1.0, -f64::from(pose)),
                 covariance: None,

@@ -45,6 +45,7 @@ mod check;
 mod closure;
 mod compliances;
 mod parameter;
+mod payload;
 mod pose;
 mod robot;
 mod terms;
@@ -58,6 +59,7 @@ pub use bodies::{
 pub use check::ModelError;
 pub use closure::{LEAST_TRANSMISSION_ANGLE, LinkageFault, linkage_fault};
 pub use parameter::{Compliance, LinkTerm, LinkageLength, ParameterId, Unit};
+pub use payload::{Payload, PayloadError};
 pub use pose::PoseQuery;
 pub use robot::{CalibrationModel, CraigLink, JointKind, KinematicModel};
 pub use terms::{FAMILIES, TermFamily, TermId, TermPlace};

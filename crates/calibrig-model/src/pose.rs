@@ -1,5 +1,6 @@
 //! What a prediction depends on.
 
+use super::Payload;
 use super::measurement::Observation;
 
 /// A pose that a robot is asked for: what it is told, and the circumstances that corrections may depend on. SI.
@@ -16,18 +17,20 @@ pub struct PoseQuery<'a> {
     pub command: &'a [f64],
     /// Sign of each actuator's last motion, 0 where unknown; may be empty where all are.
     pub approach: &'a [i8],
-    /// °C, where known.
+    /// Of the air at the robot, °C, where known.
     pub temperature: Option<f64>,
     /// Since the session began, s.
     pub time: f64,
     /// Index of the target on the flange.
     pub target: usize,
+    /// What the flange carries beside what it always does.
+    pub payload: Option<&'a Payload>,
 }
 
 impl<'a> PoseQuery<'a> {
-    /// The first target at a command, approached from an unknown side, at time zero.
+    /// The first target at a command, approached from an unknown side, at time zero, without a payload.
     pub fn at(command: &'a [f64]) -> Self {
-        Self { command, approach: &[], temperature: None, time: 0.0, target: 0 }
+        Self { command, approach: &[], temperature: None, time: 0.0, target: 0, payload: None }
     }
 
     /// The same with the signs of the last motions.
@@ -40,6 +43,12 @@ impl<'a> PoseQuery<'a> {
     #[must_use]
     pub fn with_target(self, target: usize) -> Self {
         Self { target, ..self }
+    }
+
+    /// The same with a payload.
+    #[must_use]
+    pub fn carrying(self, payload: &'a Payload) -> Self {
+        Self { payload: Some(payload), ..self }
     }
 }
 
@@ -69,6 +78,7 @@ impl<'a> From<&'a Observation> for PoseQuery<'a> {
             temperature: observation.temperature,
             time: observation.time,
             target: observation.target,
+            payload: observation.payload.as_ref(),
         }
     }
 }

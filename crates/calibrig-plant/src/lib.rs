@@ -59,6 +59,7 @@
 //! use calibrig_estimation::identification::identify;
 //! ```
 
+mod carried;
 mod chain;
 mod deviations;
 mod distribution;

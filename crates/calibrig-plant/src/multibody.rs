@@ -10,7 +10,7 @@ use super::tree::{Role, Tree};
 use super::validation::{check_at_command, check_command, check_displacements, check_options, check_robot};
 use super::{AsBuilt, ElasticDeflection, PlantError, SettledPose};
 use calibrig_model::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
-use calibrig_model::{BeamSegment, SegmentLength};
+use calibrig_model::{BeamSegment, Payload, SegmentLength};
 
 /// Newton steps that look for a start; a few of the size of the deflections bring it to the last digits.
 const PREDICTIONS: u32 = 8;
@@ -58,8 +58,10 @@ impl Default for SettleOptions {
 /// an impulse joint between its rod and its lever. A four-bar without statics has a rigid rod and no mass; statics of one whose lengths
 /// are not known have no effect.
 pub struct Plant {
-    robot: AsBuilt,
-    options: SettleOptions,
+    pub(super) robot: AsBuilt,
+    /// The last load of the robot, where the flange carries one.
+    pub(super) payload: Option<Payload>,
+    pub(super) options: SettleOptions,
     tree: Tree,
     chain: Chain,
     statics: Statics,
@@ -108,12 +110,13 @@ impl Plant {
             predictions: PREDICTIONS,
             tree,
             robot: robot.clone(),
+            payload: None,
         })
     }
 
     /// The pose at rest under gravity and loads at a command (SI, one an actuator).
     ///
-    /// It depends on the robot, the options and the command; not one bit of it on the poses before.
+    /// It depends on the robot, what it [carries](Self::carry), the options and the command; not one bit of it on the poses before.
     pub fn settle(&mut self, command: &[f64]) -> Result<SettledPose, PlantError> {
         self.settle_displaced(command, &[])
     }

@@ -23,8 +23,8 @@ impl<'a, R: Recorder> SessionRecorder<'a, R> {
     pub fn hear(&mut self, event: SessionEvent<'_>) -> Result<(), RecordingError> {
         let now = self.clock.now();
         match event {
-            SessionEvent::Begin { as_built, stations, further_targets, .. } => {
-                let truth = Some(TrueSetting { as_built, stations, further_targets });
+            SessionEvent::Begin { as_built, stations, further_targets, payloads, .. } => {
+                let truth = Some(TrueSetting { as_built, stations, further_targets, payloads });
                 self.recorder.open(&Preamble { truth, ..self.preamble })
             }
             SessionEvent::Set { set, planned } => self.recorder.set(now, set, Some(planned)),

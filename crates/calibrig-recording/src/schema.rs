@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3};
 
 use calibrig_files::rotation_of_matrix;
+use calibrig_model::Payload;
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{
     Face, InstrumentTerm, NestObservation, Observation, PoseReading, Reading, SetKind, SetOutcome,
@@ -315,7 +316,30 @@ pub(super) fn observation(kind: SetKind, index: usize, observation: &Observation
         station: saturating(observation.station),
         target: saturating(observation.target),
         reading: Some((&observation.reading).into()),
+        payload: observation.payload.as_ref().map(payload),
     }
+}
+
+/// The message of a load at the flange.
+pub(super) fn payload(payload: &Payload) -> v1::Payload {
+    v1::Payload {
+        name: payload.name.clone(),
+        mass: Some(payload.mass),
+        centre: vector(&payload.centre),
+        force: vector(&payload.force),
+    }
+}
+
+fn to_payload(message: &v1::Payload) -> Result<Payload, String> {
+    let force = match message.force.as_slice() {
+        [] => Vector3::zeros(),
+        force => to_vector(force, "force of the payload")?,
+    };
+    let mass = number(message.mass, "mass of the payload")?;
+    let centre = to_vector(&message.centre, "centre of the payload")?;
+    let payload = Payload { name: message.name.clone(), mass, centre, force };
+    payload.check().map_err(|error| error.to_string())?;
+    Ok(payload)
 }
 
 /// The observation of a message, with its station and target in range of `set`.
@@ -347,6 +371,7 @@ pub(super) fn to_observation(message: &v1::Observation, set: &SetOutcome) -> Res
         station: index(message.station, set.measurements.stations.len(), "station")?,
         target: index(message.target, set.measurements.targets.len(), "target")?,
         reading: to_reading(message.reading.as_ref())?,
+        payload: message.payload.as_ref().map(to_payload).transpose()?,
     })
 }
 
@@ -366,6 +391,12 @@ mod tests {
                 o.command[0] = -0.0;
                 o.time = -0.0;
                 o.temperature = Some(f64::MIN_POSITIVE / 3.0);
+                o.payload = (i > 0).then(|| Payload {
+                    name: "plates \"25\"".to_owned(),
+                    mass: f64::MIN_POSITIVE / 3.0,
+                    centre: Vector3::new(-0.0, 0.1, -0.3),
+                    force: Vector3::new(0.0, -0.0, 40.0),
+                });
                 let bytes = observation(set.kind, i, &o).encode_to_vec();
                 let message = v1::Observation::decode(bytes.as_slice()).expect("decoded");
                 let back = to_observation(&message, &empty).expect("sound");

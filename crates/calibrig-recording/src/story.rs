@@ -14,7 +14,7 @@ use calibrig_files::Source;
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::Observation;
 use calibrig_model::measurement::{SetKind, SetOutcome};
-use calibrig_model::{CalibrationModel, Visual};
+use calibrig_model::{CalibrationModel, Payload, Visual};
 use calibrig_plant::effects::PoseEffects;
 use calibrig_plant::session::{PlantKind, Truth};
 use calibrig_plant::{AsBuilt, SettledPose};
@@ -104,13 +104,15 @@ pub struct TrueSetting<'a> {
     pub stations: &'a [Transform],
     /// Real offsets of the targets beside the machine's own, in the flange frame, m.
     pub further_targets: &'a [Vector3<f64>],
+    /// The loads that the flange carries at some poses, as they really are.
+    pub payloads: &'a [Payload],
 }
 
 impl<'a> TrueSetting<'a> {
     /// What a session knows of it.
     pub fn of(truth: &'a Truth) -> Self {
-        let Truth { as_built, stations, further_targets, .. } = truth;
-        Self { as_built, stations, further_targets }
+        let Truth { as_built, stations, further_targets, payloads, .. } = truth;
+        Self { as_built, stations, further_targets, payloads }
     }
 }
 

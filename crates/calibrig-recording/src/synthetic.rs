@@ -22,7 +22,7 @@ use calibrig_model::measurement::{
 use calibrig_model::measurement::{SetKind, SetOutcome};
 use calibrig_model::{
     ActuatorMap, Body, CalibrationModel, CraigLink, JointKind, KinematicModel, LinkTerm, ParameterId,
-    StaticProperties, Visual, VisualShape,
+    Payload, StaticProperties, Visual, VisualShape,
 };
 use calibrig_plant::effects::{Effects, PoseEffects};
 use calibrig_plant::session::Truth;
@@ -122,6 +122,7 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
         stations: vec![tracker_from_base],
         instrument: Vec::new(),
         further_targets: Vec::new(),
+        payloads: Vec::new(),
         orientation: None,
         poses: settled,
         outliers: Vec::new(),
@@ -288,6 +289,8 @@ fn measure(
             time: 12.5 * f64::from(pose),
             station: 0,
             target: 0,
+            payload: (pose % 3 == 2)
+                .then(|| Payload::of_mass("plates, 25 kg", 25.0, Vector3::new(0.0, -0.0, 0.12))),
             reading: see(&settled.target),
         });
     MeasurementSet {

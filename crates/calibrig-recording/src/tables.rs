@@ -77,6 +77,9 @@ pub(super) fn pose(step: &PoseStep<'_>) -> String {
         }
         let command: Vec<_> = observation.command.iter().map(|c| format!("{c:.4}")).collect();
         let _ = writeln!(text, "\nCommand (m, rad): {}\n", command.join(", "));
+        if let Some(payload) = &observation.payload {
+            let _ = writeln!(text, "Payload: {}, {:.2} kg\n", payload.name, payload.mass);
+        }
     }
     text
 }

@@ -8,7 +8,7 @@ use calibrig_plant::{ElasticDeflection, ElasticPlace, SettledPose};
 
 /// The machine and what stands around it; what of it yields is told by a pose ([`elastic_names`]).
 pub(super) fn as_built(nominal: &KinematicModel, truth: TrueSetting<'_>) -> v1::AsBuilt {
-    let TrueSetting { as_built: machine, stations, further_targets } = truth;
+    let TrueSetting { as_built: machine, stations, further_targets, payloads } = truth;
     let link = |link: &CraigLink| v1::Link {
         name: link.name.clone(),
         prismatic: link.kind == JointKind::Prismatic,
@@ -40,6 +40,7 @@ pub(super) fn as_built(nominal: &KinematicModel, truth: TrueSetting<'_>) -> v1::
         mass: machine.statics.bodies.iter().map(|b| b.mass).collect(),
         gravity: schema::vector(&machine.statics.gravity),
         elastic: Vec::new(),
+        payloads: payloads.iter().map(schema::payload).collect(),
     }
 }
 

@@ -2,8 +2,8 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
-use calibrig_model::CalibrationModel;
 use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::{CalibrationModel, Payload};
 
 /// A joint that moves less never moved, rad or m.
 const NO_MOTION: f64 = 1e-6;
@@ -64,13 +64,14 @@ pub(super) fn undetermined(model: &CalibrationModel, set: &MeasurementSet) -> Ve
 }
 
 fn poses(set: &MeasurementSet) -> Vec<Undetermined> {
-    let mut keys: Vec<(usize, usize, Vec<u64>)> = set
+    let mut keys: Vec<(usize, usize, Option<[u64; 7]>, Vec<u64>)> = set
         .observations
         .iter()
         .map(|o| {
             (
                 o.station,
                 o.target,
+                o.payload.as_ref().map(Payload::bits),
                 o.command.iter().map(|v| ((v / NO_MOTION).round() + 0.0).to_bits()).collect(),
             )
         })

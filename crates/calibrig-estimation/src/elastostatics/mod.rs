@@ -10,4 +10,5 @@ pub use beam::{
     CondensedFrame, EndCompliance, EndStiffness, Frame, FrameError, FrameSolution, Lump, SegmentGroup,
     end_compliance, end_stiffness, segment_groups,
 };
+pub(crate) use chain::Carried;
 pub use chain::{Deflection, ElasticChain, ElasticError, Settled};

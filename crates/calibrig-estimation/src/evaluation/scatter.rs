@@ -204,6 +204,7 @@ mod tests {
                     time: 0.0,
                     station: 0,
                     target: 0,
+                    payload: None,
                     reading: Reading::Spherical(read),
                 });
             }

@@ -360,11 +360,20 @@ pub enum Warning {
     },
     /// A compliance that was asked for.
     #[error(
-        "gravity hardly loads {name} in these poses, or loads it always alike: its value is its prior's. Leave it out, or measure poses or payloads that load it differently"
+        "gravity hardly loads {name} in these poses, or loads it always alike: its value is its prior's. Leave it out, or measure poses, or payloads at the flange (payload_mass_kg or [[payload]] of a column map, [[payload]] of a scenario), that load it differently"
     )]
     Unexcited {
         /// Name of the parameter.
         name: String,
+    },
+    /// Loads at the flange of a robot that does not yield.
+    #[error(
+        "poses carry payloads ({}), and the model has nothing that yields: they are not used. Where the robot's stiffnesses are known, or are \
+         to be found, state them in its file", .payloads.join(", ")
+    )]
+    IdlePayloads {
+        /// Their names.
+        payloads: Vec<String>,
     },
     /// A parameter that is as far as it may go.
     #[error(

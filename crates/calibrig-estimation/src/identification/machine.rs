@@ -3,7 +3,7 @@
 use nalgebra::{Rotation3, Vector3};
 
 use super::Mode;
-use crate::elastostatics::{Deflection, ElasticChain, ElasticError};
+use crate::elastostatics::{Carried, Deflection, ElasticChain, ElasticError};
 use crate::kinematics::{PlacedChain, frames, nominal_joints};
 use calibrig_model::geometry::Transform;
 use calibrig_model::{
@@ -40,6 +40,8 @@ pub(super) struct Prepared {
     command: Vec<f64>,
     /// Motion behind the fixed part of every link, where its deflections do not change with the parameters.
     motions: Vec<Transform>,
+    /// What the flange carries.
+    payload: Carried,
     /// Displacement per unit of every term's amplitude.
     basis: Vec<f64>,
 }
@@ -123,6 +125,7 @@ impl Machine {
     /// What of an observation does not change with the parameters.
     pub fn prepare(&mut self, pose: &PoseQuery<'_>) -> Result<Prepared, MachineError> {
         let mut told = Prepared { command: pose.command.to_vec(), ..Prepared::default() };
+        let payload = Carried::of(pose.payload);
         match &mut self.kind {
             Kind::Joints { predicted, joints, .. } => {
                 match predicted {
@@ -130,6 +133,7 @@ impl Machine {
                     None => nominal_joints(&self.nominal, pose.command, joints)?,
                 }
                 if let Some(predicted) = predicted {
+                    predicted.carry(payload);
                     predicted.rest(pose.command, &[], Deflection::Equilibrium)?;
                     for (q, deflection) in joints.iter_mut().zip(predicted.deflections()) {
                         *q += deflection;
@@ -138,11 +142,13 @@ impl Machine {
                 told.command.copy_from_slice(joints);
             }
             Kind::Frozen { ideal, predicted, .. } => {
+                predicted.carry(payload);
                 predicted.rest(pose.command, &[], Deflection::Equilibrium)?;
                 ideal.hold(pose.command, &[], predicted.deflections())?;
                 told.motions = motions(&self.nominal.kinematics, ideal.link_frames());
             }
             Kind::Elastic { .. } => {
+                told.payload = payload;
                 told.basis.extend(self.terms.ids.iter().map(|id| id.basis(&self.nominal, pose)));
             }
         }
@@ -156,6 +162,7 @@ impl Machine {
             Kind::Frozen { chain, .. } => chain.place_at(&told.motions),
             Kind::Elastic { chain } => {
                 self.terms.displace(&told.basis);
+                chain.carry(told.payload);
                 chain.rest(&told.command, &self.terms.corrections, Deflection::Equilibrium)?;
             }
         }

@@ -20,7 +20,7 @@ use super::{IdentificationOptions, IdentifyError, LeastSquares, Redundancy};
 use crate::kinematics::PlacedChain;
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::statistics::chi2_survival;
-use calibrig_model::{CalibrationModel, JointKind, LinkTerm, ParameterId};
+use calibrig_model::{CalibrationModel, JointKind, LinkTerm, ParameterId, Payload};
 
 /// Standard deviation that readings without a stated one are given before the residuals tell, m: only ratios matter then.
 pub(super) const UNSTATED_SIGMA: f64 = 1e-4;
@@ -200,12 +200,13 @@ impl Noise {
     }
 }
 
-/// The observations of every pose, in the order of the poses' first.
+/// The observations of every pose, in the order of the poses' first. With another payload the machine has moved in between.
 pub(super) fn poses(set: &MeasurementSet) -> Vec<Vec<usize>> {
     let mut places = std::collections::HashMap::new();
     let mut poses: Vec<Vec<usize>> = Vec::new();
     for (index, observation) in set.observations.iter().enumerate() {
-        let place = *places.entry(observation.pose).or_insert(poses.len());
+        let payload = observation.payload.as_ref().map(Payload::bits);
+        let place = *places.entry((observation.pose, payload)).or_insert(poses.len());
         if place == poses.len() {
             poses.push(Vec::new());
         }

@@ -146,7 +146,7 @@ pub(super) fn summarise(
         warnings.push(Warning::Outliers(outliers.clone()));
     }
     warnings.extend(off_the_points(&problem, &solution, set, &outliers));
-    warnings.extend(orientations_off(&problem.noise));
+    warnings.extend(orientations_off(&problem.noise).into_iter().chain(idle_payloads(&problem, set)));
     if solution.termination.converged() && (!is_stated || accounted || is_misfit) {
         warnings.extend(divided(&mut problem, &solution, &jacobian, &factorised.bounded, set));
     }
@@ -590,6 +590,15 @@ fn at_bound_warning(id: ParameterId, bound: f64) -> Warning {
         ParameterId::Compliance(_) if bound <= LEAST_OF_UNKNOWN => Warning::Rigid { name },
         _ => Warning::AtBound { name, bound, unit: id.unit() },
     }
+}
+
+/// Payloads of poses where no spring yields to them.
+fn idle_payloads(problem: &CalibrationProblem, set: &MeasurementSet) -> Option<Warning> {
+    let carried = set.payloads();
+    let payloads: Vec<String> =
+        carried.iter().filter_map(|(payload, _)| Some(payload.as_ref()?.name.clone())).collect();
+    let yields = !problem.nominal.compliances().is_empty();
+    (!payloads.is_empty() && !yields).then_some(Warning::IdlePayloads { payloads })
 }
 
 pub(super) fn rank_warnings(spectrum: &Spectrum, parameters: usize) -> Vec<Warning> {

@@ -87,6 +87,7 @@ pub(super) fn measure(robot: &CalibratedRobot, poses: usize, noise: f64) -> Meas
             time: f64::from(pose),
             station: 0,
             target: 0,
+            payload: None,
             reading: Reading::Cartesian { position: Vector3::zeros(), covariance: Some(covariance) },
         });
     }

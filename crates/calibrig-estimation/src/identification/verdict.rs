@@ -23,6 +23,7 @@ impl Warning {
             | Self::HeldByPrior { .. }
             | Self::Fixed { .. }
             | Self::Unexcited { .. }
+            | Self::IdlePayloads { .. }
             | Self::UnusedBound { .. }
             | Self::Moved(_)
             | Self::Overstated { .. }

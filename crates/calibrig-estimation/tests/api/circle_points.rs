@@ -87,6 +87,7 @@ fn readings(
             time: f64::from(pose),
             station: 0,
             target: 0,
+            payload: None,
             reading: Reading::Cartesian {
                 position,
                 covariance: Some(Matrix3::identity() * sigma.max(1e-6).powi(2)),

@@ -93,6 +93,7 @@ fn session(machine: &KinematicModel, (poses, every): (u32, u32), trial: u32) -> 
                 time,
                 station,
                 target,
+                payload: None,
                 reading,
             });
         }

@@ -103,6 +103,7 @@ fn of_readings_of_one_pose_the_wrong_one_is_named() {
                         time: 0.0,
                         station: 0,
                         target,
+                        payload: None,
                         reading: Reading::Cartesian { position, covariance: None },
                     });
                 }

@@ -137,6 +137,7 @@ impl Plan<'_> {
                     time: PER_POSE * f64::from(pose),
                     station: 0,
                     target: 0,
+                    payload: None,
                     reading: self.tracker.read(&in_base, PER_POSE * f64::from(pose), face, rng),
                 });
             }

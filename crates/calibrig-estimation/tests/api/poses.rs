@@ -91,6 +91,7 @@ fn observation(pose: u32, command: &[f64], target: usize, reading: Reading) -> O
         time: f64::from(pose),
         station: 0,
         target,
+        payload: None,
         reading,
     }
 }

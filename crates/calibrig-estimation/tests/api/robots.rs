@@ -203,6 +203,7 @@ fn measured(model: &CalibrationModel, poses: u32, known: [bool; 4]) -> Measureme
             time: f64::from(pose),
             station: 0,
             target: 0,
+            payload: None,
             reading,
         }
     };

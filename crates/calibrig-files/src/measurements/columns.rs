@@ -2,7 +2,8 @@
 //!
 //! Without a map, calibrig's own columns are read (SI, unit in the name): `q1_rad` or `q1_m` and so on; either `range_m`, `az_rad`,
 //! `el_rad` or `x_m`, `y_m`, `z_m`; and, where the file has them, `pose`, `station`, `target`, `time_s`, `temperature_c`,
-//! `approach1` and so on, and the uncertainty: `sigma_range_m`, `sigma_az_rad`, `sigma_el_rad` (`sigma_x_m`, `sigma_y_m`,
+//! `approach1` and so on, what the flange carries (`payload`, a name, with `payload_mass_kg`, `payload_x_m`, `payload_y_m`, `payload_z_m`, and
+//! `payload_force_x_n`, `payload_force_y_n`, `payload_force_z_n`; empty where nothing), and the uncertainty: `sigma_range_m`, `sigma_az_rad`, `sigma_el_rad` (`sigma_x_m`, `sigma_y_m`,
 //! `sigma_z_m`), or the covariance's upper triangle `cov_range_range_m2`, `cov_range_az_m_rad`, `cov_range_el_m_rad`,
 //! `cov_az_az_rad2`, `cov_az_el_rad2`, `cov_el_el_rad2` (`cov_xx_m2`, `cov_xy_m2`, `cov_xz_m2`, `cov_yy_m2`, `cov_yz_m2`,
 //! `cov_zz_m2`). A full pose has beside `x_m`, `y_m`, `z_m` its rotation `tracker_from_target` by rows, `r11` to `r33`, `sigma_rx_rad`,
@@ -18,8 +19,8 @@ use super::text::TextFormat;
 use super::units::{AirQuantity, AngleUnit, LengthUnit, TemperatureUnit, TimeUnit};
 use crate::input::{InputError, Source};
 use crate::rotation::{MatrixOrder, RotationForm};
-use calibrig_model::JointKind;
 use calibrig_model::measurement::{Face, SphericalReading};
+use calibrig_model::{JointKind, Payload};
 use nalgebra::{Matrix3, Vector3};
 
 /// Which columns of a file mean what, and in which unit. The default is calibrig's own columns.
@@ -57,6 +58,7 @@ pub(super) struct Mapping {
     pub air: Vec<(AirQuantity, Entry)>,
     pub face: Option<FaceColumn>,
     pub approach: Vec<Entry>,
+    pub payload: Option<PayloadColumns>,
     pub rows: RowChoices,
     pub sets: Sets,
     pub join: Option<Join>,
@@ -153,6 +155,32 @@ pub(super) struct FaceColumn {
     /// What stands in it of the front and of the back face.
     pub words: [Vec<String>; 2],
     pub angles: BackAngles,
+}
+
+/// The columns with what the flange carries.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum PayloadColumns {
+    /// The name of one of these.
+    Named { column: Entry, known: Vec<Payload> },
+    /// Its mass, kg, and its centre; a name and a force, N, where there are such columns.
+    Numbers {
+        name: Option<Entry>,
+        mass: Entry,
+        centre: [Entry; 3],
+        unit: LengthUnit,
+        force: Option<[Entry; 3]>,
+    },
+}
+
+impl PayloadColumns {
+    fn entries(&self) -> Vec<&Entry> {
+        match self {
+            Self::Named { column, .. } => vec![column],
+            Self::Numbers { name, mass, centre, force, .. } => {
+                name.iter().chain([mass]).chain(centre).chain(force.iter().flatten()).collect()
+            }
+        }
+    }
 }
 
 /// What the angles of a back-face reading are.
@@ -441,6 +469,10 @@ pub(super) mod own {
     pub const FACE: &str = "face";
     pub const TIME: &str = "time_s";
     pub const TEMPERATURE: &str = "temperature_c";
+    pub const PAYLOAD: &str = "payload";
+    pub const PAYLOAD_MASS: &str = "payload_mass_kg";
+    pub const PAYLOAD_CENTRE: [&str; 3] = ["payload_x_m", "payload_y_m", "payload_z_m"];
+    pub const PAYLOAD_FORCE: [&str; 3] = ["payload_force_x_n", "payload_force_y_n", "payload_force_z_n"];
 
     /// Column of the joint at `index`.
     pub fn joint(index: usize, kind: JointKind) -> String {
@@ -562,7 +594,9 @@ impl ColumnMap {
         }
         if part != Part::Joints {
             let fixed = [own::POSE, own::STATION, own::TARGET, own::FACE, own::TIME, own::TEMPERATURE];
-            let fixed = fixed.iter().chain(&own::SPHERICAL).chain(&own::CARTESIAN).chain(&own::ROTATION);
+            let payload = [own::PAYLOAD, own::PAYLOAD_MASS];
+            let fixed = fixed.iter().chain(&payload).chain(&own::PAYLOAD_CENTRE).chain(&own::PAYLOAD_FORCE);
+            let fixed = fixed.chain(&own::SPHERICAL).chain(&own::CARTESIAN).chain(&own::ROTATION);
             wanted.names.extend(fixed.map(|name| (*name).to_owned()));
         }
         if part != Part::Points {
@@ -653,12 +687,38 @@ fn own_mapping(header: &[&str], joints: &[JointKind]) -> Result<Mapping, String>
         } else {
             Vec::new()
         },
+        payload: own_payload(header)?,
         rows: RowChoices::default(),
         sets: Sets::default(),
         join: None,
         text: TextFormat::default(),
         table: TableFormat::default(),
     })
+}
+
+/// The own columns of a payload, where the file has them; one of them calls for mass and centre.
+fn own_payload(header: &[&str]) -> Result<Option<PayloadColumns>, String> {
+    let has = |name: &&str| header.contains(name);
+    let has_force = own::PAYLOAD_FORCE.iter().any(has);
+    let numbers = [own::PAYLOAD_MASS].iter().chain(&own::PAYLOAD_CENTRE).any(has);
+    if !numbers && !has_force {
+        return match has(&own::PAYLOAD) {
+            true => Err(format!(
+                "there is a column {}, and none of {} and {}, which say what it is",
+                own::PAYLOAD,
+                own::PAYLOAD_MASS,
+                own::PAYLOAD_CENTRE.join(", ")
+            )),
+            false => Ok(None),
+        };
+    }
+    Ok(Some(PayloadColumns::Numbers {
+        name: has(&own::PAYLOAD).then(|| Entry::named(own::PAYLOAD)),
+        mass: Entry::named(own::PAYLOAD_MASS),
+        centre: own::PAYLOAD_CENTRE.map(Entry::named),
+        unit: LengthUnit::M,
+        force: has_force.then(|| own::PAYLOAD_FORCE.map(Entry::named)),
+    }))
 }
 
 /// The own columns of a rotation, where the file has them.
@@ -732,6 +792,7 @@ impl Mapping {
             entries.extend(rotation.flat_map(|sigma| &sigma.columns));
             entries.extend(self.face.iter().map(|face| &face.column));
             entries.extend(self.air.iter().map(|(_, entry)| entry));
+            entries.extend(self.payload.iter().flat_map(PayloadColumns::entries));
             let rest = [&self.pose, &self.station, &self.target, &self.time, &self.temperature];
             entries.extend(rest.into_iter().flatten());
             entries.extend(&self.sets.column);

@@ -3,8 +3,8 @@
 use std::fmt;
 
 use super::columns::{
-    ColumnRef, Entry, FaceColumn, Mapping, Noise, PolarAngle, PositionColumns, RotationColumns, Sets,
-    SigmaUnits, Uncertainty,
+    ColumnRef, Entry, FaceColumn, Mapping, Noise, PayloadColumns, PolarAngle, PositionColumns,
+    RotationColumns, Sets, SigmaUnits, Uncertainty,
 };
 use super::layout::Column;
 use super::rows::Row;
@@ -12,7 +12,7 @@ use super::times::TimeColumns;
 use super::units::{AirQuantity, AngleUnit, HeaderUnit, LengthUnit, TemperatureUnit, TimeUnit};
 use crate::input::{InputError, Source};
 use crate::rotation::RotationForm;
-use calibrig_model::JointKind;
+use calibrig_model::{JointKind, Payload};
 
 /// Columns of one file.
 #[derive(Clone, Copy)]
@@ -97,6 +97,7 @@ pub(super) struct Columns {
     /// The column, and what stands in it.
     pub face: Option<(usize, FaceColumn)>,
     pub approach: Vec<Quantity>,
+    pub payload: Option<PayloadQuantities>,
     pub sets: Sets,
     pub set: Option<usize>,
 }
@@ -165,6 +166,14 @@ pub(super) enum UncertaintyColumns {
         columns: Vec<Quantity>,
         scales: [f64; 6],
     },
+}
+
+/// Columns with what the flange carries.
+pub(super) enum PayloadQuantities {
+    /// The name of one of these.
+    Named { column: usize, known: Vec<Payload> },
+    /// Mass and centre, and name and force where there are such columns.
+    Numbers { name: Option<usize>, mass: Quantity, centre: Vec<Quantity>, force: Vec<Quantity> },
 }
 
 /// Columns with a rotation.
@@ -236,6 +245,7 @@ impl<'a> Head<'a> {
                 None => None,
             },
             approach: self.quantities(&mapping.approach, Kind::Plain)?,
+            payload: mapping.payload.as_ref().map(|columns| self.payload(columns)).transpose()?,
             set: self.optional(mapping.sets.column.as_ref())?,
             sets: mapping.sets.clone(),
         };
@@ -279,13 +289,16 @@ impl<'a> Head<'a> {
     }
 
     fn optional(&self, entry: Option<&Entry>) -> Result<Option<usize>, InputError> {
-        let Some(entry) = entry else { return Ok(None) };
+        entry.map(|entry| self.single(entry)).transpose()
+    }
+
+    fn single(&self, entry: &Entry) -> Result<usize, InputError> {
         // The name of one column may have a sign in it.
         let column = match entry.terms.as_slice() {
             [term] if term.sign > 0.0 => term.column.clone(),
             _ => ColumnRef::Name(entry.written.clone()),
         };
-        self.find(&column, false).map(Some)
+        self.find(&column, false)
     }
 
     fn time(&self, entry: &Entry, unit: TimeUnit) -> Result<TimeColumns, InputError> {
@@ -441,6 +454,20 @@ impl<'a> Head<'a> {
 
     fn quantities(&mut self, entries: &[Entry], kind: Kind) -> Result<Vec<Quantity>, InputError> {
         entries.iter().map(|entry| self.quantity(entry, kind, false)).collect()
+    }
+
+    fn payload(&mut self, columns: &PayloadColumns) -> Result<PayloadQuantities, InputError> {
+        Ok(match columns {
+            PayloadColumns::Named { column, known } => {
+                PayloadQuantities::Named { column: self.single(column)?, known: known.clone() }
+            }
+            PayloadColumns::Numbers { name, mass, centre, unit, force } => PayloadQuantities::Numbers {
+                name: self.optional(name.as_ref())?,
+                mass: self.quantity(mass, Kind::Plain, false)?,
+                centre: self.quantities(centre, Kind::Length(Some(*unit), "columns.payload_x_mm"))?,
+                force: self.quantities(force.as_ref().map_or(&[], |force| &force[..]), Kind::Plain)?,
+            },
+        })
     }
 
     fn rotation(&mut self, columns: &RotationColumns) -> Result<RotationQuantities, InputError> {

@@ -53,6 +53,17 @@
 //! pressure_hpa = "P"                # or pressure_pa, _kpa, _mmhg, _inhg; checked, and not used
 //! humidity_percent = "H"            # the same
 //! approach = ["dir1", "dir2", "dir3"]  # -1, 0 or 1, one an actuator
+//! payload = "Load"                  # the name of a [[payload]]; empty or "none" where the flange carries nothing
+//! # or numbers: payload_mass_kg = "m", and payload_x_mm, payload_y_mm, payload_z_mm: its centre of mass in the flange frame; beside them
+//! # payload_force_x_n, payload_force_y_n, payload_force_z_n: a force in the base frame that pulls there
+//!
+//! [[payload]]                       # optional: a load on the flange that some rows name
+//! name = "25 kg"
+//! mass_kg = 25.02
+//! x_mm = 0                          # its centre of mass in the flange frame, where a force pulls as well
+//! y_mm = 0
+//! z_mm = 118
+//! # force_x_n = 0, force_y_n and force_z_n, of the base frame
 //!
 //! [rows]                            # each optional
 //! approach_from = "order"           # signs of approach from the order of the rows
@@ -76,6 +87,7 @@
 mod coordinates;
 mod entries;
 mod form;
+mod payload;
 mod pose;
 mod tables;
 
@@ -176,6 +188,7 @@ pub fn parse_column_map(source: &Source) -> Result<ColumnMap, InputError> {
         temperature_unit,
         air: reader.air(rest)?,
         approach,
+        payload: reader.payload(rest, &file.payload)?,
         rows: RowChoices {
             missed: missed(file.position.get_ref()),
             approach_from_order,
@@ -215,6 +228,13 @@ fn with_the_table_of_a_stray_key(mut error: InputError) -> InputError {
                 "pressure_hpa",
                 "humidity_percent",
                 "approach",
+                "payload_mass_kg",
+                "payload_x_mm",
+                "payload_y_mm",
+                "payload_z_mm",
+                "payload_force_x_n",
+                "payload_force_y_n",
+                "payload_force_z_n",
             ],
         ),
         ("[rows]", &["approach_from", "repeats", "faces"]),

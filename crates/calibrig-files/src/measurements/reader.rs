@@ -6,15 +6,19 @@ use std::cell::Cell;
 use std::collections::HashMap;
 use std::fmt;
 
+use nalgebra::Vector3;
+
 use super::LoadedMeasurements;
 use super::columns::{MissedCode, RowOptions};
 use super::faces::Faces;
-use super::header::{Columns, Quantity, QuantityTerm};
+use super::header::{Columns, PayloadQuantities, Quantity, QuantityTerm};
 use super::layout::{Column, Decimal};
 use super::rows::{Place, Row};
 use super::times::TimeReader;
 use super::units::{TEMPERATURES, likelier_temperature};
 use crate::input::InputError;
+use crate::payloads::{NO_PAYLOAD, payload_by_name};
+use calibrig_model::Payload;
 use calibrig_model::measurement::{MeasurementSet, Observation, Reading, Station, Target};
 
 /// Least motion of an actuator that is one, m or rad.
@@ -180,6 +184,7 @@ impl RowReader<'_> {
         cells.is_like(&reading, loaded)?;
         let seen = cells.turn_to_point(&mut reading, &self.faces)?;
         let temperature = cells.temperature()?;
+        let payload = cells.payload()?;
         cells.check_air()?;
         self.faces.note(seen, || row.place().of(self.file));
         let time = match &mut self.time {
@@ -195,7 +200,7 @@ impl RowReader<'_> {
         let station = names.station(station, &mut loaded.set);
         let target = names.target(target, &mut loaded.set);
         let observation =
-            Observation { pose, command, approach, temperature, time, station, target, reading };
+            Observation { pose, command, approach, temperature, time, station, target, payload, reading };
         loaded.set.observations.push(observation);
         loaded.places.push(self.file, row.place());
         loaded.hold_out_last(held_out);
@@ -226,13 +231,14 @@ impl RowReader<'_> {
     }
 
     /// Number of the pose where no column has it: that of the row, or of the first one of a stop, at which several shots are taken or several
-    /// targets are measured one behind the other with the same command.
+    /// targets are measured one behind the other with the same command and payload.
     fn stop(&self, cells: &Cells<'_>, loaded: &LoadedMeasurements) -> Result<u32, InputError> {
         let last = loaded.set.observations.last().filter(|_| self.rows > 1 && cells.missed().is_none());
         let Some(last) = last else { return Ok(self.rows) };
         let command = cells.command()?;
         let same = |(a, b): (&f64, &f64)| a.to_bits() == b.to_bits();
         let stays = command.len() == last.command.len() && command.iter().zip(&last.command).all(same);
+        let stays = stays && cells.payload()? == last.payload;
         Ok(if stays { last.pose } else { self.rows })
     }
 }
@@ -441,6 +447,49 @@ impl<'r> Cells<'r> {
             stated.sign()
         );
         Err(self.refuse_cell(quantity.terms[0].column, &expected))
+    }
+
+    /// What the flange carries; `None` where the row says nothing, or nothing of it weighs.
+    fn payload(&self) -> Result<Option<Payload>, InputError> {
+        match &self.reader.columns.payload {
+            None => Ok(None),
+            Some(PayloadQuantities::Named { column, known }) => {
+                let names = known.iter().map(|payload| payload.name.as_str());
+                match payload_by_name(self.cell(*column), names) {
+                    Ok(index) => Ok(index.map(|index| known[index].clone())),
+                    Err(expected) => Err(self.refuse_cell(*column, &expected)),
+                }
+            }
+            Some(PayloadQuantities::Numbers { name, mass, centre, force }) => {
+                let name = self.name(*name).unwrap_or_default();
+                let weighed = mass.terms[0].column;
+                if self.is_empty(std::slice::from_ref(mass)) {
+                    let rest = self.is_empty(centre) && self.is_empty(force);
+                    if rest && (name.is_empty() || name == NO_PAYLOAD) {
+                        return Ok(None);
+                    }
+                    let expected = "the mass of the payload of which the row says more, kg; or nothing of it";
+                    return Err(self.refuse_cell(weighed, expected));
+                }
+                let kg = self.value(mass)?;
+                if kg < 0.0 {
+                    return Err(self.refuse_cell(weighed, "a mass of zero or more, kg"));
+                }
+                if kg == 0.0 && self.is_empty(centre) && self.is_empty(force) {
+                    return Ok(None);
+                }
+                let vector = |quantities: &[Quantity]| -> Result<Vector3<f64>, InputError> {
+                    let mut vector = Vector3::zeros();
+                    for (value, quantity) in vector.iter_mut().zip(quantities) {
+                        *value = self.value(quantity)?;
+                    }
+                    Ok(vector)
+                };
+                let name = if name.is_empty() { format!("{kg} kg") } else { name.to_owned() };
+                let force = if self.is_empty(force) { Vector3::zeros() } else { vector(force)? };
+                Ok(Some(Payload { name, mass: kg, centre: vector(centre)?, force }))
+            }
+        }
     }
 
     /// Refuses a pressure or humidity that cannot be. They are not used: ranges are those of the instrument, which allows for the air.

@@ -1,4 +1,4 @@
-//! Repeats of a pose: the same command, station and target more than once.
+//! Repeats of a pose: the same command, payload, station and target more than once.
 
 use std::collections::HashMap;
 use std::f64::consts::{PI, TAU};
@@ -7,6 +7,7 @@ use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3};
 
 use super::LoadedMeasurements;
 use crate::input::InputError;
+use calibrig_model::Payload;
 use calibrig_model::geometry::rotation_vector;
 use calibrig_model::measurement::{Face, Observation, PoseReading, Reading, SphericalReading};
 
@@ -16,8 +17,8 @@ pub(super) const SAME_COMMAND: f64 = 1e-3;
 /// Fewest degrees of freedom whose scatter is a standard deviation.
 const ENOUGH: usize = 6;
 
-/// Station, target, approach, and the face where readings of both stay apart.
-type Reached<'a> = (usize, usize, &'a [i8], Face);
+/// Station, target, approach, the payload, and the face where readings of both stay apart.
+type Reached<'a> = (usize, usize, &'a [i8], Option<[u64; 7]>, Face);
 
 /// Observations that are of one pose, station and target, in the order of their first ones; those of both faces in one group, or apart.
 pub(super) fn groups(
@@ -36,7 +37,8 @@ pub(super) fn groups(
     let are_rows = !numbers_poses || numbers.len() == observations.len();
     for (index, o) in observations.iter().enumerate() {
         let next = groups.len();
-        let reached: Reached<'_> = (o.station, o.target, &o.approach, face(o));
+        let payload = o.payload.as_ref().map(Payload::bits);
+        let reached: Reached<'_> = (o.station, o.target, &o.approach, payload, face(o));
         let group = if are_rows {
             let command = o.command.iter().map(|v| v.to_bits()).collect();
             *by_command.entry((command, reached)).or_insert(next)
@@ -51,7 +53,7 @@ pub(super) fn groups(
     groups
 }
 
-/// Puts the mean in the place of the repeats of a pose (the same number, station, target and approach), and their scatter where they state no
+/// Puts the mean in the place of the repeats of a pose (the same number, station, target, approach and payload), and their scatter where they state no
 /// uncertainty: pooled over all poses and axes, over the square root of the repeats.
 ///
 /// # Errors

@@ -3,17 +3,18 @@
 use std::path::Path;
 
 mod faces;
+mod payloads;
 mod poses;
 
 use super::*;
 use crate::input::{InputError, Source};
 use crate::robot::tests::base_from_flange;
 use crate::{Robot, load_robot};
-use calibrig_model::JointKind;
 use calibrig_model::geometry::{Transform, best_fit_transform, cross_matrix, small_displacement};
 use calibrig_model::measurement::{
     Face, MeasurementSet, Observation, PoseReading, Reading, SphericalReading, Station, Target,
 };
+use calibrig_model::{JointKind, Payload};
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Point3, Rotation3, Vector3, Vector6};
 use proptest::prelude::*;
 
@@ -328,6 +329,12 @@ fn pose(place: [f64; 3], turn: [f64; 3], c: [f64; 6], (diagonal, stated): (bool,
     }))
 }
 
+fn payload() -> impl Strategy<Value = Payload> {
+    let vector = || prop::array::uniform3(finite()).prop_map(Vector3::from);
+    ("p[a-z ,;\"#é0-9]{0,5}x", 0.0f64..=1e6, vector(), vector())
+        .prop_map(|(name, mass, centre, force)| Payload { name, mass, centre, force })
+}
+
 fn observation(kind: u8, diagonal: bool) -> impl Strategy<Value = Observation> {
     let parts = (
         (any::<u32>(), prop::collection::vec(finite(), 2), prop::collection::vec(-1i8..=1, 2)),
@@ -338,9 +345,15 @@ fn observation(kind: u8, diagonal: bool) -> impl Strategy<Value = Observation> {
             prop::array::uniform6(-1e-3f64..1e-3),
         ),
         (any::<bool>(), any::<bool>(), prop::array::uniform3(-3.0f64..3.0)),
+        prop::option::of(payload()),
     );
     parts.prop_map(
-        move |((number, command, approach), (temperature, time, place, c), (stated, is_back, turn))| {
+        move |(
+            (number, command, approach),
+            (temperature, time, place, c),
+            (stated, is_back, turn),
+            payload,
+        )| {
             let c = c.map(|value| value + f64::copysign(1e-9, value));
             let covariance = if diagonal {
                 Matrix3::from_diagonal(&Vector3::new(c[0] * c[0], c[1] * c[1], c[2] * c[2]))
@@ -367,7 +380,18 @@ fn observation(kind: u8, diagonal: bool) -> impl Strategy<Value = Observation> {
                 let position = Vector3::new(x, y, if (x, y, z) == (0.0, 0.0, 0.0) { 1.0 } else { z });
                 Reading::Cartesian { position, covariance: stated.then_some(covariance) }
             };
-            Observation { pose: number, command, approach, temperature, time, station: 0, target: 0, reading }
+            let pose = number;
+            Observation {
+                pose,
+                command,
+                approach,
+                temperature,
+                time,
+                station: 0,
+                target: 0,
+                payload,
+                reading,
+            }
         },
     )
 }
@@ -406,6 +430,8 @@ fn ur5_map() -> ColumnMap {
     crate::load_column_map(&path).expect("the map of the repository").0
 }
 
+const OWN_PAYLOAD: &str = "q1_m,q2_rad,x_m,y_m,z_m,payload,payload_mass_kg,payload_x_m,payload_y_m,payload_z_m\n\
+0.5,-1.25,3.5,0.25,-0.125,plates,25,0,0,0.1\n0.6,-1.25,3.5,0.25,-0.125,,,,,\n";
 const OWN_POSE: &str = "q1_m,q2_rad,x_m,y_m,z_m,r11,r12,r13,r21,r22,r23,r31,r32,r33,sigma_x_m,sigma_y_m,sigma_z_m,sigma_rx_rad,sigma_ry_rad,sigma_rz_rad\n\
 0.5,-1.25,3.5,0.25,-0.125,0,-1,0,1,0,0,0,0,1,1e-5,2e-6,3e-6,1e-5,2e-6,3e-6\n0.6,-1.25,3.5,0.25,-0.125,1,0,0,0,1,0,0,0,1,,,,,,\n";
 const FACES: &str = "s,t,F,R,Hz,V,P\n1,2,I,3,30,80,1013\n1,2,II,3,210,280,\n3,4,II,2,211,281,990\n";
@@ -449,6 +475,7 @@ fn no_mutation_of_a_file_panics(
         (OWN, ColumnMap::default(), &KINDS[..]),
         (UR5_FILE, ur5_map(), &[JointKind::Revolute; 6]),
         (OWN_POSE, ColumnMap::default(), &KINDS[..]),
+        (OWN_PAYLOAD, ColumnMap::default(), &KINDS[..]),
         (FACES, map(FACES_MAP), &KINDS[..]),
         (INVERSE, map(INVERSE_MAP), &KINDS[..]),
     ] {

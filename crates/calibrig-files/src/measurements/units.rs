@@ -165,7 +165,7 @@ impl TemperatureUnit {
     }
 }
 
-/// Temperatures that a robot and the air around it can have, °C.
+/// Temperatures that the air at a robot can have, °C.
 pub(super) const TEMPERATURES: [f64; 2] = [-60.0, 120.0];
 
 /// The unit in which a number would be a temperature that can be, where it is none in the stated one.

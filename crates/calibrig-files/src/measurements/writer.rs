@@ -9,9 +9,10 @@ use thiserror::Error;
 use super::columns::own;
 use super::units::TEMPERATURES;
 use crate::input::InputError;
+use crate::payloads::NO_PAYLOAD;
 use crate::rotation::{RotationError, rotation_of_matrix};
-use calibrig_model::JointKind;
 use calibrig_model::measurement::{Face, MeasurementSet, Observation, Reading};
+use calibrig_model::{JointKind, Payload, PayloadError};
 
 /// A measurement file that cannot be used, or a set that cannot be written as one.
 #[derive(Debug, Error, Diagnostic)]
@@ -78,7 +79,7 @@ pub enum CsvError {
         /// What it is.
         error: RotationError,
     },
-    /// A temperature that neither a robot nor the air around it can have.
+    /// A temperature that no air around a robot has.
     #[error("pose {pose}: the temperature is {value} °C")]
     #[diagnostic(help("expected a temperature from {} to {} °C", TEMPERATURES[0], TEMPERATURES[1]))]
     Temperature {
@@ -86,6 +87,15 @@ pub enum CsvError {
         pose: u32,
         /// °C
         value: f64,
+    },
+    /// A load at the flange that cannot be.
+    #[error("pose {pose}: {source}")]
+    #[diagnostic(help("expected a mass of zero or more, and finite numbers"))]
+    Payload {
+        /// Pose.
+        pose: u32,
+        /// Why.
+        source: PayloadError,
     },
     /// A station or target that the set does not have.
     #[error("pose {pose}: {what} {index} is not in the set")]
@@ -101,7 +111,7 @@ pub enum CsvError {
     #[error("{what} name {name:?} cannot be written")]
     #[diagnostic(help("expected distinct names without line breaks or blanks at their ends"))]
     Name {
-        /// `station` or `target`.
+        /// `station`, `target` or `payload`.
         what: &'static str,
         /// The name.
         name: String,
@@ -130,6 +140,8 @@ struct Form {
     as_sigmas: bool,
     /// Whether some reading is of the back face.
     has_faces: bool,
+    /// Whether some pose carries a payload.
+    has_payloads: bool,
 }
 
 struct Writer<'a> {
@@ -205,6 +217,19 @@ fn covariance_of(reading: &Reading) -> Option<DMatrix<f64>> {
     }
 }
 
+/// The cells of a payload, which are empty without one.
+fn payload_cells(pose: u32, payload: Option<&Payload>) -> Result<Vec<String>, CsvError> {
+    let Some(payload) = payload else { return Ok(vec![String::new(); 8]) };
+    payload.check().map_err(|source| CsvError::Payload { pose, source })?;
+    let name = &payload.name;
+    if name.is_empty() || name == NO_PAYLOAD || name.trim() != name || name.contains(['\n', '\r']) {
+        return Err(CsvError::Name { what: "payload", name: name.clone() });
+    }
+    let numbers = [payload.mass].into_iter().chain(payload.centre.iter().copied());
+    let numbers = numbers.chain(payload.force.iter().copied());
+    Ok([name.clone()].into_iter().chain(numbers.map(exact)).collect())
+}
+
 fn check_names<'n>(what: &'static str, names: impl Iterator<Item = &'n String>) -> Result<(), CsvError> {
     let mut seen: Vec<&String> = Vec::new();
     for name in names {
@@ -230,6 +255,7 @@ impl Writer<'_> {
             kind,
             as_sigmas: covariances.iter().flatten().all(|covariance| exact_sigmas(covariance).is_some()),
             has_faces: observations.iter().any(|o| o.reading.face() != Face::Front),
+            has_payloads: observations.iter().any(|o| o.payload.is_some()),
         };
         let header = self.header(form);
         let mut writer = csv::Writer::from_writer(Vec::new());
@@ -252,6 +278,10 @@ impl Writer<'_> {
         header.extend(form.kind.columns(form.as_sigmas).into_iter().map(str::to_owned));
         header.extend([own::TIME, own::TEMPERATURE].map(str::to_owned));
         header.extend((0..self.joints.len()).map(own::approach));
+        if form.has_payloads {
+            let columns = [own::PAYLOAD, own::PAYLOAD_MASS].into_iter().chain(own::PAYLOAD_CENTRE);
+            header.extend(columns.chain(own::PAYLOAD_FORCE).map(str::to_owned));
+        }
         header
     }
 
@@ -323,6 +353,9 @@ impl Writer<'_> {
                 return Err(CsvError::Approach { pose, value });
             }
             row.push(value.to_string());
+        }
+        if form.has_payloads {
+            row.extend(payload_cells(pose, observation.payload.as_ref())?);
         }
         Ok(row)
     }

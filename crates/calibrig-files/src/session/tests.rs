@@ -167,6 +167,7 @@ fn stations_are_found_by_their_names() {
         time: 0.0,
         station: 0,
         target: 0,
+        payload: None,
         reading: Reading::Cartesian { position: Vector3::x(), covariance: None },
     };
     let loaded = |name: &str| LoadedMeasurements {

@@ -15,9 +15,13 @@ pub use pose::{CombineError, combine};
 pub use registration::{NestSystem, Registration, RegistrationError, WhitenedNest, nest_system, register};
 pub use repeats::Repeats;
 
+use std::collections::HashSet;
+
 use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
+
+use crate::{Payload, PayloadError};
 
 /// Which of the two sets of poses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
@@ -124,7 +128,7 @@ pub struct Observation {
     pub command: Vec<f64>,
     /// Sign of the last motion of each actuator before the pose: -1, 0 (unknown) or 1.
     pub approach: Vec<i8>,
-    /// Temperature of the robot, °C, where known.
+    /// Temperature of the air at the robot, °C, where known. The robot itself may be warmer.
     pub temperature: Option<f64>,
     /// Time since the session began, s.
     pub time: f64,
@@ -132,6 +136,8 @@ pub struct Observation {
     pub station: usize,
     /// Index into [`MeasurementSet::targets`].
     pub target: usize,
+    /// What the flange carried at that pose, beside what the robot's model says it always does; `None` where nothing.
+    pub payload: Option<Payload>,
     /// What the tracker read.
     pub reading: Reading,
 }
@@ -212,6 +218,14 @@ pub enum MeasurementError {
     UnknownStationOrTarget {
         /// The pose.
         pose: u32,
+    },
+    /// A load at the flange that cannot be.
+    #[error("pose {pose}: {source}")]
+    Payload {
+        /// The pose.
+        pose: u32,
+        /// Why.
+        source: PayloadError,
     },
     /// A number that is not one.
     #[error("pose {pose}: a command or reading is not a finite number")]
@@ -323,6 +337,7 @@ impl MeasurementSet {
                 time: 0.0,
                 station: 0,
                 target: 0,
+                payload: None,
                 reading: Reading::Cartesian { position, covariance: None },
             });
         }
@@ -418,12 +433,30 @@ impl MeasurementSet {
                 if !finite {
                     return Err(MeasurementError::NotFinite { pose });
                 }
+                let payload = observation.payload.iter().try_for_each(Payload::check);
+                payload.map_err(|source| MeasurementError::Payload { pose, source })?;
                 match &observation.reading {
                     Reading::Pose(reading) => reading.check(pose, &self.targets[observation.target]),
                     Reading::Spherical(_) | Reading::Cartesian { .. } => Ok(()),
                 }
             },
         )
+    }
+
+    /// What the flange carried, each with the number of poses, in the order of their first ones; empty where it never carried anything.
+    pub fn payloads(&self) -> Vec<(Option<&Payload>, usize)> {
+        let mut carried: Vec<(Option<&Payload>, HashSet<u32>)> = Vec::new();
+        for observation in &self.observations {
+            let payload = observation.payload.as_ref();
+            match carried.iter_mut().find(|(known, _)| *known == payload) {
+                Some((_, poses)) => _ = poses.insert(observation.pose),
+                None => carried.push((payload, HashSet::from([observation.pose]))),
+            }
+        }
+        if carried.iter().all(|(payload, _)| payload.is_none()) {
+            return Vec::new();
+        }
+        carried.into_iter().map(|(payload, poses)| (payload, poses.len())).collect()
     }
 
     /// Whether any reading has an orientation.

@@ -6,6 +6,7 @@ use std::hash::Hash;
 use nalgebra::Vector3;
 
 use super::{MeasurementSet, Observation};
+use crate::Payload;
 
 /// What repeats of a pose say of a set.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -23,8 +24,8 @@ pub struct Repeats {
 const SAME_COMMAND: f64 = 1e-5;
 
 impl MeasurementSet {
-    /// What its repeats scatter by; `None` where no pose is measured twice from the same sides. Repeats have the same approach, station and
-    /// target, and the same command: to the last bit, or within 1e-5 m or rad where they have the number of one pose.
+    /// What its repeats scatter by; `None` where no pose is measured twice from the same sides. Repeats have the same approach, station,
+    /// target and payload, and the same command: to the last bit, or within 1e-5 m or rad where they have the number of one pose.
     #[must_use]
     pub fn repeats(&self) -> Option<Repeats> {
         let groups = self.repeated_readings();
@@ -48,7 +49,7 @@ impl MeasurementSet {
         groups.into_iter().filter(|group| group.len() > 1).collect()
     }
 
-    /// The observations of one target at one command, from whichever side it was approached and whichever station it was seen, by index; also those of
+    /// The observations of one target at one command and with one payload, from whichever side it was approached and whichever station it was seen, by index; also those of
     /// poses that were measured once.
     #[must_use]
     pub fn same_commands(&self) -> Vec<Vec<usize>> {
@@ -64,7 +65,8 @@ impl MeasurementSet {
             let is_same = first.iter().zip(&o.command).all(|(a, b)| (a - b).abs() <= SAME_COMMAND);
             let command = if is_same { first } else { &o.command };
             let command: Vec<u64> = command.iter().map(|value| value.to_bits()).collect();
-            let place = *places.entry((command, also(o))).or_insert(groups.len());
+            let payload = o.payload.as_ref().filter(|payload| !payload.is_none()).map(Payload::bits);
+            let place = *places.entry((command, payload, also(o))).or_insert(groups.len());
             match groups.get_mut(place) {
                 Some(group) => group.push(index),
                 None => groups.push(vec![index]),

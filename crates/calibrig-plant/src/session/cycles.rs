@@ -117,6 +117,7 @@ impl MeasuringSession<'_> {
         // The first station measures the test.
         let setup = Setup { trackers, mounted: self.mounted(seed, trial), seed, trial };
         let commands: Vec<_> = poses.iter().map(|q| self.actuators.command_from_joints(q)).collect();
+        machine.carry(None).map_err(|source| CycleError::Pose { pose: 1, cycle: 0, source })?;
         let mut controller = Controller::at_home(self);
         let mut visited = 0_u32;
         let lead_in = commands.first().map(|command| (0, 1, command));
@@ -160,6 +161,7 @@ impl MeasuringSession<'_> {
                     time,
                     station: 0,
                     target,
+                    payload: None,
                     reading,
                 });
             }

@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 
 use crate::effects::PoseEffects;
 use crate::{AsBuilt, SettledPose};
+use calibrig_model::Payload;
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{Observation, SetKind, SetOutcome};
 
@@ -20,6 +21,8 @@ pub enum SessionEvent<'a> {
         stations: &'a [Transform],
         /// Real offsets of the targets beside the machine's own, in the flange frame, m.
         further_targets: &'a [Vector3<f64>],
+        /// The loads that the flange carries at some poses, as they really are.
+        payloads: &'a [Payload],
         /// Poses planned over all sets.
         poses: u32,
     },

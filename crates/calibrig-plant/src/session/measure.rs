@@ -22,7 +22,7 @@ use calibrig_model::measurement::{
     Target,
 };
 use calibrig_model::random::{self, Source};
-use calibrig_model::{ActuatorMap, JointKind};
+use calibrig_model::{ActuatorMap, JointKind, Payload};
 
 /// What is measured, where, and with what. What comes out of it is a pure function of this, the machine, the seed and the trial.
 #[derive(Debug, Clone, Copy)]
@@ -104,16 +104,20 @@ impl MeasuringSession<'_> {
             ControlFlow::Continue(()) => Ok(()),
             ControlFlow::Break(()) => Err(SessionError::Interrupted { done, total }),
         };
+        let payloads: Vec<_> =
+            self.plan.payloads.payloads.iter().map(|payload| payload.real.clone()).collect();
         let begin = SessionEvent::Begin {
             as_built: self.as_built,
             stations: &stations,
             further_targets: &further_targets,
+            payloads: &payloads,
             poses: total,
         };
         tell(begin, done)?;
         let mut truth = Truth {
             as_built: self.as_built.clone(),
             stations: stations.clone(),
+            payloads: payloads.clone(),
             instrument: shared_errors(&setup.trackers),
             further_targets: further_targets.clone(),
             orientation: self.probe.map(|probe| probe.flange_from_target),
@@ -252,6 +256,9 @@ impl MeasuringSession<'_> {
         let (joints, start) = &planned.poses[pose as usize];
         let command = self.actuators.command_from_joints(joints);
         let of_visit = self.plan.seconds_per_pose() / f64::from(self.plan.repeats);
+        let payload = self.plan.payloads.at(planned.kind, pose as usize, planned.poses.len());
+        machine.carry(payload.map(|payload| &payload.real))?;
+        let payload = payload.map(|payload| &payload.stated);
         let mut taken = Taken::default();
         for visit in 0..self.plan.repeats {
             let time = start + of_visit * f64::from(visit);
@@ -264,7 +271,8 @@ impl MeasuringSession<'_> {
             let mut own = random::stream_at(seed, trial, Source::Repeatability, place);
             let (settled, effects) = controller.go_to(machine, &command, time, &mut own)?;
             let share = self.plan.share;
-            let visit = Visit { command: &command, controller, pose, place, time, settled, effects, share };
+            let visit =
+                Visit { command: &command, controller, pose, place, time, payload, settled, effects, share };
             self.read(setup, &visit, noise, &mut taken);
         }
         Ok(taken)
@@ -414,6 +422,8 @@ pub(super) struct Visit<'a> {
     pub pose: u32,
     pub place: u64,
     pub time: f64,
+    /// As stated.
+    pub payload: Option<&'a Payload>,
     pub settled: SettledPose,
     pub effects: PoseEffects,
     /// Which stations read it.
@@ -430,6 +440,7 @@ impl Visit<'_> {
             time,
             station,
             target,
+            payload: self.payload.cloned(),
             reading,
         }
     }

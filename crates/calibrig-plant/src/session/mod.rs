@@ -6,6 +6,7 @@ mod cycles;
 mod events;
 mod measure;
 mod nests;
+mod payloads;
 mod plan;
 mod schedule;
 mod sight;
@@ -17,6 +18,7 @@ pub use beside::{BesideRigid, RigidMachine};
 pub use cycles::{CycleError, CycleMeasurements};
 pub use events::{MeasuredPose, SessionEvent, SessionListener, counting};
 pub use measure::MeasuringSession;
+pub use payloads::{PayloadOrder, PayloadPlan, PlannedPayload};
 pub use plan::{
     Approach, FurtherStation, FurtherTarget, LEAST_PLACES, MOST_ORDERED_POSES, MOST_PLACES, MOST_REPEATS,
     MOST_SECONDS, NestRounds, PlanError, PoseOrder, SessionPlan, Sight, StationShare, Timing,
@@ -30,6 +32,7 @@ use super::effects::{EffectError, PoseEffects};
 use super::experiment::RegionError;
 use super::tracker::TrackerError;
 use super::{AsBuilt, Plant, PlantError, SettledPose};
+use calibrig_model::Payload;
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{InstrumentTerm, SetKind, SetOutcome};
 
@@ -42,6 +45,8 @@ pub struct Truth {
     pub stations: Vec<Transform>,
     /// What the readings of the instrument are really off by, m, rad or 1; empty where that is not known, or the stations' instruments differ.
     pub instrument: Vec<(InstrumentTerm, f64)>,
+    /// The loads that the flange carried at some poses, as they really are; the observations have them by name, as stated.
+    pub payloads: Vec<Payload>,
     /// Real offsets of the targets beside the machine's own, in the flange frame, m.
     pub further_targets: Vec<Vector3<f64>>,
     /// `flange_from_target` of the first target, where its orientation is measured; `None` of a point.
@@ -90,6 +95,9 @@ pub trait Machine {
     /// The pose at rest at the positions of its motors (m or rad, one an actuator), with the frames of the links displaced (along, then about x,
     /// y and z; m and rad, one a joint; empty for none).
     fn settle(&mut self, motors: &[f64], displacements: &[[f64; 6]]) -> Result<SettledPose, Self::Error>;
+
+    /// Hangs a load on the flange, or takes it off, for all poses from now on.
+    fn carry(&mut self, payload: Option<&Payload>) -> Result<(), Self::Error>;
 }
 
 impl Machine for Plant {
@@ -97,6 +105,10 @@ impl Machine for Plant {
 
     fn settle(&mut self, motors: &[f64], displacements: &[[f64; 6]]) -> Result<SettledPose, PlantError> {
         self.settle_displaced(motors, displacements)
+    }
+
+    fn carry(&mut self, payload: Option<&Payload>) -> Result<(), PlantError> {
+        Plant::carry(self, payload)
     }
 }
 

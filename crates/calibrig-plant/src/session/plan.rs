@@ -3,8 +3,10 @@
 use nalgebra::{UnitVector3, Vector3};
 use thiserror::Error;
 
+use super::payloads::PayloadPlan;
 use super::sweeps::PlannedSweep;
 use crate::tracker::STATED_AVERAGING;
+use calibrig_model::PayloadError;
 use calibrig_model::geometry::Transform;
 use calibrig_model::visibility::Obstacles;
 
@@ -33,6 +35,8 @@ pub struct SessionPlan {
     pub rounds: NestRounds,
     /// Joints that are moved alone, one after the other, behind the first round of nests.
     pub sweeps: Vec<PlannedSweep>,
+    /// What the flange carries at which pose.
+    pub payloads: PayloadPlan,
     /// What can hide a target; `None`: every line of sight is free and every target turned to the tracker.
     pub sight: Option<Sight>,
 }
@@ -166,6 +170,7 @@ impl Default for SessionPlan {
             timing: Timing::default(),
             rounds: NestRounds::default(),
             sweeps: Vec::new(),
+            payloads: PayloadPlan::default(),
             sight: None,
         }
     }
@@ -182,7 +187,7 @@ pub const LEAST_PLACES: u32 = 5;
 pub const MOST_PLACES: u32 = 1000;
 
 /// A plan that cannot be carried out.
-#[derive(Debug, Clone, Copy, PartialEq, Error)]
+#[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum PlanError {
     /// No visit, or too many.
@@ -215,6 +220,17 @@ pub enum PlanError {
     Sweep {
         /// As planned.
         sweep: PlannedSweep,
+    },
+    /// A load that cannot be.
+    #[error(transparent)]
+    Carried(#[from] PayloadError),
+    /// A load that the plan does not have.
+    #[error("a pose carries payload index {index} of {payloads}")]
+    Payload {
+        /// Index asked for.
+        index: usize,
+        /// Their number.
+        payloads: usize,
     },
     /// An approach that is no distance.
     #[error("an approach from {distance} (m or rad) beside: expected a finite number above zero")]
@@ -254,6 +270,7 @@ impl SessionPlan {
         if self.order == PoseOrder::ShortTravel && most_poses > MOST_ORDERED_POSES {
             return Err(PlanError::Order { poses: most_poses });
         }
+        self.payloads.check()?;
         let is_sound = |sweep: &&PlannedSweep| {
             let moves = sweep.range.iter().all(|end| end.is_finite()) && sweep.range[0] != sweep.range[1];
             moves && (LEAST_PLACES..=MOST_PLACES).contains(&sweep.places)

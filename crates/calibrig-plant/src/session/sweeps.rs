@@ -49,6 +49,7 @@ impl MeasuringSession<'_> {
         let mut noise = random::stream(seed, trial, Source::SweepNoise);
         let mut controller = Controller::at_home(self);
         let mut taken = Taken::default();
+        machine.carry(None).map_err(|source| SessionError::Sweep { place: 0, source })?;
         for ((joints, time), number) in schedule.sweeps.iter().zip(0..) {
             let command = self.actuators.command_from_joints(joints);
             let place = PLACE | u64::from(number);
@@ -62,6 +63,7 @@ impl MeasuringSession<'_> {
                 pose: number,
                 place,
                 time: *time,
+                payload: None,
                 settled,
                 effects,
                 share: StationShare::All,

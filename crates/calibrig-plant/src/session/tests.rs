@@ -48,6 +48,10 @@ impl Machine for Exact {
             steps: 0,
         })
     }
+
+    fn carry(&mut self, _: Option<&Payload>) -> Result<(), PlantError> {
+        Ok(())
+    }
 }
 
 struct Scene {

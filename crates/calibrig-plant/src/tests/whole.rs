@@ -7,7 +7,9 @@ use rand_chacha::ChaCha8Rng;
 use super::constrained::Constrained;
 use super::random_robot::{random_full_robot, random_shifts};
 use super::spray_robot::{full_robot, working_command};
-use super::{ElasticPlace, bits, plant};
+use super::{ElasticPlace, PlantError, bits, plant};
+use calibrig_model::{Payload, PointLoad};
+use nalgebra::{Point3, Vector3};
 
 #[test]
 fn the_derivatives_of_the_constrained_reference_are_those_of_its_energy() {
@@ -177,4 +179,43 @@ fn the_pose_tells_what_yields_and_where_the_loop_is() {
     assert!(((crank - shoulder).norm() - 0.35).abs() < 1e-12);
     assert!(((lever - elbow).norm() - 0.35).abs() < 1e-12);
     assert!((pose.links[3].translation.vector - elbow).norm() < 1e-15);
+}
+
+/// With a payload the machine rests where the independent solution of one with a further load does; without it again where it did.
+#[test]
+fn a_payload_hangs_on_the_flange_until_it_is_taken_off() {
+    let mut rng = ChaCha8Rng::seed_from_u64(39);
+    let (mut largest, mut least) = (0.0_f64, f64::INFINITY);
+    for _ in 0..20 {
+        let robot = random_full_robot(&mut rng);
+        let command = working_command(&robot, &mut rng);
+        let payload = Payload {
+            name: "plates".to_owned(),
+            mass: rng.random_range(5.0..50.0),
+            centre: Vector3::from_fn(|_, _| rng.random_range(-0.2..0.2)),
+            force: Vector3::new(0.0, 40.0, -20.0),
+        };
+        let mut machine = plant(&robot);
+        let bare = machine.settle(&command).expect("a stiff robot");
+        machine.carry(Some(&payload)).expect("sound");
+        let loaded = machine.settle(&command).expect("a stiff robot");
+        let mut with_load = robot.clone();
+        with_load.statics.loads.push(PointLoad {
+            name: payload.name.clone(),
+            link: 6,
+            at: (robot.kinematics.last_from_flange * Point3::from(payload.centre)).coords,
+            mass: payload.mass,
+            force: payload.force,
+        });
+        let reference = Constrained::new(&with_load, &command, &[]);
+        largest = largest.max((loaded.target - reference.target(&reference.solve().0)).norm());
+        least = least.min((loaded.target - bare.target).norm());
+        let negative = Payload { mass: -1.0, ..payload.clone() };
+        assert!(matches!(machine.carry(Some(&negative)), Err(PlantError::Mass { .. })));
+        assert_eq!(bits(&machine.settle(&command).expect("still there")), bits(&loaded));
+        machine.carry(None).expect("nothing");
+        assert_eq!(bits(&machine.settle(&command).expect("a stiff robot")), bits(&bare));
+    }
+    eprintln!("at most {largest:e} m off; the payload moves the target by {least:.4} m or more");
+    assert!(largest <= 1e-9 && least > 1e-4, "{largest:e} {least:e}");
 }

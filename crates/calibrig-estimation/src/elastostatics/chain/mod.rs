@@ -32,7 +32,9 @@ use self::place::{LoopPlace, TermsPlace, finite};
 use self::screw::{Lump, Screw};
 use crate::kinematics::ClosureError;
 use calibrig_model::geometry::Transform;
-use calibrig_model::{ActuatorMap, CalibrationModel, ModelError, PointLoad, TermPlace};
+use calibrig_model::{
+    ActuatorMap, CalibrationModel, ModelError, Payload, PayloadError, PointLoad, TermPlace,
+};
 
 /// How much of the statics a pose is settled with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,7 +57,7 @@ pub struct Settled {
 }
 
 /// Why a chain has no pose at rest.
-#[derive(Debug, Clone, Copy, PartialEq, Error)]
+#[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum ElasticError {
     /// The iteration does not converge: the chain is unstable or far too soft.
@@ -74,6 +76,9 @@ pub enum ElasticError {
     /// A command or a correction that is not of this robot.
     #[error(transparent)]
     Model(#[from] ModelError),
+    /// A load at the flange that cannot be.
+    #[error(transparent)]
+    Payload(#[from] PayloadError),
     /// Deflections of another chain.
     #[error("deflections has {found} entries: expected {expected}, one a spring of the chain")]
     Deflections {
@@ -101,6 +106,22 @@ const SLOW: f64 = 0.5;
 /// ... below which the digits run out.
 const ROUNDED: f64 = 1e-9;
 
+/// A payload as the chain needs it; nothing by default.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Carried {
+    mass: f64,
+    /// In the flange frame, m.
+    centre: Vector3<f64>,
+    force: Vector3<f64>,
+}
+
+impl Carried {
+    /// Of one that has been checked.
+    pub fn of(payload: Option<&Payload>) -> Self {
+        payload.map_or_else(Self::default, |p| Self { mass: p.mass, centre: p.centre, force: p.force })
+    }
+}
+
 /// The robot as a chain of elementary screw motions with springs and loads.
 ///
 /// It is made once, given values by [`set_model`](Self::set_model), settled at a command, and then asked for the target, and after
@@ -110,12 +131,14 @@ const ROUNDED: f64 = 1e-9;
 pub struct ElasticChain {
     parts: Vec<Part>,
     slots: Vec<Slot>,
+    /// Those of the robot, and at the end that of the payload.
     lumps: Vec<Lump>,
     four_bar: Option<Loop>,
     /// Whether the reference model says what its parts weigh and how they yield.
     has_statics: bool,
     actuators: ActuatorMap,
     gravity: Vector3<f64>,
+    payload: Carried,
     base_from_first: Transform,
     last_from_flange: Transform,
     /// Of every slot: m/N or rad/(N m), and those of the reference model.
@@ -177,6 +200,7 @@ impl ElasticChain {
             base_from_first: Transform::identity(),
             last_from_flange: Transform::identity(),
             gravity: Vector3::zeros(),
+            payload: Carried::default(),
             has_statics: reference.statics.is_some(),
             actuators: reference.actuators.clone(),
             deflection: Deflection::None,
@@ -276,11 +300,28 @@ impl ElasticChain {
         }
     }
 
+    /// Hangs a load on the flange, or takes it off, for all poses that are settled from now on.
+    ///
+    /// # Errors
+    ///
+    /// [`PayloadError`], of one that cannot be.
+    pub fn set_payload(&mut self, payload: Option<&Payload>) -> Result<(), PayloadError> {
+        payload.map_or(Ok(()), Payload::check)?;
+        self.carry(Carried::of(payload));
+        Ok(())
+    }
+
+    /// [`set_payload`](Self::set_payload) of one that has been checked.
+    pub(crate) fn carry(&mut self, payload: Carried) {
+        self.payload = payload;
+    }
+
     /// Brings the chain to rest at a command (one number an actuator).
     ///
     /// Corrections are fixed displacements: of an actuator they are added to its commanded coordinate; of a link's frame they act behind the
     /// joint's motion, in front of a bearing on the moving side, as a group at (0, 0, 0). Those of one place add up. Lengths of
-    /// telescopes follow the command without corrections. The result does not depend on what was settled before.
+    /// telescopes follow the command without corrections. The result does not depend on what was settled before, but on the
+    /// [payload](Self::set_payload).
     ///
     /// # Errors
     ///

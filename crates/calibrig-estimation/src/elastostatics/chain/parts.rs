@@ -171,6 +171,8 @@ impl Structure {
         for index in 0..model.kinematics.joint_count() {
             structure.push(model, index);
         }
+        // The payload's, behind all others.
+        structure.lump();
         structure
     }
 

@@ -330,6 +330,12 @@ impl ElasticChain {
             self.frames[index] = walk.transform();
         }
         self.base_from_flange = walk.transform() * self.last_from_flange;
+        if let Some(lump) = self.lumps.last_mut() {
+            lump.scale = 1.0;
+            lump.direction = self.payload.mass * self.gravity + self.payload.force;
+            lump.arm = self.base_from_flange.rotation * self.payload.centre
+                + self.base_from_flange.translation.vector;
+        }
         Ok(())
     }
 

@@ -111,6 +111,7 @@ fn measured(
             temperature: None,
             station: 0,
             target: 0,
+            payload: None,
             reading: Reading::Cartesian { position, covariance },
         }
     };

@@ -7,6 +7,7 @@ use serde::Deserialize;
 use super::entries::{Codes, RawEntry};
 use crate::input::Spanned;
 use crate::measurements::units::{AngleUnit, LengthUnit};
+use crate::payloads::PayloadTable;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -19,6 +20,8 @@ pub(super) struct MapFile {
     pub covariance: Option<Spanned<CovarianceTable>>,
     pub noise: Option<Spanned<NoiseTable>>,
     pub face: Option<Spanned<FaceTable>>,
+    #[serde(default)]
+    pub payload: Vec<Spanned<PayloadTable>>,
     #[serde(default)]
     pub columns: ColumnsTable,
     #[serde(default)]
@@ -130,6 +133,14 @@ pub(super) struct ColumnsTable {
     pub pressure_inhg: Option<Spanned<RawEntry>>,
     pub humidity_percent: Option<Spanned<RawEntry>>,
     pub approach: Option<Spanned<RawEntry>>,
+    pub payload: Option<Spanned<RawEntry>>,
+    pub payload_mass_kg: Option<Spanned<RawEntry>>,
+    pub payload_x_mm: Option<Spanned<RawEntry>>,
+    pub payload_y_mm: Option<Spanned<RawEntry>>,
+    pub payload_z_mm: Option<Spanned<RawEntry>>,
+    pub payload_force_x_n: Option<Spanned<RawEntry>>,
+    pub payload_force_y_n: Option<Spanned<RawEntry>>,
+    pub payload_force_z_n: Option<Spanned<RawEntry>>,
 }
 
 #[derive(Deserialize, Default)]

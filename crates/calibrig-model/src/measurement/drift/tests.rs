@@ -117,6 +117,7 @@ fn session(motion: Motion, noise: f64, trial: u32) -> Session {
             time,
             station: 0,
             target: 0,
+            payload: None,
             reading: see(&from, &point, &mut rng),
         });
         points.push(point);

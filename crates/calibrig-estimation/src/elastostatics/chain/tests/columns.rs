@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use super::robots::{Case, painter, serial};
 use crate::elastostatics::{Deflection, ElasticChain, put};
 use calibrig_model::geometry::rotation_vector;
-use calibrig_model::{CalibrationModel, Compliance, LinkageLength, ParameterId, TermPlace};
+use calibrig_model::{CalibrationModel, Compliance, LinkageLength, ParameterId, Payload, TermPlace};
 
 /// Corrections that are in place while columns are taken: the columns of corrections depend on their order, too.
 const CORRECTIONS: [(TermPlace, f64); 4] = [
@@ -185,5 +185,35 @@ fn columns_of_rigid_and_of_frozen_chains_are_central_differences() {
         settler.check(|_| 0.0, &ids, "rigid");
         settler.frozen = Some(chain.deflections().to_vec());
         settler.check(|_| 0.0, &ids, "frozen");
+    }
+}
+
+/// What the flange carries loads every spring, and moves with every parameter.
+#[test]
+fn columns_of_loaded_robots_are_central_differences() {
+    let payload = Payload {
+        name: "gripper".to_owned(),
+        mass: 30.0,
+        centre: Vector3::new(0.05, -0.08, 0.2),
+        force: Vector3::new(60.0, -80.0, 30.0),
+    };
+    for (name, case) in
+        [("serial", serial(1)), ("serial", serial(2)), ("serial", serial(5)), ("painter", painter(0))]
+    {
+        let mut bare = ElasticChain::of(&case.model);
+        let mut compliance_of_drive = |payload: Option<&Payload>| {
+            bare.set_payload(payload).expect("sound");
+            bare.settle(&case.command, &[], Deflection::Equilibrium).expect("rest");
+            bare.prepare(&case.in_flange).expect("stable");
+            bare.change(ParameterId::Compliance(Compliance::Drive { joint: 2 }))
+        };
+        let (unloaded, loaded) = (compliance_of_drive(None), compliance_of_drive(Some(&payload)));
+        assert!(
+            (loaded - unloaded).amax() > 1e-2 * unloaded.amax().max(loaded.amax()),
+            "{name}: {loaded} {unloaded}"
+        );
+        let (mut settler, ids) = settler(case, Deflection::Equilibrium);
+        settler.chain.set_payload(Some(&payload)).expect("sound");
+        settler.check(|_| 0.0, &ids, &format!("loaded {name}"));
     }
 }

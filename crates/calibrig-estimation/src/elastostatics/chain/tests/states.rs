@@ -3,7 +3,11 @@
 use super::robots::{painter, serial};
 use crate::elastostatics::{Deflection, ElasticChain, ElasticError};
 use crate::kinematics::{forward_kinematics, joints_from_command};
-use calibrig_model::{ActuatorMap, Compliance, LinkTerm, LinkageLength, ModelError, ParameterId, TermPlace};
+use calibrig_model::{
+    ActuatorMap, Compliance, LinkTerm, LinkageLength, ModelError, ParameterId, Payload, PayloadError,
+    PointLoad, TermPlace,
+};
+use nalgebra::{Point3, Vector3};
 
 #[test]
 fn a_rigid_chain_is_the_product_of_the_link_transforms() {
@@ -136,4 +140,42 @@ fn what_has_no_rest_is_refused() {
     }
     let refusal = ElasticChain::of(&open.model).settle(&open.command, &[], Deflection::None).unwrap_err();
     assert!(matches!(refusal, ElasticError::Linkage(_)), "{refusal}");
+}
+
+/// A payload is what a load of the last link is, for as long as it hangs there, in any pose and of any map of the elbow.
+#[test]
+fn a_payload_is_a_load_of_the_last_link() {
+    let payload = Payload {
+        name: "plates".to_owned(),
+        mass: 40.0,
+        centre: Vector3::new(0.02, 0.05, 0.15),
+        force: Vector3::new(-30.0, 0.0, 90.0),
+    };
+    for case in (0..6).map(serial).chain((0..4).map(painter)) {
+        let mut with_load = case.model.clone();
+        let last_from_flange = case.model.kinematics.last_from_flange;
+        with_load.statics.as_mut().expect("statics").loads.push(PointLoad {
+            name: payload.name.clone(),
+            link: case.command.len() - 1,
+            at: (last_from_flange * Point3::from(payload.centre)).coords,
+            mass: payload.mass,
+            force: payload.force,
+        });
+        let target = |chain: &mut ElasticChain| {
+            chain.settle(&case.command, &[], Deflection::Equilibrium).expect("rest");
+            chain.target(&case.in_flange)
+        };
+        let expected = target(&mut ElasticChain::of(&with_load));
+        let mut chain = ElasticChain::of(&case.model);
+        let unloaded = target(&mut chain);
+        chain.set_payload(Some(&payload)).expect("sound");
+        let loaded = target(&mut chain);
+        assert!((loaded - expected).amax() < 1e-12, "{loaded} {expected}");
+        assert!((loaded - unloaded).amax() > 1e-5, "{loaded} {unloaded}");
+        chain.set_payload(None).expect("nothing");
+        assert_eq!(target(&mut chain).map(f64::to_bits), unloaded.map(f64::to_bits));
+        let negative = Payload { mass: -1.0, ..payload.clone() };
+        assert!(matches!(chain.set_payload(Some(&negative)), Err(PayloadError::Mass { .. })));
+        assert_eq!(target(&mut chain).map(f64::to_bits), unloaded.map(f64::to_bits));
+    }
 }
