@@ -57,6 +57,7 @@ fn paired(set: &mut SetOutcome, by: i64, left_out: &[u32]) -> Vec<usize> {
                     pose: row.pose,
                     command: row.command.clone(),
                     approach: row.approach.clone(),
+                    since_reversal: row.since_reversal.clone(),
                     ..point.clone()
                 });
             }

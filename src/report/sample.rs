@@ -311,6 +311,7 @@ fn observation(pose: u32, command: Vec<f64>, position: Vector3<f64>) -> Observat
     Observation {
         pose,
         approach: vec![1; command.len()],
+        since_reversal: Vec::new(),
         command,
         temperature: Some(20.0),
         time: f64::from(pose) * 12.0,
@@ -339,6 +340,7 @@ fn model_of(kinematics: KinematicModel) -> CalibrationModel {
         actuators: ActuatorMap::Direct,
         statics: Some(statics()),
         motor_turns: vec![None; 7],
+        spans: Vec::new(),
     }
 }
 

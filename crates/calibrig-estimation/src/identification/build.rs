@@ -1,5 +1,7 @@
 //! From a model, measurements and options to the problem that the solver is given.
 
+use std::borrow::Cow;
+
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 
 use super::factor::triangular_factor;
@@ -358,6 +360,7 @@ fn assemble(
     (ends, known): (&Ends, Option<DMatrix<f64>>),
 ) -> Result<Built, IdentifyError> {
     options.machine_noise.check(model.kinematics.joint_count())?;
+    let model = &*spread(model, set, columns);
     let mut parameters: Vec<ParameterId> = columns.iter().map(|column| column.id).collect();
     let mut sigmas: Vec<Option<f64>> = columns.iter().map(|column| column.sigma).collect();
     let weights = |links: bool| {
@@ -449,6 +452,20 @@ fn assemble(
     let fixed_by_name = options.fix.iter().filter(|id| options.mode.can_fit(**id));
     left_out.extend(fixed_by_name.map(|id| LeftOut { id: *id, reason: LeftOutReason::ByName }));
     Ok(Built { problem, sigmas, named, unexcited: Vec::new(), fixed, left_out, x, goes_on: false })
+}
+
+/// The model with the spans of the commands, where terms are spread over them and nobody stated any.
+fn spread<'m>(
+    model: &'m CalibrationModel,
+    set: &MeasurementSet,
+    columns: &[Column],
+) -> Cow<'m, CalibrationModel> {
+    let is_spread =
+        |column: &Column| matches!(column.id, ParameterId::Term(term) if term.family().is_of_spans());
+    if !model.spans.is_empty() || !columns.iter().any(is_spread) {
+        return Cow::Borrowed(model);
+    }
+    Cow::Owned(CalibrationModel { spans: set.spans(), ..model.clone() })
 }
 
 /// What puts a station where it is before the fit.

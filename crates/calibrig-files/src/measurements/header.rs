@@ -97,6 +97,7 @@ pub(super) struct Columns {
     /// The column, and what stands in it.
     pub face: Option<(usize, FaceColumn)>,
     pub approach: Vec<Quantity>,
+    pub since_reversal: Vec<Quantity>,
     pub sets: Sets,
     pub set: Option<usize>,
 }
@@ -236,6 +237,8 @@ impl<'a> Head<'a> {
                 None => None,
             },
             approach: self.quantities(&mapping.approach, Kind::Plain)?,
+            // In SI units, as calibrig writes them.
+            since_reversal: self.quantities(&mapping.since_reversal, Kind::Plain)?,
             set: self.optional(mapping.sets.column.as_ref())?,
             sets: mapping.sets.clone(),
         };

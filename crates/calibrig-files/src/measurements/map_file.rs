@@ -176,6 +176,7 @@ pub fn parse_column_map(source: &Source) -> Result<ColumnMap, InputError> {
         temperature_unit,
         air: reader.air(rest)?,
         approach,
+        since_reversal: Vec::new(),
         rows: RowChoices {
             missed: missed(file.position.get_ref()),
             approach_from_order,

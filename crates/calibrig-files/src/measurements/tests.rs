@@ -366,7 +366,17 @@ fn observation(kind: u8, diagonal: bool) -> impl Strategy<Value = Observation> {
                 let position = Vector3::new(x, y, if (x, y, z) == (0.0, 0.0, 0.0) { 1.0 } else { z });
                 Reading::Cartesian { position, covariance: stated.then_some(covariance) }
             };
-            Observation { pose: number, command, approach, temperature, time, station: 0, target: 0, reading }
+            Observation {
+                pose: number,
+                command,
+                approach,
+                since_reversal: Vec::new(),
+                temperature,
+                time,
+                station: 0,
+                target: 0,
+                reading,
+            }
         },
     )
 }

@@ -252,7 +252,16 @@ impl Writer<'_> {
         header.extend(form.kind.columns(form.as_sigmas).into_iter().map(str::to_owned));
         header.extend([own::TIME, own::TEMPERATURE].map(str::to_owned));
         header.extend((0..self.joints.len()).map(own::approach));
+        if self.has_ways() {
+            let joints = self.joints.iter().enumerate();
+            header.extend(joints.map(|(index, kind)| own::since_reversal(index, *kind)));
+        }
         header
+    }
+
+    /// Whether any pose tells how far actuators have moved since they reversed.
+    fn has_ways(&self) -> bool {
+        self.set.observations.iter().any(|observation| !observation.since_reversal.is_empty())
     }
 
     fn row(
@@ -323,6 +332,25 @@ impl Writer<'_> {
                 return Err(CsvError::Approach { pose, value });
             }
             row.push(value.to_string());
+        }
+        if self.has_ways() {
+            let ways = &observation.since_reversal;
+            if !ways.is_empty() && ways.len() != expected {
+                return Err(CsvError::JointCount {
+                    pose,
+                    what: "ways since a reversal",
+                    found: ways.len(),
+                    expected,
+                });
+            }
+            for (index, column) in header[row.len()..].iter().enumerate() {
+                match ways.get(index) {
+                    Some(value) if !value.is_finite() => {
+                        return Err(CsvError::NotFinite { pose, column: column.clone(), value: *value });
+                    }
+                    way => row.push(way.copied().map_or_else(String::new, exact)),
+                }
+            }
         }
         Ok(row)
     }
