@@ -6,7 +6,7 @@ use super::{PipelineError, PlantKind, simulate, without_drift};
 use crate::scenario::Scenario;
 use calibrig_estimation::identification::{CalibratedRobot, Mode, PredictionError, Predictor};
 use calibrig_model::geometry::Transform;
-use calibrig_model::measurement::{MeasurementSet, Observation, Reading, Station, Target};
+use calibrig_model::measurement::{MeasurementSet, Motion, Observation, Reading, Station, Target};
 use calibrig_model::{CalibrationModel, PoseQuery};
 use calibrig_plant::AsBuilt;
 use calibrig_plant::effects::Effects;

@@ -368,9 +368,14 @@ fn observation(kind: u8, diagonal: bool) -> impl Strategy<Value = Observation> {
             };
             Observation {
                 pose: number,
+                // Some tell it, some do not.
+                since_reversal: if number.is_multiple_of(2) {
+                    command.iter().map(|q| q.abs()).collect()
+                } else {
+                    Vec::new()
+                },
                 command,
                 approach,
-                since_reversal: Vec::new(),
                 temperature,
                 time,
                 station: 0,

@@ -270,14 +270,15 @@ mod tests {
         let value = |x: f64| sum(natural(), &AMPLITUDES, |shape| shape.at(x));
         let turned = |x: f64| sum(on_ring(), &AMPLITUDES, |shape| shape.at_turn(x));
         let h = 1e-4;
+        // Of bends of a hundred; what their slope makes over so short a way is below.
         let bend = |f: &dyn Fn(f64) -> f64, x: f64| (f(x - h) - 2.0 * f(x) + f(x + h)) / (h * h);
         for knot in 1..KNOTS - 1 {
             let x = knot as f64 / (KNOTS - 1) as f64;
-            assert!((bend(&value, x - 2.0 * h) - bend(&value, x + 2.0 * h)).abs() < 0.5, "{knot}");
+            assert!((bend(&value, x - 2.0 * h) - bend(&value, x + 2.0 * h)).abs() < 3.0, "{knot}");
         }
         for knot in 0..RING {
             let x = knot as f64 / RING as f64;
-            assert!((bend(&turned, x - 2.0 * h) - bend(&turned, x + 2.0 * h)).abs() < 0.5, "{knot}");
+            assert!((bend(&turned, x - 2.0 * h) - bend(&turned, x + 2.0 * h)).abs() < 3.0, "{knot}");
             assert!((turned(x + 0.01) - turned(x - 2.99)).abs() < 1e-12);
         }
         for (end, out) in [(0.0, -0.1), (1.0, 0.1)] {
