@@ -77,6 +77,7 @@ pub(super) fn build(
     // What noise is unknown is looked at again when the residuals tell it.
     let noise = if has_stated_noise(set) { 1.0 } else { LEAST_NOISE };
     let rows = built.problem.data_rows();
+    let is_open = options.freedom_in(set).target;
     let reason = |(place, column): (usize, &Column)| match column.id {
         ParameterId::Compliance(_) => {
             let effect = effects[place] * column.reach() / noise;
@@ -84,7 +85,11 @@ pub(super) fn build(
         }
         ParameterId::Term(_) => {
             let size = jacobian.view((0, place), (rows, 1)).norm();
-            (size * column.reach() < f64::EPSILON).then_some(LeftOutReason::NoBasis)
+            let is_term = |column: &&Column| matches!(column.id, ParameterId::Term(_));
+            let term = columns[..place].iter().filter(is_term).count();
+            // A target of which nothing is known may start on an axis that it does not lie on.
+            let is_told = || is_open && built.problem.rows.iter().any(|row| row.told.tells(term));
+            (size * column.reach() < f64::EPSILON && !is_told()).then_some(LeftOutReason::NoBasis)
         }
         _ => None,
     };

@@ -17,6 +17,9 @@ const SETTLED: f64 = 0.1;
 /// Sizes are looked for from a thousandth to a thousand times what such machines have; a thousandth is none.
 const MOST: f64 = 6.907_755_278_982_137;
 const STEPS: u32 = 140;
+/// The size that is taken is above the likeliest by about its own standard deviation, where twice the logarithm of the likelihood has fallen by so much:
+/// one that is too small makes all intervals too narrow, one that is too large hardly any too wide.
+const FALL: f64 = 1.0;
 
 /// Gives the terms of every family whose size nobody states that which the fit tells. Whether that changes what was fitted.
 pub(super) fn resize(built: &mut Built, solution: &Solution, options: &IdentificationOptions) -> bool {
@@ -49,7 +52,7 @@ fn own_columns(built: &Built, family: &dyn TermFamily) -> Vec<(usize, f64)> {
     built.problem.parameters.iter().enumerate().filter_map(own).collect()
 }
 
-/// The size of the family's prior in the fit, and that of largest likelihood, over what such machines have; `None` where none is fitted, or where
+/// The size of the family's prior in the fit, and the one that the data tell, over what such machines have; `None` where none is fitted, or where
 /// all else is not determined.
 fn found_size(built: &Built, solution: &Solution, family: &dyn TermFamily) -> Option<(f64, f64)> {
     let own = own_columns(built, family);
@@ -81,6 +84,7 @@ fn found_size(built: &Built, solution: &Solution, family: &dyn TermFamily) -> Op
     let score = &information * &value + precision * &value;
     let SymmetricEigen { eigenvalues, eigenvectors } = SymmetricEigen::new(information);
     let scores = eigenvectors.tr_mul(&score);
+    // Twice its logarithm.
     let likelihood = |logarithm: f64| -> f64 {
         let variance = (2.0 * logarithm).exp();
         let of_one = |(told, score): (&f64, &f64)| {
@@ -90,6 +94,7 @@ fn found_size(built: &Built, solution: &Solution, family: &dyn TermFamily) -> Op
         eigenvalues.iter().zip(&scores).map(of_one).sum()
     };
     let places = (0..=STEPS).map(|step| MOST * (2.0 * f64::from(step) / f64::from(STEPS) - 1.0));
-    let best = places.max_by(|a, b| likelihood(*a).total_cmp(&likelihood(*b)))?;
-    likelihood(best).is_finite().then_some((now, best.exp()))
+    let best = places.clone().map(&likelihood).max_by(f64::total_cmp)?;
+    let cautious = places.rev().find(|place| likelihood(*place) >= best - FALL)?;
+    best.is_finite().then_some((now, cautious.exp()))
 }
