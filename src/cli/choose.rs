@@ -11,7 +11,7 @@ use super::measured::RowArgs;
 use super::model::ChainArgs;
 use super::{CliError, Verdict, not_identified, output, print, read_scenario, say};
 use crate::pipeline::{
-    self, ChosenRow, ModelChoice, PlantKind, choose, default_options, simulate, without_drift,
+    self, ALL_TERMS, ChosenRow, ModelChoice, PlantKind, choose, default_options, simulate, without_drift,
 };
 use calibrig_estimation::evaluation::{Criteria, Verdict as Worth};
 use calibrig_estimation::identification::{LINKAGE, Outlier};
@@ -250,14 +250,24 @@ fn advice(choice: &ModelChoice) -> String {
     let paying = |key: &str| choice.rows.iter().any(|row| row.key == key && row.row.verdict == Worth::Pays);
     let rms = |row: &ChosenRow| row.row.held_out_rms.unwrap_or(f64::INFINITY);
     let best = choice.rows.iter().min_by(|a, b| rms(a).total_cmp(&rms(b)));
-    if let Some(best) = best.filter(|best| best.key == "everything" && paying(best.key)) {
+    if let Some(best) = best.filter(|best| ["everything", ALL_TERMS].contains(&best.key) && paying(best.key))
+    {
+        let on_request = FAMILIES.iter().filter(|family| family.is_on_request()).map(|family| family.key());
+        let terms = if best.key == ALL_TERMS {
+            format!("all terms, {} among them", on_request.collect::<Vec<_>>().join(" and "))
+        } else {
+            "all terms".to_owned()
+        };
         let rms = 1e3 * rms(best);
         return format!(
-            "Worth fitting: mode extended with a complete geometry and all terms, {rms:.3} mm RMS on held-out poses."
+            "Worth fitting: mode extended with a complete geometry and {terms}, {rms:.3} mm RMS on held-out poses."
         );
     }
+    // A family that extends another one is fitted beside it.
+    let needed =
+        |key: &&str| FAMILIES.iter().any(|family| family.extends() == Some(*key) && paying(family.key()));
     let families = std::iter::once(LINKAGE).chain(FAMILIES.iter().map(|family| family.key()));
-    let terms: Vec<_> = families.filter(|key| paying(key)).collect();
+    let terms: Vec<_> = families.filter(|key| paying(key) || needed(key)).collect();
     if !terms.is_empty() || paying("complete_geometry") {
         let terms = if terms.is_empty() { "none".to_owned() } else { terms.join(",") };
         let geometry = if paying("complete_geometry") { " and a complete geometry" } else { "" };

@@ -58,6 +58,7 @@ fn paired(set: &mut SetOutcome, by: i64, left_out: &[u32]) -> Vec<usize> {
                     command: row.command.clone(),
                     approach: row.approach.clone(),
                     payload: row.payload.clone(),
+                    since_reversal: row.since_reversal.clone(),
                     ..point.clone()
                 });
             }

@@ -1,6 +1,6 @@
 //! Does gravity, the linkage, hysteresis pay? Nested models, each fitted to all poses and to all but a held-out part.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::{PipelineError, without_gross_errors};
 use calibrig_estimation::evaluation::{
@@ -38,7 +38,7 @@ pub struct ModelChoice {
 /// A model in the table.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChosenRow {
-    /// `geometry`, `gravity`, `stiffness`, `linkage`, `complete_geometry`, the key of a family of terms, or `everything`.
+    /// `geometry`, `gravity`, `stiffness`, `linkage`, `complete_geometry`, the key of a family of terms, `everything`, or [`ALL_TERMS`].
     pub key: &'static str,
     /// What it says.
     pub row: VariantRow,
@@ -64,6 +64,9 @@ struct Candidate {
     options: IdentificationOptions,
 }
 
+/// The key of everything together with the terms that are fitted on request.
+pub const ALL_TERMS: &str = "all_terms";
+
 /// What came of a candidate.
 enum Tried {
     Fitted(Fitted),
@@ -84,8 +87,9 @@ struct Fitted {
 }
 
 /// Compares the models that `model` allows on `set`: geometry; with the deflection that gravity is predicted to cause; with stiffness
-/// identified; and on top of that the linkage, a complete geometric set, and each family of terms by itself, and all of it together. Mode and terms of `options` are not
-/// looked at.
+/// identified; and on top of that the linkage, a complete geometric set, and each family of terms by itself (or beside the family that it
+/// [extends](calibrig_model::TermFamily::extends)), all of it together without the terms that are fitted on request, and with them. Mode and
+/// terms of `options` are not looked at. Smooth terms are spread over the commands of all poses, those that are held out among them.
 ///
 /// Poses are held out in `folds` parts drawn with `seed`. The noise is taken as known up to one common scale: what no model explains
 /// does not speak for the larger one.
@@ -101,6 +105,8 @@ pub fn choose(
     seed: u64,
     mut progress: impl FnMut(usize, usize, &str),
 ) -> Result<ModelChoice, PipelineError> {
+    let spans = if model.spans.is_empty() { set.spans() } else { model.spans.clone() };
+    let model = &CalibrationModel { spans, ..model.clone() };
     let candidates = candidates(model, options);
     let simplest = identify(model, set, &candidates[0].options)
         .map_err(|source| PipelineError::Identify { mode: candidates[0].options.mode, source })?;
@@ -184,32 +190,32 @@ fn candidates(model: &CalibrationModel, options: &IdentificationOptions) -> Vec<
         terms: Some(terms.iter().map(|key| (*key).to_owned()).collect()),
         ..options.clone()
     };
-    let mut push = |key: &'static str, options| {
+    let mut push = |key: &'static str, against: usize, options| {
         let name = format!("+ {}", key.replace('_', " "));
-        candidates.push(Candidate { key, name, against: Some(base), options });
+        candidates.push(Candidate { key, name, against: Some(against), options });
+        candidates.len() - 1
     };
     if model.actuators.four_bar().is_some() {
-        push(LINKAGE, extended(&options.parameters, &[LINKAGE]));
+        push(LINKAGE, base, extended(&options.parameters, &[LINKAGE]));
     }
     if options.parameters == ParameterChoice::NeighbourAxisRules {
-        push("complete_geometry", extended(&ParameterChoice::Complete, &[]));
+        push("complete_geometry", base, extended(&ParameterChoice::Complete, &[]));
     }
+    let mut places = BTreeMap::new();
     for family in FAMILIES {
         let key = family.key();
         if TermId::all_of(key, model).is_some_and(|terms| !terms.is_empty()) {
-            push(key, extended(&options.parameters, &[key]));
+            let keys: Vec<_> = family.extends().into_iter().chain([key]).collect();
+            let against = family.extends().and_then(|other| places.get(other)).copied().unwrap_or(base);
+            places.insert(key, push(key, against, extended(&options.parameters, &keys)));
         }
     }
     // What is small hides behind what is large until both are in.
-    push(
-        "everything",
-        IdentificationOptions {
-            mode: Mode::Extended,
-            extended_parameters: ParameterChoice::Complete,
-            terms: None,
-            ..options.clone()
-        },
-    );
+    let everything = IdentificationOptions { terms: None, ..extended(&ParameterChoice::Complete, &[]) };
+    let place = push("everything", base, everything.clone());
+    let all = std::iter::once(LINKAGE).chain(FAMILIES.iter().map(|family| family.key()));
+    let all = Some(all.map(str::to_owned).collect());
+    push(ALL_TERMS, place, IdentificationOptions { terms: all, ..everything });
     candidates
 }
 
@@ -224,7 +230,9 @@ fn fit(
     let failed = |source| PipelineError::Identify { mode, source };
     let estimate = identify(model, set, &candidate.options).map_err(failed)?;
     let is_family = FAMILIES.iter().any(|family| family.key() == candidate.key);
-    if is_family && estimate.parameters.iter().all(|p| !matches!(p.id, ParameterId::Term(_))) {
+    let is_own =
+        |id: ParameterId| matches!(id, ParameterId::Term(term) if term.family().key() == candidate.key);
+    if is_family && !estimate.parameters.iter().any(|p| is_own(p.id)) {
         return Ok(Tried::WithoutBasis);
     }
     let system = linearise(model, set, &candidate.options, &estimate).map_err(failed)?;

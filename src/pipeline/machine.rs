@@ -20,6 +20,7 @@ impl AnalyticMachine {
             actuators: as_built.actuators.clone(),
             statics: Some(as_built.statics.clone()),
             motor_turns: vec![None; as_built.kinematics.joint_count()],
+            spans: Vec::new(),
         };
         Ok(Self { chain: ElasticChain::new(&model)?, target: as_built.target })
     }

@@ -6,7 +6,7 @@ use super::{PipelineError, PlantKind, simulate, without_drift};
 use crate::scenario::Scenario;
 use calibrig_estimation::identification::{CalibratedRobot, Mode, PredictionError, Predictor};
 use calibrig_model::geometry::Transform;
-use calibrig_model::measurement::{MeasurementSet, Observation, Reading, Station, Target};
+use calibrig_model::measurement::{MeasurementSet, Motion, Observation, Reading, Station, Target};
 use calibrig_model::{CalibrationModel, PoseQuery};
 use calibrig_plant::AsBuilt;
 use calibrig_plant::effects::Effects;
@@ -60,22 +60,19 @@ pub fn planned_at(
     };
     let failed = |source| PipelineError::Predict { mode: robot.mode, source };
     let mut predictor = Predictor::new(&robot).map_err(failed)?;
-    let mut before: Option<Vec<f64>> = None;
+    let mut motion: Option<Motion> = None;
     for (pose, joints) in (1..).zip(poses) {
         let command = model.actuators.command_from_joints(joints);
-        let sign = |(now, before): (&f64, &f64)| if now > before { 1 } else { -1 };
-        let approach: Vec<i8> = match &before {
-            Some(before) => command.iter().zip(before).map(sign).collect(),
-            None => vec![0; command.len()],
-        };
+        motion.get_or_insert_with(|| Motion::at(&command)).go_to(&command, 0.0);
+        let Motion { approach, since_reversal, .. } = motion.clone().unwrap_or_default();
         let position = predictor
-            .in_base(PoseQuery::at(&command).approached(&approach))
+            .in_base(PoseQuery::at(&command).approached(&approach).moved(&since_reversal))
             .map_err(|source| failed(PredictionError::Pose { pose, source: Box::new(source) }))?;
-        before = Some(command.clone());
         set.observations.push(Observation {
             pose,
             command,
             approach,
+            since_reversal,
             temperature: None,
             time: 0.0,
             station: 0,

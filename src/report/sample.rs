@@ -312,6 +312,7 @@ fn observation(pose: u32, command: Vec<f64>, position: Vector3<f64>) -> Observat
     Observation {
         pose,
         approach: vec![1; command.len()],
+        since_reversal: Vec::new(),
         command,
         temperature: Some(20.0),
         time: f64::from(pose) * 12.0,
@@ -341,6 +342,7 @@ fn model_of(kinematics: KinematicModel) -> CalibrationModel {
         actuators: ActuatorMap::Direct,
         statics: Some(statics()),
         motor_turns: vec![None; 7],
+        spans: Vec::new(),
     }
 }
 

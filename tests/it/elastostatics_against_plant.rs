@@ -32,6 +32,7 @@ fn elastostatics_predicts_the_whole_robot() {
             actuators: robot.actuators.clone(),
             statics: Some(robot.statics.clone()),
             motor_turns: vec![None; 7],
+            spans: Vec::new(),
         })
         .expect("a robot");
         let mut predict = |deflection| {

@@ -16,6 +16,7 @@ mod a_user_has_a_copy_of_another_writer;
 mod a_user_has_a_damaged_recording;
 #[cfg(unix)]
 mod a_user_has_a_killed_run;
+mod a_user_has_a_machine_that_no_formula_fits;
 mod a_user_has_a_session_that_makes_no_sense;
 mod a_user_has_a_sheet_or_a_bag;
 mod a_user_has_a_twin_made;

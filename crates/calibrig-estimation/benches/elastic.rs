@@ -77,6 +77,7 @@ fn robot() -> CalibrationModel {
         actuators: ActuatorMap::Parallelogram { shoulder: 2, elbow: 3, offset: 0.0, linkage: Some(linkage) },
         statics: Some(statics),
         motor_turns: vec![None; 7],
+        spans: Vec::new(),
     }
 }
 

@@ -105,6 +105,7 @@ fn measure(nominal: &CalibrationModel, robot: &CalibratedRobot, poses: usize, mi
             pose,
             command,
             approach,
+            since_reversal: Vec::new(),
             temperature: None,
             time: f64::from(pose),
             station: 0,

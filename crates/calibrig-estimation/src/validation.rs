@@ -59,6 +59,7 @@ mod tests {
             pose,
             command: vec![0.0],
             approach: vec![0],
+            since_reversal: Vec::new(),
             temperature: None,
             time: 0.0,
             station: 0,

@@ -18,6 +18,9 @@ pub fn add_followers(model: &CalibrationModel, set: &mut MeasurementSet) {
         if !observation.approach.is_empty() {
             observation.approach = spread(&joints, &observation.approach);
         }
+        if !observation.since_reversal.is_empty() {
+            observation.since_reversal = spread(&joints, &observation.since_reversal);
+        }
     }
 }
 
@@ -26,14 +29,17 @@ pub fn add_followers(model: &CalibrationModel, set: &mut MeasurementSet) {
 pub fn without_followers(model: &CalibrationModel, set: &MeasurementSet) -> MeasurementSet {
     let mut set = set.clone();
     for observation in &mut set.observations {
-        let mut joint = 0..;
-        observation.command.retain(|_| joint.next().is_some_and(|joint| model.actuators.is_commanded(joint)));
-        let mut joint = 0..;
-        observation
-            .approach
-            .retain(|_| joint.next().is_some_and(|joint| model.actuators.is_commanded(joint)));
+        keep(model, &mut observation.command);
+        keep(model, &mut observation.approach);
+        keep(model, &mut observation.since_reversal);
     }
     set
+}
+
+/// The values of the joints that are commanded.
+fn keep<T>(model: &CalibrationModel, values: &mut Vec<T>) {
+    let mut joint = 0..;
+    values.retain(|_| joint.next().is_some_and(|joint| model.actuators.is_commanded(joint)));
 }
 
 /// The values one after the other where a joint is commanded, the default elsewhere.

@@ -197,6 +197,13 @@ impl CalibrationModel {
                 number("motor_turns", Some(joint), *turns, |v| v > 0.0 && v.is_finite(), POSITIVE)?;
             }
         }
+        if !self.spans.is_empty() {
+            length("spans", self.spans.len(), joints)?;
+        }
+        for (joint, [low, high]) in self.spans.iter().copied().enumerate() {
+            finite("spans", Some(joint), [low, high])?;
+            number("spans", Some(joint), high - low, |v| v >= 0.0, "an end that is not below the begin")?;
+        }
         let Some(statics) = &self.statics else { return Ok(()) };
         statics.check(&self.kinematics)?;
         // A four-bar without statics is rigid and weighs nothing; statics without a four-bar are a mistake.

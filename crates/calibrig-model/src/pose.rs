@@ -17,6 +17,8 @@ pub struct PoseQuery<'a> {
     pub command: &'a [f64],
     /// Sign of each actuator's last motion, 0 where unknown; may be empty where all are.
     pub approach: &'a [i8],
+    /// How far each actuator has moved since it last reversed, m or rad; empty where not known, which counts as far.
+    pub since_reversal: &'a [f64],
     /// Of the air at the robot, °C, where known.
     pub temperature: Option<f64>,
     /// Since the session began, s.
@@ -30,13 +32,19 @@ pub struct PoseQuery<'a> {
 impl<'a> PoseQuery<'a> {
     /// The first target at a command, approached from an unknown side, at time zero, without a payload.
     pub fn at(command: &'a [f64]) -> Self {
-        Self { command, approach: &[], temperature: None, time: 0.0, target: 0, payload: None }
+        Self { command, approach: &[], since_reversal: &[], temperature: None, time: 0.0, target: 0, payload: None }
     }
 
     /// The same with the signs of the last motions.
     #[must_use]
     pub fn approached(self, approach: &'a [i8]) -> Self {
         Self { approach, ..self }
+    }
+
+    /// The same with the ways since the last reversals, m or rad.
+    #[must_use]
+    pub fn moved(self, since_reversal: &'a [f64]) -> Self {
+        Self { since_reversal, ..self }
     }
 
     /// The same of another target.
@@ -75,6 +83,7 @@ impl<'a> From<&'a Observation> for PoseQuery<'a> {
         Self {
             command: &observation.command,
             approach: &observation.approach,
+            since_reversal: &observation.since_reversal,
             temperature: observation.temperature,
             time: observation.time,
             target: observation.target,

@@ -180,6 +180,10 @@ pub struct CalibrationModel {
     pub statics: Option<StaticProperties>,
     /// Motor turns per metre or per radian of every actuator, where known: the period of its transmission's errors.
     pub motor_turns: Vec<Option<f64>>,
+    /// Lowest and highest command of every actuator that smooth terms are spread over, m or rad. Empty, as of a robot that nothing was measured
+    /// of: the identification takes those of the measurements, and a prediction without any those that the limits leave.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub spans: Vec<[f64; 2]>,
 }
 
 impl CalibrationModel {
@@ -191,7 +195,7 @@ impl CalibrationModel {
     pub fn new(links: Vec<CraigLink>) -> Result<Self, ModelError> {
         let kinematics = KinematicModel::new(links)?;
         let motor_turns = vec![None; kinematics.joint_count()];
-        Ok(Self { kinematics, actuators: ActuatorMap::Direct, statics: None, motor_turns })
+        Ok(Self { kinematics, actuators: ActuatorMap::Direct, statics: None, motor_turns, spans: Vec::new() })
     }
 
     /// The same with another map from commands to joints.
@@ -219,6 +223,15 @@ impl CalibrationModel {
     /// [`ModelError`], for another number of entries than joints, or one that is not above zero.
     pub fn with_motor_turns(self, motor_turns: Vec<Option<f64>>) -> Result<Self, ModelError> {
         Self { motor_turns, ..self }.checked()
+    }
+
+    /// The same with the lowest and highest command of every actuator that smooth terms are spread over, m or rad.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError`], for another number of entries than joints, or one that is not finite or ends before it begins.
+    pub fn with_spans(self, spans: Vec<[f64; 2]>) -> Result<Self, ModelError> {
+        Self { spans, ..self }.checked()
     }
 
     fn checked(self) -> Result<Self, ModelError> {

@@ -311,6 +311,7 @@ pub(super) fn observation(kind: SetKind, index: usize, observation: &Observation
         pose: observation.pose,
         command: observation.command.clone(),
         approach: observation.approach.iter().map(|&sign| i32::from(sign)).collect(),
+        since_reversal: observation.since_reversal.clone(),
         temperature: observation.temperature,
         time: Some(observation.time),
         station: saturating(observation.station),
@@ -357,6 +358,9 @@ pub(super) fn to_observation(message: &v1::Observation, set: &SetOutcome) -> Res
     if let Some(value) = message.command.iter().find(|c| !c.is_finite()) {
         return Err(format!("command holds {value}, finite numbers were expected"));
     }
+    if let Some(value) = message.since_reversal.iter().find(|way| !(way.is_finite() && **way >= 0.0)) {
+        return Err(format!("since_reversal holds {value}, finite ways of zero or more were expected"));
+    }
     let approach = match message.approach.as_slice() {
         // Another program need not know it.
         [] => vec![0; message.command.len()],
@@ -366,6 +370,7 @@ pub(super) fn to_observation(message: &v1::Observation, set: &SetOutcome) -> Res
         pose: message.pose,
         command: message.command.clone(),
         approach,
+        since_reversal: message.since_reversal.clone(),
         temperature: message.temperature.map(|t| number(Some(t), "temperature")).transpose()?,
         time: number(message.time, "time")?,
         station: index(message.station, set.measurements.stations.len(), "station")?,

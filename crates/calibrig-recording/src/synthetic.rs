@@ -103,6 +103,7 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
         actuators: ActuatorMap::Direct,
         statics: Some(statics.clone()),
         motor_turns: vec![None; 7],
+        spans: Vec::new(),
     };
     let modes = Mode::ALL
         .into_iter()
@@ -285,6 +286,7 @@ fn measure(
             pose,
             command: command.clone(),
             approach: vec![1, -1, 0, 1, 1, -1, 0],
+            since_reversal: vec![0.4, 0.1, 0.0, 0.02, 1.5, 0.3, 0.0],
             temperature: (pose % 2 == 0).then_some(20.5),
             time: 12.5 * f64::from(pose),
             station: 0,

@@ -200,6 +200,7 @@ mod tests {
                     pose,
                     command: vec![turn],
                     approach: vec![1],
+                    since_reversal: Vec::new(),
                     temperature: None,
                     time: 0.0,
                     station: 0,

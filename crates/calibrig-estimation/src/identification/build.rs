@@ -1,5 +1,7 @@
 //! From a model, measurements and options to the problem that the solver is given.
 
+use std::borrow::Cow;
+
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 
 use super::factor::triangular_factor;
@@ -75,6 +77,7 @@ pub(super) fn build(
     // What noise is unknown is looked at again when the residuals tell it.
     let noise = if has_stated_noise(set) { 1.0 } else { LEAST_NOISE };
     let rows = built.problem.data_rows();
+    let is_open = options.freedom_in(set).target;
     let reason = |(place, column): (usize, &Column)| match column.id {
         ParameterId::Compliance(_) => {
             let effect = effects[place] * column.reach() / noise;
@@ -82,7 +85,11 @@ pub(super) fn build(
         }
         ParameterId::Term(_) => {
             let size = jacobian.view((0, place), (rows, 1)).norm();
-            (size * column.reach() < f64::EPSILON).then_some(LeftOutReason::NoBasis)
+            let is_term = |column: &&Column| matches!(column.id, ParameterId::Term(_));
+            let term = columns[..place].iter().filter(is_term).count();
+            // A target of which nothing is known may start on an axis that it does not lie on.
+            let is_told = || is_open && built.problem.rows.iter().any(|row| row.told.tells(term));
+            (size * column.reach() < f64::EPSILON && !is_told()).then_some(LeftOutReason::NoBasis)
         }
         _ => None,
     };
@@ -358,6 +365,7 @@ fn assemble(
     (ends, known): (&Ends, Option<DMatrix<f64>>),
 ) -> Result<Built, IdentifyError> {
     options.machine_noise.check(model.kinematics.joint_count())?;
+    let model = &*spread(model, set, columns);
     let mut parameters: Vec<ParameterId> = columns.iter().map(|column| column.id).collect();
     let mut sigmas: Vec<Option<f64>> = columns.iter().map(|column| column.sigma).collect();
     let weights = |links: bool| {
@@ -450,6 +458,20 @@ fn assemble(
     let fixed_by_name = options.fix.iter().filter(|id| options.mode.can_fit(**id));
     left_out.extend(fixed_by_name.map(|id| LeftOut { id: *id, reason: LeftOutReason::ByName }));
     Ok(Built { problem, sigmas, named, unexcited: Vec::new(), fixed, left_out, x, goes_on: false })
+}
+
+/// The model with the spans of the commands, where terms are spread over them and nobody stated any.
+fn spread<'m>(
+    model: &'m CalibrationModel,
+    set: &MeasurementSet,
+    columns: &[Column],
+) -> Cow<'m, CalibrationModel> {
+    let is_spread =
+        |column: &Column| matches!(column.id, ParameterId::Term(term) if term.family().is_of_spans());
+    if !model.spans.is_empty() || !columns.iter().any(is_spread) {
+        return Cow::Borrowed(model);
+    }
+    Cow::Owned(CalibrationModel { spans: set.spans(), ..model.clone() })
 }
 
 /// What puts a station where it is before the fit.

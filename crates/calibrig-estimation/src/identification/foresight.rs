@@ -5,7 +5,7 @@ use nalgebra::{DVector, Rotation3};
 use super::build::{build, start};
 use super::factorised::Factorised;
 use super::identify::check;
-use super::linearisation::weigh_as;
+use super::linearisation::{as_spread, weigh_as};
 use super::solver::{AtBound, Side};
 use super::summary::{Fitted, Size, summarise};
 use super::{
@@ -48,6 +48,7 @@ pub fn foresee(
     check(model, set)?;
     let options = &as_fitted(options, estimate);
     options.check()?;
+    let model = &*as_spread(model, estimate);
     let mut built = build(model, set, options)?;
     let place = |id: &ParameterId| match id {
         // The stations stand where they were found to be.

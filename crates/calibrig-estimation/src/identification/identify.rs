@@ -10,6 +10,7 @@ use super::machine::MachineError;
 use super::noise::{Noise, UNSTATED_SIGMA, Unknown, find, is_without_freedom};
 use super::place::best_fit_stations;
 use super::problem::CalibrationProblem;
+use super::sizes::resize;
 use super::summary::{Fitted, Size, is_misfit, summarise};
 use super::{
     Bounds, BoundsError, CalibratedRobot, Estimate, FrameChoice, IdentificationOptions, LeastSquares, Loss,
@@ -142,11 +143,22 @@ pub fn identify(
         built = next;
         fitted = fit(&mut built, x, model, set, options)?;
     }
+    for _ in 0..MOST_SIZES {
+        if !(fitted.solution.termination.converged() && resize(&mut built, &fitted.solution, options)) {
+            break;
+        }
+        built.goes_on = false;
+        built.problem.start = None;
+        built.problem.weigh(&Noise::default())?;
+        fitted = fit(&mut built, fitted.solution.x, model, set, options)?;
+    }
     Ok(summarise(built, fitted, set, options))
 }
 
 /// Fits after which the compliances that they left out, or should have, are looked at again.
 const MOST_ROUNDS: usize = 4;
+/// Fits after which the sizes of terms are looked at again.
+const MOST_SIZES: usize = 6;
 
 /// The minimum from `x`, and the noise: as the readings state it, else as the residuals tell it.
 fn fit(

@@ -1,5 +1,7 @@
 //! The whitened system at an estimate, for what is read from it: uncertainty, leverage, residual patterns.
 
+use std::borrow::Cow;
+
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Vector3, Vector6};
 
 use super::build::{rebuild, start};
@@ -352,7 +354,7 @@ fn solved(
     estimate: &Estimate,
 ) -> Result<CalibrationProblem, IdentifyError> {
     let kept: Vec<_> = estimate.parameters.iter().map(|p| p.id).collect();
-    let mut problem = rebuild(model, set, options, &kept)?;
+    let mut problem = rebuild(&as_spread(model, estimate), set, options, &kept)?;
     if problem.parameters != kept {
         let names = problem.parameters.iter().chain(&kept);
         let foreign: Vec<_> =
@@ -362,8 +364,26 @@ fn solved(
         let name = named.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
         return Err(IdentifyError::UnknownParameter { name });
     }
+    for (column, weight) in &mut problem.own_priors {
+        // Found with the fit, where nobody stated it.
+        if let (ParameterId::Term(_), Some(sigma)) = (
+            problem.parameters[*column],
+            estimate.parameters[*column].prior_sigma.filter(|sigma| *sigma > 0.0),
+        ) {
+            *weight = 1.0 / sigma;
+        }
+    }
     weigh_as(&mut problem, set, &estimate.robot.targets, estimate)?;
     Ok(problem)
+}
+
+/// The model with what the terms of an estimate are spread over, whatever set they are looked at with.
+pub(super) fn as_spread<'m>(model: &'m CalibrationModel, estimate: &Estimate) -> Cow<'m, CalibrationModel> {
+    let spans = &estimate.robot.nominal.spans;
+    if *spans == model.spans {
+        return Cow::Borrowed(model);
+    }
+    Cow::Owned(CalibrationModel { spans: spans.clone(), ..model.clone() })
 }
 
 /// Weighs a problem, whose targets lie at `targets` on the flange, with the noise that an estimate was given or found.

@@ -46,6 +46,13 @@ pub(super) struct Prepared {
     basis: Vec<f64>,
 }
 
+impl Prepared {
+    /// Whether the observation has what a term acts on, by its place in the order of the terms.
+    pub fn tells(&self, term: usize) -> bool {
+        self.basis.get(term).is_some_and(|basis| *basis != 0.0)
+    }
+}
+
 /// Terms, and the places that they displace.
 #[derive(Debug, Clone, Default)]
 struct Terms {

@@ -27,6 +27,7 @@ mod problem;
 mod prospect;
 mod robot;
 mod shared;
+mod sizes;
 mod solver;
 mod summary;
 mod swept;

@@ -2,7 +2,7 @@
 
 use super::{IdentifyError, Loss, LossScale, MachineNoiseChoice, Mode, ParameterBound, SolverOptions};
 use calibrig_model::measurement::{MeasurementSet, Station, Target, TargetOrientation};
-use calibrig_model::{BodyUncertainty, Compliance, ParameterId, Unit};
+use calibrig_model::{BodyUncertainty, Compliance, FAMILIES, ParameterId, Unit};
 use serde::{Deserialize, Serialize};
 
 /// What is known of the tracker's place.
@@ -196,7 +196,8 @@ pub struct IdentificationOptions {
     pub masses: Vec<usize>,
     /// Standard deviation of the prior on the relative deviation of a mass.
     pub mass_sigma: f64,
-    /// Families of terms of the extended mode by their keys, [`LINKAGE`] among them; `None` for all that the robot can have.
+    /// Families of terms of the extended mode by their keys, [`LINKAGE`] among them; `None` for all that the robot can have but those that
+    /// are fitted [on request](calibrig_model::TermFamily::is_on_request).
     pub terms: Option<Vec<String>>,
     /// Where the families' own priors do not hold.
     pub term_priors: Vec<TermPrior>,
@@ -341,7 +342,8 @@ impl IdentificationOptions {
 
     /// Whether a family of terms is switched on.
     pub(super) fn has_terms(&self, family: &str) -> bool {
-        self.terms.as_ref().is_none_or(|keys| keys.iter().any(|key| key == family))
+        let is_on_request = || FAMILIES.iter().any(|known| known.key() == family && known.is_on_request());
+        self.terms.as_ref().map_or_else(|| !is_on_request(), |keys| keys.iter().any(|key| key == family))
     }
 
     /// Standard deviation of a family's amplitudes, m or rad, where it is not the family's own.

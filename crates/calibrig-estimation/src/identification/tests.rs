@@ -82,6 +82,7 @@ pub(super) fn measure(robot: &CalibratedRobot, poses: usize, noise: f64) -> Meas
         set.observations.push(Observation {
             pose,
             approach: command.iter().map(|_| if rng.random::<bool>() { 1 } else { -1 }).collect(),
+            since_reversal: Vec::new(),
             command,
             temperature: None,
             time: f64::from(pose),

@@ -83,6 +83,7 @@ fn readings(
             pose,
             command: command.clone(),
             approach: Vec::new(),
+            since_reversal: Vec::new(),
             temperature: None,
             time: f64::from(pose),
             station: 0,

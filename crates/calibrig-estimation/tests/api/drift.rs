@@ -86,6 +86,7 @@ fn session(machine: &KinematicModel, (poses, every): (u32, u32), trial: u32) -> 
             let approach = vec![0; joints];
             let (station, target) = (0, 0);
             observations.push(Observation {
+                since_reversal: Vec::new(),
                 pose,
                 command,
                 approach,

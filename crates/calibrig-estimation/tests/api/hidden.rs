@@ -99,6 +99,7 @@ fn of_readings_of_one_pose_the_wrong_one_is_named() {
                         pose,
                         command: command.clone(),
                         approach: vec![0; 6],
+                        since_reversal: Vec::new(),
                         temperature: None,
                         time: 0.0,
                         station: 0,

@@ -132,6 +132,7 @@ impl Plan<'_> {
                 observations.push(Observation {
                     pose,
                     approach: vec![0; joints],
+                    since_reversal: Vec::new(),
                     command: command.clone(),
                     temperature: None,
                     time: PER_POSE * f64::from(pose),

@@ -21,6 +21,7 @@ mod predictions;
 mod robots;
 mod round_trip;
 mod several;
+mod smooth;
 
 use std::fmt::Display;
 

@@ -87,6 +87,7 @@ fn observation(pose: u32, command: &[f64], target: usize, reading: Reading) -> O
         pose,
         command: command.to_vec(),
         approach: Vec::new(),
+        since_reversal: Vec::new(),
         temperature: None,
         time: f64::from(pose),
         station: 0,

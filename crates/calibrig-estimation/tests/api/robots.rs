@@ -198,6 +198,7 @@ fn measured(model: &CalibrationModel, poses: u32, known: [bool; 4]) -> Measureme
         Observation {
             pose,
             approach: if pose.is_multiple_of(3) { Vec::new() } else { vec![1; command.len()] },
+            since_reversal: Vec::new(),
             command,
             temperature: (pose.is_multiple_of(2)).then_some(20.0),
             time: f64::from(pose),

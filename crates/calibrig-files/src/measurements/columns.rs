@@ -2,8 +2,9 @@
 //!
 //! Without a map, calibrig's own columns are read (SI, unit in the name): `q1_rad` or `q1_m` and so on; either `range_m`, `az_rad`,
 //! `el_rad` or `x_m`, `y_m`, `z_m`; and, where the file has them, `pose`, `station`, `target`, `time_s`, `temperature_c`,
-//! `approach1` and so on, what the flange carries (`payload`, a name, with `payload_mass_kg`, `payload_x_m`, `payload_y_m`, `payload_z_m`, and
-//! `payload_force_x_n`, `payload_force_y_n`, `payload_force_z_n`; empty where nothing), and the uncertainty: `sigma_range_m`, `sigma_az_rad`, `sigma_el_rad` (`sigma_x_m`, `sigma_y_m`,
+//! `approach1` and so on, `since_reversal1_rad` (or `_m`) and so on, what the flange carries (`payload`, a name, with `payload_mass_kg`, `payload_x_m`,
+//! `payload_y_m`, `payload_z_m`, and `payload_force_x_n`, `payload_force_y_n`, `payload_force_z_n`; empty where nothing), and the uncertainty:
+//! `sigma_range_m`, `sigma_az_rad`, `sigma_el_rad` (`sigma_x_m`, `sigma_y_m`,
 //! `sigma_z_m`), or the covariance's upper triangle `cov_range_range_m2`, `cov_range_az_m_rad`, `cov_range_el_m_rad`,
 //! `cov_az_az_rad2`, `cov_az_el_rad2`, `cov_el_el_rad2` (`cov_xx_m2`, `cov_xy_m2`, `cov_xz_m2`, `cov_yy_m2`, `cov_yz_m2`,
 //! `cov_zz_m2`). A full pose has beside `x_m`, `y_m`, `z_m` its rotation `tracker_from_target` by rows, `r11` to `r33`, `sigma_rx_rad`,
@@ -59,6 +60,8 @@ pub(super) struct Mapping {
     pub face: Option<FaceColumn>,
     pub approach: Vec<Entry>,
     pub payload: Option<PayloadColumns>,
+    /// Of calibrig's own files.
+    pub since_reversal: Vec<Entry>,
     pub rows: RowChoices,
     pub sets: Sets,
     pub join: Option<Join>,
@@ -486,6 +489,14 @@ pub(super) mod own {
     pub fn approach(index: usize) -> String {
         format!("approach{}", index + 1)
     }
+
+    /// Column of how far the actuator at `index` has moved since it last reversed.
+    pub fn since_reversal(index: usize, kind: JointKind) -> String {
+        match kind {
+            JointKind::Revolute => format!("since_reversal{}_rad", index + 1),
+            JointKind::Prismatic => format!("since_reversal{}_m", index + 1),
+        }
+    }
 }
 
 /// Whose columns are looked for in a table.
@@ -657,6 +668,10 @@ fn own_mapping(header: &[&str], joints: &[JointKind]) -> Result<Mapping, String>
     let optional = |name: &str| has(name).then(|| Entry::named(name));
     let approach: Vec<_> = (0..joints.len()).map(own::approach).collect();
     let directed = approach.iter().any(|name| has(name));
+    let ways: Vec<_> =
+        joints.iter().enumerate().map(|(index, kind)| own::since_reversal(index, *kind)).collect();
+    // One column of them calls for all.
+    let moved = ways.iter().any(|name| has(name));
     Ok(Mapping {
         joints: joints
             .iter()
@@ -688,6 +703,7 @@ fn own_mapping(header: &[&str], joints: &[JointKind]) -> Result<Mapping, String>
             Vec::new()
         },
         payload: own_payload(header)?,
+        since_reversal: if moved { ways.iter().map(|name| Entry::named(name)).collect() } else { Vec::new() },
         rows: RowChoices::default(),
         sets: Sets::default(),
         join: None,
@@ -781,7 +797,7 @@ impl Mapping {
     pub fn entries(&self, part: Part) -> Vec<&Entry> {
         let mut entries = self.needed(part);
         if part != Part::Joints {
-            entries.extend(&self.approach);
+            entries.extend(self.approach.iter().chain(&self.since_reversal));
             match &self.uncertainty {
                 Some(Uncertainty::Sigmas { columns, .. }) => entries.extend(columns),
                 Some(Uncertainty::Covariance(columns)) => entries.extend(columns),

@@ -10,14 +10,14 @@ use super::header::{FileColumns, Head};
 use super::join::{Joints, Key, unmatched};
 use super::layout::Table;
 use super::open::open;
-use super::reader::{Motion, Names, RowReader, check_length};
+use super::reader::{Names, RowReader, check_length};
 use super::rows::{Row, Rows};
 use super::text::TextRows;
 use super::times::TimeReader;
 use super::{CsvError, LoadedMeasurements, repeats};
 use crate::input::{InputError, Source};
 use calibrig_model::JointKind;
-use calibrig_model::measurement::Observation;
+use calibrig_model::measurement::{Motion, Observation};
 
 /// Files of one set.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -98,6 +98,7 @@ pub(super) struct Columns {
     pub face: Option<(usize, FaceColumn)>,
     pub approach: Vec<Quantity>,
     pub payload: Option<PayloadQuantities>,
+    pub since_reversal: Vec<Quantity>,
     pub sets: Sets,
     pub set: Option<usize>,
 }
@@ -246,6 +247,8 @@ impl<'a> Head<'a> {
             },
             approach: self.quantities(&mapping.approach, Kind::Plain)?,
             payload: mapping.payload.as_ref().map(|columns| self.payload(columns)).transpose()?,
+            // In SI units, as calibrig writes them.
+            since_reversal: self.quantities(&mapping.since_reversal, Kind::Plain)?,
             set: self.optional(mapping.sets.column.as_ref())?,
             sets: mapping.sets.clone(),
         };

@@ -189,6 +189,7 @@ pub fn parse_column_map(source: &Source) -> Result<ColumnMap, InputError> {
         air: reader.air(rest)?,
         approach,
         payload: reader.payload(rest, &file.payload)?,
+        since_reversal: Vec::new(),
         rows: RowChoices {
             missed: missed(file.position.get_ref()),
             approach_from_order,

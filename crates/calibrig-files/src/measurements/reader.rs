@@ -19,7 +19,7 @@ use super::units::{TEMPERATURES, likelier_temperature};
 use crate::input::InputError;
 use crate::payloads::{NO_PAYLOAD, payload_by_name};
 use calibrig_model::Payload;
-use calibrig_model::measurement::{MeasurementSet, Observation, Reading, Station, Target};
+use calibrig_model::measurement::{MeasurementSet, Motion, Observation, Reading, Station, Target};
 
 /// Least motion of an actuator that is one, m or rad.
 const MOTION: f64 = 1e-6;
@@ -44,28 +44,6 @@ pub(super) struct RowReader<'a> {
     /// How far the numbers of a rotation were from one, at most.
     pub rounded: Cell<f64>,
     pub rows: u32,
-}
-
-/// The last command, and the signs of the motions before it.
-#[derive(Default)]
-pub(super) struct Motion {
-    command: Vec<f64>,
-    signs: Vec<i8>,
-}
-
-impl Motion {
-    /// Signs of the last motion of every actuator on the way to this command.
-    fn to(&mut self, command: &[f64]) -> Vec<i8> {
-        self.signs.resize(command.len(), 0);
-        for (index, (sign, to)) in self.signs.iter_mut().zip(command).enumerate() {
-            let moved = self.command.get(index).map_or(0.0, |from| to - from);
-            if moved.abs() > MOTION {
-                *sign = if moved > 0.0 { 1 } else { -1 };
-            }
-        }
-        command.clone_into(&mut self.command);
-        self.signs.clone()
-    }
 }
 
 /// What was named so far.
@@ -162,10 +140,12 @@ impl RowReader<'_> {
             Some(_) if !self.options.approach_from_order => Vec::new(),
             _ => cells.command()?,
         };
-        let approach = if self.options.approach_from_order {
-            self.motion.to(&command)
+        let (approach, since_reversal) = if self.options.approach_from_order {
+            self.motion.go_to(&command, MOTION);
+            (self.motion.approach.clone(), self.motion.since_reversal.clone())
         } else {
-            Cells { reader: self, row }.approach(command.len())?
+            let cells = Cells { reader: self, row };
+            (cells.approach(command.len())?, cells.since_reversal()?)
         };
         let cells = Cells { reader: self, row };
         let reading = match missed {
@@ -199,8 +179,18 @@ impl RowReader<'_> {
         let target = cells.name(self.columns.target).or(self.target).unwrap_or("target 1");
         let station = names.station(station, &mut loaded.set);
         let target = names.target(target, &mut loaded.set);
-        let observation =
-            Observation { pose, command, approach, temperature, time, station, target, payload, reading };
+        let observation = Observation {
+            pose,
+            command,
+            approach,
+            since_reversal,
+            temperature,
+            time,
+            station,
+            target,
+            payload,
+            reading,
+        };
         loaded.set.observations.push(observation);
         loaded.places.push(self.file, row.place());
         loaded.hold_out_last(held_out);
@@ -424,6 +414,19 @@ impl<'r> Cells<'r> {
             }
         };
         quantities.iter().map(direction).collect()
+    }
+
+    fn since_reversal(&self) -> Result<Vec<f64>, InputError> {
+        let quantities = &self.reader.columns.since_reversal;
+        if self.is_empty(quantities) {
+            return Ok(Vec::new());
+        }
+        let way = |quantity: &Quantity| {
+            let value = self.value(quantity)?;
+            let expected = "zero or more: how far the actuator has moved since it last reversed";
+            if value >= 0.0 { Ok(value) } else { Err(self.refuse_cell(quantity.terms[0].column, expected)) }
+        };
+        quantities.iter().map(way).collect()
     }
 
     fn temperature(&self) -> Result<Option<f64>, InputError> {

@@ -149,6 +149,12 @@ fn mean_observation(members: &[&Observation], scatter: Option<f64>) -> Observati
     if members.iter().any(|o| o.approach != mean.approach) {
         mean.approach.fill(0);
     }
+    if members.iter().any(|o| o.since_reversal.len() != mean.since_reversal.len()) {
+        mean.since_reversal.clear();
+    }
+    for (joint, way) in mean.since_reversal.iter_mut().enumerate() {
+        *way = members.iter().map(|o| o.since_reversal[joint]).sum::<f64>() / count;
+    }
     mean.time = members.iter().map(|o| o.time).sum::<f64>() / count;
     let temperatures: Option<Vec<f64>> = members.iter().map(|o| o.temperature).collect();
     mean.temperature = temperatures.map(|temperatures| temperatures.iter().sum::<f64>() / count);

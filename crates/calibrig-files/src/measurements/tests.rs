@@ -380,9 +380,14 @@ fn observation(kind: u8, diagonal: bool) -> impl Strategy<Value = Observation> {
                 let position = Vector3::new(x, y, if (x, y, z) == (0.0, 0.0, 0.0) { 1.0 } else { z });
                 Reading::Cartesian { position, covariance: stated.then_some(covariance) }
             };
-            let pose = number;
             Observation {
-                pose,
+                pose: number,
+                // Some tell it, some do not.
+                since_reversal: if number.is_multiple_of(2) {
+                    command.iter().map(|q| q.abs()).collect()
+                } else {
+                    Vec::new()
+                },
                 command,
                 approach,
                 temperature,

@@ -282,7 +282,16 @@ impl Writer<'_> {
             let columns = [own::PAYLOAD, own::PAYLOAD_MASS].into_iter().chain(own::PAYLOAD_CENTRE);
             header.extend(columns.chain(own::PAYLOAD_FORCE).map(str::to_owned));
         }
+        if self.has_ways() {
+            let joints = self.joints.iter().enumerate();
+            header.extend(joints.map(|(index, kind)| own::since_reversal(index, *kind)));
+        }
         header
+    }
+
+    /// Whether any pose tells how far actuators have moved since they reversed.
+    fn has_ways(&self) -> bool {
+        self.set.observations.iter().any(|observation| !observation.since_reversal.is_empty())
     }
 
     fn row(
@@ -356,6 +365,25 @@ impl Writer<'_> {
         }
         if form.has_payloads {
             row.extend(payload_cells(pose, observation.payload.as_ref())?);
+        }
+        if self.has_ways() {
+            let ways = &observation.since_reversal;
+            if !ways.is_empty() && ways.len() != expected {
+                return Err(CsvError::JointCount {
+                    pose,
+                    what: "ways since a reversal",
+                    found: ways.len(),
+                    expected,
+                });
+            }
+            for (index, column) in header[row.len()..].iter().enumerate() {
+                match ways.get(index) {
+                    Some(value) if !value.is_finite() => {
+                        return Err(CsvError::NotFinite { pose, column: column.clone(), value: *value });
+                    }
+                    way => row.push(way.copied().map_or_else(String::new, exact)),
+                }
+            }
         }
         Ok(row)
     }

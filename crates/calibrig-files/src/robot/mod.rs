@@ -150,7 +150,7 @@ pub fn parse_robot(
     let bodies = reader.body_uncertainties()?;
     let in_frames = described.is_some() || statics.is_some() || actuators.four_bar().is_some();
     let remarks = reader.near_normals(&mut kinematics, in_frames);
-    let model = CalibrationModel { kinematics, actuators, statics, motor_turns };
+    let model = CalibrationModel { kinematics, actuators, statics, motor_turns, spans: Vec::new() };
     reader.check_whole(&model)?;
     let visuals = described.map_or_else(Vec::new, |described| {
         let joints = described.joints.into_iter().map(|joint| joint.visuals);

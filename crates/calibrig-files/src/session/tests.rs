@@ -163,6 +163,7 @@ fn stations_are_found_by_their_names() {
         pose: 1,
         command: vec![0.0],
         approach: vec![0],
+        since_reversal: Vec::new(),
         temperature: None,
         time: 0.0,
         station: 0,

@@ -2,6 +2,7 @@
 
 mod drift;
 mod instrument;
+mod motion;
 mod pose;
 mod registration;
 mod repeats;
@@ -11,6 +12,7 @@ pub use drift::{
     NestContradiction, OpenMotion, StationDrift, Steady, remove_drift,
 };
 pub use instrument::{DRIFT_UNIT, Face, InstrumentTerm, StatedDrift, StatedInstrument};
+pub use motion::Motion;
 pub use pose::{CombineError, combine};
 pub use registration::{NestSystem, Registration, RegistrationError, WhitenedNest, nest_system, register};
 pub use repeats::Repeats;
@@ -128,6 +130,9 @@ pub struct Observation {
     pub command: Vec<f64>,
     /// Sign of the last motion of each actuator before the pose: -1, 0 (unknown) or 1.
     pub approach: Vec<i8>,
+    /// How far each actuator had moved at the pose since it last reversed, m or rad; empty where not known. Of one without a sign of approach it
+    /// says nothing.
+    pub since_reversal: Vec<f64>,
     /// Temperature of the air at the robot, °C, where known. The robot itself may be warmer.
     pub temperature: Option<f64>,
     /// Time since the session began, s.
@@ -210,6 +215,18 @@ pub enum MeasurementError {
         pose: u32,
         /// Their number.
         found: usize,
+        /// The number of commands.
+        expected: usize,
+    },
+    /// Ways since the last reversals that are not one an actuator, or cannot be.
+    #[error(
+        "pose {pose}: since_reversal is {found:?} for {expected} commands: expected as many finite ways of zero or more, or none where unknown"
+    )]
+    SinceReversal {
+        /// The pose.
+        pose: u32,
+        /// The ways, m or rad.
+        found: Vec<f64>,
         /// The number of commands.
         expected: usize,
     },
@@ -332,6 +349,7 @@ impl MeasurementSet {
             set.observations.push(Observation {
                 pose,
                 approach: vec![0; command.len()],
+                since_reversal: Vec::new(),
                 command,
                 temperature: None,
                 time: 0.0,
@@ -419,6 +437,15 @@ impl MeasurementSet {
                 if approaches != joints && approaches != 0 {
                     return Err(MeasurementError::Approach { pose, found: approaches, expected: joints });
                 }
+                let ways = &observation.since_reversal;
+                let is_way = |way: &f64| way.is_finite() && *way >= 0.0;
+                if !(ways.is_empty() || ways.len() == joints && ways.iter().all(is_way)) {
+                    return Err(MeasurementError::SinceReversal {
+                        pose,
+                        found: ways.clone(),
+                        expected: joints,
+                    });
+                }
                 let is_foreign = swept_by.is_some_and(|own| own != observation.station);
                 if is_foreign
                     || observation.station >= self.stations.len()
@@ -457,6 +484,18 @@ impl MeasurementSet {
             return Vec::new();
         }
         carried.into_iter().map(|(payload, poses)| (payload, poses.len())).collect()
+    }
+
+    /// Lowest and highest command of every actuator, m or rad; empty without observations.
+    pub fn spans(&self) -> Vec<[f64; 2]> {
+        let mut commands = self.observations.iter().map(|observation| &observation.command);
+        let first = commands.next().into_iter().flatten().map(|command| [*command; 2]).collect();
+        commands.fold(first, |mut spans: Vec<[f64; 2]>, command| {
+            for ([low, high], command) in spans.iter_mut().zip(command) {
+                (*low, *high) = (low.min(*command), high.max(*command));
+            }
+            spans
+        })
     }
 
     /// Whether any reading has an orientation.

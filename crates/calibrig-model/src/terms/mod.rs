@@ -5,8 +5,10 @@
 
 mod harmonic;
 mod hysteresis;
+mod presliding;
 mod rail;
 mod ratio;
+mod spline;
 
 use std::fmt;
 
@@ -16,8 +18,14 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use super::{ActuatorMap, CalibrationModel, CraigLink, JointKind, PoseQuery, Unit};
 
 /// Every family that can be switched on.
-pub const FAMILIES: &[&dyn TermFamily] =
-    &[&hysteresis::Hysteresis, &harmonic::Harmonic, &ratio::Ratio, &rail::Rail];
+pub const FAMILIES: &[&dyn TermFamily] = &[
+    &hysteresis::Hysteresis,
+    &harmonic::Harmonic,
+    &ratio::Ratio,
+    &rail::Rail,
+    &presliding::Presliding,
+    &spline::Spline,
+];
 
 /// What a term displaces.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -71,6 +79,27 @@ pub trait TermFamily: Sync {
 
     /// Reads a [`suffix`](Self::suffix).
     fn parse(&self, suffix: &str) -> Option<(usize, usize, bool)>;
+
+    /// Whether it is fitted only where it is asked for by its key: it has more amplitudes than a session that was not planned for it pays for.
+    fn is_on_request(&self) -> bool {
+        false
+    }
+
+    /// Whether its basis functions are spread over [`CalibrationModel::spans`].
+    fn is_of_spans(&self) -> bool {
+        false
+    }
+
+    /// Whether machines differ so much that the size of its prior is found with the fit where nobody states it: `prior_sigma` is then where the search
+    /// begins.
+    fn is_of_unknown_size(&self) -> bool {
+        false
+    }
+
+    /// Key of the family without which it makes no sense.
+    fn extends(&self) -> Option<&'static str> {
+        None
+    }
 }
 
 impl TermId {
@@ -168,6 +197,15 @@ fn parse_joint_variable(text: &str) -> Option<(usize, bool)> {
     Some((number.parse::<usize>().ok()?.checked_sub(1)?, linear))
 }
 
+/// Reads a [`joint_variable`] and, behind `_`, a number from one to `count`: (joint, number less one, linear).
+fn parse_counted(text: &str, count: usize) -> Option<(usize, usize, bool)> {
+    let (variable, number) = text.split_once('_')?;
+    let (joint, linear) = parse_joint_variable(variable)?;
+    let index = number.parse::<usize>().ok()?.checked_sub(1)?;
+    // A name is read as it is written: without further zeros or signs.
+    (index < count && number == (index + 1).to_string()).then_some((joint, index, linear))
+}
+
 /// Half of the way between a joint's limits, m or rad; half a turn or one metre where it has none.
 fn half_travel(link: &CraigLink) -> f64 {
     let half = 0.5 * (link.limits[1] - link.limits[0]);
@@ -230,6 +268,7 @@ mod tests {
             actuators: ActuatorMap::Parallelogram { shoulder: 1, elbow: 2, offset: 0.25, linkage: None },
             statics: None,
             motor_turns: vec![Some(10.0), None, Some(16.0), None],
+            spans: Vec::new(),
         }
     }
 
@@ -248,9 +287,20 @@ mod tests {
             }
         }
         assert!(TermId::all_of("growth", &model).is_none());
-        for wrong in
-            ["harmonic_theta2_sin3", "rail_theta1_x2", "rail_d1_z2", "rail_d1_x1", "ratio_", "hysteresis_d0"]
-        {
+        for wrong in [
+            "harmonic_theta2_sin3",
+            "rail_theta1_x2",
+            "rail_d1_z2",
+            "rail_d1_x1",
+            "ratio_",
+            "hysteresis_d0",
+            "spline_theta1",
+            "spline_theta1_0",
+            "spline_theta1_8",
+            "spline_theta1_01",
+            "presliding_d1_4",
+            "presliding_d1_+1",
+        ] {
             assert_eq!(TermId::parse(wrong), None, "{wrong}");
         }
     }
@@ -258,10 +308,15 @@ mod tests {
     #[test]
     fn the_basis_functions_by_hand() {
         let model = model();
-        let input = PoseQuery::at(&[3.0, -0.5, 0.3, 0.1]).approached(&[1, -1, 0, 1]);
+        let input =
+            PoseQuery::at(&[3.0, -0.5, 0.3, 0.1]).approached(&[1, -1, 0, 1]).moved(&[4e-3, 0.01, 0.02, 0.0]);
         let turn = std::f64::consts::TAU * 16.0 * 0.3;
         for (name, basis, place) in [
             ("hysteresis_theta2", -1.0, TermPlace::Actuator(1)),
+            ("presliding_d1_2", (-2.0_f64).exp(), TermPlace::Actuator(0)),
+            ("presliding_theta2_1", -(-0.01 / 0.5_f64.to_radians()).exp(), TermPlace::Actuator(1)),
+            ("presliding_theta3_1", 0.0, TermPlace::Actuator(2)),
+            ("presliding_theta4_3", 1.0, TermPlace::Actuator(3)),
             ("harmonic_theta3_sin1", turn.sin(), TermPlace::Actuator(2)),
             ("harmonic_theta3_cos2", (2.0 * turn).cos(), TermPlace::Actuator(2)),
             ("ratio_d1", 0.5, TermPlace::Actuator(0)),
@@ -274,6 +329,32 @@ mod tests {
             let id = TermId::parse(name).expect(name);
             assert!((id.basis(&model, &input) - basis).abs() < 1e-14, "{name}");
             assert_eq!(id.place(), place, "{name}");
+        }
+    }
+
+    /// Half a turn of travel has a (1/2)^(3/2) of what a whole one has; over the span of a session it is the same spline as over limits there.
+    #[test]
+    fn splines_are_spread_over_limits_or_spans_and_close_where_a_joint_turns_round() {
+        let of = |model: &CalibrationModel, name: &str, command: [f64; 4]| {
+            TermId::parse(name).expect(name).basis(model, &PoseQuery::at(&command))
+        };
+        let plain = model();
+        // The commands of the second joint go from -2 to 1.
+        let ends = [-2.0, 1.0].map(|end| of(&plain, "spline_theta2_1", [0.0, end, 0.0, 0.0]));
+        assert!((ends[0] - ends[1]).abs() < 1e-12 && ends[0] > 0.0);
+        let spans = vec![[0.0, 4.0], [-0.8, 0.7], [0.0, 1.0], [0.5, 0.5]];
+        let narrow = plain.clone().with_spans(spans).expect("spans");
+        let end = of(&narrow, "spline_theta2_1", [0.0, 0.7, 0.0, 0.0]);
+        assert!((end / ends[0] - 0.5_f64.powf(1.5)).abs() < 1e-12);
+        // One that did not move shows nothing.
+        assert_eq!(of(&narrow, "spline_theta4_1", [0.0, 0.0, 0.0, 0.5]).to_bits(), 0.0_f64.to_bits());
+        for index in 1..=7 {
+            let name = format!("spline_theta4_{index}");
+            let [a, b] = [-2.0, -2.0 + std::f64::consts::TAU].map(|c| of(&plain, &name, [0.0, 0.0, 0.0, c]));
+            assert!((a - b).abs() < 1e-12, "{name}");
+        }
+        for bad in [vec![[0.0, 1.0]], vec![[1.0, 0.0]; 4], vec![[0.0, f64::NAN]; 4]] {
+            assert!(plain.clone().with_spans(bad.clone()).is_err(), "{bad:?}");
         }
     }
 

@@ -5,12 +5,11 @@ use rand::Rng;
 use super::{Machine, MeasuringSession};
 use crate::effects::{Commanded, DriveState, Friction, PoseEffects};
 use crate::{AsBuilt, SettledPose};
+use calibrig_model::measurement::Motion;
 
 pub(super) struct Controller<'a> {
     as_built: &'a AsBuilt,
-    command: Vec<f64>,
-    /// The sign of each actuator's last motion, 0 before its first.
-    pub approach: Vec<i8>,
+    pub motion: Motion,
     drives: DriveState,
 }
 
@@ -18,7 +17,7 @@ impl<'a> Controller<'a> {
     pub(super) fn at_home(session: &MeasuringSession<'a>) -> Self {
         let command = session.actuators.command_from_joints(&session.region.centre);
         let drives = session.as_built.referenced_at(&command);
-        Self { as_built: session.as_built, approach: vec![0; command.len()], command, drives }
+        Self { as_built: session.as_built, motion: Motion::at(&command), drives }
     }
 
     /// Approaches a command and comes to rest.
@@ -42,14 +41,7 @@ impl<'a> Controller<'a> {
         time: f64,
         rng: &mut impl Rng,
     ) -> Result<PoseEffects, M::Error> {
-        for (approach, (now, before)) in self.approach.iter_mut().zip(command.iter().zip(&self.command)) {
-            match now.total_cmp(before) {
-                std::cmp::Ordering::Less => *approach = -1,
-                std::cmp::Ordering::Equal => {}
-                std::cmp::Ordering::Greater => *approach = 1,
-            }
-        }
-        self.command.copy_from_slice(command);
+        self.motion.go_to(command, 0.0);
         let needs_load = self.as_built.effects.friction.as_ref().is_some_and(Friction::needs_load);
         // Friction is too small to change the load that it depends on.
         let load = if needs_load { self.drive_loads(&machine.settle(command, &[])?) } else { Vec::new() };

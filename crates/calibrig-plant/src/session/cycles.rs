@@ -156,7 +156,8 @@ impl MeasuringSession<'_> {
                 test.measurements.observations.push(Observation {
                     pose,
                     command: command.clone(),
-                    approach: controller.approach.clone(),
+                    approach: controller.motion.approach.clone(),
+                    since_reversal: controller.motion.since_reversal.clone(),
                     temperature: effects.temperature,
                     time,
                     station: 0,

@@ -435,7 +435,8 @@ impl Visit<'_> {
         Observation {
             pose: self.pose,
             command: self.command.to_vec(),
-            approach: self.controller.approach.clone(),
+            approach: self.controller.motion.approach.clone(),
+            since_reversal: self.controller.motion.since_reversal.clone(),
             temperature: self.effects.temperature,
             time,
             station,

@@ -107,6 +107,7 @@ fn measured(
             pose,
             command,
             approach: Vec::new(),
+            since_reversal: Vec::new(),
             time: f64::from(pose),
             temperature: None,
             station: 0,

@@ -31,6 +31,7 @@ fn problem() -> CalibrationProblem {
     };
     let nominal = CalibrationModel {
         motor_turns: vec![None; kinematics.joint_count()],
+        spans: Vec::new(),
         kinematics,
         actuators: ActuatorMap::Direct,
         statics: None,
@@ -205,12 +206,13 @@ fn coupled() -> CalibrationProblem {
             let near: Vec<_> =
                 joints.iter().zip(middle).map(|(q, middle)| middle + 0.5 * (q - middle)).collect();
             let command = nominal.actuators.command_from_joints(&near);
+            let ways: Vec<f64> = (1..).map(|i| 0.004 * f64::from(i)).take(command.len()).collect();
             Row {
                 hours: 0.0,
                 instrument: Vec::new(),
                 pose: 0,
                 told: machine
-                    .prepare(&PoseQuery::at(&command).approached(&signs(&command)))
+                    .prepare(&PoseQuery::at(&command).approached(&signs(&command)).moved(&ways))
                     .expect("a machine that stands"),
                 seen: Vector3::zeros(),
                 reading: None,

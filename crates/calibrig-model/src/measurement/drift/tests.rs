@@ -113,6 +113,7 @@ fn session(motion: Motion, noise: f64, trial: u32) -> Session {
             pose,
             command: vec![0.0],
             approach: vec![0],
+            since_reversal: Vec::new(),
             temperature: None,
             time,
             station: 0,

@@ -44,6 +44,7 @@ fn cantilever(run: BeamRun, gravity: Vector3<f64>, force: Vector3<f64>) -> Calib
         actuators: ActuatorMap::Direct,
         statics: Some(statics),
         motor_turns: vec![None],
+        spans: Vec::new(),
     }
 }
 

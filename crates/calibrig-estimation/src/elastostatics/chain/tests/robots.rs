@@ -182,6 +182,7 @@ pub(super) fn serial(seed: u8) -> Case {
             actuators,
             statics: Some(statics),
             motor_turns: vec![None; joints],
+            spans: Vec::new(),
         },
         command,
         in_flange: draw.vector(0.3),
@@ -308,6 +309,7 @@ pub(super) fn painter(seed: u8) -> Case {
             actuators,
             statics: Some(statics),
             motor_turns: vec![None; 7],
+            spans: Vec::new(),
         },
         in_flange: Vector3::new(0.10, 0.15, 0.20),
     }

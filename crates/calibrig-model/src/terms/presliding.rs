@@ -1,0 +1,67 @@
+//! Hysteresis that builds up: what of it is still missing while an actuator has hardly moved since it reversed.
+//!
+//! Friction between a drive and its encoder, and wind-up that it holds, change sides over a way: after a reversal, `exp(-way / length)` of the
+//! difference is still to come (P. R. Dahl, AIAA Journal 14 (1976) 1675, of friction before it slides). The sum over lengths a factor of four apart
+//! comes near any curve between them. Beyond them it has saturated, and the term `hysteresis` is all that is left.
+
+use super::{TermFamily, TermPlace, is_linear, joint_variable};
+use crate::{CalibrationModel, PoseQuery};
+
+/// One amplitude an actuator and length: how far it still stands on the side of the motion right after the reversal.
+pub(super) struct Presliding;
+
+/// By index, mm or degrees.
+const LENGTHS: [f64; 3] = [0.5, 2.0, 8.0];
+
+impl TermFamily for Presliding {
+    fn key(&self) -> &'static str {
+        "presliding"
+    }
+
+    fn about(&self) -> &'static str {
+        "hysteresis that is still to come after a reversal, over 0.5, 2 and 8 mm or degrees"
+    }
+
+    fn terms(&self, model: &CalibrationModel) -> Vec<(usize, usize, bool)> {
+        let joints = 0..model.kinematics.joint_count();
+        joints
+            .flat_map(|joint| (0..LENGTHS.len()).map(move |index| (joint, index, is_linear(model, joint))))
+            .collect()
+    }
+
+    fn place(&self, joint: usize, _: usize) -> TermPlace {
+        TermPlace::Actuator(joint)
+    }
+
+    fn basis(&self, model: &CalibrationModel, joint: usize, index: usize, input: &PoseQuery<'_>) -> f64 {
+        let (Some(sign), Some(way), Some(length)) =
+            (input.approach.get(joint), input.since_reversal.get(joint), LENGTHS.get(index))
+        else {
+            // Most motions are long.
+            return 0.0;
+        };
+        let length = if is_linear(model, joint) { 1e-3 * length } else { length.to_radians() };
+        f64::from(*sign) * (-way / length).exp()
+    }
+
+    fn prior_sigma(&self, _: bool) -> f64 {
+        // As the hysteresis itself.
+        1e-3
+    }
+
+    fn suffix(&self, joint: usize, index: usize, linear: bool) -> String {
+        format!("{}_{}", joint_variable(joint, linear), index + 1)
+    }
+
+    fn parse(&self, suffix: &str) -> Option<(usize, usize, bool)> {
+        super::parse_counted(suffix, LENGTHS.len())
+    }
+
+    fn is_on_request(&self) -> bool {
+        true
+    }
+
+    fn extends(&self) -> Option<&'static str> {
+        Some("hysteresis")
+    }
+}
