@@ -49,6 +49,7 @@ fn assert_found(effects: Effects, families: &[&str], named: &[(&str, f64)]) {
         instrument: &simulation.truth.instrument,
         further_targets: &simulation.truth.further_targets,
         targets: &set.targets,
+        settled: &simulation.truth.poses[0],
     };
     for p in &estimate.parameters {
         let truth = known.of(&estimate, p.id).unwrap_or_else(|| panic!("{}: no truth", p.id));
@@ -102,6 +103,7 @@ fn friction_is_hysteresis_where_it_depends_on_the_direction_alone() {
         instrument: &[],
         further_targets: &[],
         targets: &outcome.sets[0].measurements.targets,
+        settled: &[],
     };
     let of = |name: &str| known.of(estimate, ParameterId::parse(name).expect(name));
     assert_eq!((of("hysteresis_theta3"), of("hysteresis_theta4")), (None, Some(0.0)));

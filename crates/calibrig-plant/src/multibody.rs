@@ -95,7 +95,7 @@ impl Plant {
         Ok(Self {
             options,
             chain,
-            statics: Statics::new(&tree, &robot.statics.gravity),
+            statics: Statics::new(&tree, robot),
             target_in_last: vector(&target_in_last.coords),
             roles: tree.coordinates().map(|(_, entry)| entry.role).collect(),
             commanded: vec![0.0; joints],
@@ -199,7 +199,11 @@ impl Plant {
         let mut tip = self.tip();
         let (mut steps, mut tip_motion, mut residual) = (0, f64::INFINITY, f64::INFINITY);
         let mut closure = f64::INFINITY;
+        self.measure_deflections();
         while steps < self.options.max_steps && tip.is_finite() {
+            for (coordinate, stiffness, rest) in self.statics.tangent_springs(&self.deflection) {
+                self.chain.set_spring(coordinate, stiffness, self.rest[coordinate] + rest);
+            }
             self.chain.step_from_rest();
             steps += 1;
             let before = std::mem::replace(&mut tip, self.tip());
@@ -225,12 +229,18 @@ impl Plant {
         self.chain.pose(last).transform_point(self.target_in_last)
     }
 
-    /// Deflections and forces in the present pose.
-    fn evaluate(&mut self) {
+    /// Deflections in the present pose.
+    fn measure_deflections(&mut self) {
         for (coordinate, deflection) in self.deflection.iter_mut().enumerate() {
             *deflection = self.chain.coordinate(coordinate) - self.rest[coordinate];
         }
+    }
+
+    /// Deflections and forces in the present pose.
+    fn evaluate(&mut self) {
+        self.measure_deflections();
         self.statics.evaluate(&self.chain);
+        self.statics.stiffen(&self.deflection);
     }
 
     /// Looks for the pose at rest by Newton's method, to start there; from the unloaded pose where that fails. Returns whether the

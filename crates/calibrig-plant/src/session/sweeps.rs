@@ -4,6 +4,7 @@ use super::controller::Controller;
 use super::measure::{Setup, Taken, Visit};
 use super::schedule::Schedule;
 use super::{Machine, MeasuringSession, SessionError, StationShare};
+use crate::effects::Warmth;
 use calibrig_model::measurement::Station;
 use calibrig_model::random::{self, Source};
 
@@ -37,17 +38,17 @@ impl PlannedSweep {
 }
 
 impl MeasuringSession<'_> {
-    /// Gives the stations what they read in the sweeps.
+    /// Gives the stations what they read in the sweeps. Returns how warm the drives then are.
     pub(super) fn measure_sweeps<M: Machine>(
         &self,
         machine: &mut M,
         setup: &Setup,
         schedule: &Schedule,
         stations: &mut [Station],
-    ) -> Result<(), SessionError<M::Error>> {
+    ) -> Result<Warmth, SessionError<M::Error>> {
         let (seed, trial) = (setup.seed, setup.trial);
         let mut noise = random::stream(seed, trial, Source::SweepNoise);
-        let mut controller = Controller::at_home(self);
+        let mut controller = Controller::at_home(self, Warmth::default());
         let mut taken = Taken::default();
         for ((joints, time), number) in schedule.sweeps.iter().zip(0..) {
             let command = self.actuators.command_from_joints(joints);
@@ -73,6 +74,6 @@ impl MeasuringSession<'_> {
                 station.sweeps.push(reading);
             }
         }
-        Ok(())
+        Ok(controller.warmth().clone())
     }
 }
