@@ -236,11 +236,11 @@ impl Plant {
         }
     }
 
-    /// Deflections and forces in the present pose.
-    fn evaluate(&mut self) {
+    /// Deflections and forces in the present pose. Returns whether the stiffness of a drive is no longer what it was.
+    fn evaluate(&mut self) -> bool {
         self.measure_deflections();
         self.statics.evaluate(&self.chain);
-        self.statics.stiffen(&self.deflection);
+        self.statics.stiffen(&self.deflection)
     }
 
     /// Looks for the pose at rest by Newton's method, to start there; from the unloaded pose where that fails. Returns whether the
@@ -252,9 +252,9 @@ impl Plant {
         let mut last = f64::INFINITY;
         for prediction in 0..self.predictions {
             self.chain.place(&self.start);
-            self.evaluate();
+            let stiffened = self.evaluate();
             self.statics.left_over(&self.deflection, &mut self.left_over);
-            if last > SAME_TANGENT {
+            if last > SAME_TANGENT || stiffened {
                 tangent = Cholesky::new(self.statics.tangent());
                 if tangent.is_none() && prediction == 0 {
                     self.check_stability(0)?;

@@ -110,11 +110,14 @@ impl Statics {
         self.stiffness.extend(stiffness.map(|k| if k.is_finite() { k } else { 0.0 }));
     }
 
-    /// Takes the stiffnesses of drives that stiffen at these deflections.
-    pub(super) fn stiffen(&mut self, deflection: &[f64]) {
+    /// Takes the stiffnesses of drives that stiffen at these deflections. Returns whether one has changed.
+    pub(super) fn stiffen(&mut self, deflection: &[f64]) -> bool {
+        let mut changed = false;
         for (coordinate, own, curve) in &self.curves {
-            self.stiffness[*coordinate] = curve.tangent_and_load(*own, deflection[*coordinate]).0;
+            let (stiffness, _) = curve.tangent_and_load(*own, deflection[*coordinate]);
+            changed |= std::mem::replace(&mut self.stiffness[*coordinate], stiffness) != stiffness;
         }
+        changed
     }
 
     /// The linear springs that are tangent to drives that stiffen: coordinate, stiffness, and the deflection at which the spring rests.

@@ -328,6 +328,7 @@ fn effects_that_no_machine_has_are_refused() {
         (|e| e.repeatability.as_mut().unwrap().sigma[2] = -1e-9, EffectKind::Repeatability),
     ];
     let mut robot = machine();
+    robot.statics.gravity = Vector3::new(0.0, -10.0, 0.0);
     robot.effects = all_effects();
     assert_eq!(robot.check_effects(1000.0), Ok(()));
     for (number, (spoil, kind)) in breaks.into_iter().enumerate() {
