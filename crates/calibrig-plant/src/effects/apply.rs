@@ -115,9 +115,8 @@ impl AsBuilt {
             turned |= link.kind == JointKind::Revolute;
             let mut reach = 0.0;
             let mut load = 0.0;
-            for carried in joint..links.len() {
+            for (carried, body) in statics.bodies.iter().enumerate().skip(joint) {
                 let lever = |at: f64| if link.kind == JointKind::Revolute { reach + at } else { 1.0 };
-                let body = &statics.bodies[carried];
                 load += body.mass * gravity * lever(body.centre_of_mass.norm());
                 for own in statics.loads.iter().filter(|own| own.link == carried) {
                     load += (own.mass * gravity + own.force.norm()) * lever(own.at.norm());
