@@ -152,6 +152,11 @@ pub enum PipelineError {
     /// The analytic machine does not come to rest.
     #[error("the analytic plant: {0}")]
     Analytic(#[from] calibrig_estimation::elastostatics::ElasticError),
+    /// The analytic machine has linear drives alone.
+    #[error(
+        "the analytic plant: its drives are linear, take [effects.stiffening] out or simulate with rapier"
+    )]
+    LinearDrives,
     /// The session as planned cannot be carried out.
     #[error("the session: {0}")]
     Session(#[from] PlanError),

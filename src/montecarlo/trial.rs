@@ -108,6 +108,7 @@ fn fit(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Estimate) ->
         further_targets: &simulation.truth.further_targets,
         orientation: simulation.truth.orientation,
         targets: simulation.sets.first().map_or(&[], |set| &set.measurements.targets),
+        settled: simulation.truth.poses.first().map_or(&[], Vec::as_slice),
     };
     let fitted = simulation.sets.first().map(|set| &set.measurements);
     let information =

@@ -40,6 +40,7 @@ pub fn bounds_at_truth(
         further_targets: &truth.further_targets,
         orientation: truth.orientation,
         targets: &fitted.targets,
+        settled: truth.poses.first().map_or(&[], Vec::as_slice),
     };
     let bounds = |outcome: &ModeOutcome| {
         let information = information_at_truth(&known, fitted, options, outcome.estimate.as_ref()?)?;

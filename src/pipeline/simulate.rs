@@ -36,6 +36,9 @@ pub fn measure_session(
             session.measure(&mut machine, seed, trial, listener)?
         }
         PlantKind::Analytic => {
+            if scenario.as_built.effects.stiffening.is_some() {
+                return Err(PipelineError::LinearDrives);
+            }
             session.measure(&mut AnalyticMachine::new(&scenario.as_built)?, seed, trial, listener)?
         }
     };

@@ -6,10 +6,11 @@ use calibrig_estimation::identification::Estimate;
 use calibrig_model::geometry::{Transform, rotation_vector, small_displacement};
 use calibrig_model::measurement::{InstrumentTerm, Target};
 use calibrig_model::{
-    CalibrationModel, JointKind, LinkTerm, ParameterId, PoseQuery, StaticProperties, TermId, TermPlace,
+    CalibrationModel, Compliance, JointKind, LinkTerm, ParameterId, PoseQuery, StaticProperties, TermId,
+    TermPlace,
 };
-use calibrig_plant::AsBuilt;
 use calibrig_plant::effects::{Rail, RailProfile};
+use calibrig_plant::{AsBuilt, SettledPose};
 
 /// The truth beside what was known beforehand.
 #[derive(Debug, Clone, Copy)]
@@ -28,13 +29,16 @@ pub struct KnownTruth<'a> {
     pub orientation: Option<Rotation3<f64>>,
     /// As stated to identification.
     pub targets: &'a [Target],
+    /// The machine at rest in the poses of the identification set, whose loads tell the stiffness that stands for a drive that stiffens.
+    pub settled: &'a [SettledPose],
 }
 
 impl KnownTruth<'_> {
     /// What the parameter really is, SI; `None` where the truth is not known or has no counterpart.
     ///
     /// - link, four-bar: as-built minus nominal; to an actuator's own theta or d comes what its encoder is off by and, where the estimate has
-    ///   the term of its ratio, that error in the middle of the travel; compliance, mass: as-built over nominal, minus one;
+    ///   the term of its ratio, that error in the middle of the travel; compliance, mass: as-built over nominal, minus one. The compliance of a drive that
+    ///   stiffens is its secant's at the mean size of its load over the identification set, `None` where no pose tells that;
     /// - term: what the machine's effect of that shape amounts to; zero where it has none;
     /// - frame: the estimate holds `station = prior · exp(value)` for the station's six components (absent ones are zero), so the prior
     ///   is recovered exactly and the truth is the `xi` of `prior · exp(xi) = tracker_from_base`;
@@ -62,7 +66,11 @@ impl KnownTruth<'_> {
             }
             ParameterId::Compliance(compliance) => {
                 let stated = self.nominal.statics.as_ref()?.stiffness(compliance)?;
-                Some(stated / self.as_built.statics.stiffness(compliance)? - 1.0)
+                let real = match compliance {
+                    Compliance::Drive { joint } => self.as_built.secant_stiffness(joint, self.settled)?,
+                    _ => self.as_built.statics.stiffness(compliance)?,
+                };
+                Some(stated / real - 1.0)
             }
             ParameterId::Mass { link } => {
                 let mass = |statics: &StaticProperties| Some(statics.bodies.get(link)?.mass);
@@ -150,6 +158,15 @@ impl KnownTruth<'_> {
         effects.check(self.nominal.kinematics.joint_count(), true).ok()?;
         match (term.family().key(), term.place()) {
             ("hysteresis", TermPlace::Actuator(actuator)) => {
+                // A flank that the load decides is no multiple of the approach's sign, nor is friction behind a spring that stiffens.
+                let has = |values: &[f64]| values.get(actuator).is_some_and(|value| *value > 0.0);
+                if effects.lost_motion.as_ref().is_some_and(|lost| has(&lost.gap)) {
+                    return None;
+                }
+                let stiffens = effects.stiffening.as_ref().is_some_and(|s| s.actuators[actuator].is_some());
+                if stiffens && effects.friction.as_ref().is_some_and(|friction| has(&friction.constant)) {
+                    return None;
+                }
                 let stiffness = *self.as_built.statics.drive_stiffness.get(actuator)?;
                 let lag = effects
                     .friction

@@ -100,6 +100,7 @@ fn known_truth<'a>(outcome: &'a Outcome, truth: &'a Truth, targets: &'a [Target]
         further_targets: &truth.further_targets,
         orientation: truth.orientation,
         targets,
+        settled: truth.poses.first().map_or(&[], Vec::as_slice),
     }
 }
 

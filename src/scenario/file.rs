@@ -9,7 +9,7 @@ use serde::Deserialize;
 
 use super::Scenario;
 use super::as_built::{AsBuiltFile, as_built};
-use super::effects::{EffectsFile, effects};
+use super::effects::{EffectsFile, check_loads, effects};
 use super::identification::{IdentificationFile, ModeFile};
 use super::instrument::{DriftFile, EnvironmentFile, SmrFile, conditions, instrument};
 use super::payloads::{CarriedFile, payloads};
@@ -252,6 +252,7 @@ fn validate(
     let effects = effects(&source, &file.effects, &robot)?;
     let (as_built, drawn) =
         as_built(&source, &file.as_built, &file.robot, &robot, (effects, gravity.unwrap_or(USUAL_GRAVITY)))?;
+    check_loads(&source, &file.effects, &as_built)?;
     let Poses { region, listed, sources: pose_files, counts: [identification_poses, verification_poses] } =
         poses(&source, &file.poses, &robot, named)?;
     let tracker = tracker(&source, &file.tracker, &as_built, file.seed)?;

@@ -2,10 +2,12 @@
 
 use calibrig::files::Source;
 use calibrig::identification::{IdentificationOptions, Mode, identify};
-use calibrig::model::{ParameterId, Unit};
+use calibrig::model::{Compliance, ParameterId, Unit};
 use calibrig::pipeline::{KnownTruth, PlantKind, bounds_at_truth, calibrate, run, simulate};
+use calibrig::plant::SettledPose;
 use calibrig::plant::effects::{
-    Backlash, Effects, Encoder, Friction, Harmonic, Harmonics, Rail, RailProfile, Ratio,
+    Backlash, Effects, Encoder, Friction, Harmonic, Harmonics, Rail, RailProfile, Ratio, Stiffening,
+    StiffnessCurve,
 };
 use calibrig::scenario::{Scenario, parse_scenario};
 
@@ -49,6 +51,7 @@ fn assert_found(effects: Effects, families: &[&str], named: &[(&str, f64)]) {
         instrument: &simulation.truth.instrument,
         further_targets: &simulation.truth.further_targets,
         targets: &set.targets,
+        settled: &simulation.truth.poses[0],
     };
     for p in &estimate.parameters {
         let truth = known.of(&estimate, p.id).unwrap_or_else(|| panic!("{}: no truth", p.id));
@@ -102,10 +105,57 @@ fn friction_is_hysteresis_where_it_depends_on_the_direction_alone() {
         instrument: &[],
         further_targets: &[],
         targets: &outcome.sets[0].measurements.targets,
+        settled: &[],
     };
     let of = |name: &str| known.of(estimate, ParameterId::parse(name).expect(name));
     assert_eq!((of("hysteresis_theta3"), of("hysteresis_theta4")), (None, Some(0.0)));
     assert!(known.values(estimate).is_none() && outcome.bounds.is_empty(), "no bound without a truth");
+}
+
+/// By the data sheet's formula at the mean load of the machine with linear drives, which differs by the little that their other deflections change.
+#[test]
+fn the_compliance_of_a_drive_that_stiffens_is_its_secant_at_the_mean_load() {
+    let linear = with(Effects::default(), &[]);
+    let stiffness = linear.as_built.statics.drive_stiffness[3];
+    let session = |scenario: &Scenario| {
+        simulate(scenario, 1, 0, PlantKind::Rapier, |_, _| {}).expect("a session").truth.poses.remove(0)
+    };
+    let poses = session(&linear);
+    let mean =
+        poses.iter().map(|pose| (stiffness * pose.deflection[3]).abs()).sum::<f64>() / poses.len() as f64;
+    let limits = [0.2 * mean, 0.7 * mean];
+    let deflection = limits[0] / (0.7 * stiffness)
+        + (limits[1] - limits[0]) / (0.9 * stiffness)
+        + (mean - limits[1]) / (1.4 * stiffness);
+    let expected = stiffness / (mean / deflection) - 1.0;
+    assert!(expected.abs() > 0.02, "{expected}");
+
+    let curve = StiffnessCurve { factors: vec![0.7, 0.9, 1.4], limits: limits.to_vec() };
+    let mut actuators = vec![None; 7];
+    actuators[3] = Some(curve);
+    let scenario = with(Effects { stiffening: Some(Stiffening { actuators }), ..Effects::default() }, &[]);
+    let settled = session(&scenario);
+    let error = simulate(&scenario, 1, 0, PlantKind::Analytic, |_, _| {}).expect_err("no such drives");
+    assert!(error.to_string().contains("[effects.stiffening]"), "{error}");
+    let outcome = run(&Scenario { modes: vec![Mode::ElastoGeometric], ..scenario.clone() }, 1, |_, _| {})
+        .expect("a run");
+    let estimate = outcome.modes[0].estimate.as_ref().expect("an estimate");
+    let known = |settled: &[SettledPose]| {
+        let known = KnownTruth {
+            orientation: None,
+            as_built: &scenario.as_built,
+            nominal: &scenario.robot.model,
+            stations: &[scenario.tracker.tracker_from_base],
+            instrument: &[],
+            further_targets: &[],
+            targets: &outcome.sets[0].measurements.targets,
+            settled,
+        };
+        known.of(estimate, ParameterId::Compliance(Compliance::Drive { joint: 3 }))
+    };
+    let truth = known(&settled).expect("known");
+    assert!((truth - expected).abs() < 0.002, "{truth} against {expected}");
+    assert_eq!(known(&[]), None, "no pose tells the load");
 }
 
 #[test]

@@ -157,6 +157,7 @@ fn add_squares(sums: &mut Vec<f64>, scenario: &Scenario, (simulation, estimate):
         instrument: &simulation.truth.instrument,
         further_targets: &simulation.truth.further_targets,
         targets: &simulation.sets[0].measurements.targets,
+        settled: &simulation.truth.poses[0],
     };
     sums.resize(estimate.parameters.len(), 0.0);
     for (sum, p) in sums.iter_mut().zip(&estimate.parameters) {

@@ -127,7 +127,8 @@ fn every_effect_that_the_model_lacks_fails_the_consistency_test() {
     };
     let harmonic = Harmonic { turns: 25.0, amplitude: [10.0 * SECONDS, 0.0], phase: [0.5, 0.0] };
     let arm = GrowingPart::Link { joint: 2, axis: 0 };
-    let arm = Growth { part: arm, length: 1.35, with_travel: false, expansion: 12e-6, lag: 300.0 };
+    let arm =
+        Growth { part: arm, length: 1.35, with_travel: false, expansion: 12e-6, lag: 300.0, heat: None };
     let air = Ambient { start: 20.0, drift: 0.0, swing: 5.0, period: 400.0, phase: 0.0 };
     let mut actuators = vec![None; 7];
     actuators[2] = Some(harmonic);

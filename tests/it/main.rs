@@ -39,6 +39,7 @@ mod a_user_trusts_a_drawn_tracker;
 mod a_user_trusts_a_model_that_lacks_something;
 mod a_user_trusts_the_uncertainty;
 mod cli;
+mod effects_against_the_model;
 mod elastostatics_against_plant;
 mod fuzz;
 mod layers;

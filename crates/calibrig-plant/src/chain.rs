@@ -143,6 +143,12 @@ impl Chain {
         joint.set_spring(axis, stiffness, rest);
     }
 
+    /// Sets stiffness and rest of a coordinate's spring.
+    pub(super) fn set_spring(&mut self, coordinate: usize, stiffness: f64, rest: f64) {
+        let (node, axis) = self.coordinates[coordinate];
+        self.link_mut(node).joint.set_spring(axis, stiffness, rest);
+    }
+
     /// Puts the chain at the coordinates, to the bit, wherever it was.
     pub(super) fn place(&mut self, coordinates: &[f64]) {
         // By way of zero: coordinates can only be displaced, and `c + (q - c)` need not be `q`.

@@ -2,6 +2,8 @@
 
 use thiserror::Error;
 
+use super::effects::EffectError;
+
 /// A plant that cannot be built or does not settle. Joints count from 0, as in [`KinematicModel::links`](calibrig_model::KinematicModel::links).
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
@@ -61,6 +63,9 @@ pub enum PlantError {
         /// N/m or N m/rad
         stiffness: f64,
     },
+    /// A drive whose stiffness does not rise as it should.
+    #[error(transparent)]
+    Stiffening(#[from] EffectError),
     /// A bearing, beam or rod that does not hold, or a negative weight of a beam.
     #[error("{field} of joint index {joint} is {value}, more than zero was expected")]
     NotPositive {

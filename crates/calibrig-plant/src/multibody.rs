@@ -97,7 +97,7 @@ impl Plant {
         Ok(Self {
             options,
             chain,
-            statics: Statics::new(&tree, &robot.statics.gravity),
+            statics: Statics::new(&tree, robot),
             target_in_last: vector(&target_in_last.coords),
             roles: tree.coordinates().map(|(_, entry)| entry.role).collect(),
             commanded: vec![0.0; joints],
@@ -202,7 +202,11 @@ impl Plant {
         let mut tip = self.tip();
         let (mut steps, mut tip_motion, mut residual) = (0, f64::INFINITY, f64::INFINITY);
         let mut closure = f64::INFINITY;
+        self.measure_deflections();
         while steps < self.options.max_steps && tip.is_finite() {
+            for (coordinate, stiffness, rest) in self.statics.tangent_springs(&self.deflection) {
+                self.chain.set_spring(coordinate, stiffness, self.rest[coordinate] + rest);
+            }
             self.chain.step_from_rest();
             steps += 1;
             let before = std::mem::replace(&mut tip, self.tip());
@@ -228,12 +232,18 @@ impl Plant {
         self.chain.pose(last).transform_point(self.target_in_last)
     }
 
-    /// Deflections and forces in the present pose.
-    fn evaluate(&mut self) {
+    /// Deflections in the present pose.
+    fn measure_deflections(&mut self) {
         for (coordinate, deflection) in self.deflection.iter_mut().enumerate() {
             *deflection = self.chain.coordinate(coordinate) - self.rest[coordinate];
         }
+    }
+
+    /// Deflections and forces in the present pose. Returns whether the stiffness of a drive is no longer what it was.
+    fn evaluate(&mut self) -> bool {
+        self.measure_deflections();
         self.statics.evaluate(&self.chain);
+        self.statics.stiffen(&self.deflection)
     }
 
     /// Looks for the pose at rest by Newton's method, to start there; from the unloaded pose where that fails. Returns whether the
@@ -245,9 +255,9 @@ impl Plant {
         let mut last = f64::INFINITY;
         for prediction in 0..self.predictions {
             self.chain.place(&self.start);
-            self.evaluate();
+            let stiffened = self.evaluate();
             self.statics.left_over(&self.deflection, &mut self.left_over);
-            if last > SAME_TANGENT {
+            if last > SAME_TANGENT || stiffened {
                 tangent = Cholesky::new(self.statics.tangent());
                 if tangent.is_none() && prediction == 0 {
                     self.check_stability(0)?;

@@ -6,8 +6,10 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix3, Matrix3xX, Vector3};
 
+use super::AsBuilt;
 use super::chain::{Chain, point, vector};
-use super::tree::Tree;
+use super::effects::StiffnessCurve;
+use super::tree::{Coordinate, Role, Tree};
 
 /// Of the loop in [`Statics::tangent`], N/m: so stiff that only motion that keeps it closed can be unstable, so soft that the springs
 /// beside it keep their digits.
@@ -57,8 +59,10 @@ impl Closure {
 /// The forces on a chain, and what it makes of them.
 pub(super) struct Statics {
     branches: Branches,
-    /// Zero for rigid drives, which `is_rigid` tells from passive coordinates.
+    /// Zero for rigid drives, which `is_rigid` tells from passive coordinates. Of a drive that stiffens, that of its range.
     stiffness: Vec<f64>,
+    /// Of the coordinates whose drives stiffen: coordinate, stiffness without that, curve.
+    curves: Vec<(usize, f64, StiffnessCurve)>,
     is_rigid: Vec<bool>,
     /// Velocity at the base's origin and rotation, of every coordinate.
     twists: Vec<(Vector3<f64>, Vector3<f64>)>,
@@ -70,14 +74,20 @@ pub(super) struct Statics {
 }
 
 impl Statics {
-    pub(super) fn new(tree: &Tree, gravity: &Vector3<f64>) -> Self {
+    pub(super) fn new(tree: &Tree, robot: &AsBuilt) -> Self {
         let coordinates: Vec<_> = tree.coordinates().collect();
+        let curve_of = |(coordinate, (_, entry)): (usize, &(usize, Coordinate))| match entry.role {
+            Role::Drive(joint) => Some((coordinate, entry.stiffness, robot.curve(joint)?.clone())),
+            _ => None,
+        };
+        let curves = coordinates.iter().enumerate().filter_map(curve_of).collect();
         let count = coordinates.len();
         let is_rigid: Vec<bool> =
             coordinates.iter().map(|(_, entry)| entry.stiffness.is_infinite()).collect();
         let mut statics = Self {
-            branches: Branches::new(tree, gravity),
+            branches: Branches::new(tree, &robot.statics.gravity),
             stiffness: Vec::new(),
+            curves,
             is_rigid,
             twists: vec![(Vector3::zeros(), Vector3::zeros()); count],
             carried: vec![(Vector3::zeros(), Matrix3::zeros()); tree.nodes.len()],
@@ -98,6 +108,27 @@ impl Statics {
         self.stiffness.clear();
         let stiffness = tree.coordinates().map(|(_, entry)| entry.stiffness);
         self.stiffness.extend(stiffness.map(|k| if k.is_finite() { k } else { 0.0 }));
+    }
+
+    /// Takes the stiffnesses of drives that stiffen at these deflections. Returns whether one has changed.
+    pub(super) fn stiffen(&mut self, deflection: &[f64]) -> bool {
+        let mut changed = false;
+        for (coordinate, own, curve) in &self.curves {
+            let (stiffness, _) = curve.tangent_and_load(*own, deflection[*coordinate]);
+            changed |= std::mem::replace(&mut self.stiffness[*coordinate], stiffness) != stiffness;
+        }
+        changed
+    }
+
+    /// The linear springs that are tangent to drives that stiffen: coordinate, stiffness, and the deflection at which the spring rests.
+    pub(super) fn tangent_springs<'a>(
+        &'a self,
+        deflection: &'a [f64],
+    ) -> impl Iterator<Item = (usize, f64, f64)> + 'a {
+        self.curves.iter().map(|(coordinate, own, curve)| {
+            let (stiffness, load) = curve.tangent_and_load(*own, deflection[*coordinate]);
+            (*coordinate, stiffness, deflection[*coordinate] - load / stiffness)
+        })
     }
 
     /// The loop in the pose that was last evaluated.
@@ -183,6 +214,10 @@ impl Statics {
                 self.load[coordinate] - self.stiffness[coordinate] * deflection[coordinate]
             };
         }
+        for (coordinate, own, curve) in &self.curves {
+            out[*coordinate] =
+                self.load[*coordinate] - curve.tangent_and_load(*own, deflection[*coordinate]).1;
+        }
     }
 
     /// The largest difference between a deflection and what the load would cause on its spring.
@@ -193,7 +228,12 @@ impl Statics {
             if stiffness == 0.0 {
                 continue;
             }
-            let left_over = (self.load[coordinate] / stiffness - deflection).abs();
+            let curve = self.curves.iter().find(|(at, ..)| *at == coordinate);
+            let at_rest = match curve {
+                Some((_, own, curve)) => curve.deflection(*own, self.load[coordinate]),
+                None => self.load[coordinate] / stiffness,
+            };
+            let left_over = (at_rest - deflection).abs();
             // Unlike `f64::max`, this keeps a NaN.
             if left_over > largest || left_over.is_nan() {
                 largest = left_over;

@@ -34,6 +34,9 @@ pub(super) fn check_robot(robot: &AsBuilt) -> Result<(), PlantError> {
             return Err(PlantError::Stiffness { joint, stiffness });
         }
     }
+    if let Some(stiffening) = &robot.effects.stiffening {
+        stiffening.check(joints)?;
+    }
     check_bearings(robot)?;
     check_beams(&robot.statics)?;
     check_linkage(robot)?;

@@ -53,6 +53,34 @@ entry!(HarmonicEntry {
     twice_arcsec: Option<Spanned<f64>>,
     twice_phase_deg: Option<Spanned<f64>>,
 });
+entry!(TransmissionEntry { wave: Vec<WaveFile> });
+
+/// One wave of a transmission error.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(in crate::scenario) struct WaveFile {
+    pub cycles_per_rev: Option<Spanned<f64>>,
+    pub period_mm: Option<Spanned<f64>>,
+    pub amplitude_um: Option<Spanned<f64>>,
+    pub amplitude_arcsec: Option<Spanned<f64>>,
+    pub growth_um_per_kn: Option<Spanned<f64>>,
+    pub growth_arcsec_per_knm: Option<Spanned<f64>>,
+    pub phase_deg: Option<Spanned<f64>>,
+}
+
+entry!(LostMotionEntry {
+    gap_um: Option<Spanned<f64>>,
+    gap_arcsec: Option<Spanned<f64>>,
+    friction_n: Option<Spanned<f64>>,
+    friction_nm: Option<Spanned<f64>>,
+    closes_at_n: Option<Spanned<f64>>,
+    closes_at_nm: Option<Spanned<f64>>,
+});
+entry!(StiffeningEntry {
+    stiffness_percent: Vec<Spanned<f64>>,
+    limits_n: Option<Spanned<Vec<Spanned<f64>>>>,
+    limits_nm: Option<Spanned<Vec<Spanned<f64>>>>,
+});
 entry!(RatioEntry { relative_ppm: Spanned<f64> });
 entry!(BacklashEntry { gap_um: Option<Spanned<f64>>, gap_arcsec: Option<Spanned<f64>> });
 entry!(FrictionEntry {

@@ -1,6 +1,7 @@
 //! `[effects.*]`: what a real machine does beside its geometry and its elasticity. A section is off where it is not there or says
 //! `enabled = false`.
 
+mod drive_train;
 mod entries;
 mod thermal;
 
@@ -12,9 +13,10 @@ use std::ops::Range;
 
 use serde::Deserialize;
 
+pub(super) use self::drive_train::check_loads;
 use self::entries::{
-    BacklashEntry, EncoderEntry, FrictionEntry, HarmonicEntry, Joint, ProfileFile, RailFile, RatioEntry,
-    RepeatabilityEntry, Section,
+    BacklashEntry, EncoderEntry, FrictionEntry, HarmonicEntry, Joint, LostMotionEntry, ProfileFile, RailFile,
+    RatioEntry, RepeatabilityEntry, Section, StiffeningEntry, TransmissionEntry,
 };
 use self::thermal::ThermalFile;
 use super::file::{joint_index, refuse_twice};
@@ -32,8 +34,11 @@ pub(super) struct EffectsFile {
     harmonics: Option<Spanned<Section<HarmonicEntry>>>,
     ratio: Option<Spanned<Section<RatioEntry>>>,
     rail: Option<Spanned<RailFile>>,
+    transmission: Option<Spanned<Section<TransmissionEntry>>>,
     backlash: Option<Spanned<Section<BacklashEntry>>>,
+    lost_motion: Option<Spanned<Section<LostMotionEntry>>>,
     friction: Option<Spanned<Section<FrictionEntry>>>,
+    stiffening: Option<Spanned<Section<StiffeningEntry>>>,
     encoder: Option<Spanned<Section<EncoderEntry>>>,
     thermal: Option<Spanned<ThermalFile>>,
     repeatability: Option<Spanned<Section<RepeatabilityEntry>>>,
@@ -46,8 +51,11 @@ pub(super) fn effects(source: &Source, file: &EffectsFile, robot: &Robot) -> Res
         harmonics: reader.harmonics(file.harmonics.as_ref())?,
         ratio: reader.ratio(file.ratio.as_ref())?,
         rail: reader.rail(file.rail.as_ref())?,
+        transmission: reader.transmission(file.transmission.as_ref())?,
         backlash: reader.backlash(file.backlash.as_ref())?,
+        lost_motion: reader.lost_motion(file.lost_motion.as_ref())?,
         friction: reader.friction(file.friction.as_ref())?,
+        stiffening: reader.stiffening(file.stiffening.as_ref())?,
         encoder: reader.encoder(file.encoder.as_ref())?,
         thermal: thermal::thermal(&reader, file.thermal.as_ref())?,
         repeatability: reader.repeatability(file.repeatability.as_ref())?,
@@ -77,6 +85,8 @@ fn unit(name: &str) -> f64 {
         "um" => 1e-6,
         "deg" => TAU / 360.0,
         "arcsec" => TAU / 360.0 / 3600.0,
+        "um_per_kn" => 1e-9,
+        "arcsec_per_knm" => 1e-3 * TAU / 360.0 / 3600.0,
         _ => 1.0,
     }
 }
@@ -211,20 +221,25 @@ impl Reader<'_> {
             JointKind::Prismatic => 1.0,
             JointKind::Revolute => 1.0 / TAU,
         };
-        let given = match self.optional(joint, &key, Numbers::NotNegative)? {
-            Some(turns) => Some(per_unit * turns),
-            None => self.robot.model.motor_turns.get(joint).copied().flatten(),
-        };
-        given.filter(|turns| *turns > 0.0).ok_or_else(|| {
-            let name = file.joint.get_ref();
+        let name = file.joint.get_ref();
+        let expected =
+            "motor_turns_per_rev of a revolute or motor_turns_per_m of a prismatic joint, above zero";
+        match self.optional(joint, &key, Numbers::NotNegative)? {
+            Some(turns) if turns > 0.0 => return Ok(per_unit * turns),
+            Some(_) => {
+                let given = file.motor_turns_per_rev.as_ref().or(file.motor_turns_per_m.as_ref());
+                let place = given.map_or(entry.span(), Spanned::span);
+                let message = format!("zero is not how often the motor of \"{name}\" turns");
+                return Err(self.refuse(place, message, expected));
+            }
+            None => {}
+        }
+        let nominal = self.robot.model.motor_turns.get(joint).copied().flatten();
+        nominal.filter(|turns| *turns > 0.0).ok_or_else(|| {
             let message = format!(
                 "neither this entry nor the robot's file tells how often the motor of \"{name}\" turns"
             );
-            self.refuse(
-                entry.span(),
-                message,
-                "motor_turns_per_rev of a revolute or motor_turns_per_m of a prismatic joint, above zero",
-            )
+            self.refuse(entry.span(), message, expected)
         })
     }
 

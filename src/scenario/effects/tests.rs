@@ -33,10 +33,35 @@ wavelength_mm = 750
 horizontal = { polynomial_um = [0, 0, 80], wave_um = 20, phase_deg = 45 }
 yaw = { polynomial_arcsec = [0, 10], wave_arcsec = 4 }
 
+[effects.transmission]
+[[effects.transmission.joint]]
+joint = "elbow"
+wave = [
+  { cycles_per_rev = 40.5, amplitude_arcsec = 4, growth_arcsec_per_knm = 2, phase_deg = 90 },
+  { cycles_per_rev = 3, amplitude_arcsec = 7 },
+]
+
+[[effects.transmission.joint]]
+joint = "telescope"
+wave = [{ period_mm = 20, amplitude_um = 12, growth_um_per_kn = 3 }]
+
 [effects.backlash]
 [[effects.backlash.joint]]
 joint = "shoulder"
 gap_arcsec = 30
+
+[effects.lost_motion]
+[[effects.lost_motion.joint]]
+joint = "elbow"
+gap_arcsec = 60
+friction_nm = 20
+closes_at_nm = 60
+
+[effects.stiffening]
+[[effects.stiffening.joint]]
+joint = "shoulder"
+stiffness_percent = [70, 95, 120]
+limits_nm = [300, 1500]
 
 [effects.friction]
 [[effects.friction.joint]]
@@ -65,6 +90,7 @@ length_mm = 100
 with_travel = true
 expansion_ppm_per_k = 12
 lag_s = 1800
+heat = { joint = "telescope", power_w = 30, motion_j_per_m = 400, resistance_k_per_w = 0.4 }
 
 [effects.repeatability]
 [[effects.repeatability.joint]]
@@ -128,7 +154,24 @@ fn sections_are_read_in_si_in_the_units_of_each_joint() {
     close(rail.yaw.polynomial[1], 10.0 * ARCSEC);
     close(rail.yaw.wave, 4.0 * ARCSEC);
     assert_eq!(rail.vertical_error, RailProfile::default());
+    let transmission = effects.transmission.expect("transmission").actuators;
+    assert_eq!(transmission.iter().map(Vec::len).collect::<Vec<_>>(), [0, 0, 0, 2, 1, 0, 0]);
+    let (pins, screw) = (transmission[3][0], transmission[4][0]);
+    close(pins.cycles, 40.5 / TAU);
+    close(pins.amplitude, 4.0 * ARCSEC);
+    close(pins.per_load, 2e-3 * ARCSEC);
+    close(pins.phase, std::f64::consts::FRAC_PI_2);
+    close(screw.cycles, 50.0);
+    close(screw.amplitude, 12e-6);
+    close(screw.per_load, 3e-9);
     close(effects.backlash.expect("backlash").gap[2], 30.0 * ARCSEC);
+    let lost = effects.lost_motion.expect("lost motion");
+    close(lost.gap[3], 60.0 * ARCSEC);
+    assert_eq!((lost.friction[3], lost.closes_at[3], lost.gap[2]), (20.0, 60.0, 0.0));
+    let stiffening = effects.stiffening.expect("stiffening").actuators;
+    let curve = stiffening[2].as_ref().expect("the shoulder's");
+    assert_eq!(curve.limits, [300.0, 1500.0]);
+    curve.factors.iter().zip([0.7, 0.95, 1.2]).for_each(|(found, expected)| close(*found, expected));
     let friction = effects.friction.expect("friction");
     assert_eq!((friction.constant[4], friction.constant[2]), (150.0, 0.0));
     close(friction.per_load[4], 0.03);
@@ -141,6 +184,8 @@ fn sections_are_read_in_si_in_the_units_of_each_joint() {
     assert_eq!(thermal.growths[0].part, GrowingPart::Link { joint: 4, axis: 2 });
     assert!(thermal.growths[0].with_travel);
     close(thermal.growths[0].expansion, 12e-6);
+    let heat = thermal.growths[0].heat.expect("its drive's");
+    assert_eq!((heat.actuator, heat.power, heat.per_motion, heat.resistance), (4, 30.0, 400.0, 0.4));
     close(effects.repeatability.expect("repeatability").sigma[6], 3.0 * ARCSEC);
 }
 
@@ -149,6 +194,24 @@ fn motor_turns_are_those_of_the_robots_file_unless_the_machines_differ() {
     let own = effects_of(&ALL.replace("motor_turns_per_m = 40\n", ""));
     let nominal = robot().model.motor_turns[0].expect("the shipped robot's");
     close(own.harmonics.expect("harmonics").actuators[0].expect("the rail's").turns, nominal);
+}
+
+/// Half of a period apart over the travel, and it is no longer the motor's wave.
+#[test]
+fn a_wave_with_the_motors_turns_belongs_to_the_harmonics_unless_it_grows_with_the_load() {
+    let model = robot().model;
+    let turns = TAU * model.motor_turns[3].expect("the elbow's");
+    let limits = model.kinematics.links[3].limits;
+    let apart = TAU / (limits[1] - limits[0]);
+    let with = |cycles: f64, growth: &str| {
+        parse(&ALL.replace("cycles_per_rev = 3,", &format!("cycles_per_rev = {cycles}, {growth}")))
+    };
+    for cycles in [turns, 2.0 * turns, turns + 0.49 * apart] {
+        let error = with(cycles, "").expect_err("the motor's wave").to_string();
+        assert!(error.contains("repeats with the turns of its motor"), "{error}");
+        assert!(with(cycles, "growth_arcsec_per_knm = 1,").is_ok());
+    }
+    assert!(with(turns + 0.51 * apart, "").is_ok() && with(1.5 * turns, "").is_ok());
 }
 
 #[test]
@@ -200,6 +263,46 @@ fn refusals_name_the_key_the_joint_and_what_was_expected() {
         ),
         ("wave_arcsec = 4", "wave_um = 4", "effects.rail.yaw is given in um"),
         ("presliding_mm = 5", "presliding_mm = -5", "presliding_mm is -5"),
+        (
+            "motor_turns_per_rev = 120",
+            "motor_turns_per_rev = 0",
+            "zero is not how often the motor of \"waist\" turns",
+        ),
+        ("cycles_per_rev = 3,", "", "a wave of joint \"elbow\" is not given by its cycles_per_rev"),
+        ("cycles_per_rev = 3,", "cycles_per_rev = 0,", "cycles_per_rev is 0"),
+        (
+            "period_mm = 20",
+            "cycles_per_rev = 20",
+            "a wave of joint \"telescope\" is not given by its period_mm",
+        ),
+        ("growth_um_per_kn = 3", "growth_um_per_kn = -3", "growth_um_per_kn is -3"),
+        (
+            "amplitude_um = 12",
+            "amplitude_arcsec = 12",
+            "amplitude_arcsec of joint \"telescope\", which is prismatic",
+        ),
+        ("closes_at_nm = 60", "closes_at_nm = 10", "closes under 10, with a friction of 20"),
+        ("friction_nm = 20\ncloses_at_nm = 60", "closes_at_nm = 0", "closes under 0"),
+        (
+            "closes_at_nm = 60",
+            "closes_at_nm = 1e6",
+            "the gap of joint \"elbow\" closes under 1000000 N m, and all",
+        ),
+        ("limits_nm = [300, 1500]", "limits_nm = [300, 200]", "limits_nm: 200 behind 300"),
+        (
+            "limits_nm = [300, 1500]",
+            "limits_nm = [300]",
+            "3 values of stiffness_percent beside 1 of limits_nm",
+        ),
+        ("limits_nm = [300, 1500]", "limits_n = [300, 1500]", "\"shoulder\" are not given by limits_nm"),
+        ("[70, 95, 120]", "[70, 95, 90]", "stiffness_percent: 90 behind 95"),
+        ("[70, 95, 120]", "[-70, 95, 120]", "stiffness_percent is -70"),
+        ("power_w = 30", "power_w = -30", "heat.power_w is -30"),
+        ("power_w = 30", "power_w = 300", "warm the part by 120 K"),
+        ("resistance_k_per_w = 0.4", "resistance_k_per_w = 0", "heat.resistance_k_per_w is 0"),
+        ("power_w = 30, motion_j_per_m = 400, ", "", "the drive of joint \"telescope\" heats nothing"),
+        ("motion_j_per_m = 400", "motion_j_per_rev = 400", "motion_j_per_rev of joint \"telescope\""),
+        ("lag_s = 1800", "lag_s = 0", "its part is heated"),
         ("joint = \"wrist\"\nsigma", "joint = \"hand\"\nsigma", "the robot has no joint \"hand\""),
     ] {
         let error = parse(&ALL.replacen(from, to, 1)).expect_err(to).to_string();

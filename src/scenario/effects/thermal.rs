@@ -1,12 +1,14 @@
 //! `[effects.thermal]`.
 
+use std::f64::consts::TAU;
+
 use serde::Deserialize;
 
-use super::Reader;
 use super::entries::yes;
+use super::{Key, Numbers, Reader};
 use calibrig_files::{InputError, Spanned};
 use calibrig_model::JointKind;
-use calibrig_plant::effects::{AMBIENT_RANGE, Ambient, GrowingPart, Growth, Thermal};
+use calibrig_plant::effects::{AMBIENT_RANGE, Ambient, DriveHeat, GrowingPart, Growth, MOST_RISE, Thermal};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -34,6 +36,17 @@ struct GrowthFile {
     with_travel: Option<Spanned<bool>>,
     expansion_ppm_per_k: Spanned<f64>,
     lag_s: Spanned<f64>,
+    heat: Option<Spanned<HeatFile>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct HeatFile {
+    joint: Spanned<String>,
+    power_w: Option<Spanned<f64>>,
+    motion_j_per_m: Option<Spanned<f64>>,
+    motion_j_per_rev: Option<Spanned<f64>>,
+    resistance_k_per_w: Spanned<f64>,
 }
 
 #[derive(Deserialize)]
@@ -147,7 +160,47 @@ fn growth(reader: &Reader<'_>, entry: &Spanned<GrowthFile>) -> Result<Growth, In
     }
     let length = 1e-3 * reader.source.finite("length_mm", &file.length_mm)?;
     let (expansion, lag) = expansion(reader, &file.expansion_ppm_per_k, &file.lag_s)?;
-    Ok(Growth { part: GrowingPart::Link { joint, axis }, length, with_travel, expansion, lag })
+    let heat = file.heat.as_ref().map(|table| heat(reader, table)).transpose()?;
+    if heat.is_some() && lag == 0.0 {
+        let message = format!("lag_s of joint \"{}\" is 0, and its part is heated", file.joint.get_ref());
+        return Err(reader.refuse(
+            file.lag_s.span(),
+            message,
+            "the time constant of the warm-up, above zero",
+        ));
+    }
+    Ok(Growth { part: GrowingPart::Link { joint, axis }, length, with_travel, expansion, lag, heat })
+}
+
+/// What a drive leaves in a part.
+fn heat(reader: &Reader<'_>, table: &Spanned<HeatFile>) -> Result<DriveHeat, InputError> {
+    let file = table.get_ref();
+    let actuator = super::joint_index(reader.source, &file.joint, reader.chain())?;
+    let power = match &file.power_w {
+        Some(power) => reader.source.not_negative("heat.power_w", power)?,
+        None => 0.0,
+    };
+    let motion = Key {
+        name: "motion_j_per",
+        linear: ("m", &file.motion_j_per_m),
+        angular: ("rev", &file.motion_j_per_rev),
+    };
+    let per_unit = match reader.chain().links[actuator].kind {
+        JointKind::Prismatic => 1.0,
+        JointKind::Revolute => 1.0 / TAU,
+    };
+    let per_motion = per_unit * reader.optional(actuator, &motion, Numbers::NotNegative)?.unwrap_or(0.0);
+    let resistance = reader.source.positive("heat.resistance_k_per_w", &file.resistance_k_per_w)?;
+    if power == 0.0 && per_motion == 0.0 {
+        let message = format!("the drive of joint \"{}\" heats nothing", file.joint.get_ref());
+        return Err(reader.refuse(table.span(), message, "power_w, motion_j_per_m or motion_j_per_rev"));
+    }
+    let rise = power * resistance;
+    if rise > MOST_RISE {
+        let message = format!("power_w {power} at resistance_k_per_w {resistance} warm the part by {rise} K");
+        return Err(reader.refuse(table.span(), message, &format!("at most {MOST_RISE} K")));
+    }
+    Ok(DriveHeat { actuator, power, per_motion, resistance })
 }
 
 fn rod_growth(reader: &Reader<'_>, file: &RodFile) -> Result<Growth, InputError> {
@@ -157,5 +210,5 @@ fn rod_growth(reader: &Reader<'_>, file: &RodFile) -> Result<Growth, InputError>
         return Err(reader.refuse(span, message, "a robot whose elbow is driven through a coupler rod"));
     }
     let (expansion, lag) = expansion(reader, &file.expansion_ppm_per_k, &file.lag_s)?;
-    Ok(Growth { part: GrowingPart::Rod, length: 0.0, with_travel: false, expansion, lag })
+    Ok(Growth { part: GrowingPart::Rod, length: 0.0, with_travel: false, expansion, lag, heat: None })
 }

@@ -3,8 +3,9 @@
 use nalgebra::Point3;
 use rand::Rng;
 
-use super::{EffectError, GrowingPart};
-use crate::AsBuilt;
+use super::{EffectError, GrowingPart, StiffnessCurve, Warmth};
+use crate::{AsBuilt, SettledPose};
+use calibrig_model::JointKind;
 use calibrig_model::geometry::rotation_z;
 
 /// Where the drives stand between two poses: what the next pose remembers of the way to it. One entry an actuator.
@@ -14,8 +15,12 @@ pub struct DriveState {
     pub motor: Vec<f64>,
     /// How far the driven side stands ahead of the motor within its play, m or rad.
     pub ahead: Vec<f64>,
+    /// The same within its lost motion under load.
+    pub flank: Vec<f64>,
     /// Friction force as a share of its limit.
     pub friction: Vec<f64>,
+    /// What the drives have heated.
+    pub warmth: Warmth,
 }
 
 /// A pose as the controller asks for it.
@@ -25,7 +30,7 @@ pub struct Commanded<'a> {
     pub command: &'a [f64],
     /// Since the session began, s.
     pub time: f64,
-    /// Load of every drive (N or N m), where friction depends on it; else empty.
+    /// Load of every drive (N or N m), above zero where it pushes the driven side ahead, where an effect depends on it; else empty.
     pub load: &'a [f64],
 }
 
@@ -44,13 +49,102 @@ impl AsBuilt {
     /// Refuses effects whose numbers make no machine, also in a session of `duration` s.
     pub fn check_effects(&self, duration: f64) -> Result<(), EffectError> {
         self.effects.check(self.kinematics.joint_count(), self.actuators.four_bar().is_some())?;
+        if let Some(lost_motion) = &self.effects.lost_motion {
+            lost_motion.check(&self.greatest_loads())?;
+        }
         self.effects.thermal.as_ref().map_or(Ok(()), |thermal| thermal.check_session(duration))
     }
 
     /// At rest at a command, with the play in its middle and the friction relaxed, as after referencing.
     pub fn referenced_at(&self, command: &[f64]) -> DriveState {
         let nothing = vec![0.0; command.len()];
-        DriveState { motor: self.motors(command), ahead: nothing.clone(), friction: nothing }
+        DriveState {
+            motor: self.motors(command),
+            ahead: nothing.clone(),
+            flank: nothing.clone(),
+            friction: nothing,
+            warmth: Warmth::default(),
+        }
+    }
+
+    /// What the load on a drive is with its deflection, where its stiffness rises; `None` of a linear or a rigid one.
+    pub(crate) fn curve(&self, joint: usize) -> Option<&StiffnessCurve> {
+        let curve = self.effects.stiffening.as_ref()?.actuators.get(joint)?.as_ref()?;
+        self.statics.drive_stiffness.get(joint)?.is_finite().then_some(curve)
+    }
+
+    /// Load of every drive in a settled pose, N or N m; zero for a rigid drive, which no load deflects.
+    pub fn drive_loads(&self, settled: &SettledPose) -> Vec<f64> {
+        let drives = settled.deflection.iter().zip(&self.statics.drive_stiffness).enumerate();
+        let load = |(joint, (&u, &k)): (usize, (&f64, &f64))| match self.curve(joint) {
+            Some(curve) => curve.tangent_and_load(k, u).1,
+            None if k.is_finite() => u * k,
+            None => 0.0,
+        };
+        drives.map(load).collect()
+    }
+
+    /// The stiffness of a linear drive that would deflect as far under the mean load of `session`, N/m or N m/rad: the drive's own, and of one that stiffens
+    /// the secant at the mean of the load's size. `None` where there is no such drive, or nothing to tell the load of one that stiffens.
+    pub fn secant_stiffness(&self, joint: usize, session: &[SettledPose]) -> Option<f64> {
+        let stiffness = *self.statics.drive_stiffness.get(joint)?;
+        let Some(curve) = self.curve(joint) else { return Some(stiffness) };
+        let load = |pose: &SettledPose| {
+            pose.deflection.get(joint).map(|u| curve.tangent_and_load(stiffness, *u).1.abs())
+        };
+        let loads = session.iter().map(load).collect::<Option<Vec<f64>>>()?;
+        let mean = loads.iter().sum::<f64>() / loads.len() as f64;
+        mean.is_finite().then(|| curve.secant(stiffness, mean))
+    }
+
+    /// What the weights and forces behind each drive can load it with at most, N or N m: with all of them as far from its axis as the links reach.
+    fn greatest_loads(&self) -> Vec<f64> {
+        let (links, statics) = (&self.kinematics.links, &self.statics);
+        let mut rotation = self.kinematics.base_from_first.rotation;
+        let mut turned = false;
+        let of_drive = |joint: usize| {
+            let link = &links[joint];
+            rotation *= link.fixed_part().rotation;
+            // Only joints in front that turn can bring gravity to work on an axis that it does not work on now.
+            let along = rotation.inverse() * statics.gravity;
+            let gravity = match link.kind {
+                _ if turned => along.norm(),
+                JointKind::Revolute => along.xy().norm(),
+                JointKind::Prismatic => along.z.abs(),
+            };
+            turned |= link.kind == JointKind::Revolute;
+            let mut reach = 0.0;
+            let mut load = 0.0;
+            for (carried, body) in statics.bodies.iter().enumerate().skip(joint) {
+                let lever = |at: f64| if link.kind == JointKind::Revolute { reach + at } else { 1.0 };
+                load += body.mass * gravity * lever(body.centre_of_mass.norm());
+                for own in statics.loads.iter().filter(|own| own.link == carried) {
+                    load += (own.mass * gravity + own.force.norm()) * lever(own.at.norm());
+                }
+                if let Some(next) = links.get(carried + 1) {
+                    let travel = match next.kind {
+                        JointKind::Revolute => 0.0,
+                        JointKind::Prismatic => next.limits[0].abs().max(next.limits[1].abs()),
+                    };
+                    reach += next.a.abs() + next.d.abs() + travel;
+                }
+            }
+            load + self.linkage_load(joint, gravity)
+        };
+        (0..links.len()).map(of_drive).collect()
+    }
+
+    /// What crank and rod of the four-bar load a drive in front of them, or the crank's own, with at most, N or N m.
+    fn linkage_load(&self, joint: usize, gravity: f64) -> f64 {
+        match (self.actuators.four_bar(), &self.statics.linkage) {
+            (Some((shoulder, elbow, _, bars)), Some(statics)) if joint <= shoulder || joint == elbow => {
+                let links = self.kinematics.links.get(joint..=shoulder).unwrap_or_default();
+                let reach: f64 = links.iter().map(|link| link.a.abs() + link.d.abs()).sum();
+                let crank = statics.crank.mass * (reach + statics.crank.centre_of_mass.norm());
+                gravity * (crank + statics.rod_mass * (reach + bars.crank.length + bars.rod))
+            }
+            _ => 0.0,
+        }
     }
 
     /// The effects at a pose that is approached from `before`, and where the drives then stand.
@@ -62,14 +156,14 @@ impl AsBuilt {
         pose: &Commanded<'_>,
         rng: &mut impl Rng,
     ) -> (PoseEffects, DriveState) {
-        let state = self.drive_state(before, pose.command);
+        let state = self.drive_state(before, pose);
         let mut command = self.driven(&state, pose.load);
         if let Some(repeatability) = &self.effects.repeatability {
             for (position, error) in command.iter_mut().zip(repeatability.draw(rng)) {
                 *position += error;
             }
         }
-        let displacements = self.displacements(&mut command, pose.time);
+        let displacements = self.displacements(&mut command, &state.warmth, pose.time);
         let temperature = self.effects.thermal.as_ref().map(|thermal| thermal.ambient.at(pose.time));
         (PoseEffects { command, displacements, temperature }, state)
     }
@@ -79,13 +173,28 @@ impl AsBuilt {
         command.iter().enumerate().map(|(actuator, command)| encoder.motor(actuator, *command)).collect()
     }
 
-    fn drive_state(&self, before: &DriveState, command: &[f64]) -> DriveState {
-        let mut state = before.clone();
-        state.motor = self.motors(command);
+    /// How warm the drives have made the machine, and where its motors are, behind a motion to a command that ends at `time` s.
+    pub(crate) fn warmed(&self, before: &DriveState, command: &[f64], time: f64) -> DriveState {
+        let mut state = DriveState { motor: self.motors(command), ..before.clone() };
+        if let Some(thermal) = self.effects.thermal.as_ref().filter(|thermal| thermal.is_heated()) {
+            let motions: Vec<f64> =
+                state.motor.iter().zip(&before.motor).map(|(now, before)| now - before).collect();
+            state.warmth = thermal.warmth_after(&before.warmth, time, &motions);
+        }
+        state
+    }
+
+    fn drive_state(&self, before: &DriveState, pose: &Commanded<'_>) -> DriveState {
+        let mut state = self.warmed(before, pose.command, pose.time);
         for (actuator, now) in state.motor.iter().enumerate() {
             let motion = now - before.motor[actuator];
             if let Some(backlash) = &self.effects.backlash {
                 state.ahead[actuator] = backlash.ahead_after(actuator, before.ahead[actuator], motion);
+            }
+            if let Some(lost_motion) = &self.effects.lost_motion {
+                let load = pose.load.get(actuator).copied().unwrap_or(0.0);
+                state.flank[actuator] =
+                    lost_motion.ahead_after(actuator, before.flank[actuator], motion, load);
             }
             if let Some(friction) = &self.effects.friction {
                 state.friction[actuator] = friction.share_after(actuator, before.friction[actuator], motion);
@@ -99,19 +208,27 @@ impl AsBuilt {
         let effects = &self.effects;
         let position = |(actuator, &motor): (usize, &f64)| {
             let mut position = motor;
+            let load = load.get(actuator).copied().unwrap_or(0.0);
             if let Some(ratio) = &effects.ratio {
                 position += ratio.error(actuator, motor);
             }
             if let Some(harmonics) = &effects.harmonics {
                 position += harmonics.error(actuator, motor);
             }
-            if effects.backlash.is_some() {
-                position += state.ahead[actuator];
+            if let Some(transmission) = &effects.transmission {
+                position += transmission.error(actuator, motor, load);
             }
+            position += state.ahead[actuator];
+            position += state.flank[actuator];
             if let Some(friction) = &effects.friction {
-                let load = load.get(actuator).copied().unwrap_or(0.0);
-                let stiffness = self.statics.drive_stiffness[actuator];
-                position += friction.deflection(actuator, state.friction[actuator], load, stiffness);
+                let (share, stiffness) = (state.friction[actuator], self.statics.drive_stiffness[actuator]);
+                position += match self.curve(actuator) {
+                    None => friction.force(actuator, share, load) / stiffness,
+                    Some(curve) => {
+                        let under = |load: f64| curve.deflection(stiffness, load);
+                        under(load + friction.force(actuator, share, load)) - under(load)
+                    }
+                };
             }
             position
         };
@@ -119,14 +236,15 @@ impl AsBuilt {
     }
 
     /// Displacements of the links' frames. A rod that grows turns the crank of `command` instead.
-    fn displacements(&self, command: &mut [f64], time: f64) -> Vec<[f64; 6]> {
+    fn displacements(&self, command: &mut [f64], warmth: &Warmth, time: f64) -> Vec<[f64; 6]> {
         let mut displacements = vec![[0.0; 6]; command.len()];
         if let Some(rail) = &self.effects.rail {
             displacements[rail.joint] = rail.displacement(command[rail.joint]);
         }
         let Some(thermal) = &self.effects.thermal else { return displacements };
-        for growth in &thermal.growths {
-            let strain = thermal.strain(growth, time);
+        for (part, growth) in thermal.growths.iter().enumerate() {
+            let rise = warmth.rise.get(part).copied().unwrap_or(0.0);
+            let strain = thermal.strain(growth, time, rise);
             match growth.part {
                 GrowingPart::Link { joint, axis } => {
                     let travel = if growth.with_travel { command[joint] } else { 0.0 };

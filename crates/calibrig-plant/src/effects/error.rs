@@ -40,6 +40,47 @@ pub enum EffectError {
         /// What it lacks.
         part: &'static str,
     },
+    /// Load ranges that do not belong together.
+    #[error(
+        "stiffening: {factors} stiffnesses and {limits} ends of load ranges of index {actuator}, at least 2 stiffnesses and one end less \
+         were expected"
+    )]
+    Ranges {
+        /// Of which actuator.
+        actuator: usize,
+        /// Number of stiffnesses.
+        factors: usize,
+        /// Number of ends.
+        limits: usize,
+    },
+    /// A gap between flanks that the load never bridges.
+    #[error(
+        "lost_motion: the gap of index {actuator} closes under {closes_at} (N or N m), and all that this drive carries loads it with \
+         {greatest:.3} at most"
+    )]
+    NeverCloses {
+        /// Of which actuator.
+        actuator: usize,
+        /// m or rad
+        gap: f64,
+        /// Load from which the load decides, N or N m.
+        closes_at: f64,
+        /// No load is greater, N or N m.
+        greatest: f64,
+    },
+    /// A part that its drive would overheat.
+    #[error(
+        "thermal: drive {actuator} warms its part by {value:.1} K within {time:.0} s, at most {} K was expected",
+        super::MOST_RISE
+    )]
+    Overheated {
+        /// Index of the drive.
+        actuator: usize,
+        /// Since the session began, s.
+        time: f64,
+        /// K
+        value: f64,
+    },
     /// The air gets out of range during the session.
     #[error(
         "thermal: the ambient temperature leaves {} to {} degC within {duration} s ({value:.1} degC)",

@@ -51,10 +51,10 @@ impl Friction {
         if length == 0.0 { limit } else { limit + (share - limit) * (-motion.abs() / length).exp() }
     }
 
-    /// What the drive of `stiffness` (N/m or N m/rad) lacks on its way under `load` (N or N m), m or rad: it stays behind the motion.
-    pub fn deflection(&self, actuator: usize, share: f64, load: f64, stiffness: f64) -> f64 {
+    /// What friction takes off the load of the drive under `load` (N or N m), N or N m: against the motion, so that it stays behind.
+    pub fn force(&self, actuator: usize, share: f64, load: f64) -> f64 {
         let limit = self.constant[actuator] + self.per_load[actuator] * load.abs();
-        -share * limit / stiffness
+        -share * limit
     }
 }
 
@@ -73,10 +73,9 @@ mod tests {
         assert!((share - 1.0).abs() < 1e-15);
         // (100 + 0.02 * 4000) N m on 6e5 N m/rad = 300 urad, whatever the sign of the load.
         for load in [4000.0, -4000.0] {
-            assert!((friction.deflection(0, share, load, 6e5) + 3e-4).abs() < 1e-18);
-            assert!((friction.deflection(0, -share, load, 6e5) - 3e-4).abs() < 1e-18);
+            assert!((friction.force(0, share, load) / 6e5 + 3e-4).abs() < 1e-18);
+            assert!((friction.force(0, -share, load) / 6e5 - 3e-4).abs() < 1e-18);
         }
-        assert_eq!(friction.deflection(0, share, 4000.0, f64::INFINITY), 0.0);
     }
 
     #[test]

@@ -9,10 +9,13 @@ mod encoder;
 mod error;
 mod friction;
 mod harmonics;
+mod lost_motion;
 mod rail;
 mod ratio;
 mod repeatability;
+mod stiffening;
 mod thermal;
+mod transmission;
 
 #[cfg(test)]
 mod tests;
@@ -23,10 +26,13 @@ pub use encoder::Encoder;
 pub use error::EffectError;
 pub use friction::Friction;
 pub use harmonics::{Harmonic, Harmonics};
+pub use lost_motion::LostMotion;
 pub use rail::{Rail, RailProfile};
 pub use ratio::Ratio;
 pub use repeatability::Repeatability;
-pub use thermal::{AMBIENT_RANGE, Ambient, GrowingPart, Growth, Thermal};
+pub use stiffening::{Stiffening, StiffnessCurve};
+pub use thermal::{AMBIENT_RANGE, Ambient, DriveHeat, GrowingPart, Growth, MOST_RISE, Thermal, Warmth};
+pub use transmission::{Transmission, TransmissionWave};
 
 /// The kinds of non-geometric errors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -37,10 +43,16 @@ pub enum EffectKind {
     Ratio,
     /// [`Rail`]
     Rail,
+    /// [`Transmission`]
+    Transmission,
     /// [`Backlash`]
     Backlash,
+    /// [`LostMotion`]
+    LostMotion,
     /// [`Friction`]
     Friction,
+    /// [`Stiffening`]
+    Stiffening,
     /// [`Encoder`]
     Encoder,
     /// [`Thermal`]
@@ -51,13 +63,16 @@ pub enum EffectKind {
 
 impl EffectKind {
     /// All, in the order in which they act.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 11] = [
         Self::Encoder,
         Self::Ratio,
         Self::Harmonics,
+        Self::Transmission,
         Self::Backlash,
+        Self::LostMotion,
         Self::Friction,
         Self::Repeatability,
+        Self::Stiffening,
         Self::Rail,
         Self::Thermal,
     ];
@@ -71,6 +86,9 @@ impl EffectKind {
             Self::Backlash => "backlash",
             Self::Friction => "friction",
             Self::Encoder => "encoder",
+            Self::Transmission => "transmission",
+            Self::LostMotion => "lost_motion",
+            Self::Stiffening => "stiffening",
             Self::Thermal => "thermal",
             Self::Repeatability => "repeatability",
         }
@@ -85,6 +103,9 @@ impl EffectKind {
             Self::Backlash => "backlash",
             Self::Friction => "friction",
             Self::Encoder => "encoders",
+            Self::Transmission => "transmission error of the output side",
+            Self::LostMotion => "lost motion under load",
+            Self::Stiffening => "stiffening drives",
             Self::Thermal => "thermal growth",
             Self::Repeatability => "repeatability",
         }
@@ -97,11 +118,18 @@ impl EffectKind {
             Self::Ratio => "relative errors of gear ratios and of the rail's pitch",
             Self::Rail => "straightness and angular errors along the rail, with a wave",
             Self::Backlash => "play of the transmissions: half the gap, by the approach",
+            Self::Transmission => {
+                "waves of meshing gears, cycloid pins and screws along the output, which grow with the load"
+            }
+            Self::LostMotion => "play of gears whose flank the load decides, where it exceeds the friction",
+            Self::Stiffening => "drives that get stiffer with their load, range by range",
             Self::Friction => {
                 "hysteresis from friction that grows with the load and builds up over a presliding length"
             }
             Self::Encoder => "quantisation and offset of the encoders",
-            Self::Thermal => "growth of the links as they follow the air's temperature",
+            Self::Thermal => {
+                "growth of the links as they follow the air's temperature and are heated by their drives"
+            }
             Self::Repeatability => "random errors that every approach draws anew",
         }
     }
@@ -112,14 +140,20 @@ impl EffectKind {
 pub struct Effects {
     /// Once and twice per motor turn.
     pub harmonics: Option<Harmonics>,
+    /// Along the output.
+    pub transmission: Option<Transmission>,
     /// Gear ratios and pitch.
     pub ratio: Option<Ratio>,
     /// Straightness and angular errors of a rail.
     pub rail: Option<Rail>,
     /// Play.
     pub backlash: Option<Backlash>,
+    /// Play under load.
+    pub lost_motion: Option<LostMotion>,
     /// Hysteresis.
     pub friction: Option<Friction>,
+    /// Stiffness that rises with the load.
+    pub stiffening: Option<Stiffening>,
     /// Quantisation and offset.
     pub encoder: Option<Encoder>,
     /// Growth.
@@ -133,6 +167,9 @@ impl Effects {
     pub fn has(&self, kind: EffectKind) -> bool {
         match kind {
             EffectKind::Harmonics => self.harmonics.is_some(),
+            EffectKind::Transmission => self.transmission.is_some(),
+            EffectKind::LostMotion => self.lost_motion.is_some(),
+            EffectKind::Stiffening => self.stiffening.is_some(),
             EffectKind::Ratio => self.ratio.is_some(),
             EffectKind::Rail => self.rail.is_some(),
             EffectKind::Backlash => self.backlash.is_some(),
@@ -154,6 +191,9 @@ impl Effects {
         let mut rest = self.clone();
         match kind {
             EffectKind::Harmonics => rest.harmonics = None,
+            EffectKind::Transmission => rest.transmission = None,
+            EffectKind::LostMotion => rest.lost_motion = None,
+            EffectKind::Stiffening => rest.stiffening = None,
             EffectKind::Ratio => rest.ratio = None,
             EffectKind::Rail => rest.rail = None,
             EffectKind::Backlash => rest.backlash = None,
@@ -165,7 +205,15 @@ impl Effects {
         rest
     }
 
-    /// Refuses numbers that make no machine of `actuators` actuators.
+    /// Whether what they do depends on the loads of the drives.
+    pub fn need_load(&self) -> bool {
+        self.lost_motion.is_some()
+            || self.friction.as_ref().is_some_and(Friction::needs_load)
+            || self.transmission.as_ref().is_some_and(Transmission::needs_load)
+    }
+
+    /// Refuses numbers that make no machine of `actuators` actuators. Of those that depend on the robot, [`AsBuilt::check_effects`](crate::AsBuilt::check_effects) refuses
+    /// what it cannot have.
     pub fn check(&self, actuators: usize, has_rod: bool) -> Result<(), EffectError> {
         if let Some(effect) = &self.harmonics {
             effect.check(actuators)?;
@@ -176,7 +224,16 @@ impl Effects {
         if let Some(effect) = &self.rail {
             effect.check(actuators)?;
         }
+        if let Some(effect) = &self.transmission {
+            effect.check(actuators)?;
+        }
         if let Some(effect) = &self.backlash {
+            effect.check(actuators)?;
+        }
+        if let Some(effect) = &self.lost_motion {
+            effect.check(&vec![f64::INFINITY; actuators])?;
+        }
+        if let Some(effect) = &self.stiffening {
             effect.check(actuators)?;
         }
         if let Some(effect) = &self.friction {

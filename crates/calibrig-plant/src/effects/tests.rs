@@ -68,6 +68,13 @@ fn all_effects() -> Effects {
             yaw: profile,
         }),
         backlash: Some(Backlash { gap: vec![0.0, 2e-4, 1e-4] }),
+        transmission: Some(Transmission { actuators: vec![Vec::new(), vec![WAVE], Vec::new()] }),
+        lost_motion: Some(LostMotion {
+            gap: vec![0.0, 6e-5, 0.0],
+            friction: vec![0.0, 5.0, 0.0],
+            closes_at: vec![0.0, 10.0, 0.0],
+        }),
+        stiffening: Some(Stiffening { actuators: vec![None, Some(curve()), None] }),
         friction: Some(Friction {
             constant: vec![0.0, 100.0, 50.0],
             per_load: vec![0.0, 0.02, 0.0],
@@ -77,10 +84,24 @@ fn all_effects() -> Effects {
         thermal: Some(Thermal {
             ambient: Ambient { start: 25.0, drift: 1e-4, swing: 0.0, period: 1.0, phase: 0.0 },
             reference: 20.0,
-            growths: vec![Growth { part, length: 1.0, with_travel: true, expansion: 12e-6, lag: 0.0 }],
+            growths: vec![Growth {
+                part,
+                length: 1.0,
+                with_travel: true,
+                expansion: 12e-6,
+                lag: 0.0,
+                heat: None,
+            }],
         }),
         repeatability: Some(Repeatability { sigma: vec![1e-5, 1e-5, 1e-5] }),
     }
+}
+
+const WAVE: TransmissionWave = TransmissionWave { cycles: 6.5, amplitude: 3e-5, per_load: 1e-8, phase: 0.2 };
+
+/// Twice as soft as the drive up to 1000 N m.
+fn curve() -> StiffnessCurve {
+    StiffnessCurve { factors: vec![0.5, 1.0], limits: vec![1000.0] }
 }
 
 fn rng(seed: u64) -> ChaCha8Rng {
@@ -106,13 +127,14 @@ fn the_effects_add_up_in_the_order_of_the_drive_train() {
     let mut robot = machine();
     robot.effects = all_effects().without(EffectKind::Repeatability);
     let effects = approached(&robot, &[2.0, 0.5, 0.0], &[1.0, -0.700_001_4, 0.3], &[0.0, -3000.0, 0.0]);
-    // The motor stands on the encoder's step of 2 urad, the joint at ratio, harmonics, half a gap and 160 N m / 1e6 N m/rad behind; it
-    // came from above and is off upwards.
+    // The motor stands on the encoder's step of 2 urad, the joint at ratio, waves, half a gap, the flank that the load of -3000 N m bears on, and
+    // 160 N m / 1e6 N m/rad behind; it came from above and is off upwards.
     let motor: f64 = -0.700_002;
     let turned = std::f64::consts::TAU * 10.0 * motor;
     let harmonics = 1e-4 * (turned + 0.3).sin() + 2e-5 * (2.0 * turned + 1.0).sin();
     let share = 1.0 - (-1.200_002_f64 / 0.05).exp();
-    let expected = motor * (1.0 - 20e-6) + harmonics + 1e-4 + share * 160e-6;
+    let meshing = (3e-5 + 1e-8 * 3000.0) * (std::f64::consts::TAU * 6.5 * motor + 0.2).sin();
+    let expected = motor * (1.0 - 20e-6) + harmonics + meshing + 1e-4 - 3e-5 + share * 160e-6;
     assert!((effects.command[1] - expected).abs() < 1e-14, "{} against {expected}", effects.command[1]);
     // The rail has no friction: 1 m on a step of 1 um, offset 10 um, 40 ppm.
     let rail = (1.0 + 1e-5) * (1.0 + 40e-6);
@@ -153,6 +175,8 @@ fn a_pose_depends_on_its_inputs_alone() {
     // The way there counts for backlash and friction, and for nothing else.
     assert_ne!(visit(&robot, &mut (0..20)), visit(&robot, &mut (0..20).rev()));
     robot.effects = robot.effects.without(EffectKind::Backlash).without(EffectKind::Friction);
+    // The load of 1000 N m decides the flank, whichever the way.
+    assert!(robot.effects.lost_motion.is_some());
     assert_eq!(visit(&robot, &mut (0..20)), visit(&robot, &mut (0..20).rev()));
 }
 
@@ -170,13 +194,85 @@ fn hysteresis_is_no_multiple_of_the_approachs_sign() {
     assert!((long - 1e-4).abs() < 1e-12 && (loaded - 2e-4).abs() < 1e-12);
 }
 
+/// 100 N m of friction, by the stiffness that the drive has under its load.
+#[test]
+fn friction_bends_a_drive_that_stiffens_by_its_range() {
+    let mut robot = machine();
+    let friction =
+        Friction { per_load: vec![0.0; 3], presliding: vec![0.0; 3], ..all_effects().friction.unwrap() };
+    robot.effects.friction = Some(friction);
+    robot.effects.stiffening = all_effects().stiffening;
+    let command = [0.0, 0.5, 0.0];
+    for (load, behind) in
+        [(0.0, 2e-4), (500.0, 2e-4), (5000.0, 1e-4), (1050.0, 5e-5 + 1e-4), (-950.0, 1e-4 + 5e-5)]
+    {
+        let found = command[1] - approached(&robot, &[0.0; 3], &command, &[0.0, load, 0.0]).command[1];
+        assert!((found - behind).abs() < 1e-15, "{load}: {found}");
+    }
+}
+
+#[test]
+fn a_pose_remembers_the_heat_of_the_motions_before() {
+    let mut robot = machine();
+    let part = GrowingPart::Link { joint: 1, axis: 0 };
+    let ambient = Ambient { start: 20.0, drift: 0.0, swing: 0.0, period: 1.0, phase: 0.0 };
+    let heat = Some(DriveHeat { actuator: 0, power: 0.0, per_motion: 600.0, resistance: 0.5 });
+    let growth = Growth { part, length: 2.0, with_travel: false, expansion: 10e-6, lag: 100.0, heat };
+    robot.effects.thermal = Some(Thermal { ambient, reference: 20.0, growths: vec![growth] });
+    let grown = |order: [f64; 3]| {
+        let mut state = robot.referenced_at(&[0.0; 3]);
+        let mut last = 0.0;
+        for (rail, time) in order.into_iter().zip([100.0, 200.0, 300.0]) {
+            let pose = Commanded { command: &[rail, 0.0, 0.0], time, load: &[] };
+            let (effects, next) = robot.pose_effects(&state, &pose, &mut rng(1));
+            (state, last) = (next, effects.displacements[1][0]);
+        }
+        last
+    };
+    // A metre warms by 3 K, spread over 100 s, and 1/e of it is there 100 s later: (1 - 1/e) exp(-k).
+    let e = (-1.0_f64).exp();
+    let expected =
+        |metres: [f64; 3]| 20e-6 * 3.0 * (1.0 - e) * (metres[0] * e * e + metres[1] * e + metres[2]);
+    assert!((grown([1.0, 1.0, 4.0]) - expected([1.0, 0.0, 3.0])).abs() < 1e-17);
+    assert!((grown([4.0, 1.0, 1.0]) - expected([4.0, 3.0, 0.0])).abs() < 1e-17);
+}
+
+/// A bound on the load of a drive: by hand for the rail, the shoulder and the elbow of three bodies of a kilogram.
+#[test]
+fn no_drive_is_loaded_more_than_all_that_it_carries_can() {
+    let mut robot = machine();
+    robot.actuators = ActuatorMap::Direct;
+    robot.statics.gravity = Vector3::new(0.0, -10.0, 0.0);
+    let gap = |actuator: usize, closes_at: f64| {
+        let mut values = [vec![0.0; 3], vec![0.0; 3]];
+        (values[0][actuator], values[1][actuator]) = (1e-4, closes_at);
+        let [gap, closes_at] = values;
+        Effects {
+            lost_motion: Some(LostMotion { gap, friction: vec![0.0; 3], closes_at }),
+            ..Effects::default()
+        }
+    };
+    // The rail leans by alpha = 0.01; the shoulder's axis by twice that, whose bodies are 0 and 1.35 m away; the elbow's own body is on its axis.
+    let greatest = [30.0 * 0.01_f64.sin(), 20.0 * 0.02_f64.cos() * 0.0 + 10.0 * 0.02_f64.cos() * 1.35, 0.0];
+    for (actuator, greatest) in greatest.into_iter().enumerate() {
+        robot.effects = gap(actuator, greatest + 1e-9);
+        let error = robot.check_effects(1.0).expect_err("no such load");
+        assert!(matches!(error, EffectError::NeverCloses { actuator: a, .. } if a == actuator), "{error}");
+        if greatest > 0.0 {
+            robot.effects = gap(actuator, greatest - 1e-9);
+            assert_eq!(robot.check_effects(1.0), Ok(()));
+        }
+    }
+}
+
 #[test]
 fn a_rod_that_grows_turns_the_crank_by_what_the_closure_needs() {
     let mut robot = machine();
     let Some((_, _, offset, linkage)) = robot.actuators.four_bar() else { panic!("a four-bar") };
     let linkage = *linkage;
     let ambient = Ambient { start: 30.0, drift: 0.0, swing: 0.0, period: 1.0, phase: 0.0 };
-    let rod = Growth { part: GrowingPart::Rod, length: 0.0, with_travel: false, expansion: 12e-6, lag: 0.0 };
+    let part = GrowingPart::Rod;
+    let rod = Growth { part, length: 0.0, with_travel: false, expansion: 12e-6, lag: 0.0, heat: None };
     robot.effects.thermal = Some(Thermal { ambient, reference: 20.0, growths: vec![rod] });
     for command in [[0.0, -1.5, -1.4], [0.0, -1.2, -1.5], [0.0, -1.7, -1.2]] {
         let turned = approached(&robot, &command, &command, &[]).command[2];
@@ -210,10 +306,16 @@ fn effects_are_taken_away_one_at_a_time() {
 #[test]
 fn effects_that_no_machine_has_are_refused() {
     type Break = fn(&mut Effects);
-    let breaks: [(Break, EffectKind); 10] = [
+    let breaks: [(Break, EffectKind); 13] = [
         (|e| e.backlash.as_mut().unwrap().gap[1] = -1e-6, EffectKind::Backlash),
         (|e| e.backlash.as_mut().unwrap().gap.truncate(2), EffectKind::Backlash),
         (|e| e.ratio.as_mut().unwrap().relative[0] = f64::NAN, EffectKind::Ratio),
+        (|e| e.transmission.as_mut().unwrap().actuators[1][0].cycles = 0.0, EffectKind::Transmission),
+        (|e| e.lost_motion.as_mut().unwrap().closes_at[1] = 4.0, EffectKind::LostMotion),
+        (
+            |e| e.stiffening.as_mut().unwrap().actuators[1].as_mut().unwrap().limits[0] = -1.0,
+            EffectKind::Stiffening,
+        ),
         (|e| e.harmonics.as_mut().unwrap().actuators[1].as_mut().unwrap().turns = 0.0, EffectKind::Harmonics),
         (|e| e.friction.as_mut().unwrap().presliding[1] = f64::INFINITY, EffectKind::Friction),
         (|e| e.encoder.as_mut().unwrap().step[0] = -1.0, EffectKind::Encoder),
@@ -226,6 +328,7 @@ fn effects_that_no_machine_has_are_refused() {
         (|e| e.repeatability.as_mut().unwrap().sigma[2] = -1e-9, EffectKind::Repeatability),
     ];
     let mut robot = machine();
+    robot.statics.gravity = Vector3::new(0.0, -10.0, 0.0);
     robot.effects = all_effects();
     assert_eq!(robot.check_effects(1000.0), Ok(()));
     for (number, (spoil, kind)) in breaks.into_iter().enumerate() {

@@ -46,6 +46,31 @@ impl Ambient {
     }
 }
 
+/// A part that is warmer than the air by more than this (K) by the heat of its drive belongs to no drive in service.
+pub const MOST_RISE: f64 = 60.0;
+
+/// The heat that a drive leaves in a part.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DriveHeat {
+    /// Index of the actuator.
+    pub actuator: usize,
+    /// What it dissipates from the beginning of the session on, whether it moves or not, W.
+    pub power: f64,
+    /// What its motion dissipates, J per m or rad of the actuator.
+    pub per_motion: f64,
+    /// What a steady watt warms the part by, K/W.
+    pub resistance: f64,
+}
+
+/// How warm the parts are that drives heat: what a pose remembers of the session before.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Warmth {
+    /// Of what follows, s since the session began.
+    pub time: f64,
+    /// Beyond what the air makes of every growing part, K; empty as at the beginning.
+    pub rise: Vec<f64>,
+}
+
 /// What of the structure grows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum GrowingPart {
@@ -71,8 +96,10 @@ pub struct Growth {
     pub with_travel: bool,
     /// Relative growth per kelvin.
     pub expansion: f64,
-    /// Time constant with which it follows the air, s.
+    /// Time constant with which it follows the air, and its drive's heat, s; above zero where it is heated.
     pub lag: f64,
+    /// What heats it beside the air.
+    pub heat: Option<DriveHeat>,
 }
 
 /// Thermal growth against the time of the session.
@@ -103,6 +130,9 @@ impl Thermal {
             check(kind, ("length", index), growth.length, Range::Finite)?;
             check(kind, ("expansion", index), growth.expansion, Range::NotNegative)?;
             check(kind, ("lag", index), growth.lag, Range::NotNegative)?;
+            if let Some(heat) = &growth.heat {
+                heat.check(index, actuators, growth.lag)?;
+            }
             match growth.part {
                 GrowingPart::Link { joint, axis } if joint >= actuators || axis >= 3 => {
                     return Err(EffectError::NoSuchPart { effect: kind, part: "such axis of a link" });
@@ -129,9 +159,70 @@ impl Thermal {
         Ok(())
     }
 
-    /// Growth of a part per its length at `time` s.
-    pub fn strain(&self, growth: &Growth, time: f64) -> f64 {
-        growth.expansion * (self.ambient.followed(growth.lag, time) - self.reference)
+    /// Growth of a part, whose drive has warmed it by `rise` K, per its length at `time` s.
+    pub fn strain(&self, growth: &Growth, time: f64, rise: f64) -> f64 {
+        growth.expansion * (self.ambient.followed(growth.lag, time) + rise - self.reference)
+    }
+
+    /// Whether a drive heats anything.
+    pub fn is_heated(&self) -> bool {
+        self.growths.iter().any(|growth| growth.heat.is_some())
+    }
+
+    /// How warm the parts are at `time` s, after `motions` (m or rad, one an actuator) since `before`.
+    pub fn warmth_after(&self, before: &Warmth, time: f64, motions: &[f64]) -> Warmth {
+        let rise = self.growths.iter().enumerate().map(|(part, growth)| {
+            let Some(heat) = &growth.heat else { return 0.0 };
+            let earlier = before.rise.get(part).copied().unwrap_or(0.0);
+            let motion = motions.get(heat.actuator).copied().unwrap_or(0.0);
+            heat.rise_after(growth.lag, earlier, time - before.time, motion)
+        });
+        Warmth { time, rise: rise.collect() }
+    }
+
+    /// Refuses parts that have become warmer than [`MOST_RISE`].
+    pub(crate) fn check_warmth(&self, warmth: &Warmth) -> Result<(), EffectError> {
+        let mut parts = self.growths.iter().zip(&warmth.rise);
+        match parts.find(|(_, rise)| !(**rise <= MOST_RISE)) {
+            Some((Growth { heat: Some(heat), .. }, &value)) => {
+                Err(EffectError::Overheated { actuator: heat.actuator, time: warmth.time, value })
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+impl DriveHeat {
+    fn check(&self, index: usize, actuators: usize, lag: f64) -> Result<(), EffectError> {
+        let kind = EffectKind::Thermal;
+        if self.actuator >= actuators {
+            return Err(EffectError::NoSuchPart { effect: kind, part: "such drive" });
+        }
+        for (quantity, value, range) in [
+            ("power", self.power, Range::NotNegative),
+            ("heat of a motion", self.per_motion, Range::NotNegative),
+            ("thermal resistance", self.resistance, Range::Positive),
+            ("lag", lag, Range::Positive),
+        ] {
+            check(kind, (quantity, index), value, range)?;
+        }
+        let value = self.power * self.resistance;
+        if value > MOST_RISE {
+            let (actuator, time) = (self.actuator, f64::INFINITY);
+            return Err(EffectError::Overheated { actuator, time, value });
+        }
+        Ok(())
+    }
+
+    /// What it has warmed a part of time constant `lag` s by, K, `seconds` after it had warmed it by `before`, having moved by `motion` (m or rad) at an
+    /// even rate: the solution of `lag dT/dt = R P - T`.
+    pub fn rise_after(&self, lag: f64, before: f64, seconds: f64, motion: f64) -> f64 {
+        let ratio = (seconds / lag).max(0.0);
+        let gone = -(-ratio).exp_m1();
+        // The mean share that is still there of heat that comes evenly.
+        let kept = if ratio > 0.0 { gone / ratio } else { 1.0 };
+        let moved = self.per_motion * motion.abs() / lag;
+        before * (1.0 - gone) + self.resistance * (self.power * gone + moved * kept)
     }
 }
 
@@ -170,9 +261,79 @@ mod tests {
     fn a_metre_of_steel_grows_by_60_micrometres_in_5_kelvin() {
         let ambient = Ambient { start: 25.0, drift: 0.0, swing: 0.0, period: 1.0, phase: 0.0 };
         let part = GrowingPart::Link { joint: 0, axis: 0 };
-        let growth = Growth { part, length: 1.0, with_travel: false, expansion: 12e-6, lag: 3600.0 };
+        let growth =
+            Growth { part, length: 1.0, with_travel: false, expansion: 12e-6, lag: 3600.0, heat: None };
         let thermal = Thermal { ambient, reference: 20.0, growths: vec![growth] };
-        assert!((thermal.strain(&growth, 1e4) - 60e-6).abs() < 1e-18);
+        assert!((thermal.strain(&growth, 1e4, 0.0) - 60e-6).abs() < 1e-18);
+    }
+
+    /// 40 W at 0.5 K/W, and 300 J a metre; 20 minutes.
+    const HEAT: DriveHeat = DriveHeat { actuator: 0, power: 40.0, per_motion: 300.0, resistance: 0.5 };
+
+    #[test]
+    fn a_drive_warms_its_part_exponentially_and_by_its_motion() {
+        // Without motion 20 K in the end, and 1 - 1/e of it after the time constant, whatever the steps.
+        let still = |steps: u32| {
+            let step = 1200.0 / f64::from(steps);
+            (0..steps).fold(0.0, |rise, _| HEAT.rise_after(1200.0, rise, step, 0.0))
+        };
+        for steps in [1, 7, 500] {
+            assert!((still(steps) - 20.0 * (1.0 - (-1.0_f64).exp())).abs() < 1e-10, "{steps}");
+        }
+        // With motion against Heun's method: there and back by 0.8 m, 10 s each.
+        let slope = |rise: f64| (0.5 * (40.0 + 300.0 * 0.08) - rise) / 1200.0;
+        let (mut rise, step) = (3.0, 1e-3);
+        for _ in 0..20_000 {
+            let first = slope(rise);
+            rise += 0.5 * step * (first + slope(rise + step * first));
+        }
+        let there = HEAT.rise_after(1200.0, 3.0, 10.0, 0.8);
+        assert!((HEAT.rise_after(1200.0, there, 10.0, -0.8) - rise).abs() < 1e-9);
+        // A motion in no time leaves its heat: 240 J on a heat capacity of 1200 s / 0.5 K/W.
+        assert!((HEAT.rise_after(1200.0, 3.0, 0.0, 0.8) - 3.1).abs() < 1e-12);
+    }
+
+    #[test]
+    fn warmth_is_of_each_part_by_its_own_drive() {
+        let part = GrowingPart::Link { joint: 0, axis: 0 };
+        let cold =
+            Growth { part, length: 1.0, with_travel: false, expansion: 12e-6, lag: 1200.0, heat: None };
+        let warm = Growth { heat: Some(DriveHeat { actuator: 1, ..HEAT }), ..cold };
+        let thermal = Thermal { ambient: AIR, reference: 20.0, growths: vec![cold, warm] };
+        assert!(thermal.is_heated());
+        let warmth = thermal.warmth_after(&Warmth::default(), 100.0, &[5.0, 0.3]);
+        assert_eq!(warmth.rise, [0.0, HEAT.rise_after(1200.0, 0.0, 100.0, 0.3)]);
+        let later = thermal.warmth_after(&warmth, 150.0, &[5.0, -0.2]);
+        assert_eq!(later.rise[1], HEAT.rise_after(1200.0, warmth.rise[1], 50.0, 0.2));
+        let more = thermal.strain(&warm, 150.0, 10.0) - thermal.strain(&warm, 150.0, 0.0);
+        assert!((more - 12e-5).abs() < 1e-18);
+        assert_eq!(thermal.check_warmth(&later), Ok(()));
+        let hot = Warmth { time: 9.0, rise: vec![0.0, 61.0] };
+        let error = EffectError::Overheated { actuator: 1, time: 9.0, value: 61.0 };
+        assert_eq!(thermal.check_warmth(&hot), Err(error));
+    }
+
+    #[test]
+    fn heat_that_no_drive_gives_is_refused() {
+        let part = GrowingPart::Link { joint: 0, axis: 0 };
+        let refused = |heat: DriveHeat, lag: f64| {
+            let heat = Some(heat);
+            let growth = Growth { part, length: 1.0, with_travel: false, expansion: 12e-6, lag, heat };
+            let thermal = Thermal { ambient: AIR, reference: 20.0, growths: vec![growth] };
+            thermal.check(1, false).map_err(|error| error.to_string())
+        };
+        assert_eq!(refused(HEAT, 1200.0), Ok(()));
+        for (heat, lag, message) in [
+            (DriveHeat { power: -1.0, ..HEAT }, 1200.0, "power of index 0 is -1"),
+            (DriveHeat { per_motion: -1.0, ..HEAT }, 1200.0, "heat of a motion of index 0 is -1"),
+            (DriveHeat { resistance: 0.0, ..HEAT }, 1200.0, "thermal resistance of index 0 is 0"),
+            (DriveHeat { actuator: 1, ..HEAT }, 1200.0, "no such drive"),
+            (DriveHeat { power: 130.0, ..HEAT }, 1200.0, "warms its part by 65.0 K"),
+            (HEAT, 0.0, "lag of index 0 is 0"),
+        ] {
+            let error = refused(heat, lag).expect_err(message);
+            assert!(error.contains(message), "{message:?} in {error}");
+        }
     }
 
     #[test]

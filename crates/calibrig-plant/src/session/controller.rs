@@ -3,7 +3,7 @@
 use rand::Rng;
 
 use super::{Machine, MeasuringSession};
-use crate::effects::{Commanded, DriveState, Friction, PoseEffects};
+use crate::effects::{Commanded, DriveState, PoseEffects, Warmth};
 use crate::{AsBuilt, SettledPose};
 use calibrig_model::measurement::Motion;
 
@@ -14,9 +14,10 @@ pub(super) struct Controller<'a> {
 }
 
 impl<'a> Controller<'a> {
-    pub(super) fn at_home(session: &MeasuringSession<'a>) -> Self {
+    /// Referenced at the home pose, with drives as warm as they were left.
+    pub(super) fn at_home(session: &MeasuringSession<'a>, warmth: Warmth) -> Self {
         let command = session.actuators.command_from_joints(&session.region.centre);
-        let drives = session.as_built.referenced_at(&command);
+        let drives = DriveState { warmth, ..session.as_built.referenced_at(&command) };
         Self { as_built: session.as_built, motion: Motion::at(&command), drives }
     }
 
@@ -42,18 +43,25 @@ impl<'a> Controller<'a> {
         rng: &mut impl Rng,
     ) -> Result<PoseEffects, M::Error> {
         self.motion.go_to(command, 0.0);
-        let needs_load = self.as_built.effects.friction.as_ref().is_some_and(Friction::needs_load);
-        // Friction is too small to change the load that it depends on.
-        let load = if needs_load { self.drive_loads(&machine.settle(command, &[])?) } else { Vec::new() };
+        // The effects are too small to change the load that they depend on.
+        let load = if self.as_built.effects.need_load() {
+            self.as_built.drive_loads(&machine.settle(command, &[])?)
+        } else {
+            Vec::new()
+        };
         let pose = Commanded { command, time, load: &load };
         let (effects, drives) = self.as_built.pose_effects(&self.drives, &pose, rng);
         self.drives = drives;
         Ok(effects)
     }
 
-    /// Load of every drive, N or N m; zero for a rigid drive, which no load deflects.
-    fn drive_loads(&self, settled: &SettledPose) -> Vec<f64> {
-        let drives = settled.deflection.iter().zip(&self.as_built.statics.drive_stiffness);
-        drives.map(|(u, k)| if k.is_finite() { u * k } else { 0.0 }).collect()
+    /// Goes to a command for the heat of its drives alone.
+    pub(super) fn warm(&mut self, command: &[f64], time: f64) {
+        self.drives = self.as_built.warmed(&self.drives, command, time);
+    }
+
+    /// How warm its drives are.
+    pub(super) fn warmth(&self) -> &Warmth {
+        &self.drives.warmth
     }
 }

@@ -118,7 +118,8 @@ impl MeasuringSession<'_> {
         let setup = Setup { trackers, mounted: self.mounted(seed, trial), seed, trial };
         let commands: Vec<_> = poses.iter().map(|q| self.actuators.command_from_joints(q)).collect();
         machine.carry(None).map_err(|source| CycleError::Pose { pose: 1, cycle: 0, source })?;
-        let mut controller = Controller::at_home(self);
+        let warmth = self.warmth_after(&schedule).map_err(|e| session(e.into()))?;
+        let mut controller = Controller::at_home(self, warmth);
         let mut visited = 0_u32;
         let lead_in = commands.first().map(|command| (0, 1, command));
         let numbered: Vec<(u32, &Vec<f64>)> = (1..=count).zip(&commands).collect();

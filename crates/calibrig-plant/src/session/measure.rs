@@ -12,7 +12,7 @@ use super::plan::{Approach, SessionPlan, StationShare};
 use super::schedule::{PlannedSet, Schedule, schedule};
 use super::sight::Mounted;
 use super::{Machine, MissingReading, SessionError, Simulation, Truth};
-use crate::effects::PoseEffects;
+use crate::effects::{EffectError, PoseEffects, Warmth};
 use crate::experiment::{WorkingRegion, check_listed};
 use crate::tracker::{LaserTracker, Outliers, Probe, Shot, TrackerError, is_missed};
 use crate::{AsBuilt, SettledPose};
@@ -92,13 +92,14 @@ impl MeasuringSession<'_> {
         self.plan.check(self.identification_poses.max(self.verification_poses))?;
         let schedule = self.schedule(seed, trial);
         self.as_built.check_effects(schedule.duration)?;
+        self.warmth_after(&schedule)?;
         let trackers = self.trackers(&schedule, seed, trial)?;
         let mut described = self.measure_nests(&trackers, &schedule, (seed, trial))?;
         let targets = self.measure_targets(seed, trial);
         let stations = self.mean_places(&trackers, &schedule);
         let further_targets: Vec<_> = self.plan.targets.iter().map(|target| target.in_flange).collect();
         let setup = Setup { trackers, mounted: self.mounted(seed, trial), seed, trial };
-        let sweeps_missing = self.measure_sweeps(machine, &setup, &schedule, &mut described)?;
+        let (sweeps_missing, mut warmth) = self.measure_sweeps(machine, &setup, &schedule, &mut described)?;
         let mut done = 0;
         let mut tell = |event: SessionEvent<'_>, done| match listener(event) {
             ControlFlow::Continue(()) => Ok(()),
@@ -134,7 +135,7 @@ impl MeasuringSession<'_> {
             let mut set = empty_set(planned.kind, &described, &targets);
             let count = u32::try_from(planned.poses.len()).unwrap_or(u32::MAX);
             tell(SessionEvent::Set { set: &set, planned: count }, done)?;
-            let mut controller = Controller::at_home(self);
+            let mut controller = Controller::at_home(self, warmth);
             for pose in 0..count {
                 let taken = self.take(machine, &mut controller, &setup, planned, pose, &mut noise);
                 let taken = taken.map_err(|source| SessionError::Pose { set: planned.kind, pose, source })?;
@@ -162,6 +163,7 @@ impl MeasuringSession<'_> {
                 outliers.extend(taken.outliers);
                 absent.extend(taken.missing);
             }
+            warmth = controller.warmth().clone();
             tell(SessionEvent::SetEnd { set: &set }, done)?;
             sets.push(set);
             missing.push(absent);
@@ -242,6 +244,39 @@ impl MeasuringSession<'_> {
             .collect()
     }
 
+    /// How warm the drives are behind all of a schedule.
+    ///
+    /// # Errors
+    ///
+    /// On its way a part gets warmer than any drive makes it.
+    pub(super) fn warmth_after(&self, schedule: &Schedule) -> Result<Warmth, EffectError> {
+        let Some(thermal) = self.as_built.effects.thermal.as_ref().filter(|t| t.is_heated()) else {
+            return Ok(Warmth::default());
+        };
+        let mut controller = Controller::at_home(self, Warmth::default());
+        for (joints, time) in &schedule.sweeps {
+            controller.warm(&self.actuators.command_from_joints(joints), *time);
+            thermal.check_warmth(controller.warmth())?;
+        }
+        for planned in &schedule.sets {
+            controller = Controller::at_home(self, controller.warmth().clone());
+            for (joints, start) in &planned.poses {
+                for visit in 0..self.plan.repeats {
+                    let time = self.time_of_visit(*start, visit);
+                    for joints in self.beside(joints, visit).iter().chain([joints]) {
+                        controller.warm(&self.actuators.command_from_joints(joints), time);
+                    }
+                    thermal.check_warmth(controller.warmth())?;
+                }
+            }
+        }
+        Ok(controller.warmth().clone())
+    }
+
+    fn time_of_visit(&self, start: f64, visit: u32) -> f64 {
+        start + self.plan.seconds_per_pose() / f64::from(self.plan.repeats) * f64::from(visit)
+    }
+
     /// All visits of a pose.
     fn take<M: Machine>(
         &self,
@@ -255,13 +290,12 @@ impl MeasuringSession<'_> {
         let (seed, trial) = (setup.seed, setup.trial);
         let (joints, start) = &planned.poses[pose as usize];
         let command = self.actuators.command_from_joints(joints);
-        let of_visit = self.plan.seconds_per_pose() / f64::from(self.plan.repeats);
         let payload = self.plan.payloads.at(planned.kind, pose as usize, planned.poses.len());
         machine.carry(payload.map(|payload| &payload.real))?;
         let payload = payload.map(|payload| &payload.stated);
         let mut taken = Taken::default();
         for visit in 0..self.plan.repeats {
-            let time = start + of_visit * f64::from(visit);
+            let time = self.time_of_visit(*start, visit);
             let place = entry(planned.kind, pose) | u64::from(visit) << 34;
             if let Some(beside) = self.beside(joints, visit) {
                 let mut own = random::stream_at(seed, trial, Source::Repeatability, place | VIA);

@@ -4,6 +4,7 @@ use super::controller::Controller;
 use super::measure::{Setup, Taken, Visit};
 use super::schedule::Schedule;
 use super::{Machine, MeasuringSession, MissingReading, SessionError, StationShare};
+use crate::effects::Warmth;
 use calibrig_model::measurement::Station;
 use calibrig_model::random::{self, Source};
 
@@ -37,17 +38,17 @@ impl PlannedSweep {
 }
 
 impl MeasuringSession<'_> {
-    /// Gives the stations what they read in the sweeps, and tells which readings did not come.
+    /// Gives the stations what they read in the sweeps. Returns which readings did not come, and how warm the drives then are.
     pub(super) fn measure_sweeps<M: Machine>(
         &self,
         machine: &mut M,
         setup: &Setup,
         schedule: &Schedule,
         stations: &mut [Station],
-    ) -> Result<Vec<MissingReading>, SessionError<M::Error>> {
+    ) -> Result<(Vec<MissingReading>, Warmth), SessionError<M::Error>> {
         let (seed, trial) = (setup.seed, setup.trial);
         let mut noise = random::stream(seed, trial, Source::SweepNoise);
-        let mut controller = Controller::at_home(self);
+        let mut controller = Controller::at_home(self, Warmth::default());
         let mut taken = Taken::default();
         machine.carry(None).map_err(|source| SessionError::Sweep { place: 0, source })?;
         for ((joints, time), number) in schedule.sweeps.iter().zip(0..) {
@@ -76,6 +77,6 @@ impl MeasuringSession<'_> {
             }
         }
         taken.missing.retain(|missing| missing.target == 0);
-        Ok(taken.missing)
+        Ok((taken.missing, controller.warmth().clone()))
     }
 }

@@ -3,7 +3,7 @@ use std::ops::ControlFlow;
 use nalgebra::{Matrix3, UnitVector3, Vector3};
 
 use super::*;
-use crate::effects::Effects;
+use crate::effects::{Ambient, DriveHeat, Effects, GrowingPart, Growth, MOST_RISE, Thermal};
 use crate::experiment::WorkingRegion;
 use crate::tracker::{DriftLaw, ErrorLine, Instrument, LaserTracker, Motion, SmrLaw};
 use calibrig_model::geometry::translation;
@@ -117,6 +117,74 @@ fn the_plainest_session_reads_one_target_once_every_ten_seconds() {
     assert_eq!(times, [0.0, 10.0, 20.0, 30.0, 40.0, 50.0]);
     let station = &told.sets[1].measurements.stations[0];
     assert_eq!((station.nests.len(), station.nests[0].time, station.instrument.is_none()), (4, None, true));
+}
+
+/// The slide's motions heat the arm, 500 J a metre at 0.2 K/W and 60 s; nothing else does.
+fn heated(mut scene: Scene, per_motion: f64) -> Scene {
+    let ambient = Ambient { start: 20.0, drift: 0.0, swing: 0.0, period: 1.0, phase: 0.0 };
+    let part = GrowingPart::Link { joint: 1, axis: 0 };
+    let heat = Some(DriveHeat { actuator: 0, power: 0.0, per_motion, resistance: 0.2 });
+    let growth = Growth { part, length: 1.0, with_travel: false, expansion: 10e-6, lag: 60.0, heat };
+    scene.machine.effects.thermal = Some(Thermal { ambient, reference: 20.0, growths: vec![growth] });
+    scene
+}
+
+/// Against the sum over all motions of what is left of each one's heat.
+#[test]
+fn the_heat_of_all_motions_as_driven_is_there_in_both_sets() {
+    let scene = heated(scene(SessionPlan::default()), 500.0);
+    let told = measure(&scene, [4, 3]);
+    let mut motions: Vec<(f64, f64, f64)> = Vec::new();
+    let (mut before, mut largest) = (0.0, 0.0_f64);
+    for (set, effects) in told.sets.iter().zip(&told.truth.effects) {
+        let mut slide = scene.region.centre[0];
+        for (observation, effects) in set.measurements.observations.iter().zip(effects) {
+            let now = observation.time;
+            motions.push((before, now, (observation.command[0] - slide).abs()));
+            (before, slide) = (now, observation.command[0]);
+            let left = |(begin, end, way): &(f64, f64, f64)| {
+                let since = |time: f64| (-(now - time) / 60.0).exp();
+                let heat = 0.2 * 500.0 * way;
+                if begin == end {
+                    heat / 60.0 * since(*end)
+                } else {
+                    heat * (since(*end) - since(*begin)) / (end - begin)
+                }
+            };
+            let expected: f64 = motions.iter().map(left).sum();
+            let found = effects.displacements[1][0] / 10e-6;
+            assert!((found - expected).abs() < 1e-12, "{now} s: {found} K against {expected} K");
+            largest = largest.max(found);
+        }
+    }
+    assert!(largest > 1.0, "{largest} K");
+}
+
+#[test]
+fn a_session_that_overheats_a_part_is_refused() {
+    let scene = heated(scene(SessionPlan::default()), 1e6);
+    let session = MeasuringSession {
+        as_built: &scene.machine,
+        actuators: &scene.machine.actuators,
+        region: &scene.region,
+        listed: [None; 2],
+        identification_poses: 5,
+        verification_poses: 0,
+        tracker: &scene.tracker,
+        outliers: None,
+        nests: &scene.nests,
+        nest_sigma: 1e-5,
+        target_covariance: &(Matrix3::identity() * 1e-10),
+        probe: None,
+        plan: &scene.plan,
+    };
+    let told = session.measure(&mut Exact(scene.machine.clone()), 5, 0, &mut |_| ControlFlow::Continue(()));
+    match told.expect_err("too hot") {
+        SessionError::Effects(EffectError::Overheated { actuator: 0, value, .. }) => {
+            assert!(value > MOST_RISE)
+        }
+        other => panic!("{other}"),
+    }
 }
 
 #[test]

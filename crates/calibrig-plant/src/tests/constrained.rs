@@ -8,6 +8,7 @@ use nalgebra::{DMatrix, DVector, Matrix4, Vector3, Vector4};
 
 use super::AsBuilt;
 use super::equilibrium::{point, shift, turn};
+use crate::effects::StiffnessCurve;
 use calibrig_model::{BeamRun, BearingSide, JointKind};
 
 #[derive(Clone)]
@@ -29,6 +30,35 @@ struct Load {
 struct Spring {
     stiffness: f64,
     rest: f64,
+    /// Where a drive stiffens: deflection from which on its stiffness is greater, and by how much.
+    hinges: Vec<(f64, f64)>,
+}
+
+impl Spring {
+    /// Energy, force and stiffness at a deflection.
+    fn at(&self, u: f64) -> [f64; 3] {
+        let mut sum = [0.5 * self.stiffness * u * u, self.stiffness * u, self.stiffness];
+        for (begin, more) in self.hinges.iter().filter(|(begin, _)| u.abs() > *begin) {
+            let beyond = u.abs() - begin;
+            let own = [0.5 * more * beyond * beyond, more * beyond * u.signum(), *more];
+            sum.iter_mut().zip(own).for_each(|(sum, own)| *sum += own);
+        }
+        sum
+    }
+
+    /// Gives it the ranges of a joint's drive, where that stiffens.
+    fn stiffen(&mut self, robot: &AsBuilt, joint: usize) {
+        let curve = robot.effects.stiffening.as_ref().and_then(|effect| effect.actuators[joint].as_ref());
+        let Some(StiffnessCurve { factors, limits }) = curve else { return };
+        let own = self.stiffness;
+        self.stiffness = factors[0] * own;
+        let (mut begin, mut load) = (0.0, 0.0);
+        for (range, limit) in limits.iter().enumerate() {
+            begin += (limit - load) / (factors[range] * own);
+            load = *limit;
+            self.hinges.push((begin, (factors[range + 1] - factors[range]) * own));
+        }
+    }
 }
 
 pub(super) struct Constrained<'a> {
@@ -78,7 +108,7 @@ impl<'a> Constrained<'a> {
                     let ideal = command_here + offset - command[shoulder];
                     this.motion(own, 0.0, ideal);
                 }
-                _ => this.motion(own, robot.statics.drive_stiffness[joint], command_here),
+                _ => this.drive(own, joint, command_here),
             }
             if let Some([x, y, z, rx, ry, rz]) = shifts.get(joint) {
                 let by = shift(0, *x) * shift(1, *y) * shift(2, *z);
@@ -99,7 +129,7 @@ impl<'a> Constrained<'a> {
             // The same way of adding factors, to the crank's chain.
             this.chains.swap(0, 1);
             let zero = offset + robot.kinematics.links[elbow].theta;
-            this.motion(5, robot.statics.drive_stiffness[elbow], command[elbow] + zero);
+            this.drive(5, elbow, command[elbow] + zero);
             assert!(this.springs.len() <= springs + 1);
             this.chains.swap(0, 1);
             this.chains[0] = main;
@@ -130,11 +160,19 @@ impl<'a> Constrained<'a> {
         self.chains[0].push(Factor::Constant(matrix));
     }
 
+    fn drive(&mut self, axis: usize, joint: usize, rest: f64) {
+        let (robot, stiffness) = (self.robot, self.robot.statics.drive_stiffness[joint]);
+        self.motion(axis, stiffness, rest);
+        if let Some(spring) = self.springs.last_mut().filter(|_| stiffness.is_finite()) {
+            spring.stiffen(robot, joint);
+        }
+    }
+
     fn motion(&mut self, axis: usize, stiffness: f64, rest: f64) {
         let factor = if stiffness.is_infinite() {
             Factor::Constant(if axis < 3 { shift(axis, rest) } else { turn(axis - 3, rest) })
         } else {
-            self.springs.push(Spring { stiffness, rest });
+            self.springs.push(Spring { stiffness, rest, hinges: Vec::new() });
             Factor::Motion(axis, self.springs.len() - 1)
         };
         self.chains[0].push(factor);
@@ -250,10 +288,10 @@ impl<'a> Constrained<'a> {
         let moved = |load: &Load| Self::moved(load, &frames[load.chain], &spatial[load.chain]);
         let (mut energy, mut gradient, mut hessian) = (0.0, DVector::zeros(n), DMatrix::zeros(n, n));
         for (i, spring) in self.springs.iter().enumerate() {
-            let u = q[i] - spring.rest;
-            energy += 0.5 * spring.stiffness * u * u;
-            gradient[i] += spring.stiffness * u;
-            hessian[(i, i)] += spring.stiffness;
+            let [stored, force, stiffness] = spring.at(q[i] - spring.rest);
+            energy += stored;
+            gradient[i] += force;
+            hessian[(i, i)] += stiffness;
         }
         for load in &self.loads {
             let moved = moved(load);

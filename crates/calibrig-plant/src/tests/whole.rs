@@ -7,7 +7,8 @@ use rand_chacha::ChaCha8Rng;
 use super::constrained::Constrained;
 use super::random_robot::{random_full_robot, random_shifts};
 use super::spray_robot::{full_robot, working_command};
-use super::{ElasticPlace, PlantError, bits, plant};
+use super::{AsBuilt, ElasticPlace, PlantError, bits, plant};
+use crate::effects::{Stiffening, StiffnessCurve};
 use calibrig_model::{Payload, PointLoad};
 use nalgebra::{Point3, Vector3};
 
@@ -70,6 +71,73 @@ fn the_whole_robot_rests_where_an_independent_solution_does() {
         "{tip:e} {frame:e} {closure:e} {force:e}"
     );
     assert!(droop > 0.003, "{droop}");
+}
+
+/// Ranges about the loads that the drives really have, so that every range is met.
+fn stiffened(robot: &AsBuilt, rng: &mut ChaCha8Rng) -> AsBuilt {
+    let command = working_command(robot, rng);
+    let settled = plant(robot).settle(&command).expect("a stiff robot");
+    let loads = robot.drive_loads(&settled);
+    let mut curve = |load: f64| StiffnessCurve {
+        factors: vec![rng.random_range(0.3..0.8), rng.random_range(0.8..1.2), rng.random_range(1.2..2.5)],
+        limits: vec![
+            load.abs() * rng.random_range(0.1..0.9) + 0.1,
+            load.abs() * rng.random_range(0.9..1.5) + 0.2,
+        ],
+    };
+    let mut robot = robot.clone();
+    let actuators = loads.iter().map(|load| Some(curve(*load))).collect();
+    robot.effects.stiffening = Some(Stiffening { actuators });
+    robot
+}
+
+#[test]
+fn drives_that_stiffen_rest_where_an_independent_solution_does() {
+    let mut rng = ChaCha8Rng::seed_from_u64(35);
+    let (mut tip, mut steps, mut moved) = (0.0_f64, 0, 0.0_f64);
+    let mut ranges = [0_u32; 3];
+    for case in 0..100 {
+        let linear = random_full_robot(&mut rng);
+        let robot = stiffened(&linear, &mut rng);
+        let shifts = if case % 2 == 0 { Vec::new() } else { random_shifts(&mut rng) };
+        let mut own = plant(&robot);
+        for _ in 0..2 {
+            let command = working_command(&robot, &mut rng);
+            let pose = own.settle_displaced(&command, &shifts).expect("a stiff robot");
+            let reference = Constrained::new(&robot, &command, &shifts);
+            let (q, _) = reference.solve();
+            tip = tip.max((pose.target - reference.target(&q)).norm());
+            steps = steps.max(pose.steps);
+            assert_eq!(bits(&plant(&robot).settle_displaced(&command, &shifts).expect("again")), bits(&pose));
+            let straight = plant(&linear).settle_displaced(&command, &shifts).expect("a stiff robot");
+            moved = moved.max((straight.target - pose.target).norm());
+            let curves = &robot.effects.stiffening.as_ref().expect("it stiffens").actuators;
+            for (load, curve) in robot.drive_loads(&pose).iter().zip(curves.iter().flatten()) {
+                ranges[curve.limits.iter().filter(|limit| load.abs() > **limit).count()] += 1;
+            }
+        }
+    }
+    eprintln!("tip: at most {tip:e} m off, {steps} steps; up to {moved:e} m from linear; ranges {ranges:?}");
+    assert!(tip <= 1e-9, "{tip:e}");
+    assert!(moved > 1e-3 && ranges.iter().all(|count| *count > 50), "{moved} {ranges:?}");
+}
+
+/// A linear drive of the secant at a pose's own load holds that pose.
+#[test]
+fn the_secant_stiffness_holds_the_pose_that_it_is_of() {
+    let mut rng = ChaCha8Rng::seed_from_u64(36);
+    let robot = stiffened(&random_full_robot(&mut rng), &mut rng);
+    let command = working_command(&robot, &mut rng);
+    let pose = plant(&robot).settle(&command).expect("a stiff robot");
+    let mut linear = robot.clone();
+    linear.effects.stiffening = None;
+    for (joint, stiffness) in linear.statics.drive_stiffness.iter_mut().enumerate() {
+        *stiffness = robot.secant_stiffness(joint, std::slice::from_ref(&pose)).expect("a load");
+    }
+    let same = plant(&linear).settle(&command).expect("a stiff robot");
+    assert!((same.target - pose.target).norm() < 1e-10, "{:e}", (same.target - pose.target).norm());
+    assert_eq!(robot.secant_stiffness(2, &[]), None, "no pose tells the load");
+    assert_eq!(linear.secant_stiffness(2, &[]), Some(linear.statics.drive_stiffness[2]));
 }
 
 #[test]
