@@ -5,6 +5,11 @@ use super::{PipelineError, PlantKind, SessionListener, Simulation, counting};
 use crate::scenario::Scenario;
 use calibrig_plant::{Plant, SettleOptions};
 
+/// How the poses of a trial settle: those of the first are confirmed by rapier, which changes no bit of them.
+pub(super) fn settle_options(trial: u32) -> SettleOptions {
+    SettleOptions { confirm: trial == 0, ..SettleOptions::default() }
+}
+
 /// Simulates the session of `scenario`: a pure function of (scenario, seed, trial, plant).
 ///
 /// `progress` is told the number of poses done and of all poses.
@@ -30,7 +35,7 @@ pub fn measure_session(
     let session = scenario.session();
     Ok(match plant {
         PlantKind::Rapier => {
-            let mut machine = Plant::new(&scenario.as_built, SettleOptions::default())?;
+            let mut machine = Plant::new(&scenario.as_built, settle_options(trial))?;
             session.measure(&mut machine, seed, trial, listener)?
         }
         PlantKind::Analytic => {

@@ -2,6 +2,8 @@
 
 use thiserror::Error;
 
+use super::effects::EffectError;
+
 /// A plant that cannot be built or does not settle. Joints count from 0, as in [`KinematicModel::links`](calibrig_model::KinematicModel::links).
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
@@ -145,6 +147,9 @@ pub enum PlantError {
         /// Its value.
         value: f64,
     },
+    /// A floor or a hose that cannot be.
+    #[error(transparent)]
+    Effect(#[from] EffectError),
     /// The pose did not come to rest.
     #[error(
         "not at rest after {steps} steps: the target still moves {tip_motion:.1e} m a step and the forces left over would move \

@@ -2,6 +2,7 @@
 //! `enabled = false`.
 
 mod entries;
+mod statics;
 mod thermal;
 
 #[cfg(test)]
@@ -16,6 +17,7 @@ use self::entries::{
     BacklashEntry, EncoderEntry, FrictionEntry, HarmonicEntry, Joint, ProfileFile, RailFile, RatioEntry,
     RepeatabilityEntry, Section,
 };
+use self::statics::{FoundationFile, HosesFile};
 use self::thermal::ThermalFile;
 use super::file::{joint_index, refuse_twice};
 use calibrig_files::Robot;
@@ -37,6 +39,8 @@ pub(super) struct EffectsFile {
     encoder: Option<Spanned<Section<EncoderEntry>>>,
     thermal: Option<Spanned<ThermalFile>>,
     repeatability: Option<Spanned<Section<RepeatabilityEntry>>>,
+    foundation: Option<Spanned<FoundationFile>>,
+    hoses: Option<Spanned<HosesFile>>,
 }
 
 /// The effects of the machine, SI. Sections that are switched off are checked as well.
@@ -51,6 +55,8 @@ pub(super) fn effects(source: &Source, file: &EffectsFile, robot: &Robot) -> Res
         encoder: reader.encoder(file.encoder.as_ref())?,
         thermal: thermal::thermal(&reader, file.thermal.as_ref())?,
         repeatability: reader.repeatability(file.repeatability.as_ref())?,
+        foundation: statics::foundation(&reader, file.foundation.as_ref())?,
+        hoses: statics::hoses(&reader, file.hoses.as_ref())?,
     })
 }
 

@@ -7,8 +7,10 @@ mod apply;
 mod backlash;
 mod encoder;
 mod error;
+mod foundation;
 mod friction;
 mod harmonics;
+mod hose;
 mod rail;
 mod ratio;
 mod repeatability;
@@ -21,8 +23,10 @@ pub use apply::{Commanded, DriveState, PoseEffects};
 pub use backlash::Backlash;
 pub use encoder::Encoder;
 pub use error::EffectError;
+pub use foundation::{Foundation, RailSpan};
 pub use friction::Friction;
 pub use harmonics::{Harmonic, Harmonics};
+pub use hose::{Anchor, Hose, Hoses};
 pub use rail::{Rail, RailProfile};
 pub use ratio::Ratio;
 pub use repeatability::Repeatability;
@@ -47,11 +51,15 @@ pub enum EffectKind {
     Thermal,
     /// [`Repeatability`]
     Repeatability,
+    /// [`Foundation`]
+    Foundation,
+    /// [`Hoses`]
+    Hoses,
 }
 
 impl EffectKind {
     /// All, in the order in which they act.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 10] = [
         Self::Encoder,
         Self::Ratio,
         Self::Harmonics,
@@ -60,6 +68,8 @@ impl EffectKind {
         Self::Repeatability,
         Self::Rail,
         Self::Thermal,
+        Self::Foundation,
+        Self::Hoses,
     ];
 
     /// Its section of a scenario is `[effects.KEY]`.
@@ -73,6 +83,8 @@ impl EffectKind {
             Self::Encoder => "encoder",
             Self::Thermal => "thermal",
             Self::Repeatability => "repeatability",
+            Self::Foundation => "foundation",
+            Self::Hoses => "hoses",
         }
     }
 
@@ -87,6 +99,8 @@ impl EffectKind {
             Self::Encoder => "encoders",
             Self::Thermal => "thermal growth",
             Self::Repeatability => "repeatability",
+            Self::Foundation => "yielding floor and rail",
+            Self::Hoses => "hoses",
         }
     }
 
@@ -103,6 +117,10 @@ impl EffectKind {
             Self::Encoder => "quantisation and offset of the encoders",
             Self::Thermal => "growth of the links as they follow the air's temperature",
             Self::Repeatability => "random errors that every approach draws anew",
+            Self::Foundation => {
+                "a floor that sinks and tilts under the loads, and a rail that bends between its feet"
+            }
+            Self::Hoses => "hoses that pull on the links, by the joints' positions",
         }
     }
 }
@@ -126,6 +144,10 @@ pub struct Effects {
     pub thermal: Option<Thermal>,
     /// Random errors.
     pub repeatability: Option<Repeatability>,
+    /// A yielding floor; part of the statics.
+    pub foundation: Option<Foundation>,
+    /// Hoses; part of the statics.
+    pub hoses: Option<Hoses>,
 }
 
 impl Effects {
@@ -140,6 +162,8 @@ impl Effects {
             EffectKind::Encoder => self.encoder.is_some(),
             EffectKind::Thermal => self.thermal.is_some(),
             EffectKind::Repeatability => self.repeatability.is_some(),
+            EffectKind::Foundation => self.foundation.is_some(),
+            EffectKind::Hoses => self.hoses.is_some(),
         }
     }
 
@@ -161,6 +185,8 @@ impl Effects {
             EffectKind::Encoder => rest.encoder = None,
             EffectKind::Thermal => rest.thermal = None,
             EffectKind::Repeatability => rest.repeatability = None,
+            EffectKind::Foundation => rest.foundation = None,
+            EffectKind::Hoses => rest.hoses = None,
         }
         rest
     }
@@ -188,6 +214,17 @@ impl Effects {
         if let Some(effect) = &self.repeatability {
             effect.check(actuators)?;
         }
-        self.thermal.as_ref().map_or(Ok(()), |effect| effect.check(actuators, has_rod))
+        if let Some(effect) = &self.thermal {
+            effect.check(actuators, has_rod)?;
+        }
+        self.check_statics(actuators)
+    }
+
+    /// Refuses what of them is part of the statics and makes no machine of `actuators` links.
+    pub(crate) fn check_statics(&self, actuators: usize) -> Result<(), EffectError> {
+        if let Some(effect) = &self.foundation {
+            effect.check(actuators)?;
+        }
+        self.hoses.as_ref().map_or(Ok(()), |effect| effect.check(actuators))
     }
 }
