@@ -152,11 +152,16 @@ pub enum PipelineError {
     /// The analytic machine does not come to rest.
     #[error("the analytic plant: {0}")]
     Analytic(#[from] calibrig_estimation::elastostatics::ElasticError),
-    /// The analytic machine has linear drives alone.
+    /// The analytic machine is one without this effect.
     #[error(
-        "the analytic plant: its drives are linear, take [effects.stiffening] out or simulate with rapier"
+        "the analytic plant has no {}: use the simulated one, or switch [effects.{}] off",
+        effect.title(),
+        effect.key()
     )]
-    LinearDrives,
+    BeyondAnalytic {
+        /// Which.
+        effect: calibrig_plant::effects::EffectKind,
+    },
     /// The session as planned cannot be carried out.
     #[error("the session: {0}")]
     Session(#[from] PlanError),

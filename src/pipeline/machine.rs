@@ -2,8 +2,10 @@
 
 use nalgebra::Vector3;
 
+use super::PipelineError;
 use calibrig_estimation::elastostatics::{Deflection, ElasticChain, ElasticError};
 use calibrig_model::{CalibrationModel, Payload, TermPlace};
+use calibrig_plant::effects::EffectKind;
 use calibrig_plant::session::Machine;
 use calibrig_plant::{AsBuilt, SettledPose};
 
@@ -14,7 +16,11 @@ pub(super) struct AnalyticMachine {
 }
 
 impl AnalyticMachine {
-    pub(super) fn new(as_built: &AsBuilt) -> Result<Self, ElasticError> {
+    pub(super) fn new(as_built: &AsBuilt) -> Result<Self, PipelineError> {
+        let beyond = [EffectKind::Stiffening, EffectKind::Foundation, EffectKind::Hoses];
+        if let Some(effect) = beyond.into_iter().find(|kind| as_built.effects.has(*kind)) {
+            return Err(PipelineError::BeyondAnalytic { effect });
+        }
         let model = CalibrationModel {
             kinematics: as_built.kinematics.clone(),
             actuators: as_built.actuators.clone(),
@@ -22,7 +28,8 @@ impl AnalyticMachine {
             motor_turns: vec![None; as_built.kinematics.joint_count()],
             spans: Vec::new(),
         };
-        Ok(Self { chain: ElasticChain::new(&model)?, target: as_built.target })
+        let chain = ElasticChain::new(&model).map_err(ElasticError::from)?;
+        Ok(Self { chain, target: as_built.target })
     }
 }
 

@@ -7,6 +7,11 @@ use calibrig_estimation::identification::FrameChoice;
 use calibrig_plant::session::{LEAST_PLACES, PlannedSweep, SessionPlan};
 use calibrig_plant::{Plant, SettleOptions};
 
+/// How the poses of a trial settle: those of the first are confirmed by rapier, which changes no bit of them.
+pub(super) fn settle_options(trial: u32) -> SettleOptions {
+    SettleOptions { confirm: trial == 0, ..SettleOptions::default() }
+}
+
 /// Simulates the session of `scenario`: a pure function of (scenario, seed, trial, plant).
 ///
 /// `progress` is told the number of poses done and of all poses.
@@ -32,13 +37,10 @@ pub fn measure_session(
     let session = scenario.session();
     let simulation = match plant {
         PlantKind::Rapier => {
-            let mut machine = Plant::new(&scenario.as_built, SettleOptions::default())?;
+            let mut machine = Plant::new(&scenario.as_built, settle_options(trial))?;
             session.measure(&mut machine, seed, trial, listener)?
         }
         PlantKind::Analytic => {
-            if scenario.as_built.effects.stiffening.is_some() {
-                return Err(PipelineError::LinearDrives);
-            }
             session.measure(&mut AnalyticMachine::new(&scenario.as_built)?, seed, trial, listener)?
         }
     };

@@ -81,9 +81,9 @@ impl KnownTruth<'_> {
                     |statics: &StaticProperties| statics.bodies.get(link)?.centre_of_mass.get(axis).copied();
                 Some(centre(&self.as_built.statics)? - centre(self.nominal.statics.as_ref()?)?)
             }
-            ParameterId::Linkage(length) => {
-                Some(self.as_built.actuators.length(length)? - self.nominal.actuators.length(length)?)
-            }
+            ParameterId::Linkage(term) => Some(
+                self.as_built.actuators.linkage_term(term)? - self.nominal.actuators.linkage_term(term)?,
+            ),
             ParameterId::Term(term) => self.term(term),
             ParameterId::Instrument { instrument: 0, term } => {
                 self.instrument.iter().find(|(own, _)| *own == term).map(|(_, amplitude)| *amplitude)

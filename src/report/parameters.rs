@@ -115,7 +115,7 @@ pub(super) fn printed_unit(unit: Unit) -> (&'static str, f64) {
 
 /// What a parameter is, in words; numbers count from one.
 pub(super) fn parameter_words(id: ParameterId) -> String {
-    use calibrig_model::{Compliance, LinkTerm, LinkageLength};
+    use calibrig_model::{Compliance, LinkTerm, LinkageTerm};
     const AXES: [&str; 3] = ["x", "y", "z"];
     match id {
         ParameterId::Link { link, term } => {
@@ -149,9 +149,13 @@ pub(super) fn parameter_words(id: ParameterId) -> String {
         ParameterId::Centre { link, axis } => {
             format!("centre of mass of link {}, {}", link + 1, AXES[axis % 3])
         }
-        ParameterId::Linkage(LinkageLength::Crank) => "length of the crank".to_owned(),
-        ParameterId::Linkage(LinkageLength::Lever) => "length of the lever".to_owned(),
-        ParameterId::Linkage(LinkageLength::Rod) => "length of the coupler rod".to_owned(),
+        ParameterId::Linkage(LinkageTerm::Crank) => "length of the crank".to_owned(),
+        ParameterId::Linkage(LinkageTerm::Lever) => "length of the lever".to_owned(),
+        ParameterId::Linkage(LinkageTerm::Rod) => "length of the coupler rod".to_owned(),
+        ParameterId::Linkage(LinkageTerm::AxisX) => "crank's axis off the shoulder's, along x".to_owned(),
+        ParameterId::Linkage(LinkageTerm::AxisY) => "crank's axis off the shoulder's, along y".to_owned(),
+        ParameterId::Linkage(LinkageTerm::AxisRx) => "tilt of the crank's axis, about x".to_owned(),
+        ParameterId::Linkage(LinkageTerm::AxisRy) => "tilt of the crank's axis, about y".to_owned(),
         ParameterId::Term(term) => format!("{}: {term}", term.family().about()),
         ParameterId::Instrument { instrument, term } => {
             format!("tracker {}: {}", instrument + 1, term.about())

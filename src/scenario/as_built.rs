@@ -64,6 +64,10 @@ struct LinkageFile {
     delta_rod_mm: Option<Spanned<f64>>,
     delta_crank_angle_mrad: Option<Spanned<f64>>,
     delta_lever_angle_mrad: Option<Spanned<f64>>,
+    delta_axis_x_mm: Option<Spanned<f64>>,
+    delta_axis_y_mm: Option<Spanned<f64>>,
+    delta_axis_tilt_x_mrad: Option<Spanned<f64>>,
+    delta_axis_tilt_y_mrad: Option<Spanned<f64>>,
     rod_stiffness_factor: Option<Spanned<f64>>,
 }
 
@@ -95,6 +99,8 @@ struct DrawnFile {
     mass_fraction: Option<Spanned<f64>>,
     linkage_mm: Option<Spanned<f64>>,
     linkage_angles_mrad: Option<Spanned<f64>>,
+    crank_axis_mm: Option<Spanned<f64>>,
+    crank_tilts_mrad: Option<Spanned<f64>>,
     base_tilt_mrad: Option<Spanned<f64>>,
     target_mm: Option<Spanned<f64>>,
 }
@@ -259,10 +265,33 @@ impl Reader<'_> {
         let angle = |key, delta| self.number(key, 1e-3, delta);
         linkage.crank.angle += angle("delta_crank_angle_mrad", file.delta_crank_angle_mrad.as_ref())?;
         linkage.lever.angle += angle("delta_lever_angle_mrad", file.delta_lever_angle_mrad.as_ref())?;
+        self.crank_axis(file, machine)?;
         if let (Some(factor), Some(statics)) = (&file.rod_stiffness_factor, &mut machine.statics.linkage) {
             statics.rod_stiffness *= self.source.positive("rod_stiffness_factor", factor)?;
         }
         Ok(())
+    }
+
+    /// Puts the crank's axis off the nominal one, and says by name where that alone opens the loop.
+    fn crank_axis(&self, file: &LinkageFile, machine: &mut AsBuilt) -> Result<(), InputError> {
+        let coaxial = linkage_fault(&machine.kinematics, &machine.actuators);
+        let Some(linkage) = machine.linkage_mut() else { return Ok(()) };
+        let mut moved = None;
+        for (key, delta, place) in [
+            ("delta_axis_x_mm", &file.delta_axis_x_mm, &mut linkage.axis.x),
+            ("delta_axis_y_mm", &file.delta_axis_y_mm, &mut linkage.axis.y),
+            ("delta_axis_tilt_x_mrad", &file.delta_axis_tilt_x_mrad, &mut linkage.axis.rx),
+            ("delta_axis_tilt_y_mrad", &file.delta_axis_tilt_y_mrad, &mut linkage.axis.ry),
+        ] {
+            *place += self.number(key, 1e-3, delta.as_ref())?;
+            moved = moved.or(delta.as_ref().map(|delta| (key, delta.span())));
+        }
+        match moved {
+            Some((key, span)) if coaxial.is_none() => {
+                self.check_closing(machine, span, &format!("as_built.linkage.{key}"))
+            }
+            _ => Ok(()),
+        }
     }
 
     fn base_and_target(&self, file: &AsBuiltFile, machine: &mut AsBuilt) -> Result<(), InputError> {
@@ -329,6 +358,8 @@ impl Reader<'_> {
             mass: fraction("mass_fraction", &file.mass_fraction)?,
             linkage_length: size("linkage_mm", 1e-3, &file.linkage_mm)?,
             linkage_angle: size("linkage_angles_mrad", 1e-3, &file.linkage_angles_mrad)?,
+            crank_axis: size("crank_axis_mm", 1e-3, &file.crank_axis_mm)?,
+            crank_tilt: size("crank_tilts_mrad", 1e-3, &file.crank_tilts_mrad)?,
             tilt: size("base_tilt_mrad", 1e-3, &file.base_tilt_mrad)?,
             target: size("target_mm", 1e-3, &file.target_mm)?,
         };
@@ -418,8 +449,10 @@ impl Reader<'_> {
             Spread::Uniform => 1.0,
         };
         let (length, angle) = (extreme * distribution.linkage_length, extreme * distribution.linkage_angle);
+        let (shift, tilt) = (extreme * distribution.crank_axis, extreme * distribution.crank_tilt);
+        let corners = if shift > 0.0 || tilt > 0.0 { 128_u32 } else { 16 };
         // The lever's angle turns the elbow alone.
-        for corner in 0..16_u32 {
+        for corner in 0..corners {
             let sign = |bit: u32| if corner >> bit & 1 == 1 { 1.0 } else { -1.0 };
             let mut other = machine.clone();
             let Some(linkage) = other.linkage_mut() else { return Ok(()) };
@@ -427,16 +460,30 @@ impl Reader<'_> {
             linkage.lever.length += sign(1) * length;
             linkage.rod += sign(2) * length;
             linkage.crank.angle += sign(3) * angle;
+            linkage.axis.x += sign(4) * shift;
+            linkage.axis.y += sign(5) * shift;
+            linkage.axis.rx += sign(6) * tilt;
+            linkage.axis.ry -= sign(6) * tilt;
             let positive = linkage.crank.length.min(linkage.lever.length).min(linkage.rod) > 0.0;
             let place = || {
-                let keys = [&table.get_ref().linkage_mm, &table.get_ref().linkage_angles_mrad];
+                let file = table.get_ref();
+                let keys = [
+                    &file.linkage_mm,
+                    &file.linkage_angles_mrad,
+                    &file.crank_axis_mm,
+                    &file.crank_tilts_mrad,
+                ];
                 keys.into_iter().flatten().map(Spanned::span).next().unwrap_or(table.span())
             };
             if !positive {
                 let message = "linkage_mm: a drawn crank, lever or rod can have no length".to_owned();
                 return Err(self.error(place(), message, "less than their lengths"));
             }
-            self.check_closing(&other, place(), "as_built.drawn: with linkage_mm and linkage_angles_mrad")?;
+            self.check_closing(
+                &other,
+                place(),
+                "as_built.drawn: with linkage_mm, linkage_angles_mrad, crank_axis_mm and crank_tilts_mrad",
+            )?;
         }
         Ok(())
     }

@@ -135,6 +135,8 @@ fn errors_of(link_parameters: Vec<(usize, LinkTerm)>) -> AsBuiltDistribution {
         mass: 0.0,
         linkage_length: 0.0,
         linkage_angle: 0.0,
+        crank_axis: 0.0,
+        crank_tilt: 0.0,
         tilt: 0.0,
         target: 0.0,
     }

@@ -6,6 +6,7 @@
 mod a_user_brings_a_robot;
 mod a_user_brings_files;
 mod a_user_brings_full_poses;
+mod a_user_calibrates_a_palletizer;
 mod a_user_calibrates_a_real_robot;
 mod a_user_checks_the_elimination;
 mod a_user_chooses_parameters;

@@ -10,8 +10,8 @@ use calibrig_estimation::elastostatics::{Deflection, ElasticChain};
 use calibrig_model::geometry::Transform;
 use calibrig_model::{
     ActuatorMap, Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, CalibrationModel, Compliance,
-    CraigLink, FourBar, JointKind, KinematicModel, LinkageArm, LinkageLength, LinkageStatics, ParameterId,
-    Section, SegmentLength, StaticProperties,
+    CraigLink, CrankAxis, FourBar, JointKind, KinematicModel, LinkageArm, LinkageStatics, LinkageTerm,
+    ParameterId, Section, SegmentLength, StaticProperties,
 };
 use criterion::{Criterion, criterion_group, criterion_main};
 use nalgebra::{Matrix3, Vector3};
@@ -67,7 +67,7 @@ fn robot() -> CalibrationModel {
     statics.beams[4] = beam(BeamRun::EndsAtOrigin, &[SegmentLength::Extension(1.2)]);
     statics.linkage = Some(LinkageStatics { rod_stiffness: 3e7, rod_mass: 20.0, crank: body(30.0) });
     let arm = LinkageArm { length: 0.35, angle: -1.5, along: 0.1 };
-    let linkage = FourBar { crank: arm, lever: arm, rod: 1.352 };
+    let linkage = FourBar { crank: arm, lever: arm, rod: 1.352, axis: CrankAxis::default() };
     CalibrationModel {
         kinematics: KinematicModel {
             links: links.collect(),
@@ -88,7 +88,7 @@ fn parameters() -> Vec<ParameterId> {
     ids.extend((0..7).map(|joint| ParameterId::Compliance(Compliance::Drive { joint })));
     ids.extend([2, 4].map(|link| ParameterId::Compliance(Compliance::Beam { link })));
     ids.extend((0..7).map(|link| ParameterId::Mass { link }));
-    ids.extend(LinkageLength::ALL.map(ParameterId::Linkage));
+    ids.extend(LinkageTerm::ALL.map(ParameterId::Linkage));
     ids.extend((0..2).map(|axis| ParameterId::Target { target: 0, axis }));
     ids
 }

@@ -3,7 +3,8 @@
 use nalgebra::{DMatrix, DVector, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::{LinkageLength, ModelError};
+use super::{LinkageTerm, ModelError};
+use crate::geometry::{Transform, rotation_x, rotation_y, translation};
 
 /// The map from actuator commands to joint variables (SI, one actuator a joint).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -156,12 +157,13 @@ impl AxisMap {
 /// Below this share of its largest singular value a coupling counts as singular.
 const SINGULAR: f64 = 1e-9;
 
-/// The spatial four-bar that drives the elbow: the crank turns about the shoulder's axis on the waist, the lever is part of the forearm,
-/// and the coupler rod, on spherical joints, keeps their ends at its length.
+/// The spatial four-bar that drives the elbow: the crank turns on the waist about an axis at or next to the shoulder's, the lever is part of
+/// the forearm, and the coupler rod, on spherical joints, keeps their ends at its length.
 ///
-/// The crank's frame is the shoulder's link frame as it would be at the joint variable `psi + offset + theta`, with theta that of the elbow's
-/// link, and without the shoulder's bearing; the lever's frame is the elbow's link frame. So crank and lever are parallel in an exact
-/// parallelogram, and an error of theta is one of the motor's zero, with a four-bar as without.
+/// The crank's frame is the shoulder's link frame as it would be with [the crank's axis](CrankAxis) in place of the shoulder's, at the joint
+/// variable `psi + offset + theta`, with theta that of the elbow's link, and without the shoulder's bearing; the lever's frame is the elbow's
+/// link frame. So crank and lever are parallel in an exact parallelogram, and an error of theta is one of the motor's zero, with a four-bar
+/// as without.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct FourBar {
     /// The end of the crank in its frame.
@@ -170,6 +172,57 @@ pub struct FourBar {
     pub lever: LinkageArm,
     /// Length of the coupler rod, m.
     pub rod: f64,
+    /// About what the crank turns; the shoulder's axis where it is not stated.
+    #[serde(default, skip_serializing_if = "CrankAxis::is_shoulders")]
+    pub axis: CrankAxis,
+}
+
+/// Where the crank's axis is off the shoulder's: in the shoulder's frame at its joint variable zero (z along its axis), first the displacement along
+/// x and y, then the tilt about x and the tilt about y, `Tx(x) · Ty(y) · Rx(rx) · Ry(ry)`. What it is off along or about z is the arm's
+/// [`along`](LinkageArm::along) or the motor's zero.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct CrankAxis {
+    /// m
+    pub x: f64,
+    /// m
+    pub y: f64,
+    /// rad
+    pub rx: f64,
+    /// rad
+    pub ry: f64,
+}
+
+impl CrankAxis {
+    /// From the frame in which the crank turns about z to the shoulder's.
+    pub fn shoulder_from_axis(&self) -> Transform {
+        translation(self.x, self.y, 0.0) * rotation_x(self.rx) * rotation_y(self.ry)
+    }
+
+    /// Whether the crank turns about the shoulder's own axis.
+    pub fn is_shoulders(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+impl FourBar {
+    /// The value of a parameter, m or rad.
+    pub fn term(&self, which: LinkageTerm) -> f64 {
+        let mut copy = *self;
+        *copy.term_mut(which)
+    }
+
+    /// The parameter itself, to change it.
+    pub fn term_mut(&mut self, which: LinkageTerm) -> &mut f64 {
+        match which {
+            LinkageTerm::Crank => &mut self.crank.length,
+            LinkageTerm::Lever => &mut self.lever.length,
+            LinkageTerm::Rod => &mut self.rod,
+            LinkageTerm::AxisX => &mut self.axis.x,
+            LinkageTerm::AxisY => &mut self.axis.y,
+            LinkageTerm::AxisRx => &mut self.axis.rx,
+            LinkageTerm::AxisRy => &mut self.axis.ry,
+        }
+    }
 }
 
 /// A point at `(length cos(angle), length sin(angle), along)` of a frame that turns about z.
@@ -302,14 +355,9 @@ impl ActuatorMap {
         }
     }
 
-    /// A length of the four-bar, m, where it is known.
-    pub fn length(&self, which: LinkageLength) -> Option<f64> {
-        let (_, _, _, linkage) = self.four_bar()?;
-        Some(match which {
-            LinkageLength::Crank => linkage.crank.length,
-            LinkageLength::Lever => linkage.lever.length,
-            LinkageLength::Rod => linkage.rod,
-        })
+    /// A parameter of the four-bar, m or rad, where it is known.
+    pub fn linkage_term(&self, which: LinkageTerm) -> Option<f64> {
+        self.four_bar().map(|(_, _, _, linkage)| linkage.term(which))
     }
 
     /// The command that takes an ideal machine to `joints`.

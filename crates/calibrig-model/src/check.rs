@@ -239,7 +239,9 @@ impl ActuatorMap {
         };
         arm("actuators.linkage.crank", linkage.crank)?;
         arm("actuators.linkage.lever", linkage.lever)?;
-        number("actuators.linkage.rod", None, linkage.rod, |v| v > 0.0 && v.is_finite(), POSITIVE)
+        number("actuators.linkage.rod", None, linkage.rod, |v| v > 0.0 && v.is_finite(), POSITIVE)?;
+        let axis = linkage.axis;
+        finite("actuators.linkage.axis", None, [axis.x, axis.y, axis.rx, axis.ry])
     }
 }
 

@@ -1,6 +1,6 @@
 //! Which parts of a robot yield.
 
-use super::{CalibrationModel, Compliance, JointKind, KinematicModel, LinkageLength, StaticProperties};
+use super::{CalibrationModel, Compliance, JointKind, KinematicModel, LinkageTerm, StaticProperties};
 
 impl CalibrationModel {
     /// Every compliance that yields: joint by joint the drive, the bearing, the beam; at last the rod.
@@ -8,9 +8,9 @@ impl CalibrationModel {
         self.statics.as_ref().map_or_else(Vec::new, |statics| statics.compliances(&self.kinematics))
     }
 
-    /// The lengths of the four-bar, where it is known.
-    pub fn linkage_lengths(&self) -> Vec<LinkageLength> {
-        if self.actuators.four_bar().is_some() { LinkageLength::ALL.to_vec() } else { Vec::new() }
+    /// The parameters of the four-bar, where it is known.
+    pub fn linkage_terms(&self) -> Vec<LinkageTerm> {
+        if self.actuators.four_bar().is_some() { LinkageTerm::ALL.to_vec() } else { Vec::new() }
     }
 }
 

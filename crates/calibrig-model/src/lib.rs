@@ -50,7 +50,7 @@ mod pose;
 mod robot;
 mod terms;
 
-pub use actuators::{ActuatorMap, AxisMap, ElbowDrive, FourBar, LinkageArm};
+pub use actuators::{ActuatorMap, AxisMap, CrankAxis, ElbowDrive, FourBar, LinkageArm};
 pub use beam::BeamError;
 pub use bodies::{
     Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, BodyUncertainty, LinkageStatics, PointLoad,
@@ -58,7 +58,7 @@ pub use bodies::{
 };
 pub use check::ModelError;
 pub use closure::{LEAST_TRANSMISSION_ANGLE, LinkageFault, linkage_fault};
-pub use parameter::{Compliance, LinkTerm, LinkageLength, ParameterId, Unit};
+pub use parameter::{Compliance, LinkTerm, LinkageTerm, ParameterId, Unit};
 pub use payload::{Payload, PayloadError};
 pub use pose::PoseQuery;
 pub use robot::{CalibrationModel, CraigLink, JointKind, KinematicModel};

@@ -80,26 +80,47 @@ pub enum Compliance {
     Rod,
 }
 
-/// A length of the elbow's four-bar.
+/// A parameter of the elbow's four-bar.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-pub enum LinkageLength {
-    /// From the shoulder's axis to the rod.
+pub enum LinkageTerm {
+    /// Length from the crank's axis to the rod.
     Crank,
-    /// From the elbow's axis to the rod.
+    /// Length from the elbow's axis to the rod.
     Lever,
-    /// Of the coupler rod.
+    /// Length of the coupler rod.
     Rod,
+    /// Displacement of the crank's axis along x of the shoulder's frame ([`CrankAxis`](crate::CrankAxis)).
+    AxisX,
+    /// Along y.
+    AxisY,
+    /// Tilt of the crank's axis about x of the shoulder's frame.
+    AxisRx,
+    /// About y.
+    AxisRy,
 }
 
-impl LinkageLength {
-    /// All three.
-    pub const ALL: [Self; 3] = [Self::Crank, Self::Lever, Self::Rod];
+impl LinkageTerm {
+    /// All seven, lengths first.
+    pub const ALL: [Self; 7] =
+        [Self::Crank, Self::Lever, Self::Rod, Self::AxisX, Self::AxisY, Self::AxisRx, Self::AxisRy];
+
+    /// Whether the parameter is a length (m) or an angle (rad).
+    pub fn unit(self) -> Unit {
+        match self {
+            Self::Crank | Self::Lever | Self::Rod | Self::AxisX | Self::AxisY => Unit::Metre,
+            Self::AxisRx | Self::AxisRy => Unit::Radian,
+        }
+    }
 
     fn name(self) -> &'static str {
         match self {
             Self::Crank => "crank",
             Self::Lever => "lever",
             Self::Rod => "rod",
+            Self::AxisX => "axis_x",
+            Self::AxisY => "axis_y",
+            Self::AxisRx => "axis_rx",
+            Self::AxisRy => "axis_ry",
         }
     }
 }
@@ -149,8 +170,8 @@ pub enum ParameterId {
         /// 0..3 for x, y, z
         axis: usize,
     },
-    /// Deviation of a length of the four-bar.
-    Linkage(LinkageLength),
+    /// Deviation of a parameter of the four-bar.
+    Linkage(LinkageTerm),
     /// Amplitude of a correction that depends on the pose, its approach or its time.
     Term(TermId),
     /// Error of the measuring instrument that all its readings share.
@@ -184,12 +205,11 @@ impl ParameterId {
         match self {
             Self::Link { term, .. } => term.unit(),
             Self::Frame { component, .. } | Self::Drift { component, .. } if component >= 3 => Unit::Radian,
-            Self::Frame { .. }
-            | Self::Drift { .. }
-            | Self::Target { .. }
-            | Self::Centre { .. }
-            | Self::Linkage(_) => Unit::Metre,
+            Self::Frame { .. } | Self::Drift { .. } | Self::Target { .. } | Self::Centre { .. } => {
+                Unit::Metre
+            }
             Self::Orientation { .. } => Unit::Radian,
+            Self::Linkage(term) => term.unit(),
             Self::Compliance(_) | Self::Mass { .. } => Unit::One,
             Self::Term(term) => term.unit(),
             Self::Instrument { term, .. } => term.unit(),
@@ -253,7 +273,7 @@ impl ParameterId {
             return number(rest).map(|link| Self::Mass { link });
         }
         if let Some(rest) = name.strip_prefix("linkage_") {
-            return LinkageLength::ALL.into_iter().find(|l| l.name() == rest).map(Self::Linkage);
+            return LinkageTerm::ALL.into_iter().find(|term| term.name() == rest).map(Self::Linkage);
         }
         let (group, component) = name.split_once('_')?;
         if let Some(index) = group.strip_prefix("tracker") {
@@ -362,7 +382,7 @@ impl fmt::Display for ParameterId {
             Self::Compliance(Compliance::Rod) => "compliance_rod".to_owned(),
             Self::Mass { link } => format!("mass{}", link.saturating_add(1)),
             Self::Centre { link, axis } => format!("centre{}_{}", link.saturating_add(1), frame_name(axis)),
-            Self::Linkage(length) => format!("linkage_{}", length.name()),
+            Self::Linkage(term) => format!("linkage_{}", term.name()),
             Self::Term(term) => term.to_string(),
             Self::Instrument { instrument, term } => format!("tracker{}_{term}", counted(instrument)),
         };
@@ -392,7 +412,7 @@ mod tests {
             ParameterId::Centre { link: 0, axis: 0 },
             ParameterId::Centre { link: 11, axis: 2 },
         ]);
-        all.extend(LinkageLength::ALL.map(ParameterId::Linkage));
+        all.extend(LinkageTerm::ALL.map(ParameterId::Linkage));
         all.extend(ParameterId::all_of_instrument(0));
         all.extend(ParameterId::all_of_instrument(1));
         all.extend(ParameterId::all_of_drift(0));

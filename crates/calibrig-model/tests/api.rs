@@ -163,6 +163,6 @@ proptest! {
             }
             let _ = TermId::all_of(family.key(), &broken);
         }
-        let _ = (broken.compliances(), broken.linkage_lengths(), broken.kinematics.characteristic_length());
+        let _ = (broken.compliances(), broken.linkage_terms(), broken.kinematics.characteristic_length());
     }
 }

@@ -167,6 +167,21 @@ impl Chain {
         multibody_of(multibody_joints, self.multibody).forward_kinematics(bodies, false);
     }
 
+    /// Sets the forces of hoses: node, point in the base frame (m) and force (N).
+    pub(super) fn pull(&mut self, pulls: impl Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)> + Clone) {
+        for (node, ..) in pulls.clone() {
+            let body = &mut self.world.bodies[self.bodies[node]];
+            body.reset_forces(false);
+            body.reset_torques(false);
+        }
+        for (node, at, force) in pulls {
+            let (_, centre) = self.mass(node);
+            let body = &mut self.world.bodies[self.bodies[node]];
+            body.add_force(vector(&force), false);
+            body.add_torque(vector(&(at - centre).cross(&force)), false);
+        }
+    }
+
     /// One step of rapier from rest. Without velocities there is no memory of the way here, and no Coriolis term.
     pub(super) fn step_from_rest(&mut self) {
         self.multibody_mut().generalized_velocity_mut().fill(0.0);

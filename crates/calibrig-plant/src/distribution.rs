@@ -47,6 +47,10 @@ pub struct AsBuiltDistribution {
     pub linkage_length: f64,
     /// Of the angles of crank and lever, rad.
     pub linkage_angle: f64,
+    /// Of the crank's axis along x and y of the shoulder's frame, m.
+    pub crank_axis: f64,
+    /// Of its tilts, rad.
+    pub crank_tilt: f64,
     /// Of the base about each of its axes, rad.
     pub tilt: f64,
     /// Of the target's offset along each axis, m.
@@ -97,6 +101,14 @@ impl AsBuiltDistribution {
         let turn = vector(self.tilt);
         machine.tilt(&turn);
         machine.target += vector(self.target);
+        // Drawn last: machines of older scenarios stay as they were.
+        let axis: [f64; 4] = std::array::from_fn(|_| self.spread.draw(rng));
+        if let Some(linkage) = machine.linkage_mut() {
+            linkage.axis.x += self.crank_axis * axis[0];
+            linkage.axis.y += self.crank_axis * axis[1];
+            linkage.axis.rx += self.crank_tilt * axis[2];
+            linkage.axis.ry += self.crank_tilt * axis[3];
+        }
         machine
     }
 
@@ -115,7 +127,7 @@ impl AsBuiltDistribution {
         let lengths: [f64; 3] = std::array::from_fn(|_| self.linkage_length * self.spread.draw(rng));
         let angles: [f64; 2] = std::array::from_fn(|_| self.linkage_angle * self.spread.draw(rng));
         let Some(linkage) = machine.linkage_mut() else { return };
-        let FourBar { crank, lever, rod } = linkage;
+        let FourBar { crank, lever, rod, .. } = linkage;
         for (value, deviation) in [&mut crank.length, &mut lever.length, rod].into_iter().zip(lengths) {
             *value += deviation;
         }

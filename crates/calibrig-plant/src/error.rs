@@ -150,6 +150,9 @@ pub enum PlantError {
         /// Its value.
         value: f64,
     },
+    /// A floor or a hose that cannot be.
+    #[error(transparent)]
+    Effect(#[from] EffectError),
     /// The pose did not come to rest.
     #[error(
         "not at rest after {steps} steps: the target still moves {tip_motion:.1e} m a step and the forces left over would move \

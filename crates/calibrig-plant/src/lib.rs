@@ -113,7 +113,7 @@ pub struct SettledPose {
     pub deflection: Vec<f64>,
     /// Deflection of all that yields beside the drives, in the order of the chain, then the rod.
     pub elastic: Vec<ElasticDeflection>,
-    /// Shoulder, crank end, lever end and elbow of the four-bar in the base frame, m.
+    /// Origin of the crank's frame (at the shoulder), crank end, lever end and elbow of the four-bar in the base frame, m.
     pub linkage: Option<[Vector3<f64>; 4]>,
     /// Tension of the four-bar's rod, N.
     pub rod_force: Option<f64>,
@@ -142,6 +142,8 @@ pub enum ElasticPlace {
     },
     /// The rod of the four-bar.
     Rod,
+    /// The floor under the base.
+    Foundation,
 }
 
 /// The deflection of one elementary spring.

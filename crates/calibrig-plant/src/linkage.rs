@@ -28,8 +28,8 @@ pub(super) fn close(robot: &AsBuilt, joints: &[f64], closure: &Loop) -> Result<C
         .fold(rotation_z(joints[shoulder]), |arm, link| arm * links[link].transform(joints[link]));
     let shoulder_from_elbow: Transform = upper_arm * links[elbow].fixed_part();
     let crank_angle = joints[shoulder] + joints[elbow] + links[elbow].theta;
-    let crank_in_elbow =
-        shoulder_from_elbow.inverse_transform_point(&Point3::from(rotation_z(crank_angle) * crank));
+    let shoulder_from_crank = closure.linkage.axis.shoulder_from_axis() * rotation_z(crank_angle);
+    let crank_in_elbow = shoulder_from_elbow.inverse() * (shoulder_from_crank * Point3::from(crank));
 
     // The lever's end is on a circle about the elbow's axis, where the distance to the crank's end is the rod's length.
     let c = crank_in_elbow.coords;
@@ -47,7 +47,7 @@ pub(super) fn close(robot: &AsBuilt, joints: &[f64], closure: &Loop) -> Result<C
     let lever_in_shoulder = shoulder_from_elbow * Point3::from(rotation_z(elbow) * lever);
     let lever_motion = Vector3::new(-lever.y, lever.x, 0.0);
     check_transmission(&(rotation_z(elbow) * lever - c), &(rotation_z(elbow) * lever_motion))?;
-    let rod_in_crank = rotation_z(crank_angle).rotation.inverse() * lever_in_shoulder.coords - crank;
+    let rod_in_crank = shoulder_from_crank.inverse_transform_point(&lever_in_shoulder).coords - crank;
     let rod = rod_in_crank / rod_in_crank.norm();
     Ok(Closed { elbow, rod: [rod.y.atan2(rod.x), -rod.z.clamp(-1.0, 1.0).asin()] })
 }

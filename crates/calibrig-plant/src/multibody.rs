@@ -12,10 +12,10 @@ use super::{AsBuilt, ElasticDeflection, PlantError, SettledPose};
 use calibrig_model::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
 use calibrig_model::{BeamSegment, Payload, SegmentLength};
 
-/// Newton steps that look for a start; a few of the size of the deflections bring it to the last digits.
-const PREDICTIONS: u32 = 8;
-/// A predicted step so small (rad or m) that the next start is at rest.
-const PREDICTED: f64 = 1e-6;
+/// Steps of Newton's method at most; a few of the size of the deflections bring it to the last digits.
+const MOST_NEWTON_STEPS: u32 = 12;
+/// A step of Newton's method so small (rad or m) that behind it nothing is left but rounding.
+const CONVERGED: f64 = 1e-9;
 /// A step so small (rad or m) that the tangent stiffness stays as it is.
 const SAME_TANGENT: f64 = 1e-3;
 /// A step so large (rad or m) that the tangent says nothing about its end.
@@ -29,6 +29,8 @@ pub struct SettleOptions {
     /// A step starts at rest and moves the joints by `(K + M/dt²)⁻¹` times the force left over, K the stiffness of the springs and
     /// M the mass matrix: long steps solve the statics alone. Drives so soft that long steps overshoot settle with shorter ones.
     pub dt: f64,
+    /// Whether a step of rapier confirms every pose. It changes no bit of a pose and takes more than half of the time.
+    pub confirm: bool,
     /// Steps before the pose is given up.
     pub max_steps: u32,
     /// Largest motion of the target in the last step, m.
@@ -43,6 +45,7 @@ impl Default for SettleOptions {
     fn default() -> Self {
         Self {
             dt: 100.0,
+            confirm: true,
             max_steps: 100,
             tip_tolerance: 1e-9,
             residual_tolerance: 1e-10,
@@ -80,8 +83,8 @@ pub struct Plant {
     displaced: bool,
     /// Whether the tree depends on the pose.
     varies: bool,
-    /// At most so many predicted steps.
-    pub(super) predictions: u32,
+    /// At most so many steps of Newton's method.
+    pub(super) newton_steps: u32,
 }
 
 impl Plant {
@@ -107,7 +110,7 @@ impl Plant {
             left_over: DVector::zeros(coordinates),
             displaced: false,
             varies: tree.varies(),
-            predictions: PREDICTIONS,
+            newton_steps: MOST_NEWTON_STEPS,
             tree,
             robot: robot.clone(),
             payload: None,
@@ -195,35 +198,55 @@ impl Plant {
         Ok(())
     }
 
-    /// Steps, from the predicted pose, until nothing moves any more.
+    /// The pose that Newton's method finds, confirmed by a step of rapier; where it finds none, or the step leaves it, steps of rapier until
+    /// nothing moves any more.
     fn relax(&mut self) -> Result<SettledPose, PlantError> {
-        let is_stable = self.predict()?;
-        self.chain.place(&self.start);
+        let is_stable = self.newton()?;
+        let mut found = None;
+        if is_stable && self.is_at_rest() {
+            self.check_settled(is_stable, 0)?;
+            let pose = self.settled_pose(0);
+            if !self.options.confirm {
+                return Ok(pose);
+            }
+            found = Some(pose);
+        }
         let mut tip = self.tip();
-        let (mut steps, mut tip_motion, mut residual) = (0, f64::INFINITY, f64::INFINITY);
-        let mut closure = f64::INFINITY;
-        self.measure_deflections();
+        let (mut steps, mut tip_motion) = (0, f64::INFINITY);
         while steps < self.options.max_steps && tip.is_finite() {
             for (coordinate, stiffness, rest) in self.statics.tangent_springs(&self.deflection) {
                 self.chain.set_spring(coordinate, stiffness, self.rest[coordinate] + rest);
             }
+            self.chain.pull(self.statics.pulls());
             self.chain.step_from_rest();
             steps += 1;
             let before = std::mem::replace(&mut tip, self.tip());
             tip_motion = tip.distance(before);
             self.evaluate();
-            residual = self.statics.residual(&self.deflection);
-            closure = self.statics.closure().map_or(0.0, |closure| closure.gap().norm());
-            if tip_motion <= self.options.tip_tolerance
-                && residual <= self.options.residual_tolerance
-                && closure <= self.options.closure_tolerance
-            {
+            if tip_motion <= self.options.tip_tolerance && self.is_at_rest() {
+                if let Some(pose) = found.take_if(|_| steps == 1) {
+                    return Ok(SettledPose { steps, ..pose });
+                }
                 self.check_settled(is_stable, steps)?;
-                return Ok(self.settled_pose(residual, closure, steps));
+                return Ok(self.settled_pose(steps));
             }
         }
         self.check_stability(steps)?;
+        let (residual, closure) = (self.residual(), self.gap());
         Err(PlantError::NotSettled { steps, tip_motion, residual, closure })
+    }
+
+    fn residual(&self) -> f64 {
+        self.statics.residual(&self.deflection)
+    }
+
+    fn gap(&self) -> f64 {
+        self.statics.closure().map_or(0.0, |closure| closure.gap().norm())
+    }
+
+    /// Whether no force is left over, and the loop is closed.
+    fn is_at_rest(&self) -> bool {
+        self.residual() <= self.options.residual_tolerance && self.gap() <= self.options.closure_tolerance
     }
 
     /// The target in the base frame.
@@ -246,20 +269,20 @@ impl Plant {
         self.statics.stiffen(&self.deflection)
     }
 
-    /// Looks for the pose at rest by Newton's method, to start there; from the unloaded pose where that fails. Returns whether the
-    /// tangent stiffness was found positive definite next to the start; where it is not even in the unloaded pose, the loads overpower
-    /// the springs.
-    fn predict(&mut self) -> Result<bool, PlantError> {
+    /// Places the chain where Newton's method on its own Jacobians finds the pose at rest; in the unloaded pose where it finds none. Returns
+    /// whether it found one, with a tangent stiffness next to it that is positive definite; where it is not even in the unloaded pose, the
+    /// loads overpower the springs.
+    fn newton(&mut self) -> Result<bool, PlantError> {
         self.start.copy_from_slice(&self.rest);
+        self.chain.place(&self.start);
+        let mut stiffened = self.evaluate();
         let mut tangent: Option<Cholesky<f64, Dyn>> = None;
         let mut last = f64::INFINITY;
-        for prediction in 0..self.predictions {
-            self.chain.place(&self.start);
-            let stiffened = self.evaluate();
+        for iteration in 0..self.newton_steps {
             self.statics.left_over(&self.deflection, &mut self.left_over);
             if last > SAME_TANGENT || stiffened {
                 tangent = Cholesky::new(self.statics.tangent());
-                if tangent.is_none() && prediction == 0 {
+                if tangent.is_none() && iteration == 0 {
                     self.check_stability(0)?;
                 }
             }
@@ -268,12 +291,16 @@ impl Plant {
             for (start, step) in self.start.iter_mut().zip(step.iter()) {
                 *start += step;
             }
+            self.chain.place(&self.start);
+            stiffened = self.evaluate();
             last = step.amax();
-            if last < PREDICTED {
+            if last < CONVERGED {
                 return Ok(true);
             }
         }
         self.start.copy_from_slice(&self.rest);
+        self.chain.place(&self.start);
+        self.evaluate();
         Ok(false)
     }
 
@@ -306,7 +333,7 @@ impl Plant {
         yaw.map_or_else(Vector3::zeros, |yaw| point(&self.chain.pose(yaw).translation))
     }
 
-    fn settled_pose(&self, residual: f64, closure: f64, steps: u32) -> SettledPose {
+    fn settled_pose(&self, steps: u32) -> SettledPose {
         let tip = self.tip();
         let mut deflection = vec![0.0; self.commanded.len()];
         let mut elastic = Vec::with_capacity(self.roles.len());
@@ -328,13 +355,13 @@ impl Plant {
             elastic,
             linkage: self.linkage(),
             rod_force: self.rod_force(),
-            residual,
-            closure,
+            residual: self.residual(),
+            closure: self.gap(),
             steps,
         }
     }
 
-    /// Shoulder, crank end, lever end and elbow, in the base frame.
+    /// Crank's frame, crank end, lever end and elbow, in the base frame.
     fn linkage(&self) -> Option<[Vector3<f64>; 4]> {
         let tree = self.tree.closure.as_ref()?;
         let origin = |node: usize| point(&self.chain.pose(node).translation);

@@ -9,7 +9,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix3, Matrix3xX, Vector3};
 use super::AsBuilt;
 use super::chain::{Chain, point, vector};
 use super::effects::StiffnessCurve;
-use super::tree::{Coordinate, Role, Tree};
+use super::tree::{Coordinate, Pull, Role, Tree};
 
 /// Of the loop in [`Statics::tangent`], N/m: so stiff that only motion that keeps it closed can be unstable, so soft that the springs
 /// beside it keep their digits.
@@ -24,6 +24,25 @@ struct Branches {
     /// Of every coordinate, those in front of it that turn what follows.
     turning: Vec<Vec<usize>>,
     loop_ends: Option<LoopEnds>,
+    hoses: Vec<HoseEnds>,
+}
+
+struct HoseEnds {
+    pull: Pull,
+    /// Of every coordinate, whether it carries either end.
+    carries: Vec<(bool, bool)>,
+}
+
+/// A hose in the present pose.
+struct Stretched {
+    /// Its ends in the base frame, m.
+    ends: [Vector3<f64>; 2],
+    /// On its second end, N; its opposite acts on the first.
+    force: Vector3<f64>,
+    /// Change of that force per displacement of the second end against the first, N/m.
+    stiffness: Matrix3<f64>,
+    /// How the coordinates move the second end against the first, 3 x n.
+    jacobian: Matrix3xX<f64>,
 }
 
 struct LoopEnds {
@@ -71,6 +90,7 @@ pub(super) struct Statics {
     /// Generalised force of weights, constant forces and the loop's reaction.
     load: DVector<f64>,
     closure: Option<Closure>,
+    hoses: Vec<Stretched>,
 }
 
 impl Statics {
@@ -98,7 +118,15 @@ impl Statics {
                 jacobian: Matrix3xX::zeros(count),
                 reaction: Vector3::zeros(),
             }),
+            hoses: Vec::new(),
         };
+        let still = || Stretched {
+            ends: [Vector3::zeros(); 2],
+            force: Vector3::zeros(),
+            stiffness: Matrix3::zeros(),
+            jacobian: Matrix3xX::zeros(count),
+        };
+        statics.hoses = tree.hoses.iter().map(|_| still()).collect();
         statics.restiffen(tree);
         statics
     }
@@ -149,26 +177,52 @@ impl Statics {
         for (node, force) in &self.branches.forces {
             act(&mut self.carried[*node], &point(&chain.pose(*node).translation), force);
         }
+        self.stretch(chain);
         self.collect();
         self.load_coordinates();
         if let (Some(closure), Some(ends)) = (&mut self.closure, &self.branches.loop_ends) {
             let at = |(node, p): (usize, Vector3<f64>)| point(&chain.pose(node).transform_point(vector(&p)));
             (closure.tip, closure.lever) = (at(ends.tip), at(ends.lever));
-            for (coordinate, (velocity, rotation)) in self.twists.iter().enumerate() {
-                let (carries_tip, carries_lever) = ends.carries[coordinate];
-                let mut column = Vector3::zeros();
-                if carries_lever {
-                    column += velocity + rotation.cross(&closure.lever);
-                }
-                if carries_tip {
-                    column -= velocity + rotation.cross(&closure.tip);
-                }
-                closure.jacobian.set_column(coordinate, &column);
-            }
+            let between = [closure.tip, closure.lever];
+            set_relative(&mut closure.jacobian, &self.twists, &ends.carries, &between);
             closure.reaction = holding(&closure.jacobian, &self.load, &ends.passive);
             self.load += closure.jacobian.tr_mul(&closure.reaction);
             self.carry_reaction();
         }
+    }
+
+    /// Pulls the hoses.
+    fn stretch(&mut self, chain: &Chain) {
+        for (hose, HoseEnds { pull, carries }) in self.hoses.iter_mut().zip(&self.branches.hoses) {
+            hose.ends = pull.ends.map(|(node, at)| match node {
+                Some(node) => point(&chain.pose(node).transform_point(vector(&at))),
+                None => at,
+            });
+            set_relative(&mut hose.jacobian, &self.twists, carries, &hose.ends);
+            let between = hose.ends[1] - hose.ends[0];
+            let length = between.norm();
+            let along = between / length;
+            let (tension, stiffness) = pull.hose.tension(length);
+            hose.force = -tension * along;
+            let lengthwise = along * along.transpose();
+            hose.stiffness =
+                -stiffness * lengthwise - (Matrix3::identity() - lengthwise) * (tension / length);
+            for ((node, _), (at, force)) in
+                pull.ends.iter().zip([(hose.ends[0], -hose.force), (hose.ends[1], hose.force)])
+            {
+                if let Some(node) = *node {
+                    act(&mut self.carried[node], &at, &force);
+                }
+            }
+        }
+    }
+
+    /// Where the hoses pull: node, point in the base frame (m) and force (N).
+    pub(super) fn pulls(&self) -> impl Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)> + Clone + '_ {
+        self.hoses.iter().zip(&self.branches.hoses).flat_map(|(hose, HoseEnds { pull, .. })| {
+            let forces = [-hose.force, hose.force];
+            (0..2).filter_map(move |end| Some((pull.ends[end].0?, hose.ends[end], forces[end])))
+        })
     }
 
     /// Adds up what every node carries, from the tips to the base.
@@ -262,6 +316,10 @@ impl Statics {
             }
             tangent[(j, j)] += self.stiffness[j];
         }
+        for hose in &self.hoses {
+            let jacobian = self.movable(&hose.jacobian);
+            tangent.gemm_tr(-1.0, &jacobian, &(hose.stiffness * &jacobian), 1.0);
+        }
         if let Some(closure) = &self.closure {
             let jacobian = self.movable(&closure.jacobian);
             tangent.gemm_tr(LOOP_STIFFNESS, &jacobian, &jacobian, 1.0);
@@ -315,6 +373,26 @@ impl Statics {
     }
 }
 
+/// How the coordinates move the second of two points against the first, by which of them they carry.
+fn set_relative(
+    jacobian: &mut Matrix3xX<f64>,
+    twists: &[(Vector3<f64>, Vector3<f64>)],
+    carries: &[(bool, bool)],
+    points: &[Vector3<f64>; 2],
+) {
+    for (coordinate, (velocity, rotation)) in twists.iter().enumerate() {
+        let (carries_first, carries_second) = carries[coordinate];
+        let mut column = Vector3::zeros();
+        if carries_second {
+            column += velocity + rotation.cross(&points[1]);
+        }
+        if carries_first {
+            column -= velocity + rotation.cross(&points[0]);
+        }
+        jacobian.set_column(coordinate, &column);
+    }
+}
+
 fn act(carried: &mut (Vector3<f64>, Matrix3<f64>), at: &Vector3<f64>, force: &Vector3<f64>) {
     carried.0 += force;
     carried.1 += at * force.transpose();
@@ -358,6 +436,14 @@ impl Branches {
                 .collect(),
             passive: (0..nodes.len()).filter(|&i| coordinates[i].1.stiffness == 0.0).collect(),
         });
-        Self { parents, forces: tree.forces.clone(), gravity: *gravity, nodes, turning, loop_ends }
+        let hose_ends = |pull: &Pull| {
+            let [first, second] = pull.ends.map(|(node, _)| node);
+            let carried = |end: Option<usize>, by: usize| end.is_some_and(|end| is_carried(end, by));
+            let carries = nodes.iter().map(|&node| (carried(first, node), carried(second, node))).collect();
+            HoseEnds { pull: pull.clone(), carries }
+        };
+        let hoses = tree.hoses.iter().map(hose_ends).collect();
+        let forces = tree.forces.clone();
+        Self { parents, forces, gravity: *gravity, nodes, turning, loop_ends, hoses }
     }
 }

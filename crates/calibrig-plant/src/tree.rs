@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3, Translation3, Vector3};
 
+use super::effects::{Foundation, Hose};
 use super::{AsBuilt, ElasticPlace};
 use calibrig_model::geometry::{Transform, translation};
 use calibrig_model::{
@@ -106,7 +107,16 @@ pub(super) struct Tree {
     pub(super) motions: Vec<usize>,
     /// Constant forces at the origins of nodes, N.
     pub(super) forces: Vec<(usize, Vector3<f64>)>,
+    pub(super) hoses: Vec<Pull>,
     pub(super) closure: Option<Loop>,
+}
+
+/// A hose between points of two nodes.
+#[derive(Debug, Clone)]
+pub(super) struct Pull {
+    /// Node (the ground where absent) and point in its frame.
+    pub(super) ends: [(Option<usize>, Vector3<f64>); 2],
+    pub(super) hose: Hose,
 }
 
 impl Tree {
@@ -114,7 +124,12 @@ impl Tree {
     pub(super) fn new(robot: &AsBuilt, commanded: &[f64]) -> Self {
         let mut builder = Builder { robot, nodes: Vec::new(), varies: false };
         let (mut links, mut motions) = (Vec::new(), Vec::new());
-        let mut mount = Mount { node: None, from_node: robot.kinematics.base_from_first };
+        let mut mount = Mount { node: None, from_node: Transform::identity() };
+        if let Some(foundation) = &robot.effects.foundation {
+            let Foundation { at, stiffness, .. } = foundation;
+            mount = builder.group(mount, stiffness, *at, ElasticPlace::Foundation);
+        }
+        mount.from_node *= robot.kinematics.base_from_first;
         let mut crank_mount = None;
         let four_bar = robot.actuators.four_bar();
         for (joint, q) in commanded.iter().enumerate() {
@@ -130,7 +145,12 @@ impl Tree {
             builder.four_bar(mount, shoulder, elbow, linkage, links[elbow])
         });
         let forces = builder.loads(&links);
-        Self { nodes: builder.nodes, links, motions, forces, closure }
+        let hoses = robot.effects.hoses.iter().flat_map(|hoses| &hoses.hoses).map(|hose| Pull {
+            ends: hose.ends.map(|end| (end.link.map(|link| links[link]), end.at)),
+            hose: hose.clone(),
+        });
+        let hoses = hoses.collect();
+        Self { nodes: builder.nodes, links, motions, forces, hoses, closure }
     }
 
     /// Whether the tree depends on the joint variables that it is built at.
@@ -182,10 +202,16 @@ impl Builder<'_> {
     fn link(&mut self, joint: usize, q: f64, mut mount: Mount) -> (Mount, usize, usize) {
         let (link, statics) = (&self.robot.kinematics.links[joint], &self.robot.statics);
         let beam = statics.beams[joint].as_ref();
-        self.varies = false;
         mount.from_node *= link.fixed_part();
         let bearing = &statics.bearings[joint];
         let mut stiffness = bearing.stiffness;
+        let foundation = self.robot.effects.foundation.as_ref();
+        let rail =
+            foundation.and_then(|foundation| foundation.rail.as_ref()).filter(|rail| rail.joint == joint);
+        if let Some(rail) = rail {
+            rail.carry(q, &mut stiffness);
+        }
+        self.varies = rail.is_some();
         stiffness[axis(link.kind)] = f64::INFINITY;
         let at = Vector3::new(0.0, 0.0, bearing.at);
         let place = ElasticPlace::Bearing { joint };
@@ -194,7 +220,7 @@ impl Builder<'_> {
         }
         let front = mount;
 
-        self.varies = beam.is_some_and(|beam| {
+        self.varies |= beam.is_some_and(|beam| {
             beam.segments.iter().any(|segment| segment.length.at(0.0) != segment.length.at(1.0))
         });
         let driven_by_crank = self.robot.actuators.four_bar().is_some_and(|(_, elbow, ..)| elbow == joint);
@@ -279,7 +305,7 @@ impl Builder<'_> {
 
     fn four_bar(
         &mut self,
-        mount: Mount,
+        mut mount: Mount,
         shoulder: usize,
         elbow: usize,
         linkage: &FourBar,
@@ -288,6 +314,7 @@ impl Builder<'_> {
         self.varies = false;
         let statics = &self.robot.statics;
         let stiffness = statics.drive_stiffness[elbow];
+        mount.from_node *= linkage.axis.shoulder_from_axis();
         let crank = self.push(mount, vec![Coordinate { axis: 5, stiffness, role: Role::Drive(elbow) }]);
         let (crank_end, lever_at) = (linkage.crank.end(), linkage.lever.end());
         let mut rod_stiffness = f64::INFINITY;

@@ -41,6 +41,7 @@ pub(super) fn check_robot(robot: &AsBuilt) -> Result<(), PlantError> {
     check_beams(&robot.statics)?;
     check_linkage(robot)?;
     check_loads(&robot.statics, joints)?;
+    robot.effects.check_statics(joints)?;
     check_finite("gravity", None, robot.statics.gravity.as_slice())?;
     check_finite("target", None, robot.target.as_slice())
 }
@@ -178,7 +179,7 @@ fn check_beams(statics: &StaticProperties) -> Result<(), PlantError> {
 }
 
 fn check_linkage(robot: &AsBuilt) -> Result<(), PlantError> {
-    let Some((_, elbow, _, FourBar { crank, lever, rod })) = robot.actuators.four_bar() else {
+    let Some((_, elbow, _, FourBar { crank, lever, rod, axis })) = robot.actuators.four_bar() else {
         return Ok(());
     };
     for (field, value) in [
@@ -192,6 +193,7 @@ fn check_linkage(robot: &AsBuilt) -> Result<(), PlantError> {
     for LinkageArm { angle, along, .. } in [crank, lever] {
         check_finite("place of a four-bar's end", Some(elbow), &[*angle, *along])?;
     }
+    check_finite("place or tilt of the crank's axis", Some(elbow), &[axis.x, axis.y, axis.rx, axis.ry])?;
     let Some(statics) = &robot.statics.linkage else { return Ok(()) };
     check_positive(elbow, "the rod's stiffness", &[statics.rod_stiffness])?;
     check_finite("mass of the rod", Some(elbow), &[statics.rod_mass])?;

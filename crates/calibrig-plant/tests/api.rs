@@ -7,7 +7,7 @@ use calibrig_model::measurement::{Face, InstrumentTerm};
 use calibrig_model::nalgebra::{Matrix3, Vector3};
 use calibrig_model::random::{Source, stream};
 use calibrig_model::{
-    ActuatorMap, Body, CraigLink, FourBar, KinematicModel, LinkageArm, LinkageStatics, PointLoad,
+    ActuatorMap, Body, CraigLink, CrankAxis, FourBar, KinematicModel, LinkageArm, LinkageStatics, PointLoad,
     StaticProperties,
 };
 use calibrig_plant::effects::Effects;
@@ -39,7 +39,7 @@ fn machine() -> impl Strategy<Value = AsBuilt> {
                 *link = CraigLink::revolute("").row(0.8, 0.0, 0.0, 0.0);
             }
             let arm = LinkageArm { length: 0.3, angle: 0.4, along: 0.0 };
-            let linkage = Some(FourBar { crank: arm, lever: arm, rod: 0.8 });
+            let linkage = Some(FourBar { crank: arm, lever: arm, rod: 0.8, axis: CrankAxis::default() });
             actuators = ActuatorMap::Parallelogram { shoulder: 1, elbow: 2, offset: 1.2, linkage };
         }
         let gravity = Vector3::new(0.0, -9.80665, 0.0);
@@ -159,6 +159,8 @@ fn distribution() -> AsBuiltDistribution {
         mass: 0.1,
         linkage_length: 1e-3,
         linkage_angle: 1e-3,
+        crank_axis: 1e-3,
+        crank_tilt: 1e-3,
         tilt: 1e-3,
         target: 1e-4,
     }

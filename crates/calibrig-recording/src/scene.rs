@@ -219,6 +219,7 @@ fn linkage(model: &CalibrationModel, command: &[f64], links: &[Transform]) -> Op
     let rows = &model.kinematics.links;
     let crank = waist
         * rows.get(shoulder)?.fixed_part()
+        * four_bar.axis.shoulder_from_axis()
         * rotation_z(positions.get(elbow)? + offset + rows.get(elbow)?.theta);
     let lever = links.get(elbow)?;
     Some([

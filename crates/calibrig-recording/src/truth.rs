@@ -56,6 +56,7 @@ fn elastic_name(elastic: &ElasticDeflection) -> String {
         ElasticPlace::Bearing { joint } => format!("bearing{}_{axis}", joint + 1),
         ElasticPlace::Beam { link, segment } => format!("beam{}_{}_{axis}", link + 1, segment + 1),
         ElasticPlace::Rod => "rod".to_owned(),
+        ElasticPlace::Foundation => format!("foundation_{axis}"),
     }
 }
 

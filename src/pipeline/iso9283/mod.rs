@@ -11,6 +11,7 @@ use thiserror::Error;
 
 use self::reach::Reach;
 use super::machine::AnalyticMachine;
+use super::simulate::settle_options;
 use super::{
     InputSummary, PipelineError, PlantKind, SetKind, SetOutcome, calibrate, input_of, measure_session,
     without_drift,
@@ -29,9 +30,9 @@ use calibrig_estimation::identification::{
 use calibrig_model::geometry::{Transform, cross_matrix, rotation_vector};
 use calibrig_model::measurement::{MeasurementSet, Reading, RegistrationError, register};
 use calibrig_model::{CalibrationModel, ModelError};
+use calibrig_plant::Plant;
 use calibrig_plant::session::{CycleError, CycleMeasurements, SessionEvent};
 use calibrig_plant::tracker::TrackerError;
-use calibrig_plant::{Plant, SettleOptions};
 
 /// What is asked of a test on the simulated machine.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -335,11 +336,11 @@ pub(crate) fn measure_cycles(
     match plant {
         PlantKind::Rapier => {
             let mut machine =
-                Plant::new(&scenario.as_built, SettleOptions::default()).map_err(PipelineError::from)?;
+                Plant::new(&scenario.as_built, settle_options(trial)).map_err(PipelineError::from)?;
             session.measure_cycles(&mut machine, at, poses, cycles, progress).map_err(failed)
         }
         PlantKind::Analytic => {
-            let mut machine = AnalyticMachine::new(&scenario.as_built).map_err(PipelineError::from)?;
+            let mut machine = AnalyticMachine::new(&scenario.as_built)?;
             session.measure_cycles(&mut machine, at, poses, cycles, progress).map_err(failed)
         }
     }

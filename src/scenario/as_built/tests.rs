@@ -6,7 +6,7 @@ use super::*;
 use crate::pipeline::{PlantKind, simulate};
 use crate::scenario::{Scenario, parse_scenario};
 use calibrig_files::load_robot;
-use calibrig_model::{Beam, Compliance};
+use calibrig_model::{Beam, Compliance, CrankAxis};
 
 /// What stands for the shipped scenario's `[as_built]`.
 const SHOULDER: &str = "[[as_built.joint]]\njoint = \"shoulder\"\nmass_factor = 1.02\n";
@@ -65,6 +65,7 @@ fn linkage_base_target_and_loads_deviate_in_their_units() {
     let changed = machine(
         "[as_built.linkage]\ndelta_crank_mm = 0.5\ndelta_lever_mm = -0.25\ndelta_rod_mm = 1\ndelta_crank_angle_mrad = 2\n\
          delta_lever_angle_mrad = -1\nrod_stiffness_factor = 0.5\n\
+         delta_axis_x_mm = 0.1\ndelta_axis_y_mm = -0.2\ndelta_axis_tilt_x_mrad = 0.3\ndelta_axis_tilt_y_mrad = 0.4\n\
          [as_built.base]\ntilt_z_mrad = 2\n[as_built.target]\ndelta_x_mm = 1\ndelta_z_mm = -2\n\
          [[as_built.load]]\nname = \"hose\"\njoint = \"telescope\"\nx_mm = 0\ny_mm = 0\nz_mm = -300\nmass_kg = 3\nforce_x_n = 20",
     );
@@ -76,6 +77,7 @@ fn linkage_base_target_and_loads_deviate_in_their_units() {
     close(to.rod, 1.351);
     close(to.crank.angle - from.crank.angle, 0.002);
     close(to.lever.angle - from.lever.angle, -0.001);
+    assert_eq!(to.axis, CrankAxis { x: 1e-4, y: -2e-4, rx: 3e-4, ry: 4e-4 });
     assert_eq!(changed.statics.linkage.as_ref().map(|l| l.rod_stiffness), Some(4e7));
     // A base turned about z by 2 mrad raises its x axis, so that weights pull towards -x.
     let expected = 9.80665 * Vector3::new(-2e-3_f64.sin(), -2e-3_f64.cos(), 0.0);
@@ -105,6 +107,17 @@ fn every_mistake_is_named() {
             "as_built.linkage: the four-bar does not close",
             "errors",
         ),
+        (
+            "[as_built.linkage]\ndelta_axis_x_mm = 500".to_owned(),
+            "as_built.linkage.delta_axis_x_mm: the four-bar does not close with the elbow at",
+            "errors",
+        ),
+        (
+            "[as_built.linkage]\ndelta_axis_tilt_y_mrad = nan".to_owned(),
+            "delta_axis_tilt_y_mrad is nan",
+            "finite",
+        ),
+        (drawn("crank_axis_mm = 100"), "as_built.drawn: with linkage_mm", "elbow's limits"),
         (
             "[as_built.linkage]\ndelta_crank_angle_mrad = 430".to_owned(),
             "as_built.linkage: rod and lever",

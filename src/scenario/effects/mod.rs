@@ -3,6 +3,7 @@
 
 mod drive_train;
 mod entries;
+mod statics;
 mod thermal;
 
 #[cfg(test)]
@@ -18,6 +19,7 @@ use self::entries::{
     BacklashEntry, EncoderEntry, FrictionEntry, HarmonicEntry, Joint, LostMotionEntry, ProfileFile, RailFile,
     RatioEntry, RepeatabilityEntry, Section, StiffeningEntry, TransmissionEntry,
 };
+use self::statics::{FoundationFile, HosesFile};
 use self::thermal::ThermalFile;
 use super::file::{joint_index, refuse_twice};
 use calibrig_files::Robot;
@@ -42,6 +44,8 @@ pub(super) struct EffectsFile {
     encoder: Option<Spanned<Section<EncoderEntry>>>,
     thermal: Option<Spanned<ThermalFile>>,
     repeatability: Option<Spanned<Section<RepeatabilityEntry>>>,
+    foundation: Option<Spanned<FoundationFile>>,
+    hoses: Option<Spanned<HosesFile>>,
 }
 
 /// The effects of the machine, SI. Sections that are switched off are checked as well.
@@ -59,6 +63,8 @@ pub(super) fn effects(source: &Source, file: &EffectsFile, robot: &Robot) -> Res
         encoder: reader.encoder(file.encoder.as_ref())?,
         thermal: thermal::thermal(&reader, file.thermal.as_ref())?,
         repeatability: reader.repeatability(file.repeatability.as_ref())?,
+        foundation: statics::foundation(&reader, file.foundation.as_ref())?,
+        hoses: statics::hoses(&reader, file.hoses.as_ref())?,
     })
 }
 

@@ -96,6 +96,23 @@ heat = { joint = "telescope", power_w = 30, motion_j_per_m = 400, resistance_k_p
 [[effects.repeatability.joint]]
 joint = "wrist"
 sigma_arcsec = 3
+
+[effects.foundation]
+x_mm = 2000
+stiffness_y_n_per_m = 4e8
+stiffness_rz_nm_per_rad = 9e8
+
+[effects.foundation.rail]
+joint = "rail"
+span_mm = 1250
+sag_y_um_per_kn = 2
+
+[effects.hoses]
+[[effects.hoses.hose]]
+from = { joint = "shoulder", x_mm = 400, y_mm = 0, z_mm = 100 }
+to = { joint = "telescope", x_mm = 0, y_mm = 50, z_mm = -600 }
+stiffness_n_per_m = 400
+free_length_mm = 700
 "#;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
@@ -187,6 +204,17 @@ fn sections_are_read_in_si_in_the_units_of_each_joint() {
     let heat = thermal.growths[0].heat.expect("its drive's");
     assert_eq!((heat.actuator, heat.power, heat.per_motion, heat.resistance), (4, 30.0, 400.0, 0.4));
     close(effects.repeatability.expect("repeatability").sigma[6], 3.0 * ARCSEC);
+    let foundation = effects.foundation.expect("foundation");
+    assert_eq!(foundation.stiffness, [f64::INFINITY, 4e8, f64::INFINITY, f64::INFINITY, f64::INFINITY, 9e8]);
+    close(foundation.at.x, 2.0);
+    let rail = foundation.rail.expect("a rail");
+    assert_eq!((rail.joint, rail.first_foot), (0, 0.0));
+    close(rail.span, 1.25);
+    close(rail.compliance[1], 2e-9);
+    let hose = &effects.hoses.expect("hoses").hoses[0];
+    assert_eq!(hose.ends.map(|end| end.link), [Some(2), Some(4)]);
+    close(hose.ends[1].at.z, -0.6);
+    close(hose.free_length, 0.7);
 }
 
 #[test]
@@ -256,6 +284,12 @@ fn refusals_name_the_key_the_joint_and_what_was_expected() {
         ("swing_period_s = 600\n", "", "swing_c without its period"),
         ("expansion_ppm_per_k = 12", "expansion_ppm_per_k = 12000", "expansion_ppm_per_k is 12000"),
         ("wavelength_mm = 750", "wavelength_mm = 0", "effects.rail.wavelength_mm is 0"),
+        ("_y_n_per_m = 4e8", "_y_n_per_m = 0", "effects.foundation.stiffness_y_n_per_m is 0"),
+        ("span_mm = 1250", "span_mm = 0", "effects.foundation.rail.span_mm is 0"),
+        ("sag_y_um_per_kn = 2", "sag_y_um_per_kn = 0", "[effects.foundation.rail] does not sag"),
+        ("joint = \"rail\"\nspan", "joint = \"telescope\"\nspan", "no rail that the robot rides on"),
+        ("joint = \"telescope\", x_mm", "joint = \"shoulder\", x_mm", "between two points of one link"),
+        ("free_length_mm = 700", "free_length_mm = -1", "free_length_mm is -1"),
         (
             "joint = \"rail\"\nwavelength",
             "joint = \"telescope\"\nwavelength",

@@ -1,7 +1,7 @@
 //! From estimates to models.
 
 use super::ElasticChain;
-use calibrig_model::{CalibrationModel, Compliance, LinkageLength, ModelError, ParameterId, Section};
+use calibrig_model::{CalibrationModel, Compliance, ModelError, ParameterId, Section};
 
 /// Puts a parameter of `model` at a deviation from its value in `reference`.
 ///
@@ -47,7 +47,13 @@ pub(crate) fn put(model: &mut CalibrationModel, reference: &CalibrationModel, id
                 to.bodies[link].centre_of_mass[axis] = from.bodies[link].centre_of_mass[axis] + value;
             }
         }
-        ParameterId::Linkage(length) => apply_length(model, reference, length, value),
+        ParameterId::Linkage(term) => {
+            if let (Some(to), Some((_, _, _, from))) =
+                (model.actuators.linkage_mut(), reference.actuators.four_bar())
+            {
+                *to.term_mut(term) = from.term(term) + value;
+            }
+        }
         ParameterId::Frame { .. }
         | ParameterId::Target { .. }
         | ParameterId::Orientation { .. }
@@ -92,22 +98,5 @@ fn apply_mass(model: &mut CalibrationModel, reference: &CalibrationModel, link: 
         for (to, from) in to.segments.iter_mut().zip(&from.segments) {
             to.section.mass_per_length = from.section.mass_per_length * factor;
         }
-    }
-}
-
-fn apply_length(
-    model: &mut CalibrationModel,
-    reference: &CalibrationModel,
-    length: LinkageLength,
-    value: f64,
-) {
-    let (Some(to), Some((_, _, _, from))) = (model.actuators.linkage_mut(), reference.actuators.four_bar())
-    else {
-        return;
-    };
-    match length {
-        LinkageLength::Crank => to.crank.length = from.crank.length + value,
-        LinkageLength::Lever => to.lever.length = from.lever.length + value,
-        LinkageLength::Rod => to.rod = from.rod + value,
     }
 }

@@ -178,7 +178,7 @@ fn all_of(
     ids.extend(model.compliances().into_iter().map(ParameterId::Compliance));
     ids.extend((0..bodies).map(|link| ParameterId::Mass { link }));
     ids.extend((0..bodies).flat_map(|link| (0..3).map(move |axis| ParameterId::Centre { link, axis })));
-    ids.extend(model.linkage_lengths().into_iter().map(ParameterId::Linkage));
+    ids.extend(model.linkage_terms().into_iter().map(ParameterId::Linkage));
     let terms = FAMILIES.iter().filter_map(|family| TermId::all_of(family.key(), model));
     ids.extend(terms.flatten().map(ParameterId::Term));
     ids.extend(parameters_of(stations));

@@ -58,7 +58,7 @@ pub(super) struct Columns {
     pub redundant_ends: Vec<DependentGroup>,
 }
 
-/// How far the four-bar's lengths are from their drawing, where the options do not say, m.
+/// How far the four-bar's lengths and the crank's axis are from their drawing, where the options do not say, m and rad.
 const LINKAGE_SIGMA: f64 = 1e-3;
 
 /// The robot's parameters in the order of their columns: links, compliances, masses, linkage, terms.
@@ -246,11 +246,13 @@ fn bodies(model: &CalibrationModel, options: &IdentificationOptions) -> Result<V
 }
 
 fn linkage(model: &CalibrationModel, options: &IdentificationOptions) -> Result<Vec<Column>, IdentifyError> {
-    let sigma = options.term_sigma(LINKAGE, Unit::Metre).unwrap_or(LINKAGE_SIGMA);
-    let sigma = Some(positive(sigma, "the prior of the linkage")?);
-    let ids = model.linkage_lengths().into_iter().map(ParameterId::Linkage);
+    let ids = model.linkage_terms().into_iter().map(ParameterId::Linkage);
     let wanted = ids.filter(|id| options.has_terms(LINKAGE) || options.free.contains(id));
-    Ok(wanted.map(|id| Column::new(id, sigma, false)).collect())
+    let column = |id: ParameterId| {
+        let sigma = options.term_sigma(LINKAGE, id.unit()).unwrap_or(LINKAGE_SIGMA);
+        Ok(Column::new(id, Some(positive(sigma, "the prior of the linkage")?), false))
+    };
+    wanted.map(column).collect()
 }
 
 fn terms(model: &CalibrationModel, options: &IdentificationOptions) -> Result<Vec<Column>, IdentifyError> {

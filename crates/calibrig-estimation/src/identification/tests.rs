@@ -12,7 +12,7 @@ use calibrig_files::load_robot;
 use calibrig_model::geometry::{rotation_x, translation};
 use calibrig_model::measurement::{MeasurementSet, NestObservation, Observation, Reading, Station, Target};
 use calibrig_model::random::{Source, stream};
-use calibrig_model::{CalibrationModel, Compliance, LinkageLength, ParameterId, PointLoad, TermId};
+use calibrig_model::{CalibrationModel, Compliance, LinkageTerm, ParameterId, PointLoad, TermId};
 
 const SIGMA: f64 = 1e-5;
 /// Shoulder, elbow (which turns the crank) and waist by index.
@@ -153,7 +153,7 @@ fn exact_data_give_geometry_and_stiffness_through_the_closed_four_bar() {
 #[test]
 fn exact_data_give_the_linkage_and_every_family_of_terms() {
     let nominal = painter();
-    let mut deviations = vec![(ParameterId::Linkage(LinkageLength::Lever), 1.5e-3)];
+    let mut deviations = vec![(ParameterId::Linkage(LinkageTerm::Lever), 1.5e-3)];
     let amplitudes = ["hysteresis_theta3", "harmonic_theta4_cos1", "ratio_d5", "rail_d1_y2", "rail_d1_rz1"];
     let terms = amplitudes.iter().zip(1..).map(|(name, i)| {
         let id = TermId::parse(name).unwrap_or_else(|| panic!("{name}"));
@@ -408,7 +408,7 @@ fn what_cannot_be_is_refused_in_words() {
     let words = refused(IdentificationOptions { compliance_sigma: 0.0, ..options(Mode::ElastoGeometric) });
     assert!(words.contains("prior of the compliances"), "{words}");
     let mut open = nominal.clone();
-    put(&mut open, &nominal, ParameterId::Linkage(LinkageLength::Rod), 10.0);
+    put(&mut open, &nominal, ParameterId::Linkage(LinkageTerm::Rod), 10.0);
     let error = identify(&open, &set, &options(Mode::ElastoGeometric)).expect_err("an open four-bar");
     assert!(matches!(error, IdentifyError::Machine { pose: 0, .. }), "{error}");
     let mut robot = truth(&nominal, &[], Vec::new());

@@ -6,8 +6,8 @@ use thiserror::Error;
 use super::JOINTS;
 use calibrig_model::geometry::{Transform, rotation_x, rotation_z};
 use calibrig_model::{
-    ActuatorMap, CalibrationModel, CraigLink, FourBar, KinematicModel, LEAST_TRANSMISSION_ANGLE, LinkTerm,
-    LinkageArm, LinkageLength, ModelError, ParameterId,
+    ActuatorMap, CalibrationModel, CraigLink, CrankAxis, FourBar, KinematicModel, LEAST_TRANSMISSION_ANGLE,
+    LinkTerm, LinkageArm, LinkageTerm, ModelError, ParameterId,
 };
 
 /// Why a four-bar gives no joint angle.
@@ -145,8 +145,8 @@ fn out_of_reach(rod: f64, middle: f64, range: f64) -> ClosureError {
 
 /// The elbow's four-bar without deflections, made once a robot and closed at every command.
 ///
-/// Crank and upper arm turn alike behind the shoulder's fixed part, so the shoulder's own link parameters have no influence on the elbow's
-/// angle, and all is computed there.
+/// Crank and upper arm turn alike behind the shoulder's fixed part, in whose frame the crank's axis is told, so the shoulder's own link parameters
+/// have no influence on the elbow's angle, and all is computed there.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ElbowLinkage {
     joints: usize,
@@ -156,6 +156,7 @@ pub struct ElbowLinkage {
     rod: f64,
     crank: LinkageArm,
     lever: LinkageArm,
+    axis: CrankAxis,
     crank_end: Vector3<f64>,
     lever_end: Vector3<f64>,
     /// Of the elbow's link.
@@ -180,8 +181,8 @@ pub struct ElbowClosure {
     pub by_psi: f64,
     /// By the shoulder's joint variable at psi held, rad/rad.
     pub by_shoulder: f64,
-    /// By the lengths, in the order of [`LinkageLength::ALL`], rad/m.
-    pub by_lengths: [f64; 3],
+    /// By the four-bar's own parameters, in the order of [`LinkageTerm::ALL`], rad/m or rad/rad.
+    pub by_linkage: [f64; 7],
     /// By the elbow's link parameters, in the order of [`LinkTerm::ALL`], rad/m or rad/rad.
     pub by_link: [f64; 5],
 }
@@ -194,8 +195,8 @@ impl ElbowClosure {
             ParameterId::Link { link, term } if link == self.elbow => {
                 pick(LinkTerm::ALL.iter().position(|t| *t == term), &self.by_link)
             }
-            ParameterId::Linkage(length) => {
-                pick(LinkageLength::ALL.iter().position(|l| *l == length), &self.by_lengths)
+            ParameterId::Linkage(term) => {
+                pick(LinkageTerm::ALL.iter().position(|t| *t == term), &self.by_linkage)
             }
             _ => 0.0,
         }
@@ -230,6 +231,7 @@ impl ElbowLinkage {
             rod: linkage.rod,
             crank: linkage.crank,
             lever: linkage.lever,
+            axis: linkage.axis,
             crank_end: linkage.crank.end(),
             lever_end: linkage.lever.end(),
             fixed_part: link.fixed_part(),
@@ -249,7 +251,7 @@ impl ElbowLinkage {
     }
 
     fn crank(&self, psi: f64) -> Transform {
-        rotation_z(psi + self.offset + self.theta)
+        self.axis.shoulder_from_axis() * rotation_z(psi + self.offset + self.theta)
     }
 
     fn pivot(&self, q_shoulder: f64) -> Transform {
@@ -257,7 +259,7 @@ impl ElbowLinkage {
     }
 
     fn close(&self, psi: f64, q_shoulder: f64) -> Result<Closure, ClosureError> {
-        let anchor = self.crank(psi).rotation * self.crank_end;
+        let anchor = self.crank(psi).transform_point(&self.crank_end.into()).coords;
         let ideal = psi + self.offset - q_shoulder;
         swing_to(&self.pivot(q_shoulder), &self.lever_end, &anchor, self.rod, ideal)
     }
@@ -282,7 +284,7 @@ impl ElbowLinkage {
         let anchor =
             (self.pivot(q_shoulder) * rotation_z(q_elbow)).transform_point(&self.lever_end.into()).coords;
         let ideal = q_shoulder + q_elbow + self.theta;
-        let turned = swing_to(&Transform::identity(), &self.crank_end, &anchor, self.rod, ideal)?;
+        let turned = swing_to(&self.axis.shoulder_from_axis(), &self.crank_end, &anchor, self.rod, ideal)?;
         let psi = turned.angle - self.offset - self.theta;
         let nearest = self.close(psi, q_shoulder)?.angle;
         // Away from the singularity the two closures are far apart, and rounding is far below this.
@@ -311,17 +313,27 @@ impl ElbowLinkage {
         let still = Vector3::zeros();
         let by_end = |motion: Vector3<f64>| closure.angle_change(&motion, &still, 0.0);
         let by_anchor = |motion: Vector3<f64>| closure.angle_change(&still, &motion, 0.0);
-        let by_psi = by_anchor(Vector3::z().cross(&(crank.rotation * self.crank_end)));
+        // From where the crank's axis crosses the plane z = 0 of its frame to the crank's end.
+        let crank_arm = crank.rotation * self.crank_end;
+        let crank_axis = crank.rotation * Vector3::z();
+        let by_psi = by_anchor(crank_axis.cross(&crank_arm));
         Ok(ElbowClosure {
             elbow: self.elbow,
             q_elbow: closure.angle,
             transmission_angle: closure.transmission_angle,
             by_psi,
             by_shoulder: by_end(Vector3::z().cross(&end)),
-            by_lengths: LinkageLength::ALL.map(|length| match length {
-                LinkageLength::Crank => by_anchor(crank.rotation * growth(&self.crank)),
-                LinkageLength::Lever => by_end(lever_growth),
-                LinkageLength::Rod => closure.angle_change(&still, &still, 1.0),
+            by_linkage: LinkageTerm::ALL.map(|term| match term {
+                LinkageTerm::Crank => by_anchor(crank.rotation * growth(&self.crank)),
+                LinkageTerm::Lever => by_end(lever_growth),
+                LinkageTerm::Rod => closure.angle_change(&still, &still, 1.0),
+                LinkageTerm::AxisX => by_anchor(Vector3::x()),
+                LinkageTerm::AxisY => by_anchor(Vector3::y()),
+                LinkageTerm::AxisRx => by_anchor(Vector3::x().cross(&crank_arm)),
+                // Behind the tilt about x.
+                LinkageTerm::AxisRy => {
+                    by_anchor((rotation_x(self.axis.rx).rotation * Vector3::y()).cross(&crank_arm))
+                }
             }),
             by_link: LinkTerm::ALL.map(|term| match term {
                 LinkTerm::A => by_end(x),
@@ -387,12 +399,13 @@ pub(crate) fn nominal_joints(
     }
 }
 
-/// Whether crank and lever are the same, and the rod is as long as the upper arm.
+/// Whether crank and lever are the same, the rod is as long as the upper arm, and the crank turns about the shoulder's axis.
 fn is_parallelogram(kinematics: &KinematicModel, elbow: usize, linkage: &FourBar) -> bool {
     let is_arm = |link: &CraigLink| {
         link.a.abs() == linkage.rod && [link.alpha, link.beta, link.d].iter().all(|value| *value == 0.0)
     };
-    linkage.crank == linkage.lever && kinematics.links.get(elbow).is_some_and(is_arm)
+    let is_coaxial = linkage.axis.is_shoulders();
+    is_coaxial && linkage.crank == linkage.lever && kinematics.links.get(elbow).is_some_and(is_arm)
 }
 
 /// The command that takes the rigid machine, with its real four-bar where the lengths are known, to `joints`.

@@ -9,8 +9,8 @@ use calibrig_model::measurement::{
 };
 use calibrig_model::nalgebra::{Matrix3, Vector3};
 use calibrig_model::{
-    ActuatorMap, Beam, BeamRun, BeamSegment, Bearing, Body, CalibrationModel, CraigLink, FourBar, LinkageArm,
-    LinkageStatics, PointLoad, Section, SegmentLength, StaticProperties,
+    ActuatorMap, Beam, BeamRun, BeamSegment, Bearing, Body, CalibrationModel, CraigLink, CrankAxis, FourBar,
+    LinkageArm, LinkageStatics, PointLoad, Section, SegmentLength, StaticProperties,
 };
 use proptest::prelude::*;
 
@@ -100,7 +100,7 @@ fn link() -> impl Strategy<Value = CraigLink> {
 
 fn actuators(drive: Drive) -> ActuatorMap {
     let arm = LinkageArm { length: 0.3, angle: 0.4, along: 0.0 };
-    let linkage = FourBar { crank: arm, lever: arm, rod: 0.8 };
+    let linkage = FourBar { crank: arm, lever: arm, rod: 0.8, axis: CrankAxis::default() };
     let linkage = matches!(drive, Drive::FourBar).then_some(linkage);
     match drive {
         Drive::Direct => ActuatorMap::Direct,

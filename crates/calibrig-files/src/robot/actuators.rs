@@ -6,7 +6,7 @@ use serde::Deserialize;
 use super::Reader;
 use super::joints::JointType;
 use crate::input::{InputError, Spanned};
-use calibrig_model::{ActuatorMap, Body, FourBar, KinematicModel, LinkageArm, LinkageStatics};
+use calibrig_model::{ActuatorMap, Body, CrankAxis, FourBar, KinematicModel, LinkageArm, LinkageStatics};
 use calibrig_model::{LEAST_TRANSMISSION_ANGLE, linkage_fault};
 
 #[derive(Deserialize, Clone, Copy, PartialEq)]
@@ -36,6 +36,10 @@ struct LinkageTable {
     crank_angle_deg: Option<Spanned<f64>>,
     lever_angle_deg: Option<Spanned<f64>>,
     along_mm: Option<Spanned<f64>>,
+    axis_x_mm: Option<Spanned<f64>>,
+    axis_y_mm: Option<Spanned<f64>>,
+    axis_tilt_x_deg: Option<Spanned<f64>>,
+    axis_tilt_y_deg: Option<Spanned<f64>>,
     rod_stiffness_n_per_m: Option<Spanned<f64>>,
     rod_mass_kg: Option<Spanned<f64>>,
     crank_mass_kg: Option<Spanned<f64>>,
@@ -100,6 +104,22 @@ impl Reader<'_> {
                 along,
             },
             rod: length("rod_mm", &file.rod_mm)?,
+            axis: self.crank_axis(file)?,
+        })
+    }
+
+    fn crank_axis(&self, file: &LinkageTable) -> Result<CrankAxis, InputError> {
+        let along = |key, value: &Option<Spanned<f64>>| {
+            value.as_ref().map_or(Ok(0.0), |value| self.millimetres(key, value))
+        };
+        let about = |key, value: &Option<Spanned<f64>>| {
+            value.as_ref().map_or(Ok(0.0), |value| self.degrees(key, value))
+        };
+        Ok(CrankAxis {
+            x: along("axis_x_mm", &file.axis_x_mm)?,
+            y: along("axis_y_mm", &file.axis_y_mm)?,
+            rx: about("axis_tilt_x_deg", &file.axis_tilt_x_deg)?,
+            ry: about("axis_tilt_y_deg", &file.axis_tilt_y_deg)?,
         })
     }
 
@@ -107,7 +127,7 @@ impl Reader<'_> {
         let Some(fault) = linkage_fault(kinematics, actuators) else { return Ok(()) };
         let span = self.file.actuators.get_ref().linkage.as_ref().map_or(0..0, Spanned::span);
         let expected = format!(
-            "crank_mm, lever_mm, rod_mm and angles with which it closes between min_deg and max_deg of the elbow, rod and lever at \
+            "crank_mm, lever_mm, rod_mm, angles and axis with which it closes between min_deg and max_deg of the elbow, rod and lever at \
              least {:.0} deg off one line",
             LEAST_TRANSMISSION_ANGLE.to_degrees()
         );

@@ -4,7 +4,8 @@ use super::*;
 use calibrig_model::geometry::{Transform, rotation_x, rotation_z, translation};
 use calibrig_model::random::{Source as Stream, stream};
 use calibrig_model::{
-    ActuatorMap, BeamRun, BearingSide, FourBar, JointKind, KinematicModel, LinkageArm, SegmentLength,
+    ActuatorMap, BeamRun, BearingSide, CrankAxis, FourBar, JointKind, KinematicModel, LinkageArm,
+    SegmentLength,
 };
 use proptest::prelude::*;
 use rand::RngExt;
@@ -266,7 +267,7 @@ fn what_yields_is_read_with_its_units() {
 
     let (.., linkage) = robot.model.actuators.four_bar().expect("a four-bar");
     let arm = LinkageArm { length: 0.35, angle: std::f64::consts::FRAC_PI_2, along: 0.25 };
-    assert_eq!(*linkage, FourBar { crank: arm, lever: arm, rod: 1.35 });
+    assert_eq!(*linkage, FourBar { crank: arm, lever: arm, rod: 1.35, axis: CrankAxis::default() });
     let linkage = statics.linkage.as_ref().expect("its statics");
     assert_eq!((linkage.rod_stiffness, linkage.rod_mass, linkage.crank.mass), (8e7, 12.0, 15.0));
     assert!((linkage.crank.centre_of_mass - Vector3::new(0.0, 0.15, 0.25)).norm() < 1e-15);

@@ -7,8 +7,10 @@ mod apply;
 mod backlash;
 mod encoder;
 mod error;
+mod foundation;
 mod friction;
 mod harmonics;
+mod hose;
 mod lost_motion;
 mod rail;
 mod ratio;
@@ -24,8 +26,10 @@ pub use apply::{Commanded, DriveState, PoseEffects};
 pub use backlash::Backlash;
 pub use encoder::Encoder;
 pub use error::EffectError;
+pub use foundation::{Foundation, RailSpan};
 pub use friction::Friction;
 pub use harmonics::{Harmonic, Harmonics};
+pub use hose::{Anchor, Hose, Hoses};
 pub use lost_motion::LostMotion;
 pub use rail::{Rail, RailProfile};
 pub use ratio::Ratio;
@@ -59,11 +63,15 @@ pub enum EffectKind {
     Thermal,
     /// [`Repeatability`]
     Repeatability,
+    /// [`Foundation`]
+    Foundation,
+    /// [`Hoses`]
+    Hoses,
 }
 
 impl EffectKind {
     /// All, in the order in which they act.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 13] = [
         Self::Encoder,
         Self::Ratio,
         Self::Harmonics,
@@ -75,6 +83,8 @@ impl EffectKind {
         Self::Stiffening,
         Self::Rail,
         Self::Thermal,
+        Self::Foundation,
+        Self::Hoses,
     ];
 
     /// Its section of a scenario is `[effects.KEY]`.
@@ -91,6 +101,8 @@ impl EffectKind {
             Self::Stiffening => "stiffening",
             Self::Thermal => "thermal",
             Self::Repeatability => "repeatability",
+            Self::Foundation => "foundation",
+            Self::Hoses => "hoses",
         }
     }
 
@@ -108,6 +120,8 @@ impl EffectKind {
             Self::Stiffening => "stiffening drives",
             Self::Thermal => "thermal growth",
             Self::Repeatability => "repeatability",
+            Self::Foundation => "yielding floor and rail",
+            Self::Hoses => "hoses",
         }
     }
 
@@ -131,6 +145,10 @@ impl EffectKind {
                 "growth of the links as they follow the air's temperature and are heated by their drives"
             }
             Self::Repeatability => "random errors that every approach draws anew",
+            Self::Foundation => {
+                "a floor that sinks and tilts under the loads, and a rail that bends between its feet"
+            }
+            Self::Hoses => "hoses that pull on the links, by the joints' positions",
         }
     }
 }
@@ -160,6 +178,10 @@ pub struct Effects {
     pub thermal: Option<Thermal>,
     /// Random errors.
     pub repeatability: Option<Repeatability>,
+    /// A yielding floor; part of the statics.
+    pub foundation: Option<Foundation>,
+    /// Hoses; part of the statics.
+    pub hoses: Option<Hoses>,
 }
 
 impl Effects {
@@ -177,6 +199,8 @@ impl Effects {
             EffectKind::Encoder => self.encoder.is_some(),
             EffectKind::Thermal => self.thermal.is_some(),
             EffectKind::Repeatability => self.repeatability.is_some(),
+            EffectKind::Foundation => self.foundation.is_some(),
+            EffectKind::Hoses => self.hoses.is_some(),
         }
     }
 
@@ -201,6 +225,8 @@ impl Effects {
             EffectKind::Encoder => rest.encoder = None,
             EffectKind::Thermal => rest.thermal = None,
             EffectKind::Repeatability => rest.repeatability = None,
+            EffectKind::Foundation => rest.foundation = None,
+            EffectKind::Hoses => rest.hoses = None,
         }
         rest
     }
@@ -245,6 +271,17 @@ impl Effects {
         if let Some(effect) = &self.repeatability {
             effect.check(actuators)?;
         }
-        self.thermal.as_ref().map_or(Ok(()), |effect| effect.check(actuators, has_rod))
+        if let Some(effect) = &self.thermal {
+            effect.check(actuators, has_rod)?;
+        }
+        self.check_statics(actuators)
+    }
+
+    /// Refuses what of them is part of the statics and makes no machine of `actuators` links.
+    pub(crate) fn check_statics(&self, actuators: usize) -> Result<(), EffectError> {
+        if let Some(effect) = &self.foundation {
+            effect.check(actuators)?;
+        }
+        self.hoses.as_ref().map_or(Ok(()), |effect| effect.check(actuators))
     }
 }

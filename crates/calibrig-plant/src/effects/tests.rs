@@ -8,7 +8,7 @@ use super::*;
 use crate::AsBuilt;
 use calibrig_model::geometry::{Transform, rotation_z};
 use calibrig_model::{
-    ActuatorMap, Body, CraigLink, FourBar, JointKind, KinematicModel, LinkageArm, StaticProperties,
+    ActuatorMap, Body, CraigLink, CrankAxis, FourBar, JointKind, KinematicModel, LinkageArm, StaticProperties,
 };
 
 const STIFFNESS: [f64; 3] = [2e7, 1e6, 5e5];
@@ -41,7 +41,12 @@ fn machine() -> AsBuilt {
             shoulder: 1,
             elbow: 2,
             offset: 0.2,
-            linkage: Some(FourBar { crank: arm(0.300), lever: arm(0.302), rod: 1.351 }),
+            linkage: Some(FourBar {
+                crank: arm(0.300),
+                lever: arm(0.302),
+                rod: 1.351,
+                axis: CrankAxis::default(),
+            }),
         },
         statics: StaticProperties::of_drives(vec![body; 3], STIFFNESS.to_vec(), Vector3::zeros()),
         target: Vector3::zeros(),
@@ -94,6 +99,21 @@ fn all_effects() -> Effects {
             }],
         }),
         repeatability: Some(Repeatability { sigma: vec![1e-5, 1e-5, 1e-5] }),
+        foundation: Some(Foundation {
+            at: Vector3::zeros(),
+            stiffness: [1e8; 6],
+            rail: Some(RailSpan { joint: 0, first_foot: 0.0, span: 1.0, compliance: [0.0, 1e-9] }),
+        }),
+        hoses: Some(Hoses {
+            hoses: vec![Hose {
+                ends: [
+                    Anchor { link: None, at: Vector3::zeros() },
+                    Anchor { link: Some(2), at: Vector3::x() },
+                ],
+                stiffness: 100.0,
+                free_length: 0.5,
+            }],
+        }),
     }
 }
 
@@ -326,6 +346,9 @@ fn effects_that_no_machine_has_are_refused() {
             EffectKind::Thermal,
         ),
         (|e| e.repeatability.as_mut().unwrap().sigma[2] = -1e-9, EffectKind::Repeatability),
+        (|e| e.foundation.as_mut().unwrap().stiffness[1] = 0.0, EffectKind::Foundation),
+        (|e| e.foundation.as_mut().unwrap().rail.as_mut().unwrap().span = f64::NAN, EffectKind::Foundation),
+        (|e| e.hoses.as_mut().unwrap().hoses[0].free_length = 0.0, EffectKind::Hoses),
     ];
     let mut robot = machine();
     robot.statics.gravity = Vector3::new(0.0, -10.0, 0.0);

@@ -9,7 +9,7 @@ use crate::effects::PoseEffects;
 use crate::{AsBuilt, Plant, PlantError, SettleOptions, SettledPose};
 use calibrig_model::geometry::Transform;
 
-/// The machine with every spring of it rigid: what its deflections are told from.
+/// The machine with every spring of it rigid, on a floor that does not yield: what its deflections are told from.
 pub struct RigidMachine(Plant);
 
 impl RigidMachine {
@@ -17,7 +17,10 @@ impl RigidMachine {
     pub fn new(as_built: &AsBuilt) -> Result<Self, PlantError> {
         let mut machine = as_built.clone();
         machine.statics.make_rigid();
-        Ok(Self(Plant::new(&machine, SettleOptions::default())?))
+        machine.effects.foundation = None;
+        machine.effects.hoses = None;
+        let options = SettleOptions { confirm: false, ..SettleOptions::default() };
+        Ok(Self(Plant::new(&machine, options)?))
     }
 
     /// At a pose, its effects included.

@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector, Matrix4, Vector3, Vector4};
 
 use super::AsBuilt;
 use super::equilibrium::{point, shift, turn};
-use crate::effects::StiffnessCurve;
+use crate::effects::{Anchor, Hose, StiffnessCurve};
 use calibrig_model::{BeamRun, BearingSide, JointKind};
 
 #[derive(Clone)]
@@ -68,6 +68,8 @@ pub(super) struct Constrained<'a> {
     springs: Vec<Spring>,
     /// Number of factors up to every link's frame.
     links: Vec<usize>,
+    /// Ends (as loads without a force) of every hose with its stiffness and free length.
+    hoses: Vec<([Load; 2], f64, f64)>,
     /// Ends of crank and lever (as loads without a force), the rod's length and stiffness, and the unknown of the elbow.
     rod: Option<(Load, Load, f64, f64, usize)>,
 }
@@ -84,23 +86,33 @@ impl<'a> Constrained<'a> {
             loads: Vec::new(),
             springs: Vec::new(),
             links: Vec::new(),
+            hoses: Vec::new(),
             rod: None,
         };
+        if let Some(foundation) = &robot.effects.foundation {
+            this.group(foundation.at, foundation.stiffness);
+        }
+        this.constant(robot.kinematics.base_from_first.to_homogeneous());
         let four_bar = robot.actuators.four_bar();
         let mut elbow_unknown = 0;
         for (joint, &command_here) in command.iter().enumerate() {
             let link = &robot.kinematics.links[joint];
             let bearing = &robot.statics.bearings[joint];
             let own = if link.kind == JointKind::Prismatic { 2 } else { 5 };
-            let mut stiffness = bearing.stiffness;
+            let mut stiffness = this.carried(joint, command_here);
             stiffness[own] = f64::INFINITY;
             this.constant(turn(0, link.alpha) * shift(0, link.a) * turn(1, link.beta));
             this.constant(turn(2, link.theta) * shift(2, link.d));
             if bearing.side == BearingSide::Fixed {
                 this.group(Vector3::z() * bearing.at, stiffness);
             }
-            if four_bar.is_some_and(|(shoulder, ..)| shoulder == joint) {
+            if let Some((shoulder, .., linkage)) = four_bar
+                && shoulder == joint
+            {
                 this.chains[1] = this.chains[0].clone();
+                let axis = linkage.axis;
+                let off = shift(0, axis.x) * shift(1, axis.y) * turn(0, axis.rx) * turn(1, axis.ry);
+                this.chains[1].push(Factor::Constant(off));
             }
             match four_bar {
                 Some((shoulder, elbow, offset, _)) if elbow == joint => {
@@ -123,6 +135,15 @@ impl<'a> Constrained<'a> {
         for load in &robot.statics.loads {
             let force = load.force + load.mass * robot.statics.gravity;
             this.loads.push(Load { chain: 0, behind: this.links[load.link], at: load.at, force });
+        }
+        for Hose { ends, stiffness, free_length } in robot.effects.hoses.iter().flat_map(|hoses| &hoses.hoses)
+        {
+            let end = |Anchor { link, at }: Anchor| {
+                let behind = link.map_or(0, |link| this.links[link]);
+                Load { chain: 0, behind, at, force: Vector3::zeros() }
+            };
+            let ends = ends.map(end);
+            this.hoses.push((ends, *stiffness, *free_length));
         }
         if let Some((_, elbow, offset, linkage)) = four_bar {
             let (main, springs) = (std::mem::take(&mut this.chains[0]), this.springs.len());
@@ -154,6 +175,23 @@ impl<'a> Constrained<'a> {
             ));
         }
         this
+    }
+
+    /// The bearing's stiffnesses, along x and y in series with the rail that bends between its feet.
+    fn carried(&self, joint: usize, q: f64) -> [f64; 6] {
+        let mut stiffness = self.robot.statics.bearings[joint].stiffness;
+        let rail = self.robot.effects.foundation.as_ref().and_then(|foundation| foundation.rail.as_ref());
+        let Some(rail) = rail.filter(|rail| rail.joint == joint) else { return stiffness };
+        let feet = ((q - rail.first_foot) / rail.span).floor();
+        let a = q - rail.first_foot - feet * rail.span;
+        let b = rail.span - a;
+        for axis in 0..2 {
+            // Deflection under a load at a, of a clamped beam of EI with that of the middle given: EI = l³ / (192 c).
+            let rigidity = rail.span.powi(3) / (192.0 * rail.compliance[axis]);
+            let sag = a.powi(3) * b.powi(3) / (3.0 * rigidity * rail.span.powi(3));
+            stiffness[axis] = 1.0 / (1.0 / stiffness[axis] + sag);
+        }
+        stiffness
     }
 
     fn constant(&mut self, matrix: Matrix4<f64>) {
@@ -236,7 +274,7 @@ impl<'a> Constrained<'a> {
 
     /// The frame behind every factor of a chain, beginning with the base.
     fn frames(&self, chain: usize, q: &DVector<f64>) -> Vec<Matrix4<f64>> {
-        let mut frames = vec![self.robot.kinematics.base_from_first.to_homogeneous()];
+        let mut frames = vec![Matrix4::identity()];
         for factor in &self.chains[chain] {
             let step = match *factor {
                 Factor::Constant(matrix) => matrix,
@@ -303,32 +341,25 @@ impl<'a> Constrained<'a> {
                 add_symmetric(&mut hessian, *i, *j, -load.force.dot(second));
             }
         }
-        let gap = self.rod.as_ref().map(|(crank, lever, length, ..)| {
-            let (crank, lever) = (moved(crank), moved(lever));
-            let between = (lever.place - crank.place).xyz();
-            let distance = between.norm();
-            let mut columns = DMatrix::zeros(3, n);
-            let mut curvature = DMatrix::zeros(n, n);
-            for (end, sign) in [(lever, 1.0), (crank, -1.0)] {
-                for (i, first) in &end.first {
-                    let mut column = columns.column_mut(*i);
-                    column += sign * first.xyz();
-                }
-                for (i, j, second) in &end.second {
-                    add_symmetric(&mut curvature, *i, *j, sign * between.dot(second) / distance);
-                }
+        let mut stretch = |stiffness: f64, (by, slope, curvature): &Second| {
+            energy += 0.5 * stiffness * by * by;
+            gradient += stiffness * *by * slope;
+            hessian += stiffness * (slope * slope.transpose() + *by * curvature);
+        };
+        for ([one, other], stiffness, free_length) in &self.hoses {
+            let longer = beyond([moved(one), moved(other)], *free_length, n);
+            if longer.0 > 0.0 {
+                stretch(*stiffness, &longer);
             }
-            let slope: DVector<f64> =
-                columns.tr_mul(&DVector::from_column_slice(between.as_slice())) / distance;
-            curvature += columns.tr_mul(&columns) / distance - &slope * slope.transpose() / distance;
-            (distance - length, slope, curvature)
-        });
-        if let (Some((gap, slope, curvature)), Some((.., stiffness, _))) = (&gap, &self.rod)
+        }
+        let gap = self
+            .rod
+            .as_ref()
+            .map(|(crank, lever, length, ..)| beyond([moved(crank), moved(lever)], *length, n));
+        if let (Some(gap), Some((.., stiffness, _))) = (&gap, &self.rod)
             && stiffness.is_finite()
         {
-            energy += 0.5 * stiffness * gap * gap;
-            gradient += *stiffness * *gap * slope;
-            hessian += *stiffness * (slope * slope.transpose() + *gap * curvature);
+            stretch(*stiffness, gap);
         }
         ((energy, gradient, hessian), gap)
     }
@@ -420,6 +451,26 @@ struct Moved {
     place: Vector4<f64>,
     first: Vec<(usize, Vector4<f64>)>,
     second: Vec<(usize, usize, Vector3<f64>)>,
+}
+
+/// By how much the distance of two points is longer than a length, with its derivatives by all n unknowns.
+fn beyond([one, other]: [Moved; 2], length: f64, n: usize) -> Second {
+    let between = (other.place - one.place).xyz();
+    let distance = between.norm();
+    let mut columns = DMatrix::zeros(3, n);
+    let mut curvature = DMatrix::zeros(n, n);
+    for (end, sign) in [(other, 1.0), (one, -1.0)] {
+        for (i, first) in &end.first {
+            let mut column = columns.column_mut(*i);
+            column += sign * first.xyz();
+        }
+        for (i, j, second) in &end.second {
+            add_symmetric(&mut curvature, *i, *j, sign * between.dot(second) / distance);
+        }
+    }
+    let slope: DVector<f64> = columns.tr_mul(&DVector::from_column_slice(between.as_slice())) / distance;
+    curvature += columns.tr_mul(&columns) / distance - &slope * slope.transpose() / distance;
+    (distance - length, slope, curvature)
 }
 
 fn add_symmetric(matrix: &mut DMatrix<f64>, i: usize, j: usize, value: f64) {

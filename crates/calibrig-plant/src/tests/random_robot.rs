@@ -5,7 +5,7 @@ use rand::RngExt;
 
 use super::AsBuilt;
 use super::spray_robot::{add_errors, full_robot};
-use calibrig_model::{ActuatorMap, BeamSegment, BearingSide, FourBar, PointLoad, SegmentLength};
+use calibrig_model::{ActuatorMap, BeamSegment, BearingSide, CrankAxis, FourBar, PointLoad, SegmentLength};
 
 pub(super) fn four_bar(robot: &mut AsBuilt) -> &mut FourBar {
     match &mut robot.actuators {
@@ -65,6 +65,12 @@ pub(super) fn random_full_robot(rng: &mut impl RngExt) -> AsBuilt {
         arm.along += rng.random_range(-0.02..0.02);
     }
     arms.rod += rng.random_range(-0.005..0.005);
+    arms.axis = CrankAxis {
+        x: rng.random_range(-0.005..0.005),
+        y: rng.random_range(-0.005..0.005),
+        rx: rng.random_range(-0.02..0.02),
+        ry: rng.random_range(-0.02..0.02),
+    };
     if let Some(linkage) = &mut robot.statics.linkage
         && rng.random_range(0..4) == 0
     {

@@ -6,8 +6,8 @@ use rand::RngExt;
 use super::{AsBuilt, Effects};
 use calibrig_model::geometry::Transform;
 use calibrig_model::{
-    ActuatorMap, Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, CraigLink, FourBar, JointKind,
-    KinematicModel, LinkTerm, LinkageArm, LinkageStatics, PointLoad, Section, SegmentLength,
+    ActuatorMap, Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, CraigLink, CrankAxis, FourBar,
+    JointKind, KinematicModel, LinkTerm, LinkageArm, LinkageStatics, PointLoad, Section, SegmentLength,
     StaticProperties,
 };
 
@@ -92,7 +92,7 @@ const BEARINGS: [[f64; 6]; 7] = [
 pub(super) fn full_robot() -> AsBuilt {
     let mut robot = spray_robot();
     let arm = LinkageArm { length: 0.35, angle: std::f64::consts::FRAC_PI_2, along: 0.0 };
-    let linkage = FourBar { crank: arm, lever: arm, rod: 1.35 };
+    let linkage = FourBar { crank: arm, lever: arm, rod: 1.35, axis: CrankAxis::default() };
     robot.actuators =
         ActuatorMap::Parallelogram { shoulder: 2, elbow: 3, offset: 0.0, linkage: Some(linkage) };
     let statics = &mut robot.statics;

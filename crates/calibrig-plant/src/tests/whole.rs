@@ -1,6 +1,6 @@
 //! The whole robot: six-axis bearings, beams, loads and the closed loop.
 
-use nalgebra::{DVector, Matrix4};
+use nalgebra::{DVector, Matrix4, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -8,14 +8,44 @@ use super::constrained::Constrained;
 use super::random_robot::{random_full_robot, random_shifts};
 use super::spray_robot::{full_robot, working_command};
 use super::{AsBuilt, ElasticPlace, PlantError, bits, plant};
-use crate::effects::{Stiffening, StiffnessCurve};
+use crate::effects::{Anchor, Foundation, Hose, Hoses, RailSpan, Stiffening, StiffnessCurve};
+use crate::{Plant, SettleOptions};
 use calibrig_model::{Payload, PointLoad};
 use nalgebra::{Point3, Vector3};
+
+/// A robot with all that the statics of a machine can have: on a floor and a rail that yield, with hoses that pull.
+fn random_machine(rng: &mut ChaCha8Rng) -> AsBuilt {
+    let mut robot = random_full_robot(rng);
+    let mut within = |low: f64, high: f64| rng.random_range(low..high);
+    let mut stiffness = [2e8, 2e8, 3e8, 3e8, 4e8, 2e8].map(|k| k * within(0.5, 2.0));
+    if within(0.0, 1.0) < 0.3 {
+        stiffness[3] = f64::INFINITY;
+    }
+    let mut vector = |by: f64| Vector3::from([(); 3].map(|()| within(-by, by)));
+    let at = vector(1.0);
+    let anchor = |link: Option<usize>, at: Vector3<f64>| Anchor { link, at };
+    let ends = [
+        [anchor(Some(1), vector(0.4)), anchor(Some(3), vector(0.4))],
+        [anchor(None, vector(2.0)), anchor(Some(6), vector(0.2))],
+        [anchor(Some(6), vector(0.1)), anchor(Some(4), vector(0.3))],
+    ];
+    let hoses =
+        ends.map(|ends| Hose { ends, stiffness: within(200.0, 2000.0), free_length: within(0.05, 1.0) });
+    robot.effects.hoses = Some(Hoses { hoses: hoses.to_vec() });
+    let rail = RailSpan {
+        joint: 0,
+        first_foot: within(-1.0, 0.0),
+        span: within(0.8, 1.6),
+        compliance: [within(1e-9, 1e-8), within(1e-9, 1e-8)],
+    };
+    robot.effects.foundation = Some(Foundation { at, stiffness, rail: Some(rail) });
+    robot
+}
 
 #[test]
 fn the_derivatives_of_the_constrained_reference_are_those_of_its_energy() {
     let mut rng = ChaCha8Rng::seed_from_u64(30);
-    let robot = random_full_robot(&mut rng);
+    let robot = random_machine(&mut rng);
     let command = working_command(&robot, &mut rng);
     let reference = Constrained::new(&robot, &command, &[]);
     let mut q = reference.unloaded();
@@ -47,7 +77,8 @@ fn the_whole_robot_rests_where_an_independent_solution_does() {
     let (mut tip, mut frame, mut closure, mut force, mut steps) = (0.0_f64, 0.0_f64, 0.0_f64, 0.0_f64, 0);
     let mut droop = 0.0;
     for case in 0..200 {
-        let robot = random_full_robot(&mut rng);
+        // One in four has no floor and no hoses.
+        let robot = if case % 4 == 3 { random_full_robot(&mut rng) } else { random_machine(&mut rng) };
         let command = working_command(&robot, &mut rng);
         let shifts = if case % 2 == 0 { Vec::new() } else { random_shifts(&mut rng) };
         let pose = plant(&robot).settle_displaced(&command, &shifts).expect("a stiff robot");
@@ -167,10 +198,10 @@ fn rapier_alone_finds_the_same_rest() {
     let mut rng = ChaCha8Rng::seed_from_u64(33);
     let (mut largest, mut steps) = (0.0_f64, 0);
     for _ in 0..20 {
-        let robot = random_full_robot(&mut rng);
+        let robot = random_machine(&mut rng);
         let command = working_command(&robot, &mut rng);
         let mut unaided = plant(&robot);
-        unaided.predictions = 0;
+        unaided.newton_steps = 0;
         let pose = unaided.settle(&command).expect("a stiff robot");
         let expected = plant(&robot).settle(&command).expect("a stiff robot");
         largest = largest.max((pose.target - expected.target).norm());
@@ -182,9 +213,57 @@ fn rapier_alone_finds_the_same_rest() {
 }
 
 #[test]
+fn a_step_that_confirms_a_pose_changes_no_bit_of_it() {
+    let mut rng = ChaCha8Rng::seed_from_u64(37);
+    for _ in 0..20 {
+        let robot = random_machine(&mut rng);
+        let command = working_command(&robot, &mut rng);
+        let confirmed = plant(&robot).settle(&command).expect("a stiff robot");
+        let options = SettleOptions { confirm: false, ..SettleOptions::default() };
+        let mut quick = Plant::new(&robot, options).expect("a sound robot");
+        let mut pose = quick.settle(&command).expect("a stiff robot");
+        assert_eq!((confirmed.steps, pose.steps), (1, 0));
+        pose.steps = 1;
+        assert_eq!(bits(&pose), bits(&confirmed));
+    }
+}
+
+#[test]
+fn floor_rail_and_hoses_move_the_target() {
+    let mut rng = ChaCha8Rng::seed_from_u64(38);
+    let mut robot = random_machine(&mut rng);
+    let command = working_command(&robot, &mut rng);
+    let place = |robot: &AsBuilt| plant(robot).settle(&command).expect("a stiff robot").target;
+    let whole = place(&robot);
+    let without = |change: fn(&mut AsBuilt)| {
+        let mut other = robot.clone();
+        change(&mut other);
+        (place(&other) - whole).norm()
+    };
+    let moved = [
+        without(|robot| robot.effects.foundation = None),
+        without(|robot| {
+            if let Some(foundation) = &mut robot.effects.foundation {
+                foundation.rail = None;
+            }
+        }),
+        without(|robot| robot.effects.hoses = None),
+    ];
+    assert!(moved.iter().all(|by| *by > 1e-6), "{moved:?}");
+    // A hose that hangs slack pulls nothing.
+    let slack = |robot: &mut AsBuilt| {
+        robot.effects.hoses.iter_mut().flat_map(|h| &mut h.hoses).for_each(|h| h.free_length = 50.0)
+    };
+    slack(&mut robot);
+    let hanging = place(&robot);
+    robot.effects.hoses = None;
+    assert_eq!(hanging, place(&robot));
+}
+
+#[test]
 fn a_pose_of_the_whole_robot_depends_on_no_bit_of_the_poses_before() {
     let mut rng = ChaCha8Rng::seed_from_u64(34);
-    let robot = random_full_robot(&mut rng);
+    let robot = random_machine(&mut rng);
     let cases: Vec<_> = (0..40)
         .map(|case| {
             let command = working_command(&robot, &mut rng);

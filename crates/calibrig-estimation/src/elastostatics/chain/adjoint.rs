@@ -13,7 +13,7 @@ use super::parts::Slot;
 use super::place::finite;
 use super::screw::{Loads, Screw};
 use super::{Deflection, ElasticChain, ElasticError, MOST_ITERATIONS, ROUNDED};
-use calibrig_model::{ActuatorMap, Compliance, LinkTerm, LinkageLength, ModelError, ParameterId, TermPlace};
+use calibrig_model::{ActuatorMap, Compliance, LinkTerm, LinkageTerm, ModelError, ParameterId, TermPlace};
 
 /// Change of a sweep, relative to the largest entry, below which the adjoint has converged: what is left is a hundredth of it.
 const ADJOINT_CONVERGED: f64 = 1e-10;
@@ -388,7 +388,7 @@ impl ElasticChain {
             ParameterId::Compliance(compliance) => self.compliance_column(compliance),
             ParameterId::Mass { link } => self.mass_column(link),
             ParameterId::Centre { link, axis } => self.centre_column(link, axis),
-            ParameterId::Linkage(length) => self.linkage_column(length),
+            ParameterId::Linkage(term) => self.linkage_column(term),
             ParameterId::Frame { .. }
             | ParameterId::Orientation { .. }
             | ParameterId::Term(_)
@@ -520,17 +520,21 @@ impl ElasticChain {
         inboard.turns * (part.body.0 * self.terms[link].body[axis]).cross(&self.gravity)
     }
 
-    fn linkage_column(&self, length: LinkageLength) -> Vector3<f64> {
+    fn linkage_column(&self, term: LinkageTerm) -> Vector3<f64> {
         let Some(four_bar) = &self.four_bar else { return Vector3::zeros() };
         let (a, closed) = (&self.adjoint, &self.closed);
         // The loads at the moved end turn about all that is inboard.
-        let (inboard, force, growth, sign) = match length {
-            LinkageLength::Rod => return a.rho,
-            LinkageLength::Lever => {
+        let (inboard, force, growth, sign) = match term {
+            LinkageTerm::AxisX => return self.crank_axis_column(&closed.axis[0]),
+            LinkageTerm::AxisY => return self.crank_axis_column(&closed.axis[1]),
+            LinkageTerm::AxisRx => return self.crank_axis_column(&closed.axis[2]),
+            LinkageTerm::AxisRy => return self.crank_axis_column(&closed.axis[3]),
+            LinkageTerm::Rod => return a.rho,
+            LinkageTerm::Lever => {
                 let force = self.lumps[four_bar.lever_lump].direction;
                 (&a.inboard[four_bar.reach], force, closed.lever_growth, 1.0)
             }
-            LinkageLength::Crank => {
+            LinkageTerm::Crank => {
                 let force = 0.5 * four_bar.rod_mass * self.gravity + closed.force * closed.rod;
                 (&a.crank_inboard, force, closed.crank_growth, -1.0)
             }
@@ -538,6 +542,21 @@ impl ElasticChain {
         let mut column = -sign * self.by_rod(&growth);
         if a.coupled {
             column += inboard.turns * growth.cross(&force);
+        }
+        column
+    }
+
+    /// What a unit of a motion between the shoulder's frame and the crank does to the target.
+    fn crank_axis_column(&self, screw: &Screw) -> Vector3<f64> {
+        let Some(four_bar) = &self.four_bar else { return Vector3::zeros() };
+        let a = &self.adjoint;
+        let mut column = self.by_rod(&screw.moves(&self.closed.crank_end));
+        if a.coupled {
+            let crank = four_bar.crank;
+            column += a.inboard[crank].turns * a.outboard[crank].turned_by(screw);
+            if screw.about {
+                column += a.lambda[crank] * a.turned[crank].dot(&screw.axis);
+            }
         }
         column
     }

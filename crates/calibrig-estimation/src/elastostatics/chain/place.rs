@@ -46,6 +46,8 @@ pub(super) struct LoopPlace {
     pub lever_end: Vector3<f64>,
     /// Directions in which crank and lever grow.
     pub crank_growth: Vector3<f64>,
+    /// Along x, along y, about x, about y of the crank's axis.
+    pub axis: [Screw; 4],
     pub lever_growth: Vector3<f64>,
     /// Unit vector from the crank's end to the lever's, and their distance, m.
     pub rod: Vector3<f64>,
@@ -67,6 +69,7 @@ impl Default for LoopPlace {
             crank_end: zero,
             lever_end: zero,
             crank_growth: zero,
+            axis: [Screw::NONE; 4],
             lever_growth: zero,
             rod: zero,
             length: 0.0,
@@ -343,6 +346,9 @@ impl ElasticChain {
     fn place_crank(&mut self, mut walk: Walk) {
         let Some(four_bar) = &self.four_bar else { return };
         let psi = self.positions[four_bar.elbow] + four_bar.offset;
+        let axis = four_bar.four_bar.axis;
+        self.closed.axis = [(0, axis.x), (1, axis.y), (3, axis.rx), (4, axis.ry)]
+            .map(|(component, by)| walk.step(component, by));
         self.screws[four_bar.crank] = walk.step(5, psi + self.u[four_bar.crank]);
         let arm = &four_bar.four_bar.crank;
         let closed = &mut self.closed;

@@ -188,7 +188,7 @@ fn coupled() -> CalibrationProblem {
     assert!(compliances.len() > links, "bearings or beams: {compliances:?}");
     parameters.extend(compliances.into_iter().map(ParameterId::Compliance));
     parameters.extend((0..links).map(|link| ParameterId::Mass { link }));
-    parameters.extend(nominal.linkage_lengths().into_iter().map(ParameterId::Linkage));
+    parameters.extend(nominal.linkage_terms().into_iter().map(ParameterId::Linkage));
     let terms: Vec<_> = FAMILIES
         .iter()
         .flat_map(|family| TermId::all_of(family.key(), &nominal).expect("a family of the list"))
@@ -313,7 +313,7 @@ fn coupled_evaluation_takes_no_memory() {
 fn a_linkage_that_does_not_close_makes_residuals_that_are_no_numbers() {
     let mut problem = coupled();
     let mut x = vec![0.0; problem.parameters.len()];
-    let rod = ParameterId::Linkage(calibrig_model::LinkageLength::Rod);
+    let rod = ParameterId::Linkage(calibrig_model::LinkageTerm::Rod);
     let Some(column) = problem.parameters.iter().position(|id| *id == rod) else { panic!("a four-bar") };
     x[column] = 10.0;
     let mut residuals = DVector::zeros(LeastSquares::rows(&problem));

@@ -3,6 +3,7 @@ use std::f64::consts::{PI, TAU};
 use proptest::prelude::*;
 
 use super::*;
+use calibrig_model::geometry::{rotation_y, translation};
 use calibrig_model::{CraigLink, FourBar, JointKind};
 
 const SHOULDER: usize = 0;
@@ -41,7 +42,12 @@ impl Machine {
                 base_from_first: Transform::identity(),
                 last_from_flange: Transform::identity(),
             },
-            linkage: FourBar { crank: arm(lever_angle), lever: arm(lever_angle), rod: 1.35 },
+            linkage: FourBar {
+                crank: arm(lever_angle),
+                lever: arm(lever_angle),
+                rod: 1.35,
+                axis: CrankAxis::default(),
+            },
             offset,
         }
     }
@@ -73,7 +79,9 @@ impl Machine {
     fn gap(&self, command: &[f64], joints: &[f64]) -> f64 {
         let waist_from_shoulder = self.kinematics.links[SHOULDER].transform(joints[SHOULDER]);
         let waist_from_elbow = waist_from_shoulder * self.kinematics.links[ELBOW].transform(joints[ELBOW]);
+        let CrankAxis { x, y, rx, ry } = self.linkage.axis;
         let waist_from_crank = self.kinematics.links[SHOULDER].fixed_part()
+            * (translation(x, y, 0.0) * rotation_x(rx) * rotation_y(ry))
             * rotation_z(command[ELBOW] + self.offset + self.kinematics.links[ELBOW].theta);
         let crank = waist_from_crank * nalgebra::Point3::from(self.linkage.crank.end());
         let lever = waist_from_elbow * nalgebra::Point3::from(self.linkage.lever.end());
@@ -82,9 +90,7 @@ impl Machine {
 
     fn change(&mut self, id: ParameterId, delta: f64) {
         match id {
-            ParameterId::Linkage(LinkageLength::Crank) => self.linkage.crank.length += delta,
-            ParameterId::Linkage(LinkageLength::Lever) => self.linkage.lever.length += delta,
-            ParameterId::Linkage(LinkageLength::Rod) => self.linkage.rod += delta,
+            ParameterId::Linkage(term) => *self.linkage.term_mut(term) += delta,
             _ => self.kinematics.add(id, delta),
         }
     }
@@ -123,6 +129,7 @@ prop_compose! {
             arm.angle += draw(0.02);
         }
         built.linkage.rod += draw(0.02);
+        built.linkage.axis = CrankAxis { x: draw(0.02), y: draw(0.02), rx: draw(0.02), ry: draw(0.02) };
         let command = machine.actuators().command_from_joints(&joints);
         (built, [command[SHOULDER], command[ELBOW]])
     }
@@ -194,7 +201,7 @@ proptest! {
         };
         prop_assert!((closed.by_psi - by_command(ELBOW)).abs() < 1e-7);
         prop_assert!((closed.by_shoulder - by_command(SHOULDER)).abs() < 1e-7);
-        let lengths = LinkageLength::ALL.map(ParameterId::Linkage);
+        let lengths = LinkageTerm::ALL.map(ParameterId::Linkage);
         for id in ParameterId::all_of_links(2).into_iter().chain(lengths) {
             let at = |delta: f64| {
                 let mut machine = machine.clone();

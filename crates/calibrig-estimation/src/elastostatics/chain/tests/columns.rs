@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use super::robots::{Case, painter, serial};
 use crate::elastostatics::{Deflection, ElasticChain, put};
 use calibrig_model::geometry::rotation_vector;
-use calibrig_model::{CalibrationModel, Compliance, LinkageLength, ParameterId, Payload, TermPlace};
+use calibrig_model::{CalibrationModel, Compliance, LinkageTerm, ParameterId, Payload, TermPlace};
 
 /// Corrections that are in place while columns are taken: the columns of corrections depend on their order, too.
 const CORRECTIONS: [(TermPlace, f64); 4] = [
@@ -28,7 +28,7 @@ fn every_parameter(model: &CalibrationModel) -> Vec<ParameterId> {
         ids.extend((0..6).map(bearing));
     }
     ids.push(ParameterId::Compliance(Compliance::Rod));
-    ids.extend(LinkageLength::ALL.map(ParameterId::Linkage));
+    ids.extend(LinkageTerm::ALL.map(ParameterId::Linkage));
     ids
 }
 

@@ -98,7 +98,10 @@ fn bend(case: &Case, u: &[f64]) -> Bent {
         {
             if i == shoulder {
                 let psi = case.command[elbow] + offset + case.model.kinematics.links[elbow].theta;
-                let crank = frame * rotation_z(psi + bender.take(statics.drive_stiffness[elbow]));
+                let axis = bar.axis;
+                let crank = frame
+                    * (translation(axis.x, axis.y, 0.0) * rotation_x(axis.rx) * rotation_y(axis.ry))
+                    * rotation_z(psi + bender.take(statics.drive_stiffness[elbow]));
                 crank_end = place(&crank, bar.crank.end());
                 bender.weigh(linkage.crank.mass, place(&crank, linkage.crank.centre_of_mass));
                 bender.weigh(0.5 * linkage.rod_mass, crank_end);

@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use calibrig_model::geometry::{rotation_x, rotation_z, translation};
 use calibrig_model::{
     ActuatorMap, AxisMap, Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, CalibrationModel,
-    CraigLink, FourBar, JointKind, KinematicModel, LinkageArm, LinkageStatics, PointLoad, Section,
+    CraigLink, CrankAxis, FourBar, JointKind, KinematicModel, LinkageArm, LinkageStatics, PointLoad, Section,
     SegmentLength, StaticProperties,
 };
 
@@ -266,6 +266,7 @@ pub(super) fn painter(seed: u8) -> Case {
         crank: arm(0.35 + draw.within(-0.01, 0.01), -1.5, 0.1),
         lever: arm(0.35 + draw.within(-0.01, 0.01), -1.5, 0.12),
         rod: 1.35 + draw.within(-0.01, 0.01),
+        axis: CrankAxis { x: 0.008, y: -0.006, rx: 0.01, ry: -0.015 },
     };
     let statics = StaticProperties {
         bodies: bodies.collect(),

@@ -4,7 +4,7 @@ use super::robots::{painter, serial};
 use crate::elastostatics::{Deflection, ElasticChain, ElasticError};
 use crate::kinematics::{forward_kinematics, joints_from_command};
 use calibrig_model::{
-    ActuatorMap, Compliance, LinkTerm, LinkageLength, ModelError, ParameterId, Payload, PayloadError,
+    ActuatorMap, Compliance, LinkTerm, LinkageTerm, ModelError, ParameterId, Payload, PayloadError,
     PointLoad, TermPlace,
 };
 use nalgebra::{Point3, Vector3};
@@ -114,7 +114,7 @@ fn poses_take_no_memory() {
         let sum = chain.change(ParameterId::link(2, LinkTerm::Alpha))
             + chain.change(ParameterId::Compliance(Compliance::Beam { link: 4 }))
             + chain.change(ParameterId::Mass { link: 4 })
-            + chain.change(ParameterId::Linkage(LinkageLength::Lever))
+            + chain.change(ParameterId::Linkage(LinkageTerm::Lever))
             + chain.change_of_place(TermPlace::Actuator(2));
         assert!(sum.norm() > 0.0);
     });
