@@ -33,7 +33,7 @@ fn of(estimate: &Estimate, compliance: Compliance) -> (f64, f64) {
 }
 
 /// Of 60 poses a third each with nothing, 25 and 50 kg: the drives that gravity loads are known to 2 % (one sigma), from guesses that may be off by their own
-/// size, and are off by no more than stated.
+/// size; all are within five standard deviations of the machine's.
 #[test]
 fn payloads_tell_stiffnesses_that_poses_alone_do_not() {
     let loaded = scenario();
