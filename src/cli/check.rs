@@ -7,13 +7,14 @@ use serde_json::json;
 
 use super::{CliError, Verdict, print, read_scenario, say};
 use crate::pipeline::hash_sources;
-use crate::scenario::{Approach, Passing, PoseOrder, Scenario, SessionPlan, StationShare};
+use crate::scenario::{
+    Approach, Passing, PayloadOrder, PayloadPlan, PoseOrder, Scenario, SessionPlan, StationShare,
+};
 use calibrig_estimation::identification::{
     ComplianceChoice, FrameChoice, Mode, ParameterChoice, TargetChoice,
 };
 use calibrig_model::JointKind;
 use calibrig_model::measurement::SetKind;
-use calibrig_plant::session::{PayloadOrder, PayloadPlan};
 
 /// Validate a scenario and the files it names, and say what would run
 #[derive(Debug, clap::Args)]

@@ -26,7 +26,9 @@ use calibrig_model::measurement::SetKind;
 use calibrig_model::random;
 use calibrig_plant::experiment::WorkingRegion;
 use calibrig_plant::session::MeasuringSession;
-pub use calibrig_plant::session::{Approach, PoseOrder, SessionPlan, StationShare};
+pub use calibrig_plant::session::{
+    Approach, PayloadOrder, PayloadPlan, PoseOrder, SessionPlan, StationShare,
+};
 use calibrig_plant::tracker::{LaserTracker, Outliers, Probe, TrackerError};
 use calibrig_plant::{AsBuilt, AsBuiltDistribution};
 

@@ -718,15 +718,15 @@ fn own_payload(header: &[&str]) -> Result<Option<PayloadColumns>, String> {
     let has_force = own::PAYLOAD_FORCE.iter().any(has);
     let numbers = [own::PAYLOAD_MASS].iter().chain(&own::PAYLOAD_CENTRE).any(has);
     if !numbers && !has_force {
-        return match has(&own::PAYLOAD) {
-            true => Err(format!(
-                "there is a column {}, and none of {} and {}, which say what it is",
-                own::PAYLOAD,
-                own::PAYLOAD_MASS,
-                own::PAYLOAD_CENTRE.join(", ")
-            )),
-            false => Ok(None),
-        };
+        if !has(&own::PAYLOAD) {
+            return Ok(None);
+        }
+        return Err(format!(
+            "there is a column {}, and none of {} and {}, which say what it is",
+            own::PAYLOAD,
+            own::PAYLOAD_MASS,
+            own::PAYLOAD_CENTRE.join(", ")
+        ));
     }
     Ok(Some(PayloadColumns::Numbers {
         name: has(&own::PAYLOAD).then(|| Entry::named(own::PAYLOAD)),
