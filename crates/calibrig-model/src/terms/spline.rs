@@ -111,7 +111,7 @@ impl Shape {
         let last = self.values.len() - 1;
         let x = place * last as f64;
         let (inside, beyond) = (x.clamp(0.0, last as f64), x - x.clamp(0.0, last as f64));
-        let piece = (inside as usize).min(last - 1);
+        let piece = piece_at(inside, last);
         let t = inside - piece as f64;
         let value = self.piece(piece, piece + 1, t);
         if beyond == 0.0 { value } else { value + beyond * self.slope(piece, piece + 1, t) }
@@ -121,7 +121,7 @@ impl Shape {
     fn at_turn(&self, turns: f64) -> f64 {
         let count = self.values.len();
         let x = turns.rem_euclid(1.0) * count as f64;
-        let piece = (x as usize).min(count - 1);
+        let piece = piece_at(x, count);
         self.piece(piece, (piece + 1) % count, x - piece as f64)
     }
 
@@ -141,10 +141,15 @@ impl Shape {
     }
 }
 
+/// The piece of so many on which a place from zero on is.
+fn piece_at(place: f64, pieces: usize) -> usize {
+    (1..pieces).rev().find(|knot| *knot as f64 <= place).unwrap_or(0)
+}
+
 /// Shapes on knots from end to end, with a prior of one for the root mean square over the knots.
 fn natural() -> &'static [Shape] {
-    static SHAPES: OnceLock<Vec<Shape>> = OnceLock::new();
-    SHAPES.get_or_init(|| {
+    static KNOWN: OnceLock<Vec<Shape>> = OnceLock::new();
+    KNOWN.get_or_init(|| {
         let inner = KNOTS - 2;
         let q: DMatrix<f64> = DMatrix::from_fn(KNOTS, inner, |i, j| match i.abs_diff(j + 1) {
             0 => -2.0,
@@ -175,8 +180,8 @@ fn natural() -> &'static [Shape] {
 
 /// The same on a ring: sines and cosines at the knots are its eigenvectors.
 fn on_ring() -> &'static [Shape] {
-    static SHAPES: OnceLock<Vec<Shape>> = OnceLock::new();
-    SHAPES.get_or_init(|| {
+    static KNOWN: OnceLock<Vec<Shape>> = OnceLock::new();
+    KNOWN.get_or_init(|| {
         let waves = (1..=RING / 2).flat_map(|wave| [(wave, f64::sin as fn(f64) -> f64), (wave, f64::cos)]);
         // Twice per two knots, a sine is zero at each.
         let waves = waves.filter(|(wave, function)| 2 * wave < RING || function(0.0) > 0.5);
@@ -219,11 +224,11 @@ mod tests {
 
     #[test]
     fn the_curvature_is_the_sum_of_squares_of_the_amplitudes() {
-        for (shapes, pieces) in [(natural(), KNOTS - 1), (on_ring(), RING)] {
+        for (shapes, pieces, turns) in [(natural(), KNOTS - 1, false), (on_ring(), RING, true)] {
             assert_eq!(shapes.len(), SHAPES);
             // Second differences against the penalty: pieces are cubic, f'' is linear, and the trapezia are refined until they tell.
             let value = |x: f64, amplitudes: &[f64]| {
-                sum(shapes, amplitudes, |shape| if pieces == RING { shape.at_turn(x) } else { shape.at(x) })
+                sum(shapes, amplitudes, |shape| if turns { shape.at_turn(x) } else { shape.at(x) })
             };
             let energy = |amplitudes: &[f64]| -> f64 {
                 let steps = 200 * pieces;
