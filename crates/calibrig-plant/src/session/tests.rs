@@ -181,7 +181,7 @@ fn a_session_that_overheats_a_part_is_refused() {
     let told = session.measure(&mut Exact(scene.machine.clone()), 5, 0, &mut |_| ControlFlow::Continue(()));
     match told.expect_err("too hot") {
         SessionError::Effects(EffectError::Overheated { actuator: 0, value, .. }) => {
-            assert!(value > MOST_RISE)
+            assert!(value > MOST_RISE);
         }
         other => panic!("{other}"),
     }
