@@ -4,7 +4,7 @@ use super::robots::{painter, serial};
 use crate::elastostatics::{Deflection, ElasticChain, ElasticError};
 use crate::kinematics::{forward_kinematics, joints_from_command};
 use calibrig_model::{
-    ActuatorMap, Compliance, LinkTerm, LinkageTerm, ModelError, ParameterId, Payload, PayloadError,
+    ActuatorMap, Compliance, CrankAxis, LinkTerm, LinkageTerm, ModelError, ParameterId, Payload, PayloadError,
     PointLoad, TermPlace,
 };
 use nalgebra::{Point3, Vector3};
@@ -89,7 +89,7 @@ fn deflections_of_a_four_bar_bend_a_chain_with_the_ideal_map() {
     let ActuatorMap::Parallelogram { linkage: Some(linkage), .. } = &mut case.model.actuators else {
         panic!("a four-bar");
     };
-    (linkage.rod, linkage.lever) = (a, linkage.crank);
+    (linkage.rod, linkage.lever, linkage.axis) = (a, linkage.crank, CrankAxis::default());
     let mut with_loop = ElasticChain::of(&case.model);
     with_loop.settle(&case.command, &[], Deflection::Equilibrium).expect("rest");
     let mut ideal = case.model.clone();
