@@ -4,7 +4,7 @@
 use nalgebra::{DMatrix, DVector, Vector3};
 
 use calibrig::elastostatics::{Deflection, ElasticChain};
-use calibrig::measurement::Observation;
+use calibrig::measurement::{MeasurementSet, Observation};
 use calibrig::model::{CalibrationModel, FAMILIES, ParameterId, PoseQuery, TermId};
 use calibrig::pipeline::{PlantKind, simulate};
 use calibrig::plant::effects::{
@@ -56,11 +56,13 @@ fn span(machine: &AsBuilt, nominal: &CalibrationModel, session: &Session) -> DMa
         actuators: machine.actuators.clone(),
         statics: Some(machine.statics.clone()),
         motor_turns: nominal.motor_turns.clone(),
+        spans: MeasurementSet { observations: session.observations.clone(), ..MeasurementSet::default() }
+            .spans(),
     };
     let joints = model.kinematics.joint_count();
     let mut parameters = ParameterId::all_of_links(joints);
     parameters.extend(model.compliances().into_iter().map(ParameterId::Compliance));
-    parameters.extend(model.linkage_lengths().into_iter().map(ParameterId::Linkage));
+    parameters.extend(model.linkage_terms().into_iter().map(ParameterId::Linkage));
     for link in 0..joints {
         parameters.push(ParameterId::Mass { link });
         parameters.extend((0..3).map(|axis| ParameterId::Centre { link, axis }));
@@ -77,6 +79,7 @@ fn span(machine: &AsBuilt, nominal: &CalibrationModel, session: &Session) -> DMa
         let query = PoseQuery {
             command: &observation.command,
             approach: &observation.approach,
+            since_reversal: &observation.since_reversal,
             temperature: observation.temperature,
             time: observation.time,
             ..PoseQuery::at(&observation.command)

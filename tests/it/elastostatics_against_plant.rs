@@ -69,6 +69,7 @@ fn elastostatics_predicts_the_robot_with_a_payload() {
             actuators: robot.actuators.clone(),
             statics: Some(robot.statics.clone()),
             motor_turns: vec![None; 7],
+            spans: Vec::new(),
         })
         .expect("a robot");
         let mut plant = Plant::new(&robot, SettleOptions::default()).expect("a sound robot");

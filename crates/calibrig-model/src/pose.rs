@@ -32,7 +32,15 @@ pub struct PoseQuery<'a> {
 impl<'a> PoseQuery<'a> {
     /// The first target at a command, approached from an unknown side, at time zero, without a payload.
     pub fn at(command: &'a [f64]) -> Self {
-        Self { command, approach: &[], since_reversal: &[], temperature: None, time: 0.0, target: 0, payload: None }
+        Self {
+            command,
+            approach: &[],
+            since_reversal: &[],
+            temperature: None,
+            time: 0.0,
+            target: 0,
+            payload: None,
+        }
     }
 
     /// The same with the signs of the last motions.

@@ -26,7 +26,7 @@ impl Plant {
         }));
         let mut loaded = Self::new(&robot, self.options)?;
         loaded.payload = payload.cloned();
-        loaded.predictions = self.predictions;
+        loaded.newton_steps = self.newton_steps;
         *self = loaded;
         Ok(())
     }

@@ -63,9 +63,6 @@ pub enum PlantError {
         /// N/m or N m/rad
         stiffness: f64,
     },
-    /// A drive whose stiffness does not rise as it should.
-    #[error(transparent)]
-    Stiffening(#[from] EffectError),
     /// A bearing, beam or rod that does not hold, or a negative weight of a beam.
     #[error("{field} of joint index {joint} is {value}, more than zero was expected")]
     NotPositive {
@@ -150,7 +147,7 @@ pub enum PlantError {
         /// Its value.
         value: f64,
     },
-    /// A floor or a hose that cannot be.
+    /// A floor, a hose or a drive that stiffens that cannot be.
     #[error(transparent)]
     Effect(#[from] EffectError),
     /// The pose did not come to rest.

@@ -326,7 +326,7 @@ fn effects_are_taken_away_one_at_a_time() {
 #[test]
 fn effects_that_no_machine_has_are_refused() {
     type Break = fn(&mut Effects);
-    let breaks: [(Break, EffectKind); 13] = [
+    let breaks: [(Break, EffectKind); 16] = [
         (|e| e.backlash.as_mut().unwrap().gap[1] = -1e-6, EffectKind::Backlash),
         (|e| e.backlash.as_mut().unwrap().gap.truncate(2), EffectKind::Backlash),
         (|e| e.ratio.as_mut().unwrap().relative[0] = f64::NAN, EffectKind::Ratio),

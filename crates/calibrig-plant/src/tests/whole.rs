@@ -1,6 +1,6 @@
 //! The whole robot: six-axis bearings, beams, loads and the closed loop.
 
-use nalgebra::{DVector, Matrix4, Vector3};
+use nalgebra::{DVector, Matrix4, Point3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -11,7 +11,6 @@ use super::{AsBuilt, ElasticPlace, PlantError, bits, plant};
 use crate::effects::{Anchor, Foundation, Hose, Hoses, RailSpan, Stiffening, StiffnessCurve};
 use crate::{Plant, SettleOptions};
 use calibrig_model::{Payload, PointLoad};
-use nalgebra::{Point3, Vector3};
 
 /// A robot with all that the statics of a machine can have: on a floor and a rail that yield, with hoses that pull.
 fn random_machine(rng: &mut ChaCha8Rng) -> AsBuilt {

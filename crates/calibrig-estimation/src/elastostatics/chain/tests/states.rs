@@ -4,8 +4,8 @@ use super::robots::{painter, serial};
 use crate::elastostatics::{Deflection, ElasticChain, ElasticError};
 use crate::kinematics::{forward_kinematics, joints_from_command};
 use calibrig_model::{
-    ActuatorMap, Compliance, CrankAxis, LinkTerm, LinkageTerm, ModelError, ParameterId, Payload, PayloadError,
-    PointLoad, TermPlace,
+    ActuatorMap, Compliance, CrankAxis, LinkTerm, LinkageTerm, ModelError, ParameterId, Payload,
+    PayloadError, PointLoad, TermPlace,
 };
 use nalgebra::{Point3, Vector3};
 
