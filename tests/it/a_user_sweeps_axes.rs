@@ -138,11 +138,13 @@ fn sweeps_that_a_station_does_not_see_are_told_with_what_hides_them() {
     let sandbox = Sandbox::new();
     let text = sandbox.read("scenarios/session.toml").replace("frame = \"nests\"", "frame = \"sweeps\"");
     sandbox.write(SWEPT, format!("{text}\n{SWEEPS}"));
-    assert_refused(
-        &sandbox,
-        &["run", SWEPT],
-        SWEPT,
+    let refused = sandbox.run(["run", SWEPT]);
+    assert_eq!(refused.code, Some(1), "{refused:?}");
+    for told in [
         "of the 36 places of the sweeps",
-        "wrist hides the target",
-    );
+        "wrist hides the target from the tracker",
+        "two sweeps need 5 places each",
+    ] {
+        assert!(refused.stderr.contains(told), "{told}: {refused:?}");
+    }
 }

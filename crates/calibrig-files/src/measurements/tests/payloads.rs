@@ -60,7 +60,7 @@ fn payloads_by_numbers_are_read_in_the_units_of_their_keys() {
 fn maps_that_leave_a_payload_open_are_refused() {
     let column = "[columns]\npayload = \"Load\"\n";
     for (map, message, help) in [
-        (column.to_owned(), "nothing says what the names in it stand for", "[[payload]] with name"),
+        (column.to_owned(), "nothing says what the names in it", "[[payload]] with name"),
         (PLATES.to_owned(), "no column says which rows carry this payload", "payload in [columns]"),
         (format!("{NUMBERS}{PLATES}"), "payloads are stated twice", "payload with [[payload]]"),
         (
