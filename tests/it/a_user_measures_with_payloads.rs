@@ -112,7 +112,7 @@ fn bad_payloads_of_a_scenario_are_refused() {
         ("order = \"blocks\"", "order = \"block\"", "block", "blocks"),
     ] {
         assert!(text.contains(from), "{from}");
-        sandbox.write(SCENARIO, &text.replacen(from, to, 1));
+        sandbox.write(SCENARIO, text.replacen(from, to, 1));
         let ended = sandbox.run(["check", SCENARIO]);
         let told = ended.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
         assert!(ended.code == Some(2) || ended.code == Some(1), "{ended:?}");

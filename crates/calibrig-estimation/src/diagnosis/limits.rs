@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
-use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::measurement::{MeasurementSet, Observation};
 use calibrig_model::{CalibrationModel, Payload};
 
 /// A joint that moves less never moved, rad or m.
@@ -64,18 +64,11 @@ pub(super) fn undetermined(model: &CalibrationModel, set: &MeasurementSet) -> Ve
 }
 
 fn poses(set: &MeasurementSet) -> Vec<Undetermined> {
-    let mut keys: Vec<(usize, usize, Option<[u64; 7]>, Vec<u64>)> = set
-        .observations
-        .iter()
-        .map(|o| {
-            (
-                o.station,
-                o.target,
-                o.payload.as_ref().map(Payload::bits),
-                o.command.iter().map(|v| ((v / NO_MOTION).round() + 0.0).to_bits()).collect(),
-            )
-        })
-        .collect();
+    let key = |o: &Observation| {
+        let command: Vec<u64> = o.command.iter().map(|v| ((v / NO_MOTION).round() + 0.0).to_bits()).collect();
+        (o.station, o.target, o.payload.as_ref().map(Payload::bits), command)
+    };
+    let mut keys: Vec<_> = set.observations.iter().map(key).collect();
     keys.sort();
     let counts: Vec<usize> = keys.chunk_by(|a, b| a == b).map(<[_]>::len).collect();
     let repeated: Vec<usize> = counts.iter().copied().filter(|count| *count > 1).collect();

@@ -162,6 +162,8 @@ pub(super) struct FaceColumn {
 
 /// The columns with what the flange carries.
 #[derive(Debug, Clone, PartialEq)]
+// One a map.
+#[allow(clippy::large_enum_variant)]
 pub(super) enum PayloadColumns {
     /// The name of one of these.
     Named { column: Entry, known: Vec<Payload> },

@@ -185,11 +185,11 @@ impl<'a> Constrained<'a> {
         let feet = ((q - rail.first_foot) / rail.span).floor();
         let a = q - rail.first_foot - feet * rail.span;
         let b = rail.span - a;
-        for axis in 0..2 {
+        for (stiffness, compliance) in stiffness.iter_mut().zip(rail.compliance) {
             // Deflection under a load at a, of a clamped beam of EI with that of the middle given: EI = l³ / (192 c).
-            let rigidity = rail.span.powi(3) / (192.0 * rail.compliance[axis]);
+            let rigidity = rail.span.powi(3) / (192.0 * compliance);
             let sag = a.powi(3) * b.powi(3) / (3.0 * rigidity * rail.span.powi(3));
-            stiffness[axis] = 1.0 / (1.0 / stiffness[axis] + sag);
+            *stiffness = 1.0 / (1.0 / *stiffness + sag);
         }
         stiffness
     }

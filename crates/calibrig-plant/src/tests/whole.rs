@@ -251,7 +251,7 @@ fn floor_rail_and_hoses_move_the_target() {
     assert!(moved.iter().all(|by| *by > 1e-6), "{moved:?}");
     // A hose that hangs slack pulls nothing.
     let slack = |robot: &mut AsBuilt| {
-        robot.effects.hoses.iter_mut().flat_map(|h| &mut h.hoses).for_each(|h| h.free_length = 50.0)
+        robot.effects.hoses.iter_mut().flat_map(|h| &mut h.hoses).for_each(|h| h.free_length = 50.0);
     };
     slack(&mut robot);
     let hanging = place(&robot);

@@ -5,7 +5,7 @@ use crate::identification::{Mode, structural_poses};
 use calibrig_files::load_robot;
 use calibrig_model::geometry::{rotation_x, rotation_y, translation};
 use calibrig_model::measurement::{InstrumentTerm, Reading};
-use calibrig_model::{ActuatorMap, CraigLink, FAMILIES, JointKind, KinematicModel, PoseQuery, TermId, Unit};
+use calibrig_model::{CraigLink, FAMILIES, JointKind, PoseQuery, TermId, Unit};
 
 /// Signs of approach to a command.
 fn signs(command: &[f64]) -> Vec<i8> {
@@ -20,22 +20,12 @@ fn problem() -> CalibrationProblem {
         };
         link.row(a, alpha, d, 0.0).limits(-3.0, 3.0)
     };
-    let kinematics = KinematicModel {
-        links: vec![
-            link(JointKind::Prismatic, 0.0, 0.0, 0.0),
-            link(JointKind::Revolute, 0.3, -1.57, 0.6),
-            link(JointKind::Revolute, 1.3, 0.0, 0.1),
-        ],
-        base_from_first: Transform::identity(),
-        last_from_flange: Transform::identity(),
-    };
-    let nominal = CalibrationModel {
-        motor_turns: vec![None; kinematics.joint_count()],
-        spans: Vec::new(),
-        kinematics,
-        actuators: ActuatorMap::Direct,
-        statics: None,
-    };
+    let links = vec![
+        link(JointKind::Prismatic, 0.0, 0.0, 0.0),
+        link(JointKind::Revolute, 0.3, -1.57, 0.6),
+        link(JointKind::Revolute, 1.3, 0.0, 0.1),
+    ];
+    let nominal = CalibrationModel::new(links).expect("a robot");
     let mut machine = Machine::new(Mode::OnlyCalibration, &nominal);
     let mut parameters = ParameterId::all_of_links(3);
     parameters.extend(ParameterId::all_of_frame(0));
