@@ -21,7 +21,7 @@ pub struct Payload {
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum PayloadError {
-    /// A mass that is none.
+    /// A mass that is negative or not a finite number.
     #[error("the mass of payload {name:?} is {mass} kg: expected a finite number of zero or more")]
     Mass {
         /// Which.
@@ -29,7 +29,7 @@ pub enum PayloadError {
         /// kg
         mass: f64,
     },
-    /// A place or force that is not one.
+    /// A centre or a force that is not finite.
     #[error("the centre or the force of payload {name:?} is not a finite number")]
     NotFinite {
         /// Which.

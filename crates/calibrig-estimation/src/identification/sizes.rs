@@ -14,7 +14,7 @@ use calibrig_model::{FAMILIES, ParameterId, TermFamily};
 
 /// Sizes that change by less than this share have come to rest.
 const SETTLED: f64 = 0.1;
-/// Sizes are looked for from a thousandth to a thousand times what such machines have; a thousandth is none.
+/// Sizes are looked for from a thousandth to a thousand times what such machines have; at a thousandth the family adds nothing. The logarithm of a thousand.
 const MOST: f64 = 6.907_755_278_982_137;
 const STEPS: u32 = 140;
 /// The size that is taken is above the likeliest by about its own standard deviation, where twice the logarithm of the likelihood has fallen by so much:

@@ -1,5 +1,5 @@
 //! Corrections that are not constants of the geometry: each has an amplitude that can be identified, and a basis function that depends on
-//! the pose, its approach, its temperature or its time.
+//! the pose, its approach, the temperature of the air or its time.
 //!
 //! A family of such terms is one file here and one line in [`FAMILIES`].
 
