@@ -243,7 +243,7 @@ impl Plan {
 /// Leaves to the measurements what the options expect of them and a recording, such as one whose nests were dropped, does not hold.
 fn free_what_is_missing(options: &mut IdentificationOptions, set: &MeasurementSet) {
     let lacks = |station: &Station| match options.frame {
-        FrameChoice::Nests | FrameChoice::Fixed => station.nests.len() < 3,
+        FrameChoice::Nests | FrameChoice::Fixed => station.distinct_nests().len() < 3,
         FrameChoice::Sweeps => station.sweeps.is_empty(),
         FrameChoice::AsStated | FrameChoice::Free => false,
     };

@@ -438,7 +438,7 @@ fn a_session_file_makes_identify_the_replay_of_the_same_recording() {
     assert_eq!(identified.code, replayed.code, "{identified:?}");
     assert!(found(&identified) == found(&replayed), "the estimates differ");
     for line in [
-        "station 1: placed by 7 nests of t/session.toml\n",
+        "station 1: placed by 7 nests of t/session.toml, 77 readings\n",
         "target SMR: stated by t/session.toml, +- 0.01 mm an axis\n",
         "targets are those of t/session.toml, not those of t/robot.toml\n",
     ] {
@@ -470,7 +470,7 @@ fn a_session_file_tells_choose_what_it_tells_identify() {
         assert_eq!(ended.code, Some(0), "{ended:?}");
     }
     for line in [
-        "station 1: placed by 7 nests of t/session.toml\n",
+        "station 1: placed by 7 nests of t/session.toml, 77 readings\n",
         "target SMR: stated by t/session.toml, +- 0.01 mm",
     ] {
         assert!(with.stderr.contains(line) && !without.stderr.contains(line), "{line}: {with:?}");

@@ -386,7 +386,7 @@ fn align(
         };
         for (place, station) in set.stations.iter().enumerate() {
             let has = |set: &MeasurementSet| set.observations.iter().any(|o| o.station == place);
-            if has(set) && !has(fit) && station.nests.len() < ENOUGH_NESTS {
+            if has(set) && !has(fit) && station.distinct_nests().len() < ENOUGH_NESTS {
                 let names = measured_names(&fit.stations, |place| {
                     fit.observations.iter().any(|o| o.station == place)
                 });
@@ -446,7 +446,10 @@ fn in_order<T: Named>(
 
 fn in_words(set: &MeasurementSet, stated: &BTreeSet<String>, placed_by: &str, by: &str) -> Vec<String> {
     let mut lines = Vec::new();
-    grouped(&set.stations, &mut lines, |station| match station.nests.len() {
+    grouped(&set.stations, &mut lines, |station| match station.distinct_nests().len() {
+        nests if nests >= ENOUGH_NESTS && station.nests.len() > nests => {
+            format!("placed by {nests} nests of {placed_by}, {} readings", station.nests.len())
+        }
         nests if nests >= ENOUGH_NESTS => format!("placed by {nests} nests of {placed_by}"),
         _ => "identified, no nests are stated".to_owned(),
     });

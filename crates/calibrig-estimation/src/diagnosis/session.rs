@@ -288,7 +288,7 @@ impl<'a> Session<'a> {
 
 /// The nests of a station, where they are enough.
 fn nests(station: &Station, spherical: impl Fn(&Reading) -> [f64; 3]) -> Vec<Nest> {
-    if station.nests.len() < 3 {
+    if station.distinct_nests().len() < 3 {
         return Vec::new();
     }
     let nest = |nest: &NestObservation| Nest {

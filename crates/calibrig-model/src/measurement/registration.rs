@@ -48,8 +48,9 @@ const PASSES: usize = 3;
 /// share the error of its certified place.
 pub fn register(station: &Station) -> Result<Registration, RegistrationError> {
     let nests = &station.nests;
-    if nests.len() < 3 {
-        return Err(RegistrationError::TooFewNests { found: nests.len() });
+    let found = station.distinct_nests().len();
+    if found < 3 {
+        return Err(RegistrationError::TooFewNests { found });
     }
     let seen: Vec<_> = nests.iter().map(|n| n.reading.position()).collect();
     let certified: Vec<_> = nests.iter().map(|n| n.in_base).collect();

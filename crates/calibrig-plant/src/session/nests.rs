@@ -5,7 +5,7 @@ use rand::Rng;
 
 use super::schedule::{Round, Schedule};
 use super::{MeasuringSession, SessionError};
-use crate::tracker::{LaserTracker, Shot, Smr, SmrLaw};
+use crate::tracker::{LaserTracker, Shot, Smr};
 use calibrig_model::measurement::{Face, NestObservation, Reading, SphericalReading, Station};
 use calibrig_model::random::{Source, stream, stream_at};
 use calibrig_model::visibility::{Stance, stance_at};
@@ -80,18 +80,20 @@ impl MeasuringSession<'_> {
     /// A nest whose certificate has its error; its reading is another's.
     fn certify(&self, name: &str, place: &Vector3<f64>, rng: &mut impl Rng) -> NestObservation {
         let sigma = self.nest_sigma;
+        // The optical centre of the reflector that goes through the nests is off by the same in every round: more readings do not tell it from the certificate.
+        let centring = self.tracker.conditions.smr.as_ref().map_or(0.0, |law| law.centring_sigma);
         NestObservation {
             name: name.to_owned(),
             in_base: place + self.error_vector(sigma, rng),
-            in_base_covariance: Matrix3::identity() * sigma * sigma,
+            in_base_covariance: Matrix3::identity() * (sigma.powi(2) + centring.powi(2)),
             reading: Reading::Cartesian { position: Vector3::zeros(), covariance: None },
             time: None,
         }
     }
 
-    /// The same with what is known of how well a reflector sits in a nest.
+    /// The same with what is known of how well a reflector sits in a nest, each time it is put there.
     fn with_seat(&self, mut reading: SphericalReading) -> SphericalReading {
-        let variance = self.tracker.conditions.smr.as_ref().map_or(0.0, SmrLaw::nest_variance);
+        let variance = self.tracker.conditions.smr.as_ref().map_or(0.0, |law| law.seat_sigma.powi(2));
         let flat = reading.range * reading.elevation.cos();
         let seat = Vector3::new(1.0, flat.powi(-2), reading.range.powi(-2)) * variance;
         reading.covariance = reading.covariance.map(|own| own + Matrix3::from_diagonal(&seat));

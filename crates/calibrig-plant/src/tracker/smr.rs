@@ -38,11 +38,6 @@ impl SmrLaw {
         Ok(())
     }
 
-    /// Variance along each axis of where a reflector's optical centre is in a nest, m²: what its makers state, and so an operator knows.
-    pub fn nest_variance(&self) -> f64 {
-        self.centring_sigma.powi(2) + self.seat_sigma.powi(2)
-    }
-
     /// One reflector. Takes three numbers from `rng`.
     pub fn draw(&self, rng: &mut impl Rng) -> Smr {
         let centring = self.centring_sigma * vector(rng);
