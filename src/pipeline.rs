@@ -32,6 +32,7 @@ pub use iso9283::{
     Iso9283Target, ReachError, iso9283_of_scenario, iso9283_of_set,
 };
 pub use judgement::{Confidence, FALSE_ALARM, Judgement, PredictedPosition, judge};
+pub use machine::check_analytic;
 pub use planned::{planned, planned_at};
 pub use plausible::{Implausible, check_plausible, commands_beyond_limits};
 pub use residuals::ObservationResidual;
@@ -153,11 +154,7 @@ pub enum PipelineError {
     #[error("the analytic plant: {0}")]
     Analytic(#[from] calibrig_estimation::elastostatics::ElasticError),
     /// The analytic machine is one without this effect.
-    #[error(
-        "the analytic plant has no {}: use the simulated one, or switch [effects.{}] off",
-        effect.title(),
-        effect.key()
-    )]
+    #[error("the analytic plant has no {}", effect.title())]
     BeyondAnalytic {
         /// Which.
         effect: calibrig_plant::effects::EffectKind,

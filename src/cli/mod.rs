@@ -161,12 +161,16 @@ fn unwritten_help(written: &[&str]) -> String {
     format!("expected room and permission to write; the result is on standard output{kept}")
 }
 
-/// What an identification needs that fails for want of poses, in words.
+/// What a run needs that fails for want of poses, or for its plant, in words.
 fn what_is_needed(error: &PipelineError) -> Option<String> {
     let inner = match error {
         PipelineError::Split { source, .. } => source.as_ref(),
         error => error,
     };
+    if let PipelineError::BeyondAnalytic { effect } = inner {
+        let section = effect.key();
+        return Some(format!("use the simulated plant (--plant rapier), or switch [effects.{section}] off"));
+    }
     let PipelineError::Identify { source: cause, .. } = inner else { return None };
     match *cause {
         IdentifyError::TooFewRows { rows, parameters } => {

@@ -9,14 +9,14 @@ use super::interrupt::stop_on_interrupt;
 use super::output::{Destination, Files};
 use super::{CliError, Verdict, print, read_scenario, say};
 use crate::montecarlo::{self, Campaign, Trial};
-use crate::pipeline::PlantKind;
+use crate::pipeline::{PlantKind, check_analytic};
 
 /// Repeat a scenario with other draws, and see how accuracy and parameters scatter
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig montecarlo scenarios/paper.toml --trials 100             tables here, trials.csv and summary.json in a new folder under runs/
   calibrig montecarlo scenarios/paper.toml --trials 1 --first 42    trial 42 alone: the same bits as in a campaign
-  calibrig montecarlo scenarios/paper.toml --trials 10000 --plant analytic --json
+  calibrig montecarlo scenarios/matched.toml --trials 10000 --plant analytic --json
 
 A trial is a pure function of scenario, seed and its number. Ctrl-C ends the campaign early and keeps what is done; a trial that fails is a
 row with its reason. Exit code 3: interrupted, or a trial failed.")]
@@ -71,6 +71,10 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     let name = format!("{}-montecarlo", scenario.name);
     let destination = args.out.as_deref().map_or(Destination::New(&name), Destination::Asked);
     destination.check(Files::Campaign)?;
+    if args.plant == Plant::Analytic {
+        check_analytic(&scenario.as_built)
+            .map_err(|source| CliError::Pipeline { file: args.scenario.clone(), source })?;
+    }
     scenario.remarks().iter().for_each(|remark| say(remark));
     let seed = args.seed.unwrap_or(scenario.seed);
     let campaign = Campaign { scenario: &scenario, seed, plant: args.plant.into() };

@@ -90,7 +90,7 @@ impl Part {
             Self::Linkage => "the four-bar has the lengths of the model",
             Self::Geometry => "link parameters that are not identified have the values of the model",
             Self::Drives => {
-                "drives rigid in the machine, so that friction leaves nothing, and nothing predicted for them"
+                "drives rigid in the machine, which so have no load that lost motion, friction or stiffening could depend on, and nothing predicted for them"
             }
             Self::Bearings => "bearings rigid in the machine, and nothing predicted for them",
             Self::Links => "links and rod rigid in the machine, and nothing predicted for them",
@@ -183,7 +183,7 @@ pub struct AblatedPart {
     pub part: Part,
     /// Its rows, or why there are none.
     pub rows: Result<AblationRows, String>,
-    /// The modes whose estimate did not converge or lacks rank: their rows must not be used without a second look.
+    /// The modes whose estimate is not sound ([`Estimate::is_sound`](calibrig_estimation::identification::Estimate::is_sound)): their rows need a second look.
     pub doubtful: Vec<Mode>,
 }
 

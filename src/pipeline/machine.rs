@@ -15,12 +15,20 @@ pub(super) struct AnalyticMachine {
     target: Vector3<f64>,
 }
 
+/// Refuses what the analytic machine cannot be.
+///
+/// # Errors
+///
+/// [`PipelineError::BeyondAnalytic`].
+pub fn check_analytic(as_built: &AsBuilt) -> Result<(), PipelineError> {
+    let beyond = [EffectKind::Stiffening, EffectKind::Foundation, EffectKind::Hoses];
+    let found = beyond.into_iter().find(|kind| as_built.effects.has(*kind));
+    found.map_or(Ok(()), |effect| Err(PipelineError::BeyondAnalytic { effect }))
+}
+
 impl AnalyticMachine {
     pub(super) fn new(as_built: &AsBuilt) -> Result<Self, PipelineError> {
-        let beyond = [EffectKind::Stiffening, EffectKind::Foundation, EffectKind::Hoses];
-        if let Some(effect) = beyond.into_iter().find(|kind| as_built.effects.has(*kind)) {
-            return Err(PipelineError::BeyondAnalytic { effect });
-        }
+        check_analytic(as_built)?;
         let model = CalibrationModel {
             kinematics: as_built.kinematics.clone(),
             actuators: as_built.actuators.clone(),

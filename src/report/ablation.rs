@@ -30,7 +30,7 @@ fn failures(ablation: &Ablation) -> impl Iterator<Item = (&'static str, &str)> {
 fn doubts(ablation: &Ablation) -> impl Iterator<Item = String> {
     ablation.parts.iter().filter(|part| !part.doubtful.is_empty()).map(|part| {
         let modes: Vec<_> = part.doubtful.iter().map(|mode| mode.title()).collect();
-        format!("without {}: not converged, or not of full rank: {}", part.part.title(), modes.join(", "))
+        format!("without {}: the estimate needs a second look: {}", part.part.title(), modes.join(", "))
     })
 }
 

@@ -115,7 +115,7 @@ impl EffectKind {
             Self::Backlash => "backlash",
             Self::Friction => "friction",
             Self::Encoder => "encoders",
-            Self::Transmission => "transmission error of the output side",
+            Self::Transmission => "transmission error at the output",
             Self::LostMotion => "lost motion under load",
             Self::Stiffening => "stiffening drives",
             Self::Thermal => "thermal growth",
