@@ -2,7 +2,7 @@
 
 use calibrig::identification::{FrameChoice, IdentificationOptions, Mode, TargetChoice, Warning, identify};
 use calibrig::model::ParameterId;
-use calibrig::pipeline::{PlantKind, simulate};
+use calibrig::pipeline::{PlantKind, simulate, without_drift};
 use calibrig::plant::effects::{
     Ambient, Backlash, Effects, Encoder, Friction, GrowingPart, Growth, Harmonic, Harmonics, Rail,
     RailProfile, Ratio, Repeatability, Thermal,
@@ -100,7 +100,8 @@ fn every_effect_that_the_model_lacks_fails_the_consistency_test() {
         let simulation =
             simulate(&scenario, scenario.seed, 0, PlantKind::Rapier, |_, _| {}).expect("a simulation");
         let model = &scenario.robot.model;
-        let measured = &simulation.sets[0].measurements;
+        let steady = without_drift(simulation.sets).expect("sound nests");
+        let measured = &steady.sets[0].measurements;
         let estimate = identify(model, measured, &scenario.options).expect("an estimate");
         estimate.warnings.iter().any(|w| matches!(w, Warning::Inconsistent { .. }))
     };

@@ -16,7 +16,7 @@ use calibrig::plant::{AsBuilt, SettledPose};
 use calibrig::scenario::Scenario;
 
 use self::Form::{Contained, Smooth, Unmodelled};
-use crate::a_user_reproduces_the_paper::paper;
+use crate::a_user_reproduces_the_paper::{paper, with_poses};
 
 const POSES: u32 = 1000;
 /// Of the displacement's root mean square, what the model must be unable to follow in an effect that is called unmodelled.
@@ -45,7 +45,7 @@ struct Session {
 
 /// The paper's machine, with these effects alone, in 1000 of its poses.
 fn session(effects: Effects) -> (Scenario, Session) {
-    let mut scenario = Scenario { identification_poses: POSES, verification_poses: 0, ..paper() };
+    let mut scenario = Scenario { verification_poses: 0, ..with_poses(paper(), POSES) };
     scenario.as_built.effects = effects;
     scenario.tracker.instrument.noise = false;
     let simulation = simulate(&scenario, 1, 0, PlantKind::Rapier, |_, _| {}).expect("a session");
