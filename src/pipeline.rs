@@ -71,7 +71,7 @@ pub use calibrig_plant::session::{
     MeasuredPose, MissingReading, PlantKind, SessionEvent, SessionListener, Simulation, Truth,
 };
 use calibrig_plant::tracker::TrackerError;
-pub use calibrig_recording::{InputSummary, Story};
+pub use calibrig_recording::{CarriedReport, InputSummary, Story};
 
 /// Everything that a run leaves behind.
 #[derive(Debug, Clone, PartialEq)]

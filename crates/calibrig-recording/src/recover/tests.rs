@@ -217,6 +217,11 @@ fn a_sound_file_is_found_whole() {
         let nests: usize = measurements.stations.iter().map(|station| station.nests.len()).sum();
         assert_eq!((report.nests, report.stations), (nests as u64, measurements.stations.len() as u64));
         assert!(report.described && report.complete);
+        let carried: Vec<_> = report.payloads.iter().map(|c| (c.name.as_deref(), c.poses)).collect();
+        let plates = measurements.observations.iter().filter(|o| o.payload.is_some()).count();
+        assert_eq!(carried, [(None, poses - plates), (Some("plates, 25 kg"), plates)]);
+        let words = format!("plates, 25 kg (25.0 kg) at {plates} pose");
+        assert!(report.payloads[1].to_string().starts_with(&words), "{}", report.payloads[1]);
     }
     for (report, mode) in inspection.estimates.iter().zip(&outcome.modes) {
         assert_eq!(report.mode, mode.mode.key());
