@@ -46,6 +46,7 @@ mod payloads;
 mod robot;
 mod rotation;
 mod session;
+mod springs;
 mod stated;
 
 pub use convert::{AGREEMENT, Convention, Converted, UrdfOptions, robot_from_dh, robot_from_urdf};

@@ -61,6 +61,10 @@ impl TermFamily for Presliding {
         true
     }
 
+    fn is_of_unknown_size(&self) -> bool {
+        std::env::var_os("PRESLIDING_UNKNOWN").is_some()
+    }
+
     fn extends(&self) -> Option<&'static str> {
         Some("hysteresis")
     }
