@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 
 use calibrig::model::visibility::stance_at;
-use calibrig::model::{ActuatorMap, CrankAxis};
+use calibrig::model::CrankAxis;
 use calibrig::nalgebra::Vector3;
 use calibrig::random::{Source, stream};
 use calibrig::scenario::{Scenario, load_scenario};
@@ -218,11 +218,8 @@ fn a_four_bar_is_drawn_with_an_axis_of_the_crank_of_its_own() {
         let mut squares = [0.0; 4];
         let trials = 5000;
         for trial in 0..trials {
-            let machine = drawn.draw(&scenario.as_built, &mut stream(1, trial, Source::AsBuilt));
-            let ActuatorMap::Parallelogram { linkage: Some(linkage), .. } = &machine.actuators else {
-                panic!("a four-bar")
-            };
-            let CrankAxis { x, y, rx, ry } = linkage.axis;
+            let mut machine = drawn.draw(&scenario.as_built, &mut stream(1, trial, Source::AsBuilt));
+            let CrankAxis { x, y, rx, ry } = machine.linkage_mut().expect("a four-bar").axis;
             for (sum, value) in squares.iter_mut().zip([x, y, rx, ry]) {
                 *sum += value * value / trials as f64;
             }

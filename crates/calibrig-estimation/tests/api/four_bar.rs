@@ -7,8 +7,8 @@ use calibrig_estimation::identification::{
     Prospect, Redundancy, TargetChoice, prospect,
 };
 use calibrig_model::geometry::{Transform, rotation_z, translation};
-use calibrig_model::measurement::MeasurementSet;
-use calibrig_model::nalgebra::{DMatrix, Point3, Vector3};
+use calibrig_model::measurement::{MeasurementSet, NestObservation, Reading};
+use calibrig_model::nalgebra::{DMatrix, Matrix3, Point3, Vector3};
 use calibrig_model::random::{Source, stream};
 use calibrig_model::{CalibrationModel, JointKind, LinkageTerm, ParameterId};
 use rand::RngExt;
@@ -118,6 +118,17 @@ fn foreseen(model: &CalibrationModel, commands: &[Vec<f64>], redundant: Redundan
     let points = commands.iter().map(|command| (command.clone(), place(model, command)));
     let mut set = MeasurementSet::of_points(points.collect::<Vec<_>>()).with_sigma(NOISE);
     set.targets[0].in_flange = TARGET;
+    // The tracker is at the base, as three nests say.
+    let exact = Matrix3::identity() * 1e-12;
+    set.stations[0].nests = [Vector3::zeros(), Vector3::x(), Vector3::y()]
+        .map(|in_base| NestObservation {
+            name: format!("{in_base}"),
+            in_base,
+            in_base_covariance: exact,
+            reading: Reading::Cartesian { position: in_base, covariance: Some(exact) },
+            time: None,
+        })
+        .into();
     let options = IdentificationOptions {
         mode: Mode::Extended,
         parameters: ParameterChoice::Complete,

@@ -62,7 +62,8 @@ impl TermFamily for Presliding {
     }
 
     fn is_of_unknown_size(&self) -> bool {
-        std::env::var_os("PRESLIDING_UNKNOWN").is_some()
+        // Most machines show next to none, on which the figure for those that do would cost a quarter of the error.
+        true
     }
 
     fn extends(&self) -> Option<&'static str> {
