@@ -5,8 +5,8 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use calibrig::model::visibility::stance_at;
 use calibrig::model::CrankAxis;
+use calibrig::model::visibility::stance_at;
 use calibrig::nalgebra::Vector3;
 use calibrig::random::{Source, stream};
 use calibrig::scenario::{Scenario, load_scenario};
