@@ -1,6 +1,6 @@
 //! Real measurements of a UR5 and a Barrett WAM, where they are at hand (`CALIBRIG_DATA`).
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use calibrig::report::{JsonReport, JsonSplitRow};
@@ -141,11 +141,11 @@ fn wam_from_216_poses_to_20_and_from_150_to_66() {
 }
 
 /// Models of a robot compared on poses that were held out in five parts, on the command line.
-fn choose(model: &str, grid: PathBuf, more: &[&str]) -> (Value, String) {
+fn choose(model: &str, grid: &Path, more: &[&str]) -> (Value, String) {
     let run = |json: &[&str]| {
         let output = Command::new(env!("CARGO_BIN_EXE_calibrig"))
             .args(["choose", "--folds", "5", "--model", model, "--measurements"])
-            .arg(&grid)
+            .arg(grid)
             .args(more)
             .args(json)
             .output()
@@ -177,7 +177,7 @@ fn worth<'a>(choice: &'a Value, key: &str) -> ([f64; 2], [f64; 3], &'a str) {
 #[test]
 fn splines_pay_on_the_ur5() {
     let Some([grid, _]) = data(UR5) else { return };
-    let (choice, text) = choose("models/ur5/robot.toml", grid, &[]);
+    let (choice, text) = choose("models/ur5/robot.toml", &grid, &[]);
     assert_eq!((choice["poses"].as_u64(), choice["folds"].as_u64()), (Some(1000), Some(5)));
     let ([before, after], [_, low, high], verdict) = worth(&choice, "spline");
     assert_eq!(verdict, "pays");
@@ -199,7 +199,7 @@ fn splines_pay_on_the_ur5() {
 #[test]
 fn signs_of_approach_pay_on_the_wam() {
     let Some([grid, _]) = data(WAM) else { return };
-    let (choice, text) = choose("models/wam/robot.toml", grid, &["--approach-from-order"]);
+    let (choice, text) = choose("models/wam/robot.toml", &grid, &["--approach-from-order"]);
     let ([before, after], [_, low, high], verdict) = worth(&choice, "hysteresis");
     assert_eq!(verdict, "pays");
     assert!(low > 0.0 && low < 0.40 && 0.40 < high, "{low} {high}");

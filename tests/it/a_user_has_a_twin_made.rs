@@ -221,7 +221,7 @@ fn a_four_bar_is_drawn_with_an_axis_of_the_crank_of_its_own() {
             let mut machine = drawn.draw(&scenario.as_built, &mut stream(1, trial, Source::AsBuilt));
             let CrankAxis { x, y, rx, ry } = machine.linkage_mut().expect("a four-bar").axis;
             for (sum, value) in squares.iter_mut().zip([x, y, rx, ry]) {
-                *sum += value * value / trials as f64;
+                *sum += value * value / f64::from(trials);
             }
         }
         let expected = [sizes[0], sizes[0], sizes[1], sizes[1]].map(|size| 1e-6 * size * size);

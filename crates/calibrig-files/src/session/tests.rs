@@ -225,6 +225,20 @@ fn a_payload_is_that_of_every_pose_of_its_set() {
     assert!(both.contains("payloads \"plate\" and \"rope\" are both carried"), "{both}");
     let other = rope.replace("force_z_n", "set = \"verification\"\nforce_z_n");
     assert!(parse(&format!("{plate}{other}")).is_ok());
+    for (text, expected) in [
+        ("[[payload]]\nname = \"p\"\nmass_kg = 5", "session.toml:2: payload \"p\" has no centre"),
+        (
+            "[[payload]]\nname = \"p\"\nmass_kg = 5\nmass_factor = 2",
+            "session.toml:5: mass_factor is of a simulated payload",
+        ),
+        (
+            "[[payload]]\nname = \"p\"\nset = \"all\"\nmass_kg = 5\nx_mm = 0\ny_mm = 0\nz_mm = 0",
+            "set is \"all\"",
+        ),
+    ] {
+        let error = parse(text).expect_err(expected).to_string();
+        assert!(error.contains(expected), "{error}");
+    }
 }
 
 #[test]
@@ -259,15 +273,6 @@ fn refusals_name_line_and_key() {
         (
             "[[target]]\nname = \"t\"\nin_flange_m = [1, 2, 3]\ncovariance_m2 = [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]",
             "session.toml:5: covariance_m2 has -1e0 on its diagonal",
-        ),
-        ("[[payload]]\nname = \"p\"\nmass_kg = 5", "session.toml:2: payload \"p\" has no centre"),
-        (
-            "[[payload]]\nname = \"p\"\nmass_kg = 5\nmass_factor = 2",
-            "session.toml:5: mass_factor is of a simulated payload",
-        ),
-        (
-            "[[payload]]\nname = \"p\"\nset = \"all\"\nmass_kg = 5\nx_mm = 0\ny_mm = 0\nz_mm = 0",
-            "set is \"all\"",
         ),
         ("[[dropped]]\nset = \"verification\"\npose = -1\nreason = \"r\"", "session.toml:4:"),
         (&format!("{seen}{again}"), "session.toml:10: nest \"n\" is there twice, and not at two times"),
