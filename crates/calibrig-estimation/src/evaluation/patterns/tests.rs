@@ -245,7 +245,7 @@ fn one_effect_is_named() {
             // A drive that yields, of which the model knows nothing.
             Box::new(|i| {
                 let shoulder = session.sensitivities[i][2];
-                60e-6 / 490.0 * shoulder.dot(&Session::load(i)) * shoulder
+                15e-6 / 490.0 * shoulder.dot(&Session::load(i)) * shoulder
             }),
         ),
         (Cause::Payload, "varies with the payload", Box::new(|i| 60e-6 / 490.0 * Session::load(i))),
