@@ -24,7 +24,7 @@ pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
 pub use acceptance::{AcceptanceOutcome, Finding, Ratios, Test, TestOutcome, TestedKind, test_instruments};
 pub(crate) use bounds::information_at_truth;
 pub use bounds::{TruthBounds, bounds_at_truth};
-pub use choice::{ALL_TERMS, ChosenRow, FailedVariant, ModelChoice, choose};
+pub use choice::{ALL_TERMS, ChosenRow, DEFAULT_TERMS, FailedVariant, ModelChoice, choose};
 pub use defaults::{default_modes, default_options, is_default};
 pub use diagnosis::{Names, mm};
 pub use iso9283::{
@@ -72,7 +72,7 @@ pub use calibrig_plant::session::{
     MeasuredPose, MissingReading, PlantKind, SessionEvent, SessionListener, Simulation, Truth,
 };
 use calibrig_plant::tracker::TrackerError;
-pub use calibrig_recording::{InputSummary, Story};
+pub use calibrig_recording::{CarriedReport, InputSummary, Story};
 
 /// Everything that a run leaves behind.
 #[derive(Debug, Clone, PartialEq)]

@@ -11,7 +11,8 @@ use super::measured::RowArgs;
 use super::model::ChainArgs;
 use super::{CliError, Verdict, not_identified, output, print, read_scenario, say};
 use crate::pipeline::{
-    self, ALL_TERMS, ChosenRow, ModelChoice, PlantKind, choose, default_options, simulate, without_drift,
+    self, ALL_TERMS, ChosenRow, DEFAULT_TERMS, ModelChoice, PlantKind, choose, default_options, simulate,
+    without_drift,
 };
 use calibrig_estimation::evaluation::{Criteria, Verdict as Worth};
 use calibrig_estimation::identification::{LINKAGE, Outlier};
@@ -221,7 +222,12 @@ fn write_text(name: &str, choice: &ModelChoice, text: &mut String) -> std::fmt::
         writeln!(text, "{}: could not be fitted: {}", failure.name, failure.why)?;
     }
     for name in &choice.without_basis {
-        writeln!(text, "{name}: not compared: nothing that was measured acts on it")?;
+        let hint = if name.ends_with("hysteresis") {
+            ": no signs of approach are stated (--approach-from-order takes them from the order of the rows)"
+        } else {
+            ""
+        };
+        writeln!(text, "{name}: not compared: nothing that was measured acts on it{hint}")?;
     }
     writeln!(text)?;
     writeln!(text, "{}", advice(choice))
@@ -245,22 +251,24 @@ fn in_words(row: &ChosenRow) -> Option<String> {
     Some(format!("{}: {} ({why}; against {against})", row.name, row.verdict))
 }
 
-/// What to fit: everything, where that predicts best; else the largest model of the chain that pays, with the terms that pay.
+/// What to fit, as `identify` is asked for it: all together, where that predicts best; else the largest model of the chain that pays, with the terms that pay.
 fn advice(choice: &ModelChoice) -> String {
     let paying = |key: &str| choice.rows.iter().any(|row| row.key == key && row.row.verdict == Worth::Pays);
     let rms = |row: &ChosenRow| row.row.held_out_rms.unwrap_or(f64::INFINITY);
     let best = choice.rows.iter().min_by(|a, b| rms(a).total_cmp(&rms(b)));
-    if let Some(best) = best.filter(|best| ["everything", ALL_TERMS].contains(&best.key) && paying(best.key))
+    if let Some(best) = best.filter(|best| [DEFAULT_TERMS, ALL_TERMS].contains(&best.key) && paying(best.key))
     {
-        let on_request = FAMILIES.iter().filter(|family| family.is_on_request()).map(|family| family.key());
+        let compared = |key: &&str| choice.rows.iter().any(|row| row.key == *key);
+        let families = || std::iter::once(LINKAGE).chain(FAMILIES.iter().map(|family| family.key()));
         let terms = if best.key == ALL_TERMS {
-            format!("all terms, {} among them", on_request.collect::<Vec<_>>().join(" and "))
+            format!(" --terms {}", families().filter(compared).collect::<Vec<_>>().join(","))
         } else {
-            "all terms".to_owned()
+            String::new()
         };
+        let geometry = if compared(&"complete_geometry") { ", with a complete geometry" } else { "" };
         let rms = 1e3 * rms(best);
         return format!(
-            "Worth fitting: mode extended with a complete geometry and {terms}, {rms:.3} mm RMS on held-out poses."
+            "Worth fitting: --mode extended{terms}{geometry}: {rms:.3} mm RMS on held-out poses."
         );
     }
     // A family that extends another one is fitted beside it.
@@ -270,9 +278,9 @@ fn advice(choice: &ModelChoice) -> String {
     let terms: Vec<_> = families.filter(|key| paying(key) || needed(key)).collect();
     if !terms.is_empty() || paying("complete_geometry") {
         let terms = if terms.is_empty() { "none".to_owned() } else { terms.join(",") };
-        let geometry = if paying("complete_geometry") { " and a complete geometry" } else { "" };
+        let geometry = if paying("complete_geometry") { ", with a complete geometry" } else { "" };
         return format!(
-            "Worth fitting: mode extended with terms {terms}{geometry}; together their gain is not the sum of these, so compare again on new poses."
+            "Worth fitting: --mode extended --terms {terms}{geometry}; together their gain is not the sum of these, so compare again on new poses."
         );
     }
     let mode = if paying("stiffness") {
@@ -282,7 +290,7 @@ fn advice(choice: &ModelChoice) -> String {
     } else {
         "only_calibration"
     };
-    format!("Worth fitting: mode {mode}.")
+    format!("Worth fitting: --mode {mode}.")
 }
 
 fn as_json(name: &str, choice: &ModelChoice) -> String {

@@ -152,7 +152,7 @@ pub(super) struct FileArgs {
     /// Column map of the files, instead of the one that the robot's file names
     #[arg(long, value_name = "MAP.toml")]
     columns: Option<PathBuf>,
-    /// Stations with their nests, targets with their uncertainty, and dropped poses (docs/formats.md); its targets hold in place of the
+    /// Stations with their nests, targets with their uncertainty, what all poses carry, and dropped poses (docs/formats.md); its targets hold in place of the
     /// robot's file's [default: stations of unknown place, and [target] of the robot's file]
     #[arg(long, value_name = "SESSION.toml")]
     session: Option<PathBuf>,

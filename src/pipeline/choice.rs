@@ -38,7 +38,7 @@ pub struct ModelChoice {
 /// A model in the table.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChosenRow {
-    /// `geometry`, `gravity`, `stiffness`, `linkage`, `complete_geometry`, the key of a family of terms, `everything`, or [`ALL_TERMS`].
+    /// `geometry`, `gravity`, `stiffness`, `linkage`, `complete_geometry`, the key of a family of terms, [`DEFAULT_TERMS`], or [`ALL_TERMS`].
     pub key: &'static str,
     /// What it says.
     pub row: VariantRow,
@@ -64,7 +64,9 @@ struct Candidate {
     options: IdentificationOptions,
 }
 
-/// The key of everything together with the terms that are fitted on request.
+/// The key of all that the mode `extended` fits where no terms are asked for, on a complete geometry.
+pub const DEFAULT_TERMS: &str = "default_terms";
+/// The key of the same with the terms that are fitted on request.
 pub const ALL_TERMS: &str = "all_terms";
 
 /// What came of a candidate.
@@ -211,11 +213,11 @@ fn candidates(model: &CalibrationModel, options: &IdentificationOptions) -> Vec<
         }
     }
     // What is small hides behind what is large until both are in.
-    let everything = IdentificationOptions { terms: None, ..extended(&ParameterChoice::Complete, &[]) };
-    let place = push("everything", base, everything.clone());
+    let by_default = IdentificationOptions { terms: None, ..extended(&ParameterChoice::Complete, &[]) };
+    let place = push(DEFAULT_TERMS, base, by_default.clone());
     let all = std::iter::once(LINKAGE).chain(FAMILIES.iter().map(|family| family.key()));
     let all = Some(all.map(str::to_owned).collect());
-    push(ALL_TERMS, place, IdentificationOptions { terms: all, ..everything });
+    push(ALL_TERMS, place, IdentificationOptions { terms: all, ..by_default });
     candidates
 }
 

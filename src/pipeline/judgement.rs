@@ -7,6 +7,7 @@ use nalgebra::{DVector, Vector3};
 use super::residuals::{ObservationResidual, residuals};
 use super::worth::{Worse, worse};
 use super::{ModeOutcome, PipelineError, SetKind, SetOutcome};
+use crate::scenario::USUAL_GRAVITY;
 use calibrig_estimation::evaluation::{
     ChiSquareTest, ConsistencyReport, PoseConditions, ResidualSet, ScatterComparison, check_consistency,
     compare_scatter,
@@ -339,6 +340,9 @@ fn consistency(
         return ConsistencyReport { size: None, shape: None, level: FALSE_ALARM };
     }
     let mut predictor = Predictor::new(&estimate.robot).ok();
+    let stated = model.statics.as_ref().map(|statics| statics.gravity);
+    // Of a robot that is not told where down is, upright.
+    let gravity = stated.unwrap_or(USUAL_GRAVITY);
     let poses: Vec<_> = set
         .observations
         .iter()
@@ -350,6 +354,7 @@ fn consistency(
             temperature: observation.temperature,
             position: predictor.as_mut().and_then(|p| p.in_base(observation).ok()).unwrap_or_default(),
             sensitivity: sensitivity.get(i).map_or(&[][..], Vec::as_slice),
+            load: observation.payload.as_ref().map_or(Vector3::zeros(), |p| p.mass * gravity + p.force),
             pose: observation.pose,
             seen: (observation.target, observation.station),
         })

@@ -13,10 +13,9 @@ use super::residuals::{JsonResidual, json_residuals};
 use super::sensors::{JsonSensors, json_sensors};
 use super::splits::{JsonSplits, json_splits};
 use super::sweeps::{JsonSweeps, json_sweeps};
-use crate::pipeline::{AblatedPart, Ablation, MissingReading, Outcome, SetOutcome, Worse};
+use crate::pipeline::{AblatedPart, Ablation, CarriedReport, MissingReading, Outcome, SetOutcome, Worse};
 use calibrig_estimation::evaluation::AccuracyRow;
 use calibrig_estimation::identification::{Estimate, Mode, NoiseScale, Outlier, Warning};
-use calibrig_model::Payload;
 
 /// The schema's name.
 pub const SCHEMA: &str = "calibrig.report/1";
@@ -138,7 +137,7 @@ pub struct JsonSet {
     pub repeats: Option<JsonRepeats>,
     /// What the flange carried, in the order of the first pose with it; absent where it never carried anything.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub payloads: Vec<JsonPayload>,
+    pub payloads: Vec<CarriedReport>,
     /// By the key of the mode; rows that do not apply are absent.
     pub rows: BTreeMap<String, JsonRow>,
 }
@@ -154,21 +153,6 @@ pub struct JsonMissing {
     pub target: String,
     /// Why, such as the link that hides it.
     pub why: String,
-}
-
-/// What the flange carried at some poses.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct JsonPayload {
-    /// Its name; null for nothing, and so are the numbers.
-    pub name: Option<String>,
-    /// kg
-    pub mass_kg: Option<f64>,
-    /// Centre of mass in the flange frame, m.
-    pub centre_m: Option<[f64; 3]>,
-    /// That pulls there, in the base frame, N.
-    pub force_n: Option<[f64; 3]>,
-    /// Distinct poses with it.
-    pub poses: usize,
 }
 
 /// Poses that are measured more than once.
@@ -543,15 +527,9 @@ fn missing(outcome: &Outcome, index: usize, set: &SetOutcome) -> Vec<JsonMissing
     outcome.missing.get(index).into_iter().flatten().map(of).collect()
 }
 
-fn payloads(set: &SetOutcome) -> Vec<JsonPayload> {
-    let of = |(payload, poses): (Option<&Payload>, usize)| JsonPayload {
-        name: payload.map(|payload| payload.name.clone()),
-        mass_kg: payload.map(|payload| payload.mass),
-        centre_m: payload.map(|payload| payload.centre.into()),
-        force_n: payload.map(|payload| payload.force.into()),
-        poses,
-    };
-    set.measurements.payloads().into_iter().map(of).collect()
+fn payloads(set: &SetOutcome) -> Vec<CarriedReport> {
+    let carried = set.measurements.payloads().into_iter();
+    carried.map(|(payload, poses)| CarriedReport::of(payload, poses)).collect()
 }
 
 fn json_set(outcome: &Outcome, index: usize, set: &SetOutcome) -> JsonSet {

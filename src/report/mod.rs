@@ -49,7 +49,7 @@ use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
 use thiserror::Error;
 
-use crate::pipeline::{Outcome, SetKind, SetOutcome};
+use crate::pipeline::{CarriedReport, Outcome, SetKind, SetOutcome};
 use calibrig_estimation::identification::{Estimate, LeftOutReason, Mode};
 use calibrig_model::Payload;
 
@@ -147,14 +147,8 @@ fn pose_words(set: &SetOutcome) -> String {
 /// What the flange carried: "nothing at 20 poses, 25 kg (25.0 kg) at 20 poses"; `None` where it never carried anything.
 fn payload_words(set: &SetOutcome) -> Option<String> {
     let carried = set.measurements.payloads();
-    let words = |(payload, poses): &(Option<&Payload>, usize)| match payload {
-        None => format!("nothing at {}", counted(*poses, "pose")),
-        Some(payload) => {
-            let pull = payload.force.norm();
-            let force = if pull > 0.0 { format!(" and {pull:.1} N") } else { String::new() };
-            format!("{} ({:.1} kg{force}) at {}", payload.name, payload.mass, counted(*poses, "pose"))
-        }
-    };
+    let words =
+        |(payload, poses): &(Option<&Payload>, usize)| CarriedReport::of(*payload, *poses).to_string();
     (!carried.is_empty()).then(|| carried.iter().map(words).collect::<Vec<_>>().join(", "))
 }
 

@@ -203,7 +203,7 @@ pub fn parse_scenario_with(
 }
 
 /// Where neither the robot's file nor the scenario says where down is, m/s².
-const USUAL_GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.80665);
+pub(crate) const USUAL_GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.80665);
 
 fn gravity(source: &Source, table: &Spanned<GravityFile>) -> Result<Vector3<f64>, InputError> {
     let file = table.get_ref();

@@ -12,6 +12,7 @@ mod session;
 mod sweep;
 pub use identification::with_stated_of;
 
+pub(crate) use file::USUAL_GRAVITY;
 pub use file::{load_scenario, parse_scenario, parse_scenario_with};
 pub use remarks::Passing;
 

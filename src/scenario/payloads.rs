@@ -2,7 +2,9 @@
 
 use serde::Deserialize;
 
-use calibrig_files::{InputError, PayloadTable, Source, Spanned, payload_by_name, read_payloads};
+use calibrig_files::{
+    InputError, PayloadFile, PayloadTable, Source, Spanned, payload_by_name, read_payloads,
+};
 use calibrig_model::Payload;
 use calibrig_plant::session::{PayloadOrder, PayloadPlan, PlannedPayload};
 
@@ -28,7 +30,7 @@ pub(super) fn payloads(
     carried: Option<&Spanned<CarriedFile>>,
     poses: [u32; 2],
 ) -> Result<PayloadPlan, InputError> {
-    let stated = read_payloads(source, tables)?;
+    let stated = read_payloads(source, tables, PayloadFile::Scenario)?;
     let Some(section) = carried else {
         return match tables.first() {
             None => Ok(PayloadPlan::default()),

@@ -71,6 +71,9 @@ pub(super) struct Figures {
     pub lengths: f64,
     pub angles: f64,
     pub errors_why: &'static str,
+    /// Of a four-bar's crank: its axis off the shoulder's along x and y (mm), and its tilts (mrad), and why.
+    pub crank_axis: [f64; 2],
+    pub crank_axis_why: &'static str,
     /// Stiffness of drives that carry most of the arm, of those of the wrist (N m/rad), and of slides (N/m).
     pub main_drive: f64,
     pub wrist_drive: f64,
@@ -105,6 +108,8 @@ const SMALL_FIGURES: Figures = Figures {
     lengths: 0.3,
     angles: 0.5,
     errors_why: "A UR5's nominal table leaves 0.56 to 0.71 mm RMS (public data of P. Jacobi), a FANUC LR Mate 200iC 0.62 mm mean (Joubair et al.).",
+    crank_axis: [0.025, 0.25],
+    crank_axis_why: "ISO 2768-2, class H: seats in one part run out by at most 0.1 mm, so that their axes are at most 0.05 mm apart. Two standard deviations; so for each of two seats 100 mm apart.",
     main_drive: 3e4,
     wrist_drive: 1e4,
     slide: 5e6,
@@ -131,6 +136,8 @@ const MEDIUM_FIGURES: Figures = Figures {
     lengths: 0.8,
     angles: 0.8,
     errors_why: "Published before calibration: an ABB IRB 2400 1.75 mm median, a PUMA 500 2.03 mm (Motta et al.).",
+    crank_axis: [0.05, 0.25],
+    crank_axis_why: "ISO 2768-2, class K: seats in one casting run out by at most 0.2 mm, so that their axes are at most 0.1 mm apart. Two standard deviations; so for each of two seats 200 mm apart.",
     main_drive: 1e6,
     wrist_drive: 2e5,
     slide: 2e7,
@@ -157,6 +164,8 @@ const LARGE_FIGURES: Figures = Figures {
     lengths: 5.0,
     angles: 3.0,
     errors_why: "The 24 errors of the published spray-painting robot (Machines 2023, 11, 20) are 0.9 to 21 mm and 0.1 to 17 mrad; scenarios/matched.toml draws with the same sizes.",
+    crank_axis: [0.125, 0.3],
+    crank_axis_why: "ISO 2768-2, class L: seats in one weldment run out by at most 0.5 mm, so that their axes are at most 0.25 mm apart. Two standard deviations; so for each of two seats 400 mm apart.",
     main_drive: 2e6,
     wrist_drive: 2e5,
     slide: 2e7,
@@ -197,6 +206,7 @@ mod tests {
         for pair in SizeClass::ALL.windows(2) {
             let [small, large] = [pair[0].figures(), pair[1].figures()];
             assert!(small.lengths < large.lengths && small.angles < large.angles);
+            assert!(small.crank_axis[0] < large.crank_axis[0] && small.crank_axis[1] <= large.crank_axis[1]);
             assert!(small.main_drive < large.main_drive && small.wrist_drive <= large.wrist_drive);
             assert!(large.wrist_drive < large.main_drive && small.repeatability[0] < large.repeatability[0]);
         }

@@ -210,6 +210,9 @@ impl Written<'_> {
                 "linkage_mm = 0.3       # bars are as long as their drawings within some tenths of a millimetre"
             );
             line!(text, "linkage_angles_mrad = 0.5");
+            let [shift, tilt] = self.figures.crank_axis;
+            line!(text, "# The crank's axis beside the shoulder's. {}", self.figures.crank_axis_why);
+            line!(text, "crank_axis_mm = {shift}\ncrank_tilts_mrad = {tilt}");
         }
     }
 

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
+use calibrig::model::CrankAxis;
 use calibrig::model::visibility::stance_at;
 use calibrig::nalgebra::Vector3;
 use calibrig::random::{Source, stream};
@@ -195,6 +196,41 @@ fn twenty_generated_urdfs_have_twins_that_run() {
         let text = sandbox.read(&scenario);
         assert_eq!(text.contains("drives = \"rigid\""), seed.is_multiple_of(3), "{seed}");
     }
+}
+
+/// A four-bar is not built with its crank's axis on the shoulder's: every trial draws where it is, with the reason beside the size.
+#[test]
+fn a_four_bar_is_drawn_with_an_axis_of_the_crank_of_its_own() {
+    let sandbox = Sandbox::new();
+    for (name, class, sizes) in
+        [("irb460", "class K", [0.05, 0.25]), ("spray_painter", "class L", [0.125, 0.3])]
+    {
+        let file = format!("{name}.toml");
+        made(&sandbox, &format!("models/{name}/robot.toml"), &file, &[]);
+        let text = sandbox.read(&file);
+        let reason = format!("# The crank's axis beside the shoulder's. ISO 2768-2, {class}: ");
+        let keys = format!("crank_axis_mm = {}\ncrank_tilts_mrad = {}\n", sizes[0], sizes[1]);
+        assert!(text.contains(&reason) && text.contains(&keys), "{text}");
+        let mut scenario = load_scenario(&sandbox.path(&file)).expect("a scenario");
+        assert_eq!(scenario.as_built.linkage_mut().expect("a four-bar").axis, CrankAxis::default());
+        let drawn = scenario.drawn.as_ref().expect("drawn");
+        // Of so many draws the mean square is that of the size within 10 % (five standard deviations of a chi-square of 5000).
+        let mut squares = [0.0; 4];
+        let trials = 5000;
+        for trial in 0..trials {
+            let mut machine = drawn.draw(&scenario.as_built, &mut stream(1, trial, Source::AsBuilt));
+            let CrankAxis { x, y, rx, ry } = machine.linkage_mut().expect("a four-bar").axis;
+            for (sum, value) in squares.iter_mut().zip([x, y, rx, ry]) {
+                *sum += value * value / f64::from(trials);
+            }
+        }
+        let expected = [sizes[0], sizes[0], sizes[1], sizes[1]].map(|size| 1e-6 * size * size);
+        for (found, expected) in squares.into_iter().zip(expected) {
+            assert!((found / expected - 1.0).abs() < 0.1, "{name}: {squares:?}");
+        }
+    }
+    made(&sandbox, "models/ur5/robot.toml", "ur5.toml", &[]);
+    assert!(!sandbox.read("ur5.toml").contains("crank"));
 }
 
 #[test]

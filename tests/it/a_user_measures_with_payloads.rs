@@ -3,10 +3,11 @@
 use std::ops::ControlFlow;
 use std::path::Path;
 
+use calibrig::evaluation::Cause;
 use calibrig::identification::{Estimate, IdentificationOptions, Mode, Warning, identify};
 use calibrig::model::{CalibrationModel, Compliance, ParameterId};
 use calibrig::pipeline::{Outcome, PlantKind, run_trial};
-use calibrig::plant::session::PayloadPlan;
+use calibrig::plant::session::{PayloadOrder, PayloadPlan};
 use calibrig::scenario::{Scenario, load_scenario};
 
 use crate::sandbox::Sandbox;
@@ -65,6 +66,26 @@ fn payloads_tell_stiffnesses_that_poses_alone_do_not() {
         let row = outcome.modes.last().and_then(|mode| mode.rows[1]).expect("held-out poses");
         println!("held-out RMS {title}: {:.4} mm", 1e3 * row.rms_3d);
     }
+}
+
+/// A model in which nothing yields leaves what the loads do, and it is named.
+#[test]
+fn what_a_load_does_is_named_where_the_model_does_not_know_it() {
+    let mut scenario = scenario();
+    scenario.plan.payloads.order = PayloadOrder::Cycle;
+    scenario.modes = vec![Mode::WithoutCalibration, Mode::OnlyCalibration];
+    let outcome = run(&scenario, scenario.seed);
+    let consistency = &outcome.judgements[0].consistency;
+    let shape = consistency.shape.as_ref().expect("degrees of freedom");
+    println!("{consistency}");
+    assert_eq!(shape.patterns.first().map(|pattern| pattern.cause), Some(Cause::Payload), "{consistency}");
+    let page = calibrig::report::html_report(&outcome).expect("a page");
+    assert!(page.contains("varies with the payload") && page.contains("mass of the payload, kg"));
+    // The same without loads has no such cause.
+    scenario.plan.payloads = PayloadPlan::default();
+    let bare = run(&scenario, scenario.seed);
+    let shape = bare.judgements[0].consistency.shape.as_ref().expect("degrees of freedom");
+    assert!(shape.tested.iter().all(|(cause, _)| *cause != Cause::Payload));
 }
 
 /// The loads that poses carried are told, on the terminal and in JSON.
@@ -132,6 +153,11 @@ fn payloads_go_through_recordings_and_files() {
     let ran = sandbox.run(["run", SCENARIO, "--out", "out", "--json"]);
     assert_eq!(ran.code, Some(0), "{ran:?}");
     assert!(sandbox.read("out/report.html").contains("Payload, identification set"));
+    let inspected = sandbox.run(["inspect", "out/recording.mcap"]);
+    let carried = "identification carried nothing at 20 poses, 25 kg (25.0 kg) at 20 poses, 50 kg (50.0 kg) at 20 poses";
+    assert!(inspected.stdout.contains(carried), "{inspected:?}");
+    let json = sandbox.run(["inspect", "out/recording.mcap", "--json"]).json();
+    assert_eq!(json["sets"][0]["payloads"], ran.json()["sets"]["identification"]["payloads"]);
     let replayed = sandbox.run(["replay", "out/recording.mcap"]);
     assert_eq!(replayed.code, Some(0), "{replayed:?}");
     let exported = sandbox.run(["export", "csv", "out/recording.mcap", "--out", "tables"]);
@@ -149,6 +175,34 @@ fn payloads_go_through_recordings_and_files() {
     let again = sandbox.run(["export", "csv", "back.mcap", "--out", "again"]);
     assert_eq!(again.code, Some(0), "{again:?}");
     assert_eq!(sandbox.read("again/identification.csv"), rows);
+
+    // What all poses carry stands in the session file, and not in the measurements as well.
+    let session = sandbox.read("tables/session.toml");
+    let plate = "\n[[payload]]\nname = \"plate\"\nmass_kg = 10\nx_mm = 0\ny_mm = 0\nz_mm = 60\n";
+    sandbox.write("tables/loaded.toml", session + plate);
+    let loaded = "export mcap --model tables/robot.toml --measurements tables/identification.csv --session tables/loaded.toml --out loaded.mcap";
+    let twice = sandbox.run(loaded.split_whitespace());
+    let words = twice.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(
+        words.contains("payload \"plate\" is carried by all poses of the identification set"),
+        "{twice:?}"
+    );
+    sandbox.write("tables/identification.csv", without_payloads(&rows));
+    let ended = sandbox.run(loaded.split_whitespace());
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let inspected = sandbox.run(["inspect", "loaded.mcap"]);
+    assert!(inspected.stdout.contains("identification carried plate (10.0 kg) at 60 poses"), "{inspected:?}");
+}
+
+/// The same rows, of which no column says what the flange carries.
+fn without_payloads(rows: &str) -> String {
+    let header = rows.lines().next().expect("a header");
+    let kept: Vec<bool> = header.split(',').map(|name| !name.starts_with("payload")).collect();
+    let keep = |row: &str| {
+        let cells = row.split(',').zip(&kept).filter(|(_, kept)| **kept).map(|(cell, _)| cell);
+        cells.collect::<Vec<_>>().join(",") + "\n"
+    };
+    rows.lines().map(keep).collect()
 }
 
 /// A robot whose model has nothing that yields is not moved by a payload, which is told once; one that yields is silent.

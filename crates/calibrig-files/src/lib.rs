@@ -46,6 +46,7 @@ mod payloads;
 mod robot;
 mod rotation;
 mod session;
+mod springs;
 mod stated;
 
 pub use convert::{AGREEMENT, Convention, Converted, UrdfOptions, robot_from_dh, robot_from_urdf};
@@ -58,7 +59,7 @@ pub use measurements::{
     parse_column_map, parse_measurements, read_files, read_measurements, read_rows, suggest_columns,
     write_measurements,
 };
-pub use payloads::{NO_PAYLOAD, PayloadTable, payload_by_name, read_payloads};
+pub use payloads::{NO_PAYLOAD, PayloadFile, PayloadTable, payload_by_name, read_payloads};
 pub use robot::{LoadTable, Robot, StatedTarget, load_robot, parse_robot, read_loads};
 pub use rotation::{RotationError, rotation_of_matrix};
 pub use session::{SessionFile, SessionSet, SessionTextError, load_session, parse_session, session_text};

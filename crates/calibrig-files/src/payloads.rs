@@ -11,7 +11,7 @@ use calibrig_model::Payload;
 /// What stands for no payload where one is named.
 pub const NO_PAYLOAD: &str = "none";
 
-/// A load at the flange, as column maps and scenarios give it.
+/// A load at the flange, as column maps, session files and scenarios give it.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PayloadTable {
@@ -25,15 +25,33 @@ pub struct PayloadTable {
     force_z_n: Option<Spanned<f64>>,
     /// Of a simulated one: its real mass over the stated one.
     pub mass_factor: Option<Spanned<f64>>,
+    /// Of a session file: the set whose poses all carry it.
+    pub set: Option<Spanned<String>>,
 }
 
-/// The payloads of `tables`, each with a name of its own.
+/// The kind of file that a payload stands in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PayloadFile {
+    /// A column map, whose rows name it.
+    ColumnMap,
+    /// A session file: all poses of a set carry it.
+    Session,
+    /// A scenario, whose machine carries it.
+    Scenario,
+}
+
+/// The payloads of `tables`, which stand in a `file` of that kind, each with a name of its own.
 ///
 /// # Errors
-/// A payload without name, mass or centre, or with a number that cannot be; two of one name.
-pub fn read_payloads(source: &Source, tables: &[Spanned<PayloadTable>]) -> Result<Vec<Payload>, InputError> {
+/// A payload without name, mass or centre, with a number that cannot be, or with a key of another kind of file; two of one name.
+pub fn read_payloads(
+    source: &Source,
+    tables: &[Spanned<PayloadTable>],
+    file: PayloadFile,
+) -> Result<Vec<Payload>, InputError> {
     let mut payloads: Vec<Payload> = Vec::with_capacity(tables.len());
     for table in tables {
+        table.get_ref().check_keys(source, file)?;
         let payload = table.get_ref().read(source, table.span())?;
         if payloads.iter().any(|other| other.name == payload.name) {
             let message = format!("a second payload {:?}", payload.name);
@@ -45,7 +63,7 @@ pub fn read_payloads(source: &Source, tables: &[Spanned<PayloadTable>]) -> Resul
     Ok(payloads)
 }
 
-/// Index of the payload of a name among those that are known; `None` where the name is that of none.
+/// Index of the payload of a name among those that are known; `None` where the name is that of none, or says that it weighs 0.
 ///
 /// # Errors
 /// What was expected in place of a name that nobody has.
@@ -58,6 +76,9 @@ pub fn payload_by_name<'a>(
     }
     if let Some(index) = known.clone().position(|other| other == name) {
         return Ok(Some(index));
+    }
+    if name.parse() == Ok(0.0) {
+        return Ok(None);
     }
     let nearest = known.clone().min_by_key(|other| edits(name, other));
     let all: Vec<_> = known.map(|name| format!("{name:?}")).collect();
@@ -87,6 +108,24 @@ fn edits(a: &str, b: &str) -> usize {
 }
 
 impl PayloadTable {
+    /// Refuses keys that are of other files.
+    fn check_keys(&self, source: &Source, file: PayloadFile) -> Result<(), InputError> {
+        let (message, help, span) = match (&self.mass_factor, &self.set) {
+            (Some(factor), _) if file != PayloadFile::Scenario => (
+                "mass_factor is of a simulated payload",
+                "expected it in the [[payload]] of a scenario, whose machine carries more or less than is stated",
+                factor.span(),
+            ),
+            (_, Some(set)) if file != PayloadFile::Session => (
+                "set is of a payload that a whole set carries",
+                "expected it in the [[payload]] of a session file; here poses name what they carry",
+                set.span(),
+            ),
+            _ => return Ok(()),
+        };
+        Err(source.error(span, message, Some(help.to_owned())))
+    }
+
     fn read(&self, source: &Source, span: Range<usize>) -> Result<Payload, InputError> {
         let name = self.name.get_ref();
         if name.trim().is_empty() || name.trim() != name || name == NO_PAYLOAD {
@@ -147,7 +186,7 @@ mod tests {
     fn read(text: &str) -> Result<Vec<Payload>, InputError> {
         let source = Source::new("loads.toml", text);
         let file: File = source.toml()?;
-        read_payloads(&source, &file.payload)
+        read_payloads(&source, &file.payload, PayloadFile::ColumnMap)
     }
 
     #[test]
@@ -170,6 +209,11 @@ mod tests {
             (format!("mass_kg = inf\n{centre}"), "mass_kg is inf", "a finite number"),
             ("mass_kg = 25\nx_mm = 1\ny_mm = 0\n".to_owned(), "payload \"a\" has no centre", "z_mm"),
             ("mass_kg = 25\n".to_owned(), "payload \"a\" has no centre", "in the flange frame"),
+            (
+                format!("mass_kg = 25\nset = \"verification\"\n{centre}"),
+                "set is of a payload",
+                "session file",
+            ),
             (format!("mass = 25\n{centre}"), "unknown key `mass`", "mass_kg"),
             (format!("mass_kg = 25\nz = 0.1\n{centre}"), "unknown key `z`", "z_mm"),
             (
@@ -194,6 +238,10 @@ mod tests {
         let known = ["25 kg", "50 kg", "gripper"];
         let find = |name: &str| payload_by_name(name, known.into_iter());
         assert_eq!([find("50 kg"), find("none"), find("")], [Ok(Some(1)), Ok(None), Ok(None)]);
+        assert_eq!(
+            [find("0"), find("0.0"), payload_by_name("0", ["0"].into_iter())],
+            [Ok(None), Ok(None), Ok(Some(0))]
+        );
         assert!(find("50kg").expect_err("unknown").contains("most likely \"50 kg\""));
         assert!(find("Griper").expect_err("unknown").contains("most likely \"gripper\""));
         let nothing = payload_by_name("x", std::iter::empty()).expect_err("unknown");

@@ -1,5 +1,5 @@
 //! `session.toml`: what of a session its measurement files have no columns for. Stations with their base nests, targets with their
-//! uncertainty, poses that were not measured. Every number reads back to the same bits.
+//! uncertainty, what the flange carried throughout, poses that were not measured. Every number reads back to the same bits.
 
 mod instrument;
 #[cfg(test)]
@@ -18,6 +18,8 @@ use self::instrument::InstrumentTable;
 use crate::LoadedMeasurements;
 use crate::input::{InputError, Source, Spanned, quoted};
 use crate::orientation::{Four, OrientationKeys, Square, Three, check_numbers, covariance_of};
+use crate::payloads::{PayloadFile, PayloadTable, read_payloads};
+use calibrig_model::Payload;
 use calibrig_model::measurement::{
     Face, MeasurementSet, NestObservation, Reading, RegistrationError, SetKind, SphericalReading,
     StatedInstrument, Station, Target, register,
@@ -30,10 +32,11 @@ const SCHEMA: &str = "calibrig.session/1";
 pub struct SessionFile {
     stations: Vec<Described<Station>>,
     targets: Vec<Described<Target>>,
+    payloads: Vec<Described<Payload>>,
     dropped: Vec<(SetKind, u32, String)>,
 }
 
-/// A station or a target as the file describes it.
+/// A station, a target or a payload as the file describes it.
 #[derive(Debug, Clone, PartialEq)]
 struct Described<T> {
     /// The set that it belongs to; `None` for both.
@@ -62,6 +65,8 @@ struct SessionTable {
     station: Vec<StationTable>,
     #[serde(default)]
     target: Vec<TargetTable>,
+    #[serde(default)]
+    payload: Vec<Spanned<PayloadTable>>,
     #[serde(default)]
     dropped: Vec<DroppedTable>,
 }
@@ -161,6 +166,7 @@ pub fn parse_session(source: &Source) -> Result<SessionFile, InputError> {
         let target = reader.target(table, &session.targets)?;
         session.targets.push(target);
     }
+    session.payloads = reader.payloads(&file.payload)?;
     for table in file.dropped {
         session.dropped.push((reader.set(&table.set)?, table.pose, table.reason));
     }
@@ -307,6 +313,32 @@ impl Reader<'_> {
         })
     }
 
+    /// At most one for each set.
+    fn payloads(&self, tables: &[Spanned<PayloadTable>]) -> Result<Vec<Described<Payload>>, InputError> {
+        let read = read_payloads(self.source, tables, PayloadFile::Session)?;
+        let mut payloads: Vec<Described<Payload>> = Vec::with_capacity(read.len());
+        for (item, table) in read.into_iter().zip(tables) {
+            let set = self.some_set(table.get_ref().set.as_ref())?;
+            let described = Described { set, item, place: table.span(), nests: Vec::new() };
+            for kind in SetKind::ALL {
+                let Some(other) = payloads.iter().find(|other| other.is_of(kind) && described.is_of(kind))
+                else {
+                    continue;
+                };
+                let message = format!(
+                    "payloads {:?} and {:?} are both carried by all poses of the {} set",
+                    other.item.name,
+                    described.item.name,
+                    kind.key()
+                );
+                let expected = "one of a set; where poses carry different ones, a column of the measurement file that names them";
+                return Err(self.error(table.span(), message, expected));
+            }
+            payloads.push(described);
+        }
+        Ok(payloads)
+    }
+
     fn face(&self, key: Option<&Spanned<String>>) -> Result<Face, InputError> {
         let Some(key) = key else { return Ok(Face::Front) };
         [Face::Front, Face::Back, Face::Both].into_iter().find(|face| face.key() == key.get_ref()).ok_or_else(
@@ -429,7 +461,8 @@ impl SessionFile {
     /// its one station (target), the one that is described is meant.
     ///
     /// # Errors
-    /// The measurement file names a station or a target that is not described, or does not name which of several it is.
+    /// The measurement file names a station or a target that is not described, or does not name which of several it is; it says itself what
+    /// poses carry.
     pub fn complete(
         &self,
         source: &Source,
@@ -478,6 +511,25 @@ impl SessionFile {
             }
             set.targets = targets;
             loaded.names_targets = true;
+        }
+        if let Some(payload) = self.payloads.iter().find(|known| known.is_of(kind)) {
+            if let Some((observation, other)) =
+                set.observations.iter().find_map(|o| Some((o, o.payload.as_ref()?)))
+            {
+                let message = format!(
+                    "payload {:?} is carried by all poses of the {} set, and pose {} of its measurement file carries {:?}",
+                    payload.item.name,
+                    kind.key(),
+                    observation.pose,
+                    other.name
+                );
+                let help =
+                    "expected one of them: this table, or the payloads of the measurement file".to_owned();
+                return Err(source.error(payload.place.clone(), message, Some(help)));
+            }
+            for observation in &mut set.observations {
+                observation.payload = Some(payload.item.clone());
+            }
         }
         let dropped = self.dropped.iter().filter(|(set, ..)| *set == kind);
         let dropped = dropped.map(|(_, pose, reason)| (*pose, reason.clone()));

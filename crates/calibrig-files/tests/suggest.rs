@@ -10,7 +10,7 @@ use calibrig_files::{
     MeasurementFiles, PointsFile, RowOptions, Source, parse_column_map, read_files, suggest_columns,
 };
 use calibrig_model::JointKind::{self, Prismatic, Revolute};
-use calibrig_model::measurement::Reading;
+use calibrig_model::measurement::{Observation, Reading};
 
 const ROWS: usize = 24;
 
@@ -67,7 +67,7 @@ const PLAIN: Case<'static> =
     Case { files: &[], kinds: &[Revolute; 6], decisions: &[], says: &[], stroke: |_| 0.0, times: None };
 
 #[track_caller]
-fn check(case: &Case<'_>) {
+fn check(case: &Case<'_>) -> Vec<Observation> {
     let folder = tempfile::tempdir().unwrap();
     let paths: Vec<PathBuf> = case
         .files
@@ -99,7 +99,7 @@ fn check(case: &Case<'_>) {
         text.replace_range(from..to, &format!("{key} = {value}"));
     }
     if case.kinds.is_empty() {
-        return;
+        return Vec::new();
     }
     let map =
         parse_column_map(&Source::new("map.toml", text.clone())).unwrap_or_else(|e| panic!("{e}\n{text}"));
@@ -139,6 +139,7 @@ fn check(case: &Case<'_>) {
     if let Some([first, last]) = case.times {
         assert_eq!([observations[0].time, observations[ROWS - 1].time], [first, last], "{text}");
     }
+    loaded.set.observations
 }
 
 /// 2026-05-04 10:01:30 UTC, and each row a minute.
@@ -690,6 +691,81 @@ fn faces_and_the_air_are_suggested() {
         says: &["temperature_k = \"Temp\"", "K by its size"],
         ..PLAIN
     });
+}
+
+/// Mass, kg, and height of the centre, m, of what the flange carries in the first rows.
+fn carried(observations: &[Observation]) -> Vec<Option<(f64, f64)>> {
+    let of = |o: &Observation| o.payload.as_ref().map(|payload| (payload.mass, payload.centre.z));
+    observations.iter().take(3).map(of).collect()
+}
+
+#[test]
+fn payloads_are_suggested_by_name_by_mass_and_with_their_centres() {
+    let text = |between: &'static str, loads: [&'static str; 3]| {
+        move |k: usize| format!("{},{}{between}{}", angles(k, 6, ","), place(k, 1.0, ","), loads[(k - 1) % 3])
+    };
+    let head = |load: &str| format!("J1,J2,J3,J4,J5,J6,X [mm],Y [mm],Z [mm],{load}\n");
+    let centre = |z| [("x_mm", "0"), ("y_mm", "-4"), ("z_mm", z)];
+    // By name: what each stands for is a person's.
+    let named = file(&head("Load"), text(",", ["none", "25 kg", "Gripper"]));
+    let decisions =
+        [&[("mass_kg", "25.02")][..], &centre("118"), &[("mass_kg", "4")], &centre("60")].concat();
+    let says: &[&str] = &[
+        "payload = \"Load\"",
+        "called \"Load\": 25 kg, Gripper",
+        "# DECIDE: mass_kg = 25 ",
+        "by its name: weigh it",
+    ];
+    let found = check(&Case { files: &[("named.csv", named)], decisions: &decisions, says, ..PLAIN });
+    assert_eq!(carried(&found), [None, Some((25.02, 0.118)), Some((4.0, 0.06))]);
+    // By mass alone, in kg as the column says: centres are missing. Nothing is 0.
+    let masses = file(&head("Payload [kg]"), text(",", ["0", "25", "50.5"]));
+    let decisions = [centre("118"), centre("140")].concat();
+    let says: &[&str] = &["name = \"50.5\"", "mass_kg = 50.5", "by its column, in kg"];
+    let found = check(&Case { files: &[("masses.csv", masses)], decisions: &decisions, says, ..PLAIN });
+    assert_eq!(carried(&found), [None, Some((25.0, 0.118)), Some((50.5, 0.14))]);
+    // Whether numbers of a column called payload are masses nobody can see.
+    let numbers = file(&head("Payload"), text(",", ["0", "1", "2"]));
+    let decisions =
+        [&[("mass_kg", "25.02")][..], &centre("118"), &[("mass_kg", "50")], &centre("140")].concat();
+    let says: &[&str] = &["# DECIDE: mass_kg = 2 ", "a number by which something is called"];
+    let found = check(&Case { files: &[("numbers.csv", numbers)], decisions: &decisions, says, ..PLAIN });
+    assert_eq!(carried(&found)[2], Some((50.0, 0.14)));
+    // With the centre in columns, which are no position of the target.
+    let whole = file(
+        &head("load_mass_kg,load_cog_x_mm,load_cog_y_mm,load_cog_z_mm"),
+        text(",", ["0,,,", "25,0,-4,118", "50.5,1,2,140"]),
+    );
+    let says: &[&str] = &[
+        "x = \"X\"",
+        "payload_mass_kg = \"load_mass_kg\"",
+        "kg, as its name says",
+        "payload_z_mm = \"load_cog_z_mm\"",
+        "mm, as its name says",
+    ];
+    let found = check(&Case { files: &[("whole.csv", whole)], says, ..PLAIN });
+    assert_eq!(carried(&found), [None, Some((25.0, 0.118)), Some((50.5, 0.14))]);
+    // In units that the keys do not read.
+    let other = file(
+        &head("payload mass (lb),payload x,payload y,payload z"),
+        text(",", ["0,0,0,0", "55,0,0,0.118", "110,0,0,0.14"]),
+    );
+    let open = ["payload_mass_kg", "payload_x_mm", "payload_y_mm", "payload_z_mm"].map(|key| (key, ""));
+    let says: &[&str] = &["in lb by its name, and the key reads kg", "in m, by its size"];
+    check(&Case { files: &[("other.csv", other)], kinds: &[], decisions: &open, says, ..PLAIN });
+    // What motors are loaded with, and weights of a fit, are no payloads.
+    let motors = file(&head("Load,Weight"), text(",", ["10,1", "20,1", "70,0.5"]));
+    check(&Case { files: &[("motors.csv", motors)], says: &["# not used: Load, Weight"], ..PLAIN });
+    // Beside the commands, where the points are in a file of their own.
+    let commands = file("J1,J2,J3,J4,J5,J6,Nutzlast\n", |k| {
+        format!("{},{}", angles(k, 6, ","), ["leer", "25 kg"][k % 2])
+    });
+    let points = file("X [mm],Y [mm],Z [mm]\n", |k| place(k, 1.0, ","));
+    let decisions = [&[("mass_kg", "25")][..], &centre("118"), &[("mass_kg", "1e-9")], &centre("0")].concat();
+    let says: &[&str] = &["payload = \"Nutzlast\"", "where \"leer\" is nothing"];
+    let files = &[("commands.csv", commands), ("points.csv", points)];
+    let found = check(&Case { files, decisions: &decisions, says, ..PLAIN });
+    assert_eq!(carried(&found)[0], Some((25.0, 0.118)));
 }
 
 #[test]

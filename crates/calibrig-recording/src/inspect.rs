@@ -8,6 +8,7 @@ use std::path::Path;
 use mcap::records::{Record, op};
 use serde::Serialize;
 
+use super::carried::CarriedReport;
 use super::directory::Directory;
 use super::provenance::{AttachedInput, RECOVERED};
 use super::scan::{ReadError, scan_whole};
@@ -193,7 +194,7 @@ pub enum ProvenanceState {
 }
 
 /// A measured set.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SetReport {
     /// Key of the set.
     pub set: &'static str,
@@ -221,6 +222,8 @@ pub struct SetReport {
     pub full_poses: u64,
     /// Of the observations, those of the back face.
     pub back_face: u64,
+    /// What the flange carried, in the order of the first poses; empty where it never carried anything.
+    pub payloads: Vec<CarriedReport>,
 }
 
 /// A recorded estimate.

@@ -24,6 +24,7 @@
 //! # Ok::<(), calibrig_recording::RecordingError>(())
 //! ```
 
+mod carried;
 mod clock;
 mod directory;
 mod error;
@@ -66,6 +67,7 @@ mod tables;
 mod truth;
 mod walk;
 
+pub use carried::CarriedReport;
 pub use error::RecordingError;
 pub use exchange::{CsvExport, ExportError, ExportedFile, export_csv, write_sets};
 pub use file::UnfinishedFile;

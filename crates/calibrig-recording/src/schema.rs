@@ -331,7 +331,7 @@ pub(super) fn payload(payload: &Payload) -> v1::Payload {
     }
 }
 
-fn to_payload(message: &v1::Payload) -> Result<Payload, String> {
+pub(super) fn to_payload(message: &v1::Payload) -> Result<Payload, String> {
     let force = match message.force.as_slice() {
         [] => Vector3::zeros(),
         force => to_vector(force, "force of the payload")?,

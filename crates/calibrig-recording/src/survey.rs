@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, HashMap};
 use mcap::records::{MessageHeader, Record};
 use prost::{Message, Name};
 
+use super::carried::CarriedReport;
 use super::directory::{Definitions, Directory};
 use super::estimate::freedom_of;
 use super::inspect::{
@@ -12,7 +13,8 @@ use super::inspect::{
 };
 use super::mcap_writer::RECORD_LIMIT;
 use super::provenance::{AttachedInput, METADATA};
-use super::schema::{set_kind, v1};
+use super::schema::{set_kind, to_payload, v1};
+use calibrig_model::Payload;
 use calibrig_model::measurement::SetKind;
 
 /// What has been seen of a file.
@@ -69,6 +71,32 @@ struct SetTally {
     nests: u64,
     full_poses: u64,
     back_face: u64,
+    carried: Vec<(Option<Payload>, usize)>,
+    /// Places in it, by name and bits.
+    known: HashMap<Option<(String, [u64; 7])>, usize>,
+}
+
+impl SetTally {
+    /// Counts a pose that carries it.
+    fn carry(&mut self, payload: Option<Payload>) {
+        let key = payload.as_ref().map(|payload| (payload.name.clone(), payload.bits()));
+        let next = self.carried.len();
+        let place = *self.known.entry(key).or_insert(next);
+        match self.carried.get_mut(place) {
+            Some((_, poses)) => *poses += 1,
+            None => self.carried.push((payload, 1)),
+        }
+    }
+
+    /// As a report has it: empty where no pose carries anything.
+    fn carried(&self) -> Vec<CarriedReport> {
+        if self.carried.iter().all(|(payload, _)| payload.is_none()) {
+            return Vec::new();
+        }
+        let report =
+            |(payload, poses): &(Option<Payload>, usize)| CarriedReport::of(payload.as_ref(), *poses);
+        self.carried.iter().map(report).collect()
+    }
 }
 
 impl Survey {
@@ -177,6 +205,9 @@ impl Survey {
                 }
                 if set.last_pose.replace(observation.pose) != Some(observation.pose) {
                     set.poses += 1;
+                    if let Ok(payload) = observation.payload.as_ref().map(to_payload).transpose() {
+                        set.carry(payload);
+                    }
                 }
             }
             Holds::Estimate => self.estimates.push(estimate_of(v1::Estimate::decode(data).ok()?)),
@@ -225,6 +256,7 @@ impl Survey {
             nests: set.nests,
             full_poses: set.full_poses,
             back_face: set.back_face,
+            payloads: set.carried(),
         };
         self.sets.iter().map(report).collect()
     }

@@ -87,6 +87,7 @@ fn variable(outcome: &Outcome, cause: Cause, index: usize) -> Option<f64> {
             Some((turns * observation.command.get(joint)?).rem_euclid(1.0))
         }
         Cause::Approach(joint) => observation.approach.get(joint).map(|sign| f64::from(*sign)),
+        Cause::Payload => Some(observation.payload.as_ref().map_or(0.0, |payload| payload.mass)),
         Cause::Time => Some(observation.time),
         Cause::Temperature => observation.temperature,
         _ => Some(f64::from(observation.pose)),
@@ -100,6 +101,7 @@ fn variable_words(outcome: &Outcome, cause: Cause) -> String {
         Cause::Joint(joint) => format!("command of {}, {}", name(joint), command_unit(outcome, joint).0),
         Cause::MotorTurn(joint) => format!("turn of the motor of {}", name(joint)),
         Cause::Approach(joint) => format!("sign of the last motion of {}", name(joint)),
+        Cause::Payload => "mass of the payload, kg".to_owned(),
         Cause::Time => "time, s".to_owned(),
         Cause::Temperature => "temperature, \u{b0}C".to_owned(),
         Cause::Sequence => "error of the pose before, mm".to_owned(),

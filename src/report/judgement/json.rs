@@ -37,7 +37,7 @@ pub struct JsonJudgement {
 /// A dependence of the residual.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct JsonPattern {
-    /// `joint3`, `motor_turn3`, `approach3`, `time`, `temperature`, `sequence` or `constant`; joints count from one.
+    /// `joint3`, `motor_turn3`, `approach3`, `payload`, `time`, `temperature`, `sequence` or `constant`; joints count from one.
     pub cause: String,
     /// In words.
     pub words: String,

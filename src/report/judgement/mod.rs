@@ -138,7 +138,7 @@ pub(super) fn residual_section(outcome: &Outcome) -> Result<Markup, ReportError>
                 h2 { "What the residual still contains" }
                 p {
                     "A model that lacks nothing leaves residuals as large as the stated noise, and without a pattern. Patterns are looked for against every command, motor turn, "
-                    "approach direction, time, temperature and the pose before; one in a thousand such searches raises a false alarm."
+                    "approach direction, the payload, time, temperature and the pose before; one in a thousand such searches raises a false alarm."
                 }
                 @for part in &parts { (part) }
             }

@@ -5,25 +5,19 @@ use serde::Deserialize;
 
 use super::Reader;
 use super::entries::yes;
-use calibrig_files::{InputError, Spanned};
+use calibrig_files::{InputError, Spanned, spring_table};
 use calibrig_model::JointKind;
 use calibrig_plant::effects::{Anchor, Foundation, Hose, Hoses, RailSpan};
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(in crate::scenario) struct FoundationFile {
-    #[serde(default = "yes")]
-    enabled: bool,
-    x_mm: Option<Spanned<f64>>,
-    y_mm: Option<Spanned<f64>>,
-    z_mm: Option<Spanned<f64>>,
-    stiffness_x_n_per_m: Option<Spanned<f64>>,
-    stiffness_y_n_per_m: Option<Spanned<f64>>,
-    stiffness_z_n_per_m: Option<Spanned<f64>>,
-    stiffness_rx_nm_per_rad: Option<Spanned<f64>>,
-    stiffness_ry_nm_per_rad: Option<Spanned<f64>>,
-    stiffness_rz_nm_per_rad: Option<Spanned<f64>>,
-    rail: Option<RailSpanFile>,
+spring_table! {
+    pub(in crate::scenario) struct FoundationFile {
+        #[serde(default = "yes")]
+        enabled: bool,
+        x_mm: Option<Spanned<f64>>,
+        y_mm: Option<Spanned<f64>>,
+        z_mm: Option<Spanned<f64>>,
+        rail: Option<RailSpanFile>,
+    }
 }
 
 #[derive(Deserialize)]
@@ -78,15 +72,7 @@ pub(super) fn foundation(
     };
     let at = Vector3::new(place("x_mm", &file.x_mm)?, place("y_mm", &file.y_mm)?, place("z_mm", &file.z_mm)?);
     let mut stiffness = [f64::INFINITY; 6];
-    let given = [
-        ("stiffness_x_n_per_m", &file.stiffness_x_n_per_m),
-        ("stiffness_y_n_per_m", &file.stiffness_y_n_per_m),
-        ("stiffness_z_n_per_m", &file.stiffness_z_n_per_m),
-        ("stiffness_rx_nm_per_rad", &file.stiffness_rx_nm_per_rad),
-        ("stiffness_ry_nm_per_rad", &file.stiffness_ry_nm_per_rad),
-        ("stiffness_rz_nm_per_rad", &file.stiffness_rz_nm_per_rad),
-    ];
-    for ((key, value), stiffness) in given.into_iter().zip(&mut stiffness) {
+    for ((key, value), stiffness) in file.stiffnesses().into_iter().zip(&mut stiffness) {
         if let Some(value) = value {
             *stiffness = source.positive(&format!("effects.foundation.{key}"), value)?;
         }

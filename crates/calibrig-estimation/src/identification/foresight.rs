@@ -69,6 +69,7 @@ pub fn foresee(
     let solution = Solution {
         x,
         cost: 0.0,
+        beside: 0.0,
         // Whether the readings fit is not asked: they are taken to lie where the robot is.
         residuals: DVector::zeros(residuals.len()),
         jacobian,

@@ -162,6 +162,7 @@ proptest! {
                 temperature: (i % 2 == 0).then_some(odd),
                 position: Vector3::new(1.0, odd, i as f64),
                 sensitivity: &sensitivity[..i % 3],
+                load: Vector3::new(0.0, odd, (i % 2) as f64),
                 pose: u32::try_from(7 * (i / 2)).unwrap_or_default(),
                 seen: (i % 2, 0),
             })

@@ -53,7 +53,7 @@
 //! pressure_hpa = "P"                # or pressure_pa, _kpa, _mmhg, _inhg; checked, and not used
 //! humidity_percent = "H"            # the same
 //! approach = ["dir1", "dir2", "dir3"]  # -1, 0 or 1, one an actuator
-//! payload = "Load"                  # the name of a [[payload]]; empty or "none" where the flange carries nothing
+//! payload = "Load"                  # the name of a [[payload]]; empty, "none" or 0 where the flange carries nothing
 //! # or numbers: payload_mass_kg = "m", and payload_x_mm, payload_y_mm, payload_z_mm: its centre of mass in the flange frame; beside them
 //! # payload_force_x_n, payload_force_y_n, payload_force_z_n: a force in the base frame that pulls there
 //!

@@ -3,6 +3,7 @@
 mod apart;
 mod column;
 mod names;
+mod payload;
 mod rotation;
 mod surroundings;
 mod told;

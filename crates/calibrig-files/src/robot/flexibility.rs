@@ -6,20 +6,15 @@ use super::Reader;
 use super::joints::{JointTable, JointType};
 use super::section::{Material, Shape};
 use crate::input::{InputError, Spanned};
+use crate::spring_table;
 use calibrig_model::{Beam, BeamRun, BeamSegment, Bearing, BearingSide, Section, SegmentLength};
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct BearingTable {
-    stiffness_x_n_per_m: Option<Spanned<f64>>,
-    stiffness_y_n_per_m: Option<Spanned<f64>>,
-    stiffness_z_n_per_m: Option<Spanned<f64>>,
-    stiffness_rx_nm_per_rad: Option<Spanned<f64>>,
-    stiffness_ry_nm_per_rad: Option<Spanned<f64>>,
-    stiffness_rz_nm_per_rad: Option<Spanned<f64>>,
-    #[serde(default)]
-    side: Side,
-    at_mm: Option<Spanned<f64>>,
+spring_table! {
+    pub(super) struct BearingTable {
+        #[serde(default)]
+        side: Side,
+        at_mm: Option<Spanned<f64>>,
+    }
 }
 
 #[derive(Deserialize, Default, Clone, Copy)]
@@ -74,14 +69,7 @@ impl Reader<'_> {
     fn bearing(&self, joint: &JointTable, table: &Spanned<BearingTable>) -> Result<Bearing, InputError> {
         let file = table.get_ref();
         let name = joint.name.get_ref();
-        let keys = [
-            ("stiffness_x_n_per_m", &file.stiffness_x_n_per_m),
-            ("stiffness_y_n_per_m", &file.stiffness_y_n_per_m),
-            ("stiffness_z_n_per_m", &file.stiffness_z_n_per_m),
-            ("stiffness_rx_nm_per_rad", &file.stiffness_rx_nm_per_rad),
-            ("stiffness_ry_nm_per_rad", &file.stiffness_ry_nm_per_rad),
-            ("stiffness_rz_nm_per_rad", &file.stiffness_rz_nm_per_rad),
-        ];
+        let keys = file.stiffnesses();
         let (own_axis, drive) = match joint.r#type {
             JointType::Prismatic => (2, "stiffness_n_per_m of the joint itself, its drive's"),
             JointType::Revolute => (5, "stiffness_nm_per_rad of the joint itself, its drive's"),

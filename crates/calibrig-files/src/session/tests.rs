@@ -159,18 +159,7 @@ fn stations_are_found_by_their_names() {
     let text = "[[station]]\nname = \"back\"\n[[station]]\nname = \"front\"\n";
     let source = Source::new("session.toml", format!("schema = \"calibrig.session/1\"\n{text}"));
     let session = parse_session(&source).expect("valid");
-    let observation = calibrig_model::measurement::Observation {
-        pose: 1,
-        command: vec![0.0],
-        approach: vec![0],
-        since_reversal: Vec::new(),
-        temperature: None,
-        time: 0.0,
-        station: 0,
-        target: 0,
-        payload: None,
-        reading: Reading::Cartesian { position: Vector3::x(), covariance: None },
-    };
+    let observation = observation(None);
     let loaded = |name: &str| LoadedMeasurements {
         set: MeasurementSet {
             stations: vec![Station { name: name.to_owned(), ..Station::default() }],
@@ -192,6 +181,64 @@ fn stations_are_found_by_their_names() {
     assert_eq!(known.set.targets.len(), 1, "no target is described");
     let error = session.complete(&source, SetKind::Identification, &mut loaded("left")).expect_err("unknown");
     assert!(error.to_string().contains("station \"left\" of the identification set"), "{error}");
+}
+
+fn observation(payload: Option<Payload>) -> calibrig_model::measurement::Observation {
+    calibrig_model::measurement::Observation {
+        pose: 1,
+        command: vec![0.0],
+        approach: vec![0],
+        since_reversal: Vec::new(),
+        temperature: None,
+        time: 0.0,
+        station: 0,
+        target: 0,
+        payload,
+        reading: Reading::Cartesian { position: Vector3::x(), covariance: None },
+    }
+}
+
+#[test]
+fn a_payload_is_that_of_every_pose_of_its_set() {
+    let plate = "[[payload]]\nname = \"plate\"\nset = \"identification\"\nmass_kg = 25.02\nx_mm = 0\ny_mm = -4\nz_m = 0.118\n";
+    let rope = "[[payload]]\nname = \"rope\"\nforce_z_n = 200\nx_mm = 0\ny_mm = 0\nz_mm = 50\n";
+    let completed = |text: &str, kind, carried: Option<Payload>| {
+        let source = Source::new("session.toml", format!("schema = \"calibrig.session/1\"\n{text}"));
+        let set = MeasurementSet {
+            observations: vec![observation(None), observation(carried)],
+            ..MeasurementSet::default()
+        };
+        let mut loaded = LoadedMeasurements { set, ..LoadedMeasurements::default() };
+        parse_session(&source)?.complete(&source, kind, &mut loaded)?;
+        Ok::<_, InputError>(loaded.set.observations.into_iter().map(|o| o.payload).collect::<Vec<_>>())
+    };
+    let expected = Payload::of_mass("plate", 25.02, Vector3::new(0.0, -0.004, 0.118));
+    let fitted = completed(plate, SetKind::Identification, None).expect("described");
+    assert_eq!(fitted, [Some(expected.clone()), Some(expected.clone())]);
+    assert_eq!(completed(plate, SetKind::Verification, None).expect("described"), [None, None]);
+    let force = |kind| completed(rope, kind, None).expect("described")[1].clone().map(|p| p.force.z);
+    assert_eq!(SetKind::ALL.map(force), [Some(200.0); 2]);
+    // Stated twice: by the file of the measurements as well, or for one set.
+    let twice = completed(plate, SetKind::Identification, Some(expected)).expect_err("twice").to_string();
+    assert!(twice.contains("session.toml:2: payload \"plate\" is carried by all poses"), "{twice}");
+    let both = parse(&format!("{plate}{rope}")).expect_err("both").to_string();
+    assert!(both.contains("payloads \"plate\" and \"rope\" are both carried"), "{both}");
+    let other = rope.replace("force_z_n", "set = \"verification\"\nforce_z_n");
+    assert!(parse(&format!("{plate}{other}")).is_ok());
+    for (text, expected) in [
+        ("[[payload]]\nname = \"p\"\nmass_kg = 5", "session.toml:2: payload \"p\" has no centre"),
+        (
+            "[[payload]]\nname = \"p\"\nmass_kg = 5\nmass_factor = 2",
+            "session.toml:5: mass_factor is of a simulated payload",
+        ),
+        (
+            "[[payload]]\nname = \"p\"\nset = \"all\"\nmass_kg = 5\nx_mm = 0\ny_mm = 0\nz_mm = 0",
+            "set is \"all\"",
+        ),
+    ] {
+        let error = parse(text).expect_err(expected).to_string();
+        assert!(error.contains(expected), "{error}");
+    }
 }
 
 #[test]

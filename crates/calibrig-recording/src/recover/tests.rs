@@ -217,6 +217,15 @@ fn a_sound_file_is_found_whole() {
         let nests: usize = measurements.stations.iter().map(|station| station.nests.len()).sum();
         assert_eq!((report.nests, report.stations), (nests as u64, measurements.stations.len() as u64));
         assert!(report.described && report.complete);
+        let carried: Vec<_> = report.payloads.iter().map(|c| (c.name.as_deref(), c.poses)).collect();
+        let plates = measurements.observations.iter().filter(|o| o.payload.is_some()).count();
+        if plates == 0 {
+            assert!(carried.is_empty(), "{carried:?}");
+            continue;
+        }
+        assert_eq!(carried, [(None, poses - plates), (Some("plates, 25 kg"), plates)]);
+        let words: Vec<_> = report.payloads.iter().map(ToString::to_string).collect();
+        assert_eq!(words, ["nothing at 3 poses", "plates, 25 kg (25.0 kg) at 1 pose"]);
     }
     for (report, mode) in inspection.estimates.iter().zip(&outcome.modes) {
         assert_eq!(report.mode, mode.mode.key());

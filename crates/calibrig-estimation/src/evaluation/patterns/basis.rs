@@ -15,7 +15,7 @@ const HARMONICS: usize = 2;
 
 /// Every cause that the set can be tested for.
 pub(super) fn causes(set: &ResidualSet<'_>) -> Vec<Cause> {
-    let joints = set.poses.iter().map(|pose| pose.command.len()).min().unwrap_or(0);
+    let joints = joints(set);
     let approaches = set.poses.iter().map(|pose| pose.approach.len()).min().unwrap_or(0);
     let mut causes = vec![Cause::Constant];
     for joint in 0..joints {
@@ -27,11 +27,18 @@ pub(super) fn causes(set: &ResidualSet<'_>) -> Vec<Cause> {
             causes.push(Cause::Approach(joint));
         }
     }
+    if set.poses.iter().any(|pose| pose.load != set.poses[0].load) {
+        causes.push(Cause::Payload);
+    }
     causes.push(Cause::Time);
     if set.poses.iter().all(|pose| pose.temperature.is_some()) {
         causes.push(Cause::Temperature);
     }
     causes
+}
+
+fn joints(set: &ResidualSet<'_>) -> usize {
+    set.poses.iter().map(|pose| pose.command.len()).min().unwrap_or(0)
 }
 
 /// The cause's columns, whitened; zero in the rows of the priors.
@@ -65,6 +72,7 @@ pub(super) fn regressors(set: &ResidualSet<'_>, cause: Cause) -> Vec<DVector<f64
             columns.along_axes(&values);
             columns.along_joint(joint, &values);
         }
+        Cause::Payload => columns.payload(joints(set)),
         Cause::Time => columns.drift(|pose| pose.time),
         Cause::Temperature => columns.drift(|pose| pose.temperature.unwrap_or(0.0)),
         Cause::Sequence => {}
@@ -98,6 +106,19 @@ impl Columns<'_> {
             self.push(|i, pose| values[i] * pose.sensitivity[joint]);
         }
         known
+    }
+
+    /// Drives that yield as they are loaded, by the work that the load does at the target; and what is in proportion to its size, such as a mount
+    /// that gives way.
+    fn payload(&mut self, joints: usize) {
+        let sizes: Vec<_> = self.set.poses.iter().map(|pose| pose.load.norm()).collect();
+        self.along_axes(&sizes);
+        for joint in 0..joints {
+            let work =
+                |pose: &PoseConditions<'_>| pose.sensitivity.get(joint).map_or(0.0, |s| s.dot(&pose.load));
+            let torques: Vec<_> = self.set.poses.iter().map(work).collect();
+            self.along_joint(joint, &torques);
+        }
     }
 
     /// A slow change of place, and growth about the base.

@@ -1,4 +1,5 @@
-//! What shape the residuals have: against every command, the motors' turns, the approach, the time, the temperature, and from pose to pose.
+//! What shape the residuals have: against every command, the motors' turns, the approach, the payload, the time, the temperature, and from pose to
+//! pose.
 //!
 //! A model that lacks nothing leaves residuals that depend on none of these. Each cause is a group of regressors; its test is the F test of
 //! the fitted model against the same model with the group added (to first order), and so knows what the parameters have already absorbed.
@@ -37,6 +38,8 @@ pub struct PoseConditions<'a> {
     /// Derivative of that place with respect to every actuator, m/m or m/rad; empty where unknown. It makes the tests sharp for errors of
     /// a transmission, whose direction changes with the pose.
     pub sensitivity: &'a [Vector3<f64>],
+    /// What the payload pulls with, in the base frame, N; zero where the flange carries none.
+    pub load: Vector3<f64>,
     /// Number of the pose: its observations share its errors.
     pub pose: u32,
     /// What was seen, and from where: target and station.
@@ -77,6 +80,8 @@ pub enum Cause {
     MotorTurn(usize),
     /// The direction from which an actuator came.
     Approach(usize),
+    /// What the flange carries.
+    Payload,
     /// The time since the session began.
     Time,
     /// The temperature.
@@ -94,6 +99,7 @@ impl Cause {
             Self::Joint(joint) => format!("varies with the command of {}", name(joint)),
             Self::MotorTurn(joint) => format!("varies within the motor turn of {}", name(joint)),
             Self::Approach(joint) => format!("varies with the approach of {}", name(joint)),
+            Self::Payload => "varies with the payload".to_owned(),
             Self::Time => "varies with time".to_owned(),
             Self::Temperature => "varies with temperature".to_owned(),
             Self::Sequence => "resembles that of the pose before".to_owned(),
@@ -107,6 +113,7 @@ impl Cause {
             Self::Joint(joint) => format!("joint{}", joint + 1),
             Self::MotorTurn(joint) => format!("motor_turn{}", joint + 1),
             Self::Approach(joint) => format!("approach{}", joint + 1),
+            Self::Payload => "payload".to_owned(),
             Self::Time => "time".to_owned(),
             Self::Temperature => "temperature".to_owned(),
             Self::Sequence => "sequence".to_owned(),

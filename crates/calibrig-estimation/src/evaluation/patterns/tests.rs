@@ -103,6 +103,11 @@ impl Session {
         errors - &self.jacobian * x
     }
 
+    /// Nothing, 25 and 50 kg in turn, N.
+    fn load(i: usize) -> Vector3<f64> {
+        Vector3::new(0.0, 0.0, -245.0) * [0.0, 1.0, 2.0][i % 3]
+    }
+
     fn time(i: usize) -> f64 {
         10.0 * i as f64
     }
@@ -116,6 +121,7 @@ impl Session {
                 temperature: None,
                 position: place(&self.commands[i]),
                 sensitivity: &self.sensitivities[i],
+                load: Self::load(i),
                 pose: u32::try_from(i).expect("few poses"),
                 seen: (0, 0),
             })
@@ -203,7 +209,7 @@ fn noise_has_no_pattern() {
             *small.entry(*cause).or_insert(0_u64) += u64::from(ln_p.exp() < 0.1);
         }
     }
-    assert_eq!(small.len(), 1 + 4 + 3 + 4 + 1, "{small:?}");
+    assert_eq!(small.len(), 1 + 4 + 3 + 4 + 1 + 1, "{small:?}");
     for (cause, count) in small {
         // Binomial(600, 0.1), two tails of 0.01 % a cause.
         let (few, many) = (binomial_cdf(count, trials, 0.1), binomial_cdf(count - 1, trials, 0.1));
@@ -233,6 +239,16 @@ fn one_effect_is_named() {
             "varies with the approach of shoulder",
             Box::new(|i| 30e-6 * f64::from(session.approaches[i][2]) * session.sensitivities[i][2]),
         ),
+        (
+            Cause::Payload,
+            "varies with the payload",
+            // A drive that yields, of which the model knows nothing.
+            Box::new(|i| {
+                let shoulder = session.sensitivities[i][2];
+                15e-6 / 490.0 * shoulder.dot(&Session::load(i)) * shoulder
+            }),
+        ),
+        (Cause::Payload, "varies with the payload", Box::new(|i| 60e-6 / 490.0 * Session::load(i))),
         (
             Cause::MotorTurn(3),
             "varies within the motor turn of elbow",

@@ -93,8 +93,11 @@ impl Default for SolverOptions {
 pub struct Solution {
     /// The n parameters.
     pub x: Vec<f64>,
-    /// The cost at `x`: the sum of squares, or with a loss `Σ s² ρ(v²/s²)` over the blocks of norm v plus the squares of the other rows.
+    /// The cost at `x`: the sum of squares, or with a loss `Σ s² ρ(v²/s²)` over the blocks of norm v plus the squares of the other rows; with
+    /// what stands beside the rows.
     pub cost: f64,
+    /// Of the cost what no row holds ([`LeastSquares::beside`]).
+    pub beside: f64,
     /// The m residuals at `x`, without the weights of a loss.
     pub residuals: DVector<f64>,
     /// The m x n matrix J whose `(JᵀJ)⁻¹` is the covariance of `x` (what bounds hold left aside). In least squares it is the Jacobian. With

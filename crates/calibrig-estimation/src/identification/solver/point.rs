@@ -21,7 +21,7 @@ pub(super) struct Point {
     pub jacobian: DMatrix<f64>,
     pub cost: f64,
     /// Of the cost what no row holds.
-    beside: f64,
+    pub beside: f64,
     /// One a block; empty in plain least squares.
     pub weights: Vec<f64>,
     /// Of every block the one that counts with it; empty where each counts by itself.
@@ -61,19 +61,15 @@ impl Point {
 
     /// Cost and weights of the residuals that are there.
     pub fn weigh(&mut self, robust: Option<Robust>) {
-        let Some(Robust { loss, scale, blocks }) = robust else {
+        let Some(robust @ Robust { loss, scale, blocks }) = robust else {
             self.cost = self.beside + self.residuals.norm_squared();
             return;
         };
         self.weights.clear();
-        let mut cost = 0.0;
         for i in 0..blocks {
-            let z = self.square(i) / (scale * scale);
-            cost += loss.rho(z);
-            self.weights.push(loss.weight(z));
+            self.weights.push(loss.weight(self.square(i) / (scale * scale)));
         }
-        let quadratic = self.residuals.rows_range(3 * blocks..).norm_squared();
-        self.cost = self.beside + scale * scale * cost + quadratic;
+        self.cost = self.beside + robust_cost(&self.residuals, &self.partners, robust);
     }
 
     pub fn is_finite(&self) -> bool {
@@ -82,11 +78,7 @@ impl Point {
 
     /// The square of a block's length, or the mean of those that count together.
     pub fn square(&self, i: usize) -> f64 {
-        let own = |i: usize| self.residuals.fixed_rows::<3>(3 * i).norm_squared();
-        match self.partners.get(i) {
-            Some(&partner) if partner != i => 0.5 * (own(i) + own(partner)),
-            _ => own(i),
-        }
+        square(&self.residuals, &self.partners, i)
     }
 
     /// Derivative of half the cost by one parameter.
@@ -122,6 +114,21 @@ impl Point {
         let from_elsewhere = (&elsewhere * &inverse).component_mul(&elsewhere).sum();
         (n as f64 - LEAST * inverse.trace() - from_elsewhere).max(0.0)
     }
+}
+
+fn square(residuals: &DVector<f64>, partners: &[usize], i: usize) -> f64 {
+    let own = |i: usize| residuals.fixed_rows::<3>(3 * i).norm_squared();
+    match partners.get(i) {
+        Some(&partner) if partner != i => 0.5 * (own(i) + own(partner)),
+        _ => own(i),
+    }
+}
+
+/// What rows cost: blocks by the loss, the rows below them by their squares.
+pub(super) fn robust_cost(residuals: &DVector<f64>, partners: &[usize], robust: Robust) -> f64 {
+    let Robust { loss, scale, blocks } = robust;
+    let cost: f64 = (0..blocks).map(|i| loss.rho(square(residuals, partners, i) / (scale * scale))).sum();
+    scale * scale * cost + residuals.rows_range(3 * blocks..).norm_squared()
 }
 
 /// `Jᵀ W J` and `Jᵀ W r`, with W the weights of the blocks, and the columns divided by their scale.

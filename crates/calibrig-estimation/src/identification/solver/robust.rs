@@ -103,6 +103,7 @@ fn finish<P: LeastSquares>(
     Solution {
         x,
         cost: now.cost,
+        beside: now.beside,
         residuals: now.residuals,
         jacobian: now.jacobian,
         termination,

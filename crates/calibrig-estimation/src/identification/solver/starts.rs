@@ -4,6 +4,7 @@ use nalgebra::DVector;
 use rand::RngExt;
 
 use super::bounds::{Bounds, BoundsError};
+use super::point::{Robust, robust_cost};
 use super::robust::solve;
 use super::{LeastSquares, Solution, SolverOptions};
 use calibrig_model::random::{Source, stream};
@@ -85,12 +86,6 @@ fn is_same(a: &Solution, b: &Solution, options: &SolverOptions) -> bool {
 }
 
 fn cost_at(solution: &Solution, scale: f64, options: &SolverOptions, partners: &[usize]) -> f64 {
-    let blocks = solution.weights.len();
-    let own = |i: usize| solution.residuals.fixed_rows::<3>(3 * i).norm_squared();
-    let square = |i: usize| match partners.get(i) {
-        Some(&partner) if partner != i => 0.5 * (own(i) + own(partner)),
-        _ => own(i),
-    };
-    let robust: f64 = (0..blocks).map(|i| options.loss.rho(square(i) / (scale * scale))).sum();
-    scale * scale * robust + solution.residuals.rows_range(3 * blocks..).norm_squared()
+    let robust = Robust { loss: options.loss, scale, blocks: solution.weights.len() };
+    solution.beside + robust_cost(&solution.residuals, partners, robust)
 }

@@ -6,7 +6,7 @@ use super::tables::ColumnsTable;
 use crate::input::{InputError, Spanned};
 use crate::measurements::columns::PayloadColumns;
 use crate::measurements::units::LengthUnit;
-use crate::payloads::{PayloadTable, read_payloads};
+use crate::payloads::{PayloadFile, PayloadTable, read_payloads};
 
 impl Reader<'_> {
     pub fn payload(
@@ -14,12 +14,7 @@ impl Reader<'_> {
         t: &ColumnsTable,
         tables: &[Spanned<PayloadTable>],
     ) -> Result<Option<PayloadColumns>, InputError> {
-        let known = read_payloads(self.source, tables)?;
-        if let Some(factor) = tables.iter().find_map(|table| table.get_ref().mass_factor.as_ref()) {
-            let expected =
-                "it in the [[payload]] of a scenario, whose machine carries more or less than is stated";
-            return Err(self.error(factor.span(), "mass_factor is of a simulated payload", expected));
-        }
+        let known = read_payloads(self.source, tables, PayloadFile::ColumnMap)?;
         let centre = [&t.payload_x_mm, &t.payload_y_mm, &t.payload_z_mm];
         let force = [&t.payload_force_x_n, &t.payload_force_y_n, &t.payload_force_z_n];
         let numbers = [&t.payload_mass_kg].into_iter().chain(centre).chain(force);
@@ -39,7 +34,7 @@ impl Reader<'_> {
                 Err(self.error(
                     table.span(),
                     message,
-                    "payload in [columns]: the column with the payloads' names",
+                    "payload in [columns]: the column with the payloads' names; one that all rows carry stands in a session file (--session)",
                 ))
             }
             (Some(column), None, Some(_)) => {

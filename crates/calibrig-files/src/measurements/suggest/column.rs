@@ -6,7 +6,7 @@ use super::super::layout::{Column, Decimal};
 use super::super::times;
 use super::super::units::HeaderUnit;
 use super::names::{JointName, Said, said_by, words};
-use super::triples;
+use super::{payload, triples};
 use crate::input::quoted;
 
 /// What a column may be.
@@ -37,13 +37,27 @@ pub(in super::super) enum Role {
     /// Of the rotation of the position's target.
     Turn,
     Set,
+    /// What the flange carries, by name.
+    Payload,
+    PayloadMass,
+    /// Its centre.
+    PayloadX,
+    PayloadY,
+    PayloadZ,
 }
 
 impl Role {
     fn holds_numbers(self) -> bool {
         !matches!(
             self,
-            Self::Pose | Self::Name | Self::Station | Self::Target | Self::Time | Self::Face | Self::Set
+            Self::Pose
+                | Self::Name
+                | Self::Station
+                | Self::Target
+                | Self::Time
+                | Self::Face
+                | Self::Set
+                | Self::Payload
         )
     }
 }
@@ -235,6 +249,11 @@ impl SeenColumn {
         texts.map(|text| quoted(text)).chain(self.codes.iter().cloned()).collect()
     }
 
+    /// Whether it tells what the flange carries.
+    pub fn is_of_payload(&self) -> bool {
+        matches!(self.role, Some(Role::Payload | Role::PayloadMass))
+    }
+
     pub fn take(&mut self, role: Role, order: usize, reason: impl Into<String>) {
         (self.role, self.order, self.reason) = (Some(role), order, reason.into());
     }
@@ -295,7 +314,8 @@ fn by_name(columns: &mut [SeenColumn]) {
     }
     for column in columns.iter_mut() {
         let called = format!("called {:?}", column.header);
-        match said_by(column.said_name()) {
+        let carried = payload::role_of(column).map(Said::Role);
+        match carried.or_else(|| said_by(column.said_name())) {
             Some(Said::Joint(joint)) if column.is_number() => {
                 // What stands beside the arm comes behind it.
                 let beside = if joint.is_external { 10_000 } else { 0 };

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use super::column::{Role, SeenColumn};
+use super::payload;
 use super::rotation::{Turned, turned};
 use super::surroundings::{self, Said};
 use super::told::{
@@ -80,6 +81,15 @@ impl Writer<'_> {
     fn undecided(&mut self, key: &str, value: &str, why: &str) {
         self.line(&format!("# DECIDE: {key} = {value:<17} # {why}"));
         self.open.push(format!("{key}: {why}"));
+    }
+
+    fn say(&mut self, said: Vec<Said>) {
+        for said in said {
+            match said {
+                Said::Key(key, value, why) => self.key(&key, &value, &why),
+                Said::Open(key, value, why) => self.undecided(&key, &value, &why),
+            }
+        }
     }
 
     fn head(&mut self, files: &[SeenFile]) {
@@ -429,18 +439,25 @@ impl Writer<'_> {
         if let Some((key, value, why)) = time_of(file) {
             self.key(&key, &value, &why);
         }
-        for said in surroundings::of_air(file) {
-            match said {
-                Said::Key(key, entry, why) => self.key(&key, &entry, &why),
-                Said::Open(key, entry, why) => self.undecided(&key, &entry, &why),
-            }
-        }
+        self.say(surroundings::of_air(file));
+        // By its name a column is found in either file.
+        let is_named = |column: &SeenColumn| !column.is_repeated && self.joints.has_header;
+        let in_joints = self.several && self.joints.columns.iter().any(|c| c.is_of_payload() && is_named(c));
+        let in_points = file.columns.iter().any(SeenColumn::is_of_payload);
+        let carried = payload::of_file(if in_joints && !in_points { self.joints } else { file });
+        self.say(carried.keys);
         for column in file.unused().filter(|column| column.reason.contains("no time")) {
             self.line(&format!("# {}: {}", column.header, column.reason));
         }
         let unused: Vec<_> = file.unused().map(|column| column.header.clone()).collect();
         if !unused.is_empty() {
             self.line(&format!("# not used: {}", unused.join(", ")));
+        }
+        for (name, said) in carried.tables {
+            self.line("");
+            self.line("[[payload]]");
+            self.key("name", &quoted(&name), "");
+            self.say(said);
         }
         if let Some(column) = file.one(Role::Set) {
             self.line("");

@@ -95,6 +95,47 @@ fn starts_without_a_cost_do_no_harm() {
     assert_eq!(found.minima, 1);
 }
 
+/// Two ends, of which that with the smaller rows has more beside them.
+struct Beside {
+    now: f64,
+}
+
+impl LeastSquares for Beside {
+    fn parameters(&self) -> usize {
+        1
+    }
+
+    fn rows(&self) -> usize {
+        2
+    }
+
+    fn beside(&self) -> f64 {
+        if self.now > 0.0 { 1.0 } else { 0.0 }
+    }
+
+    fn evaluate(&mut self, x: &[f64], residuals: &mut DVector<f64>, jacobian: Option<&mut DMatrix<f64>>) {
+        self.now = x[0];
+        residuals.copy_from_slice(&[x[0] * x[0] - 1.0, 0.1 * (x[0] - 1.0)]);
+        if let Some(jacobian) = jacobian {
+            jacobian.copy_from_slice(&[2.0 * x[0], 0.1]);
+        }
+    }
+}
+
+/// What the rows of one end and of another leave is not all that they cost.
+#[test]
+fn minima_are_compared_with_what_no_row_holds() {
+    for start in [0.9, -0.9] {
+        let mut problem = Beside { now: 0.0 };
+        let found =
+            minimise_within(&mut problem, vec![start], &options(20), &Bounds::none(1), &[2.0]).unwrap();
+        assert_eq!(found.minima, 2);
+        assert!(found.x[0] < -0.9 && found.cost < 0.05, "{} at {}", found.cost, found.x[0]);
+        let other = minimise(&mut problem, vec![0.9], &options(1));
+        assert!(other.cost > 0.99 && other.cost - other.beside < 1e-12, "{}", other.cost);
+    }
+}
+
 #[test]
 fn starts_need_a_width_for_every_parameter() {
     let spread = |spread: &[f64]| {
