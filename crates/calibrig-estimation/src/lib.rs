@@ -60,7 +60,7 @@
 /// Number of the method by which measurements become estimates. It is raised whenever the same measurements, model and options give other
 /// estimates than before, be it in the last bits, so that a recording tells whether its estimates can be expected again. 1 is what was before
 /// the number was recorded.
-pub const METHOD: u32 = 3;
+pub const METHOD: u32 = 4;
 
 pub mod circle_points;
 pub mod diagnosis;
