@@ -61,6 +61,7 @@
 
 mod carried;
 mod chain;
+mod confirmation;
 mod deviations;
 mod distribution;
 pub mod effects;
