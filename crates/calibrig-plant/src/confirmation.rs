@@ -2,7 +2,7 @@
 //!
 //! A long step moves every coordinate by what its own spring makes of the force left over, whichever others may move with it; the loop alone
 //! couples them. It assembles two dense mass matrices body by body, in a time that goes with the square of the coordinates: of the parts one after
-//! the other, a tenth of what it takes of the whole robot.
+//! the other, a seventh of what it takes of the whole robot.
 
 use nalgebra::{Point3, Vector3};
 

@@ -9,7 +9,7 @@ use super::linkage::{check_transmission, close};
 use super::statics::Statics;
 use super::tree::{Role, Tree};
 use super::validation::{check_at_command, check_command, check_displacements, check_options, check_robot};
-use super::{AsBuilt, ElasticDeflection, PlantError, SettledPose};
+use super::{AsBuilt, ElasticDeflection, PlantError, SettleOptions, SettledPose};
 use calibrig_model::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
 use calibrig_model::{BeamSegment, Payload, SegmentLength};
 
@@ -21,39 +21,6 @@ const CONVERGED: f64 = 1e-9;
 const SAME_TANGENT: f64 = 1e-3;
 /// A step so large (rad or m) that the tangent says nothing about its end.
 const ASTRAY: f64 = 1.0;
-
-/// When a pose counts as settled.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SettleOptions {
-    /// Length of a step, s.
-    ///
-    /// A step starts at rest and moves the joints by `(K + M/dt²)⁻¹` times the force left over, K the stiffness of the springs and
-    /// M the mass matrix: long steps solve the statics alone. Drives so soft that long steps overshoot settle with shorter ones.
-    pub dt: f64,
-    /// Whether a step of rapier confirms every pose. It changes no bit of a pose and takes half of the time.
-    pub confirm: bool,
-    /// Steps before the pose is given up.
-    pub max_steps: u32,
-    /// Largest motion of the target in the last step, m.
-    pub tip_tolerance: f64,
-    /// Largest force left over, as the displacement that it would cause on its spring, rad or m.
-    pub residual_tolerance: f64,
-    /// Largest distance left between the ends of the four-bar's rod and lever, m.
-    pub closure_tolerance: f64,
-}
-
-impl Default for SettleOptions {
-    fn default() -> Self {
-        Self {
-            dt: 100.0,
-            confirm: true,
-            max_steps: 100,
-            tip_tolerance: 1e-9,
-            residual_tolerance: 1e-10,
-            closure_tolerance: 1e-9,
-        }
-    }
-}
 
 /// The rapier multibody of one robot.
 ///

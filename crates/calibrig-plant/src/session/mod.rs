@@ -96,7 +96,8 @@ pub trait Machine {
     /// y and z; m and rad, one a joint; empty for none).
     fn settle(&mut self, motors: &[f64], displacements: &[[f64; 6]]) -> Result<SettledPose, Self::Error>;
 
-    /// The same on the way to a pose that is measured, for the loads of the drives alone: nobody need confirm it.
+    /// Like [`settle`](Self::settle) without displacements, on the way to a pose that is measured: only the loads of its drives are used, so that
+    /// nothing has to confirm it.
     fn pass(&mut self, motors: &[f64]) -> Result<SettledPose, Self::Error> {
         self.settle(motors, &[])
     }
