@@ -8,7 +8,7 @@ use rapier3d::dynamics::{
 use rapier3d::math::{Matrix, Pose, Rotation, Vector};
 use rapier3d::pipeline::PhysicsWorld;
 
-use super::tree::{Loop, Node, Tree};
+use super::tree::{Loop, Node, Pull, Tree};
 use calibrig_model::Body;
 use calibrig_model::geometry::Transform;
 
@@ -58,9 +58,6 @@ impl Chain {
             debug_assert!(inserted.is_some(), "every body is new to the multibody");
             bodies.push(child);
         }
-        for (node, force) in &tree.forces {
-            world.bodies[bodies[*node]].add_force(vector(force), true);
-        }
         let multibody = world
             .multibody_joints
             .rigid_body_link(base)
@@ -98,55 +95,38 @@ impl Chain {
         }
     }
 
-    /// Takes places, stiffnesses and masses that depend on the pose from a tree of the same form.
+    /// Takes places and masses that depend on the pose from a tree of the same form.
     pub(super) fn rearrange(&mut self, tree: &Tree) {
         for (index, node) in tree.nodes.iter().enumerate().filter(|(_, node)| node.varies) {
             self.load_node(tree, index);
-            self.place_frames(index, &node.parent_from_joint, &node.body_from_joint);
+            self.place_frames(index, node);
         }
     }
 
-    /// Mass and springs of a node.
+    /// Sets the mass of a node.
     fn load_node(&mut self, tree: &Tree, index: usize) {
-        let node = &tree.nodes[index];
-        let body = node.body();
+        let body = tree.nodes[index].body();
         self.masses[index] = (body.mass, body.centre_of_mass);
         let PhysicsWorld { bodies, colliders, .. } = &mut self.world;
         let rigid_body = &mut bodies[self.bodies[index]];
         rigid_body.set_additional_mass_properties(mass_properties(&body), true);
         // Until then a body has no mass.
         rigid_body.recompute_mass_properties_from_colliders(colliders);
-        let link = self.link_mut(index);
-        for coordinate in &node.coordinates {
-            if coordinate.stiffness.is_finite() {
-                link.joint.set_spring(coordinate.axis, coordinate.stiffness, 0.0);
-            }
-        }
     }
 
     /// Sets both local frames of a node's joint.
-    pub(super) fn place_frames(
-        &mut self,
-        node: usize,
-        parent_from_joint: &Transform,
-        body_from_joint: &Transform,
-    ) {
-        let data = &mut self.link_mut(node).joint.data;
-        data.local_frame1 = pose(parent_from_joint);
-        data.local_frame2 = pose(body_from_joint);
+    pub(super) fn place_frames(&mut self, index: usize, node: &Node) {
+        let data = &mut self.link_mut(index).joint.data;
+        data.local_frame1 = pose(&node.parent_from_joint);
+        data.local_frame2 = pose(&node.body_from_joint);
     }
 
-    /// Sets where the spring of a node's only coordinate rests.
-    pub(super) fn rest_at(&mut self, node: usize, axis: usize, rest: f64) {
-        let joint = &mut self.link_mut(node).joint;
-        let (stiffness, _) = joint.spring(axis);
-        joint.set_spring(axis, stiffness, rest);
-    }
-
-    /// Sets stiffness and rest of a coordinate's spring.
-    pub(super) fn set_spring(&mut self, coordinate: usize, stiffness: f64, rest: f64) {
-        let (node, axis) = self.coordinates[coordinate];
-        self.link_mut(node).joint.set_spring(axis, stiffness, rest);
+    /// Sets stiffness (zero: none) and rest of every coordinate's spring.
+    pub(super) fn set_springs(&mut self, springs: impl Iterator<Item = (f64, f64)>) {
+        for (coordinate, (stiffness, rest)) in springs.enumerate() {
+            let (node, axis) = self.coordinates[coordinate];
+            self.link_mut(node).joint.set_spring(axis, stiffness, rest);
+        }
     }
 
     /// Puts the chain at the coordinates, to the bit, wherever it was.
@@ -167,14 +147,14 @@ impl Chain {
         multibody_of(multibody_joints, self.multibody).forward_kinematics(bodies, false);
     }
 
-    /// Sets the forces of hoses: node, point in the base frame (m) and force (N).
-    pub(super) fn pull(&mut self, pulls: impl Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)> + Clone) {
-        for (node, ..) in pulls.clone() {
+    /// Sets the forces in the present pose beside the weights. They must be on the same nodes as before.
+    pub(super) fn pull(&mut self, pulls: impl Iterator<Item = Pull> + Clone) {
+        for Pull { node, .. } in pulls.clone() {
             let body = &mut self.world.bodies[self.bodies[node]];
             body.reset_forces(false);
             body.reset_torques(false);
         }
-        for (node, at, force) in pulls {
+        for Pull { node, at, force } in pulls {
             let (_, centre) = self.mass(node);
             let body = &mut self.world.bodies[self.bodies[node]];
             body.add_force(vector(&force), false);

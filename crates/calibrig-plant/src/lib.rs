@@ -61,6 +61,7 @@
 
 mod carried;
 mod chain;
+mod confirmation;
 mod deviations;
 mod distribution;
 pub mod effects;
@@ -68,6 +69,7 @@ mod error;
 pub mod experiment;
 mod linkage;
 mod multibody;
+mod options;
 pub mod session;
 mod statics;
 pub mod tracker;
@@ -79,7 +81,8 @@ mod tests;
 
 pub use distribution::{AsBuiltDistribution, Spread};
 pub use error::PlantError;
-pub use multibody::{Plant, SettleOptions};
+pub use multibody::Plant;
+pub use options::SettleOptions;
 
 use effects::Effects;
 use nalgebra::Vector3;

@@ -4,11 +4,12 @@ use nalgebra::{Cholesky, DVector, Dyn, Point3, Vector3};
 use rapier3d::math::Vector;
 
 use super::chain::{Chain, point, transform, vector};
+use super::confirmation::{AtRest, Confirmation};
 use super::linkage::{check_transmission, close};
 use super::statics::Statics;
 use super::tree::{Role, Tree};
 use super::validation::{check_at_command, check_command, check_displacements, check_options, check_robot};
-use super::{AsBuilt, ElasticDeflection, PlantError, SettledPose};
+use super::{AsBuilt, ElasticDeflection, PlantError, SettleOptions, SettledPose};
 use calibrig_model::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
 use calibrig_model::{BeamSegment, Payload, SegmentLength};
 
@@ -21,39 +22,6 @@ const SAME_TANGENT: f64 = 1e-3;
 /// A step so large (rad or m) that the tangent says nothing about its end.
 const ASTRAY: f64 = 1.0;
 
-/// When a pose counts as settled.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SettleOptions {
-    /// Length of a step, s.
-    ///
-    /// A step starts at rest and moves the joints by `(K + M/dt²)⁻¹` times the force left over, K the stiffness of the springs and
-    /// M the mass matrix: long steps solve the statics alone. Drives so soft that long steps overshoot settle with shorter ones.
-    pub dt: f64,
-    /// Whether a step of rapier confirms every pose. It changes no bit of a pose and takes more than half of the time.
-    pub confirm: bool,
-    /// Steps before the pose is given up.
-    pub max_steps: u32,
-    /// Largest motion of the target in the last step, m.
-    pub tip_tolerance: f64,
-    /// Largest force left over, as the displacement that it would cause on its spring, rad or m.
-    pub residual_tolerance: f64,
-    /// Largest distance left between the ends of the four-bar's rod and lever, m.
-    pub closure_tolerance: f64,
-}
-
-impl Default for SettleOptions {
-    fn default() -> Self {
-        Self {
-            dt: 100.0,
-            confirm: true,
-            max_steps: 100,
-            tip_tolerance: 1e-9,
-            residual_tolerance: 1e-10,
-            closure_tolerance: 1e-9,
-        }
-    }
-}
-
 /// The rapier multibody of one robot.
 ///
 /// Every elastic direction is a reduced coordinate on a spring that rapier integrates implicitly; the drives' rest at the command. A
@@ -65,17 +33,18 @@ pub struct Plant {
     /// The last load of the robot, where the flange carries one.
     pub(super) payload: Option<Payload>,
     pub(super) options: SettleOptions,
-    tree: Tree,
-    chain: Chain,
-    statics: Statics,
+    pub(super) tree: Tree,
+    pub(super) chain: Chain,
+    /// Where poses are confirmed, if not by a step of the chain itself.
+    pub(super) confirmation: Option<Confirmation>,
+    pub(super) statics: Statics,
     target_in_last: Vector,
-    roles: Vec<Role>,
     /// The joint variables that the drives would hold without a load; the elbow's as of an exact parallelogram.
     commanded: Vec<f64>,
     /// Where the spring of every coordinate rests.
     rest: Vec<f64>,
-    /// The coordinates to start from.
-    start: Vec<f64>,
+    /// Where Newton's method has come to.
+    pub(super) coordinates: Vec<f64>,
     /// Beyond the rest.
     deflection: Vec<f64>,
     left_over: DVector<f64>,
@@ -95,17 +64,17 @@ impl Plant {
         let joints = robot.kinematics.joint_count();
         let target_in_last = robot.kinematics.last_from_flange * Point3::from(robot.target);
         let tree = Tree::new(robot, &extended(robot));
-        let chain = Chain::new(&tree, &robot.statics.gravity, options.dt);
+        let (chain, confirmation) = worlds(&tree, robot, &options);
         let coordinates = chain.coordinate_count();
         Ok(Self {
             options,
             chain,
+            confirmation,
             statics: Statics::new(&tree, robot),
             target_in_last: vector(&target_in_last.coords),
-            roles: tree.coordinates().map(|(_, entry)| entry.role).collect(),
             commanded: vec![0.0; joints],
             rest: vec![0.0; coordinates],
-            start: vec![0.0; coordinates],
+            coordinates: vec![0.0; coordinates],
             deflection: vec![0.0; coordinates],
             left_over: DVector::zeros(coordinates),
             displaced: false,
@@ -132,6 +101,16 @@ impl Plant {
         command: &[f64],
         displacements: &[[f64; 6]],
     ) -> Result<SettledPose, PlantError> {
+        self.settle_and(self.options.confirm, command, displacements)
+    }
+
+    /// Settles, and has the pose confirmed or not: see [`SettleOptions::confirm`].
+    pub(super) fn settle_and(
+        &mut self,
+        confirm: bool,
+        command: &[f64],
+        displacements: &[[f64; 6]],
+    ) -> Result<SettledPose, PlantError> {
         check_command(self.commanded.len(), command)?;
         check_displacements(self.commanded.len(), displacements)?;
         self.robot.actuators.joints_from_command(command, &mut self.commanded);
@@ -139,11 +118,10 @@ impl Plant {
         self.rearrange();
         self.displace(displacements);
         self.rest_at_command()?;
-        let settled = self.relax();
+        let settled = self.relax(confirm);
         if settled.is_err() {
             // rapier disables the bodies that it finds at no finite place.
-            self.chain = Chain::new(&self.tree, &self.robot.statics.gravity, self.options.dt);
-            self.displaced = false;
+            (self.chain, self.confirmation) = worlds(&self.tree, &self.robot, &self.options);
         }
         settled
     }
@@ -153,10 +131,11 @@ impl Plant {
         if !self.displaced && displacements.is_empty() {
             return;
         }
-        for (joint, &node) in self.tree.motions.iter().enumerate() {
+        for (joint, &motion) in self.tree.motions.iter().enumerate() {
             let shift = displacements.get(joint).map_or_else(Transform::identity, shift);
-            let front = self.tree.nodes[node].parent_from_joint;
-            self.chain.place_frames(node, &front, &shift.inverse());
+            let node = &mut self.tree.nodes[motion];
+            node.body_from_joint = shift.inverse();
+            self.chain.place_frames(motion, node);
         }
         self.displaced = !displacements.is_empty();
     }
@@ -170,7 +149,7 @@ impl Plant {
         }
     }
 
-    /// Sets every spring to rest at the command.
+    /// Lets every spring rest at the command.
     fn rest_at_command(&mut self) -> Result<(), PlantError> {
         let closure = self.tree.closure.as_ref();
         let closed = closure.map(|closure| close(&self.robot, &self.commanded, closure)).transpose()?;
@@ -191,42 +170,35 @@ impl Plant {
                 (Role::Passive, ..) => unreachable!("only a closed loop holds passive coordinates"),
             };
             self.rest[coordinate] = rest;
-            if matches!(entry.role, Role::Drive(_)) && entry.stiffness.is_finite() {
-                self.chain.rest_at(node, entry.axis, rest);
-            }
         }
         Ok(())
     }
 
     /// The pose that Newton's method finds, confirmed by a step of rapier; where it finds none, or the step leaves it, steps of rapier until
     /// nothing moves any more.
-    fn relax(&mut self) -> Result<SettledPose, PlantError> {
+    fn relax(&mut self, confirm: bool) -> Result<SettledPose, PlantError> {
         let is_stable = self.newton()?;
-        let mut found = None;
+        let mut steps = 0;
         if is_stable && self.is_at_rest() {
             self.check_settled(is_stable, 0)?;
             let pose = self.settled_pose(0);
-            if !self.options.confirm {
+            if !confirm {
                 return Ok(pose);
             }
-            found = Some(pose);
+            steps = 1;
+            if self.is_confirmed() {
+                return Ok(SettledPose { steps, ..pose });
+            }
         }
         let mut tip = self.tip();
-        let (mut steps, mut tip_motion) = (0, f64::INFINITY);
+        let mut tip_motion = f64::INFINITY;
         while steps < self.options.max_steps && tip.is_finite() {
-            for (coordinate, stiffness, rest) in self.statics.tangent_springs(&self.deflection) {
-                self.chain.set_spring(coordinate, stiffness, self.rest[coordinate] + rest);
-            }
-            self.chain.pull(self.statics.pulls());
-            self.chain.step_from_rest();
+            self.step();
             steps += 1;
             let before = std::mem::replace(&mut tip, self.tip());
             tip_motion = tip.distance(before);
             self.evaluate();
             if tip_motion <= self.options.tip_tolerance && self.is_at_rest() {
-                if let Some(pose) = found.take_if(|_| steps == 1) {
-                    return Ok(SettledPose { steps, ..pose });
-                }
                 self.check_settled(is_stable, steps)?;
                 return Ok(self.settled_pose(steps));
             }
@@ -234,6 +206,34 @@ impl Plant {
         self.check_stability(steps)?;
         let (residual, closure) = (self.residual(), self.gap());
         Err(PlantError::NotSettled { steps, tip_motion, residual, closure })
+    }
+
+    /// Takes a step of rapier from a pose at rest. Returns whether it is left at rest where it was.
+    fn is_confirmed(&mut self) -> bool {
+        let (springs, tip) = (self.springs(), self.tip());
+        if let Some(confirmation) = &mut self.confirmation {
+            let Self { tree, chain, statics, coordinates, .. } = self;
+            let pose = AtRest { tree, chain, statics, coordinates, springs: &springs };
+            let stepped = confirmation.step(&pose);
+            self.chain.place(&stepped);
+        } else {
+            self.step();
+        }
+        self.evaluate();
+        self.tip().distance(tip) <= self.options.tip_tolerance && self.is_at_rest()
+    }
+
+    /// A step of rapier from rest.
+    pub(super) fn step(&mut self) {
+        self.chain.set_springs(self.springs().into_iter());
+        self.chain.pull(self.statics.pulls());
+        self.chain.step_from_rest();
+    }
+
+    /// Stiffness and rest of every coordinate's spring in the present pose.
+    pub(super) fn springs(&self) -> Vec<(f64, f64)> {
+        let springs = self.statics.springs(&self.deflection).into_iter();
+        springs.zip(&self.rest).map(|((stiffness, deflected), rest)| (stiffness, rest + deflected)).collect()
     }
 
     fn residual(&self) -> f64 {
@@ -255,16 +255,11 @@ impl Plant {
         self.chain.pose(last).transform_point(self.target_in_last)
     }
 
-    /// Deflections in the present pose.
-    fn measure_deflections(&mut self) {
+    /// Deflections and forces in the present pose. Returns whether the stiffness of a drive is no longer what it was.
+    pub(super) fn evaluate(&mut self) -> bool {
         for (coordinate, deflection) in self.deflection.iter_mut().enumerate() {
             *deflection = self.chain.coordinate(coordinate) - self.rest[coordinate];
         }
-    }
-
-    /// Deflections and forces in the present pose. Returns whether the stiffness of a drive is no longer what it was.
-    fn evaluate(&mut self) -> bool {
-        self.measure_deflections();
         self.statics.evaluate(&self.chain);
         self.statics.stiffen(&self.deflection)
     }
@@ -273,8 +268,8 @@ impl Plant {
     /// whether it found one, with a tangent stiffness next to it that is positive definite; where it is not even in the unloaded pose, the
     /// loads overpower the springs.
     fn newton(&mut self) -> Result<bool, PlantError> {
-        self.start.copy_from_slice(&self.rest);
-        self.chain.place(&self.start);
+        self.coordinates.copy_from_slice(&self.rest);
+        self.chain.place(&self.coordinates);
         let mut stiffened = self.evaluate();
         let mut tangent: Option<Cholesky<f64, Dyn>> = None;
         let mut last = f64::INFINITY;
@@ -288,18 +283,18 @@ impl Plant {
             }
             let step = tangent.as_ref().and_then(|tangent| self.statics.newton(tangent, &self.left_over));
             let Some(step) = step.filter(|step| step.amax() < ASTRAY) else { break };
-            for (start, step) in self.start.iter_mut().zip(step.iter()) {
-                *start += step;
+            for (coordinate, step) in self.coordinates.iter_mut().zip(step.iter()) {
+                *coordinate += step;
             }
-            self.chain.place(&self.start);
+            self.chain.place(&self.coordinates);
             stiffened = self.evaluate();
             last = step.amax();
             if last < CONVERGED {
                 return Ok(true);
             }
         }
-        self.start.copy_from_slice(&self.rest);
-        self.chain.place(&self.start);
+        self.coordinates.copy_from_slice(&self.rest);
+        self.chain.place(&self.coordinates);
         self.evaluate();
         Ok(false)
     }
@@ -336,11 +331,9 @@ impl Plant {
     fn settled_pose(&self, steps: u32) -> SettledPose {
         let tip = self.tip();
         let mut deflection = vec![0.0; self.commanded.len()];
-        let mut elastic = Vec::with_capacity(self.roles.len());
-        for ((role, value), (_, entry)) in
-            self.roles.iter().zip(&self.deflection).zip(self.tree.coordinates())
-        {
-            match *role {
+        let mut elastic = Vec::with_capacity(self.deflection.len());
+        for ((_, entry), value) in self.tree.coordinates().zip(&self.deflection) {
+            match entry.role {
                 Role::Drive(joint) => deflection[joint] = *value,
                 Role::Elastic(place) => {
                     elastic.push(ElasticDeflection { place, axis: entry.axis, value: *value });
@@ -375,6 +368,13 @@ impl Plant {
         let rod = closure.lever - self.crank_end();
         Some(-closure.reaction.dot(&rod) / rod.norm())
     }
+}
+
+/// The rapier side of a tree, and that of its parts where they confirm poses.
+fn worlds(tree: &Tree, robot: &AsBuilt, options: &SettleOptions) -> (Chain, Option<Confirmation>) {
+    let gravity = &robot.statics.gravity;
+    let confirmation = options.confirm.then(|| Confirmation::new(tree, gravity, options.dt));
+    (Chain::new(tree, gravity, options.dt), confirmation.flatten())
 }
 
 /// Joint variables at which every telescope is out of its housing, to build the tree before the first command.

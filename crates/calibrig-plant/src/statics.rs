@@ -9,7 +9,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix3, Matrix3xX, Vector3};
 use super::AsBuilt;
 use super::chain::{Chain, point, vector};
 use super::effects::StiffnessCurve;
-use super::tree::{Coordinate, Pull, Role, Tree};
+use super::tree::{Coordinate, Pull, Role, Stretch, Tree};
 
 /// Of the loop in [`Statics::tangent`], N/m: so stiff that only motion that keeps it closed can be unstable, so soft that the springs
 /// beside it keep their digits.
@@ -18,7 +18,7 @@ const LOOP_STIFFNESS: f64 = 1e9;
 /// What does not change with the pose.
 struct Branches {
     parents: Vec<Option<usize>>,
-    forces: Vec<(usize, Vector3<f64>)>,
+    forces: Vec<Pull>,
     gravity: Vector3<f64>,
     nodes: Vec<usize>,
     /// Of every coordinate, those in front of it that turn what follows.
@@ -28,18 +28,14 @@ struct Branches {
 }
 
 struct HoseEnds {
-    pull: Pull,
+    stretch: Stretch,
     /// Of every coordinate, whether it carries either end.
     carries: Vec<(bool, bool)>,
 }
 
 /// A hose in the present pose.
 struct Stretched {
-    /// Its ends in the base frame, m.
-    ends: [Vector3<f64>; 2],
-    /// On its second end, N; its opposite acts on the first.
-    force: Vector3<f64>,
-    /// Change of that force per displacement of the second end against the first, N/m.
+    /// Change of the force on its second end per displacement of the second end against the first, N/m.
     stiffness: Matrix3<f64>,
     /// How the coordinates move the second end against the first, 3 x n.
     jacobian: Matrix3xX<f64>,
@@ -91,6 +87,8 @@ pub(super) struct Statics {
     load: DVector<f64>,
     closure: Option<Closure>,
     hoses: Vec<Stretched>,
+    /// Constant forces and those of the hoses, in the present pose.
+    pulls: Vec<Pull>,
 }
 
 impl Statics {
@@ -119,13 +117,9 @@ impl Statics {
                 reaction: Vector3::zeros(),
             }),
             hoses: Vec::new(),
+            pulls: Vec::new(),
         };
-        let still = || Stretched {
-            ends: [Vector3::zeros(); 2],
-            force: Vector3::zeros(),
-            stiffness: Matrix3::zeros(),
-            jacobian: Matrix3xX::zeros(count),
-        };
+        let still = || Stretched { stiffness: Matrix3::zeros(), jacobian: Matrix3xX::zeros(count) };
         statics.hoses = tree.hoses.iter().map(|_| still()).collect();
         statics.restiffen(tree);
         statics
@@ -148,15 +142,15 @@ impl Statics {
         changed
     }
 
-    /// The linear springs that are tangent to drives that stiffen: coordinate, stiffness, and the deflection at which the spring rests.
-    pub(super) fn tangent_springs<'a>(
-        &'a self,
-        deflection: &'a [f64],
-    ) -> impl Iterator<Item = (usize, f64, f64)> + 'a {
-        self.curves.iter().map(|(coordinate, own, curve)| {
+    /// Stiffness of every coordinate's spring (zero of a rigid drive and where only the loop holds it) and the deflection at which it rests: of a drive
+    /// that stiffens, of the linear spring that is tangent to it at its deflection.
+    pub(super) fn springs(&self, deflection: &[f64]) -> Vec<(f64, f64)> {
+        let mut springs: Vec<_> = self.stiffness.iter().map(|stiffness| (*stiffness, 0.0)).collect();
+        for (coordinate, own, curve) in &self.curves {
             let (stiffness, load) = curve.tangent_and_load(*own, deflection[*coordinate]);
-            (*coordinate, stiffness, deflection[*coordinate] - load / stiffness)
-        })
+            springs[*coordinate] = (stiffness, deflection[*coordinate] - load / stiffness);
+        }
+        springs
     }
 
     /// The loop in the pose that was last evaluated.
@@ -174,55 +168,47 @@ impl Statics {
             let weight = mass * self.branches.gravity;
             *carried = (weight, centre * weight.transpose());
         }
-        for (node, force) in &self.branches.forces {
-            act(&mut self.carried[*node], &point(&chain.pose(*node).translation), force);
-        }
+        self.pulls.clear();
+        let forces = self.branches.forces.iter();
+        self.pulls.extend(forces.map(|own| Pull { at: in_base(chain, own.node, &own.at), ..*own }));
         self.stretch(chain);
+        for Pull { node, at, force } in &self.pulls {
+            act(&mut self.carried[*node], at, force);
+        }
         self.collect();
         self.load_coordinates();
         if let (Some(closure), Some(ends)) = (&mut self.closure, &self.branches.loop_ends) {
-            let at = |(node, p): (usize, Vector3<f64>)| point(&chain.pose(node).transform_point(vector(&p)));
-            (closure.tip, closure.lever) = (at(ends.tip), at(ends.lever));
-            let between = [closure.tip, closure.lever];
-            set_relative(&mut closure.jacobian, &self.twists, &ends.carries, &between);
+            let [tip, lever] = [ends.tip, ends.lever].map(|(node, at)| in_base(chain, node, &at));
+            (closure.tip, closure.lever) = (tip, lever);
+            set_relative(&mut closure.jacobian, &self.twists, &ends.carries, &[tip, lever]);
             closure.reaction = holding(&closure.jacobian, &self.load, &ends.passive);
             self.load += closure.jacobian.tr_mul(&closure.reaction);
             self.carry_reaction();
         }
     }
 
-    /// Pulls the hoses.
+    /// Stretches the hoses.
     fn stretch(&mut self, chain: &Chain) {
-        for (hose, HoseEnds { pull, carries }) in self.hoses.iter_mut().zip(&self.branches.hoses) {
-            hose.ends = pull.ends.map(|(node, at)| match node {
-                Some(node) => point(&chain.pose(node).transform_point(vector(&at))),
-                None => at,
-            });
-            set_relative(&mut hose.jacobian, &self.twists, carries, &hose.ends);
-            let between = hose.ends[1] - hose.ends[0];
+        for (hose, HoseEnds { stretch, carries }) in self.hoses.iter_mut().zip(&self.branches.hoses) {
+            let ends = stretch.ends.map(|(node, at)| node.map_or(at, |node| in_base(chain, node, &at)));
+            set_relative(&mut hose.jacobian, &self.twists, carries, &ends);
+            let between = ends[1] - ends[0];
             let length = between.norm();
             let along = between / length;
-            let (tension, stiffness) = pull.hose.tension(length);
-            hose.force = -tension * along;
+            let (tension, stiffness) = stretch.hose.tension(length);
             let lengthwise = along * along.transpose();
             hose.stiffness =
                 -stiffness * lengthwise - (Matrix3::identity() - lengthwise) * (tension / length);
-            for ((node, _), (at, force)) in
-                pull.ends.iter().zip([(hose.ends[0], -hose.force), (hose.ends[1], hose.force)])
-            {
-                if let Some(node) = *node {
-                    act(&mut self.carried[node], &at, &force);
-                }
+            for (end, force) in [tension * along, -tension * along].into_iter().enumerate() {
+                let node = stretch.ends[end].0;
+                self.pulls.extend(node.map(|node| Pull { node, at: ends[end], force }));
             }
         }
     }
 
-    /// Where the hoses pull: node, point in the base frame (m) and force (N).
-    pub(super) fn pulls(&self) -> impl Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)> + Clone + '_ {
-        self.hoses.iter().zip(&self.branches.hoses).flat_map(|(hose, HoseEnds { pull, .. })| {
-            let forces = [-hose.force, hose.force];
-            (0..2).filter_map(move |end| Some((pull.ends[end].0?, hose.ends[end], forces[end])))
-        })
+    /// Constant forces and those of the hoses, in the pose that was last evaluated.
+    pub(super) fn pulls(&self) -> impl Iterator<Item = Pull> + Clone + '_ {
+        self.pulls.iter().copied()
     }
 
     /// Adds up what every node carries, from the tips to the base.
@@ -373,6 +359,11 @@ impl Statics {
     }
 }
 
+/// A point of a node in the base frame, m.
+fn in_base(chain: &Chain, node: usize, at: &Vector3<f64>) -> Vector3<f64> {
+    point(&chain.pose(node).transform_point(vector(at)))
+}
+
 /// How the coordinates move the second of two points against the first, by which of them they carry.
 fn set_relative(
     jacobian: &mut Matrix3xX<f64>,
@@ -436,11 +427,11 @@ impl Branches {
                 .collect(),
             passive: (0..nodes.len()).filter(|&i| coordinates[i].1.stiffness == 0.0).collect(),
         });
-        let hose_ends = |pull: &Pull| {
-            let [first, second] = pull.ends.map(|(node, _)| node);
+        let hose_ends = |stretch: &Stretch| {
+            let [first, second] = stretch.ends.map(|(node, _)| node);
             let carried = |end: Option<usize>, by: usize| end.is_some_and(|end| is_carried(end, by));
             let carries = nodes.iter().map(|&node| (carried(first, node), carried(second, node))).collect();
-            HoseEnds { pull: pull.clone(), carries }
+            HoseEnds { stretch: stretch.clone(), carries }
         };
         let hoses = tree.hoses.iter().map(hose_ends).collect();
         let forces = tree.forces.clone();

@@ -42,7 +42,7 @@ pub(super) struct Coordinate {
 }
 
 /// A body and the joint that carries it: `parent_from_joint · motion · body_from_joint⁻¹`, the motion first along all its free axes,
-/// then about at most one. Without coordinates, it is fixed to its parent.
+/// then about at most one.
 #[derive(Debug, Clone)]
 pub(super) struct Node {
     /// The base where absent.
@@ -98,22 +98,31 @@ pub(super) struct Loop {
 }
 
 /// A robot, parents before their children.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct Tree {
     pub(super) nodes: Vec<Node>,
     /// The node of every link's frame.
     pub(super) links: Vec<usize>,
     /// The node of every joint's own motion.
     pub(super) motions: Vec<usize>,
-    /// Constant forces at the origins of nodes, N.
-    pub(super) forces: Vec<(usize, Vector3<f64>)>,
-    pub(super) hoses: Vec<Pull>,
+    pub(super) forces: Vec<Pull>,
+    pub(super) hoses: Vec<Stretch>,
     pub(super) closure: Option<Loop>,
+}
+
+/// A force at a point of a node.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Pull {
+    pub(super) node: usize,
+    /// In the node's frame or, in a pose, in the base frame, m.
+    pub(super) at: Vector3<f64>,
+    /// In the base frame, N.
+    pub(super) force: Vector3<f64>,
 }
 
 /// A hose between points of two nodes.
 #[derive(Debug, Clone)]
-pub(super) struct Pull {
+pub(super) struct Stretch {
     /// Node (the ground where absent) and point in its frame.
     pub(super) ends: [(Option<usize>, Vector3<f64>); 2],
     pub(super) hose: Hose,
@@ -145,7 +154,7 @@ impl Tree {
             builder.four_bar(mount, shoulder, elbow, linkage, links[elbow])
         });
         let forces = builder.loads(&links);
-        let hoses = robot.effects.hoses.iter().flat_map(|hoses| &hoses.hoses).map(|hose| Pull {
+        let hoses = robot.effects.hoses.iter().flat_map(|hoses| &hoses.hoses).map(|hose| Stretch {
             ends: hose.ends.map(|end| (end.link.map(|link| links[link]), end.at)),
             hose: hose.clone(),
         });
@@ -342,18 +351,16 @@ impl Builder<'_> {
         Loop { shoulder, elbow, linkage: *linkage, crank, rod: [yaw, pitch], tip, tip_at, lever, lever_at }
     }
 
-    /// Masses become part of their link; a force gets a node of its own, at whose origin it acts in every pose.
-    fn loads(&mut self, links: &[usize]) -> Vec<(usize, Vector3<f64>)> {
-        self.varies = false;
+    /// Masses become part of their link. Returns the forces.
+    fn loads(&mut self, links: &[usize]) -> Vec<Pull> {
         let mut forces = Vec::new();
         for load in &self.robot.statics.loads {
-            let link = links[load.link];
+            let node = links[load.link];
             if load.mass > 0.0 {
-                self.nodes[link].bodies.push(point_mass(load.mass, load.at));
+                self.nodes[node].bodies.push(point_mass(load.mass, load.at));
             }
             if load.force != Vector3::zeros() {
-                let mount = Mount { node: Some(link), from_node: translation_by(load.at) };
-                forces.push((self.push(mount, Vec::new()), load.force));
+                forces.push(Pull { node, at: load.at, force: load.force });
             }
         }
         forces
@@ -364,7 +371,7 @@ fn translation_by(v: Vector3<f64>) -> Transform {
     Transform::from_parts(Translation3::from(v), nalgebra::Rotation3::identity())
 }
 
-fn point_mass(mass: f64, at: Vector3<f64>) -> Body {
+pub(super) fn point_mass(mass: f64, at: Vector3<f64>) -> Body {
     Body { mass, centre_of_mass: at, inertia: Matrix3::from_diagonal_element(mass * POINT_GYRATION.powi(2)) }
 }
 

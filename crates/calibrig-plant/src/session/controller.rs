@@ -45,7 +45,7 @@ impl<'a> Controller<'a> {
         self.motion.go_to(command, 0.0);
         // The effects are too small to change the load that they depend on.
         let load = if self.as_built.effects.need_load() {
-            self.as_built.drive_loads(&machine.settle(command, &[])?)
+            self.as_built.drive_loads(&machine.pass(command)?)
         } else {
             Vec::new()
         };

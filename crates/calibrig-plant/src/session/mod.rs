@@ -96,6 +96,12 @@ pub trait Machine {
     /// y and z; m and rad, one a joint; empty for none).
     fn settle(&mut self, motors: &[f64], displacements: &[[f64; 6]]) -> Result<SettledPose, Self::Error>;
 
+    /// Like [`settle`](Self::settle) without displacements, on the way to a pose that is measured: only the loads of its drives are used, so that
+    /// nothing has to confirm it.
+    fn pass(&mut self, motors: &[f64]) -> Result<SettledPose, Self::Error> {
+        self.settle(motors, &[])
+    }
+
     /// Hangs a load on the flange, or takes it off, for all poses from now on.
     fn carry(&mut self, payload: Option<&Payload>) -> Result<(), Self::Error>;
 }
@@ -105,6 +111,10 @@ impl Machine for Plant {
 
     fn settle(&mut self, motors: &[f64], displacements: &[[f64; 6]]) -> Result<SettledPose, PlantError> {
         self.settle_displaced(motors, displacements)
+    }
+
+    fn pass(&mut self, motors: &[f64]) -> Result<SettledPose, PlantError> {
+        self.settle_and(false, motors, &[])
     }
 
     fn carry(&mut self, payload: Option<&Payload>) -> Result<(), PlantError> {

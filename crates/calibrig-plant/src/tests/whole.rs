@@ -8,7 +8,9 @@ use super::constrained::Constrained;
 use super::random_robot::{random_full_robot, random_shifts};
 use super::spray_robot::{full_robot, working_command};
 use super::{AsBuilt, ElasticPlace, PlantError, bits, plant};
+use crate::confirmation::AtRest;
 use crate::effects::{Anchor, Foundation, Hose, Hoses, RailSpan, Stiffening, StiffnessCurve};
+use crate::statics::Statics;
 use crate::{Plant, SettleOptions};
 use calibrig_model::{Payload, PointLoad};
 
@@ -225,6 +227,67 @@ fn a_step_that_confirms_a_pose_changes_no_bit_of_it() {
         pose.steps = 1;
         assert_eq!(bits(&pose), bits(&confirmed));
     }
+}
+
+#[test]
+fn the_parts_step_where_the_whole_robot_does() {
+    let mut rng = ChaCha8Rng::seed_from_u64(40);
+    let (mut apart, mut of_bound) = (0.0_f64, 0.0_f64);
+    for _ in 0..5 {
+        let robot = stiffened(&random_machine(&mut rng), &mut rng);
+        let command = working_command(&robot, &mut rng);
+        let mut machine = plant(&robot);
+        machine.settle_displaced(&command, &random_shifts(&mut rng)).expect("a stiff robot");
+        let at_rest = machine.coordinates.clone();
+        for off in 0..at_rest.len() {
+            let mut coordinates = at_rest.clone();
+            coordinates[off] += 1e-5;
+            machine.chain.place(&coordinates);
+            machine.evaluate();
+            let springs = machine.springs();
+            let closure = machine.statics.closure().expect("a loop");
+            // Where the loop is open, the rod pulls at two places, which in the whole robot is a moment on what carries the loop.
+            let moment = closure.reaction.norm() * closure.gap().norm();
+            let Plant { tree, chain, statics, confirmation: Some(confirmation), .. } = &mut machine else {
+                panic!("it confirms its poses in parts")
+            };
+            let pose = AtRest { tree, chain, statics, coordinates: &coordinates, springs: &springs };
+            let parts = confirmation.step(&pose);
+            let (_, own) = tree.coordinates().nth(off).expect("a coordinate");
+            machine.step();
+            for (coordinate, part) in parts.iter().enumerate() {
+                let stiffness = springs[coordinate].0;
+                let bound = 1e-9 + if stiffness > 0.0 { 1.1 * moment / stiffness } else { 0.0 };
+                let difference = (part - machine.chain.coordinate(coordinate)).abs();
+                apart = apart.max(difference);
+                of_bound = of_bound.max(difference / bound);
+            }
+            // One that is off its rest is seen.
+            let back = (coordinates[off] - parts[off]) / 1e-5;
+            assert!(own.stiffness.is_infinite() || back > 0.5, "coordinate {off} comes back by {back}");
+        }
+    }
+    eprintln!("parts and whole at most {apart:e} apart, {of_bound} of the bound");
+    assert!(of_bound < 1.0, "{apart:e}, {of_bound}");
+}
+
+#[test]
+fn a_pose_that_rapier_does_not_hold_is_refused() {
+    let mut rng = ChaCha8Rng::seed_from_u64(41);
+    let robot = random_machine(&mut rng);
+    let command = working_command(&robot, &mut rng);
+    let mut machine = plant(&robot);
+    let sound = machine.settle(&command).expect("a stiff robot");
+    // Newton's method believes in a gravity that is not that of rapier.
+    let mut mistaken = robot.clone();
+    mistaken.statics.gravity *= 1.0 + 1e-6;
+    machine.statics = Statics::new(&machine.tree, &mistaken);
+    match machine.settle(&command) {
+        Err(PlantError::NotSettled { .. }) => {}
+        other => panic!("{other:?}"),
+    }
+    machine.statics = Statics::new(&machine.tree, &robot);
+    assert_eq!(bits(&machine.settle(&command).expect("a stiff robot")), bits(&sound));
 }
 
 #[test]
