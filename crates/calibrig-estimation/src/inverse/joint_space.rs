@@ -175,8 +175,8 @@ impl JointSpace {
 
     /// How far an unknown may move where its own actuator may go so far and no other command depends on it; as far as it likes elsewhere.
     pub fn way_of_actuator(&self, unknown: usize, way: f64) -> f64 {
-        let mut moved =
-            self.command_by_free.column(unknown).iter().enumerate().filter(|(_, share)| **share != 0.0);
+        let column = self.command_by_free.column(unknown);
+        let mut moved = column.iter().enumerate().filter(|(_, share)| **share != 0.0);
         match (moved.next(), moved.next()) {
             (Some((actuator, share)), None)
                 if actuator == self.free[unknown]

@@ -18,8 +18,13 @@ const MOST: usize = 100;
 const LEAST: f64 = 1e-13;
 /// A step that is shortened to less leads nowhere.
 const SHORTEST: f64 = 1e-6;
-/// Share of the promised fall that a step has to bring.
+/// Share of the promised fall that a step has to bring, and what a value is uncertain by: equilibria are found to 1e-13 m.
 const ARMIJO: f64 = 1e-4;
+const NOISE: f64 = 1e-10;
+/// Where no step lets the criterion fall, it is least if no more than this share was promised.
+const ROUNDED: f64 = 1e-7;
+/// A bound is let go where the criterion pulls more than this.
+const PULLS: f64 = 1e-12;
 /// Steps back onto the goal.
 const BACK: usize = 12;
 /// The longest step, in halves of the joints' ways.
@@ -45,67 +50,77 @@ pub(super) fn minimise<A: Arm>(
     let n = y.len();
     let mut gradient = DVector::zeros(n);
     let mut value = judge.value(space, asked, y, Some(&mut gradient))?;
-    let mut hessian = first_hessian(space, asked);
+    let mut hessian = first_hessian(space, asked, value);
     let mut held = vec![false; n];
+    search.go_to(y)?;
+    let mut rows = rows_at(search, y)?;
     let mut steps = 0;
     while steps < MOST {
-        search.go_to(y)?;
-        search.linearise(y)?;
-        let rows = rows_of(search, y)?;
-        touch(search, &gradient, &hessian, &rows, y, &mut held);
-        let Some((direction, multipliers)) = step_within(&hessian, &gradient, &rows, &held) else { break };
+        let Some((direction, multipliers)) = direction(search, &gradient, &hessian, &rows, y, &mut held)
+        else {
+            break;
+        };
         let promised = -gradient.dot(&direction);
         if !(promised > LEAST * (1.0 + value.abs())) {
             return Ok(Least { value, steps, converged: true });
         }
         steps += 1;
-        let mut share = longest_share(search, &direction, y);
-        let mut next = None;
-        while share > SHORTEST {
-            let mut tried: Vec<f64> = y.iter().zip(direction.iter()).map(|(y, d)| y + share * d).collect();
-            clamp(search, &mut tried);
-            if let Some((Ended::Reached, _)) = search.descend(&mut tried, BACK, false)
-                && let Ok(now) = judge.value(space, asked, &tried, None)
-                && now <= value - ARMIJO * share * promised
-            {
-                next = Some(tried);
-                break;
-            }
-            share *= 0.5;
-        }
-        let Some(next) = next else {
+        let Some(next) = step(search, judge, asked, y, (&direction, promised, value)) else {
             search.go_to(y)?;
-            // Where not even rounding lets it fall.
-            return Ok(Least { value, steps, converged: promised <= 1e-7 * (1.0 + value.abs()) });
+            return Ok(Least { value, steps, converged: promised <= ROUNDED * (1.0 + value.abs()) });
         };
-        let before = std::mem::replace(&mut gradient, DVector::zeros(n));
+        let before = gradient.clone();
         value = judge.value(space, asked, &next, Some(&mut gradient))?;
         let moved = DVector::from_iterator(n, next.iter().zip(y.iter()).map(|(a, b)| a - b));
         y.copy_from_slice(&next);
-        search.go_to(y)?;
-        search.linearise(y)?;
-        let now = rows_of(search, y)?;
+        let now = rows_at(search, y)?;
         if now.nrows() == multipliers.len() {
             let change = (&gradient - now.tr_mul(&multipliers)) - (before - rows.tr_mul(&multipliers));
             update(&mut hessian, &moved, &change);
         }
+        rows = now;
     }
-    search.go_to(y)?;
     Ok(Least { value, steps, converged: false })
 }
 
+/// As far along a direction as the criterion falls, back on the goal; the arm is left there. `None` where it does not fall.
+fn step<A: Arm>(
+    search: &mut Search<'_, A>,
+    judge: &mut Judge,
+    asked: &Question<'_>,
+    y: &[f64],
+    (direction, promised, value): (&DVector<f64>, f64, f64),
+) -> Option<Vec<f64>> {
+    let mut share = longest_share(search, direction, y);
+    while share > SHORTEST {
+        let mut tried: Vec<f64> = y.iter().zip(direction.iter()).map(|(y, d)| y + share * d).collect();
+        clamp(search, &mut tried);
+        let most = value - ARMIJO * share * promised + NOISE * (1.0 + value.abs());
+        if let Some((Ended::Reached, _)) = search.descend(&mut tried, BACK, false)
+            && judge.value(search.space, asked, &tried, None).is_ok_and(|now| now <= most)
+        {
+            return Some(tried);
+        }
+        share *= 0.5;
+    }
+    None
+}
+
 /// Second derivatives of the quadratic parts; of the others a share of them, which is learnt.
-fn first_hessian(space: &JointSpace, asked: &Question<'_>) -> DMatrix<f64> {
+fn first_hessian(space: &JointSpace, asked: &Question<'_>, value: f64) -> DMatrix<f64> {
     let criterion = &asked.criterion;
     let n = space.len() as f64;
     let known = criterion.limits + criterion.motion;
-    let weight = known + 0.3 * criterion.manipulability + criterion.deflection;
+    // A deflection's square curves as it is large.
+    let bent = if criterion.deflection > 0.0 { value.abs() } else { 0.0 };
+    let weight = known + 0.3 * criterion.manipulability + criterion.deflection + bent;
     let entry = |unknown: usize| 2.0 * weight / (n * space.scale(unknown).powi(2));
     DMatrix::from_diagonal(&DVector::from_fn(space.len(), |unknown, _| entry(unknown)))
 }
 
-/// Rows that a self-motion keeps: the goal's, and those of joints that are at a limit which is no bound of an unknown.
-fn rows_of<A: Arm>(search: &Search<'_, A>, y: &[f64]) -> Result<DMatrix<f64>, PredictionError> {
+/// Rows that a self-motion keeps where the arm is: the goal's, and those of joints that are at a limit which is no bound of an unknown.
+fn rows_at<A: Arm>(search: &mut Search<'_, A>, y: &[f64]) -> Result<DMatrix<f64>, PredictionError> {
+    search.linearise(y)?;
     let goal = search.aim.rows();
     let space = search.space;
     let rows = search.rows.rows(0, goal).into_owned();
@@ -127,46 +142,45 @@ fn rows_of<A: Arm>(search: &Search<'_, A>, y: &[f64]) -> Result<DMatrix<f64>, Pr
     Ok(all)
 }
 
-/// Decides which bounds hold: all that are touched, without those that the criterion pulls away from.
-fn touch<A: Arm>(
+/// The step, the rows' multipliers, and which bounds hold: all that are touched, without those that the criterion pulls away from.
+fn direction<A: Arm>(
     search: &Search<'_, A>,
     gradient: &DVector<f64>,
     hessian: &DMatrix<f64>,
     rows: &DMatrix<f64>,
     y: &[f64],
     held: &mut [bool],
-) {
+) -> Option<(DVector<f64>, DVector<f64>)> {
+    let (low, high) = (search.low, search.high);
     for (unknown, held) in held.iter_mut().enumerate() {
-        *held = y[unknown] <= search.low[unknown] || y[unknown] >= search.high[unknown];
+        *held = y[unknown] <= low[unknown] || y[unknown] >= high[unknown];
     }
+    let mut found = step_within(hessian, gradient, rows, held)?;
     for _ in 0..y.len() {
-        let Some((direction, multipliers)) = step_within(hessian, gradient, rows, held) else { return };
-        let force = gradient + hessian * &direction - rows.tr_mul(&multipliers);
+        let force = gradient + hessian * &found.0 - rows.tr_mul(&found.1);
         // What the criterion would fall by if the bound were let go.
         let pull = |unknown: usize| {
-            let fixed = search.low[unknown] == search.high[unknown];
-            let inwards = if y[unknown] <= search.low[unknown] { -force[unknown] } else { force[unknown] };
-            if held[unknown] && !fixed { inwards } else { 0.0 }
+            let inwards = if y[unknown] <= low[unknown] { -force[unknown] } else { force[unknown] };
+            if held[unknown] && low[unknown] < high[unknown] { inwards } else { 0.0 }
         };
         let strongest = (0..y.len()).max_by(|a, b| pull(*a).total_cmp(&pull(*b)));
-        match strongest.filter(|unknown| pull(*unknown) > 1e-12) {
-            Some(unknown) => held[unknown] = false,
-            None => break,
-        }
+        let Some(unknown) = strongest.filter(|unknown| pull(*unknown) > PULLS) else { break };
+        held[unknown] = false;
+        found = step_within(hessian, gradient, rows, held)?;
     }
     // A step that would leave a bound it stands on keeps to it.
     for _ in 0..y.len() {
-        let Some((direction, _)) = step_within(hessian, gradient, rows, held) else { return };
         let leaves = |unknown: &usize| {
-            !held[*unknown]
-                && ((y[*unknown] <= search.low[*unknown] && direction[*unknown] < 0.0)
-                    || (y[*unknown] >= search.high[*unknown] && direction[*unknown] > 0.0))
+            let step = found.0[*unknown];
+            let out =
+                (y[*unknown] <= low[*unknown] && step < 0.0) || (y[*unknown] >= high[*unknown] && step > 0.0);
+            out && !held[*unknown]
         };
-        match (0..y.len()).find(leaves) {
-            Some(unknown) => held[unknown] = true,
-            None => break,
-        }
+        let Some(unknown) = (0..y.len()).find(leaves) else { break };
+        held[unknown] = true;
+        found = step_within(hessian, gradient, rows, held)?;
     }
+    Some(found)
 }
 
 /// The step to where the quadratic model is least with rows and bounds kept, and the multipliers of the rows.

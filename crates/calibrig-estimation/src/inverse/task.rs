@@ -242,7 +242,7 @@ impl Aim {
                 Miss { position, turn, across }
             }
             Goal::Pose(pose) => {
-                let turn = rotation_vector(&(pose.rotation * base_from_tool.rotation.inverse()));
+                let turn = shortest_turn(&(pose.rotation * base_from_tool.rotation.inverse()));
                 Miss { position, turn, across: still }
             }
         }
@@ -290,8 +290,94 @@ impl Aim {
     }
 }
 
+/// The rotation vector, rad, also of half a turn, whose axis is told by no sine.
+fn shortest_turn(rotation: &Rotation3<f64>) -> Vector3<f64> {
+    let turn = rotation_vector(rotation);
+    if turn.norm() > 0.0 || rotation.matrix().trace() > 0.0 {
+        return turn;
+    }
+    // R + 1 is twice the projection onto the axis.
+    let projection = rotation.matrix() + nalgebra::Matrix3::identity();
+    let axis = (0..3).map(|column| projection.column(column).into_owned());
+    let longest = axis.max_by(|a, b| a.norm().total_cmp(&b.norm())).unwrap_or_default();
+    std::f64::consts::PI * longest.normalize()
+}
+
 /// Two unit vectors at right angles to each other and to a unit vector.
 fn across(axis: &Vector3<f64>) -> [Vector3<f64>; 2] {
     let first = axis.cross(&Vector3::ith(axis.iamin(), 1.0)).normalize();
     [first, axis.cross(&first)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::PI;
+
+    fn missed(goal: Goal, from: &Transform) -> Miss {
+        let tool = Tool::at(Vector3::zeros()).expect("a tool");
+        Aim::new(&goal, &tool, 1.0).expect("a goal").miss(from)
+    }
+
+    /// Half a turn is missed by half a turn, though its sine is zero.
+    #[test]
+    fn half_a_turn_is_not_nothing() {
+        for axis in [Vector3::x(), Vector3::y(), Vector3::z()] {
+            let turned = Rotation3::new(PI * axis).matrix().map(f64::round);
+            let pose =
+                Transform::from_parts(Vector3::zeros().into(), Rotation3::from_matrix_unchecked(turned));
+            let turn = missed(Goal::Pose(pose), &Transform::identity()).turn;
+            assert!((turn.norm() - PI).abs() < 1e-12 && turn.cross(&axis).norm() < 1e-12, "{turn}");
+        }
+        let away = Goal::Axis { position: Vector3::zeros(), direction: -2.0 * Vector3::z() };
+        let turn = missed(away, &Transform::identity()).turn;
+        assert!((turn.norm() - PI).abs() < 1e-12 && turn.z == 0.0, "{turn}");
+    }
+
+    /// The gradient of half the squared miss is minus the rows times the errors, however much is missed.
+    #[test]
+    fn the_gradient_of_the_miss_is_the_central_difference() {
+        let place = |v: [f64; 3], turn: [f64; 3]| {
+            Transform::from_parts(Vector3::from(v).into(), Rotation3::new(Vector3::from(turn)))
+        };
+        let from = place([0.1, 0.2, -0.3], [0.4, -1.1, 0.3]);
+        let pose = place([1.0, -0.2, 0.3], [-0.9, 0.6, 1.2]);
+        let direction = Vector3::new(0.3, -0.5, 0.4);
+        let position = pose.translation.vector;
+        let lever = 0.7;
+        for goal in [Goal::Position(position), Goal::Axis { position, direction }, Goal::Pose(pose)] {
+            let tool = Tool::at(Vector3::zeros())
+                .expect("a tool")
+                .with_axis(Vector3::new(0.2, 0.1, 1.0))
+                .expect("an axis");
+            let aim = Aim::new(&goal, &tool, lever).expect("a goal");
+            let cost = |from: &Transform| {
+                let (miss, mut rows) = (aim.miss(from), vec![0.0; aim.rows()]);
+                aim.errors(&miss, &mut rows);
+                0.5 * rows.iter().map(|e| e * e).sum::<f64>()
+            };
+            let miss = aim.miss(&from);
+            let (mut errors, mut rows) = (vec![0.0; aim.rows()], nalgebra::DMatrix::zeros(aim.rows(), 6));
+            aim.errors(&miss, &mut errors);
+            aim.project(&miss, &Matrix6xX::identity(6), &mut rows);
+            let gradient = -rows.tr_mul(&nalgebra::DVector::from_vec(errors));
+            for part in 0..6 {
+                let moved = |by: f64| {
+                    let mut to = from;
+                    if part < 3 {
+                        to.translation.vector[part] += by;
+                    } else {
+                        to.rotation = Rotation3::new(by * Vector3::ith(part - 3, 1.0)) * to.rotation;
+                    }
+                    cost(&to)
+                };
+                let difference = (moved(1e-5) - moved(-1e-5)) / 2e-5;
+                assert!(
+                    (difference - gradient[part]).abs() < 1e-8,
+                    "{goal:?} {part}: {difference} {}",
+                    gradient[part]
+                );
+            }
+        }
+    }
 }

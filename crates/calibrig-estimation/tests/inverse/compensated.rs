@@ -51,7 +51,9 @@ fn corrected_commands_close_to_a_micrometre() {
             let mut compensator = Compensator::new(&robot, tool).expect("a robot");
             for joints in (0..trials(8, 200)).filter_map(|index| joints(&model, index)) {
                 let (place, _) = rigid(&model, &model.actuators.command_from_joints(&joints), &tool);
-                for goal in goals(&place) {
+                // What has fewer joints than a goal has rows reaches it by chance alone.
+                let commanded = (0..joints.len()).filter(|axis| model.actuators.is_commanded(*axis)).count();
+                for goal in goals(&place).into_iter().filter(|goal| goal.rows() <= commanded) {
                     asked += 1;
                     match compensator.point(&goal, &InverseOptions::default()) {
                         Ok(point) => {

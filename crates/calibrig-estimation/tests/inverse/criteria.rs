@@ -3,6 +3,7 @@
 use calibrig_estimation::elastostatics::{Deflection, ElasticChain};
 use calibrig_estimation::inverse::{Criterion, Goal, InverseKinematics, InverseOptions, InverseSolution};
 use calibrig_model::CalibrationModel;
+use calibrig_model::geometry::rotation_vector;
 use calibrig_model::nalgebra::Vector3;
 
 use super::robots::{goals, is_within, joints, model, off, rigid, tool};
@@ -176,7 +177,7 @@ fn clumsiness(model: &CalibrationModel, command: &[f64], goal: &Goal) -> f64 {
         };
         let (up, down) = (beside(1e-5), beside(-1e-5));
         let moved = (up.translation.vector - down.translation.vector) / 2e-5;
-        let turned = (up.rotation * down.rotation.inverse()).scaled_axis() / 2e-5;
+        let turned = rotation_vector(&(up.rotation * down.rotation.inverse())) / 2e-5;
         jacobian.fixed_view_mut::<3, 1>(0, joint).copy_from(&moved);
         jacobian.fixed_view_mut::<3, 1>(3, joint).copy_from(&(lever * turned));
     }

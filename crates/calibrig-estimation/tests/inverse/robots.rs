@@ -6,8 +6,8 @@ use calibrig_estimation::identification::{CalibratedRobot, Mode};
 use calibrig_estimation::inverse::{Goal, Tool};
 use calibrig_estimation::kinematics::{forward_kinematics, joints_from_command};
 use calibrig_files::load_robot;
-use calibrig_model::geometry::{Transform, rotation_x, translation};
-use calibrig_model::nalgebra::{Rotation3, Vector3};
+use calibrig_model::geometry::{Transform, rotation_vector, rotation_x, translation};
+use calibrig_model::nalgebra::Vector3;
 use calibrig_model::random::{Source, stream_at};
 use calibrig_model::{CalibrationModel, CraigLink, ParameterId, TermId};
 use rand::RngExt;
@@ -79,7 +79,7 @@ pub fn off(goal: &Goal, place: &Transform) -> (f64, f64) {
     let angle = match goal {
         Goal::Position(_) => 0.0,
         Goal::Axis { direction, .. } => (place.rotation * Vector3::z()).cross(&direction.normalize()).norm(),
-        Goal::Pose(pose) => (pose.rotation * Rotation3::inverse(&place.rotation)).angle(),
+        Goal::Pose(pose) => rotation_vector(&(pose.rotation * place.rotation.inverse())).norm(),
     };
     ((goal.position() - place.translation.vector).norm(), angle)
 }
