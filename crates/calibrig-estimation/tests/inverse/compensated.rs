@@ -321,7 +321,7 @@ fn a_corrected_point_says_how_far_it_is_to_be_trusted() {
             let error = Vector3::new(wave(k, 5.3), wave(k, 6.1), wave(k, 7.7)) * sigma;
             (command, place.translation.vector + error)
         };
-        let poses = (0..60).filter_map(|index| joints(&model, index)).enumerate().map(pose).collect();
+        let poses: Vec<_> = (0..60).filter_map(|index| joints(&model, index)).enumerate().map(pose).collect();
         let mut set = MeasurementSet::of_points(poses).with_sigma(sigma);
         set.targets[0].in_flange = in_flange;
         set
