@@ -24,7 +24,7 @@ impl Predictor<'_> {
 
     /// `base_from_flange` at a pose, and how a point of the flange frame (m) moves with every command: 6 x n, its motion in the base's axes (m)
     /// and the flange's rotation vector (rad), per m or rad of command. Exact derivatives of what the coupled modes and the geometric ones predict;
-    /// the mode [`WithGravity`](super::Mode::WithGravity) takes its deflection from the nominal robot, which is held: below a hundredth of the whole.
+    /// the mode [`WithGravity`](super::Mode::WithGravity) takes its deflection from the nominal robot, which is held: a hundredth of the whole, three of a robot that is driven by cables.
     ///
     /// # Errors
     ///

@@ -23,6 +23,8 @@ const ARMIJO: f64 = 1e-4;
 const NOISE: f64 = 1e-10;
 /// Where no step lets the criterion fall, it is least if no more than this share was promised.
 const ROUNDED: f64 = 1e-7;
+/// An unknown this near to a bound is at it, in halves of its way.
+const AT_BOUND: f64 = 1e-12;
 /// A bound is let go where the criterion pulls more than this.
 const PULLS: f64 = 1e-12;
 /// Steps back onto the goal.
@@ -60,7 +62,8 @@ pub(super) fn minimise<A: Arm>(
         else {
             break;
         };
-        let promised = -gradient.dot(&direction);
+        // What the gradient says of it is less exact, since rows are kept to rounding only.
+        let promised = direction.dot(&(&hessian * &direction));
         if !(promised > LEAST * (1.0 + value.abs())) {
             return Ok(Least { value, steps, converged: true });
         }
@@ -94,9 +97,11 @@ fn step<A: Arm>(
     let mut share = longest_share(search, direction, y);
     while share > SHORTEST {
         let mut tried: Vec<f64> = y.iter().zip(direction.iter()).map(|(y, d)| y + share * d).collect();
-        clamp(search, &mut tried);
+        pin_to_bounds(search, &mut tried);
         let most = value - ARMIJO * share * promised + NOISE * (1.0 + value.abs());
-        if let Some((Ended::Reached, _)) = search.descend(&mut tried, BACK, false)
+        let back = search.descend(&mut tried, BACK, false);
+        search.pinned.fill(false);
+        if let Some((Ended::Reached, _)) = back
             && judge.value(search.space, asked, &tried, None).is_ok_and(|now| now <= most)
         {
             return Some(tried);
@@ -230,9 +235,19 @@ fn longest_share<A: Arm>(search: &Search<'_, A>, direction: &DVector<f64>, y: &[
     share
 }
 
-fn clamp<A: Arm>(search: &Search<'_, A>, y: &mut [f64]) {
-    for (y, (low, high)) in y.iter_mut().zip(search.low.iter().zip(search.high)) {
-        *y = y.clamp(*low, *high);
+/// Puts unknowns between their bounds. Those that come to a bound stay there on the way back onto the goal: a bound is reached at last.
+fn pin_to_bounds<A: Arm>(search: &mut Search<'_, A>, y: &mut [f64]) {
+    for (unknown, y) in y.iter_mut().enumerate() {
+        let (low, high) = (search.low[unknown], search.high[unknown]);
+        let near = AT_BOUND * search.space.scale(unknown);
+        *y = if *y <= low + near {
+            low
+        } else if *y >= high - near {
+            high
+        } else {
+            *y
+        };
+        search.pinned[unknown] = *y == low || *y == high;
     }
 }
 

@@ -46,8 +46,8 @@ pub(super) struct Search<'a, A: Arm> {
     pub high: &'a [f64],
     /// The length of the miss that is none, m.
     pub tolerance: f64,
-    /// Steps done.
-    pub steps: usize,
+    /// Unknowns that do not move.
+    pub pinned: Vec<bool>,
     miss: Miss,
     /// What is missed, row by row: the aim's, then of every joint whose limits are no bounds, m.
     errors: Vec<f64>,
@@ -72,7 +72,7 @@ impl<'a, A: Arm> Search<'a, A> {
             low: &space.low,
             high: &space.high,
             tolerance,
-            steps: 0,
+            pinned: vec![false; n],
             miss,
             errors: vec![0.0; rows],
             rows: DMatrix::zeros(rows, n),
@@ -137,7 +137,6 @@ impl<'a, A: Arm> Search<'a, A> {
             if self.is_flat(y, cost) {
                 return Some((Ended::Stuck, cost));
             }
-            self.steps += 1;
             let before = cost;
             for _ in 0..TRIES {
                 self.set_step(y, damping * cost);
@@ -182,9 +181,11 @@ impl<'a, A: Arm> Search<'a, A> {
         self.rows.column(unknown).iter().zip(&self.errors).map(|(row, error)| row * error).sum()
     }
 
-    /// Whether a limit holds an unknown back that would move by this sign.
+    /// Whether an unknown that would move by this sign is pinned, or held back by a limit.
     fn is_held(&self, unknown: usize, y: f64, towards: f64) -> bool {
-        (y <= self.low[unknown] && towards <= 0.0) || (y >= self.high[unknown] && towards >= 0.0)
+        self.pinned[unknown]
+            || (y <= self.low[unknown] && towards <= 0.0)
+            || (y >= self.high[unknown] && towards >= 0.0)
     }
 
     fn is_flat(&self, y: &[f64], cost: f64) -> bool {

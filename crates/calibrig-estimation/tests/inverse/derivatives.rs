@@ -9,7 +9,7 @@ use calibrig_model::nalgebra::Vector3;
 use super::robots::{NAMES, calibrated, joints, model};
 
 /// Of every mode of every robot whose masses are known, at random poses; of the deflection that is taken from the nominal robot, what is held of it is
-/// below a hundredth.
+/// some hundredths of the softest.
 #[test]
 fn motions_by_command_are_central_differences() {
     let in_flange = Vector3::new(0.1, 0.15, 0.2);
@@ -44,7 +44,7 @@ fn motions_by_command_are_central_differences() {
                     let column = motions.column(actuator);
                     let off = (column.fixed_rows::<3>(0) - moved).norm()
                         + (column.fixed_rows::<3>(3) - turned).norm();
-                    let bound = if mode == Mode::WithGravity { 2e-2 } else { 2e-6 };
+                    let bound = if mode == Mode::WithGravity { 5e-2 } else { 2e-6 };
                     assert!(
                         off <= bound * scale,
                         "{name}, {mode:?}, actuator {actuator}: {off} of {scale} at {flange}"

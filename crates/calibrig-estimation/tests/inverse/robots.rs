@@ -102,7 +102,9 @@ pub fn calibrated(nominal: &CalibrationModel, mode: Mode) -> CalibratedRobot {
     }
     let keys = ["hysteresis", "harmonic", "ratio", "rail", "spline"];
     let ids = keys.iter().flat_map(|key| TermId::all_of(key, nominal).expect("a family"));
-    let terms = ids.enumerate().map(|(k, id)| (id, 3e-4 * wave(k, 2.9)));
+    // More of a wave as short as a motor's turn would let actuators go back while they are told to go on.
+    let size = |id: TermId| if id.family().key() == "harmonic" { 2e-5 } else { 3e-4 };
+    let terms = ids.enumerate().map(|(k, id)| (id, size(id) * wave(k, 2.9)));
     CalibratedRobot {
         mode,
         nominal: nominal.clone(),
