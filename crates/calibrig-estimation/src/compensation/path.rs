@@ -212,6 +212,9 @@ impl CompensatedPath {
     }
 }
 
+/// What meets a goal; or the nearest that was found to it.
+type OrNearest<T> = Result<T, Box<Unreachable>>;
+
 /// A motion of an actuator is one beyond this, m or rad.
 const LEAST_MOTION: f64 = 1e-7;
 /// Tries to agree with the correction on the side from which the actuators come.
@@ -282,7 +285,7 @@ impl Compensator<'_> {
         seconds: Option<f64>,
         asked: &InverseOptions,
         options: &PathOptions,
-    ) -> Result<Result<(Vec<f64>, bool), Box<Unreachable>>, CompensationError> {
+    ) -> Result<OrNearest<(Vec<f64>, bool)>, CompensationError> {
         let mut from = asked.clone();
         if let (Some(nominal), Some(seconds)) = (&walk.nominal, seconds) {
             let space = self.inverse.space();
@@ -314,7 +317,7 @@ impl Compensator<'_> {
         goal: &Goal,
         nominal: &[f64],
         asked: &mut InverseOptions,
-    ) -> Result<Result<(CompensatedPoint, bool), Box<Unreachable>>, CompensationError> {
+    ) -> Result<OrNearest<(CompensatedPoint, bool)>, CompensationError> {
         // The correction hardly changes from one point to the next.
         let guess: Vec<f64> = match (&walk.nominal, &walk.command) {
             (Some(last), Some(command)) => {
