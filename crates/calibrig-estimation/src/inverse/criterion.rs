@@ -9,7 +9,7 @@ use crate::elastostatics::{Carried, Deflection, ElasticChain};
 use crate::identification::PredictionError;
 use crate::kinematics::PlacedChain;
 use calibrig_model::geometry::Transform;
-use calibrig_model::{CalibrationModel, JointKind, Payload};
+use calibrig_model::{CalibrationModel, Payload};
 
 /// A deflection that counts one, m.
 const DEFLECTED: f64 = 1e-3;
@@ -207,7 +207,7 @@ impl Judge {
         let mut rates = DMatrix::zeros(rows, count);
         let mut by_joints = DVector::zeros(count);
         for moving in 0..count {
-            change_of_motions(space, &motions, moving, &mut changed);
+            change_of_motions(&motions, moving, &mut changed);
             aim.project(&miss, &changed, &mut rates);
             by_joints[moving] = -inverse.dot(&rates);
         }
@@ -237,25 +237,23 @@ fn away(
 }
 
 /// How the motions of the tool by every joint change while one of them moves: an axis is turned by the joints in front of it, and the tool's point
-/// is moved by those behind.
+/// is moved by those behind. Turns are told in axes that go with the tool, which the determinant does not see; so it is exact also of a tool
+/// whose axis is not where the goal has it.
 fn change_of_motions(
-    space: &JointSpace,
     motions: &nalgebra::Matrix6xX<f64>,
     moving: usize,
     changed: &mut nalgebra::Matrix6xX<f64>,
 ) {
     let part = |joint: usize, first: usize| motions.fixed_view::<3, 1>(first, joint).into_owned();
-    let turns = |joint: usize| space.kinematics.links[joint].kind == JointKind::Revolute;
     for joint in 0..motions.ncols() {
         let (moves, axis) = (part(joint, 0), part(joint, 3));
+        let about = part(moving, 3);
         let (mut by_point, mut by_axis) = (Vector3::zeros(), Vector3::zeros());
         if moving <= joint {
-            if turns(moving) {
-                let about = part(moving, 3);
-                (by_point, by_axis) = (about.cross(&moves), about.cross(&axis));
-            }
-        } else if turns(joint) {
-            by_point = axis.cross(&part(moving, 0));
+            by_point = about.cross(&moves);
+        } else {
+            by_point += axis.cross(&part(moving, 0));
+            by_axis += axis.cross(&about);
         }
         changed.fixed_view_mut::<3, 1>(0, joint).copy_from(&by_point);
         changed.fixed_view_mut::<3, 1>(3, joint).copy_from(&by_axis);
