@@ -63,10 +63,12 @@
 pub const METHOD: u32 = 4;
 
 pub mod circle_points;
+pub mod compensation;
 pub mod diagnosis;
 pub mod elastostatics;
 pub mod evaluation;
 pub mod identification;
+pub mod inverse;
 pub mod kinematics;
 pub mod plausibility;
 pub mod two_face;

@@ -4,10 +4,11 @@ use nalgebra::{Rotation3, Vector3};
 
 use super::Mode;
 use crate::elastostatics::{Carried, Deflection, ElasticChain, ElasticError};
-use crate::kinematics::{PlacedChain, frames, nominal_joints};
+use crate::kinematics::{ElbowLinkage, PlacedChain, frames, is_parallelogram, nominal_joints};
 use calibrig_model::geometry::Transform;
 use calibrig_model::{
-    CalibrationModel, CraigLink, KinematicModel, ModelError, ParameterId, PoseQuery, TermId, TermPlace,
+    CalibrationModel, CraigLink, FourBar, JointKind, KinematicModel, LinkTerm, ModelError, ParameterId,
+    PoseQuery, TermId, TermPlace,
 };
 
 /// Why a robot cannot take a pose.
@@ -213,10 +214,7 @@ impl Machine {
 
     /// `base_from_flange`, the axes alone.
     pub fn rotation(&self) -> Rotation3<f64> {
-        match &self.kind {
-            Kind::Joints { chain, .. } | Kind::Frozen { chain, .. } => chain.base_from_flange().rotation,
-            Kind::Elastic { chain } => chain.base_from_flange().rotation,
-        }
+        self.base_from_flange().rotation
     }
 
     /// Makes the columns of the flange's rotation ready, in place of those of a target.
@@ -244,6 +242,85 @@ impl Machine {
         self.terms.columns[term]
     }
 
+    /// Change of the target at `in_base`, made ready by [`differentiate`](Self::differentiate), per unit of every command. A deflection that is predicted
+    /// of the nominal robot alone is held.
+    pub fn by_command(
+        &self,
+        pose: &PoseQuery<'_>,
+        in_base: &Vector3<f64>,
+        tell: impl FnMut(usize, Vector3<f64>),
+    ) {
+        self.by_commands(pose, |chain, id| chain.column(id, in_base), tell);
+    }
+
+    /// The same of the flange's rotation, made ready by [`differentiate_turn`](Self::differentiate_turn), rad a unit.
+    pub fn turn_by_command(&self, pose: &PoseQuery<'_>, tell: impl FnMut(usize, Vector3<f64>)) {
+        self.by_commands(pose, PlacedChain::turn, tell);
+    }
+
+    fn by_commands(
+        &self,
+        pose: &PoseQuery<'_>,
+        of_chain: impl Fn(&PlacedChain, ParameterId) -> Vector3<f64>,
+        mut tell: impl FnMut(usize, Vector3<f64>),
+    ) {
+        let links = &self.nominal.kinematics.links;
+        match &self.kind {
+            Kind::Joints { chain, .. } | Kind::Frozen { chain, .. } => {
+                let mut by_joint: Vec<Vector3<f64>> = (0..links.len())
+                    .map(|link| {
+                        let prismatic = links[link].kind == JointKind::Prismatic;
+                        let term = if prismatic { LinkTerm::D } else { LinkTerm::Theta };
+                        of_chain(chain, ParameterId::Link { link, term })
+                    })
+                    .collect();
+                // What an actuator moves: with a parallelogram, the shoulder turns the elbow back.
+                if let Some(drive) = self.nominal.actuators.elbow() {
+                    let elbow = by_joint[drive.elbow];
+                    let (by_psi, by_shoulder) = self.closure_rates(pose.command);
+                    by_joint[drive.shoulder] += by_shoulder * elbow;
+                    by_joint[drive.elbow] = by_psi * elbow;
+                }
+                for command in 0..links.len() {
+                    let moved = by_joint.iter().enumerate();
+                    tell(command, moved.map(|(a, by)| self.nominal.actuators.rate(a, command) * by).sum());
+                }
+            }
+            Kind::Elastic { chain } => {
+                for command in 0..links.len() {
+                    tell(
+                        command,
+                        chain.change_by_command(command) + self.terms.change(&self.nominal, pose, command),
+                    );
+                }
+            }
+        }
+    }
+
+    /// How the elbow turns with psi and with the shoulder: as in [`prepare`](Self::prepare), of the ideal map where deflections are predicted.
+    fn closure_rates(&self, command: &[f64]) -> (f64, f64) {
+        let rigid = matches!(self.kind, Kind::Joints { predicted: None, .. });
+        let mut positions = command.to_vec();
+        self.nominal.actuators.actuators_from_command(command, &mut positions);
+        let closes = |(_, elbow, _, linkage): &(usize, usize, f64, &FourBar)| {
+            rigid && !is_parallelogram(&self.nominal.kinematics, *elbow, linkage)
+        };
+        let linkage = self.nominal.actuators.four_bar().filter(closes);
+        let linkage = linkage.and_then(|_| {
+            ElbowLinkage::new(&self.nominal.kinematics, &self.nominal.actuators).ok().flatten()
+        });
+        let closure = linkage.and_then(|linkage| linkage.closure(&positions).ok());
+        closure.map_or((1.0, -1.0), |closure| (closure.by_psi, closure.by_shoulder))
+    }
+
+    /// `base_from_flange`.
+    pub fn base_from_flange(&self) -> &Transform {
+        match &self.kind {
+            Kind::Joints { chain, .. } | Kind::Frozen { chain, .. } => chain.base_from_flange(),
+            Kind::Elastic { chain } => chain.base_from_flange(),
+        }
+    }
+
     /// `base_from_link` of every link at the observation that was placed last; `kinematics` is the model's.
     pub fn links(&self, told: &Prepared, kinematics: &KinematicModel) -> Vec<Transform> {
         match &self.kind {
@@ -254,6 +331,9 @@ impl Machine {
     }
 }
 
+/// To either side of a command, m or rad, for the slope of a basis function: smooth over far more, and above what rounding shows.
+const BESIDE: f64 = 1e-6;
+
 impl Terms {
     fn displace(&mut self, basis: &[f64]) {
         for (_, displacement) in &mut self.corrections {
@@ -262,6 +342,21 @@ impl Terms {
         for ((place, amplitude), basis) in self.place.iter().zip(&self.amplitudes).zip(basis) {
             self.corrections[*place].1 += amplitude * basis;
         }
+    }
+
+    /// What terms add to the change by a command: their basis functions change with that of their own joint.
+    fn change(&self, model: &CalibrationModel, pose: &PoseQuery<'_>, command: usize) -> Vector3<f64> {
+        let own = self.ids.iter().enumerate().filter(|(_, id)| id.joint() == command);
+        let change = |(term, id): (usize, &TermId)| {
+            let at = |by: f64| {
+                let mut moved = pose.command.to_vec();
+                moved[command] += by;
+                id.basis(model, &PoseQuery { command: &moved, ..*pose })
+            };
+            let slope = (at(BESIDE) - at(-BESIDE)) / (2.0 * BESIDE);
+            self.amplitudes[term] * slope * self.place_columns[self.place[term]]
+        };
+        own.map(change).sum()
     }
 
     fn differentiate(&mut self, chain: &ElasticChain, basis: &[f64]) {

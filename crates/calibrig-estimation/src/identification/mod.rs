@@ -4,6 +4,7 @@
 
 mod build;
 mod by_name;
+mod commanded;
 mod contradiction;
 mod divided;
 mod estimate;

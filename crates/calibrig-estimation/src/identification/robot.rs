@@ -162,8 +162,8 @@ pub enum PredictionError {
 /// Where a [`CalibratedRobot`] is predicted to be. It is made once for many poses.
 #[derive(Debug, Clone)]
 pub struct Predictor<'a> {
-    robot: &'a CalibratedRobot,
-    machine: Machine,
+    pub(super) robot: &'a CalibratedRobot,
+    pub(super) machine: Machine,
 }
 
 impl<'a> Predictor<'a> {
@@ -263,13 +263,18 @@ impl<'a> Predictor<'a> {
         let Some(in_flange) = self.robot.targets.get(target) else {
             return Err(PredictionError::Target { target, targets });
         };
+        Ok((*in_flange, self.place_robot(pose)?))
+    }
+
+    /// Goes to a pose.
+    pub(super) fn place_robot(&mut self, pose: &PoseQuery<'_>) -> Result<Prepared, PredictionError> {
         let chain = &self.robot.model.kinematics;
         chain.check_joints("command", pose.command)?;
         let (found, expected) = (pose.approach.len(), chain.joint_count());
         if found != 0 && found != expected {
             return Err(ModelError::Length { field: "approach", found, expected }.into());
         }
-        Ok((*in_flange, self.machine.place_at(pose)?))
+        Ok(self.machine.place_at(pose)?)
     }
 }
 
@@ -323,10 +328,10 @@ impl Prediction {
 /// What an [`Estimate`] predicts, and how sure that is. It is made once for many poses.
 #[derive(Debug, Clone)]
 pub struct EstimatePredictor<'a> {
-    estimate: &'a Estimate,
-    predictor: Predictor<'a>,
-    beside: Vec<MachineNoise>,
-    motions: ActuatorMotions,
+    pub(super) estimate: &'a Estimate,
+    pub(super) predictor: Predictor<'a>,
+    pub(super) beside: Vec<MachineNoise>,
+    pub(super) motions: ActuatorMotions,
 }
 
 impl Estimate {

@@ -400,7 +400,7 @@ pub(crate) fn nominal_joints(
 }
 
 /// Whether crank and lever are the same, the rod is as long as the upper arm, and the crank turns about the shoulder's axis.
-fn is_parallelogram(kinematics: &KinematicModel, elbow: usize, linkage: &FourBar) -> bool {
+pub(crate) fn is_parallelogram(kinematics: &KinematicModel, elbow: usize, linkage: &FourBar) -> bool {
     let is_arm = |link: &CraigLink| {
         link.a.abs() == linkage.rod && [link.alpha, link.beta, link.d].iter().all(|value| *value == 0.0)
     };

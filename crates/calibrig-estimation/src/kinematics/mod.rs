@@ -3,10 +3,10 @@
 
 mod four_bar;
 
-pub(crate) use four_bar::nominal_joints;
 pub use four_bar::{
     Closure, ClosureError, ElbowClosure, ElbowLinkage, command_from_joints, joints_from_command, swing_to,
 };
+pub(crate) use four_bar::{is_parallelogram, nominal_joints};
 
 use nalgebra::{DMatrix, Matrix3, Matrix3xX, Rotation3, Vector3};
 

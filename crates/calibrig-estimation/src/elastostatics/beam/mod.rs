@@ -35,6 +35,13 @@ pub struct SegmentGroup {
     pub lumps: [Lump; 2],
 }
 
+impl SegmentGroup {
+    /// Of the segment, m.
+    pub(super) fn length(&self) -> f64 {
+        1.5 * (self.lumps[1].from_root - self.lumps[0].from_root)
+    }
+}
+
 /// The groups of a beam from root to tip at the joint variable `q`.
 ///
 /// Source: the compliance of a Timoshenko cantilever (Przemieniecki, Theory of Matrix Structural Analysis, section 5.6), taken to the middle.

@@ -24,11 +24,11 @@ const LEAST_SHARE: f64 = 1.0 / 64.0;
 
 /// Sums along the chain inboard of a slot.
 #[derive(Debug, Clone, Copy)]
-struct Inboard {
+pub(super) struct Inboard {
     /// `Σ λ_k a_kᵀ` over rotations.
-    turns: Matrix3<f64>,
+    pub turns: Matrix3<f64>,
     /// `Σ λ_k (J_k 0)ᵀ`.
-    shifts: Matrix3<f64>,
+    pub shifts: Matrix3<f64>,
 }
 
 impl Inboard {
@@ -52,7 +52,7 @@ impl Inboard {
 
 /// Of what the sensitivities are.
 #[derive(Debug, Clone, Copy)]
-enum Seen {
+pub(super) enum Seen {
     /// The place of a target that is now at this point of the base frame, m.
     Place(Vector3<f64>),
     /// The rotation of the flange, as a rotation vector in base axes.
@@ -62,7 +62,7 @@ enum Seen {
 impl Seen {
     /// What a unit of a motion that carries the flange does to it.
     #[inline]
-    fn moved_by(&self, screw: &Screw) -> Vector3<f64> {
+    pub fn moved_by(&self, screw: &Screw) -> Vector3<f64> {
         match self {
             Self::Place(target) => screw.moves(target),
             Self::Turn if screw.about => screw.axis,
@@ -74,22 +74,22 @@ impl Seen {
 /// Sensitivities of the target, one vector of three a slot.
 #[derive(Debug, Clone)]
 pub(super) struct Adjoint {
-    seen: Seen,
+    pub seen: Seen,
     /// Whether the deflections follow the loads.
-    coupled: bool,
+    pub coupled: bool,
     /// What each slot does to the target at the others' deflections held.
     direct: Vec<Vector3<f64>>,
     /// What each slot does to the lever's end relative to the crank's, and to their distance.
     rod_moves: Vec<Vector3<f64>>,
     rod_stretch: Vec<f64>,
     /// Loads outboard of each slot, and [`Loads::turned_by`] it.
-    outboard: Vec<Loads>,
+    pub outboard: Vec<Loads>,
     turned: Vec<Vector3<f64>>,
-    mu: Vec<Vector3<f64>>,
+    pub mu: Vec<Vector3<f64>>,
     lambda: Vec<Vector3<f64>>,
     next: Vec<Vector3<f64>>,
     /// Sums over the slots in front of each, and of all at the end.
-    inboard: Vec<Inboard>,
+    pub inboard: Vec<Inboard>,
     /// The same for what the crank carries.
     crank_inboard: Inboard,
     /// `Σ λ_k turned_kᵀ` over each slot and those behind it.

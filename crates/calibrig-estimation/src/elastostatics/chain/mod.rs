@@ -16,6 +16,7 @@
 
 mod adjoint;
 mod balance;
+mod command;
 mod newton;
 mod parts;
 mod place;

@@ -112,7 +112,7 @@ impl Segment {
 
 impl Part {
     /// The point at `from_root` along the undeflected beam, in the link's frame, m.
-    fn on_beam(&self, from_root: f64) -> Vector3<f64> {
+    pub(super) fn on_beam(&self, from_root: f64) -> Vector3<f64> {
         match self.run {
             BeamRun::AlongX => Vector3::new(from_root, 0.0, 0.0),
             BeamRun::EndsAtOrigin => Vector3::new(0.0, 0.0, from_root - self.length),

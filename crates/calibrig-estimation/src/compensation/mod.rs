@@ -1,0 +1,137 @@
+//! Commands with which an identified robot puts its tool where it should be.
+//!
+//! A controller computes its commands for the rigid nominal robot. [`Compensator`] takes these, with the redundancy resolved by a
+//! [`Criterion`](crate::inverse::Criterion) as for the nominal robot, and changes them by as little as brings the *identified* robot's tool there: with its
+//! deflection as its mode predicts it, and its terms. So corrected commands are as smooth as the nominal ones. A [path](Compensator::path) knows from
+//! which side every actuator comes; a [grid](Compensator::grid) is for controllers that take only offsets.
+
+mod grid;
+mod path;
+mod point;
+mod raster;
+mod speed;
+
+use thiserror::Error;
+
+pub use grid::{CorrectionGrid, GridError, GridPlan, GridSpread};
+pub use path::{CompensatedPath, PathError, PathOptions, PathPoint, PathReport, PointStatus, ToolPath};
+pub use point::CompensatedPoint;
+pub use raster::{Raster, RasterError};
+pub use speed::SpeedExcess;
+
+use crate::identification::{CalibratedRobot, Estimate, EstimatePredictor, PredictionError};
+use crate::inverse::{
+    Circumstances, Goal, InverseError, InverseKinematics, InverseOptions, Tool, Unreachable,
+};
+use calibrig_model::geometry::Transform;
+
+/// Why nothing can be compensated.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum CompensationError {
+    /// The goal cannot be met, or what is asked cannot be.
+    #[error(transparent)]
+    Inverse(#[from] InverseError),
+    /// The rigid nominal robot meets the goal; the identified one does not, within the limits.
+    #[error("the nominal robot meets the goal, the identified one does not: {0}")]
+    OutOfCorrection(Box<Unreachable>),
+    /// The robot cannot be one, or finds no rest.
+    #[error(transparent)]
+    Prediction(#[from] PredictionError),
+    /// A path that cannot be one.
+    #[error(transparent)]
+    Path(#[from] PathError),
+    /// A grid that cannot be one.
+    #[error(transparent)]
+    Grid(#[from] GridError),
+}
+
+/// Corrects commands of an identified robot with a tool. It is made once for many goals.
+#[derive(Debug, Clone)]
+pub struct Compensator<'a> {
+    inverse: InverseKinematics<'a>,
+    certainty: Option<EstimatePredictor<'a>>,
+}
+
+impl<'a> Compensator<'a> {
+    /// Of a robot alone: without the uncertainty of its corrected points.
+    ///
+    /// # Errors
+    ///
+    /// [`CompensationError::Inverse`], where the robot cannot be one.
+    pub fn new(robot: &'a CalibratedRobot, tool: Tool) -> Result<Self, CompensationError> {
+        Ok(Self { inverse: InverseKinematics::of_robot(robot, tool)?, certainty: None })
+    }
+
+    /// Of an estimate, whose covariance says how far every corrected point is to be trusted.
+    ///
+    /// # Errors
+    ///
+    /// As [`new`](Self::new); and [`CompensationError::Prediction`], where the estimate is not of its robot.
+    pub fn of_estimate(estimate: &'a Estimate, tool: Tool) -> Result<Self, CompensationError> {
+        Ok(Self { certainty: Some(estimate.predictor()?), ..Self::new(&estimate.robot, tool)? })
+    }
+
+    /// The corrected command for one goal.
+    ///
+    /// # Errors
+    ///
+    /// [`CompensationError::Inverse`], also for a goal that the nominal robot cannot meet; [`CompensationError::OutOfCorrection`].
+    pub fn point(
+        &mut self,
+        goal: &Goal,
+        options: &InverseOptions,
+    ) -> Result<CompensatedPoint, CompensationError> {
+        let nominal = self.inverse.solve_nominal(goal, options)?.command;
+        self.correct(goal, nominal, options)
+    }
+
+    /// Corrects a nominal command that meets the goal.
+    fn correct(
+        &mut self,
+        goal: &Goal,
+        nominal: Vec<f64>,
+        options: &InverseOptions,
+    ) -> Result<CompensatedPoint, CompensationError> {
+        let corrected = self.inverse.correct(goal, &nominal, options)?;
+        let corrected = match corrected {
+            Ok(corrected) => corrected,
+            // Where the way that is shortest ends at a limit, another one may not.
+            Err(told) => match self
+                .inverse
+                .solve(goal, &InverseOptions { reference: Some(nominal.clone()), ..options.clone() })
+            {
+                Ok(found) => found,
+                Err(InverseError::Unreachable(_)) => return Err(CompensationError::OutOfCorrection(told)),
+                Err(other) => return Err(other.into()),
+            },
+        };
+        let before = self.place(&nominal, &options.circumstances)?;
+        let covariance = match &mut self.certainty {
+            Some(predictor) => {
+                let in_flange = self.inverse.tool().flange_from_tool().translation.vector;
+                predictor.covariance_of(options.circumstances.at(&corrected.command), &in_flange)?
+            }
+            None => None,
+        };
+        Ok(CompensatedPoint {
+            goal: *goal,
+            uncompensated: before.translation.vector - goal.position(),
+            nominal,
+            base_from_tool: corrected.base_from_tool,
+            command: corrected.command,
+            limits: corrected.limits,
+            approach: options.circumstances.approach.clone(),
+            covariance,
+        })
+    }
+
+    /// Where the identified robot's tool is at a command.
+    fn place(
+        &mut self,
+        command: &[f64],
+        circumstances: &Circumstances,
+    ) -> Result<Transform, PredictionError> {
+        self.inverse.predicted(command, circumstances)
+    }
+}

@@ -1,0 +1,391 @@
+//! Corrected commands along a path.
+
+use thiserror::Error;
+
+use super::point::CompensatedPoint;
+use super::speed::{SpeedExcess, exceeded};
+use super::{CompensationError, Compensator};
+use crate::inverse::{Goal, GoalError, InverseError, InverseOptions, Unreachable};
+use calibrig_model::ModelError;
+use calibrig_model::measurement::Motion;
+
+/// One point of a path.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PathPoint {
+    /// Where the tool should be.
+    pub goal: Goal,
+    /// When, s.
+    pub time: f64,
+}
+
+/// Goals in their order, with their times: no two at the same place one after the other.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ToolPath {
+    points: Vec<PathPoint>,
+}
+
+/// A path that cannot be one. Points count from zero here and from one in print.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum PathError {
+    /// Nothing to follow.
+    #[error("the path has no points")]
+    NoPoints,
+    /// A point that is nowhere.
+    #[error("point {} of the path: {source}", point + 1)]
+    Goal {
+        /// Index of the point.
+        point: usize,
+        /// Why.
+        source: GoalError,
+    },
+    /// The same place twice, one after the other.
+    #[error("point {} of the path is where point {} is: leave one of them out", point + 1, point)]
+    Duplicate {
+        /// Index of the second.
+        point: usize,
+    },
+    /// A point of another kind than the first, such as a pose among positions.
+    #[error("point {} of the path has {found} coordinates that count: expected {expected}, as the first point", point + 1)]
+    Kind {
+        /// Index of the point.
+        point: usize,
+        /// Rows of its goal.
+        found: usize,
+        /// Rows of the first.
+        expected: usize,
+    },
+    /// Times that are none, or do not grow.
+    #[error("point {} of the path is at {time} s: expected a finite time after that of the point before", point + 1)]
+    Time {
+        /// Index of the point.
+        point: usize,
+        /// s
+        time: f64,
+    },
+    /// A speed that is none.
+    #[error("the speed of the path is {speed} m/s: expected a finite number above zero")]
+    Speed {
+        /// As stated.
+        speed: f64,
+    },
+    /// What an actuator may do cannot be.
+    #[error("the speed limit of actuator {} is {limit}: expected a number above zero, infinite where there is none", actuator + 1)]
+    Limit {
+        /// Index of the actuator.
+        actuator: usize,
+        /// As stated, m/s or rad/s.
+        limit: f64,
+    },
+}
+
+/// Points nearer than this are the same, m or rad.
+const SAME: f64 = 1e-9;
+
+impl ToolPath {
+    /// Of goals with their times, s.
+    ///
+    /// # Errors
+    ///
+    /// [`PathError`].
+    pub fn timed(points: Vec<PathPoint>) -> Result<Self, PathError> {
+        let Some(first) = points.first() else { return Err(PathError::NoPoints) };
+        let expected = first.goal.rows();
+        for (point, PathPoint { goal, time }) in points.iter().enumerate() {
+            goal.check().map_err(|source| PathError::Goal { point, source })?;
+            let found = goal.rows();
+            if found != expected {
+                return Err(PathError::Kind { point, found, expected });
+            }
+            if point > 0 && goal.is_at(&points[point - 1].goal, SAME) {
+                return Err(PathError::Duplicate { point });
+            }
+            if !time.is_finite() || (point > 0 && *time <= points[point - 1].time) {
+                return Err(PathError::Time { point, time: *time });
+            }
+        }
+        Ok(Self { points })
+    }
+
+    /// Of goals that the tool's point passes at one speed, m/s, from time zero on.
+    ///
+    /// # Errors
+    ///
+    /// [`PathError`]; goals that only turn the tool take no time at a speed and are refused as duplicates.
+    pub fn at_speed(goals: &[Goal], speed: f64) -> Result<Self, PathError> {
+        if !(speed > 0.0 && speed.is_finite()) {
+            return Err(PathError::Speed { speed });
+        }
+        let mut points: Vec<PathPoint> = Vec::with_capacity(goals.len());
+        let mut time = 0.0;
+        for (point, goal) in goals.iter().enumerate() {
+            goal.check().map_err(|source| PathError::Goal { point, source })?;
+            if let Some(last) = points.last() {
+                let way = (goal.position() - last.goal.position()).norm();
+                if way <= SAME {
+                    return Err(PathError::Duplicate { point });
+                }
+                time += way / speed;
+            }
+            points.push(PathPoint { goal: *goal, time });
+        }
+        Self::timed(points)
+    }
+
+    /// Its points.
+    pub fn points(&self) -> &[PathPoint] {
+        &self.points
+    }
+
+    /// Of the way of the tool's point, m.
+    pub fn length(&self) -> f64 {
+        let way = |pair: &[PathPoint]| (pair[1].goal.position() - pair[0].goal.position()).norm();
+        self.points.windows(2).map(way).sum()
+    }
+}
+
+/// How a path is followed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PathOptions {
+    /// Criterion, circumstances and tolerance. The reference command is where the robot comes from: the first point is sought from there. Motion counts
+    /// from the point before. The circumstances' time is that of the path's time zero.
+    pub inverse: InverseOptions,
+    /// Of every actuator, m/s or rad/s, infinite where there is none; empty where none are known.
+    pub speed_limits: Vec<f64>,
+    /// The farthest that a joint may move from one point to the next, m or rad: keeps the nominal robot on its branch where the criterion would have it jump.
+    pub longest_step: f64,
+}
+
+impl Default for PathOptions {
+    fn default() -> Self {
+        Self { inverse: InverseOptions::default(), speed_limits: Vec::new(), longest_step: 0.1 }
+    }
+}
+
+/// What became of a point.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum PointStatus {
+    /// Met, from the point before.
+    Met(Box<CompensatedPoint>),
+    /// Met, but not from the point before without a joint's moving farther than the longest step: another branch, or points too far apart.
+    Jumped(Box<CompensatedPoint>),
+    /// Not met.
+    Unreachable(Box<Unreachable>),
+}
+
+/// One point of a followed path.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PathReport {
+    /// As asked.
+    pub asked: PathPoint,
+    /// What became of it.
+    pub status: PointStatus,
+    /// Whether the correction changes from which side an actuator comes, back and forth: the terms that depend on it are then those of the last try.
+    pub wavers: bool,
+}
+
+impl PathReport {
+    /// The corrected command, where there is one.
+    pub fn point(&self) -> Option<&CompensatedPoint> {
+        match &self.status {
+            PointStatus::Met(point) | PointStatus::Jumped(point) => Some(point),
+            PointStatus::Unreachable(_) => None,
+        }
+    }
+}
+
+/// A followed path. What could not be followed is marked; the rest is there all the same.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CompensatedPath {
+    /// In their order.
+    pub points: Vec<PathReport>,
+    /// Steps that ask more of an actuator than it can, between points that were met.
+    pub exceeded: Vec<SpeedExcess>,
+}
+
+impl CompensatedPath {
+    /// Whether every point was met from the one before, and no actuator is too slow.
+    pub fn is_whole(&self) -> bool {
+        let met = |report: &PathReport| matches!(report.status, PointStatus::Met(_));
+        self.points.iter().all(met) && self.exceeded.is_empty()
+    }
+}
+
+/// What meets a goal; or the nearest that was found to it.
+type OrNearest<T> = Result<T, Box<Unreachable>>;
+
+/// A motion of an actuator is one beyond this, m or rad.
+const LEAST_MOTION: f64 = 1e-7;
+/// Tries to agree with the correction on the side from which the actuators come.
+const AGREE: usize = 4;
+
+impl Compensator<'_> {
+    /// Corrected commands along a path: each point from the one before, so that joints do not jump between branches, and corrected for the side from which
+    /// every actuator comes.
+    ///
+    /// # Errors
+    ///
+    /// For what cannot be asked. Points that cannot be met, and steps that are too fast, are part of the result.
+    pub fn path(
+        &mut self,
+        path: &ToolPath,
+        options: &PathOptions,
+    ) -> Result<CompensatedPath, CompensationError> {
+        let kinematics = self.inverse.space().kinematics.clone();
+        check_limits(&options.speed_limits, kinematics.joint_count())?;
+        let start = options.inverse.circumstances.clone();
+        let mut asked = options.inverse.clone();
+        let mut walk = Walk::default();
+        let mut followed =
+            CompensatedPath { points: Vec::with_capacity(path.points.len()), exceeded: Vec::new() };
+        for (index, point) in path.points.iter().enumerate() {
+            asked.circumstances.time = start.time + point.time;
+            let seconds = index.checked_sub(1).map(|before| point.time - path.points[before].time);
+            let (nominal, jumped) = match self.next_nominal(&walk, &point.goal, seconds, &asked, options)? {
+                Ok(found) => found,
+                Err(told) => {
+                    let status = PointStatus::Unreachable(told);
+                    followed.points.push(PathReport { asked: *point, status, wavers: false });
+                    walk = Walk { motion: walk.motion, ..Walk::default() };
+                    continue;
+                }
+            };
+            let (status, wavers) = match self.approached(&walk, &point.goal, &nominal, &mut asked)? {
+                Ok((point, wavers)) => {
+                    if let (Some(before), Some(seconds)) = (&walk.command, seconds) {
+                        let steps = [before.as_slice(), &point.command];
+                        followed.exceeded.extend(exceeded(
+                            &kinematics,
+                            &options.speed_limits,
+                            index,
+                            steps,
+                            seconds,
+                        ));
+                    }
+                    walk.go_to(&nominal, &point.command);
+                    let point = Box::new(point);
+                    (if jumped { PointStatus::Jumped(point) } else { PointStatus::Met(point) }, wavers)
+                }
+                Err(told) => {
+                    walk = Walk { motion: walk.motion, ..Walk::default() };
+                    (PointStatus::Unreachable(told), false)
+                }
+            };
+            followed.points.push(PathReport { asked: *point, status, wavers });
+        }
+        Ok(followed)
+    }
+
+    /// The nominal command for the next point, and whether it is a jump.
+    fn next_nominal(
+        &mut self,
+        walk: &Walk,
+        goal: &Goal,
+        seconds: Option<f64>,
+        asked: &InverseOptions,
+        options: &PathOptions,
+    ) -> Result<OrNearest<(Vec<f64>, bool)>, CompensationError> {
+        let mut from = asked.clone();
+        if let (Some(nominal), Some(seconds)) = (&walk.nominal, seconds) {
+            let space = self.inverse.space();
+            let last = space.of_command(nominal).map_err(InverseError::of_model)?;
+            let way = |unknown: usize| {
+                let limit = options.speed_limits.get(space.free[unknown]).copied().unwrap_or(f64::INFINITY);
+                options.longest_step.min(space.way_of_actuator(unknown, limit * seconds))
+            };
+            let longest: Vec<f64> = (0..space.len()).map(way).collect();
+            let wide = vec![options.longest_step; space.len()];
+            for longest in [longest, wide] {
+                if let Some(y) = self.inverse.follow(goal, &last, &longest, &last, asked)? {
+                    return Ok(Ok((self.inverse.space().command(&y), false)));
+                }
+            }
+            from.reference = Some(nominal.clone());
+        }
+        match self.inverse.solve_nominal(goal, &from) {
+            Ok(found) => Ok(Ok((found.command, walk.nominal.is_some()))),
+            Err(InverseError::Unreachable(told)) => Ok(Err(told)),
+            Err(other) => Err(other.into()),
+        }
+    }
+
+    /// The correction for the side from which the actuators come with it, and whether it wavers.
+    fn approached(
+        &mut self,
+        walk: &Walk,
+        goal: &Goal,
+        nominal: &[f64],
+        asked: &mut InverseOptions,
+    ) -> Result<OrNearest<(CompensatedPoint, bool)>, CompensationError> {
+        // The correction hardly changes from one point to the next.
+        let guess: Vec<f64> = match (&walk.nominal, &walk.command) {
+            (Some(last), Some(command)) => {
+                nominal.iter().zip(last).zip(command).map(|((to, from), at)| at + to - from).collect()
+            }
+            _ => nominal.to_vec(),
+        };
+        let mut motion = walk.towards(&guess);
+        let mut tries = 0;
+        loop {
+            tries += 1;
+            if let Some(motion) = &motion {
+                asked.circumstances.approach.clone_from(&motion.approach);
+                asked.circumstances.since_reversal.clone_from(&motion.since_reversal);
+            }
+            let point = match self.correct(goal, nominal.to_vec(), asked) {
+                Ok(point) => point,
+                Err(
+                    CompensationError::OutOfCorrection(told)
+                    | CompensationError::Inverse(InverseError::Unreachable(told)),
+                ) => return Ok(Err(told)),
+                Err(other) => return Err(other),
+            };
+            let seen = walk.towards(&point.command);
+            let agrees = match (&motion, &seen) {
+                (Some(counted), Some(seen)) => counted.approach == seen.approach,
+                _ => true,
+            };
+            if agrees || tries == AGREE {
+                return Ok(Ok((point, !agrees)));
+            }
+            motion = seen;
+        }
+    }
+}
+
+/// Where a path has come to.
+#[derive(Debug, Clone, Default)]
+struct Walk {
+    nominal: Option<Vec<f64>>,
+    command: Option<Vec<f64>>,
+    /// Of the corrected commands.
+    motion: Option<Motion>,
+}
+
+impl Walk {
+    /// The motion with one more command; `None` at the first, whose approach is as stated.
+    fn towards(&self, command: &[f64]) -> Option<Motion> {
+        let mut motion = self.motion.clone()?;
+        motion.go_to(command, LEAST_MOTION);
+        Some(motion)
+    }
+
+    fn go_to(&mut self, nominal: &[f64], command: &[f64]) {
+        self.motion = Some(self.towards(command).unwrap_or_else(|| Motion::at(command)));
+        self.nominal = Some(nominal.to_vec());
+        self.command = Some(command.to_vec());
+    }
+}
+
+fn check_limits(limits: &[f64], expected: usize) -> Result<(), CompensationError> {
+    let found = limits.len();
+    if found != 0 && found != expected {
+        let error = ModelError::Length { field: "speed limits", found, expected };
+        return Err(InverseError::of_model(error).into());
+    }
+    match limits.iter().enumerate().find(|(_, limit)| !(**limit > 0.0)) {
+        Some((actuator, limit)) => Err(PathError::Limit { actuator, limit: *limit }.into()),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,99 @@
+//! What is asked of a solution, and why there is none.
+
+use thiserror::Error;
+
+use super::arm::Circumstances;
+use super::criterion::Criterion;
+use super::reach::Unreachable;
+use super::task::GoalError;
+use crate::identification::PredictionError;
+use calibrig_model::PayloadError;
+
+/// How a command is sought.
+#[derive(Debug, Clone, PartialEq)]
+pub struct InverseOptions {
+    /// What decides between the commands that meet the goal.
+    pub criterion: Criterion,
+    /// The command where the search begins, and from which the criterion counts motion. Without one, motion counts from the middle of the joints' ways.
+    pub reference: Option<Vec<f64>>,
+    /// What the identified robot is predicted for. Of a rigid nominal robot the payload alone counts, and for the predicted deflection.
+    pub circumstances: Circumstances,
+    /// How many further starts are taken where the first search fails.
+    pub starts: usize,
+    /// What an identified robot may miss, m, angles by the lever.
+    pub tolerance: f64,
+    /// What a radian counts as where angles and lengths are compared, m: in what is nearest, and for manipulability. A quarter of the robot's
+    /// [characteristic length](calibrig_model::KinematicModel::characteristic_length) where it is not stated.
+    pub lever: Option<f64>,
+}
+
+impl Default for InverseOptions {
+    fn default() -> Self {
+        Self {
+            criterion: Criterion::default(),
+            reference: None,
+            circumstances: Circumstances::default(),
+            starts: 100,
+            tolerance: 1e-9,
+            lever: None,
+        }
+    }
+}
+
+/// Why there is no command.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum InverseError {
+    /// The goal or the tool cannot be one.
+    #[error(transparent)]
+    Goal(#[from] GoalError),
+    /// No search met the goal.
+    #[error("the goal is out of reach: {0}")]
+    Unreachable(Box<Unreachable>),
+    /// The robot cannot be one, or the reference is no command of it, or its equilibrium is none.
+    #[error(transparent)]
+    Prediction(#[from] PredictionError),
+    /// A load at the flange that cannot be.
+    #[error(transparent)]
+    Payload(#[from] PayloadError),
+    /// A number that cannot be.
+    #[error("{field} is {value}: expected {expected}")]
+    Number {
+        /// What it is.
+        field: &'static str,
+        /// As stated.
+        value: f64,
+        /// What it has to be.
+        expected: &'static str,
+    },
+    /// A deflection of a robot of which nothing is known that bends it.
+    #[error(
+        "the criterion asks for the least deflection: the robot has no masses and stiffnesses; state them in its file, or choose another criterion"
+    )]
+    NoStatics,
+}
+
+impl InverseError {
+    pub(crate) fn of_model(error: calibrig_model::ModelError) -> Self {
+        PredictionError::from(error).into()
+    }
+}
+
+impl InverseOptions {
+    pub(super) fn check(&self, bends: bool) -> Result<(), InverseError> {
+        for (field, value) in self.criterion.parts() {
+            let expected = "a finite weight of zero or more";
+            number(field, value, value >= 0.0, expected)?;
+        }
+        if self.criterion.deflection > 0.0 && !bends {
+            return Err(InverseError::NoStatics);
+        }
+        let least = 1e-12;
+        number("tolerance", self.tolerance, self.tolerance >= least, "a length of 1e-12 m or more")?;
+        self.lever.map_or(Ok(()), |lever| number("lever", lever, lever > 0.0, "a length above zero, m"))
+    }
+}
+
+fn number(field: &'static str, value: f64, holds: bool, expected: &'static str) -> Result<(), InverseError> {
+    if holds && value.is_finite() { Ok(()) } else { Err(InverseError::Number { field, value, expected }) }
+}
