@@ -68,6 +68,7 @@ pub mod elastostatics;
 pub mod evaluation;
 pub mod identification;
 pub mod kinematics;
+pub mod planning;
 pub mod plausibility;
 pub mod two_face;
 pub mod validation;

@@ -23,6 +23,7 @@ mod noise;
 mod options;
 mod parameters;
 mod place;
+mod planned;
 mod problem;
 mod prospect;
 mod robot;
@@ -54,7 +55,8 @@ pub use identifiability::{
     WEAK_TOLERANCE, WeakDirection, complete_set, complete_set_of, explain, identifiability,
     identifiability_of, neighbour_axis_rules, reachable_poses, spectrum, structural_poses,
 };
-use identifiability::{analyse_r, complete_set_by_name, dependent_ends, select_independent};
+pub(crate) use identifiability::analyse_r;
+use identifiability::{complete_set_by_name, dependent_ends, select_independent};
 pub use identify::{IdentifyError, identify, without_calibration};
 pub use information::{Information, information_at};
 pub use limits::{ParameterBound, ParameterBoundError, RefusedBound, check_bounds};
@@ -68,6 +70,7 @@ pub use options::{
     ComplianceChoice, DEFAULT_TOLERANCE, FrameChoice, IdentificationOptions, InstrumentChoice, LINKAGE,
     ParameterChoice, Redundancy, TargetChoice, TermPrior, Tolerance, UNKNOWN_STIFFNESS,
 };
+pub(crate) use planned::{PlannedRows, PlannedSystem};
 pub use prospect::{Prospect, prospect};
 pub use robot::{
     CalibratedRobot, EstimatePredictor, InstrumentErrors, PredictedOrientation, Prediction, PredictionError,

@@ -19,7 +19,8 @@ pub use explain::{Explanation, Finding, Remedy, explain};
 #[cfg(test)]
 use rank::analyse_columns;
 pub use rank::{RANK_TOLERANCE, WEAK_TOLERANCE};
-pub(super) use rank::{analyse_r, select_independent};
+pub(crate) use rank::analyse_r;
+pub(super) use rank::select_independent;
 pub use rules::neighbour_axis_rules;
 use serde::{Deserialize, Serialize};
 
