@@ -50,12 +50,12 @@ pub use estimate::{
 pub(crate) use factor::triangular_factor_of_all;
 pub use foresight::{ForeseenSpread, Foresight, foresee};
 pub use gross::held_out_outliers;
+pub(crate) use identifiability::analyse_r;
 pub use identifiability::{
     DependentGroup, Explanation, Finding, IdentifiabilityReport, RANK_TOLERANCE, Remedy, Spectrum,
     WEAK_TOLERANCE, WeakDirection, complete_set, complete_set_of, explain, identifiability,
     identifiability_of, neighbour_axis_rules, reachable_poses, spectrum, structural_poses,
 };
-pub(crate) use identifiability::analyse_r;
 use identifiability::{complete_set_by_name, dependent_ends, select_independent};
 pub use identify::{IdentifyError, identify, without_calibration};
 pub use information::{Information, information_at};

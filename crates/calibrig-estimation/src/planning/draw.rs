@@ -5,8 +5,13 @@ use super::session::within_limits;
 use crate::identification::reachable_poses;
 use calibrig_model::CalibrationModel;
 
+/// Share of a joint's width at either end from which every second candidate goes to the end.
+const EDGE: f64 = 1.0 / 6.0;
+
 /// Commands of so many candidates, spread evenly over a box of joint variables (lowest and highest of each, m or rad): a Kronecker sequence of the
-/// generalised golden ratio, without chance. Joints that follow others go where these take them.
+/// generalised golden ratio, without chance. Of every second candidate the box is stretched about its middle, and what goes beyond an end is put there (a sixth of
+/// the width at either end): good designs are mostly at the edges of what is allowed, and few points of a sequence are. Joints that follow others go where these
+/// take them.
 ///
 /// # Errors
 ///
@@ -45,10 +50,16 @@ pub fn candidate_commands(
             }
         }
     }
-    let commands: Vec<Vec<f64>> = reachable_poses(&boxed, count)
-        .iter()
-        .map(|joints| model.actuators.command_from_joints(joints))
-        .collect();
+    let mut poses = reachable_poses(&boxed, count);
+    for joints in poses.iter_mut().skip(1).step_by(2) {
+        for (value, [low, high]) in joints.iter_mut().zip(region) {
+            let middle = 0.5 * (low + high);
+            *value = (middle + (*value - middle) / (1.0 - 2.0 * EDGE)).clamp(*low, *high);
+        }
+        model.actuators.follow(joints);
+    }
+    let commands: Vec<Vec<f64>> =
+        poses.iter().map(|joints| model.actuators.command_from_joints(joints)).collect();
     for (index, command) in commands.iter().enumerate() {
         within_limits(model, command, || format!("candidate {}", index + 1))?;
     }

@@ -13,7 +13,9 @@ pub enum PlanError {
     #[error(transparent)]
     Identify(#[from] IdentifyError),
     /// Nothing to choose from.
-    #[error("there is no candidate pose: expected some that are not yet measured; loosen what filters them, or draw more")]
+    #[error(
+        "there is no candidate pose: expected some that are not yet measured; loosen what filters them, or draw more"
+    )]
     NoCandidates,
     /// Fewer candidates than poses.
     #[error(
@@ -63,7 +65,9 @@ pub enum PlanError {
         criterion: Criterion,
     },
     /// A reading whose noise nobody states.
-    #[error("pose {pose}: the planned reading states no covariance: expected one, since it is weighed against what is known beforehand")]
+    #[error(
+        "pose {pose}: the planned reading states no covariance: expected one, since it is weighed against what is known beforehand"
+    )]
     NoNoise {
         /// The pose.
         pose: u32,

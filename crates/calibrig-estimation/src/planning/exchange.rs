@@ -190,7 +190,8 @@ impl<'s> Search<'s> {
                         None => own.costs_of_entering(&mut costs),
                     }
                     for (total, cost) in total.iter_mut().zip(&costs) {
-                        *total = if self.over == Over::Mean { *total + share * cost } else { total.max(*cost) };
+                        *total =
+                            if self.over == Over::Mean { *total + share * cost } else { total.max(*cost) };
                     }
                 }
             }
@@ -207,7 +208,8 @@ impl<'s> Search<'s> {
                 }
             }
         }
-        let allowed = total.into_iter().enumerate().filter(|(candidate, cost)| allowed(*candidate) && !cost.is_nan());
+        let allowed =
+            total.into_iter().enumerate().filter(|(candidate, cost)| allowed(*candidate) && !cost.is_nan());
         allowed.min_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)))
     }
 
@@ -216,7 +218,8 @@ impl<'s> Search<'s> {
         self.refresh(&design);
         while design.len() < count {
             let repeats = self.repeats;
-            let Some((entering, _)) = self.best(None, |candidate| repeats || !design.contains(&candidate)) else {
+            let Some((entering, _)) = self.best(None, |candidate| repeats || !design.contains(&candidate))
+            else {
                 break;
             };
             design.push(entering);
@@ -259,8 +262,7 @@ impl<'s> Search<'s> {
     /// Exchanges a pose of the design for the best candidate, where that is better.
     fn exchange(&mut self, design: &mut [usize], place: usize) -> bool {
         let (leaving, repeats, cost) = (design[place], self.repeats, self.cost());
-        let allowed =
-            |candidate: usize| candidate != leaving && (repeats || !design.contains(&candidate));
+        let allowed = |candidate: usize| candidate != leaving && (repeats || !design.contains(&candidate));
         let Some((entering, least)) = self.best(Some(leaving), allowed) else { return false };
         let tolerance = match self.criterion {
             Criterion::D | Criterion::O1 => LEAST_GAIN,

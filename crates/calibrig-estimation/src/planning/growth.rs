@@ -118,7 +118,11 @@ impl Growth {
     pub fn needed(&self, tolerance: f64, figure: impl Fn(&Spread) -> f64) -> Result<Needed, PlanError> {
         if !(tolerance > 0.0 && tolerance.is_finite()) {
             let field = "the tolerance of predicted places";
-            return Err(PlanError::Number { field, value: tolerance, expected: "a finite length above zero, m" });
+            return Err(PlanError::Number {
+                field,
+                value: tolerance,
+                expected: "a finite length above zero, m",
+            });
         }
         let of_machine = figure(&self.floor.of_machine);
         if of_machine > tolerance {

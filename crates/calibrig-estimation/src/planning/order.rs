@@ -86,8 +86,7 @@ impl DriftCoupling {
             DMatrix::from_column_slice(solved.len(), 1, solved.as_slice())
         };
         let columns: Vec<_> = chosen.iter().zip(shifts).map(spread).collect();
-        let taken_up =
-            DMatrix::from_fn(columns.len(), columns.len(), |i, k| columns[i].dot(&columns[k]));
+        let taken_up = DMatrix::from_fn(columns.len(), columns.len(), |i, k| columns[i].dot(&columns[k]));
         Self { taken_up, own: shifts.iter().map(|shift| shift.norm_squared()).collect() }
     }
 
@@ -208,7 +207,10 @@ impl<'a> OrderSearch<'a> {
     /// The steps of an order: from where, to where.
     fn steps<'o>(&self, order: &'o [usize]) -> impl Iterator<Item = (usize, usize)> + use<'o> {
         let home = self.poses;
-        order.iter().enumerate().map(move |(place, pose)| (if place == 0 { home } else { order[place - 1] }, *pose))
+        order
+            .iter()
+            .enumerate()
+            .map(move |(place, pose)| (if place == 0 { home } else { order[place - 1] }, *pose))
     }
 
     fn travel(&self, order: &[usize]) -> f64 {

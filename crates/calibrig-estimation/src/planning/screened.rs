@@ -74,16 +74,17 @@ impl<'s> Screened<'s> {
         };
         let sharp = match self.criterion {
             Criterion::G => self.of_region(&inverse, SHARPNESS),
-            Criterion::O2 => with(only(least, 1.0 / eigenvalues[least]) - only(most, 1.0 / eigenvalues[most])),
-            Criterion::O4 => with(only(least, 1.0 / eigenvalues[least]) - only(most, 0.5 / eigenvalues[most])),
+            Criterion::O2 => {
+                with(only(least, 1.0 / eigenvalues[least]) - only(most, 1.0 / eigenvalues[most]))
+            }
+            Criterion::O4 => {
+                with(only(least, 1.0 / eigenvalues[least]) - only(most, 0.5 / eigenvalues[most]))
+            }
             Criterion::O5 => with(eigenvalues.map(|v| v.powf(-1.5))),
             _ => with(only(least, 1.0)),
         };
-        let smooth = if self.criterion == Criterion::G {
-            self.of_region(&inverse, 0)
-        } else {
-            &inverse * &inverse
-        };
+        let smooth =
+            if self.criterion == Criterion::G { self.of_region(&inverse, 0) } else { &inverse * &inverse };
         [sharp, smooth].map(|score| self.scores(&score))
     }
 

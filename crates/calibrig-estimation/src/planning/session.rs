@@ -127,8 +127,7 @@ impl<'a> PlannedSession<'a> {
         for robot in 0..robots {
             let x = self.system.drawn(tolerance, &mut stream(seed, robot, Source::PlannedRobots));
             let robot = robot as usize;
-            let rows =
-                self.system.rows(Some(&x)).map_err(|source| PlanError::Drawn { robot, source })?;
+            let rows = self.system.rows(Some(&x)).map_err(|source| PlanError::Drawn { robot, source })?;
             spaces.push(self.space_of(Some(&x), &rows, &scale)?);
         }
         Ok(spaces)
@@ -183,11 +182,7 @@ fn stacked(matrices: &[&DMatrix<f64>], columns: usize) -> DMatrix<f64> {
     all
 }
 
-fn check_pose(
-    model: &CalibrationModel,
-    pose: &PoseQuery<'_>,
-    targets: usize,
-) -> Result<(), PredictionError> {
+fn check_pose(model: &CalibrationModel, pose: &PoseQuery<'_>, targets: usize) -> Result<(), PredictionError> {
     model.kinematics.check_joints("command", pose.command)?;
     let (found, expected) = (pose.approach.len(), pose.command.len());
     if found != 0 && found != expected {

@@ -221,7 +221,11 @@ impl DesignSpace {
     pub fn figures(&self, design: &[usize]) -> Result<DesignFigures, PlanError> {
         if let Some(index) = design.iter().find(|index| **index >= self.candidates()) {
             let field = "the index of a chosen candidate";
-            return Err(PlanError::Number { field, value: *index as f64, expected: "one below their number" });
+            return Err(PlanError::Number {
+                field,
+                value: *index as f64,
+                expected: "one below their number",
+            });
         }
         let factor = self.factor(design.iter().copied(), false);
         self.regular(&factor, "the chosen poses")?;
@@ -241,7 +245,8 @@ impl DesignSpace {
     fn of_factor(&self, factor: &DMatrix<f64>, poses: usize) -> Result<DesignFigures, PlanError> {
         let p = self.parameters.len();
         let failed = || PlanError::NotFinite { what: "the information of the chosen poses".to_owned() };
-        let svd = factor.clone().try_svd(false, false, 5.0 * f64::EPSILON, SVD_ITERATIONS).ok_or_else(failed)?;
+        let svd =
+            factor.clone().try_svd(false, false, 5.0 * f64::EPSILON, SVD_ITERATIONS).ok_or_else(failed)?;
         let singular_values: Vec<f64> = svd.singular_values.iter().copied().collect();
         let inverse = factor.solve_upper_triangular(&DMatrix::identity(p, p)).ok_or_else(failed)?;
         let variances = inverse.row_iter().map(|row| row.norm_squared());
@@ -308,7 +313,8 @@ fn scales(rows: &DesignRows, p: usize, scale: &ParameterScale) -> Result<Vec<f64
                 (squares / rows.candidates.len() as f64).sqrt()
             };
             let known = |j: usize| rows.fixed.column(j).norm();
-            let of = |j: usize| [shown(j), known(j)].into_iter().find(|v| v.is_normal()).map_or(1.0, f64::recip);
+            let of =
+                |j: usize| [shown(j), known(j)].into_iter().find(|v| v.is_normal()).map_or(1.0, f64::recip);
             Ok((0..p).map(of).collect())
         }
     }

@@ -29,9 +29,7 @@ fn value(criterion: Criterion, rows: &DesignRows, scale: &[f64], design: &[usize
         Criterion::E => 1.0 / eigenvalues.min(),
         Criterion::G => predicted.fold(0.0, f64::max),
         Criterion::I => predicted.sum::<f64>() / rows.region.len() as f64,
-        Criterion::O1 => {
-            (design.len() as f64).sqrt() / sigma.iter().product::<f64>().powf(1.0 / p as f64)
-        }
+        Criterion::O1 => (design.len() as f64).sqrt() / sigma.iter().product::<f64>().powf(1.0 / p as f64),
         Criterion::O2 => sigma[0] / sigma[p - 1],
         Criterion::O3 => 1.0 / sigma[p - 1],
         Criterion::O4 => sigma[0] / sigma[p - 1].powi(2),
@@ -102,7 +100,9 @@ fn further_poses_are_the_best_beside_those_that_are_fixed() {
     let all = random_rows(21, 12, 5, false);
     let mut rows = all.clone();
     let measured = rows.candidates.split_off(9);
-    rows.fixed = DMatrix::from_rows(&measured.iter().flat_map(|m| m.row_iter()).map(|r| r.into_owned()).collect::<Vec<_>>());
+    rows.fixed = DMatrix::from_rows(
+        &measured.iter().flat_map(|m| m.row_iter()).map(|r| r.into_owned()).collect::<Vec<_>>(),
+    );
     let space = space(&rows);
     for criterion in [Criterion::D, Criterion::A, Criterion::I, Criterion::E] {
         let choice = Choice { criterion, starts: 20, ..Choice::of(3) };
@@ -187,7 +187,9 @@ fn designs_grow_and_never_get_worse() {
     assert!((growth.floor.with_machine.mean - 0.2).abs() < 1e-5);
     use crate::planning::Needed;
     let mean = |spread: &crate::planning::Spread| spread.mean;
-    assert!(matches!(growth.needed(0.1, mean), Ok(Needed::BelowMachine { floor }) if (floor - 0.2).abs() < 1e-12));
+    assert!(
+        matches!(growth.needed(0.1, mean), Ok(Needed::BelowMachine { floor }) if (floor - 0.2).abs() < 1e-12)
+    );
     assert!(matches!(growth.needed(0.2001, mean), Ok(Needed::MoreThan { count: 40, .. })));
     let at_20 = growth.points[4].accuracy.with_machine.mean;
     assert!(matches!(growth.needed(at_20, mean), Ok(Needed::Poses { count: 20, .. })));
@@ -206,6 +208,8 @@ fn what_no_candidate_shows_is_a_floor() {
     let growth = grow(&[space(&rows)], &Choice::of(1), &[4, 6, 8]).expect("designs");
     assert!((growth.floor.of_parameters.mean - 0.5).abs() < 1e-9);
     let needed = growth.needed(0.4, |spread| spread.quantile_95);
-    assert!(matches!(needed, Ok(crate::planning::Needed::BelowCandidates { floor }) if (floor - 0.5).abs() < 1e-9));
+    assert!(
+        matches!(needed, Ok(crate::planning::Needed::BelowCandidates { floor }) if (floor - 0.5).abs() < 1e-9)
+    );
     assert_eq!(growth.knee, None);
 }

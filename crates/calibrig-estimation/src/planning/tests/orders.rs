@@ -45,7 +45,8 @@ fn the_cost_of_an_order_is_what_it_is_said_to_be() {
     let (commands, coupling, whole, shifts) = eight(5);
     let (speeds, home) = ([0.5, 2.0, 0.1], [0.1, 0.0, -0.2]);
     let weights = OrderWeights { balance: 7.0, drift: 11.0 };
-    let way = Way { commands: &commands, home: Some(&home), speeds: &speeds, drift: Some(&coupling), weights };
+    let way =
+        Way { commands: &commands, home: Some(&home), speeds: &speeds, drift: Some(&coupling), weights };
     let order = [3, 1, 0, 7, 5, 6, 2, 4];
     let cost = order_cost(&way, &order).expect("an order");
     let mut at = home.to_vec();
@@ -86,7 +87,8 @@ fn the_order_of_eight_poses_is_the_best_of_all() {
         let weights = OrderWeights { balance, drift };
         let home = [0.0; 3];
         let home = (seed % 2 == 0).then_some(home.as_slice());
-        let way = Way { commands: &commands, home, speeds: &[0.2, 0.5, 0.5], drift: Some(&coupling), weights };
+        let way =
+            Way { commands: &commands, home, speeds: &[0.2, 0.5, 0.5], drift: Some(&coupling), weights };
         let best = all.iter().map(|order| order_cost(&way, order).expect("an order").total);
         let best = best.fold(f64::INFINITY, f64::min);
         let found = ordered(&way).expect("an order");
@@ -119,7 +121,13 @@ fn an_order_of_sixty_poses_is_shorter_and_balanced() {
     let commands: Vec<Vec<f64>> =
         (0..60).map(|_| (0..7).map(|_| rng.random_range(-1.0..1.0)).collect()).collect();
     let of = |balance| OrderWeights { balance, drift: 0.0 };
-    let way = |balance| Way { commands: &commands, home: None, speeds: &[0.3; 7], drift: None, weights: of(balance) };
+    let way = |balance| Way {
+        commands: &commands,
+        home: None,
+        speeds: &[0.3; 7],
+        drift: None,
+        weights: of(balance),
+    };
     let as_drawn = order_cost(&way(0.0), &(0..60).collect::<Vec<_>>()).expect("an order");
     let short = ordered(&way(0.0)).expect("an order");
     let both = ordered(&way(100.0)).expect("an order");

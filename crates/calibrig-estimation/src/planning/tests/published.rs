@@ -9,7 +9,12 @@ use crate::planning::{Choice, Criterion, Design, DesignRows, DesignSpace, Parame
 fn of_rows(rows: &[Vec<f64>]) -> DesignSpace {
     let p = rows[0].len();
     let candidates: Vec<_> = rows.iter().map(|row| DMatrix::from_row_slice(1, p, row)).collect();
-    let rows = DesignRows { region: candidates.clone(), candidates, fixed: DMatrix::zeros(0, p), beside: Vec::new() };
+    let rows = DesignRows {
+        region: candidates.clone(),
+        candidates,
+        fixed: DMatrix::zeros(0, p),
+        beside: Vec::new(),
+    };
     DesignSpace::new(names(p), &rows, &ParameterScale::Given(vec![1.0; p])).expect("a space")
 }
 
@@ -99,8 +104,7 @@ fn approximate(candidates: &[DMatrix<f64>], p: usize) -> (Vec<f64>, f64, f64) {
 fn the_second_order_design_of_nine_points_is_the_grid() {
     let levels = [-1.0, 0.0, 1.0];
     let points: Vec<[f64; 2]> = levels.iter().flat_map(|a| levels.map(|b| [*a, b])).collect();
-    let rows: Vec<Vec<f64>> =
-        points.iter().map(|[a, b]| vec![1.0, *a, *b, a * b, a * a, b * b]).collect();
+    let rows: Vec<Vec<f64>> = points.iter().map(|[a, b]| vec![1.0, *a, *b, a * b, a * a, b * b]).collect();
     let candidates: Vec<_> = rows.iter().map(|row| DMatrix::from_row_slice(1, 6, row)).collect();
     let (weights, optimum, gap) = approximate(&candidates, 6);
     assert!(gap < 1e-6);

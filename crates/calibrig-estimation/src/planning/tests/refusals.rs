@@ -57,7 +57,10 @@ fn parameters_that_no_candidate_tells_apart_are_named() {
     let redundant: Vec<_> = groups.iter().map(|group| group.redundant).collect();
     assert_eq!(redundant, [names(5)[3], names(5)[4]]);
     let text = error.to_string();
-    assert!(text.contains("delta_theta4 with delta_theta2") && text.contains("delta_theta5 without effect"), "{text}");
+    assert!(
+        text.contains("delta_theta4 with delta_theta2") && text.contains("delta_theta5 without effect"),
+        "{text}"
+    );
     rows.fixed = DMatrix::identity(5, 5) * 0.01;
     for criterion in Criterion::ALL {
         let design = choose(&[space(&rows)], &Choice { criterion, ..Choice::of(1) }).expect("a design");
@@ -68,7 +71,8 @@ fn parameters_that_no_candidate_tells_apart_are_named() {
 #[test]
 fn rows_that_cannot_be() {
     let rows = random_rows(3, 4, 3, true);
-    let of = |rows: &DesignRows| DesignSpace::new(names(3), rows, &ParameterScale::Effect).expect_err("refused");
+    let of =
+        |rows: &DesignRows| DesignSpace::new(names(3), rows, &ParameterScale::Effect).expect_err("refused");
     let mut bad = rows.clone();
     bad.candidates[2][(0, 1)] = f64::NAN;
     assert_eq!(of(&bad).to_string(), "a row of candidate 3 is not a finite number");
@@ -120,7 +124,10 @@ fn sessions_that_cannot_be() {
     assert!(of(&nan, &[], &[]).contains("pose 1: a command or reading is not a finite number"));
     let far = changed(&|set| set.observations[0].command[1] = 1.75);
     let text = of(&far, &[], &[]);
-    assert!(text.contains("candidate pose 1: joint 2 is at 1.750000, beyond its limits -1.5 to 1.5 by 0.250000"), "{text}");
+    assert!(
+        text.contains("candidate pose 1: joint 2 is at 1.750000, beyond its limits -1.5 to 1.5 by 0.250000"),
+        "{text}"
+    );
     // A pose that was measured there was measured there.
     assert!(PlannedSession::new(&model, &far, &options, None, &[1], &[]).is_ok());
     let singular = changed(&|set| {
@@ -143,7 +150,9 @@ fn sessions_that_cannot_be() {
 #[test]
 fn boxes_that_cannot_be() {
     let model = arm();
-    let of = |region: &[[f64; 2]], count| candidate_commands(&model, region, count).expect_err("refused").to_string();
+    let of = |region: &[[f64; 2]], count| {
+        candidate_commands(&model, region, count).expect_err("refused").to_string()
+    };
     assert!(of(&LIMITS[..3], 5).contains("the box of joint variables: 3 entries, expected 4"));
     assert!(of(&LIMITS, 0).contains("there is no candidate pose"));
     let mut region = LIMITS;
@@ -156,11 +165,15 @@ fn boxes_that_cannot_be() {
     region[2] = [0.5, 0.5];
     let fixed = candidate_commands(&model, &region, 50).expect("candidates");
     assert!(fixed.iter().all(|command| command[2] == 0.5));
-    // A box is filled: every half of every joint, alike.
-    let full = candidate_commands(&model, &LIMITS, 200).expect("candidates");
+    // A box is filled, both halves of every joint alike; a sixth of the candidates is at either end of each.
+    let full = candidate_commands(&model, &LIMITS, 600).expect("candidates");
     for (joint, [low, high]) in LIMITS.iter().enumerate() {
-        let below = full.iter().filter(|command| command[joint] < 0.5 * (low + high)).count();
-        assert!((95..=105).contains(&below), "joint {joint}: {below}");
+        let of = |is: &dyn Fn(f64) -> bool| full.iter().filter(|command| is(command[joint])).count();
+        let counts = [of(&|q| q < 0.5 * (low + high)), of(&|q| q == *low), of(&|q| q == *high)];
+        assert!(
+            (285..=315).contains(&counts[0]) && counts[1..].iter().all(|n| (45..=55).contains(n)),
+            "{counts:?}"
+        );
         assert!(full.iter().all(|command| command[joint] >= *low && command[joint] <= *high));
     }
 }

@@ -12,9 +12,7 @@ use crate::planning::{
     Choice, Criterion, Over, ParameterScale, PlanError, PlannedSession, candidate_commands, choose,
 };
 use calibrig_model::geometry::Transform;
-use calibrig_model::measurement::{
-    MeasurementSet, NestObservation, Observation, Reading, Station, Target,
-};
+use calibrig_model::measurement::{MeasurementSet, NestObservation, Observation, Reading, Station, Target};
 use calibrig_model::{Body, CalibrationModel, CraigLink, Payload, PoseQuery, StaticProperties};
 
 /// A rail and three axes, whose drives sag.
@@ -41,11 +39,15 @@ pub(super) const LIMITS: [[f64; 2]; 4] = [[0.0, 3.0], [-1.2, 1.2], [-1.8, 1.8], 
 
 /// Readings of the nominal robot, two targets at every pose, with noise of 20 um.
 pub(super) fn set(model: &CalibrationModel, commands: &[Vec<f64>]) -> MeasurementSet {
+    set_of(Mode::ElastoGeometric, model, commands)
+}
+
+fn set_of(mode: Mode, model: &CalibrationModel, commands: &[Vec<f64>]) -> MeasurementSet {
     let covariance = Matrix3::identity() * 20e-6_f64.powi(2);
     let away = Vector3::new(4.0, 1.0, 1.5);
     let offsets = [Vector3::new(0.1, 0.05, 0.2), Vector3::new(-0.15, 0.1, 0.05)];
     let robot = CalibratedRobot {
-        mode: Mode::ElastoGeometric,
+        mode,
         nominal: model.clone(),
         model: model.clone(),
         terms: Vec::new(),
@@ -82,7 +84,11 @@ pub(super) fn set(model: &CalibrationModel, commands: &[Vec<f64>]) -> Measuremen
         }
     }
     MeasurementSet {
-        stations: vec![Station { name: "T".to_owned(), nests: places.map(nest).to_vec(), ..Station::default() }],
+        stations: vec![Station {
+            name: "T".to_owned(),
+            nests: places.map(nest).to_vec(),
+            ..Station::default()
+        }],
         targets: offsets
             .map(|in_flange| Target {
                 name: format!("{in_flange:?}"),
@@ -115,7 +121,9 @@ fn compare(estimate: &Estimate, session: &mut PlannedSession<'_>, chosen: &[u32]
     let place = |pose: &u32| session.candidates().iter().position(|own| own == pose).expect("a candidate");
     let chosen: Vec<usize> = chosen.iter().map(place).collect();
     let figures = space.figures(&chosen).expect("determined");
-    assert!(estimate.parameters.iter().all(|p| p.value.abs() < 1e-7));
+    for p in &estimate.parameters {
+        assert!(p.value.abs() < 0.01 * p.sigma.expect("determined"), "{}: {} {:?}", p.id, p.value, p.sigma);
+    }
     assert_eq!(estimate.parameters.iter().map(|p| p.id).collect::<Vec<_>>(), session.parameters());
     for (parameter, sigma) in estimate.parameters.iter().zip(&figures.sigmas) {
         let fitted = parameter.sigma.expect("determined");
@@ -138,7 +146,7 @@ fn compare(estimate: &Estimate, session: &mut PlannedSession<'_>, chosen: &[u32]
 #[test]
 fn what_is_planned_is_what_a_fit_of_the_chosen_poses_knows() {
     let model = arm();
-    let set = set(&model, &candidate_commands(&model, &LIMITS, 60).expect("candidates"));
+    let commands = candidate_commands(&model, &LIMITS, 60).expect("candidates");
     let region = candidate_commands(&model, &LIMITS, 25).expect("a region");
     let queries: Vec<PoseQuery<'_>> = region.iter().map(PoseQuery::from).collect();
     for (mode, frame) in [
@@ -147,8 +155,10 @@ fn what_is_planned_is_what_a_fit_of_the_chosen_poses_knows() {
         (Mode::ElastoGeometric, FrameChoice::Nests),
         (Mode::ElastoGeometric, FrameChoice::Free),
     ] {
+        let set = set_of(mode, &model, &commands);
         let options = IdentificationOptions { frame, ..options(mode) };
-        let mut session = PlannedSession::new(&model, &set, &options, None, &[], &queries).expect("a session");
+        let mut session =
+            PlannedSession::new(&model, &set, &options, None, &[], &queries).expect("a session");
         let space = session.space(&ParameterScale::Effect).expect("a space");
         assert_eq!(space.candidates(), 60);
         let design = choose(&[space], &Choice::of(25)).expect("a design");
@@ -208,9 +218,9 @@ fn drawn_robots_are_robots_of_their_own() {
         let robust = choose(&spaces, &choice).expect("a design");
         let nominal = choose(&spaces[..1], &choice).expect("a design");
         let value = |design: &[usize]| {
-            let values = spaces.iter().map(|space| {
-                space.figures(design).expect("told").value(Criterion::I).expect("a region")
-            });
+            let values = spaces
+                .iter()
+                .map(|space| space.figures(design).expect("told").value(Criterion::I).expect("a region"));
             match over {
                 Over::Mean => values.sum::<f64>() / 4.0,
                 Over::Worst => values.fold(0.0, f64::max),
@@ -235,11 +245,16 @@ fn all_readings_of_a_pose_are_one_candidate() {
     let options = options(Mode::ElastoGeometric);
     let rows = |set: &MeasurementSet| {
         let mut session = PlannedSession::new(&model, set, &options, None, &[], &[]).expect("a session");
-        session.space(&ParameterScale::Effect).expect("a space").figures(&[0, 5, 9, 11, 20, 25]).expect("told").sigmas
+        session
+            .space(&ParameterScale::Effect)
+            .expect("a space")
+            .figures(&[0, 5, 9, 11, 20, 25])
+            .expect("told")
+            .sigmas
     };
     let without = rows(&set);
     let payload = Payload { mass: 30.0, centre: Vector3::new(0.0, 0.1, 0.1), ..Payload::default() };
-    let loaded = set.observations.iter().map(|o| Observation { payload: Some(payload), ..o.clone() });
+    let loaded = set.observations.iter().map(|o| Observation { payload: Some(payload.clone()), ..o.clone() });
     let both: Vec<_> = set.observations.iter().cloned().chain(loaded).collect();
     set.observations = both;
     let with = rows(&set);
