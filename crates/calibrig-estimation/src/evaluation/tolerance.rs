@@ -14,7 +14,7 @@ use calibrig_model::statistics::{binomial_cdf, chi2_quantile, ln_gamma, normal_q
 const MOST: usize = 1_000_000;
 
 /// Nodes of the integral over the distribution of a standard deviation.
-const NODES: i32 = 4000;
+const NODES: i32 = 1000;
 
 /// What cannot be bounded.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -120,7 +120,10 @@ pub fn accept(errors: &[f64], coverage: f64, confidence: f64) -> Result<Acceptan
         share_below: share_below_largest(sorted.len(), confidence)?,
         as_many_more: stays_largest(sorted.len(), sorted.len())?,
     };
-    let gamma = gamma_bound(&sorted, coverage, confidence)?;
+    let gamma = match sorted.len() {
+        1 => None,
+        n => gamma_bound(&sorted, normal_tolerance_factor(n, coverage, confidence)?),
+    };
     Ok(Acceptance { count: sorted.len(), coverage, confidence, distribution_free, needed, gamma, largest })
 }
 
@@ -248,7 +251,7 @@ pub fn normal_tolerance_factor(errors: usize, coverage: f64, confidence: f64) ->
     while reached(high) < confidence && high < 1e9 {
         high *= 2.0;
     }
-    for _ in 0..200 {
+    while high - low > 1e-12 * (1.0 + high.abs()) {
         let middle = 0.5 * (low + high);
         if reached(middle) < confidence { low = middle } else { high = middle }
     }
@@ -284,20 +287,13 @@ fn below_noncentral(t: f64, freedom: f64, shift: f64) -> f64 {
 /// A bound of a quantile of lengths whose squares follow a gamma distribution: cube roots of these are nearly normal (E. B. Wilson, M. M. Hilferty, Proc. Nat.
 /// Acad. Sci. 17 (1931) 684), and have a normal tolerance bound (K. Krishnamoorthy, T. Mathew, S. Mukherjee, Technometrics 50 (2008) 69). `None` of fewer than two,
 /// or where they do not differ.
-fn gamma_bound(errors: &[f64], coverage: f64, confidence: f64) -> Result<Option<f64>, ToleranceError> {
+fn gamma_bound(errors: &[f64], factor: f64) -> Option<f64> {
     let n = errors.len() as f64;
-    if errors.len() < 2 {
-        return Ok(None);
-    }
     // (l²)^(1/3)
     let roots: Vec<f64> = errors.iter().map(|error| (error * error).cbrt()).collect();
     let mean = roots.iter().sum::<f64>() / n;
     let spread = (roots.iter().map(|root| (root - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
-    if !(spread > 0.0) {
-        return Ok(None);
-    }
-    let bound = mean + normal_tolerance_factor(errors.len(), coverage, confidence)? * spread;
-    Ok(Some(bound.max(0.0).powf(1.5)))
+    (spread > 0.0).then(|| (mean + factor * spread).max(0.0).powf(1.5))
 }
 
 /// A bound of a quantile of the lengths of errors that are normal along three axes, with mean zero and the same variance along each: σ is at most √(Σ l² / χ²) with
@@ -422,7 +418,7 @@ mod tests {
     fn the_gamma_bound_holds_about_as_often_as_it_says() {
         let k = normal_tolerance_factor(40, 0.95, 0.95).expect("a factor");
         let bound = |errors: &[f64]| {
-            let own = gamma_bound(errors, 0.95, 0.95).expect("shares").expect("a bound");
+            let own = gamma_bound(errors, k).expect("a bound");
             let roots: Vec<f64> = errors.iter().map(|l| l.powf(2.0 / 3.0)).collect();
             let mean = roots.iter().sum::<f64>() / 40.0;
             let variance = roots.iter().map(|r| (r - mean).powi(2)).sum::<f64>() / 39.0;

@@ -2,7 +2,7 @@
 //!
 //! With the covariance C and rows U = (entering; leaving) with the signs J = (1; -1), `M + Uᵀ J U` has the determinant `det M det(1 + J U C Uᵀ)` and the inverse
 //! `C - C Uᵀ (J + U C Uᵀ)⁻¹ U C` (V. V. Fedorov, Theory of Optimal Experiments (1972), section 3.2, for single rows; A. C. Atkinson et al. 2007, 12.5).
-//! Blocks A = 1 + C_ee, B = C_el and S = 1 - C_ll + Bᵀ A⁻¹ B, of as many rows as the poses have, are all that is factorised.
+//! Blocks `A = 1 + C_ee`, `B = C_el` and `S = 1 - C_ll + Bᵀ A⁻¹ B`, of as many rows as the poses have, are all that is factorised.
 
 use nalgebra::{DMatrix, DMatrixView};
 
@@ -13,7 +13,7 @@ use super::space::DesignSpace;
 #[derive(Debug, Clone)]
 pub(super) struct Closed<'s> {
     space: &'s DesignSpace,
-    /// G of a criterion `tr(C GᵀG)`, and GᵀG; without, the criterion is the determinant.
+    /// G of a criterion `tr(C GᵀG)`, and `GᵀG`; without, the criterion is the determinant.
     linear: Option<(DMatrix<f64>, DMatrix<f64>)>,
     /// C.
     covariance: DMatrix<f64>,

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// What a choice of poses minimises. M is the information of priors and poses about the scaled parameters, C = M⁻¹ their covariance, σ₁ ≥ … ≥ σ_p
-/// the singular values of the whitened rows (the roots of the eigenvalues of M).
+/// What a choice of poses minimises. M is the information of priors and poses about the scaled parameters, C = M⁻¹ their covariance, σ₁ to `σ_p`
+/// the singular values of the whitened rows, largest first (the roots of the eigenvalues of M).
 ///
 /// D, A, E, G and I: A. C. Atkinson, A. N. Donev, R. D. Tobias, Optimum Experimental Designs, with SAS (2007), chapter 10. The
 /// observability indices are numbered as in Y. Sun, J. M. Hollerbach, "Observability index selection for robot calibration", ICRA 2008, 831.
@@ -20,15 +20,15 @@ pub enum Criterion {
     G,
     /// Mean over the region of that, m². It does not depend on the scaling.
     I,
-    /// `1 / O1`, O1 = (σ₁ … σ_p)^(1/p) / √n, with n poses (J. H. Borm, C. H. Menq, Int. J. Robotics Research 10 (1991) 51). The same poses as by D.
+    /// `1 / O1`, `O1 = (σ₁ … σ_p)^(1/p) / √n`, with n poses (J. H. Borm, C. H. Menq, Int. J. Robotics Research 10 (1991) 51). The same poses as by D.
     O1,
-    /// `1 / O2`, O2 = σ_p / σ₁: the condition number (M. R. Driels, U. S. Pathre, J. Robotic Systems 7 (1990) 197).
+    /// `1 / O2`, `O2 = σ_p / σ₁`: the condition number (M. R. Driels, U. S. Pathre, J. Robotic Systems 7 (1990) 197).
     O2,
-    /// `1 / O3`, O3 = σ_p (A. Nahvi, J. M. Hollerbach, V. Hayward, ICRA 1994, 407). The same poses as by E.
+    /// `1 / O3`, `O3 = σ_p` (A. Nahvi, J. M. Hollerbach, V. Hayward, ICRA 1994, 407). The same poses as by E.
     O3,
-    /// `1 / O4`, O4 = σ_p² / σ₁: the noise amplification index (A. Nahvi, J. M. Hollerbach, ICRA 1996, 647).
+    /// `1 / O4`, `O4 = σ_p² / σ₁`: the noise amplification index (A. Nahvi, J. M. Hollerbach, ICRA 1996, 647).
     O4,
-    /// `1 / O5`, O5 = 1 / (1/σ₁ + … + 1/σ_p) (Sun and Hollerbach 2008).
+    /// `1 / O5`, `O5 = 1 / (1/σ₁ + … + 1/σ_p)` (Sun and Hollerbach 2008).
     O5,
 }
 
