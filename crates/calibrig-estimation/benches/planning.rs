@@ -13,7 +13,7 @@ use calibrig_estimation::planning::{
 use calibrig_model::random::{Source, stream};
 use calibrig_model::{LinkTerm, ParameterId};
 use criterion::{Criterion as Bench, criterion_group, criterion_main};
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, RowDVector};
 use rand::RngExt;
 
 const PARAMETERS: usize = 45;
@@ -21,10 +21,10 @@ const PARAMETERS: usize = 45;
 /// Smooth functions of seven joint variables, as the columns of a robot are.
 fn space() -> DesignSpace {
     let mut rng = stream(1, 0, Source::Splits);
-    let paces = DMatrix::from_fn(7, 3 * PARAMETERS, |_, _| rng.random_range(-1.5..1.5));
+    let paces = DMatrix::from_fn(7, 3 * PARAMETERS, |_, _| rng.random_range(-1.5_f64..1.5));
     let mut block = || {
-        let joints = DMatrix::from_fn(1, 7, |_, _| rng.random_range(-1.0..1.0));
-        DMatrix::from_fn(3, PARAMETERS, |i, j| (&joints * paces.column(3 * j + i))[0].sin() + 0.1)
+        let joints = RowDVector::from_fn(7, |_, _| rng.random_range(-1.0_f64..1.0));
+        DMatrix::from_fn(3, PARAMETERS, |i, j| joints.tr_dot(&paces.column(3 * j + i)).sin() + 0.1)
     };
     let rows = DesignRows {
         candidates: (0..10_000).map(|_| block()).collect(),

@@ -26,7 +26,7 @@ use serde::{Deserialize, Serialize};
 pub use splits::{Split, k_fold, leave_one_out, repeated_splits};
 pub use tolerance::{
     Acceptance, LargestError, OrderBound, ToleranceError, accept, isotropic_bound, least_sample,
-    normal_tolerance_factor, quantile_bound, share_below_largest, stays_largest,
+    normal_interval, normal_tolerance_factor, quantile_bound, share_below_largest, stays_largest,
 };
 
 use nalgebra::Vector3;

@@ -4,7 +4,7 @@
 //! `C - C Uᵀ (J + U C Uᵀ)⁻¹ U C` (V. V. Fedorov, Theory of Optimal Experiments (1972), section 3.2, for single rows; A. C. Atkinson et al. 2007, 12.5).
 //! Blocks `A = 1 + C_ee`, `B = C_el` and `S = 1 - C_ll + Bᵀ A⁻¹ B`, of as many rows as the poses have, are all that is factorised.
 
-use nalgebra::{DMatrix, DMatrixView};
+use nalgebra::DMatrix;
 
 use super::small::{factorise, solve_lower, solve_upper, trace_of_quotient};
 use super::space::DesignSpace;
@@ -23,10 +23,19 @@ pub(super) struct Closed<'s> {
     own: Vec<f64>,
     own_weighted: Vec<f64>,
     squares: Vec<usize>,
+    /// Of every candidate.
+    alone: Vec<Alone>,
     pub cost: f64,
-    cross: DMatrix<f64>,
-    cross_weighted: DMatrix<f64>,
     scratch: Scratch,
+}
+
+/// What a candidate is by itself.
+#[derive(Debug, Clone, Copy, Default)]
+struct Alone {
+    /// How much smaller the cost becomes with it.
+    gain: f64,
+    /// At least the largest eigenvalue of its block: the norm of its entries.
+    size: f64,
 }
 
 /// Memory for blocks of as many rows as a pose has at most.
@@ -37,6 +46,8 @@ struct Scratch {
     s: Vec<f64>,
     f: Vec<f64>,
     column: Vec<f64>,
+    cross: Vec<f64>,
+    cross_weighted: Vec<f64>,
 }
 
 impl<'s> Closed<'s> {
@@ -63,10 +74,17 @@ impl<'s> Closed<'s> {
             covariance: DMatrix::zeros(p, p),
             weighted: DMatrix::zeros(0, 0),
             squares,
+            alone: vec![Alone::default(); space.candidates()],
             cost: f64::INFINITY,
-            cross: DMatrix::zeros(0, 0),
-            cross_weighted: DMatrix::zeros(0, 0),
-            scratch: Scratch { a: block(), x: block(), s: block(), f: block(), column: vec![0.0; most] },
+            scratch: Scratch {
+                a: block(),
+                x: block(),
+                s: block(),
+                f: block(),
+                column: vec![0.0; most],
+                cross: block(),
+                cross_weighted: block(),
+            },
         }
     }
 
@@ -90,61 +108,89 @@ impl<'s> Closed<'s> {
                 (g * inverse).norm_squared()
             }
         };
+        self.look_alone();
         self.cost.is_finite()
     }
 
-    /// What the cost would be with each candidate on top.
-    pub fn costs_of_entering(&mut self, costs: &mut [f64]) {
-        for (candidate, cost) in costs.iter_mut().enumerate() {
+    /// What every candidate is by itself.
+    fn look_alone(&mut self) {
+        for candidate in 0..self.space.candidates() {
             let rows = self.space.of(candidate).len();
             let square = self.squares[candidate]..self.squares[candidate + 1];
             let Scratch { a, column, .. } = &mut self.scratch;
-            a[..rows * rows].copy_from_slice(&self.own[square.clone()]);
+            let own = &self.own[square.clone()];
+            a[..rows * rows].copy_from_slice(own);
             (0..rows).for_each(|i| a[i + i * rows] += 1.0);
-            *cost = match (factorise(a, rows), &self.linear) {
-                (None, _) => f64::INFINITY,
-                (Some(log_determinant), None) => self.cost - log_determinant,
-                (Some(_), Some(_)) => {
-                    self.cost - trace_of_quotient(a, rows, &self.own_weighted[square], column)
-                }
+            let gain = match (factorise(a, rows), &self.linear) {
+                (None, _) => f64::NEG_INFINITY,
+                (Some(log_determinant), None) => log_determinant,
+                (Some(_), Some(_)) => trace_of_quotient(a, rows, &self.own_weighted[square], column),
             };
+            let size = own.iter().map(|v| v * v).sum::<f64>().sqrt();
+            self.alone[candidate] = Alone { gain, size };
         }
     }
 
-    /// What the cost would be with each candidate in the place of one of the design.
-    pub fn costs_of_exchange(&mut self, leaving: usize, costs: &mut [f64]) {
-        let left = &self.covariance * self.space.block(leaving);
-        let (total, rows) = (self.space.rows.ncols(), left.ncols());
-        if self.cross.ncols() != rows {
-            self.cross = DMatrix::zeros(total, rows);
+    /// What the cost would be with each candidate on top.
+    pub fn costs_of_entering(&self, costs: &mut [f64]) {
+        costs.iter_mut().zip(&self.alone).for_each(|(cost, alone)| *cost = self.cost - alone.gain);
+    }
+
+    /// What the cost is not below with each candidate in the place of one of the design.
+    ///
+    /// With λ at least the largest eigenvalue of `C_ee`, `Bᵀ A⁻¹ B` is at most `λ/(1+λ) C_ll`: so `ln det S` is at most `-tr C_ll / (1+λ)`. Of a linear criterion, what
+    /// leaves takes at least `|G C'Rᵀ|²` with it, C' after the other has entered, and of `|G C Rᵀ|` that is less by `√(g λ/(1+λ) |C_ll|)` at most, with g the gain of
+    /// what enters.
+    pub fn bounds_of_exchange(&self, leaving: usize, bounds: &mut [f64]) {
+        let rows = self.space.of(leaving).len();
+        let first = self.squares[leaving];
+        let trace = |blocks: &[f64]| (0..rows).map(|i| blocks[first + i + i * rows]).sum::<f64>();
+        let (of_leaving, size) = (trace(&self.own), self.alone[leaving].size.min(1.0));
+        let taken = if self.linear.is_some() { trace(&self.own_weighted).max(0.0).sqrt() } else { 0.0 };
+        for (bound, alone) in bounds.iter_mut().zip(&self.alone) {
+            let loss = if self.linear.is_some() {
+                let shared = (alone.gain.max(0.0) * size * alone.size / (1.0 + alone.size)).sqrt();
+                (taken - shared).max(0.0).powi(2)
+            } else {
+                of_leaving / (1.0 + alone.size)
+            };
+            *bound = self.cost - (alone.gain - loss);
         }
-        self.space.rows.tr_mul_to(&left, &mut self.cross);
-        if self.linear.is_some() {
-            let left = &self.weighted * self.space.block(leaving);
-            if self.cross_weighted.ncols() != rows {
-                self.cross_weighted = DMatrix::zeros(total, rows);
-            }
-            self.space.rows.tr_mul_to(&left, &mut self.cross_weighted);
+    }
+
+    /// The products that [`cost_of_exchange`](Self::cost_of_exchange) takes of what leaves: `C Rᵀ`, and `C GᵀG C Rᵀ`.
+    pub fn leaver(&self, leaving: usize) -> (DMatrix<f64>, Option<DMatrix<f64>>) {
+        let block = self.space.block(leaving);
+        (&self.covariance * block, self.linear.is_some().then(|| &self.weighted * block))
+    }
+
+    /// What the cost would be with a candidate in the place of one of the design, whose `leaver` is given.
+    pub fn cost_of_exchange(
+        &mut self,
+        leaving: usize,
+        entering: usize,
+        (left, left_weighted): &(DMatrix<f64>, Option<DMatrix<f64>>),
+    ) -> f64 {
+        products(&self.space.rows, self.space.of(entering), left, &mut self.scratch.cross);
+        if let Some(left) = left_weighted {
+            products(&self.space.rows, self.space.of(entering), left, &mut self.scratch.cross_weighted);
         }
-        for (candidate, cost) in costs.iter_mut().enumerate() {
-            *cost = self.cost - self.gain(leaving, candidate);
-        }
+        self.cost - self.gain(leaving, entering)
     }
 
     /// How much smaller the cost becomes by an exchange whose `cross` products are known; minus infinity where nothing regular is left.
     fn gain(&mut self, leaving: usize, entering: usize) -> f64 {
-        let (first, last) = (self.space.first[entering], self.space.first[entering + 1]);
-        let (e, l) = (last - first, self.space.of(leaving).len());
+        let (e, l) = (self.space.of(entering).len(), self.space.of(leaving).len());
         let of_entering = self.squares[entering]..self.squares[entering + 1];
         let of_leaving = self.squares[leaving]..self.squares[leaving + 1];
-        let Scratch { a, x, s, f, column } = &mut self.scratch;
+        let Scratch { a, x, s, f, column, cross, cross_weighted } = &mut self.scratch;
         a[..e * e].copy_from_slice(&self.own[of_entering.clone()]);
         (0..e).for_each(|i| a[i + i * e] += 1.0);
         let Some(of_a) = factorise(a, e) else { return f64::NEG_INFINITY };
         // X = L⁻¹ B, and S.
         for j in 0..l {
             let own = &mut x[j * e..(j + 1) * e];
-            own.copy_from_slice(&self.cross.column(j).as_slice()[first..last]);
+            own.copy_from_slice(&cross[j * e..(j + 1) * e]);
             solve_lower(a, e, own);
         }
         for j in 0..l {
@@ -162,7 +208,7 @@ impl<'s> Closed<'s> {
         let gained = trace_of_quotient(a, e, weighted, column);
         // Y = A⁻¹ B; F = E_ll - Yᵀ E_el - E_leᵀ Y + Yᵀ E_ee Y.
         (0..l).for_each(|j| solve_upper(a, e, &mut x[j * e..(j + 1) * e]));
-        let cross = |k: usize, j: usize| self.cross_weighted[(first + k, j)];
+        let cross = |k: usize, j: usize| cross_weighted[k + j * e];
         for j in 0..l {
             for (i, own) in column.iter_mut().enumerate().take(e) {
                 *own = (0..e).map(|k| weighted[i + k * e] * x[k + j * e]).sum::<f64>();
@@ -180,49 +226,119 @@ impl<'s> Closed<'s> {
 
     /// Takes a candidate into the design.
     pub fn enter(&mut self, candidate: usize) -> bool {
-        let block = self.space.block(candidate);
-        let own = block.tr_mul(&(&self.covariance * block));
-        self.update(block.into_owned().as_view(), own, 1.0)
+        let Some(change) = self.change(candidate, 1.0) else { return false };
+        self.follow(&[change]);
+        true
     }
 
-    /// Takes one out of it; `false` where the rest is singular.
-    pub fn leave(&mut self, candidate: usize) -> bool {
-        let block = self.space.block(candidate);
-        let own = -block.tr_mul(&(&self.covariance * block));
-        self.update(block.into_owned().as_view(), own, -1.0)
+    /// Takes a candidate into the design and another out of it; `false` where the rest is singular.
+    pub fn exchange(&mut self, entering: usize, leaving: usize) -> bool {
+        let Some(entered) = self.change(entering, 1.0) else { return false };
+        let Some(left) = self.change(leaving, -1.0) else { return false };
+        self.follow(&[entered, left]);
+        true
     }
 
-    /// `C := C - sign C Uᵀ (1 + k)⁻¹ U C` for the columns Uᵀ.
-    fn update(&mut self, block: DMatrixView<'_, f64>, mut k: DMatrix<f64>, sign: f64) -> bool {
+    /// `C := C - sign Z Zᵀ`, Z = C Uᵀ L⁻ᵀ with `L Lᵀ = 1 + sign U C Uᵀ` for the rows U of a candidate; and the cost.
+    fn change(&mut self, candidate: usize, sign: f64) -> Option<Change> {
+        let block = self.space.block(candidate);
+        let left = &self.covariance * block;
+        let mut k = block.tr_mul(&left) * sign;
         let rows = k.nrows();
         (0..rows).for_each(|i| k[(i, i)] += 1.0);
-        let Some(log_determinant) = factorise(k.as_mut_slice(), rows) else { return false };
-        // Z = C Uᵀ L⁻ᵀ.
-        let mut z = (&self.covariance * block).transpose();
+        let log_determinant = factorise(k.as_mut_slice(), rows)?;
+        let mut z = left.transpose();
         for mut column in z.column_iter_mut() {
             solve_lower(k.as_slice(), rows, column.as_mut_slice());
         }
         let z = z.transpose();
-        let y = self.space.rows.tr_mul(&z);
+        let mut half = None;
         if let Some((_, square)) = &self.linear {
-            let q = &self.covariance * (square * &z);
-            let inner = z.tr_mul(&(square * &z));
-            let of_q = self.space.rows.tr_mul(&q);
-            self.weighted.gemm(-sign, &q, &z.transpose(), 1.0);
-            self.weighted.gemm(-sign, &z, &q.transpose(), 1.0);
-            self.weighted.gemm(1.0, &(&z * &inner), &z.transpose(), 1.0);
-            // y N yᵀ / 2 on either side of a symmetric sum.
-            let half = of_q * -sign + &y * inner * 0.5;
-            add_products(&mut self.own_weighted, self.space, &self.squares, (&half, &y), 1.0);
-            add_products(&mut self.own_weighted, self.space, &self.squares, (&y, &half), 1.0);
-            self.cost -= sign * z.dot(&(square * &z));
+            let of_z = square * &z;
+            let inner = z.tr_mul(&of_z);
+            // C W C changes by H Zᵀ + Z Hᵀ, H = Z ZᵀWZ / 2 - sign C W Z.
+            let h = &z * &inner * 0.5 - &self.covariance * of_z * sign;
+            self.weighted.gemm(1.0, &h, &z.transpose(), 1.0);
+            self.weighted.gemm(1.0, &z, &h.transpose(), 1.0);
+            self.cost -= sign * inner.trace();
+            half = Some(h);
         } else {
             self.cost -= log_determinant;
         }
-        add_products(&mut self.own, self.space, &self.squares, (&y, &y), -sign);
         self.covariance.gemm(-sign, &z, &z.transpose(), 1.0);
-        true
+        Some(Change { z, half, sign })
     }
+
+    /// Lets the blocks of all candidates follow.
+    fn follow(&mut self, changes: &[Change]) {
+        let most = self.scratch.column.len();
+        for Change { z, half, sign } in changes {
+            let mut y = vec![0.0; most * z.ncols()];
+            let mut h = vec![0.0; if half.is_some() { y.len() } else { 0 }];
+            for candidate in 0..self.space.candidates() {
+                let columns = self.space.of(candidate);
+                let rows = columns.len();
+                let square = self.squares[candidate]..self.squares[candidate + 1];
+                products(&self.space.rows, columns.clone(), z, &mut y);
+                let own = &mut self.own[square.clone()];
+                for m in 0..z.ncols() {
+                    let y = &y[m * rows..(m + 1) * rows];
+                    for j in 0..rows {
+                        for i in 0..rows {
+                            own[i + j * rows] -= sign * y[i] * y[j];
+                        }
+                    }
+                }
+                let Some(half) = half else { continue };
+                products(&self.space.rows, columns, half, &mut h);
+                let own = &mut self.own_weighted[square];
+                for m in 0..z.ncols() {
+                    let (y, h) = (&y[m * rows..(m + 1) * rows], &h[m * rows..(m + 1) * rows]);
+                    for j in 0..rows {
+                        for i in 0..rows {
+                            own[i + j * rows] += h[i] * y[j] + y[i] * h[j];
+                        }
+                    }
+                }
+            }
+        }
+        self.look_alone();
+    }
+}
+
+/// How the covariance changed.
+struct Change {
+    z: DMatrix<f64>,
+    /// Of a linear criterion.
+    half: Option<DMatrix<f64>>,
+    sign: f64,
+}
+
+/// Inner products of some columns of `rows` with those of `left`, by columns of the latter.
+fn products(rows: &DMatrix<f64>, columns: std::ops::Range<usize>, left: &DMatrix<f64>, out: &mut [f64]) {
+    let p = rows.nrows();
+    let own = &rows.as_slice()[columns.start * p..columns.end * p];
+    let mut out = out.iter_mut();
+    for left in left.as_slice().chunks_exact(p) {
+        for (own, out) in own.chunks_exact(p).zip(out.by_ref()) {
+            *out = dot(own, left);
+        }
+    }
+}
+
+/// Four sums at a time, so that none waits for the one before.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let (mut sums, mut rest) = ([0.0; 4], 0.0);
+    let (fours_a, fours_b) = (a.chunks_exact(4), b.chunks_exact(4));
+    for (a, b) in fours_a.remainder().iter().zip(fours_b.remainder()) {
+        rest += a * b;
+    }
+    for (a, b) in fours_a.zip(fours_b) {
+        for i in 0..4 {
+            sums[i] += a[i] * b[i];
+        }
+    }
+    (sums[0] + sums[1]) + (sums[2] + sums[3]) + rest
 }
 
 /// Of every candidate the products of its columns of `spread` with each other.
@@ -235,31 +351,6 @@ fn fill(own: &mut [f64], spread: &DMatrix<f64>, space: &DesignSpace, squares: &[
                 let product = spread.column(columns.start + i).dot(&spread.column(columns.start + j));
                 own[first + i + j * rows] = product;
                 own[first + j + i * rows] = product;
-            }
-        }
-    }
-}
-
-/// Adds `factor · left rightᵀ` to the block of every candidate, with its rows of both.
-fn add_products(
-    own: &mut [f64],
-    space: &DesignSpace,
-    squares: &[usize],
-    (left, right): (&DMatrix<f64>, &DMatrix<f64>),
-    factor: f64,
-) {
-    let total = left.nrows();
-    for m in 0..left.ncols() {
-        let left = &left.as_slice()[m * total..(m + 1) * total];
-        let right = &right.as_slice()[m * total..(m + 1) * total];
-        for (candidate, first) in squares.iter().enumerate().take(space.candidates()) {
-            let columns = space.of(candidate);
-            let rows = columns.len();
-            for j in 0..rows {
-                let of_j = factor * right[columns.start + j];
-                for i in 0..rows {
-                    own[first + i + j * rows] += left[columns.start + i] * of_j;
-                }
             }
         }
     }

@@ -68,6 +68,15 @@ impl Criterion {
         !matches!(self, Self::D | Self::G | Self::I | Self::O1)
     }
 
+    /// Criteria with a closed form that take much the same poses; none of those that have one themselves.
+    pub(super) fn like(self) -> &'static [Self] {
+        match self {
+            Self::D | Self::A | Self::I | Self::O1 => &[],
+            Self::G => &[Self::D, Self::I],
+            Self::E | Self::O2 | Self::O3 | Self::O4 | Self::O5 => &[Self::D, Self::A],
+        }
+    }
+
     /// Its value from the eigenvalues of M (ascending or not), for those that are functions of these; infinite of a singular M.
     pub(super) fn of_eigenvalues(self, eigenvalues: &[f64], poses: usize) -> f64 {
         let (least, most) =

@@ -57,7 +57,7 @@ pub struct Design {
     pub chosen: Vec<usize>,
     /// Value of the criterion.
     pub value: f64,
-    /// What came of every start: the greedy one first.
+    /// What came of every start: the greedy one first, then designs by criteria that are alike and quicker, then those by chance.
     pub starts: Vec<f64>,
     /// Whether no exchange of one pose betters it by the search's measure.
     pub settled: bool,
@@ -69,7 +69,8 @@ pub struct Design {
 /// another robot with the same candidates and parameters.
 ///
 /// From every start the poses are taken in turn, and each is exchanged for the candidate that betters the criterion most, until a turn changes none
-/// (V. V. Fedorov 1972; in this order R. D. Cook, C. J. Nachtsheim, Technometrics 22 (1980) 315).
+/// (V. V. Fedorov 1972; in this order R. D. Cook, C. J. Nachtsheim, Technometrics 22 (1980) 315). Criteria without a closed form of that (E, G, O2 to O5) begin with
+/// designs by D and by A (G: I) as well, and look at the most promising candidates of each turn alone.
 ///
 /// # Errors
 ///
@@ -77,11 +78,16 @@ pub struct Design {
 /// criterion of one.
 pub fn choose(spaces: &[DesignSpace], choice: &Choice) -> Result<Design, PlanError> {
     let mut search = Search::new(spaces, choice)?;
-    let greedy = search.grown(Vec::new(), choice.count);
+    let mut begun = vec![search.grown(Vec::new(), choice.count)];
+    for criterion in choice.criterion.like() {
+        let mut other = Search::new(spaces, &Choice { criterion: *criterion, ..*choice })?;
+        let grown = other.grown(Vec::new(), choice.count);
+        begun.push(other.improved(grown).0);
+    }
+    begun.extend((1..=choice.starts).map(|start| search.random(choice, start)));
     let mut best: Option<(f64, Vec<usize>, bool)> = None;
     let mut starts = Vec::new();
-    for start in 0..=choice.starts {
-        let from = if start == 0 { greedy.clone() } else { search.random(choice, start) };
+    for from in begun {
         let (found, settled) = search.improved(from);
         let cost = search.value(&found)?;
         starts.push(cost);
@@ -175,27 +181,25 @@ impl<'s> Search<'s> {
         }
     }
 
-    /// The least cost with one of the `allowed` candidates in the place of `leaving`, or on top; the first of those that are alike.
-    fn best(&mut self, leaving: Option<usize>, allowed: impl Fn(usize) -> bool) -> Option<(usize, f64)> {
+    /// The least cost with one of the `allowed` candidates in the place of `leaving`, or on top; the first of those that are alike. An exchange that does not
+    /// come below `limit` need not be found.
+    fn best(
+        &mut self,
+        leaving: Option<usize>,
+        limit: f64,
+        allowed: impl Fn(usize) -> bool,
+    ) -> Option<(usize, f64)> {
         let candidates = self.spaces[0].candidates();
         let mut total = vec![f64::INFINITY; candidates];
-        match &mut self.engine {
-            Engine::Closed(all) => {
-                let mut costs = vec![0.0; candidates];
-                let share = 1.0 / all.len() as f64;
-                total.fill(if self.over == Over::Mean { 0.0 } else { f64::NEG_INFINITY });
-                for own in all {
-                    match leaving {
-                        Some(leaving) => own.costs_of_exchange(leaving, &mut costs),
-                        None => own.costs_of_entering(&mut costs),
-                    }
-                    for (total, cost) in total.iter_mut().zip(&costs) {
-                        *total =
-                            if self.over == Over::Mean { *total + share * cost } else { total.max(*cost) };
-                    }
-                }
+        match (&mut self.engine, leaving) {
+            (Engine::Closed(all), None) => {
+                joined(&mut total, self.over, all, Closed::costs_of_entering);
             }
-            Engine::Screened(all) => {
+            (Engine::Closed(all), Some(leaving)) => {
+                joined(&mut total, self.over, all, |own, costs| own.bounds_of_exchange(leaving, costs));
+                return self.best_within(leaving, limit, &total, allowed);
+            }
+            (Engine::Screened(all), _) => {
                 let mut orders = [vec![0.0; candidates], vec![0.0; candidates]];
                 for own in all.iter() {
                     for (sums, scores) in orders.iter_mut().zip(own.orders(leaving)) {
@@ -213,12 +217,42 @@ impl<'s> Search<'s> {
         allowed.min_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)))
     }
 
+    /// The best exchange below a limit; costs are computed where their `bounds` are below the best so far.
+    fn best_within(
+        &mut self,
+        leaving: usize,
+        mut limit: f64,
+        bounds: &[f64],
+        allowed: impl Fn(usize) -> bool,
+    ) -> Option<(usize, f64)> {
+        let Engine::Closed(all) = &mut self.engine else { return None };
+        let leavers: Vec<_> = all.iter().map(|own| own.leaver(leaving)).collect();
+        let mut best = None;
+        let mut look = |candidate: usize, limit: &mut f64| {
+            if !(bounds[candidate] < *limit) || !allowed(candidate) {
+                return;
+            }
+            let own = all.iter_mut().zip(&leavers);
+            let cost = over(self.over, own.map(|(own, left)| own.cost_of_exchange(leaving, candidate, left)));
+            if cost < *limit {
+                *limit = cost;
+                best = Some((candidate, cost));
+            }
+        };
+        // The most promising one first: it spares most of the others.
+        let first = (0..bounds.len()).min_by(|a, b| bounds[*a].total_cmp(&bounds[*b]))?;
+        look(first, &mut limit);
+        (0..bounds.len()).for_each(|candidate| look(candidate, &mut limit));
+        best
+    }
+
     /// A design with the candidates on top, one by one, that better the criterion most.
     pub fn grown(&mut self, mut design: Vec<usize>, count: usize) -> Vec<usize> {
         self.refresh(&design);
         while design.len() < count {
             let repeats = self.repeats;
-            let Some((entering, _)) = self.best(None, |candidate| repeats || !design.contains(&candidate))
+            let Some((entering, _)) =
+                self.best(None, f64::INFINITY, |candidate| repeats || !design.contains(&candidate))
             else {
                 break;
             };
@@ -262,19 +296,19 @@ impl<'s> Search<'s> {
     /// Exchanges a pose of the design for the best candidate, where that is better.
     fn exchange(&mut self, design: &mut [usize], place: usize) -> bool {
         let (leaving, repeats, cost) = (design[place], self.repeats, self.cost());
-        let allowed = |candidate: usize| candidate != leaving && (repeats || !design.contains(&candidate));
-        let Some((entering, least)) = self.best(Some(leaving), allowed) else { return false };
         let tolerance = match self.criterion {
             Criterion::D | Criterion::O1 => LEAST_GAIN,
             _ => LEAST_GAIN * cost.abs(),
         };
-        let better = if cost.is_finite() { least < cost - tolerance } else { least.is_finite() };
-        if !better {
+        let limit = if cost.is_finite() { cost - tolerance } else { f64::INFINITY };
+        let allowed = |candidate: usize| candidate != leaving && (repeats || !design.contains(&candidate));
+        let Some((entering, least)) = self.best(Some(leaving), limit, allowed) else { return false };
+        if !(least < limit) {
             return false;
         }
         design[place] = entering;
         let updated = match &mut self.engine {
-            Engine::Closed(all) => all.iter_mut().all(|own| own.enter(entering) && own.leave(leaving)),
+            Engine::Closed(all) => all.iter_mut().all(|own| own.exchange(entering, leaving)),
             Engine::Screened(_) => false,
         };
         if !updated {
@@ -289,5 +323,18 @@ fn over(over: Over, values: impl ExactSizeIterator<Item = f64>) -> f64 {
     match over {
         Over::Mean => values.sum::<f64>() / count,
         Over::Worst => values.fold(f64::NEG_INFINITY, f64::max),
+    }
+}
+
+/// What every search says of all candidates, as one.
+fn joined<T>(total: &mut [f64], by: Over, all: &[T], of: impl Fn(&T, &mut [f64])) {
+    let mut costs = vec![0.0; total.len()];
+    let share = 1.0 / all.len() as f64;
+    total.fill(if by == Over::Mean { 0.0 } else { f64::NEG_INFINITY });
+    for own in all {
+        of(own, &mut costs);
+        for (total, cost) in total.iter_mut().zip(&costs) {
+            *total = if by == Over::Mean { *total + share * cost } else { total.max(*cost) };
+        }
     }
 }

@@ -54,7 +54,7 @@ fn every_criterion_finds_the_best_of_all_subsets() {
             let design = choose(std::slice::from_ref(&space), &choice).expect("a design");
             let best = least(all.iter().map(|design| value(criterion, &rows, space.scale(), design)));
             let own = value(criterion, &rows, space.scale(), &design.chosen);
-            assert!(design.settled && design.starts.len() == 21);
+            assert!(design.settled && design.starts.len() == 21 + criterion.like().len());
             for found in [own, design.value, design.figures.value(criterion).expect("a region")] {
                 let off = (found - best) / best.abs();
                 assert!(off.abs() < 1e-8, "{criterion:?} of {seed}: {found} for {best}");
@@ -123,27 +123,35 @@ fn exchanges_cost_what_they_cost_when_computed_anew() {
         let mut design = vec![0, 3, 4, 8, 13];
         assert!(closed.refresh(&design));
         let mut costs = vec![0.0; 14];
-        let mut compared = 0;
+        let mut bounds = costs.clone();
+        let (mut compared, mut passed) = (0, 0);
         for step in 0..40 {
             let place = step % design.len();
             let leaving = design[place];
-            closed.costs_of_exchange(leaving, &mut costs);
-            for (entering, cost) in costs.iter().enumerate().filter(|(entering, _)| *entering != leaving) {
+            closed.bounds_of_exchange(leaving, &mut bounds);
+            let leaver = closed.leaver(leaving);
+            for entering in (0..14).filter(|entering| *entering != leaving) {
+                let cost = closed.cost_of_exchange(leaving, entering, &leaver);
                 let mut other = design.clone();
                 other[place] = entering;
                 assert!(anew.refresh(&other));
                 let off = (cost - anew.cost) / anew.cost.abs();
                 assert!(off.abs() < 1e-9, "{criterion:?}: {cost} for {}", anew.cost);
+                // What is passed over for its bound is no better.
+                let below = (cost - bounds[entering]) / anew.cost.abs();
+                assert!(below > -1e-9, "{criterion:?}: {cost} is below {}", bounds[entering]);
+                passed += usize::from(bounds[entering] > closed.cost);
                 compared += 1;
             }
             closed.costs_of_entering(&mut costs);
             assert!(anew.refresh(&[design.as_slice(), &[step % 14]].concat()));
             assert!((costs[step % 14] - anew.cost).abs() < 1e-9 * anew.cost.abs());
             let entering = (leaving + 5 + step) % 14;
-            assert!(closed.enter(entering) && closed.leave(leaving));
+            assert!(closed.exchange(entering, leaving));
             design[place] = entering;
         }
         assert_eq!(compared, 40 * 13);
+        assert!(passed > 50, "{criterion:?}: {passed} exchanges are passed over");
     }
 }
 
