@@ -101,7 +101,7 @@ fn further_poses_are_the_best_beside_those_that_are_fixed() {
     let mut rows = all.clone();
     let measured = rows.candidates.split_off(9);
     rows.fixed = DMatrix::from_rows(
-        &measured.iter().flat_map(|m| m.row_iter()).map(|r| r.into_owned()).collect::<Vec<_>>(),
+        &measured.iter().flat_map(|m| m.row_iter()).map(nalgebra::Matrix::into_owned).collect::<Vec<_>>(),
     );
     let space = space(&rows);
     for criterion in [Criterion::D, Criterion::A, Criterion::I, Criterion::E] {

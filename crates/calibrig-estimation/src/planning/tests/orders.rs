@@ -23,8 +23,11 @@ fn orders(count: usize) -> Vec<Vec<usize>> {
     all
 }
 
-/// Eight poses whose rows are about six parameters and a shift.
-fn eight(seed: u64) -> (Vec<Vec<f64>>, DriftCoupling, DMatrix<f64>, Vec<DMatrix<f64>>) {
+/// Commands, how they are coupled with drift, all rows as one matrix, and what a shift does to those of every pose.
+type Eight = (Vec<Vec<f64>>, DriftCoupling, DMatrix<f64>, Vec<DMatrix<f64>>);
+
+/// Eight poses whose rows are about four parameters and a shift.
+fn eight(seed: u64) -> Eight {
     let mut rng = stream(seed, 1, Source::Splits);
     let commands = (0..8).map(|_| (0..3).map(|_| rng.random_range(-1.0..1.0)).collect()).collect();
     let mut rows = random_rows(seed, 8, 4, true);
@@ -35,7 +38,7 @@ fn eight(seed: u64) -> (Vec<Vec<f64>>, DriftCoupling, DMatrix<f64>, Vec<DMatrix<
     let coupling = DriftCoupling::new(&space, &chosen, &shifts.iter().collect::<Vec<_>>());
     // The system as one matrix.
     let whole = rows.candidates.iter().flat_map(|m| m.row_iter()).chain(rows.fixed.row_iter());
-    let whole: Vec<_> = whole.map(|row| row.into_owned()).collect();
+    let whole: Vec<_> = whole.map(nalgebra::Matrix::into_owned).collect();
     (commands, coupling, DMatrix::from_rows(&whole), shifts)
 }
 
