@@ -70,6 +70,7 @@ pub mod evaluation;
 pub mod identification;
 pub mod inverse;
 pub mod kinematics;
+pub mod planning;
 pub mod plausibility;
 pub mod two_face;
 pub mod validation;

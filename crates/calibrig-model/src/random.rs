@@ -57,6 +57,12 @@ pub enum Source {
     Iso9283Noise = 40,
     /// Draws behind the intervals of a repeatability.
     Iso9283Intervals = 41,
+    /// Random starts of a search for poses that tell most; the start's number is in the place of the trial's.
+    PlannedStarts = 50,
+    /// Robots as they could have been made, which poses are planned for; the robot's number is in the place of the trial's.
+    PlannedRobots = 51,
+    /// Orders of poses that a search for a better one begins with; the beginning's number is in the place of the trial's.
+    PlannedOrder = 52,
 }
 
 /// The stream of `(seed, trial, source)`. `ChaCha8` with the seed as key and (trial, source) as stream number.

@@ -10,6 +10,7 @@ mod outcome;
 mod patterns;
 mod scatter;
 mod splits;
+mod tolerance;
 
 pub use comparison::{Interval, paired_rms_difference, resampled_difference};
 pub use consistency::{
@@ -23,6 +24,10 @@ pub use patterns::{Cause, PatternReport, PoseConditions, ResidualPattern, Residu
 pub use scatter::{REPEATS_LEVEL, RepeatScatter, ScatterComparison, compare_scatter};
 use serde::{Deserialize, Serialize};
 pub use splits::{Split, k_fold, leave_one_out, repeated_splits};
+pub use tolerance::{
+    Acceptance, LargestError, OrderBound, ToleranceError, accept, isotropic_bound, least_sample,
+    normal_interval, normal_tolerance_factor, quantile_bound, share_below_largest, stays_largest,
+};
 
 use nalgebra::Vector3;
 

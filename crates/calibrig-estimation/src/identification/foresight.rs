@@ -2,7 +2,7 @@
 
 use nalgebra::{DVector, Rotation3};
 
-use super::build::{build, start};
+use super::build::{Built, build, start};
 use super::factorised::Factorised;
 use super::identify::check;
 use super::linearisation::{as_spread, weigh_as};
@@ -45,24 +45,8 @@ pub fn foresee(
     options: &IdentificationOptions,
     estimate: &Estimate,
 ) -> Result<Foresight, IdentifyError> {
-    check(model, set)?;
     let options = &as_fitted(options, estimate);
-    options.check()?;
-    let model = &*as_spread(model, estimate);
-    let mut built = build(model, set, options)?;
-    let place = |id: &ParameterId| match id {
-        // The stations stand where they were found to be.
-        ParameterId::Frame { .. } => 0.0,
-        _ => estimate.value(*id).unwrap_or(0.0),
-    };
-    let x: Vec<f64> = built.problem.parameters.iter().map(place).collect();
-    if estimate.robot.stations.len() == built.problem.stations.len() {
-        built.problem.stations.clone_from(&estimate.robot.stations);
-    }
-    built.problem.start = None;
-    built.problem.set(&x);
-    let targets = built.problem.current.targets.clone();
-    weigh_as(&mut built.problem, set, &targets, estimate)?;
+    let (mut built, x) = at_estimate(model, set, options, estimate)?;
     let (residuals, jacobian) = start(&mut built.problem, &x)?;
     let bounded = built.problem.parameters.iter().enumerate();
     let bounded = bounded.filter(|(_, id)| estimate.at_bound.contains(id));
@@ -92,6 +76,34 @@ pub fn foresee(
     robot.targets.extend(robot.targets.first().copied());
     robot.orientations.push(Some(Rotation3::identity()));
     Ok(Foresight { estimate: foreseen, measured_rank })
+}
+
+/// The problem of `set` with the compliances and terms that `estimate` has, weighed in the noise that it found; and where it ended.
+pub(super) fn at_estimate(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+    estimate: &Estimate,
+) -> Result<(Built, Vec<f64>), IdentifyError> {
+    check(model, set)?;
+    let options = &as_fitted(options, estimate);
+    options.check()?;
+    let model = &*as_spread(model, estimate);
+    let mut built = build(model, set, options)?;
+    let place = |id: &ParameterId| match id {
+        // The stations stand where they were found to be.
+        ParameterId::Frame { .. } => 0.0,
+        _ => estimate.value(*id).unwrap_or(0.0),
+    };
+    let x: Vec<f64> = built.problem.parameters.iter().map(place).collect();
+    if estimate.robot.stations.len() == built.problem.stations.len() {
+        built.problem.stations.clone_from(&estimate.robot.stations);
+    }
+    built.problem.start = None;
+    built.problem.set(&x);
+    let targets = built.problem.current.targets.clone();
+    weigh_as(&mut built.problem, set, &targets, estimate)?;
+    Ok((built, x))
 }
 
 /// The options that fit the compliances and terms of `estimate`.

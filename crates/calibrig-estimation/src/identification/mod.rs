@@ -24,6 +24,7 @@ mod noise;
 mod options;
 mod parameters;
 mod place;
+mod planned;
 mod problem;
 mod prospect;
 mod robot;
@@ -50,12 +51,13 @@ pub use estimate::{
 pub(crate) use factor::triangular_factor_of_all;
 pub use foresight::{ForeseenSpread, Foresight, foresee};
 pub use gross::held_out_outliers;
+pub(crate) use identifiability::analyse_r;
 pub use identifiability::{
     DependentGroup, Explanation, Finding, IdentifiabilityReport, RANK_TOLERANCE, Remedy, Spectrum,
     WEAK_TOLERANCE, WeakDirection, complete_set, complete_set_of, explain, identifiability,
     identifiability_of, neighbour_axis_rules, reachable_poses, spectrum, structural_poses,
 };
-use identifiability::{analyse_r, complete_set_by_name, dependent_ends, select_independent};
+use identifiability::{complete_set_by_name, dependent_ends, select_independent};
 pub use identify::{IdentifyError, identify, without_calibration};
 pub use information::{Information, information_at};
 pub use limits::{ParameterBound, ParameterBoundError, RefusedBound, check_bounds};
@@ -69,6 +71,7 @@ pub use options::{
     ComplianceChoice, DEFAULT_TOLERANCE, FrameChoice, IdentificationOptions, InstrumentChoice, LINKAGE,
     ParameterChoice, Redundancy, TargetChoice, TermPrior, Tolerance, UNKNOWN_STIFFNESS,
 };
+pub(crate) use planned::{PlannedRows, PlannedSystem};
 pub use prospect::{Prospect, prospect};
 pub use robot::{
     CalibratedRobot, EstimatePredictor, InstrumentErrors, PredictedOrientation, Prediction, PredictionError,

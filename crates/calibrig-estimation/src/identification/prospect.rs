@@ -41,12 +41,7 @@ pub fn prospect(
     set: &MeasurementSet,
     options: &IdentificationOptions,
 ) -> Result<Prospect, IdentifyError> {
-    check(model, set)?;
-    options.check()?;
-    if options.mode.needs_statics() && model.statics.is_none() {
-        return Err(IdentifyError::NoStatics { mode: options.mode });
-    }
-    let Built { mut problem, unexcited, fixed, left_out, x, .. } = build(model, set, options)?;
+    let Built { mut problem, unexcited, fixed, left_out, x, .. } = at_nominal(model, set, options)?;
     let (_, jacobian) = start(&mut problem, &x)?;
     let factors = Factors::new(&problem, &jacobian);
     let spectrum = factors.spectrum(&problem, options.redundant);
@@ -66,4 +61,18 @@ pub fn prospect(
         fixed,
         warnings,
     })
+}
+
+/// The problem of `set` at the nominal robot, if set and options can be.
+pub(super) fn at_nominal(
+    model: &CalibrationModel,
+    set: &MeasurementSet,
+    options: &IdentificationOptions,
+) -> Result<Built, IdentifyError> {
+    check(model, set)?;
+    options.check()?;
+    if options.mode.needs_statics() && model.statics.is_none() {
+        return Err(IdentifyError::NoStatics { mode: options.mode });
+    }
+    build(model, set, options)
 }

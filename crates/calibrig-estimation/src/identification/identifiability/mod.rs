@@ -18,8 +18,9 @@ pub(super) use complete::{complete_set_by_name, dependent_ends};
 pub use explain::{Explanation, Finding, Remedy, explain};
 #[cfg(test)]
 use rank::analyse_columns;
+pub(crate) use rank::analyse_r;
+pub(super) use rank::select_independent;
 pub use rank::{RANK_TOLERANCE, WEAK_TOLERANCE};
-pub(super) use rank::{analyse_r, select_independent};
 pub use rules::neighbour_axis_rules;
 use serde::{Deserialize, Serialize};
 

@@ -1,0 +1,31 @@
+//! Which poses to measure: those that tell most of the parameters, or of what is to be predicted with them.
+//!
+//! A [`PlannedSession`] makes rows of candidate poses: those of the system that [`identify`](crate::identification::identify) would solve, with its
+//! noise, nests, targets and priors, at the nominal robot (or where an estimate ended, for the next poses). [`choose`] takes the best of them by a
+//! [`Criterion`], [`ordered`] puts them in an order, [`grow`] tells how many are enough. What is visible, reachable and free of collisions is up to
+//! whoever makes the candidates.
+
+mod closed;
+mod criteria;
+mod draw;
+mod error;
+mod exchange;
+mod figures;
+mod growth;
+mod order;
+mod screened;
+mod session;
+mod small;
+mod space;
+#[cfg(test)]
+mod tests;
+
+pub use criteria::{Criterion, Observability};
+pub use draw::candidate_commands;
+pub use error::PlanError;
+pub use exchange::{Choice, Design, Over, choose};
+pub use figures::{Accuracy, DesignFigures, Spread};
+pub use growth::{Growth, GrowthPoint, Needed, grow};
+pub use order::{DriftCoupling, OrderCost, OrderWeights, Ordered, Way, order_cost, ordered};
+pub use session::PlannedSession;
+pub use space::{DesignRows, DesignSpace, ParameterScale};

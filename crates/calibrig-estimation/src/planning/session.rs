@@ -1,0 +1,222 @@
+//! From a robot, candidate poses and a region to rows: the system that a fit of them would solve.
+
+use nalgebra::DMatrix;
+
+use super::order::DriftCoupling;
+use super::{DesignRows, DesignSpace, ParameterScale, PlanError};
+use crate::identification::{
+    Estimate, IdentificationOptions, NoiseScale, PlannedRows, PlannedSystem, PredictionError, Tolerance,
+};
+use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::random::{Source, stream};
+use calibrig_model::{CalibrationModel, ModelError, ParameterId, PoseQuery};
+
+/// How far a joint may be beyond its limits by rounding, m or rad.
+const ROUNDING: f64 = 1e-9;
+
+/// Candidate poses of a robot, what is measured already, and where the robot will work. All observations of one number are one pose: several targets
+/// or stations, with and without a payload.
+#[derive(Debug, Clone)]
+pub struct PlannedSession<'a> {
+    system: PlannedSystem,
+    rows: PlannedRows,
+    /// Places of the candidates among the poses of the system, and their numbers.
+    places: Vec<usize>,
+    candidates: Vec<u32>,
+    region: Vec<PoseQuery<'a>>,
+}
+
+impl<'a> PlannedSession<'a> {
+    /// The session of `set`: candidates with the readings that a fit would get, and poses that are `measured` already (by number), which count whatever
+    /// is chosen. Of candidates the readings' covariance says how noisy they are, and their place at most where a free tracker stands; terms of
+    /// hysteresis are told by the signs of approach that they state. The target is predicted at the poses of the `region`, which may be empty.
+    ///
+    /// The nominal robot is all that it looks at. With the `estimate` of a fit of some poses before it looks at the robot that this found, in the noise
+    /// that it found, and at the compliances and terms that it fitted.
+    ///
+    /// The parameters are those that a fit of all candidates would have, so that a fit of the chosen ones may leave out a compliance that gravity hardly
+    /// loads there. What readings share of a drift's correction is taken for each reading's own.
+    ///
+    /// # Errors
+    ///
+    /// [`PlanError`]: as [`identify`](crate::identification::identify) for what cannot be a set of this robot; without a candidate; for a planned reading without
+    /// a covariance; for poses beyond the robot's limits, or that it cannot take.
+    pub fn new(
+        model: &CalibrationModel,
+        set: &MeasurementSet,
+        options: &IdentificationOptions,
+        estimate: Option<&Estimate>,
+        measured: &[u32],
+        region: &[PoseQuery<'a>],
+    ) -> Result<Self, PlanError> {
+        let is_measured = |pose: u32| measured.contains(&pose);
+        if set.observations.iter().all(|observation| is_measured(observation.pose)) {
+            return Err(PlanError::NoCandidates);
+        }
+        let known = |pose: &&u32| !set.observations.iter().any(|observation| observation.pose == **pose);
+        if let Some(pose) = measured.iter().find(known) {
+            return Err(PlanError::UnknownMeasured { pose: *pose });
+        }
+        let mut apart = set.clone();
+        apart.stations.iter_mut().for_each(|station| station.motion = None);
+        let mut system = PlannedSystem::new(model, &apart, options, estimate)?;
+        let finds_noise = estimate.is_some_and(|estimate| matches!(estimate.noise, NoiseScale::Residuals(_)));
+        for observation in &set.observations {
+            let pose = observation.pose;
+            if observation.reading.position_covariance().is_none() && !finds_noise {
+                return Err(PlanError::NoNoise { pose });
+            }
+            if !is_measured(pose) {
+                within_limits(model, &observation.command, || format!("candidate pose {pose}"))?;
+            }
+        }
+        for (index, pose) in region.iter().enumerate() {
+            check_pose(model, pose, system.targets())
+                .map_err(|source| PlanError::Region { index, source })?;
+            within_limits(model, pose.command, || format!("pose {} of the region", index + 1))?;
+        }
+        let rows = system.rows(None)?;
+        let numbers: Vec<u32> = system.poses().collect();
+        let places: Vec<usize> = (0..numbers.len()).filter(|place| !is_measured(numbers[*place])).collect();
+        let candidates = places.iter().map(|place| numbers[*place]).collect();
+        Ok(Self { system, rows, places, candidates, region: region.to_vec() })
+    }
+
+    /// The parameters that a fit of all candidates would have.
+    pub fn parameters(&self) -> &[ParameterId] {
+        self.system.parameters()
+    }
+
+    /// Number of every candidate pose, in the order of a space's candidates.
+    pub fn candidates(&self) -> &[u32] {
+        &self.candidates
+    }
+
+    /// The space of the candidates.
+    ///
+    /// # Errors
+    ///
+    /// [`PlanError`], as [`DesignSpace::new`], and for a pose of the region that the robot cannot take.
+    pub fn space(&mut self, scale: &ParameterScale) -> Result<DesignSpace, PlanError> {
+        let rows = self.rows.clone();
+        self.space_of(None, &rows, scale)
+    }
+
+    /// The space of the nominal robot first, then of so many `robots` as it could have been made, in the same scale: every parameter deviates as its own prior
+    /// has it, link parameters without one by `tolerance`; tracker and targets do not. A plan over these does not rest on how the robot is drawn.
+    ///
+    /// # Errors
+    ///
+    /// As [`space`](Self::space), and [`PlanError::Drawn`] where a drawn robot cannot take a pose.
+    pub fn spaces_of_robots(
+        &mut self,
+        robots: u32,
+        tolerance: Tolerance,
+        seed: u64,
+        scale: &ParameterScale,
+    ) -> Result<Vec<DesignSpace>, PlanError> {
+        for (field, value) in
+            [("the tolerance of lengths", tolerance.length), ("the tolerance of angles", tolerance.angle)]
+        {
+            if !(value >= 0.0 && value.is_finite()) {
+                return Err(PlanError::Number { field, value, expected: "a finite number of zero or more" });
+            }
+        }
+        let mut spaces = vec![self.space(scale)?];
+        let scale = ParameterScale::Given(spaces[0].scale().to_vec());
+        for robot in 0..robots {
+            let x = self.system.drawn(tolerance, &mut stream(seed, robot, Source::PlannedRobots));
+            let robot = robot as usize;
+            let rows = self.system.rows(Some(&x)).map_err(|source| PlanError::Drawn { robot, source })?;
+            spaces.push(self.space_of(Some(&x), &rows, &scale)?);
+        }
+        Ok(spaces)
+    }
+
+    fn space_of(
+        &mut self,
+        x: Option<&[f64]>,
+        rows: &PlannedRows,
+        scale: &ParameterScale,
+    ) -> Result<DesignSpace, PlanError> {
+        let measured = (0..rows.poses.len()).filter(|place| self.places.binary_search(place).is_err());
+        let mut fixed = vec![&rows.priors];
+        fixed.extend(measured.map(|place| &rows.poses[place]));
+        let mut design = DesignRows {
+            candidates: self.places.iter().map(|place| rows.poses[*place].clone()).collect(),
+            fixed: stacked(&fixed, self.system.parameters().len()),
+            ..DesignRows::default()
+        };
+        for (index, pose) in self.region.iter().enumerate() {
+            let place = self
+                .system
+                .place(x, pose)
+                .map_err(|source| PlanError::Region { index, source: source.into() })?;
+            design.region.push(place.jacobian);
+            design.beside.push(place.of_machine.trace());
+        }
+        DesignSpace::new(self.system.parameters().to_vec(), &design, scale)
+    }
+
+    /// How a drift of the tracker (or of the base) along each axis, in proportion to time, would be taken for parameters, of chosen candidates of a nominal
+    /// `space`.
+    ///
+    /// # Errors
+    ///
+    /// [`PlanError::Singular`], where the chosen poses do not determine the parameters.
+    pub fn drift_coupling(&self, space: &DesignSpace, chosen: &[usize]) -> Result<DriftCoupling, PlanError> {
+        space.figures(chosen)?;
+        let shift = |candidate: &usize| &self.rows.shifts[self.places[*candidate]];
+        let shifts: Vec<_> = chosen.iter().map(shift).collect();
+        Ok(DriftCoupling::new(space, chosen, &shifts))
+    }
+}
+
+fn stacked(matrices: &[&DMatrix<f64>], columns: usize) -> DMatrix<f64> {
+    let mut all = DMatrix::zeros(matrices.iter().map(|matrix| matrix.nrows()).sum(), columns);
+    let mut first = 0;
+    for matrix in matrices {
+        all.rows_mut(first, matrix.nrows()).copy_from(matrix);
+        first += matrix.nrows();
+    }
+    all
+}
+
+fn check_pose(model: &CalibrationModel, pose: &PoseQuery<'_>, targets: usize) -> Result<(), PredictionError> {
+    model.kinematics.check_joints("command", pose.command)?;
+    let (found, expected) = (pose.approach.len(), pose.command.len());
+    if found != 0 && found != expected {
+        return Err(ModelError::Length { field: "approach", found, expected }.into());
+    }
+    let found = pose.since_reversal.len();
+    if found != 0 && found != expected {
+        return Err(ModelError::Length { field: "since_reversal", found, expected }.into());
+    }
+    let numbers = [("time", Some(pose.time)), ("temperature", pose.temperature)];
+    for (field, value) in numbers {
+        if let Some(value) = value.filter(|value| !value.is_finite()) {
+            return Err(ModelError::Number { field, joint: None, value, expected: "a finite number" }.into());
+        }
+    }
+    if pose.target >= targets {
+        return Err(PredictionError::Target { target: pose.target, targets });
+    }
+    Ok(())
+}
+
+/// Whether a command takes every joint to where its limits let it go.
+pub(super) fn within_limits(
+    model: &CalibrationModel,
+    command: &[f64],
+    what: impl Fn() -> String,
+) -> Result<(), PlanError> {
+    let mut joints = vec![0.0; model.kinematics.joint_count()];
+    model.actuators.joints_from_command(command, &mut joints);
+    for (joint, (value, link)) in joints.iter().zip(&model.kinematics.links).enumerate() {
+        let [low, high] = link.limits;
+        if !(*value >= low - ROUNDING && *value <= high + ROUNDING) {
+            return Err(PlanError::OutsideLimits { what: what(), joint, value: *value, limits: link.limits });
+        }
+    }
+    Ok(())
+}
