@@ -199,8 +199,8 @@ impl<'a, A: Arm> Search<'a, A> {
 
     /// The damped step between the bounds.
     fn set_step(&mut self, y: &[f64], damping: f64) {
-        for unknown in 0..y.len() {
-            let held = self.is_held(unknown, y[unknown], self.gain(unknown));
+        for (unknown, at) in y.iter().enumerate() {
+            let held = self.is_held(unknown, *at, self.gain(unknown));
             self.fixed[unknown] = held.then_some(0.0);
         }
         for _ in 0..=y.len() {
