@@ -126,7 +126,9 @@
 //! ```
 
 pub use calibrig_estimation::METHOD;
-pub use calibrig_estimation::{elastostatics, evaluation, identification, kinematics, two_face, validation};
+pub use calibrig_estimation::{
+    compensation, elastostatics, evaluation, identification, inverse, kinematics, planning, two_face, validation,
+};
 pub use calibrig_files as files;
 pub use calibrig_model as model;
 pub use calibrig_model::{geometry, measurement, nalgebra, random, statistics};
