@@ -127,7 +127,8 @@
 
 pub use calibrig_estimation::METHOD;
 pub use calibrig_estimation::{
-    compensation, elastostatics, evaluation, identification, inverse, kinematics, planning, two_face, validation,
+    compensation, elastostatics, evaluation, identification, inverse, kinematics, planning, two_face,
+    validation,
 };
 pub use calibrig_files as files;
 pub use calibrig_model as model;
