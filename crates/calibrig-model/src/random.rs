@@ -57,6 +57,8 @@ pub enum Source {
     Iso9283Noise = 40,
     /// Draws behind the intervals of a repeatability.
     Iso9283Intervals = 41,
+    /// Poses at which reduced forms of an identified robot are fitted and compared; their place in the stream is the pose's.
+    Handover = 60,
 }
 
 /// The stream of `(seed, trial, source)`. `ChaCha8` with the seed as key and (trial, source) as stream number.
