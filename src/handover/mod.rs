@@ -118,7 +118,7 @@ pub fn hand_over(estimate: &EstimateFile, robot: Option<&Robot>) -> Result<Hando
         name: &estimate.robot.name,
         model: &full.model,
         targets: &targets,
-        visuals: robot.map_or(&[], |robot| &robot.visuals),
+        visuals: robot.map_or(&[][..], |robot| robot.visuals.as_slice()),
         urdf: urdf.map(|(_, source)| source),
         remarks: &remarks,
     })?;

@@ -79,8 +79,10 @@ impl Poses {
             let mut within = |(low, high): &(&f64, &f64)| **low + (**high - **low) * random.random::<f64>();
             let command: Vec<f64> = bounds.iter().map(&mut within).collect();
             let side = |_: &(&f64, &f64)| if random.random::<bool>() { 1 } else { -1 };
-            let approach = if region.approached { bounds.iter().map(side).collect() } else { Vec::new() };
+            let approach: Vec<i8> = if region.approached { bounds.iter().map(side).collect() } else { Vec::new() };
             match predictor.in_base(PoseQuery::at(&command).approached(&approach)) {
+                // What follows are squares.
+                Ok(place) if !place.norm_squared().is_finite() => {}
                 Ok(place) => known.push(Known { command, approach, place }),
                 Err(error) => refusal = Some(error),
             }
@@ -182,9 +184,16 @@ pub(super) fn fit_offsets(
                 jacobian.fixed_view_mut::<3, 3>(3 * row, frame + 3).copy_from(&turning);
             }
         }
-        let decomposed = jacobian.svd(true, true);
+        // The decomposition would not end.
+        if !jacobian.iter().chain(&residuals).all(|value| value.is_finite()) {
+            return Err(HandoverError::Offsets);
+        }
+        let triangular = jacobian.qr();
+        triangular.q_tr_mul(&mut residuals);
+        let decomposed = triangular.r().svd(true, true);
         let least = SMALLEST * decomposed.singular_values.max();
-        let step = decomposed.solve(&residuals, least).map_err(|_| HandoverError::Offsets)?;
+        let shown = residuals.rows(0, columns).into_owned();
+        let step = decomposed.solve(&shown, least).map_err(|_| HandoverError::Offsets)?;
         for (joint, change) in moved.iter().zip(step.iter()) {
             offsets.commands[*joint] += change;
         }

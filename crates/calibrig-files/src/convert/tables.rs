@@ -1,5 +1,7 @@
 //! Tables of Denavit-Hartenberg rows made of a chain, as text that `robot_from_dh` reads.
 
+use std::fmt::Write as _;
+
 use nalgebra::{Unit, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

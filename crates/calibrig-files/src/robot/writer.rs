@@ -1,6 +1,7 @@
 //! The text of a `robot.toml`, and of the URDF that it names, of any robot that such files can hold.
 
 use std::f64::consts::TAU;
+use std::fmt::Write as _;
 
 use nalgebra::{Rotation3, Vector3};
 
