@@ -126,7 +126,9 @@ enum CliError {
     #[diagnostic(help("expected the robot file that the estimate was made with"))]
     AnotherModel { file: PathBuf, source: AnotherModel },
     #[error("{}: there is no estimate{}", file.display(), mode.map_or_else(String::new, |mode| format!(" of mode {}", mode.key())))]
-    #[diagnostic(help("expected a recording whose measurements identify the robot; of an estimate.json, its own mode"))]
+    #[diagnostic(help(
+        "expected a recording whose measurements identify the robot; of an estimate.json, its own mode"
+    ))]
     NoEstimate { file: PathBuf, mode: Option<Mode> },
     #[error("{} there already", already(paths))]
     #[diagnostic(help("expected other names, or --force to write over them"))]

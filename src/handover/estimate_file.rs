@@ -106,7 +106,8 @@ impl EstimateFile {
             let mut hash = InputHash::default();
             hash.add(role, &source.text);
             let path = Path::new(&source.name);
-            let name = path.file_name().map_or_else(|| source.name.clone(), |name| name.to_string_lossy().into());
+            let name =
+                path.file_name().map_or_else(|| source.name.clone(), |name| name.to_string_lossy().into());
             RobotSource { role: role.clone(), name, sha256: hash.hex() }
         };
         let is_robots = |(role, _): &&(String, Source)| ROBOT_ROLES.contains(&role.as_str());
@@ -173,7 +174,11 @@ impl EstimateFile {
         }
         let form: Form = serde_json::from_str(&source.text).map_err(|error| not_read(source, &error))?;
         let refused = |key: &str, message: String, expected: String| {
-            source.error(place_of(source, key), format!("{key}: {message}"), Some(format!("expected {expected}")))
+            source.error(
+                place_of(source, key),
+                format!("{key}: {message}"),
+                Some(format!("expected {expected}")),
+            )
         };
         let file = form.into_file().map_err(|(key, message, expected)| refused(key, message, expected))?;
         let robot = &file.estimate.robot;
@@ -183,7 +188,11 @@ impl EstimateFile {
                 "the nominal model has the hash {hash}, and the estimate is of the model {}",
                 file.robot.model_sha256
             );
-            return Err(refused("model_sha256", message, "a file as it was written: its numbers belong together".to_owned()));
+            return Err(refused(
+                "model_sha256",
+                message,
+                "a file as it was written: its numbers belong together".to_owned(),
+            ));
         }
         let joints = robot.nominal.kinematics.joint_count();
         let Region { command_min, command_max, .. } = &file.region;
@@ -193,7 +202,11 @@ impl EstimateFile {
             return Err(refused("region", message, format!("{joints} numbers each, the lowest first")));
         }
         if let Err(error) = file.estimate.predictor() {
-            return Err(refused("calibrated", error.to_string(), "a robot that can predict, with its parameters".to_owned()));
+            return Err(refused(
+                "calibrated",
+                error.to_string(),
+                "a robot that can predict, with its parameters".to_owned(),
+            ));
         }
         Ok(file)
     }
@@ -229,11 +242,17 @@ pub struct AnotherModel {
     pub expected: String,
 }
 
+const CUT_SHORT: &str = "expected a whole file: this one is cut short or empty";
+
 fn not_read(source: &Source, error: &serde_json::Error) -> InputError {
-    let line_start: usize = source.text.split_inclusive('\n').take(error.line().saturating_sub(1)).map(str::len).sum();
+    let line_start: usize =
+        source.text.split_inclusive('\n').take(error.line().saturating_sub(1)).map(str::len).sum();
     let at = (line_start + error.column().saturating_sub(1)).min(source.text.len());
+    // A number that is cut is none.
+    let is_at_end = at + 1 >= source.text.trim_end().len();
     let help = match error.classify() {
-        serde_json::error::Category::Eof => "expected a whole file: this one is cut short or empty",
+        serde_json::error::Category::Syntax if is_at_end => CUT_SHORT,
+        serde_json::error::Category::Eof => CUT_SHORT,
         serde_json::error::Category::Syntax => "expected JSON; numbers are finite",
         _ => "expected the keys of calibrig.estimate/1 (docs/formats.md)",
     };

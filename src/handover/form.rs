@@ -198,13 +198,20 @@ impl Form {
             terms: robot
                 .terms
                 .iter()
-                .map(|(name, amplitude)| Term { name: *name, unit: name.unit().to_string(), amplitude: *amplitude })
+                .map(|(name, amplitude)| Term {
+                    name: *name,
+                    unit: name.unit().to_string(),
+                    amplitude: *amplitude,
+                })
                 .collect(),
             stations: robot
                 .stations
                 .iter()
                 .enumerate()
-                .map(|(index, place)| Station { name: name(&file.stations, index), tracker_from_base: *place })
+                .map(|(index, place)| Station {
+                    name: name(&file.stations, index),
+                    tracker_from_base: *place,
+                })
                 .collect(),
             targets: robot
                 .targets
@@ -247,7 +254,9 @@ impl Form {
         let covariance = match &self.covariance {
             None => None,
             Some(rows) => match matrix(rows, count, Some(count)) {
-                None => return Err(("covariance", format!("{} rows for {count} parameters", rows.len()), square)),
+                None => {
+                    return Err(("covariance", format!("{} rows for {count} parameters", rows.len()), square));
+                }
                 some => some,
             },
         };
@@ -255,8 +264,13 @@ impl Form {
             None => None,
             Some(rows) => match matrix(rows, count, None) {
                 None => {
-                    let message = format!("{} rows for {count} parameters, or rows of different lengths", rows.len());
-                    return Err(("covariance_factor", message, format!("{count} rows of as many numbers each")));
+                    let message =
+                        format!("{} rows for {count} parameters, or rows of different lengths", rows.len());
+                    return Err((
+                        "covariance_factor",
+                        message,
+                        format!("{count} rows of as many numbers each"),
+                    ));
                 }
                 some => some,
             },
@@ -280,7 +294,6 @@ impl Form {
             actuators: noise.actuators,
             freedom: noise.degrees_of_freedom.map(|number| number.0),
         };
-        let oriented = self.targets.iter().any(|target| target.flange_from_target.is_some());
         let turns: Vec<_> = self.targets.iter().map(|target| target.flange_from_target).collect();
         let fit = self.fit;
         Ok(EstimateFile {
@@ -300,7 +313,7 @@ impl Form {
                     stations: self.stations.iter().map(|station| station.tracker_from_base).collect(),
                     targets: self.targets.iter().map(|target| target.in_flange_m).collect(),
                     instruments: self.instruments,
-                    orientations: if oriented { turns } else { Vec::new() },
+                    orientations: turns,
                 },
                 parameters: self.parameters.into_iter().map(estimated).collect(),
                 covariance,

@@ -10,12 +10,14 @@ use nalgebra::Vector3;
 use serde::Serialize;
 use thiserror::Error;
 
-pub use estimate_file::{AnotherModel, EstimateFile, FittedRobot, MadeFrom, Region, RobotSource, model_sha256};
+pub use estimate_file::{
+    AnotherModel, EstimateFile, FittedRobot, MadeFrom, Region, RobotSource, model_sha256,
+};
 pub use reduced::{Loss, Offsets};
 
-use calibrig_estimation::identification::{Mode, PredictionError};
+use calibrig_estimation::identification::{CalibratedRobot, Mode, PredictionError};
 use calibrig_files::{InputError, Robot, RobotText, TargetText, craig_table, standard_table, write_robot};
-use calibrig_model::JointKind;
+use calibrig_model::{CalibrationModel, JointKind};
 use reduced::{Free, Poses, fit_offsets, rigid, robot_of};
 
 /// Why nothing can be handed over.
@@ -85,8 +87,15 @@ pub struct Losses {
 }
 
 /// Names of all files that are handed over.
-pub const FILES: [&str; 7] =
-    ["estimate.json", "robot.toml", "robot.urdf", "dh_craig.csv", "dh_standard.csv", "offsets.csv", "losses.json"];
+pub const FILES: [&str; 7] = [
+    "estimate.json",
+    "robot.toml",
+    "robot.urdf",
+    "dh_craig.csv",
+    "dh_standard.csv",
+    "offsets.csv",
+    "losses.json",
+];
 
 /// Files with what they lose.
 #[derive(Debug, Clone, PartialEq)]
@@ -114,9 +123,10 @@ pub fn hand_over(estimate: &EstimateFile, robot: Option<&Robot>) -> Result<Hando
     };
     let targets: Vec<TargetText<'_>> = full.targets.iter().enumerate().map(target).collect();
     let urdf = robot.and_then(|robot| robot.sources.iter().find(|(role, _)| role == "urdf"));
+    let model = believed(full);
     let written = write_robot(&RobotText {
         name: &estimate.robot.name,
-        model: &full.model,
+        model: &model,
         targets: &targets,
         visuals: robot.map_or(&[][..], |robot| robot.visuals.as_slice()),
         urdf: urdf.map(|(_, source)| source),
@@ -138,7 +148,12 @@ pub fn hand_over(estimate: &EstimateFile, robot: Option<&Robot>) -> Result<Hando
         mode: full.mode.key(),
         model_sha256: estimate.robot.model_sha256.clone(),
         files: vec![
-            kept("robot.toml", "geometry, stiffnesses, masses, linkage", "terms, tracker, covariance", of_file),
+            kept(
+                "robot.toml",
+                "geometry, stiffnesses, masses, linkage",
+                "terms, tracker, covariance",
+                of_file,
+            ),
             kept("robot.urdf", "the rigid chain", "deflection, terms, lengths of the linkage", of_chain),
             kept("dh_craig.csv", "the rigid chain", "deflection, terms, lengths of the linkage", of_chain),
             kept("dh_standard.csv", "the rigid chain", "deflection, terms, lengths of the linkage", of_chain),
@@ -161,6 +176,21 @@ pub fn hand_over(estimate: &EstimateFile, robot: Option<&Robot>) -> Result<Hando
     Ok(Handover { files, losses })
 }
 
+/// The robot as its mode takes it to be: modes that are not coupled have joints where the ideal map has them, whatever lengths the rows get, and
+/// one of them nothing that yields.
+fn believed(robot: &CalibratedRobot) -> CalibrationModel {
+    let mut model = robot.model.clone();
+    if robot.mode.is_coupled() {
+        return model;
+    }
+    model.actuators = model.actuators.without_linkage();
+    model.statics = model.statics.filter(|_| robot.mode == Mode::WithGravity);
+    if let Some(statics) = &mut model.statics {
+        statics.linkage = None;
+    }
+    model
+}
+
 /// What stands at the head of every file.
 fn remarks(estimate: &EstimateFile) -> Vec<String> {
     let robot = &estimate.estimate.robot;
@@ -177,6 +207,12 @@ fn remarks(estimate: &EstimateFile) -> Vec<String> {
              shoulder. What the real lengths of the four-bar make otherwise is lost there."
                 .to_owned(),
         );
+        if !robot.mode.is_coupled() {
+            remarks.push(
+                "This mode takes the parallelogram to be exact, and so does robot.toml: it has no lengths of the linkage."
+                    .to_owned(),
+            );
+        }
     }
     if robot.targets.len() > 1 {
         remarks.push("Losses and tool offsets are of the first target.".to_owned());
@@ -186,7 +222,11 @@ fn remarks(estimate: &EstimateFile) -> Vec<String> {
 
 fn with_loss(remarks: &[String], loss: &Loss) -> Vec<String> {
     let mut said = remarks.to_vec();
-    said.push(format!("Against the full model, at {} poses in the measured region: {}.", loss.poses, told(loss)));
+    said.push(format!(
+        "Against the full model, at {} poses in the measured region: {}.",
+        loss.poses,
+        told(loss)
+    ));
     said
 }
 
@@ -220,16 +260,31 @@ pub fn losses_text(losses: &Losses) -> String {
 }
 
 /// Rows of offsets: joints alone with the tool, with the frame, and the frame and tool alone.
-fn offsets_text(estimate: &EstimateFile, remarks: &[String], [alone, framed, placed]: [&Offsets; 3]) -> String {
+fn offsets_text(
+    estimate: &EstimateFile,
+    remarks: &[String],
+    [alone, framed, placed]: [&Offsets; 3],
+) -> String {
     let robot = &estimate.estimate.robot;
     let mut text = String::new();
     for remark in remarks {
         let _ = writeln!(text, "# {}", remark.replace('\n', " "));
     }
-    let _ = writeln!(text, "# Joints: what is added to a command before the nominal kinematics: the nominal robot at command + offset is where");
-    let _ = writeln!(text, "# the real one is at the command. Tool: its place in the nominal flange. Frame: where the nominal robot's base");
-    let _ = writeln!(text, "# is in the base, shifted, then turned about the fixed x, y and z. Take one column, not a mixture of them.");
-    for (name, offsets) in [("joints_and_tool", alone), ("joints_tool_and_frame", framed), ("tool_and_frame", placed)] {
+    let _ = writeln!(
+        text,
+        "# Joints: what is added to a command before the nominal kinematics: the nominal robot at command + offset is where"
+    );
+    let _ = writeln!(
+        text,
+        "# the real one is at the command. Tool: its place in the nominal flange. Frame: where the nominal robot's base"
+    );
+    let _ = writeln!(
+        text,
+        "# is in the base, shifted, then turned about the fixed x, y and z. Take one column, not a mixture of them."
+    );
+    for (name, offsets) in
+        [("joints_and_tool", alone), ("joints_tool_and_frame", framed), ("tool_and_frame", placed)]
+    {
         let _ = writeln!(text, "# {name}: {}.", told(&offsets.loss));
     }
     let _ = writeln!(text, "kind,name,unit,joints_and_tool,joints_tool_and_frame,tool_and_frame");
@@ -252,7 +307,9 @@ fn offsets_text(estimate: &EstimateFile, remarks: &[String], [alone, framed, pla
         [place.x, place.y, place.z, roll, pitch, yaw]
     });
     for (component, (name, unit)) in
-        [("x", "m"), ("y", "m"), ("z", "m"), ("roll", "rad"), ("pitch", "rad"), ("yaw", "rad")].into_iter().enumerate()
+        [("x", "m"), ("y", "m"), ("z", "m"), ("roll", "rad"), ("pitch", "rad"), ("yaw", "rad")]
+            .into_iter()
+            .enumerate()
     {
         row(&mut text, "frame", name, unit, frames.map(|frame| frame[component]));
     }

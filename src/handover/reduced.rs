@@ -79,7 +79,8 @@ impl Poses {
             let mut within = |(low, high): &(&f64, &f64)| **low + (**high - **low) * random.random::<f64>();
             let command: Vec<f64> = bounds.iter().map(&mut within).collect();
             let side = |_: &(&f64, &f64)| if random.random::<bool>() { 1 } else { -1 };
-            let approach: Vec<i8> = if region.approached { bounds.iter().map(side).collect() } else { Vec::new() };
+            let approach: Vec<i8> =
+                if region.approached { bounds.iter().map(side).collect() } else { Vec::new() };
             match predictor.in_base(PoseQuery::at(&command).approached(&approach)) {
                 // What follows are squares.
                 Ok(place) if !place.norm_squared().is_finite() => {}
@@ -156,12 +157,17 @@ pub(super) fn fit_offsets(
     free: Free,
 ) -> Result<Offsets, HandoverError> {
     let robot = rigid(nominal, full);
-    let mut reduced = Reduced { predictor: Predictor::new(&robot)?, last_from_flange: nominal.kinematics.last_from_flange };
+    let mut reduced =
+        Reduced { predictor: Predictor::new(&robot)?, last_from_flange: nominal.kinematics.last_from_flange };
     let joints = nominal.kinematics.joint_count();
     let scale = nominal.kinematics.characteristic_length();
     let tool = full.targets.first().copied().unwrap_or_default();
-    let mut offsets =
-        Offsets { commands: vec![0.0; joints], tool, base_from_nominal: Transform::identity(), loss: Loss::of(&[]) };
+    let mut offsets = Offsets {
+        commands: vec![0.0; joints],
+        tool,
+        base_from_nominal: Transform::identity(),
+        loss: Loss::of(&[]),
+    };
     let moved = |joint: &usize| free.joints && nominal.actuators.is_commanded(*joint);
     let moved: Vec<usize> = (0..joints).filter(moved).collect();
     let columns = moved.len() + 3 + if free.frame { 6 } else { 0 };
@@ -239,18 +245,27 @@ struct Placed {
 
 impl Reduced<'_> {
     fn place(&mut self, offsets: &Offsets, known: &Known) -> Result<Placed, PredictionError> {
-        let command: Vec<f64> = known.command.iter().zip(&offsets.commands).map(|(c, offset)| c + offset).collect();
+        let command: Vec<f64> =
+            known.command.iter().zip(&offsets.commands).map(|(c, offset)| c + offset).collect();
         self.at(offsets, &command)
     }
 
     fn at(&mut self, offsets: &Offsets, command: &[f64]) -> Result<Placed, PredictionError> {
         let last = self.predictor.links(command)?.pop().unwrap_or_else(Transform::identity);
         let flange = offsets.base_from_nominal * last * self.last_from_flange;
-        Ok(Placed { place: flange.rotation * offsets.tool + flange.translation.vector, turned: flange.rotation })
+        Ok(Placed {
+            place: flange.rotation * offsets.tool + flange.translation.vector,
+            turned: flange.rotation,
+        })
     }
 
     /// Of the tool by a command, by central differences.
-    fn derivative(&mut self, offsets: &Offsets, known: &Known, joint: usize) -> Result<Vector3<f64>, PredictionError> {
+    fn derivative(
+        &mut self,
+        offsets: &Offsets,
+        known: &Known,
+        joint: usize,
+    ) -> Result<Vector3<f64>, PredictionError> {
         let mut side = |step: f64| {
             let mut moved = offsets.clone();
             moved.commands[joint] += step;

@@ -50,7 +50,10 @@ const MOST_PACKAGES_OF_THE_ESTIMATOR: usize = 80;
 /// does, and looks at nothing else of it. `report` is used by `cli`, `cli` by
 /// `main`; a scenario knows nothing of what is made of it.
 const MODULES: [(&str, &[&str]); 9] = [
-    ("cli", &["calibrig_recording", "handover", "montecarlo", "pipeline", "replay", "report", "scenario", "twin"]),
+    (
+        "cli",
+        &["calibrig_recording", "handover", "montecarlo", "pipeline", "replay", "report", "scenario", "twin"],
+    ),
     ("handover", &["calibrig_recording", "pipeline"]),
     ("main", &["cli"]),
     ("montecarlo", &["pipeline", "scenario"]),

@@ -72,9 +72,16 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
 const MAGIC: &[u8] = b"\x89MCAP";
 
 fn is_recording(path: &Path) -> Result<bool, CliError> {
-    let unreadable = |error: std::io::Error| InputError::Unreadable { path: path.to_path_buf(), reason: error.to_string() };
+    let unreadable = |error: std::io::Error| InputError::Unreadable {
+        path: path.to_path_buf(),
+        reason: error.to_string(),
+    };
     let mut start = Vec::new();
-    File::open(path).map_err(unreadable)?.take(MAGIC.len() as u64).read_to_end(&mut start).map_err(unreadable)?;
+    File::open(path)
+        .map_err(unreadable)?
+        .take(MAGIC.len() as u64)
+        .read_to_end(&mut start)
+        .map_err(unreadable)?;
     Ok(start == MAGIC || path.extension().is_some_and(|extension| extension == "mcap"))
 }
 
@@ -86,10 +93,14 @@ fn from_estimate(args: &Args, model: Option<Robot>) -> Result<Found, CliError> {
         return Err(CliError::NoEstimate { file: args.input.clone(), mode: args.mode });
     }
     if let (Some(robot), Some(file)) = (&model, &args.model) {
-        estimate.check_model(&robot.model).map_err(|source| CliError::AnotherModel { file: file.clone(), source })?;
+        estimate
+            .check_model(&robot.model)
+            .map_err(|source| CliError::AnotherModel { file: file.clone(), source })?;
     }
     if model.is_none() && estimate.robot.sources.iter().any(|source| source.role == "urdf") {
-        say("without --model ROBOT.toml the URDF of the nominal robot is not at hand: robot.urdf has no shapes");
+        say(
+            "without --model ROBOT.toml the URDF of the nominal robot is not at hand: robot.urdf has no shapes",
+        );
     }
     Ok((estimate, model, Verdict::Done))
 }
@@ -114,9 +125,13 @@ fn from_recording(args: &Args, model: Option<Robot>) -> Result<Found, CliError> 
     if !differences.is_empty() {
         let places = differences.len();
         match made_by_another {
-            Some(made_by) => say(&format!("the recorded estimates were made by {made_by}; what is written is this version's")),
+            Some(made_by) => say(&format!(
+                "the recorded estimates were made by {made_by}; what is written is this version's"
+            )),
             None => {
-                say(&format!("doubtful: what was identified again differs from what is recorded in {places} places (calibrig replay tells them)"));
+                say(&format!(
+                    "doubtful: what was identified again differs from what is recorded in {places} places (calibrig replay tells them)"
+                ));
                 ended = Verdict::Doubtful;
             }
         }

@@ -236,17 +236,22 @@ mod tests {
         let read = robot_from_dh(&craig, Convention::Craig, None).expect("a table");
         for (read, own) in read.robot.model.kinematics.links.iter().zip(&chain.links) {
             assert_eq!((&read.name, read.kind), (&own.name, own.kind));
-            for (read, own) in [(read.a, own.a), (read.alpha, own.alpha), (read.beta, own.beta), (read.d, own.d)] {
+            for (read, own) in
+                [(read.a, own.a), (read.alpha, own.alpha), (read.beta, own.beta), (read.d, own.d)]
+            {
                 assert!((read - own).abs() < 1e-15, "{read} {own}");
             }
         }
         let table = standard_table(&chain, &remarks);
         let standard = Source::new("dh_standard.csv", table.text.clone());
-        let read = robot_from_dh(&standard, Convention::Standard, None).expect("a table").robot.model.kinematics;
+        let read =
+            robot_from_dh(&standard, Convention::Standard, None).expect("a table").robot.model.kinematics;
         let q = [0.3, 0.6, -0.7];
-        let moved = read.links.iter().zip(q).fold(table.base_from_first, |at, (link, q)| at * link.transform(q));
+        let moved =
+            read.links.iter().zip(q).fold(table.base_from_first, |at, (link, q)| at * link.transform(q));
         let read = moved * read.last_from_flange * table.last_from_flange;
-        let own = chain.links.iter().zip(q).fold(chain.base_from_first, |at, (link, q)| at * link.transform(q));
+        let own =
+            chain.links.iter().zip(q).fold(chain.base_from_first, |at, (link, q)| at * link.transform(q));
         assert!((read.to_homogeneous() - (own * chain.last_from_flange).to_homogeneous()).norm() < 1e-13);
     }
 }

@@ -252,7 +252,11 @@ impl Reader<'_> {
         let segment = table.get_ref();
         if let Some((key, Some(value))) = segment.of_shape().into_iter().find(|(_, value)| value.is_some()) {
             let message = format!("{key} beside stiffnesses of the section");
-            return self.error(value.span(), message, "the section by its stiffnesses, or by shape and material");
+            return self.error(
+                value.span(),
+                message,
+                "the section by its stiffnesses, or by shape and material",
+            );
         }
         let mut stated = [0.0; 6];
         for (stiffness, (key, value)) in stated.iter_mut().zip(segment.stiffnesses()) {
@@ -285,8 +289,9 @@ impl Reader<'_> {
 
     fn material(&self, table: &Spanned<SegmentTable>) -> Result<Material, InputError> {
         let segment = table.get_ref();
-        let gigapascals =
-            |key, value| Ok::<_, InputError>(1e9 * self.source.positive(key, self.needed(table, key, value)?)?);
+        let gigapascals = |key, value| {
+            Ok::<_, InputError>(1e9 * self.source.positive(key, self.needed(table, key, value)?)?)
+        };
         let youngs_modulus = gigapascals("youngs_modulus_gpa", &segment.youngs_modulus_gpa)?;
         let shear_modulus = gigapascals("shear_modulus_gpa", &segment.shear_modulus_gpa)?;
         let ratio = youngs_modulus / shear_modulus;

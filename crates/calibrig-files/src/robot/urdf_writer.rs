@@ -25,7 +25,8 @@ pub(super) fn text(robot: &RobotText<'_>) -> Result<String, InputError> {
     follow(&mut written, robot.model);
     let flange = add_fixed(&mut written, &last, FLANGE, &robot.model.kinematics.last_from_flange);
     for target in robot.targets {
-        let name = if robot.targets.len() == 1 { TARGET.to_owned() } else { format!("{TARGET}_{}", target.name) };
+        let name =
+            if robot.targets.len() == 1 { TARGET.to_owned() } else { format!("{TARGET}_{}", target.name) };
         let place = Transform::from_parts(target.in_flange.into(), target.rotation.unwrap_or_default());
         add_fixed(&mut written, &flange, &name, &place);
     }

@@ -193,7 +193,8 @@ fn rigid_or(stiffness: f64) -> String {
 }
 
 fn bearing(text: &mut String, bearing: Option<&Bearing>, kind: JointKind) {
-    const KEYS: [&str; 6] = ["x_n_per_m", "y_n_per_m", "z_n_per_m", "rx_nm_per_rad", "ry_nm_per_rad", "rz_nm_per_rad"];
+    const KEYS: [&str; 6] =
+        ["x_n_per_m", "y_n_per_m", "z_n_per_m", "rx_nm_per_rad", "ry_nm_per_rad", "rz_nm_per_rad"];
     let Some(bearing) = bearing else { return };
     let own = if kind == JointKind::Prismatic { 2 } else { 5 };
     let yields = |(axis, stiffness): &(usize, &f64)| *axis != own && **stiffness <= STIFFEST;
@@ -295,7 +296,12 @@ fn actuators(text: &mut String, model: &CalibrationModel) {
         return;
     };
     let name = |joint: usize| model.kinematics.links.get(joint).map_or_else(String::new, |l| quoted(&l.name));
-    line!(text, "kind = \"parallelogram\"\nshoulder = {}\nelbow = {}", name(drive.shoulder), name(drive.elbow));
+    line!(
+        text,
+        "kind = \"parallelogram\"\nshoulder = {}\nelbow = {}",
+        name(drive.shoulder),
+        name(drive.elbow)
+    );
     line!(text, "offset_deg = {}", deg(drive.offset));
     if let Some(linkage) = &drive.linkage {
         let statics = model.statics.as_ref().and_then(|statics| statics.linkage.as_ref());
@@ -307,7 +313,13 @@ fn four_bar(text: &mut String, linkage: &FourBar, statics: Option<&LinkageStatic
     line!(text);
     line!(text, "[actuators.linkage]");
     let (crank, lever) = (&linkage.crank, &linkage.lever);
-    line!(text, "crank_mm = {}\nlever_mm = {}\nrod_mm = {}", mm(crank.length), mm(lever.length), mm(linkage.rod));
+    line!(
+        text,
+        "crank_mm = {}\nlever_mm = {}\nrod_mm = {}",
+        mm(crank.length),
+        mm(lever.length),
+        mm(linkage.rod)
+    );
     line!(text, "crank_angle_deg = {}\nlever_angle_deg = {}", deg(crank.angle), deg(lever.angle));
     line!(text, "along_mm = {}", mm(crank.along));
     let axis = &linkage.axis;
