@@ -255,7 +255,11 @@ impl Form {
             None => None,
             Some(rows) => match matrix(rows, count, Some(count)) {
                 None => {
-                    return Err(("covariance", format!("{} rows for {count} parameters", rows.len()), square));
+                    return Err((
+                        "covariance",
+                        format!("{} rows for {count} parameters", rows.len()),
+                        square,
+                    ));
                 }
                 some => some,
             },

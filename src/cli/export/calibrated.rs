@@ -8,7 +8,7 @@ use super::super::identify::fitted_mode;
 use super::super::output::{Destination, Files, or_removed, verdict};
 use super::super::{CliError, Verdict, print, replay, say};
 use super::{check_free, write};
-use crate::handover::{EstimateFile, hand_over, losses_text};
+use crate::handover::{EstimateFile, FILES, hand_over, losses_text};
 use crate::pipeline::Outcome;
 use crate::replay::{ReplayOptions, Replayed, replay as identify_again};
 use calibrig_estimation::identification::Mode;
@@ -50,13 +50,13 @@ pub(super) struct Args {
 pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     let destination = Destination::Asked(&args.out);
     destination.check(Files::Calibrated)?;
+    check_free(&args.out, Files::Calibrated, &FILES.map(|name| (name, "")), args.force)?;
     let model = args.model.as_deref().map(load_robot).transpose()?;
     let (estimate, robot, ended) =
         if is_recording(&args.input)? { from_recording(args, model)? } else { from_estimate(args, model)? };
     let handover = hand_over(&estimate, robot.as_ref())
         .map_err(|source| CliError::Handover { file: args.input.clone(), source: Box::new(source) })?;
     let files: Vec<_> = handover.files.iter().map(|file| (file.name, file.text.as_str())).collect();
-    check_free(&args.out, Files::Calibrated, &files, args.force)?;
     let (folder, new) = destination.make()?;
     or_removed(write(&folder, &files), &folder, new)?;
     if args.json {

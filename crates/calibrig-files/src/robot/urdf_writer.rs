@@ -124,10 +124,14 @@ fn follow(robot: &mut urdf_rs::Robot, model: &CalibrationModel) {
         }
         let row = axes.shown_by_actuators().row(axis);
         let mut others = row.iter().zip(links).enumerate();
-        let Some((_, (share, leader))) = others.find(|(other, (share, _))| *other != axis && **share != 0.0)
+        let Some((at, (share, leader))) = others.find(|(other, (share, _))| *other != axis && **share != 0.0)
         else {
             continue;
         };
+        // What follows the elbow's motor of a parallelogram has two leaders, shoulder and elbow, and a <mimic> names one.
+        if model.actuators.elbow().is_some_and(|drive| drive.elbow == at) {
+            continue;
+        }
         if let Some(joint) = robot.joints.iter_mut().find(|joint| joint.name == own.name) {
             joint.mimic = Some(Mimic {
                 joint: leader.name.clone(),
