@@ -283,7 +283,11 @@ impl Reader<'_> {
     ) -> Result<&'v Spanned<f64>, InputError> {
         match value {
             Some(value) => Ok(value),
-            None => self.error(table.span(), format!("a segment without {key}"), key),
+            None => self.error(
+                table.span(),
+                format!("missing key `{key}` in [joint.beam.segment]"),
+                &format!("{key} with a value; the unit is part of the key"),
+            ),
         }
     }
 
