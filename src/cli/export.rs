@@ -1,5 +1,7 @@
 //! `calibrig export`.
 
+mod calibrated;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -9,11 +11,12 @@ use super::output::{Destination, Files, or_removed};
 use super::{CliError, Verdict, say};
 use crate::pipeline::InputSummary;
 use calibrig_files::load_robot;
-use calibrig_recording::{CsvExport, ExportError, Preamble, RecordingError, export_csv, write_sets};
+use calibrig_recording::{ExportError, Preamble, RecordingError, export_csv, write_sets};
 
-/// Turn a recording into files of text, or files of text into a recording
+/// Turn a recording into files of text, files of text into a recording, or an estimate into files of the calibrated robot
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
+  calibrig export calibrated runs/paper/recording.mcap --out calibrated
   calibrig export csv runs/paper/recording.mcap --out tables
   calibrig export mcap --model robot.toml --measurements grid.csv --out grid.mcap")]
 pub(super) struct Args {
@@ -25,6 +28,7 @@ pub(super) struct Args {
 enum Direction {
     Csv(CsvArgs),
     Mcap(Box<McapArgs>),
+    Calibrated(calibrated::Args),
 }
 
 /// Turn a recording into measurement files, tables and the input files that it holds
@@ -73,6 +77,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     match &args.direction {
         Direction::Csv(args) => to_csv(args),
         Direction::Mcap(args) => to_mcap(args),
+        Direction::Calibrated(args) => calibrated::execute(args),
     }
 }
 
@@ -85,9 +90,10 @@ fn to_csv(args: &CsvArgs) -> Result<Verdict, CliError> {
         ExportError::Recording(error @ RecordingError::Unreadable { .. }) => CliError::Recording(error),
         source => CliError::Export { file: args.recording.clone(), source },
     })?;
-    let stale = check_free(&args.out, &export, args.force)?;
+    let files: Vec<_> = export.files.iter().map(|file| (file.name.as_str(), file.text.as_str())).collect();
+    let stale = check_free(&args.out, Files::Export, &files, args.force)?;
     let (folder, new) = destination.make()?;
-    or_removed(write(&folder, &export), &folder, new)?;
+    or_removed(write(&folder, &files), &folder, new)?;
     for remark in &export.remarks {
         say(remark);
     }
@@ -97,13 +103,21 @@ fn to_csv(args: &CsvArgs) -> Result<Verdict, CliError> {
     Ok(Verdict::Done)
 }
 
+/// Files by their names, with their texts.
+type Texts<'a> = [(&'a str, &'a str)];
+
 /// Refuses to write over files unless `force`d. Tables that this export does not have must not be taken for its own: their names.
-fn check_free(folder: &Path, export: &CsvExport, force: bool) -> Result<Vec<&'static str>, CliError> {
+fn check_free(
+    folder: &Path,
+    kind: Files,
+    files: &Texts<'_>,
+    force: bool,
+) -> Result<Vec<&'static str>, CliError> {
     let there = |name: &str| Some(folder.join(name)).filter(|path| path.exists());
-    let has = |name: &str| export.files.iter().any(|file| file.name == name);
+    let has = |name: &str| files.iter().any(|(known, _)| *known == name);
     let stale: Vec<_> =
-        Files::Export.names().iter().copied().filter(|name| !has(name) && there(name).is_some()).collect();
-    let known = export.files.iter().map(|file| file.name.as_str()).chain(stale.iter().copied());
+        kind.names().iter().copied().filter(|name| !has(name) && there(name).is_some()).collect();
+    let known = files.iter().map(|(name, _)| *name).chain(stale.iter().copied());
     let paths: Vec<PathBuf> = known.filter_map(there).collect();
     if let Some(at) = paths.iter().find(|path| path.is_dir()) {
         return Err(CliError::InTheWay {
@@ -117,20 +131,20 @@ fn check_free(folder: &Path, export: &CsvExport, force: bool) -> Result<Vec<&'st
 }
 
 /// All files are complete before the first one takes its name.
-fn write(folder: &Path, export: &CsvExport) -> Result<(), CliError> {
+fn write(folder: &Path, files: &Texts<'_>) -> Result<(), CliError> {
     let failed = |path: &Path| {
         let what = path.display().to_string();
         move |source| CliError::Output { what, source }
     };
     let staging = tempfile::Builder::new().prefix(".calibrig-").tempdir_in(folder).map_err(failed(folder))?;
-    for file in &export.files {
-        fs::write(staging.path().join(&file.name), &file.text).map_err(failed(&folder.join(&file.name)))?;
+    for (name, text) in files {
+        fs::write(staging.path().join(name), text).map_err(failed(&folder.join(name)))?;
     }
-    for file in &export.files {
-        let path = folder.join(&file.name);
-        fs::rename(staging.path().join(&file.name), &path).map_err(failed(&path))?;
+    for (name, _) in files {
+        let path = folder.join(name);
+        fs::rename(staging.path().join(name), &path).map_err(failed(&path))?;
     }
-    let names: Vec<_> = export.files.iter().map(|file| file.name.as_str()).collect();
+    let names: Vec<_> = files.iter().map(|(name, _)| *name).collect();
     say(&format!("wrote {} to {}", names.join(", "), folder.display()));
     Ok(())
 }

@@ -36,12 +36,13 @@ use clap::{Parser, Subcommand};
 use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, SourceCode};
 use thiserror::Error;
 
+use crate::handover::{AnotherModel, HandoverError};
 use crate::pipeline::{Iso9283Failure, PipelineError};
 use crate::replay::ReplayError;
 use crate::report::ReportError;
 use crate::scenario::{Scenario, load_scenario};
 use crate::twin::TwinError;
-use calibrig_estimation::identification::IdentifyError;
+use calibrig_estimation::identification::{IdentifyError, Mode};
 use calibrig_files::{InputError, Source};
 use calibrig_model::measurement::MeasurementError;
 use calibrig_recording::{ExportError, RecordingError};
@@ -119,6 +120,16 @@ enum CliError {
     Replay { file: PathBuf, source: ReplayError },
     #[error("{}: {source}", file.display())]
     Export { file: PathBuf, source: ExportError },
+    #[error("{}: {source}", file.display())]
+    Handover { file: PathBuf, source: Box<HandoverError> },
+    #[error("{}: {source}", file.display())]
+    #[diagnostic(help("expected the robot file that the estimate was made with"))]
+    AnotherModel { file: PathBuf, source: AnotherModel },
+    #[error("{}: there is no estimate{}", file.display(), mode.map_or_else(String::new, |mode| format!(" of mode {}", mode.key())))]
+    #[diagnostic(help(
+        "expected a recording whose measurements identify the robot; of an estimate.json, its own mode"
+    ))]
+    NoEstimate { file: PathBuf, mode: Option<Mode> },
     #[error("{} there already", already(paths))]
     #[diagnostic(help("expected other names, or --force to write over them"))]
     AlreadyThere { paths: Vec<PathBuf> },

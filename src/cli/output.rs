@@ -26,6 +26,8 @@ pub(super) enum Files {
     Acceptance,
     /// The tables of an exported recording; input files lie beside them.
     Export,
+    /// A calibrated robot.
+    Calibrated,
 }
 
 impl Files {
@@ -35,6 +37,7 @@ impl Files {
             Self::Iso9283 => &["iso9283.html", "iso9283.json"],
             Self::Campaign => &["trials.csv", "summary.json"],
             Self::Acceptance => &["acceptance.html", "acceptance.svg", "acceptance.json"],
+            Self::Calibrated => &crate::handover::FILES,
             Self::Export => {
                 &["identification.csv", "verification.csv", "session.toml", "residuals.csv", "parameters.csv"]
             }

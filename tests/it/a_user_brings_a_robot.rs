@@ -34,7 +34,7 @@ fn fixtures() -> Vec<PathBuf> {
 }
 
 /// What the other reader has for the tips: a matrix a pose, of every question.
-fn asked(questions: &Value) -> Option<Vec<Vec<Vec<f64>>>> {
+pub fn asked(questions: &Value) -> Option<Vec<Vec<Vec<f64>>>> {
     let python = || Command::new("python3");
     let has = python().args(["-c", "import yourdfpy"]).output();
     if !has.is_ok_and(|output| output.status.success()) {

@@ -46,10 +46,15 @@ const MOST_PACKAGES_OF_THE_ESTIMATOR: usize = 80;
 
 /// Every module of the root with the others that it uses, and whether it looks at the truth (`calibrig_plant`) or a recording.
 ///
-/// A recording is made by `cli` and read by `replay`; of `pipeline` it takes what it is told (`Story`). `report` is used by `cli`, `cli` by
+/// A recording is made by `cli` and read by `replay`; of `pipeline` it takes what it is told (`Story`). What is handed over names the program as a recording
+/// does, and looks at nothing else of it. `report` is used by `cli`, `cli` by
 /// `main`; a scenario knows nothing of what is made of it.
-const MODULES: [(&str, &[&str]); 8] = [
-    ("cli", &["calibrig_recording", "montecarlo", "pipeline", "replay", "report", "scenario", "twin"]),
+const MODULES: [(&str, &[&str]); 9] = [
+    (
+        "cli",
+        &["calibrig_recording", "handover", "montecarlo", "pipeline", "replay", "report", "scenario", "twin"],
+    ),
+    ("handover", &["calibrig_recording", "pipeline"]),
     ("main", &["cli"]),
     ("montecarlo", &["pipeline", "scenario"]),
     ("pipeline", &["calibrig_plant", "calibrig_recording", "scenario"]),

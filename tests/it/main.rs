@@ -35,6 +35,7 @@ mod a_user_reproduces_the_paper;
 mod a_user_runs_a_campaign;
 mod a_user_states_what_is_known;
 mod a_user_sweeps_axes;
+mod a_user_takes_a_calibrated_robot_away;
 mod a_user_tests_poses;
 mod a_user_trusts_a_drawn_tracker;
 mod a_user_trusts_a_model_that_lacks_something;

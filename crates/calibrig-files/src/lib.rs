@@ -50,6 +50,7 @@ mod springs;
 mod stated;
 
 pub use convert::{AGREEMENT, Convention, Converted, UrdfOptions, robot_from_dh, robot_from_urdf};
+pub use convert::{StandardRow, StandardTable, craig_table, standard_table};
 pub use followers::{add_followers, commanded_joints, without_followers};
 pub use input::{Excerpt, InputError, Source, Spanned};
 pub use measurements::{BagOptions, DEFAULT_TOLERANCE_S, Table, TableRow, read_bag, read_sheet};
@@ -61,6 +62,7 @@ pub use measurements::{
 };
 pub use payloads::{NO_PAYLOAD, PayloadFile, PayloadTable, payload_by_name, read_payloads};
 pub use robot::{LoadTable, Robot, StatedTarget, load_robot, parse_robot, read_loads};
+pub use robot::{RobotFiles, RobotText, TargetText, write_robot};
 pub use rotation::{RotationError, rotation_of_matrix};
 pub use session::{SessionFile, SessionSet, SessionTextError, load_session, parse_session, session_text};
 pub use stated::{MeasuredFile, Statements, state};

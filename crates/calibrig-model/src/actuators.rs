@@ -126,6 +126,17 @@ impl AxisMap {
         self.zero.len()
     }
 
+    /// What is shown of the axes per unit of the actuators: a row an axis, a column an actuator. Of a follower its row times the actuators, and
+    /// its [`zero`](Self::zero), are zero.
+    pub fn shown_by_actuators(&self) -> &DMatrix<f64> {
+        &self.shown_by_actuators
+    }
+
+    /// What is shown where all actuators are at zero, one an axis.
+    pub fn zero(&self) -> &DVector<f64> {
+        &self.zero
+    }
+
     /// Writes where the actuators are at what is shown; both one an axis. Where one is shorter, the rest is left as it is.
     pub fn actuators(&self, shown: &[f64], actuators: &mut [f64]) {
         for (row, actuator) in self.actuators_by_shown.row_iter().zip(actuators) {

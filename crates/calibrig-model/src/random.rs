@@ -63,6 +63,8 @@ pub enum Source {
     PlannedRobots = 51,
     /// Orders of poses that a search for a better one begins with; the beginning's number is in the place of the trial's.
     PlannedOrder = 52,
+    /// Poses at which reduced forms of an identified robot are fitted and compared; their place in the stream is the pose's.
+    Handover = 60,
 }
 
 /// The stream of `(seed, trial, source)`. `ChaCha8` with the seed as key and (trial, source) as stream number.

@@ -9,7 +9,8 @@ mod dh;
 mod dh_cells;
 mod element;
 mod rows;
-mod text;
+mod tables;
+pub(crate) mod text;
 mod tree;
 
 #[cfg(test)]
@@ -30,6 +31,7 @@ use text::{Bodies, Text};
 use tree::Tree;
 
 pub use dh::{Convention, robot_from_dh};
+pub use tables::{StandardRow, StandardTable, craig_table, standard_table};
 
 /// Largest difference between a URDF's kinematics and those of the table that is made of it, m at the tip and at a metre from it.
 pub const AGREEMENT: f64 = 1e-10;

@@ -146,7 +146,7 @@ pub(super) fn deg(value: f64) -> String {
 }
 
 /// Roll, pitch and yaw of a rotation, exact also where pitch is a quarter turn.
-fn roll_pitch_yaw(rotation: &Rotation3<f64>) -> [f64; 3] {
+pub(crate) fn roll_pitch_yaw(rotation: &Rotation3<f64>) -> [f64; 3] {
     let r = rotation.matrix();
     let across = r.m11.hypot(r.m21);
     let pitch = (-r.m31).atan2(across);
@@ -162,7 +162,7 @@ macro_rules! line {
     ($text:expr) => { $text.push('\n') };
     ($text:expr, $($format:tt)*) => {{ let _ = writeln!($text, $($format)*); }};
 }
-pub(super) use line;
+pub(crate) use line;
 
 /// `[base]` or `[flange]`; nothing for the identity.
 pub(super) fn frame(text: &mut String, key: &str, comment: &str, frame: &Transform) {

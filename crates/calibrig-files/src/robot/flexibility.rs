@@ -45,14 +45,47 @@ enum Run {
 struct SegmentTable {
     length_mm: Option<Spanned<f64>>,
     housed_mm: Option<Spanned<f64>>,
-    youngs_modulus_gpa: Spanned<f64>,
-    shear_modulus_gpa: Spanned<f64>,
+    youngs_modulus_gpa: Option<Spanned<f64>>,
+    shear_modulus_gpa: Option<Spanned<f64>>,
     density_kg_per_m3: Option<Spanned<f64>>,
     mass_per_length_kg_per_m: Option<Spanned<f64>>,
-    wall_mm: Spanned<f64>,
+    wall_mm: Option<Spanned<f64>>,
     tube_diameter_mm: Option<Spanned<f64>>,
     box_width_mm: Option<Spanned<f64>>,
     box_height_mm: Option<Spanned<f64>>,
+    axial_n: Option<Spanned<f64>>,
+    shear_2_n: Option<Spanned<f64>>,
+    shear_3_n: Option<Spanned<f64>>,
+    torsion_nm2: Option<Spanned<f64>>,
+    bending_2_nm2: Option<Spanned<f64>>,
+    bending_3_nm2: Option<Spanned<f64>>,
+}
+
+impl SegmentTable {
+    /// What a section is stated by that is not made of a shape.
+    fn stiffnesses(&self) -> [(&'static str, &Option<Spanned<f64>>); 6] {
+        [
+            ("axial_n", &self.axial_n),
+            ("shear_2_n", &self.shear_2_n),
+            ("shear_3_n", &self.shear_3_n),
+            ("torsion_nm2", &self.torsion_nm2),
+            ("bending_2_nm2", &self.bending_2_nm2),
+            ("bending_3_nm2", &self.bending_3_nm2),
+        ]
+    }
+
+    /// What a section of a shape is stated by.
+    fn of_shape(&self) -> [(&'static str, &Option<Spanned<f64>>); 7] {
+        [
+            ("youngs_modulus_gpa", &self.youngs_modulus_gpa),
+            ("shear_modulus_gpa", &self.shear_modulus_gpa),
+            ("density_kg_per_m3", &self.density_kg_per_m3),
+            ("wall_mm", &self.wall_mm),
+            ("tube_diameter_mm", &self.tube_diameter_mm),
+            ("box_width_mm", &self.box_width_mm),
+            ("box_height_mm", &self.box_height_mm),
+        ]
+    }
 }
 
 impl Reader<'_> {
@@ -176,7 +209,10 @@ impl Reader<'_> {
 
     fn section(&self, table: &Spanned<SegmentTable>) -> Result<Section, InputError> {
         let segment = table.get_ref();
-        let material = self.material(segment)?;
+        if segment.stiffnesses().iter().any(|(_, value)| value.is_some()) {
+            return self.stated_section(table);
+        }
+        let material = self.material(table)?;
         let shape = self.shape(table)?;
         match (&segment.density_kg_per_m3, &segment.mass_per_length_kg_per_m) {
             (Some(density), None) => {
@@ -199,15 +235,63 @@ impl Reader<'_> {
         }
     }
 
-    fn material(&self, segment: &SegmentTable) -> Result<Material, InputError> {
-        let gigapascals = |key, value| Ok(1e9 * self.source.positive(key, value)?);
-        let youngs_modulus: f64 = gigapascals("youngs_modulus_gpa", &segment.youngs_modulus_gpa)?;
-        let shear_modulus: f64 = gigapascals("shear_modulus_gpa", &segment.shear_modulus_gpa)?;
+    /// A section by its stiffnesses, of any shape and material.
+    fn stated_section(&self, table: &Spanned<SegmentTable>) -> Result<Section, InputError> {
+        let segment = table.get_ref();
+        if let Some((key, Some(value))) = segment.of_shape().into_iter().find(|(_, value)| value.is_some()) {
+            let message = format!("{key} beside stiffnesses of the section");
+            return self.error(
+                value.span(),
+                message,
+                "the section by its stiffnesses, or by shape and material",
+            );
+        }
+        let mut stated = [0.0; 6];
+        for (stiffness, (key, value)) in stated.iter_mut().zip(segment.stiffnesses()) {
+            *stiffness = self.source.positive(key, self.needed(table, key, value)?)?;
+        }
+        let key = "mass_per_length_kg_per_m";
+        let mass = self.needed(table, key, &segment.mass_per_length_kg_per_m)?;
+        let [axial, shear_2, shear_3, torsion, bending_2, bending_3] = stated;
+        Ok(Section {
+            axial,
+            shear: [shear_2, shear_3],
+            torsion,
+            bending: [bending_2, bending_3],
+            mass_per_length: self.source.not_negative(key, mass)?,
+        })
+    }
+
+    /// A key that a segment must have.
+    fn needed<'v>(
+        &self,
+        table: &Spanned<SegmentTable>,
+        key: &str,
+        value: &'v Option<Spanned<f64>>,
+    ) -> Result<&'v Spanned<f64>, InputError> {
+        match value {
+            Some(value) => Ok(value),
+            None => self.error(
+                table.span(),
+                format!("missing key `{key}` in [joint.beam.segment]"),
+                &format!("{key} with a value; the unit is part of the key"),
+            ),
+        }
+    }
+
+    fn material(&self, table: &Spanned<SegmentTable>) -> Result<Material, InputError> {
+        let segment = table.get_ref();
+        let gigapascals = |key, value| {
+            Ok::<_, InputError>(1e9 * self.source.positive(key, self.needed(table, key, value)?)?)
+        };
+        let youngs_modulus = gigapascals("youngs_modulus_gpa", &segment.youngs_modulus_gpa)?;
+        let shear_modulus = gigapascals("shear_modulus_gpa", &segment.shear_modulus_gpa)?;
         let ratio = youngs_modulus / shear_modulus;
         if !(2.0..=3.0).contains(&ratio) {
             let message = format!("shear_modulus_gpa means a Poisson's ratio of {:.2}", ratio / 2.0 - 1.0);
             let expected = "a third to half of youngs_modulus_gpa, Poisson's ratio 0.5 to 0";
-            return self.error(segment.shear_modulus_gpa.span(), message, expected);
+            let span = segment.shear_modulus_gpa.as_ref().map_or(table.span(), Spanned::span);
+            return self.error(span, message, expected);
         }
         Ok(Material { youngs_modulus, shear_modulus })
     }
@@ -215,7 +299,8 @@ impl Reader<'_> {
     fn shape(&self, table: &Spanned<SegmentTable>) -> Result<Shape, InputError> {
         let segment = table.get_ref();
         let size = |key, value| Ok(self.source.positive(key, value)? / 1e3);
-        let wall = size("wall_mm", &segment.wall_mm)?;
+        let wall_mm = self.needed(table, "wall_mm", &segment.wall_mm)?;
+        let wall = size("wall_mm", wall_mm)?;
         let (shape, least) = match (&segment.tube_diameter_mm, &segment.box_width_mm, &segment.box_height_mm)
         {
             (Some(diameter), None, None) => {
@@ -238,7 +323,7 @@ impl Reader<'_> {
         };
         if 2.0 * wall >= least {
             let message = "wall_mm leaves nothing hollow";
-            return self.error(segment.wall_mm.span(), message, "less than half of the shape's smaller size");
+            return self.error(wall_mm.span(), message, "less than half of the shape's smaller size");
         }
         Ok(shape)
     }

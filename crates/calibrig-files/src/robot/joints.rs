@@ -156,6 +156,8 @@ impl Reader<'_> {
                 ("stiffness_nm_per_rad", &joint.stiffness_nm_per_rad),
             )?;
             match value {
+                // A drive that does not yield.
+                Some(value) if *value.get_ref() == f64::INFINITY => stiffness.push(f64::INFINITY),
                 Some(value) => stiffness.push(self.source.positive(&key, value)?),
                 None => without = without.or(Some((table, key))),
             }

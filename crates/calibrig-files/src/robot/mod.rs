@@ -14,6 +14,8 @@ mod targets;
 pub(crate) mod tests;
 mod urdf;
 mod urdf_text;
+mod urdf_writer;
+mod writer;
 
 use std::ops::Range;
 use std::path::Path;
@@ -23,6 +25,7 @@ use serde::Deserialize;
 
 pub use loads::{LoadTable, read_loads};
 pub use targets::StatedTarget;
+pub use writer::{RobotFiles, RobotText, TargetText, write_robot};
 
 use actuators::ActuatorTable;
 use frames::FrameTable;

@@ -3,13 +3,14 @@
 use std::ops::Range;
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use urdf_rs::{Geometry, JointType};
+use urdf_rs::{Geometry, Inertial, JointType};
 
 use super::frames::inertia_fault;
 use super::urdf_text::{Element, scan};
+use super::urdf_writer::{inertial, origin, pose};
 use crate::input::{InputError, Source};
 use calibrig_model::geometry::Transform;
-use calibrig_model::{Body, JointKind, KinematicModel, Visual, VisualShape};
+use calibrig_model::{Body, CalibrationModel, JointKind, KinematicModel, Visual, VisualShape};
 
 /// Largest difference between the table and the URDF, m or rad.
 const TOLERANCE: f64 = 1e-9;
@@ -48,12 +49,16 @@ struct Reader<'a> {
 impl UrdfRobot {
     /// Reads an open chain; every refusal points into `source`.
     pub fn parse(source: &Source) -> Result<Self, InputError> {
+        Self::reader(source)?.chain()
+    }
+
+    fn reader(source: &Source) -> Result<Reader<'_>, InputError> {
         let elements = scan(source)?;
         let robot = urdf_rs::read_from_string(&source.text).map_err(|e| {
             let help = Some("expected a URDF".to_owned());
             source.error(elements[0].span.clone(), e.to_string().replace('\n', " "), help)
         })?;
-        Reader { source, elements, robot }.chain()
+        Ok(Reader { source, elements, robot })
     }
 
     /// Refuses a URDF whose joints are not those of `model`: names, order, kinds, frames (1e-9) and limits.
@@ -110,6 +115,14 @@ impl UrdfRobot {
         }
         Ok(())
     }
+}
+
+/// A URDF that fits a model of the same joints, with the model's origins and bodies, and the name of the link behind the last joint.
+pub(super) fn with_rows(
+    source: &Source,
+    model: &CalibrationModel,
+) -> Result<(urdf_rs::Robot, String), InputError> {
+    UrdfRobot::reader(source)?.with_rows(model)
 }
 
 fn expected_joints(model: &KinematicModel) -> String {
@@ -207,6 +220,28 @@ impl Reader<'_> {
             return Err(self.error(self.elements[0].span.clone(), message, "an open chain"));
         }
         Ok(UrdfRobot { base_visuals, joints, robot_span: self.elements[0].span.clone() })
+    }
+
+    /// The URDF with the origins of a table's rows and the masses of its bodies, and the name of the link behind the last joint.
+    fn with_rows(&self, model: &CalibrationModel) -> Result<(urdf_rs::Robot, String), InputError> {
+        let mut robot = self.robot.clone();
+        let mut start = self.root()?;
+        let bodies = model.statics.as_ref().map(|statics| &statics.bodies);
+        for (index, row) in model.kinematics.links.iter().enumerate() {
+            let (_, next) = self.fixed_group(start)?;
+            let Some((joint, group_from_parent)) = next else { break };
+            robot.joints[joint].origin = pose(&(group_from_parent.inverse() * origin(model, index, row)));
+            start = self.link_index(&self.robot.joints[joint].child.link).unwrap_or(start);
+            let (group, _) = self.fixed_group(start)?;
+            let Some(body) = bodies.and_then(|bodies| bodies.get(index)) else { continue };
+            if self.body(&group)?.as_ref() != Some(body) {
+                for (link, _) in &group {
+                    robot.links[*link].inertial = Inertial::default();
+                }
+                robot.links[start].inertial = inertial(body);
+            }
+        }
+        Ok((robot, self.robot.links[start].name.clone()))
     }
 
     /// The links that are fixed to `start`, and the one moving joint that hangs on them.

@@ -56,6 +56,8 @@ const RULES: &[Rule] = &[
             ("izz", Numbers(1)),
         ],
     ),
+    // Which joint follows another one says the robot's file.
+    ("mimic", &["joint"], &[("joint", Text), ("multiplier", Numbers(1)), ("offset", Numbers(1))]),
     ("geometry", &["visual", "collision"], &[]),
     ("box", &["geometry"], &[("size", Numbers(3))]),
     ("cylinder", &["geometry"], &[("radius", Numbers(1)), ("length", Numbers(1))]),
