@@ -154,7 +154,7 @@ pub enum PipelineError {
     #[error("the analytic plant: {0}")]
     Analytic(#[from] calibrig_estimation::elastostatics::ElasticError),
     /// The analytic machine is one without this effect.
-    #[error("the analytic plant has no {}", effect.title())]
+    #[error("the analytic plant has no {} ([effects.{}])", effect.title(), effect.key())]
     BeyondAnalytic {
         /// Which.
         effect: calibrig_plant::effects::EffectKind,

@@ -7,7 +7,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::interrupt::stop_on_interrupt;
 use super::output::{Destination, Files};
-use super::{CliError, Verdict, print, read_scenario, say};
+use super::{CliError, Verdict, not_identified_at, print, read_scenario, say};
 use crate::montecarlo::{self, Campaign, Trial};
 use crate::pipeline::{PlantKind, check_analytic};
 
@@ -72,8 +72,9 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     let destination = args.out.as_deref().map_or(Destination::New(&name), Destination::Asked);
     destination.check(Files::Campaign)?;
     if args.plant == Plant::Analytic {
+        let place = args.scenario.display().to_string();
         check_analytic(&scenario.as_built)
-            .map_err(|source| CliError::Pipeline { file: args.scenario.clone(), source })?;
+            .map_err(|error| not_identified_at(error, &args.scenario, place))?;
     }
     scenario.remarks().iter().for_each(|remark| say(remark));
     let seed = args.seed.unwrap_or(scenario.seed);

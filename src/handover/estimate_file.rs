@@ -99,8 +99,8 @@ impl EstimateFile {
     /// The estimate of `mode` in an outcome, the fullest where none is named; `None` where there is none.
     pub fn of(outcome: &Outcome, mode: Option<Mode>) -> Option<Self> {
         let wanted = |own: &Mode| mode.is_none_or(|mode| mode == *own);
-        let fitted = outcome.modes.iter().rev().filter(|outcome| wanted(&outcome.mode));
-        let estimate = fitted.filter_map(|outcome| outcome.estimate.as_ref()).next()?;
+        let mut fitted = outcome.modes.iter().rev().filter(|outcome| wanted(&outcome.mode));
+        let estimate = fitted.find_map(|outcome| outcome.estimate.as_ref())?;
         let measured = outcome.sets.first().map(|set| &set.measurements)?;
         let hashed = |(role, source): &(String, Source)| {
             let mut hash = InputHash::default();

@@ -428,7 +428,8 @@ fn a_file_that_is_no_estimate_is_refused_with_its_place() {
     assert_eq!(refusal(&text), None);
     assert_says("", &["cut short or empty"]);
     for part in 1..16 {
-        let end = (text.len() * part / 16..).find(|end| text.is_char_boundary(*end)).expect("an end");
+        let end =
+            (text.len() * part / 16..=text.len()).find(|end| text.is_char_boundary(*end)).expect("an end");
         assert_says(&text[..end], &["cut short or empty"]);
     }
     assert_says(

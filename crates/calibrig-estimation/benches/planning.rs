@@ -55,7 +55,7 @@ fn planning(bench: &mut Bench) {
     let weights = OrderWeights { balance: 60.0, drift: 0.0 };
     let way = Way { commands: &commands, home: None, speeds: &[0.3; 7], drift: None, weights };
     bench.bench_function("order of 60 poses", |bench| {
-        bench.iter(|| ordered(black_box(&way)).expect("an order"))
+        bench.iter(|| ordered(black_box(&way)).expect("an order"));
     });
 }
 

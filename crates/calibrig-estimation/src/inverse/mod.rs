@@ -102,7 +102,7 @@ impl InverseKinematics<'static> {
     ///
     /// # Errors
     ///
-    /// [`InverseError::Model`], where the robot cannot be one.
+    /// [`InverseError::Prediction`], where the robot cannot be one.
     pub fn new(model: &CalibrationModel, tool: Tool) -> Result<Self, InverseError> {
         Self::with(model, model, tool, None)
     }
@@ -114,7 +114,7 @@ impl<'a> InverseKinematics<'a> {
     ///
     /// # Errors
     ///
-    /// [`InverseError::Model`] and [`InverseError::Prediction`], where the robot cannot be one.
+    /// [`InverseError::Prediction`], where the robot cannot be one.
     pub fn of_robot(robot: &'a CalibratedRobot, tool: Tool) -> Result<Self, InverseError> {
         let calibrated = CalibratedArm::new(robot, &tool)?;
         Self::with(&robot.nominal, &robot.model, tool, Some(calibrated))

@@ -248,10 +248,10 @@ impl Reader<'_> {
         }
         let mut stated = [0.0; 6];
         for (stiffness, (key, value)) in stated.iter_mut().zip(segment.stiffnesses()) {
-            *stiffness = self.source.positive(key, self.needed(table, key, value)?)?;
+            *stiffness = self.source.positive(key, self.needed(table, key, value.as_ref())?)?;
         }
         let key = "mass_per_length_kg_per_m";
-        let mass = self.needed(table, key, &segment.mass_per_length_kg_per_m)?;
+        let mass = self.needed(table, key, segment.mass_per_length_kg_per_m.as_ref())?;
         let [axial, shear_2, shear_3, torsion, bending_2, bending_3] = stated;
         Ok(Section {
             axial,
@@ -267,7 +267,7 @@ impl Reader<'_> {
         &self,
         table: &Spanned<SegmentTable>,
         key: &str,
-        value: &'v Option<Spanned<f64>>,
+        value: Option<&'v Spanned<f64>>,
     ) -> Result<&'v Spanned<f64>, InputError> {
         match value {
             Some(value) => Ok(value),
@@ -284,8 +284,8 @@ impl Reader<'_> {
         let gigapascals = |key, value| {
             Ok::<_, InputError>(1e9 * self.source.positive(key, self.needed(table, key, value)?)?)
         };
-        let youngs_modulus = gigapascals("youngs_modulus_gpa", &segment.youngs_modulus_gpa)?;
-        let shear_modulus = gigapascals("shear_modulus_gpa", &segment.shear_modulus_gpa)?;
+        let youngs_modulus = gigapascals("youngs_modulus_gpa", segment.youngs_modulus_gpa.as_ref())?;
+        let shear_modulus = gigapascals("shear_modulus_gpa", segment.shear_modulus_gpa.as_ref())?;
         let ratio = youngs_modulus / shear_modulus;
         if !(2.0..=3.0).contains(&ratio) {
             let message = format!("shear_modulus_gpa means a Poisson's ratio of {:.2}", ratio / 2.0 - 1.0);
@@ -299,7 +299,7 @@ impl Reader<'_> {
     fn shape(&self, table: &Spanned<SegmentTable>) -> Result<Shape, InputError> {
         let segment = table.get_ref();
         let size = |key, value| Ok(self.source.positive(key, value)? / 1e3);
-        let wall_mm = self.needed(table, "wall_mm", &segment.wall_mm)?;
+        let wall_mm = self.needed(table, "wall_mm", segment.wall_mm.as_ref())?;
         let wall = size("wall_mm", wall_mm)?;
         let (shape, least) = match (&segment.tube_diameter_mm, &segment.box_width_mm, &segment.box_height_mm)
         {
