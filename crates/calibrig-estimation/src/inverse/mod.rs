@@ -7,6 +7,7 @@
 //!
 //! ```
 //! use calibrig_estimation::inverse::{Goal, InverseKinematics, InverseOptions, Tool};
+//! use calibrig_estimation::kinematics::target_in_base;
 //! use calibrig_model::nalgebra::Vector3;
 //! use calibrig_model::{CalibrationModel, CraigLink};
 //! use std::f64::consts::FRAC_PI_2;
@@ -19,7 +20,7 @@
 //! ])?;
 //! let tool = Tool::at(Vector3::new(0.10, 0.05, 0.20))?;
 //! let mut inverse = InverseKinematics::new(&robot, tool)?;
-//! let goal = Goal::Position(Vector3::new(1.1, -0.6, 1.2));
+//! let goal = Goal::Position(target_in_base(&robot.kinematics, &[1.2, 0.3, -0.8, 0.5], &Vector3::new(0.10, 0.05, 0.20))?);
 //! let found = inverse.solve(&goal, &InverseOptions::default())?;
 //! assert!((found.base_from_tool.translation.vector - goal.position()).norm() < 1e-9);
 //!
