@@ -9,7 +9,7 @@ use serde::Deserialize;
 
 use super::Scenario;
 use super::as_built::{AsBuiltFile, as_built};
-use super::effects::{EffectsFile, check_loads, effects};
+use super::effects::{EffectsFile, check_air, check_loads, effects};
 use super::identification::{IdentificationFile, ModeFile};
 use super::instrument::{DriftFile, EnvironmentFile, SmrFile, conditions, instrument};
 use super::payloads::{CarriedFile, payloads};
@@ -295,10 +295,11 @@ fn validate(
             Ok((set, p.mode.into(), row))
         })
         .collect::<Result<_, InputError>>()?;
+    let in_file = source.clone();
     let mut sources = vec![("scenario".to_owned(), source)];
     sources.extend(robot.sources.iter().cloned());
     sources.extend(pose_files);
-    Ok(Scenario {
+    let scenario = Scenario {
         name: file.name.into_inner(),
         seed: file.seed,
         robot,
@@ -319,7 +320,9 @@ fn validate(
         modes,
         published,
         sources,
-    })
+    };
+    check_air(&in_file, &file.effects, &scenario)?;
+    Ok(scenario)
 }
 
 /// Stations that sweeps are to place need some of two axes.

@@ -21,6 +21,7 @@ use self::entries::{
 };
 use self::statics::{FoundationFile, HosesFile};
 use self::thermal::ThermalFile;
+pub(super) use self::thermal::check_air;
 use super::file::{joint_index, refuse_twice};
 use calibrig_files::Robot;
 use calibrig_files::{InputError, Source, Spanned};

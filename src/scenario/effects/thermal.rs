@@ -5,8 +5,9 @@ use std::f64::consts::TAU;
 use serde::Deserialize;
 
 use super::entries::yes;
-use super::{Key, Numbers, Reader};
-use calibrig_files::{InputError, Spanned};
+use super::{EffectsFile, Key, Numbers, Reader};
+use crate::scenario::Scenario;
+use calibrig_files::{InputError, Source, Spanned};
 use calibrig_model::JointKind;
 use calibrig_plant::effects::{AMBIENT_RANGE, Ambient, DriveHeat, GrowingPart, Growth, MOST_RISE, Thermal};
 
@@ -24,6 +25,28 @@ pub(in crate::scenario) struct ThermalFile {
     #[serde(default)]
     link: Vec<Spanned<GrowthFile>>,
     rod: Option<RodFile>,
+}
+
+impl ThermalFile {
+    /// Where the file says how far the air goes.
+    fn air(&self) -> &Spanned<f64> {
+        self.drift_c_per_h.as_ref().or(self.swing_c.as_ref()).unwrap_or(&self.start_c)
+    }
+}
+
+/// Refuses air that gets too warm or cold while the session lasts.
+pub(in crate::scenario) fn check_air(
+    source: &Source,
+    file: &EffectsFile,
+    scenario: &Scenario,
+) -> Result<(), InputError> {
+    let effects = &scenario.as_built.effects;
+    let (Some(thermal), Some(table)) = (&effects.thermal, &file.thermal) else { return Ok(()) };
+    thermal.check_session(scenario.session().duration()).map_err(|error| {
+        let [least, most] = AMBIENT_RANGE;
+        let help = format!("expected air of {least} to {most} degC throughout the session, or a shorter one");
+        source.error(table.get_ref().air().span(), format!("effects.{error}"), Some(help))
+    })
 }
 
 #[derive(Deserialize)]
