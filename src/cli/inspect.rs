@@ -250,8 +250,18 @@ pub(super) fn write_sets(sets: &[SetReport], text: &mut String) -> std::fmt::Res
             ]
         })
         .collect();
-    let heads =
-        ["set", "poses", "planned", "dropped", "observations", "of", "stations", "targets", "nests", ""];
+    let heads = [
+        "set",
+        "poses",
+        "planned",
+        "dropped",
+        "observations",
+        "of",
+        "stations",
+        "targets",
+        "nest readings",
+        "",
+    ];
     write_table(&heads, &rows, &[1, 2, 3, 4, 5, 6, 7, 8], text)?;
     for set in sets.iter().filter(|set| !set.payloads.is_empty()) {
         let carried: Vec<_> = set.payloads.iter().map(ToString::to_string).collect();
