@@ -63,7 +63,7 @@ pub fn read_payloads(
     Ok(payloads)
 }
 
-/// Index of the payload of a name among those that are known; `None` where the name is that of none, or says that it weighs 0.
+/// Index of the payload of a name among those that are known; `None` where the name says that nothing is carried: a word for it, or a weight of 0.
 ///
 /// # Errors
 /// What was expected in place of a name that nobody has.

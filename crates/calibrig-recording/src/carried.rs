@@ -15,7 +15,7 @@ pub struct CarriedReport {
     pub mass_kg: Option<f64>,
     /// Centre of the mass in the flange frame, m.
     pub centre_m: Option<[f64; 3]>,
-    /// That pulls there, in the base frame, N.
+    /// Force that pulls at the centre, in the base frame, N.
     pub force_n: Option<[f64; 3]>,
     /// Distinct poses with it.
     pub poses: usize,
