@@ -172,16 +172,12 @@ fn unwritten_help(written: &[&str]) -> String {
     format!("expected room and permission to write; the result is on standard output{kept}")
 }
 
-/// What a run needs that fails for want of poses, or for its plant, in words.
+/// What an identification needs that fails for want of poses, in words.
 fn what_is_needed(error: &PipelineError) -> Option<String> {
     let inner = match error {
         PipelineError::Split { source, .. } => source.as_ref(),
         error => error,
     };
-    if let PipelineError::BeyondAnalytic { effect } = inner {
-        let section = effect.key();
-        return Some(format!("use the simulated plant (--plant rapier), or switch [effects.{section}] off"));
-    }
     let PipelineError::Identify { source: cause, .. } = inner else { return None };
     match *cause {
         IdentifyError::TooFewRows { rows, parameters } => {
@@ -200,6 +196,11 @@ fn not_identified(error: PipelineError, file: &Path, source: &Source, place: Ran
     if let PipelineError::Implausible(why) = &error {
         let help = why.help();
         return source.error(0..0, error, Some(help)).into();
+    }
+    if let PipelineError::BeyondAnalytic { effect } = &error {
+        let section = format!("effects.{}", effect.key());
+        let help = format!("use the simulated plant (--plant rapier), or switch [{section}] off");
+        return source.error(source.place_of(&section), error, Some(help)).into();
     }
     match what_is_needed(&error) {
         Some(help) => source.error(place, error, Some(help)).into(),

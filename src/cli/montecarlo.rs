@@ -1,15 +1,16 @@
 //! `calibrig montecarlo`.
 
 use std::fs::File;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::interrupt::stop_on_interrupt;
 use super::output::{Destination, Files};
-use super::{CliError, Verdict, not_identified_at, print, read_scenario, say};
+use super::{CliError, Verdict, not_identified, print, read_scenario, say};
 use crate::montecarlo::{self, Campaign, Trial};
 use crate::pipeline::{PlantKind, check_analytic};
+use crate::scenario::Scenario;
 
 /// Repeat a scenario with other draws, and see how accuracy and parameters scatter
 #[derive(Debug, clap::Args)]
@@ -52,6 +53,14 @@ pub(super) enum Plant {
     Analytic,
 }
 
+impl Plant {
+    /// Refuses a machine that this plant cannot be, before anything is written.
+    pub(super) fn check(self, scenario: &Scenario, file: &Path) -> Result<(), CliError> {
+        let checked = if self == Self::Analytic { check_analytic(&scenario.as_built) } else { Ok(()) };
+        checked.map_err(|error| not_identified(error, file, &scenario.sources[0].1, 0..0))
+    }
+}
+
 impl From<Plant> for PlantKind {
     fn from(plant: Plant) -> Self {
         match plant {
@@ -71,11 +80,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     let name = format!("{}-montecarlo", scenario.name);
     let destination = args.out.as_deref().map_or(Destination::New(&name), Destination::Asked);
     destination.check(Files::Campaign)?;
-    if args.plant == Plant::Analytic {
-        let place = args.scenario.display().to_string();
-        check_analytic(&scenario.as_built)
-            .map_err(|error| not_identified_at(error, &args.scenario, place))?;
-    }
+    args.plant.check(&scenario, &args.scenario)?;
     scenario.remarks().iter().for_each(|remark| say(remark));
     let seed = args.seed.unwrap_or(scenario.seed);
     let campaign = Campaign { scenario: &scenario, seed, plant: args.plant.into() };

@@ -55,6 +55,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     let scenario = read_scenario(&args.scenario)?;
     let destination = args.out.as_deref().map_or(Destination::New(&scenario.name), Destination::Asked);
     destination.check(Files::ReportsAndRecordings)?;
+    args.plant.check(&scenario, &args.scenario)?;
     scenario.remarks().iter().for_each(|remark| say(remark));
     let (folder, new) = destination.make()?;
     output::or_removed(run_into(args, &scenario, &folder), &folder, new)

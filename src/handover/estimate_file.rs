@@ -248,7 +248,7 @@ fn not_read(source: &Source, error: &serde_json::Error) -> InputError {
     let line_start: usize =
         source.text.split_inclusive('\n').take(error.line().saturating_sub(1)).map(str::len).sum();
     let at = (line_start + error.column().saturating_sub(1)).min(source.text.len());
-    // A number that is cut is none.
+    // A number that is cut short is a syntax error, although the file has just ended too early.
     let is_at_end = at + 1 >= source.text.trim_end().len();
     let help = match error.classify() {
         serde_json::error::Category::Syntax if is_at_end => CUT_SHORT,

@@ -27,7 +27,7 @@ pub enum HandoverError {
     /// A robot that cannot predict.
     #[error(transparent)]
     Prediction(#[from] PredictionError),
-    /// Most commands of the region are none of the robot.
+    /// The robot cannot take most commands of the region.
     #[error(
         "between the lowest and highest commands of the estimate's region the identified robot can take {found} of {wanted} poses{}",
         .why.as_ref().map_or_else(String::new, |why| format!(" ({why})"))

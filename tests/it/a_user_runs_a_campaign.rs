@@ -319,10 +319,16 @@ fn what_cannot_be_done_is_refused_before_the_first_trial() {
     let campaign = ["montecarlo", MATCHED, "--trials", "3", "--out", "file/out"];
     assert_refused(&sandbox, &campaign, "cannot write", "file is no folder", "the name of a new one");
     let whole = "scenarios/whole.toml";
-    sandbox.write(whole, std::fs::read("scenarios/paper.toml").expect("the shipped scenario"));
-    let campaign = ["montecarlo", whole, "--trials", "3", "--plant", "analytic"];
+    let shipped = std::fs::read_to_string("scenarios/paper.toml").expect("the shipped scenario");
+    sandbox.write(whole, &shipped);
+    let section = "[[effects.stiffening.joint]]";
+    let line = 1 + shipped.lines().position(|line| line == section).expect("a drive that stiffens");
     let message = "the analytic plant has no stiffening drives";
-    assert_refused(&sandbox, &campaign, "scenarios/whole.toml: ", message, "switch [effects.stiffening] off");
+    for start in [["montecarlo", whole, "--trials", "3"], ["run", whole, "--trial", "3"]] {
+        let arguments = [&start[..], &["--plant", "analytic"]].concat();
+        let place = format!("{whole}:{line}: ");
+        assert_refused(&sandbox, &arguments, &place, message, "switch [effects.stiffening] off");
+    }
     for (start, lines, below, message, expected) in [
         ("tolerance_mm = ", "", 0, "tolerance_mrad stands alone", "tolerance_mm as well"),
         ("tolerance_mm = ", "tolerance_mm = 0", 0, "tolerance_mm is 0", "above zero"),

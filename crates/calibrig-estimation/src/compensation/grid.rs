@@ -20,7 +20,7 @@ pub struct GridPlan {
     pub held: Goal,
 }
 
-/// A grid that cannot be one.
+/// Why a grid is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[non_exhaustive]
 pub enum GridError {

@@ -29,19 +29,19 @@ use calibrig_model::geometry::Transform;
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum CompensationError {
-    /// The goal cannot be met, or what is asked cannot be.
+    /// The goal cannot be met, or goal or options are refused.
     #[error(transparent)]
     Inverse(#[from] InverseError),
     /// The rigid nominal robot meets the goal; the identified one does not, within the limits.
     #[error("the nominal robot meets the goal, the identified one does not: {0}")]
     OutOfCorrection(Box<Unreachable>),
-    /// The robot cannot be one, or finds no rest.
+    /// The robot is refused, or has no equilibrium.
     #[error(transparent)]
     Prediction(#[from] PredictionError),
-    /// A path that cannot be one.
+    /// The path is refused.
     #[error(transparent)]
     Path(#[from] PathError),
-    /// A grid that cannot be one.
+    /// The grid is refused.
     #[error(transparent)]
     Grid(#[from] GridError),
 }
@@ -58,7 +58,7 @@ impl<'a> Compensator<'a> {
     ///
     /// # Errors
     ///
-    /// [`CompensationError::Inverse`], where the robot cannot be one.
+    /// [`CompensationError::Inverse`], where the robot is refused.
     pub fn new(robot: &'a CalibratedRobot, tool: Tool) -> Result<Self, CompensationError> {
         Ok(Self { inverse: InverseKinematics::of_robot(robot, tool)?, certainty: None })
     }

@@ -24,7 +24,7 @@ pub struct ToolPath {
     points: Vec<PathPoint>,
 }
 
-/// A path that cannot be one. Points count from zero here and from one in print.
+/// Why a path is refused. Points count from zero here and from one in print.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum PathError {
@@ -55,7 +55,7 @@ pub enum PathError {
         /// Rows of the first.
         expected: usize,
     },
-    /// Times that are none, or do not grow.
+    /// Times that are not finite, or do not grow.
     #[error("point {} of the path is at {time} s: expected a finite time after that of the point before", point + 1)]
     Time {
         /// Index of the point.
@@ -63,13 +63,13 @@ pub enum PathError {
         /// s
         time: f64,
     },
-    /// A speed that is none.
+    /// A speed that is not a finite number above zero.
     #[error("the speed of the path is {speed} m/s: expected a finite number above zero")]
     Speed {
         /// As stated.
         speed: f64,
     },
-    /// What an actuator may do cannot be.
+    /// A speed limit of an actuator that is not above zero.
     #[error("the speed limit of actuator {} is {limit}: expected a number above zero, infinite where there is none", actuator + 1)]
     Limit {
         /// Index of the actuator.

@@ -23,7 +23,7 @@ pub struct Raster {
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[non_exhaustive]
 pub enum RasterError {
-    /// A distance that cannot be.
+    /// A distance that is not a finite number above zero.
     #[error("{field} is {value} m: expected {expected}")]
     Length {
         /// Which.

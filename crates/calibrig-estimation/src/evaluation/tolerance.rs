@@ -20,7 +20,7 @@ const NODES: i32 = 1000;
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum ToleranceError {
-    /// A share that is none.
+    /// A share that is not between zero and one.
     #[error("{field} is {value}: expected a share above zero and below one, such as 0.95")]
     Share {
         /// Coverage or confidence.
@@ -106,7 +106,7 @@ pub struct LargestError {
 ///
 /// # Errors
 ///
-/// [`ToleranceError`], without an error, for one that is not a finite length, and for shares that are none.
+/// [`ToleranceError`], without an error, for one that is not a finite length, and for shares that are not between zero and one.
 pub fn accept(errors: &[f64], coverage: f64, confidence: f64) -> Result<Acceptance, ToleranceError> {
     let sorted = sorted(errors)?;
     let needed = least_sample(coverage, confidence, 1)?;
@@ -196,7 +196,7 @@ pub fn quantile_bound(errors: &[f64], coverage: f64, confidence: f64) -> Result<
 ///
 /// # Errors
 ///
-/// [`ToleranceError`], for shares that are none, a rank of zero, and where a million are not enough.
+/// [`ToleranceError`], for shares that are not between zero and one, a rank of zero, and where a million are not enough.
 pub fn least_sample(coverage: f64, confidence: f64, from_largest: usize) -> Result<usize, ToleranceError> {
     shares(coverage, confidence)?;
     count(from_largest)?;
@@ -217,7 +217,7 @@ pub fn least_sample(coverage: f64, confidence: f64, from_largest: usize) -> Resu
 ///
 /// # Errors
 ///
-/// [`ToleranceError`], for no error, and a confidence that is none.
+/// [`ToleranceError`], for no error, and a confidence that is not between zero and one.
 pub fn share_below_largest(errors: usize, confidence: f64) -> Result<f64, ToleranceError> {
     shares(0.5, confidence)?;
     count(errors)?;
@@ -239,7 +239,7 @@ pub fn stays_largest(errors: usize, further: usize) -> Result<f64, ToleranceErro
 ///
 /// # Errors
 ///
-/// [`ToleranceError`], for fewer than two errors, and shares that are none.
+/// [`ToleranceError`], for fewer than two errors, and shares that are not between zero and one.
 pub fn normal_tolerance_factor(errors: usize, coverage: f64, confidence: f64) -> Result<f64, ToleranceError> {
     shares(coverage, confidence)?;
     count(errors)?;
@@ -295,7 +295,7 @@ fn below_noncentral(t: f64, freedom: f64, shift: f64) -> f64 {
 ///
 /// # Errors
 ///
-/// [`ToleranceError`], for fewer than two errors, one that is not finite, and shares that are none.
+/// [`ToleranceError`], for fewer than two errors, one that is not finite, and shares that are not between zero and one.
 pub fn normal_interval(errors: &[f64], coverage: f64, confidence: f64) -> Result<[f64; 2], ToleranceError> {
     shares(coverage, confidence)?;
     if let Some((index, value)) = errors.iter().copied().enumerate().find(|(_, error)| !error.is_finite()) {

@@ -103,7 +103,7 @@ impl InverseKinematics<'static> {
     ///
     /// # Errors
     ///
-    /// [`InverseError::Prediction`], where the robot cannot be one.
+    /// [`InverseError::Prediction`], where the robot is refused.
     pub fn new(model: &CalibrationModel, tool: Tool) -> Result<Self, InverseError> {
         Self::with(model, model, tool, None)
     }
@@ -115,7 +115,7 @@ impl<'a> InverseKinematics<'a> {
     ///
     /// # Errors
     ///
-    /// [`InverseError::Prediction`], where the robot cannot be one.
+    /// [`InverseError::Prediction`], where the robot is refused.
     pub fn of_robot(robot: &'a CalibratedRobot, tool: Tool) -> Result<Self, InverseError> {
         let calibrated = CalibratedArm::new(robot, &tool)?;
         Self::with(&robot.nominal, &robot.model, tool, Some(calibrated))

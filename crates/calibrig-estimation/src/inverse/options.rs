@@ -44,19 +44,19 @@ impl Default for InverseOptions {
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum InverseError {
-    /// The goal or the tool cannot be one.
+    /// The goal or the tool is refused.
     #[error(transparent)]
     Goal(#[from] GoalError),
     /// No search met the goal.
     #[error("the goal is out of reach: {0}")]
     Unreachable(Box<Unreachable>),
-    /// The robot cannot be one, or the reference is no command of it, or its equilibrium is none.
+    /// The robot is refused, the reference is not a command of it, or it has no equilibrium.
     #[error(transparent)]
     Prediction(#[from] PredictionError),
-    /// A load at the flange that cannot be.
+    /// The payload is refused.
     #[error(transparent)]
     Payload(#[from] PayloadError),
-    /// A number that cannot be.
+    /// A number out of its range.
     #[error("{field} is {value}: expected {expected}")]
     Number {
         /// What it is.

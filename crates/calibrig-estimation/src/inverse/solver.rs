@@ -44,7 +44,7 @@ pub(super) struct Search<'a, A: Arm> {
     /// Bounds of the unknowns: limits, or narrower.
     pub low: &'a [f64],
     pub high: &'a [f64],
-    /// The length of the miss that is none, m.
+    /// A miss no longer than this meets the goal, m.
     pub tolerance: f64,
     /// Unknowns that do not move.
     pub pinned: Vec<bool>,

@@ -21,7 +21,7 @@ pub enum Goal {
     Pose(Transform),
 }
 
-/// A goal that cannot be one.
+/// Why a goal or a tool is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[non_exhaustive]
 pub enum GoalError {
@@ -33,7 +33,7 @@ pub enum GoalError {
         /// As stated.
         value: [f64; 3],
     },
-    /// A direction that is none.
+    /// A direction of length zero.
     #[error("the direction of the {of} is of length {length}: expected any but zero")]
     NoDirection {
         /// Of what.

@@ -110,7 +110,7 @@ impl DriftCoupling {
 ///
 /// # Errors
 ///
-/// [`PlanError`], without a pose, for lists that are not one number a joint, and for numbers that cannot be.
+/// [`PlanError`], without a pose, for lists that are not one number a joint, and for numbers out of their range.
 pub fn ordered(way: &Way<'_>) -> Result<Ordered, PlanError> {
     check(way)?;
     let search = OrderSearch::new(way);
