@@ -1,6 +1,10 @@
 //! What decides between the poses in which the tool is where it should be.
 
+use std::fmt;
+use std::str::FromStr;
+
 use nalgebra::{DMatrix, DVector, Matrix3xX, Vector3};
+use thiserror::Error;
 
 use super::arm::{by_joints, no_pose};
 use super::joint_space::JointSpace;
@@ -63,6 +67,68 @@ impl Criterion {
     /// Whether nothing is asked for.
     pub fn is_none(&self) -> bool {
         self.parts().iter().all(|(_, weight)| *weight == 0.0)
+    }
+
+    fn part_mut(&mut self, name: &str) -> Option<&mut f64> {
+        match name {
+            "deflection" => Some(&mut self.deflection),
+            "limits" => Some(&mut self.limits),
+            "manipulability" => Some(&mut self.manipulability),
+            "motion" => Some(&mut self.motion),
+            _ => None,
+        }
+    }
+}
+
+/// Parts joined by commas, each with a weight or of weight one: `deflection`, `deflection,limits=0.1`; `none`. What is printed is read back the same.
+impl fmt::Display for Criterion {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.is_none() {
+            return f.write_str("none");
+        }
+        let stated = self.parts().into_iter().filter(|(_, weight)| *weight != 0.0);
+        for (index, (name, weight)) in stated.enumerate() {
+            let comma = if index > 0 { "," } else { "" };
+            if weight == 1.0 {
+                write!(f, "{comma}{name}")?;
+            } else {
+                write!(f, "{comma}{name}={weight}")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A text that states no criterion.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[error(
+    "{found:?} does not state a criterion: expected deflection, limits, manipulability or motion, several of them joined by commas and with weights \
+     (deflection,limits=0.1), or none"
+)]
+pub struct CriterionError {
+    /// The part that was not understood.
+    pub found: String,
+}
+
+impl FromStr for Criterion {
+    type Err = CriterionError;
+
+    fn from_str(text: &str) -> Result<Self, CriterionError> {
+        let mut criterion = Self::NONE;
+        if text.trim() == "none" {
+            return Ok(criterion);
+        }
+        for part in text.split(',') {
+            let refused = || CriterionError { found: part.trim().to_owned() };
+            let (name, weight) = part.split_once('=').unwrap_or((part, "1"));
+            let weight: f64 = weight.trim().parse().map_err(|_| refused())?;
+            let into = criterion.part_mut(name.trim()).ok_or_else(refused)?;
+            if *into != 0.0 || !(weight > 0.0 && weight.is_finite()) {
+                return Err(refused());
+            }
+            *into = weight;
+        }
+        Ok(criterion)
     }
 }
 

@@ -41,7 +41,7 @@ mod starts;
 mod task;
 
 pub use arm::Circumstances;
-pub use criterion::Criterion;
+pub use criterion::{Criterion, CriterionError};
 pub use options::{InverseError, InverseOptions};
 pub use reach::{JointAtLimit, LimitEnd, Unreachable};
 pub use task::{Goal, GoalError, Tool};

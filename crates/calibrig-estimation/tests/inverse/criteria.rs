@@ -195,3 +195,31 @@ fn clumsiness(model: &CalibrationModel, command: &[f64], goal: &Goal) -> f64 {
     };
     -0.5 * (&rows * rows.transpose()).determinant().ln()
 }
+
+#[test]
+fn a_criterion_is_read_as_it_is_printed() {
+    let mixed = Criterion { limits: 0.1, ..Criterion::LEAST_DEFLECTION };
+    for (criterion, text) in [
+        (Criterion::NONE, "none"),
+        (Criterion::LEAST_DEFLECTION, "deflection"),
+        (mixed, "deflection,limits=0.1"),
+        (Criterion { manipulability: 2.5, ..Criterion::LEAST_MOTION }, "manipulability=2.5,motion"),
+    ] {
+        assert_eq!(criterion.to_string(), text);
+        assert_eq!(text.parse(), Ok(criterion));
+    }
+    for wrong in [
+        "",
+        "droop",
+        "limits=",
+        "limits=-1",
+        "limits=0",
+        "limits=inf",
+        "limits,limits",
+        "none,limits",
+        "limits=1e999",
+    ] {
+        let told = wrong.parse::<Criterion>().expect_err(wrong).to_string();
+        assert!(told.contains("expected deflection, limits, manipulability or motion"), "{told}");
+    }
+}
