@@ -4,6 +4,7 @@ mod ablation;
 mod acceptance;
 mod bounds;
 mod choice;
+mod closed_loop;
 mod defaults;
 mod diagnosis;
 mod iso9283;
@@ -25,6 +26,7 @@ pub use acceptance::{AcceptanceOutcome, Finding, Ratios, Test, TestOutcome, Test
 pub(crate) use bounds::information_at_truth;
 pub use bounds::{TruthBounds, bounds_at_truth};
 pub use choice::{ALL_TERMS, ChosenRow, DEFAULT_TERMS, FailedVariant, ModelChoice, choose};
+pub use closed_loop::{ClosedLoopError, close_loop};
 pub use defaults::{default_modes, default_options, is_default};
 pub use diagnosis::{Names, mm};
 pub use iso9283::{
@@ -47,6 +49,7 @@ pub use worth::Worse;
 use std::fmt::Write;
 use std::fs::File;
 use std::io::{self, Read};
+use std::ops::ControlFlow;
 use std::path::Path;
 
 use nalgebra::Vector3;
@@ -55,6 +58,7 @@ use thiserror::Error;
 
 use crate::scenario::Scenario;
 use calibrig_estimation::evaluation::accuracy;
+use calibrig_estimation::evaluation::closed_loop::ClosedLoop;
 pub use calibrig_estimation::evaluation::{ModeOutcome, RegistrationSummary};
 use calibrig_estimation::identification::{
     CalibratedRobot, IdentificationOptions, IdentifyError, Mode, PredictionError, Predictor, identify,
@@ -113,6 +117,8 @@ pub struct Outcome {
     pub ablation: Option<Ablation>,
     /// The modes on random splits of the identification set, where that was asked for.
     pub splits: Option<SplitStudy>,
+    /// What corrected commands did on the machine, where the scenario asks for it.
+    pub closed_loop: Option<ClosedLoop>,
     /// The command line that gives the report, where the other fields do not tell it.
     pub command: Option<String>,
 }
@@ -130,6 +136,7 @@ impl Outcome {
             modes: &self.modes,
             truth: self.truth.as_ref(),
             published: &self.published,
+            closed_loop: self.closed_loop.as_ref(),
         }
     }
 }
@@ -250,6 +257,9 @@ pub enum PipelineError {
     /// The nominal robot does not lie on the points: the fit does not start.
     #[error("{0}")]
     Implausible(Box<Implausible>),
+    /// Commands cannot be corrected and driven.
+    #[error("[compensation]: {0}")]
+    ClosedLoop(#[from] ClosedLoopError),
     /// A mode cannot be identified.
     #[error("{}: {source}", mode.title())]
     Identify {
@@ -345,8 +355,13 @@ fn turns(robot: &CalibratedRobot, set: &MeasurementSet) -> Result<Vec<Option<Vec
 }
 
 /// Simulates, identifies and evaluates a scenario: trial 0 of its campaigns. `progress` is told the number of poses done and of all poses.
+///
+/// Where the scenario has `[compensation]`, the corrected commands are driven as well.
 pub fn run(scenario: &Scenario, seed: u64, progress: impl FnMut(u32, u32)) -> Result<Outcome, PipelineError> {
-    run_trial(scenario, seed, 0, PlantKind::Rapier, &mut counting(progress))
+    let mut outcome = run_trial(scenario, seed, 0, PlantKind::Rapier, &mut counting(progress))?;
+    outcome.closed_loop =
+        close_loop(scenario, (seed, 0, PlantKind::Rapier), &outcome, &mut |_, _| ControlFlow::Continue(()))?;
+    Ok(outcome)
 }
 
 /// The source of a run's measurements: the scenario's files, its seed and the trial.
@@ -401,6 +416,7 @@ pub fn run_trial(
         sensors,
         ablation: None,
         splits: None,
+        closed_loop: None,
         command: None,
     })
 }

@@ -323,6 +323,7 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
         sensors,
         ablation: None,
         splits: None,
+        closed_loop: None,
         command: None,
     };
     let what_if = options.changes_anything() || !options.modes.is_empty();

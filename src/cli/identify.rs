@@ -746,6 +746,7 @@ fn outcome(args: &Args, prepared: Prepared) -> Result<(Outcome, Statements, Verd
         sensors,
         ablation: None,
         splits: None,
+        closed_loop: None,
         command: Some(output::command_line()),
     };
     Ok((outcome, statements, plausible))

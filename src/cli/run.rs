@@ -118,6 +118,7 @@ fn measure(
     if let Ok(style) = ProgressStyle::with_template("simulating pose {pos}/{len} {bar:40} {elapsed}") {
         bar.set_style(style);
     }
+    let at = (seed, args.trial, args.plant.into());
     let outcome = pipeline::run_trial(scenario, seed, args.trial, args.plant.into(), &mut |event| {
         listener(event);
         match event {
@@ -126,6 +127,19 @@ fn measure(
             SessionEvent::Set { .. } | SessionEvent::SetEnd { .. } => {}
         }
         if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    });
+    let outcome = outcome.and_then(|mut outcome| {
+        if let Ok(style) =
+            ProgressStyle::with_template("driving corrected pose {pos}/{len} {bar:40} {elapsed}")
+        {
+            bar.set_style(style);
+        }
+        outcome.closed_loop = pipeline::close_loop(scenario, at, &outcome, &mut |done, total| {
+            bar.set_length(total.into());
+            bar.set_position(done.into());
+            if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        })?;
+        Ok(outcome)
     });
     // From here on there is nothing to close: the next one ends the process.
     stop.store(true, Ordering::Relaxed);

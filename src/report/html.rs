@@ -5,6 +5,8 @@ use std::fmt::Write;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::ablation::ablation_section;
+use super::acceptance_bounds::acceptance_table;
+use super::closed_loop::closed_loop_section;
 use super::drift::drift_section;
 use super::judgement::{residual_section, sure_section};
 use super::parameters::{ParameterCell, ParameterRow, fitted, parameter_rows, parameter_words, printed_unit};
@@ -48,6 +50,7 @@ pub fn html_report(outcome: &Outcome) -> Result<String, ReportError> {
     let (residual, sure) = (residual_section(outcome)?, sure_section(outcome)?);
     let ablation = outcome.ablation.as_ref().map(ablation_section).transpose()?;
     let target = sensor_section(outcome)?;
+    let compensated = closed_loop_section(outcome)?;
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -59,6 +62,7 @@ pub fn html_report(outcome: &Outcome) -> Result<String, ReportError> {
                     (summary_section(outcome))
                     (accuracy_section(outcome))
                     (errors)
+                    (compensated)
                     (residual)
                     (scatter_section(outcome))
                     (parameters)
@@ -119,6 +123,7 @@ fn header(outcome: &Outcome) -> Markup {
                 a href="#summary" { "Summary" } " "
                 a href="#accuracy" { "Accuracy" } " "
                 a href="#errors" { "Errors" } " "
+                @if outcome.closed_loop.is_some() { a href="#compensated" { "Compensated" } " " }
                 @if !outcome.judgements.is_empty() { a href="#residual" { "Residual" } " " }
                 @if has_scatter(outcome) { a href="#scatter" { "Scatter" } " " }
                 a href="#parameters" { "Parameters" } " "
@@ -203,6 +208,7 @@ fn accuracy_section(outcome: &Outcome) -> Markup {
             @for (index, set) in outcome.sets.iter().enumerate() {
                 (accuracy_table(outcome, index, set.kind, &pose_words(set)))
                 (orientation_table(outcome, index, set.kind))
+                (acceptance_table(outcome, index))
             }
         }
     }

@@ -5,6 +5,8 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use super::acceptance_bounds::{JsonAcceptance, json_acceptance};
+use super::closed_loop::{self, JsonCompensation};
 use super::drift::{JsonDrift, json_drift};
 use super::judgement::{JsonJudgement, json_judgement};
 use super::parameters::{fitted, truth_of};
@@ -13,7 +15,9 @@ use super::residuals::{JsonResidual, json_residuals};
 use super::sensors::{JsonSensors, json_sensors};
 use super::splits::{JsonSplits, json_splits};
 use super::sweeps::{JsonSweeps, json_sweeps};
-use crate::pipeline::{AblatedPart, Ablation, CarriedReport, MissingReading, Outcome, SetOutcome, Worse};
+use crate::pipeline::{
+    AblatedPart, Ablation, CarriedReport, MissingReading, Outcome, SetKind, SetOutcome, Worse,
+};
 use calibrig_estimation::evaluation::AccuracyRow;
 use calibrig_estimation::identification::{Estimate, Mode, NoiseScale, Outlier, Warning};
 
@@ -49,6 +53,9 @@ pub struct JsonReport {
     /// What sweeps of single axes show; absent where no station read any.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sweeps: Vec<JsonSweeps>,
+    /// What corrected commands did on the machine; its table is the set `compensated`. Absent where none were driven.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub compensation: Option<JsonCompensation>,
     /// What one point, three points and full poses tell at the same poses; absent where nothing can be compared.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensors: Option<JsonSensors>,
@@ -190,6 +197,9 @@ pub struct JsonRow {
     pub max_3d_m: Option<f64>,
     /// Number of observations.
     pub n: usize,
+    /// What held-out errors say of all poses of the region; absent of other sets.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub acceptance: Option<JsonAcceptance>,
     /// Errors of orientations; absent where none was measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub orientation: Option<JsonOrientationRow>,
@@ -430,6 +440,12 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
             .iter()
             .enumerate()
             .map(|(index, set)| (set.kind.key().to_owned(), json_set(outcome, index, set)))
+            .chain(
+                outcome
+                    .closed_loop
+                    .iter()
+                    .map(|driven| ("compensated".to_owned(), closed_loop::json_set(driven))),
+            )
             .collect(),
         estimates: fitted
             .iter()
@@ -473,6 +489,7 @@ pub fn json_report(outcome: &Outcome) -> JsonReport {
         splits: outcome.splits.as_ref().map(json_splits),
         drift: json_drift(outcome),
         sweeps: json_sweeps(outcome),
+        compensation: outcome.closed_loop.as_ref().map(closed_loop::json_compensation),
         sensors: outcome.sensors.as_ref().map(json_sensors),
     }
 }
@@ -557,14 +574,18 @@ fn json_set(outcome: &Outcome, index: usize, set: &SetOutcome) -> JsonSet {
                     max_rad: finite(row.max),
                     n: row.count,
                 });
-                let row = JsonRow { orientation, ..json_row(&row(&m.rows)?) };
+                let held_out = (set.kind == SetKind::Verification).then(|| {
+                    m.errors.get(index).map(|own| own.iter().map(Vector3::norm).collect::<Vec<_>>())
+                });
+                let row = JsonRow { orientation, ..json_row(&row(&m.rows)?, held_out.flatten().as_deref()) };
                 Some((m.mode.key().to_owned(), row))
             })
             .collect(),
     }
 }
 
-fn json_row(row: &AccuracyRow) -> JsonRow {
+/// A row, and what it says of the region where its errors (their lengths, m) were held out.
+pub(super) fn json_row(row: &AccuracyRow, held_out: Option<&[f64]>) -> JsonRow {
     let axes = |v: &Vector3<f64>| [finite(v.x), finite(v.y), finite(v.z)];
     JsonRow {
         max_m: axes(&row.max),
@@ -573,6 +594,7 @@ fn json_row(row: &AccuracyRow) -> JsonRow {
         rms_3d_m: finite(row.rms_3d),
         max_3d_m: finite(row.max_3d),
         n: row.count,
+        acceptance: held_out.and_then(json_acceptance),
         orientation: None,
     }
 }

@@ -2,6 +2,8 @@
 
 mod ablation;
 mod acceptance;
+mod acceptance_bounds;
+mod closed_loop;
 mod drift;
 mod forest;
 mod html;
@@ -22,6 +24,10 @@ mod sweeps;
 mod tables;
 
 pub use acceptance::{acceptance_html, acceptance_json, acceptance_svg, acceptance_text};
+pub use acceptance_bounds::JsonAcceptance;
+pub use closed_loop::{
+    JsonCompensation, JsonDrivenCriterion, JsonDrivenPath, JsonDrivenPose, JsonDrivenPoseTest,
+};
 pub use html::{html_report, quoted};
 pub use iso9283::{
     ISO9283_SCHEMA, JsonCombined, JsonCube, JsonIso9283, JsonIsoAccuracy, JsonIsoOrientation, JsonIsoPose,

@@ -187,6 +187,85 @@ pub(super) fn distribution(outcome: &Outcome) -> Result<String, ReportError> {
     })
 }
 
+/// What a curve of magnitudes shows.
+pub(super) struct Curve {
+    pub look: Look,
+    /// mm over whatever it is drawn against.
+    pub points: Vec<(f64, f64)>,
+    /// As a line; else as markers.
+    pub joined: bool,
+}
+
+/// Magnitudes in mm over something, logarithmic.
+pub(super) fn magnitudes(
+    (figure, label): (&'static str, &str),
+    below: &str,
+    curves: &[Curve],
+) -> Result<String, ReportError> {
+    const PANEL: i32 = 260;
+    const FOOT: i32 = 20;
+    let shown = |(x, y): &&(f64, f64)| drawable(*x) && drawable(*y) && *y > 0.0;
+    let points = || curves.iter().flat_map(|curve| curve.points.iter().filter(shown));
+    let low = points().map(|(_, y)| *y).fold(f64::INFINITY, f64::min).max(1e-4);
+    let high = points().map(|(_, y)| *y).fold(0.0, f64::max);
+    svg(figure, label, (WIDTH, PANEL + FOOT), |area| {
+        let ticks = one_two_five(low, high);
+        let (Some(first), Some(last)) = (ticks.first(), ticks.last()) else { return Ok(()) };
+        let (panel, _) = area.split_vertically(px(PANEL));
+        let y = first.log10()..last.log10();
+        let x = padded(&finite_range(points().map(|(x, _)| *x)));
+        let mut chart = ChartBuilder::on(&panel)
+            .margin_top(px(6))
+            .margin_right(px(10))
+            .x_label_area_size(px(26))
+            .y_label_area_size(px(62))
+            .build_cartesian_2d(x.clone(), y.clone())?;
+        mesh_without_rows(&mut chart, "3-D error, mm (logarithmic)")?;
+        horizontal_ticks(&panel, &chart, &ticks, &x)?;
+        for curve_ in curves {
+            let at = |(x, y): &(f64, f64)| (*x, y.log10().max(first.log10()));
+            let points: Vec<_> = curve_.points.iter().filter(shown).map(at).collect();
+            if curve_.joined {
+                curve(&chart, &curve_.look, points)?;
+                continue;
+            }
+            let size = if points.len() > 300 { 4 } else { 6 };
+            for point in points {
+                chart.plotting_area().draw(&marker(&curve_.look, point, size))?;
+            }
+        }
+        foot(area, below)
+    })
+}
+
+fn mesh_without_rows(chart: &mut Chart, y_title: &str) -> Drawn {
+    chart
+        .configure_mesh()
+        .disable_mesh()
+        .x_labels(10)
+        .y_labels(0)
+        .axis_style(INK.mix(0.6).stroke_width(2))
+        .label_style(text_style())
+        .axis_desc_style(text_style())
+        .y_desc(y_title)
+        .x_label_formatter(&|v| tick(*v))
+        .draw()
+}
+
+/// Grid lines and labels at values of an upright logarithmic axis that plotters takes for a linear one.
+fn horizontal_ticks(area: &Area, chart: &Chart, ticks: &[f64], x: &Range<f64>) -> Drawn {
+    let plot = chart.plotting_area();
+    let style = text_style().pos(Pos::new(HPos::Right, VPos::Center));
+    let (left, top) = area.get_base_pixel();
+    for value in ticks {
+        let at = value.log10();
+        plot.draw(&PathElement::new(vec![(x.start, at), (x.end, at)], GRID.stroke_width(2)))?;
+        let (column, row) = plot.map_coordinate(&(x.start, at));
+        area.draw(&Text::new(tick(*value), (column - left - px(6), row - top), style.clone()))?;
+    }
+    Ok(())
+}
+
 pub(super) fn svg(
     figure: &'static str,
     label: &str,

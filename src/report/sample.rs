@@ -158,6 +158,7 @@ pub(super) fn simulated() -> Outcome {
         sensors: None,
         ablation: None,
         splits: None,
+        closed_loop: None,
         command: None,
     }
 }

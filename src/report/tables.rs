@@ -3,6 +3,8 @@
 use std::fmt::Write;
 
 use super::ablation::ablation_lines;
+use super::acceptance_bounds::acceptance_lines;
+use super::closed_loop::closed_loop_lines;
 use super::drift::{drift_words, missing_words};
 use super::judgement::judgement_lines;
 use super::sensors::sensor_lines;
@@ -53,7 +55,8 @@ impl Style {
 const WIDTH: usize = 100;
 pub(super) const TITLE: usize = 34;
 pub(super) const NUMBER: usize = 8;
-const COLUMNS: [&str; 8] = ["max x", "mean x", "max y", "mean y", "max z", "mean z", "RMS 3D", "max 3D"];
+pub(super) const COLUMNS: [&str; 8] =
+    ["max x", "mean x", "max y", "mean y", "max z", "mean z", "RMS 3D", "max 3D"];
 
 /// The tables of a run in mm, the published figures below each row, and how every estimate ended. At most 100 columns wide.
 pub fn render_tables(outcome: &Outcome, style: Style) -> String {
@@ -66,7 +69,13 @@ pub fn render_tables(outcome: &Outcome, style: Style) -> String {
         for row in table(outcome, index, set, style) {
             line(&row);
         }
+        for row in acceptance_lines(outcome, index, style) {
+            line(&row);
+        }
         line("");
+    }
+    for row in outcome.closed_loop.iter().flat_map(|driven| closed_loop_lines(outcome, driven, style)) {
+        line(&row);
     }
     let drift = outcome.drift.iter().flat_map(drift_words);
     for drift in sweep_words(outcome).into_iter().chain(drift).chain(missing_words(outcome)) {
@@ -160,7 +169,7 @@ fn orientation_lines(outcome: &Outcome, index: usize, style: Style) -> Vec<Strin
 }
 
 /// Maximum and mean by axis, then RMS and maximum of the 3-D error, m.
-fn row_values(row: &AccuracyRow) -> [f64; 8] {
+pub(super) fn row_values(row: &AccuracyRow) -> [f64; 8] {
     [row.max.x, row.mean.x, row.max.y, row.mean.y, row.max.z, row.mean.z, row.rms_3d, row.max_3d]
 }
 
@@ -185,7 +194,7 @@ pub(super) fn millimetres(metres: f64) -> String {
 }
 
 /// Millimetres without the digits that were not published, aligned on the point.
-fn as_published(metres: f64) -> String {
+pub(super) fn as_published(metres: f64) -> String {
     let text = millimetres(metres);
     let Some(point) = text.find('.') else { return text };
     let kept = text.trim_end_matches('0').len().max(point + 2);

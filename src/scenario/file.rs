@@ -9,6 +9,7 @@ use serde::Deserialize;
 
 use super::Scenario;
 use super::as_built::{AsBuiltFile, as_built};
+use super::compensation::{CompensationFile, compensation};
 use super::effects::{EffectsFile, check_air, check_loads, effects};
 use super::identification::{IdentificationFile, ModeFile};
 use super::instrument::{DriftFile, EnvironmentFile, SmrFile, conditions, instrument};
@@ -47,6 +48,7 @@ struct ScenarioFile {
     carried: Option<Spanned<CarriedFile>>,
     #[serde(default)]
     identification: IdentificationFile,
+    compensation: Option<Spanned<CompensationFile>>,
     #[serde(default)]
     published: Vec<PublishedFile>,
 }
@@ -295,6 +297,11 @@ fn validate(
             Ok((set, p.mode.into(), row))
         })
         .collect::<Result<_, InputError>>()?;
+    let compensation = file
+        .compensation
+        .as_ref()
+        .map(|section| compensation(&source, section, &robot, verification_poses))
+        .transpose()?;
     let in_file = source.clone();
     let mut sources = vec![("scenario".to_owned(), source)];
     sources.extend(robot.sources.iter().cloned());
@@ -318,6 +325,7 @@ fn validate(
         plan,
         options,
         modes,
+        compensation,
         published,
         sources,
     };

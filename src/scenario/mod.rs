@@ -1,6 +1,7 @@
 //! What is simulated and how it is identified: the scenario file and its validated, SI form.
 
 mod as_built;
+mod compensation;
 mod effects;
 mod file;
 mod identification;
@@ -10,6 +11,7 @@ mod poses;
 mod remarks;
 mod session;
 mod sweep;
+pub use compensation::{CompensationPlan, GoalKind, PathPlan};
 pub use identification::with_stated_of;
 
 pub(crate) use file::USUAL_GRAVITY;
@@ -72,6 +74,8 @@ pub struct Scenario {
     pub options: IdentificationOptions,
     /// The rows of the tables.
     pub modes: Vec<Mode>,
+    /// What is driven with corrected commands behind the session, where anything is.
+    pub compensation: Option<CompensationPlan>,
     /// Published figures to print beside: m, max x, mean x, max y, mean y, max z, mean z.
     pub published: Vec<(SetKind, Mode, [f64; 6])>,
     /// The files read, by role.

@@ -65,6 +65,8 @@ pub enum Source {
     PlannedOrder = 52,
     /// Poses at which reduced forms of an identified robot are fitted and compared; their place in the stream is the pose's.
     Handover = 60,
+    /// Noise of the tracker along a path that is driven with corrected commands.
+    PathNoise = 61,
 }
 
 /// The stream of `(seed, trial, source)`. `ChaCha8` with the seed as key and (trial, source) as stream number.

@@ -10,6 +10,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use super::Story;
 use super::scene::{self, Arrow, Colour};
 use super::{Chain, LogEntry, LogLevel, PoseStep};
+use calibrig_estimation::evaluation::closed_loop::{DrivenMode, DrivenPath};
 use calibrig_model::geometry::Transform;
 use calibrig_model::{Visual, VisualShape};
 
@@ -234,6 +235,20 @@ pub(super) fn arrows(time: u64, name: String, arrows: &[Arrow], rgba: Colour) ->
     };
     let mut shown = entity(time, BASE, name);
     shown.arrows = arrows.iter().filter(|a| a.vector.norm() > 0.0).map(primitive).collect();
+    SceneUpdate { deletions: Vec::new(), entities: vec![shown] }
+}
+
+/// The path as it was to be.
+pub(super) fn planned_path(time: u64, path: &DrivenPath) -> SceneUpdate {
+    let mut shown = entity(time, BASE, "planned path");
+    shown.lines.extend(scene::planned_path(path).map(|points| line(&points, 0.01, scene::POINT)));
+    SceneUpdate { deletions: Vec::new(), entities: vec![shown] }
+}
+
+/// The path as it was measured, errors 100 times as large.
+pub(super) fn driven_path(time: u64, mode: &DrivenMode) -> SceneUpdate {
+    let mut shown = entity(time, BASE, format!("path with the commands of {}", mode.mode.key()));
+    shown.lines.push(line(&scene::driven_path(mode), 0.008, scene::mode_colour(mode.mode)));
     SceneUpdate { deletions: Vec::new(), entities: vec![shown] }
 }
 

@@ -12,12 +12,15 @@ use prost::{Message, Name};
 use super::Story;
 use super::estimate::estimate;
 use super::file::write_whole;
-use super::foxglove_scene::{arrows, cloud, fixed_frames, log_line, moving_frames, moving_lines, shapes};
+use super::foxglove_scene::{
+    arrows, cloud, driven_path, fixed_frames, log_line, moving_frames, moving_lines, planned_path, shapes,
+};
 use super::provenance::{METADATA, attached_inputs, metadata_of};
 use super::scene;
 use super::schema::{self, v1};
 use super::{LogEntry, Measured, PoseStep, Preamble, Provenance, Recorder, RecordingError, record, truth};
 use calibrig_estimation::evaluation::ModeOutcome;
+use calibrig_estimation::evaluation::closed_loop::ClosedLoop;
 use calibrig_model::measurement::{SetKind, SetOutcome};
 
 /// The longest record that is read back, bytes.
@@ -266,6 +269,24 @@ impl Recorder for McapRecorder<'_> {
 
     fn estimate(&mut self, time: u64, story: &Story<'_>, mode: &ModeOutcome) -> Result<(), RecordingError> {
         self.own(&format!("/estimate/{}", mode.mode.key()), time, &estimate(story.sets, mode))
+    }
+
+    fn closed_loop(&mut self, time: u64, driven: &ClosedLoop) -> Result<(), RecordingError> {
+        let of_path = driven.path.iter().flat_map(|path| &path.modes).map(|mode| ("/compensated/path", mode));
+        for (root, mode) in driven.modes.iter().map(|mode| ("/compensated", mode)).chain(of_path) {
+            let key = mode.mode.key();
+            for point in &mode.points {
+                self.own(&format!("{root}/{key}"), time, &schema::driven_point(mode.mode, point))?;
+            }
+        }
+        if let Some(path) = &driven.path {
+            self.foxglove("/scene/path", time, &planned_path(time, path))?;
+            for mode in &path.modes {
+                let topic = format!("/scene/path_x100/{}", mode.mode.key());
+                self.foxglove(&topic, time, &driven_path(time, mode))?;
+            }
+        }
+        Ok(())
     }
 
     fn log(&mut self, entry: &LogEntry) -> Result<(), RecordingError> {

@@ -17,6 +17,7 @@ use super::rerun_views::Setting;
 use super::scene::{self, Sighting};
 use super::{Chain, ChainKind, LogEntry, Measured, PoseStep, Preamble, Recorder, RecordingError};
 use calibrig_estimation::evaluation::ModeOutcome;
+use calibrig_estimation::evaluation::closed_loop::ClosedLoop;
 use calibrig_model::CalibrationModel;
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{Observation, SetKind, SetOutcome};
@@ -304,6 +305,11 @@ impl Recorder for LiveRecorder {
 
     fn estimate(&mut self, time: u64, story: &Story<'_>, mode: &ModeOutcome) -> Result<(), RecordingError> {
         self.tell(|recorder| recorder.estimate(time, story, mode));
+        Ok(())
+    }
+
+    fn closed_loop(&mut self, time: u64, driven: &ClosedLoop) -> Result<(), RecordingError> {
+        self.tell(|recorder| recorder.closed_loop(time, driven));
         Ok(())
     }
 

@@ -1,14 +1,17 @@
 //! What Rerun draws in space.
 
 use nalgebra::Vector3;
-use rerun::archetypes::{Arrows3D, Boxes3D, Cylinders3D, Ellipsoids3D, Points3D, ViewCoordinates};
+use rerun::archetypes::{
+    Arrows3D, Boxes3D, Cylinders3D, Ellipsoids3D, LineStrips3D, Points3D, ViewCoordinates,
+};
 use rerun::components::{Color, FillMode, Radius};
 
 use super::Story;
 use super::rerun_columns::{Shown, quaternion};
-use super::rerun_sink::{ARROWS, DEFLECTED, RerunRecorder, SCENE};
+use super::rerun_sink::{ARROWS, DEFLECTED, DRIVEN_PATH, PATH, RerunRecorder, SCENE};
 use super::scene::{self, Arrow, Colour, Sighting};
 use super::{Chain, ChainKind, DEFLECTION_SCALE, Measured, RESIDUAL_SCALE, RecordingError};
+use calibrig_estimation::evaluation::closed_loop::DrivenPath;
 use calibrig_estimation::identification::Mode;
 use calibrig_model::geometry::Transform;
 use calibrig_model::{Visual, VisualShape};
@@ -99,6 +102,23 @@ impl RerunRecorder {
         };
         bar(&format!("{ARROWS}/scale"), "error", RESIDUAL_SCALE, scene::POINT)?;
         bar(&format!("{DEFLECTED}/scale"), "deflection", DEFLECTION_SCALE, scene::DEFLECTED)
+    }
+
+    /// A path as it was to be, and as it was measured with the commands of every mode.
+    pub(super) fn driven_path(&mut self, path: &DrivenPath) -> Result<(), RecordingError> {
+        let strip = |points: &[Vector3<f64>], colour: Colour| {
+            LineStrips3D::new([points.iter().map(xyz).collect::<Vec<_>>()])
+                .with_colors([color(colour)])
+                .with_radii([Radius::new_ui_points(1.5)])
+        };
+        if let Some(points) = scene::planned_path(path) {
+            self.fixed(PATH, &strip(&points, scene::POINT))?;
+        }
+        for mode in &path.modes {
+            let drawn = strip(&scene::driven_path(mode), scene::mode_colour(mode.mode));
+            self.fixed(&format!("{DRIVEN_PATH}/{}", mode.mode.key()), &drawn)?;
+        }
+        Ok(())
     }
 
     /// All measured points and all arrows: they do not change with the pose.

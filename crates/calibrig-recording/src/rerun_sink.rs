@@ -23,6 +23,7 @@ use super::{
     tables,
 };
 use calibrig_estimation::evaluation::ModeOutcome;
+use calibrig_estimation::evaluation::closed_loop::ClosedLoop;
 use calibrig_estimation::identification::Mode;
 use calibrig_model::measurement::{SetKind, SetOutcome};
 
@@ -38,6 +39,10 @@ const CURVES: [&str; 4] = ["x", "y", "z", NORM];
 pub(super) const DEFLECTED: &str = "scene/deflection_x100";
 /// The robot as identified.
 pub(super) const CALIBRATED: &str = "scene/calibrated";
+/// A path that was driven, as it was to be.
+pub(super) const PATH: &str = "scene/path";
+/// The same as measured; the scale of the errors is [`super::RESIDUAL_SCALE`].
+pub(super) const DRIVEN_PATH: &str = "scene/path_x100";
 /// Of the target, by all that yields.
 pub(super) const DEFLECTION: &str = "machine/deflection_mm";
 pub(super) const ROD_FORCE: &str = "machine/rod_force_n";
@@ -386,6 +391,11 @@ impl Recorder for RerunRecorder {
             self.robots(story)?;
         }
         Ok(())
+    }
+
+    fn closed_loop(&mut self, _: u64, driven: &ClosedLoop) -> Result<(), RecordingError> {
+        self.document("tables/compensation", tables::compensation(driven))?;
+        driven.path.as_ref().map_or(Ok(()), |path| self.driven_path(path))
     }
 
     fn log(&mut self, entry: &LogEntry) -> Result<(), RecordingError> {

@@ -11,7 +11,7 @@ use super::rerun_analysis::{CONVERGENCE, CORRELATION, COST, bins, histogram_path
 use super::rerun_layout::{Group, Node, View};
 use super::rerun_scene::xyz;
 use super::rerun_sink::{
-    ARROWS, AXES, CALIBRATED, DEFLECTED, DEFLECTION, NORM, ROD_FORCE, SCENE, TEMPERATURE,
+    ARROWS, AXES, CALIBRATED, DEFLECTED, DEFLECTION, DRIVEN_PATH, NORM, PATH, ROD_FORCE, SCENE, TEMPERATURE,
 };
 use super::scene;
 use calibrig_estimation::identification::{Estimate, Mode};
@@ -27,6 +27,7 @@ pub(super) fn tabs(story: &Story<'_>) -> Group {
     let mut tabs = vec![robot(story)];
     tabs.extend(histograms(story));
     tabs.extend(machine(story));
+    tabs.extend(compensated(story));
     tabs.extend(estimates(story));
     Group::new(Tabs, tabs)
 }
@@ -56,7 +57,7 @@ fn without_legend(view: View) -> View {
 fn robot(story: &Story<'_>) -> Node {
     let mut drawn = shown(story, ARROWS);
     drawn[0] = format!("+ /{SCENE}/**");
-    drawn.push(format!("- /{DEFLECTED}/**"));
+    drawn.extend([DEFLECTED, DRIVEN_PATH].map(|root| format!("- /{root}/**")));
     let title = "Robot; arrows: residuals x100, 10 cm for 1 mm";
     let mut picture = picture(title, &Setting::of(story), drawn);
     if story.truth.is_some() {
@@ -132,6 +133,7 @@ fn machine(story: &Story<'_>) -> Option<Node> {
     let drawn = vec![
         format!("+ /{SCENE}/**"),
         format!("- /{ARROWS}/**"),
+        format!("- /{DRIVEN_PATH}/**"),
         format!("- /{SCENE}/measured/**"),
         format!("- /{SCENE}/nests/**"),
         format!("- /{SCENE}/line_of_sight/**"),
@@ -143,6 +145,20 @@ fn machine(story: &Story<'_>) -> Option<Node> {
     let temperature = truth.effects.iter().flatten().any(|effects| effects.temperature.is_some());
     let tab = beside_machine(picture, rod, temperature);
     Some(tab.named("Deflection x100").into())
+}
+
+/// What corrected commands did: the path with its errors larger than life, and the tables.
+fn compensated(story: &Story<'_>) -> Option<Node> {
+    let driven = story.closed_loop?;
+    let tables = page("Commands corrected and driven again", "tables/compensation");
+    if driven.path.is_none() {
+        return Some(Group::new(Tabs, [tables]).named("Compensated").into());
+    }
+    let mut drawn = shown(story, DRIVEN_PATH);
+    drawn.extend([format!("+ /{PATH}"), format!("+ /{SCENE}/trackers")]);
+    let title = "Path as planned (white), and as measured with errors x100: 10 cm for 1 mm";
+    let path = picture(title, &Setting::of(story), drawn).into();
+    Some(Group::new(Horizontal, [path, tables]).shared(SHARES).named("Compensated path x100").into())
 }
 
 /// A picture of the machine, and beside it its curves and its table.

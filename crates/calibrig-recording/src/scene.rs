@@ -5,6 +5,7 @@ use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
 use super::Story;
 use super::{DEFLECTION_SCALE, RESIDUAL_SCALE};
 use calibrig_estimation::evaluation::ModeOutcome;
+use calibrig_estimation::evaluation::closed_loop::{DrivenMode, DrivenPath};
 use calibrig_estimation::identification::{CalibratedRobot, Mode, Predictor};
 use calibrig_estimation::kinematics::{joints_from_command, link_frames};
 use calibrig_model::geometry::{Transform, rotation_vector, rotation_z};
@@ -363,6 +364,16 @@ pub(super) fn deviations(nominal: &KinematicModel, as_built: &KinematicModel) ->
 pub(super) type Colour = [u8; 4];
 
 /// Colours that can be told apart on dark ground with any colour vision (after Okabe and Ito, 2008).
+/// The points of a path that was driven; `None` where nothing was.
+pub(super) fn planned_path(path: &DrivenPath) -> Option<Vec<Vector3<f64>>> {
+    Some(path.modes.first()?.points.iter().map(|point| point.goal).collect())
+}
+
+/// Where the tool was on it, errors drawn [`RESIDUAL_SCALE`] times as large.
+pub(super) fn driven_path(mode: &DrivenMode) -> Vec<Vector3<f64>> {
+    mode.points.iter().map(|point| point.goal + RESIDUAL_SCALE * point.error()).collect()
+}
+
 pub(super) fn mode_colour(mode: Mode) -> Colour {
     const PALETTE: [Colour; 5] = [
         [204, 121, 167, 255],

@@ -2,6 +2,8 @@
 
 use nalgebra::{Matrix3, Matrix6, Rotation3, Vector3};
 
+use calibrig_estimation::evaluation::closed_loop::DrivenPoint;
+use calibrig_estimation::identification::Mode;
 use calibrig_files::rotation_of_matrix;
 use calibrig_model::Payload;
 use calibrig_model::geometry::Transform;
@@ -318,6 +320,18 @@ pub(super) fn observation(kind: SetKind, index: usize, observation: &Observation
         target: saturating(observation.target),
         reading: Some((&observation.reading).into()),
         payload: observation.payload.as_ref().map(payload),
+    }
+}
+
+/// The message of the tool at a goal.
+pub(super) fn driven_point(mode: Mode, point: &DrivenPoint) -> v1::DrivenPoint {
+    v1::DrivenPoint {
+        mode: mode.key().to_owned(),
+        pose: point.pose,
+        goal: vector(&point.goal),
+        measured: vector(&point.measured),
+        command: point.command.clone(),
+        sigma: point.sigma.as_ref().map(vector).unwrap_or_default(),
     }
 }
 

@@ -8,6 +8,7 @@ use nalgebra::Vector3;
 use super::clock::Clock;
 use super::scene::{self, Arrow, Chain, Sighting};
 use super::{Provenance, RecordingError};
+use calibrig_estimation::evaluation::closed_loop::ClosedLoop;
 use calibrig_estimation::evaluation::{ModeOutcome, RegistrationSummary};
 use calibrig_estimation::identification::Mode;
 use calibrig_files::Source;
@@ -40,6 +41,8 @@ pub struct Story<'a> {
     pub truth: Option<&'a Truth>,
     /// Published figures beside them, m: (set, mode, [max x, mean x, max y, mean y, max z, mean z]).
     pub published: &'a [(SetKind, Mode, [f64; 6])],
+    /// What corrected commands did on the machine, where they were driven.
+    pub closed_loop: Option<&'a ClosedLoop>,
 }
 
 /// Where the measurements came from.
@@ -76,6 +79,8 @@ pub trait Recorder {
     fn pose(&mut self, step: &PoseStep<'_>) -> Result<(), RecordingError>;
     /// What a mode made of the measurements, at `time` ns.
     fn estimate(&mut self, time: u64, story: &Story<'_>, mode: &ModeOutcome) -> Result<(), RecordingError>;
+    /// What corrected commands did on the machine, at `time` ns.
+    fn closed_loop(&mut self, time: u64, driven: &ClosedLoop) -> Result<(), RecordingError>;
     /// A line for people.
     fn log(&mut self, entry: &LogEntry) -> Result<(), RecordingError>;
 }
@@ -265,6 +270,9 @@ pub fn record_evaluation(story: &Story<'_>, recorder: &mut dyn Recorder) -> Resu
         }
     }
     let end = times.iter().flatten().max().map_or(0, |last| last.saturating_add(super::clock::SECOND));
+    if let Some(driven) = story.closed_loop {
+        recorder.closed_loop(end, driven)?;
+    }
     for mode in story.modes {
         recorder.estimate(end, story, mode)?;
         for (level, message) in closing(story, mode) {
@@ -456,6 +464,9 @@ mod tests {
         fn estimate(&mut self, time: u64, _: &Story<'_>, mode: &ModeOutcome) -> Result<(), RecordingError> {
             assert!(time > self.last_time);
             self.estimates.push(mode.mode);
+            Ok(())
+        }
+        fn closed_loop(&mut self, _: u64, _: &ClosedLoop) -> Result<(), RecordingError> {
             Ok(())
         }
         fn log(&mut self, entry: &LogEntry) -> Result<(), RecordingError> {

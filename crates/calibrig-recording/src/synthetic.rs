@@ -8,6 +8,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::{InputSummary, McapRecorder, Story, record};
 use calibrig_estimation::evaluation::accuracy;
+use calibrig_estimation::evaluation::closed_loop::ClosedLoop;
 use calibrig_estimation::evaluation::{ModeOutcome, RegistrationSummary};
 use calibrig_estimation::identification::{
     CalibratedRobot, Estimate, IterationRecord, Mode, NoiseScale, ParameterEstimate, Predictor, Spectrum,
@@ -40,6 +41,7 @@ pub(crate) struct Outcome {
     pub(crate) modes: Vec<ModeOutcome>,
     pub(crate) truth: Option<Truth>,
     pub(crate) published: Vec<(SetKind, Mode, [f64; 6])>,
+    pub(crate) closed_loop: Option<ClosedLoop>,
 }
 
 impl Outcome {
@@ -54,6 +56,7 @@ impl Outcome {
             modes: &self.modes,
             truth: self.truth.as_ref(),
             published: &self.published,
+            closed_loop: self.closed_loop.as_ref(),
         }
     }
 }
@@ -153,6 +156,7 @@ pub(crate) fn outcome(identification: u32, verification: u32, with_truth: bool) 
         sets,
         modes,
         truth: with_truth.then_some(truth),
+        closed_loop: None,
         published: vec![
             (
                 SetKind::Identification,

@@ -7,6 +7,7 @@ use super::Story;
 use super::figures::{Correlations, approaches};
 use super::{Measured, PoseStep, Provenance, scene};
 use calibrig_estimation::evaluation::AccuracyRow;
+use calibrig_estimation::evaluation::closed_loop::ClosedLoop;
 use calibrig_estimation::identification::{Estimate, Mode};
 use calibrig_model::measurement::SetKind;
 use calibrig_model::{ParameterId, Unit};
@@ -39,6 +40,31 @@ pub(super) fn accuracy(story: &Story<'_>) -> String {
         registration.poses,
         1e3 * registration.rms
     );
+    text
+}
+
+/// What corrected commands did on the machine.
+pub(super) fn compensation(driven: &ClosedLoop) -> String {
+    let mut text = String::new();
+    let of_path = driven
+        .path
+        .iter()
+        .map(|path| (format!("Path of {:.2} m at {:.0} mm/s", path.length, 1e3 * path.speed), &path.modes));
+    let of_poses = [("Poses of the verification set, driven again".to_owned(), &driven.modes)];
+    for (title, modes) in of_poses.into_iter().chain(of_path) {
+        let _ = writeln!(text, "## {title}: measured minus wanted, mm\n");
+        let _ = writeln!(text, "| | max x | mean x | max y | mean y | max z | mean z | RMS 3-D | max 3-D |");
+        let _ = writeln!(text, "|---|--:|--:|--:|--:|--:|--:|--:|--:|");
+        for mode in modes {
+            let Some(row) = mode.row() else { continue };
+            let name = match mode.mode {
+                Mode::WithoutCalibration => "nominal commands",
+                mode => mode.title(),
+            };
+            let _ = writeln!(text, "| {name} |{}|", cells(&row));
+        }
+        text.push('\n');
+    }
     text
 }
 

@@ -67,6 +67,16 @@ pub enum Iso9283Failure {
         /// Why.
         source: Box<PipelineError>,
     },
+    /// An identified robot has no command for a pose.
+    #[error("P{pose} has no corrected command, {}: {why}", mode.title())]
+    Uncorrected {
+        /// Number of the pose.
+        pose: u32,
+        /// Of which robot.
+        mode: Mode,
+        /// Why.
+        why: String,
+    },
     /// Something hides a target from the tracker.
     #[error("P{pose} in cycle {cycle}: {why}")]
     Hidden {
@@ -337,16 +347,16 @@ pub(crate) fn measure_cycles(
         PlantKind::Rapier => {
             let mut machine =
                 Plant::new(&scenario.as_built, settle_options(trial)).map_err(PipelineError::from)?;
-            session.measure_cycles(&mut machine, at, poses, cycles, progress).map_err(failed)
+            session.measure_cycles(&mut machine, at, poses, cycles, progress).map_err(cycles_failed)
         }
         PlantKind::Analytic => {
             let mut machine = AnalyticMachine::new(&scenario.as_built)?;
-            session.measure_cycles(&mut machine, at, poses, cycles, progress).map_err(failed)
+            session.measure_cycles(&mut machine, at, poses, cycles, progress).map_err(cycles_failed)
         }
     }
 }
 
-fn failed<E: Into<PipelineError>>(error: CycleError<E>) -> Iso9283Failure {
+pub(super) fn cycles_failed<E: Into<PipelineError>>(error: CycleError<E>) -> Iso9283Failure {
     match error {
         CycleError::Session(error) => Iso9283Failure::Pipeline(error.into()),
         CycleError::Joints { found, expected, .. } => {

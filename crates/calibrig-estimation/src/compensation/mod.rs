@@ -86,6 +86,23 @@ impl<'a> Compensator<'a> {
         self.correct(goal, nominal, options)
     }
 
+    /// The corrected command for a goal that a nominal command meets: the nearest to it, by least squares, at which the identified robot meets the goal.
+    ///
+    /// # Errors
+    ///
+    /// As [`point`](Self::point).
+    pub fn corrected(
+        &mut self,
+        goal: &Goal,
+        nominal: Vec<f64>,
+        options: &InverseOptions,
+    ) -> Result<CompensatedPoint, CompensationError> {
+        options.circumstances.payload.as_ref().map_or(Ok(()), |payload| {
+            payload.check().map_err(|error| CompensationError::Inverse(InverseError::Payload(error)))
+        })?;
+        self.correct(goal, nominal, options)
+    }
+
     /// Corrects a nominal command that meets the goal.
     fn correct(
         &mut self,

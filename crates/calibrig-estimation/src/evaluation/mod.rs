@@ -1,5 +1,6 @@
 //! How good an estimate is: accuracy, consistency with what was stated, and which of two models is better.
 
+pub mod closed_loop;
 mod comparison;
 mod consistency;
 mod criteria;

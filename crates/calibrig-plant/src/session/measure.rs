@@ -59,11 +59,20 @@ pub struct MeasuringSession<'a> {
 #[derive(Default)]
 pub(super) struct Taken {
     pub observations: Vec<Observation>,
-    settled: Vec<SettledPose>,
+    pub settled: Vec<SettledPose>,
     effects: Vec<PoseEffects>,
     outliers: Vec<(u32, Vector3<f64>)>,
     /// Readings that the plan has and nobody took.
     pub missing: Vec<MissingReading>,
+}
+
+/// A set as it was measured, and the truth beside it.
+pub(super) struct MeasuredSet {
+    pub set: SetOutcome,
+    pub poses: Vec<SettledPose>,
+    effects: Vec<PoseEffects>,
+    outliers: Vec<(u32, Vector3<f64>)>,
+    missing: Vec<MissingReading>,
 }
 
 /// The trackers and targets of a session with their errors.
@@ -129,49 +138,66 @@ impl MeasuringSession<'_> {
         };
         let (mut sets, mut missing) = (Vec::new(), Vec::new());
         for planned in &schedule.sets {
-            let mut noise = random::stream(seed, trial, planned.noise);
-            let (mut poses, mut effects, mut outliers, mut absent) =
-                (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-            let mut set = empty_set(planned.kind, &described, &targets);
-            let count = u32::try_from(planned.poses.len()).unwrap_or(u32::MAX);
-            tell(SessionEvent::Set { set: &set, planned: count }, done)?;
+            let empty = empty_set(planned.kind, &described, &targets);
             let mut controller = Controller::at_home(self, warmth);
-            for pose in 0..count {
-                let taken = self.take(machine, &mut controller, &setup, planned, pose, &mut noise);
-                let taken = taken.map_err(|source| SessionError::Pose { set: planned.kind, pose, source })?;
-                done += 1;
-                if taken.observations.is_empty() {
-                    let first = taken.missing.into_iter().next();
-                    let reason = first.map_or_else(|| "no reading was planned".to_owned(), |m| m.why);
-                    let (kind, time) = (planned.kind, planned.poses[pose as usize].1);
-                    tell(SessionEvent::Dropped { kind, pose, reason: &reason, time }, done)?;
-                    set.dropped.push((pose, reason));
-                    continue;
-                }
-                let measured = MeasuredPose {
-                    kind: planned.kind,
-                    first: set.measurements.observations.len(),
-                    observations: &taken.observations,
-                    settled: &taken.settled,
-                    rigid: &[],
-                    effects: &taken.effects,
-                };
-                tell(SessionEvent::Measured(measured), done)?;
-                set.measurements.observations.extend(taken.observations);
-                poses.extend(taken.settled);
-                effects.extend(taken.effects);
-                outliers.extend(taken.outliers);
-                absent.extend(taken.missing);
-            }
+            let mut hear = |event: SessionEvent<'_>| {
+                done += u32::from(matches!(event, SessionEvent::Measured(_) | SessionEvent::Dropped { .. }));
+                tell(event, done)
+            };
+            let measured = self.measure_set(machine, &mut controller, &setup, planned, empty, &mut hear)?;
             warmth = controller.warmth().clone();
-            tell(SessionEvent::SetEnd { set: &set }, done)?;
-            sets.push(set);
-            missing.push(absent);
-            truth.poses.push(poses);
-            truth.effects.push(effects);
-            truth.outliers.push(outliers);
+            sets.push(measured.set);
+            missing.push(measured.missing);
+            truth.poses.push(measured.poses);
+            truth.effects.push(measured.effects);
+            truth.outliers.push(measured.outliers);
         }
         Ok(Simulation { sets, missing, sweeps_missing, truth })
+    }
+
+    /// The poses of a set, one after the other, and what `hear` is told of them.
+    pub(super) fn measure_set<M: Machine>(
+        &self,
+        machine: &mut M,
+        controller: &mut Controller<'_>,
+        setup: &Setup,
+        planned: &PlannedSet,
+        mut set: SetOutcome,
+        hear: &mut dyn FnMut(SessionEvent<'_>) -> Result<(), SessionError<M::Error>>,
+    ) -> Result<MeasuredSet, SessionError<M::Error>> {
+        let mut noise = random::stream(setup.seed, setup.trial, planned.noise);
+        let count = u32::try_from(planned.poses.len()).unwrap_or(u32::MAX);
+        hear(SessionEvent::Set { set: &set, planned: count })?;
+        let (mut poses, mut effects, mut outliers, mut missing) =
+            (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        for pose in 0..count {
+            let taken = self.take(machine, controller, setup, planned, pose, &mut noise);
+            let taken = taken.map_err(|source| SessionError::Pose { set: planned.kind, pose, source })?;
+            if taken.observations.is_empty() {
+                let first = taken.missing.into_iter().next();
+                let reason = first.map_or_else(|| "no reading was planned".to_owned(), |m| m.why);
+                let (kind, time) = (planned.kind, planned.poses[pose as usize].1);
+                hear(SessionEvent::Dropped { kind, pose, reason: &reason, time })?;
+                set.dropped.push((pose, reason));
+                continue;
+            }
+            let measured = MeasuredPose {
+                kind: planned.kind,
+                first: set.measurements.observations.len(),
+                observations: &taken.observations,
+                settled: &taken.settled,
+                rigid: &[],
+                effects: &taken.effects,
+            };
+            hear(SessionEvent::Measured(measured))?;
+            set.measurements.observations.extend(taken.observations);
+            poses.extend(taken.settled);
+            effects.extend(taken.effects);
+            outliers.extend(taken.outliers);
+            missing.extend(taken.missing);
+        }
+        hear(SessionEvent::SetEnd { set: &set })?;
+        Ok(MeasuredSet { set, poses, effects, outliers, missing })
     }
 
     pub(super) fn schedule(&self, seed: u64, trial: u32) -> Schedule {
@@ -250,6 +276,15 @@ impl MeasuringSession<'_> {
     ///
     /// On its way a part gets warmer than any drive makes it.
     pub(super) fn warmth_after(&self, schedule: &Schedule) -> Result<Warmth, EffectError> {
+        self.warmth_behind(schedule, &schedule.sets)
+    }
+
+    /// The same behind the sweeps and some of the sets.
+    pub(super) fn warmth_behind(
+        &self,
+        schedule: &Schedule,
+        sets: &[PlannedSet],
+    ) -> Result<Warmth, EffectError> {
         let Some(thermal) = self.as_built.effects.thermal.as_ref().filter(|t| t.is_heated()) else {
             return Ok(Warmth::default());
         };
@@ -258,7 +293,7 @@ impl MeasuringSession<'_> {
             controller.warm(&self.actuators.command_from_joints(joints), *time);
             thermal.check_warmth(controller.warmth())?;
         }
-        for planned in &schedule.sets {
+        for planned in sets {
             controller = Controller::at_home(self, controller.warmth().clone());
             for (joints, start) in &planned.poses {
                 for visit in 0..self.plan.repeats {
@@ -487,7 +522,7 @@ fn shared_errors(trackers: &[LaserTracker]) -> Vec<(InstrumentTerm, f64)> {
     if trackers.iter().all(|tracker| tracker.real_errors() == own) { own } else { Vec::new() }
 }
 
-fn empty_set(kind: SetKind, stations: &[Station], targets: &[Target]) -> SetOutcome {
+pub(super) fn empty_set(kind: SetKind, stations: &[Station], targets: &[Target]) -> SetOutcome {
     let measurements =
         MeasurementSet { stations: stations.to_vec(), targets: targets.to_vec(), observations: Vec::new() };
     SetOutcome { kind, measurements, dropped: Vec::new() }

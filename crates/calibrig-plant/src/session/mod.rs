@@ -3,6 +3,7 @@
 mod beside;
 mod controller;
 mod cycles;
+mod driven;
 mod events;
 mod measure;
 mod nests;
@@ -16,6 +17,7 @@ mod tests;
 
 pub use beside::{BesideRigid, RigidMachine};
 pub use cycles::{CycleError, CycleMeasurements};
+pub use driven::{DriveError, DriveProgress, DrivenSet};
 pub use events::{MeasuredPose, SessionEvent, SessionListener, counting};
 pub use measure::MeasuringSession;
 pub use payloads::{PayloadOrder, PayloadPlan, PlannedPayload};

@@ -1,0 +1,211 @@
+//! Goals, and the commands for them.
+
+use nalgebra::Vector3;
+
+use super::{ClosedLoopError, PipelineError, Resolved};
+use crate::scenario::{CompensationPlan, GoalKind, Scenario};
+use calibrig_estimation::compensation::{CompensationError, Compensator};
+use calibrig_estimation::elastostatics::{Deflection, ElasticChain, ElasticError};
+use calibrig_estimation::identification::{CalibratedRobot, Estimate, Mode, Predictor};
+use calibrig_estimation::inverse::{
+    Circumstances, Criterion, Goal, InverseError, InverseKinematics, InverseOptions, Tool,
+};
+use calibrig_model::CalibrationModel;
+use calibrig_model::geometry::Transform;
+use calibrig_model::measurement::Motion;
+
+/// A motion of an actuator is one beyond this, m or rad.
+const LEAST_MOTION: f64 = 1e-7;
+/// Tries to agree with the correction on the side from which the actuators come.
+const AGREE: usize = 4;
+
+/// A robot whose first target is the tool.
+pub(super) struct Tooled<'a> {
+    pub tool: Tool,
+    robot: &'a CalibratedRobot,
+    kind: GoalKind,
+    axis: Vector3<f64>,
+}
+
+impl<'a> Tooled<'a> {
+    pub fn new(robot: &'a CalibratedRobot, plan: &CompensationPlan) -> Result<Self, PipelineError> {
+        let in_flange = robot.targets.first().copied().unwrap_or_default();
+        let tool = Tool::at(in_flange)
+            .and_then(|tool| tool.with_axis(plan.axis))
+            .map_err(|source| ClosedLoopError::of(robot.mode, InverseError::from(source)))?;
+        Ok(Self { tool, robot, kind: plan.goal, axis: plan.axis })
+    }
+
+    /// Where the tool is predicted to be at a command.
+    pub fn goal(&self, command: &[f64]) -> Result<Goal, PipelineError> {
+        let predicted = |source| PipelineError::Predict { mode: self.robot.mode, source };
+        let flange: Transform =
+            Predictor::new(self.robot).and_then(|mut own| own.flange(command)).map_err(predicted)?;
+        let place = flange * self.tool.flange_from_tool();
+        Ok(match self.kind {
+            GoalKind::Position => Goal::Position(place.translation.vector),
+            GoalKind::Axis => {
+                Goal::Axis { position: place.translation.vector, direction: place.rotation * self.axis }
+            }
+            GoalKind::Pose => Goal::Pose(place),
+        })
+    }
+}
+
+/// Commands that are to be driven.
+pub(super) struct Corrected {
+    /// One a goal; the nominal one where there is no other.
+    pub commands: Vec<Vec<f64>>,
+    /// Of the tool's place there, m.
+    pub sigmas: Vec<Option<Vector3<f64>>>,
+    /// Goals without a command, by their numbers, with the reason.
+    pub uncorrected: Vec<(u32, String)>,
+}
+
+impl Corrected {
+    /// The nominal commands.
+    pub fn as_planned(commands: &[Vec<f64>]) -> Self {
+        Self { commands: commands.to_vec(), sigmas: vec![None; commands.len()], uncorrected: Vec::new() }
+    }
+
+    /// Goals that do not count, beside those of its own.
+    pub fn leave_out(&mut self, poses: &[(u32, String)]) {
+        for (pose, why) in poses {
+            if !self.uncorrected.iter().any(|(own, _)| own == pose) {
+                self.uncorrected.push((*pose, why.clone()));
+            }
+        }
+        self.uncorrected.sort_unstable_by_key(|(pose, _)| *pose);
+    }
+}
+
+/// Corrects nominal commands in their order. Where the machine goes from one to the next, beginning `from` a command, the side from which every actuator comes is that of the
+/// corrected commands; else it is as stated.
+pub(super) fn correct(
+    estimate: &Estimate,
+    plan: &CompensationPlan,
+    goals: &[Goal],
+    nominal: &[Vec<f64>],
+    (circumstances, from): (&[Circumstances], Option<&[f64]>),
+) -> Result<Corrected, PipelineError> {
+    let mode = estimate.robot.mode;
+    let tool = Tooled::new(&estimate.robot, plan)?.tool;
+    let mut compensator =
+        Compensator::of_estimate(estimate, tool).map_err(|source| ClosedLoopError::of(mode, source))?;
+    let mut motion = from.map(Motion::at);
+    let mut corrected = Corrected::as_planned(nominal);
+    for (index, ((goal, nominal), known)) in goals.iter().zip(nominal).zip(circumstances).enumerate() {
+        let mut options = InverseOptions {
+            criterion: Criterion::NONE,
+            circumstances: known.clone(),
+            ..InverseOptions::default()
+        };
+        let mut expected = moved(motion.as_ref(), nominal);
+        let mut tries = 0;
+        let found = loop {
+            tries += 1;
+            if let Some(motion) = &expected {
+                options.circumstances.approach.clone_from(&motion.approach);
+                options.circumstances.since_reversal.clone_from(&motion.since_reversal);
+            }
+            let found = match compensator.corrected(goal, nominal.clone(), &options) {
+                Ok(found) => found,
+                Err(
+                    why @ (CompensationError::OutOfCorrection(_)
+                    | CompensationError::Inverse(InverseError::Unreachable(_))),
+                ) => break Err(why.to_string()),
+                Err(source) => return Err(ClosedLoopError::of(mode, source)),
+            };
+            let seen = moved(motion.as_ref(), &found.command);
+            let agrees = expected.as_ref().map(|own| &own.approach) == seen.as_ref().map(|own| &own.approach);
+            if agrees || tries == AGREE {
+                break Ok(found);
+            }
+            expected = seen;
+        };
+        let pose = u32::try_from(index).unwrap_or(u32::MAX);
+        match found {
+            Ok(found) => {
+                corrected.sigmas[index] = found.sigma();
+                corrected.commands[index] = found.command;
+            }
+            Err(why) => corrected.uncorrected.push((pose, why)),
+        }
+        motion = moved(motion.as_ref(), &corrected.commands[index]);
+    }
+    Ok(corrected)
+}
+
+fn moved(motion: Option<&Motion>, command: &[f64]) -> Option<Motion> {
+    let mut motion = motion?.clone();
+    motion.go_to(command, LEAST_MOTION);
+    Some(motion)
+}
+
+/// The nominal robot's commands for goals, by a criterion, each sought from the planned one within the working region; the planned one, and why, where none is found.
+pub(super) fn nominal_by(
+    scenario: &Scenario,
+    tool: Tool,
+    criterion: Criterion,
+    planned: &[Vec<f64>],
+    goals: &[Goal],
+) -> Result<Resolved, PipelineError> {
+    let refused = |source: InverseError| ClosedLoopError::of(Mode::WithoutCalibration, source);
+    let within = within_region(scenario);
+    let mut inverse = InverseKinematics::new(&within, tool).map_err(refused)?;
+    let (mut commands, mut missed) = (Vec::with_capacity(goals.len()), Vec::new());
+    for ((pose, goal), planned) in (0..).zip(goals).zip(planned) {
+        let options =
+            InverseOptions { criterion, reference: Some(planned.clone()), ..InverseOptions::default() };
+        match inverse.solve(goal, &options) {
+            Ok(found) => commands.push(found.command),
+            Err(InverseError::Unreachable(why)) => {
+                missed.push((pose, why.to_string()));
+                commands.push(planned.clone());
+            }
+            Err(other) => return Err(refused(other)),
+        }
+    }
+    Ok((commands, missed))
+}
+
+/// The nominal robot whose joints go no farther than the working region, where it was measured.
+fn within_region(scenario: &Scenario) -> CalibrationModel {
+    let mut model = scenario.robot.model.clone();
+    let region = scenario.region.centre.iter().zip(&scenario.region.half_width);
+    for ((joint, link), (centre, half)) in model.kinematics.links.iter_mut().enumerate().zip(region) {
+        if model.actuators.is_commanded(joint) {
+            link.limits = [centre - half, centre + half];
+        }
+    }
+    model
+}
+
+/// How far the tool is deflected at commands by what a robot knows of itself: mean and largest, m.
+pub(super) fn droop(
+    robot: &CalibratedRobot,
+    corrected: &Corrected,
+    circumstances: &[Circumstances],
+) -> Result<Option<[f64; 2]>, PipelineError> {
+    if robot.model.statics.is_none() {
+        return Ok(None);
+    }
+    let mut chain = ElasticChain::new(&robot.model).map_err(ElasticError::from)?;
+    let in_flange = robot.targets.first().copied().unwrap_or_default();
+    let (mut sum, mut most, mut count) = (0.0, 0.0_f64, 0_u32);
+    for ((pose, command), known) in (0..).zip(&corrected.commands).zip(circumstances) {
+        if corrected.uncorrected.iter().any(|(left_out, _)| *left_out == pose) {
+            continue;
+        }
+        chain.set_payload(known.payload.as_ref()).map_err(ElasticError::from)?;
+        let mut at = |deflection| {
+            chain.settle(command, &[], deflection)?;
+            Ok::<_, ElasticError>(chain.target(&in_flange))
+        };
+        let bent = (at(Deflection::Equilibrium)? - at(Deflection::None)?).norm();
+        sum += bent;
+        most = most.max(bent);
+        count += 1;
+    }
+    Ok((count > 0).then(|| [sum / f64::from(count), most]))
+}

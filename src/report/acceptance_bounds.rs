@@ -1,0 +1,131 @@
+//! What held-out errors say of all poses of the region: bounds with a confidence, not only the largest that was seen.
+
+use maud::{Markup, html};
+use serde::{Deserialize, Serialize};
+
+use super::counted;
+use super::html::{key, number};
+use super::json::finite;
+use super::plots::look;
+use super::tables::{Ink, Style, aligned, millimetres};
+use crate::pipeline::{Outcome, SetKind};
+use calibrig_estimation::evaluation::{Acceptance, accept};
+use calibrig_estimation::identification::Mode;
+
+const COVERAGE: f64 = 0.95;
+const CONFIDENCE: f64 = 0.95;
+
+/// Bounds of the lengths of 3-D errors over the region that the held-out poses were drawn from, m.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonAcceptance {
+    /// The share of the region's poses that the bounds are of.
+    pub coverage: f64,
+    /// How often such bounds hold.
+    pub confidence: f64,
+    /// Whatever the distribution of the errors; null of too few errors.
+    pub distribution_free_m: Option<f64>,
+    /// How many errors would have such a bound.
+    pub needed: usize,
+    /// Where errors are normal, alike along the axes and without bias.
+    pub isotropic_m: Option<f64>,
+    /// The share of the region's poses that stays below the largest error seen at least, with the confidence.
+    pub share_below_largest: f64,
+}
+
+/// Bounds from the lengths of held-out errors, m; `None` where they bound nothing.
+pub(super) fn bounds(errors: &[f64]) -> Option<Acceptance> {
+    accept(errors, COVERAGE, CONFIDENCE).ok()
+}
+
+pub(super) fn json_acceptance(errors: &[f64]) -> Option<JsonAcceptance> {
+    let found = bounds(errors)?;
+    Some(JsonAcceptance {
+        coverage: found.coverage,
+        confidence: found.confidence,
+        distribution_free_m: found.distribution_free.and_then(|order| finite(order.bound)),
+        needed: found.needed,
+        isotropic_m: finite(found.isotropic),
+        share_below_largest: found.largest.share_below,
+    })
+}
+
+/// Lengths of the errors of a set that was held out, by mode; empty of other sets.
+fn held_out(outcome: &Outcome, index: usize) -> Vec<(Mode, Acceptance)> {
+    if outcome.sets.get(index).is_none_or(|set| set.kind != SetKind::Verification) {
+        return Vec::new();
+    }
+    let of = |mode: &crate::pipeline::ModeOutcome| {
+        let errors: Vec<f64> = mode.errors.get(index)?.iter().map(|error| error.norm()).collect();
+        Some((mode.mode, bounds(&errors)?))
+    };
+    outcome.modes.iter().filter_map(of).collect()
+}
+
+const NAMES: [&str; 3] = ["any", "normal", "largest"];
+
+/// Lines below the table of a held-out set.
+pub(super) fn acceptance_lines(outcome: &Outcome, index: usize, style: Style) -> Vec<String> {
+    rows_lines(&held_out(outcome, index), style)
+}
+
+pub(super) fn rows_lines(rows: &[(Mode, Acceptance)], style: Style) -> Vec<String> {
+    let Some((_, first)) = rows.first() else { return Vec::new() };
+    let mut lines = vec![
+        format!(
+            "bounds of the 3-D error that 95 % of the region's poses stay below, with 95 % confidence, mm"
+        ),
+        style.paint(Ink::Dim, &aligned("  if errors are distributed", &NAMES.map(str::to_owned))),
+    ];
+    for (mode, found) in rows {
+        let free = found.distribution_free.map_or_else(|| "-".to_owned(), |order| millimetres(order.bound));
+        lines.push(aligned(
+            mode.title(),
+            &[free, millimetres(found.isotropic), millimetres(found.largest.seen)],
+        ));
+    }
+    lines.push(style.paint(Ink::Dim, &note(first)));
+    lines
+}
+
+fn note(found: &Acceptance) -> String {
+    let mut words = format!(
+        "  of {}, the largest bounds {:.1} % of the poses with that confidence",
+        counted(found.count, "held-out error"),
+        100.0 * found.largest.share_below
+    );
+    if found.distribution_free.is_none() {
+        words.push_str(&format!("; 95 % whatever the distribution needs {}", found.needed));
+    }
+    words
+}
+
+/// The same on the page.
+pub(super) fn acceptance_table(outcome: &Outcome, index: usize) -> Markup {
+    let rows = held_out(outcome, index);
+    let mm = |metres: f64| number(1e3 * metres, 3);
+    html! {
+        @if let Some((_, first)) = rows.first() {
+            div.scroll {
+                table {
+                    caption { "3-D error that 95 % of the region\u{2019}s poses stay below, with 95 % confidence, mm" }
+                    thead {
+                        tr {
+                            th {} th { "whatever the distribution" } th { "if normal, alike along the axes" } th { "largest seen" }
+                        }
+                    }
+                    tbody {
+                        @for (mode, found) in &rows {
+                            tr {
+                                th scope="row" { (key(&look(*mode))) (mode.title()) }
+                                td { (mm(found.distribution_free.map_or(f64::NAN, |order| order.bound))) }
+                                td { (mm(found.isotropic)) }
+                                td { (mm(found.largest.seen)) }
+                            }
+                        }
+                    }
+                }
+            }
+            p.note { (note(first).trim_start()) "." }
+        }
+    }
+}

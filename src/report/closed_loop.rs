@@ -1,0 +1,532 @@
+//! Corrected commands on the machine: the table of the publication, the pose test and the path, for people and programs.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+use maud::{Markup, html};
+use serde::{Deserialize, Serialize};
+
+use super::html::{figure, key, number};
+use super::json::{JsonDropped, JsonRow, JsonSet, finite, json_row};
+use super::plots::{self, Curve, look};
+use super::tables::{
+    COLUMNS, Ink, NUMBER, Style, TITLE, aligned, as_published, millimetres, printable, row_values, wrap,
+};
+use super::{ReportError, counted, pose_count, published};
+use crate::pipeline::{Outcome, SetKind};
+use calibrig_estimation::evaluation::AccuracyRow;
+use calibrig_estimation::evaluation::closed_loop::{ClosedLoop, DrivenMode, DrivenPath, DrivenPoseTest};
+use calibrig_estimation::evaluation::iso9283::{PositionAccuracy, PositionRepeatability};
+use calibrig_estimation::identification::Mode;
+use calibrig_estimation::inverse::Criterion;
+
+/// What corrected commands did on the machine. Its table is the set `compensated`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonCompensation {
+    /// What a goal holds: `position`, `axis` or `pose`.
+    pub goal: String,
+    /// What decides between the commands that meet a goal: `as_planned`, or a criterion.
+    pub redundancy: String,
+    /// By the key of the mode: poses that it cannot correct; absent where none.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub uncorrected: BTreeMap<String, Vec<JsonDropped>>,
+    /// The same goals with the redundancy resolved otherwise; absent where not asked for.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub criteria: Vec<JsonDrivenCriterion>,
+    /// Cycles of a pose test; absent where not asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pose_test: Option<JsonDrivenPoseTest>,
+    /// A path; absent where not asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub path: Option<JsonDrivenPath>,
+}
+
+/// A way to resolve the redundancy.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonDrivenCriterion {
+    /// `as_planned`, or a criterion.
+    pub criterion: String,
+    /// Key of the mode whose commands are driven.
+    pub mode: String,
+    /// Mean predicted deflection of the tool, m; null where nothing is known of it.
+    pub droop_mean_m: Option<f64>,
+    /// Largest predicted deflection, m.
+    pub droop_max_m: Option<f64>,
+    /// Nominal commands.
+    pub nominal: Option<JsonRow>,
+    /// Corrected ones.
+    pub compensated: Option<JsonRow>,
+    /// Goals that could not be met.
+    pub missed: usize,
+}
+
+/// Cycles over the poses of a cube (ISO 9283).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonDrivenPoseTest {
+    /// Edge of the cube, m.
+    pub edge_m: Option<f64>,
+    /// Cycles.
+    pub cycles: usize,
+    /// By the key of the mode, one entry a pose from P1 on.
+    pub modes: BTreeMap<String, Vec<JsonDrivenPose>>,
+}
+
+/// A pose of the test.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonDrivenPose {
+    /// AP of the position, m.
+    pub accuracy_m: Option<f64>,
+    /// Its components, m.
+    pub error_m: [Option<f64>; 3],
+    /// RP of the position, m.
+    pub repeatability_m: Option<f64>,
+}
+
+/// A path that was driven.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JsonDrivenPath {
+    /// Of the way of the tool, m.
+    pub length_m: Option<f64>,
+    /// m/s
+    pub speed_m_per_s: Option<f64>,
+    /// Points that the nominal robot cannot reach; absent where none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub unreachable: Vec<JsonDropped>,
+    /// By the key of the mode: measured minus wanted.
+    pub rows: BTreeMap<String, JsonRow>,
+}
+
+fn criterion_key(criterion: Option<Criterion>) -> String {
+    criterion.map_or_else(|| "as_planned".to_owned(), |criterion| criterion.to_string())
+}
+
+fn criterion_words(criterion: Option<Criterion>) -> String {
+    criterion.map_or_else(|| "as planned".to_owned(), |criterion| format!("least {criterion}"))
+}
+
+fn dropped(poses: &[(u32, String)]) -> Vec<JsonDropped> {
+    poses.iter().map(|(pose, why)| JsonDropped { pose: *pose, why: why.clone() }).collect()
+}
+
+fn lengths(mode: &DrivenMode) -> Vec<f64> {
+    mode.points.iter().map(|point| point.error().norm()).collect()
+}
+
+/// The set `compensated`.
+pub(super) fn json_set(driven: &ClosedLoop) -> JsonSet {
+    let nominal = driven.modes.first();
+    let rows = driven
+        .modes
+        .iter()
+        .filter_map(|mode| Some((mode.mode.key().to_owned(), json_row(&mode.row()?, Some(&lengths(mode))))));
+    JsonSet {
+        poses: nominal.map_or(0, |mode| pose_count(&mode.set)),
+        dropped: nominal.map(|mode| dropped(&mode.set.dropped)).unwrap_or_default(),
+        missing: Vec::new(),
+        repeats: None,
+        payloads: Vec::new(),
+        rows: rows.collect(),
+    }
+}
+
+/// What belongs to no set.
+pub(super) fn json_compensation(driven: &ClosedLoop) -> JsonCompensation {
+    let plain = |row: &AccuracyRow| json_row(row, None);
+    let pose = |(ap, rp): &(PositionAccuracy, PositionRepeatability)| JsonDrivenPose {
+        accuracy_m: finite(ap.distance),
+        error_m: [0, 1, 2].map(|axis| finite(ap.error[axis])),
+        repeatability_m: finite(rp.repeatability),
+    };
+    JsonCompensation {
+        goal: goal_words(driven).0.to_owned(),
+        redundancy: criterion_key(driven.redundancy),
+        uncorrected: driven
+            .modes
+            .iter()
+            .filter(|mode| !mode.uncorrected.is_empty())
+            .map(|mode| (mode.mode.key().to_owned(), dropped(&mode.uncorrected)))
+            .collect(),
+        criteria: driven
+            .criteria
+            .iter()
+            .map(|own| JsonDrivenCriterion {
+                criterion: criterion_key(own.criterion),
+                mode: own.mode.key().to_owned(),
+                droop_mean_m: own.droop.and_then(|[mean, _]| finite(mean)),
+                droop_max_m: own.droop.and_then(|[_, most]| finite(most)),
+                nominal: own.nominal.as_ref().map(plain),
+                compensated: own.corrected.as_ref().map(plain),
+                missed: own.missed,
+            })
+            .collect(),
+        pose_test: driven.pose_test.as_ref().map(|test| JsonDrivenPoseTest {
+            edge_m: finite(test.cube.edge),
+            cycles: test.cycles,
+            modes: test
+                .modes
+                .iter()
+                .map(|(mode, poses)| (mode.key().to_owned(), poses.iter().map(pose).collect()))
+                .collect(),
+        }),
+        path: driven.path.as_ref().map(|path| JsonDrivenPath {
+            length_m: finite(path.length),
+            speed_m_per_s: finite(path.speed),
+            unreachable: dropped(&path.unreachable),
+            rows: path
+                .modes
+                .iter()
+                .filter_map(|mode| Some((mode.mode.key().to_owned(), plain(&mode.row()?))))
+                .collect(),
+        }),
+    }
+}
+
+/// Key of what a goal holds, and the same in words.
+fn goal_words(driven: &ClosedLoop) -> (&'static str, &'static str) {
+    match driven.rows_of_goal {
+        3 => ("position", "the position of the tool"),
+        5 => ("axis", "the position of the tool and the direction of its axis"),
+        _ => ("pose", "the pose of the tool"),
+    }
+}
+
+/// A row's name: whose commands.
+fn title(mode: Mode) -> &'static str {
+    match mode {
+        Mode::WithoutCalibration => "nominal commands",
+        mode => mode.title(),
+    }
+}
+
+const HEADING: &str = "Commands corrected and driven again: measured minus wanted, absolute errors in mm";
+
+/// What the terminal says.
+pub(super) fn closed_loop_lines(outcome: &Outcome, driven: &ClosedLoop, style: Style) -> Vec<String> {
+    let mut lines = vec![style.paint(Ink::Heading, HEADING)];
+    let mut header = " ".repeat(TITLE);
+    for column in COLUMNS {
+        // Writing to a String cannot fail.
+        let _ = write!(header, "{column:>NUMBER$}");
+    }
+    let rule = style.paint(Ink::Dim, &"\u{2500}".repeat(header.len()));
+    lines.extend([header, rule.clone()]);
+    for mode in &driven.modes {
+        let Some(row) = mode.row() else { continue };
+        lines.push(aligned(title(mode.mode), &row_values(&row).map(millimetres)));
+        if let Some(figures) = published(outcome, SetKind::Verification, mode.mode) {
+            let numbers = figures.map(as_published);
+            lines.push(style.paint(Ink::Dim, aligned("  published, verification", &numbers).trim_end()));
+        }
+    }
+    lines.push(rule);
+    for words in remarks(driven) {
+        lines.extend(wrap(&printable(&words), "    "));
+    }
+    for mode in &driven.modes {
+        if let Some(words) = uncorrected_words(mode) {
+            lines.extend(wrap(&printable(&words), "    ").iter().map(|l| style.paint(Ink::Warning, l)));
+        }
+    }
+    if !driven.criteria.is_empty() {
+        lines.extend(criterion_lines(driven, style));
+    }
+    if let Some(test) = &driven.pose_test {
+        lines.push(style.paint(Ink::Dim, &pose_test_words(test)));
+        lines.push(aligned("", &pose_columns(test)));
+        for (mode, poses) in &test.modes {
+            lines.push(aligned(title(*mode), &pose_figures(poses).map(millimetres)));
+        }
+    }
+    if let Some(path) = &driven.path {
+        lines.push(style.paint(Ink::Dim, &path_words(path)));
+        for mode in &path.modes {
+            if let Some(row) = mode.row() {
+                lines.push(aligned(title(mode.mode), &row_values(&row).map(millimetres)));
+            }
+        }
+        if let Some((point, why)) = path.unreachable.first() {
+            let words = format!(
+                "{} of the path out of reach, the first is point {} ({why})",
+                counted(path.unreachable.len(), "point"),
+                point + 1
+            );
+            lines.extend(wrap(&printable(&words), "    ").iter().map(|l| style.paint(Ink::Warning, l)));
+        }
+    }
+    lines.push(String::new());
+    lines
+}
+
+/// What was driven, in words.
+fn remarks(driven: &ClosedLoop) -> Vec<String> {
+    vec![format!(
+        "the goal at each pose of the verification set is {} by the nominal robot there; redundancy {}; each row is the set measured once more, at the same hour and with the same draws, in the mode's own frame",
+        goal_words(driven).1,
+        criterion_words(driven.redundancy)
+    )]
+}
+
+fn uncorrected_words(mode: &DrivenMode) -> Option<String> {
+    let (pose, why) = mode.uncorrected.first()?;
+    Some(format!(
+        "{}: {} not corrected and not counted, the first is pose {pose} ({why})",
+        title(mode.mode),
+        counted(mode.uncorrected.len(), "pose")
+    ))
+}
+
+fn criterion_lines(driven: &ClosedLoop, style: Style) -> Vec<String> {
+    let mode = driven.criteria.first().map_or(Mode::WithoutCalibration, |own| own.mode);
+    let heading = format!("the same goals, redundancy resolved otherwise, commands of \"{}\"", title(mode));
+    let mut lines = vec![style.paint(Ink::Dim, &heading)];
+    lines.push(aligned(
+        "",
+        &["droop", "largest", "mean x", "mean y", "mean z", "RMS 3D", "nominal"].map(str::to_owned),
+    ));
+    for own in &driven.criteria {
+        let [mean, most] = own.droop.unwrap_or([f64::NAN; 2]);
+        let row = own.corrected.as_ref();
+        let of = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), millimetres);
+        let droop = |value: f64| if value.is_finite() { millimetres(value) } else { "-".to_owned() };
+        let mut numbers = vec![droop(mean), droop(most)];
+        numbers.extend((0..3).map(|axis| of(row.map(|row| row.mean[axis]))));
+        numbers.push(of(row.map(|row| row.rms_3d)));
+        numbers.push(of(own.nominal.as_ref().map(|row| row.rms_3d)));
+        lines.push(aligned(&criterion_words(own.criterion), &numbers));
+    }
+    lines
+}
+
+fn pose_test_words(test: &DrivenPoseTest) -> String {
+    format!(
+        "pose test (ISO 9283): {} over five poses in a cube of {:.0} mm, mm",
+        counted(test.cycles, "cycle"),
+        1e3 * test.cube.edge
+    )
+}
+
+fn pose_columns(_: &DrivenPoseTest) -> [String; 4] {
+    ["AP mean", "AP max", "RP mean", "RP max"].map(str::to_owned)
+}
+
+/// AP mean and largest, RP mean and largest, m.
+fn pose_figures(poses: &[(PositionAccuracy, PositionRepeatability)]) -> [f64; 4] {
+    let mean_and_most = |values: &[f64]| {
+        let most = values.iter().copied().fold(0.0, f64::max);
+        [values.iter().sum::<f64>() / values.len().max(1) as f64, most]
+    };
+    let [a, b] = mean_and_most(&poses.iter().map(|(ap, _)| ap.distance).collect::<Vec<_>>());
+    let [c, d] = mean_and_most(&poses.iter().map(|(_, rp)| rp.repeatability).collect::<Vec<_>>());
+    [a, b, c, d]
+}
+
+fn path_words(path: &DrivenPath) -> String {
+    let points = path.modes.first().map_or(0, |mode| mode.points.len());
+    format!(
+        "path of {:.2} m at {:.0} mm/s, read at {}: measured minus wanted, mm",
+        path.length,
+        1e3 * path.speed,
+        counted(points, "point")
+    )
+}
+
+/// The section of the page; nothing where no command was corrected.
+pub(super) fn closed_loop_section(outcome: &Outcome) -> Result<Markup, ReportError> {
+    let Some(driven) = &outcome.closed_loop else { return Ok(html! {}) };
+    let path = driven.path.as_ref().map(|path| path_figure(path)).transpose()?;
+    let bars = goal_figure(driven)?;
+    let modes: Vec<Mode> = driven.modes.iter().map(|mode| mode.mode).collect();
+    Ok(html! {
+        section #compensated {
+            h2 { "Compensated" }
+            p {
+                "Commands that every identified robot corrects, driven on the machine and measured again: where the tool was measured, minus where it was to be."
+            }
+            (goal_table(outcome, driven))
+            @for words in remarks(driven) { p.note { (capital(&words)) "." } }
+            @for mode in &driven.modes {
+                @if let Some(words) = uncorrected_words(mode) { p.note { (words) "." } }
+            }
+            (figure(&modes, &bars, &html! {
+                "Distance of the measured tool from its goal, pose by pose. "
+                "\u{201c}" (Mode::WithoutCalibration.title()) "\u{201d} stands for the nominal commands."
+            }, false))
+            @if !driven.criteria.is_empty() { (criterion_table(driven)) }
+            @if let Some(test) = &driven.pose_test { (pose_test_table(test)) }
+            @if let (Some(path), Some(drawn)) = (&driven.path, path) {
+                (path_table(path))
+                (figure(&modes, &drawn, &html! {
+                    "Distance of the measured tool from the path over the panel, along its way."
+                }, true))
+            }
+        }
+    })
+}
+
+fn capital(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
+fn mm(metres: f64) -> String {
+    number(1e3 * metres, 3)
+}
+
+fn goal_table(outcome: &Outcome, driven: &ClosedLoop) -> Markup {
+    let poses = driven.modes.first().map_or(0, |mode| pose_count(&mode.set));
+    let rows: Vec<_> = driven.modes.iter().filter_map(|mode| Some((mode.mode, mode.row()?))).collect();
+    html! {
+        (rows_table(&format!("{} of the verification set, mm", counted(poses, "pose")), &rows, &|mode| {
+            published(outcome, SetKind::Verification, mode).copied()
+        }))
+    }
+}
+
+/// A table of errors, a row a mode.
+fn rows_table(
+    caption: &str,
+    rows: &[(Mode, AccuracyRow)],
+    beside: &dyn Fn(Mode) -> Option<[f64; 6]>,
+) -> Markup {
+    html! {
+        div.scroll {
+            table.accuracy {
+                caption { (caption) }
+                thead {
+                    tr {
+                        th rowspan="2" {}
+                        @for axis in ["x", "y", "z", "3-D"] { th.group colspan="2" { (axis) } }
+                    }
+                    tr {
+                        @for _ in 0..3 { th.first { "max" } th { "mean" } }
+                        th.first { "RMS" } th { "max" }
+                    }
+                }
+                tbody {
+                    @for (mode, row) in rows {
+                        tr {
+                            th scope="row" { (key(&look(*mode))) (title(*mode)) }
+                            @for axis in 0..3 { td.first { (mm(row.max[axis])) } td { (mm(row.mean[axis])) } }
+                            td.first { (mm(row.rms_3d)) } td { (mm(row.max_3d)) }
+                        }
+                        @if let Some(figures) = beside(*mode) {
+                            tr.published {
+                                th scope="row" { "published, verification" }
+                                @for pair in figures.chunks(2) {
+                                    @for (i, metres) in pair.iter().enumerate() {
+                                        td.first[i == 0] { (number(1e3 * metres, 1)) }
+                                    }
+                                }
+                                td.first {} td {}
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn criterion_table(driven: &ClosedLoop) -> Markup {
+    let of = |row: Option<&AccuracyRow>, value: fn(&AccuracyRow) -> f64| mm(row.map_or(f64::NAN, value));
+    let mode = driven.criteria.first().map_or(Mode::WithoutCalibration, |own| own.mode);
+    html! {
+        div.scroll {
+            table {
+                caption { "The same goals with the redundancy resolved otherwise, commands of \u{201c}" (title(mode)) "\u{201d}, mm" }
+                thead {
+                    tr {
+                        th {} th.first { "predicted droop, mean" } th { "largest" }
+                        th.first { "mean x" } th { "mean y" } th { "mean z" } th { "RMS 3-D" }
+                        th.first { "RMS 3-D, nominal commands" }
+                    }
+                }
+                tbody {
+                    @for own in &driven.criteria {
+                        tr {
+                            th scope="row" {
+                                (criterion_words(own.criterion))
+                                @if own.missed > 0 { " (" (counted(own.missed, "goal")) " missed)" }
+                            }
+                            td.first { (mm(own.droop.map_or(f64::NAN, |droop| droop[0]))) }
+                            td { (mm(own.droop.map_or(f64::NAN, |droop| droop[1]))) }
+                            td.first { (of(own.corrected.as_ref(), |row| row.mean.x)) }
+                            td { (of(own.corrected.as_ref(), |row| row.mean.y)) }
+                            td { (of(own.corrected.as_ref(), |row| row.mean.z)) }
+                            td { (of(own.corrected.as_ref(), |row| row.rms_3d)) }
+                            td.first { (of(own.nominal.as_ref(), |row| row.rms_3d)) }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn pose_test_table(test: &DrivenPoseTest) -> Markup {
+    html! {
+        div.scroll {
+            table {
+                caption { (capital(&pose_test_words(test))) }
+                thead {
+                    tr {
+                        th {}
+                        @for column in pose_columns(test) { th { (column) } }
+                    }
+                }
+                tbody {
+                    @for (mode, poses) in &test.modes {
+                        tr {
+                            th scope="row" { (key(&look(*mode))) (title(*mode)) }
+                            @for value in pose_figures(poses) { td { (mm(value)) } }
+                        }
+                    }
+                }
+            }
+        }
+        p.note {
+            "AP is the distance of the barycentre of all cycles from the commanded position, RP the radius about it that the standard defines from their scatter; "
+            "one approach."
+        }
+    }
+}
+
+fn path_table(path: &DrivenPath) -> Markup {
+    let rows: Vec<_> = path.modes.iter().filter_map(|mode| Some((mode.mode, mode.row()?))).collect();
+    html! {
+        (rows_table(&capital(&path_words(path)), &rows, &|_| None))
+        @if let Some((point, why)) = path.unreachable.first() {
+            p.note { (counted(path.unreachable.len(), "point")) " out of reach, the first is point " (point + 1) ": " (why) "." }
+        }
+    }
+}
+
+/// Distance from the goal, a marker a pose; logarithmic.
+fn goal_figure(driven: &ClosedLoop) -> Result<String, ReportError> {
+    let curve = |mode: &DrivenMode| Curve {
+        look: look(mode.mode),
+        points: mode.points.iter().map(|p| (f64::from(p.pose), 1e3 * p.error().norm())).collect(),
+        joined: false,
+    };
+    let curves: Vec<Curve> = driven.modes.iter().map(curve).collect();
+    plots::magnitudes(("compensated poses", "Distance from the goal of every pose"), "pose", &curves)
+}
+
+/// Distance from the path, along it.
+fn path_figure(path: &DrivenPath) -> Result<String, ReportError> {
+    let curve = |mode: &DrivenMode| {
+        let mut way = 0.0;
+        let mut last = None;
+        let mut at = |place: nalgebra::Vector3<f64>| {
+            way += last.replace(place).map_or(0.0, |before: nalgebra::Vector3<f64>| (place - before).norm());
+            way
+        };
+        Curve {
+            look: look(mode.mode),
+            points: mode.points.iter().map(|p| (at(p.goal), 1e3 * p.error().norm())).collect(),
+            joined: true,
+        }
+    };
+    let curves: Vec<Curve> = path.modes.iter().map(curve).collect();
+    plots::magnitudes(("compensated path", "Distance from the path along its way"), "way, m", &curves)
+}
