@@ -30,6 +30,9 @@ pub struct JsonCompensation {
     /// By the key of the mode: poses that it cannot correct; absent where none.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub uncorrected: BTreeMap<String, Vec<JsonDropped>>,
+    /// By the key of the mode: poses whose position alone it corrects; absent where none.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub position_alone: BTreeMap<String, Vec<JsonDropped>>,
     /// The same goals with the redundancy resolved otherwise; absent where not asked for.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub criteria: Vec<JsonDrivenCriterion>,
@@ -140,12 +143,8 @@ pub(super) fn json_compensation(driven: &ClosedLoop) -> JsonCompensation {
     JsonCompensation {
         goal: goal_words(driven).0.to_owned(),
         redundancy: criterion_key(driven.redundancy),
-        uncorrected: driven
-            .modes
-            .iter()
-            .filter(|mode| !mode.uncorrected.is_empty())
-            .map(|mode| (mode.mode.key().to_owned(), dropped(&mode.uncorrected)))
-            .collect(),
+        uncorrected: by_mode(driven, |mode| &mode.uncorrected),
+        position_alone: by_mode(driven, |mode| &mode.position_alone),
         criteria: driven
             .criteria
             .iter()
@@ -179,6 +178,15 @@ pub(super) fn json_compensation(driven: &ClosedLoop) -> JsonCompensation {
                 .collect(),
         }),
     }
+}
+
+/// Lists of poses by the key of the mode, those that hold any.
+fn by_mode(
+    driven: &ClosedLoop,
+    of: impl Fn(&DrivenMode) -> &Vec<(u32, String)>,
+) -> BTreeMap<String, Vec<JsonDropped>> {
+    let lists = driven.modes.iter().map(|mode| (mode.mode.key().to_owned(), dropped(of(mode))));
+    lists.filter(|(_, list)| !list.is_empty()).collect()
 }
 
 /// Key of what a goal holds, and the same in words.
@@ -223,7 +231,7 @@ pub(super) fn closed_loop_lines(outcome: &Outcome, driven: &ClosedLoop, style: S
         lines.extend(wrap(&printable(&words), "    "));
     }
     for mode in &driven.modes {
-        if let Some(words) = uncorrected_words(mode) {
+        for words in uncorrected_words(mode) {
             lines.extend(wrap(&printable(&words), "    ").iter().map(|l| style.paint(Ink::Warning, l)));
         }
     }
@@ -266,13 +274,19 @@ fn remarks(driven: &ClosedLoop) -> Vec<String> {
     )]
 }
 
-fn uncorrected_words(mode: &DrivenMode) -> Option<String> {
-    let (pose, why) = mode.uncorrected.first()?;
-    Some(format!(
-        "{}: {} not corrected and not counted, the first is pose {pose} ({why})",
-        title(mode.mode),
-        counted(mode.uncorrected.len(), "pose")
-    ))
+/// What was not corrected, or not all of it, a sentence a reason.
+fn uncorrected_words(mode: &DrivenMode) -> Vec<String> {
+    let kinds = [
+        ("not corrected and not counted", &mode.uncorrected),
+        ("corrected in position alone", &mode.position_alone),
+    ];
+    let words = |(what, poses): (&str, &Vec<(u32, String)>)| {
+        let (pose, why) = poses.first()?;
+        let which =
+            if poses.len() == 1 { format!("pose {pose}") } else { format!("the first is pose {pose}") };
+        Some(format!("{}: {} {what}, {which} ({why})", title(mode.mode), counted(poses.len(), "pose")))
+    };
+    kinds.into_iter().filter_map(words).collect()
 }
 
 fn criterion_lines(driven: &ClosedLoop, style: Style) -> Vec<String> {
@@ -345,7 +359,7 @@ pub(super) fn closed_loop_section(outcome: &Outcome) -> Result<Markup, ReportErr
             (goal_table(outcome, driven))
             @for words in remarks(driven) { p.note { (capital(&words)) "." } }
             @for mode in &driven.modes {
-                @if let Some(words) = uncorrected_words(mode) { p.note { (words) "." } }
+                @for words in uncorrected_words(mode) { p.note { (capital(&words)) "." } }
             }
             (figure(&modes, &bars, &html! {
                 "Distance of the measured tool from its goal, pose by pose. "

@@ -12,6 +12,9 @@ pub const SCENARIO: &str = "scenarios/paper.toml";
 pub const ROBOT: &str = "models/spray_painter/robot.toml";
 pub const URDF: &str = "models/spray_painter/robot.urdf";
 
+const COMPENSATION: &str = "# --- Compensation ---";
+const PUBLISHED: &str = "# --- Published tables ---";
+
 pub struct Sandbox {
     folder: TempDir,
 }
@@ -48,7 +51,28 @@ impl Sandbox {
         }
         sandbox.switch_effects_off();
         sandbox.switch_instrument_off();
+        sandbox.drive_nothing_again();
         sandbox
+    }
+
+    /// The same with the shipped scenario as it is but for the machine's effects and the instrument's errors: its corrected commands are driven as well.
+    pub fn driving_again() -> Self {
+        let sandbox = Self::new();
+        let shipped =
+            fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(SCENARIO)).expect("the scenario");
+        let (_, section) = shipped.split_once(COMPENSATION).expect("the section");
+        let (section, _) = section.split_once(PUBLISHED).expect("the tables behind it");
+        let text = sandbox.read(SCENARIO).replace(PUBLISHED, &format!("{COMPENSATION}{section}{PUBLISHED}"));
+        sandbox.write(SCENARIO, text);
+        sandbox
+    }
+
+    /// Takes the corrected commands out of the shipped scenario: a run of a test drives its session alone.
+    fn drive_nothing_again(&self) {
+        let text = self.read(SCENARIO);
+        let (before, section) = text.split_once(COMPENSATION).expect("the section");
+        let (_, behind) = section.split_once(PUBLISHED).expect("the tables behind it");
+        self.write(SCENARIO, format!("{before}{PUBLISHED}{behind}"));
     }
 
     /// Leaves the tracker of the shipped scenario its noise alone: what else it does is larger than what is left of the machine without its effects.

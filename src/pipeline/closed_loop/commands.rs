@@ -4,20 +4,14 @@ use nalgebra::Vector3;
 
 use super::{ClosedLoopError, PipelineError, Resolved};
 use crate::scenario::{CompensationPlan, GoalKind, Scenario};
-use calibrig_estimation::compensation::{CompensationError, Compensator};
+use calibrig_estimation::compensation::{CompensatedPoint, CompensationError, Compensator, Travel};
 use calibrig_estimation::elastostatics::{Deflection, ElasticChain, ElasticError};
 use calibrig_estimation::identification::{CalibratedRobot, Estimate, Mode, Predictor};
 use calibrig_estimation::inverse::{
     Circumstances, Criterion, Goal, InverseError, InverseKinematics, InverseOptions, Tool,
 };
-use calibrig_model::CalibrationModel;
 use calibrig_model::geometry::Transform;
-use calibrig_model::measurement::Motion;
-
-/// A motion of an actuator is one beyond this, m or rad.
-const LEAST_MOTION: f64 = 1e-7;
-/// Tries to agree with the correction on the side from which the actuators come.
-const AGREE: usize = 4;
+use calibrig_model::{CalibrationModel, JointKind};
 
 /// A robot whose first target is the tool.
 pub(super) struct Tooled<'a> {
@@ -60,12 +54,19 @@ pub(super) struct Corrected {
     pub sigmas: Vec<Option<Vector3<f64>>>,
     /// Goals without a command, by their numbers, with the reason.
     pub uncorrected: Vec<(u32, String)>,
+    /// Goals whose position alone is met, with the reason.
+    pub position_alone: Vec<(u32, String)>,
 }
 
 impl Corrected {
     /// The nominal commands.
     pub fn as_planned(commands: &[Vec<f64>]) -> Self {
-        Self { commands: commands.to_vec(), sigmas: vec![None; commands.len()], uncorrected: Vec::new() }
+        Self {
+            commands: commands.to_vec(),
+            sigmas: vec![None; commands.len()],
+            uncorrected: Vec::new(),
+            position_alone: Vec::new(),
+        }
     }
 
     /// Goals that do not count, beside those of its own.
@@ -92,54 +93,80 @@ pub(super) fn correct(
     let tool = Tooled::new(&estimate.robot, plan)?.tool;
     let mut compensator =
         Compensator::of_estimate(estimate, tool).map_err(|source| ClosedLoopError::of(mode, source))?;
-    let mut motion = from.map(Motion::at);
+    let mut travel = from.map(Travel::from);
     let mut corrected = Corrected::as_planned(nominal);
     for (index, ((goal, nominal), known)) in goals.iter().zip(nominal).zip(circumstances).enumerate() {
-        let mut options = InverseOptions {
-            criterion: Criterion::NONE,
-            circumstances: known.clone(),
-            ..InverseOptions::default()
-        };
-        let mut expected = moved(motion.as_ref(), nominal);
-        let mut tries = 0;
-        let found = loop {
-            tries += 1;
-            if let Some(motion) = &expected {
-                options.circumstances.approach.clone_from(&motion.approach);
-                options.circumstances.since_reversal.clone_from(&motion.since_reversal);
-            }
-            let found = match compensator.corrected(goal, nominal.clone(), &options) {
-                Ok(found) => found,
-                Err(
-                    why @ (CompensationError::OutOfCorrection(_)
-                    | CompensationError::Inverse(InverseError::Unreachable(_))),
-                ) => break Err(why.to_string()),
-                Err(source) => return Err(ClosedLoopError::of(mode, source)),
-            };
-            let seen = moved(motion.as_ref(), &found.command);
-            let agrees = expected.as_ref().map(|own| &own.approach) == seen.as_ref().map(|own| &own.approach);
-            if agrees || tries == AGREE {
-                break Ok(found);
-            }
-            expected = seen;
-        };
         let pose = u32::try_from(index).unwrap_or(u32::MAX);
+        let mut found = next(&mut compensator, goal, nominal, (known, travel.as_ref()))?;
+        if goal.rows() > 3
+            && let Ok((point, _)) = &found
+            && let Some(why) = far(estimate, nominal, &point.command)
+        {
+            // Near a singular pose a small turn of the tool takes a large one of the arm.
+            let position = Goal::Position(goal.position());
+            found = next(&mut compensator, &position, nominal, (known, travel.as_ref()))?;
+            if found.is_ok() {
+                corrected.position_alone.push((pose, why));
+            }
+        }
         match found {
-            Ok(found) => {
+            Ok((found, after)) => {
                 corrected.sigmas[index] = found.sigma();
                 corrected.commands[index] = found.command;
+                travel = after;
             }
-            Err(why) => corrected.uncorrected.push((pose, why)),
+            Err(why) => {
+                corrected.uncorrected.push((pose, why));
+                travel = travel.map(|_| Travel::from(nominal));
+            }
         }
-        motion = moved(motion.as_ref(), &corrected.commands[index]);
     }
     Ok(corrected)
 }
 
-fn moved(motion: Option<&Motion>, command: &[f64]) -> Option<Motion> {
-    let mut motion = motion?.clone();
-    motion.go_to(command, LEAST_MOTION);
-    Some(motion)
+/// A correction beyond this is another pose of the arm, m or rad.
+const FARTHEST: f64 = 0.2;
+
+/// Why a corrected command is too far from the nominal one; `None` where it is not.
+fn far(estimate: &Estimate, nominal: &[f64], command: &[f64]) -> Option<String> {
+    let ways = nominal.iter().zip(command).map(|(from, to)| (to - from).abs());
+    let (joint, way) = ways.enumerate().max_by(|(_, a), (_, b)| a.total_cmp(b))?;
+    let link = estimate.robot.model.kinematics.links.get(joint).filter(|_| way > FARTHEST)?;
+    let way = match link.kind {
+        JointKind::Prismatic => format!("{:.0} mm", 1e3 * way),
+        JointKind::Revolute => format!("{:.1} deg", way.to_degrees()),
+    };
+    Some(format!("to meet all of the goal, {} would move by {way}: the pose is nearly singular", link.name))
+}
+
+/// A correction and where it leaves the travel, or why there is none.
+type OrWhy = Result<(CompensatedPoint, Option<Travel>), String>;
+
+/// The command for a goal, the next one where the machine travels from goal to goal.
+fn next(
+    compensator: &mut Compensator<'_>,
+    goal: &Goal,
+    nominal: &[f64],
+    (known, travel): (&Circumstances, Option<&Travel>),
+) -> Result<OrWhy, PipelineError> {
+    let options = InverseOptions {
+        criterion: Criterion::NONE,
+        circumstances: known.clone(),
+        ..InverseOptions::default()
+    };
+    let mut travel = travel.cloned();
+    let found = match &mut travel {
+        Some(travel) => compensator.next(travel, goal, nominal, &options).map(|(point, _)| point),
+        None => compensator.corrected(goal, nominal.to_vec(), &options),
+    };
+    match found {
+        Ok(found) => Ok(Ok((found, travel))),
+        Err(
+            why @ (CompensationError::OutOfCorrection(_)
+            | CompensationError::Inverse(InverseError::Unreachable(_))),
+        ) => Ok(Err(why.to_string())),
+        Err(source) => Err(ClosedLoopError::of(compensator.mode(), source)),
+    }
 }
 
 /// The nominal robot's commands for goals, by a criterion, each sought from the planned one within the working region; the planned one, and why, where none is found.
@@ -170,7 +197,7 @@ pub(super) fn nominal_by(
 }
 
 /// The nominal robot whose joints go no farther than the working region, where it was measured.
-fn within_region(scenario: &Scenario) -> CalibrationModel {
+pub(super) fn within_region(scenario: &Scenario) -> CalibrationModel {
     let mut model = scenario.robot.model.clone();
     let region = scenario.region.centre.iter().zip(&scenario.region.half_width);
     for ((joint, link), (centre, half)) in model.kinematics.links.iter_mut().enumerate().zip(region) {

@@ -246,7 +246,8 @@ impl Loop<'_, '_> {
                 })
             });
         let points = points.collect();
-        Ok(DrivenMode { mode, points, set, uncorrected: corrected.uncorrected })
+        let Corrected { uncorrected, position_alone, .. } = corrected;
+        Ok(DrivenMode { mode, points, set, uncorrected, position_alone })
     }
 
     /// A set freed from the motion of the trackers by the session's rounds of nests.

@@ -1,10 +1,11 @@
 //! A path over a panel, driven with the commands of every mode.
 
-use super::commands::{Corrected, Tooled};
+use super::commands::{Corrected, Tooled, correct, within_region};
 use super::{ClosedLoopError, Loop, PipelineError};
 use crate::scenario::PathPlan;
 use calibrig_estimation::compensation::{CompensationError, Compensator, PathOptions, PointStatus, ToolPath};
-use calibrig_estimation::evaluation::closed_loop::DrivenPath;
+use calibrig_estimation::evaluation::closed_loop::{DrivenMode, DrivenPath};
+use calibrig_estimation::identification::{CalibratedRobot, Mode};
 use calibrig_estimation::inverse::{Circumstances, Criterion, Goal, InverseOptions};
 
 impl Loop<'_, '_> {
@@ -22,7 +23,8 @@ impl Loop<'_, '_> {
             },
             ..PathOptions::default()
         };
-        let mut controller = Compensator::new(self.nominal, tool).map_err(refused)?;
+        let within = CalibratedRobot { nominal: within_region(self.scenario), ..self.nominal.clone() };
+        let mut controller = Compensator::new(&within, tool).map_err(refused)?;
         let followed = controller.path(&asked, &options).map_err(refused)?;
         let (mut goals, mut nominal, mut times, mut unreachable) =
             (Vec::new(), Vec::new(), Vec::new(), Vec::new());
@@ -42,13 +44,9 @@ impl Loop<'_, '_> {
         for outcome in &self.outcome.modes {
             let corrected = match &outcome.estimate {
                 None => Corrected::as_planned(&nominal),
-                Some(estimate) => super::commands::correct(
-                    estimate,
-                    self.plan,
-                    &goals,
-                    &nominal,
-                    (&circumstances, Some(&home)),
-                )?,
+                Some(estimate) => {
+                    correct(estimate, self.plan, &goals, &nominal, (&circumstances, Some(&home)))?
+                }
             };
             modes.push(self.drive_path(outcome.mode, &goals, &times, corrected)?);
         }
@@ -57,11 +55,11 @@ impl Loop<'_, '_> {
 
     fn drive_path(
         &mut self,
-        mode: calibrig_estimation::identification::Mode,
+        mode: Mode,
         goals: &[Goal],
         times: &[f64],
         corrected: Corrected,
-    ) -> Result<calibrig_estimation::evaluation::closed_loop::DrivenMode, PipelineError> {
+    ) -> Result<DrivenMode, PipelineError> {
         let at = self.at;
         let points: Vec<_> = corrected.commands.iter().cloned().zip(times.iter().copied()).collect();
         let driven =

@@ -10,6 +10,7 @@ mod path;
 mod point;
 mod raster;
 mod speed;
+mod travel;
 
 use thiserror::Error;
 
@@ -18,8 +19,9 @@ pub use path::{CompensatedPath, PathError, PathOptions, PathPoint, PathReport, P
 pub use point::CompensatedPoint;
 pub use raster::{Raster, RasterError};
 pub use speed::SpeedExcess;
+pub use travel::Travel;
 
-use crate::identification::{CalibratedRobot, Estimate, EstimatePredictor, PredictionError};
+use crate::identification::{CalibratedRobot, Estimate, EstimatePredictor, Mode, PredictionError};
 use crate::inverse::{
     Circumstances, Goal, InverseError, InverseKinematics, InverseOptions, Tool, Unreachable,
 };
@@ -70,6 +72,11 @@ impl<'a> Compensator<'a> {
     /// As [`new`](Self::new); and [`CompensationError::Prediction`], where the estimate is not of its robot.
     pub fn of_estimate(estimate: &'a Estimate, tool: Tool) -> Result<Self, CompensationError> {
         Ok(Self { certainty: Some(estimate.predictor()?), ..Self::new(&estimate.robot, tool)? })
+    }
+
+    /// Of the robot that is corrected for.
+    pub fn mode(&self) -> Mode {
+        self.inverse.mode()
     }
 
     /// The corrected command for one goal.

@@ -4,10 +4,9 @@ use thiserror::Error;
 
 use super::point::CompensatedPoint;
 use super::speed::{SpeedExcess, exceeded};
-use super::{CompensationError, Compensator};
+use super::{CompensationError, Compensator, Travel};
 use crate::inverse::{Goal, GoalError, InverseError, InverseOptions, Unreachable};
 use calibrig_model::ModelError;
-use calibrig_model::measurement::Motion;
 
 /// One point of a path.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -181,7 +180,7 @@ pub struct PathReport {
     pub asked: PathPoint,
     /// What became of it.
     pub status: PointStatus,
-    /// Whether the correction changes from which side an actuator comes, back and forth: the terms that depend on it are then those of the last try.
+    /// Whether an actuator comes from another side with the corrected commands than the correction counts on.
     pub wavers: bool,
 }
 
@@ -215,11 +214,6 @@ impl CompensatedPath {
 /// What meets a goal; or the nearest that was found to it.
 type OrNearest<T> = Result<T, Box<Unreachable>>;
 
-/// A motion of an actuator is one beyond this, m or rad.
-const LEAST_MOTION: f64 = 1e-7;
-/// Tries to agree with the correction on the side from which the actuators come.
-const AGREE: usize = 4;
-
 impl Compensator<'_> {
     /// Corrected commands along a path: each point from the one before, so that joints do not jump between branches, and corrected for the side from which
     /// every actuator comes.
@@ -236,43 +230,46 @@ impl Compensator<'_> {
         check_limits(&options.speed_limits, kinematics.joint_count())?;
         let start = options.inverse.circumstances.clone();
         let mut asked = options.inverse.clone();
-        let mut walk = Walk::default();
+        let (mut nominal_before, mut travel) = (None::<Vec<f64>>, Travel::default());
         let mut followed =
             CompensatedPath { points: Vec::with_capacity(path.points.len()), exceeded: Vec::new() };
         for (index, point) in path.points.iter().enumerate() {
             asked.circumstances.time = start.time + point.time;
             let seconds = index.checked_sub(1).map(|before| point.time - path.points[before].time);
-            let (nominal, jumped) = match self.next_nominal(&walk, &point.goal, seconds, &asked, options)? {
+            let before = nominal_before.take();
+            let unreachable =
+                |told| PathReport { asked: *point, status: PointStatus::Unreachable(told), wavers: false };
+            let found = self.next_nominal(before.as_deref(), &point.goal, seconds, &asked, options)?;
+            let (nominal, jumped) = match found {
                 Ok(found) => found,
                 Err(told) => {
-                    let status = PointStatus::Unreachable(told);
-                    followed.points.push(PathReport { asked: *point, status, wavers: false });
-                    walk = Walk { motion: walk.motion, ..Walk::default() };
+                    followed.points.push(unreachable(told));
+                    travel.interrupt();
                     continue;
                 }
             };
-            let (status, wavers) = match self.approached(&walk, &point.goal, &nominal, &mut asked)? {
+            let command_before = travel.command().map(<[f64]>::to_vec);
+            match self.next(&mut travel, &point.goal, &nominal, &asked) {
                 Ok((point, wavers)) => {
-                    if let (Some(before), Some(seconds)) = (&walk.command, seconds) {
+                    if let (Some(before), Some(seconds)) = (&command_before, seconds) {
                         let steps = [before.as_slice(), &point.command];
-                        followed.exceeded.extend(exceeded(
-                            &kinematics,
-                            &options.speed_limits,
-                            index,
-                            steps,
-                            seconds,
-                        ));
+                        let limits = &options.speed_limits;
+                        followed.exceeded.extend(exceeded(&kinematics, limits, index, steps, seconds));
                     }
-                    walk.go_to(&nominal, &point.command);
+                    nominal_before = Some(nominal);
                     let point = Box::new(point);
-                    (if jumped { PointStatus::Jumped(point) } else { PointStatus::Met(point) }, wavers)
+                    let status = if jumped { PointStatus::Jumped(point) } else { PointStatus::Met(point) };
+                    followed.points.push(PathReport { asked: path.points[index], status, wavers });
                 }
-                Err(told) => {
-                    walk = Walk { motion: walk.motion, ..Walk::default() };
-                    (PointStatus::Unreachable(told), false)
+                Err(
+                    CompensationError::OutOfCorrection(told)
+                    | CompensationError::Inverse(InverseError::Unreachable(told)),
+                ) => {
+                    followed.points.push(unreachable(told));
+                    travel.interrupt();
                 }
-            };
-            followed.points.push(PathReport { asked: *point, status, wavers });
+                Err(other) => return Err(other),
+            }
         }
         Ok(followed)
     }
@@ -280,14 +277,14 @@ impl Compensator<'_> {
     /// The nominal command for the next point, and whether it is a jump.
     fn next_nominal(
         &mut self,
-        walk: &Walk,
+        before: Option<&[f64]>,
         goal: &Goal,
         seconds: Option<f64>,
         asked: &InverseOptions,
         options: &PathOptions,
     ) -> Result<OrNearest<(Vec<f64>, bool)>, CompensationError> {
         let mut from = asked.clone();
-        if let (Some(nominal), Some(seconds)) = (&walk.nominal, seconds) {
+        if let (Some(nominal), Some(seconds)) = (before, seconds) {
             let space = self.inverse.space();
             let last = space.of_command(nominal).map_err(InverseError::of_model)?;
             let way = |unknown: usize| {
@@ -301,80 +298,13 @@ impl Compensator<'_> {
                     return Ok(Ok((self.inverse.space().command(&y), false)));
                 }
             }
-            from.reference = Some(nominal.clone());
+            from.reference = Some(nominal.to_vec());
         }
         match self.inverse.solve_nominal(goal, &from) {
-            Ok(found) => Ok(Ok((found.command, walk.nominal.is_some()))),
+            Ok(found) => Ok(Ok((found.command, before.is_some()))),
             Err(InverseError::Unreachable(told)) => Ok(Err(told)),
             Err(other) => Err(other.into()),
         }
-    }
-
-    /// The correction for the side from which the actuators come with it, and whether it wavers.
-    fn approached(
-        &mut self,
-        walk: &Walk,
-        goal: &Goal,
-        nominal: &[f64],
-        asked: &mut InverseOptions,
-    ) -> Result<OrNearest<(CompensatedPoint, bool)>, CompensationError> {
-        // The correction hardly changes from one point to the next.
-        let guess: Vec<f64> = match (&walk.nominal, &walk.command) {
-            (Some(last), Some(command)) => {
-                nominal.iter().zip(last).zip(command).map(|((to, from), at)| at + to - from).collect()
-            }
-            _ => nominal.to_vec(),
-        };
-        let mut motion = walk.towards(&guess);
-        let mut tries = 0;
-        loop {
-            tries += 1;
-            if let Some(motion) = &motion {
-                asked.circumstances.approach.clone_from(&motion.approach);
-                asked.circumstances.since_reversal.clone_from(&motion.since_reversal);
-            }
-            let point = match self.correct(goal, nominal.to_vec(), asked) {
-                Ok(point) => point,
-                Err(
-                    CompensationError::OutOfCorrection(told)
-                    | CompensationError::Inverse(InverseError::Unreachable(told)),
-                ) => return Ok(Err(told)),
-                Err(other) => return Err(other),
-            };
-            let seen = walk.towards(&point.command);
-            let agrees = match (&motion, &seen) {
-                (Some(counted), Some(seen)) => counted.approach == seen.approach,
-                _ => true,
-            };
-            if agrees || tries == AGREE {
-                return Ok(Ok((point, !agrees)));
-            }
-            motion = seen;
-        }
-    }
-}
-
-/// Where a path has come to.
-#[derive(Debug, Clone, Default)]
-struct Walk {
-    nominal: Option<Vec<f64>>,
-    command: Option<Vec<f64>>,
-    /// Of the corrected commands.
-    motion: Option<Motion>,
-}
-
-impl Walk {
-    /// The motion with one more command; `None` at the first, whose approach is as stated.
-    fn towards(&self, command: &[f64]) -> Option<Motion> {
-        let mut motion = self.motion.clone()?;
-        motion.go_to(command, LEAST_MOTION);
-        Some(motion)
-    }
-
-    fn go_to(&mut self, nominal: &[f64], command: &[f64]) {
-        self.motion = Some(self.towards(command).unwrap_or_else(|| Motion::at(command)));
-        self.nominal = Some(nominal.to_vec());
-        self.command = Some(command.to_vec());
     }
 }
 

@@ -36,6 +36,8 @@ pub struct DrivenMode {
     pub points: Vec<DrivenPoint>,
     /// Poses whose goal the mode cannot meet, with the reason: they were driven with their nominal command and count nowhere.
     pub uncorrected: Vec<(u32, String)>,
+    /// Poses whose position alone is corrected, with the reason: all of the goal would have asked for another pose of the arm.
+    pub position_alone: Vec<(u32, String)>,
 }
 
 /// A reading of the tool at a goal.

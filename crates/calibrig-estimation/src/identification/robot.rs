@@ -162,7 +162,7 @@ pub enum PredictionError {
 /// Where a [`CalibratedRobot`] is predicted to be. It is made once for many poses.
 #[derive(Debug, Clone)]
 pub struct Predictor<'a> {
-    pub(super) robot: &'a CalibratedRobot,
+    pub(crate) robot: &'a CalibratedRobot,
     pub(super) machine: Machine,
 }
 

@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, Matrix6xX};
 use super::joint_space::JointSpace;
 use super::task::Tool;
 use crate::elastostatics::ElasticError;
-use crate::identification::{CalibratedRobot, PredictionError, Predictor};
+use crate::identification::{CalibratedRobot, Mode, PredictionError, Predictor};
 use crate::kinematics::{ClosureError, PlacedChain};
 use calibrig_model::geometry::Transform;
 use calibrig_model::{JointKind, LinkTerm, ParameterId, Payload, PoseQuery};
@@ -162,6 +162,10 @@ impl<'a> CalibratedArm<'a> {
             command: vec![0.0; count],
             motions: Matrix6xX::zeros(count),
         })
+    }
+
+    pub fn mode(&self) -> Mode {
+        self.predictor.robot.mode
     }
 
     /// Where the tool is predicted to be at a command.

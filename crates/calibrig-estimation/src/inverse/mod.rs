@@ -54,7 +54,7 @@ use solver::{Ended, Search};
 use starts::Starts;
 use task::Aim;
 
-use crate::identification::{CalibratedRobot, PredictionError};
+use crate::identification::{CalibratedRobot, Mode, PredictionError};
 use calibrig_model::CalibrationModel;
 use calibrig_model::geometry::Transform;
 
@@ -138,6 +138,11 @@ impl<'a> InverseKinematics<'a> {
     /// The tool.
     pub fn tool(&self) -> &Tool {
         &self.tool
+    }
+
+    /// Of the robot: that without calibration of a rigid nominal one.
+    pub fn mode(&self) -> Mode {
+        self.calibrated.as_ref().map_or(Mode::WithoutCalibration, CalibratedArm::mode)
     }
 
     pub(crate) fn space(&self) -> &JointSpace {
