@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 
 use super::{ClosedLoopError, PipelineError, Resolved};
+use crate::pipeline::iso9283::within;
 use crate::scenario::{CompensationPlan, GoalKind, Scenario};
 use calibrig_estimation::compensation::{CompensatedPoint, CompensationError, Compensator, Travel};
 use calibrig_estimation::elastostatics::{Deflection, ElasticChain, ElasticError};
@@ -10,8 +11,8 @@ use calibrig_estimation::identification::{CalibratedRobot, Estimate, Mode, Predi
 use calibrig_estimation::inverse::{
     Circumstances, Criterion, Goal, InverseError, InverseKinematics, InverseOptions, Tool,
 };
+use calibrig_model::JointKind;
 use calibrig_model::geometry::Transform;
-use calibrig_model::{CalibrationModel, JointKind};
 
 /// A robot whose first target is the tool.
 pub(super) struct Tooled<'a> {
@@ -178,7 +179,7 @@ pub(super) fn nominal_by(
     goals: &[Goal],
 ) -> Result<Resolved, PipelineError> {
     let refused = |source: InverseError| ClosedLoopError::of(Mode::WithoutCalibration, source);
-    let within = within_region(scenario);
+    let within = within(&scenario.robot.model, &scenario.region);
     let mut inverse = InverseKinematics::new(&within, tool).map_err(refused)?;
     let (mut commands, mut missed) = (Vec::with_capacity(goals.len()), Vec::new());
     for ((pose, goal), planned) in (0..).zip(goals).zip(planned) {
@@ -194,18 +195,6 @@ pub(super) fn nominal_by(
         }
     }
     Ok((commands, missed))
-}
-
-/// The nominal robot whose joints go no farther than the working region, where it was measured.
-pub(super) fn within_region(scenario: &Scenario) -> CalibrationModel {
-    let mut model = scenario.robot.model.clone();
-    let region = scenario.region.centre.iter().zip(&scenario.region.half_width);
-    for ((joint, link), (centre, half)) in model.kinematics.links.iter_mut().enumerate().zip(region) {
-        if model.actuators.is_commanded(joint) {
-            link.limits = [centre - half, centre + half];
-        }
-    }
-    model
 }
 
 /// How far the tool is deflected at commands by what a robot knows of itself: mean and largest, m.

@@ -1,7 +1,8 @@
 //! A path over a panel, driven with the commands of every mode.
 
-use super::commands::{Corrected, Tooled, correct, within_region};
+use super::commands::{Corrected, Tooled, correct};
 use super::{ClosedLoopError, Loop, PipelineError};
+use crate::pipeline::iso9283::within;
 use crate::scenario::PathPlan;
 use calibrig_estimation::compensation::{CompensationError, Compensator, PathOptions, PointStatus, ToolPath};
 use calibrig_estimation::evaluation::closed_loop::{DrivenMode, DrivenPath};
@@ -23,7 +24,10 @@ impl Loop<'_, '_> {
             },
             ..PathOptions::default()
         };
-        let within = CalibratedRobot { nominal: within_region(self.scenario), ..self.nominal.clone() };
+        let within = CalibratedRobot {
+            nominal: within(&self.nominal.nominal, &self.scenario.region),
+            ..self.nominal.clone()
+        };
         let mut controller = Compensator::new(&within, tool).map_err(refused)?;
         let followed = controller.path(&asked, &options).map_err(refused)?;
         let (mut goals, mut nominal, mut times, mut unreachable) =

@@ -10,6 +10,7 @@ use nalgebra::{Matrix3x6, Matrix6, Rotation3, Vector3};
 use thiserror::Error;
 
 use self::reach::Reach;
+pub(super) use self::reach::within;
 use super::machine::AnalyticMachine;
 use super::simulate::settle_options;
 use super::{
@@ -313,16 +314,11 @@ pub(crate) fn cube_of(
     plan: &Iso9283Plan,
 ) -> Result<(TestCube, Vec<Vec<f64>>), ReachError> {
     let model = &scenario.robot.model;
-    let reach = Reach {
-        kinematics: &model.kinematics,
-        actuators: &model.actuators,
-        centre: &scenario.region.centre,
-        half_width: &scenario.region.half_width,
-        in_flange: scenario.robot.target().unwrap_or(scenario.as_built.target),
-    };
+    let in_flange = scenario.robot.target().unwrap_or(scenario.as_built.target);
+    let mut reach = Reach::new(model, &scenario.region, in_flange)?;
     let gravity = model.statics.as_ref().map_or_else(Vector3::zeros, |statics| statics.gravity);
     let up = TestCube::upright(&gravity);
-    let centre = plan.centre.map_or_else(|| reach.middle(), Ok)?;
+    let centre = plan.centre.unwrap_or_else(|| reach.middle());
     match plan.edge {
         None => reach.largest(centre, up, plan.plane),
         Some(edge) => {

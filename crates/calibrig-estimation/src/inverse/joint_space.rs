@@ -9,6 +9,8 @@ use crate::kinematics::{ClosureError, ElbowClosure, ElbowLinkage, is_parallelogr
 use calibrig_model::{ActuatorMap, CalibrationModel, JointKind, KinematicModel, ModelError};
 
 /// What is sampled of a joint without limits: a turn, or so many metres to either side.
+/// Half the way of a joint that cannot move counts as this, m or rad.
+const LEAST_WAY: f64 = 1e-6;
 const UNLIMITED_WAY: f64 = 2.0;
 
 /// The commanded joints of a robot.
@@ -79,7 +81,7 @@ impl JointSpace {
             let half = if link.kind == JointKind::Revolute { std::f64::consts::PI } else { UNLIMITED_WAY };
             match link.limits {
                 [low, high] if low.is_finite() && high.is_finite() => {
-                    (0.5 * (high - low), 0.5 * (low + high))
+                    ((0.5 * (high - low)).max(LEAST_WAY), 0.5 * (low + high))
                 }
                 [low, _] if low.is_finite() => (half, low + half),
                 [_, high] if high.is_finite() => (half, high - half),

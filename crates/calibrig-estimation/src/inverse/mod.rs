@@ -145,6 +145,15 @@ impl<'a> InverseKinematics<'a> {
         self.calibrated.as_ref().map_or(Mode::WithoutCalibration, CalibratedArm::mode)
     }
 
+    /// Where the tool is at a command, without what the circumstances tell.
+    ///
+    /// # Errors
+    ///
+    /// [`InverseError::Prediction`], for a command that is not one of this robot, or that it cannot take.
+    pub fn tool_at(&mut self, command: &[f64]) -> Result<Transform, InverseError> {
+        Ok(self.predicted(command, &Circumstances::default())?)
+    }
+
     pub(crate) fn space(&self) -> &JointSpace {
         &self.space
     }
