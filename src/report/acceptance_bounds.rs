@@ -7,7 +7,7 @@ use super::counted;
 use super::html::{key, number};
 use super::json::finite;
 use super::plots::look;
-use super::tables::{Ink, Style, aligned, millimetres};
+use super::tables::{Ink, Style, aligned, millimetres, wrap};
 use crate::pipeline::{Outcome, SetKind};
 use calibrig_estimation::evaluation::{Acceptance, accept};
 use calibrig_estimation::identification::Mode;
@@ -33,7 +33,7 @@ pub struct JsonAcceptance {
 }
 
 /// Bounds from the lengths of held-out errors, m; `None` where they bound nothing.
-pub(super) fn bounds(errors: &[f64]) -> Option<Acceptance> {
+fn bounds(errors: &[f64]) -> Option<Acceptance> {
     accept(errors, COVERAGE, CONFIDENCE).ok()
 }
 
@@ -65,25 +65,21 @@ const NAMES: [&str; 3] = ["any", "normal", "largest"];
 
 /// Lines below the table of a held-out set.
 pub(super) fn acceptance_lines(outcome: &Outcome, index: usize, style: Style) -> Vec<String> {
-    rows_lines(&held_out(outcome, index), style)
-}
-
-pub(super) fn rows_lines(rows: &[(Mode, Acceptance)], style: Style) -> Vec<String> {
+    let rows = held_out(outcome, index);
     let Some((_, first)) = rows.first() else { return Vec::new() };
     let mut lines = vec![
-        format!(
-            "bounds of the 3-D error that 95 % of the region's poses stay below, with 95 % confidence, mm"
-        ),
+        "bounds of the 3-D error that 95 % of the region's poses stay below, with 95 % confidence, mm"
+            .to_owned(),
         style.paint(Ink::Dim, &aligned("  if errors are distributed", &NAMES.map(str::to_owned))),
     ];
-    for (mode, found) in rows {
+    for (mode, found) in &rows {
         let free = found.distribution_free.map_or_else(|| "-".to_owned(), |order| millimetres(order.bound));
         lines.push(aligned(
             mode.title(),
             &[free, millimetres(found.isotropic), millimetres(found.largest.seen)],
         ));
     }
-    lines.push(style.paint(Ink::Dim, &note(first)));
+    lines.extend(wrap(&note(first), "    ").iter().map(|line| style.paint(Ink::Dim, line)));
     lines
 }
 

@@ -313,7 +313,7 @@ fn criterion_lines(driven: &ClosedLoop, style: Style) -> Vec<String> {
 
 fn pose_test_words(test: &DrivenPoseTest) -> String {
     format!(
-        "pose test (ISO 9283): {} over five poses in a cube of {:.0} mm, mm",
+        "pose test (ISO 9283): {} over five poses in a cube of {:.0} mm; errors in mm",
         counted(test.cycles, "cycle"),
         1e3 * test.cube.edge
     )

@@ -701,7 +701,10 @@ mod tests {
         assert_eq!(keys(&set["dropped"][0]), ["pose", "why"]);
         assert_eq!(keys(&set["rows"]), ["only_calibration", "with_gravity", "without_calibration"]);
         let row = &set["rows"]["with_gravity"];
-        assert_eq!(keys(row), ["bias_m", "max_3d_m", "max_m", "mean_m", "n", "rms_3d_m"]);
+        assert_eq!(keys(row), ["acceptance", "bias_m", "max_3d_m", "max_m", "mean_m", "n", "rms_3d_m"]);
+        assert!(set["rows"]["with_gravity"]["acceptance"]["distribution_free_m"].is_null());
+        let fitted = &json["sets"]["identification"]["rows"]["with_gravity"];
+        assert_eq!(keys(fitted), ["bias_m", "max_3d_m", "max_m", "mean_m", "n", "rms_3d_m"]);
         assert_eq!(row["max_m"].as_array().expect("three axes").len(), 3);
         assert_eq!(row["n"], 38);
         assert_eq!(keys(&json["estimates"]), ["only_calibration", "with_gravity"]);
