@@ -38,6 +38,7 @@
 
 mod convert;
 mod followers;
+mod goals;
 mod input;
 pub mod mcap_chunk;
 mod measurements;
@@ -52,8 +53,12 @@ mod stated;
 pub use convert::{AGREEMENT, Convention, Converted, UrdfOptions, robot_from_dh, robot_from_urdf};
 pub use convert::{StandardRow, StandardTable, craig_table, standard_table};
 pub use followers::{add_followers, commanded_joints, without_followers};
+pub use goals::{
+    GoalFile, GoalTable, StatedGoal, StatedGrid, StatedHold, StatedRaster, load_goal_file, parse_goal_file,
+};
 pub use input::{Excerpt, InputError, Source, Spanned};
 pub use measurements::{BagOptions, DEFAULT_TOLERANCE_S, Table, TableRow, read_bag, read_sheet};
+pub use measurements::{parse_goals, read_goals};
 pub use measurements::{
     ColumnMap, CsvError, LoadedMeasurements, MeasurementFiles, MemoryRows, MissedCode, Place, Places,
     PointsFile, PoseList, Row, RowOptions, Rows, SuggestedMap, is_bag, load_column_map, measurements_text,
@@ -62,7 +67,7 @@ pub use measurements::{
 };
 pub use payloads::{NO_PAYLOAD, PayloadFile, PayloadTable, payload_by_name, read_payloads};
 pub use robot::{LoadTable, Robot, StatedTarget, load_robot, parse_robot, read_loads};
-pub use robot::{RobotFiles, RobotText, TargetText, write_robot};
+pub use robot::{RobotFiles, RobotText, TargetText, actuator_speeds, write_robot};
 pub use rotation::{RotationError, rotation_of_matrix};
 pub use session::{SessionFile, SessionSet, SessionTextError, load_session, parse_session, session_text};
 pub use stated::{MeasuredFile, Statements, state};

@@ -547,6 +547,11 @@ impl SessionFile {
         first.unwrap_or(0..0)
     }
 
+    /// What it says that the flange carried, one a `[[payload]]`, of whichever set.
+    pub fn payloads(&self) -> impl Iterator<Item = &Payload> {
+        self.payloads.iter().map(|described| &described.item)
+    }
+
     /// Whether it describes targets, which then are all.
     pub fn describes_targets(&self) -> bool {
         !self.targets.is_empty()

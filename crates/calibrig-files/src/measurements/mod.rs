@@ -3,11 +3,13 @@
 //! A file is [rows](rows) of texts, whatever kind it is ([open]): [text], or what another reader makes of a spreadsheet or a bag. Behind that,
 //! the [layout] tells header from measurements, the [map file](map_file) which [columns] mean what, the [header] where they are, [join] adds the
 //! commands of another file, and the [reader] makes observations of rows, whose [times] may be written in any way. [suggest] writes a map from what is seen.
+//! [goals] are tables of points where a tool is to be.
 
 mod cells;
 mod columns;
 mod faces;
 mod files;
+mod goals;
 mod header;
 mod join;
 mod layout;
@@ -29,6 +31,7 @@ mod writer;
 
 pub use columns::{ColumnMap, MissedCode, PoseList, RowOptions};
 pub use files::{MeasurementFiles, PointsFile, parse_measurements, read_files, read_measurements, read_rows};
+pub use goals::{parse_goals, read_goals};
 pub use loaded::LoadedMeasurements;
 pub use map_file::{load_column_map, parse_column_map};
 pub use open::is_bag;

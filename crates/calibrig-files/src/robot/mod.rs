@@ -25,6 +25,7 @@ use serde::Deserialize;
 
 pub use loads::{LoadTable, read_loads};
 pub use targets::StatedTarget;
+pub use urdf::actuator_speeds;
 pub use writer::{RobotFiles, RobotText, TargetText, write_robot};
 
 use actuators::ActuatorTable;

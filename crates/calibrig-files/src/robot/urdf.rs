@@ -10,7 +10,7 @@ use super::urdf_text::{Element, scan};
 use super::urdf_writer::{inertial, origin, pose};
 use crate::input::{InputError, Source};
 use calibrig_model::geometry::Transform;
-use calibrig_model::{Body, CalibrationModel, JointKind, KinematicModel, Visual, VisualShape};
+use calibrig_model::{Body, CalibrationModel, CraigLink, JointKind, KinematicModel, Visual, VisualShape};
 
 /// Largest difference between the table and the URDF, m or rad.
 const TOLERANCE: f64 = 1e-9;
@@ -35,6 +35,25 @@ pub(super) struct UrdfJoint {
     pub body: Option<Body>,
     pub visuals: Vec<Visual>,
     span: Range<usize>,
+}
+
+/// How fast every actuator may be by the URDF that a robot's file names, m/s or rad/s; `None` where that does not say it: no URDF, a velocity of zero, or
+/// an actuator that moves more than its own joint.
+pub fn actuator_speeds(robot: &super::Robot) -> Vec<Option<f64>> {
+    let model = &robot.model;
+    let urdf = robot.sources.iter().find(|(role, _)| role == "urdf");
+    let urdf = urdf.and_then(|(_, source)| urdf_rs::read_from_string(&source.text).ok());
+    let count = model.kinematics.joint_count();
+    let elbow = model.actuators.elbow().map(|drive| drive.elbow);
+    let speed = |(joint, link): (usize, &CraigLink)| {
+        let stated = urdf.as_ref()?.joints.iter().find(|known| known.name == link.name)?.limit.velocity;
+        let own = model.actuators.rate(joint, joint);
+        let alone = (0..count).all(|other| other == joint || model.actuators.rate(joint, other) == 0.0);
+        let is_stated = stated > 0.0 && stated.is_finite();
+        let is_its_own = alone && own != 0.0 && elbow != Some(joint) && model.actuators.is_commanded(joint);
+        (is_stated && is_its_own).then(|| stated / own.abs())
+    };
+    model.kinematics.links.iter().enumerate().map(speed).collect()
 }
 
 /// A link with everything that is fixed to it, each with its place in the link's frame.
