@@ -138,6 +138,7 @@ pub use calibrig_plant::{experiment, tracker};
 pub use calibrig_recording as recording;
 
 pub mod cli;
+pub mod compensate;
 pub mod handover;
 pub mod montecarlo;
 pub mod pipeline;

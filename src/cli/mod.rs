@@ -4,7 +4,9 @@ mod by_name;
 mod check;
 mod choose;
 mod columns;
+mod compensate;
 mod diagnose;
+mod estimate;
 mod export;
 mod identifiability;
 mod identify;
@@ -42,6 +44,7 @@ use crate::replay::ReplayError;
 use crate::report::ReportError;
 use crate::scenario::{Scenario, load_scenario};
 use crate::twin::TwinError;
+use calibrig_estimation::compensation::CompensationError;
 use calibrig_estimation::identification::{IdentifyError, Mode};
 use calibrig_files::{InputError, Source};
 use calibrig_model::measurement::MeasurementError;
@@ -75,6 +78,7 @@ enum Command {
     Choose(Box<choose::Args>),
     Iso9283(Box<iso9283::Args>),
     Columns(columns::Args),
+    Compensate(Box<compensate::Args>),
     Model(model::Args),
     Diagnose(Box<diagnose::Args>),
     Montecarlo(montecarlo::Args),
@@ -142,6 +146,12 @@ enum CliError {
     #[error("{}: {source}", file.display())]
     #[diagnostic(help("{}", source.help()))]
     Twin { file: PathBuf, source: Box<TwinError> },
+    #[error("{}: {source}", file.display())]
+    #[diagnostic(help("{help}"))]
+    Compensation { file: PathBuf, source: Box<CompensationError>, help: &'static str },
+    #[error("--{flag} {message}")]
+    #[diagnostic(help("expected {expected}"))]
+    Flag { flag: &'static str, message: String, expected: String },
     #[error(transparent)]
     Report(#[from] ReportError),
     #[error("interrupted after {done} of {total} poses; what was measured is in {}", part.display())]
@@ -226,6 +236,7 @@ pub fn main() -> ExitCode {
         Command::Choose(args) => choose::execute(args),
         Command::Iso9283(args) => iso9283::execute(args),
         Command::Columns(args) => columns::execute(args),
+        Command::Compensate(args) => compensate::execute(args),
         Command::Model(args) => model::execute(args),
         Command::Diagnose(args) => diagnose::execute(args),
         Command::Montecarlo(args) => montecarlo::execute(args),

@@ -28,6 +28,8 @@ pub(super) enum Files {
     Export,
     /// A calibrated robot.
     Calibrated,
+    /// Corrected commands.
+    Compensation,
 }
 
 impl Files {
@@ -38,6 +40,7 @@ impl Files {
             Self::Campaign => &["trials.csv", "summary.json"],
             Self::Acceptance => &["acceptance.html", "acceptance.svg", "acceptance.json"],
             Self::Calibrated => &crate::handover::FILES,
+            Self::Compensation => &crate::report::COMPENSATION_FILES,
             Self::Export => {
                 &["identification.csv", "verification.csv", "session.toml", "residuals.csv", "parameters.csv"]
             }

@@ -4,6 +4,7 @@ mod ablation;
 mod acceptance;
 mod acceptance_bounds;
 mod closed_loop;
+mod compensation;
 mod drift;
 mod forest;
 mod html;
@@ -27,6 +28,12 @@ pub use acceptance::{acceptance_html, acceptance_json, acceptance_svg, acceptanc
 pub use acceptance_bounds::JsonAcceptance;
 pub use closed_loop::{
     JsonCompensation, JsonDrivenCriterion, JsonDrivenPath, JsonDrivenPose, JsonDrivenPoseTest,
+};
+pub use compensation::{
+    COMPENSATION_FILES, COMPENSATION_SCHEMA, JsonActuator, JsonAtLimit, JsonBeyond, JsonCorrected,
+    JsonCorrectedCommands, JsonExcess, JsonGrid, JsonLengths, JsonTool, JsonUnreachable, commands_csv,
+    compensated_csv, compensation_html, compensation_json_text, grid_csv, json_compensation,
+    render_compensation, write_compensation,
 };
 pub use html::{html_report, quoted};
 pub use iso9283::{

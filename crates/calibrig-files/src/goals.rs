@@ -154,11 +154,7 @@ impl RasterTable {
                 Some(standoff) => source.not_negative("raster.standoff_mm", standoff)? / 1e3,
                 None => 0.0,
             },
-            speed: self
-                .speed_mm_per_s
-                .as_ref()
-                .map(|speed| length("speed_mm_per_s", speed))
-                .transpose()?,
+            speed: self.speed_mm_per_s.as_ref().map(|speed| length("speed_mm_per_s", speed)).transpose()?,
         })
     }
 }
@@ -182,7 +178,8 @@ impl GridTable {
         };
         let held = match (&self.axis, rotation.read(source)?) {
             (Some(axis), Some(_)) => {
-                let help = "expected one of them: the direction of the tool's axis, or its rotation".to_owned();
+                let help =
+                    "expected one of them: the direction of the tool's axis, or its rotation".to_owned();
                 return Err(source.error(axis.span(), "grid has both axis and a rotation", Some(help)));
             }
             (Some(axis), None) => {
@@ -227,7 +224,8 @@ pub fn parse_goal_file(source: Source) -> Result<GoalFile, InputError> {
     let raster = file.raster.map(|table| table.get_ref().read(&source)).transpose()?;
     let grid = file.grid.map(|table| table.get_ref().read(&source)).transpose()?;
     if raster.is_none() && grid.is_none() {
-        let help = "expected [raster], a panel that the tool covers, or [grid], a box that offsets are wanted in";
+        let help =
+            "expected [raster], a panel that the tool covers, or [grid], a box that offsets are wanted in";
         return Err(source.error(0..0, "the file states no goals", Some(help.to_owned())));
     }
     Ok(GoalFile { source, raster, grid })
@@ -262,7 +260,12 @@ mod tests {
             ("standoff_m = 0.2", "standoff_m = -1", "goals.toml:6: raster.standoff_m is -1", "zero or more"),
             (", [0, 500, 0]]", "]", "goals.toml:3: raster.corners_mm has 3 corners", "four corners"),
             ("[1000, 0, 0]", "[1000, inf, 0]", "goals.toml:3: raster.corners_mm holds inf", "finite numbers"),
-            ("axis = [0, 0, -1]", "axis = [0, 0, 0]", "goals.toml:12: grid.axis has length zero", "direction"),
+            (
+                "axis = [0, 0, -1]",
+                "axis = [0, 0, 0]",
+                "goals.toml:12: grid.axis has length zero",
+                "direction",
+            ),
             (
                 "axis = [0, 0, -1]",
                 "axis = [0, 0, -1]\nrotation_vector_rad = [0, 0, 0]",

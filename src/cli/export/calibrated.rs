@@ -1,18 +1,14 @@
 //! `calibrig export calibrated`.
 
-use std::fs::File;
-use std::io::Read;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
+use super::super::estimate::{Asked, Found, find};
 use super::super::identify::fitted_mode;
-use super::super::output::{Destination, Files, or_removed, verdict};
-use super::super::{CliError, Verdict, print, replay, say};
+use super::super::output::{Destination, Files, or_removed};
+use super::super::{CliError, Verdict, print, say};
 use super::{check_free, write};
-use crate::handover::{EstimateFile, FILES, hand_over, losses_text};
-use crate::pipeline::Outcome;
-use crate::replay::{ReplayOptions, Replayed, replay as identify_again};
+use crate::handover::{FILES, hand_over, losses_text};
 use calibrig_estimation::identification::Mode;
-use calibrig_files::{InputError, Robot, Source, load_robot, parse_robot};
 
 /// Write the calibrated robot as other programs take it, with what each file loses
 ///
@@ -51,9 +47,13 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     let destination = Destination::Asked(&args.out);
     destination.check(Files::Calibrated)?;
     check_free(&args.out, Files::Calibrated, &FILES.map(|name| (name, "")), args.force)?;
-    let model = args.model.as_deref().map(load_robot).transpose()?;
-    let (estimate, robot, ended) =
-        if is_recording(&args.input)? { from_recording(args, model)? } else { from_estimate(args, model)? };
+    let asked = Asked { input: &args.input, mode: args.mode, model: args.model.as_deref() };
+    let Found { estimate, robot, ended } = find(asked)?;
+    if robot.is_none() && estimate.robot.sources.iter().any(|source| source.role == "urdf") {
+        say(
+            "without --model ROBOT.toml the URDF of the nominal robot is not at hand: robot.urdf has no shapes",
+        );
+    }
     let handover = hand_over(&estimate, robot.as_ref())
         .map_err(|source| CliError::Handover { file: args.input.clone(), source: Box::new(source) })?;
     let files: Vec<_> = handover.files.iter().map(|file| (file.name, file.text.as_str())).collect();
@@ -66,90 +66,4 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         print(&losses_text(&handover.losses))?;
     }
     Ok(ended)
-}
-
-/// The first bytes of every MCAP file.
-const MAGIC: &[u8] = b"\x89MCAP";
-
-fn is_recording(path: &Path) -> Result<bool, CliError> {
-    let unreadable = |error: std::io::Error| InputError::Unreadable {
-        path: path.to_path_buf(),
-        reason: error.to_string(),
-    };
-    let mut start = Vec::new();
-    File::open(path)
-        .map_err(unreadable)?
-        .take(MAGIC.len() as u64)
-        .read_to_end(&mut start)
-        .map_err(unreadable)?;
-    Ok(start == MAGIC || path.extension().is_some_and(|extension| extension == "mcap"))
-}
-
-type Found = (EstimateFile, Option<Robot>, Verdict);
-
-fn from_estimate(args: &Args, model: Option<Robot>) -> Result<Found, CliError> {
-    let estimate = EstimateFile::read(&args.input)?;
-    if args.mode.is_some_and(|mode| mode != estimate.estimate.robot.mode) {
-        return Err(CliError::NoEstimate { file: args.input.clone(), mode: args.mode });
-    }
-    if let (Some(robot), Some(file)) = (&model, &args.model) {
-        estimate
-            .check_model(&robot.model)
-            .map_err(|source| CliError::AnotherModel { file: file.clone(), source })?;
-    }
-    if model.is_none() && estimate.robot.sources.iter().any(|source| source.role == "urdf") {
-        say(
-            "without --model ROBOT.toml the URDF of the nominal robot is not at hand: robot.urdf has no shapes",
-        );
-    }
-    Ok((estimate, model, Verdict::Done))
-}
-
-fn from_recording(args: &Args, model: Option<Robot>) -> Result<Found, CliError> {
-    let options = ReplayOptions {
-        modes: args.mode.into_iter().collect(),
-        robot: model.clone(),
-        ..ReplayOptions::default()
-    };
-    let replayed =
-        identify_again(&args.input, &options).map_err(|error| replay::failed(error, &args.input))?;
-    let Replayed { outcome, differences, made_by_another, missing, unprotected, .. } = &replayed;
-    let mut ended = verdict(outcome);
-    if let Some(line) = replay::unnoticed(unprotected) {
-        say(&line);
-    }
-    for part in missing {
-        say(&replay::cut_short(part));
-        ended = Verdict::Doubtful;
-    }
-    if !differences.is_empty() {
-        let places = differences.len();
-        match made_by_another {
-            Some(made_by) => say(&format!(
-                "the recorded estimates were made by {made_by}; what is written is this version's"
-            )),
-            None => {
-                say(&format!(
-                    "doubtful: what was identified again differs from what is recorded in {places} places (calibrig replay tells them)"
-                ));
-                ended = Verdict::Doubtful;
-            }
-        }
-    }
-    let estimate = EstimateFile::of(outcome, args.mode)
-        .ok_or_else(|| CliError::NoEstimate { file: args.input.clone(), mode: args.mode })?;
-    let robot = match model {
-        Some(robot) => Some(robot),
-        None => recorded_robot(outcome)?,
-    };
-    Ok((estimate, robot, ended))
-}
-
-/// The robot by the files that the recording holds.
-fn recorded_robot(outcome: &Outcome) -> Result<Option<Robot>, InputError> {
-    let source = |role: &str| {
-        let found = outcome.sources.iter().find(|(known, _)| known == role);
-        found.map(|(_, source): &(String, Source)| source.clone())
-    };
-    source("robot").map(|robot| parse_robot(robot, source("urdf"), source("columns"))).transpose()
 }

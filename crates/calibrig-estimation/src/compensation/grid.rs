@@ -1,5 +1,7 @@
 //! Offsets over a box of the workspace, for controllers that take nothing else.
 
+use std::ops::ControlFlow;
+
 use nalgebra::Vector3;
 use thiserror::Error;
 
@@ -49,6 +51,14 @@ pub enum GridError {
     /// Nothing of it can be reached.
     #[error("no point of the grid can be reached")]
     OutOfReach,
+    /// It was told to stop.
+    #[error("the grid was interrupted after {done} of {total} points")]
+    Interrupted {
+        /// Points and middles that were done.
+        done: usize,
+        /// All of them.
+        total: usize,
+    },
 }
 
 /// Points along an axis.
@@ -117,6 +127,11 @@ impl GridPlan {
 }
 
 impl CorrectionGrid {
+    /// Places of the points in the order of their offsets, m.
+    pub fn places(&self) -> impl Iterator<Item = Vector3<f64>> + '_ {
+        GridPlan::numbers(self.plan.counts).map(|numbers| self.plan.place(numbers.map(|n| n as f64)))
+    }
+
     /// The offset at a place of the box, m, laid between the eight points around it; `None` outside, and where one of them is out of reach.
     pub fn offset(&self, place: &Vector3<f64>) -> Option<Vector3<f64>> {
         let plan = &self.plan;
@@ -157,10 +172,35 @@ impl Compensator<'_> {
         plan: &GridPlan,
         options: &InverseOptions,
     ) -> Result<CorrectionGrid, CompensationError> {
+        self.grid_told(plan, options, &mut |_, _| ControlFlow::Continue(()))
+    }
+
+    /// The same, telling how many of all points and middles are done; where the answer is to break, it ends with [`GridError::Interrupted`].
+    ///
+    /// # Errors
+    ///
+    /// As [`grid`](Self::grid).
+    pub fn grid_told(
+        &mut self,
+        plan: &GridPlan,
+        options: &InverseOptions,
+        tell: &mut dyn FnMut(usize, usize) -> ControlFlow<()>,
+    ) -> Result<CorrectionGrid, CompensationError> {
         plan.check()?;
+        let total =
+            plan.counts.iter().product::<usize>() + plan.counts.iter().map(|n| n - 1).product::<usize>();
+        let mut done = 0;
+        let mut next = || {
+            done += 1;
+            match tell(done - 1, total) {
+                ControlFlow::Continue(()) => Ok(()),
+                ControlFlow::Break(()) => Err(GridError::Interrupted { done: done - 1, total }),
+            }
+        };
         plan.held.moved_to(plan.low).check().map_err(InverseError::from)?;
         let mut offsets = Vec::new();
         for numbers in GridPlan::numbers(plan.counts) {
+            next()?;
             let place = plan.place(numbers.map(|n| n as f64));
             offsets.push(self.offset_at(plan, &place, options)?);
         }
@@ -176,6 +216,7 @@ impl Compensator<'_> {
         };
         let (mut left, mut before) = (Vec::new(), Vec::new());
         for numbers in GridPlan::numbers(plan.counts.map(|n| n - 1)) {
+            next()?;
             let place = plan.place(numbers.map(|n| n as f64 + 0.5));
             let Some(offset) = grid.offset(&place) else { continue };
             let told = [place + offset, place].map(|to| self.told(plan, &to, options));

@@ -1,5 +1,7 @@
 //! Corrected commands along a path.
 
+use std::ops::ControlFlow;
+
 use thiserror::Error;
 
 use super::point::CompensatedPoint;
@@ -226,6 +228,20 @@ impl Compensator<'_> {
         path: &ToolPath,
         options: &PathOptions,
     ) -> Result<CompensatedPath, CompensationError> {
+        self.path_told(path, options, &mut |_| ControlFlow::Continue(()))
+    }
+
+    /// The same, telling how many points are done; where the answer is to break, what is done so far is the result.
+    ///
+    /// # Errors
+    ///
+    /// As [`path`](Self::path).
+    pub fn path_told(
+        &mut self,
+        path: &ToolPath,
+        options: &PathOptions,
+        tell: &mut dyn FnMut(usize) -> ControlFlow<()>,
+    ) -> Result<CompensatedPath, CompensationError> {
         let kinematics = self.inverse.space().kinematics.clone();
         check_limits(&options.speed_limits, kinematics.joint_count())?;
         let start = options.inverse.circumstances.clone();
@@ -234,6 +250,9 @@ impl Compensator<'_> {
         let mut followed =
             CompensatedPath { points: Vec::with_capacity(path.points.len()), exceeded: Vec::new() };
         for (index, point) in path.points.iter().enumerate() {
+            if tell(index).is_break() {
+                break;
+            }
             asked.circumstances.time = start.time + point.time;
             let seconds = index.checked_sub(1).map(|before| point.time - path.points[before].time);
             let before = nominal_before.take();

@@ -145,7 +145,9 @@ impl Fields {
                 Some((index, Field::Position(_, unit))) => position[axis] = (index, unit),
                 _ => {
                     let message = format!("there is no column {name}; there are {}", columns.names());
-                    return Err(columns.refuse(message, &format!("{name}_mm or {name}_m, and of columns: {KNOWN}")));
+                    return Err(
+                        columns.refuse(message, &format!("{name}_mm or {name}_m, and of columns: {KNOWN}"))
+                    );
                 }
             }
         }
@@ -322,18 +324,23 @@ mod tests {
         assert_eq!((table.goals.len(), table.goals[1].place.to_string().as_str()), (2, "line 4"));
         assert_eq!(table.goals[0].position, Vector3::new(1.0, 2.0, -0.0035));
         assert!(table.goals.iter().all(|goal| goal.held == StatedHold::Free && goal.time.is_none()));
-        let table = parsed("X [mm];Y [mm];Z [mm];axis_x;axis_y;axis_z;time_s\n1,5;0;0;0;0;-2;0,25\n").expect("sound");
+        let table =
+            parsed("X [mm];Y [mm];Z [mm];axis_x;axis_y;axis_z;time_s\n1,5;0;0;0;0;-2;0,25\n").expect("sound");
         assert_eq!(table.goals[0].position.x, 0.0015);
         assert_eq!(table.goals[0].held, StatedHold::Axis(Vector3::new(0.0, 0.0, -2.0)));
         assert!(table.is_timed() && table.goals[0].time == Some(0.25));
-        let by_rows = parsed("x_m,y_m,z_m,r11,r12,r13,r21,r22,r23,r31,r32,r33\n0,0,0,0,-1,0,1,0,0,0,0,1\n").expect("sound");
+        let by_rows = parsed("x_m,y_m,z_m,r11,r12,r13,r21,r22,r23,r31,r32,r33\n0,0,0,0,-1,0,1,0,0,0,0,1\n")
+            .expect("sound");
         let quaternion = parsed("x_m,y_m,z_m,qw,qx,qy,qz\n0,0,0,0.7071068,0,0,0.7071068\n").expect("sound");
         for table in [by_rows, quaternion] {
             let StatedHold::Rotation(rotation) = table.goals[0].held else { panic!("{table:?}") };
             assert!((rotation * Vector3::x() - Vector3::y()).norm() < 1e-6, "{rotation}");
         }
         let cut = parsed("x_m,y_m,z_m\n1,2,3").expect("taken");
-        assert!(cut.remarks.iter().any(|remark| remark.contains("goals.csv:2: the last line has no end")), "{cut:?}");
+        assert!(
+            cut.remarks.iter().any(|remark| remark.contains("goals.csv:2: the last line has no end")),
+            "{cut:?}"
+        );
     }
 
     #[test]
