@@ -36,21 +36,31 @@ use calibrig_model::nalgebra::Vector3;
 #[command(after_help = "Examples:
   calibrig compensate --estimate calibrated/estimate.json --targets points.csv --out compensated
   calibrig compensate --estimate runs/paper/recording.mcap --targets panel.toml --out compensated
-  calibrig compensate --estimate estimate.json --model robot.toml --targets path.csv --speed-mm-per-s 300 --criterion deflection,limits=0.1
-  calibrig compensate --estimate estimate.json --targets points.csv --payload-kg 12 --payload-centre-mm 0,0,120 --trust-mm 0.2
-  calibrig compensate --estimate estimate.json --grid box.toml --start 0,-90,90,0,90,0 --criterion motion --out compensated
+  calibrig compensate --estimate estimate.json --targets path.csv --speed-mm-per-s 300 --trust-mm 0.2
+  calibrig compensate --estimate estimate.json --targets points.csv --criterion deflection,limits=0.1
+  calibrig compensate --estimate estimate.json --grid box.toml --start 0,-90,90,0,90,0
 
-points.csv, in the base frame:        panel.toml:
-  x_mm,y_mm,z_mm,axis_x,axis_y,axis_z   schema = \"calibrig.goals/1\"
-  1200,300,850,0,0,-1                   [raster]
-                                        corners_mm = [[1000, -500, 500], [1000, 500, 500], [1000, 500, 1200], [1000, -500, 1200]]
-                                        pitch_mm = 50
-                                        spacing_mm = 5
-                                        standoff_mm = 200
-                                        speed_mm_per_s = 300
+points.csv, in the base frame (with time_s, or with a speed, a path):
+  x_mm,y_mm,z_mm,axis_x,axis_y,axis_z
+  1200,300,850,0,0,-1
 
-Exit code 3 where something must be looked at: points out of reach, jumps, speeds exceeded, less certainty than --trust-mm, an estimate that is not sound, an interruption. Points outside the commands that were
-measured are told as extrapolated. Files and keys: docs/formats.md.")]
+panel.toml, and box.toml:
+  schema = \"calibrig.goals/1\"
+  [raster]
+  corners_mm = [[900, -500, 500], [900, 500, 500], [900, 500, 900], [900, -500, 900]]
+  pitch_mm = 50
+  spacing_mm = 5
+  standoff_mm = 200
+  speed_mm_per_s = 300
+  [grid]
+  low_mm = [800, -200, 400]
+  high_mm = [1000, 200, 800]
+  points = [3, 5, 5]
+  axis = [1, 0, 0]
+
+Exit code 3 where something must be looked at: points out of reach, jumps, speeds exceeded, less
+certainty than --trust-mm, an estimate that is not sound, an interruption. Points outside the commands
+that were measured are told as extrapolated. Files and keys: docs/formats.md.")]
 pub(super) struct Args {
     /// The estimate: an estimate.json (export calibrated), or a recording, whose measurements are identified again
     #[arg(long, value_name = "ESTIMATE.json|RECORDING.mcap")]
@@ -76,10 +86,11 @@ pub(super) struct Args {
     /// The axis of the tool that goals direct, in the tool's own axes [default: 0,0,1]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = numbers)]
     tool_axis: Option<Numbers>,
-    /// What decides between commands for the same goal: deflection, limits, manipulability, motion, several with weights (deflection,limits=0.1), or none
-    #[arg(long, value_name = "CRITERION", value_parser = criterion, default_value = "limits")]
+    /// What decides between commands for the same goal: motion (from the start, along a path from the point before), deflection, limits (far from them), manipulability, several with weights
+    /// (deflection,limits=0.1), or none
+    #[arg(long, value_name = "CRITERION", value_parser = criterion, default_value = "motion")]
     criterion: Criterion,
-    /// Command from which the robot comes: mm of slides and deg of turns, one an actuator
+    /// Command from which the robot comes: mm of slides and deg of turns, one an actuator [default: the middle of the commands that were measured]
     #[arg(long, value_name = "MM|DEG,...", allow_hyphen_values = true, value_parser = numbers)]
     start: Option<Numbers>,
     /// Sign of every actuator's last motion to single points, or to the first of a path: -1, 0 (unknown) or 1
@@ -179,7 +190,11 @@ fn plan(args: &Args, goals: &Goals, found: &Found) -> Result<CompensationPlan, C
     let estimate = &found.estimate.estimate;
     let model = &estimate.robot.nominal;
     let (tool, tool_name) = tool(args, &found.estimate)?;
-    let reference = args.start.as_ref().map(|start| command(start, model, "start")).transpose()?;
+    let region = &found.estimate.region;
+    let middle =
+        || region.command_min.iter().zip(&region.command_max).map(|(low, high)| 0.5 * (low + high)).collect();
+    let start = args.start.as_ref().map(|start| command(start, model, "start")).transpose()?;
+    let reference = Some(start.unwrap_or_else(middle));
     let speed_limits = match &args.speed_limits {
         Some(stated) => speeds(stated, model)?,
         None => {

@@ -11,6 +11,7 @@ mod a_user_calibrates_a_real_robot;
 mod a_user_checks_the_elimination;
 mod a_user_chooses_parameters;
 mod a_user_compares_with_the_truth;
+mod a_user_corrects_commands;
 mod a_user_counts_axes_otherwise;
 mod a_user_drives_corrected_commands;
 mod a_user_exchanges_files;

@@ -9,7 +9,7 @@ use super::super::plots::{
     Area, Drawn, GRID, INK, LOOKS, Look, SCALE, VIEWS, WIDTH, centred, drawable, finite_range, foot, ink,
     largest, marker, one_two_five, padded, place_axes, px, svg, text_style, tick,
 };
-use super::with_unit;
+use super::{is_to_be_looked_at, with_unit};
 use crate::compensate::{Compensation, Corrected, End};
 use crate::report::ReportError;
 use calibrig_estimation::compensation::CompensatedPoint;
@@ -74,7 +74,7 @@ pub(super) fn way_figure(made: &Compensation) -> Result<String, ReportError> {
     let marked: Vec<Vector3<f64>> = made
         .points
         .iter()
-        .filter(|point| point.end != End::Met || point.is_too_fast || point.is_untrusted)
+        .filter(|point| is_to_be_looked_at(point))
         .map(|point| point.goal.position())
         .filter(|place| place.iter().all(|v| drawable(*v)))
         .collect();

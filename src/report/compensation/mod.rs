@@ -106,7 +106,8 @@ fn sentences(made: &Compensation) -> Vec<String> {
             "nominal commands would miss them by {} RMS, {} at worst; corrected ones by {} at worst on the model",
             length_words(before.rms),
             length_words(before.max),
-            length_words(left.max)
+            // Below, digits say nothing.
+            if left.max < 1e-9 { "less than 0.001\u{a0}\u{b5}m".to_owned() } else { length_words(left.max) }
         ));
     }
     if let Some(sigmas) = made.sigmas() {
@@ -244,13 +245,18 @@ fn bend_ratio([nominal, corrected]: [f64; 2]) -> f64 {
     (corrected + STRAIGHT) / (nominal + STRAIGHT)
 }
 
-/// Points that are told one by one: all where there are few, else those with marks, and of them the first.
+/// Whether a point is one of those that the exit code is about.
+fn is_to_be_looked_at(point: &Corrected) -> bool {
+    point.end != End::Met || point.is_too_fast || point.is_untrusted
+}
+
+/// Points that are told one by one: all where there are few, else the first of those to be looked at, and how many more there are.
 fn listed(made: &Compensation) -> (Vec<usize>, usize) {
     if made.points.len() <= LISTED {
         return ((0..made.points.len()).collect(), 0);
     }
     let marked: Vec<usize> =
-        (0..made.points.len()).filter(|index| !marks(made, &made.points[*index]).is_empty()).collect();
+        (0..made.points.len()).filter(|index| is_to_be_looked_at(&made.points[*index])).collect();
     let rest = marked.len().saturating_sub(LISTED);
     (marked.into_iter().take(LISTED).collect(), rest)
 }
@@ -261,7 +267,7 @@ fn point_lines(made: &Compensation, style: Style) -> Vec<String> {
         return Vec::new();
     }
     let heads = ["before, mm", "left, um", "sigma, mm"].map(str::to_owned);
-    let title = if made.points.len() <= LISTED { "Points" } else { "Points with a mark" };
+    let title = if made.points.len() <= LISTED { "Points" } else { "Points to be looked at" };
     let mut lines = vec![row(title, &heads), rule(style, 3)];
     for index in shown {
         let point = &made.points[index];
@@ -282,7 +288,7 @@ fn point_lines(made: &Compensation, style: Style) -> Vec<String> {
         });
     }
     if rest > 0 {
-        lines.push(style.paint(Ink::Dim, &format!("    and {rest} more with a mark (compensated.csv)")));
+        lines.push(style.paint(Ink::Dim, &format!("    and {rest} more (compensated.csv)")));
     }
     lines.push(String::new());
     lines

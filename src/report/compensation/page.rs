@@ -174,7 +174,7 @@ fn point_table(made: &Compensation) -> Markup {
     }
     let all = shown.len() == made.points.len();
     html! {
-        h2 { @if all { "Points" } @else { "Points with a mark" } }
+        h2 { @if all { "Points" } @else { "Points to be looked at" } }
         div.scroll { table {
             thead { tr { th { "point" } th.words { "name" } th { "before, mm" } th { "left, \u{b5}m" } th { "\u{3c3}, mm" } th.words { "marks" } } }
             tbody {
@@ -192,7 +192,7 @@ fn point_table(made: &Compensation) -> Markup {
                 }
             }
         } }
-        @if rest > 0 { p.note { "And " (rest) " more with a mark: compensated.csv." } }
+        @if rest > 0 { p.note { "And " (rest) " more: compensated.csv." } }
     }
 }
 

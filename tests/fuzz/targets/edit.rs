@@ -104,6 +104,13 @@ impl Seed {
         Self::new(text, lines, blocks, values)
     }
 
+    pub fn json(text: &str) -> Self {
+        let lines = lines(text);
+        let words = lines.iter().flat_map(|line| words(text, line, &[',', ':', '[', ']', '{', '}']));
+        let values = words.filter(|word| !word.is_empty()).collect();
+        Self::new(text, lines.clone(), lines, values)
+    }
+
     pub fn xml(text: &str) -> Self {
         let mut values = Vec::new();
         let mut open = None;

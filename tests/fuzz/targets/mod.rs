@@ -3,6 +3,7 @@
 //! Run for long by `tests/fuzz/run`, on the corpus by `tests/it/fuzz.rs`; `docs/fuzzing.md` has the rest.
 
 mod choices;
+mod compensation;
 mod edit;
 mod file;
 mod mcap_file;
@@ -22,10 +23,12 @@ use edit::Seed;
 pub type Target = fn(&[u8]);
 
 /// All targets by name, which is that of their folder in the corpus.
-pub const TARGETS: [(&str, Target); 13] = [
+pub const TARGETS: [(&str, Target); 15] = [
     ("columns", measurements::columns),
     ("csv", measurements::csv),
     ("dh", robots::dh),
+    ("estimate", compensation::estimate),
+    ("goals", compensation::goals),
     ("identify", numbers::identify),
     ("mcap", recordings::mcap),
     ("numbers", numbers::numbers),
@@ -45,7 +48,8 @@ const EXTREMES: [&str; 12] =
 /// Reads each kind of file with each of its values at each of the extremes; of all these files, one in `every`.
 pub fn read_keys_at_extremes(every: usize) {
     type Read = fn(String, &mut Choices<'_>);
-    let kinds: [(&[Seed], Read); 5] = [
+    let kinds: [(&[Seed], Read); 6] = [
+        (compensation::goal_files(), compensation::read_goal_file),
         (robots::robot_files(), robots::read_robot),
         (robots::urdf_files(), robots::read_urdf),
         (scenarios::scenario_files(), scenarios::read_scenario),
