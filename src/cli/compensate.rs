@@ -17,7 +17,7 @@ use super::identify::fitted_mode;
 use super::interrupt::stop_on_interrupt;
 use super::output::{Destination, Files, or_removed};
 use super::{CliError, Verdict, colours, print, say};
-use crate::compensate::{Compensation, CompensationPlan, compensate};
+use crate::compensate::{Compensation, CompensationPlan, Way, compensate};
 use crate::report;
 use calibrig_estimation::compensation::{CompensationError, PathError, PathOptions};
 use calibrig_estimation::identification::Mode;
@@ -197,6 +197,8 @@ fn plan(args: &Args, goals: &Goals, found: &Found) -> Result<CompensationPlan, C
     let reference = Some(start.unwrap_or_else(middle));
     let speed_limits = match &args.speed_limits {
         Some(stated) => speeds(stated, model)?,
+        // Single points take no time.
+        None if matches!(goals.way, Way::Points(_)) => Vec::new(),
         None => {
             let stated = found.robot.as_ref().map(actuator_speeds).unwrap_or_default();
             let all = stated.iter().map(|speed| speed.unwrap_or(f64::INFINITY)).collect::<Vec<_>>();
