@@ -12,6 +12,14 @@ pub(crate) fn called(index: usize, point: &Corrected) -> String {
     format!("point {}{name}{place}", index + 1)
 }
 
+/// Corrections of an actuator by more are those of a singular pose, m or rad: no machine is so far off.
+const FAR: f64 = 0.2;
+
+fn is_far(point: &Corrected) -> bool {
+    let pairs = point.point.iter().flat_map(|found| found.command.iter().zip(&found.nominal));
+    pairs.into_iter().any(|(to, from)| (to - from).abs() > FAR)
+}
+
 /// "1 point", "7 points".
 fn points(count: usize) -> String {
     if count == 1 { "1 point".to_owned() } else { format!("{count} points") }
@@ -64,6 +72,13 @@ pub(super) fn doubts(made: &Compensation, estimate: &Estimate, unfinished: Optio
             called(index, first)
         )
     });
+    of(&is_far, &|count, index, first| {
+        format!(
+            "{} corrected by more than {FAR} m or rad of an actuator, the first is {}: near a singular pose, where what is corrected is hardly determined",
+            points_are(count),
+            called(index, first)
+        )
+    });
     of(&|point| point.is_untrusted, &|count, index, first| {
         let most = made.trust.map_or(0.0, |most| 1e3 * most);
         let sigma =
@@ -101,7 +116,7 @@ pub(super) fn remarks(made: &Compensation, file: &EstimateFile, plan: &Compensat
     let wavering = made.count(|point| point.wavers);
     if wavering > 0 {
         remarks.push(format!(
-            "at {} the correction itself turns an actuator round, back and forth: terms that depend on the side of approach are those of the last try there",
+            "at {} an actuator comes from another side with the corrected commands than they count on (marked wavers): there the terms of that side are off by what changes with it",
             points(wavering)
         ));
     }

@@ -150,7 +150,7 @@ pub struct Corrected {
     pub point: Option<CompensatedPoint>,
     /// What is left of the rotation, rad; zero where none is asked for.
     pub left_angle: f64,
-    /// Whether the correction changes from which side an actuator comes, back and forth.
+    /// Whether an actuator comes from another side with the corrected commands than the correction counts on.
     pub wavers: bool,
     /// Whether the step to it is too fast for an actuator.
     pub is_too_fast: bool,

@@ -153,7 +153,7 @@ pub struct JsonCorrected {
     pub unsure: bool,
     /// The step to it is too fast.
     pub too_fast: bool,
-    /// The correction turns an actuator round, back and forth.
+    /// An actuator comes from another side than the correction counts on.
     pub wavers: bool,
     /// Why there is no command.
     #[serde(default, skip_serializing_if = "Option::is_none")]
