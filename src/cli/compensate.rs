@@ -169,7 +169,9 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         report::render_compensation(&made, style)
     })?;
     written?;
-    made.doubts.iter().for_each(|doubt| say(&format!("doubtful: {doubt}")));
+    // The first ones are those of the estimate.
+    let said = if found.is_said { found.estimate.estimate.reasons().count() } else { 0 };
+    made.doubts.iter().skip(said).for_each(|doubt| say(&format!("doubtful: {doubt}")));
     if args.json {
         made.remarks.iter().for_each(|remark| say(remark));
     }

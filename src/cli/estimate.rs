@@ -31,6 +31,8 @@ pub(super) struct Found {
     pub robot: Option<Robot>,
     /// How the identification of a recording ended.
     pub ended: Verdict,
+    /// Whether it was identified again, and its doubts are said.
+    pub is_said: bool,
 }
 
 /// Finds an estimate; of a recording the measurements are identified again, and what is to be looked at is said.
@@ -66,7 +68,7 @@ fn from_estimate(asked: Asked<'_>, model: Option<Robot>) -> Result<Found, CliErr
             .check_model(&robot.model)
             .map_err(|source| CliError::AnotherModel { file: file.to_path_buf(), source })?;
     }
-    Ok(Found { estimate, robot: model, ended: Verdict::Done })
+    Ok(Found { estimate, robot: model, ended: Verdict::Done, is_said: false })
 }
 
 fn from_recording(asked: Asked<'_>, model: Option<Robot>) -> Result<Found, CliError> {
@@ -106,7 +108,7 @@ fn from_recording(asked: Asked<'_>, model: Option<Robot>) -> Result<Found, CliEr
         Some(robot) => Some(robot),
         None => recorded_robot(outcome)?,
     };
-    Ok(Found { estimate, robot, ended })
+    Ok(Found { estimate, robot, ended, is_said: true })
 }
 
 /// The robot by the files that the recording holds.

@@ -504,6 +504,32 @@ fn what_is_not_to_be_trusted_is_marked_and_the_rest_is_kept() {
     );
     assert_eq!(rows(&sandbox.read("out/commands.csv")).len(), 4);
 
+    // Beyond the end of the rail: which joint, by how much.
+    let end = within(&estimate, &[0.5]);
+    let [mut at_end, mut before] = [end.clone(), end];
+    (at_end[0], before[0]) = (4.0, 3.0);
+    let along = nominal_tool(&estimate, &at_end).translation.vector
+        - nominal_tool(&estimate, &before).translation.vector;
+    let beyond = nominal_tool(&estimate, &at_end);
+    let (place_beyond, matrix) =
+        (1e3 * (beyond.translation.vector + 1.5 * along), beyond.rotation.matrix().transpose());
+    let mut text =
+        format!("x_mm,y_mm,z_mm{MATRIX}\n{:?},{:?},{:?}", place_beyond.x, place_beyond.y, place_beyond.z);
+    matrix.iter().for_each(|v| write!(text, ",{v:?}").expect("room"));
+    sandbox.write("beyond.csv", text + "\n");
+    let ended = compensate(&sandbox, &["--targets", "beyond.csv", "--json"]);
+    let point = &ended.json()["points"][0];
+    println!("{}", point["note"]);
+    let limits = point["unreachable"]["without_limits"].as_array().expect("met without limits").clone();
+    let rail = limits.iter().find(|limit| limit["joint"] == "rail").expect("the rail");
+    assert!(rail["end"] == "high" && rail["limit"] == 4.0 && rail["beyond"].as_f64() > Some(0.1), "{rail}");
+    assert!(
+        ended.stderr.contains("it could be met with rail")
+            && ended.stderr.contains("beyond its upper limit of 4000.000 mm"),
+        "{}",
+        ended.stderr
+    );
+
     // A robot that is too slow; and points that lie too far apart, with a hole in the path.
     sandbox.write("panel.toml", panel(&estimate, [0.4, 0.1], 0.1, 0.02, 0.3));
     let slow = ["--targets", "panel.toml", "--speed-limits", "0.1,0.1,0.1,0.1,0.1,0.1,0.1"];

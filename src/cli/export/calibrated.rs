@@ -48,7 +48,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     destination.check(Files::Calibrated)?;
     check_free(&args.out, Files::Calibrated, &FILES.map(|name| (name, "")), args.force)?;
     let asked = Asked { input: &args.input, mode: args.mode, model: args.model.as_deref() };
-    let Found { estimate, robot, ended } = find(asked)?;
+    let Found { estimate, robot, ended, .. } = find(asked)?;
     if robot.is_none() && estimate.robot.sources.iter().any(|source| source.role == "urdf") {
         say(
             "without --model ROBOT.toml the URDF of the nominal robot is not at hand: robot.urdf has no shapes",

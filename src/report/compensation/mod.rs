@@ -6,8 +6,8 @@ mod page;
 mod rows;
 
 pub use json::{
-    COMPENSATION_SCHEMA, JsonActuator, JsonAtLimit, JsonBeyond, JsonCorrectedCommands, JsonCorrected, JsonExcess,
-    JsonGrid, JsonLengths, JsonTool, JsonUnreachable, json_compensation,
+    COMPENSATION_SCHEMA, JsonActuator, JsonAtLimit, JsonBeyond, JsonCorrected, JsonCorrectedCommands,
+    JsonExcess, JsonGrid, JsonLengths, JsonTool, JsonUnreachable, json_compensation,
 };
 pub use page::compensation_html;
 pub use rows::{commands_csv, compensated_csv, grid_csv};

@@ -34,7 +34,7 @@ pub fn compensation_html(made: &Compensation) -> Result<String, ReportError> {
                             ul.warnings { @for line in &made.remarks { li { (line) } } }
                         }
                         p.note {
-                            "What is left is what the identified model says; the machine differs from it by what the model lacks, of which the standard deviations hold what the fit has seen. "
+                            "What is left is by the identified model; the machine differs from it by what the model lacks. The standard deviations hold what the fit has seen of that. "
                             "The tool is taken as exact."
                         }
                     }
@@ -91,7 +91,7 @@ fn points_section(made: &Compensation, figures: Option<&[String; 3]>) -> Markup 
                     }
                     div.scroll { (PreEscaped(way)) }
                     figcaption {
-                        "Goals in three views of the base frame. Arrows are drawn " (number(arrow_factor(made), 0))
+                        "Goals in three views of the base frame. Arrows are drawn " (factor_words(arrow_factor(made)))
                         " times as long as they are, at every so many-th point where there are many."
                     }
                 }
@@ -119,6 +119,11 @@ fn points_section(made: &Compensation, figures: Option<&[String; 3]>) -> Markup 
             (point_table(made))
         }
     }
+}
+
+/// 1, 2 or 5 times a power of ten.
+fn factor_words(factor: f64) -> String {
+    if factor >= 1.0 { number(factor, 0) } else { number(factor, 4) }
 }
 
 fn length_line(title: &str, lengths: Option<Lengths>, unit: f64) -> Markup {
