@@ -10,7 +10,7 @@ use std::time::Instant;
 use calibrig::compensation::Raster;
 use calibrig::files::{ColumnMap, Source, commanded_joints, parse_goal_file, parse_measurements};
 use calibrig::geometry::Transform;
-use calibrig::handover::EstimateFile;
+use calibrig::handover::{EstimateFile, model_sha256};
 use calibrig::identification::{Mode, Predictor};
 use calibrig::inverse::{Goal, InverseKinematics, InverseOptions, Tool};
 use calibrig::kinematics::{forward_kinematics, joints_from_command};
@@ -752,10 +752,13 @@ fn what_cannot_be_corrected_is_refused_before_anything_is_written() {
 /// A robot without masses cannot be asked for the least deflection.
 #[test]
 fn a_criterion_that_the_robot_cannot_answer_is_refused() {
-    let scenario = load_scenario(Path::new("scenarios/zoo/cobra600.toml")).expect("a shipped scenario");
-    let outcome = pipeline::run(&scenario, 1, |_, _| {}).expect("a run");
-    let (sandbox, estimate) = bench(&outcome, Some(Mode::OnlyCalibration));
-    assert!(estimate.estimate.robot.model.statics.is_none());
+    let mut rigid = EstimateFile::of(&PAINTER, Some(Mode::OnlyCalibration)).expect("an estimate");
+    let robot = &mut rigid.estimate.robot;
+    (robot.nominal.statics, robot.model.statics) = (None, None);
+    rigid.robot.model_sha256 = model_sha256(&robot.nominal);
+    let sandbox = Sandbox::new();
+    sandbox.write("estimate.json", rigid.text().expect("JSON"));
+    let estimate = EstimateFile::read(&sandbox.path("estimate.json")).expect("as written");
     sandbox.write("points.csv", points(&estimate, "", 2));
     let arguments =
         ["compensate", "--estimate", "estimate.json", "--targets", "points.csv", "--criterion", "deflection"];
