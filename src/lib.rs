@@ -141,6 +141,7 @@ pub mod cli;
 pub mod handover;
 pub mod montecarlo;
 pub mod pipeline;
+pub mod pose_plan;
 pub mod replay;
 pub mod report;
 pub mod scenario;

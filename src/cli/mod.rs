@@ -16,6 +16,7 @@ mod measured;
 mod model;
 mod montecarlo;
 mod output;
+mod plan;
 mod record;
 mod recover;
 mod replay;
@@ -38,6 +39,7 @@ use thiserror::Error;
 
 use crate::handover::{AnotherModel, HandoverError};
 use crate::pipeline::{Iso9283Failure, PipelineError};
+use crate::pose_plan::PosePlanError;
 use crate::replay::ReplayError;
 use crate::report::ReportError;
 use crate::scenario::{Scenario, load_scenario};
@@ -73,6 +75,7 @@ enum Command {
     Identify(Box<identify::Args>),
     Identifiability(identifiability::Args),
     Choose(Box<choose::Args>),
+    Plan(Box<plan::Args>),
     Iso9283(Box<iso9283::Args>),
     Columns(columns::Args),
     Model(model::Args),
@@ -142,6 +145,9 @@ enum CliError {
     #[error("{}: {source}", file.display())]
     #[diagnostic(help("{}", source.help()))]
     Twin { file: PathBuf, source: Box<TwinError> },
+    #[error("{}: {source}", file.display())]
+    #[diagnostic(help("{}", source.help()))]
+    PosePlan { file: PathBuf, source: Box<PosePlanError> },
     #[error(transparent)]
     Report(#[from] ReportError),
     #[error("interrupted after {done} of {total} poses; what was measured is in {}", part.display())]
@@ -224,6 +230,7 @@ pub fn main() -> ExitCode {
         Command::Check(args) => check::execute(args),
         Command::Identify(args) => identify::execute(args),
         Command::Choose(args) => choose::execute(args),
+        Command::Plan(args) => plan::execute(args),
         Command::Iso9283(args) => iso9283::execute(args),
         Command::Columns(args) => columns::execute(args),
         Command::Model(args) => model::execute(args),

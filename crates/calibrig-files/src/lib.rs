@@ -51,13 +51,13 @@ mod stated;
 
 pub use convert::{AGREEMENT, Convention, Converted, UrdfOptions, robot_from_dh, robot_from_urdf};
 pub use convert::{StandardRow, StandardTable, craig_table, standard_table};
-pub use followers::{add_followers, commanded_joints, without_followers};
+pub use followers::{add_followers, commanded_joints, with_followers, without_followers};
 pub use input::{Excerpt, InputError, Source, Spanned};
 pub use measurements::{BagOptions, DEFAULT_TOLERANCE_S, Table, TableRow, read_bag, read_sheet};
 pub use measurements::{
     ColumnMap, CsvError, LoadedMeasurements, MeasurementFiles, MemoryRows, MissedCode, Place, Places,
     PointsFile, PoseList, Row, RowOptions, Rows, SuggestedMap, is_bag, load_column_map, measurements_text,
-    parse_column_map, parse_measurements, read_files, read_measurements, read_rows, suggest_columns,
+    parse_column_map, parse_commands, parse_measurements, read_files, read_measurements, read_rows, suggest_columns,
     write_measurements,
 };
 pub use payloads::{NO_PAYLOAD, PayloadFile, PayloadTable, payload_by_name, read_payloads};

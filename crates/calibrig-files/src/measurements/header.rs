@@ -291,7 +291,7 @@ impl<'a> Head<'a> {
         })
     }
 
-    fn optional(&self, entry: Option<&Entry>) -> Result<Option<usize>, InputError> {
+    pub fn optional(&self, entry: Option<&Entry>) -> Result<Option<usize>, InputError> {
         entry.map(|entry| self.single(entry)).transpose()
     }
 
@@ -414,7 +414,7 @@ impl<'a> Head<'a> {
     }
 
     /// The columns of the commands, with the units that the robot's joints need.
-    fn commands(&mut self, mapping: &Mapping, joints: &[JointKind]) -> Result<Vec<Quantity>, InputError> {
+    pub fn commands(&mut self, mapping: &Mapping, joints: &[JointKind]) -> Result<Vec<Quantity>, InputError> {
         let (found, expected) = (mapping.joints.len(), joints.len());
         if found != expected {
             let message =

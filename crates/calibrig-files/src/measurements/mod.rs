@@ -6,6 +6,7 @@
 
 mod cells;
 mod columns;
+mod commands;
 mod faces;
 mod files;
 mod header;
@@ -28,6 +29,7 @@ mod units;
 mod writer;
 
 pub use columns::{ColumnMap, MissedCode, PoseList, RowOptions};
+pub use commands::parse_commands;
 pub use files::{MeasurementFiles, PointsFile, parse_measurements, read_files, read_measurements, read_rows};
 pub use loaded::LoadedMeasurements;
 pub use map_file::{load_column_map, parse_column_map};
