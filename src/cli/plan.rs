@@ -15,8 +15,9 @@ use super::measured::RowArgs;
 use super::model::ChainArgs;
 use super::output::{self, Destination, Files};
 use super::{Cli, CliError, Verdict, colours, print, say};
-use crate::pose_plan::{self, CandidateSource, Cell, Figure, PosePlan, Request, STEPS};
+use crate::pose_plan::{self, CandidateSource, Cell, Figure, PosePlan, Request, STEPS, usual_candidates};
 use crate::report;
+use crate::twin::Preset;
 use calibrig_estimation::identification::Mode;
 use calibrig_estimation::planning::{Criterion, Needed, OrderWeights, Over};
 use calibrig_files::{
@@ -72,9 +73,9 @@ pub(super) struct Args {
     /// What is to be least: D, A, E, G or I of optimal designs (I: mean predicted variance over the region), or the observability index O1 to O5
     #[arg(long, value_name = "NAME", default_value = "I", value_parser = criterion)]
     criterion: Criterion,
-    /// Candidates that can be measured, of which poses are chosen
-    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=100_000))]
-    candidates: u32,
+    /// Candidates that can be measured, of which poses are chosen [default: 2000, fewer where a pose has many readings]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    candidates: Option<u32>,
     /// Take candidates from the working region alone
     #[arg(long, conflicts_with = "candidates_from")]
     candidates_in_region: bool,
@@ -119,7 +120,7 @@ pub(super) struct Args {
     region: Vec<SideOfRegion>,
     /// The tracker, for its noise and limits: at500, at960, vantage, gts3800
     #[arg(long, value_name = "NAME", value_parser = values::preset, conflicts_with = "noise_um")]
-    tracker: Option<calibrig_plant::tracker::Preset>,
+    tracker: Option<Preset>,
     /// Standard deviation of a measured coordinate, um, instead of a tracker's
     #[arg(long, value_name = "UM", value_parser = values::mm)]
     noise_um: Option<f64>,
@@ -135,8 +136,8 @@ pub(super) struct Args {
     /// Height of the floor above the base's origin, mm
     #[arg(long, value_name = "MM", allow_negative_numbers = true, conflicts_with = "scenario")]
     floor_mm: Option<f64>,
-    /// Radius of the links where the robot has no shapes, mm [default: links hide nothing and touch nothing]
-    #[arg(long, value_name = "MM", value_parser = values::mm, conflicts_with = "scenario")]
+    /// Radius of the links where the robot has no shapes, mm; 0: they touch and hide nothing [default: 8 % of its reach, at most 80]
+    #[arg(long, value_name = "MM", value_parser = values::not_negative, conflicts_with = "scenario")]
     capsule_radius_mm: Option<f64>,
     /// How far poses stay off the floor and beams off the links, mm: the real robot is not the nominal one
     #[arg(long, value_name = "MM", default_value_t = 50.0, value_parser = values::not_negative)]
@@ -221,7 +222,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     }
     let read = cells::read(args)?;
     let cell = read.cell(args)?;
-    let request = request(args, accuracy, &read.robot, read.seed)?;
+    let request = request(args, accuracy, &read.robot, (&cell, read.seed))?;
     let plan = with_bar(&cell, &request, &read.file)?;
     let written = destination.map_or(Ok(()), |destination| {
         let (folder, new) = destination.make()?;
@@ -259,7 +260,12 @@ fn with_bar(cell: &Cell<'_>, request: &Request, file: &Path) -> Result<PosePlan,
     plan.map_err(|source| CliError::PosePlan { file: file.to_path_buf(), source: Box::new(source) })
 }
 
-fn request(args: &Args, accuracy: Option<f64>, robot: &Robot, seed: Option<u64>) -> Result<Request, CliError> {
+fn request(
+    args: &Args,
+    accuracy: Option<f64>,
+    robot: &Robot,
+    (cell, seed): (&Cell<'_>, Option<u64>),
+) -> Result<Request, CliError> {
     let source = match &args.candidates_from {
         Some(path) => CandidateSource::Listed(listed(path, args.columns.as_deref(), robot)?),
         None if args.candidates_in_region => CandidateSource::Region,
@@ -279,7 +285,7 @@ fn request(args: &Args, accuracy: Option<f64>, robot: &Robot, seed: Option<u64>)
             FigureArg::Largest => Figure::Largest,
         },
         criterion: args.criterion,
-        candidates: args.candidates as usize,
+        candidates: args.candidates.map_or_else(|| usual_candidates(cell), |count| count as usize),
         source,
         starts: args.starts,
         seed: args.seed.or(seed).unwrap_or(1),

@@ -63,7 +63,7 @@ impl PosePlanError {
             }
             Self::NoRegion { .. } => "expected a region that the robot can work in: look at its limits and shapes",
             Self::OutOfReach { .. } => {
-                "expected a larger --accuracy-mm, or --poses N for the best that so many tell; see the curve of calibrig plan --poses N"
+                "expected a larger --accuracy, or --poses N for the best that so many tell; see the curve of calibrig plan --poses N"
             }
             Self::Plan(PlanError::NoNoise { .. }) => {
                 "expected readings that state their uncertainty, or --tracker or --noise-um"

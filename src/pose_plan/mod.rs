@@ -20,14 +20,15 @@ use calibrig_estimation::identification::{
     CalibratedRobot, DEFAULT_TOLERANCE, Estimate, IdentificationOptions,
 };
 use calibrig_estimation::planning::{
-    Choice, Criterion, Design, DesignSpace, Growth, Needed, OrderWeights, Over, ParameterScale, PlanError,
-    PlannedSession, Way, choose, grow, order_cost, ordered,
+    Accuracy, Choice, Criterion, Design, DesignSpace, Growth, Needed, OrderWeights, Over, ParameterScale, PlanError,
+    PlannedSession, Spread, Way, choose, grow, order_cost, ordered,
 };
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::nalgebra::Vector3;
 use calibrig_model::visibility::{Obstacles, Reflector, TrackerReach};
 use calibrig_model::{CalibrationModel, JointKind, PoseQuery};
+use calibrig_plant::session::StationShare;
 use calibrig_plant::tracker::{Instrument, LaserTracker, Limits, Preset};
 use candidates::drawn_in;
 
@@ -85,6 +86,8 @@ pub struct Request {
 
 /// Candidates where nobody says how many: more better a plan by some per cent.
 pub const CANDIDATES: usize = 2000;
+/// The least of them.
+const LEAST_CANDIDATES: usize = 500;
 /// Poses of the curve where nobody says how many.
 pub const MOST_POSES: usize = 200;
 /// Poses at which the region is looked at.
@@ -118,6 +121,17 @@ impl Default for Request {
             weights: OrderWeights { balance: 60.0, drift: 600.0 },
         }
     }
+}
+
+/// Candidates where nobody says how many: fewer where a pose has many readings, whose search takes longer by their square.
+pub fn usual_candidates(cell: &Cell<'_>) -> usize {
+    let stations = match &cell.readings {
+        Readings::Stated { set, .. } => set.stations.len(),
+        Readings::Scenario(scenario) if scenario.plan.share == StationShare::All => 1 + scenario.plan.stations.len(),
+        Readings::Scenario(_) => 1,
+    };
+    let readings = (stations * cell.around.reflectors.len()).max(1);
+    (CANDIDATES / readings).max(LEAST_CANDIDATES)
 }
 
 /// Speeds of the joints of a robot that is driven from pose to pose, m/s and rad/s.
@@ -192,7 +206,7 @@ pub fn plan(cell: &Cell<'_>, request: &Request, progress: &mut dyn FnMut(Step)) 
         Some(accuracy) => Some(growth.needed(accuracy, |spread| request.figure.of(spread))?),
         None => None,
     };
-    let design = match chosen {
+    let design: Design = match chosen {
         Some(design) => design,
         None => {
             tell("choosing");
@@ -229,7 +243,7 @@ pub fn plan(cell: &Cell<'_>, request: &Request, progress: &mut dyn FnMut(Step)) 
         parameters: spaces[0].parameters().to_vec(),
         scale: spaces[0].scale().to_vec(),
         poses,
-        figures: design.figures,
+        figures: design.figures.clone(),
         value: design.value,
         settled: design.settled,
         random,
@@ -244,7 +258,7 @@ pub fn plan(cell: &Cell<'_>, request: &Request, progress: &mut dyn FnMut(Step)) 
         trackers: cell.around.trackers.iter().map(|stand| stand.base_from_tracker.translation.vector).collect(),
         links: cell.model.kinematics.links.iter().map(|l| (l.name.clone(), l.kind, l.limits)).collect(),
         commanded: (0..joints_of(cell.model)).map(|joint| cell.model.actuators.is_commanded(joint)).collect(),
-        remarks: remarks(cell, request, &found),
+        remarks: remarks(cell, request, &found, &spaces[0], design.chosen.len()),
     })
 }
 
@@ -322,9 +336,12 @@ fn growth(spaces: &[DesignSpace], choice: &Choice, request: &Request) -> Result<
         None => request.most,
     };
     let most = if choice.repeats { most } else { most.min(spaces[0].candidates()) };
+    // Fewer poses than have a coordinate a parameter live on what is known beforehand, and would hide the knee.
+    let least = spaces[0].parameters().len().div_ceil(spaces[0].most_rows().max(1));
+    let least = request.poses.map_or(least, |poses| least.min(poses));
     let ladder = [4, 6, 8, 10, 12, 15, 20, 25, 30, 35, 40, 50, 60, 80, 100, 120, 150, 200, 300, 400, 500, 1000];
     let own = request.poses.into_iter().chain([most]);
-    let counts: BTreeSet<usize> = ladder.into_iter().chain(own).filter(|count| *count <= most).collect();
+    let counts: BTreeSet<usize> = ladder.into_iter().chain(own).filter(|count| (least..=most).contains(count)).collect();
     let mut counts: Vec<usize> = counts.into_iter().collect();
     loop {
         let least = match grow(spaces, choice, &counts) {
@@ -368,10 +385,15 @@ fn as_drawn(
             let own = (from..from + number).filter_map(|index| place.get(&u32::try_from(index).ok()?).copied());
             space.figures(&own.collect::<Vec<_>>()).ok()?.accuracy
         };
-        let mut values: Vec<f64> =
-            (0..DRAWS).filter_map(one).map(|accuracy| request.figure.of(&accuracy.with_machine)).collect();
-        values.sort_by(f64::total_cmp);
-        AsDrawn { poses: number, draws: DRAWS, values }
+        let all: Vec<_> = (0..DRAWS).filter_map(one).collect();
+        let sorted = |spread: fn(&Accuracy) -> &Spread| {
+            let mut values: Vec<f64> = all.iter().map(|own| request.figure.of(spread(own))).collect();
+            values.sort_by(f64::total_cmp);
+            values
+        };
+        let values = sorted(|own| &own.with_machine);
+        let of_parameters = sorted(|own| &own.of_parameters);
+        AsDrawn { poses: number, draws: DRAWS, values, of_parameters }
     };
     [count, 2 * count].map(of).into_iter().filter(|own| !own.values.is_empty()).collect()
 }
@@ -397,8 +419,20 @@ fn in_order(
     Ok((found.order, found.approaches, OrderChange { before, after: found.cost }))
 }
 
-fn remarks(cell: &Cell<'_>, request: &Request, found: &candidates::Found) -> Vec<String> {
+fn remarks(
+    cell: &Cell<'_>,
+    request: &Request,
+    found: &candidates::Found,
+    space: &DesignSpace,
+    count: usize,
+) -> Vec<String> {
     let mut remarks = Vec::new();
+    let (rows, parameters) = (count * space.most_rows(), space.parameters().len());
+    if rows < parameters && cell.before.is_none() {
+        remarks.push(format!(
+            "{count} poses have {rows} coordinates for {parameters} parameters: the rest is left to what is known beforehand"
+        ));
+    }
     if found.kept.len() < request.candidates && request.source.is_drawn() {
         remarks.push(format!(
             "{} candidates can be measured of {} that were looked at: fewer than the {} asked for",
@@ -413,6 +447,11 @@ fn remarks(cell: &Cell<'_>, request: &Request, found: &candidates::Found) -> Vec
         );
     } else if cell.around.hides.is_none() {
         remarks.push("lines of sight are taken as free, and reflectors as turned to the tracker".to_owned());
+    }
+    if !cell.around.obstacles.has_links() {
+        remarks.push("nothing is known of the links' shapes: they touch nothing and hide nothing".to_owned());
+    } else if cell.around.obstacles.is_chain() {
+        remarks.push("the links are taken as capsules along the chain, as no shapes are known".to_owned());
     }
     if cell.around.obstacles.floor().is_none() {
         remarks.push("no floor is stated: poses are not kept off it".to_owned());

@@ -80,17 +80,23 @@ pub struct AsDrawn {
     pub draws: u32,
     /// The figure of every draw that determines the parameters, m, ascending.
     pub values: Vec<f64>,
+    /// The same of what the parameters leave open, without the machine's noise, m, ascending.
+    pub of_parameters: Vec<f64>,
 }
 
 impl AsDrawn {
-    /// The middle one, m.
-    pub fn median(&self) -> f64 {
-        let n = self.values.len();
-        match n {
-            0 => f64::NAN,
-            _ if n % 2 == 1 => self.values[n / 2],
-            _ => 0.5 * (self.values[n / 2 - 1] + self.values[n / 2]),
-        }
+    /// The middle one, m: with the machine's noise, and of what the parameters leave open.
+    pub fn medians(&self) -> [f64; 2] {
+        [&self.values, &self.of_parameters].map(|values| median(values))
+    }
+}
+
+fn median(ascending: &[f64]) -> f64 {
+    let n = ascending.len();
+    match n {
+        0 => f64::NAN,
+        _ if n % 2 == 1 => ascending[n / 2],
+        _ => 0.5 * (ascending[n / 2 - 1] + ascending[n / 2]),
     }
 }
 

@@ -49,17 +49,28 @@ const MOST_PACKAGES_OF_THE_ESTIMATOR: usize = 80;
 /// A recording is made by `cli` and read by `replay`; of `pipeline` it takes what it is told (`Story`). What is handed over names the program as a recording
 /// does, and looks at nothing else of it. `report` is used by `cli`, `cli` by
 /// `main`; a scenario knows nothing of what is made of it.
-const MODULES: [(&str, &[&str]); 9] = [
+const MODULES: [(&str, &[&str]); 10] = [
     (
         "cli",
-        &["calibrig_recording", "handover", "montecarlo", "pipeline", "replay", "report", "scenario", "twin"],
+        &[
+            "calibrig_recording",
+            "handover",
+            "montecarlo",
+            "pipeline",
+            "pose_plan",
+            "replay",
+            "report",
+            "scenario",
+            "twin",
+        ],
     ),
     ("handover", &["calibrig_recording", "pipeline"]),
     ("main", &["cli"]),
     ("montecarlo", &["pipeline", "scenario"]),
     ("pipeline", &["calibrig_plant", "calibrig_recording", "scenario"]),
+    ("pose_plan", &["calibrig_plant", "pipeline", "scenario"]),
     ("replay", &["calibrig_recording", "pipeline", "scenario"]),
-    ("report", &["pipeline"]),
+    ("report", &["pipeline", "pose_plan"]),
     ("scenario", &["calibrig_plant"]),
     ("twin", &["calibrig_plant", "scenario"]),
 ];

@@ -15,8 +15,9 @@ use crate::pose_plan::{
 };
 use crate::replay::{ReplayOptions, replay as identify_again};
 use crate::scenario::{Scenario, parse_scenario};
+use crate::twin::Preset;
 use calibrig_estimation::identification::{
-    Estimate, IdentificationOptions, MachineNoiseChoice, Mode, NoiseScale, Tolerance,
+    Estimate, IdentificationOptions, MachineNoiseChoice, Mode, NoiseScale, Tolerance, reachable_poses,
 };
 use calibrig_files::{InputError, LoadedMeasurements, MeasuredFile, Robot, load_session, parse_robot, state};
 use calibrig_model::geometry::Transform;
@@ -24,7 +25,7 @@ use calibrig_model::measurement::{
     MeasurementSet, Observation, Reading, SetKind, Station, Target, register,
 };
 use calibrig_model::nalgebra::{Matrix3, UnitVector3, Vector3};
-use calibrig_model::visibility::{Obstacles, Reflector};
+use calibrig_model::visibility::{Obstacles, Reflector, stance_at};
 use calibrig_model::{CalibrationModel, JointKind};
 
 /// What files say.
@@ -45,6 +46,10 @@ const MOUNTABLE_TARGET: Vector3<f64> = Vector3::new(0.1, 0.15, 0.2);
 /// End of the beam that is the reflector's own, and what shapes leave out of links, m.
 const STANDOFF: f64 = 0.025;
 const MARGIN: f64 = 0.01;
+/// Poses at which a robot's reach is looked at; radius of links as a part of it, and at most, m.
+const REACH_POSES: usize = 200;
+const OF_REACH: f64 = 0.08;
+const MOST_RADIUS: f64 = 0.08;
 
 fn misused(message: &str) -> ! {
     Cli::command().error(ErrorKind::ValueValidation, message).exit()
@@ -355,15 +360,16 @@ impl Read {
         let shapes = Obstacles::of_shapes(&model.kinematics, &self.robot.visuals, MARGIN);
         let bare = match args.capsule_radius_mm {
             _ if shapes.has_links() => shapes,
+            Some(0.0) => Obstacles::none(&model.kinematics),
             Some(radius) => Obstacles::of_chain(&model.kinematics, 1e-3 * radius + MARGIN),
-            None => Obstacles::none(&model.kinematics),
+            None => Obstacles::of_chain(&model.kinematics, usual_radius(model) + MARGIN),
         };
         let bare = bare.with_standoff(STANDOFF);
         let obstacles = match args.floor_mm {
             Some(height) => bare.with_floor(up, 1e-3 * height),
             None => bare,
         };
-        let instrument = args.tracker.map(calibrig_plant::tracker::Preset::instrument);
+        let instrument = args.tracker.map(Preset::instrument);
         let places: Vec<Vector3<f64>> = match (&args.tracker_mm, &self.before) {
             (Some(place), _) => vec![place.0],
             (None, Some((_, estimate))) => {
@@ -423,6 +429,16 @@ impl Read {
         let set = MeasurementSet { observations: Vec::new(), ..self.stated.clone() };
         Ok(Readings::Stated { robot, set, noise })
     }
+}
+
+/// Radius of the links of a robot whose shapes nobody knows, m: a short chain of thick ones would touch itself everywhere.
+fn usual_radius(model: &CalibrationModel) -> f64 {
+    let first = model.kinematics.base_from_first.translation.vector;
+    let reach = reachable_poses(model, REACH_POSES)
+        .iter()
+        .map(|joints| (stance_at(&model.kinematics, joints).1.translation.vector - first).norm())
+        .fold(0.0, f64::max);
+    (OF_REACH * reach).min(MOST_RADIUS)
 }
 
 /// How the readings of a session scattered, a coordinate in the mean; as the estimate found it where they state nothing.

@@ -1,7 +1,8 @@
 //! Values of flags.
 
+use crate::twin::Preset;
 use calibrig_model::nalgebra::Vector3;
-use calibrig_plant::tracker::Preset;
+
 
 /// m
 #[derive(Debug, Clone, Copy)]

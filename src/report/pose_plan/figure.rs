@@ -22,9 +22,14 @@ pub(super) fn curve(plan: &PosePlan) -> Result<String, ReportError> {
     let of = |point: &calibrig_estimation::planning::GrowthPoint| um(plan.figure.of(&point.accuracy.with_machine));
     let points: Vec<(f64, f64)> =
         plan.growth.points.iter().map(|point| (point.count as f64, of(point))).filter(|(_, y)| drawable(*y)).collect();
+    let own = |point: &calibrig_estimation::planning::GrowthPoint| um(plan.figure.of(&point.accuracy.of_parameters));
+    let calibration: Vec<(f64, f64)> =
+        plan.growth.points.iter().map(|point| (point.count as f64, own(point))).filter(|(_, y)| drawable(*y)).collect();
     let floor = um(plan.figure.of(&plan.growth.floor.with_machine));
     let random: Vec<(f64, f64)> =
-        plan.random.iter().map(|drawn| (drawn.poses as f64, um(drawn.median()))).filter(|(_, y)| drawable(*y)).collect();
+        plan.random.iter().map(|drawn| (drawn.poses as f64, um(drawn.medians()[0]))).filter(|(_, y)| drawable(*y)).collect();
+    let random_calibration: Vec<(f64, f64)> =
+        plan.random.iter().map(|drawn| (drawn.poses as f64, um(drawn.medians()[1]))).filter(|(_, y)| drawable(*y)).collect();
     let asked = plan.accuracy.map(um).filter(|y| drawable(*y));
     let most_x = points.iter().chain(&random).map(|(x, _)| *x).fold(1.0, f64::max);
     // What few poses reach would stretch the axis so that nothing is seen of the rest.
@@ -71,7 +76,14 @@ pub(super) fn curve(plan: &PosePlan) -> Result<String, ReportError> {
         for at in &inside {
             plot.draw(&marker(&LOOKS[2], *at, 6))?;
         }
-        for at in &random {
+        let beside: Vec<_> = calibration.iter().copied().filter(|(_, y)| *y <= most_y).collect();
+        let (dash, gap) = LOOKS[1].dash.unwrap_or((8, 4));
+        let scale = SCALE.unsigned_abs();
+        plot.draw(&DashedPathElement::new(beside.clone(), dash * scale, gap * scale, LOOKS[1].light.stroke_width(4)))?;
+        for at in &beside {
+            plot.draw(&marker(&LOOKS[1], *at, 6))?;
+        }
+        for at in random.iter().chain(&random_calibration) {
             plot.draw(&marker(&LOOKS[0], *at, 7))?;
         }
         if let Some((x, y)) = plan.growth.knee.and_then(|knee| inside.iter().find(|(x, _)| *x == knee as f64)) {
@@ -100,7 +112,7 @@ pub(super) fn places(plan: &PosePlan) -> Result<String, ReportError> {
             let plot = chart.plotting_area();
             let at = |place: &Vector3<f64>| (place[across], place[up]);
             for place in &candidates {
-                plot.draw(&Circle::new(at(place), 2, GRID.filled()))?;
+                plot.draw(&Circle::new(at(place), 1, GRID.stroke_width(3)))?;
             }
             for place in &plan.region_places {
                 plot.draw(&Circle::new(at(place), 3, LOOKS[4].light.stroke_width(2)))?;
@@ -119,7 +131,7 @@ pub(super) fn places(plan: &PosePlan) -> Result<String, ReportError> {
 /// Limits, region and planned values of every commanded joint, as parts of its range.
 pub(super) fn joints(plan: &PosePlan) -> Result<String, ReportError> {
     const ROW: i32 = 34;
-    const NAME: i32 = 150;
+    const NAME: i32 = 176;
     let rows: Vec<usize> = (0..plan.links.len()).filter(|joint| plan.commanded[*joint]).collect();
     let height = ROW * i32::try_from(rows.len()).unwrap_or(1);
     svg("joint ranges", "Joint ranges that the poses cover", (WIDTH, height + 44), |area| {

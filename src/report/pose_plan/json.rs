@@ -129,7 +129,8 @@ pub fn json_plan(plan: &PosePlan) -> Value {
         "random": plan.random.iter().map(|drawn| json!({
             "poses": drawn.poses,
             "draws": drawn.draws,
-            "median_m": finite(drawn.median()),
+            "median_m": finite(drawn.medians()[0]),
+            "of_parameters_median_m": finite(drawn.medians()[1]),
             "values_m": drawn.values.iter().copied().map(finite).collect::<Vec<_>>(),
         })).collect::<Vec<_>>(),
         "growth": {

@@ -72,18 +72,6 @@ fn sentences(plan: &PosePlan) -> Vec<String> {
             plan.region
         ));
     }
-    for drawn in &plan.random {
-        let ends = drawn.values.first().zip(drawn.values.last());
-        let (low, high) = ends.map_or((f64::NAN, f64::NAN), |(low, high)| (*low, *high));
-        lines.push(format!(
-            "{} random poses of the region{before}: {} um, median of {} draws ({} to {}).",
-            drawn.poses,
-            um(drawn.median()),
-            drawn.values.len(),
-            um(low),
-            um(high)
-        ));
-    }
     let of_machine = plan.figures.accuracy.map_or(0.0, |accuracy| plan.figure.of(&accuracy.of_machine));
     lines.push(if of_machine > 0.0 {
         format!("Of that the machine scatters by {} um from approach to approach, whatever is calibrated.", um(of_machine))
@@ -100,6 +88,30 @@ fn sentences(plan: &PosePlan) -> Vec<String> {
     lines
 }
 
+/// A line of the comparison: poses, what the parameters leave open, and that with the machine's noise, m.
+struct Compared {
+    name: String,
+    poses: usize,
+    of_parameters: f64,
+    with_machine: f64,
+}
+
+/// The plan beside random poses.
+fn compared(plan: &PosePlan) -> Vec<Compared> {
+    let own = plan.figures.accuracy.map(|accuracy| Compared {
+        name: "planned".to_owned(),
+        poses: plan.poses.len(),
+        of_parameters: plan.figure.of(&accuracy.of_parameters),
+        with_machine: plan.figure.of(&accuracy.with_machine),
+    });
+    let drawn = plan.random.iter().map(|drawn| {
+        let [with_machine, of_parameters] = drawn.medians();
+        let name = format!("random, median of {} draws", drawn.values.len());
+        Compared { name, poses: drawn.poses, of_parameters, with_machine }
+    });
+    own.into_iter().chain(drawn).collect()
+}
+
 /// The tables in micrometres; at most 100 columns wide.
 pub fn render_plan(plan: &PosePlan, style: Style) -> String {
     let heading = |words: &str| style.paint(Ink::Heading, &printable(words));
@@ -107,7 +119,14 @@ pub fn render_plan(plan: &PosePlan, style: Style) -> String {
     let mut lines = vec![heading(&title(plan)), String::new()];
     lines.extend(sentences(plan).iter().flat_map(|words| wrapped(words)));
     lines.push(String::new());
-    lines.push(heading("Accuracy against number of poses, um"));
+    lines.push(heading(&format!("Predicted standard deviation, um: {}", plan.figure.words())));
+    lines.push(format!("{:<34}{:>7}{:>14}{:>18}", "", "poses", "calibration", "with the machine"));
+    for own in compared(plan) {
+        let (calibration, with) = (um(own.of_parameters), um(own.with_machine));
+        lines.push(format!("{:<34}{:>7}{calibration:>14}{with:>18}", own.name, own.poses));
+    }
+    lines.push(String::new());
+    lines.push(heading("Accuracy against number of poses, um, with the machine"));
     lines.push(format!("{:>7}{:>10}{:>10}{:>10}{:>10}  {}", "poses", "RMS", "mean", "95 %", "largest", ""));
     for point in &plan.growth.points {
         let spread = &point.accuracy.with_machine;

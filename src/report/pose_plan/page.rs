@@ -3,7 +3,7 @@
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::figure::{curve, joints, places};
-use super::{ReportError, WEAKEST, candidate_words, sentences, um};
+use super::{ReportError, WEAKEST, candidate_words, compared, sentences, um};
 use crate::pose_plan::PosePlan;
 use crate::report::html::{head, key};
 use crate::report::parameters::{parameter_words, printed_unit};
@@ -24,14 +24,22 @@ pub fn plan_html(plan: &PosePlan) -> Result<String, ReportError> {
                     section {
                         h2 { "Summary" }
                         ul { @for line in sentences(plan) { li { (line) } } }
+                        div.scroll { table {
+                            thead { tr { th {} th { "poses" } th { "calibration, \u{b5}m" } th { "with the machine, \u{b5}m" } } }
+                            tbody { @for own in compared(plan) {
+                                tr { th scope="row" { (own.name) } td { (own.poses) } td { (um(own.of_parameters)) } td { (um(own.with_machine)) } }
+                            } }
+                        } }
+                        p.note { "Standard deviations of the predicted place of the target, 3-D, " (plan.figure.words()) ": what the calibration leaves open of the robot's mean place, and with what the machine scatters by from approach to approach. Of random poses the median." }
                         @if !plan.remarks.is_empty() { ul.warnings { @for line in &plan.remarks { li { (line) } } } }
                     }
                     section {
                         h2 { "How many poses" }
                         figure {
                             div.legend {
-                                span { (key(&LOOKS[2])) "best plans, the knee in a circle" }
-                                @if !plan.random.is_empty() { span { (key(&LOOKS[0])) "random poses of the region, median" } }
+                                span { (key(&LOOKS[2])) "best plans with the machine's scatter, the knee in a circle" }
+                                span { (key(&LOOKS[1])) "what their calibration leaves open" }
+                                @if !plan.random.is_empty() { span { (key(&LOOKS[0])) "random poses of the region, median, of both" } }
                                 span { (key(&LOOKS[4])) "all candidates, as often as one likes (dashed)" }
                                 @if plan.accuracy.is_some() { span { (key(&LOOKS[3])) "asked for (dashed)" } }
                             }

@@ -433,7 +433,24 @@ impl<'a> Head<'a> {
             .collect()
     }
 
+    /// Refuses calibrig's own columns of which none is measured, as of a plan that nobody has measured yet.
+    fn refuse_unmeasured(&self, columns: &PositionColumns) -> Result<(), InputError> {
+        let PositionColumns::Spherical { range, azimuth, polar, .. } = columns else { return Ok(()) };
+        let is_there =
+            |entry: &Entry| self.find(&ColumnRef::Name(entry.written.clone()), false).is_ok();
+        if self.map.is_some() || self.joints.is_some() || [range, azimuth, polar].into_iter().any(is_there) {
+            return Ok(());
+        }
+        let message = format!("column {} is missing, and so is every other that is measured", range.written);
+        let expected = format!(
+            "columns x_m, y_m, z_m, or range_m, az_rad, el_rad beside the commands (a plan has none before it is measured); found {}",
+            self.points.names()
+        );
+        Err(self.points.refuse(message, &expected))
+    }
+
     fn position(&mut self, columns: &PositionColumns) -> Result<Position, InputError> {
+        self.refuse_unmeasured(columns)?;
         Ok(match columns {
             PositionColumns::Cartesian { axes: [x, y, z], unit } => {
                 let kind = Kind::Length(*unit, "position.unit");
