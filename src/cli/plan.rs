@@ -6,8 +6,8 @@ mod values;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use clap::{CommandFactory, ValueEnum};
 use clap::error::ErrorKind;
+use clap::{CommandFactory, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::identify::{family, fitted_mode};
@@ -207,7 +207,8 @@ fn criterion(text: &str) -> Result<Criterion, String> {
 }
 
 pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
-    let misused = |message: &str| -> ! { Cli::command().error(ErrorKind::MissingRequiredArgument, message).exit() };
+    let misused =
+        |message: &str| -> ! { Cli::command().error(ErrorKind::MissingRequiredArgument, message).exit() };
     let accuracy = args.accuracy.or(args.accuracy_mm.map(|mm| 1e-3 * mm));
     if args.poses.is_none() && accuracy.is_none() {
         misused("--poses N or --accuracy LENGTH: expected how many poses, or what they are to reach");
@@ -312,9 +313,10 @@ fn listed(path: &Path, columns: Option<&Path>, robot: &Robot) -> Result<Vec<Vec<
         let command = with_followers(model, &commands);
         let mut joints = vec![0.0; command.len()];
         model.actuators.joints_from_command(&command, &mut joints);
-        let beyond = joints.iter().zip(&model.kinematics.links).find(|(q, link)| {
-            !(link.limits[0] - 1e-9..=link.limits[1] + 1e-9).contains(*q)
-        });
+        let beyond = joints
+            .iter()
+            .zip(&model.kinematics.links)
+            .find(|(q, link)| !(link.limits[0] - 1e-9..=link.limits[1] + 1e-9).contains(*q));
         if let Some((q, link)) = beyond {
             let (unit, scale) = match link.kind {
                 JointKind::Prismatic => ("mm", 1e3),

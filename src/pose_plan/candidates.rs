@@ -93,7 +93,11 @@ impl Found {
     }
 }
 
-pub(super) fn find(cell: &Cell<'_>, robot: &CalibratedRobot, request: &Request) -> Result<Found, PosePlanError> {
+pub(super) fn find(
+    cell: &Cell<'_>,
+    robot: &CalibratedRobot,
+    request: &Request,
+) -> Result<Found, PosePlanError> {
     let sides = match &request.source {
         CandidateSource::Region => cell.region.ranges(cell.model),
         _ => whole_space(cell.model),
@@ -142,7 +146,8 @@ pub(super) fn region(
     // Of a region that somebody states nothing is left out but what the robot cannot take.
     let poses = spread_in(cell.model, &sides, 20 * count);
     let looked = poses.len();
-    let kept: Vec<Candidate> = poses.into_iter().filter_map(|joints| filter.works_at(joints)).take(count).collect();
+    let kept: Vec<Candidate> =
+        poses.into_iter().filter_map(|joints| filter.works_at(joints)).take(count).collect();
     if kept.is_empty() {
         let words = filter.refused.iter().map(|(why, count)| (why.to_string(), *count)).collect();
         return Err(PosePlanError::NoRegion { looked, refused: words });

@@ -20,7 +20,10 @@ pub enum PosePlanError {
     #[error(transparent)]
     Robot(#[from] PredictionError),
     /// Too few poses are left.
-    #[error("{kept} of {drawn} candidate poses can be measured, and {wanted} are to be chosen{}", reasons(refused))]
+    #[error(
+        "{kept} of {drawn} candidate poses can be measured, and {wanted} are to be chosen{}",
+        reasons(refused)
+    )]
     TooFew {
         /// Those that can.
         kept: usize,
@@ -32,7 +35,10 @@ pub enum PosePlanError {
         refused: Vec<(String, usize)>,
     },
     /// No pose where the robot is to work.
-    #[error("none of {looked} poses of the working region can be taken by the nominal robot{}", reasons(refused))]
+    #[error(
+        "none of {looked} poses of the working region can be taken by the nominal robot{}",
+        reasons(refused)
+    )]
     NoRegion {
         /// Looked at.
         looked: usize,
@@ -61,7 +67,9 @@ impl PosePlanError {
             Self::TooFew { .. } => {
                 "expected more candidates (--candidates), fewer poses, another place of the tracker, or less --clearance-mm"
             }
-            Self::NoRegion { .. } => "expected a region that the robot can work in: look at its limits and shapes",
+            Self::NoRegion { .. } => {
+                "expected a region that the robot can work in: look at its limits and shapes"
+            }
             Self::OutOfReach { .. } => {
                 "expected a larger --accuracy, or --poses N for the best that so many tell; see the curve of calibrig plan --poses N"
             }

@@ -6,7 +6,9 @@ use std::fmt;
 use calibrig_estimation::identification::{CalibratedRobot, PredictionError, Predictor};
 use calibrig_model::geometry::Transform;
 use calibrig_model::nalgebra::{UnitVector3, Vector3};
-use calibrig_model::visibility::{Built, Contact, Hidden, Obstacles, Reflector, Room, Stance, TrackerReach, stance_at};
+use calibrig_model::visibility::{
+    Built, Contact, Hidden, Obstacles, Reflector, Room, Stance, TrackerReach, stance_at,
+};
 use calibrig_model::{ActuatorMap, KinematicModel, PoseQuery};
 
 /// A tracker at its place.
@@ -200,7 +202,13 @@ impl<'a> Filter<'a> {
         Err(first.map_or(Refused::Range, |why| named(&why)))
     }
 
-    fn looks(&self, stance: Stance<'_>, stand: &Stand, reach: &TrackerReach, own: &Reflector) -> Result<(), Hidden> {
+    fn looks(
+        &self,
+        stance: Stance<'_>,
+        stand: &Stand,
+        reach: &TrackerReach,
+        own: &Reflector,
+    ) -> Result<(), Hidden> {
         let from = &stand.base_from_tracker;
         let (Some(hides), Some(larger)) = (&self.around.hides, &self.larger) else {
             let target = stance.flange.rotation * own.in_flange + stance.flange.translation.vector;
@@ -215,7 +223,9 @@ impl<'a> Filter<'a> {
 
 /// What a tracker can point at, less what a real robot is beside the nominal one.
 fn within(reach: &TrackerReach, around: &Surroundings) -> TrackerReach {
-    let less = |[low, high]: [f64; 2], by: f64| if high - low > 2.0 * by { [low + by, high - by] } else { [low, high] };
+    let less = |[low, high]: [f64; 2], by: f64| {
+        if high - low > 2.0 * by { [low + by, high - by] } else { [low, high] }
+    };
     let turn = std::f64::consts::TAU - 1e-9;
     let all_round = reach.azimuth[1] - reach.azimuth[0] >= turn;
     TrackerReach {

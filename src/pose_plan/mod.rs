@@ -20,8 +20,8 @@ use calibrig_estimation::identification::{
     CalibratedRobot, DEFAULT_TOLERANCE, Estimate, IdentificationOptions,
 };
 use calibrig_estimation::planning::{
-    Accuracy, Choice, Criterion, Design, DesignSpace, Growth, Needed, OrderWeights, Over, ParameterScale, PlanError,
-    PlannedSession, Spread, Way, choose, grow, order_cost, ordered,
+    Accuracy, Choice, Criterion, Design, DesignSpace, Growth, Needed, OrderWeights, Over, ParameterScale,
+    PlanError, PlannedSession, Spread, Way, choose, grow, order_cost, ordered,
 };
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::MeasurementSet;
@@ -127,7 +127,9 @@ impl Default for Request {
 pub fn usual_candidates(cell: &Cell<'_>) -> usize {
     let stations = match &cell.readings {
         Readings::Stated { set, .. } => set.stations.len(),
-        Readings::Scenario(scenario) if scenario.plan.share == StationShare::All => 1 + scenario.plan.stations.len(),
+        Readings::Scenario(scenario) if scenario.plan.share == StationShare::All => {
+            1 + scenario.plan.stations.len()
+        }
         Readings::Scenario(_) => 1,
     };
     let readings = (stations * cell.around.reflectors.len()).max(1);
@@ -157,7 +159,11 @@ pub const STEPS: usize = 6;
 /// # Errors
 ///
 /// [`PosePlanError`].
-pub fn plan(cell: &Cell<'_>, request: &Request, progress: &mut dyn FnMut(Step)) -> Result<PosePlan, PosePlanError> {
+pub fn plan(
+    cell: &Cell<'_>,
+    request: &Request,
+    progress: &mut dyn FnMut(Step),
+) -> Result<PosePlan, PosePlanError> {
     let mut number = 0;
     let mut tell = |name| {
         number += 1;
@@ -186,7 +192,8 @@ pub fn plan(cell: &Cell<'_>, request: &Request, progress: &mut dyn FnMut(Step)) 
     let estimate = cell.before.as_ref().map(|(_, estimate)| estimate);
     let mut session = PlannedSession::new(cell.model, &set, &cell.options, estimate, &measured, &queries)?;
     let tolerance = cell.options.tolerance.unwrap_or(DEFAULT_TOLERANCE);
-    let spaces = session.spaces_of_robots(request.robots, tolerance, request.seed, &ParameterScale::Effect)?;
+    let spaces =
+        session.spaces_of_robots(request.robots, tolerance, request.seed, &ParameterScale::Effect)?;
     let choice = Choice {
         count,
         criterion: request.criterion,
@@ -216,7 +223,8 @@ pub fn plan(cell: &Cell<'_>, request: &Request, progress: &mut dyn FnMut(Step)) 
     tell("comparing with random poses");
     let random = as_drawn(cell, &robot, request, &queries, design.chosen.len());
     tell("putting them in order");
-    let (order, approaches, change) = in_order(cell, request, &session, &spaces[0], &design, (&joints, first))?;
+    let (order, approaches, change) =
+        in_order(cell, request, &session, &spaces[0], &design, (&joints, first))?;
     let place = |candidate: &usize| session.candidates()[*candidate].saturating_sub(first) as usize;
     let poses = order
         .iter()
@@ -255,7 +263,12 @@ pub fn plan(cell: &Cell<'_>, request: &Request, progress: &mut dyn FnMut(Step)) 
         region: cell.region.name().to_owned(),
         region_places: region.iter().map(|own| own.target).collect(),
         region_ranges: cell.region.ranges(cell.model),
-        trackers: cell.around.trackers.iter().map(|stand| stand.base_from_tracker.translation.vector).collect(),
+        trackers: cell
+            .around
+            .trackers
+            .iter()
+            .map(|stand| stand.base_from_tracker.translation.vector)
+            .collect(),
         links: cell.model.kinematics.links.iter().map(|l| (l.name.clone(), l.kind, l.limits)).collect(),
         commanded: (0..joints_of(cell.model)).map(|joint| cell.model.actuators.is_commanded(joint)).collect(),
         remarks: remarks(cell, request, &found, &spaces[0], design.chosen.len()),
@@ -339,9 +352,11 @@ fn growth(spaces: &[DesignSpace], choice: &Choice, request: &Request) -> Result<
     // Fewer poses than have a coordinate a parameter live on what is known beforehand, and would hide the knee.
     let least = spaces[0].parameters().len().div_ceil(spaces[0].most_rows().max(1));
     let least = request.poses.map_or(least, |poses| least.min(poses));
-    let ladder = [4, 6, 8, 10, 12, 15, 20, 25, 30, 35, 40, 50, 60, 80, 100, 120, 150, 200, 300, 400, 500, 1000];
+    let ladder =
+        [4, 6, 8, 10, 12, 15, 20, 25, 30, 35, 40, 50, 60, 80, 100, 120, 150, 200, 300, 400, 500, 1000];
     let own = request.poses.into_iter().chain([most]);
-    let counts: BTreeSet<usize> = ladder.into_iter().chain(own).filter(|count| (least..=most).contains(count)).collect();
+    let counts: BTreeSet<usize> =
+        ladder.into_iter().chain(own).filter(|count| (least..=most).contains(count)).collect();
     let mut counts: Vec<usize> = counts.into_iter().collect();
     loop {
         let least = match grow(spaces, choice, &counts) {
@@ -382,7 +397,8 @@ fn as_drawn(
     let of = |number: usize| {
         let one = |trial: u32| {
             let from = trial as usize * 2 * count;
-            let own = (from..from + number).filter_map(|index| place.get(&u32::try_from(index).ok()?).copied());
+            let own =
+                (from..from + number).filter_map(|index| place.get(&u32::try_from(index).ok()?).copied());
             space.figures(&own.collect::<Vec<_>>()).ok()?.accuracy
         };
         let all: Vec<_> = (0..DRAWS).filter_map(one).collect();
@@ -409,11 +425,20 @@ fn in_order(
     (joints, first): (&[Vec<f64>], u32),
 ) -> Result<InOrder, PosePlanError> {
     let own = |candidate: &usize| &joints[session.candidates()[*candidate].saturating_sub(first) as usize];
-    let commands: Vec<Vec<f64>> =
-        design.chosen.iter().map(|candidate| cell.model.actuators.command_from_joints(own(candidate))).collect();
+    let commands: Vec<Vec<f64>> = design
+        .chosen
+        .iter()
+        .map(|candidate| cell.model.actuators.command_from_joints(own(candidate)))
+        .collect();
     let speeds = if request.speeds.is_empty() { usual_speeds(cell.model) } else { request.speeds.clone() };
     let drift = session.drift_coupling(space, &design.chosen).ok();
-    let way = Way { commands: &commands, home: None, speeds: &speeds, drift: drift.as_ref(), weights: request.weights };
+    let way = Way {
+        commands: &commands,
+        home: None,
+        speeds: &speeds,
+        drift: drift.as_ref(),
+        weights: request.weights,
+    };
     let before = order_cost(&way, &(0..commands.len()).collect::<Vec<_>>())?;
     let found = ordered(&way)?;
     Ok((found.order, found.approaches, OrderChange { before, after: found.cost }))
@@ -486,7 +511,9 @@ pub fn surroundings_of(scenario: &Scenario, clearance: f64, angle: f64) -> Surro
     Surroundings {
         obstacles: sight.map_or_else(own, |sight| sight.obstacles.clone()),
         trackers: stations.map(|own| Stand { base_from_tracker: own.inverse(), reach }).collect(),
-        reflectors: targets.map(|(in_flange, opening)| Reflector { in_flange, opening, acceptance }).collect(),
+        reflectors: targets
+            .map(|(in_flange, opening)| Reflector { in_flange, opening, acceptance })
+            .collect(),
         hides: sight.map(|sight| sight.obstacles.clone()),
         clearance,
         angle,
@@ -494,7 +521,12 @@ pub fn surroundings_of(scenario: &Scenario, clearance: f64, angle: f64) -> Surro
 }
 
 /// A cell of a scenario.
-pub fn cell_of<'a>(scenario: &'a Scenario, options: IdentificationOptions, clearance: f64, angle: f64) -> Cell<'a> {
+pub fn cell_of<'a>(
+    scenario: &'a Scenario,
+    options: IdentificationOptions,
+    clearance: f64,
+    angle: f64,
+) -> Cell<'a> {
     Cell {
         name: scenario.name.clone(),
         model: &scenario.robot.model,
@@ -512,5 +544,8 @@ pub fn levelled(instrument: Option<Instrument>, place: Vector3<f64>, up: &Vector
     let tracker = LaserTracker::levelled(instrument, place, 0.0, up);
     let Limits { range, elevation, .. } = instrument.limits;
     let azimuth = TrackerReach::all_round(range).azimuth;
-    Stand { base_from_tracker: tracker.tracker_from_base.inverse(), reach: TrackerReach { range, elevation, azimuth } }
+    Stand {
+        base_from_tracker: tracker.tracker_from_base.inverse(),
+        reach: TrackerReach { range, elevation, azimuth },
+    }
 }

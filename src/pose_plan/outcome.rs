@@ -236,7 +236,10 @@ pub fn plan_csv(plan: &PosePlan) -> String {
 fn write_csv(plan: &PosePlan, text: &mut String) -> std::fmt::Result {
     let joints: Vec<usize> = (0..plan.links.len()).filter(|joint| plan.commanded[*joint]).collect();
     writeln!(text, "# calibrig plan: commands in the order in which the poses are driven")?;
-    writeln!(text, "# add what was measured as columns of their own and give the file to calibrig identify (docs/formats.md)")?;
+    writeln!(
+        text,
+        "# add what was measured as columns of their own and give the file to calibrig identify (docs/formats.md)"
+    )?;
     write!(text, "pose")?;
     for (number, joint) in joints.iter().enumerate() {
         let unit = if plan.links[*joint].1 == JointKind::Prismatic { "m" } else { "rad" };

@@ -126,7 +126,8 @@ fn reading(seen: Vector3<f64>, noise: Noise) -> Reading {
         Noise::Instrument(instrument) => {
             let range = seen.norm().max(1e-3);
             let along = instrument.random_fraction * instrument.range.at(range);
-            let angle = (instrument.random_fraction * instrument.transverse.at(range) / range).hypot(instrument.air);
+            let angle =
+                (instrument.random_fraction * instrument.transverse.at(range) / range).hypot(instrument.air);
             let variances = Vector3::new(along, angle, angle).map(|sigma| sigma * sigma);
             Reading::Spherical(SphericalReading {
                 range,

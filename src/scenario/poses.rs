@@ -4,8 +4,8 @@ use serde::Deserialize;
 
 use super::file::{joint_index, refuse_twice};
 use calibrig_files::{
-    ColumnMap, InputError, Robot, Source, Spanned, commanded_joints, parse_column_map,
-    parse_commands, with_followers,
+    ColumnMap, InputError, Robot, Source, Spanned, commanded_joints, parse_column_map, parse_commands,
+    with_followers,
 };
 use calibrig_model::measurement::SetKind;
 use calibrig_model::{CalibrationModel, JointKind};
@@ -139,10 +139,8 @@ fn listed(
                 JointKind::Prismatic => (1e3 * q, "mm", 1e3),
                 JointKind::Revolute => (q.to_degrees(), "deg", 1_f64.to_degrees()),
             };
-            let message = format!(
-                "pose {pose} of {} has joint \"{}\" at {value:.3} {unit}",
-                text.name, link.name
-            );
+            let message =
+                format!("pose {pose} of {} has joint \"{}\" at {value:.3} {unit}", text.name, link.name);
             let [low, high] = link.limits.map(|limit| scale * limit);
             let help = format!(
                 "expected poses within the limits of the robot's file, {low:.3} to {high:.3} {unit}: look at the unit of the joints in its column map"

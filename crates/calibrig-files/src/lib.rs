@@ -57,8 +57,8 @@ pub use measurements::{BagOptions, DEFAULT_TOLERANCE_S, Table, TableRow, read_ba
 pub use measurements::{
     ColumnMap, CsvError, LoadedMeasurements, MeasurementFiles, MemoryRows, MissedCode, Place, Places,
     PointsFile, PoseList, Row, RowOptions, Rows, SuggestedMap, is_bag, load_column_map, measurements_text,
-    parse_column_map, parse_commands, parse_measurements, read_files, read_measurements, read_rows, suggest_columns,
-    write_measurements,
+    parse_column_map, parse_commands, parse_measurements, read_files, read_measurements, read_rows,
+    suggest_columns, write_measurements,
 };
 pub use payloads::{NO_PAYLOAD, PayloadFile, PayloadTable, payload_by_name, read_payloads};
 pub use robot::{LoadTable, Robot, StatedTarget, load_robot, parse_robot, read_loads};

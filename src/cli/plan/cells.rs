@@ -11,7 +11,8 @@ use super::Args;
 use crate::handover::EstimateFile;
 use crate::pipeline::{calibrate, default_options, without_drift};
 use crate::pose_plan::{
-    Cell, Noise, Readings, Region, Surroundings, cell_of, levelled, nominal_robot, surroundings_of, whole_space,
+    Cell, Noise, Readings, Region, Surroundings, cell_of, levelled, nominal_robot, surroundings_of,
+    whole_space,
 };
 use crate::replay::{ReplayOptions, replay as identify_again};
 use crate::scenario::{Scenario, parse_scenario};
@@ -21,9 +22,7 @@ use calibrig_estimation::identification::{
 };
 use calibrig_files::{InputError, LoadedMeasurements, MeasuredFile, Robot, load_session, parse_robot, state};
 use calibrig_model::geometry::Transform;
-use calibrig_model::measurement::{
-    MeasurementSet, Observation, Reading, SetKind, Station, Target, register,
-};
+use calibrig_model::measurement::{MeasurementSet, Observation, Reading, SetKind, Station, Target, register};
 use calibrig_model::nalgebra::{Matrix3, UnitVector3, Vector3};
 use calibrig_model::visibility::{Obstacles, Reflector, stance_at};
 use calibrig_model::{CalibrationModel, JointKind};
@@ -87,7 +86,8 @@ fn adjust(args: &Args, read: &mut Read) {
         options.tolerance = Some(Tolerance { length: 1e-3 * length, angle: 1e-3 * angle });
     }
     if !args.actuator_sigma.is_empty() {
-        options.machine_noise = MachineNoiseChoice::Stated(actuator_sigmas(&args.actuator_sigma, &read.robot.model));
+        options.machine_noise =
+            MachineNoiseChoice::Stated(actuator_sigmas(&args.actuator_sigma, &read.robot.model));
     }
 }
 
@@ -149,7 +149,8 @@ fn of_recording(args: &Args, path: &Path) -> Result<Read, CliError> {
     let source = |role: &str| recording.source(role).cloned();
     let Some(of_robot) = source("robot") else {
         let message = "the recording does not hold the robot's file".to_owned();
-        let help = "expected a recording of calibrig run, or --model ROBOT.toml with --measurements".to_owned();
+        let help =
+            "expected a recording of calibrig run, or --model ROBOT.toml with --measurements".to_owned();
         return Err(InputError::Place { place: path.display().to_string(), message, help: Some(help) }.into());
     };
     let robot = parse_robot(of_robot, source("urdf"), source("columns"))?;
@@ -317,7 +318,11 @@ impl Read {
                     .filter(|(joint, _)| model.actuators.is_commanded(*joint))
                     .map(|(_, link)| link.name.as_str())
                     .collect();
-                misused(&format!("--region {}: expected one of the robot's joints: {}", own.joint, names.join(", ")))
+                misused(&format!(
+                    "--region {}: expected one of the robot's joints: {}",
+                    own.joint,
+                    names.join(", ")
+                ))
             };
             let link = &model.kinematics.links[place];
             let value = |(number, unit): &(f64, String)| match (link.kind, unit.as_str()) {
@@ -339,7 +344,11 @@ impl Read {
                 };
                 misused(&format!(
                     "--region {}: {:.3} to {:.3} {unit}: expected a range within its limits, {:.3} to {:.3} {unit}, the lower end first",
-                    own.joint, scale * ends[0], scale * ends[1], scale * low, scale * high
+                    own.joint,
+                    scale * ends[0],
+                    scale * ends[1],
+                    scale * low,
+                    scale * high
                 ));
             }
             sides[place] = [ends[0].max(low), ends[1].min(high)];
@@ -349,7 +358,10 @@ impl Read {
 
     fn target(&self) -> Vector3<f64> {
         let measured = self.before.as_ref().and_then(|(_, estimate)| estimate.robot.targets.first());
-        measured.or(self.stated.targets.first().map(|own| &own.in_flange)).copied().unwrap_or(MOUNTABLE_TARGET)
+        measured
+            .or(self.stated.targets.first().map(|own| &own.in_flange))
+            .copied()
+            .unwrap_or(MOUNTABLE_TARGET)
     }
 
     /// Of a robot that no scenario tells of.
@@ -424,8 +436,7 @@ impl Read {
             let up = -statics.map_or(Vector3::new(0.0, 0.0, -9.81), |statics| statics.gravity);
             levelled(None, place.0, &up).base_from_tracker.inverse()
         });
-        robot.stations =
-            self.stations().into_iter().map(|own| own.or(stands).unwrap_or(identity)).collect();
+        robot.stations = self.stations().into_iter().map(|own| own.or(stands).unwrap_or(identity)).collect();
         let set = MeasurementSet { observations: Vec::new(), ..self.stated.clone() };
         Ok(Readings::Stated { robot, set, noise })
     }
@@ -451,4 +462,3 @@ fn found_noise(set: &MeasurementSet, estimate: &Estimate) -> Noise {
     let mean = stated.iter().map(|own| own.trace() / 3.0).sum::<f64>() / stated.len() as f64;
     Noise::Coordinate(mean.sqrt())
 }
-

@@ -3,7 +3,6 @@
 use crate::twin::Preset;
 use calibrig_model::nalgebra::Vector3;
 
-
 /// m
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Length3(pub Vector3<f64>);
@@ -68,7 +67,8 @@ pub(super) fn preset(text: &str) -> Result<Preset, String> {
 }
 
 pub(super) fn side(text: &str) -> Result<SideOfRegion, String> {
-    let expected = "expected a joint and its range with units, such as rail=100mm..3900mm or waist=-20deg..40deg";
+    let expected =
+        "expected a joint and its range with units, such as rail=100mm..3900mm or waist=-20deg..40deg";
     let (joint, range) = text.split_once('=').ok_or(expected)?;
     let (low, high) = range.split_once("..").ok_or(expected)?;
     let end = |text: &str| {

@@ -55,8 +55,12 @@ fn place(place: &Vector3<f64>) -> [Option<f64>; 3] {
 fn needed(needed: &Needed) -> Value {
     match needed {
         Needed::Poses { count, reached } => json!({ "poses": count, "reached_m": finite(*reached) }),
-        Needed::BelowMachine { floor } => json!({ "poses": null, "why": "machine", "floor_m": finite(*floor) }),
-        Needed::BelowCandidates { floor } => json!({ "poses": null, "why": "candidates", "floor_m": finite(*floor) }),
+        Needed::BelowMachine { floor } => {
+            json!({ "poses": null, "why": "machine", "floor_m": finite(*floor) })
+        }
+        Needed::BelowCandidates { floor } => {
+            json!({ "poses": null, "why": "candidates", "floor_m": finite(*floor) })
+        }
         Needed::MoreThan { count, reached } => {
             json!({ "poses": null, "why": "most", "most": count, "reached_m": finite(*reached) })
         }
@@ -76,7 +80,9 @@ pub fn json_plan(plan: &PosePlan) -> Value {
         .parameters
         .iter()
         .zip(&figures.sigmas)
-        .map(|(id, sigma)| json!({ "name": id.to_string(), "unit": unit(id.unit()), "sigma": finite(*sigma) }))
+        .map(
+            |(id, sigma)| json!({ "name": id.to_string(), "unit": unit(id.unit()), "sigma": finite(*sigma) }),
+        )
         .collect();
     let joints: Vec<Value> = plan
         .links

@@ -79,7 +79,10 @@ fn sentences(plan: &PosePlan) -> Vec<String> {
         "Nothing is stated of what the machine does beside its model (--actuator-sigma): the real error is larger by that.".to_owned()
     });
     if let Some(knee) = plan.growth.knee {
-        lines.push(format!("Knee of the curve: {} of those that were looked at; further ones help less.", counted(knee, "pose")));
+        lines.push(format!(
+            "Knee of the curve: {} of those that were looked at; further ones help less.",
+            counted(knee, "pose")
+        ));
     }
     lines.extend(plan.needed_words().map(|words| format!("Accuracy: {words}.")));
     if !plan.settled {
@@ -147,20 +150,26 @@ pub fn render_plan(plan: &PosePlan, style: Style) -> String {
         lines.push(line.trim_end().to_owned());
     }
     let floor = &plan.growth.floor.with_machine;
-    let cells = [floor.rms, floor.mean, floor.quantile_95, floor.largest].map(|value| format!("{:>10}", um(value)));
+    let cells =
+        [floor.rms, floor.mean, floor.quantile_95, floor.largest].map(|value| format!("{:>10}", um(value)));
     lines.push(format!("{:>7}{}  no number of these candidates betters that", "all", cells.concat()));
     lines.push(String::new());
-    lines.push(heading(&format!(
-        "Parameters: {}, of which these are told least",
-        plan.parameters.len()
-    )));
+    lines.push(heading(&format!("Parameters: {}, of which these are told least", plan.parameters.len())));
     for (id, sigma) in plan.weakest(WEAKEST) {
         let (unit, scale) = printed_unit(id.unit());
-        lines.push(format!("  {:<22}{:>12} {unit:<5} {}", id.to_string(), format!("+- {:.4}", scale * sigma), parameter_words(id)));
+        lines.push(format!(
+            "  {:<22}{:>12} {unit:<5} {}",
+            id.to_string(),
+            format!("+- {:.4}", scale * sigma),
+            parameter_words(id)
+        ));
     }
     lines.push(String::new());
     lines.push(heading("Order"));
-    lines.push(format!("{:<24}{:>12}{:>13}{:>13}{:>11}", "", "driving, s", "imbalance", "drift taken", "cost, s"));
+    lines.push(format!(
+        "{:<24}{:>12}{:>13}{:>13}{:>11}",
+        "", "driving, s", "imbalance", "drift taken", "cost, s"
+    ));
     for (name, cost) in [("as the candidates come", plan.order.before), ("as planned", plan.order.after)] {
         lines.push(order_line(name, &cost));
     }
@@ -188,7 +197,10 @@ fn order_line(name: &str, cost: &OrderCost) -> String {
 
 fn candidate_words(plan: &PosePlan) -> String {
     let robots = if plan.robots > 0 {
-        format!(" The plan is for the nominal robot and {} as they could have been made.", counted(plan.robots as usize, "robot"))
+        format!(
+            " The plan is for the nominal robot and {} as they could have been made.",
+            counted(plan.robots as usize, "robot")
+        )
     } else {
         String::new()
     };

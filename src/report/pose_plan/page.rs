@@ -98,10 +98,12 @@ fn header(plan: &PosePlan) -> Markup {
 }
 
 fn growth_table(plan: &PosePlan) -> Markup {
-    let line = |name: &str, spread: &calibrig_estimation::planning::Spread| html! {
-        tr {
-            th scope="row" { (name) }
-            @for value in [spread.rms, spread.mean, spread.quantile_95, spread.largest] { td { (um(value)) } }
+    let line = |name: &str, spread: &calibrig_estimation::planning::Spread| {
+        html! {
+            tr {
+                th scope="row" { (name) }
+                @for value in [spread.rms, spread.mean, spread.quantile_95, spread.largest] { td { (um(value)) } }
+            }
         }
     };
     html! {

@@ -286,7 +286,8 @@ impl<'s> Closed<'s> {
             let columns = self.space.of(candidate);
             let rows = columns.len();
             let square = self.squares[candidate]..self.squares[candidate + 1];
-            let of_row = |row: usize| &spread[(columns.start + row) * count..(columns.start + row + 1) * count];
+            let of_row =
+                |row: usize| &spread[(columns.start + row) * count..(columns.start + row + 1) * count];
             let mut first = 0;
             for Change { z, half, sign } in changes {
                 let (of_z, of_half) = (first..first + z.ncols(), first + z.ncols()..first + 2 * z.ncols());

@@ -30,7 +30,8 @@ pub fn parse_commands(
     let rows = Box::new(TextRows::of_text(&source.name, &source.text, &map.format().0, &wanted)?);
     let mut table = Table::find(rows, &wanted, map.format().1)?;
     let (head_row, own) = (table.head.clone(), table.columns.clone());
-    let file = FileColumns { name: &source.name, head: &head_row, has_header: table.has_header, columns: &own };
+    let file =
+        FileColumns { name: &source.name, head: &head_row, has_header: table.has_header, columns: &own };
     let header: Vec<&str> = own.iter().flat_map(|column| [column.header.as_str(), column.name()]).collect();
     let mapping = map.resolve(&header, joints);
     let mapping = mapping.map_err(|message| file.refuse(message, "calibrig's own columns"))?;

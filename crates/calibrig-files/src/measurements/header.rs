@@ -436,8 +436,7 @@ impl<'a> Head<'a> {
     /// Refuses calibrig's own columns of which none is measured, as of a plan that nobody has measured yet.
     fn refuse_unmeasured(&self, columns: &PositionColumns) -> Result<(), InputError> {
         let PositionColumns::Spherical { range, azimuth, polar, .. } = columns else { return Ok(()) };
-        let is_there =
-            |entry: &Entry| self.find(&ColumnRef::Name(entry.written.clone()), false).is_ok();
+        let is_there = |entry: &Entry| self.find(&ColumnRef::Name(entry.written.clone()), false).is_ok();
         if self.map.is_some() || self.joints.is_some() || [range, azimuth, polar].into_iter().any(is_there) {
             return Ok(());
         }

@@ -54,7 +54,13 @@ fn moves(room: &Room<'_>, ranges: &[[f64; 2]], joint: usize) -> bool {
     room.actuators.is_commanded(joint) && ranges[joint][1] > ranges[joint][0]
 }
 
-fn grown(room: &Room<'_>, ranges: &[[f64; 2]], start: &[f64], built: &Built, rng: &mut impl Rng) -> Vec<[f64; 2]> {
+fn grown(
+    room: &Room<'_>,
+    ranges: &[[f64; 2]],
+    start: &[f64],
+    built: &Built,
+    rng: &mut impl Rng,
+) -> Vec<[f64; 2]> {
     let mut sides: Vec<[f64; 2]> = start.iter().map(|q| [*q, *q]).collect();
     let mut step: Vec<[f64; 2]> = ranges.iter().map(|range| [(range[1] - range[0]) / STEPS; 2]).collect();
     let mut growing = true;
