@@ -85,7 +85,7 @@ pub struct Candidate {
     pub target: Vector3<f64>,
 }
 
-/// What the parts of a robot are called where they touch: its base, then its joints.
+/// What is behind the last link.
 const TARGET: &str = "the target";
 
 /// The filters of a robot in its surroundings, with what they refused.

@@ -226,17 +226,36 @@ pub fn plan(
     let (order, approaches, change) =
         in_order(cell, request, &session, &spaces[0], &design, (&joints, first))?;
     let place = |candidate: &usize| session.candidates()[*candidate].saturating_sub(first) as usize;
-    let poses = order
-        .iter()
-        .zip(approaches)
-        .zip(cell.next_number()..)
+    let numbered = order.iter().zip(approaches).zip(cell.next_number()..);
+    let poses = numbered
         .map(|((index, approach), pose)| {
             let own = &found.kept[place(&design.chosen[*index])];
             let command = cell.model.actuators.command_from_joints(&own.joints);
             ChosenPose { pose, joints: own.joints.clone(), command, approach, target: own.target }
         })
         .collect();
-    Ok(PosePlan {
+    let measured = measured.len();
+    let found = Planned { found, region, design, growth, needed, random, poses, order: change, measured };
+    Ok(told(cell, request, &spaces[0], found))
+}
+
+/// What a search found.
+struct Planned {
+    found: candidates::Found,
+    region: Vec<Candidate>,
+    design: Design,
+    growth: Growth,
+    needed: Option<Needed>,
+    random: Vec<AsDrawn>,
+    poses: Vec<ChosenPose>,
+    order: OrderChange,
+    measured: usize,
+}
+
+fn told(cell: &Cell<'_>, request: &Request, space: &DesignSpace, planned: Planned) -> PosePlan {
+    let Planned { found, region, design, growth, needed, random, poses, order, measured } = planned;
+    let links = &cell.model.kinematics.links;
+    PosePlan {
         name: cell.name.clone(),
         mode: cell.options.mode,
         criterion: request.criterion,
@@ -245,21 +264,22 @@ pub fn plan(
         robots: request.robots,
         source: request.source.words().to_owned(),
         looked: found.looked,
-        candidates: spaces[0].candidates(),
+        candidates: space.candidates(),
         refused: found.refused_words(),
         places: found.kept.iter().map(|own| own.target).collect(),
-        parameters: spaces[0].parameters().to_vec(),
-        scale: spaces[0].scale().to_vec(),
+        parameters: space.parameters().to_vec(),
+        scale: space.scale().to_vec(),
+        remarks: remarks(cell, request, &found, space, design.chosen.len()),
         poses,
-        figures: design.figures.clone(),
+        figures: design.figures,
         value: design.value,
         settled: design.settled,
         random,
         growth,
         accuracy: request.accuracy,
         needed,
-        order: change,
-        measured: measured.len(),
+        order,
+        measured,
         region: cell.region.name().to_owned(),
         region_places: region.iter().map(|own| own.target).collect(),
         region_ranges: cell.region.ranges(cell.model),
@@ -269,14 +289,9 @@ pub fn plan(
             .iter()
             .map(|stand| stand.base_from_tracker.translation.vector)
             .collect(),
-        links: cell.model.kinematics.links.iter().map(|l| (l.name.clone(), l.kind, l.limits)).collect(),
-        commanded: (0..joints_of(cell.model)).map(|joint| cell.model.actuators.is_commanded(joint)).collect(),
-        remarks: remarks(cell, request, &found, &spaces[0], design.chosen.len()),
-    })
-}
-
-fn joints_of(model: &CalibrationModel) -> usize {
-    model.kinematics.joint_count()
+        links: links.iter().map(|link| (link.name.clone(), link.kind, link.limits)).collect(),
+        commanded: (0..links.len()).map(|joint| cell.model.actuators.is_commanded(joint)).collect(),
+    }
 }
 
 impl Cell<'_> {

@@ -79,10 +79,7 @@ fn sentences(plan: &PosePlan) -> Vec<String> {
         "Nothing is stated of what the machine does beside its model (--actuator-sigma): the real error is larger by that.".to_owned()
     });
     if let Some(knee) = plan.growth.knee {
-        lines.push(format!(
-            "Knee of the curve: {} of those that were looked at; further ones help less.",
-            counted(knee, "pose")
-        ));
+        lines.push(format!("The curve has its knee at {}: further ones help less.", counted(knee, "pose")));
     }
     lines.extend(plan.needed_words().map(|words| format!("Accuracy: {words}.")));
     if !plan.settled {
