@@ -366,7 +366,7 @@ fn growth(spaces: &[DesignSpace], choice: &Choice, request: &Request) -> Result<
     let most = if choice.repeats { most } else { most.min(spaces[0].candidates()) };
     // Fewer poses than have a coordinate a parameter live on what is known beforehand, and would hide the knee.
     let least = spaces[0].parameters().len().div_ceil(spaces[0].most_rows().max(1));
-    let least = request.poses.map_or(least, |poses| least.min(poses));
+    let least = least.min(request.poses.unwrap_or(most)).min(most);
     let ladder =
         [4, 6, 8, 10, 12, 15, 20, 25, 30, 35, 40, 50, 60, 80, 100, 120, 150, 200, 300, 400, 500, 1000];
     let own = request.poses.into_iter().chain([most]);
@@ -408,7 +408,7 @@ fn as_drawn(
     let Ok((space, numbers)) = space() else { return Vec::new() };
     let first = cell.first_pose();
     let place: std::collections::BTreeMap<u32, usize> =
-        numbers.iter().enumerate().map(|(place, number)| (*number - first, place)).collect();
+        numbers.iter().enumerate().map(|(place, number)| (number.saturating_sub(first), place)).collect();
     let of = |number: usize| {
         let one = |trial: u32| {
             let from = trial as usize * 2 * count;
