@@ -269,55 +269,41 @@ impl<'s> Closed<'s> {
         Some(Change { z, half, sign })
     }
 
-    /// Lets the blocks of all candidates follow: one product of all rows with all that changes, which is what takes the time.
+    /// Lets the blocks of all candidates follow.
     fn follow(&mut self, changes: &[Change]) {
-        let parts: Vec<&DMatrix<f64>> =
-            changes.iter().flat_map(|change| std::iter::once(&change.z).chain(&change.half)).collect();
-        let count = parts.iter().map(|part| part.ncols()).sum();
-        let mut lefts = DMatrix::zeros(count, self.space.parameters().len());
-        let mut first = 0;
-        for part in parts {
-            lefts.rows_mut(first, part.ncols()).tr_copy_from(part);
-            first += part.ncols();
-        }
-        let spread = lefts * &self.space.rows;
-        let spread = spread.as_slice();
-        for candidate in 0..self.space.candidates() {
-            let columns = self.space.of(candidate);
-            let rows = columns.len();
-            let square = self.squares[candidate]..self.squares[candidate + 1];
-            let of_row =
-                |row: usize| &spread[(columns.start + row) * count..(columns.start + row + 1) * count];
-            let mut first = 0;
-            for Change { z, half, sign } in changes {
-                let (of_z, of_half) = (first..first + z.ncols(), first + z.ncols()..first + 2 * z.ncols());
-                first = if half.is_some() { of_half.end } else { of_z.end };
+        let most = self.scratch.column.len();
+        for Change { z, half, sign } in changes {
+            let mut y = vec![0.0; most * z.ncols()];
+            let mut h = vec![0.0; if half.is_some() { y.len() } else { 0 }];
+            for candidate in 0..self.space.candidates() {
+                let columns = self.space.of(candidate);
+                let rows = columns.len();
+                let square = self.squares[candidate]..self.squares[candidate + 1];
+                products(&self.space.rows, columns.clone(), z, &mut y);
                 let own = &mut self.own[square.clone()];
-                for j in 0..rows {
-                    for i in 0..rows {
-                        own[i + j * rows] -= sign * inner(&of_row(i)[of_z.clone()], &of_row(j)[of_z.clone()]);
+                for m in 0..z.ncols() {
+                    let y = &y[m * rows..(m + 1) * rows];
+                    for j in 0..rows {
+                        for i in 0..rows {
+                            own[i + j * rows] -= sign * y[i] * y[j];
+                        }
                     }
                 }
-                if half.is_none() {
-                    continue;
-                }
-                let own = &mut self.own_weighted[square.clone()];
-                for j in 0..rows {
-                    for i in 0..rows {
-                        let (a, b) = (of_row(i), of_row(j));
-                        own[i + j * rows] += inner(&a[of_half.clone()], &b[of_z.clone()])
-                            + inner(&a[of_z.clone()], &b[of_half.clone()]);
+                let Some(half) = half else { continue };
+                products(&self.space.rows, columns, half, &mut h);
+                let own = &mut self.own_weighted[square];
+                for m in 0..z.ncols() {
+                    let (y, h) = (&y[m * rows..(m + 1) * rows], &h[m * rows..(m + 1) * rows]);
+                    for j in 0..rows {
+                        for i in 0..rows {
+                            own[i + j * rows] += h[i] * y[j] + y[i] * h[j];
+                        }
                     }
                 }
             }
         }
         self.look_alone();
     }
-}
-
-/// Of two rows as short as a pose has rows.
-fn inner(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 /// How the covariance changed.
