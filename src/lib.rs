@@ -142,6 +142,7 @@ pub mod compensate;
 pub mod handover;
 pub mod montecarlo;
 pub mod pipeline;
+pub mod pose_plan;
 pub mod replay;
 pub mod report;
 pub mod scenario;

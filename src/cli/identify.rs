@@ -239,10 +239,24 @@ enum MachineNoiseArg {
 
 /// What `--machine-noise` and `--actuator-sigma` say. A wrong one is a wrong use of the command line.
 fn machine_noise(args: &Args, model: &CalibrationModel) -> MachineNoiseChoice {
+    let sigmas = actuator_sigmas(&args.actuator_sigma, model);
+    match args.machine_noise {
+        MachineNoiseArg::Stated => MachineNoiseChoice::Stated(sigmas),
+        _ if !args.actuator_sigma.is_empty() => {
+            let message = "--actuator-sigma: expected --machine-noise stated beside it";
+            Cli::command().error(ErrorKind::ValueValidation, message).exit()
+        }
+        MachineNoiseArg::AsNeeded => MachineNoiseChoice::AsNeeded,
+        MachineNoiseArg::Estimated => MachineNoiseChoice::Estimated,
+    }
+}
+
+/// Standard deviation of every actuator as `--actuator-sigma` says, m or rad. A wrong one is a wrong use of the command line.
+pub(super) fn actuator_sigmas(stated: &[String], model: &CalibrationModel) -> Vec<f64> {
     let refuse = |message: String| -> ! { Cli::command().error(ErrorKind::ValueValidation, message).exit() };
     let links = &model.kinematics.links;
     let mut sigmas = vec![0.0; links.len()];
-    for text in &args.actuator_sigma {
+    for text in stated {
         let Some((name, value)) = text.split_once('=') else {
             refuse(format!("--actuator-sigma {text}: expected a name and a value, such as waist=0.05mrad"))
         };
@@ -257,14 +271,7 @@ fn machine_noise(args: &Args, model: &CalibrationModel) -> MachineNoiseChoice {
         };
         sigmas[place] = 1e-3 * number;
     }
-    match args.machine_noise {
-        MachineNoiseArg::Stated => MachineNoiseChoice::Stated(sigmas),
-        _ if !args.actuator_sigma.is_empty() => {
-            refuse("--actuator-sigma: expected --machine-noise stated beside it".to_owned())
-        }
-        MachineNoiseArg::AsNeeded => MachineNoiseChoice::AsNeeded,
-        MachineNoiseArg::Estimated => MachineNoiseChoice::Estimated,
-    }
+    sigmas
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]

@@ -18,6 +18,7 @@ mod measured;
 mod model;
 mod montecarlo;
 mod output;
+mod plan;
 mod record;
 mod recover;
 mod replay;
@@ -40,6 +41,7 @@ use thiserror::Error;
 
 use crate::handover::{AnotherModel, HandoverError};
 use crate::pipeline::{Iso9283Failure, PipelineError};
+use crate::pose_plan::PosePlanError;
 use crate::replay::ReplayError;
 use crate::report::ReportError;
 use crate::scenario::{Scenario, load_scenario};
@@ -76,6 +78,7 @@ enum Command {
     Identify(Box<identify::Args>),
     Identifiability(identifiability::Args),
     Choose(Box<choose::Args>),
+    Plan(Box<plan::Args>),
     Iso9283(Box<iso9283::Args>),
     Columns(columns::Args),
     Compensate(Box<compensate::Args>),
@@ -152,6 +155,9 @@ enum CliError {
     #[error("--{flag} {message}")]
     #[diagnostic(help("expected {expected}"))]
     Flag { flag: &'static str, message: String, expected: String },
+    #[error("{}: {source}", file.display())]
+    #[diagnostic(help("{}", source.help()))]
+    PosePlan { file: PathBuf, source: Box<PosePlanError> },
     #[error(transparent)]
     Report(#[from] ReportError),
     #[error("interrupted after {done} of {total} poses; what was measured is in {}", part.display())]
@@ -234,6 +240,7 @@ pub fn main() -> ExitCode {
         Command::Check(args) => check::execute(args),
         Command::Identify(args) => identify::execute(args),
         Command::Choose(args) => choose::execute(args),
+        Command::Plan(args) => plan::execute(args),
         Command::Iso9283(args) => iso9283::execute(args),
         Command::Columns(args) => columns::execute(args),
         Command::Compensate(args) => compensate::execute(args),

@@ -20,6 +20,8 @@ pub(super) enum Files {
     ReportsAndRecordings,
     /// What a pose test leaves.
     Iso9283,
+    /// Planned poses.
+    Plan,
     /// What a campaign leaves.
     Campaign,
     /// What an acceptance test leaves.
@@ -37,6 +39,7 @@ impl Files {
         match self {
             Self::Reports => &["report.html", "report.json", "residuals.csv"],
             Self::Iso9283 => &["iso9283.html", "iso9283.json"],
+            Self::Plan => &["plan.csv", "plan.json", "plan.html"],
             Self::Campaign => &["trials.csv", "summary.json"],
             Self::Acceptance => &["acceptance.html", "acceptance.svg", "acceptance.json"],
             Self::Calibrated => &crate::handover::FILES,

@@ -13,6 +13,7 @@ mod json;
 mod judgement;
 mod parameters;
 mod plots;
+mod pose_plan;
 mod region;
 mod residuals;
 #[cfg(test)]
@@ -49,6 +50,7 @@ pub use judgement::{
     JsonConfidence, JsonCorrelation, JsonInfluence, JsonJudgement, JsonPattern, JsonPoint, JsonRegion,
     JsonSupport,
 };
+pub use pose_plan::{PLAN_SCHEMA, json_plan, plan_html, plan_json_text, render_plan, write_plan};
 pub use residuals::{JsonResidual, residuals_csv};
 pub use scatter::{JsonRepeatScatter, JsonScatter};
 pub use sensors::{JsonSensor, JsonSensorParameter, JsonSensors};

@@ -4,8 +4,8 @@ use serde::Deserialize;
 
 use super::file::{joint_index, refuse_twice};
 use calibrig_files::{
-    ColumnMap, InputError, Robot, Source, Spanned, add_followers, commanded_joints, parse_column_map,
-    parse_measurements,
+    ColumnMap, InputError, Robot, Source, Spanned, commanded_joints, parse_column_map, parse_commands,
+    with_followers,
 };
 use calibrig_model::measurement::SetKind;
 use calibrig_model::{CalibrationModel, JointKind};
@@ -108,7 +108,7 @@ fn around<'a>(poses: impl Iterator<Item = &'a Vec<f64>>, joints: usize) -> Worki
     }
 }
 
-/// The joint variables of the poses of a measurement file, which is read as `identify` reads it: what is measured in it is not looked at.
+/// The joint variables of the poses of a measurement file, which is read as `identify` reads it, or of a plan: what is measured is not looked at.
 fn listed(
     source: &Source,
     key: &Spanned<String>,
@@ -120,17 +120,16 @@ fn listed(
     let map = stated.map(|(_, source)| parse_column_map(source)).transpose()?;
     let kinds = commanded_joints(model);
     let map = map.map_or_else(ColumnMap::default, ColumnMap::or_own);
-    let mut loaded = parse_measurements(text, &map, &kinds)?;
-    add_followers(model, &mut loaded.set);
     let mut poses: Vec<Vec<f64>> = Vec::new();
     let mut last = None;
-    for observation in &loaded.set.observations {
+    for (pose, commands) in parse_commands(text, &map, &kinds)? {
         // Several readings of a pose are one visit of it.
-        if last.replace(observation.pose) == Some(observation.pose) {
+        if last.replace(pose) == Some(pose) {
             continue;
         }
-        let mut joints = vec![0.0; model.kinematics.joint_count()];
-        model.actuators.joints_from_command(&observation.command, &mut joints);
+        let command = with_followers(model, &commands);
+        let mut joints = vec![0.0; command.len()];
+        model.actuators.joints_from_command(&command, &mut joints);
         let beyond = joints.iter().zip(&model.kinematics.links).find(|(q, link)| {
             let slack = 1e-9;
             !(link.limits[0] - slack..=link.limits[1] + slack).contains(*q)
@@ -140,10 +139,8 @@ fn listed(
                 JointKind::Prismatic => (1e3 * q, "mm", 1e3),
                 JointKind::Revolute => (q.to_degrees(), "deg", 1_f64.to_degrees()),
             };
-            let message = format!(
-                "pose {} of {} has joint \"{}\" at {value:.3} {unit}",
-                observation.pose, text.name, link.name
-            );
+            let message =
+                format!("pose {pose} of {} has joint \"{}\" at {value:.3} {unit}", text.name, link.name);
             let [low, high] = link.limits.map(|limit| scale * limit);
             let help = format!(
                 "expected poses within the limits of the robot's file, {low:.3} to {high:.3} {unit}: look at the unit of the joints in its column map"

@@ -14,9 +14,9 @@ use crate::scenario::{Scenario, parse_scenario};
 use calibrig_estimation::identification::identifiability_of;
 use calibrig_files::{InputError, Robot, Source};
 use calibrig_model::random::{self, stream};
-use calibrig_model::visibility::{Obstacles, TrackerReach, stance_at};
+use calibrig_model::visibility::{Built, Obstacles, Room, TrackerReach, stance_at};
 use calibrig_model::{JointKind, ModelError, StaticProperties};
-use calibrig_plant::experiment::{Built, Place, Room, Stand, WorkingRegion, usable_ranges};
+use calibrig_plant::experiment::{self, Place, Stand, WorkingRegion, usable_ranges};
 pub use calibrig_plant::tracker::Preset;
 
 /// How the base is mounted, where it is not as the robot's file says.
@@ -392,7 +392,7 @@ fn clear_region(
     let attempt = |room: &Room<'_>, built: &Built, rng: &mut ChaCha8Rng| {
         let clear = surveyed.poses.iter().filter(|joints| room.is_clear(joints, built));
         let starts: Vec<_> = clear.take(STARTS).cloned().collect();
-        room.clear_region(&surveyed.ranges, &starts, built, rng)
+        experiment::clear_region(room, &surveyed.ranges, &starts, built, rng)
     };
     if let Some(region) = attempt(room, &room.survey(&surveyed.poses), rng) {
         return region;

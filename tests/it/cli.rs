@@ -8,7 +8,7 @@ use std::time::Duration;
 use crate::a_user_makes_a_mistake::with_measurements;
 use crate::sandbox::{Ended, ROBOT, SCENARIO, Sandbox, assert_refused};
 
-const COMMANDS: [&str; 14] = [
+const COMMANDS: [&str; 15] = [
     "run",
     "check",
     "choose",
@@ -18,6 +18,7 @@ const COMMANDS: [&str; 14] = [
     "identifiability",
     "iso9283",
     "model",
+    "plan",
     "replay",
     "inspect",
     "recover",
@@ -51,6 +52,7 @@ fn sound_commands() -> (Sandbox, Vec<(&'static str, Vec<&'static str>)>) {
         ),
         ("calibrig.diagnosis/1", vec!["diagnose", "--model", ROBOT, "--measurements", "set.csv"]),
         ("calibrig.iso9283/1", vec!["iso9283", SCENARIO, "--cycles", "3"]),
+        ("calibrig.plan/1", vec!["plan", SCENARIO, "--poses", "12", "--candidates", "100"]),
         ("calibrig.report/1", vec!["replay", "first/recording.mcap"]),
         ("calibrig.report/1", vec!["report", "first/recording.mcap", "--out", "again"]),
         ("calibrig.inspect/1", vec!["inspect", "first/recording.mcap"]),

@@ -49,7 +49,7 @@ const MOST_PACKAGES_OF_THE_ESTIMATOR: usize = 80;
 /// A recording is made by `cli` and read by `replay`; of `pipeline` it takes what it is told (`Story`). What is handed over names the program as a recording
 /// does, and looks at nothing else of it. `report` is used by `cli`, `cli` by
 /// `main`; a scenario knows nothing of what is made of it.
-const MODULES: [(&str, &[&str]); 10] = [
+const MODULES: [(&str, &[&str]); 11] = [
     (
         "cli",
         &[
@@ -58,6 +58,7 @@ const MODULES: [(&str, &[&str]); 10] = [
             "handover",
             "montecarlo",
             "pipeline",
+            "pose_plan",
             "replay",
             "report",
             "scenario",
@@ -69,8 +70,9 @@ const MODULES: [(&str, &[&str]); 10] = [
     ("main", &["cli"]),
     ("montecarlo", &["pipeline", "scenario"]),
     ("pipeline", &["calibrig_plant", "calibrig_recording", "scenario"]),
+    ("pose_plan", &["calibrig_plant", "pipeline", "scenario"]),
     ("replay", &["calibrig_recording", "pipeline", "scenario"]),
-    ("report", &["compensate", "pipeline"]),
+    ("report", &["compensate", "pipeline", "pose_plan"]),
     ("scenario", &["calibrig_plant"]),
     ("twin", &["calibrig_plant", "scenario"]),
 ];

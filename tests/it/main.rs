@@ -32,6 +32,7 @@ mod a_user_measures_in_two_faces;
 mod a_user_measures_with_payloads;
 mod a_user_picks_a_robot_of_the_zoo;
 mod a_user_plans_a_session;
+mod a_user_plans_poses;
 mod a_user_replays_a_recording;
 mod a_user_reproduces_the_paper;
 mod a_user_runs_a_campaign;

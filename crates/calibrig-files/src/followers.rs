@@ -24,6 +24,13 @@ pub fn add_followers(model: &CalibrationModel, set: &mut MeasurementSet) {
     }
 }
 
+/// A command of one number a joint, of the commands of those that are commanded.
+pub fn with_followers(model: &CalibrationModel, commands: &[f64]) -> Vec<f64> {
+    let joints: Vec<bool> =
+        (0..model.kinematics.joint_count()).map(|joint| model.actuators.is_commanded(joint)).collect();
+    spread(&joints, commands)
+}
+
 /// The inverse of [`add_followers`].
 #[must_use]
 pub fn without_followers(model: &CalibrationModel, set: &MeasurementSet) -> MeasurementSet {

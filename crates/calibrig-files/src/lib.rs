@@ -52,7 +52,7 @@ mod stated;
 
 pub use convert::{AGREEMENT, Convention, Converted, UrdfOptions, robot_from_dh, robot_from_urdf};
 pub use convert::{StandardRow, StandardTable, craig_table, standard_table};
-pub use followers::{add_followers, commanded_joints, without_followers};
+pub use followers::{add_followers, commanded_joints, with_followers, without_followers};
 pub use goals::{
     GoalFile, GoalTable, StatedGoal, StatedGrid, StatedHold, StatedRaster, load_goal_file, parse_goal_file,
 };
@@ -61,8 +61,8 @@ pub use measurements::{BagOptions, DEFAULT_TOLERANCE_S, Table, TableRow, read_ba
 pub use measurements::{
     ColumnMap, CsvError, LoadedMeasurements, MeasurementFiles, MemoryRows, MissedCode, Place, Places,
     PointsFile, PoseList, Row, RowOptions, Rows, SuggestedMap, is_bag, load_column_map, measurements_text,
-    parse_column_map, parse_measurements, read_files, read_measurements, read_rows, suggest_columns,
-    write_measurements,
+    parse_column_map, parse_commands, parse_measurements, read_files, read_measurements, read_rows,
+    suggest_columns, write_measurements,
 };
 pub use measurements::{parse_goals, read_goals};
 pub use payloads::{NO_PAYLOAD, PayloadFile, PayloadTable, payload_by_name, read_payloads};

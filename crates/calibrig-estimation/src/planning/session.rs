@@ -1,6 +1,6 @@
 //! From a robot, candidate poses and a region to rows: the system that a fit of them would solve.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, SymmetricEigen};
 
 use super::order::DriftCoupling;
 use super::{DesignRows, DesignSpace, ParameterScale, PlanError};
@@ -11,6 +11,12 @@ use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::random::{Source, stream};
 use calibrig_model::{CalibrationModel, ModelError, ParameterId, PoseQuery};
 
+/// Rows of a point that is seen once.
+const ROWS_OF_A_READING: usize = 3;
+/// Share of the largest eigenvalue below which a combination of rows is rounding.
+const SAME_ROW: f64 = 1e-13;
+/// Bound on the iterations of an eigenvalue decomposition.
+const MOST_TURNS: usize = 1000;
 /// How far a joint may be beyond its limits by rounding, m or rad.
 const ROUNDING: f64 = 1e-9;
 
@@ -75,7 +81,7 @@ impl<'a> PlannedSession<'a> {
                 .map_err(|source| PlanError::Region { index, source })?;
             within_limits(model, pose.command, || format!("pose {} of the region", index + 1))?;
         }
-        let rows = system.rows(None)?;
+        let rows = merged(system.rows(None)?);
         let numbers: Vec<u32> = system.poses().collect();
         let places: Vec<usize> = (0..numbers.len()).filter(|place| !is_measured(numbers[*place])).collect();
         let candidates = places.iter().map(|place| numbers[*place]).collect();
@@ -128,7 +134,7 @@ impl<'a> PlannedSession<'a> {
             let x = self.system.drawn(tolerance, &mut stream(seed, robot, Source::PlannedRobots));
             let robot = robot as usize;
             let rows = self.system.rows(Some(&x)).map_err(|source| PlanError::Drawn { robot, source })?;
-            spaces.push(self.space_of(Some(&x), &rows, &scale)?);
+            spaces.push(self.space_of(Some(&x), &merged(rows), &scale)?);
         }
         Ok(spaces)
     }
@@ -170,6 +176,29 @@ impl<'a> PlannedSession<'a> {
         let shifts: Vec<_> = chosen.iter().map(shift).collect();
         Ok(DriftCoupling::new(space, chosen, &shifts))
     }
+}
+
+/// Rows of poses that are read more than once, as few as tell the same: visits of a pose repeat their rows, and the search takes the square of their number.
+/// They are turned against each other, which changes neither the information nor its coupling with drift.
+fn merged(mut rows: PlannedRows) -> PlannedRows {
+    for (pose, shift) in rows.poses.iter_mut().zip(&mut rows.shifts) {
+        if pose.nrows() <= ROWS_OF_A_READING {
+            continue;
+        }
+        let products = &*pose * pose.transpose();
+        let Some(turns) = SymmetricEigen::try_new(products, f64::EPSILON, MOST_TURNS) else { continue };
+        let largest = turns.eigenvalues.max();
+        let told: Vec<usize> =
+            (0..pose.nrows()).filter(|row| turns.eigenvalues[*row] > SAME_ROW * largest).collect();
+        if told.len() == pose.nrows() {
+            continue;
+        }
+        let turn = turns.eigenvectors.select_columns(&told);
+        let (turned, left) = (turn.tr_mul(pose), turn.tr_mul(shift));
+        *pose = turned;
+        *shift = left;
+    }
+    rows
 }
 
 fn stacked(matrices: &[&DMatrix<f64>], columns: usize) -> DMatrix<f64> {

@@ -137,6 +137,11 @@ impl DesignSpace {
         self.first.len() - 1
     }
 
+    /// Rows of the candidate that has most.
+    pub fn most_rows(&self) -> usize {
+        (0..self.candidates()).map(|candidate| self.of(candidate).len()).max().unwrap_or(0)
+    }
+
     /// Number of poses of the region.
     pub fn region(&self) -> usize {
         self.first_of_region.len() - 1
@@ -202,7 +207,7 @@ impl DesignSpace {
 
     /// Whether some `count` poses could have rows enough.
     pub(super) fn check_count(&self, count: usize) -> Result<(), PlanError> {
-        let most = (0..self.candidates()).map(|candidate| self.of(candidate).len()).max().unwrap_or(0);
+        let most = self.most_rows();
         let parameters = self.parameters.len();
         let known = analyse_r(&self.fixed, &self.parameters).rank;
         let determined = known + count * most;

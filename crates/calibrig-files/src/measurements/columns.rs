@@ -407,7 +407,7 @@ impl Entry {
     }
 
     /// What a header may have of it.
-    fn names(&self) -> impl Iterator<Item = &str> {
+    pub fn names(&self) -> impl Iterator<Item = &str> {
         let terms = self.terms.iter().filter_map(|term| match &term.column {
             ColumnRef::Name(name) => Some(name.as_str()),
             ColumnRef::Number(_) => None,
@@ -416,7 +416,7 @@ impl Entry {
         terms.chain(written)
     }
 
-    fn numbers(&self) -> impl Iterator<Item = usize> {
+    pub fn numbers(&self) -> impl Iterator<Item = usize> {
         self.terms.iter().filter_map(|term| match &term.column {
             ColumnRef::Number(number) => number.checked_sub(1),
             ColumnRef::Name(_) => None,

@@ -291,7 +291,7 @@ impl<'a> Head<'a> {
         })
     }
 
-    fn optional(&self, entry: Option<&Entry>) -> Result<Option<usize>, InputError> {
+    pub fn optional(&self, entry: Option<&Entry>) -> Result<Option<usize>, InputError> {
         entry.map(|entry| self.single(entry)).transpose()
     }
 
@@ -414,7 +414,7 @@ impl<'a> Head<'a> {
     }
 
     /// The columns of the commands, with the units that the robot's joints need.
-    fn commands(&mut self, mapping: &Mapping, joints: &[JointKind]) -> Result<Vec<Quantity>, InputError> {
+    pub fn commands(&mut self, mapping: &Mapping, joints: &[JointKind]) -> Result<Vec<Quantity>, InputError> {
         let (found, expected) = (mapping.joints.len(), joints.len());
         if found != expected {
             let message =
@@ -433,7 +433,23 @@ impl<'a> Head<'a> {
             .collect()
     }
 
+    /// Refuses calibrig's own columns of which none is measured, as of a plan that nobody has measured yet.
+    fn refuse_unmeasured(&self, columns: &PositionColumns) -> Result<(), InputError> {
+        let PositionColumns::Spherical { range, azimuth, polar, .. } = columns else { return Ok(()) };
+        let is_there = |entry: &Entry| self.find(&ColumnRef::Name(entry.written.clone()), false).is_ok();
+        if self.map.is_some() || self.joints.is_some() || [range, azimuth, polar].into_iter().any(is_there) {
+            return Ok(());
+        }
+        let message = format!("column {} is missing, and so is every other that is measured", range.written);
+        let expected = format!(
+            "columns x_m, y_m, z_m, or range_m, az_rad, el_rad beside the commands (a plan has none before it is measured); found {}",
+            self.points.names()
+        );
+        Err(self.points.refuse(message, &expected))
+    }
+
     fn position(&mut self, columns: &PositionColumns) -> Result<Position, InputError> {
+        self.refuse_unmeasured(columns)?;
         Ok(match columns {
             PositionColumns::Cartesian { axes: [x, y, z], unit } => {
                 let kind = Kind::Length(*unit, "position.unit");

@@ -7,6 +7,7 @@
 
 mod cells;
 mod columns;
+mod commands;
 mod faces;
 mod files;
 mod goals;
@@ -30,6 +31,7 @@ mod units;
 mod writer;
 
 pub use columns::{ColumnMap, MissedCode, PoseList, RowOptions};
+pub use commands::parse_commands;
 pub use files::{MeasurementFiles, PointsFile, parse_measurements, read_files, read_measurements, read_rows};
 pub use goals::{parse_goals, read_goals};
 pub use loaded::LoadedMeasurements;

@@ -199,6 +199,13 @@ impl RowReader<'_> {
 }
 
 impl RowReader<'_> {
+    /// Number and command of a pose that is not measured.
+    pub fn commanded(&self, row: &Row, names: &mut Names) -> Result<(u32, Vec<f64>), InputError> {
+        let cells = Cells { reader: self, row };
+        let pose = self.columns.pose.map_or(Ok(self.rows), |column| cells.pose(column, names))?;
+        Ok((pose, cells.command()?))
+    }
+
     /// What is to be said of the file's readings beside the rows.
     pub fn remarks(&self) -> Vec<String> {
         let mut remarks = self.faces.remarks(self.file);

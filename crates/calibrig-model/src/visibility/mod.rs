@@ -4,6 +4,7 @@
 //! Nothing in here is fitted and nothing is random. The links are the boxes, cylinders and spheres of the robot's URDF, or capsules along its chain.
 
 mod hull;
+mod room;
 mod shape;
 #[cfg(test)]
 mod tests;
@@ -14,6 +15,7 @@ use thiserror::Error;
 use crate::geometry::Transform;
 use crate::{KinematicModel, Visual};
 pub use hull::Hull;
+pub use room::{Built, Contact, Room};
 use shape::{Placed, distance_of_segments, distance_to_segment};
 
 /// A reflector on the flange, and from where light comes back from it.
@@ -170,6 +172,28 @@ impl Obstacles {
     #[must_use]
     pub fn with_floor(self, up: UnitVector3<f64>, height: f64) -> Self {
         Self { floor: Some((up, height)), ..self }
+    }
+
+    /// The same with every part, and the floor, larger by `clearance` (m) on every side.
+    #[must_use]
+    pub fn grown(&self, clearance: f64) -> Self {
+        Self {
+            names: self.names.clone(),
+            shapes: self.shapes.iter().map(|own| own.iter().map(|s| s.grown(clearance)).collect()).collect(),
+            chain: self.chain.map(|radius| radius + clearance),
+            floor: self.floor.map(|(up, height)| (up, height + clearance)),
+            standoff: self.standoff,
+        }
+    }
+
+    /// Up, in the base frame, and the floor's height along it, m.
+    pub fn floor(&self) -> Option<(UnitVector3<f64>, f64)> {
+        self.floor
+    }
+
+    /// Names of the base and of every link by its joint, as [`Hull::link`] counts them.
+    pub fn names(&self) -> &[String] {
+        &self.names
     }
 
     /// The end of the beam at the reflector that nothing is asked to leave free, m: where the ball and its seat are.

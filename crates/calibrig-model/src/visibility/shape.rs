@@ -17,7 +17,13 @@ pub(super) struct Placed {
 impl Placed {
     /// The shape, larger by `margin` (m) on every side.
     pub(super) fn new(visual: &Visual, margin: f64) -> Self {
-        let shape = match visual.shape {
+        let own = Self { link_from_shape: visual.link_from_shape, shape: visual.shape, bound: 0.0 };
+        own.grown(margin)
+    }
+
+    /// The same, larger by so much (m) on every side.
+    pub(super) fn grown(&self, margin: f64) -> Self {
+        let shape = match self.shape {
             VisualShape::Box(edges) => VisualShape::Box(edges.map(|edge| edge + 2.0 * margin)),
             VisualShape::Cylinder { radius, length } => {
                 VisualShape::Cylinder { radius: radius + margin, length: length + 2.0 * margin }
@@ -29,7 +35,7 @@ impl Placed {
             VisualShape::Cylinder { radius, length } => radius.hypot(0.5 * length),
             VisualShape::Sphere(radius) => radius,
         };
-        Self { link_from_shape: visual.link_from_shape, shape, bound }
+        Self { link_from_shape: self.link_from_shape, shape, bound }
     }
 
     /// A capsule about the shape's longest axis that holds it: its ends in the base frame, and its radius, m.

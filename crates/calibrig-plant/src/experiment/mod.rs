@@ -5,7 +5,7 @@ mod room;
 mod room_tests;
 mod stand;
 
-pub use room::{Built, Room, usable_ranges};
+pub use room::{clear_region, usable_ranges};
 pub use stand::{Place, Stand};
 
 use rand::{Rng, RngExt};

@@ -5,9 +5,9 @@ use std::f64::consts::{FRAC_PI_4, PI, TAU};
 use nalgebra::{Point3, Rotation3, UnitVector3, Vector3};
 
 use super::WorkingRegion;
-use super::room::Room;
+use super::room::rounded;
 use calibrig_model::geometry::Transform;
-use calibrig_model::visibility::{FreeSight, Hidden, Reflector, Stance, TrackerReach, stance_at};
+use calibrig_model::visibility::{FreeSight, Hidden, Reflector, Room, Stance, TrackerReach, stance_at};
 use rand::Rng;
 
 /// A tracker that seeks its place about a robot.
@@ -178,7 +178,7 @@ impl Stand<'_> {
             let mut sides: Vec<[f64; 2]> =
                 region.centre.iter().zip(&region.half_width).map(|(c, half)| [c - half, c + half]).collect();
             sides[joint][usize::from(sign > 0.0)] -= sign * 2.0 * TRIM * region.half_width[joint];
-            region = self.room.rounded(&sides);
+            region = rounded(&self.room, &sides);
         }
         let poses: Vec<_> = (0..500).map(|_| self.room.completed(region.draw(rng))).collect();
         let place = self.seen_from(place.position, place.yaw, &poses);

@@ -293,3 +293,32 @@ fn drift_is_spread_over_the_poses() {
     assert!(spread.cost.drift < 0.7 * sorted.drift && spread.cost.drift < short.cost.drift);
     assert!((0.0..1.0).contains(&spread.cost.drift));
 }
+
+/// Poses that are visited twice take no more rows than those that are visited once, and tell what a fit of all visits knows.
+#[test]
+fn visits_of_a_pose_are_merged() {
+    let model = arm();
+    let once = set(&model, &candidate_commands(&model, &LIMITS, 40).expect("candidates"));
+    let later = once.observations.iter().map(|own| Observation { time: 60.0, ..own.clone() });
+    let twice = MeasurementSet {
+        observations: once.observations.iter().cloned().chain(later).collect(),
+        ..once.clone()
+    };
+    let region = candidate_commands(&model, &LIMITS, 20).expect("a region");
+    let queries: Vec<PoseQuery<'_>> = region.iter().map(PoseQuery::from).collect();
+    let options = options(Mode::ElastoGeometric);
+    let mut rms = Vec::new();
+    for set in [&once, &twice] {
+        let mut session = PlannedSession::new(&model, set, &options, None, &[], &queries).expect("a session");
+        let space = session.space(&ParameterScale::Effect).expect("a space");
+        assert_eq!((space.candidates(), space.most_rows()), (40, 6));
+        let chosen: Vec<u32> = (1..=20).collect();
+        let estimate = identify(&model, &of_poses(set, &chosen), &options).expect("an estimate");
+        compare(&estimate, &mut session, &chosen, &region);
+        let drift = session.drift_coupling(&space, &(0..20).collect::<Vec<_>>());
+        assert!(drift.is_ok(), "{drift:?}");
+        let figures = space.figures(&(0..20).collect::<Vec<_>>()).expect("told");
+        rms.push(figures.accuracy.expect("a region").of_parameters.rms);
+    }
+    assert!(rms[1] < rms[0], "{rms:?}");
+}

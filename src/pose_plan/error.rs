@@ -1,0 +1,86 @@
+//! Why there is no plan.
+
+use thiserror::Error;
+
+use crate::pipeline::PipelineError;
+use calibrig_estimation::identification::PredictionError;
+use calibrig_estimation::planning::PlanError;
+
+/// Poses that cannot be planned.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum PosePlanError {
+    /// The choice.
+    #[error(transparent)]
+    Plan(#[from] PlanError),
+    /// The planned session.
+    #[error(transparent)]
+    Pipeline(#[from] PipelineError),
+    /// The robot.
+    #[error(transparent)]
+    Robot(#[from] PredictionError),
+    /// Too few poses are left.
+    #[error(
+        "{kept} of {drawn} candidate poses can be measured, and {wanted} are to be chosen{}",
+        reasons(refused)
+    )]
+    TooFew {
+        /// Those that can.
+        kept: usize,
+        /// Looked at.
+        drawn: usize,
+        /// To be chosen.
+        wanted: usize,
+        /// How many were refused, and why; the most first.
+        refused: Vec<(String, usize)>,
+    },
+    /// No pose where the robot is to work.
+    #[error(
+        "none of {looked} poses of the working region can be taken by the nominal robot{}",
+        reasons(refused)
+    )]
+    NoRegion {
+        /// Looked at.
+        looked: usize,
+        /// Why not.
+        refused: Vec<(String, usize)>,
+    },
+    /// An accuracy that is asked for without a number of poses, and is out of reach.
+    #[error("no number of poses reaches {:.4} mm: {why}", 1e3 * accuracy)]
+    OutOfReach {
+        /// m
+        accuracy: f64,
+        /// In words.
+        why: String,
+    },
+}
+
+fn reasons(refused: &[(String, usize)]) -> String {
+    let told: Vec<_> = refused.iter().take(4).map(|(why, count)| format!("{why} ({count})")).collect();
+    if told.is_empty() { String::new() } else { format!(": {}", told.join(", ")) }
+}
+
+impl PosePlanError {
+    /// One thing to try.
+    pub fn help(&self) -> &'static str {
+        match self {
+            Self::TooFew { .. } => {
+                "expected more candidates (--candidates), fewer poses, another place of the tracker, or less --clearance-mm"
+            }
+            Self::NoRegion { .. } => {
+                "expected a region that the robot can work in: look at its limits and shapes"
+            }
+            Self::OutOfReach { .. } => {
+                "expected a larger --accuracy, or --poses N for the best that so many tell; see the curve of calibrig plan --poses N"
+            }
+            Self::Plan(PlanError::NoNoise { .. }) => {
+                "expected readings that state their uncertainty, or --tracker or --noise-um"
+            }
+            Self::Plan(PlanError::TooFewPoses { .. }) => "expected more poses (--poses), or a prior",
+            Self::Plan(PlanError::Singular { .. }) => {
+                "expected more or other poses, a prior (--tolerance-mm, --tolerance-mrad), or fewer parameters; `calibrig identifiability` says what the poses tell"
+            }
+            _ => "see the reason",
+        }
+    }
+}

@@ -1,0 +1,246 @@
+//! Which candidates can be measured: asked of the nominal robot (or of the one that a session before found).
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use calibrig_estimation::identification::{CalibratedRobot, PredictionError, Predictor};
+use calibrig_model::geometry::Transform;
+use calibrig_model::nalgebra::{UnitVector3, Vector3};
+use calibrig_model::visibility::{
+    Built, Contact, Hidden, Obstacles, Reflector, Room, Stance, TrackerReach, stance_at,
+};
+use calibrig_model::{ActuatorMap, KinematicModel, PoseQuery};
+
+/// A tracker at its place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stand {
+    /// Where it stands.
+    pub base_from_tracker: Transform,
+    /// What it can point at.
+    pub reach: TrackerReach,
+}
+
+/// What stands around the robot.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Surroundings {
+    /// Its links, by which it touches itself and the floor.
+    pub obstacles: Obstacles,
+    /// The trackers; empty where nobody knows where they stand, and then every target is taken as seen.
+    pub trackers: Vec<Stand>,
+    /// One a target, with its opening.
+    pub reflectors: Vec<Reflector>,
+    /// What can be between a tracker and a target; `None` where lines of sight are taken as free.
+    pub hides: Option<Obstacles>,
+    /// How much nearer to links and floor no pose comes, m: the real robot is not the nominal one.
+    pub clearance: f64,
+    /// How far angles stay from what a tracker or a reflector allows, rad.
+    pub angle: f64,
+}
+
+/// Why a candidate is left out.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Refused {
+    /// A joint beyond its limits, by its name.
+    Limits(String),
+    /// The linkage does not close, or the robot comes to no rest.
+    NoRest,
+    /// Two parts of the robot touch.
+    Touches(String, String),
+    /// A part of the robot is below the floor.
+    Floor(String),
+    /// Too near to the tracker, or too far.
+    Range,
+    /// Beyond the tracker's angles.
+    Angles,
+    /// The reflector looks elsewhere.
+    Turned,
+    /// A link is in between.
+    HiddenBy(String),
+    /// The floor is in between.
+    HiddenByFloor,
+}
+
+impl fmt::Display for Refused {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Limits(joint) => write!(f, "{joint} is beyond its limits"),
+            Self::NoRest => f.write_str("the linkage does not close, or the robot comes to no rest"),
+            Self::Touches(one, other) => write!(f, "{one} touches {other}"),
+            Self::Floor(part) => write!(f, "{part} is below the floor, or near it"),
+            Self::Range => f.write_str("the target is too near to the tracker, or too far from it"),
+            Self::Angles => f.write_str("the target is beyond the tracker's angles"),
+            Self::Turned => f.write_str("the reflector looks away from the tracker"),
+            Self::HiddenBy(link) => write!(f, "{link} hides the target"),
+            Self::HiddenByFloor => f.write_str("the floor hides the target"),
+        }
+    }
+}
+
+/// A pose that can be measured.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Candidate {
+    /// Joint variables, rad or m.
+    pub joints: Vec<f64>,
+    /// Where the first target is, in the base frame, m.
+    pub target: Vector3<f64>,
+}
+
+/// What is behind the last link.
+const TARGET: &str = "the target";
+
+/// The filters of a robot in its surroundings, with what they refused.
+pub struct Filter<'a> {
+    around: &'a Surroundings,
+    kinematics: &'a KinematicModel,
+    actuators: &'a ActuatorMap,
+    predictor: Predictor<'a>,
+    planes: Vec<(UnitVector3<f64>, f64)>,
+    built: Built,
+    /// The links somewhat larger.
+    larger: Option<Obstacles>,
+    /// Nearly all that the trackers can point at.
+    reaches: Vec<TrackerReach>,
+    /// How many were refused, and why.
+    pub refused: BTreeMap<Refused, usize>,
+}
+
+impl<'a> Filter<'a> {
+    /// The filters of a robot. What touches in nearly all of the `surveyed` poses (joint variables) does so by the way the robot is described.
+    ///
+    /// # Errors
+    ///
+    /// [`PredictionError`], of a robot that cannot be one.
+    pub fn new(
+        robot: &'a CalibratedRobot,
+        around: &'a Surroundings,
+        surveyed: &[Vec<f64>],
+    ) -> Result<Self, PredictionError> {
+        let floor = around.obstacles.floor().map(|(up, height)| (up, height + around.clearance));
+        let mut filter = Self {
+            around,
+            kinematics: &robot.model.kinematics,
+            actuators: &robot.model.actuators,
+            predictor: Predictor::new(robot)?,
+            planes: floor.into_iter().collect(),
+            built: Built::default(),
+            larger: around.hides.as_ref().map(|hides| hides.grown(around.clearance)),
+            reaches: around.trackers.iter().map(|stand| within(&stand.reach, around)).collect(),
+            refused: BTreeMap::new(),
+        };
+        filter.built = filter.room().survey(surveyed);
+        Ok(filter)
+    }
+
+    fn room(&self) -> Room<'_> {
+        Room {
+            kinematics: self.kinematics,
+            actuators: self.actuators,
+            obstacles: &self.around.obstacles,
+            target: self.around.reflectors.first().map_or_else(Vector3::zeros, |own| own.in_flange),
+            planes: &self.planes,
+        }
+    }
+
+    /// The candidate at joint variables; `None` where it is refused, which is counted.
+    pub fn take(&mut self, joints: Vec<f64>) -> Option<Candidate> {
+        match self.look(&joints) {
+            Ok(target) => Some(Candidate { joints, target }),
+            Err(why) => {
+                *self.refused.entry(why).or_default() += 1;
+                None
+            }
+        }
+    }
+
+    /// The same of a pose where the robot works, which no tracker has to see.
+    pub fn works_at(&mut self, joints: Vec<f64>) -> Option<Candidate> {
+        let target = self.reached(&joints).ok()?;
+        Some(Candidate { joints, target })
+    }
+
+    fn look(&mut self, joints: &[f64]) -> Result<Vector3<f64>, Refused> {
+        let target = self.reached(joints)?;
+        self.seen(joints)?;
+        Ok(target)
+    }
+
+    /// Where the target is, where the robot can be.
+    fn reached(&mut self, joints: &[f64]) -> Result<Vector3<f64>, Refused> {
+        const ROUNDING: f64 = 1e-9;
+        for (q, link) in joints.iter().zip(&self.kinematics.links) {
+            if !(*q >= link.limits[0] - ROUNDING && *q <= link.limits[1] + ROUNDING) {
+                return Err(Refused::Limits(link.name.clone()));
+            }
+        }
+        let command = self.actuators.command_from_joints(joints);
+        let target = self.predictor.in_base(PoseQuery::at(&command)).map_err(|_| Refused::NoRest)?;
+        let names = self.around.obstacles.names();
+        let part = |part: usize| names.get(part).map_or_else(|| TARGET.to_owned(), Clone::clone);
+        match self.room().contact(joints, &self.built) {
+            None => Ok(target),
+            Some(Contact::Parts([one, other])) => Err(Refused::Touches(part(one), part(other))),
+            Some(Contact::Below([own, _])) => Err(Refused::Floor(part(own))),
+        }
+    }
+
+    /// Whether some tracker sees some target, with room to spare.
+    fn seen(&self, joints: &[f64]) -> Result<(), Refused> {
+        let mut first = None;
+        if self.around.trackers.is_empty() {
+            return Ok(());
+        }
+        let (links, flange) = stance_at(self.kinematics, joints);
+        let stance = Stance { links: &links, flange: &flange };
+        for (stand, reach) in self.around.trackers.iter().zip(&self.reaches) {
+            for reflector in &self.around.reflectors {
+                match self.looks(stance, stand, reach, reflector) {
+                    Ok(()) => return Ok(()),
+                    Err(why) => _ = first.get_or_insert(why),
+                }
+            }
+        }
+        Err(first.map_or(Refused::Range, |why| named(&why)))
+    }
+
+    fn looks(
+        &self,
+        stance: Stance<'_>,
+        stand: &Stand,
+        reach: &TrackerReach,
+        own: &Reflector,
+    ) -> Result<(), Hidden> {
+        let from = &stand.base_from_tracker;
+        let (Some(hides), Some(larger)) = (&self.around.hides, &self.larger) else {
+            let target = stance.flange.rotation * own.in_flange + stance.flange.translation.vector;
+            return reach.point_at(from, &target).map(|_| ());
+        };
+        let strict = Reflector { acceptance: (own.acceptance - self.around.angle).max(0.0), ..*own };
+        // A larger shape that holds the target hides nothing: both are asked.
+        hides.look(from, reach, stance, &strict)?;
+        larger.look(from, reach, stance, &strict).map(|_| ())
+    }
+}
+
+/// What a tracker can point at, less what a real robot is beside the nominal one.
+fn within(reach: &TrackerReach, around: &Surroundings) -> TrackerReach {
+    let less = |[low, high]: [f64; 2], by: f64| {
+        if high - low > 2.0 * by { [low + by, high - by] } else { [low, high] }
+    };
+    let turn = std::f64::consts::TAU - 1e-9;
+    let all_round = reach.azimuth[1] - reach.azimuth[0] >= turn;
+    TrackerReach {
+        range: less(reach.range, around.clearance),
+        elevation: less(reach.elevation, around.angle),
+        azimuth: if all_round { reach.azimuth } else { less(reach.azimuth, around.angle) },
+    }
+}
+
+fn named(why: &Hidden) -> Refused {
+    match why {
+        Hidden::ByLink { link } => Refused::HiddenBy(link.clone()),
+        Hidden::ByFloor { .. } => Refused::HiddenByFloor,
+        Hidden::Turned { .. } => Refused::Turned,
+        Hidden::Elevation { .. } | Hidden::Azimuth { .. } => Refused::Angles,
+        _ => Refused::Range,
+    }
+}
