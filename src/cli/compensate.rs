@@ -30,7 +30,7 @@ use calibrig_model::nalgebra::Vector3;
 /// A controller computes its commands for the nominal robot. Here they are changed by as little as brings the identified robot's tool to its goal, with its deflection and its terms, to 1 um on the model; with how far off the
 /// nominal command would be, and the standard deviation of every corrected point.
 ///
-/// Goals of a table are a path where it has a column time_s or a speed is stated, else each is for itself; a raster is a path. Along a path each point is sought from the one before, so that joints do not jump,
+/// Goals of a table are a path where it has a column of times or a speed is stated, else each is for itself; a raster is a path. Along a path each point is sought from the one before, so that joints do not jump,
 /// and corrected for the side from which every actuator comes.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::super::json::{JsonSoftware, finite};
 use crate::compensate::{Beyond, Compensation, Corrected, End, Lengths};
-use calibrig_estimation::compensation::{CorrectionGrid, GridSpread, SpeedExcess};
+use calibrig_estimation::compensation::{CompensatedPoint, CorrectionGrid, GridSpread, SpeedExcess};
 use calibrig_estimation::inverse::{Goal, JointAtLimit, LimitEnd, Unreachable};
 
 /// The schema's name.
@@ -300,7 +300,7 @@ fn corrected(made: &Compensation, index: usize, point: &Corrected) -> JsonCorrec
         before_m: found.map(|found| axes(&found.uncompensated)),
         left_m: found.and_then(|found| finite(found.missed())),
         left_rad: found.and_then(|_| finite(point.left_angle)),
-        sigma_m: found.and_then(|found| found.sigma()).map(|sigma| axes(&sigma)),
+        sigma_m: found.and_then(CompensatedPoint::sigma).map(|sigma| axes(&sigma)),
         sigma_3d_m: point.sigma().and_then(finite),
         limits: found.iter().flat_map(|found| &found.limits).map(at_limit).collect(),
         extrapolated: point.beyond.iter().map(beyond).collect(),

@@ -16,8 +16,7 @@ fn cells(numbers: Option<Vec<f64>>, count: usize) -> Vec<String> {
 }
 
 fn text(writer: csv::Writer<Vec<u8>>) -> Result<String, ReportError> {
-    let bytes =
-        writer.into_inner().map_err(|error| csv::Error::from(std::io::Error::from(error.into_error())))?;
+    let bytes = writer.into_inner().map_err(|error| csv::Error::from(error.into_error()))?;
     Ok(String::from_utf8_lossy(&bytes).into_owned())
 }
 

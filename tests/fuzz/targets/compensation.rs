@@ -54,7 +54,7 @@ pub fn read_goal_file(text: String, choices: &mut Choices<'_>) {
             standoff: stated.standoff,
         };
         // A million points of a raster are allowed, and too many here.
-        let size = raster.corners.iter().map(|corner| corner.norm()).fold(0.0, f64::max);
+        let size = raster.corners.iter().map(calibrig::nalgebra::Matrix::norm).fold(0.0, f64::max);
         if size < 1e4 * stated.spacing.min(stated.pitch)
             && size < 30.0 * stated.pitch
             && size < 30.0 * stated.spacing
