@@ -177,7 +177,7 @@ pub fn plan(
     if wanted == 0 {
         return Err(PlanError::NoPoses.into());
     }
-    if found.kept.len() < wanted && !(request.repeats && !found.kept.is_empty()) {
+    if found.kept.len() < wanted && (!request.repeats || found.kept.is_empty()) {
         let refused = found.refused_words();
         return Err(PosePlanError::TooFew { kept: found.kept.len(), drawn: found.looked, wanted, refused });
     }
@@ -536,12 +536,7 @@ pub fn surroundings_of(scenario: &Scenario, clearance: f64, angle: f64) -> Surro
 }
 
 /// A cell of a scenario.
-pub fn cell_of<'a>(
-    scenario: &'a Scenario,
-    options: IdentificationOptions,
-    clearance: f64,
-    angle: f64,
-) -> Cell<'a> {
+pub fn cell_of(scenario: &Scenario, options: IdentificationOptions, clearance: f64, angle: f64) -> Cell<'_> {
     Cell {
         name: scenario.name.clone(),
         model: &scenario.robot.model,

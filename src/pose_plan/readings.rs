@@ -14,6 +14,8 @@ use crate::scenario::Scenario;
 
 /// Who says what would be read.
 #[derive(Debug, Clone)]
+// One a plan.
+#[allow(clippy::large_enum_variant)]
 pub enum Readings<'a> {
     /// The session of a scenario, with the nominal robot in place of its machine.
     Scenario(&'a Scenario),

@@ -237,7 +237,9 @@ fn of_files(args: &Args, robot: Robot) -> Result<Read, CliError> {
     let loaded = load(robot, args.columns.as_deref(), args.session.as_deref(), &args.rows, asked)?;
     loaded.check_session()?;
     let Loaded { robot, sets, places, read, statements, .. } = loaded;
-    read.iter().for_each(|line| say(line));
+    for line in &read {
+        say(line);
+    }
     let mode = wanted(args, &robot.model);
     let options = IdentificationOptions { mode, ..default_options(&robot) };
     let sets = without_drift(sets).map_err(|error| failed(error, &file, &[], &places))?.sets;
@@ -326,10 +328,9 @@ impl Read {
             };
             let link = &model.kinematics.links[place];
             let value = |(number, unit): &(f64, String)| match (link.kind, unit.as_str()) {
-                (JointKind::Prismatic, "mm") => 1e-3 * number,
+                (JointKind::Prismatic, "mm") | (JointKind::Revolute, "mrad") => 1e-3 * number,
                 (JointKind::Prismatic, "m") | (JointKind::Revolute, "rad") => *number,
                 (JointKind::Revolute, "deg") => number.to_radians(),
-                (JointKind::Revolute, "mrad") => 1e-3 * number,
                 (kind, _) => {
                     let units = if kind == JointKind::Prismatic { "mm or m" } else { "deg, rad or mrad" };
                     misused(&format!("--region {}: expected its range in {units}", own.joint))

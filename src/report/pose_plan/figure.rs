@@ -1,11 +1,13 @@
 //! Accuracy against number, where the poses are, and which joint ranges they cover.
 
+use std::ops::Range;
+
 use plotters::element::DashedPathElement;
 use plotters::prelude::*;
 
 use super::super::plots::{
-    Area, Drawn, GRID, INK, LOOKS, SCALE, VIEWS, WIDTH, centred, drawable, finite_range, foot, ink, marker,
-    padded, place_axes, px, svg, text_style, tick, values_below,
+    Area, Chart, Drawn, GRID, INK, LOOKS, SCALE, VIEWS, WIDTH, centred, drawable, finite_range, foot, ink,
+    marker, padded, place_axes, px, svg, text_style, tick, values_below,
 };
 use crate::pose_plan::PosePlan;
 use crate::report::ReportError;
@@ -63,26 +65,7 @@ pub(super) fn curve(plan: &PosePlan) -> Result<String, ReportError> {
         |area| {
             let (body, _) = area.split_vertically(px(PANEL));
             let (x, y) = (0.0..1.04 * most_x, 0.0..most_y);
-            let mut chart = ChartBuilder::on(&body)
-                .margin_top(px(6))
-                .margin_right(px(12))
-                .x_label_area_size(px(24))
-                .y_label_area_size(px(62))
-                .build_cartesian_2d(x.clone(), y)?;
-            chart
-                .configure_mesh()
-                .disable_x_mesh()
-                .x_labels(10)
-                .y_labels(6)
-                .bold_line_style(GRID.stroke_width(2))
-                .light_line_style(TRANSPARENT)
-                .axis_style(INK.mix(0.6).stroke_width(2))
-                .label_style(text_style())
-                .axis_desc_style(text_style())
-                .y_desc("standard deviation, \u{b5}m")
-                .x_label_formatter(&|v| tick(*v))
-                .y_label_formatter(&|v| tick(*v))
-                .draw()?;
+            let chart = axes(&body, x.clone(), y)?;
             let plot = chart.plotting_area();
             let level = |value: f64, look: usize| -> Drawn {
                 let line = vec![(x.start, value), (x.end, value)];
@@ -129,6 +112,31 @@ pub(super) fn curve(plan: &PosePlan) -> Result<String, ReportError> {
             foot(area, "poses")
         },
     )
+}
+
+/// The axes of the curve.
+fn axes<'a, 'b>(area: &'b Area<'a>, x: Range<f64>, y: Range<f64>) -> Drawn<Chart<'a, 'b>> {
+    let mut chart = ChartBuilder::on(area)
+        .margin_top(px(6))
+        .margin_right(px(12))
+        .x_label_area_size(px(24))
+        .y_label_area_size(px(62))
+        .build_cartesian_2d(x, y)?;
+    chart
+        .configure_mesh()
+        .disable_x_mesh()
+        .x_labels(10)
+        .y_labels(6)
+        .bold_line_style(GRID.stroke_width(2))
+        .light_line_style(TRANSPARENT)
+        .axis_style(INK.mix(0.6).stroke_width(2))
+        .label_style(text_style())
+        .axis_desc_style(text_style())
+        .y_desc("standard deviation, \u{b5}m")
+        .x_label_formatter(&|v| tick(*v))
+        .y_label_formatter(&|v| tick(*v))
+        .draw()?;
+    Ok(chart)
 }
 
 /// Candidates, region, poses and trackers in three views, m.
