@@ -319,7 +319,11 @@ pub(super) fn verdict(outcome: &Outcome) -> Verdict {
     for (mode, reason) in &reasons {
         say(&format!("doubtful: {}: {reason}", mode.title()));
     }
-    if reasons.is_empty() { Verdict::Done } else { Verdict::Doubtful }
+    let failures = outcome.closed_loop.as_ref().map_or(&[][..], |driven| &driven.failures);
+    for failure in failures {
+        say(&format!("not driven: {}: {}", failure.what, failure.why));
+    }
+    if reasons.is_empty() && failures.is_empty() { Verdict::Done } else { Verdict::Doubtful }
 }
 
 /// Parameters that are told to move still.

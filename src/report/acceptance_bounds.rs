@@ -1,6 +1,9 @@
 //! What held-out errors say of all poses of the region: bounds with a confidence, not only the largest that was seen.
 
+use std::fmt::Write;
+
 use maud::{Markup, html};
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::counted;
@@ -55,7 +58,7 @@ fn held_out(outcome: &Outcome, index: usize) -> Vec<(Mode, Acceptance)> {
         return Vec::new();
     }
     let of = |mode: &crate::pipeline::ModeOutcome| {
-        let errors: Vec<f64> = mode.errors.get(index)?.iter().map(|error| error.norm()).collect();
+        let errors: Vec<f64> = mode.errors.get(index)?.iter().map(Vector3::norm).collect();
         Some((mode.mode, bounds(&errors)?))
     };
     outcome.modes.iter().filter_map(of).collect()
@@ -90,7 +93,8 @@ fn note(found: &Acceptance) -> String {
         100.0 * found.largest.share_below
     );
     if found.distribution_free.is_none() {
-        words.push_str(&format!("; 95 % whatever the distribution needs {}", found.needed));
+        // Writing to a String cannot fail.
+        let _ = write!(words, "; 95 % whatever the distribution needs {}", found.needed);
     }
     words
 }

@@ -42,6 +42,18 @@ pub struct JsonCompensation {
     /// A path; absent where not asked for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub path: Option<JsonDrivenPath>,
+    /// What could not be driven; absent where all was.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub failures: Vec<JsonDriveFailure>,
+}
+
+/// Something that could not be driven.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct JsonDriveFailure {
+    /// What, in words.
+    pub what: String,
+    /// Why.
+    pub why: String,
 }
 
 /// A way to resolve the redundancy.
@@ -177,6 +189,11 @@ pub(super) fn json_compensation(driven: &ClosedLoop) -> JsonCompensation {
                 .filter_map(|mode| Some((mode.mode.key().to_owned(), plain(&mode.row()?))))
                 .collect(),
         }),
+        failures: driven
+            .failures
+            .iter()
+            .map(|failure| JsonDriveFailure { what: failure.what.clone(), why: failure.why.clone() })
+            .collect(),
     }
 }
 
@@ -261,8 +278,15 @@ pub(super) fn closed_loop_lines(outcome: &Outcome, driven: &ClosedLoop, style: S
             lines.extend(wrap(&printable(&words), "    ").iter().map(|l| style.paint(Ink::Warning, l)));
         }
     }
+    for words in failure_words(driven) {
+        lines.extend(wrap(&printable(&words), "    ").iter().map(|l| style.paint(Ink::Warning, l)));
+    }
     lines.push(String::new());
     lines
+}
+
+fn failure_words(driven: &ClosedLoop) -> impl Iterator<Item = String> + '_ {
+    driven.failures.iter().map(|failure| format!("not driven: {}: {}", failure.what, failure.why))
 }
 
 /// What was driven, in words.
@@ -347,7 +371,7 @@ fn path_words(path: &DrivenPath) -> String {
 /// The section of the page; nothing where no command was corrected.
 pub(super) fn closed_loop_section(outcome: &Outcome) -> Result<Markup, ReportError> {
     let Some(driven) = &outcome.closed_loop else { return Ok(html! {}) };
-    let path = driven.path.as_ref().map(|path| path_figure(path)).transpose()?;
+    let path = driven.path.as_ref().map(path_figure).transpose()?;
     let bars = goal_figure(driven)?;
     let modes: Vec<Mode> = driven.modes.iter().map(|mode| mode.mode).collect();
     Ok(html! {
@@ -361,6 +385,7 @@ pub(super) fn closed_loop_section(outcome: &Outcome) -> Result<Markup, ReportErr
             @for mode in &driven.modes {
                 @for words in uncorrected_words(mode) { p.note { (capital(&words)) "." } }
             }
+            @for words in failure_words(driven) { p.note { strong { (capital(&words)) "." } } }
             (figure(&modes, &bars, &html! {
                 "Distance of the measured tool from its goal, pose by pose. "
                 "\u{201c}" (Mode::WithoutCalibration.title()) "\u{201d} stands for the nominal commands."
@@ -543,4 +568,37 @@ fn path_figure(path: &DrivenPath) -> Result<String, ReportError> {
     };
     let curves: Vec<Curve> = path.modes.iter().map(curve).collect();
     plots::magnitudes(("compensated path", "Distance from the path along its way"), "way, m", &curves)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::{html_report, json_report, render_tables, sample};
+
+    /// The figures of the rows are those of the driven points, wherever they are told.
+    #[test]
+    fn rows_are_the_same_in_the_document_on_the_terminal_and_on_the_page() {
+        let outcome = sample::driven();
+        let driven = outcome.closed_loop.as_ref().expect("driven");
+        let row = driven.modes[2].row().expect("points");
+        let json = json_report(&outcome);
+        let set = &json.sets["compensated"];
+        assert_eq!(set.rows["with_gravity"].mean_m, [0, 1, 2].map(|axis| Some(row.mean[axis])));
+        assert_eq!(set.rows["with_gravity"].n, 38);
+        let told = json.compensation.expect("the section");
+        assert_eq!((told.goal.as_str(), told.redundancy.as_str()), ("axis", "as_planned"));
+        assert_eq!(told.uncorrected["with_gravity"][0].pose, 3);
+        assert!(!told.uncorrected.contains_key("without_calibration"));
+        assert_eq!(told.criteria[1].criterion, "deflection");
+        let rms = millimetres(row.rms_3d);
+        let text = render_tables(&outcome, Style::Plain);
+        let behind = text.split_once(HEADING).expect("the table").1;
+        let line = behind.lines().find(|line| line.starts_with(Mode::WithGravity.title())).expect("its row");
+        assert!(line.contains(&rms), "{line}");
+        assert!(behind.contains("1 pose not corrected and not counted, pose 3"), "{behind}");
+        let page = html_report(&outcome).expect("a page");
+        let section = page.split_once("id=\"compensated\"").expect("the section").1;
+        assert!(section.contains(&number(1e3 * row.rms_3d, 3)));
+        assert!(!page.contains("<script>"));
+    }
 }

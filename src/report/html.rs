@@ -769,7 +769,7 @@ mod tests {
 
     #[test]
     fn pages_are_well_formed_and_fetch_nothing() {
-        for outcome in [sample::simulated(), sample::measured()] {
+        for outcome in [sample::simulated(), sample::measured(), sample::driven()] {
             let page = html_report(&outcome).expect("a page");
             assert_balanced(&page);
             for wrong in ["<script", "<link", "<img", "src=", "@import", "url(", "NaN", ">inf<", ">-inf<"] {

@@ -28,7 +28,8 @@ mod tables;
 pub use acceptance::{acceptance_html, acceptance_json, acceptance_svg, acceptance_text};
 pub use acceptance_bounds::JsonAcceptance;
 pub use closed_loop::{
-    JsonCompensation, JsonDrivenCriterion, JsonDrivenPath, JsonDrivenPose, JsonDrivenPoseTest,
+    JsonCompensation, JsonDriveFailure, JsonDrivenCriterion, JsonDrivenPath, JsonDrivenPose,
+    JsonDrivenPoseTest,
 };
 pub use compensation::{
     COMPENSATION_FILES, COMPENSATION_SCHEMA, JsonActuator, JsonAtLimit, JsonBeyond, JsonCorrected,

@@ -10,10 +10,14 @@ use crate::pipeline::{
     RegistrationSummary, SetKind, SetOutcome, Truth,
 };
 use calibrig_estimation::evaluation::accuracy;
+use calibrig_estimation::evaluation::closed_loop::{
+    ClosedLoop, DriveFailure, DrivenCriterion, DrivenMode, DrivenPath, DrivenPoint,
+};
 use calibrig_estimation::identification::{
     CalibratedRobot, DependentGroup, Estimate, IterationRecord, Mode, NoiseScale, ParameterEstimate,
     Predictor, Spectrum, TerminationReason, Warning, WeakDirection,
 };
+use calibrig_estimation::inverse::Criterion;
 use calibrig_estimation::kinematics::target_in_base;
 use calibrig_files::Source as InputText;
 use calibrig_model::geometry::{
@@ -55,9 +59,8 @@ const PUBLISHED: [(SetKind, Mode, [f64; 6]); 6] = [
     (SetKind::Verification, Mode::WithGravity, [0.0021, 0.0008, 0.0015, 0.0005, 0.0029, 0.0011]),
 ];
 
-/// A simulated run with truth, 60 and 38 poses, two of the verification set dropped.
-pub(super) fn simulated() -> Outcome {
-    let nominal = nominal();
+/// The nominal robot with the deviations of the machine.
+fn built(nominal: &KinematicModel) -> KinematicModel {
     let mut as_built = nominal.clone();
     for (link, row) in DEVIATIONS.iter().enumerate() {
         for (term, value) in LinkTerm::ALL.into_iter().zip(row) {
@@ -66,6 +69,64 @@ pub(super) fn simulated() -> Outcome {
     }
     // One real deviation that no mode fits.
     as_built.add(ParameterId::link(5, LinkTerm::Beta), 0.005);
+    as_built
+}
+
+/// The same with corrected commands that were driven: every error is what its mode predicted, and a pose of the last mode was not corrected.
+pub(super) fn driven() -> Outcome {
+    let mut outcome = simulated();
+    let of_mode = |mode: &ModeOutcome| {
+        let set = outcome.sets[1].clone();
+        let point = |(observation, error): (&Observation, &Vector3<f64>)| DrivenPoint {
+            pose: observation.pose,
+            goal: Vector3::new(1.0, 0.1 * f64::from(observation.pose), 0.5),
+            measured: Vector3::new(1.0, 0.1 * f64::from(observation.pose), 0.5) + error,
+            command: observation.command.clone(),
+            sigma: mode.estimate.as_ref().map(|_| Vector3::repeat(1e-4)),
+        };
+        let points: Vec<_> = set.measurements.observations.iter().zip(&mode.errors[1]).map(point).collect();
+        let uncorrected =
+            mode.estimate.iter().map(|_| (3, format!("the goal of {HOSTILE} is out of reach"))).collect();
+        DrivenMode {
+            mode: mode.mode,
+            set,
+            points,
+            uncorrected,
+            position_alone: vec![(4, "singular".to_owned())],
+        }
+    };
+    let modes: Vec<DrivenMode> = outcome.modes.iter().map(of_mode).collect();
+    let row = modes[1].row();
+    let criterion = |criterion| DrivenCriterion {
+        criterion,
+        mode: Mode::WithGravity,
+        droop: criterion.map(|_| [0.015, 0.02]),
+        nominal: row,
+        corrected: row,
+        missed: 1,
+    };
+    let path = DrivenPath {
+        length: 3.8,
+        speed: 0.3,
+        unreachable: vec![(7, "far".to_owned())],
+        modes: modes.clone(),
+    };
+    outcome.closed_loop = Some(ClosedLoop {
+        rows_of_goal: 5,
+        redundancy: None,
+        modes,
+        criteria: vec![criterion(None), criterion(Some(Criterion::LEAST_DEFLECTION))],
+        pose_test: None,
+        path: Some(path),
+        failures: vec![DriveFailure { what: "the pose test".to_owned(), why: "no cube".to_owned() }],
+    });
+    outcome
+}
+
+/// A simulated run with truth, 60 and 38 poses, two of the verification set dropped.
+pub(super) fn simulated() -> Outcome {
+    let nominal = nominal();
+    let as_built = built(&nominal);
     let prior = translation(3.0, -6.0, 1.2) * rotation_z(0.4) * rotation_x(-1.5);
     let tracker_from_base = prior * small_displacement(&Vector6::from(TRUE_FRAME));
     let target = Vector3::from(STATED_TARGET) + Vector3::from(TARGET_ERROR);

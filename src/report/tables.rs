@@ -331,7 +331,7 @@ mod tests {
 
     #[test]
     fn a_plain_report_has_no_escapes_and_no_report_is_wider_than_100_columns() {
-        for outcome in [sample::simulated(), sample::measured()] {
+        for outcome in [sample::simulated(), sample::measured(), sample::driven()] {
             let plain = render_tables(&outcome, Style::Plain);
             assert!(!plain.contains('\x1b'));
             for line in plain.lines() {

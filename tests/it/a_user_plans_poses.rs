@@ -1,5 +1,6 @@
 //! A user plans the poses of a session: which, how many, in which order, and which next.
 
+use std::fmt::Write;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
@@ -186,7 +187,8 @@ fn a_measured_plan_is_identified_from() {
     let columns = ["range_m", "az_rad", "el_rad"].map(of);
     let mut text = String::new();
     for (row, seen) in rows(&plan).iter().zip(&measured) {
-        text += &format!("{},{}\n", row.join(","), columns.map(|column| seen[column].clone()).join(","));
+        let seen = columns.map(|column| seen[column].clone());
+        writeln!(text, "{},{}", row.join(","), seen.join(",")).expect("a text");
     }
     sandbox.write("measured.csv", text);
     let identified = sandbox.run([
@@ -218,14 +220,14 @@ fn order_approaches_and_seed() {
     };
     assert!(numbers(0, "approach").iter().all(|sign| *sign == 0.0));
     let mut last = numbers(0, "approach");
-    for pose in 1..poses.len() {
+    for (pose, told) in poses.iter().enumerate().skip(1) {
         let step: Vec<f64> =
             numbers(pose, "command").iter().zip(numbers(pose - 1, "command")).map(|(b, a)| b - a).collect();
         for (sign, step) in last.iter_mut().zip(&step) {
             *sign = if *step == 0.0 { *sign } else { step.signum() };
         }
         assert_eq!(numbers(pose, "approach"), last, "pose {pose}");
-        assert_eq!(poses[pose]["pose"], pose + 1);
+        assert_eq!(told["pose"], pose + 1);
     }
     // Approaches of every joint come from both sides.
     for joint in 0..7 {
@@ -450,8 +452,8 @@ fn what_cannot_be_planned_is_refused() {
     // Poses that differ in two joints alone do not tell the others.
     let mut alike = header.to_owned();
     for k in 0..30 {
-        alike +=
-            &format!("{},0.35,-1.47,-1.31,2.0,{},-0.69\n", 0.1 * f64::from(k), 0.05 * f64::from(k) - 0.7);
+        let (rail, roll) = (0.1 * f64::from(k), 0.05 * f64::from(k) - 0.7);
+        writeln!(alike, "{rail},0.35,-1.47,-1.31,2.0,{roll},-0.69").expect("a text");
     }
     sandbox.write("alike.csv", alike);
     let arguments = ["plan", "scenarios/unknown.toml", "--poses", "15", "--candidates-from", "alike.csv"];

@@ -14,7 +14,7 @@ use super::{Iso9283Failure, Outcome, PipelineError, PlantKind, ReachError, witho
 use crate::scenario::{CompensationPlan, Scenario};
 use calibrig_estimation::compensation::CompensationError;
 use calibrig_estimation::evaluation::closed_loop::{
-    ClosedLoop, DrivenCriterion, DrivenMode, DrivenPoint, measured_in_base, row,
+    ClosedLoop, DriveFailure, DrivenCriterion, DrivenMode, DrivenPoint, measured_in_base, row,
 };
 use calibrig_estimation::identification::{CalibratedRobot, Mode};
 use calibrig_estimation::inverse::{Circumstances, Criterion, Goal};
@@ -66,7 +66,7 @@ impl From<ReachError> for ClosedLoopError {
 ///
 /// # Errors
 ///
-/// [`PipelineError`]. Goals that a robot cannot meet are part of the result.
+/// [`PipelineError`], where it is ended or has no goals. Goals that a robot cannot meet, and what cannot be driven, are part of the result.
 pub fn close_loop(
     scenario: &Scenario,
     at: (u64, u32, PlantKind),
@@ -90,6 +90,7 @@ pub fn close_loop(
         nominal,
         done: 0,
         total: total(scenario, plan, outcome),
+        failures: Vec::new(),
         progress,
     };
     loop_.close().map(Some)
@@ -118,6 +119,7 @@ struct Loop<'a, 'p> {
     nominal: &'a CalibratedRobot,
     done: u32,
     total: u32,
+    failures: Vec<DriveFailure>,
     progress: &'a mut DriveProgress<'p>,
 }
 
@@ -129,13 +131,25 @@ impl Loop<'_, '_> {
         let (nominal, missed) = self.resolved(&planned, &goals, self.plan.redundancy)?;
         let mut modes = Vec::new();
         for mode in &self.outcome.modes {
-            let mut corrected = self.corrected(mode.mode, &goals, &nominal, &circumstances)?;
-            corrected.leave_out(&missed);
-            modes.push(self.drive_again(mode.mode, &goals, corrected)?);
+            let driven =
+                self.corrected(mode.mode, &goals, &nominal, &circumstances).and_then(|mut corrected| {
+                    corrected.leave_out(&missed);
+                    self.drive_again(mode.mode, &goals, corrected)
+                });
+            modes.extend(self.kept(mode.mode.title(), driven)?);
         }
-        let criteria = self.compared(&planned, &goals, &circumstances)?;
-        let pose_test = self.plan.cycles.map(|cycles| self.pose_test(cycles)).transpose()?;
-        let path = self.plan.path.as_ref().map(|path| self.path(path)).transpose()?;
+        let criteria = self.compared(&planned, &goals, &circumstances);
+        let criteria = self.kept("the redundancy resolved otherwise", criteria)?.unwrap_or_default();
+        let mut pose_test = None;
+        if let Some(cycles) = self.plan.cycles {
+            let driven = self.pose_test(cycles);
+            pose_test = self.kept("the pose test", driven)?;
+        }
+        let mut path = None;
+        if let Some(plan) = &self.plan.path {
+            let driven = self.path(plan);
+            path = self.kept("the path", driven)?;
+        }
         Ok(ClosedLoop {
             rows_of_goal: goals.first().map_or(3, Goal::rows),
             redundancy: self.plan.redundancy,
@@ -143,7 +157,20 @@ impl Loop<'_, '_> {
             criteria,
             pose_test,
             path,
+            failures: std::mem::take(&mut self.failures),
         })
+    }
+
+    /// What was driven; or `None`, and the reason among the failures: a run is worth more than what cannot be driven behind it. Whoever interrupts ends all of it.
+    fn kept<T>(&mut self, what: &str, driven: Result<T, PipelineError>) -> Result<Option<T>, PipelineError> {
+        match driven {
+            Ok(driven) => Ok(Some(driven)),
+            Err(interrupted @ PipelineError::Interrupted { .. }) => Err(interrupted),
+            Err(error) => {
+                self.failures.push(DriveFailure { what: what.to_owned(), why: error.to_string() });
+                Ok(None)
+            }
+        }
     }
 
     /// What a controller knows of each pose of the verification set before it is driven.

@@ -47,12 +47,14 @@ impl Loop<'_, '_> {
         let mut modes = Vec::new();
         for outcome in &self.outcome.modes {
             let corrected = match &outcome.estimate {
-                None => Corrected::as_planned(&nominal),
+                None => Ok(Corrected::as_planned(&nominal)),
                 Some(estimate) => {
-                    correct(estimate, self.plan, &goals, &nominal, (&circumstances, Some(&home)))?
+                    correct(estimate, self.plan, &goals, &nominal, (&circumstances, Some(&home)))
                 }
             };
-            modes.push(self.drive_path(outcome.mode, &goals, &times, corrected)?);
+            let driven =
+                corrected.and_then(|corrected| self.drive_path(outcome.mode, &goals, &times, corrected));
+            modes.extend(self.kept(&format!("the path, {}", outcome.mode.title()), driven)?);
         }
         Ok(DrivenPath { length: asked.length(), speed: plan.speed, unreachable, modes })
     }

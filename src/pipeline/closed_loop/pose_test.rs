@@ -10,7 +10,7 @@ use calibrig_estimation::evaluation::closed_loop::{DrivenPoseTest, measured_in_b
 use calibrig_estimation::evaluation::iso9283::{
     CubePlane, PositionAccuracy, PositionRepeatability, position_accuracy, position_repeatability,
 };
-use calibrig_estimation::identification::Mode;
+use calibrig_estimation::identification::{Estimate, Mode};
 use calibrig_estimation::inverse::{Circumstances, Goal};
 use calibrig_model::measurement::{SetKind, SetOutcome};
 
@@ -26,25 +26,33 @@ impl Loop<'_, '_> {
         let mut modes = Vec::new();
         for outcome in &self.outcome.modes {
             let corrected = match &outcome.estimate {
-                None => Corrected::as_planned(&planned),
-                Some(estimate) => {
-                    // A cycle goes from the last pose to the first, and the first one comes from there.
-                    let order: Vec<usize> = (0..planned.len()).rev().collect();
-                    let backward = |of: &[Goal]| order.iter().map(|index| of[*index]).collect::<Vec<_>>();
-                    let commands: Vec<_> = order.iter().map(|index| planned[*index].clone()).collect();
-                    let circumstances = vec![self.behind_the_session(); planned.len()];
-                    let from = planned.first().map(Vec::as_slice);
-                    let mut own =
-                        correct(estimate, self.plan, &backward(&goals), &commands, (&circumstances, from))?;
-                    own.commands.reverse();
-                    let last = u32::try_from(planned.len()).unwrap_or(u32::MAX).saturating_sub(1);
-                    own.uncorrected.iter_mut().for_each(|(pose, _)| *pose = last.saturating_sub(*pose));
-                    own
-                }
+                None => Ok(Corrected::as_planned(&planned)),
+                Some(estimate) => self.corrected_cycle(estimate, &goals, &planned),
             };
-            modes.push((outcome.mode, self.cycles(outcome.mode, &goals, &corrected, cycles)?));
+            let driven =
+                corrected.and_then(|corrected| self.cycles(outcome.mode, &goals, &corrected, cycles));
+            let driven = self.kept(&format!("the pose test, {}", outcome.mode.title()), driven)?;
+            modes.extend(driven.map(|poses| (outcome.mode, poses)));
         }
         Ok(DrivenPoseTest { cube, cycles: cycles as usize, modes })
+    }
+
+    /// A cycle goes from the last pose to the first, and its last pose comes from there.
+    fn corrected_cycle(
+        &self,
+        estimate: &Estimate,
+        goals: &[Goal],
+        planned: &[Vec<f64>],
+    ) -> Result<Corrected, PipelineError> {
+        let backward: Vec<Goal> = goals.iter().rev().copied().collect();
+        let commands: Vec<Vec<f64>> = planned.iter().rev().cloned().collect();
+        let circumstances = vec![self.behind_the_session(); planned.len()];
+        let from = planned.first().map(Vec::as_slice);
+        let mut own = correct(estimate, self.plan, &backward, &commands, (&circumstances, from))?;
+        own.commands.reverse();
+        let last = u32::try_from(planned.len()).unwrap_or(u32::MAX).saturating_sub(1);
+        own.uncorrected.iter_mut().for_each(|(pose, _)| *pose = last.saturating_sub(*pose));
+        Ok(own)
     }
 
     fn behind_the_session(&self) -> Circumstances {

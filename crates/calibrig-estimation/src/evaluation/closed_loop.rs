@@ -23,6 +23,17 @@ pub struct ClosedLoop {
     pub pose_test: Option<DrivenPoseTest>,
     /// A path, where one was asked for.
     pub path: Option<DrivenPath>,
+    /// What of it could not be driven, and why.
+    pub failures: Vec<DriveFailure>,
+}
+
+/// Something that could not be driven.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DriveFailure {
+    /// What, in words.
+    pub what: String,
+    /// Why.
+    pub why: String,
 }
 
 /// Commands of one mode, and what was measured with them.

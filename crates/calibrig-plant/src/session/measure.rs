@@ -66,6 +66,9 @@ pub(super) struct Taken {
     pub missing: Vec<MissingReading>,
 }
 
+/// Is told what happens to a set, and may end it.
+type Hearer<'a, E> = dyn FnMut(SessionEvent<'_>) -> Result<(), SessionError<E>> + 'a;
+
 /// A set as it was measured, and the truth beside it.
 pub(super) struct MeasuredSet {
     pub set: SetOutcome,
@@ -163,7 +166,7 @@ impl MeasuringSession<'_> {
         setup: &Setup,
         planned: &PlannedSet,
         mut set: SetOutcome,
-        hear: &mut dyn FnMut(SessionEvent<'_>) -> Result<(), SessionError<M::Error>>,
+        hear: &mut Hearer<'_, M::Error>,
     ) -> Result<MeasuredSet, SessionError<M::Error>> {
         let mut noise = random::stream(setup.seed, setup.trial, planned.noise);
         let count = u32::try_from(planned.poses.len()).unwrap_or(u32::MAX);
