@@ -128,7 +128,7 @@ fn measure(
         }
         if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
-    let outcome = outcome.and_then(|mut outcome| {
+    let outcome = outcome.map(|mut outcome| {
         if let Ok(style) =
             ProgressStyle::with_template("driving corrected pose {pos}/{len} {bar:40} {elapsed}")
         {
@@ -138,8 +138,8 @@ fn measure(
             bar.set_length(total.into());
             bar.set_position(done.into());
             if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-        })?;
-        Ok(outcome)
+        });
+        outcome
     });
     // From here on there is nothing to close: the next one ends the process.
     stop.store(true, Ordering::Relaxed);

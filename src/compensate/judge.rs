@@ -84,7 +84,7 @@ pub(super) fn doubts(made: &Compensation, estimate: &Estimate, unfinished: Optio
         let sigma =
             first.sigma().map_or_else(|| "unknown".to_owned(), |sigma| format!("{:.3} mm", 1e3 * sigma));
         format!(
-            "{} less sure than {most} mm (--trust-mm), the first is {} with {sigma}",
+            "{} with a standard deviation above {most} mm (--trust-mm), the first is {} with {sigma}",
             points_are(count),
             called(index, first)
         )

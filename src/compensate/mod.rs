@@ -440,6 +440,7 @@ fn of_report(report: PathReport, name: GoalName) -> Corrected {
         PointStatus::Met(point) => (End::Met, Some(*point)),
         PointStatus::Jumped(point) => (End::Jumped, Some(*point)),
         PointStatus::Unreachable(told) => (End::Unreachable(told), None),
+        PointStatus::Failed(why) => (End::Failed(why), None),
         other => (End::Failed(format!("{other:?}")), None),
     };
     let wavers = report.wavers;

@@ -1,5 +1,6 @@
 //! What held-out errors say of all poses of the region: bounds with a confidence, not only the largest that was seen.
 
+use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use maud::{Markup, html};
@@ -18,7 +19,7 @@ use calibrig_estimation::identification::Mode;
 const COVERAGE: f64 = 0.95;
 const CONFIDENCE: f64 = 0.95;
 
-/// Bounds of the lengths of 3-D errors over the region that the held-out poses were drawn from, m.
+/// Bounds of the 3-D errors of the poses of the region that the held-out poses were drawn in at random, m; of a pose with several readings its largest counts.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct JsonAcceptance {
     /// The share of the region's poses that the bounds are of.
@@ -35,7 +36,17 @@ pub struct JsonAcceptance {
     pub share_below_largest: f64,
 }
 
-/// Bounds from the lengths of held-out errors, m; `None` where they bound nothing.
+/// The largest error of every pose, m, from the pose and the error of each reading: readings of one pose are not held out independently.
+pub(super) fn by_pose<'a>(readings: impl Iterator<Item = (u32, &'a Vector3<f64>)>) -> Vec<f64> {
+    let mut largest: BTreeMap<u32, f64> = BTreeMap::new();
+    for (pose, error) in readings {
+        let own = largest.entry(pose).or_default();
+        *own = own.max(error.norm());
+    }
+    largest.into_values().collect()
+}
+
+/// Bounds from the errors of poses that were held out, m; `None` where they bound nothing.
 fn bounds(errors: &[f64]) -> Option<Acceptance> {
     accept(errors, COVERAGE, CONFIDENCE).ok()
 }
@@ -54,11 +65,12 @@ pub(super) fn json_acceptance(errors: &[f64]) -> Option<JsonAcceptance> {
 
 /// Lengths of the errors of a set that was held out, by mode; empty of other sets.
 fn held_out(outcome: &Outcome, index: usize) -> Vec<(Mode, Acceptance)> {
-    if outcome.sets.get(index).is_none_or(|set| set.kind != SetKind::Verification) {
+    let Some(set) = outcome.sets.get(index).filter(|set| set.kind == SetKind::Verification) else {
         return Vec::new();
-    }
+    };
     let of = |mode: &crate::pipeline::ModeOutcome| {
-        let errors: Vec<f64> = mode.errors.get(index)?.iter().map(Vector3::norm).collect();
+        let readings = set.measurements.observations.iter().zip(mode.errors.get(index)?);
+        let errors = by_pose(readings.map(|(observation, error)| (observation.pose, error)));
         Some((mode.mode, bounds(&errors)?))
     };
     outcome.modes.iter().filter_map(of).collect()
@@ -89,7 +101,7 @@ pub(super) fn acceptance_lines(outcome: &Outcome, index: usize, style: Style) ->
 fn note(found: &Acceptance) -> String {
     let mut words = format!(
         "  of {}, the largest bounds {:.1} % of the poses with that confidence",
-        counted(found.count, "held-out error"),
+        counted(found.count, "held-out pose"),
         100.0 * found.largest.share_below
     );
     if found.distribution_free.is_none() {
@@ -107,7 +119,7 @@ pub(super) fn acceptance_table(outcome: &Outcome, index: usize) -> Markup {
         @if let Some((_, first)) = rows.first() {
             div.scroll {
                 table {
-                    caption { "3-D error that 95 % of the region\u{2019}s poses stay below, with 95 % confidence, mm" }
+                    caption { "3-D error that 95 % of the region\u{2019}s poses stay below, with 95 % confidence, if these were drawn in it at random, mm" }
                     thead {
                         tr {
                             th {} th { "whatever the distribution" } th { "if normal, alike along the axes" } th { "largest seen" }

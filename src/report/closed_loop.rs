@@ -6,6 +6,7 @@ use std::fmt::Write;
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
+use super::acceptance_bounds::by_pose;
 use super::html::{figure, key, number};
 use super::json::{JsonDropped, JsonRow, JsonSet, finite, json_row};
 use super::plots::{self, Curve, look};
@@ -73,6 +74,8 @@ pub struct JsonDrivenCriterion {
     pub compensated: Option<JsonRow>,
     /// Goals that could not be met.
     pub missed: usize,
+    /// Goals whose position alone was corrected.
+    pub position_alone: usize,
 }
 
 /// Cycles over the poses of a cube (ISO 9283).
@@ -107,6 +110,12 @@ pub struct JsonDrivenPath {
     /// Points that the nominal robot cannot reach; absent where none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unreachable: Vec<JsonDropped>,
+    /// By the key of the mode: points that it cannot correct; absent where none.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub uncorrected: BTreeMap<String, Vec<JsonDropped>>,
+    /// By the key of the mode: points whose position alone it corrects; absent where none.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub position_alone: BTreeMap<String, Vec<JsonDropped>>,
     /// By the key of the mode: measured minus wanted.
     pub rows: BTreeMap<String, JsonRow>,
 }
@@ -123,8 +132,10 @@ fn dropped(poses: &[(u32, String)]) -> Vec<JsonDropped> {
     poses.iter().map(|(pose, why)| JsonDropped { pose: *pose, why: why.clone() }).collect()
 }
 
+/// The largest error of every pose, m.
 fn lengths(mode: &DrivenMode) -> Vec<f64> {
-    mode.points.iter().map(|point| point.error().norm()).collect()
+    let errors: Vec<_> = mode.points.iter().map(|point| (point.pose, point.error())).collect();
+    by_pose(errors.iter().map(|(pose, error)| (*pose, error)))
 }
 
 /// The set `compensated`.
@@ -155,8 +166,8 @@ pub(super) fn json_compensation(driven: &ClosedLoop) -> JsonCompensation {
     JsonCompensation {
         goal: goal_words(driven).0.to_owned(),
         redundancy: criterion_key(driven.redundancy),
-        uncorrected: by_mode(driven, |mode| &mode.uncorrected),
-        position_alone: by_mode(driven, |mode| &mode.position_alone),
+        uncorrected: by_mode(&driven.modes, |mode| &mode.uncorrected),
+        position_alone: by_mode(&driven.modes, |mode| &mode.position_alone),
         criteria: driven
             .criteria
             .iter()
@@ -168,6 +179,7 @@ pub(super) fn json_compensation(driven: &ClosedLoop) -> JsonCompensation {
                 nominal: own.nominal.as_ref().map(plain),
                 compensated: own.corrected.as_ref().map(plain),
                 missed: own.missed,
+                position_alone: own.position_alone,
             })
             .collect(),
         pose_test: driven.pose_test.as_ref().map(|test| JsonDrivenPoseTest {
@@ -183,6 +195,8 @@ pub(super) fn json_compensation(driven: &ClosedLoop) -> JsonCompensation {
             length_m: finite(path.length),
             speed_m_per_s: finite(path.speed),
             unreachable: dropped(&path.unreachable),
+            uncorrected: by_mode(&path.modes, |mode| &mode.uncorrected),
+            position_alone: by_mode(&path.modes, |mode| &mode.position_alone),
             rows: path
                 .modes
                 .iter()
@@ -199,10 +213,10 @@ pub(super) fn json_compensation(driven: &ClosedLoop) -> JsonCompensation {
 
 /// Lists of poses by the key of the mode, those that hold any.
 fn by_mode(
-    driven: &ClosedLoop,
+    modes: &[DrivenMode],
     of: impl Fn(&DrivenMode) -> &Vec<(u32, String)>,
 ) -> BTreeMap<String, Vec<JsonDropped>> {
-    let lists = driven.modes.iter().map(|mode| (mode.mode.key().to_owned(), dropped(of(mode))));
+    let lists = modes.iter().map(|mode| (mode.mode.key().to_owned(), dropped(of(mode))));
     lists.filter(|(_, list)| !list.is_empty()).collect()
 }
 
@@ -248,7 +262,7 @@ pub(super) fn closed_loop_lines(outcome: &Outcome, driven: &ClosedLoop, style: S
         lines.extend(wrap(&printable(&words), "    "));
     }
     for mode in &driven.modes {
-        for words in uncorrected_words(mode) {
+        for words in uncorrected_words(mode, "pose") {
             lines.extend(wrap(&printable(&words), "    ").iter().map(|l| style.paint(Ink::Warning, l)));
         }
     }
@@ -269,12 +283,7 @@ pub(super) fn closed_loop_lines(outcome: &Outcome, driven: &ClosedLoop, style: S
                 lines.push(aligned(title(mode.mode), &row_values(&row).map(millimetres)));
             }
         }
-        if let Some((point, why)) = path.unreachable.first() {
-            let words = format!(
-                "{} of the path out of reach, the first is point {} ({why})",
-                counted(path.unreachable.len(), "point"),
-                point + 1
-            );
+        for words in path_remarks(path) {
             lines.extend(wrap(&printable(&words), "    ").iter().map(|l| style.paint(Ink::Warning, l)));
         }
     }
@@ -298,17 +307,18 @@ fn remarks(driven: &ClosedLoop) -> Vec<String> {
     )]
 }
 
-/// What was not corrected, or not all of it, a sentence a reason.
-fn uncorrected_words(mode: &DrivenMode) -> Vec<String> {
+/// What was not corrected, or not all of it, or not read, a sentence a reason.
+fn uncorrected_words(mode: &DrivenMode, noun: &str) -> Vec<String> {
     let kinds = [
         ("not corrected and not counted", &mode.uncorrected),
         ("corrected in position alone", &mode.position_alone),
+        ("not measured", &mode.set.dropped),
     ];
     let words = |(what, poses): (&str, &Vec<(u32, String)>)| {
         let (pose, why) = poses.first()?;
         let which =
-            if poses.len() == 1 { format!("pose {pose}") } else { format!("the first is pose {pose}") };
-        Some(format!("{}: {} {what}, {which} ({why})", title(mode.mode), counted(poses.len(), "pose")))
+            if poses.len() == 1 { format!("{noun} {pose}") } else { format!("the first is {noun} {pose}") };
+        Some(format!("{}: {} {what}, {which} ({why})", title(mode.mode), counted(poses.len(), noun)))
     };
     kinds.into_iter().filter_map(words).collect()
 }
@@ -358,8 +368,18 @@ fn pose_figures(poses: &[(PositionAccuracy, PositionRepeatability)]) -> [f64; 4]
     [a, b, c, d]
 }
 
+/// What of a path was not driven as it was asked.
+fn path_remarks(path: &DrivenPath) -> Vec<String> {
+    let unreachable = path.unreachable.first().map(|(point, why)| {
+        let count = counted(path.unreachable.len(), "point");
+        format!("{count} of the path out of reach, the first is point {point} ({why})")
+    });
+    let of_modes = path.modes.iter().flat_map(|mode| uncorrected_words(mode, "point"));
+    unreachable.into_iter().chain(of_modes).collect()
+}
+
 fn path_words(path: &DrivenPath) -> String {
-    let points = path.modes.first().map_or(0, |mode| mode.points.len());
+    let points = path.modes.first().map_or(0, |mode| pose_count(&mode.set));
     format!(
         "path of {:.2} m at {:.0} mm/s, read at {}: measured minus wanted, mm",
         path.length,
@@ -383,7 +403,7 @@ pub(super) fn closed_loop_section(outcome: &Outcome) -> Result<Markup, ReportErr
             (goal_table(outcome, driven))
             @for words in remarks(driven) { p.note { (capital(&words)) "." } }
             @for mode in &driven.modes {
-                @for words in uncorrected_words(mode) { p.note { (capital(&words)) "." } }
+                @for words in uncorrected_words(mode, "pose") { p.note { (capital(&words)) "." } }
             }
             @for words in failure_words(driven) { p.note { strong { (capital(&words)) "." } } }
             (figure(&modes, &bars, &html! {
@@ -534,9 +554,7 @@ fn path_table(path: &DrivenPath) -> Markup {
     let rows: Vec<_> = path.modes.iter().filter_map(|mode| Some((mode.mode, mode.row()?))).collect();
     html! {
         (rows_table(&capital(&path_words(path)), &rows, &|_| None))
-        @if let Some((point, why)) = path.unreachable.first() {
-            p.note { (counted(path.unreachable.len(), "point")) " out of reach, the first is point " (point + 1) ": " (why) "." }
-        }
+        @for words in path_remarks(path) { p.note { (capital(&words)) "." } }
     }
 }
 

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::acceptance_bounds::{JsonAcceptance, json_acceptance};
+use super::acceptance_bounds::{JsonAcceptance, by_pose, json_acceptance};
 use super::closed_loop::{self, JsonCompensation};
 use super::drift::{JsonDrift, json_drift};
 use super::judgement::{JsonJudgement, json_judgement};
@@ -574,17 +574,17 @@ fn json_set(outcome: &Outcome, index: usize, set: &SetOutcome) -> JsonSet {
                     max_rad: finite(row.max),
                     n: row.count,
                 });
-                let held_out = (set.kind == SetKind::Verification).then(|| {
-                    m.errors.get(index).map(|own| own.iter().map(Vector3::norm).collect::<Vec<_>>())
-                });
-                let row = JsonRow { orientation, ..json_row(&row(&m.rows)?, held_out.flatten().as_deref()) };
+                let readings = set.measurements.observations.iter().map(|own| own.pose);
+                let held_out = m.errors.get(index).filter(|_| set.kind == SetKind::Verification);
+                let held_out = held_out.map(|errors| by_pose(readings.zip(errors)));
+                let row = JsonRow { orientation, ..json_row(&row(&m.rows)?, held_out.as_deref()) };
                 Some((m.mode.key().to_owned(), row))
             })
             .collect(),
     }
 }
 
-/// A row, and what it says of the region where its errors (their lengths, m) were held out.
+/// A row, and what it says of the region where its poses were held out, by the largest error of each, m.
 pub(super) fn json_row(row: &AccuracyRow, held_out: Option<&[f64]>) -> JsonRow {
     let axes = |v: &Vector3<f64>| [finite(v.x), finite(v.y), finite(v.z)];
     JsonRow {

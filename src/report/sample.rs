@@ -104,6 +104,7 @@ pub(super) fn driven() -> Outcome {
         nominal: row,
         corrected: row,
         missed: 1,
+        position_alone: 0,
     };
     let path = DrivenPath {
         length: 3.8,

@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 use serde::Deserialize;
 
 use calibrig_estimation::compensation::{Raster, ToolPath};
+use calibrig_estimation::identification::Mode;
 use calibrig_estimation::inverse::{Criterion, Goal};
 use calibrig_files::{InputError, Robot, Source, Spanned};
 
@@ -79,9 +80,14 @@ pub(super) fn compensation(
     source: &Source,
     section: &Spanned<CompensationFile>,
     robot: &Robot,
-    verification_poses: u32,
+    (verification_poses, modes): (u32, &[Mode]),
 ) -> Result<CompensationPlan, InputError> {
     let file = section.get_ref();
+    if !modes.contains(&Mode::WithoutCalibration) {
+        let help = "expected \"without_calibration\" among identification.modes: its commands are the ones that are corrected".to_owned();
+        let message = "[compensation] without the nominal robot's row";
+        return Err(source.error(section.span(), message, Some(help)));
+    }
     if verification_poses == 0 {
         let help = "expected poses.verification of one or more: the goals are where the nominal robot is at these poses".to_owned();
         return Err(source.error(

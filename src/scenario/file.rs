@@ -300,7 +300,7 @@ fn validate(
     let compensation = file
         .compensation
         .as_ref()
-        .map(|section| compensation(&source, section, &robot, verification_poses))
+        .map(|section| compensation(&source, section, &robot, (verification_poses, &modes)))
         .transpose()?;
     let in_file = source.clone();
     let mut sources = vec![("scenario".to_owned(), source)];

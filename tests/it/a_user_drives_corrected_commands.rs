@@ -7,7 +7,7 @@ use calibrig::evaluation::AccuracyRow;
 use calibrig::evaluation::closed_loop::{ClosedLoop, row};
 use calibrig::identification::Mode;
 use calibrig::inverse::Criterion;
-use calibrig::pipeline::{Outcome, PipelineError, PlantKind, SessionEvent, SetKind, close_loop, run_trial};
+use calibrig::pipeline::{Outcome, PlantKind, SessionEvent, SetKind, close_loop, run_trial};
 use calibrig::scenario::{CompensationPlan, GoalKind, Scenario, load_scenario};
 use rayon::prelude::*;
 
@@ -30,7 +30,9 @@ fn run(scenario: &Scenario, trial: u32, plant: PlantKind) -> (Outcome, ClosedLoo
     let outcome = run_trial(scenario, 1, trial, plant, &mut |_: SessionEvent<'_>| ControlFlow::Continue(()))
         .expect("a session");
     let driven = close_loop(scenario, (1, trial, plant), &outcome, &mut |_, _| ControlFlow::Continue(()));
-    (outcome, driven.expect("commands").expect("[compensation]"))
+    let driven = driven.expect("[compensation]");
+    assert!(driven.failures.is_empty(), "{:?}", driven.failures);
+    (outcome, driven)
 }
 
 fn driven_row(driven: &ClosedLoop, mode: Mode) -> AccuracyRow {
@@ -187,8 +189,12 @@ fn whoever_stops_is_told_how_far_it_came() {
         seen = done;
         if done < 55 { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
     });
-    let Err(PipelineError::Interrupted { done, total }) = stopped else { panic!("{stopped:?}") };
-    assert_eq!((done, total), (55, 200));
+    let stopped = stopped.expect("what was driven");
+    assert_eq!(seen, 55);
+    assert_eq!(stopped.modes.len(), 1);
+    let [failure] = stopped.failures.as_slice() else { panic!("{:?}", stopped.failures) };
+    assert_eq!(failure.what, Mode::OnlyCalibration.title());
+    assert_eq!(failure.why, "interrupted after 55 of 200 poses");
 }
 
 #[test]
@@ -222,6 +228,38 @@ fn the_report_and_the_recording_have_it() {
     }
     let replayed = sandbox.run(["replay", "out/recording.mcap"]);
     assert_eq!(replayed.code, Some(0), "{replayed:?}");
+}
+
+/// What cannot be driven costs no more than itself: the run has its reports, and says what failed.
+#[test]
+fn a_pose_test_that_cannot_be_is_told_and_the_rest_is_there() {
+    let sandbox = Sandbox::driving_again();
+    for joint in ["rail", "waist", "shoulder", "elbow", "telescope", "roll", "wrist"] {
+        let marker = format!("joint = \"{joint}\"");
+        let text = sandbox.read(SCENARIO);
+        let (before, poses) = text.split_once("[[poses.region]]").expect("a region");
+        let (head, rest) = poses.split_once(&marker).expect("the joint");
+        let (line, width, unit) = if rest.find("half_width_mm") < rest.find("half_width_rad") {
+            (rest.find("half_width_mm"), "half_width_mm = 1", "mm")
+        } else {
+            (rest.find("half_width_rad"), "half_width_rad = 0.0005", "rad")
+        };
+        let line = line.unwrap_or_else(|| panic!("{joint} has no width in {unit}"));
+        let end = line + rest[line..].find('\n').expect("a line");
+        let text = format!("{before}[[poses.region]]{head}{marker}{}{width}{}", &rest[..line], &rest[end..]);
+        sandbox.write(SCENARIO, text);
+    }
+    let run = sandbox.run(["run", SCENARIO, "--out", "out", "--json"]);
+    assert_eq!(run.code, Some(3), "{}", run.stderr);
+    assert!(run.stderr.contains("not driven: the pose test"), "{}", run.stderr);
+    let json = run.json();
+    assert_eq!(
+        json["compensation"]["failures"][0]["what"], "the pose test",
+        "{}",
+        json["compensation"]["failures"]
+    );
+    assert!(json["sets"]["compensated"]["rows"]["without_calibration"]["n"].as_u64() > Some(0));
+    assert!(sandbox.path("out/recording.mcap").exists());
 }
 
 /// A section with one thing wrong.

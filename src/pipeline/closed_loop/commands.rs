@@ -164,7 +164,8 @@ fn next(
         Ok(found) => Ok(Ok((found, travel))),
         Err(
             why @ (CompensationError::OutOfCorrection(_)
-            | CompensationError::Inverse(InverseError::Unreachable(_))),
+            | CompensationError::Prediction(_)
+            | CompensationError::Inverse(InverseError::Unreachable(_) | InverseError::Prediction(_))),
         ) => Ok(Err(why.to_string())),
         Err(source) => Err(ClosedLoopError::of(compensator.mode(), source)),
     }

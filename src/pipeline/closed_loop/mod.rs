@@ -62,24 +62,19 @@ impl From<ReachError> for ClosedLoopError {
 }
 
 /// Corrects the commands of a run's poses by every robot that it identified, drives them on the same machine, and measures what comes of it: `None` where the scenario
-/// has no `[compensation]`. Nothing of the truth is looked at; of the scenario's machine only the plant and the tracker know. `progress` is told poses done and of all, and may end it.
-///
-/// # Errors
-///
-/// [`PipelineError`], where it is ended or has no goals. Goals that a robot cannot meet, and what cannot be driven, are part of the result.
+/// has no `[compensation]`. Nothing of the truth is looked at; of the scenario's machine only the plant and the tracker know. `progress` is told poses done and of all, and may
+/// end it. Goals that a robot cannot meet, what cannot be driven, and where it was ended, are part of the result: the run behind it is worth more.
 pub fn close_loop(
     scenario: &Scenario,
     at: (u64, u32, PlantKind),
     outcome: &Outcome,
     progress: &mut DriveProgress<'_>,
-) -> Result<Option<ClosedLoop>, PipelineError> {
-    let Some(plan) = &scenario.compensation else { return Ok(None) };
+) -> Option<ClosedLoop> {
+    let plan = scenario.compensation.as_ref()?;
     let (seed, trial, plant) = at;
     let scenario = &*scenario.of_trial(seed, trial);
     let robots: Vec<_> = outcome.modes.iter().map(|mode| (mode, &mode.robot)).collect();
-    let Some((_, nominal)) = robots.iter().find(|(mode, _)| mode.mode == Mode::WithoutCalibration) else {
-        return Ok(None);
-    };
+    let (_, nominal) = robots.iter().find(|(mode, _)| mode.mode == Mode::WithoutCalibration)?;
     let mut loop_ = Loop {
         scenario,
         session: scenario.session(),
@@ -91,9 +86,20 @@ pub fn close_loop(
         done: 0,
         total: total(scenario, plan, outcome),
         failures: Vec::new(),
+        interrupted: false,
         progress,
     };
-    loop_.close().map(Some)
+    let closed = loop_.close();
+    let driven = loop_.kept("corrected commands", closed);
+    Some(driven.unwrap_or_else(|| ClosedLoop {
+        rows_of_goal: 3,
+        redundancy: plan.redundancy,
+        modes: Vec::new(),
+        criteria: Vec::new(),
+        pose_test: None,
+        path: None,
+        failures: loop_.failures,
+    }))
 }
 
 /// Poses that are driven in all.
@@ -120,13 +126,15 @@ struct Loop<'a, 'p> {
     done: u32,
     total: u32,
     failures: Vec<DriveFailure>,
+    interrupted: bool,
     progress: &'a mut DriveProgress<'p>,
 }
 
 impl Loop<'_, '_> {
     fn close(&mut self) -> Result<ClosedLoop, PipelineError> {
-        let planned = self.session.verification_commands(self.at.0, self.at.1);
-        let circumstances = self.circumstances(planned.len());
+        let (planned, times): (Vec<Vec<f64>>, Vec<f64>) =
+            self.session.verification_commands(self.at.0, self.at.1).into_iter().unzip();
+        let circumstances = self.circumstances(&times);
         let goals = self.goals(&planned)?;
         let (nominal, missed) = self.resolved(&planned, &goals, self.plan.redundancy)?;
         let mut modes = Vec::new();
@@ -136,19 +144,19 @@ impl Loop<'_, '_> {
                     corrected.leave_out(&missed);
                     self.drive_again(mode.mode, &goals, corrected)
                 });
-            modes.extend(self.kept(mode.mode.title(), driven)?);
+            modes.extend(self.kept(mode.mode.title(), driven));
         }
         let criteria = self.compared(&planned, &goals, &circumstances);
-        let criteria = self.kept("the redundancy resolved otherwise", criteria)?.unwrap_or_default();
+        let criteria = self.kept("the redundancy resolved otherwise", criteria).unwrap_or_default();
         let mut pose_test = None;
         if let Some(cycles) = self.plan.cycles {
             let driven = self.pose_test(cycles);
-            pose_test = self.kept("the pose test", driven)?;
+            pose_test = self.kept("the pose test", driven);
         }
         let mut path = None;
         if let Some(plan) = &self.plan.path {
             let driven = self.path(plan);
-            path = self.kept("the path", driven)?;
+            path = self.kept("the path", driven);
         }
         Ok(ClosedLoop {
             rows_of_goal: goals.first().map_or(3, Goal::rows),
@@ -161,27 +169,34 @@ impl Loop<'_, '_> {
         })
     }
 
-    /// What was driven; or `None`, and the reason among the failures: a run is worth more than what cannot be driven behind it. Whoever interrupts ends all of it.
-    fn kept<T>(&mut self, what: &str, driven: Result<T, PipelineError>) -> Result<Option<T>, PipelineError> {
-        match driven {
-            Ok(driven) => Ok(Some(driven)),
-            Err(interrupted @ PipelineError::Interrupted { .. }) => Err(interrupted),
-            Err(error) => {
-                self.failures.push(DriveFailure { what: what.to_owned(), why: error.to_string() });
-                Ok(None)
-            }
-        }
+    /// What was driven; or `None`, and the reason among the failures. After an interruption nothing is driven any more, which is told once.
+    fn kept<T>(&mut self, what: &str, driven: Result<T, PipelineError>) -> Option<T> {
+        let error = match driven {
+            Ok(driven) => return Some(driven),
+            Err(PipelineError::Interrupted { .. }) if self.interrupted => return None,
+            Err(error) => error,
+        };
+        self.interrupted |= matches!(error, PipelineError::Interrupted { .. });
+        self.failures.push(DriveFailure { what: what.to_owned(), why: error.to_string() });
+        None
     }
 
-    /// What a controller knows of each pose of the verification set before it is driven.
-    fn circumstances(&self, poses: usize) -> Vec<Circumstances> {
-        let mut all = vec![Circumstances::default(); poses];
+    /// What a controller knows of each pose of the verification set before it is driven; its first readings are at these times, s.
+    fn circumstances(&self, times: &[f64]) -> Vec<Circumstances> {
+        let payloads = &self.scenario.plan.payloads;
+        let planned = |(pose, time): (usize, &f64)| Circumstances {
+            payload: payloads.at(SetKind::Verification, pose, times.len()).map(|own| own.stated.clone()),
+            time: *time,
+            ..Circumstances::default()
+        };
+        let mut all: Vec<Circumstances> = times.iter().enumerate().map(planned).collect();
+        let mut read = vec![false; all.len()];
         let sets = self.outcome.sets.iter().filter(|set| set.kind == SetKind::Verification);
         for observation in sets.flat_map(|set| &set.measurements.observations) {
-            let Some(own) = all.get_mut(observation.pose as usize) else { continue };
-            own.payload.clone_from(&observation.payload);
-            own.temperature = observation.temperature;
-            if own.time == 0.0 {
+            let pose = observation.pose as usize;
+            let (Some(own), Some(read)) = (all.get_mut(pose), read.get_mut(pose)) else { continue };
+            if !std::mem::replace(read, true) {
+                own.temperature = observation.temperature;
                 own.time = observation.time;
                 own.approach.clone_from(&observation.approach);
                 own.since_reversal.clone_from(&observation.since_reversal);
@@ -314,6 +329,7 @@ impl Loop<'_, '_> {
             rows.push(DrivenCriterion {
                 criterion: *criterion,
                 mode,
+                position_alone: corrected.position_alone.len(),
                 droop,
                 nominal: row(&nominal.points),
                 corrected: row(&corrected.points),
@@ -332,8 +348,11 @@ impl Loop<'_, '_> {
             &mut DriveProgress<'_>,
         ) -> Result<T, DriveError<PipelineError>>,
     ) -> Result<T, PipelineError> {
-        let mut machine = Driven::new(self.scenario, self.at.1, self.plant)?;
         let (before, total) = (self.done, self.total);
+        if self.interrupted {
+            return Err(PipelineError::Interrupted { done: before, total });
+        }
+        let mut machine = Driven::new(self.scenario, self.at.1, self.plant)?;
         let mut most = 0;
         let progress = &mut *self.progress;
         let driven = drive(&self.session, &mut machine, &mut |done, _| {

@@ -30,12 +30,14 @@ impl Loop<'_, '_> {
         };
         let mut controller = Compensator::new(&within, tool).map_err(refused)?;
         let followed = controller.path(&asked, &options).map_err(refused)?;
-        let (mut goals, mut nominal, mut times, mut unreachable) =
-            (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let (mut goals, mut nominal, mut times) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut numbers, mut unreachable) = (Vec::new(), Vec::new());
         for (number, report) in (0..).zip(&followed.points) {
             match (&report.status, report.point()) {
                 (PointStatus::Unreachable(why), _) => unreachable.push((number, why.to_string())),
+                (PointStatus::Failed(why), _) => unreachable.push((number, why.clone())),
                 (_, Some(point)) => {
+                    numbers.push(number);
                     goals.push(point.goal);
                     nominal.push(point.command.clone());
                     times.push(report.asked.time);
@@ -52,9 +54,9 @@ impl Loop<'_, '_> {
                     correct(estimate, self.plan, &goals, &nominal, (&circumstances, Some(&home)))
                 }
             };
-            let driven =
-                corrected.and_then(|corrected| self.drive_path(outcome.mode, &goals, &times, corrected));
-            modes.extend(self.kept(&format!("the path, {}", outcome.mode.title()), driven)?);
+            let driven = corrected
+                .and_then(|corrected| self.drive_path(outcome.mode, (&goals, &times, &numbers), corrected));
+            modes.extend(self.kept(&format!("the path, {}", outcome.mode.title()), driven));
         }
         Ok(DrivenPath { length: asked.length(), speed: plan.speed, unreachable, modes })
     }
@@ -62,15 +64,21 @@ impl Loop<'_, '_> {
     fn drive_path(
         &mut self,
         mode: Mode,
-        goals: &[Goal],
-        times: &[f64],
+        (goals, times, numbers): (&[Goal], &[f64], &[u32]),
         corrected: Corrected,
     ) -> Result<DrivenMode, PipelineError> {
         let at = self.at;
         let points: Vec<_> = corrected.commands.iter().cloned().zip(times.iter().copied()).collect();
         let driven =
             self.drive(|session, machine, progress| session.measure_path(machine, at, &points, progress))?;
-        self.driven_mode(mode, goals, corrected, driven)
+        let mut mode = self.driven_mode(mode, goals, corrected, driven)?;
+        // From places among the points that are reached to those of the path.
+        let number = |place: &mut u32| *place = numbers.get(*place as usize).copied().unwrap_or(*place);
+        mode.points.iter_mut().for_each(|point| number(&mut point.pose));
+        mode.set.measurements.observations.iter_mut().for_each(|own| number(&mut own.pose));
+        let lists = [&mut mode.uncorrected, &mut mode.position_alone, &mut mode.set.dropped];
+        lists.into_iter().flatten().for_each(|(pose, _)| number(pose));
+        Ok(mode)
     }
 
     /// A path begins where the session ends, in the air of its last reading.

@@ -31,7 +31,7 @@ impl Loop<'_, '_> {
             };
             let driven =
                 corrected.and_then(|corrected| self.cycles(outcome.mode, &goals, &corrected, cycles));
-            let driven = self.kept(&format!("the pose test, {}", outcome.mode.title()), driven)?;
+            let driven = self.kept(&format!("the pose test, {}", outcome.mode.title()), driven);
             modes.extend(driven.map(|poses| (outcome.mode, poses)));
         }
         Ok(DrivenPoseTest { cube, cycles: cycles as usize, modes })
@@ -82,15 +82,23 @@ impl Loop<'_, '_> {
                 joints
             })
             .collect();
-        let mut machine = super::Driven::new(self.scenario, self.at.1, self.plant)?;
         let (before, total) = (self.done, self.total);
+        if self.interrupted {
+            return Err(PipelineError::Interrupted { done: before, total });
+        }
+        let mut machine = super::Driven::new(self.scenario, self.at.1, self.plant)?;
         let progress = &mut *self.progress;
         let measured = self
             .session
             .measure_cycles(&mut machine, self.at, &joints, cycles, &mut |done, _| {
                 progress(before.saturating_add(done), total)
             })
-            .map_err(|error| failed(cycles_failed(error)))?;
+            .map_err(|error| match cycles_failed(error) {
+                Iso9283Failure::Pipeline(PipelineError::Interrupted { done, .. }) => {
+                    PipelineError::Interrupted { done: before.saturating_add(done), total }
+                }
+                other => failed(other),
+            })?;
         self.done = before.saturating_add(cycles.saturating_mul(5));
         let set = SetOutcome {
             kind: SetKind::Verification,

@@ -92,7 +92,7 @@ fn points_section(made: &Compensation, figures: Option<&[String; 3]>) -> Markup 
                     div.scroll { (PreEscaped(way)) }
                     figcaption {
                         "Goals in three views of the base frame. Arrows are drawn " (factor_words(arrow_factor(made)))
-                        " times as long as they are, at every so many-th point where there are many."
+                        " times as long as they are, at some of the points where there are many."
                     }
                 }
                 figure {

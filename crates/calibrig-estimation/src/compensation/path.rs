@@ -173,6 +173,8 @@ pub enum PointStatus {
     Jumped(Box<CompensatedPoint>),
     /// Not met.
     Unreachable(Box<Unreachable>),
+    /// The identified robot cannot be predicted there, with the reason: such as that it does not come to rest.
+    Failed(String),
 }
 
 /// One point of a followed path.
@@ -191,7 +193,7 @@ impl PathReport {
     pub fn point(&self) -> Option<&CompensatedPoint> {
         match &self.status {
             PointStatus::Met(point) | PointStatus::Jumped(point) => Some(point),
-            PointStatus::Unreachable(_) => None,
+            PointStatus::Unreachable(_) | PointStatus::Failed(_) => None,
         }
     }
 }
@@ -285,6 +287,14 @@ impl Compensator<'_> {
                     | CompensationError::Inverse(InverseError::Unreachable(told)),
                 ) => {
                     followed.points.push(unreachable(told));
+                    travel.interrupt();
+                }
+                Err(
+                    failed @ (CompensationError::Prediction(_)
+                    | CompensationError::Inverse(InverseError::Prediction(_))),
+                ) => {
+                    let status = PointStatus::Failed(failed.to_string());
+                    followed.points.push(PathReport { asked: path.points[index], status, wavers: false });
                     travel.interrupt();
                 }
                 Err(other) => return Err(other),

@@ -54,7 +54,7 @@ pub struct DrivenMode {
 /// A reading of the tool at a goal.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DrivenPoint {
-    /// Number of the pose, or of the point of a path.
+    /// Number of the pose, or place of the point in its path, from 0.
     pub pose: u32,
     /// Where the tool was to be, in the base frame, m.
     pub goal: Vector3<f64>,
@@ -100,6 +100,8 @@ pub struct DrivenCriterion {
     pub corrected: Option<AccuracyRow>,
     /// Goals that could not be met.
     pub missed: usize,
+    /// Goals whose position alone was corrected.
+    pub position_alone: usize,
 }
 
 /// Cycles over the poses of a test cube (ISO 9283), against where they were commanded to be.

@@ -48,7 +48,7 @@ pub enum DriveError<E> {
         source: ModelError,
     },
     /// A time that is not after that of the point before.
-    #[error("point {} is at {time} s: expected a finite time, not before that of the point before", index + 1)]
+    #[error("point {} is at {time} s: expected a finite time after that of the point before", index + 1)]
     Time {
         /// Its place in the list.
         index: usize,
@@ -69,12 +69,12 @@ pub enum DriveError<E> {
 pub type DriveProgress<'a> = dyn FnMut(u32, u32) -> ControlFlow<()> + 'a;
 
 impl MeasuringSession<'_> {
-    /// Commands of the verification set's poses in the order in which they are driven, m or rad.
-    pub fn verification_commands(&self, seed: u64, trial: u32) -> Vec<Vec<f64>> {
+    /// Commands of the verification set's poses in the order in which they are driven, m or rad, and when each is first read, s.
+    pub fn verification_commands(&self, seed: u64, trial: u32) -> Vec<(Vec<f64>, f64)> {
         let schedule = self.schedule(seed, trial);
         let of_set = schedule.sets.iter().find(|set| set.kind == SetKind::Verification);
         let poses = of_set.map_or(&[][..], |set| &set.poses);
-        poses.iter().map(|(joints, _)| self.actuators.command_from_joints(joints)).collect()
+        poses.iter().map(|(joints, time)| (self.actuators.command_from_joints(joints), *time)).collect()
     }
 
     /// Measures the verification set once more as [`measure`](Self::measure) does, at the same hour, with the same draws and payloads, but with other commands for its
@@ -92,6 +92,7 @@ impl MeasuringSession<'_> {
     ) -> Result<DrivenSet, DriveError<M::Error>> {
         let session = |error: SessionError<M::Error>| DriveError::Session(error);
         self.check_commands(commands)?;
+        self.check_session().map_err(session)?;
         let mut schedule = self.schedule(seed, trial);
         let place = schedule.sets.iter().position(|set| set.kind == SetKind::Verification);
         let expected = place.map_or(0, |place| schedule.sets[place].poses.len());
@@ -141,10 +142,11 @@ impl MeasuringSession<'_> {
         progress: &mut DriveProgress<'_>,
     ) -> Result<DrivenSet, DriveError<M::Error>> {
         let session = |error: SessionError<M::Error>| DriveError::Session(error);
+        self.check_session().map_err(session)?;
         let mut last = 0.0;
         for (index, (command, time)) in points.iter().enumerate() {
             self.check_command(index, command)?;
-            if !(time.is_finite() && *time >= last) {
+            if !(time.is_finite() && (*time > last || index == 0 && *time >= 0.0)) {
                 return Err(DriveError::Time { index, time: *time });
             }
             last = *time;

@@ -98,10 +98,7 @@ impl MeasuringSession<'_> {
         listener: &mut SessionListener<'_>,
     ) -> Result<Simulation, SessionError<M::Error>> {
         let total = self.identification_poses.saturating_add(self.verification_poses);
-        let joints = self.as_built.kinematics.joint_count();
-        self.region.check(joints)?;
-        self.listed.into_iter().flatten().flatten().try_for_each(|pose| check_listed(pose, joints))?;
-        self.plan.check(self.identification_poses.max(self.verification_poses))?;
+        self.check_session()?;
         let schedule = self.schedule(seed, trial);
         self.as_built.check_effects(schedule.duration)?;
         self.warmth_after(&schedule)?;
@@ -156,6 +153,13 @@ impl MeasuringSession<'_> {
             truth.outliers.push(measured.outliers);
         }
         Ok(Simulation { sets, missing, sweeps_missing, truth })
+    }
+
+    pub(super) fn check_session<E>(&self) -> Result<(), SessionError<E>> {
+        let joints = self.as_built.kinematics.joint_count();
+        self.region.check(joints)?;
+        self.listed.into_iter().flatten().flatten().try_for_each(|pose| check_listed(pose, joints))?;
+        Ok(self.plan.check(self.identification_poses.max(self.verification_poses))?)
     }
 
     /// The poses of a set, one after the other, and what `hear` is told of them.
