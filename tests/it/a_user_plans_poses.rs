@@ -397,7 +397,7 @@ fn what_cannot_be_planned_is_refused() {
         &sandbox,
         &robot,
         "models/spray_painter/robot.toml",
-        "how the readings will scatter",
+        "the noise of the readings is not known",
         "--noise-um",
     );
     let many = ["plan", MATCHED, "--poses", "50", "--candidates", "40"];
