@@ -44,7 +44,7 @@ use values::{Length3, SideOfRegion};
   calibrig plan --after recording.mcap --poses 10 --out next                the same after a run
 
 plan.csv is a file that a scenario takes ([poses] identification_from = \"plan.csv\"), and that calibrig identify takes once the measured
-columns are added. Exit code 3 where the accuracy that was asked for is not reached.")]
+columns are added. Exit code 3 where --poses N do not reach the accuracy that was asked for; without --poses an accuracy out of reach is an error (1).")]
 pub(super) struct Args {
     /// The scenario file
     #[arg(conflicts_with_all = ["robot", "measurements", "columns", "session", "tracker", "noise_um", "tracker_mm", "region"])]
@@ -118,7 +118,7 @@ pub(super) struct Args {
     /// Where the robot will work: a joint and its range, such as rail=100mm..3900mm or waist=-20deg..40deg; others have their limits. May be repeated
     #[arg(long, value_name = "JOINT=MIN..MAX", value_parser = values::side, allow_hyphen_values = true)]
     region: Vec<SideOfRegion>,
-    /// The tracker, for its noise and limits: at500, at960, vantage, gts3800
+    /// The tracker, for its noise and limits: at500, at960, vantage, gts3800. After a session for its limits alone: the noise is what was found
     #[arg(long, value_name = "NAME", value_parser = values::preset, conflicts_with = "noise_um")]
     tracker: Option<Preset>,
     /// Standard deviation of a measured coordinate, um, instead of a tracker's
@@ -130,9 +130,9 @@ pub(super) struct Args {
     /// Where the reflector's opening points, in the flange frame [default: turned to the tracker by hand]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = values::length3, conflicts_with = "scenario")]
     opening: Option<Length3>,
-    /// Largest angle between the opening and the beam, deg
-    #[arg(long, value_name = "DEG", default_value_t = 30.0, value_parser = values::angle, conflicts_with = "scenario")]
-    acceptance_deg: f64,
+    /// Largest angle between the opening and the beam, deg [default: 30]
+    #[arg(long, value_name = "DEG", value_parser = values::angle, conflicts_with = "scenario")]
+    acceptance_deg: Option<f64>,
     /// Height of the floor above the base's origin, mm
     #[arg(long, value_name = "MM", allow_negative_numbers = true, conflicts_with = "scenario")]
     floor_mm: Option<f64>,
@@ -308,8 +308,11 @@ fn listed(path: &Path, columns: Option<&Path>, robot: &Robot) -> Result<Vec<Vec<
         (None, None) => ColumnMap::default(),
     };
     let model = &robot.model;
+    let mut commanded = parse_commands(&source, &map, &commanded_joints(model))?;
+    // Several readings of a pose are one candidate.
+    commanded.dedup_by_key(|(pose, _)| *pose);
     let mut poses = Vec::new();
-    for (pose, commands) in parse_commands(&source, &map, &commanded_joints(model))? {
+    for (pose, commands) in commanded {
         let command = with_followers(model, &commands);
         let mut joints = vec![0.0; command.len()];
         model.actuators.joints_from_command(&command, &mut joints);

@@ -128,10 +128,7 @@ pub(super) fn find(
             wanted = wanted.saturating_mul(2).min(most);
         }
     }
-    let mut refused: Vec<(String, usize)> =
-        filter.refused.iter().map(|(why, count)| (why.to_string(), *count)).collect();
-    refused.sort_by(|a, b| b.1.cmp(&a.1).then(a.0.cmp(&b.0)));
-    Ok(Found { kept, looked, refused })
+    Ok(Found { kept, looked, refused: filter.refused_words() })
 }
 
 /// Poses that fill the region evenly, where the robot can be.
@@ -149,8 +146,7 @@ pub(super) fn region(
     let kept: Vec<Candidate> =
         poses.into_iter().filter_map(|joints| filter.works_at(joints)).take(count).collect();
     if kept.is_empty() {
-        let words = filter.refused.iter().map(|(why, count)| (why.to_string(), *count)).collect();
-        return Err(PosePlanError::NoRegion { looked, refused: words });
+        return Err(PosePlanError::NoRegion { looked, refused: filter.refused_words() });
     }
     Ok(kept)
 }
@@ -171,19 +167,19 @@ pub(super) fn drawn_in(
     count: usize,
     seed: u64,
     trial: u32,
-) -> Option<Vec<Vec<f64>>> {
+) -> Result<Option<Vec<Candidate>>, PosePlanError> {
     let sides = cell.region.ranges(cell.model);
-    let mut filter = Filter::new(robot, &cell.around, &spread_in(cell.model, &sides, SURVEYED)).ok()?;
+    let mut filter = Filter::new(robot, &cell.around, &spread_in(cell.model, &sides, SURVEYED))?;
     let mut rng = stream(seed, trial, Source::IdentificationPoses);
     let mut poses = Vec::new();
     for _ in 0..count.saturating_mul(MOST_LOOKED) {
         let mut joints: Vec<f64> =
             sides.iter().map(|[low, high]| low + (high - low) * rng.random::<f64>()).collect();
         cell.model.actuators.follow(&mut joints);
-        poses.extend(filter.take(joints).map(|own| own.joints));
+        poses.extend(filter.take(joints));
         if poses.len() == count {
-            return Some(poses);
+            return Ok(Some(poses));
         }
     }
-    None
+    Ok(None)
 }

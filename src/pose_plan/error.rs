@@ -34,6 +34,25 @@ pub enum PosePlanError {
         /// How many were refused, and why; the most first.
         refused: Vec<(String, usize)>,
     },
+    /// Numbers of poses end.
+    #[error(
+        "pose numbers leave no room for {count} more: the next would be {next}, and they end at {}",
+        u32::MAX
+    )]
+    NoNumbers {
+        /// Of the first pose that has none yet.
+        next: u32,
+        /// Poses that are to be numbered.
+        count: usize,
+    },
+    /// A region of another robot.
+    #[error("the region has {sides} sides, and the robot {joints} joints")]
+    Region {
+        /// Of the region.
+        sides: usize,
+        /// Of the robot.
+        joints: usize,
+    },
     /// No pose where the robot is to work.
     #[error(
         "none of {looked} poses of the working region can be taken by the nominal robot{}",
@@ -70,6 +89,8 @@ impl PosePlanError {
             Self::NoRegion { .. } => {
                 "expected a region that the robot can work in: look at its limits and shapes"
             }
+            Self::NoNumbers { .. } => "expected lower pose numbers in what was measured: counted from 1, say",
+            Self::Region { .. } => "expected the lowest and the highest variable of every joint",
             Self::OutOfReach { .. } => {
                 "expected a larger --accuracy, or --poses N for the best that so many tell; see the curve of calibrig plan --poses N"
             }

@@ -25,9 +25,9 @@ pub struct Stand {
 pub struct Surroundings {
     /// Its links, by which it touches itself and the floor.
     pub obstacles: Obstacles,
-    /// The trackers; empty where nobody knows where they stand, and then every target is taken as seen.
+    /// The trackers, one a station in their order; empty where nobody knows where they stand, and then every target is taken as seen.
     pub trackers: Vec<Stand>,
-    /// One a target, with its opening.
+    /// One a target in their order, with its opening.
     pub reflectors: Vec<Reflector>,
     /// What can be between a tracker and a target; `None` where lines of sight are taken as free.
     pub hides: Option<Obstacles>,
@@ -83,6 +83,15 @@ pub struct Candidate {
     pub joints: Vec<f64>,
     /// Where the first target is, in the base frame, m.
     pub target: Vector3<f64>,
+    /// Station and target of every free line of sight; `None` where it was not looked at, and all are taken as free.
+    pub seen: Option<Vec<[usize; 2]>>,
+}
+
+impl Candidate {
+    /// Whether a station sees a target.
+    pub fn is_seen(&self, station: usize, target: usize) -> bool {
+        self.seen.as_ref().is_none_or(|seen| seen.contains(&[station, target]))
+    }
 }
 
 /// What is behind the last link.
@@ -143,25 +152,26 @@ impl<'a> Filter<'a> {
 
     /// The candidate at joint variables; `None` where it is refused, which is counted.
     pub fn take(&mut self, joints: Vec<f64>) -> Option<Candidate> {
-        match self.look(&joints) {
-            Ok(target) => Some(Candidate { joints, target }),
-            Err(why) => {
-                *self.refused.entry(why).or_default() += 1;
-                None
-            }
-        }
+        let looked = self.reached(&joints).and_then(|target| Ok((target, self.seen(&joints)?)));
+        self.counted(looked.map(|(target, seen)| Candidate { joints, target, seen }))
     }
 
     /// The same of a pose where the robot works, which no tracker has to see.
     pub fn works_at(&mut self, joints: Vec<f64>) -> Option<Candidate> {
-        let target = self.reached(&joints).ok()?;
-        Some(Candidate { joints, target })
+        let reached = self.reached(&joints);
+        self.counted(reached.map(|target| Candidate { joints, target, seen: None }))
     }
 
-    fn look(&mut self, joints: &[f64]) -> Result<Vector3<f64>, Refused> {
-        let target = self.reached(joints)?;
-        self.seen(joints)?;
-        Ok(target)
+    fn counted(&mut self, looked: Result<Candidate, Refused>) -> Option<Candidate> {
+        looked.map_err(|why| *self.refused.entry(why).or_default() += 1).ok()
+    }
+
+    /// Reasons in words, the most frequent first.
+    pub(super) fn refused_words(&self) -> Vec<(String, usize)> {
+        let mut words: Vec<(String, usize)> =
+            self.refused.iter().map(|(why, count)| (why.to_string(), *count)).collect();
+        words.sort_by(|a, b| b.1.cmp(&a.1).then(a.0.cmp(&b.0)));
+        words
     }
 
     /// Where the target is, where the robot can be.
@@ -183,23 +193,23 @@ impl<'a> Filter<'a> {
         }
     }
 
-    /// Whether some tracker sees some target, with room to spare.
-    fn seen(&self, joints: &[f64]) -> Result<(), Refused> {
-        let mut first = None;
+    /// Which tracker sees which target, with room to spare; of a pose where none sees any, why.
+    fn seen(&self, joints: &[f64]) -> Result<Option<Vec<[usize; 2]>>, Refused> {
+        let (mut seen, mut first) = (Vec::new(), None);
         if self.around.trackers.is_empty() {
-            return Ok(());
+            return Ok(None);
         }
         let (links, flange) = stance_at(self.kinematics, joints);
         let stance = Stance { links: &links, flange: &flange };
-        for (stand, reach) in self.around.trackers.iter().zip(&self.reaches) {
-            for reflector in &self.around.reflectors {
+        for (station, (stand, reach)) in self.around.trackers.iter().zip(&self.reaches).enumerate() {
+            for (target, reflector) in self.around.reflectors.iter().enumerate() {
                 match self.looks(stance, stand, reach, reflector) {
-                    Ok(()) => return Ok(()),
+                    Ok(()) => seen.push([station, target]),
                     Err(why) => _ = first.get_or_insert(why),
                 }
             }
         }
-        Err(first.map_or(Refused::Range, |why| named(&why)))
+        if seen.is_empty() { Err(first.map_or(Refused::Range, |why| named(&why))) } else { Ok(Some(seen)) }
     }
 
     fn looks(

@@ -169,6 +169,10 @@ pub fn plan(
         number += 1;
         progress(Step { name, number });
     };
+    let (sides, joints) = (cell.region.ranges(cell.model).len(), cell.model.kinematics.joint_count());
+    if sides != joints {
+        return Err(PosePlanError::Region { sides, joints });
+    }
     tell("looking for candidates");
     let robot = cell.robot();
     let found = candidates::find(cell, &robot, request)?;
@@ -182,12 +186,11 @@ pub fn plan(
         return Err(PosePlanError::TooFew { kept: found.kept.len(), drawn: found.looked, wanted, refused });
     }
     tell("predicting what they would tell");
-    let joints: Vec<Vec<f64>> = found.kept.iter().map(|own| own.joints.clone()).collect();
     let count = request.poses.unwrap_or(request.most.min(60));
     let commands: Vec<Vec<f64>> =
         region.iter().map(|own| cell.model.actuators.command_from_joints(&own.joints)).collect();
     let queries: Vec<PoseQuery<'_>> = commands.iter().map(PoseQuery::from).collect();
-    let (set, measured) = cell.set_of(&joints, count)?;
+    let (set, measured) = cell.set_of(&found.kept, count)?;
     let first = cell.first_pose();
     let estimate = cell.before.as_ref().map(|(_, estimate)| estimate);
     let mut session = PlannedSession::new(cell.model, &set, &cell.options, estimate, &measured, &queries)?;
@@ -222,11 +225,16 @@ pub fn plan(
     };
     tell("comparing with random poses");
     let random = as_drawn(cell, &robot, request, &queries, design.chosen.len());
+    let (random, not_compared) = match random {
+        Ok(random) => (random, None),
+        Err(why) => (Vec::new(), Some(format!("the plan is not compared with random poses: {why}"))),
+    };
     tell("putting them in order");
     let (order, approaches, change) =
-        in_order(cell, request, &session, &spaces[0], &design, (&joints, first))?;
+        in_order(cell, request, &session, &spaces[0], &design, (&found.kept, first))?;
     let place = |candidate: &usize| session.candidates()[*candidate].saturating_sub(first) as usize;
-    let numbered = order.iter().zip(approaches).zip(cell.next_number()..);
+    let numbers = readings::numbers(cell.next_number(), order.len())?;
+    let numbered = order.iter().zip(approaches).zip(numbers);
     let poses = numbered
         .map(|((index, approach), pose)| {
             let own = &found.kept[place(&design.chosen[*index])];
@@ -236,7 +244,9 @@ pub fn plan(
         .collect();
     let measured = measured.len();
     let found = Planned { found, region, design, growth, needed, random, poses, order: change, measured };
-    Ok(told(cell, request, &spaces[0], found))
+    let mut plan = told(cell, request, &spaces[0], found);
+    plan.remarks.extend(not_compared);
+    Ok(plan)
 }
 
 /// What a search found.
@@ -304,8 +314,8 @@ impl Cell<'_> {
     }
 
     /// Candidates as they are measured, beside what was measured before; and the numbers of the latter.
-    fn set_of(&self, joints: &[Vec<f64>], count: usize) -> Result<(MeasurementSet, Vec<u32>), PosePlanError> {
-        let mut set = readings::read(&self.readings, joints, count, self.first_pose())?;
+    fn set_of(&self, poses: &[Candidate], count: usize) -> Result<(MeasurementSet, Vec<u32>), PosePlanError> {
+        let mut set = readings::read(&self.readings, poses, count, self.first_pose())?;
         let Some((before, _)) = &self.before else { return Ok((set, Vec::new())) };
         let numbers: BTreeSet<u32> = before.observations.iter().map(|own| own.pose).collect();
         let candidates = std::mem::take(&mut set.observations);
@@ -388,24 +398,26 @@ fn growth(spaces: &[DesignSpace], choice: &Choice, request: &Request) -> Result<
     }
 }
 
-/// What random poses of the region would tell, as many and twice as many.
+/// What random poses of the region would tell, as many and twice as many; else why that is not known, in words.
 fn as_drawn(
     cell: &Cell<'_>,
     robot: &CalibratedRobot,
     request: &Request,
     queries: &[PoseQuery<'_>],
     count: usize,
-) -> Vec<AsDrawn> {
-    let draw = |trial: u32| drawn_in(cell, robot, 2 * count, request.seed, trial);
-    let Some(draws) = (0..DRAWS).map(draw).collect::<Option<Vec<_>>>() else { return Vec::new() };
-    let all: Vec<Vec<f64>> = draws.into_iter().flatten().collect();
+) -> Result<Vec<AsDrawn>, String> {
+    let mut all: Vec<Candidate> = Vec::new();
+    for trial in 0..DRAWS {
+        let drawn = drawn_in(cell, robot, 2 * count, request.seed, trial).map_err(|why| why.to_string())?;
+        all.extend(drawn.ok_or("hardly any pose that is drawn in the region can be measured")?);
+    }
     let space = || -> Result<_, PosePlanError> {
         let (set, measured) = cell.set_of(&all, count)?;
         let estimate = cell.before.as_ref().map(|(_, estimate)| estimate);
         let mut session = PlannedSession::new(cell.model, &set, &cell.options, estimate, &measured, queries)?;
         Ok((session.space(&ParameterScale::Effect)?, session.candidates().to_vec()))
     };
-    let Ok((space, numbers)) = space() else { return Vec::new() };
+    let (space, numbers) = space().map_err(|why| why.to_string())?;
     let first = cell.first_pose();
     let place: std::collections::BTreeMap<u32, usize> =
         numbers.iter().enumerate().map(|(place, number)| (number.saturating_sub(first), place)).collect();
@@ -426,7 +438,8 @@ fn as_drawn(
         let of_parameters = sorted(|own| &own.of_parameters);
         AsDrawn { poses: number, draws: DRAWS, values, of_parameters }
     };
-    [count, 2 * count].map(of).into_iter().filter(|own| !own.values.is_empty()).collect()
+    let told: Vec<_> = [count, 2 * count].map(of).into_iter().filter(|own| !own.values.is_empty()).collect();
+    if told.is_empty() { Err("none of the draws tells all parameters".to_owned()) } else { Ok(told) }
 }
 
 type InOrder = (Vec<usize>, Vec<Vec<i8>>, OrderChange);
@@ -437,9 +450,10 @@ fn in_order(
     session: &PlannedSession<'_>,
     space: &DesignSpace,
     design: &Design,
-    (joints, first): (&[Vec<f64>], u32),
+    (poses, first): (&[Candidate], u32),
 ) -> Result<InOrder, PosePlanError> {
-    let own = |candidate: &usize| &joints[session.candidates()[*candidate].saturating_sub(first) as usize];
+    let own =
+        |candidate: &usize| &poses[session.candidates()[*candidate].saturating_sub(first) as usize].joints;
     let commands: Vec<Vec<f64>> = design
         .chosen
         .iter()

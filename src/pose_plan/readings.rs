@@ -1,5 +1,7 @@
 //! The readings that a session of any poses would take, as those who plan know it: of a scenario, or as somebody states them.
 
+use std::ops::Range;
+
 use calibrig_estimation::identification::{CalibratedRobot, PredictionError, Predictor};
 use calibrig_model::PoseQuery;
 use calibrig_model::geometry::Transform;
@@ -8,7 +10,7 @@ use calibrig_model::nalgebra::{Matrix3, Vector3};
 use calibrig_plant::session::{NestRounds, PayloadOrder, PoseOrder, SessionPlan, Timing};
 use calibrig_plant::tracker::{Conditions, Instrument};
 
-use super::PosePlanError;
+use super::{Candidate, PosePlanError};
 use crate::pipeline::planned;
 use crate::scenario::Scenario;
 
@@ -19,7 +21,7 @@ use crate::scenario::Scenario;
 pub enum Readings<'a> {
     /// The session of a scenario, with the nominal robot in place of its machine.
     Scenario(&'a Scenario),
-    /// Every target from every station that is stated, of this robot.
+    /// Every target from every station that is stated and sees it, of this robot.
     Stated {
         /// The robot: the nominal one, or the one that a session before found.
         robot: CalibratedRobot,
@@ -41,32 +43,39 @@ pub enum Noise {
     Found,
 }
 
-/// The set of poses at joint variables, numbered on from `first`, as a session of `count` of them would measure each.
+/// The set of `poses`, numbered on from `first`, as a session of `count` of them would measure each.
 pub(super) fn read(
     readings: &Readings<'_>,
-    poses: &[Vec<f64>],
+    poses: &[Candidate],
     count: usize,
     first: u32,
 ) -> Result<MeasurementSet, PosePlanError> {
+    let numbers = numbers(first, poses.len())?;
     match readings {
         Readings::Scenario(scenario) => of_scenario(scenario, poses, count, first),
         Readings::Stated { robot, set, noise } => {
             let mut planned = set.clone();
-            planned.observations = stated(robot, set, *noise, poses, first)?;
+            planned.observations = stated(robot, set, *noise, numbers.zip(poses))?;
             Ok(planned)
         }
     }
 }
 
+/// Numbers of `count` poses from `first` on.
+pub(super) fn numbers(first: u32, count: usize) -> Result<Range<u32>, PosePlanError> {
+    let end = u32::try_from(count).ok().and_then(|count| first.checked_add(count));
+    end.map(|end| first..end).ok_or(PosePlanError::NoNumbers { next: first, count })
+}
+
 fn of_scenario(
     scenario: &Scenario,
-    poses: &[Vec<f64>],
+    poses: &[Candidate],
     count: usize,
     first: u32,
 ) -> Result<MeasurementSet, PosePlanError> {
     let mut session = scenario.clone();
     session.identification_poses = u32::try_from(poses.len()).unwrap_or(u32::MAX);
-    session.listed[0] = Some(poses.to_vec());
+    session.listed[0] = Some(poses.iter().map(|own| own.joints.clone()).collect());
     let SessionPlan { rounds, timing, payloads, .. } = &mut session.plan;
     // Nests once: rounds between all candidates would place the tracker far better than those of the poses that are chosen.
     let again = rounds.every > 0 || rounds.after;
@@ -85,21 +94,20 @@ fn of_scenario(
     Ok(set)
 }
 
-fn stated(
+fn stated<'a>(
     robot: &CalibratedRobot,
     set: &MeasurementSet,
     noise: Noise,
-    poses: &[Vec<f64>],
-    first: u32,
+    poses: impl Iterator<Item = (u32, &'a Candidate)>,
 ) -> Result<Vec<Observation>, PredictionError> {
     let mut predictor = Predictor::new(robot)?;
     let identity = Transform::identity();
     let mut observations = Vec::new();
-    for (pose, joints) in (first..).zip(poses) {
-        let command = robot.model.actuators.command_from_joints(joints);
+    for (pose, own) in poses {
+        let command = robot.model.actuators.command_from_joints(&own.joints);
         for target in 0..set.targets.len() {
             let in_base = predictor.in_base(PoseQuery::at(&command).with_target(target))?;
-            for station in 0..set.stations.len() {
+            for station in (0..set.stations.len()).filter(|station| own.is_seen(*station, target)) {
                 let from_base = robot.stations.get(station).unwrap_or(&identity);
                 let seen = from_base.rotation * in_base + from_base.translation.vector;
                 observations.push(Observation {

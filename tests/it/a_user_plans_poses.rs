@@ -8,7 +8,9 @@ use calibrig::identification::{IdentificationOptions, MachineNoiseChoice, Mode};
 use calibrig::measurement::SetKind;
 use calibrig::montecarlo::{Campaign, Trial};
 use calibrig::pipeline::PlantKind;
-use calibrig::pose_plan::{CandidateSource, PosePlan, Request, cell_of, plan};
+use calibrig::pose_plan::{
+    CandidateSource, Filter, PosePlan, PosePlanError, Region, Request, cell_of, nominal_robot, plan,
+};
 use calibrig::scenario::{Scenario, load_scenario};
 
 use crate::repeated;
@@ -16,6 +18,7 @@ use crate::sandbox::{Sandbox, assert_refused};
 
 const MATCHED: &str = "scenarios/matched.toml";
 const SESSION: &str = "scenarios/session.toml";
+const OTHER: &str = "scenarios/zoo/iiwa14.toml";
 /// As the command has it, m and rad.
 const CLEARANCE: (f64, f64) = (0.05, 0.035);
 
@@ -310,11 +313,58 @@ fn which_poses_next() {
         "csv/session.toml",
     ]);
     assert_eq!(files["measured_before"], 60);
+    refused_after_a_session(&sandbox);
     assert!(spread(&files) < 60e-6, "{}", spread(&files));
     let tracker = files["trackers_m"][0].as_array().expect("a place");
     for (found, placed) in tracker.iter().zip([6.0, 1.5, 1.5]) {
         assert!((found.as_f64().expect("a number") - placed).abs() < 1e-3, "{tracker:?}");
     }
+}
+
+fn refused_after_a_session(sandbox: &Sandbox) {
+    let recording = ["plan", "--after", "out/recording.mcap", "--poses", "8"];
+    for flag in [["--floor-mm", "0"], ["--tracker", "at960"], ["--region", "rail=1000mm..1500mm"]] {
+        let ended = sandbox.run(recording.iter().chain(&flag));
+        let message = format!("{} cannot be used with this recording", flag[0]);
+        assert!(ended.code == Some(2) && ended.stderr.contains(&message), "{ended:?}");
+    }
+    let zoo = ["plan", OTHER, "--after", "out/recording.mcap", "--poses", "8", "--mode", "elasto_geometric"];
+    assert_refused(sandbox, &zoo, OTHER, "the model has the hash", "the robot file");
+    // The last pose has the largest number that there is.
+    let mut table = rows(&sandbox.read("csv/identification.csv"));
+    let pose = table[0].iter().position(|name| name == "pose").expect("numbers");
+    table.last_mut().expect("poses")[pose] = u32::MAX.to_string();
+    let text: String = table.iter().map(|row| row.join(",") + "\n").collect();
+    sandbox.write("csv/last.csv", text);
+    let last = ["plan", "--model", "models/spray_painter/robot.toml", "--poses", "8", "--candidates", "60"];
+    let files = ["--measurements", "csv/last.csv", "--session", "csv/session.toml"];
+    // It is said first that the session file's targets are taken.
+    let ended = sandbox.run(last.iter().chain(&files));
+    for words in ["csv/last.csv: pose numbers leave no room for 60 more", "lower pose numbers"] {
+        assert!(ended.code == Some(1) && ended.stderr.contains(words), "{ended:?}");
+    }
+}
+
+/// A station too far off reads nothing; a region of another robot is refused.
+#[test]
+fn a_candidate_tells_who_sees_it() {
+    let scenario = load_scenario(Path::new(MATCHED)).expect("the shipped scenario");
+    let mut cell = cell_of(&scenario, scenario.options.clone(), CLEARANCE.0, CLEARANCE.1);
+    let mut far = cell.around.trackers[0];
+    far.reach.range = [200.0, 300.0];
+    cell.around.trackers.insert(0, far);
+    let robot = nominal_robot(cell.model, &cell.options, &cell.around.reflectors);
+    let centre = scenario.region.centre.clone();
+    let mut filter = Filter::new(&robot, &cell.around, std::slice::from_ref(&centre)).expect("a robot");
+    let own = filter.take(centre).expect("the middle of the region is seen");
+    assert_eq!(own.seen, Some(vec![[1, 0]]));
+    assert!(own.is_seen(1, 0) && !own.is_seen(0, 0));
+    // What the robot cannot take is counted there too.
+    assert_eq!(filter.works_at(vec![99.0; scenario.region.centre.len()]), None);
+    assert_eq!(filter.refused.values().sum::<usize>(), 1);
+    cell.region = Region::between(vec![[0.0, 1.0]], "a side");
+    let refused = plan(&cell, &Request { poses: Some(9), ..Request::default() }, &mut |_| ());
+    assert!(matches!(refused, Err(PosePlanError::Region { sides: 1, joints: 7 })), "{refused:?}");
 }
 
 /// Of a robot alone, whose tracker stands behind it or before it.
@@ -371,6 +421,22 @@ fn a_wrong_use_is_told() {
         ),
         ([&robot[..], &["--noise-um=-1"]].concat(), "a number from"),
         (
+            [&robot[..], &["--measurements", "m.csv", "--noise-um", "5"]].concat(),
+            "--noise-um cannot be used after a session",
+        ),
+        (
+            [&robot[..], &["--measurements", "m.csv", "--tracker-mm", "1,2,3"]].concat(),
+            "--tracker-mm cannot be used after a session",
+        ),
+        (
+            vec!["plan", "--after", "r.mcap", "--poses", "9", "--terms", "none"],
+            "--terms cannot be used after",
+        ),
+        (
+            vec!["plan", "--after", "r.mcap", "--poses", "9", "--actuator-sigma", "rail=1mm"],
+            "--actuator-sigma cannot be used after",
+        ),
+        (
             [&robot[..], &["--noise-um", "20", "--region", "hip=0deg..1deg"]].concat(),
             "one of the robot's joints",
         ),
@@ -397,7 +463,7 @@ fn what_cannot_be_planned_is_refused() {
         &sandbox,
         &robot,
         "models/spray_painter/robot.toml",
-        "how the readings will scatter",
+        "the noise of the readings is not known",
         "--noise-um",
     );
     let many = ["plan", MATCHED, "--poses", "50", "--candidates", "40"];

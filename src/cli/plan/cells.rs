@@ -8,7 +8,7 @@ use clap::error::ErrorKind;
 use super::super::identify::{Loaded, actuator_sigmas, failed, load, terms};
 use super::super::{Cli, CliError, read_scenario, replay, say};
 use super::Args;
-use crate::handover::EstimateFile;
+use crate::handover::{AnotherModel, EstimateFile, model_sha256};
 use crate::pipeline::{calibrate, default_options, without_drift};
 use crate::pose_plan::{
     Cell, Noise, Readings, Region, Surroundings, cell_of, levelled, nominal_robot, surroundings_of,
@@ -49,30 +49,78 @@ const MARGIN: f64 = 0.01;
 const REACH_POSES: usize = 200;
 const OF_REACH: f64 = 0.08;
 const MOST_RADIUS: f64 = 0.08;
+/// Of a reflector, deg.
+const ACCEPTANCE: f64 = 30.0;
 
 fn misused(message: &str) -> ! {
     Cli::command().error(ErrorKind::ValueValidation, message).exit()
 }
 
 pub(super) fn read(args: &Args) -> Result<Read, CliError> {
+    refuse_unused(args);
     let mut read = match (&args.scenario, &args.after) {
         (Some(path), None) => of_scenario(path)?,
         (Some(path), Some(after)) => {
             let mut read = of_scenario(path)?;
-            let (set, estimate, _) = recorded(args, after, &read.robot)?;
+            let (set, estimate, _) = recorded(after, args.mode.unwrap_or(read.options.mode))?;
+            let [found, expected] = [&read.robot.model, &estimate.robot.nominal].map(model_sha256);
+            if found != expected {
+                let source = AnotherModel { found, expected };
+                return Err(CliError::AnotherModel { file: path.clone(), source });
+            }
             read.before = Some((set, estimate));
             read
         }
         (None, Some(after)) if args.model.is_none() && args.urdf.is_none() => of_recording(args, after)?,
         _ => of_robot(args)?,
     };
-    adjust(args, &mut read);
+    adjust(args, &mut read.options, &read.robot.model);
+    if let Some((_, estimate)) = &read.before {
+        read.options.mode = estimate.robot.mode;
+    }
     Ok(read)
 }
 
+/// What a session before says itself cannot be said by flags as well.
+fn refuse_unused(args: &Args) {
+    let is_estimated = args.after.is_some();
+    if !is_estimated && args.measurements.is_empty() {
+        return;
+    }
+    for (flag, is_given, what) in [
+        ("--noise-um", args.noise_um.is_some(), "the noise of the readings is what the session found"),
+        ("--tracker-mm", args.tracker_mm.is_some(), "the tracker stands where the session found it"),
+        ("--terms", is_estimated && args.terms.is_some(), "the terms are those of the estimate"),
+        (
+            "--actuator-sigma",
+            is_estimated && !args.actuator_sigma.is_empty(),
+            "what the machine does beside its model is as the estimate has it",
+        ),
+    ] {
+        if is_given {
+            misused(&format!("{flag} cannot be used after a session: {what}"));
+        }
+    }
+}
+
+/// The same of a recording that holds its scenario.
+fn refuse_beside_scenario(args: &Args) {
+    for (flag, is_given) in [
+        ("--tracker", args.tracker.is_some()),
+        ("--region", !args.region.is_empty()),
+        ("--opening", args.opening.is_some()),
+        ("--acceptance-deg", args.acceptance_deg.is_some()),
+        ("--floor-mm", args.floor_mm.is_some()),
+        ("--capsule-radius-mm", args.capsule_radius_mm.is_some()),
+    ] {
+        if is_given {
+            misused(&format!("{flag} cannot be used with this recording: its scenario states it"));
+        }
+    }
+}
+
 /// Options as flags change them.
-fn adjust(args: &Args, read: &mut Read) {
-    let options = &mut read.options;
+fn adjust(args: &Args, options: &mut IdentificationOptions, model: &CalibrationModel) {
     if let Some(mode) = args.mode {
         options.mode = mode;
     }
@@ -86,8 +134,7 @@ fn adjust(args: &Args, read: &mut Read) {
         options.tolerance = Some(Tolerance { length: 1e-3 * length, angle: 1e-3 * angle });
     }
     if !args.actuator_sigma.is_empty() {
-        options.machine_noise =
-            MachineNoiseChoice::Stated(actuator_sigmas(&args.actuator_sigma, &read.robot.model));
+        options.machine_noise = MachineNoiseChoice::Stated(actuator_sigmas(&args.actuator_sigma, model));
     }
 }
 
@@ -121,18 +168,8 @@ fn of_parsed(scenario: Scenario) -> Read {
     }
 }
 
-/// The mode that further poses are planned for.
-fn wanted(args: &Args, model: &CalibrationModel) -> Mode {
-    args.mode.unwrap_or_else(|| usual_mode(model))
-}
-
-/// What a recording holds, identified again.
-fn recorded(
-    args: &Args,
-    path: &Path,
-    robot: &Robot,
-) -> Result<(MeasurementSet, Estimate, IdentificationOptions), CliError> {
-    let mode = wanted(args, &robot.model);
+/// What a recording holds, identified again in a mode.
+fn recorded(path: &Path, mode: Mode) -> Result<(MeasurementSet, Estimate, IdentificationOptions), CliError> {
     let options = ReplayOptions { modes: vec![mode], ..ReplayOptions::default() };
     let replayed = identify_again(path, &options).map_err(|error| replay::failed(error, path))?;
     let found = replayed.outcome.modes.into_iter().find(|own| own.mode == mode).and_then(|own| own.estimate);
@@ -154,22 +191,23 @@ fn of_recording(args: &Args, path: &Path) -> Result<Read, CliError> {
         return Err(InputError::Place { place: path.display().to_string(), message, help: Some(help) }.into());
     };
     let robot = parse_robot(of_robot, source("urdf"), source("columns"))?;
-    let (set, estimate, options) = recorded(args, path, &robot)?;
-    let mut read = match source("scenario") {
-        Some(text) => of_parsed(parse_scenario(text, robot)?),
+    let read = match source("scenario") {
+        Some(text) => {
+            refuse_beside_scenario(args);
+            of_parsed(parse_scenario(text, robot)?)
+        }
         None => Read {
             file: PathBuf::new(),
-            robot,
             seed: None,
             scenario: None,
-            options: options.clone(),
+            options: IdentificationOptions { mode: usual_mode(&robot.model), ..default_options(&robot) },
+            robot,
             before: None,
             stated: MeasurementSet::default(),
         },
     };
-    read.options = options;
-    read.before = Some((set, estimate));
-    Ok(Read { file: path.to_path_buf(), ..read })
+    let (set, estimate, options) = recorded(path, args.mode.unwrap_or(read.options.mode))?;
+    Ok(Read { file: path.to_path_buf(), options, before: Some((set, estimate)), ..read })
 }
 
 fn of_robot(args: &Args) -> Result<Read, CliError> {
@@ -240,14 +278,18 @@ fn of_files(args: &Args, robot: Robot) -> Result<Read, CliError> {
     for line in &read {
         say(line);
     }
-    let mode = wanted(args, &robot.model);
-    let options = IdentificationOptions { mode, ..default_options(&robot) };
+    let mut options = IdentificationOptions { mode: usual_mode(&robot.model), ..default_options(&robot) };
+    adjust(args, &mut options, &robot.model);
+    let mode = options.mode;
     let sets = without_drift(sets).map_err(|error| failed(error, &file, &[], &places))?.sets;
     let estimate = match &args.after {
         Some(path) => {
             let estimate = EstimateFile::read(path)?;
             let checked = estimate.check_model(&robot.model);
             checked.map_err(|source| CliError::AnotherModel { file: path.clone(), source })?;
+            if args.mode.is_some_and(|mode| mode != estimate.estimate.robot.mode) {
+                return Err(CliError::NoEstimate { file: path.clone(), mode: args.mode });
+            }
             estimate.estimate
         }
         None => {
@@ -357,12 +399,12 @@ impl Read {
         Region::between(sides, "the region of --region")
     }
 
-    fn target(&self) -> Vector3<f64> {
-        let measured = self.before.as_ref().and_then(|(_, estimate)| estimate.robot.targets.first());
-        measured
-            .or(self.stated.targets.first().map(|own| &own.in_flange))
-            .copied()
-            .unwrap_or(MOUNTABLE_TARGET)
+    /// Targets in the flange frame, m.
+    fn targets(&self) -> Vec<Vector3<f64>> {
+        match &self.before {
+            Some((_, estimate)) => estimate.robot.targets.clone(),
+            None => self.stated.targets.iter().map(|own| own.in_flange).collect(),
+        }
     }
 
     /// Of a robot that no scenario tells of.
@@ -383,34 +425,46 @@ impl Read {
             None => bare,
         };
         let instrument = args.tracker.map(Preset::instrument);
-        let places: Vec<Vector3<f64>> = match (&args.tracker_mm, &self.before) {
-            (Some(place), _) => vec![place.0],
-            (None, Some((_, estimate))) => {
-                estimate.robot.stations.iter().map(|own| own.inverse().translation.vector).collect()
-            }
-            (None, None) => {
-                self.stations().into_iter().flatten().map(|own| own.inverse().translation.vector).collect()
-            }
-        };
+        let stations = self.stations(args);
+        let places: Vec<Vector3<f64>> =
+            stations.iter().flatten().map(|own| own.inverse().translation.vector).collect();
+        if !places.is_empty() && places.len() < stations.len() {
+            misused(
+                "the session places some stations by nests, and others not: expected --tracker-mm with the place of these",
+            );
+        }
         let opening = args.opening.and_then(|own| UnitVector3::try_new(own.0, 1e-12));
         if args.opening.is_some() && opening.is_none() {
             misused("--opening: expected a direction that is not 0,0,0");
         }
-        let acceptance = args.acceptance_deg.to_radians();
+        let acceptance = args.acceptance_deg.unwrap_or(ACCEPTANCE).to_radians();
+        let targets = self.targets().into_iter();
         Surroundings {
             hides: Some(obstacles.clone()),
             obstacles,
             trackers: places.into_iter().map(|place| levelled(instrument, place, &up)).collect(),
-            reflectors: vec![Reflector { in_flange: self.target(), opening, acceptance }],
+            reflectors: targets.map(|in_flange| Reflector { in_flange, opening, acceptance }).collect(),
             clearance,
             angle,
         }
     }
 
-    /// Where the session's nests place the stations; `None` of one without.
-    fn stations(&self) -> Vec<Option<Transform>> {
+    /// Where the stations stand by a session before, by nests, or else by the flag; `None` of one of which nobody says so.
+    fn stations(&self, args: &Args) -> Vec<Option<Transform>> {
+        if let Some((_, estimate)) = &self.before {
+            return estimate.robot.stations.iter().copied().map(Some).collect();
+        }
+        let stands = args.tracker_mm.map(|place| {
+            let statics = self.robot.model.statics.as_ref();
+            let up = -statics.map_or(Vector3::new(0.0, 0.0, -9.81), |statics| statics.gravity);
+            levelled(None, place.0, &up).base_from_tracker.inverse()
+        });
         let placed = |station: &Station| register(station).ok().map(|found| found.tracker_from_base);
-        self.stated.stations.iter().map(placed).collect()
+        let by_nests: Vec<_> = self.stated.stations.iter().map(placed).collect();
+        if stands.is_some() && by_nests.iter().all(Option::is_some) {
+            misused("--tracker-mm: the session's nests say already where the tracker stands");
+        }
+        by_nests.into_iter().map(|own| own.or(stands)).collect()
     }
 
     /// Readings of a robot that no scenario tells of.
@@ -422,7 +476,7 @@ impl Read {
             (None, None) => {
                 return Err(InputError::Place {
                     place: self.file.display().to_string(),
-                    message: "nobody says how the readings will scatter, and so not what they would tell".to_owned(),
+                    message: "the noise of the readings is not known: state it with --noise-um or --tracker".to_owned(),
                     help: Some("expected --tracker NAME, or --noise-um with the standard deviation of a coordinate; or --measurements, whose noise is found".to_owned()),
                 }
                 .into());
@@ -432,12 +486,7 @@ impl Read {
         robot.targets = self.stated.targets.iter().map(|own| own.in_flange).collect();
         robot.orientations = vec![None; robot.targets.len()];
         let identity = Transform::identity();
-        let stands = args.tracker_mm.map(|place| {
-            let statics = self.robot.model.statics.as_ref();
-            let up = -statics.map_or(Vector3::new(0.0, 0.0, -9.81), |statics| statics.gravity);
-            levelled(None, place.0, &up).base_from_tracker.inverse()
-        });
-        robot.stations = self.stations().into_iter().map(|own| own.or(stands).unwrap_or(identity)).collect();
+        robot.stations = self.stations(args).into_iter().map(|own| own.unwrap_or(identity)).collect();
         let set = MeasurementSet { observations: Vec::new(), ..self.stated.clone() };
         Ok(Readings::Stated { robot, set, noise })
     }

@@ -194,7 +194,7 @@ pub(super) fn joints(plan: &PosePlan) -> Result<String, ReportError> {
             let y = count - row as f64 - 0.5;
             let (name, kind, limits) = &plan.links[*joint];
             let values: Vec<f64> = plan.poses.iter().map(|own| own.joints[*joint]).collect();
-            let region = plan.region_ranges[*joint];
+            let region = plan.region_ranges.get(*joint).copied().unwrap_or(*limits);
             let whole = if limits.iter().all(|limit| limit.is_finite()) {
                 *limits
             } else {

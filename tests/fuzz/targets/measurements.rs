@@ -4,7 +4,7 @@ use std::sync::LazyLock;
 
 use calibrig::files::{
     ColumnMap, LoadedMeasurements, RowOptions, SessionSet, Source, measurements_text, parse_column_map,
-    parse_measurements, parse_session, session_text, suggest_columns,
+    parse_commands, parse_measurements, parse_session, session_text, suggest_columns,
 };
 use calibrig::measurement::{SetKind, TargetOrientation, remove_drift};
 use calibrig::model::{CalibrationModel, CraigLink, JointKind};
@@ -109,6 +109,11 @@ pub fn read_session(text: String, choices: &mut Choices<'_>) {
 }
 
 fn read(table: &str, map: &ColumnMap, choices: &mut Choices<'_>) {
+    if let Ok(commands) = parse_commands(&Source::new("table.csv", table), map, &JOINTS) {
+        let sound =
+            |command: &Vec<f64>| command.len() == JOINTS.len() && command.iter().all(|q| q.is_finite());
+        assert!(commands.iter().all(|(_, command)| sound(command)), "{commands:?}");
+    }
     if let Ok(loaded) = parse_measurements(&Source::new("table.csv", table), map, &JOINTS) {
         use_measurements(&loaded, choices);
     }
