@@ -6,6 +6,7 @@ use super::inspect::with_progress;
 use super::{CliError, Verdict, colours, print, say};
 use crate::pipeline::{Implausible, Outcome, PipelineError, SetOutcome, check_plausible};
 use crate::report;
+use calibrig_estimation::evaluation::closed_loop::ClosedLoop;
 use calibrig_estimation::identification::{Estimate, IdentificationOptions, Warning};
 use calibrig_estimation::two_face::unexplained_face_differences;
 use calibrig_model::CalibrationModel;
@@ -323,7 +324,32 @@ pub(super) fn verdict(outcome: &Outcome) -> Verdict {
     for failure in failures {
         say(&format!("not driven: {}: {}", failure.what, failure.why));
     }
-    if reasons.is_empty() && failures.is_empty() { Verdict::Done } else { Verdict::Doubtful }
+    let missed = outcome.closed_loop.iter().flat_map(missed_goals).collect::<Vec<_>>();
+    for words in &missed {
+        say(&format!("doubtful: {words}"));
+    }
+    let sound = reasons.is_empty() && failures.is_empty() && missed.is_empty();
+    if sound { Verdict::Done } else { Verdict::Doubtful }
+}
+
+/// Goals that no command was found for, in words.
+fn missed_goals(driven: &ClosedLoop) -> Vec<String> {
+    let of_poses = driven.modes.iter().map(|mode| (mode, "pose"));
+    let of_path =
+        driven.path.iter().flat_map(|path| path.modes.iter().map(|mode| (mode, "point of the path")));
+    let uncorrected = of_poses.chain(of_path).filter_map(|(mode, noun)| {
+        let (pose, why) = mode.uncorrected.first()?;
+        let (title, count) = (mode.mode.title(), mode.uncorrected.len());
+        Some(format!("{title}: no corrected command for {count} of them: {noun} {pose}: {why}"))
+    });
+    let unreachable = driven.path.iter().filter_map(|path| {
+        let (point, why) = path.unreachable.first()?;
+        let count = path.unreachable.len();
+        Some(format!(
+            "the path: out of reach within the working region at {count} of its points: point {point}: {why}"
+        ))
+    });
+    unreachable.chain(uncorrected).collect()
 }
 
 /// Parameters that are told to move still.

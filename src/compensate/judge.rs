@@ -42,6 +42,11 @@ pub(super) fn doubts(made: &Compensation, estimate: &Estimate, unfinished: Optio
         ));
     }
     doubts.extend(unfinished.map(|error| format!("there is no grid: {error}")));
+    let offsets = made.grid.as_ref().map_or(&[][..], |grid| &grid.offsets);
+    let missing = offsets.iter().filter(|offset| offset.is_none()).count();
+    if missing > 0 {
+        doubts.push(format!("{} of the grid, of {}, out of reach", points_are(missing), offsets.len()));
+    }
     let mut of = |which: &dyn Fn(&Corrected) -> bool, words: &dyn Fn(usize, usize, &Corrected) -> String| {
         let mut found = made.points.iter().enumerate().filter(|(_, point)| which(point));
         if let Some((index, first)) = found.next() {
@@ -84,7 +89,7 @@ pub(super) fn doubts(made: &Compensation, estimate: &Estimate, unfinished: Optio
         let sigma =
             first.sigma().map_or_else(|| "unknown".to_owned(), |sigma| format!("{:.3} mm", 1e3 * sigma));
         format!(
-            "{} with a standard deviation above {most} mm (--trust-mm), the first is {} with {sigma}",
+            "{} less certain than {most} mm (--trust-mm), the first is {} with {sigma}",
             points_are(count),
             called(index, first)
         )

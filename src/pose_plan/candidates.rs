@@ -49,6 +49,11 @@ impl Region {
         Self { sides: None, name: "the whole space of the joints".to_owned() }
     }
 
+    /// Whether it is only a part of what the robot can take.
+    pub fn is_part(&self) -> bool {
+        self.sides.is_some()
+    }
+
     /// Between these sides (rad or m, one a joint), as it is called.
     pub fn between(sides: Vec<[f64; 2]>, name: &str) -> Self {
         Self { sides: Some(sides), name: name.to_owned() }

@@ -481,6 +481,13 @@ fn remarks(
     count: usize,
 ) -> Vec<String> {
     let mut remarks = Vec::new();
+    if matches!(request.source, CandidateSource::WholeSpace) && cell.region.is_part() {
+        remarks.push(
+            "candidates come from the whole space of the joints, which tells most where the model holds everywhere; what the machine does beside its model can make poses outside the \
+             region worse than none (--candidates-in-region)"
+                .to_owned(),
+        );
+    }
     let (rows, parameters) = (count * space.most_rows(), space.parameters().len());
     if rows < parameters && cell.before.is_none() {
         remarks.push(format!(

@@ -125,7 +125,13 @@ fn criterion_key(criterion: Option<Criterion>) -> String {
 }
 
 fn criterion_words(criterion: Option<Criterion>) -> String {
-    criterion.map_or_else(|| "as planned".to_owned(), |criterion| format!("least {criterion}"))
+    match criterion {
+        None => "as planned".to_owned(),
+        Some(Criterion::NONE) => "any that meets the goal".to_owned(),
+        Some(Criterion::FAR_FROM_LIMITS) => "far from limits".to_owned(),
+        Some(Criterion::MANIPULABILITY) => "far from singular poses".to_owned(),
+        Some(criterion) => format!("least {criterion}"),
+    }
 }
 
 fn dropped(poses: &[(u32, String)]) -> Vec<JsonDropped> {
@@ -278,6 +284,7 @@ pub(super) fn closed_loop_lines(outcome: &Outcome, driven: &ClosedLoop, style: S
     }
     if let Some(path) = &driven.path {
         lines.push(style.paint(Ink::Dim, &path_words(path)));
+        lines.push(aligned("", &COLUMNS.map(str::to_owned)));
         for mode in &path.modes {
             if let Some(row) = mode.row() {
                 lines.push(aligned(title(mode.mode), &row_values(&row).map(millimetres)));
@@ -325,11 +332,14 @@ fn uncorrected_words(mode: &DrivenMode, noun: &str) -> Vec<String> {
 
 fn criterion_lines(driven: &ClosedLoop, style: Style) -> Vec<String> {
     let mode = driven.criteria.first().map_or(Mode::WithoutCalibration, |own| own.mode);
-    let heading = format!("the same goals, redundancy resolved otherwise, commands of \"{}\"", title(mode));
+    let heading = format!(
+        "redundancy resolved otherwise: predicted droop, and errors by commands of \"{}\", mm",
+        title(mode)
+    );
     let mut lines = vec![style.paint(Ink::Dim, &heading)];
     lines.push(aligned(
         "",
-        &["droop", "largest", "mean x", "mean y", "mean z", "RMS 3D", "nominal"].map(str::to_owned),
+        &["droop", "(max)", "mean x", "mean y", "mean z", "RMS 3D", "nominal"].map(str::to_owned),
     ));
     for own in &driven.criteria {
         let [mean, most] = own.droop.unwrap_or([f64::NAN; 2]);

@@ -499,7 +499,7 @@ fn what_is_not_to_be_trusted_is_marked_and_the_rest_is_kept() {
         "{}",
         ended.stderr
     );
-    assert!(ended.stderr.contains("are less sure than 0.0001 mm (--trust-mm)"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("are less certain than 0.0001 mm (--trust-mm)"), "{}", ended.stderr);
     assert!(
         ended.stdout.contains("extrapolated: ")
             && ended.stdout.contains("outside the commands that were measured"),

@@ -77,9 +77,9 @@ impl InputError {
         message: impl fmt::Display,
         help: Option<String>,
     ) -> Self {
+        let (excerpt, span) = excerpt.shown_at(span);
         let text = excerpt.text();
-        let start = span.start.min(text.len());
-        let end = span.end.clamp(start, text.len());
+        let (start, end) = (span.start, span.end);
         let before = text.as_bytes()[..start].iter().filter(|b| **b == b'\n').count();
         Self::Invalid {
             message: message.to_string(),
