@@ -336,7 +336,7 @@ fn criterion_lines(driven: &ClosedLoop, style: Style) -> Vec<String> {
         "redundancy resolved otherwise: predicted droop, and errors by commands of \"{}\", mm",
         title(mode)
     );
-    let mut lines = vec![style.paint(Ink::Dim, &heading)];
+    let mut lines: Vec<String> = wrap(&heading, "    ").iter().map(|l| style.paint(Ink::Dim, l)).collect();
     lines.push(aligned(
         "",
         &["droop", "(max)", "mean x", "mean y", "mean z", "RMS 3D", "nominal"].map(str::to_owned),
