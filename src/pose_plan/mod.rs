@@ -84,11 +84,11 @@ pub struct Request {
     pub weights: OrderWeights,
 }
 
-/// Candidates where nobody says how many: more better a plan by some per cent.
+/// Candidates where no number is asked for: more of them better a plan by some per cent.
 pub const CANDIDATES: usize = 2000;
 /// The least of them.
 const LEAST_CANDIDATES: usize = 500;
-/// Poses of the curve where nobody says how many.
+/// Poses of the curve where no number is asked for.
 pub const MOST_POSES: usize = 200;
 /// Poses at which the region is looked at.
 const OF_REGION: usize = 200;
@@ -123,7 +123,7 @@ impl Default for Request {
     }
 }
 
-/// Candidates where nobody says how many: fewer where a pose has many readings, whose search takes longer by their square.
+/// Candidates where no number is asked for: fewer where a pose has many readings, whose search takes longer by their square.
 pub fn usual_candidates(cell: &Cell<'_>) -> usize {
     let stations = match &cell.readings {
         Readings::Stated { set, .. } => set.stations.len(),
@@ -504,7 +504,7 @@ fn remarks(
     }
     if cell.around.trackers.is_empty() {
         remarks.push(
-            "nobody says where the tracker stands: every pose is taken as seen (--tracker-mm states its place)".to_owned(),
+            "where the tracker stands is not known: every pose is taken as seen (--tracker-mm states its place)".to_owned(),
         );
     } else if cell.around.hides.is_none() {
         remarks.push("lines of sight are taken as free, and reflectors as turned to the tracker".to_owned());

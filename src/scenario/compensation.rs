@@ -143,9 +143,9 @@ fn criterion(
         source.error(text.span(), format!("compensation.{key}: {error}"), help)
     })?;
     if criterion.deflection > 0.0 && robot.model.statics.is_none() {
-        let help = Some("expected a robot file with masses and stiffnesses, or another criterion".to_owned());
+        let help = Some("expected these in the robot's file, or another criterion".to_owned());
         let message = format!(
-            "compensation.{key} asks for the least deflection of a robot of which nothing is known that bends it"
+            "compensation.{key} asks for the least deflection, and the robot's file states no masses and stiffnesses"
         );
         return Err(source.error(text.span(), message, help));
     }

@@ -388,7 +388,7 @@ fn a_robot_without_a_scenario() {
     };
     let free = told(&["--noise-um", "20"]);
     assert_eq!(free["trackers_m"].as_array().map(Vec::len), Some(0));
-    assert!(free["remarks"].to_string().contains("nobody says where the tracker stands"));
+    assert!(free["remarks"].to_string().contains("where the tracker stands is not known"));
     let placed = ["--tracker", "at500", "--tracker-mm", "6000,1500,1500", "--floor-mm", "-500"];
     let opening = [&placed[..], &["--opening", "1,0,0"]].concat();
     for (arguments, reasons) in [

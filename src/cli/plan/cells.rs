@@ -449,7 +449,7 @@ impl Read {
         }
     }
 
-    /// Where the stations stand by a session before, by nests, or else by the flag; `None` of one of which nobody says so.
+    /// Where the stations stand by a session before, by nests, or else by the flag; `None` where it is not known.
     fn stations(&self, args: &Args) -> Vec<Option<Transform>> {
         if let Some((_, estimate)) = &self.before {
             return estimate.robot.stations.iter().copied().map(Some).collect();

@@ -92,7 +92,7 @@ pub struct DrivenCriterion {
     pub criterion: Option<Criterion>,
     /// Whose commands.
     pub mode: Mode,
-    /// How far the tool is predicted to be deflected at the commands: mean and largest, m. `None` of a robot of which nothing is known that bends it.
+    /// How far the tool is predicted to be deflected at the commands: mean and largest, m. `None` of a robot without known masses and stiffnesses.
     pub droop: Option<[f64; 2]>,
     /// Nominal commands: measured minus wanted.
     pub nominal: Option<AccuracyRow>,

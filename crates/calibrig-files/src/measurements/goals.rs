@@ -29,7 +29,7 @@ const LARGEST: f64 = 1e9;
 ///
 /// # Errors
 /// [`InputError`] with line and column: a file that cannot be read or holds no points, columns that are not known or lack their unit, cells that are no
-/// finite numbers, directions of length zero, and rotations that are none.
+/// finite numbers, directions of length zero, and matrices that are not rotations.
 pub fn read_goals(path: &Path) -> Result<GoalTable, InputError> {
     let rows = open(path, &TextFormat::default(), &wanted(), &RowOptions::default())?;
     read(rows)
