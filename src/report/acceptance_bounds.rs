@@ -100,7 +100,7 @@ pub(super) fn acceptance_lines(outcome: &Outcome, index: usize, style: Style) ->
 
 fn note(found: &Acceptance) -> String {
     let mut words = format!(
-        "  of {}, the largest bounds {:.1} % of the poses with that confidence",
+        "  of {}, taken as drawn at random in the region: the largest bounds {:.1} % of the poses with that confidence",
         counted(found.count, "held-out pose"),
         100.0 * found.largest.share_below
     );
@@ -119,7 +119,7 @@ pub(super) fn acceptance_table(outcome: &Outcome, index: usize) -> Markup {
         @if let Some((_, first)) = rows.first() {
             div.scroll {
                 table {
-                    caption { "3-D error that 95 % of the region\u{2019}s poses stay below, with 95 % confidence, if these were drawn in it at random, mm" }
+                    caption { "3-D error that 95 % of the region\u{2019}s poses stay below, with 95 % confidence, mm" }
                     thead {
                         tr {
                             th {} th { "whatever the distribution" } th { "if normal, alike along the axes" } th { "largest seen" }
