@@ -2,7 +2,7 @@
 
 use super::{CLOSED, Compensation, CompensationPlan, Corrected, End};
 use crate::handover::EstimateFile;
-use calibrig_estimation::compensation::GridError;
+use calibrig_estimation::compensation::{CompensatedPoint, GridError};
 use calibrig_estimation::identification::Estimate;
 
 /// "point 7 (panel.csv:8)".
@@ -12,12 +12,8 @@ pub(crate) fn called(index: usize, point: &Corrected) -> String {
     format!("point {}{name}{place}", index + 1)
 }
 
-/// Corrections of an actuator by more are those of a singular pose, m or rad: no machine is so far off.
-const FAR: f64 = 0.2;
-
 fn is_far(point: &Corrected) -> bool {
-    let pairs = point.point.iter().flat_map(|found| found.command.iter().zip(&found.nominal));
-    pairs.into_iter().any(|(to, from)| (to - from).abs() > FAR)
+    point.point.as_ref().is_some_and(|found| found.far_correction().is_some())
 }
 
 /// "1 point", "7 points".
@@ -79,8 +75,9 @@ pub(super) fn doubts(made: &Compensation, estimate: &Estimate, unfinished: Optio
     });
     of(&is_far, &|count, index, first| {
         format!(
-            "{} corrected by more than {FAR} m or rad of an actuator, the first is {}: near a singular pose, where what is corrected is hardly determined",
+            "{} corrected by more than {} m or rad of an actuator, the first is {}: near a singular pose, where what is corrected is hardly determined",
             points_are(count),
+            CompensatedPoint::FARTHEST,
             called(index, first)
         )
     });

@@ -96,7 +96,7 @@ pub fn model_sha256(model: &CalibrationModel) -> String {
 const ROBOT_ROLES: [&str; 3] = ["robot", "urdf", "columns"];
 
 impl EstimateFile {
-    /// The estimate of `mode` in an outcome, the fullest where none is named; `None` where there is none.
+    /// The estimate of `mode` in an outcome, without a mode the fullest; `None` where the outcome has no such estimate.
     pub fn of(outcome: &Outcome, mode: Option<Mode>) -> Option<Self> {
         let wanted = |own: &Mode| mode.is_none_or(|mode| mode == *own);
         let mut fitted = outcome.modes.iter().rev().filter(|outcome| wanted(&outcome.mode));

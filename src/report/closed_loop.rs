@@ -1,19 +1,16 @@
 //! Corrected commands on the machine: the table of the publication, the pose test and the path, for people and programs.
 
 use std::collections::BTreeMap;
-use std::fmt::Write;
 
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
 use super::acceptance_bounds::by_pose;
-use super::html::{figure, key, number};
+use super::html::{error_table, figure, key, number};
 use super::json::{JsonDropped, JsonRow, JsonSet, finite, json_row};
 use super::plots::{self, Curve, look};
-use super::tables::{
-    COLUMNS, Ink, NUMBER, Style, TITLE, aligned, as_published, millimetres, printable, row_values, wrap,
-};
-use super::{ReportError, counted, pose_count, published};
+use super::tables::{Ink, Style, aligned, error_lines, millimetres, printable, wrap};
+use super::{ErrorRow, ReportError, counted, pose_count, published};
 use crate::pipeline::{Outcome, SetKind};
 use calibrig_estimation::evaluation::AccuracyRow;
 use calibrig_estimation::evaluation::closed_loop::{ClosedLoop, DrivenMode, DrivenPath, DrivenPoseTest};
@@ -248,22 +245,7 @@ const HEADING: &str = "Commands corrected and driven again: measured minus wante
 /// What the terminal says.
 pub(super) fn closed_loop_lines(outcome: &Outcome, driven: &ClosedLoop, style: Style) -> Vec<String> {
     let mut lines = vec![style.paint(Ink::Heading, HEADING)];
-    let mut header = " ".repeat(TITLE);
-    for column in COLUMNS {
-        // Writing to a String cannot fail.
-        let _ = write!(header, "{column:>NUMBER$}");
-    }
-    let rule = style.paint(Ink::Dim, &"\u{2500}".repeat(header.len()));
-    lines.extend([header, rule.clone()]);
-    for mode in &driven.modes {
-        let Some(row) = mode.row() else { continue };
-        lines.push(aligned(title(mode.mode), &row_values(&row).map(millimetres)));
-        if let Some(figures) = published(outcome, SetKind::Verification, mode.mode) {
-            let numbers = figures.map(as_published);
-            lines.push(style.paint(Ink::Dim, aligned("  published, verification", &numbers).trim_end()));
-        }
-    }
-    lines.push(rule);
+    lines.extend(error_lines(rows(&driven.modes, Some(outcome), "  published, verification"), style));
     for words in remarks(driven) {
         lines.extend(wrap(&printable(&words), "    "));
     }
@@ -284,12 +266,7 @@ pub(super) fn closed_loop_lines(outcome: &Outcome, driven: &ClosedLoop, style: S
     }
     if let Some(path) = &driven.path {
         lines.push(style.paint(Ink::Dim, &path_words(path)));
-        lines.push(aligned("", &COLUMNS.map(str::to_owned)));
-        for mode in &path.modes {
-            if let Some(row) = mode.row() {
-                lines.push(aligned(title(mode.mode), &row_values(&row).map(millimetres)));
-            }
-        }
+        lines.extend(error_lines(rows(&path.modes, None, ""), style));
         for words in path_remarks(path) {
             lines.extend(wrap(&printable(&words), "    ").iter().map(|l| style.paint(Ink::Warning, l)));
         }
@@ -443,57 +420,25 @@ fn mm(metres: f64) -> String {
 
 fn goal_table(outcome: &Outcome, driven: &ClosedLoop) -> Markup {
     let poses = driven.modes.first().map_or(0, |mode| pose_count(&mode.set));
-    let rows: Vec<_> = driven.modes.iter().filter_map(|mode| Some((mode.mode, mode.row()?))).collect();
-    html! {
-        (rows_table(&format!("{} of the verification set, mm", counted(poses, "pose")), &rows, &|mode| {
-            published(outcome, SetKind::Verification, mode).copied()
-        }))
-    }
+    let rows: Vec<_> = rows(&driven.modes, Some(outcome), "published, verification").collect();
+    error_table(&format!("{} of the verification set, mm", counted(poses, "pose")), &rows)
 }
 
-/// A table of errors, a row a mode.
-fn rows_table(
-    caption: &str,
-    rows: &[(Mode, AccuracyRow)],
-    beside: &dyn Fn(Mode) -> Option<[f64; 6]>,
-) -> Markup {
-    html! {
-        div.scroll {
-            table.accuracy {
-                caption { (caption) }
-                thead {
-                    tr {
-                        th rowspan="2" {}
-                        @for axis in ["x", "y", "z", "3-D"] { th.group colspan="2" { (axis) } }
-                    }
-                    tr {
-                        @for _ in 0..3 { th.first { "max" } th { "mean" } }
-                        th.first { "RMS" } th { "max" }
-                    }
-                }
-                tbody {
-                    @for (mode, row) in rows {
-                        tr {
-                            th scope="row" { (key(&look(*mode))) (title(*mode)) }
-                            @for axis in 0..3 { td.first { (mm(row.max[axis])) } td { (mm(row.mean[axis])) } }
-                            td.first { (mm(row.rms_3d)) } td { (mm(row.max_3d)) }
-                        }
-                        @if let Some(figures) = beside(*mode) {
-                            tr.published {
-                                th scope="row" { "published, verification" }
-                                @for pair in figures.chunks(2) {
-                                    @for (i, metres) in pair.iter().enumerate() {
-                                        td.first[i == 0] { (number(1e3 * metres, 1)) }
-                                    }
-                                }
-                                td.first {} td {}
-                            }
-                        }
-                    }
-                }
-            }
-        }
-    }
+/// Rows of what was driven, with the published figures of an outcome's verification set.
+fn rows<'a>(
+    modes: &'a [DrivenMode],
+    beside: Option<&'a Outcome>,
+    published_as: &'static str,
+) -> impl Iterator<Item = ErrorRow<'a>> {
+    modes.iter().filter_map(move |own| {
+        Some(ErrorRow {
+            mode: own.mode,
+            title: title(own.mode),
+            row: own.row()?,
+            published: beside.and_then(|outcome| published(outcome, SetKind::Verification, own.mode)),
+            published_as,
+        })
+    })
 }
 
 fn criterion_table(driven: &ClosedLoop) -> Markup {
@@ -561,9 +506,9 @@ fn pose_test_table(test: &DrivenPoseTest) -> Markup {
 }
 
 fn path_table(path: &DrivenPath) -> Markup {
-    let rows: Vec<_> = path.modes.iter().filter_map(|mode| Some((mode.mode, mode.row()?))).collect();
+    let rows: Vec<_> = rows(&path.modes, None, "").collect();
     html! {
-        (rows_table(&capital(&path_words(path)), &rows, &|_| None))
+        (error_table(&capital(&path_words(path)), &rows))
         @for words in path_remarks(path) { p.note { (capital(&words)) "." } }
     }
 }

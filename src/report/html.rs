@@ -17,10 +17,10 @@ use super::splits::split_section;
 use super::summary::{factor_words, judged_set, length_words, row, significant, summarise};
 use super::sweeps::sweep_section;
 use super::{
-    ReportError, condition_words, consistency_ratio, counted, forest, left_out_words, pose_words, published,
-    region, set_title,
+    ErrorRow, ReportError, condition_words, consistency_ratio, counted, forest, left_out_words, pose_words,
+    published, region, set_title,
 };
-use crate::pipeline::{Outcome, PlantKind, SetKind};
+use crate::pipeline::{ModeOutcome, Outcome, PlantKind, SetKind};
 use calibrig_estimation::identification::{
     Assumption, DependentGroup, Estimate, Mode, NoiseScale, Warning, WeakDirection,
 };
@@ -215,11 +215,26 @@ fn accuracy_section(outcome: &Outcome) -> Markup {
 }
 
 fn accuracy_table(outcome: &Outcome, index: usize, kind: SetKind, poses: &str) -> Markup {
+    let of_mode = |mode: &'_ ModeOutcome| {
+        Some(ErrorRow {
+            mode: mode.mode,
+            title: mode.mode.title(),
+            row: row(mode, index)?,
+            published: published(outcome, kind, mode.mode),
+            published_as: "published",
+        })
+    };
+    let rows: Vec<_> = outcome.modes.iter().filter_map(of_mode).collect();
+    error_table(&format!("{}, {poses}, mm", set_title(kind)), &rows)
+}
+
+/// A table of errors in mm.
+pub(super) fn error_table(caption: &str, rows: &[ErrorRow<'_>]) -> Markup {
     let mm = |metres: f64| number(1e3 * metres, 3);
     html! {
         div.scroll {
             table.accuracy {
-                caption { (set_title(kind)) ", " (poses) ", mm" }
+                caption { (caption) }
                 thead {
                     tr {
                         th rowspan="2" {}
@@ -231,23 +246,21 @@ fn accuracy_table(outcome: &Outcome, index: usize, kind: SetKind, poses: &str) -
                     }
                 }
                 tbody {
-                    @for mode in &outcome.modes {
-                        @if let Some(row) = row(mode, index) {
-                            tr {
-                                th scope="row" { (key(&look(mode.mode))) (mode.mode.title()) }
-                                @for axis in 0..3 { td.first { (mm(row.max[axis])) } td { (mm(row.mean[axis])) } }
-                                td.first { (mm(row.rms_3d)) } td { (mm(row.max_3d)) }
-                            }
-                            @if let Some(figures) = published(outcome, kind, mode.mode) {
-                                tr.published {
-                                    th scope="row" { "published" }
-                                    @for pair in figures.chunks(2) {
-                                        @for (i, metres) in pair.iter().enumerate() {
-                                            td.first[i == 0] { (number(1e3 * metres, 1)) }
-                                        }
+                    @for ErrorRow { mode, title, row, published, published_as } in rows {
+                        tr {
+                            th scope="row" { (key(&look(*mode))) (title) }
+                            @for axis in 0..3 { td.first { (mm(row.max[axis])) } td { (mm(row.mean[axis])) } }
+                            td.first { (mm(row.rms_3d)) } td { (mm(row.max_3d)) }
+                        }
+                        @if let Some(figures) = published {
+                            tr.published {
+                                th scope="row" { (published_as) }
+                                @for pair in figures.chunks(2) {
+                                    @for (i, metres) in pair.iter().enumerate() {
+                                        td.first[i == 0] { (number(1e3 * metres, 1)) }
                                     }
-                                    td.first {} td {}
                                 }
+                                td.first {} td {}
                             }
                         }
                     }

@@ -66,6 +66,7 @@ use tempfile::NamedTempFile;
 use thiserror::Error;
 
 use crate::pipeline::{CarriedReport, Outcome, SetKind, SetOutcome};
+use calibrig_estimation::evaluation::AccuracyRow;
 use calibrig_estimation::identification::{Estimate, LeftOutReason, Mode};
 use calibrig_model::Payload;
 
@@ -143,6 +144,18 @@ fn stage(folder: &Path, name: &str, text: &str) -> Result<(NamedTempFile, PathBu
 /// The published figures beside a row, m: max x, mean x, max y, mean y, max z, mean z.
 fn published(outcome: &Outcome, set: SetKind, mode: Mode) -> Option<&[f64; 6]> {
     outcome.published.iter().find(|(s, m, _)| (*s, *m) == (set, mode)).map(|(_, _, figures)| figures)
+}
+
+/// A row of a table of errors, for the terminal and the page.
+struct ErrorRow<'a> {
+    mode: Mode,
+    /// Whose errors.
+    title: &'a str,
+    row: AccuracyRow,
+    /// Published figures below it, as [`published`] gives them.
+    published: Option<&'a [f64; 6]>,
+    /// What these are called.
+    published_as: &'static str,
 }
 
 /// Number of distinct poses of a set.

@@ -11,10 +11,10 @@ use super::sensors::sensor_lines;
 use super::splits::split_lines;
 use super::sweeps::sweep_words;
 use super::{
-    condition_words, consistency_ratio, counted, left_out_words, payload_words, pose_words, published,
-    set_title,
+    ErrorRow, condition_words, consistency_ratio, counted, left_out_words, payload_words, pose_words,
+    published, set_title,
 };
-use crate::pipeline::{Outcome, SetOutcome};
+use crate::pipeline::{ModeOutcome, Outcome, SetOutcome};
 use calibrig_estimation::evaluation::AccuracyRow;
 use calibrig_estimation::identification::{Assumption, Estimate, NoiseScale, Warning};
 
@@ -55,8 +55,7 @@ impl Style {
 const WIDTH: usize = 100;
 pub(super) const TITLE: usize = 34;
 pub(super) const NUMBER: usize = 8;
-pub(super) const COLUMNS: [&str; 8] =
-    ["max x", "mean x", "max y", "mean y", "max z", "mean z", "RMS 3D", "max 3D"];
+const COLUMNS: [&str; 8] = ["max x", "mean x", "max y", "mean y", "max z", "mean z", "RMS 3D", "max 3D"];
 
 /// The tables of a run in mm, the published figures below each row, and how every estimate ended. At most 100 columns wide.
 pub fn render_tables(outcome: &Outcome, style: Style) -> String {
@@ -116,23 +115,16 @@ fn table(outcome: &Outcome, index: usize, set: &SetOutcome, style: Style) -> Vec
         Ink::Heading,
         &format!("{}, {}: absolute errors in mm", set_title(set.kind), pose_words(set)),
     )];
-    let mut header = " ".repeat(TITLE);
-    for column in COLUMNS {
-        let _ = write!(header, "{column:>NUMBER$}");
-    }
-    let rule = style.paint(Ink::Dim, &"─".repeat(header.len()));
-    lines.push(header);
-    lines.push(rule.clone());
-    for mode in &outcome.modes {
-        let Some(row) = mode.rows.get(index).copied().flatten() else { continue };
-        let numbers = row_values(&row).map(millimetres);
-        lines.push(aligned(mode.mode.title(), &numbers));
-        if let Some(figures) = published(outcome, set.kind, mode.mode) {
-            let numbers = figures.map(as_published);
-            lines.push(style.paint(Ink::Dim, aligned("  published", &numbers).trim_end()));
-        }
-    }
-    lines.push(rule);
+    let of_mode = |mode: &ModeOutcome| {
+        Some(ErrorRow {
+            mode: mode.mode,
+            title: mode.mode.title(),
+            row: mode.rows.get(index).copied().flatten()?,
+            published: published(outcome, set.kind, mode.mode),
+            published_as: "  published",
+        })
+    };
+    lines.extend(error_lines(outcome.modes.iter().filter_map(of_mode), style));
     lines.extend(orientation_lines(outcome, index, style));
     if let Some(carried) = payload_words(set) {
         lines.extend(wrap(&printable(&format!("the flange carried {carried}")), "    "));
@@ -155,6 +147,22 @@ fn table(outcome: &Outcome, index: usize, set: &SetOutcome, style: Style) -> Vec
     lines
 }
 
+/// A table of errors in mm, between rules.
+pub(super) fn error_lines<'a>(rows: impl Iterator<Item = ErrorRow<'a>>, style: Style) -> Vec<String> {
+    let header = aligned("", &COLUMNS.map(str::to_owned));
+    let rule = style.paint(Ink::Dim, &"\u{2500}".repeat(header.len()));
+    let mut lines = vec![header, rule.clone()];
+    for own in rows {
+        lines.push(aligned(own.title, &row_values(&own.row).map(millimetres)));
+        if let Some(figures) = own.published {
+            let numbers = figures.map(as_published);
+            lines.push(style.paint(Ink::Dim, aligned(own.published_as, &numbers).trim_end()));
+        }
+    }
+    lines.push(rule);
+    lines
+}
+
 /// Orientation errors of a set, where any were measured.
 fn orientation_lines(outcome: &Outcome, index: usize, style: Style) -> Vec<String> {
     let rows = outcome.modes.iter().filter_map(|mode| Some((mode.mode, mode.orientation_row(index)?)));
@@ -169,7 +177,7 @@ fn orientation_lines(outcome: &Outcome, index: usize, style: Style) -> Vec<Strin
 }
 
 /// Maximum and mean by axis, then RMS and maximum of the 3-D error, m.
-pub(super) fn row_values(row: &AccuracyRow) -> [f64; 8] {
+fn row_values(row: &AccuracyRow) -> [f64; 8] {
     [row.max.x, row.mean.x, row.max.y, row.mean.y, row.max.z, row.mean.z, row.rms_3d, row.max_3d]
 }
 
@@ -194,7 +202,7 @@ pub(super) fn millimetres(metres: f64) -> String {
 }
 
 /// Millimetres without the digits that were not published, aligned on the point.
-pub(super) fn as_published(metres: f64) -> String {
+fn as_published(metres: f64) -> String {
     let text = millimetres(metres);
     let Some(point) = text.find('.') else { return text };
     let kept = text.trim_end_matches('0').len().max(point + 2);

@@ -101,7 +101,7 @@ pub(super) fn correct(
         let mut found = next(&mut compensator, goal, nominal, (known, travel.as_ref()))?;
         if goal.rows() > 3
             && let Ok((point, _)) = &found
-            && let Some(why) = far(estimate, nominal, &point.command)
+            && let Some(why) = far(estimate, point)
         {
             // Near a singular pose a small turn of the tool takes a large one of the arm.
             let position = Goal::Position(goal.position());
@@ -125,14 +125,10 @@ pub(super) fn correct(
     Ok(corrected)
 }
 
-/// A correction beyond this is another pose of the arm, m or rad.
-const FARTHEST: f64 = 0.2;
-
 /// Why a corrected command is too far from the nominal one; `None` where it is not.
-fn far(estimate: &Estimate, nominal: &[f64], command: &[f64]) -> Option<String> {
-    let ways = nominal.iter().zip(command).map(|(from, to)| (to - from).abs());
-    let (joint, way) = ways.enumerate().max_by(|(_, a), (_, b)| a.total_cmp(b))?;
-    let link = estimate.robot.model.kinematics.links.get(joint).filter(|_| way > FARTHEST)?;
+fn far(estimate: &Estimate, point: &CompensatedPoint) -> Option<String> {
+    let (joint, way) = point.far_correction()?;
+    let link = estimate.robot.model.kinematics.links.get(joint)?;
     let way = match link.kind {
         JointKind::Prismatic => format!("{:.0} mm", 1e3 * way),
         JointKind::Revolute => format!("{:.1} deg", way.to_degrees()),
@@ -140,7 +136,7 @@ fn far(estimate: &Estimate, nominal: &[f64], command: &[f64]) -> Option<String> 
     Some(format!("to meet all of the goal, {} would move by {way}: the pose is nearly singular", link.name))
 }
 
-/// A correction and where it leaves the travel, or why there is none.
+/// A correction and where it leaves the travel, or why nothing meets the goal.
 type OrWhy = Result<(CompensatedPoint, Option<Travel>), String>;
 
 /// The command for a goal, the next one where the machine travels from goal to goal.

@@ -33,6 +33,15 @@ impl CompensatedPoint {
         (self.base_from_tool.translation.vector - self.goal.position()).norm()
     }
 
+    /// A correction of an actuator beyond this is another pose of the arm, as near a singular one: no machine is so far off, m or rad.
+    pub const FARTHEST: f64 = 0.2;
+
+    /// The actuator that is corrected most and by how much, m or rad, where that is beyond [`FARTHEST`](Self::FARTHEST).
+    pub fn far_correction(&self) -> Option<(usize, f64)> {
+        let ways = self.nominal.iter().zip(&self.command).map(|(from, to)| (to - from).abs());
+        ways.enumerate().max_by(|(_, a), (_, b)| a.total_cmp(b)).filter(|(_, way)| *way > Self::FARTHEST)
+    }
+
     /// Standard deviations of the corrected position along the base's axes, m.
     pub fn sigma(&self) -> Option<Vector3<f64>> {
         self.covariance.map(|covariance| covariance.diagonal().map(f64::sqrt))

@@ -8,9 +8,9 @@ use nalgebra::{DMatrix, DVector};
 use crate::kinematics::{ClosureError, ElbowClosure, ElbowLinkage, is_parallelogram};
 use calibrig_model::{ActuatorMap, CalibrationModel, JointKind, KinematicModel, ModelError};
 
-/// What is sampled of a joint without limits: a turn, or so many metres to either side.
 /// Half the way of a joint that cannot move counts as this, m or rad.
 const LEAST_WAY: f64 = 1e-6;
+/// What is sampled of a joint without limits: a turn, or so many metres to either side.
 const UNLIMITED_WAY: f64 = 2.0;
 
 /// The commanded joints of a robot.

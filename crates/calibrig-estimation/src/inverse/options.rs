@@ -1,4 +1,4 @@
-//! What is asked of a solution, and why there is none.
+//! What is asked of a solution, and why a goal has no solution.
 
 use thiserror::Error;
 
