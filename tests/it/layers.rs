@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use toml::Table;
 
 /// Every crate of ours, with all of ours that it depends on.
-const CRATES: [(&str, &[&str]); 6] = [
+const CRATES: [(&str, &[&str]); 7] = [
     // What both sides may know names neither.
     ("calibrig-model", &[]),
     // Nothing that estimates reaches the truth, nor what carries it.
@@ -17,12 +17,21 @@ const CRATES: [(&str, &[&str]); 6] = [
     ("calibrig-plant", &["calibrig-model"]),
     // Files hold what is stated and measured; what is made of it is not their business.
     ("calibrig-files", &["calibrig-model"]),
+    // Studies of many trials know nothing of robots.
+    ("calibrig-campaign", &["calibrig-model"]),
     // Shows the truth beside the estimate, as the root does; makes neither.
     ("calibrig-recording", &["calibrig-estimation", "calibrig-files", "calibrig-model", "calibrig-plant"]),
     // The root alone joins them.
     (
         "calibrig",
-        &["calibrig-estimation", "calibrig-files", "calibrig-model", "calibrig-plant", "calibrig-recording"],
+        &[
+            "calibrig-campaign",
+            "calibrig-estimation",
+            "calibrig-files",
+            "calibrig-model",
+            "calibrig-plant",
+            "calibrig-recording",
+        ],
     ),
 ];
 /// What tests depend on beside: the estimator's are fed with the robots in `models/`.
