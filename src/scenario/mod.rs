@@ -1,6 +1,7 @@
 //! What is simulated and how it is identified: the scenario file and its validated, SI form.
 
 mod as_built;
+mod campaign;
 mod compensation;
 mod effects;
 mod file;
@@ -11,6 +12,7 @@ mod poses;
 mod remarks;
 mod session;
 mod sweep;
+pub use campaign::{CampaignPlan, Factor, FactorValues, Layout};
 pub use compensation::{CompensationPlan, GoalKind, PathPlan};
 pub use identification::with_stated_of;
 
@@ -76,6 +78,8 @@ pub struct Scenario {
     pub modes: Vec<Mode>,
     /// What is driven with corrected commands behind the session, where anything is.
     pub compensation: Option<CompensationPlan>,
+    /// What varies in its campaigns, where anything is said of them.
+    pub campaign: Option<CampaignPlan>,
     /// Published figures to print beside: m, max x, mean x, max y, mean y, max z, mean z.
     pub published: Vec<(SetKind, Mode, [f64; 6])>,
     /// The files read, by role.
