@@ -258,10 +258,7 @@ struct FactorFile {
 }
 
 /// The plan of the section.
-pub(super) fn campaign(
-    source: &Source,
-    section: &Spanned<CampaignFile>,
-) -> Result<CampaignPlan, InputError> {
+pub(super) fn campaign(source: &Source, section: &Spanned<CampaignFile>) -> Result<CampaignPlan, InputError> {
     let file = section.get_ref();
     let tolerance = file.tolerance_mm.as_ref();
     let plan = CampaignPlan {
@@ -272,7 +269,11 @@ pub(super) fn campaign(
         tolerance: tolerance
             .map(|value| Ok::<_, InputError>(1e-3 * source.positive("campaign.tolerance_mm", value)?))
             .transpose()?,
-        factors: file.factor.iter().map(|entry| factor(source, file.design, entry)).collect::<Result<_, _>>()?,
+        factors: file
+            .factor
+            .iter()
+            .map(|entry| factor(source, file.design, entry))
+            .collect::<Result<_, _>>()?,
     };
     refuse_shared(source, &file.factor, &plan.factors)?;
     if plan.layout != Layout::Plain && plan.factors.is_empty() {
@@ -281,7 +282,11 @@ pub(super) fn campaign(
     }
     if let Err(expected) = plan.design(None) {
         let place = source.places_of("campaign.design").into_iter().next().unwrap_or(section.span());
-        return Err(source.error(place, format!("campaign: {expected}"), Some("expected another design".to_owned())));
+        return Err(source.error(
+            place,
+            format!("campaign: {expected}"),
+            Some("expected another design".to_owned()),
+        ));
     }
     Ok(plan)
 }
@@ -333,7 +338,9 @@ fn factor(source: &Source, layout: Layout, entry: &Spanned<FactorFile>) -> Resul
     }
     let values = match (&file.levels, &file.distribution) {
         (Some(levels), None) => FactorValues::Levels(literals(source, levels, file)?),
-        (None, Some(name)) if layout != Layout::Sweep => FactorValues::Drawn(distribution(source, name, file)?),
+        (None, Some(name)) if layout != Layout::Sweep => {
+            FactorValues::Drawn(distribution(source, name, file)?)
+        }
         (None, Some(name)) => {
             let help = "expected levels = [...] in a sweep";
             return refused(name.span(), "campaign.factor has a distribution".to_owned(), help);
@@ -352,8 +359,7 @@ fn factor(source: &Source, layout: Layout, entry: &Spanned<FactorFile>) -> Resul
 
 /// Refuses a key that the file has no value of, or several, or one that cannot be multiplied.
 fn check_key(source: &Source, key: &Spanned<String>, file: &FactorFile) -> Result<(), InputError> {
-    let refused =
-        |message: String, help: String| Err(source.error(key.span(), message, Some(help)));
+    let refused = |message: String, help: String| Err(source.error(key.span(), message, Some(help)));
     let name = key.get_ref();
     if name.starts_with("campaign") || ["schema", "name", "seed", "robot"].contains(&name.as_str()) {
         return refused(
@@ -429,12 +435,18 @@ fn distribution(
         }
         None => {
             let message = format!("campaign.factor: distribution \"{}\" without {key}", name.get_ref());
-            Err(source.error(name.span(), message, Some(format!("expected {key} = a number, in the unit of the key"))))
+            Err(source.error(
+                name.span(),
+                message,
+                Some(format!("expected {key} = a number, in the unit of the key")),
+            ))
         }
     };
     let distribution = match name.get_ref().as_str() {
         "uniform" => Distribution::Uniform { low: of("low", &file.low)?, high: of("high", &file.high)? },
-        "log_uniform" => Distribution::LogUniform { low: of("low", &file.low)?, high: of("high", &file.high)? },
+        "log_uniform" => {
+            Distribution::LogUniform { low: of("low", &file.low)?, high: of("high", &file.high)? }
+        }
         "normal" => Distribution::Normal { mean: of("mean", &file.mean)?, sigma: of("sigma", &file.sigma)? },
         "lognormal" => Distribution::LogNormal {
             median: of("median", &file.median)?,
@@ -482,13 +494,16 @@ fn refuse_shared(
     let mut seen: Vec<(Range<usize>, &str)> = Vec::new();
     let mut names = BTreeSet::new();
     for (entry, factor) in entries.iter().zip(factors) {
-        let refused = |message: String, help: &str| Err(source.error(entry.span(), message, Some(help.to_owned())));
+        let refused =
+            |message: String, help: &str| Err(source.error(entry.span(), message, Some(help.to_owned())));
         if !names.insert(&factor.name) {
             let message = format!("campaign: two factors are called \"{}\"", factor.name);
             return refused(message, "expected names of their own");
         }
         for place in factor.keys.iter().flat_map(|key| source.places_of(key)) {
-            if let Some((_, other)) = seen.iter().find(|(taken, _)| taken.start < place.end && place.start < taken.end) {
+            if let Some((_, other)) =
+                seen.iter().find(|(taken, _)| taken.start < place.end && place.start < taken.end)
+            {
                 let message = format!("campaign: \"{other}\" and \"{}\" change the same value", factor.name);
                 return refused(message, "expected one factor a value");
             }

@@ -28,7 +28,7 @@ use calibrig_estimation::identification::{IdentificationOptions, Mode};
 use calibrig_files::Robot;
 use calibrig_files::Source;
 use calibrig_model::measurement::SetKind;
-use calibrig_model::random;
+use calibrig_model::{linkage_fault, random};
 use calibrig_plant::experiment::WorkingRegion;
 use calibrig_plant::session::MeasuringSession;
 pub use calibrig_plant::session::{
@@ -86,13 +86,33 @@ pub struct Scenario {
     pub sources: Vec<(String, Source)>,
 }
 
+/// How often a machine is drawn again at most; scenarios whose machines would need that are refused.
+const MOST_REDRAWS: u32 = 20;
+
 impl Scenario {
     /// The machine of a trial: the given one, or one drawn from (seed, trial) alone.
     pub fn as_built_for(&self, seed: u64, trial: u32) -> AsBuilt {
-        self.drawn.as_ref().map_or_else(
-            || self.as_built.clone(),
-            |drawn| drawn.draw(&self.as_built, &mut random::stream(seed, trial, random::Source::AsBuilt)),
-        )
+        self.machine_of(seed, trial).0
+    }
+
+    /// How often the machine of a trial is drawn again, because the loop of the one before does not close.
+    pub fn redraws(&self, seed: u64, trial: u32) -> u32 {
+        self.machine_of(seed, trial).1
+    }
+
+    fn machine_of(&self, seed: u64, trial: u32) -> (AsBuilt, u32) {
+        let Some(drawn) = &self.drawn else { return (self.as_built.clone(), 0) };
+        let draw = |count: u32| {
+            let mut rng = random::stream_at(seed, trial, random::Source::AsBuilt, count.into());
+            drawn.draw(&self.as_built, &mut rng)
+        };
+        let mut machine = draw(0);
+        let mut count = 0;
+        while count < MOST_REDRAWS && linkage_fault(&machine.kinematics, &machine.actuators).is_some() {
+            count += 1;
+            machine = draw(count);
+        }
+        (machine, count)
     }
 
     /// The first station's tracker with the errors that it has in a trial, which its session draws for itself.

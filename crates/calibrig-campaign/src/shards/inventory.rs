@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use super::pieces::{Piece, is_whole};
 use super::{Folder, FolderError, about_of};
-use crate::table::TableReader;
+use crate::table::{Table, TableReader};
 
 /// A file among the shards that must not be merged.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]

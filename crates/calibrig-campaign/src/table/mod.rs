@@ -11,6 +11,7 @@ pub use read::TableReader;
 pub use write::{StagedTable, TableWriter};
 pub(crate) use write::{TEMPORARY, hexadecimal, sync_folder_of};
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -89,6 +90,71 @@ impl Cell {
             Self::Text(text) => Some(text),
             _ => None,
         }
+    }
+}
+
+/// Rows that can be looked through again and again.
+pub trait Table {
+    /// Its columns.
+    fn columns(&self) -> &[Column];
+
+    /// Number of its rows.
+    fn rows(&self) -> u64;
+
+    /// Shows some cells of the rows of a range, in order: those of the columns `wanted`, in the order of these.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be read.
+    fn visit(
+        &self,
+        wanted: &[usize],
+        rows: Range<u64>,
+        show: &mut dyn FnMut(&[Cell]),
+    ) -> Result<(), TableError>;
+
+    /// Place of the column of that name.
+    fn place_of(&self, name: &str) -> Option<usize> {
+        self.columns().iter().position(|column| column.name == name)
+    }
+}
+
+/// A table in memory.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MemoryTable {
+    columns: Vec<Column>,
+    rows: Vec<Vec<Cell>>,
+}
+
+impl MemoryTable {
+    /// Rows of a cell a column; what a row lacks is absent.
+    pub fn new(columns: Vec<Column>, rows: Vec<Vec<Cell>>) -> Self {
+        Self { columns, rows }
+    }
+}
+
+impl Table for MemoryTable {
+    fn columns(&self) -> &[Column] {
+        &self.columns
+    }
+
+    fn rows(&self) -> u64 {
+        self.rows.len() as u64
+    }
+
+    fn visit(
+        &self,
+        wanted: &[usize],
+        rows: Range<u64>,
+        show: &mut dyn FnMut(&[Cell]),
+    ) -> Result<(), TableError> {
+        for (place, row) in (0..).zip(&self.rows) {
+            if rows.contains(&place) {
+                let cell = |column: &usize| row.get(*column).cloned().unwrap_or(Cell::Absent);
+                show(&wanted.iter().map(cell).collect::<Vec<_>>());
+            }
+        }
+        Ok(())
     }
 }
 

@@ -1,6 +1,7 @@
 //! Reading.
 
 use std::fs::File;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use parquet::basic::Type as Physical;
@@ -10,7 +11,7 @@ use parquet::errors::ParquetError;
 use parquet::file::reader::{FileReader, SerializedFileReader};
 
 use super::columns::{ColumnRows, Values};
-use super::{Cell, Column, Kind, TableError};
+use super::{Cell, Column, Kind, Table, TableError};
 
 /// A table in a file.
 pub struct TableReader {
@@ -47,62 +48,49 @@ impl TableReader {
         Ok(Self { path: path.to_path_buf(), file, columns })
     }
 
-    /// Its columns.
-    pub fn columns(&self) -> &[Column] {
-        &self.columns
-    }
-
-    /// Number of its rows.
-    pub fn rows(&self) -> u64 {
-        self.file.metadata().file_metadata().num_rows().try_into().unwrap_or(0)
-    }
-
     /// What is said about it under `key`.
     pub fn about(&self, key: &str) -> Option<&str> {
         let entries = self.file.metadata().file_metadata().key_value_metadata()?;
         entries.iter().find(|entry| entry.key == key)?.value.as_deref()
     }
 
-    /// Place of the column of that name.
-    pub fn place_of(&self, name: &str) -> Option<usize> {
-        self.columns.iter().position(|column| column.name == name)
-    }
-
     /// Shows every row, in order; holds one group of rows at a time.
     pub fn for_each_row<E: From<TableError>>(
         &self,
-        show: impl FnMut(&[Cell]) -> Result<(), E>,
-    ) -> Result<(), E> {
-        let all: Vec<usize> = (0..self.columns.len()).collect();
-        self.for_each(&all, show)
-    }
-
-    /// Shows the cells of some columns, row by row in order, in the order in which the columns are asked for.
-    pub fn for_each<E: From<TableError>>(
-        &self,
-        wanted: &[usize],
         mut show: impl FnMut(&[Cell]) -> Result<(), E>,
     ) -> Result<(), E> {
-        let mut row = vec![Cell::Absent; wanted.len()];
+        let all: Vec<usize> = (0..self.columns.len()).collect();
+        let mut failed = None;
         for group in 0..self.file.num_row_groups() {
-            let columns =
-                wanted.iter().map(|column| self.group(group, *column)).collect::<Result<Vec<_>, _>>()?;
-            let rows = columns.iter().map(|column| column.levels.len()).max().unwrap_or(0);
-            let mut cells: Vec<_> = columns.iter().map(ColumnRows::cells).collect();
-            for _ in 0..rows {
-                for (cell, next) in row.iter_mut().zip(&mut cells) {
-                    *cell = next.next().unwrap_or(Cell::Absent);
+            self.show_group(group, &all, |row| {
+                if failed.is_none() {
+                    failed = show(row).err();
                 }
-                show(&row)?;
+            })?;
+            if let Some(error) = failed {
+                return Err(error);
             }
         }
         Ok(())
     }
 
-    /// Shows the numbers of a column, in order; absent ones and texts as `None`.
-    pub fn numbers(&self, column: usize, mut show: impl FnMut(Option<f64>)) -> Result<(), TableError> {
-        for group in 0..self.file.num_row_groups() {
-            self.group(group, column)?.cells().for_each(|cell| show(cell.as_number()));
+    /// Shows some cells of all rows of a group.
+    fn show_group(
+        &self,
+        group: usize,
+        wanted: &[usize],
+        mut show: impl FnMut(&[Cell]),
+    ) -> Result<(), TableError> {
+        let columns =
+            wanted.iter().map(|column| self.group(group, *column)).collect::<Result<Vec<_>, _>>()?;
+        let rows = columns.first().map_or(0, |column| column.levels.len());
+        let mut cells: Vec<_> = columns.iter().map(ColumnRows::cells).collect();
+        let mut row = vec![Cell::Absent; wanted.len()];
+        for _ in 0..rows {
+            for (cell, next) in row.iter_mut().zip(&mut cells) {
+                *cell = next.next().unwrap_or(Cell::Absent);
+            }
+            show(&row);
         }
         Ok(())
     }
@@ -126,6 +114,41 @@ impl TableReader {
         }
         read.levels.shrink_to_fit();
         Ok(read)
+    }
+}
+
+impl Table for TableReader {
+    fn columns(&self) -> &[Column] {
+        &self.columns
+    }
+
+    fn rows(&self) -> u64 {
+        self.file.metadata().file_metadata().num_rows().try_into().unwrap_or(0)
+    }
+
+    fn visit(
+        &self,
+        wanted: &[usize],
+        rows: Range<u64>,
+        show: &mut dyn FnMut(&[Cell]),
+    ) -> Result<(), TableError> {
+        let mut first = 0;
+        for group in 0..self.file.num_row_groups() {
+            let count = self.file.metadata().row_group(group).num_rows().try_into().unwrap_or(0);
+            let own = first..first + count;
+            first = own.end;
+            if own.end <= rows.start || own.start >= rows.end {
+                continue;
+            }
+            let mut place = own.start;
+            self.show_group(group, wanted, |row| {
+                if rows.contains(&place) {
+                    show(row);
+                }
+                place += 1;
+            })?;
+        }
+        Ok(())
     }
 }
 

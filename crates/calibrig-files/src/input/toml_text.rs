@@ -338,9 +338,26 @@ mod tests {
         assert_eq!(found("a.joint[\"rail\"].gap_um"), ["7"]);
         assert_eq!(found("a.joint[1].gap_um"), ["7"]);
         assert_eq!(found("a.joint.gap_um"), ["7", "8"]);
-        assert_eq!((found("b.c.d"), found("list"), found("list[2]")), (vec!["1.5"], vec!["[2, 3]"], vec!["3"]));
-        for nowhere in ["", "a", "a.joint[3].gap_um", "a.joint[wrist].gap_um", "b.c[1].d", "a.joint[1.gap_um", "b.c.d.e", "list[1]x", "."] {
-            assert!(found(nowhere).iter().all(|value| value.starts_with('[')), "{nowhere}: {:?}", found(nowhere));
+        assert_eq!(
+            (found("b.c.d"), found("list"), found("list[2]")),
+            (vec!["1.5"], vec!["[2, 3]"], vec!["3"])
+        );
+        for nowhere in [
+            "",
+            "a",
+            "a.joint[3].gap_um",
+            "a.joint[wrist].gap_um",
+            "b.c[1].d",
+            "a.joint[1.gap_um",
+            "b.c.d.e",
+            "list[1]x",
+            ".",
+        ] {
+            assert!(
+                found(nowhere).iter().all(|value| value.starts_with('[')),
+                "{nowhere}: {:?}",
+                found(nowhere)
+            );
         }
     }
 
