@@ -323,7 +323,10 @@ impl Sampling {
                 let block = scramble(seed).wrapping_add(index >> SOBOL_BITS);
                 let within = index & ((1 << SOBOL_BITS) - 1);
                 // The check has seen that there are so many dimensions.
-                (0..MOST_FACTORS as u32).take(dimensions).map(|d| centred(within, d, block)).collect()
+                (0..sobol_burley::NUM_DIMENSIONS)
+                    .take(dimensions)
+                    .map(|d| centred(within, d, block))
+                    .collect()
             }
         }
     }
@@ -391,4 +394,5 @@ fn below(rng: &mut impl Rng, count: usize) -> usize {
 }
 
 #[cfg(test)]
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
 mod tests;

@@ -112,7 +112,8 @@ mod tests {
         assert_eq!(trials_for_mean(&moments, 0.95, 1e-7), None);
         assert_eq!(trials_for_mean(&moments, 0.95, 0.0), None);
         let mut centred = Moments::default();
-        [-1.0, 1.0].into_iter().for_each(|v| centred.add(v));
+        centred.add(-1.0);
+        centred.add(1.0);
         assert_eq!(
             (trials_for_mean(&centred, 0.95, 0.1), trials_for_mean(&Moments::default(), 0.95, 0.1)),
             (None, None)
@@ -129,9 +130,9 @@ mod tests {
         let mut never = Proportion::default();
         never.add(false);
         assert_eq!(trials_for_proportion(&never, 0.95, 0.1), None);
-        let estimate = Estimate { value: -2.0, interval: Some(Interval { low: -2.4, high: -1.6 }) };
-        let found = trials_for(&estimate, 10, 0.02).expect("an interval");
-        assert_eq!((found.reached, found.needed, found.more()), (0.2, 1000, 990));
+        let estimate = Estimate { value: -2.0, interval: Some(Interval { low: -2.5, high: -1.5 }) };
+        let found = trials_for(&estimate, 10, 0.03125).expect("an interval");
+        assert_eq!((found.reached, found.needed, found.more()), (0.25, 640, 630));
         assert_eq!(trials_for(&Estimate { interval: None, ..estimate }, 10, 0.1), None);
         assert_eq!(trials_for(&Estimate { value: 0.0, ..estimate }, 10, 0.1), None);
     }

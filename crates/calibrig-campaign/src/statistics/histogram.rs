@@ -126,7 +126,9 @@ mod tests {
         #[test]
         fn every_value_is_counted_once(values in prop::collection::vec(any::<f64>(), 0..50), low in -1e3..1e3, width in 1e-9..1e3, bins in 1_usize..40) {
             let mut histogram = Histogram::new(low, low + width, bins).expect("a range");
-            values.iter().for_each(|v| histogram.add(*v));
+            for value in &values {
+                histogram.add(*value);
+            }
             let inside: u64 = histogram.counts().iter().sum();
             prop_assert_eq!(inside + histogram.below() + histogram.above() + histogram.skipped(), values.len() as u64);
         }

@@ -33,7 +33,7 @@ pub struct Interval {
 }
 
 impl Interval {
-    fn around(value: f64, half: f64) -> Self {
+    pub(crate) fn around(value: f64, half: f64) -> Self {
         Self { low: value - half, high: value + half }
     }
 

@@ -227,8 +227,10 @@ impl Pass {
 
 /// The last digit.
 fn digit(digits: u64) -> usize {
-    // Below 2^16.
-    usize::from(digits as u16)
+    // What is cut off are the digits before it.
+    #[allow(clippy::cast_possible_truncation)]
+    let last = digits as u16;
+    usize::from(last)
 }
 
 /// Values by their ranks, in the order of the ranks.
@@ -288,6 +290,7 @@ impl Pass {
 }
 
 #[cfg(test)]
+#[allow(clippy::cast_possible_truncation)]
 mod tests {
     use super::*;
     use crate::statistics::tests::{assert_covers, uniform};
@@ -296,7 +299,9 @@ mod tests {
 
     fn of(values: &[f64], shares: &[f64]) -> Quantiles {
         let visit = |take: &mut dyn FnMut(f64)| {
-            values.iter().for_each(|v| take(*v));
+            for value in values {
+                take(*value);
+            }
             Ok::<_, Infallible>(())
         };
         quantiles(visit, shares, 0.95).expect("nothing to fail")
