@@ -1,3 +1,5 @@
 //! Studies of many trials: what varies and how it is drawn, tables of rows in Parquet, shards that make one table, and what it says.
 //!
 //! Nothing here knows a robot: a trial is a number, a point of a design and a row.
+
+pub mod plan;
