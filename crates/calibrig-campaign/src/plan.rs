@@ -332,9 +332,9 @@ impl Words {
             Scheduler::HyperQueue => {
                 (format!("hq submit {file}"), format!("hq submit --array=\"$({missing})\" {file}"))
             }
-            // A Job takes no list of indices: where a shard is there, its pod ends at once.
+            // A Job takes no list of indices: where a shard is there, its pod ends at once. kubectl takes a comma or quote in a path for something else.
             Scheduler::Kubernetes => {
-                (format!("kubectl apply -f {file}"), format!("kubectl replace --force -f {file}"))
+                (format!("kubectl apply -f - <{file}"), format!("kubectl replace --force -f - <{file}"))
             }
         };
         Commands { submit, missing, again, merge: format!("{program} merge {out}") }
