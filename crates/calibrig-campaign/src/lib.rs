@@ -4,6 +4,7 @@
 
 pub mod design;
 pub mod distribution;
+pub mod plan;
 pub mod sensitivity;
 pub mod shards;
 pub mod statistics;
