@@ -1,6 +1,7 @@
 //! What a run tells people and programs: tables on the terminal, `report.json` and `report.html`. A sink: nothing upstream imports it.
 
 mod ablation;
+mod campaign;
 mod acceptance;
 mod acceptance_bounds;
 mod closed_loop;
@@ -37,7 +38,9 @@ pub use compensation::{
     compensated_csv, compensation_html, compensation_json_text, grid_csv, json_compensation,
     render_compensation, write_compensation,
 };
-pub use html::{html_report, quoted};
+pub use calibrig_campaign::plan::quoted;
+pub use campaign::campaign_html;
+pub use html::html_report;
 pub use iso9283::{
     ISO9283_SCHEMA, JsonCombined, JsonCube, JsonIso9283, JsonIsoAccuracy, JsonIsoOrientation, JsonIsoPose,
     JsonIsoRow, JsonIsoTarget, JsonIsoTurn, iso9283_html, iso9283_json_text, json_iso9283, render_iso9283,

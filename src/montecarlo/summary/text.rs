@@ -2,6 +2,8 @@
 
 use std::fmt::Write;
 
+use calibrig_campaign::design::Design;
+use calibrig_campaign::plan::quoted;
 use calibrig_campaign::statistics::Estimate;
 
 use super::{CampaignSummary, ENOUGH, FactorEffect, GroupSummary, MeanWithInterval, ModeSummary, Rate, SetSummary};
@@ -356,10 +358,12 @@ fn worst_text(text: &mut String, summary: &CampaignSummary) {
 
 /// The command that carries out one trial with all that a run leaves.
 pub(in crate::montecarlo) fn rerun_command(summary: &CampaignSummary, trial: u64) -> String {
-    format!(
-        "calibrig run {} --seed {} --trial {trial} --plant {}",
-        crate::report_quoted(&summary.study.scenario),
-        summary.seed,
-        summary.study.plant
-    )
+    let study = &summary.study;
+    // Where its layout depends on their number.
+    let trials = match study.design {
+        Design::Plain { .. } => String::new(),
+        _ => format!(" --trials {}", study.design.trials()),
+    };
+    let (scenario, seed, plant) = (quoted(&study.scenario), summary.seed, &study.plant);
+    format!("calibrig run {scenario} --seed {seed} --plant {plant} --trial {trial}{trials}")
 }
