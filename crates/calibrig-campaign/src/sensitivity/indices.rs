@@ -343,6 +343,19 @@ mod tests {
         let outputs = [1.0, 2.0, 1.5, 0.5, 4.0, 4.5, 2.5, 0.0, 0.5];
         let (near, far) = (of(&outputs).expect("rows"), of(&outputs.map(|v| v + 1e9)).expect("rows"));
         assert_eq!(near, far);
+        // The first row is where sums are counted from, and changes nothing else.
+        let turned: Vec<f64> = outputs.chunks(3).rev().flatten().copied().collect();
+        let ends = |found: &[SobolIndices]| {
+            let all = found.iter().flat_map(|f| [f.first, f.total]);
+            all.flat_map(|e| e.interval.map_or([e.value; 3], |i| [e.value, i.low, i.high]))
+                .collect::<Vec<_>>()
+        };
+        for (found, expected) in ends(&of(&turned).expect("rows")).iter().zip(ends(&near)) {
+            assert!(
+                (found - expected).abs() < 1e-12 * expected.abs().max(1.0),
+                "{found} instead of {expected}"
+            );
+        }
         let mut none = SobolSums::new(0);
         (0..6).for_each(|_| none.add(1.0));
         assert_eq!((none.rows(), none.indices(0.95)), (3, Some(Vec::new())));
