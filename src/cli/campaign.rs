@@ -2,7 +2,7 @@
 
 use std::io::Write;
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use calibrig_campaign::shards::{Folder, FolderError, Input, Inventory, Manifest, Software};
 use calibrig_campaign::table::{Cell, Table, TableReader};
@@ -167,10 +167,8 @@ pub(super) fn manifest(
         sha256: hash_sources(std::slice::from_ref(&(role.clone(), source.clone()))),
     };
     let study = Study::of(campaign, columns, scenario);
-    let study = serde_json::to_value(&study).map_err(|error| CliError::Output {
-        what: "the manifest".to_owned(),
-        source: error.into(),
-    })?;
+    let study = serde_json::to_value(&study)
+        .map_err(|error| CliError::Output { what: "the manifest".to_owned(), source: error.into() })?;
     Ok(Manifest {
         schema: Manifest::schema(),
         name: campaign.scenario.name.clone(),
@@ -187,7 +185,8 @@ pub(super) fn manifest(
 
 /// This program.
 fn software() -> Result<Software, CliError> {
-    let failed = |source| CliError::Output { what: "the manifest: this program's own file".to_owned(), source };
+    let failed =
+        |source| CliError::Output { what: "the manifest: this program's own file".to_owned(), source };
     let path = std::env::current_exe().map_err(failed)?;
     let mut hash = InputHash::default();
     hash.add_file("program", &path).map_err(failed)?;
@@ -230,9 +229,8 @@ pub(super) fn show(folder: &Folder, table: &dyn Table, answers: &Answers) -> Res
 
 fn summed_up(folder: &Folder, table: &dyn Table, answers: &Answers) -> Result<CampaignSummary, CliError> {
     let manifest = folder.manifest();
-    let study: Study = serde_json::from_value(manifest.study.clone()).map_err(|error| FolderError::Manifest {
-        path: folder.path().join("manifest.json"),
-        reason: format!("study: {error}"),
+    let study: Study = serde_json::from_value(manifest.study.clone()).map_err(|error| {
+        FolderError::Manifest { path: folder.path().join("manifest.json"), reason: format!("study: {error}") }
     })?;
     let sums: Vec<_> = manifest.inputs.iter().map(|input| (&input.role, &input.sha256)).collect();
     let mut hash = InputHash::default();
@@ -291,12 +289,16 @@ pub(super) fn help(error: &FolderError) -> &'static str {
         FolderError::AnotherCampaign { .. } => {
             "expected another folder (--out), or the scenario, the options and the program that the campaign was begun with; what is there is untouched"
         }
-        FolderError::NoCampaign { .. } => "expected the --out folder of a campaign that was begun: `calibrig montecarlo SCENARIO --out DIR`",
+        FolderError::NoCampaign { .. } => {
+            "expected the --out folder of a campaign that was begun: `calibrig montecarlo SCENARIO --out DIR`"
+        }
         FolderError::Manifest { .. } => {
             "expected a manifest as `calibrig montecarlo` writes it; begin the campaign anew in another folder"
         }
         FolderError::NoShard { .. } => "expected I from 0 and below N in --shard I/N",
         FolderError::Missing { .. } => "run what `calibrig missing` prints again",
-        _ => "expected room and permission to read and write there; what is done is kept, and the same command with --resume (or the same --shard) goes on",
+        _ => {
+            "expected room and permission to read and write there; what is done is kept, and the same command with --resume (or the same --shard) goes on"
+        }
     }
 }

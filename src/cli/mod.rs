@@ -43,8 +43,8 @@ use clap::{Parser, Subcommand};
 use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, SourceCode};
 use thiserror::Error;
 
-use crate::montecarlo::SummaryError;
 use crate::handover::{AnotherModel, HandoverError};
+use crate::montecarlo::SummaryError;
 use crate::pipeline::{Iso9283Failure, PipelineError};
 use crate::pose_plan::PosePlanError;
 use crate::replay::ReplayError;
@@ -179,7 +179,9 @@ enum CliError {
     #[diagnostic(help("{}", campaign::help(_0)))]
     Folder(#[from] FolderError),
     #[error("{}: there is a campaign in it already", path.display())]
-    #[diagnostic(help("--resume goes on with it, or sums it up where it is complete; expected another folder for another campaign"))]
+    #[diagnostic(help(
+        "--resume goes on with it, or sums it up where it is complete; expected another folder for another campaign"
+    ))]
     CampaignThere { path: PathBuf },
     #[error("{}: {count} {} among the shards must not be merged", path.display(), if *count == 1 { "file" } else { "files" })]
     #[diagnostic(help("move them to another folder, and merge again: nothing was written"))]

@@ -142,9 +142,13 @@ pub(super) fn refused(error: CampaignError, file: &Path, scenario: &Scenario) ->
         _ => None,
     };
     let help = match &error {
-        CampaignError::TooManyMachines { .. } => "expected [as_built.drawn] with which nine of ten machines are possible: smaller linkage_mm, \
-            linkage_angles_mrad, crank_axis_mm or crank_tilts_mrad",
-        CampaignError::TooManyRefused { .. } => "expected [[campaign.factor]] whose values are possible in nine of ten trials; such as are not are drawn again",
+        CampaignError::TooManyMachines { .. } => {
+            "expected [as_built.drawn] with which nine of ten machines are possible: smaller linkage_mm, \
+            linkage_angles_mrad, crank_axis_mm or crank_tilts_mrad"
+        }
+        CampaignError::TooManyRefused { .. } => {
+            "expected [[campaign.factor]] whose values are possible in nine of ten trials; such as are not are drawn again"
+        }
         CampaignError::Trial { source, .. } if refused(source).is_some() => {
             "expected [[campaign.factor]] whose values are all possible: in this design none is drawn again"
         }
@@ -413,9 +417,7 @@ impl<'a> Parts<'a> {
         }
         let (range, part) = match &mut self.open {
             Some(open) => open,
-            None => {
-                self.open.insert((trial.index..trial.index, self.folder.begin_part()?))
-            }
+            None => self.open.insert((trial.index..trial.index, self.folder.begin_part()?)),
         };
         part.push(&self.columns.row(trial)).map_err(FolderError::from)?;
         range.end += 1;

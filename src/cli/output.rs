@@ -41,9 +41,14 @@ impl Files {
             Self::Reports => &["report.html", "report.json", "residuals.csv"],
             Self::Iso9283 => &["iso9283.html", "iso9283.json"],
             Self::Plan => &["plan.csv", "plan.json", "plan.html"],
-            Self::Campaign => {
-                &["manifest.json", "trials.parquet", "trials.csv", "summary.json", "report.html", "timings.csv"]
-            }
+            Self::Campaign => &[
+                "manifest.json",
+                "trials.parquet",
+                "trials.csv",
+                "summary.json",
+                "report.html",
+                "timings.csv",
+            ],
             Self::Acceptance => &["acceptance.html", "acceptance.svg", "acceptance.json"],
             Self::Calibrated => &crate::handover::FILES,
             Self::Compensation => &crate::report::COMPENSATION_FILES,

@@ -79,9 +79,9 @@ impl Args {
             }
             _ => Campaign::of_draws(scenario, seed, plant),
         };
-        let case = campaign.case(trial).map_err(|source| {
-            refused(CampaignError::Trial { trial, source }, &self.scenario, scenario)
-        })?;
+        let case = campaign
+            .case(trial)
+            .map_err(|source| refused(CampaignError::Trial { trial, source }, &self.scenario, scenario))?;
         Ok((case.scenario, case.draw))
     }
 }

@@ -12,9 +12,9 @@ mod trial;
 pub use columns::TrialColumns;
 pub use study::{Study, StudyMode};
 pub use summary::{
-    CampaignSummary, FactorEffect, GroupSummary, MeanWithInterval, ModeSummary, NeesSummary, ParameterSummary,
-    PredictionCoverage, Rate, Reason, Sensitivity, SetSummary, Subject, SummaryError, Worst, summarise,
-    summarise_trials, summary_json, summary_text,
+    CampaignSummary, FactorEffect, GroupSummary, MeanWithInterval, ModeSummary, NeesSummary,
+    ParameterSummary, PredictionCoverage, Rate, Reason, Sensitivity, SetSummary, Subject, SummaryError,
+    Worst, summarise, summarise_trials, summary_json, summary_text,
 };
 pub use trial::{Fit, ModeResult, ParameterResult, Trial, TrialOutcome};
 
@@ -110,7 +110,9 @@ pub enum CampaignError {
         source: CaseError,
     },
     /// Too many machines are impossible.
-    #[error("{refused} of the first {drawn} machines that are drawn are impossible: their loops do not close")]
+    #[error(
+        "{refused} of the first {drawn} machines that are drawn are impossible: their loops do not close"
+    )]
     TooManyMachines {
         /// So many.
         refused: u64,
@@ -222,7 +224,9 @@ impl<'a> Campaign<'a> {
             }
         }
         if 10 * refused > MOST_TENTHS * drawn {
-            let source = first.or_else(|| self.first_refused(range)).unwrap_or(CaseError::NoTrial { trial: 0, trials: 0 });
+            let source = first
+                .or_else(|| self.first_refused(range))
+                .unwrap_or(CaseError::NoTrial { trial: 0, trials: 0 });
             return Err(CampaignError::TooManyRefused { refused, drawn, source });
         }
         if 10 * machines > MOST_TENTHS * drawn {

@@ -1,9 +1,9 @@
 //! What a run tells people and programs: tables on the terminal, `report.json` and `report.html`. A sink: nothing upstream imports it.
 
 mod ablation;
-mod campaign;
 mod acceptance;
 mod acceptance_bounds;
+mod campaign;
 mod closed_loop;
 mod compensation;
 mod drift;
@@ -28,6 +28,8 @@ mod tables;
 
 pub use acceptance::{acceptance_html, acceptance_json, acceptance_svg, acceptance_text};
 pub use acceptance_bounds::JsonAcceptance;
+pub use calibrig_campaign::plan::quoted;
+pub use campaign::campaign_html;
 pub use closed_loop::{
     JsonCompensation, JsonDriveFailure, JsonDrivenCriterion, JsonDrivenPath, JsonDrivenPose,
     JsonDrivenPoseTest,
@@ -38,8 +40,6 @@ pub use compensation::{
     compensated_csv, compensation_html, compensation_json_text, grid_csv, json_compensation,
     render_compensation, write_compensation,
 };
-pub use calibrig_campaign::plan::quoted;
-pub use campaign::campaign_html;
 pub use html::html_report;
 pub use iso9283::{
     ISO9283_SCHEMA, JsonCombined, JsonCube, JsonIso9283, JsonIsoAccuracy, JsonIsoOrientation, JsonIsoPose,
