@@ -125,6 +125,7 @@
 //! assert_eq!(set.observations[0].reading.position(), up);
 //! ```
 
+pub use calibrig_campaign as campaign;
 pub use calibrig_estimation::METHOD;
 pub use calibrig_estimation::{
     compensation, elastostatics, evaluation, identification, inverse, kinematics, planning, two_face,

@@ -295,12 +295,18 @@ impl<'a> Campaign<'a> {
     }
 
     /// The trials of a range in memory.
-    pub fn trials(&self, range: Range<u64>) -> Result<Vec<Trial>, rayon::ThreadPoolBuildError> {
+    pub fn trials(&self, range: Range<u32>) -> Result<Vec<Trial>, rayon::ThreadPoolBuildError> {
         let mut trials = Vec::new();
-        self.run(vec![range], 0, &AtomicBool::new(false), &|| 0.0, |trial, _| {
-            trials.push(trial);
-            true
-        })?;
+        self.run(
+            vec![range.start.into()..range.end.into()],
+            0,
+            &AtomicBool::new(false),
+            &|| 0.0,
+            |trial, _| {
+                trials.push(trial);
+                true
+            },
+        )?;
         Ok(trials)
     }
 }

@@ -665,7 +665,7 @@ fn command(outcome: &Outcome) -> String {
     let source =
         |wanted: &str| outcome.sources.iter().find(|(role, _)| role == wanted).map(|(_, s)| quoted(&s.name));
     match outcome.input.kind {
-        "scenario" => {
+        "scenario" if outcome.command.is_none() => {
             let seed = outcome.input.seed.map_or_else(String::new, |seed| format!(" --seed {seed}"));
             let scenario = source("scenario").unwrap_or_else(|| "SCENARIO.toml".to_owned());
             let trial = match outcome.input.trial {

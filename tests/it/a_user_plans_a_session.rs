@@ -100,7 +100,7 @@ fn three_reflectors_and_two_stations_go_through_run_replay_campaign_and_report()
     assert!(page.contains("The tracker's own motion") || page.contains("The tracker&#39;s own motion"));
     assert!(render_tables(&outcome, Style::Plain).contains("rounds of 7 nests"));
 
-    let trial = Campaign { scenario: &scenario, seed: 2, plant: PlantKind::Analytic }.trial(1);
+    let trial = Campaign::of_draws(&scenario, 2, PlantKind::Analytic).trial(1);
     let fit = trial.outcome.expect("a trial").modes.remove(1).fit.expect("an estimate");
     assert!(
         fit.sound && (0.5..1.5).contains(&fit.chi2_per_dof.expect("covariances")),

@@ -2,7 +2,6 @@
 
 use std::fmt::Write;
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
 
 use calibrig::identification::{IdentificationOptions, MachineNoiseChoice, Mode};
 use calibrig::measurement::SetKind;
@@ -81,8 +80,8 @@ fn thirty_planned_poses_beat_sixty_random_ones() {
     let plan = planned(&scenario, scenario.options.clone(), 30);
     let random = Scenario { identification_poses: 60, ..scenario.clone() };
     let run = |scenario: &Scenario| {
-        let campaign = Campaign { scenario, seed: 5, plant: PlantKind::Analytic };
-        held_out(&campaign.run(0..TRIALS, 0, &AtomicBool::new(false), |_| ()).expect("trials"))
+        let campaign = Campaign::of_draws(scenario, 5, PlantKind::Analytic);
+        held_out(&campaign.trials(0..TRIALS).expect("trials"))
     };
     let (of_plan, of_random) = (run(&with_poses(&scenario, &plan)), run(&random));
     let mean = |values: &[f64]| 1e6 * values.iter().sum::<f64>() / values.len() as f64;
@@ -114,8 +113,8 @@ fn the_same_on_the_whole_machine_is_told() {
         ..scenario.options.clone()
     };
     let run = |scenario: &Scenario| {
-        let campaign = Campaign { scenario, seed: 5, plant: PlantKind::Rapier };
-        held_out(&campaign.run(0..trials, 0, &AtomicBool::new(false), |_| ()).expect("trials"))
+        let campaign = Campaign::of_draws(scenario, 5, PlantKind::Rapier);
+        held_out(&campaign.trials(0..trials).expect("trials"))
     };
     let of_random = run(&scenario);
     for source in [CandidateSource::WholeSpace, CandidateSource::Region] {

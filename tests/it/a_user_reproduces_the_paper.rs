@@ -1,12 +1,11 @@
 //! The published experiment: all rows about as published, and what a model with more terms makes of the same machine.
 
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
 
 use calibrig::evaluation::AccuracyRow;
 use calibrig::identification::{Mode, neighbour_axis_rules};
 use calibrig::model::{ActuatorMap, ParameterId};
-use calibrig::montecarlo::{Campaign, summarise};
+use calibrig::montecarlo::{Campaign, summarise_trials};
 use calibrig::pipeline::{self, Outcome, PlantKind, SetKind};
 use calibrig::plant::effects::{EffectKind, Effects};
 use calibrig::scenario::{Scenario, load_scenario};
@@ -113,11 +112,11 @@ pub fn with_poses(mut scenario: Scenario, identification: u32) -> Scenario {
 /// Mean absolute errors of the extended model per axis, m, over so many trials.
 fn extended(mut scenario: Scenario, trials: u32, kind: SetKind) -> [f64; 3] {
     scenario.modes = vec![Mode::Extended];
-    let campaign = Campaign { scenario: &scenario, seed: scenario.seed, plant: PlantKind::Rapier };
-    let done = campaign.run(0..trials, 0, &AtomicBool::new(false), |_| {}).expect("threads");
-    let summary = summarise(&campaign, &done);
-    assert!(summary.failures.is_empty(), "{:?}", summary.failures);
-    let set = summary.modes[0].sets.iter().find(|set| set.kind == kind).expect("measured poses");
+    let campaign = Campaign::of_draws(&scenario, scenario.seed, PlantKind::Rapier);
+    let done = campaign.trials(0..trials).expect("threads");
+    let summary = summarise_trials(&campaign, &done).expect("a table");
+    assert!(summary.failed == 0, "{:?}", summary.reasons);
+    let set = summary.modes()[0].sets.iter().find(|set| set.kind == kind).expect("measured poses");
     set.mean.map(|figure| figure.mean)
 }
 

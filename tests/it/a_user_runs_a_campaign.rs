@@ -1,13 +1,12 @@
 //! Campaigns: the estimator is as good as the bound, as certain as it says, and the same bits in any order; the command keeps what is done.
 
 use std::path::Path;
-use std::process::{Command, Stdio};
 use std::sync::atomic::AtomicBool;
-use std::time::Duration;
 
+use calibrig::campaign::table::Cell;
 use calibrig::evaluation::chi2_band;
 use calibrig::identification::{Estimate, IdentificationOptions, Loss, Mode, identify};
-use calibrig::montecarlo::{Campaign, row, summarise};
+use calibrig::montecarlo::{Campaign, TrialColumns, summarise_trials};
 use calibrig::pipeline::{KnownTruth, PlantKind, Simulation, simulate};
 use calibrig::scenario::{Scenario, load_scenario};
 use calibrig::tracker::Outliers;
@@ -27,7 +26,7 @@ fn short() -> Scenario {
 }
 
 fn analytic(scenario: &Scenario) -> Campaign<'_> {
-    Campaign { scenario, seed: scenario.seed, plant: PlantKind::Analytic }
+    Campaign::of_draws(scenario, scenario.seed, PlantKind::Analytic)
 }
 
 /// False alarms of every test here, over all of its parameters.
@@ -39,10 +38,10 @@ fn errors_are_as_large_as_the_bound_and_as_stated() {
     let trials = 1000;
     let scenario = matched();
     let campaign = analytic(&scenario);
-    let done = campaign.run(0..trials, 0, &AtomicBool::new(false), |_| {}).expect("threads");
-    let summary = summarise(&campaign, &done);
-    let mode = &summary.modes[0];
-    assert_eq!((summary.trials, summary.failures.len()), (1000, 0));
+    let done = campaign.trials(0..trials).expect("threads");
+    let summary = summarise_trials(&campaign, &done).expect("a table");
+    let mode = &summary.modes()[0];
+    assert_eq!((summary.trials, summary.failed), (1000, 0));
     // What was stated is doubted at a level of 0.1 % a trial: 6 and more of 1000 come once in 1700 campaigns.
     println!("{} of {trials} doubted", mode.doubtful);
     assert!(mode.doubtful <= 5, "{}", mode.doubtful);
@@ -54,11 +53,11 @@ fn errors_are_as_large_as_the_bound_and_as_stated() {
     // Errors are normal with the stated variance: (RMSE / bound)² is chi-square over its degrees of freedom.
     let (low, high) = chi2_band(f64::from(trials), 1.0 - each);
     for p in &mode.parameters {
-        let ratio = p.consistency();
+        let ratio = p.consistency.value;
         assert!((low.sqrt()..=high.sqrt()).contains(&ratio), "{}: RMSE / stated {ratio}", p.id);
         // No estimator is below the bound; this one is hardly above it.
         let bound = p.bayesian.expect("machines drawn from the priors");
-        let ratio = p.rmse / bound;
+        let ratio = p.rmse.value / bound;
         assert!((low.sqrt()..=1.02 * high.sqrt()).contains(&ratio), "{}: RMSE / bound {ratio}", p.id);
         // The measurements alone tell less.
         assert!(p.cramer_rao.is_some_and(|alone| alone > bound * (1.0 - 1e-3)), "{}: {p:?}", p.id);
@@ -69,7 +68,7 @@ fn errors_are_as_large_as_the_bound_and_as_stated() {
     let (low_square, high_square) = chi2_band(f64::from(trials) * parameters as f64, 1.0 - LEVEL);
     let squared = mode.squared_over_bound.expect("every truth is known").mean;
     assert!((low_square..=1.02 * high_square).contains(&squared), "{squared}");
-    let ratios = || mode.parameters.iter().filter_map(|p| Some(p.rmse / p.bayesian?));
+    let ratios = || mode.parameters.iter().filter_map(|p| Some(p.rmse.value / p.bayesian?));
     let (least, most) = (ratios().fold(f64::INFINITY, f64::min), ratios().fold(0.0, f64::max));
     println!("RMSE / bound {least:.3} to {most:.3}, bounds {:.3} to {:.3}", low.sqrt(), high.sqrt());
 
@@ -98,13 +97,14 @@ fn errors_without_priors_are_as_large_as_the_cramer_rao_bound() {
     scenario.options.unmodelled_sigma = 0.0;
     scenario.modes = vec![Mode::OnlyCalibration];
     let campaign = analytic(&scenario);
-    let done = campaign.run(0..trials, 0, &AtomicBool::new(false), |_| {}).expect("threads");
-    let mode = &summarise(&campaign, &done).modes[0];
+    let done = campaign.trials(0..trials).expect("threads");
+    let summary = summarise_trials(&campaign, &done).expect("a table");
+    let mode = &summary.modes()[0];
     let each = LEVEL / mode.parameters.len() as f64;
     let (low, high) = chi2_band(f64::from(trials), 1.0 - each);
     assert_eq!(mode.parameters.len(), 24 + 6 + 3);
     for p in &mode.parameters {
-        let ratio = p.rmse / p.cramer_rao.expect("determined");
+        let ratio = p.rmse.value / p.cramer_rao.expect("determined");
         assert!((low.sqrt()..=high.sqrt()).contains(&ratio), "{}: RMSE / bound {ratio}", p.id);
         assert_eq!((p.bayesian, p.least()), (None, p.cramer_rao));
     }
@@ -115,26 +115,30 @@ fn a_trial_is_the_same_bits_alone_and_among_others_on_any_number_of_threads() {
     let scenario = short();
     for plant in [PlantKind::Analytic, PlantKind::Rapier] {
         let campaign = Campaign { plant, ..analytic(&scenario) };
+        let columns = TrialColumns::of(&campaign);
         let rows = |threads| {
-            let mut told = Vec::new();
-            let done = campaign
-                .run(0..10, threads, &AtomicBool::new(false), |trial| told.push(row(&campaign, trial)))
-                .expect("threads");
-            assert_eq!(done.iter().map(|trial| row(&campaign, trial)).collect::<Vec<_>>(), told);
+            let mut done = Vec::new();
+            let take = |trial, _| {
+                done.push(trial);
+                true
+            };
+            let stop = AtomicBool::new(false);
+            campaign.run(vec![0..10], threads, &stop, &|| 0.0, take).expect("threads");
+            let told: Vec<_> = done.iter().map(|trial| columns.row(trial)).collect();
             (done, told)
         };
         let (trials, one) = rows(1);
         assert_eq!(one.len(), 10);
-        assert!(one.iter().all(|cells| cells[1] == "ok"), "{one:?}");
+        assert!(one.iter().all(|cells| cells[2] == Cell::text("ok")), "{one:?}");
         assert!(
-            one.windows(2).all(|pair| pair[0][3..] != pair[1][3..]),
+            one.windows(2).all(|pair| pair[0][6..] != pair[1][6..]),
             "every trial has numbers of its own"
         );
         for threads in [2, 8] {
             assert!((trials.clone(), one.clone()) == rows(threads), "{} on {threads} threads", plant.key());
         }
         for index in [0, 7] {
-            assert_eq!(campaign.trial(index), trials[index as usize], "{} alone", plant.key());
+            assert_eq!(campaign.trial(index as u64), trials[index], "{} alone", plant.key());
         }
     }
 }
@@ -220,15 +224,18 @@ fn a_trial_that_fails_is_a_row_with_its_reason() {
         "--out",
         "out",
         "--json",
+        "--csv",
     ]);
     assert_eq!(ended.code, Some(3), "{ended:?}");
-    assert!(ended.stderr.contains("doubtful: 3 of 3 trials failed, see trials.csv"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("doubtful: 3 of 3 trials failed"), "{}", ended.stderr);
     assert_eq!(ended.json()["schema"], "calibrig.campaign/1");
-    assert_eq!(ended.json()["failures"].as_array().map(Vec::len), Some(3));
+    assert_eq!(ended.json()["failed"].as_u64(), Some(3));
+    // They fail for one reason.
+    assert_eq!(ended.json()["reasons"][0]["trials"].as_u64(), Some(3));
     assert_eq!(sandbox.read("out/summary.json"), ended.stdout);
     let table = sandbox.read("out/trials.csv");
     for (index, line) in table.lines().skip(1).enumerate() {
-        assert!(line.starts_with(&format!("{index},failed,")), "{line}");
+        assert!(line.starts_with(&format!("{index},{index},failed,")), "{line}");
         assert!(line.contains("more poses are needed"), "{line}");
     }
     assert_eq!(table.lines().count(), 4);
@@ -239,7 +246,7 @@ fn one_trial_of_a_campaign_is_opened() {
     let sandbox = Sandbox::new();
     sandbox.replace_line(MATCHED, "", "identification = ", "identification = 12");
     let campaign = |more: &[&str], out| {
-        let arguments = ["montecarlo", MATCHED, "--plant", "analytic", "--out", out];
+        let arguments = ["montecarlo", MATCHED, "--plant", "analytic", "--csv", "--out", out];
         let ended = sandbox.run(arguments.iter().chain(more));
         assert_eq!(ended.code, Some(0), "{ended:?}");
         sandbox.read(&format!("{out}/trials.csv"))
@@ -265,47 +272,30 @@ fn one_trial_of_a_campaign_is_opened() {
 }
 
 #[test]
-fn an_interrupt_keeps_what_is_done() {
-    let sandbox = Sandbox::new();
-    let arguments = ["montecarlo", MATCHED, "--trials", "100000", "--plant", "analytic", "--out", "out"];
-    let mut command = sandbox.command(arguments);
-    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the binary starts");
-    let table = || std::fs::read_to_string(sandbox.path("out/trials.csv")).unwrap_or_default();
-    // Two minutes on an idle machine, more on a busy one.
-    let written = (0..6000).any(|_| {
-        std::thread::sleep(Duration::from_millis(20));
-        table().lines().count() >= 4
-    });
-    assert!(written, "no trial was written");
-    let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill");
-    assert!(sent.success());
-    let ended = child.wait_with_output().expect("an end");
-    let stderr = String::from_utf8_lossy(&ended.stderr);
-    assert_eq!(ended.status.code(), Some(3), "{stderr}");
-    assert!(stderr.contains("doubtful: interrupted, "), "{stderr}");
-    assert!(String::from_utf8_lossy(&ended.stdout).starts_with("campaign of "), "no tables");
-    let table = table();
-    assert!(table.ends_with('\n'));
-    let rows: Vec<Vec<&str>> = table.lines().map(|line| line.split(',').collect()).collect();
-    assert!(rows.iter().all(|cells| cells.len() == rows[0].len()));
-    for (index, cells) in rows[1..].iter().enumerate() {
-        assert_eq!(cells[..2], [index.to_string().as_str(), "ok"]);
-    }
-    let summary: serde_json::Value = serde_json::from_str(&sandbox.read("out/summary.json")).expect("JSON");
-    assert_eq!(summary["trials"].as_u64(), Some(rows.len() as u64 - 1));
-}
-
-#[test]
 fn what_cannot_be_done_is_refused_before_the_first_trial() {
     let sandbox = Sandbox::new();
     sandbox.write("file", "mine");
     let before = sandbox.content();
     for (more, message) in [
-        (&["--trials", "0"][..], "0 is not in 1..=100000"),
+        (&["--trials", "0"][..], "0 is not in 1..=4000000000"),
         (&["--trials", "-1"], "unexpected argument '-1'"),
         (&["--trials", "3", "--first", "4000000001"], "4000000001 is not in 0..=4000000000"),
         (&["--trials", "3", "--plant", "paper"], "[possible values: rapier, analytic]"),
-        (&[], "--trials <N>"),
+        (&["--resume"], "--out <DIR>"),
+        (&["--shard", "0/4"], "--out <DIR>"),
+        (&["--shard", "4/4", "--out", "out"], "there is no shard 4 of 4: the last one is 3"),
+        (&["--shard", "-1/4", "--out", "out"], "unexpected argument '-1'"),
+        (&["--shard", "x/4", "--out", "out"], "expected I/N"),
+        (&["--shard", "0/0", "--out", "out"], "expected I/N"),
+        (&["--shard", "1", "--out", "out"], "expected I/N"),
+        (&["--plan", "slurm", "--out", "out"], "--shards <N>"),
+        (
+            &["--plan", "pbs", "--shards", "4", "--out", "out"],
+            "[possible values: slurm, hyperqueue, kubernetes]",
+        ),
+        (&["--tolerance", "0.2"], "a length with its unit"),
+        (&["--tolerance", "-1mm"], "not a number above zero"),
+        (&["--resume", "--shard", "0/4", "--out", "out"], "cannot be used with"),
     ] {
         let ended = sandbox.run(["montecarlo", MATCHED].iter().chain(more));
         assert_eq!((ended.code, ended.stdout.as_str()), (Some(2), ""), "{ended:?}");

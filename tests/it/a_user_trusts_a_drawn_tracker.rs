@@ -1,11 +1,10 @@
 //! A matched machine under a tracker that has errors of its own: with the instrument's terms, what is stated of parameters and positions holds.
 
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
 
 use calibrig::identification::{InstrumentChoice, Mode};
 use calibrig::model::ParameterId;
-use calibrig::montecarlo::{Campaign, ModeSummary, summarise};
+use calibrig::montecarlo::{Campaign, ModeSummary, summarise_trials};
 use calibrig::pipeline::{PlantKind, run};
 use calibrig::scenario::{Scenario, load_scenario};
 use calibrig::tracker::Preset;
@@ -23,11 +22,11 @@ fn matched() -> Scenario {
 }
 
 fn campaign_of(scenario: &Scenario, trials: u32) -> ModeSummary {
-    let campaign = Campaign { scenario, seed: scenario.seed, plant: PlantKind::Analytic };
-    let done = campaign.run(0..trials, 0, &AtomicBool::new(false), |_| {}).expect("threads");
-    let mut summary = summarise(&campaign, &done);
-    assert!(summary.failures.is_empty(), "{:?}", summary.failures);
-    summary.modes.remove(0)
+    let campaign = Campaign::of_draws(scenario, scenario.seed, PlantKind::Analytic);
+    let done = campaign.trials(0..trials).expect("threads");
+    let mut summary = summarise_trials(&campaign, &done).expect("a table");
+    assert!(summary.failed == 0, "{:?}", summary.reasons);
+    summary.groups.remove(0).modes.remove(0)
 }
 
 /// Lowest and highest coverage over the parameters that `is_one` takes, and of predicted coordinates.

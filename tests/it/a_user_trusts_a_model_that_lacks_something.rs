@@ -1,11 +1,9 @@
 //! The whole simulated machine, which no model contains: intervals of the robot's mean position hold, and knowing the tracker's noise does no harm.
 
-use std::sync::atomic::AtomicBool;
-
 use calibrig::evaluation::accuracy;
 use calibrig::identification::{IdentificationOptions, Mode, Predictor, identify};
 use calibrig::measurement::{MeasurementSet, Reading};
-use calibrig::montecarlo::{Campaign, summarise};
+use calibrig::montecarlo::{Campaign, summarise_trials};
 use calibrig::pipeline::{PlantKind, simulate};
 use calibrig::statistics::student_t_quantile;
 
@@ -17,11 +15,11 @@ use crate::repeated;
 fn true_positions_lie_in_their_intervals_in_every_model() {
     let trials = repeated(200, 16);
     let scenario = paper();
-    let campaign = Campaign { scenario: &scenario, seed: scenario.seed, plant: PlantKind::Rapier };
-    let done = campaign.run(0..trials, 0, &AtomicBool::new(false), |_| {}).expect("threads");
-    let summary = summarise(&campaign, &done);
-    assert!(summary.failures.is_empty());
-    for mode in summary.modes.iter().filter(|mode| mode.mode != Mode::WithoutCalibration) {
+    let campaign = Campaign::of_draws(&scenario, scenario.seed, PlantKind::Rapier);
+    let done = campaign.trials(0..trials).expect("threads");
+    let summary = summarise_trials(&campaign, &done).expect("a table");
+    assert!(summary.failed == 0);
+    for mode in summary.modes().iter().filter(|mode| mode.mode != Mode::WithoutCalibration) {
         let predictions = mode.predictions.expect("held-out poses");
         let (held, half) = (predictions.coverage.fraction(), predictions.half_width.expect("trials"));
         println!(

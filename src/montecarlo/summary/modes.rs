@@ -21,7 +21,7 @@ const SHARES: [f64; 3] = [0.05, 0.5, 0.95];
 const BINS: usize = 40;
 
 /// A mean over trials with its 95 % confidence interval, and how single trials are scattered.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeanWithInterval {
     /// Trials that it is known of.
     pub trials: u64,

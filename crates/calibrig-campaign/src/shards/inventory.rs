@@ -188,7 +188,9 @@ impl Folder {
         }
         let pieces: Vec<Piece> = inventory.sound.values().cloned().collect();
         let staged = self.assemble(&pieces, &self.manifest.range(), &self.path, progress)?;
-        Ok(staged.name(&self.table())?)
+        staged.name(&self.table())?;
+        self.clear_all();
+        Ok(())
     }
 }
 

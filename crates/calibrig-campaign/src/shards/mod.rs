@@ -193,7 +193,24 @@ impl Folder {
         Ok(table.finish()?)
     }
 
-    /// Removes what was left by processes that were killed, and what is complete elsewhere.
+    /// Removes the parts of a campaign whose table is complete, and what processes that were killed left behind.
+    fn clear_all(&self) {
+        // What cannot be removed is in nobody's way.
+        let _ = fs::remove_dir_all(self.parts());
+        for folder in [self.path.clone(), self.shards()] {
+            let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+            let left = |path: &PathBuf| {
+                path.file_name()
+                    .and_then(|name| name.to_str())
+                    .is_some_and(|name| name.starts_with(TEMPORARY))
+            };
+            for path in entries.map(|entry| entry.path()).filter(left) {
+                let _ = fs::remove_file(path);
+            }
+        }
+    }
+
+    /// Removes the parts of what is complete elsewhere.
     fn clear_parts(&self, done: &Range<u64>) {
         for part in self.part_files() {
             if done.start <= part.range.start && part.range.end <= done.end {
@@ -238,7 +255,10 @@ fn read_manifest(folder: &Path) -> Result<Manifest, FolderError> {
         Err(error) => return Err(TableError::io(&path)(error).into()),
     };
     let refused = |reason: String| FolderError::Manifest { path: path.clone(), reason };
-    let manifest: Manifest = serde_json::from_str(&text).map_err(|error| refused(error.to_string()))?;
+    let manifest: Manifest = serde_json::from_str(&text).map_err(|error| {
+        let reason = if error.is_eof() { "it is empty or cut short".to_owned() } else { error.to_string() };
+        refused(reason)
+    })?;
     if manifest.schema != Manifest::schema() {
         return Err(refused(format!("schema is {:?}, not {:?}", manifest.schema, Manifest::schema())));
     }

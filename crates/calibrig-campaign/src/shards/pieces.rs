@@ -161,7 +161,7 @@ impl Folder {
         let range = self.manifest.range();
         let covered = self.covered(&range);
         self.assemble(&covered.pieces, &range, &self.path, progress)?.name(&self.table())?;
-        self.clear_parts(&range);
+        self.clear_all();
         Ok(())
     }
 
