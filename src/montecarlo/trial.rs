@@ -2,10 +2,11 @@
 
 use nalgebra::DVector;
 
-use super::Campaign;
+use super::{Campaign, Case};
 use crate::pipeline::{
     KnownTruth, PipelineError, Simulation, calibrate, information_at_truth, simulate, without_drift,
 };
+use crate::scenario::Scenario;
 use calibrig_estimation::evaluation::{AccuracyRow, nees};
 use calibrig_estimation::identification::{
     Estimate, IdentificationOptions, Information, Mode, PredictedReading, TerminationReason, predict_places,
@@ -17,7 +18,13 @@ use calibrig_model::measurement::{MeasurementSet, Reading, SetKind};
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trial {
     /// Its number in the campaign.
-    pub index: u32,
+    pub index: u64,
+    /// Number of its draw.
+    pub draw: u32,
+    /// Of the campaign's factors, as TOML has them; empty where they are impossible.
+    pub values: Vec<String>,
+    /// How often factors or machine were drawn again, because what was drawn is impossible.
+    pub redrawn: u32,
     /// What it showed, or why it failed.
     pub outcome: Result<TrialOutcome, String>,
 }
@@ -81,9 +88,9 @@ pub struct ParameterResult {
     pub bayesian: Option<f64>,
 }
 
-pub(super) fn carry_out(campaign: &Campaign<'_>, index: u32) -> Result<TrialOutcome, PipelineError> {
-    let scenario = campaign.scenario;
-    let mut simulation = simulate(scenario, campaign.seed, index, campaign.plant, |_, _| {})?;
+pub(super) fn carry_out(campaign: &Campaign<'_>, case: &Case<'_>) -> Result<TrialOutcome, PipelineError> {
+    let scenario = &*case.scenario;
+    let mut simulation = simulate(scenario, campaign.seed, case.draw, campaign.plant, |_, _| {})?;
     simulation.sets = without_drift(simulation.sets)?.sets;
     let model = &scenario.robot.model;
     let (_, outcomes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;
@@ -93,16 +100,16 @@ pub(super) fn carry_out(campaign: &Campaign<'_>, index: u32) -> Result<TrialOutc
         .map(|outcome| ModeResult {
             mode: outcome.mode,
             rows: kinds.iter().zip(&outcome.rows).filter_map(|(kind, row)| Some((*kind, (*row)?))).collect(),
-            fit: outcome.estimate.as_ref().map(|estimate| fit(campaign, &simulation, estimate)),
+            fit: outcome.estimate.as_ref().map(|estimate| fit(scenario, &simulation, estimate)),
         })
         .collect();
     Ok(TrialOutcome { modes, dropped: simulation.sets.iter().map(|set| set.dropped.len()).sum() })
 }
 
-fn fit(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Estimate) -> Fit {
+fn fit(scenario: &Scenario, simulation: &Simulation, estimate: &Estimate) -> Fit {
     let known = KnownTruth {
         as_built: &simulation.truth.as_built,
-        nominal: &campaign.scenario.robot.model,
+        nominal: &scenario.robot.model,
         stations: &simulation.truth.stations,
         instrument: &simulation.truth.instrument,
         further_targets: &simulation.truth.further_targets,
@@ -112,7 +119,7 @@ fn fit(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Estimate) ->
     };
     let fitted = simulation.sets.first().map(|set| &set.measurements);
     let information =
-        fitted.and_then(|set| information_at_truth(&known, set, &campaign.scenario.options, estimate));
+        fitted.and_then(|set| information_at_truth(&known, set, &scenario.options, estimate));
     let cramer_rao = information.as_ref().and_then(Information::cramer_rao_sigmas);
     let bayesian = information.as_ref().and_then(Information::bayesian_cramer_rao_sigmas);
     let at = |sigmas: &Option<Vec<f64>>, place: usize| sigmas.as_ref()?.get(place).copied();
@@ -136,7 +143,7 @@ fn fit(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Estimate) ->
         iterations: estimate.iterations.len(),
         chi2_per_dof: estimate.chi2_per_dof(),
         nees: nees_of(estimate, &parameters),
-        predictions: predictions(campaign, simulation, estimate),
+        predictions: predictions(scenario, simulation, estimate),
         squared_over_bound: information.as_ref().zip(errors).and_then(|(i, errors)| i.squared(&errors)),
         parameters,
     }
@@ -149,7 +156,7 @@ fn nees_of(estimate: &Estimate, parameters: &[ParameterResult]) -> Option<f64> {
 
 /// How many true coordinates of the held-out poses lie inside the 95 % intervals of the robot's mean position, and of how many. In the tracker's
 /// frame, so that the uncertainty of its place counts as well.
-fn predictions(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Estimate) -> (u64, u64) {
+fn predictions(scenario: &Scenario, simulation: &Simulation, estimate: &Estimate) -> (u64, u64) {
     let held_out = simulation
         .sets
         .iter()
@@ -164,8 +171,8 @@ fn predictions(campaign: &Campaign<'_>, simulation: &Simulation, estimate: &Esti
         let position = tracker_from_base.rotation * pose.target + tracker_from_base.translation.vector;
         observation.reading = Reading::Cartesian { position, covariance: None };
     }
-    let options = IdentificationOptions { mode: estimate.robot.mode, ..campaign.scenario.options.clone() };
-    let model = &campaign.scenario.robot.model;
+    let options = IdentificationOptions { mode: estimate.robot.mode, ..scenario.options.clone() };
+    let model = &scenario.robot.model;
     let Ok(Some(predicted)) = predict_places(model, &truth, &options, estimate) else { return (0, 0) };
     let factor = estimate.interval_factor(0.95);
     let inside = |reading: &PredictedReading| {

@@ -681,16 +681,6 @@ fn command(outcome: &Outcome) -> String {
     }
 }
 
-/// A word of a command line as a POSIX shell takes it.
-pub fn quoted(word: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:@%".contains(c);
-    if !word.is_empty() && word.chars().all(plain) {
-        word.to_owned()
-    } else {
-        format!("'{}'", word.replace('\'', "'\\''"))
-    }
-}
-
 pub(super) fn figure(modes: &[Mode], plot: &str, caption: &Markup, lines: bool) -> Markup {
     html! {
         figure {

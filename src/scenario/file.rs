@@ -9,6 +9,7 @@ use serde::Deserialize;
 
 use super::Scenario;
 use super::as_built::{AsBuiltFile, as_built};
+use super::campaign::{CampaignFile, campaign};
 use super::compensation::{CompensationFile, compensation};
 use super::effects::{EffectsFile, check_air, check_loads, effects};
 use super::identification::{IdentificationFile, ModeFile};
@@ -49,6 +50,7 @@ struct ScenarioFile {
     #[serde(default)]
     identification: IdentificationFile,
     compensation: Option<Spanned<CompensationFile>>,
+    campaign: Option<Spanned<CampaignFile>>,
     #[serde(default)]
     published: Vec<PublishedFile>,
 }
@@ -173,7 +175,7 @@ pub fn load_scenario(path: &Path) -> Result<Scenario, InputError> {
             in_file.error(name.span(), format!("poses: {error}"), Some(help))
         })
     };
-    validate(source, file, robot, &named)
+    whole(source, file, robot, &named)
 }
 
 /// The same from texts in memory.
@@ -190,18 +192,46 @@ pub fn parse_scenario_with(
     let file: ScenarioFile = source.toml()?;
     check_schema(&source, &file)?;
     let in_file = source.clone();
-    let named = |role: &str, name: &Spanned<String>| {
-        let found = files.iter().find(|(known, _)| known == role).map(|(_, text)| text.clone());
-        found.ok_or_else(|| {
-            let message = format!("the file {:?} was not given", name.get_ref());
-            in_file.error(
-                name.span(),
-                message,
-                Some("expected the text of the file that it names".to_owned()),
-            )
-        })
-    };
+    let named = |role: &str, name: &Spanned<String>| given(&in_file, files, role, name);
+    whole(source, file, robot, &named)
+}
+
+/// A file that a scenario in memory names.
+fn given(
+    scenario: &Source,
+    files: &[(String, Source)],
+    role: &str,
+    name: &Spanned<String>,
+) -> Result<Source, InputError> {
+    let found = files.iter().find(|(known, _)| known == role).map(|(_, text)| text.clone());
+    found.ok_or_else(|| {
+        let message = format!("the file {:?} was not given", name.get_ref());
+        let help = "expected the text of the file that it names".to_owned();
+        scenario.error(name.span(), message, Some(help))
+    })
+}
+
+/// What the scenario is with other values in its text; its campaign is the one that they come from.
+pub(super) fn parse_varied(
+    source: Source,
+    robot: Robot,
+    files: &[(String, Source)],
+) -> Result<Scenario, InputError> {
+    let file: ScenarioFile = source.toml()?;
+    let in_file = source.clone();
+    let named = |role: &str, name: &Spanned<String>| given(&in_file, files, role, name);
     validate(source, file, robot, &named)
+}
+
+fn whole(
+    source: Source,
+    mut file: ScenarioFile,
+    robot: Robot,
+    named: Named<'_>,
+) -> Result<Scenario, InputError> {
+    let section = file.campaign.take();
+    let plan = section.map(|section| campaign(&source, &section)).transpose()?;
+    Ok(Scenario { campaign: plan, ..validate(source, file, robot, named)? })
 }
 
 /// Where neither the robot's file nor the scenario says where down is, m/s².
@@ -326,6 +356,7 @@ fn validate(
         options,
         modes,
         compensation,
+        campaign: None,
         published,
         sources,
     };

@@ -1,6 +1,7 @@
 //! What is simulated and how it is identified: the scenario file and its validated, SI form.
 
 mod as_built;
+mod campaign;
 mod compensation;
 mod effects;
 mod file;
@@ -11,6 +12,7 @@ mod poses;
 mod remarks;
 mod session;
 mod sweep;
+pub use campaign::{CampaignPlan, Factor, FactorValues, Layout};
 pub use compensation::{CompensationPlan, GoalKind, PathPlan};
 pub use identification::with_stated_of;
 
@@ -26,7 +28,7 @@ use calibrig_estimation::identification::{IdentificationOptions, Mode};
 use calibrig_files::Robot;
 use calibrig_files::Source;
 use calibrig_model::measurement::SetKind;
-use calibrig_model::random;
+use calibrig_model::{linkage_fault, random};
 use calibrig_plant::experiment::WorkingRegion;
 use calibrig_plant::session::MeasuringSession;
 pub use calibrig_plant::session::{
@@ -76,19 +78,41 @@ pub struct Scenario {
     pub modes: Vec<Mode>,
     /// What is driven with corrected commands behind the session, where anything is.
     pub compensation: Option<CompensationPlan>,
+    /// What varies in its campaigns, where anything is said of them.
+    pub campaign: Option<CampaignPlan>,
     /// Published figures to print beside: m, max x, mean x, max y, mean y, max z, mean z.
     pub published: Vec<(SetKind, Mode, [f64; 6])>,
     /// The files read, by role.
     pub sources: Vec<(String, Source)>,
 }
 
+/// How often a machine is drawn again at most; scenarios whose machines would need that are refused.
+const MOST_REDRAWS: u32 = 20;
+
 impl Scenario {
     /// The machine of a trial: the given one, or one drawn from (seed, trial) alone.
     pub fn as_built_for(&self, seed: u64, trial: u32) -> AsBuilt {
-        self.drawn.as_ref().map_or_else(
-            || self.as_built.clone(),
-            |drawn| drawn.draw(&self.as_built, &mut random::stream(seed, trial, random::Source::AsBuilt)),
-        )
+        self.machine_of(seed, trial).0
+    }
+
+    /// How often the machine of a trial is drawn again, because the loop of the one before does not close.
+    pub fn redraws(&self, seed: u64, trial: u32) -> u32 {
+        self.machine_of(seed, trial).1
+    }
+
+    fn machine_of(&self, seed: u64, trial: u32) -> (AsBuilt, u32) {
+        let Some(drawn) = &self.drawn else { return (self.as_built.clone(), 0) };
+        let draw = |count: u32| {
+            let mut rng = random::stream_at(seed, trial, random::Source::AsBuilt, count.into());
+            drawn.draw(&self.as_built, &mut rng)
+        };
+        let mut machine = draw(0);
+        let mut count = 0;
+        while count < MOST_REDRAWS && linkage_fault(&machine.kinematics, &machine.actuators).is_some() {
+            count += 1;
+            machine = draw(count);
+        }
+        (machine, count)
     }
 
     /// The first station's tracker with the errors that it has in a trial, which its session draws for itself.

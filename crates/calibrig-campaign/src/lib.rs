@@ -2,4 +2,10 @@
 //!
 //! Nothing here knows a robot: a trial is a number, a point of a design and a row.
 
+pub mod design;
+pub mod distribution;
 pub mod plan;
+pub mod sensitivity;
+pub mod shards;
+pub mod statistics;
+pub mod table;

@@ -141,6 +141,12 @@ impl Source {
         toml_text::place_of(&self.text, key)
     }
 
+    /// Bytes of every value of a TOML key in which a table of an array may be chosen by its number from 1, or by its `joint`, `name` or `mode`:
+    /// `as_built.joint[rail].delta_d_mm`. Without a choice all tables of the array are looked through.
+    pub fn places_of(&self, key: &str) -> Vec<Range<usize>> {
+        toml_text::places_of(&self.text, key)
+    }
+
     /// Reads the text as TOML; unknown keys, missing keys and wrong types are errors at their place.
     pub fn toml<T: DeserializeOwned>(&self) -> Result<T, InputError> {
         toml_text::read(self)

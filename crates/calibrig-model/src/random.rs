@@ -67,6 +67,8 @@ pub enum Source {
     Handover = 60,
     /// Noise of the tracker along a path that is driven with corrected commands.
     PathNoise = 61,
+    /// The points of a study: what its factors are in a trial. The number of the point's draw is in the place of the trial's.
+    Factors = 70,
 }
 
 /// The stream of `(seed, trial, source)`. `ChaCha8` with the seed as key and (trial, source) as stream number.

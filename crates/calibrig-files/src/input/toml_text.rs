@@ -230,6 +230,77 @@ fn collect(key: &str, value: &Spanned<DeValue<'_>>, values: &mut Vec<Value>) {
     }
 }
 
+/// A step of a key: a name, and which of the tables of that name, by number from 1 or by what they are called.
+struct Step<'a> {
+    name: &'a str,
+    which: Option<&'a str>,
+}
+
+/// Keys by which tables of an array are told apart.
+const CALLED: [&str; 3] = ["joint", "name", "mode"];
+
+impl<'a> Step<'a> {
+    /// The steps of `effects.backlash.joint[rail].gap_um`; `None` where brackets do not close.
+    fn all(key: &'a str) -> Option<Vec<Self>> {
+        let mut steps = Vec::new();
+        let mut rest = key;
+        loop {
+            let end = rest.find(['.', '[']).unwrap_or(rest.len());
+            let name = &rest[..end];
+            rest = &rest[end..];
+            let mut which = None;
+            if let Some(inside) = rest.strip_prefix('[') {
+                let close = inside.find(']')?;
+                which = Some(inside[..close].trim_matches('"'));
+                rest = &inside[close + 1..];
+            }
+            steps.push(Step { name, which });
+            match rest.strip_prefix('.') {
+                Some(more) => rest = more,
+                None => return rest.is_empty().then_some(steps),
+            }
+        }
+    }
+
+    fn takes(&self, number: usize, item: &DeValue<'_>) -> bool {
+        let Some(which) = self.which else { return true };
+        if which.parse() == Ok(number) {
+            return true;
+        }
+        let DeValue::Table(table) = item else { return false };
+        CALLED.iter().any(|key| matches!(table.get(*key).map(Spanned::get_ref), Some(DeValue::String(name)) if name == which))
+    }
+}
+
+/// Bytes of every value of `key`, in which a table of an array may be chosen: `poses.region[rail].half_width_mm`, `tracker.nest[2].x_mm`. Without a
+/// choice all tables of the array are looked through.
+pub(super) fn places_of(text: &str, key: &str) -> Vec<Range<usize>> {
+    let (table, _) = DeTable::parse_recoverable(text);
+    let mut places = Vec::new();
+    if let Some(steps) = Step::all(key) {
+        follow(&steps, table.get_ref(), &mut places);
+    }
+    places
+}
+
+fn follow(steps: &[Step<'_>], table: &DeTable<'_>, places: &mut Vec<Range<usize>>) {
+    let Some((step, rest)) = steps.split_first() else { return };
+    let Some(value) = table.get(step.name) else { return };
+    let mut enter = |value: &Spanned<DeValue<'_>>| match value.get_ref() {
+        DeValue::Table(inner) if !rest.is_empty() => follow(rest, inner, places),
+        _ if rest.is_empty() => places.push(value.span()),
+        _ => {}
+    };
+    match value.get_ref() {
+        DeValue::Array(items) if step.which.is_some() || !rest.is_empty() => {
+            let chosen = (1..).zip(items.iter()).filter(|(number, item)| step.takes(*number, item.get_ref()));
+            chosen.for_each(|(_, item)| enter(item));
+        }
+        _ if step.which.is_none() => enter(value),
+        _ => {}
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -257,6 +328,37 @@ mod tests {
         assert_eq!(&text[place_of(text, "table.b_rad")], "4.5");
         assert_eq!(&text[place_of(text, "list")], "[2, 3]");
         assert_eq!(place_of(text, "table.c"), 0..0);
+    }
+
+    #[test]
+    fn keys_choose_among_tables_of_an_array() {
+        let text = "list = [2, 3]\n[[a.joint]]\njoint = \"rail\"\ngap_um = 7\n[[a.joint]]\njoint = \"waist\"\ngap_um = 8\n[b]\nc = { d = 1.5 }\n";
+        let found = |key| places_of(text, key).into_iter().map(|place| &text[place]).collect::<Vec<_>>();
+        assert_eq!(found("a.joint[waist].gap_um"), ["8"]);
+        assert_eq!(found("a.joint[\"rail\"].gap_um"), ["7"]);
+        assert_eq!(found("a.joint[1].gap_um"), ["7"]);
+        assert_eq!(found("a.joint.gap_um"), ["7", "8"]);
+        assert_eq!(
+            (found("b.c.d"), found("list"), found("list[2]")),
+            (vec!["1.5"], vec!["[2, 3]"], vec!["3"])
+        );
+        for nowhere in [
+            "",
+            "a",
+            "a.joint[3].gap_um",
+            "a.joint[wrist].gap_um",
+            "b.c[1].d",
+            "a.joint[1.gap_um",
+            "b.c.d.e",
+            "list[1]x",
+            ".",
+        ] {
+            assert!(
+                found(nowhere).iter().all(|value| value.starts_with('[')),
+                "{nowhere}: {:?}",
+                found(nowhere)
+            );
+        }
     }
 
     #[test]

@@ -1,0 +1,127 @@
+//! What fixes a campaign.
+
+use std::ops::Range;
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::table::{Column, hexadecimal};
+
+/// The schema of a manifest.
+const SCHEMA: &str = "calibrig.manifest/1";
+
+/// Which program computes the trials: another one may round otherwise.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Software {
+    /// Of the package.
+    pub version: String,
+    /// SHA-256 of the program's file, hexadecimal.
+    pub binary_sha256: String,
+    /// Processor and system.
+    pub target: String,
+}
+
+/// A file that trials depend on.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Input {
+    /// What it is.
+    pub role: String,
+    /// SHA-256 of its text, hexadecimal.
+    pub sha256: String,
+}
+
+/// What fixes a campaign: trial n is a function of this and n.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Manifest {
+    /// `calibrig.manifest/1`.
+    pub schema: String,
+    /// Name for people.
+    pub name: String,
+    /// Who computes.
+    pub software: Software,
+    /// All files.
+    pub inputs: Vec<Input>,
+    /// Key of the random streams.
+    pub seed: u64,
+    /// The first trial.
+    pub first: u64,
+    /// Number of trials.
+    pub trials: u64,
+    /// Parts that machines take.
+    pub shards: u32,
+    /// What varies, and all else that the caller fixes.
+    pub study: serde_json::Value,
+    /// Of the table; the first one is the trial.
+    pub columns: Vec<Column>,
+}
+
+impl Manifest {
+    /// The schema that this program writes and reads.
+    pub fn schema() -> String {
+        SCHEMA.to_owned()
+    }
+
+    /// SHA-256 of all but the number of shards, hexadecimal: the same trials give the same rows however they are shared out.
+    pub fn sum(&self) -> String {
+        let whole = Self { shards: 0, ..self.clone() };
+        // A manifest of plain fields is always JSON.
+        let text = serde_json::to_string(&whole).unwrap_or_default();
+        hexadecimal(&Sha256::digest(text))
+    }
+
+    /// The trials.
+    pub fn range(&self) -> Range<u64> {
+        self.first..self.first.saturating_add(self.trials)
+    }
+
+    /// The trials of a shard; as many as of any other, or one more.
+    pub fn range_of(&self, shard: u32) -> Range<u64> {
+        let at = |shard: u32| {
+            let place = u128::from(self.trials) * u128::from(shard) / u128::from(self.shards.max(1));
+            // Not above `trials`.
+            self.first.saturating_add(u64::try_from(place).unwrap_or(self.trials))
+        };
+        at(shard)..at(shard.saturating_add(1))
+    }
+
+    /// What `other` has otherwise, in words; `None` where it is the same campaign in the same shards.
+    pub fn difference(&self, other: &Self) -> Option<String> {
+        if self == other {
+            return None;
+        }
+        let differs = |what: &str, ours: &dyn std::fmt::Display, theirs: &dyn std::fmt::Display| {
+            Some(format!("{what} {theirs} instead of {ours}"))
+        };
+        if self.schema != other.schema {
+            return differs("schema", &self.schema, &other.schema);
+        }
+        if self.software.version != other.software.version {
+            return differs("software version", &self.software.version, &other.software.version);
+        }
+        if self.software.target != other.software.target {
+            return differs("machines", &self.software.target, &other.software.target);
+        }
+        if self.software != other.software {
+            return Some(format!("another build of version {}", other.software.version));
+        }
+        for input in &self.inputs {
+            match other.inputs.iter().find(|theirs| theirs.role == input.role) {
+                Some(theirs) if theirs == input => {}
+                Some(_) => return Some(format!("another text of the {}", input.role)),
+                None => return Some(format!("no {}", input.role)),
+            }
+        }
+        if self.seed != other.seed {
+            return differs("seed", &self.seed, &other.seed);
+        }
+        if self.range() != other.range() {
+            let words = |m: &Self| format!("{} trials from {}", m.trials, m.first);
+            return differs("", &words(self), &words(other)).map(|text| text.trim_start().to_owned());
+        }
+        if self.shards != other.shards {
+            return differs("shards:", &self.shards, &other.shards);
+        }
+        Some(if self.study == other.study { "other columns" } else { "another study" }.to_owned())
+    }
+}

@@ -1,0 +1,271 @@
+//! A campaign in a folder: its manifest, the shards that machines made of it, and the one table that they make together.
+//!
+//! ```text
+//! manifest.json                                 what fixes the campaign
+//! parts/<campaign>-<first>-<end>-<sum>.parquet  rows of a shard that is not complete
+//! shards/<campaign>-<I>-of-<M>-<sum>.parquet    a complete shard
+//! trials.parquet                                all rows
+//! ```
+//!
+//! `<campaign>` is the beginning of the manifest's sum, `<sum>` that of the file's own: a file that was cut short or altered does not have the name
+//! of its bytes any more. A file has its name when it is whole and the disk holds it. Whoever computes a row computes the same row, so that nothing is lost
+//! or counted twice when a machine that was given up finishes late.
+
+mod inventory;
+mod manifest;
+mod pieces;
+
+pub use inventory::{Fault, Inventory};
+pub use manifest::{Input, Manifest, Software};
+pub use pieces::Covered;
+
+use std::fs::{self, File};
+use std::io::{self, Read, Write};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use thiserror::Error;
+
+use crate::table::{
+    StagedTable, TEMPORARY, TableError, TableReader, TableWriter, hexadecimal, sync_folder_of,
+};
+
+/// Digits of a sum that stand in a file's name.
+const SUM_DIGITS: usize = 16;
+const CAMPAIGN_DIGITS: usize = 12;
+/// Under which a table says what it is of.
+const ABOUT: &str = "calibrig.campaign";
+
+/// A folder that is not the one for this campaign, or cannot be.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum FolderError {
+    /// Of the file system or of a table.
+    #[error(transparent)]
+    Table(#[from] TableError),
+    /// There is no campaign.
+    #[error("{}: there is no campaign in it (no manifest.json)", path.display())]
+    NoCampaign {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// The manifest is not one.
+    #[error("{}: {reason}", path.display())]
+    Manifest {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// There is another campaign.
+    #[error("{}: there is another campaign in it: it has {difference}", path.display())]
+    AnotherCampaign {
+        /// The folder.
+        path: PathBuf,
+        /// What the one that is there has otherwise.
+        difference: String,
+    },
+    /// A shard that the campaign does not have.
+    #[error("shard {shard} of {shards}: the last one is {}", shards.saturating_sub(1))]
+    NoShard {
+        /// Asked for.
+        shard: u32,
+        /// There are.
+        shards: u32,
+    },
+    /// Rows that are not there.
+    #[error("{}: trials {}..{} are not there", path.display(), range.start, range.end)]
+    Missing {
+        /// The folder.
+        path: PathBuf,
+        /// The first ones that are missing.
+        range: Range<u64>,
+    },
+}
+
+/// What a table says that it is of.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+struct About {
+    /// Sum of the manifest.
+    campaign: String,
+    name: String,
+    version: String,
+    seed: u64,
+    first: u64,
+    end: u64,
+}
+
+/// The folder of a campaign.
+#[derive(Debug, Clone)]
+pub struct Folder {
+    path: PathBuf,
+    manifest: Manifest,
+    sum: String,
+}
+
+impl Folder {
+    /// The folder with this campaign: made where it is not there, joined where another process or an earlier run made it.
+    pub fn begin(path: &Path, manifest: Manifest) -> Result<Self, FolderError> {
+        fs::create_dir_all(path).map_err(TableError::io(path))?;
+        let file = path.join("manifest.json");
+        if !file.exists() {
+            put_manifest(&file, &manifest)?;
+        }
+        // Of several who put it there at once, one did.
+        let there = read_manifest(path)?;
+        match manifest.difference(&there) {
+            None => Ok(Self::of(path, there)),
+            Some(difference) => Err(FolderError::AnotherCampaign { path: path.to_path_buf(), difference }),
+        }
+    }
+
+    /// The folder with the campaign that is in it.
+    pub fn open(path: &Path) -> Result<Self, FolderError> {
+        Ok(Self::of(path, read_manifest(path)?))
+    }
+
+    fn of(path: &Path, manifest: Manifest) -> Self {
+        let sum = manifest.sum();
+        Self { path: path.to_path_buf(), manifest, sum }
+    }
+
+    /// Where.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// What.
+    pub fn manifest(&self) -> &Manifest {
+        &self.manifest
+    }
+
+    /// Whether a campaign is in the folder.
+    pub fn is_begun(path: &Path) -> bool {
+        path.join("manifest.json").exists()
+    }
+
+    /// The whole table.
+    pub fn table(&self) -> PathBuf {
+        self.path.join("trials.parquet")
+    }
+
+    /// Whether the whole table is there and is of this campaign.
+    pub fn is_complete(&self) -> bool {
+        let about = TableReader::open(&self.table()).ok().and_then(|table| about_of(&table));
+        about == Some(self.about(self.manifest.range()))
+    }
+
+    fn parts(&self) -> PathBuf {
+        self.path.join("parts")
+    }
+
+    fn shards(&self) -> PathBuf {
+        self.path.join("shards")
+    }
+
+    /// How the files of this campaign begin.
+    fn campaign(&self) -> &str {
+        &self.sum[..CAMPAIGN_DIGITS.min(self.sum.len())]
+    }
+
+    fn about(&self, range: Range<u64>) -> About {
+        About {
+            campaign: self.sum.clone(),
+            name: self.manifest.name.clone(),
+            version: self.manifest.software.version.clone(),
+            seed: self.manifest.seed,
+            first: range.start,
+            end: range.end,
+        }
+    }
+
+    fn writer(&self, folder: &Path, range: Range<u64>) -> Result<TableWriter, FolderError> {
+        fs::create_dir_all(folder).map_err(TableError::io(folder))?;
+        // A manifest's own texts and numbers are always JSON.
+        let about = serde_json::to_string(&self.about(range)).unwrap_or_default();
+        Ok(TableWriter::create(folder, &self.manifest.columns, &[(ABOUT, about)])?)
+    }
+
+    /// Removes what was left by processes that were killed, and what is complete elsewhere.
+    fn clear_parts(&self, done: &Range<u64>) {
+        for part in self.part_files() {
+            if done.start <= part.range.start && part.range.end <= done.end {
+                // What cannot be removed is in nobody's way.
+                let _ = fs::remove_file(part.path);
+            }
+        }
+        // While it is empty: others may be at work.
+        let _ = fs::remove_dir(self.parts());
+    }
+}
+
+fn put_manifest(file: &Path, manifest: &Manifest) -> Result<(), FolderError> {
+    let folder = file.parent().unwrap_or(Path::new("."));
+    let failed = || TableError::io(file);
+    let mut staged =
+        tempfile::Builder::new().prefix(TEMPORARY).tempfile_in(folder).map_err(TableError::io(folder))?;
+    let text = serde_json::to_string_pretty(manifest)
+        .map_err(|error| FolderError::Manifest { path: file.to_path_buf(), reason: error.to_string() })?;
+    staged.write_all(text.as_bytes()).and_then(|()| staged.write_all(b"\n")).map_err(failed())?;
+    staged.as_file().sync_all().map_err(failed())?;
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        let readable = fs::Permissions::from_mode(0o644);
+        staged.as_file().set_permissions(readable).map_err(failed())?;
+    }
+    match staged.persist_noclobber(file) {
+        Ok(_) => Ok(sync_folder_of(file)?),
+        Err(error) if error.error.kind() == io::ErrorKind::AlreadyExists => Ok(()),
+        Err(error) => Err(failed()(error.error).into()),
+    }
+}
+
+fn read_manifest(folder: &Path) -> Result<Manifest, FolderError> {
+    let path = folder.join("manifest.json");
+    let text = match fs::read_to_string(&path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            return Err(FolderError::NoCampaign { path: folder.to_path_buf() });
+        }
+        Err(error) => return Err(TableError::io(&path)(error).into()),
+    };
+    let refused = |reason: String| FolderError::Manifest { path: path.clone(), reason };
+    let manifest: Manifest = serde_json::from_str(&text).map_err(|error| refused(error.to_string()))?;
+    if manifest.schema != Manifest::schema() {
+        return Err(refused(format!("schema is {:?}, not {:?}", manifest.schema, Manifest::schema())));
+    }
+    if manifest.trials == 0 || manifest.shards == 0 || manifest.columns.is_empty() {
+        return Err(refused("it has no trials, no shards or no columns".to_owned()));
+    }
+    Ok(manifest)
+}
+
+fn about_of(table: &TableReader) -> Option<About> {
+    serde_json::from_str(table.about(ABOUT)?).ok()
+}
+
+/// The beginning of the SHA-256 of a file, as it stands in names.
+fn sum_of(path: &Path) -> io::Result<String> {
+    let mut sum = Sha256::new();
+    let mut file = File::open(path)?;
+    let mut piece = vec![0; 1 << 16];
+    loop {
+        match file.read(&mut piece)? {
+            0 => break,
+            count => sum.update(&piece[..count]),
+        }
+    }
+    let mut text = hexadecimal(&sum.finalize());
+    text.truncate(SUM_DIGITS);
+    Ok(text)
+}
+
+fn short(staged: &StagedTable) -> &str {
+    &staged.sum()[..SUM_DIGITS.min(staged.sum().len())]
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,431 @@
+//! What many trials say together, from their table alone. Every sum runs in the order of the trials, so that the same table gives the same bits; columns
+//! are looked through again and again and never held, so that a table of any length takes the same memory.
+
+mod json;
+mod modes;
+mod text;
+
+pub use json::summary_json;
+pub use modes::{MeanWithInterval, ModeSummary, NeesSummary, ParameterSummary, PredictionCoverage, Rate, SetSummary};
+pub use text::summary_text;
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use calibrig_campaign::design::Design;
+use calibrig_campaign::sensitivity::{ElementaryEffects, MorrisSums, SobolIndices, SobolSums};
+use calibrig_campaign::statistics::{Moments, PairedDifference, QuantileError};
+use calibrig_campaign::table::{MemoryTable, Table, TableError};
+use thiserror::Error;
+
+use super::columns::set_column;
+use super::{Campaign, Study, Trial, TrialColumns};
+use calibrig_estimation::identification::Mode;
+use calibrig_model::measurement::SetKind;
+
+/// Level of the intervals of figures, and of the intervals whose coverage is counted.
+pub(super) const LEVEL: f64 = 0.95;
+/// Level of the bands that NEES and coverage are held against: one in a thousand sound campaigns is outside.
+pub(super) const BAND: f64 = 0.999;
+/// Within which share of itself a mean is told to be known well enough.
+pub(super) const ENOUGH: f64 = 0.01;
+/// Kinds of reasons that are told apart, and trials that are named.
+const MOST_REASONS: usize = 20;
+const WORST: usize = 5;
+
+/// A table that cannot be summed up.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum SummaryError {
+    /// It cannot be read.
+    #[error(transparent)]
+    Table(#[from] TableError),
+    /// Its values cannot be ranked.
+    #[error("quantiles: {0}")]
+    Quantiles(#[from] QuantileError<TableError>),
+    /// It lacks a column.
+    #[error("the table has no column {name}")]
+    NoColumn {
+        /// Which.
+        name: String,
+    },
+}
+
+/// Trials that failed for reasons that differ in numbers alone.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Reason {
+    /// That of the first one.
+    pub text: String,
+    /// The first one.
+    pub trial: u64,
+    /// How many.
+    pub count: u64,
+}
+
+/// One of the trials with the largest errors.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Worst {
+    /// Which mode's.
+    pub mode: Mode,
+    /// Which trial.
+    pub trial: u64,
+    /// RMS of its 3-D error, m.
+    pub rms_3d: f64,
+}
+
+/// Trials that belong together: all, or those of a combination of a sweep.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GroupSummary {
+    /// The levels of the combination; empty where there is one group.
+    pub levels: Vec<String>,
+    /// Trials in it.
+    pub trials: u64,
+    /// Of which so many failed.
+    pub failed: u64,
+    /// One a mode of the scenario.
+    pub modes: Vec<ModeSummary>,
+}
+
+/// What a factor does to the accuracy of a mode.
+#[derive(Debug, Clone, PartialEq)]
+pub enum FactorEffect {
+    /// Sobol's indices.
+    Indices(SobolIndices),
+    /// Elementary effects, m.
+    Screening(ElementaryEffects),
+}
+
+/// What each factor does to the RMS of the 3-D error of a mode.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sensitivity {
+    /// Which.
+    pub mode: Mode,
+    /// On which set.
+    pub kind: SetKind,
+    /// Factor by factor, by name; the draws are the last one of indices.
+    pub effects: Vec<(String, FactorEffect)>,
+    /// Rows of the base, or trajectories, that were left out, at least in part, because trials failed.
+    pub left_out: u64,
+}
+
+/// What a campaign says.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CampaignSummary {
+    /// Name for people.
+    pub name: String,
+    /// Key of the random streams.
+    pub seed: u64,
+    /// SHA-256 of the scenario and all that it names.
+    pub sha256: String,
+    /// What was studied.
+    pub study: Study,
+    /// The first trial.
+    pub first: u64,
+    /// Trials carried out.
+    pub trials: u64,
+    /// Of which so many failed.
+    pub failed: u64,
+    /// Of which so many were identified, but not soundly in every mode.
+    pub doubtful: u64,
+    /// How often factors or machines were drawn again, because what was drawn is impossible.
+    pub redrawn: u64,
+    /// Why trials failed, the most frequent first.
+    pub reasons: Vec<Reason>,
+    /// One, or one a combination of a sweep.
+    pub groups: Vec<GroupSummary>,
+    /// Where the design tells it, mode by mode.
+    pub sensitivity: Vec<Sensitivity>,
+    /// The trials with the largest errors of the last mode, the worst first.
+    pub worst: Vec<Worst>,
+    /// Within which a calibrated robot counts as a success, m.
+    pub tolerance: Option<f64>,
+}
+
+impl CampaignSummary {
+    /// The modes over all trials; of a sweep, those of its first combination.
+    pub fn modes(&self) -> &[ModeSummary] {
+        self.groups.first().map_or(&[], |group| &group.modes)
+    }
+}
+
+/// What a table is of.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Subject {
+    /// Name for people.
+    pub name: String,
+    /// Key of the random streams.
+    pub seed: u64,
+    /// SHA-256 of the scenario and all that it names.
+    pub sha256: String,
+    /// The trial of the first row.
+    pub first: u64,
+}
+
+/// Sums up the table of a study.
+pub fn summarise(
+    subject: Subject,
+    study: &Study,
+    table: &dyn Table,
+    tolerance: Option<f64>,
+) -> Result<CampaignSummary, SummaryError> {
+    let counts = Counts::of(table)?;
+    let modes = study.known_modes();
+    let mut groups = Vec::new();
+    for (levels, rows) in groups_of(study, subject.first, table.rows()) {
+        let mut summaries = Vec::new();
+        for (mode, parameters) in &modes {
+            let source = modes::Rows { table, rows: rows.clone(), tolerance };
+            summaries.push(source.mode(*mode, parameters, study.machines_are_drawn)?);
+        }
+        let failed = failed_in(table, &rows)?;
+        groups.push(GroupSummary { levels, trials: rows.end - rows.start, failed, modes: summaries });
+    }
+    if let Design::Sweep { repeats, .. } = study.design {
+        compare_with_first(table, &modes, &mut groups, repeats)?;
+    }
+    Ok(CampaignSummary {
+        sensitivity: sensitivity(&subject, study, table, &modes)?,
+        worst: worst(&subject, table, &modes)?,
+        name: subject.name,
+        seed: subject.seed,
+        sha256: subject.sha256,
+        study: study.clone(),
+        first: subject.first,
+        trials: table.rows(),
+        failed: counts.failed,
+        doubtful: counts.doubtful,
+        redrawn: counts.redrawn,
+        reasons: counts.reasons,
+        groups,
+        tolerance,
+    })
+}
+
+/// Sums up trials in memory, which are in the order of their numbers.
+pub fn summarise_trials(campaign: &Campaign<'_>, trials: &[Trial]) -> Result<CampaignSummary, SummaryError> {
+    let columns = TrialColumns::of(campaign);
+    let rows = trials.iter().map(|trial| columns.row(trial)).collect();
+    let subject = Subject {
+        name: campaign.scenario.name.clone(),
+        seed: campaign.seed,
+        sha256: crate::pipeline::hash_sources(&campaign.scenario.sources),
+        first: trials.first().map_or(0, |trial| trial.index),
+    };
+    let study = Study::of(campaign, &columns, &campaign.scenario.name);
+    let tolerance = campaign.scenario.campaign.as_ref().and_then(|plan| plan.tolerance);
+    summarise(subject, &study, &MemoryTable::new(columns.columns(), rows), tolerance)
+}
+
+/// Levels and rows of every group that has rows.
+fn groups_of(study: &Study, first: u64, rows: u64) -> Vec<(Vec<String>, Range<u64>)> {
+    let Design::Sweep { repeats, .. } = study.design else { return vec![(Vec::new(), 0..rows)] };
+    let end = first + rows;
+    let combinations = study.design.trials() / repeats.max(1);
+    let group = |combination: u64| {
+        let own = combination * repeats..(combination + 1) * repeats;
+        let own = own.start.max(first)..own.end.min(end);
+        let point = study.design.point(0, combination * repeats)?;
+        let levels = study.factors.iter().zip(&point.at).map(|(factor, at)| factor.at(*at)).collect();
+        (own.start < own.end).then(|| (levels, own.start - first..own.end - first))
+    };
+    (0..combinations).filter_map(group).collect()
+}
+
+fn place(table: &dyn Table, name: &str) -> Result<usize, SummaryError> {
+    table.place_of(name).ok_or_else(|| SummaryError::NoColumn { name: name.to_owned() })
+}
+
+#[derive(Default)]
+struct Counts {
+    failed: u64,
+    doubtful: u64,
+    redrawn: u64,
+    reasons: Vec<Reason>,
+}
+
+impl Counts {
+    fn of(table: &dyn Table) -> Result<Self, SummaryError> {
+        let wanted = [
+            place(table, "trial")?,
+            place(table, "status")?,
+            place(table, "reason")?,
+            place(table, "redrawn")?,
+        ];
+        let mut counts = Self::default();
+        let mut reasons: BTreeMap<String, Reason> = BTreeMap::new();
+        table.visit(&wanted, 0..table.rows(), &mut |row| {
+            counts.redrawn += whole(row[3].as_number());
+            match row[1].as_text() {
+                Some("failed") => {
+                    counts.failed += 1;
+                    let text = row[2].as_text().unwrap_or_default();
+                    let trial = whole(row[0].as_number());
+                    let kind = without_numbers(text);
+                    match reasons.get_mut(&kind) {
+                        Some(reason) => reason.count += 1,
+                        None if reasons.len() < MOST_REASONS => {
+                            reasons.insert(kind, Reason { text: text.to_owned(), trial, count: 1 });
+                        }
+                        None => {}
+                    }
+                }
+                Some("doubtful") => counts.doubtful += 1,
+                _ => {}
+            }
+        })?;
+        counts.reasons = reasons.into_values().collect();
+        counts.reasons.sort_by_key(|reason| (std::cmp::Reverse(reason.count), reason.trial));
+        Ok(counts)
+    }
+}
+
+/// A count that a table has as a number.
+fn whole(value: Option<f64>) -> u64 {
+    // Numbers of trials are far below 2^52, and not negative.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+    value.map_or(0, |value| value as u64)
+}
+
+fn failed_in(table: &dyn Table, rows: &Range<u64>) -> Result<u64, SummaryError> {
+    let mut failed = 0;
+    table.visit(&[place(table, "status")?], rows.clone(), &mut |row| {
+        failed += u64::from(row[0].as_text() == Some("failed"));
+    })?;
+    Ok(failed)
+}
+
+/// A reason in which numbers do not count.
+fn without_numbers(text: &str) -> String {
+    let mut kind = String::new();
+    let mut in_number = false;
+    for c in text.chars() {
+        let is_number = c.is_ascii_digit() || (in_number && (c == '.' || c == 'e' || c == '-'));
+        if is_number && !in_number {
+            kind.push('#');
+        } else if !is_number {
+            kind.push(c);
+        }
+        in_number = is_number;
+    }
+    kind
+}
+
+/// The set that accuracy is told of: the held-out one, where there is one.
+pub(super) fn told_set(table: &dyn Table, mode: Mode) -> Result<SetKind, SummaryError> {
+    let column = place(table, &set_column(mode, SetKind::Verification, "rms_3d_m"))?;
+    let mut any = false;
+    table.visit(&[column], 0..table.rows(), &mut |row| any |= row[0].as_number().is_some())?;
+    Ok(if any { SetKind::Verification } else { SetKind::Identification })
+}
+
+/// What the trials of every other combination show more than the same draws of the first one.
+fn compare_with_first(
+    table: &dyn Table,
+    modes: &[(Mode, Vec<calibrig_model::ParameterId>)],
+    groups: &mut [GroupSummary],
+    repeats: u64,
+) -> Result<(), SummaryError> {
+    for (place_of_mode, (mode, _)) in modes.iter().enumerate() {
+        for kind in SetKind::ALL {
+            let column = place(table, &set_column(*mode, kind, "rms_3d_m"))?;
+            let mut first: Vec<Option<f64>> = Vec::new();
+            for (number, group) in (0..).zip(groups.iter_mut()) {
+                let rows = number * repeats..((number + 1) * repeats).min(table.rows());
+                let mut difference = PairedDifference::default();
+                let mut draw = 0;
+                table.visit(&[column], rows, &mut |row| {
+                    let value = row[0].as_number();
+                    if number == 0 {
+                        first.push(value);
+                    } else {
+                        difference.add(value, first.get(draw).copied().flatten());
+                    }
+                    draw += 1;
+                })?;
+                let set = group.modes.get_mut(place_of_mode);
+                let set = set.and_then(|mode| mode.sets.iter_mut().find(|set| set.kind == kind));
+                if let Some(set) = set.filter(|_| number > 0) {
+                    set.against_first = difference.interval(LEVEL);
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+fn sensitivity(
+    subject: &Subject,
+    study: &Study,
+    table: &dyn Table,
+    modes: &[(Mode, Vec<calibrig_model::ParameterId>)],
+) -> Result<Vec<Sensitivity>, SummaryError> {
+    let mut all = Vec::new();
+    if !matches!(study.design, Design::Indices { .. } | Design::Screening { .. }) {
+        return Ok(all);
+    }
+    let mut names: Vec<String> = study.factors.iter().map(|factor| factor.name.clone()).collect();
+    if matches!(study.design, Design::Indices { draws: true, .. }) {
+        names.push("draws".to_owned());
+    }
+    for (mode, _) in modes {
+        let kind = told_set(table, *mode)?;
+        let column = place(table, &set_column(*mode, kind, "rms_3d_m"))?;
+        let (effects, left_out) = match &study.design {
+            Design::Screening { factors, .. } => {
+                let mut sums = MorrisSums::new(*factors);
+                let mut trial = subject.first;
+                table.visit(&[column], 0..table.rows(), &mut |row| {
+                    sums.add(study.design.step(subject.seed, trial), row[0].as_number());
+                    trial += 1;
+                })?;
+                let effects = sums.effects(LEVEL);
+                let left_out = effects.iter().map(|effect| effect.left_out).max().unwrap_or(0);
+                (effects.into_iter().map(FactorEffect::Screening).collect(), left_out)
+            }
+            design => {
+                let mut sums = SobolSums::new(design.factors());
+                table.visit(&[column], 0..table.rows(), &mut |row| sums.add(row[0].as_number()))?;
+                let indices = sums.indices(LEVEL).unwrap_or_default();
+                (indices.into_iter().map(FactorEffect::Indices).collect::<Vec<_>>(), sums.left_out())
+            }
+        };
+        let effects = names.iter().cloned().zip(effects).collect();
+        all.push(Sensitivity { mode: *mode, kind, effects, left_out });
+    }
+    Ok(all)
+}
+
+fn worst(
+    subject: &Subject,
+    table: &dyn Table,
+    modes: &[(Mode, Vec<calibrig_model::ParameterId>)],
+) -> Result<Vec<Worst>, SummaryError> {
+    let Some((mode, _)) = modes.last() else { return Ok(Vec::new()) };
+    let column = place(table, &set_column(*mode, told_set(table, *mode)?, "rms_3d_m"))?;
+    let mut worst: Vec<Worst> = Vec::new();
+    let mut trial = subject.first;
+    table.visit(&[column], 0..table.rows(), &mut |row| {
+        let least = worst.last().filter(|_| worst.len() == WORST).map_or(f64::NEG_INFINITY, |w| w.rms_3d);
+        if let Some(rms_3d) = row[0].as_number().filter(|rms| *rms > least) {
+            let at = worst.partition_point(|other| other.rms_3d >= rms_3d);
+            worst.insert(at, Worst { mode: *mode, trial, rms_3d });
+            worst.truncate(WORST);
+        }
+        trial += 1;
+    })?;
+    Ok(worst)
+}
+
+/// Moments of a column.
+pub(super) fn moments(table: &dyn Table, column: usize, rows: &Range<u64>) -> Result<Moments, TableError> {
+    let mut moments = Moments::default();
+    table.visit(&[column], rows.clone(), &mut |row| {
+        if let Some(value) = row[0].as_number() {
+            moments.add(value);
+        }
+    })?;
+    Ok(moments)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,365 @@
+//! The summary for people: accuracy with its intervals, consistency, and parameter by parameter.
+
+use std::fmt::Write;
+
+use calibrig_campaign::statistics::Estimate;
+
+use super::{CampaignSummary, ENOUGH, FactorEffect, GroupSummary, MeanWithInterval, ModeSummary, Rate, SetSummary};
+use calibrig_estimation::identification::Mode;
+use calibrig_model::Unit;
+use calibrig_model::measurement::SetKind;
+
+/// The tables. Intervals are of 95 % where nothing else is said.
+pub fn summary_text(summary: &CampaignSummary) -> String {
+    let mut text = String::new();
+    // Writing to a String cannot fail.
+    let _ = writeln!(
+        text,
+        "campaign of {} trials of \"{}\", seed {}, plant: {}",
+        summary.trials, summary.name, summary.seed, summary.study.plant
+    );
+    failures_text(&mut text, summary);
+    match &summary.groups[..] {
+        [group] if group.levels.is_empty() => group_text(&mut text, summary, group),
+        groups => sweep_text(&mut text, summary, groups),
+    }
+    sensitivity_text(&mut text, summary);
+    worst_text(&mut text, summary);
+    text
+}
+
+fn group_text(text: &mut String, summary: &CampaignSummary, group: &GroupSummary) {
+    for kind in SetKind::ALL {
+        accuracy_text(text, kind, summary, group);
+    }
+    convergence_text(text, group);
+    consistency_text(text, group);
+    for mode in group.modes.iter().filter(|m| !m.parameters.is_empty()) {
+        parameters_text(text, mode);
+    }
+}
+
+fn failures_text(text: &mut String, summary: &CampaignSummary) {
+    const SHOWN: usize = 5;
+    if summary.redrawn > 0 {
+        let _ = writeln!(
+            text,
+            "{} times something impossible was drawn, and drawn again (column redrawn)",
+            summary.redrawn
+        );
+    }
+    if summary.failed == 0 {
+        return;
+    }
+    let _ = writeln!(text, "{} failed:", summary.failed);
+    for reason in summary.reasons.iter().take(SHOWN) {
+        let _ = writeln!(text, "  {} times, first in trial {}: {}", reason.count, reason.trial, reason.text);
+    }
+    if summary.reasons.len() > SHOWN {
+        let _ = writeln!(text, "  and {} other reasons: column reason", summary.reasons.len() - SHOWN);
+    }
+}
+
+/// Value and half width of its interval, in `unit` of the value.
+fn with_half(value: f64, half: Option<f64>, unit: f64) -> String {
+    match half {
+        Some(half) => format!("{:.3} ± {:.3}", value / unit, half / unit),
+        None => format!("{:.3}", value / unit),
+    }
+}
+
+fn mean_mm(mean: &MeanWithInterval) -> String {
+    with_half(mean.mean, mean.half_width, 1e-3)
+}
+
+fn percent(rate: &Rate) -> String {
+    match rate.share.interval {
+        Some(interval) => format!(
+            "{:.1} % [{:.1}, {:.1}]",
+            1e2 * rate.share.value,
+            1e2 * interval.low,
+            1e2 * interval.high
+        ),
+        None => format!("{:.1} %", 1e2 * rate.share.value),
+    }
+}
+
+fn accuracy_text(text: &mut String, kind: SetKind, summary: &CampaignSummary, group: &GroupSummary) {
+    let rows: Vec<(&ModeSummary, &SetSummary)> = group
+        .modes
+        .iter()
+        .filter_map(|m| m.sets.iter().find(|s| s.kind == kind).map(|set| (m, set)))
+        .collect();
+    if rows.is_empty() {
+        return;
+    }
+    let _ = writeln!(
+        text,
+        "\n{:<32} {:>15} {:>15} {:>15} {:>15}  5 % .. 95 % of trials",
+        format!("{} set (mm)", kind.key()),
+        "mean |x|",
+        "mean |y|",
+        "mean |z|",
+        "RMS 3-D"
+    );
+    for (mode, set) in &rows {
+        let _ = writeln!(
+            text,
+            "{:<32} {:>15} {:>15} {:>15} {:>15}  {:.3} .. {:.3}",
+            mode.mode.title(),
+            mean_mm(&set.mean[0]),
+            mean_mm(&set.mean[1]),
+            mean_mm(&set.mean[2]),
+            mean_mm(&set.rms_3d),
+            1e3 * set.rms_3d.quantiles[0],
+            1e3 * set.rms_3d.quantiles[2]
+        );
+    }
+    let Some(tolerance) = summary.tolerance else { return };
+    let _ = writeln!(text, "within {} mm", 1e3 * tolerance);
+    for (mode, set) in rows {
+        let share = |rate: &Option<Rate>| rate.as_ref().map_or_else(|| "-".to_owned(), percent);
+        let _ = writeln!(
+            text,
+            "  {:<30} RMS in {} of trials, every pose in {}",
+            mode.mode.title(),
+            share(&set.rms_within),
+            share(&set.max_within)
+        );
+    }
+}
+
+/// The set that a mode's accuracy is told of.
+fn told(mode: &ModeSummary) -> Option<&SetSummary> {
+    let of = |kind| mode.sets.iter().find(|set| set.kind == kind);
+    of(SetKind::Verification).or_else(|| of(SetKind::Identification))
+}
+
+fn convergence_text(text: &mut String, group: &GroupSummary) {
+    let wanting: Vec<_> = group
+        .modes
+        .iter()
+        .filter_map(|mode| Some((mode, told(mode)?.convergence?)))
+        .filter(|(_, convergence)| !convergence.is_enough())
+        .collect();
+    let Some((mode, most)) = wanting.iter().max_by_key(|(_, convergence)| convergence.needed) else {
+        if group.modes.iter().any(|mode| told(mode).is_some_and(|set| set.convergence.is_some())) {
+            let _ = writeln!(
+                text,
+                "\nEnough trials: every mean RMS is known within {} % (95 %).",
+                1e2 * ENOUGH
+            );
+        }
+        return;
+    };
+    let _ = writeln!(
+        text,
+        "\nMean RMS of {}: known within {:.1} % (95 %); some {} further trials bring it to {} %.",
+        mode.mode.title(),
+        1e2 * most.reached,
+        most.more(),
+        1e2 * ENOUGH
+    );
+}
+
+fn consistency_text(text: &mut String, group: &GroupSummary) {
+    for mode in &group.modes {
+        let Some(chi2) = &mode.chi2_per_dof else { continue };
+        let _ = write!(
+            text,
+            "\n{}: chi-square per degree of freedom {}",
+            mode.mode.title(),
+            with_half(chi2.mean, chi2.half_width, 1.0)
+        );
+        if let Some(nees) = mode.nees {
+            let n = nees.parameters as f64;
+            let verdict =
+                if nees.mean < nees.band.0 || nees.mean > nees.band.1 { "outside" } else { "inside" };
+            let _ = write!(
+                text,
+                "; NEES per parameter {:.4}, {verdict} its 99.9 % band {:.4} .. {:.4}",
+                nees.mean / n,
+                nees.band.0 / n,
+                nees.band.1 / n
+            );
+        }
+        if let Some(squared) = &mode.squared_over_bound {
+            let _ = write!(
+                text,
+                "; squared error over the bound at the truth {} a parameter",
+                with_half(squared.mean, squared.half_width, 1.0)
+            );
+        }
+        if let Some(predictions) = mode.predictions {
+            let share = 100.0 * predictions.coverage.fraction();
+            let _ = write!(text, "; {share:.2} %");
+            if let Some(half) = predictions.half_width {
+                let _ = write!(text, " ± {:.2} (99.9 %)", 100.0 * half);
+            }
+            text.push_str(" of the true coordinates inside their stated 95 % intervals");
+        }
+        if mode.doubtful > 0 {
+            let _ = write!(text, "; {} doubtful", mode.doubtful);
+        }
+        text.push('\n');
+    }
+}
+
+fn parameters_text(text: &mut String, mode: &ModeSummary) {
+    let _ = writeln!(
+        text,
+        "\n{}: parameters; consistency is RMSE over stated standard deviation, bound the {}\n{:<24} {:>6} {:>21} {:>21} {:>12} {:>17} {:>12} {:>17} {:>25}",
+        mode.mode.title(),
+        if mode.parameters.iter().any(|p| p.bayesian.is_some()) {
+            "Bayesian Cramér-Rao bound"
+        } else {
+            "Cramér-Rao bound of the measurements alone"
+        },
+        "",
+        "unit",
+        "bias",
+        "RMSE",
+        "stated",
+        "consistency",
+        "bound",
+        "RMSE/bound",
+        "in 95 % [99.9 %]"
+    );
+    for p in &mode.parameters {
+        let (unit, scale) = match p.id.unit() {
+            Unit::Metre => ("mm", 1e3),
+            Unit::Radian => ("mrad", 1e3),
+            Unit::One => ("%", 1e2),
+        };
+        let (low, high) = p.coverage.interval(super::BAND);
+        let _ = writeln!(
+            text,
+            "{:<24} {unit:>6} {:>21} {:>21} {:>12.5} {:>17} {:>12} {:>17} {:>25}",
+            p.id.to_string(),
+            fine(&p.bias, scale),
+            fine(&p.rmse, scale),
+            scale * p.stated,
+            coarse(&p.consistency),
+            p.least().map_or_else(|| "-".to_owned(), |bound| format!("{:.5}", scale * bound)),
+            p.over_bound.as_ref().map_or_else(|| "-".to_owned(), coarse),
+            format!("{:.1} % [{:.1}, {:.1}]", 1e2 * p.coverage.fraction(), 1e2 * low, 1e2 * high)
+        );
+    }
+}
+
+fn fine(estimate: &Estimate, scale: f64) -> String {
+    match estimate.interval {
+        Some(interval) => format!("{:.5} ± {:.5}", scale * estimate.value, scale * interval.half_width()),
+        None => format!("{:.5}", scale * estimate.value),
+    }
+}
+
+fn coarse(estimate: &Estimate) -> String {
+    with_half(estimate.value, estimate.interval.map(|interval| interval.half_width()), 1.0)
+}
+
+fn sweep_text(text: &mut String, summary: &CampaignSummary, groups: &[GroupSummary]) {
+    let names: Vec<_> = summary.study.factors.iter().map(|factor| factor.name.as_str()).collect();
+    let modes: Vec<Mode> = summary.modes().iter().map(|mode| mode.mode).collect();
+    for (place, mode) in modes.iter().enumerate() {
+        let kind = summary.modes().get(place).and_then(told).map(|set| set.kind);
+        let _ = writeln!(
+            text,
+            "\n{}{}\n{:<30} {:>7} {:>7} {:>18}  {:>18} {:>22}{}",
+            mode.title(),
+            kind.map_or_else(String::new, |kind| format!(", {} set (mm)", kind.key())),
+            names.join(", "),
+            "trials",
+            "failed",
+            "RMS 3-D",
+            "5 % .. 95 %",
+            "more than the first",
+            if summary.tolerance.is_some() { "  RMS within the tolerance" } else { "" }
+        );
+        for group in groups {
+            sweep_row(text, group, place);
+        }
+    }
+    let tolerance = summary.tolerance.map_or_else(String::new, |t| format!("; the tolerance is {} mm", 1e3 * t));
+    let _ = writeln!(
+        text,
+        "\nAll combinations have the same draws: \"more than the first\" is the mean of differences of single trials{tolerance}."
+    );
+}
+
+fn sweep_row(text: &mut String, group: &GroupSummary, place: usize) {
+    let set = group.modes.get(place).and_then(told);
+    let cell = |figure: Option<String>| figure.unwrap_or_else(|| "-".to_owned());
+    let difference = set.and_then(|set| set.against_first.as_ref()).map(|difference| {
+        with_half(difference.value, difference.interval.map(|interval| interval.half_width()), 1e-3)
+    });
+    let _ = writeln!(
+        text,
+        "{:<30} {:>7} {:>7} {:>18}  {:>18} {:>22}{}",
+        group.levels.join(", "),
+        group.trials,
+        group.failed,
+        cell(set.map(|set| mean_mm(&set.rms_3d))),
+        cell(set.map(|set| format!("{:.3} .. {:.3}", 1e3 * set.rms_3d.quantiles[0], 1e3 * set.rms_3d.quantiles[2]))),
+        cell(difference),
+        set.and_then(|set| set.rms_within.as_ref()).map_or_else(String::new, |rate| format!("  {}", percent(rate)))
+    );
+}
+
+fn sensitivity_text(text: &mut String, summary: &CampaignSummary) {
+    for sensitivity in &summary.sensitivity {
+        let indices = matches!(sensitivity.effects.first(), Some((_, FactorEffect::Indices(_))));
+        let heading = if indices {
+            ["share of the variance", "with all interactions", ""]
+        } else {
+            ["mean effect (mm)", "mean size (mm)", "scatter (mm)"]
+        };
+        let _ = writeln!(
+            text,
+            "\n{}: what the RMS 3-D of the {} set depends on\n{:<30} {:>22} {:>22} {:>22}",
+            sensitivity.mode.title(),
+            sensitivity.kind.key(),
+            "",
+            heading[0],
+            heading[1],
+            heading[2]
+        );
+        for (name, effect) in &sensitivity.effects {
+            let mm = |estimate: &Option<Estimate>| {
+                estimate.as_ref().map_or_else(
+                    || "-".to_owned(),
+                    |e| with_half(e.value, e.interval.map(|interval| interval.half_width()), 1e-3),
+                )
+            };
+            let cells = match effect {
+                FactorEffect::Indices(indices) => [coarse(&indices.first), coarse(&indices.total), String::new()],
+                FactorEffect::Screening(effects) => {
+                    [mm(&effects.mean), mm(&effects.mean_absolute), mm(&effects.deviation)]
+                }
+            };
+            let _ = writeln!(text, "{name:<30} {:>22} {:>22} {:>22}", cells[0], cells[1], cells[2]);
+        }
+        if sensitivity.left_out > 0 {
+            let _ = writeln!(text, "left out, since trials failed: {}", sensitivity.left_out);
+        }
+    }
+}
+
+fn worst_text(text: &mut String, summary: &CampaignSummary) {
+    let Some(first) = summary.worst.first() else { return };
+    let _ = writeln!(text, "\nLargest errors, {}:", first.mode.title());
+    for worst in &summary.worst {
+        let command = rerun_command(summary, worst.trial);
+        let _ = writeln!(text, "  trial {}, RMS {:.3} mm: {command}", worst.trial, 1e3 * worst.rms_3d);
+    }
+}
+
+/// The command that carries out one trial with all that a run leaves.
+pub(in crate::montecarlo) fn rerun_command(summary: &CampaignSummary, trial: u64) -> String {
+    format!(
+        "calibrig run {} --seed {} --trial {trial} --plant {}",
+        crate::report_quoted(&summary.study.scenario),
+        summary.seed,
+        summary.study.plant
+    )
+}
