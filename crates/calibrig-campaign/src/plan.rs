@@ -1,4 +1,4 @@
-//! Job files: the shards of a campaign as a job array of Slurm, HyperQueue or Kubernetes.
+//! Job files: the shards of a campaign as a job array of Slurm, `HyperQueue` or Kubernetes.
 //!
 //! A scheduler only runs shards. What is there afterwards, the files of the shards say (`calibrig missing`), never the scheduler. What was run of
 //! these files, and with which versions, is in `docs/cluster.md`.
@@ -59,7 +59,7 @@ impl Scheduler {
         }
     }
 
-    /// The name of its job file, in the campaign's folder. HyperQueue reads the settings in a script whose name ends with `.sh`.
+    /// The name of its job file, in the campaign's folder. `HyperQueue` reads the settings in a script whose name ends with `.sh`.
     pub const fn file_name(self) -> &'static str {
         match self {
             Self::Slurm => "slurm.sh",
@@ -169,7 +169,7 @@ impl JobPlan {
     }
 
     /// The command of a shard; `number` is put in as it is.
-    fn command<'a>(&'a self, words: &'a Words, number: &str, word: impl Fn(&str) -> String) -> Vec<String> {
+    fn command(&self, words: &Words, number: &str, word: impl Fn(&str) -> String) -> Vec<String> {
         let trials = self.trials.to_string();
         let mut command: Vec<String> =
             ["montecarlo", &words.scenario, "--trials", &trials].map(&word).to_vec();
