@@ -127,7 +127,7 @@ start() {
         timeout 20 slurmctld && timeout 20 slurmd -N n0 && timeout 20 slurmd -N n1
 }
 idle() { [ "$(sinfo -h -N -o %T 2>/dev/null | sort | uniq -c | xargs)" = "2 idle" ]; }
-start >"$work/start.log" 2>&1 || skip "it does not start: $(cat "$work"/{start,munge,slurmctld}.log "$work"/n?/slurmd.log 2>/dev/null | tail -n1)"
+start >"$work/start.log" 2>&1 || skip "it does not start: $(cat "$work"/{start,munge,slurmctld}.log "$work"/n?/slurmd.log 2>/dev/null | grep -iE 'error|fatal' | tail -n1)"
 for _ in {1..100}; do idle && break; sleep 0.2; done
 idle || skip "its nodes do not come up: $(grep -hi error "$work/slurmctld.log" "$work"/n?/slurmd.log | tail -n1)"
 say "$(sbatch --version), two nodes"
