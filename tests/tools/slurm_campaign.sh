@@ -242,7 +242,7 @@ job="$(sbatch --parsable --array="$("$calibrig" missing "$out" 2>/dev/null)" "$o
 await "the second array ends" ended "$job"
 say "submitted again what was missing"
 run "$calibrig" missing "$out"
-[ "$code$said" = 0 ] || { cat "$work/errors"; fail "still missing: $said"; }
+[ -z "$said" ] || { cat "$work/errors"; fail "still missing: $said"; }
 [ "$before" = "$(sound)" ] || fail "shards that were sound were written again"
 refused 1
 names "$foreign" "$overlapping"
@@ -251,6 +251,8 @@ say "nothing is missing, and the merge is refused for what is too much"
 rm -f "$out/shards/$foreign" "$out/shards/$overlapping"
 # Computing the shard that it stood for may have put it right.
 grep -qF "$impostor" "$work/errors" && rm "$out/shards/$impostor"
+run "$calibrig" missing "$out"
+[ "$code$said" = 0 ] || { cat "$work/errors"; fail "exit code $code of missing, where all are there; it printed '$said'"; }
 run "$calibrig" merge "$out"
 [ $code = 0 ] || { cat "$work/errors"; fail "exit code $code of merge"; }
 cmp "$out/trials.parquet" "$one/trials.parquet" || fail "the table of the shards is not that of one machine"

@@ -270,7 +270,7 @@ impl JobPlan {
         }
         format!(
             "{head}\
-             # Adapt the lines with CHANGE: an image with `calibrig` in its PATH, and claims of volumes that many pods write to (ReadWriteMany).\n\
+             # Adapt the lines with CHANGE: an image with the very `calibrig` that wrote this in its PATH, and claims of volumes that many pods write to (ReadWriteMany).\n\
              # They hold what is here in the folders that they are mounted at: the manifest, the scenario and every file that it names.\n\
              apiVersion: batch/v1\nkind: Job\nmetadata:\n  name: {name}\nspec:\n  completionMode: Indexed\n  completions: {shards}\n  \
              parallelism: {pods}\n  # Of one index (Kubernetes 1.29 or newer): a shard that fails ends no other.\n  backoffLimitPerIndex: 3\n  \
