@@ -11,7 +11,7 @@ use super::identify::{Loaded, load};
 use super::interrupt::stop_on_interrupt;
 use super::measured::RowArgs;
 use super::model::ChainArgs;
-use super::montecarlo::{Plant, trial_number};
+use super::montecarlo::Plant;
 use super::output::{self, Destination, Files};
 use super::{CliError, Verdict, colours, not_identified, print, read_scenario, say};
 use crate::pipeline::{
@@ -78,7 +78,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "N", conflicts_with = "robot")]
     seed: Option<u64>,
     /// Number of the trial of a campaign
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = trial_number(), conflicts_with = "robot")]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=4_000_000_000), conflicts_with = "robot")]
     trial: u32,
     /// What stands for the machine: the multibody simulation, or the identification's own elastostatics (a matched model: for tests of the estimator)
     #[arg(long, value_enum, default_value_t = Plant::Rapier, conflicts_with = "robot")]

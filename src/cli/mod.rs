@@ -1,6 +1,7 @@
 //! The command line: argument types, one file a command. Results go to stdout, diagnostics and progress to stderr.
 
 mod by_name;
+mod campaign;
 mod check;
 mod choose;
 mod columns;
@@ -35,11 +36,15 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use calibrig_campaign::plan::PlanError;
+use calibrig_campaign::shards::FolderError;
+use calibrig_campaign::table::TableError;
 use clap::{Parser, Subcommand};
 use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, SourceCode};
 use thiserror::Error;
 
 use crate::handover::{AnotherModel, HandoverError};
+use crate::montecarlo::SummaryError;
 use crate::pipeline::{Iso9283Failure, PipelineError};
 use crate::pose_plan::PosePlanError;
 use crate::replay::ReplayError;
@@ -84,7 +89,9 @@ enum Command {
     Compensate(Box<compensate::Args>),
     Model(model::Args),
     Diagnose(Box<diagnose::Args>),
-    Montecarlo(montecarlo::Args),
+    Montecarlo(Box<montecarlo::Args>),
+    Missing(campaign::MissingArgs),
+    Merge(campaign::MergeArgs),
     Scenario(scenario::Args),
     TrackerAcceptance(tracker_acceptance::Args),
     Replay(replay::Args),
@@ -168,6 +175,22 @@ enum CliError {
     NotWritten { folder: PathBuf, failures: Vec<String>, written: Vec<&'static str> },
     #[error("cannot write {what}: {source}")]
     Output { what: String, source: io::Error },
+    #[error(transparent)]
+    #[diagnostic(help("{}", campaign::help(_0)))]
+    Folder(#[from] FolderError),
+    #[error("{}: there is a campaign in it already", path.display())]
+    #[diagnostic(help(
+        "--resume goes on with it, or sums it up where it is complete; expected another folder for another campaign"
+    ))]
+    CampaignThere { path: PathBuf },
+    #[error("{}: {count} {} among the shards must not be merged", path.display(), if *count == 1 { "file" } else { "files" })]
+    #[diagnostic(help("move them to another folder, and merge again: nothing was written"))]
+    NotMerged { path: PathBuf, count: usize },
+    #[error("{}: {source}", path.display())]
+    #[diagnostic(help("expected a table as this version of calibrig writes it"))]
+    Summary { path: PathBuf, source: Box<SummaryError> },
+    #[error(transparent)]
+    Plan(#[from] PlanError),
     #[error("cannot start the threads: {reason}")]
     Threads { reason: String },
     #[error("cannot write to the folder {}: {} is {what}", folder.display(), at.display())]
@@ -247,6 +270,8 @@ pub fn main() -> ExitCode {
         Command::Model(args) => model::execute(args),
         Command::Diagnose(args) => diagnose::execute(args),
         Command::Montecarlo(args) => montecarlo::execute(args),
+        Command::Missing(args) => campaign::missing(args),
+        Command::Merge(args) => campaign::merge(args),
         Command::Scenario(args) => scenario::execute(args),
         Command::TrackerAcceptance(args) => tracker_acceptance::execute(args),
         Command::Identifiability(args) => identifiability::execute(args),
@@ -357,14 +382,25 @@ fn print(text: &str) -> Result<(), CliError> {
 fn write_whole(folder: &Path, path: &Path, text: &str) -> io::Result<()> {
     let mut staged = tempfile::Builder::new().prefix(".calibrig-").tempfile_in(folder)?;
     staged.write_all(text.as_bytes())?;
-    // A temporary file is private; what a command leaves is not.
+    make_readable(staged.as_file())?;
+    staged.persist(path).map_err(|error| error.error)?;
+    Ok(())
+}
+
+/// A temporary file is private; what a command leaves is not.
+fn make_readable(file: &std::fs::File) -> io::Result<()> {
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;
-        staged.as_file().set_permissions(std::fs::Permissions::from_mode(0o644))?;
+        file.set_permissions(std::fs::Permissions::from_mode(0o644))?;
     }
-    staged.persist(path).map_err(|error| error.error)?;
     Ok(())
+}
+
+impl From<TableError> for CliError {
+    fn from(error: TableError) -> Self {
+        Self::Folder(error.into())
+    }
 }
 
 /// A scenario; what was made of its robot's table is said.

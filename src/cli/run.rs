@@ -1,5 +1,6 @@
 //! `calibrig run`.
 
+use std::borrow::Cow;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
@@ -8,12 +9,13 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use super::interrupt::stop_on_interrupt;
 use super::live::{self, Live};
-use super::montecarlo::{Plant, trial_number};
+use super::montecarlo::{Plant, campaign_of, refused};
 use super::output::{self, Destination, Files};
 use super::record::Recording;
 use super::{CliError, Verdict, not_identified, read_scenario, say};
+use crate::montecarlo::{Campaign, CampaignError};
 use crate::pipeline::{self, Ablation, Outcome, PipelineError, SessionEvent};
-use crate::scenario::Scenario;
+use crate::scenario::{Layout, Scenario};
 use calibrig_recording::Preamble;
 
 /// Simulate a measuring session, identify in every mode, evaluate, record and report
@@ -35,8 +37,11 @@ pub(super) struct Args {
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = whole_number)]
     seed: Option<u64>,
     /// Number of the trial of a campaign
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = trial_number(), conflicts_with = "ablate")]
-    trial: u32,
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(0..=4_000_000_000), conflicts_with = "ablate")]
+    trial: Option<u64>,
+    /// Trials of that campaign, where its layout depends on them: as `calibrig montecarlo` was told
+    #[arg(long, value_name = "N", requires = "trial", value_parser = clap::value_parser!(u64).range(1..=4_000_000_000))]
+    trials: Option<u64>,
     /// What stands for the machine: the multibody simulation, or the identification's own elastostatics (a matched model: for tests of the estimator)
     #[arg(long, value_enum, default_value_t = Plant::Rapier, conflicts_with = "ablate")]
     plant: Plant,
@@ -57,13 +62,37 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     destination.check(Files::ReportsAndRecordings)?;
     args.plant.check(&scenario, &args.scenario)?;
     scenario.remarks().iter().for_each(|remark| say(remark));
+    let seed = args.seed.unwrap_or(scenario.seed);
+    let (case, draw) = args.case(&scenario, seed)?;
     let (folder, new) = destination.make()?;
-    output::or_removed(run_into(args, &scenario, &folder), &folder, new)
+    output::or_removed(run_into(args, &case, (seed, draw), &folder), &folder, new)
 }
 
-fn run_into(args: &Args, scenario: &Scenario, folder: &Path) -> Result<Verdict, CliError> {
-    let seed = args.seed.unwrap_or(scenario.seed);
-    let input = pipeline::input_of(scenario, seed, args.trial, args.plant.into());
+impl Args {
+    /// What is run: the scenario as it is, or a trial of its campaigns; and the number of the draw.
+    fn case<'a>(&self, scenario: &'a Scenario, seed: u64) -> Result<(Cow<'a, Scenario>, u32), CliError> {
+        let Some(trial) = self.trial else { return Ok((Cow::Borrowed(scenario), 0)) };
+        let plant = self.plant.into();
+        let campaign = match (&scenario.campaign, self.trials) {
+            (Some(plan), trials) if plan.layout != Layout::Plain => {
+                campaign_of(scenario, seed, plant, trials)?
+            }
+            _ => Campaign::of_draws(scenario, seed, plant),
+        };
+        let case = campaign
+            .case(trial)
+            .map_err(|source| refused(CampaignError::Trial { trial, source }, &self.scenario, scenario))?;
+        Ok((case.scenario, case.draw))
+    }
+}
+
+fn run_into(
+    args: &Args,
+    scenario: &Scenario,
+    (seed, draw): (u64, u32),
+    folder: &Path,
+) -> Result<Verdict, CliError> {
+    let input = pipeline::input_of(scenario, seed, draw, args.plant.into());
     let preamble = Preamble {
         input: &input,
         sources: &scenario.sources,
@@ -73,7 +102,7 @@ fn run_into(args: &Args, scenario: &Scenario, folder: &Path) -> Result<Verdict, 
     };
     let mut live = Live::begin(args.live.as_deref(), preamble)?;
     let mut recording = Recording::begin(folder, preamble)?;
-    let outcome = measure(args, scenario, seed, &mut |event| {
+    let outcome = measure(args, scenario, (seed, draw), &mut |event| {
         recording.hear(event);
         live.hear(event);
     });
@@ -89,6 +118,10 @@ fn run_into(args: &Args, scenario: &Scenario, folder: &Path) -> Result<Verdict, 
             return Err(not_identified(error, &args.scenario, source, place));
         }
     };
+    if args.trial.is_some() {
+        // Its number in the campaign, and not that of its draw.
+        outcome.command = Some(output::command_line());
+    }
     let complete: output::Complete<'_> = if args.ablate {
         // Before the runs without a part: an interrupt of them leaves a whole recording.
         let completed = recording.complete(&outcome);
@@ -110,7 +143,7 @@ fn run_into(args: &Args, scenario: &Scenario, folder: &Path) -> Result<Verdict, 
 fn measure(
     args: &Args,
     scenario: &Scenario,
-    seed: u64,
+    (seed, draw): (u64, u32),
     listener: &mut dyn FnMut(SessionEvent<'_>),
 ) -> Result<Outcome, PipelineError> {
     let stop = stop_on_interrupt("the run, and leave what is measured as a file to recover");
@@ -118,8 +151,8 @@ fn measure(
     if let Ok(style) = ProgressStyle::with_template("simulating pose {pos}/{len} {bar:40} {elapsed}") {
         bar.set_style(style);
     }
-    let at = (seed, args.trial, args.plant.into());
-    let outcome = pipeline::run_trial(scenario, seed, args.trial, args.plant.into(), &mut |event| {
+    let at = (seed, draw, args.plant.into());
+    let outcome = pipeline::run_trial(scenario, seed, draw, args.plant.into(), &mut |event| {
         listener(event);
         match event {
             SessionEvent::Begin { poses, .. } => bar.set_length(poses.into()),

@@ -110,7 +110,9 @@ impl TrialColumns {
         }
         for (mode, parameters) in &self.modes {
             for kind in SetKind::ALL {
-                columns.extend(ACCURACY.map(|figure| Column::new(set_column(*mode, kind, figure), Kind::Number)));
+                columns.extend(
+                    ACCURACY.map(|figure| Column::new(set_column(*mode, kind, figure), Kind::Number)),
+                );
             }
             if *mode == Mode::WithoutCalibration {
                 continue;
@@ -194,7 +196,11 @@ fn add_of_levels(
     }
     for level in 0..factors[place].levels() {
         let at = |(other, factor): (usize, &Factor)| {
-            if other == place { factor.at(Coordinate::Level(level)) } else { factor.at(Coordinate::Unit(0.5)) }
+            if other == place {
+                factor.at(Coordinate::Level(level))
+            } else {
+                factor.at(Coordinate::Unit(0.5))
+            }
         };
         let values: Vec<String> = factors.iter().enumerate().map(at).collect();
         if let Ok(varied) = scenario.with_factors(&values) {

@@ -12,9 +12,9 @@ mod trial;
 pub use columns::TrialColumns;
 pub use study::{Study, StudyMode};
 pub use summary::{
-    CampaignSummary, FactorEffect, GroupSummary, MeanWithInterval, ModeSummary, NeesSummary, ParameterSummary,
-    PredictionCoverage, Rate, Reason, Sensitivity, SetSummary, SummaryError, Worst, summarise,
-    summarise_trials, summary_json, summary_text,
+    CampaignSummary, FactorEffect, GroupSummary, MeanWithInterval, ModeSummary, NeesSummary,
+    ParameterSummary, PredictionCoverage, Rate, Reason, Sensitivity, SetSummary, Subject, SummaryError,
+    Worst, summarise, summarise_trials, summary_json, summary_text,
 };
 pub use trial::{Fit, ModeResult, ParameterResult, Trial, TrialOutcome};
 
@@ -87,8 +87,46 @@ pub enum CaseError {
     },
 }
 
+/// A campaign whose trials cannot be carried out.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum CampaignError {
+    /// A trial of a design that has none to spare.
+    #[error("trial {trial}: {source}")]
+    Trial {
+        /// Which.
+        trial: u64,
+        /// Why.
+        source: CaseError,
+    },
+    /// Too many draws of the factors are impossible.
+    #[error("{refused} of the first {drawn} draws of the factors are impossible, the first one {source}")]
+    TooManyRefused {
+        /// So many.
+        refused: u64,
+        /// Of so many.
+        drawn: u64,
+        /// Of the first one.
+        source: CaseError,
+    },
+    /// Too many machines are impossible.
+    #[error(
+        "{refused} of the first {drawn} machines that are drawn are impossible: their loops do not close"
+    )]
+    TooManyMachines {
+        /// So many.
+        refused: u64,
+        /// Of so many.
+        drawn: u64,
+    },
+}
+
 /// How often factors are drawn for one trial.
 const MOST_DRAWS: u32 = 50;
+/// Trials that are looked at before the first one is carried out.
+const LOOKED_AT: u64 = 200;
+/// More of them must not be impossible, in tenths.
+const MOST_TENTHS: u64 = 1;
 
 impl<'a> Campaign<'a> {
     /// A campaign as the scenario lays it out, with as many `trials` where that is asked for.
@@ -153,6 +191,58 @@ impl<'a> Campaign<'a> {
         self.scenario.with_factors(values).map(Cow::Owned).map_err(|source| CaseError::Refused {
             values: factors.iter().zip(values).map(|(f, value)| format!("{} = {value}", f.name)).collect(),
             source: Box::new(source),
+        })
+    }
+
+    /// Looks at what the first trials of `range` are, and of a sweep at every combination, before any is carried out.
+    ///
+    /// # Errors
+    ///
+    /// A design that is not drawn has a trial that is refused, or of one that is drawn more than a tenth are.
+    pub fn check(&self, range: Range<u64>) -> Result<(), CampaignError> {
+        if let Design::Sweep { repeats, .. } = self.design {
+            let firsts = range.clone().filter(|trial| trial % repeats.max(1) == 0);
+            for trial in firsts {
+                self.case(trial).map_err(|source| CampaignError::Trial { trial, source })?;
+            }
+            return Ok(());
+        }
+        let drawn = (range.end - range.start).min(LOOKED_AT);
+        let (mut refused, mut machines, mut first) = (0, 0, None);
+        for trial in range.start..range.start + drawn {
+            match self.case(trial) {
+                Ok(case) => {
+                    let again = case.scenario.redraws(self.seed, case.draw);
+                    refused += u64::from(case.redrawn > again);
+                    machines += u64::from(again > 0);
+                }
+                Err(source @ CaseError::Impossible { .. }) => {
+                    refused += 1;
+                    first.get_or_insert(source);
+                }
+                Err(source) => return Err(CampaignError::Trial { trial, source }),
+            }
+        }
+        if 10 * refused > MOST_TENTHS * drawn {
+            let source = first
+                .or_else(|| self.first_refused(range))
+                .unwrap_or(CaseError::NoTrial { trial: 0, trials: 0 });
+            return Err(CampaignError::TooManyRefused { refused, drawn, source });
+        }
+        if 10 * machines > MOST_TENTHS * drawn {
+            return Err(CampaignError::TooManyMachines { refused: machines, drawn });
+        }
+        Ok(())
+    }
+
+    /// Why the first draw of the factors that is refused is.
+    fn first_refused(&self, mut range: Range<u64>) -> Option<CaseError> {
+        let factors = self.scenario.campaign.as_ref().map_or(&[][..], |plan| &plan.factors);
+        range.find_map(|trial| {
+            let point = self.design.point(self.seed, trial)?;
+            let values: Vec<String> =
+                factors.iter().zip(&point.at).map(|(factor, at)| factor.at(*at)).collect();
+            self.varied(&values).err()
         })
     }
 

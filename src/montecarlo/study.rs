@@ -22,6 +22,8 @@ pub struct Study {
     pub factors: Vec<Factor>,
     /// Whether every trial has a machine of its own, drawn from a distribution.
     pub machines_are_drawn: bool,
+    /// Within which a calibrated robot counts as a success, as the scenario has it, m.
+    pub tolerance: Option<f64>,
     /// The rows of the tables.
     pub modes: Vec<StudyMode>,
 }
@@ -50,6 +52,7 @@ impl Study {
             design: campaign.design.clone(),
             factors: plan.map_or_else(Vec::new, |plan| plan.factors.clone()),
             machines_are_drawn: campaign.scenario.drawn.is_some(),
+            tolerance: plan.and_then(|plan| plan.tolerance),
             modes: columns.modes.iter().map(mode).collect(),
         }
     }

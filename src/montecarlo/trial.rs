@@ -118,8 +118,7 @@ fn fit(scenario: &Scenario, simulation: &Simulation, estimate: &Estimate) -> Fit
         settled: simulation.truth.poses.first().map_or(&[], Vec::as_slice),
     };
     let fitted = simulation.sets.first().map(|set| &set.measurements);
-    let information =
-        fitted.and_then(|set| information_at_truth(&known, set, &scenario.options, estimate));
+    let information = fitted.and_then(|set| information_at_truth(&known, set, &scenario.options, estimate));
     let cramer_rao = information.as_ref().and_then(Information::cramer_rao_sigmas);
     let bayesian = information.as_ref().and_then(Information::bayesian_cramer_rao_sigmas);
     let at = |sigmas: &Option<Vec<f64>>, place: usize| sigmas.as_ref()?.get(place).copied();

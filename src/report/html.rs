@@ -21,6 +21,7 @@ use super::{
     published, region, set_title,
 };
 use crate::pipeline::{ModeOutcome, Outcome, PlantKind, SetKind};
+use calibrig_campaign::plan::quoted;
 use calibrig_estimation::identification::{
     Assumption, DependentGroup, Estimate, Mode, NoiseScale, Warning, WeakDirection,
 };

@@ -3,6 +3,7 @@
 mod ablation;
 mod acceptance;
 mod acceptance_bounds;
+mod campaign;
 mod closed_loop;
 mod compensation;
 mod drift;
@@ -27,6 +28,8 @@ mod tables;
 
 pub use acceptance::{acceptance_html, acceptance_json, acceptance_svg, acceptance_text};
 pub use acceptance_bounds::JsonAcceptance;
+pub use calibrig_campaign::plan::quoted;
+pub use campaign::campaign_html;
 pub use closed_loop::{
     JsonCompensation, JsonDriveFailure, JsonDrivenCriterion, JsonDrivenPath, JsonDrivenPose,
     JsonDrivenPoseTest,
@@ -37,7 +40,7 @@ pub use compensation::{
     compensated_csv, compensation_html, compensation_json_text, grid_csv, json_compensation,
     render_compensation, write_compensation,
 };
-pub use html::{html_report, quoted};
+pub use html::html_report;
 pub use iso9283::{
     ISO9283_SCHEMA, JsonCombined, JsonCube, JsonIso9283, JsonIsoAccuracy, JsonIsoOrientation, JsonIsoPose,
     JsonIsoRow, JsonIsoTarget, JsonIsoTurn, iso9283_html, iso9283_json_text, json_iso9283, render_iso9283,

@@ -6,7 +6,9 @@ mod modes;
 mod text;
 
 pub use json::summary_json;
-pub use modes::{MeanWithInterval, ModeSummary, NeesSummary, ParameterSummary, PredictionCoverage, Rate, SetSummary};
+pub use modes::{
+    MeanWithInterval, ModeSummary, NeesSummary, ParameterSummary, PredictionCoverage, Rate, SetSummary,
+};
 pub use text::summary_text;
 
 use std::collections::BTreeMap;
@@ -261,12 +263,10 @@ impl Counts {
                     let text = row[2].as_text().unwrap_or_default();
                     let trial = whole(row[0].as_number());
                     let kind = without_numbers(text);
-                    match reasons.get_mut(&kind) {
-                        Some(reason) => reason.count += 1,
-                        None if reasons.len() < MOST_REASONS => {
-                            reasons.insert(kind, Reason { text: text.to_owned(), trial, count: 1 });
-                        }
-                        None => {}
+                    if let Some(reason) = reasons.get_mut(&kind) {
+                        reason.count += 1;
+                    } else if reasons.len() < MOST_REASONS {
+                        reasons.insert(kind, Reason { text: text.to_owned(), trial, count: 1 });
                     }
                 }
                 Some("doubtful") => counts.doubtful += 1,
@@ -338,7 +338,7 @@ fn compare_with_first(
                     if number == 0 {
                         first.push(value);
                     } else {
-                        difference.add(value, first.get(draw).copied().flatten());
+                        difference.add(first.get(draw).copied().flatten(), value);
                     }
                     draw += 1;
                 })?;

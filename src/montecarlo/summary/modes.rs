@@ -214,7 +214,7 @@ impl Rows<'_> {
     }
 
     /// A column's mean and quantiles; `None` without values.
-    fn mean(&self, name: &str) -> Result<Option<MeanWithInterval>, SummaryError> {
+    pub fn mean(&self, name: &str) -> Result<Option<MeanWithInterval>, SummaryError> {
         self.mean_of(&[name.to_owned()], |row| row[0].as_number())
     }
 
@@ -316,7 +316,7 @@ impl Rows<'_> {
         Ok(Some(NeesSummary { mean, parameters, trials: sum.count(), band }))
     }
 
-    fn predictions(&self, mode: Mode) -> Result<Option<PredictionCoverage>, SummaryError> {
+    pub fn predictions(&self, mode: Mode) -> Result<Option<PredictionCoverage>, SummaryError> {
         let names = [mode_column(mode, "predictions_inside"), mode_column(mode, "predictions")];
         let (mut coverage, mut trials) = (Coverage::default(), 0_u64);
         let pair = |row: &[Cell]| Some((row[0].as_number()?, row[1].as_number()?));

@@ -2,9 +2,13 @@
 
 use std::fmt::Write;
 
+use calibrig_campaign::design::Design;
+use calibrig_campaign::plan::quoted;
 use calibrig_campaign::statistics::Estimate;
 
-use super::{CampaignSummary, ENOUGH, FactorEffect, GroupSummary, MeanWithInterval, ModeSummary, Rate, SetSummary};
+use super::{
+    CampaignSummary, ENOUGH, FactorEffect, GroupSummary, MeanWithInterval, ModeSummary, Rate, SetSummary,
+};
 use calibrig_estimation::identification::Mode;
 use calibrig_model::Unit;
 use calibrig_model::measurement::SetKind;
@@ -74,12 +78,9 @@ fn mean_mm(mean: &MeanWithInterval) -> String {
 
 fn percent(rate: &Rate) -> String {
     match rate.share.interval {
-        Some(interval) => format!(
-            "{:.1} % [{:.1}, {:.1}]",
-            1e2 * rate.share.value,
-            1e2 * interval.low,
-            1e2 * interval.high
-        ),
+        Some(interval) => {
+            format!("{:.1} % [{:.1}, {:.1}]", 1e2 * rate.share.value, 1e2 * interval.low, 1e2 * interval.high)
+        }
         None => format!("{:.1} %", 1e2 * rate.share.value),
     }
 }
@@ -144,11 +145,8 @@ fn convergence_text(text: &mut String, group: &GroupSummary) {
         .collect();
     let Some((mode, most)) = wanting.iter().max_by_key(|(_, convergence)| convergence.needed) else {
         if group.modes.iter().any(|mode| told(mode).is_some_and(|set| set.convergence.is_some())) {
-            let _ = writeln!(
-                text,
-                "\nEnough trials: every mean RMS is known within {} % (95 %).",
-                1e2 * ENOUGH
-            );
+            let _ =
+                writeln!(text, "\nEnough trials: every mean RMS is known within {} % (95 %).", 1e2 * ENOUGH);
         }
         return;
     };
@@ -280,7 +278,8 @@ fn sweep_text(text: &mut String, summary: &CampaignSummary, groups: &[GroupSumma
             sweep_row(text, group, place);
         }
     }
-    let tolerance = summary.tolerance.map_or_else(String::new, |t| format!("; the tolerance is {} mm", 1e3 * t));
+    let tolerance =
+        summary.tolerance.map_or_else(String::new, |t| format!("; the tolerance is {} mm", 1e3 * t));
     let _ = writeln!(
         text,
         "\nAll combinations have the same draws: \"more than the first\" is the mean of differences of single trials{tolerance}."
@@ -300,9 +299,14 @@ fn sweep_row(text: &mut String, group: &GroupSummary, place: usize) {
         group.trials,
         group.failed,
         cell(set.map(|set| mean_mm(&set.rms_3d))),
-        cell(set.map(|set| format!("{:.3} .. {:.3}", 1e3 * set.rms_3d.quantiles[0], 1e3 * set.rms_3d.quantiles[2]))),
+        cell(set.map(|set| format!(
+            "{:.3} .. {:.3}",
+            1e3 * set.rms_3d.quantiles[0],
+            1e3 * set.rms_3d.quantiles[2]
+        ))),
         cell(difference),
-        set.and_then(|set| set.rms_within.as_ref()).map_or_else(String::new, |rate| format!("  {}", percent(rate)))
+        set.and_then(|set| set.rms_within.as_ref())
+            .map_or_else(String::new, |rate| format!("  {}", percent(rate)))
     );
 }
 
@@ -332,7 +336,9 @@ fn sensitivity_text(text: &mut String, summary: &CampaignSummary) {
                 )
             };
             let cells = match effect {
-                FactorEffect::Indices(indices) => [coarse(&indices.first), coarse(&indices.total), String::new()],
+                FactorEffect::Indices(indices) => {
+                    [coarse(&indices.first), coarse(&indices.total), String::new()]
+                }
                 FactorEffect::Screening(effects) => {
                     [mm(&effects.mean), mm(&effects.mean_absolute), mm(&effects.deviation)]
                 }
@@ -356,10 +362,12 @@ fn worst_text(text: &mut String, summary: &CampaignSummary) {
 
 /// The command that carries out one trial with all that a run leaves.
 pub(in crate::montecarlo) fn rerun_command(summary: &CampaignSummary, trial: u64) -> String {
-    format!(
-        "calibrig run {} --seed {} --trial {trial} --plant {}",
-        crate::report_quoted(&summary.study.scenario),
-        summary.seed,
-        summary.study.plant
-    )
+    let study = &summary.study;
+    // Where its layout depends on their number.
+    let trials = match study.design {
+        Design::Plain { .. } => String::new(),
+        _ => format!(" --trials {}", study.design.trials()),
+    };
+    let (scenario, seed, plant) = (quoted(&study.scenario), summary.seed, &study.plant);
+    format!("calibrig run {scenario} --seed {seed} --plant {plant} --trial {trial}{trials}")
 }

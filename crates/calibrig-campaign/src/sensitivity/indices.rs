@@ -27,10 +27,14 @@ const QUANTITIES: usize = 5;
 /// less); M. J. W. Jansen, "Analysis of variance designs for model output", Computer Physics Communications 117 (1999), 35-43 (total).
 ///
 /// Intervals are by the delta method: an index is a function g of the means of five quantities q of a row, its variance is ∇g' cov(q) ∇g / N with the sample
-/// covariance, and the half width is Student's t with N - 1 degrees of freedom times its root. An index is not cut off at 0 or 1, and neither is its
-/// interval. For rows of independent points the intervals hold in the limit of many rows; measured on the Ishigami and Sobol's g function (see the test of
-/// coverage): 95 % intervals hold the closed form in 93 % of studies or more from 200 rows on; with 50 rows some total indices are
-/// held in 90 % only. For [Sobol points](crate::design::Sampling::Sobol) they are conservative, as they count as scatter what the points leave none of.
+/// covariance, and the half width is Student's t with N - 1 degrees of freedom times its root; for the total index it is that of its logarithm, which is
+/// less skew. A first-order index is not cut off at 0 or 1, and neither is its interval.
+///
+/// They hold in the limit of many rows. Measured on the Ishigami function, Sobol's g function and one with draws, 1000 studies each, the share of 95 %
+/// intervals that hold the closed form is, for the index that fares worst: for independent points 86 % with 25 rows, 91 % with 50, 92 % with 100, 93 % from
+/// 200 on; for [Sobol points](crate::design::Sampling::Sobol) 74 % with 25 rows, 90 % with 50 and 64, and from 100 on 88 to 93 %, though 99 to 100 % for most:
+/// there intervals are conservative for factors that matter, as they count as scatter what the points leave none of, and not always for one that
+/// makes next to nothing of the variance. Take 200 rows or more, with Sobol points 256.
 ///
 /// Source: A. W. van der Vaart, "Asymptotic Statistics" (1998), chapter 3; for indices A. Janon et al., "Asymptotic normality and efficiency of two Sobol
 /// index estimators", ESAIM: Probability and Statistics 18 (2014), 342-364.
@@ -339,6 +343,19 @@ mod tests {
         let outputs = [1.0, 2.0, 1.5, 0.5, 4.0, 4.5, 2.5, 0.0, 0.5];
         let (near, far) = (of(&outputs).expect("rows"), of(&outputs.map(|v| v + 1e9)).expect("rows"));
         assert_eq!(near, far);
+        // The first row is where sums are counted from, and changes nothing else.
+        let turned: Vec<f64> = outputs.chunks(3).rev().flatten().copied().collect();
+        let ends = |found: &[SobolIndices]| {
+            let all = found.iter().flat_map(|f| [f.first, f.total]);
+            all.flat_map(|e| e.interval.map_or([e.value; 3], |i| [e.value, i.low, i.high]))
+                .collect::<Vec<_>>()
+        };
+        for (found, expected) in ends(&of(&turned).expect("rows")).iter().zip(ends(&near)) {
+            assert!(
+                (found - expected).abs() < 1e-12 * expected.abs().max(1.0),
+                "{found} instead of {expected}"
+            );
+        }
         let mut none = SobolSums::new(0);
         (0..6).for_each(|_| none.add(1.0));
         assert_eq!((none.rows(), none.indices(0.95)), (3, Some(Vec::new())));

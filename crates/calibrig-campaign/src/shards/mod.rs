@@ -181,11 +181,16 @@ impl Folder {
         }
     }
 
-    fn writer(&self, folder: &Path, range: Range<u64>) -> Result<TableWriter, FolderError> {
+    fn writer(&self, folder: &Path) -> Result<TableWriter, FolderError> {
         fs::create_dir_all(folder).map_err(TableError::io(folder))?;
+        Ok(TableWriter::create(folder, &self.manifest.columns)?)
+    }
+
+    /// Completes a table of the rows of a range.
+    fn finish(&self, mut table: TableWriter, range: Range<u64>) -> Result<StagedTable, FolderError> {
         // A manifest's own texts and numbers are always JSON.
-        let about = serde_json::to_string(&self.about(range)).unwrap_or_default();
-        Ok(TableWriter::create(folder, &self.manifest.columns, &[(ABOUT, about)])?)
+        table.say(ABOUT, serde_json::to_string(&self.about(range)).unwrap_or_default());
+        Ok(table.finish()?)
     }
 
     /// Removes what was left by processes that were killed, and what is complete elsewhere.

@@ -45,14 +45,14 @@ impl Covered {
 }
 
 impl Folder {
-    /// Rows of the trials from `first` on, which will be a part with [`Self::put_part`]. They are pushed in the order of their trials.
-    pub fn begin_part(&self, range: Range<u64>) -> Result<TableWriter, FolderError> {
-        self.writer(&self.parts(), range)
+    /// Rows that will be a part with [`Self::put_part`]. They are pushed in the order of their trials, without holes.
+    pub fn begin_part(&self) -> Result<TableWriter, FolderError> {
+        self.writer(&self.parts())
     }
 
-    /// Puts a part in its place.
+    /// Puts a part of the trials of `range` in its place.
     pub fn put_part(&self, range: &Range<u64>, part: TableWriter) -> Result<(), FolderError> {
-        let staged = part.finish()?;
+        let staged = self.finish(part, range.clone())?;
         let name =
             format!("{}-{:010}-{:010}-{}.parquet", self.campaign(), range.start, range.end, short(&staged));
         Ok(staged.name(&self.parts().join(name))?)
@@ -101,7 +101,7 @@ impl Folder {
         folder: &Path,
         progress: &mut dyn FnMut(u64),
     ) -> Result<StagedTable, FolderError> {
-        let mut writer = self.writer(folder, range.clone())?;
+        let mut writer = self.writer(folder)?;
         let mut next = range.start;
         for piece in pieces {
             let table = TableReader::open(&piece.path)?;
@@ -123,7 +123,7 @@ impl Folder {
         if next < range.end {
             return Err(FolderError::Missing { path: self.path.clone(), range: next..range.end });
         }
-        Ok(writer.finish()?)
+        self.finish(writer, range.clone())
     }
 
     /// Makes a shard of its parts, and removes them.

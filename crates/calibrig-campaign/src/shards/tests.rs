@@ -25,7 +25,7 @@ fn row(seed: u64, trial: u64) -> Vec<Cell> {
 }
 
 fn compute(folder: &Folder, range: Range<u64>) {
-    let mut part = folder.begin_part(range.clone()).expect("a part");
+    let mut part = folder.begin_part().expect("a part");
     range.clone().for_each(|trial| part.push(&row(folder.manifest().seed, trial)).expect("a row"));
     folder.put_part(&range, part).expect("room");
 }

@@ -106,8 +106,8 @@ impl Moments {
     /// where nothing scatters.
     ///
     /// The interval takes the kurtosis from the values, so that it does not need them to be normal. It is too narrow for few values with long tails:
-    /// see the measured coverage in its test (95 % nominal: 94 % or more for normal and uniform values from ten on, 90 % for a hundred exponential
-    /// ones).
+    /// at 95 % it held in 94 to 97 % of studies of ten or a hundred normal or uniform values, and in 90 % of a hundred exponential ones (measured in its
+    /// test).
     ///
     /// Source: D. G. Bonett, "Approximate confidence interval for standard deviation of nonnormal distributions", Computational Statistics & Data
     /// Analysis 50 (2006), 775-782, with the mean in place of the trimmed mean, which cannot be had in one pass.
@@ -132,6 +132,7 @@ impl Moments {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::design::{Coordinate, Design, Sampling};
     use crate::statistics::tests::{assert_covers, uniform};
     use proptest::prelude::*;
 
@@ -195,6 +196,29 @@ mod tests {
                 let exact = values.iter().map(|v| (v - mean).powi(power)).sum::<f64>();
                 prop_assert!((found - exact).abs() <= 1e-9 * n * (scale + 1.0).powi(power), "{}: {} {}", power, found, exact);
             }
+        }
+    }
+
+    /// Of a smooth function of two factors and of that with noise of the draws, whose variance is 1 beside 1/6.
+    #[test]
+    fn the_interval_of_the_mean_covers_it_for_either_sampling() {
+        for (sampling, noise, least) in [
+            (Sampling::Random, 0.0, 0.95),
+            (Sampling::Random, 1.0, 0.95),
+            (Sampling::Sobol, 0.0, 0.9999),
+            (Sampling::Sobol, 1.0, 0.95),
+        ] {
+            let design = Design::Plain { trials: 100, factors: 2, sampling };
+            assert_covers(1000, least, |replicate| {
+                let mut moments = Moments::default();
+                let normal = uniform(71, replicate, 100).map(normal_quantile);
+                for (n, z) in (0..design.trials()).zip(normal) {
+                    let at = design.point(replicate.into(), n)?.at;
+                    let unit = |c: &Coordinate| if let Coordinate::Unit(u) = c { *u } else { f64::NAN };
+                    moments.add(at.iter().map(unit).sum::<f64>() + noise * z);
+                }
+                moments.mean_interval(0.95)?.interval.map(|i| i.contains(1.0))
+            });
         }
     }
 

@@ -15,8 +15,8 @@ fn row(n: i64) -> Vec<Cell> {
 }
 
 fn write(folder: &Path, name: &str, rows: i64) -> (PathBuf, String) {
-    let about = [("calibrig.campaign", "{\"seed\":1}".to_owned())];
-    let mut writer = TableWriter::create(folder, &columns(), &about).expect("a table");
+    let mut writer = TableWriter::create(folder, &columns()).expect("a table");
+    writer.say("calibrig.campaign", "{\"seed\":1}".to_owned());
     for n in 0..rows {
         writer.push(&row(n)).expect("a row");
     }
@@ -67,7 +67,7 @@ fn the_same_rows_are_the_same_bytes_and_no_file_is_left_of_what_is_not_finished(
     // What is said of the file is of the file.
     use sha2::Digest;
     assert_eq!(write::hexadecimal(&sha2::Sha256::digest(&bytes)), first);
-    let mut writer = TableWriter::create(folder.path(), &columns(), &[]).expect("a table");
+    let mut writer = TableWriter::create(folder.path(), &columns()).expect("a table");
     writer.push(&row(1)).expect("a row");
     drop(writer);
     assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 2);
@@ -76,7 +76,7 @@ fn the_same_rows_are_the_same_bytes_and_no_file_is_left_of_what_is_not_finished(
 #[test]
 fn what_is_no_row_or_no_table_is_refused() {
     let folder = tempfile::tempdir().expect("a folder");
-    let mut writer = TableWriter::create(folder.path(), &columns(), &[]).expect("a table");
+    let mut writer = TableWriter::create(folder.path(), &columns()).expect("a table");
     let short = writer.push(&row(1)[..2]).expect_err("two cells").to_string();
     assert!(short.contains("a row of 2 cells for 3 columns"), "{short}");
     let other = [Cell::Integer(1), Cell::Integer(2), Cell::Absent];
@@ -88,5 +88,5 @@ fn what_is_no_row_or_no_table_is_refused() {
         assert!(TableReader::open(&path).is_err(), "{length} bytes of it");
     }
     let nowhere = folder.path().join("nowhere");
-    assert!(matches!(TableWriter::create(&nowhere, &columns(), &[]), Err(TableError::Io { .. })));
+    assert!(matches!(TableWriter::create(&nowhere, &columns()), Err(TableError::Io { .. })));
 }

@@ -49,14 +49,14 @@ pub struct TableWriter {
 }
 
 impl TableWriter {
-    /// Begins a table of these columns in `folder`, with texts about it by their keys.
-    pub fn create(folder: &Path, columns: &[Column], about: &[(&str, String)]) -> Result<Self, TableError> {
+    /// Begins a table of these columns in `folder`.
+    pub fn create(folder: &Path, columns: &[Column]) -> Result<Self, TableError> {
         let failed = TableError::parquet(folder);
         let file = tempfile::Builder::new().prefix(TEMPORARY).tempfile_in(folder);
         let file = file.map_err(TableError::io(folder))?;
         let sink = Summed { file: BufWriter::new(file), sum: Sha256::new() };
         let schema = schema(columns).map_err(&failed)?;
-        let properties = Arc::new(properties(columns, about).map_err(&failed)?);
+        let properties = Arc::new(properties(columns).map_err(&failed)?);
         let writer = SerializedFileWriter::new(sink, schema, properties).map_err(&failed)?;
         let folder = folder.to_path_buf();
         Ok(Self { folder, writer, columns: ColumnRows::of(columns), waiting: 0, rows: 0 })
@@ -83,6 +83,11 @@ impl TableWriter {
         put_group(&mut self.writer, &self.columns).map_err(TableError::parquet(&self.folder))?;
         self.columns.iter_mut().for_each(ColumnRows::clear);
         Ok(())
+    }
+
+    /// Says something about the table.
+    pub fn say(&mut self, key: &str, text: String) {
+        self.writer.append_key_value_metadata(KeyValue::new(key.to_owned(), text));
     }
 
     /// Completes the file, and has the disk hold it.
@@ -180,16 +185,14 @@ fn schema(columns: &[Column]) -> Result<TypePtr, ParquetError> {
     Ok(Arc::new(Type::group_type_builder("trials").with_fields(fields).build()?))
 }
 
-fn properties(columns: &[Column], about: &[(&str, String)]) -> Result<WriterProperties, ParquetError> {
-    let about = about.iter().map(|(key, text)| KeyValue::new((*key).to_owned(), text.clone())).collect();
+fn properties(columns: &[Column]) -> Result<WriterProperties, ParquetError> {
     let mut builder = WriterProperties::builder()
         .set_created_by(concat!("calibrig version ", env!("CARGO_PKG_VERSION")).to_owned())
         .set_compression(Compression::ZSTD(ZstdLevel::try_new(1)?))
         // Groups are closed by us; a page of any size is one.
         .set_max_row_group_row_count(None)
         .set_statistics_enabled(EnabledStatistics::Chunk)
-        .set_offset_index_disabled(true)
-        .set_key_value_metadata(Some(about));
+        .set_offset_index_disabled(true);
     for column in columns.iter().filter(|column| column.kind == Kind::Number) {
         // Measured values do not repeat: a dictionary of them is larger than they are. Their bytes of one place are alike.
         let path = ColumnPath::new(vec![column.name.clone()]);
