@@ -169,6 +169,8 @@ beside=$!
 
 another() { runs n1 && [ "$number" != "$killed" ] && [ "$number" != "$lost" ]; }
 await "another task on n1" another
+sleep 1
+await "another task on n1" another
 cancelled=$number
 scancel "${job}_$cancelled"
 say "cancelled the task of shard $cancelled"
@@ -240,6 +242,7 @@ await "node n0 is back" idle
 # `missing` ends with 3, and says what it says in words; its numbers are what counts.
 job="$(sbatch --parsable --array="$("$calibrig" missing "$out" 2>/dev/null)" "$out/slurm.sh")"
 await "the second array ends" ended "$job"
+grep -q "trials are done already" "$out/logs/slurm-${job}_$cancelled.log" || fail "the trials that the cancelled task had done are done again"
 say "submitted again what was missing"
 run "$calibrig" missing "$out"
 [ -z "$said" ] || { cat "$work/errors"; fail "still missing: $said"; }
