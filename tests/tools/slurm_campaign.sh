@@ -127,7 +127,7 @@ start() {
         timeout 20 slurmctld && timeout 20 slurmd -N n0 && timeout 20 slurmd -N n1
 }
 idle() { [ "$(sinfo -h -N -o %T 2>/dev/null | sort | uniq -c | xargs)" = "2 idle" ]; }
-start >"$work/start.log" 2>&1 || skip "it does not start: $(cat "$work"/{start,munge,slurmctld}.log "$work"/n?/slurmd.log 2>/dev/null | tail -n1)"
+start >"$work/start.log" 2>&1 || skip "it does not start: $(cat "$work"/{start,munge,slurmctld}.log "$work"/n?/slurmd.log 2>/dev/null | grep -iE 'error|fatal' | tail -n1)"
 for _ in {1..100}; do idle && break; sleep 0.2; done
 idle || skip "its nodes do not come up: $(grep -hi error "$work/slurmctld.log" "$work"/n?/slurmd.log | tail -n1)"
 say "$(sbatch --version), two nodes"
@@ -169,6 +169,8 @@ beside=$!
 
 another() { runs n1 && [ "$number" != "$killed" ] && [ "$number" != "$lost" ]; }
 await "another task on n1" another
+sleep 1
+await "another task on n1" another
 cancelled=$number
 scancel "${job}_$cancelled"
 say "cancelled the task of shard $cancelled"
@@ -202,7 +204,9 @@ refused() {
     [ ! -e "$out/trials.parquet" ] || fail "the merge left a table"
 }
 names() { for name; do grep -qF "$name" "$work/errors" || { cat "$work/errors"; fail "$name is not named"; }; done; }
-shard() { find "$out/shards" -name "*-$(printf %06d "$1")-of-$(printf %06d $shards).parquet"; }
+# The file of a shard of this campaign: its name may go on.
+own="$(find "$out/shards" -name '*.parquet' -printf '%f\n' | cut -c-12 | sort -u)"
+shard() { find "$out/shards" -name "$own-$(printf %06d "$1")-of-$(printf %06d $shards)*.parquet"; }
 
 is_missing "$killed" "$cancelled"
 refused 3
@@ -216,34 +220,42 @@ file="$(shard $broken)" middle=$(($(stat -c %s "$(shard $broken)") / 2))
 byte="$(od -An -tu1 -j $middle -N 1 "$file")"
 # shellcheck disable=SC2059
 printf "\\$(printf %o $(((byte + 1) % 256)))" | dd of="$file" bs=1 seek=$middle conv=notrunc status=none
-foreign="$(find "$work/foreign/shards" -type f)" overlapping="$(find "$work/overlapping/shards" -type f)"
+foreign="$(find "$work/foreign/shards" -name '*.parquet')" overlapping="$(find "$work/overlapping/shards" -name '*.parquet')"
 cp "$foreign" "$overlapping" "$out/shards/"
 # Under the name of one that is missing, too.
-impostor="$(basename "$file")"
-impostor="${impostor/-$(printf %06d $broken)-/-$(printf %06d "$killed")-}"
-cp "$foreign" "$out/shards/$impostor"
-faults=("$(basename "$file")" "$(basename "$foreign")" "$(basename "$overlapping")" "$impostor")
+foreign="$(basename "$foreign")" overlapping="$(basename "$overlapping")" broken_file="$(basename "$file")"
+impostor="$own-$(printf %06d "$killed")${foreign#*-??????}"
+cp "$out/shards/$foreign" "$out/shards/$impostor"
 
 is_missing "$killed" "$cancelled" "$broken"
-names "${faults[@]}"
+names "$broken_file" "$foreign" "$overlapping" "$impostor"
 sed 's/^/        /' "$work/errors"
-refused 1
-names "${faults[@]}"
-say "named: one corrupted, one foreign, one overlapping, one foreign under the name of a missing one; nothing merged"
+say "named: one corrupted, one foreign, one overlapping, one foreign under the name of a missing one"
+run "$calibrig" merge "$out"
+[ $code != 0 ] && [ ! -e "$out/trials.parquet" ] || fail "exit code $code of merge, where shards are missing and others must not be merged"
 
 # --- Mended ------------------------------------------------------------------------------------------------------------------------
-rm "$out/shards/${faults[1]}" "$out/shards/${faults[2]}"
-sound() { for ((i = 0; i < shards; i++)); do case $i in "$killed" | "$cancelled" | "$broken") ;; *) stat -c '%n %i %Y' "$(shard "$i")" ;; esac; done; }
+sound() { for ((i = 0; i < shards; i++)); do case $i in "$killed" | "$cancelled" | "$broken") ;; *) stat -c '%n %i %Y' "$(shard "$i")" || return 1 ;; esac; done; }
 before="$(sound)"
 timeout 20 slurmd -N n0 >>"$work/start.log" 2>&1 || fail "node n0 does not start again"
 await "node n0 is back" idle
 # `missing` ends with 3, and says what it says in words; its numbers are what counts.
 job="$(sbatch --parsable --array="$("$calibrig" missing "$out" 2>/dev/null)" "$out/slurm.sh")"
 await "the second array ends" ended "$job"
+grep -q "trials are done already" "$out/logs/slurm-${job}_$cancelled.log" || fail "the trials that the cancelled task had done are done again"
 say "submitted again what was missing"
 run "$calibrig" missing "$out"
-[ "$code$said" = 0 ] || { cat "$work/errors"; fail "still missing: $said"; }
+[ -z "$said" ] || { cat "$work/errors"; fail "still missing: $said"; }
 [ "$before" = "$(sound)" ] || fail "shards that were sound were written again"
+refused 1
+names "$foreign" "$overlapping"
+sed 's/^/        /' "$work/errors"
+say "nothing is missing, and the merge is refused for what is too much"
+rm -f "$out/shards/$foreign" "$out/shards/$overlapping"
+# Computing the shard that it stood for may have put it right.
+grep -qF "$impostor" "$work/errors" && rm "$out/shards/$impostor"
+run "$calibrig" missing "$out"
+[ "$code$said" = 0 ] || { cat "$work/errors"; fail "exit code $code of missing, where all are there; it printed '$said'"; }
 run "$calibrig" merge "$out"
 [ $code = 0 ] || { cat "$work/errors"; fail "exit code $code of merge"; }
 cmp "$out/trials.parquet" "$one/trials.parquet" || fail "the table of the shards is not that of one machine"

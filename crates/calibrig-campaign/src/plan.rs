@@ -1,4 +1,4 @@
-//! Job files: the shards of a campaign as a job array of Slurm, HyperQueue or Kubernetes.
+//! Job files: the shards of a campaign as a job array of Slurm, `HyperQueue` or Kubernetes.
 //!
 //! A scheduler only runs shards. What is there afterwards, the files of the shards say (`calibrig missing`), never the scheduler. What was run of
 //! these files, and with which versions, is in `docs/cluster.md`.
@@ -59,7 +59,7 @@ impl Scheduler {
         }
     }
 
-    /// The name of its job file, in the campaign's folder. HyperQueue reads the settings in a script whose name ends with `.sh`.
+    /// The name of its job file, in the campaign's folder. `HyperQueue` reads the settings in a script whose name ends with `.sh`.
     pub const fn file_name(self) -> &'static str {
         match self {
             Self::Slurm => "slurm.sh",
@@ -169,7 +169,7 @@ impl JobPlan {
     }
 
     /// The command of a shard; `number` is put in as it is.
-    fn command<'a>(&'a self, words: &'a Words, number: &str, word: impl Fn(&str) -> String) -> Vec<String> {
+    fn command(&self, words: &Words, number: &str, word: impl Fn(&str) -> String) -> Vec<String> {
         let trials = self.trials.to_string();
         let mut command: Vec<String> =
             ["montecarlo", &words.scenario, "--trials", &trials].map(&word).to_vec();
@@ -270,7 +270,7 @@ impl JobPlan {
         }
         format!(
             "{head}\
-             # Adapt the lines with CHANGE: an image with `calibrig` in its PATH, and claims of volumes that many pods write to (ReadWriteMany).\n\
+             # Adapt the lines with CHANGE: an image with the very `calibrig` that wrote this in its PATH, and claims of volumes that many pods write to (ReadWriteMany).\n\
              # They hold what is here in the folders that they are mounted at: the manifest, the scenario and every file that it names.\n\
              apiVersion: batch/v1\nkind: Job\nmetadata:\n  name: {name}\nspec:\n  completionMode: Indexed\n  completions: {shards}\n  \
              parallelism: {pods}\n  # Of one index (Kubernetes 1.29 or newer): a shard that fails ends no other.\n  backoffLimitPerIndex: 3\n  \
