@@ -45,12 +45,17 @@ fn length(text: &str) -> Result<f64, String> {
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   calibrig missing out                                       prints `0-2,5`, or nothing where all are there
+  calibrig missing out --json                                the same with every fault
   sbatch --array=\"$(calibrig missing out)\" out/slurm.sh      runs these again
 
-Looks at the bytes of every shard: what was cut short, altered, or does not belong to the campaign is named. Exit code 3: shards are missing.")]
+Looks at the bytes of every shard: what was cut short, altered, or does not belong to the campaign is named. Exit code 3: shards are missing, or
+something lies among them that must not be merged.")]
 pub(super) struct MissingArgs {
     /// The campaign's folder
     folder: PathBuf,
+    /// Print as JSON (schema calibrig.missing/1)
+    #[arg(long)]
+    json: bool,
 }
 
 /// Make one table of the shards of a campaign, and say what it says
@@ -70,19 +75,32 @@ pub(super) struct MergeArgs {
 
 pub(super) fn missing(args: &MissingArgs) -> Result<Verdict, CliError> {
     let folder = Folder::open(&args.folder)?;
-    let inventory = looked_through(&folder);
-    if folder.is_complete() && inventory.sound() == 0 && inventory.faults.is_empty() {
-        say("nothing is missing: trials.parquet is complete");
-        return Ok(Verdict::Done);
+    let mut inventory = looked_through(&folder);
+    let shards = folder.manifest().shards;
+    if folder.is_complete() && inventory.sound() == 0 {
+        // All was done by one machine, or the shards are put away.
+        inventory.missing.clear();
+        say("trials.parquet is complete");
     }
     tell_faults(&inventory);
-    if inventory.missing.is_empty() {
-        say(&format!("all {} shards are there and sound", inventory.sound()));
-        return Ok(if inventory.faults.is_empty() { Verdict::Done } else { Verdict::Doubtful });
+    let array = inventory.array();
+    if args.json {
+        let faults: Vec<_> = inventory.faults.iter().map(ToString::to_string).collect();
+        let document = serde_json::json!({
+            "schema": "calibrig.missing/1", "shards": shards, "missing": inventory.missing, "array": array, "faults": faults,
+        });
+        print(&format!("{document:#}\n"))?;
+    } else if !array.is_empty() {
+        print(&format!("{array}\n"))?;
     }
-    print(&format!("{}\n", inventory.array()))?;
-    say(&format!("{} of {} shards are missing", inventory.missing.len(), folder.manifest().shards));
-    Ok(Verdict::Doubtful)
+    let missing = inventory.missing.len();
+    say(&if missing == 0 {
+        "nothing is missing".to_owned()
+    } else {
+        format!("{missing} of {shards} shards are missing")
+    });
+    let sound = missing == 0 && inventory.faults.is_empty();
+    Ok(if sound { Verdict::Done } else { Verdict::Doubtful })
 }
 
 pub(super) fn merge(args: &MergeArgs) -> Result<Verdict, CliError> {
@@ -166,12 +184,13 @@ pub(super) fn manifest(
         role: role.clone(),
         sha256: hash_sources(std::slice::from_ref(&(role.clone(), source.clone()))),
     };
-    let study = Study::of(campaign, columns, scenario);
+    let study = Study::of(campaign, columns);
     let study = serde_json::to_value(&study)
         .map_err(|error| CliError::Output { what: "the manifest".to_owned(), source: error.into() })?;
     Ok(Manifest {
         schema: Manifest::schema(),
         name: campaign.scenario.name.clone(),
+        scenario: scenario.to_owned(),
         software: software()?,
         inputs: sources.iter().map(input).collect(),
         seed: campaign.seed,
@@ -237,6 +256,7 @@ fn summed_up(folder: &Folder, table: &dyn Table, answers: &Answers) -> Result<Ca
     sums.iter().for_each(|(role, sum)| hash.add(role, sum));
     let subject = Subject {
         name: manifest.name.clone(),
+        scenario: manifest.scenario.clone(),
         seed: manifest.seed,
         sha256: hash.hex(),
         first: manifest.first,

@@ -8,7 +8,8 @@ use serde_json::json;
 use super::{CliError, Verdict, print, read_scenario, say};
 use crate::pipeline::hash_sources;
 use crate::scenario::{
-    Approach, Passing, PayloadOrder, PayloadPlan, PoseOrder, Scenario, SessionPlan, StationShare,
+    Approach, FactorValues, Layout, Passing, PayloadOrder, PayloadPlan, PoseOrder, Scenario, SessionPlan,
+    StationShare,
 };
 use calibrig_estimation::identification::{
     ComplianceChoice, FrameChoice, Mode, ParameterChoice, TargetChoice,
@@ -52,6 +53,9 @@ fn as_json(scenario: &Scenario) -> String {
         "session": json_session(scenario),
         "bounds": scenario.options.bounds.iter().map(ToString::to_string).collect::<Vec<_>>(),
         "modes": scenario.modes.iter().map(|m| m.key()).collect::<Vec<_>>(),
+        "campaign": scenario.campaign.as_ref().map(|plan| json!({
+            "design": plan.layout, "trials": plan.design(None).map_or(0, |design| design.trials()), "factors": plan.factors,
+        })),
     });
     format!("{value:#}\n")
 }
@@ -80,6 +84,31 @@ fn json_session(scenario: &Scenario) -> serde_json::Value {
         "line_of_sight": plan.sight.is_some(),
         "payloads": plan.payloads.payloads.iter().map(|payload| &payload.stated.name).collect::<Vec<_>>(),
     })
+}
+
+fn campaign_lines(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
+    let Some(plan) = &scenario.campaign else { return Ok(()) };
+    let trials = plan.design(None).map_or(0, |design| design.trials());
+    let what = match plan.layout {
+        Layout::Plain => "plain",
+        Layout::Sweep => "sweep, the same draws for every combination",
+        Layout::Indices => "sensitivity indices",
+        Layout::Screening => "screening",
+    };
+    writeln!(text, "  campaign     {what}, {trials} trials")?;
+    for factor in &plan.factors {
+        let values = match &factor.values {
+            FactorValues::Drawn(distribution) => format!(
+                "{} to {} in nine of ten trials",
+                distribution.quantile(0.05),
+                distribution.quantile(0.95)
+            ),
+            FactorValues::Levels(levels) => levels.join(", "),
+        };
+        let times = if factor.scale { "times what is stated, " } else { "" };
+        writeln!(text, "  {:<12} {}: {times}{values}", "", factor.name)?;
+    }
+    Ok(())
 }
 
 fn as_text(scenario: &Scenario) -> String {
@@ -124,6 +153,7 @@ fn write_text(scenario: &Scenario, text: &mut String) -> std::fmt::Result {
     writeln!(text, "  base nests   {}", scenario.nests.len())?;
     payload_lines(scenario, text)?;
     session_lines(scenario, text)?;
+    campaign_lines(scenario, text)?;
     for (index, effect) in scenario.as_built.effects.active().iter().enumerate() {
         let title = if index == 0 { "effects" } else { "" };
         writeln!(text, "  {title:<12} {}: {}", effect.title(), effect.about())?;

@@ -4,12 +4,11 @@ use calibrig_campaign::design::{Coordinate, Design};
 use calibrig_campaign::table::{Cell, Column, Kind};
 
 use super::trial::Fit;
-use super::{Campaign, ModeResult, ParameterResult, Trial, TrialOutcome};
+use super::{AccuracySet, Campaign, ModeResult, ParameterResult, Trial, TrialOutcome};
 use crate::pipeline::planned;
 use crate::scenario::{Factor, Scenario};
 use calibrig_estimation::evaluation::AccuracyRow;
 use calibrig_estimation::identification::{IdentificationOptions, Mode, prospect};
-use calibrig_model::measurement::SetKind;
 use calibrig_model::{ParameterId, Unit};
 
 /// The columns of a campaign.
@@ -61,7 +60,7 @@ pub(super) fn parameter_column(mode: Mode, id: ParameterId, figure: &str) -> Str
 }
 
 /// Name of a figure of a set: `with_gravity.verification.rms_3d_m`.
-pub(super) fn set_column(mode: Mode, kind: SetKind, figure: &str) -> String {
+pub(super) fn set_column(mode: Mode, kind: AccuracySet, figure: &str) -> String {
     format!("{}.{}.{figure}", mode.key(), kind.key())
 }
 
@@ -109,7 +108,7 @@ impl TrialColumns {
             columns.push(Column::new(factor_column(factor), kind));
         }
         for (mode, parameters) in &self.modes {
-            for kind in SetKind::ALL {
+            for kind in AccuracySet::ALL {
                 columns.extend(
                     ACCURACY.map(|figure| Column::new(set_column(*mode, kind, figure), Kind::Number)),
                 );
@@ -210,7 +209,7 @@ fn add_of_levels(
 }
 
 fn add_sets(cells: &mut Vec<Cell>, found: Option<&ModeResult>) {
-    for kind in SetKind::ALL {
+    for kind in AccuracySet::ALL {
         let row = found.and_then(|m| m.rows.iter().find(|(k, _)| *k == kind)).map(|(_, row)| row);
         let figures: [fn(&AccuracyRow) -> f64; 8] = [
             |r| r.max[0],

@@ -16,7 +16,7 @@ pub use summary::{
     ParameterSummary, PredictionCoverage, Rate, Reason, Sensitivity, SetSummary, Subject, SummaryError,
     Worst, summarise, summarise_trials, summary_json, summary_text,
 };
-pub use trial::{Fit, ModeResult, ParameterResult, Trial, TrialOutcome};
+pub use trial::{AccuracySet, Fit, ModeResult, ParameterResult, Trial, TrialOutcome};
 
 use std::borrow::Cow;
 use std::ops::Range;

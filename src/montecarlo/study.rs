@@ -12,8 +12,6 @@ use calibrig_model::ParameterId;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Study {
-    /// The scenario's file, as it was named.
-    pub scenario: String,
     /// What stands for the machine.
     pub plant: String,
     /// Which point a trial is.
@@ -40,14 +38,13 @@ pub struct StudyMode {
 
 impl Study {
     /// Of a campaign and the columns of its table.
-    pub fn of(campaign: &Campaign<'_>, columns: &TrialColumns, scenario: &str) -> Self {
+    pub fn of(campaign: &Campaign<'_>, columns: &TrialColumns) -> Self {
         let plan = campaign.scenario.campaign.as_ref();
         let mode = |(mode, parameters): &(Mode, Vec<ParameterId>)| StudyMode {
             mode: mode.key().to_owned(),
             parameters: parameters.iter().map(ToString::to_string).collect(),
         };
         Self {
-            scenario: scenario.to_owned(),
             plant: campaign.plant.key().to_owned(),
             design: campaign.design.clone(),
             factors: plan.map_or_else(Vec::new, |plan| plan.factors.clone()),

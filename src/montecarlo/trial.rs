@@ -7,9 +7,10 @@ use crate::pipeline::{
     KnownTruth, PipelineError, Simulation, calibrate, information_at_truth, simulate, without_drift,
 };
 use crate::scenario::Scenario;
-use calibrig_estimation::evaluation::{AccuracyRow, nees};
+use calibrig_estimation::evaluation::{AccuracyRow, accuracy, nees};
 use calibrig_estimation::identification::{
-    Estimate, IdentificationOptions, Information, Mode, PredictedReading, TerminationReason, predict_places,
+    CalibratedRobot, Estimate, IdentificationOptions, Information, Mode, PredictedReading, Predictor,
+    TerminationReason, predict_places,
 };
 use calibrig_model::ParameterId;
 use calibrig_model::measurement::{MeasurementSet, Reading, SetKind};
@@ -43,10 +44,51 @@ pub struct TrialOutcome {
 pub struct ModeResult {
     /// Which.
     pub mode: Mode,
-    /// The accuracy on every set.
-    pub rows: Vec<(SetKind, AccuracyRow)>,
+    /// The accuracy on every set, and against the truth.
+    pub rows: Vec<(AccuracySet, AccuracyRow)>,
     /// How the identification went; `None` for "without calibration".
     pub fit: Option<Fit>,
+}
+
+/// What predicted positions are held against.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AccuracySet {
+    /// The readings that were fitted.
+    Identification,
+    /// The readings of the held-out poses.
+    Verification,
+    /// The true places of the held-out poses: what a simulation alone knows, without the errors of the instrument that reads them.
+    Truth,
+}
+
+impl AccuracySet {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Identification, Self::Verification, Self::Truth];
+
+    /// In names of columns and in JSON.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Identification => SetKind::Identification.key(),
+            Self::Verification => SetKind::Verification.key(),
+            Self::Truth => "truth",
+        }
+    }
+
+    /// For people.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::Identification => "identification set",
+            Self::Verification => "verification set",
+            Self::Truth => "true places of the verification set",
+        }
+    }
+
+    fn of(kind: SetKind) -> Self {
+        match kind {
+            SetKind::Identification => Self::Identification,
+            SetKind::Verification => Self::Verification,
+        }
+    }
 }
 
 /// How an identification went.
@@ -95,18 +137,49 @@ pub(super) fn carry_out(campaign: &Campaign<'_>, case: &Case<'_>) -> Result<Tria
     let model = &scenario.robot.model;
     let (_, outcomes) = calibrate(model, &simulation.sets, &scenario.modes, &scenario.options)?;
     let kinds: Vec<SetKind> = simulation.sets.iter().map(|set| set.kind).collect();
+    let truth = true_places(&simulation);
     let modes = outcomes
         .into_iter()
         .map(|outcome| ModeResult {
             mode: outcome.mode,
-            rows: kinds.iter().zip(&outcome.rows).filter_map(|(kind, row)| Some((*kind, (*row)?))).collect(),
-            fit: outcome.estimate.as_ref().map(|estimate| fit(scenario, &simulation, estimate)),
+            rows: kinds
+                .iter()
+                .zip(&outcome.rows)
+                .filter_map(|(kind, row)| Some((AccuracySet::of(*kind), (*row)?)))
+                .chain(against_truth(&outcome.robot, truth.as_ref()).map(|row| (AccuracySet::Truth, row)))
+                .collect(),
+            fit: outcome
+                .estimate
+                .as_ref()
+                .map(|estimate| fit(scenario, &simulation, estimate, truth.as_ref())),
         })
         .collect();
     Ok(TrialOutcome { modes, dropped: simulation.sets.iter().map(|set| set.dropped.len()).sum() })
 }
 
-fn fit(scenario: &Scenario, simulation: &Simulation, estimate: &Estimate) -> Fit {
+/// The held-out poses as an instrument without errors would read them, from where it stands; `None` without any.
+fn true_places(simulation: &Simulation) -> Option<MeasurementSet> {
+    let sets = simulation.sets.iter().zip(&simulation.truth.poses);
+    let (set, settled) = sets.into_iter().find(|(set, _)| set.kind == SetKind::Verification)?;
+    let mut truth: MeasurementSet = set.measurements.clone();
+    for (observation, pose) in truth.observations.iter_mut().zip(settled) {
+        let tracker_from_base = simulation.truth.stations.get(observation.station)?;
+        let position = tracker_from_base.rotation * pose.target + tracker_from_base.translation.vector;
+        observation.reading = Reading::Cartesian { position, covariance: None };
+    }
+    (!truth.observations.is_empty()).then_some(truth)
+}
+
+fn against_truth(robot: &CalibratedRobot, truth: Option<&MeasurementSet>) -> Option<AccuracyRow> {
+    accuracy(&Predictor::new(robot).ok()?.errors(truth?).ok()?)
+}
+
+fn fit(
+    scenario: &Scenario,
+    simulation: &Simulation,
+    estimate: &Estimate,
+    truth: Option<&MeasurementSet>,
+) -> Fit {
     let known = KnownTruth {
         as_built: &simulation.truth.as_built,
         nominal: &scenario.robot.model,
@@ -142,7 +215,7 @@ fn fit(scenario: &Scenario, simulation: &Simulation, estimate: &Estimate) -> Fit
         iterations: estimate.iterations.len(),
         chi2_per_dof: estimate.chi2_per_dof(),
         nees: nees_of(estimate, &parameters),
-        predictions: predictions(scenario, simulation, estimate),
+        predictions: truth.map_or((0, 0), |truth| predictions(scenario, truth, estimate)),
         squared_over_bound: information.as_ref().zip(errors).and_then(|(i, errors)| i.squared(&errors)),
         parameters,
     }
@@ -155,24 +228,10 @@ fn nees_of(estimate: &Estimate, parameters: &[ParameterResult]) -> Option<f64> {
 
 /// How many true coordinates of the held-out poses lie inside the 95 % intervals of the robot's mean position, and of how many. In the tracker's
 /// frame, so that the uncertainty of its place counts as well.
-fn predictions(scenario: &Scenario, simulation: &Simulation, estimate: &Estimate) -> (u64, u64) {
-    let held_out = simulation
-        .sets
-        .iter()
-        .zip(&simulation.truth.poses)
-        .find(|(set, _)| set.kind == SetKind::Verification);
-    let Some((set, settled)) = held_out else { return (0, 0) };
-    let mut truth: MeasurementSet = set.measurements.clone();
-    for (observation, pose) in truth.observations.iter_mut().zip(settled) {
-        let Some(tracker_from_base) = simulation.truth.stations.get(observation.station) else {
-            return (0, 0);
-        };
-        let position = tracker_from_base.rotation * pose.target + tracker_from_base.translation.vector;
-        observation.reading = Reading::Cartesian { position, covariance: None };
-    }
+fn predictions(scenario: &Scenario, truth: &MeasurementSet, estimate: &Estimate) -> (u64, u64) {
     let options = IdentificationOptions { mode: estimate.robot.mode, ..scenario.options.clone() };
     let model = &scenario.robot.model;
-    let Ok(Some(predicted)) = predict_places(model, &truth, &options, estimate) else { return (0, 0) };
+    let Ok(Some(predicted)) = predict_places(model, truth, &options, estimate) else { return (0, 0) };
     let factor = estimate.interval_factor(0.95);
     let inside = |reading: &PredictedReading| {
         let variance = (reading.of_parameters + reading.of_machine).diagonal();

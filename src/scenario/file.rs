@@ -82,6 +82,8 @@ pub(super) struct TrackerFile {
     pub(super) range_zero_um: Option<Spanned<f64>>,
     pub(super) random_fraction: Option<Spanned<f64>>,
     pub(super) systematic_fraction: Option<Spanned<f64>>,
+    pub(super) real_random_factor: Option<Spanned<f64>>,
+    pub(super) real_systematic_factor: Option<Spanned<f64>>,
     pub(super) air_um_per_m: Option<Spanned<f64>>,
     pub(super) miss_fraction: Option<Spanned<f64>>,
     pub(super) range_limits_m: Option<Spanned<[Spanned<f64>; 2]>>,

@@ -7,8 +7,8 @@ use serde::Deserialize;
 use super::file::{TrackerFile, yes};
 use calibrig_files::{InputError, Source, Spanned};
 use calibrig_plant::tracker::{
-    Air, Conditions, DriftLaw, EnvironmentLaw, ErrorLine, Instrument, Limits, Motion, Preset, SmrLaw,
-    TrackerError,
+    Air, Conditions, DriftLaw, EnvironmentLaw, ErrorLine, Instrument, Limits, Motion, Preset, RealErrors,
+    SmrLaw, TrackerError,
 };
 
 #[derive(Deserialize)]
@@ -124,6 +124,10 @@ pub(super) fn instrument(
             1.0,
             base.systematic_fraction,
         )?,
+        real: RealErrors {
+            random: or("real_random_factor", &file.real_random_factor, 1.0, 1.0)?,
+            systematic: or("real_systematic_factor", &file.real_systematic_factor, 1.0, 1.0)?,
+        },
         noise: file.noise,
         ..plain
     })

@@ -4,8 +4,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use calibrig::identification::{IdentificationOptions, MachineNoiseChoice, Mode};
-use calibrig::measurement::SetKind;
-use calibrig::montecarlo::{Campaign, Trial};
+use calibrig::montecarlo::{AccuracySet, Campaign, Trial};
 use calibrig::pipeline::PlantKind;
 use calibrig::pose_plan::{
     CandidateSource, Filter, PosePlan, PosePlanError, Region, Request, cell_of, nominal_robot, plan,
@@ -58,7 +57,7 @@ fn held_out(trials: &[Trial]) -> Vec<f64> {
     let rms = |trial: &Trial| {
         let modes = &trial.outcome.as_ref().expect("a trial").modes;
         let rows = &modes.last().expect("a mode").rows;
-        rows.iter().find(|(kind, _)| *kind == SetKind::Verification).expect("held out").1.rms_3d
+        rows.iter().find(|(kind, _)| *kind == AccuracySet::Verification).expect("held out").1.rms_3d
     };
     trials.iter().map(rms).collect()
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use calibrig::evaluation::AccuracyRow;
 use calibrig::identification::{Mode, neighbour_axis_rules};
 use calibrig::model::{ActuatorMap, ParameterId};
-use calibrig::montecarlo::{Campaign, summarise_trials};
+use calibrig::montecarlo::{AccuracySet, Campaign, summarise_trials};
 use calibrig::pipeline::{self, Outcome, PlantKind, SetKind};
 use calibrig::plant::effects::{EffectKind, Effects};
 use calibrig::scenario::{Scenario, load_scenario};
@@ -110,7 +110,7 @@ pub fn with_poses(mut scenario: Scenario, identification: u32) -> Scenario {
 }
 
 /// Mean absolute errors of the extended model per axis, m, over so many trials.
-fn extended(mut scenario: Scenario, trials: u32, kind: SetKind) -> [f64; 3] {
+fn extended(mut scenario: Scenario, trials: u32, kind: AccuracySet) -> [f64; 3] {
     scenario.modes = vec![Mode::Extended];
     let campaign = Campaign::of_draws(&scenario, scenario.seed, PlantKind::Rapier);
     let done = campaign.trials(0..trials).expect("threads");
@@ -127,7 +127,7 @@ fn what_no_term_takes_up() -> [f64; 3] {
     scenario.tracker.instrument.noise = false;
     let effects = &mut scenario.as_built.effects;
     (effects.repeatability, effects.encoder) = (None, None);
-    extended(scenario, 1, SetKind::Identification)
+    extended(scenario, 1, AccuracySet::Identification)
 }
 
 #[test]
@@ -136,7 +136,7 @@ fn the_extended_model_comes_near_the_floor_of_the_machine() {
     // From 60 poses some 76 parameters are determined: what the model cannot follow is spread over them. With three times the poses this is small.
     for (poses, trials, most) in [(60, 20, 1.3), (180, 10, 1.15)] {
         let [all, floor] = [paper(), floor()]
-            .map(|scenario| extended(with_poses(scenario, poses), trials, SetKind::Verification));
+            .map(|scenario| extended(with_poses(scenario, poses), trials, AccuracySet::Verification));
         for axis in 0..3 {
             let [all, floor, beyond] = [all, floor, beyond].map(|figures| 1e3 * figures[axis]);
             let ratio = all / floor.hypot(beyond);

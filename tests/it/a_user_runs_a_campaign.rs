@@ -231,7 +231,7 @@ fn a_trial_that_fails_is_a_row_with_its_reason() {
     assert_eq!(ended.json()["schema"], "calibrig.campaign/1");
     assert_eq!(ended.json()["failed"].as_u64(), Some(3));
     // They fail for one reason.
-    assert_eq!(ended.json()["reasons"][0]["trials"].as_u64(), Some(3));
+    assert_eq!(ended.json()["failures"][0]["trials"].as_u64(), Some(3));
     assert_eq!(sandbox.read("out/summary.json"), ended.stdout);
     let table = sandbox.read("out/trials.csv");
     for (index, line) in table.lines().skip(1).enumerate() {
@@ -294,7 +294,7 @@ fn what_cannot_be_done_is_refused_before_the_first_trial() {
             "[possible values: slurm, hyperqueue, kubernetes]",
         ),
         (&["--tolerance", "0.2"], "a length with its unit"),
-        (&["--tolerance", "-1mm"], "not a number above zero"),
+        (&["--tolerance", "0mm"], "not a number above zero"),
         (&["--resume", "--shard", "0/4", "--out", "out"], "cannot be used with"),
     ] {
         let ended = sandbox.run(["montecarlo", MATCHED].iter().chain(more));

@@ -37,13 +37,13 @@ fn a_sweep_has_the_same_draws_in_every_combination() {
     assert_eq!(groups.len(), 3);
     let rms: Vec<f64> = groups
         .iter()
-        .map(|g| g["modes"][0]["sets"]["verification"]["rms_3d_m"]["mean"].as_f64().expect("a mean"))
+        .map(|g| g["modes"][0]["sets"]["truth"]["rms_3d_m"]["mean"].as_f64().expect("a mean"))
         .collect();
     // The estimator is linear in the noise to first order, and draws are the same: errors grow with it, trial by trial.
     for (level, factor) in [(1, 2.0), (2, 4.0)] {
         let ratio = rms[level] / rms[0];
         assert!((ratio / factor - 1.0).abs() < 0.1, "{ratio} for {factor} times the noise");
-        let more = &groups[level]["modes"][0]["sets"]["verification"]["rms_against_first_combination_m"];
+        let more = &groups[level]["modes"][0]["sets"]["truth"]["rms_against_first_combination_m"];
         let low = more["interval_95"][0].as_f64().expect("an interval");
         assert!(low > 0.0, "{more}");
     }
@@ -82,10 +82,14 @@ fn indices_tell_the_factor_that_matters_from_one_that_does_not() {
     let effects = json["sensitivity"][0]["effects"].as_array().expect("effects").clone();
     let names: Vec<_> = effects.iter().map(|e| e["factor"].as_str().expect("a name")).collect();
     assert_eq!(names, ["noise", "yaw", "draws"]);
-    let total = |n: usize| effects[n]["total"]["value"].as_f64().expect("an index");
-    println!("total indices: {names:?} {} {} {}", total(0), total(1), total(2));
-    // The noise spans a factor of 25. Where the tracker looks says nothing of an instrument whose noise is alike in every direction.
-    assert!(total(0) > 0.6 && total(1) < 0.05 && total(2) < 0.4, "{effects:?}");
+    let index = |n: usize, which: &str, key: &str| effects[n][which][key].clone();
+    let value = |n, which| index(n, which, "value").as_f64().expect("an index");
+    println!("total indices: {names:?} {} {} {}", value(0, "total"), value(1, "total"), value(2, "total"));
+    // Nine tenths of the noise's distribution span a factor of 20. Where the tracker looks says nothing of an instrument whose noise is alike in every
+    // direction; which noise and machine are drawn says less than how large the noise is.
+    let least = index(0, "total", "interval_95")[0].as_f64().expect("an interval");
+    assert!(least > 0.5 && value(0, "first_order") > value(2, "first_order"), "{effects:?}");
+    assert!(value(1, "total") < 1e-6 && value(2, "total") > 1e-3, "{effects:?}");
 }
 
 #[test]

@@ -8,7 +8,7 @@ use std::time::Duration;
 use crate::a_user_makes_a_mistake::with_measurements;
 use crate::sandbox::{Ended, ROBOT, SCENARIO, Sandbox, assert_refused};
 
-const COMMANDS: [&str; 15] = [
+const COMMANDS: [&str; 18] = [
     "run",
     "check",
     "choose",
@@ -17,6 +17,9 @@ const COMMANDS: [&str; 15] = [
     "identify",
     "identifiability",
     "iso9283",
+    "merge",
+    "missing",
+    "montecarlo",
     "model",
     "plan",
     "replay",
@@ -170,7 +173,7 @@ fn help_shows_examples_that_are_true() {
             }
             assert_ne!(ended.code, Some(2), "{example:?}: {}", ended.stderr);
             if example.iter().any(|word| [SCENARIO, "models/ur5/robot.toml"].contains(word))
-                && !["identify", "choose", "diagnose"].contains(&command)
+                && !["identify", "choose", "diagnose", "montecarlo"].contains(&command)
             {
                 assert_eq!(ended.code, Some(0), "{example:?}: {}", ended.stderr);
             }

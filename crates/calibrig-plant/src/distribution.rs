@@ -61,6 +61,13 @@ pub struct AsBuiltDistribution {
 const LEAST_FACTOR: f64 = 0.01;
 
 impl AsBuiltDistribution {
+    /// Whether machines differ in their four-bar's geometry, so that the loop of one can fail to close.
+    pub fn varies_linkage(&self) -> bool {
+        [self.linkage_length, self.linkage_angle, self.crank_axis, self.crank_tilt]
+            .iter()
+            .any(|size| *size > 0.0)
+    }
+
     /// A machine that deviates from `base`.
     ///
     /// Every machine takes the same numbers from `rng` in the same order, whatever the sizes and the listed parameters are: another size

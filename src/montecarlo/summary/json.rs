@@ -27,7 +27,7 @@ pub fn summary_json(summary: &CampaignSummary) -> Value {
         "tolerance_m": summary.tolerance,
         "design": summary.study.design,
         "factors": summary.study.factors.iter().map(factor).collect::<Vec<_>>(),
-        "reasons": summary.reasons.iter().map(|r| json!({ "reason": r.text, "first_trial": r.trial, "trials": r.count })).collect::<Vec<_>>(),
+        "failures": summary.reasons.iter().map(|r| json!({ "trial": r.trial, "reason": r.text, "trials": r.count })).collect::<Vec<_>>(),
         "worst": summary.worst.iter().map(|w| json!({ "trial": w.trial, "mode": w.mode.key(), "rms_3d_m": w.rms_3d })).collect::<Vec<_>>(),
         "sensitivity": summary.sensitivity.iter().map(sensitivity_json).collect::<Vec<_>>(),
     });

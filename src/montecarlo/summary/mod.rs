@@ -21,9 +21,8 @@ use calibrig_campaign::table::{MemoryTable, Table, TableError};
 use thiserror::Error;
 
 use super::columns::set_column;
-use super::{Campaign, Study, Trial, TrialColumns};
+use super::{AccuracySet, Campaign, Study, Trial, TrialColumns};
 use calibrig_estimation::identification::Mode;
-use calibrig_model::measurement::SetKind;
 
 /// Level of the intervals of figures, and of the intervals whose coverage is counted.
 pub(super) const LEVEL: f64 = 0.95;
@@ -102,8 +101,8 @@ pub enum FactorEffect {
 pub struct Sensitivity {
     /// Which.
     pub mode: Mode,
-    /// On which set.
-    pub kind: SetKind,
+    /// Against what.
+    pub kind: AccuracySet,
     /// Factor by factor, by name; the draws are the last one of indices.
     pub effects: Vec<(String, FactorEffect)>,
     /// Rows of the base, or trajectories, that were left out, at least in part, because trials failed.
@@ -115,6 +114,8 @@ pub struct Sensitivity {
 pub struct CampaignSummary {
     /// Name for people.
     pub name: String,
+    /// The scenario's file, as it was named.
+    pub scenario: String,
     /// Key of the random streams.
     pub seed: u64,
     /// SHA-256 of the scenario and all that it names.
@@ -155,6 +156,8 @@ impl CampaignSummary {
 pub struct Subject {
     /// Name for people.
     pub name: String,
+    /// The scenario's file, as it was named.
+    pub scenario: String,
     /// Key of the random streams.
     pub seed: u64,
     /// SHA-256 of the scenario and all that it names.
@@ -189,6 +192,7 @@ pub fn summarise(
         sensitivity: sensitivity(&subject, study, table, &modes)?,
         worst: worst(&subject, table, &modes)?,
         name: subject.name,
+        scenario: subject.scenario,
         seed: subject.seed,
         sha256: subject.sha256,
         study: study.clone(),
@@ -209,11 +213,16 @@ pub fn summarise_trials(campaign: &Campaign<'_>, trials: &[Trial]) -> Result<Cam
     let rows = trials.iter().map(|trial| columns.row(trial)).collect();
     let subject = Subject {
         name: campaign.scenario.name.clone(),
+        scenario: campaign
+            .scenario
+            .sources
+            .first()
+            .map_or_else(String::new, |(_, source)| source.name.clone()),
         seed: campaign.seed,
         sha256: crate::pipeline::hash_sources(&campaign.scenario.sources),
         first: trials.first().map_or(0, |trial| trial.index),
     };
-    let study = Study::of(campaign, &columns, &campaign.scenario.name);
+    let study = Study::of(campaign, &columns);
     let tolerance = campaign.scenario.campaign.as_ref().and_then(|plan| plan.tolerance);
     summarise(subject, &study, &MemoryTable::new(columns.columns(), rows), tolerance)
 }
@@ -310,12 +319,17 @@ fn without_numbers(text: &str) -> String {
     kind
 }
 
-/// The set that accuracy is told of: the held-out one, where there is one.
-pub(super) fn told_set(table: &dyn Table, mode: Mode) -> Result<SetKind, SummaryError> {
-    let column = place(table, &set_column(mode, SetKind::Verification, "rms_3d_m"))?;
-    let mut any = false;
-    table.visit(&[column], 0..table.rows(), &mut |row| any |= row[0].as_number().is_some())?;
-    Ok(if any { SetKind::Verification } else { SetKind::Identification })
+/// What accuracy is told against: the true places of held-out poses, where there are any.
+pub(super) fn told_set(table: &dyn Table, mode: Mode) -> Result<AccuracySet, SummaryError> {
+    for kind in AccuracySet::ALL.into_iter().rev() {
+        let column = place(table, &set_column(mode, kind, "rms_3d_m"))?;
+        let mut any = false;
+        table.visit(&[column], 0..table.rows(), &mut |row| any |= row[0].as_number().is_some())?;
+        if any {
+            return Ok(kind);
+        }
+    }
+    Ok(AccuracySet::Identification)
 }
 
 /// What the trials of every other combination show more than the same draws of the first one.
@@ -326,7 +340,7 @@ fn compare_with_first(
     repeats: u64,
 ) -> Result<(), SummaryError> {
     for (place_of_mode, (mode, _)) in modes.iter().enumerate() {
-        for kind in SetKind::ALL {
+        for kind in AccuracySet::ALL {
             let column = place(table, &set_column(*mode, kind, "rms_3d_m"))?;
             let mut first: Vec<Option<f64>> = Vec::new();
             for (number, group) in (0..).zip(groups.iter_mut()) {

@@ -8,11 +8,11 @@ use calibrig_campaign::statistics::{
 use calibrig_campaign::table::{Cell, Table};
 
 use super::{BAND, ENOUGH, LEVEL, SummaryError, moments, place};
+use crate::montecarlo::AccuracySet;
 use crate::montecarlo::columns::{mode_column, parameter_column, set_column};
 use calibrig_estimation::evaluation::{Coverage, mean_nees_band};
 use calibrig_estimation::identification::Mode;
 use calibrig_model::ParameterId;
-use calibrig_model::measurement::SetKind;
 use calibrig_model::statistics::{NORMAL_95, student_t_quantile};
 
 /// Shares whose quantiles are told.
@@ -59,7 +59,7 @@ impl Rate {
 #[derive(Debug, Clone, PartialEq)]
 pub struct SetSummary {
     /// Which set.
-    pub kind: SetKind,
+    pub kind: AccuracySet,
     /// Largest absolute error per axis.
     pub max: [MeanWithInterval; 3],
     /// Mean absolute error per axis.
@@ -136,6 +136,13 @@ pub struct ModeSummary {
     pub predictions: Option<PredictionCoverage>,
 }
 
+impl ModeSummary {
+    /// What the accuracy is told against: the true places of held-out poses, where there are any.
+    pub fn told(&self) -> Option<&SetSummary> {
+        AccuracySet::ALL.iter().rev().find_map(|kind| self.sets.iter().find(|set| set.kind == *kind))
+    }
+}
+
 /// How often stated intervals of predicted coordinates held the true ones. Coordinates of one trial depend on the same estimate, so that
 /// trials are what counts: its uncertainty comes from the scatter between them.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -180,7 +187,7 @@ impl Rows<'_> {
         is_drawn: bool,
     ) -> Result<ModeSummary, SummaryError> {
         let mut sets = Vec::new();
-        for kind in SetKind::ALL {
+        for kind in AccuracySet::ALL {
             sets.extend(self.set(mode, kind)?);
         }
         let mut summary = ModeSummary {
@@ -246,7 +253,7 @@ impl Rows<'_> {
         }))
     }
 
-    fn set(&self, mode: Mode, kind: SetKind) -> Result<Option<SetSummary>, SummaryError> {
+    fn set(&self, mode: Mode, kind: AccuracySet) -> Result<Option<SetSummary>, SummaryError> {
         let of = |figure: &str| self.mean(&set_column(mode, kind, figure));
         let (Some(rms_3d), Some(max_3d)) = (of("rms_3d_m")?, of("max_3d_m")?) else { return Ok(None) };
         let axes = |figure: &str| -> Result<Option<[MeanWithInterval; 3]>, SummaryError> {
@@ -285,7 +292,7 @@ impl Rows<'_> {
     }
 
     /// How often RMS and largest error were within the tolerance, of all trials.
-    fn within(&self, mode: Mode, kind: SetKind) -> Result<[Option<Rate>; 2], SummaryError> {
+    fn within(&self, mode: Mode, kind: AccuracySet) -> Result<[Option<Rate>; 2], SummaryError> {
         let Some(tolerance) = self.tolerance else { return Ok([None; 2]) };
         let mut within = [Proportion::default(); 2];
         let names = [set_column(mode, kind, "rms_3d_m"), set_column(mode, kind, "max_3d_m")];

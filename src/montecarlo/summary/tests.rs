@@ -107,7 +107,6 @@ fn combinations_of_a_sweep_are_groups_also_of_a_table_that_is_not_complete() {
         values: crate::scenario::FactorValues::Levels(levels.iter().map(ToString::to_string).collect()),
     };
     let study = Study {
-        scenario: "s.toml".to_owned(),
         plant: "analytic".to_owned(),
         design: Design::Sweep { levels: vec![2, 3], repeats: 10 },
         factors: vec![factor("a", &["1", "2"]), factor("b", &["x", "y", "z"])],

@@ -9,9 +9,9 @@ use calibrig_campaign::statistics::Estimate;
 use super::{
     CampaignSummary, ENOUGH, FactorEffect, GroupSummary, MeanWithInterval, ModeSummary, Rate, SetSummary,
 };
+use crate::montecarlo::AccuracySet;
 use calibrig_estimation::identification::Mode;
 use calibrig_model::Unit;
-use calibrig_model::measurement::SetKind;
 
 /// The tables. Intervals are of 95 % where nothing else is said.
 pub fn summary_text(summary: &CampaignSummary) -> String {
@@ -33,7 +33,7 @@ pub fn summary_text(summary: &CampaignSummary) -> String {
 }
 
 fn group_text(text: &mut String, summary: &CampaignSummary, group: &GroupSummary) {
-    for kind in SetKind::ALL {
+    for kind in AccuracySet::ALL {
         accuracy_text(text, kind, summary, group);
     }
     convergence_text(text, group);
@@ -64,12 +64,20 @@ fn failures_text(text: &mut String, summary: &CampaignSummary) {
     }
 }
 
-/// Value and half width of its interval, in `unit` of the value.
+/// Value and half width of its interval, in `unit` of the value: with two digits of the half width that count, and three decimals at least.
 fn with_half(value: f64, half: Option<f64>, unit: f64) -> String {
-    match half {
-        Some(half) => format!("{:.3} ± {:.3}", value / unit, half / unit),
-        None => format!("{:.3}", value / unit),
-    }
+    let Some(half) = half else { return format!("{:.3}", value / unit) };
+    let digits = decimals(half / unit);
+    format!("{:.digits$} ± {:.digits$}", value / unit, half / unit)
+}
+
+fn decimals(half: f64) -> usize {
+    const LARGEST: f64 = 6.0;
+    let wanted = if half > 0.0 { 1.0 - half.log10().floor() } else { 3.0 };
+    // Between 3 and 6.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+    let digits = wanted.clamp(3.0, LARGEST) as usize;
+    digits
 }
 
 fn mean_mm(mean: &MeanWithInterval) -> String {
@@ -85,7 +93,7 @@ fn percent(rate: &Rate) -> String {
     }
 }
 
-fn accuracy_text(text: &mut String, kind: SetKind, summary: &CampaignSummary, group: &GroupSummary) {
+fn accuracy_text(text: &mut String, kind: AccuracySet, summary: &CampaignSummary, group: &GroupSummary) {
     let rows: Vec<(&ModeSummary, &SetSummary)> = group
         .modes
         .iter()
@@ -96,17 +104,18 @@ fn accuracy_text(text: &mut String, kind: SetKind, summary: &CampaignSummary, gr
     }
     let _ = writeln!(
         text,
-        "\n{:<32} {:>15} {:>15} {:>15} {:>15}  5 % .. 95 % of trials",
-        format!("{} set (mm)", kind.key()),
+        "\n{:<34} {:>19} {:>19} {:>19} {:>19}  5 % .. 95 % of trials",
+        format!("{} (mm)", kind.title()),
         "mean |x|",
         "mean |y|",
         "mean |z|",
         "RMS 3-D"
     );
     for (mode, set) in &rows {
+        let digits = decimals(1e3 * set.rms_3d.half_width.unwrap_or(1.0));
         let _ = writeln!(
             text,
-            "{:<32} {:>15} {:>15} {:>15} {:>15}  {:.3} .. {:.3}",
+            "{:<34} {:>19} {:>19} {:>19} {:>19}  {:.digits$} .. {:.digits$}",
             mode.mode.title(),
             mean_mm(&set.mean[0]),
             mean_mm(&set.mean[1]),
@@ -130,21 +139,15 @@ fn accuracy_text(text: &mut String, kind: SetKind, summary: &CampaignSummary, gr
     }
 }
 
-/// The set that a mode's accuracy is told of.
-fn told(mode: &ModeSummary) -> Option<&SetSummary> {
-    let of = |kind| mode.sets.iter().find(|set| set.kind == kind);
-    of(SetKind::Verification).or_else(|| of(SetKind::Identification))
-}
-
 fn convergence_text(text: &mut String, group: &GroupSummary) {
     let wanting: Vec<_> = group
         .modes
         .iter()
-        .filter_map(|mode| Some((mode, told(mode)?.convergence?)))
+        .filter_map(|mode| Some((mode, mode.told()?.convergence?)))
         .filter(|(_, convergence)| !convergence.is_enough())
         .collect();
     let Some((mode, most)) = wanting.iter().max_by_key(|(_, convergence)| convergence.needed) else {
-        if group.modes.iter().any(|mode| told(mode).is_some_and(|set| set.convergence.is_some())) {
+        if group.modes.iter().any(|mode| mode.told().is_some_and(|set| set.convergence.is_some())) {
             let _ =
                 writeln!(text, "\nEnough trials: every mean RMS is known within {} % (95 %).", 1e2 * ENOUGH);
         }
@@ -260,12 +263,12 @@ fn sweep_text(text: &mut String, summary: &CampaignSummary, groups: &[GroupSumma
     let names: Vec<_> = summary.study.factors.iter().map(|factor| factor.name.as_str()).collect();
     let modes: Vec<Mode> = summary.modes().iter().map(|mode| mode.mode).collect();
     for (place, mode) in modes.iter().enumerate() {
-        let kind = summary.modes().get(place).and_then(told).map(|set| set.kind);
+        let kind = summary.modes().get(place).and_then(ModeSummary::told).map(|set| set.kind);
         let _ = writeln!(
             text,
             "\n{}{}\n{:<30} {:>7} {:>7} {:>18}  {:>18} {:>22}{}",
             mode.title(),
-            kind.map_or_else(String::new, |kind| format!(", {} set (mm)", kind.key())),
+            kind.map_or_else(String::new, |kind| format!(", {} (mm)", kind.title())),
             names.join(", "),
             "trials",
             "failed",
@@ -287,7 +290,7 @@ fn sweep_text(text: &mut String, summary: &CampaignSummary, groups: &[GroupSumma
 }
 
 fn sweep_row(text: &mut String, group: &GroupSummary, place: usize) {
-    let set = group.modes.get(place).and_then(told);
+    let set = group.modes.get(place).and_then(ModeSummary::told);
     let cell = |figure: Option<String>| figure.unwrap_or_else(|| "-".to_owned());
     let difference = set.and_then(|set| set.against_first.as_ref()).map(|difference| {
         with_half(difference.value, difference.interval.map(|interval| interval.half_width()), 1e-3)
@@ -320,9 +323,9 @@ fn sensitivity_text(text: &mut String, summary: &CampaignSummary) {
         };
         let _ = writeln!(
             text,
-            "\n{}: what the RMS 3-D of the {} set depends on\n{:<30} {:>22} {:>22} {:>22}",
+            "\n{}: what the RMS 3-D of the {} depends on\n{:<30} {:>22} {:>22} {:>22}",
             sensitivity.mode.title(),
-            sensitivity.kind.key(),
+            sensitivity.kind.title(),
             "",
             heading[0],
             heading[1],
@@ -368,6 +371,6 @@ pub(in crate::montecarlo) fn rerun_command(summary: &CampaignSummary, trial: u64
         Design::Plain { .. } => String::new(),
         _ => format!(" --trials {}", study.design.trials()),
     };
-    let (scenario, seed, plant) = (quoted(&study.scenario), summary.seed, &study.plant);
+    let (scenario, seed, plant) = (quoted(&summary.scenario), summary.seed, &study.plant);
     format!("calibrig run {scenario} --seed {seed} --plant {plant} --trial {trial}{trials}")
 }

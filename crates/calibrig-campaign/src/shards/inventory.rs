@@ -122,16 +122,10 @@ impl Folder {
         if shard >= shards {
             return Err(FolderError::NoShard { shard, shards });
         }
-        let begin = self.shard_name(shard, "");
-        let begin = begin.trim_end_matches(".parquet");
-        let entries = std::fs::read_dir(self.shards()).into_iter().flatten().flatten();
-        let named = |path: &PathBuf| {
-            path.file_name().and_then(|name| name.to_str()).is_some_and(|name| name.starts_with(begin))
-        };
-        Ok(entries.map(|entry| entry.path()).filter(named).any(|path| self.look_at(&path).is_ok()))
+        Ok(self.shard_files(shard).iter().any(|path| self.look_at(path).is_ok()))
     }
 
-    fn look_at(&self, file: &std::path::Path) -> Result<(u32, Piece), Fault> {
+    pub(super) fn look_at(&self, file: &std::path::Path) -> Result<(u32, Piece), Fault> {
         let file = file.to_path_buf();
         let name = file.file_stem().and_then(|name| name.to_str()).unwrap_or_default();
         let [_, shard, "of", shards, _] = name.split('-').collect::<Vec<_>>()[..] else {

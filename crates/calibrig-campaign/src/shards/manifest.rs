@@ -38,6 +38,8 @@ pub struct Manifest {
     pub schema: String,
     /// Name for people.
     pub name: String,
+    /// The scenario's file as it was named, for people; it may lie elsewhere on another machine.
+    pub scenario: String,
     /// Who computes.
     pub software: Software,
     /// All files.
@@ -62,9 +64,9 @@ impl Manifest {
         SCHEMA.to_owned()
     }
 
-    /// SHA-256 of all but the number of shards, hexadecimal: the same trials give the same rows however they are shared out.
+    /// SHA-256 of all that rows depend on, hexadecimal: the same trials give the same rows however they are shared out, and wherever files lie.
     pub fn sum(&self) -> String {
-        let whole = Self { shards: 0, ..self.clone() };
+        let whole = Self { shards: 0, scenario: String::new(), ..self.clone() };
         // A manifest of plain fields is always JSON.
         let text = serde_json::to_string(&whole).unwrap_or_default();
         hexadecimal(&Sha256::digest(text))
@@ -87,7 +89,7 @@ impl Manifest {
 
     /// What `other` has otherwise, in words; `None` where it is the same campaign in the same shards.
     pub fn difference(&self, other: &Self) -> Option<String> {
-        if self == other {
+        if (self.sum(), self.shards) == (other.sum(), other.shards) {
             return None;
         }
         let differs = |what: &str, ours: &dyn std::fmt::Display, theirs: &dyn std::fmt::Display| {

@@ -133,9 +133,11 @@ impl Folder {
         let staged = self.assemble(&covered.pieces, &range, &self.shards(), &mut |_| {})?;
         let path = self.shards().join(self.shard_name(shard, short(&staged)));
         staged.name(&path)?;
-        // Others with this number were cut short or altered, or are this one.
+        // Those of this number that were cut short or altered are mended; what is not ours stays.
         for other in self.shard_files(shard).into_iter().filter(|other| *other != path) {
-            let _ = std::fs::remove_file(other);
+            if self.look_at(&other).is_err_and(|fault| fault.is_mended_by_computing()) {
+                let _ = std::fs::remove_file(other);
+            }
         }
         self.clear_parts(&range);
         Ok(path)
@@ -146,7 +148,7 @@ impl Folder {
     }
 
     /// Files that have the name of that shard of this campaign.
-    fn shard_files(&self, shard: u32) -> Vec<PathBuf> {
+    pub(super) fn shard_files(&self, shard: u32) -> Vec<PathBuf> {
         let begin = self.shard_name(shard, "");
         let begin = begin.trim_end_matches(".parquet").to_owned();
         let entries = std::fs::read_dir(self.shards()).into_iter().flatten().flatten();

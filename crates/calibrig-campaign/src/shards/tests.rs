@@ -5,6 +5,7 @@ fn manifest(seed: u64, trials: u64, shards: u32) -> Manifest {
     Manifest {
         schema: Manifest::schema(),
         name: "study".to_owned(),
+        scenario: "scenarios/study.toml".to_owned(),
         software: Software {
             version: "0.1.0".to_owned(),
             binary_sha256: "00".to_owned(),
@@ -184,6 +185,8 @@ fn a_folder_holds_one_campaign() {
     assert!(matches!(Folder::open(root.path()), Err(FolderError::NoCampaign { .. })));
     Folder::begin(root.path(), manifest(1, 30, 6)).expect("a folder");
     Folder::begin(root.path(), manifest(1, 30, 6)).expect("the same");
+    let elsewhere = Manifest { scenario: "/data/study.toml".to_owned(), ..manifest(1, 30, 6) };
+    Folder::begin(root.path(), elsewhere).expect("the same from another place");
     let changed = |change: &dyn Fn(&mut Manifest)| {
         let mut other = manifest(1, 30, 6);
         change(&mut other);

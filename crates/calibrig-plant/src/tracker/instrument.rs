@@ -98,8 +98,24 @@ pub struct Instrument {
     /// Standard deviation of each systematic error over the permissible one: of lengths over the offset of its line, of angles and scale over its
     /// slope. Zero: none.
     pub systematic_fraction: f64,
+    /// How much larger its real errors are than the stated ones, on which its acceptance and all that is told of it rest.
+    pub real: RealErrors,
     /// Whether readings are in error; without, they do not scatter, nothing is drawn of the tracker either, and the stated covariance stays.
     pub noise: bool,
+}
+
+/// Real errors over stated ones: an instrument that was knocked after its last test is no longer what its certificate says.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RealErrors {
+    /// Of the scatter of single readings.
+    pub random: f64,
+    /// Of each systematic error of an instrument that passed its test.
+    pub systematic: f64,
+}
+
+impl RealErrors {
+    /// As the certificate says.
+    pub const AS_STATED: Self = Self { random: 1.0, systematic: 1.0 };
 }
 
 /// About one eighth of the permissible error, as scatter measured on real trackers is.
@@ -123,6 +139,7 @@ impl Instrument {
             random_fraction,
             air: 0.0,
             systematic_fraction: 0.0,
+            real: RealErrors::AS_STATED,
             noise: true,
         }
     }
@@ -156,6 +173,8 @@ impl Instrument {
             ("systematic fraction", self.systematic_fraction),
             ("air in rad", self.air),
             ("permissible error of the range's zero in m", self.range_zero.unwrap_or(0.0)),
+            ("real scatter over the stated one", self.real.random),
+            ("real systematic errors over those that passed", self.real.systematic),
         ];
         for (quantity, value) in zero_or_more {
             if !(value >= 0.0 && value.is_finite()) {

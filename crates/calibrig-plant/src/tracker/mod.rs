@@ -32,7 +32,8 @@ pub use encoder::Encoder;
 pub use environment::{AirErrors, EnvironmentLaw};
 pub use error::TrackerError;
 pub use instrument::{
-    ErrorLine, Instrument, Limits, RANDOM_FRACTION, STATED_AVERAGING, SYSTEMATIC_FRACTION, WORKING_RANGE,
+    ErrorLine, Instrument, Limits, RANDOM_FRACTION, RealErrors, STATED_AVERAGING, SYSTEMATIC_FRACTION,
+    WORKING_RANGE,
 };
 pub use misalignment::{Misalignment, Shown};
 pub use misses::is_missed;
@@ -151,7 +152,15 @@ impl LaserTracker {
             return Ok(own);
         }
         if self.instrument.systematic_fraction > 0.0 {
-            let (misalignment, redraws) = acceptance::first_accepted(&self.instrument, seed, trial)?;
+            // It was tested when it was as stated.
+            let tested = Instrument { real: RealErrors::AS_STATED, ..self.instrument };
+            let (passed, redraws) = acceptance::first_accepted(&tested, seed, trial)?;
+            let real = self.instrument.real.systematic;
+            let misalignment = if real == 1.0 {
+                passed
+            } else {
+                Misalignment::of(passed.amplitudes().into_iter().map(|(term, x)| (term, real * x)))
+            };
             own.errors = TrackerErrors { misalignment, redraws, ..own.errors };
         }
         if let Some(law) = &self.conditions.environment {
@@ -242,7 +251,9 @@ impl LaserTracker {
         let errors = &self.errors;
         let shown = errors.misalignment.read(&errors.air.apparent(&point), shot.face)?;
         let sigmas = [sigma_range, sigma_angle, sigma_angle];
-        let noise = |index: usize| if self.instrument.noise { sigmas[index] * units[index] } else { 0.0 };
+        let scatter = self.instrument.real.random;
+        let noise =
+            |index: usize| if self.instrument.noise { scatter * (sigmas[index] * units[index]) } else { 0.0 };
         let turned = shown.azimuth + noise(1);
         let reading = SphericalReading {
             range: shown.range * errors.air.range_factor(point.z) + noise(0),

@@ -34,11 +34,11 @@ impl Instrument {
         self.systematic_fraction * permitted
     }
 
-    /// The errors of one of the kind, tested or not. Takes one number from `rng` for each error, whatever their sizes are.
+    /// The real errors of one of the kind, tested or not. Takes one number from `rng` for each error, whatever their sizes are.
     pub fn draw_misalignment(&self, rng: &mut impl Rng) -> Misalignment {
         Misalignment::of(InstrumentTerm::ALL.map(|term| {
             let unit: f64 = StandardNormal.sample(rng);
-            (term, self.systematic_sigma(term) * unit)
+            (term, self.real.systematic * (self.systematic_sigma(term) * unit))
         }))
     }
 }

@@ -357,6 +357,37 @@ fn an_operator_knows_the_size_of_what_is_switched_on_and_nothing_of_what_was_dra
     assert!(LaserTracker::placed(INSTRUMENT, Transform::identity()).stated().sigmas.is_empty());
 }
 
+/// One that was knocked after its test errs so many times more, in the same directions; what is told of it stays.
+#[test]
+fn real_errors_can_be_larger_than_stated() {
+    let sound = LaserTracker::placed(Preset::At500.instrument(), Transform::identity());
+    let mut knocked = sound.clone();
+    knocked.instrument.real = RealErrors { random: 2.0, systematic: 5.0 };
+    let point = Vector3::new(3.0, 1.0, 0.5);
+    let read = |tracker: &LaserTracker| {
+        let own = tracker.drawn(1, 3, 0, 60.0).expect("one that passes");
+        let noise = &mut stream_at(1, 3, Source::IdentificationNoise, 0);
+        (own.measure(&point, &Shot::default(), noise).expect("in reach"), own.real_errors())
+    };
+    let ((one, errors), (other, larger)) = (read(&sound), read(&knocked));
+    assert_eq!((one.covariance, sound.stated()), (other.covariance, knocked.stated()));
+    for ((term, x), (_, y)) in errors.iter().zip(&larger) {
+        assert!((5.0 * x - y).abs() <= 1e-12 * y.abs(), "{term:?}: {x} {y}");
+    }
+    // Without systematic errors what is left is the scatter, twice as large to the bit but for the sum.
+    let scatter = |tracker: &LaserTracker| {
+        let mut own = tracker.clone();
+        own.instrument.systematic_fraction = 0.0;
+        let noise = &mut stream_at(1, 3, Source::IdentificationNoise, 0);
+        own.measure(&point, &Shot::default(), noise).expect("in reach").range - point.norm()
+    };
+    assert!((2.0 * scatter(&sound) - scatter(&knocked)).abs() < 1e-14);
+    let test = |tracker: &LaserTracker| {
+        acceptance::draw_and_test(&tracker.instrument, 1, 3, 0).expect("in reach").1.length_ratio()
+    };
+    assert!(test(&knocked) > 2.0 * test(&sound), "{} {}", test(&knocked), test(&sound));
+}
+
 /// The law by which amplitudes are drawn is the one that is stated.
 #[test]
 fn drawn_amplitudes_scatter_as_stated() {
