@@ -12,7 +12,7 @@ mod trial;
 pub use columns::TrialColumns;
 pub use study::{Study, StudyMode};
 pub use summary::{
-    CampaignSummary, FactorEffect, GroupSummary, MeanWithInterval, ModeSummary, NeesSummary,
+    BAND, CampaignSummary, FactorEffect, GroupSummary, MeanWithInterval, ModeSummary, NeesSummary,
     ParameterSummary, PredictionCoverage, Rate, Reason, Sensitivity, SetSummary, Subject, SummaryError,
     Worst, summarise, summarise_trials, summary_json, summary_text,
 };

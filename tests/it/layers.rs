@@ -81,7 +81,7 @@ const MODULES: [(&str, &[&str]); 11] = [
     ("pipeline", &["calibrig_plant", "calibrig_recording", "scenario"]),
     ("pose_plan", &["calibrig_plant", "pipeline", "scenario"]),
     ("replay", &["calibrig_recording", "pipeline", "scenario"]),
-    ("report", &["compensate", "pipeline", "pose_plan"]),
+    ("report", &["compensate", "montecarlo", "pipeline", "pose_plan"]),
     ("scenario", &["calibrig_plant"]),
     ("twin", &["calibrig_plant", "scenario"]),
 ];

@@ -136,6 +136,14 @@ pub struct ModeSummary {
     pub predictions: Option<PredictionCoverage>,
 }
 
+impl ModeSummary {
+    /// The set that its accuracy is told of: the held-out one, where there is one.
+    pub fn told(&self) -> Option<&SetSummary> {
+        let of = |kind| self.sets.iter().find(|set| set.kind == kind);
+        of(SetKind::Verification).or_else(|| of(SetKind::Identification))
+    }
+}
+
 /// How often stated intervals of predicted coordinates held the true ones. Coordinates of one trial depend on the same estimate, so that
 /// trials are what counts: its uncertainty comes from the scatter between them.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -2,8 +2,6 @@
 
 use std::fmt::Write;
 
-use calibrig_campaign::design::Design;
-use calibrig_campaign::plan::quoted;
 use calibrig_campaign::statistics::Estimate;
 
 use super::{
@@ -130,21 +128,15 @@ fn accuracy_text(text: &mut String, kind: SetKind, summary: &CampaignSummary, gr
     }
 }
 
-/// The set that a mode's accuracy is told of.
-fn told(mode: &ModeSummary) -> Option<&SetSummary> {
-    let of = |kind| mode.sets.iter().find(|set| set.kind == kind);
-    of(SetKind::Verification).or_else(|| of(SetKind::Identification))
-}
-
 fn convergence_text(text: &mut String, group: &GroupSummary) {
     let wanting: Vec<_> = group
         .modes
         .iter()
-        .filter_map(|mode| Some((mode, told(mode)?.convergence?)))
+        .filter_map(|mode| Some((mode, mode.told()?.convergence?)))
         .filter(|(_, convergence)| !convergence.is_enough())
         .collect();
     let Some((mode, most)) = wanting.iter().max_by_key(|(_, convergence)| convergence.needed) else {
-        if group.modes.iter().any(|mode| told(mode).is_some_and(|set| set.convergence.is_some())) {
+        if group.modes.iter().any(|mode| mode.told().is_some_and(|set| set.convergence.is_some())) {
             let _ =
                 writeln!(text, "\nEnough trials: every mean RMS is known within {} % (95 %).", 1e2 * ENOUGH);
         }
@@ -260,7 +252,7 @@ fn sweep_text(text: &mut String, summary: &CampaignSummary, groups: &[GroupSumma
     let names: Vec<_> = summary.study.factors.iter().map(|factor| factor.name.as_str()).collect();
     let modes: Vec<Mode> = summary.modes().iter().map(|mode| mode.mode).collect();
     for (place, mode) in modes.iter().enumerate() {
-        let kind = summary.modes().get(place).and_then(told).map(|set| set.kind);
+        let kind = summary.modes().get(place).and_then(ModeSummary::told).map(|set| set.kind);
         let _ = writeln!(
             text,
             "\n{}{}\n{:<30} {:>7} {:>7} {:>18}  {:>18} {:>22}{}",
@@ -287,7 +279,7 @@ fn sweep_text(text: &mut String, summary: &CampaignSummary, groups: &[GroupSumma
 }
 
 fn sweep_row(text: &mut String, group: &GroupSummary, place: usize) {
-    let set = group.modes.get(place).and_then(told);
+    let set = group.modes.get(place).and_then(ModeSummary::told);
     let cell = |figure: Option<String>| figure.unwrap_or_else(|| "-".to_owned());
     let difference = set.and_then(|set| set.against_first.as_ref()).map(|difference| {
         with_half(difference.value, difference.interval.map(|interval| interval.half_width()), 1e-3)
@@ -355,19 +347,7 @@ fn worst_text(text: &mut String, summary: &CampaignSummary) {
     let Some(first) = summary.worst.first() else { return };
     let _ = writeln!(text, "\nLargest errors, {}:", first.mode.title());
     for worst in &summary.worst {
-        let command = rerun_command(summary, worst.trial);
+        let command = summary.rerun_command(worst.trial);
         let _ = writeln!(text, "  trial {}, RMS {:.3} mm: {command}", worst.trial, 1e3 * worst.rms_3d);
     }
-}
-
-/// The command that carries out one trial with all that a run leaves.
-pub(in crate::montecarlo) fn rerun_command(summary: &CampaignSummary, trial: u64) -> String {
-    let study = &summary.study;
-    // Where its layout depends on their number.
-    let trials = match study.design {
-        Design::Plain { .. } => String::new(),
-        _ => format!(" --trials {}", study.design.trials()),
-    };
-    let (scenario, seed, plant) = (quoted(&study.scenario), summary.seed, &study.plant);
-    format!("calibrig run {scenario} --seed {seed} --plant {plant} --trial {trial}{trials}")
 }
