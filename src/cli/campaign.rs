@@ -18,7 +18,7 @@ use crate::pipeline::{InputHash, hash_sources};
 /// What is told of a table.
 #[derive(Debug, Clone, clap::Args)]
 pub(super) struct Answers {
-    /// Within which the calibrated robot counts as a success, such as 0.2mm [default: tolerance_mm of [campaign]]
+    /// Within which the calibrated robot counts as a success, such as 0.2mm [default: that of the section campaign]
     #[arg(long, value_name = "LENGTH", value_parser = length)]
     tolerance: Option<f64>,
     /// Write trials.csv as well
@@ -251,9 +251,10 @@ fn summed_up(folder: &Folder, table: &dyn Table, answers: &Answers) -> Result<Ca
     let study: Study = serde_json::from_value(manifest.study.clone()).map_err(|error| {
         FolderError::Manifest { path: folder.path().join("manifest.json"), reason: format!("study: {error}") }
     })?;
-    let sums: Vec<_> = manifest.inputs.iter().map(|input| (&input.role, &input.sha256)).collect();
     let mut hash = InputHash::default();
-    sums.iter().for_each(|(role, sum)| hash.add(role, sum));
+    for input in &manifest.inputs {
+        hash.add(&input.role, &input.sha256);
+    }
     let subject = Subject {
         name: manifest.name.clone(),
         scenario: manifest.scenario.clone(),

@@ -122,12 +122,12 @@ fn shard(text: &str) -> Result<(u32, u32), String> {
 }
 
 /// A campaign of the scenario: as it lays it out, with so many trials where that is asked for.
-pub(super) fn campaign_of<'a>(
-    scenario: &'a Scenario,
+pub(super) fn campaign_of(
+    scenario: &Scenario,
     seed: u64,
     plant: PlantKind,
     trials: Option<u64>,
-) -> Result<Campaign<'a>, CliError> {
+) -> Result<Campaign<'_>, CliError> {
     Campaign::new(scenario, seed, plant, trials).map_err(|expected| CliError::Flag {
         flag: "trials",
         message: format!("{} does not fit the [campaign] of the scenario", trials.unwrap_or(0)),
@@ -136,12 +136,8 @@ pub(super) fn campaign_of<'a>(
 }
 
 /// What is wrong with a trial's factors, at its place in the scenario's text where it has one.
-pub(super) fn refused(error: CampaignError, file: &Path, scenario: &Scenario) -> CliError {
-    let refused = |error: &CaseError| match error {
-        CaseError::Refused { source, .. } => Some(source.to_string()),
-        _ => None,
-    };
-    let help = match &error {
+pub(super) fn refused(error: &CampaignError, scenario: &Scenario) -> CliError {
+    let help = match error {
         CampaignError::TooManyMachines { .. } => {
             "expected [as_built.drawn] with which nine of ten machines are possible: smaller linkage_mm, \
             linkage_angles_mrad, crank_axis_mm or crank_tilts_mrad"
@@ -149,14 +145,13 @@ pub(super) fn refused(error: CampaignError, file: &Path, scenario: &Scenario) ->
         CampaignError::TooManyRefused { .. } => {
             "expected [[campaign.factor]] whose values are possible in nine of ten trials; such as are not are drawn again"
         }
-        CampaignError::Trial { source, .. } if refused(source).is_some() => {
+        CampaignError::Trial { source: CaseError::Refused { .. }, .. } => {
             "expected [[campaign.factor]] whose values are all possible: in this design none is drawn again"
         }
         CampaignError::Trial { .. } => "expected a number of trials that the [campaign] has",
     };
     let source = &scenario.sources[0].1;
     let place = source.places_of("campaign").into_iter().next().unwrap_or(0..0);
-    debug_assert!(file.exists() || !source.name.is_empty(), "a scenario has a name");
     source.error(place, format!("campaign: {error}"), Some(help.to_owned())).into()
 }
 
@@ -169,16 +164,16 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     scenario.remarks().iter().for_each(|remark| say(remark));
     let seed = args.seed.unwrap_or(scenario.seed);
     let (campaign, range) = args.campaign(&scenario, seed)?;
-    campaign.check(range.clone()).map_err(|error| refused(error, &args.scenario, &scenario))?;
+    campaign.check(range.clone()).map_err(|error| refused(&error, &scenario))?;
     let columns = TrialColumns::of(&campaign);
     let shards = args.shards.or(args.shard.map(|(_, shards)| shards)).unwrap_or(1);
     let scenario_name = args.scenario.display().to_string();
     let manifest = campaign::manifest(&campaign, &columns, &scenario_name, (range, shards))?;
     let work = Work { args, campaign: &campaign, columns: &columns };
     match (args.plan, args.shard) {
-        (Some(plan), _) => work.plan(plan.into(), manifest, shards),
-        (None, Some((shard, _))) => work.shard(manifest, shard),
-        (None, None) => work.whole(manifest, destination),
+        (Some(plan), _) => work.plan(plan.into(), &manifest),
+        (None, Some((shard, _))) => work.shard(&manifest, shard),
+        (None, None) => work.whole(&manifest, destination),
     }
 }
 
@@ -233,7 +228,7 @@ struct Work<'a> {
 
 impl Work<'_> {
     /// All trials on this machine.
-    fn whole(&self, manifest: Manifest, destination: Destination<'_>) -> Result<Verdict, CliError> {
+    fn whole(&self, manifest: &Manifest, destination: Destination<'_>) -> Result<Verdict, CliError> {
         if let Destination::Asked(path) = destination {
             match (Folder::is_begun(path), self.args.resume) {
                 (true, false) => return Err(CliError::CampaignThere { path: path.to_path_buf() }),
@@ -257,7 +252,7 @@ impl Work<'_> {
     }
 
     /// One shard.
-    fn shard(&self, manifest: Manifest, shard: u32) -> Result<Verdict, CliError> {
+    fn shard(&self, manifest: &Manifest, shard: u32) -> Result<Verdict, CliError> {
         let path = self.args.out.as_deref().unwrap_or(Path::new("."));
         let folder = Folder::begin(path, manifest)?;
         let (range, shards) = (folder.manifest().range_of(shard), folder.manifest().shards);
@@ -284,7 +279,7 @@ impl Work<'_> {
     }
 
     /// Job files.
-    fn plan(&self, scheduler: Scheduler, manifest: Manifest, shards: u32) -> Result<Verdict, CliError> {
+    fn plan(&self, scheduler: Scheduler, manifest: &Manifest) -> Result<Verdict, CliError> {
         let failed = |what: &Path| {
             let what = what.display().to_string();
             move |source| CliError::Output { what, source }
@@ -302,7 +297,7 @@ impl Work<'_> {
             trials,
             arguments: self.args.further(),
             threads: self.args.threads.max(1),
-            shards,
+            shards: manifest.shards,
             out: out.clone(),
         };
         let text = plan.job_file(scheduler)?;
@@ -338,8 +333,9 @@ impl Work<'_> {
         #[allow(clippy::disallowed_methods)]
         let begun = Instant::now();
         let clock = move || begun.elapsed().as_secs_f64();
+        let threads = usize::from(self.args.threads);
         self.campaign
-            .run(covered.missing(), usize::from(self.args.threads), &stop, &clock, |trial, seconds| {
+            .run(covered.missing().into_iter().flatten(), threads, &stop, &clock, |trial, seconds| {
                 bar.inc(1);
                 parts.take(&trial, seconds)
             })

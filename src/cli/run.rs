@@ -81,7 +81,7 @@ impl Args {
         };
         let case = campaign
             .case(trial)
-            .map_err(|source| refused(CampaignError::Trial { trial, source }, &self.scenario, scenario))?;
+            .map_err(|source| refused(&CampaignError::Trial { trial, source }, scenario))?;
         Ok((case.scenario, case.draw))
     }
 }

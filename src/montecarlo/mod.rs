@@ -12,7 +12,7 @@ mod trial;
 pub use columns::TrialColumns;
 pub use study::{Study, StudyMode};
 pub use summary::{
-    CampaignSummary, FactorEffect, GroupSummary, MeanWithInterval, ModeSummary, NeesSummary,
+    BAND, CampaignSummary, FactorEffect, GroupSummary, MeanWithInterval, ModeSummary, NeesSummary,
     ParameterSummary, PredictionCoverage, Rate, Reason, Sensitivity, SetSummary, Subject, SummaryError,
     Worst, summarise, summarise_trials, summary_json, summary_text,
 };
@@ -261,13 +261,13 @@ impl<'a> Campaign<'a> {
         }
     }
 
-    /// Carries out the trials of `ranges` on `threads` threads (0: one a core) until `stop` is set or `observe` says no.
+    /// Carries out trials on `threads` threads (0: one a core) until `stop` is set or `observe` says no.
     ///
-    /// `observe` is told of every trial in the order of the ranges and soon after it is done, with the seconds that `clock` counted for it. Trials
+    /// `observe` is told of every trial in their order and soon after it is done, with the seconds that `clock` counted for it. Trials
     /// behind one that is not done when the campaign is stopped are not told of.
     pub fn run(
         &self,
-        ranges: Vec<Range<u64>>,
+        trials: impl Iterator<Item = u64> + Send,
         threads: usize,
         stop: &AtomicBool,
         clock: &(dyn Fn() -> f64 + Sync),
@@ -276,7 +276,7 @@ impl<'a> Campaign<'a> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
         let (done, results) = mpsc::sync_channel(WAITING);
         let refused = AtomicBool::new(false);
-        let numbered = (0_u64..).zip(ranges.into_iter().flatten());
+        let numbered = (0_u64..).zip(trials);
         std::thread::scope(|scope| {
             let refused = &refused;
             scope.spawn(move || in_order(&results, refused, observe));
@@ -297,16 +297,10 @@ impl<'a> Campaign<'a> {
     /// The trials of a range in memory.
     pub fn trials(&self, range: Range<u32>) -> Result<Vec<Trial>, rayon::ThreadPoolBuildError> {
         let mut trials = Vec::new();
-        self.run(
-            vec![range.start.into()..range.end.into()],
-            0,
-            &AtomicBool::new(false),
-            &|| 0.0,
-            |trial, _| {
-                trials.push(trial);
-                true
-            },
-        )?;
+        self.run(range.map(u64::from), 0, &AtomicBool::new(false), &|| 0.0, |trial, _| {
+            trials.push(trial);
+            true
+        })?;
         Ok(trials)
     }
 }

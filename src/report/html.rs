@@ -743,12 +743,12 @@ pub(super) fn number(value: f64, decimals: usize) -> String {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::report::sample;
 
     /// Every element that is opened is closed, in order.
-    fn assert_balanced(page: &str) {
+    pub(in crate::report) fn assert_balanced(page: &str) {
         const VOID: [&str; 3] = ["meta", "br", "!DOCTYPE"];
         let mut open: Vec<&str> = Vec::new();
         let mut rest = page;

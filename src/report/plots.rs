@@ -238,7 +238,7 @@ pub(super) fn magnitudes(
     })
 }
 
-fn mesh_without_rows(chart: &mut Chart, y_title: &str) -> Drawn {
+pub(super) fn mesh_without_rows(chart: &mut Chart, y_title: &str) -> Drawn {
     chart
         .configure_mesh()
         .disable_mesh()
@@ -253,7 +253,7 @@ fn mesh_without_rows(chart: &mut Chart, y_title: &str) -> Drawn {
 }
 
 /// Grid lines and labels at values of an upright logarithmic axis that plotters takes for a linear one.
-fn horizontal_ticks(area: &Area, chart: &Chart, ticks: &[f64], x: &Range<f64>) -> Drawn {
+pub(super) fn horizontal_ticks(area: &Area, chart: &Chart, ticks: &[f64], x: &Range<f64>) -> Drawn {
     let plot = chart.plotting_area();
     let style = text_style().pos(Pos::new(HPos::Right, VPos::Center));
     let (left, top) = area.get_base_pixel();
@@ -301,7 +301,12 @@ fn set_columns<'a>(outcome: &Outcome, area: &Area<'a>) -> Vec<(usize, Area<'a>)>
     counts.iter().map(|(set, _)| *set).zip(columns).collect()
 }
 
-fn frame<'a, 'b>(area: &Area<'a>, x: Range<f64>, y: Range<f64>, labels: i32) -> Drawn<Chart<'a, 'b>> {
+pub(super) fn frame<'a, 'b>(
+    area: &Area<'a>,
+    x: Range<f64>,
+    y: Range<f64>,
+    labels: i32,
+) -> Drawn<Chart<'a, 'b>> {
     ChartBuilder::on(area)
         .margin_top(px(4))
         .margin_right(px(10))
@@ -310,7 +315,7 @@ fn frame<'a, 'b>(area: &Area<'a>, x: Range<f64>, y: Range<f64>, labels: i32) -> 
         .build_cartesian_2d(x, y)
 }
 
-fn mesh(chart: &mut Chart, x_title: &str, y_title: &str, x_labels: bool) -> Drawn {
+pub(super) fn mesh(chart: &mut Chart, x_title: &str, y_title: &str, x_labels: bool) -> Drawn {
     chart
         .configure_mesh()
         .disable_x_mesh()
@@ -348,7 +353,7 @@ pub(super) fn vertical_ticks(area: &Area, chart: &Chart, ticks: &[f64], y: &Rang
     Ok(())
 }
 
-fn curve(chart: &Chart, look: &Look, points: Vec<(f64, f64)>) -> Drawn {
+pub(super) fn curve(chart: &Chart, look: &Look, points: Vec<(f64, f64)>) -> Drawn {
     let style = look.light.stroke_width(4);
     if points.is_empty() {
         return Ok(());

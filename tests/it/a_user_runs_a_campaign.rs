@@ -123,7 +123,7 @@ fn a_trial_is_the_same_bits_alone_and_among_others_on_any_number_of_threads() {
                 true
             };
             let stop = AtomicBool::new(false);
-            campaign.run(vec![0..10], threads, &stop, &|| 0.0, take).expect("threads");
+            campaign.run(0..10, threads, &stop, &|| 0.0, take).expect("threads");
             let told: Vec<_> = done.iter().map(|trial| columns.row(trial)).collect();
             (done, told)
         };

@@ -15,6 +15,7 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use calibrig_campaign::design::Design;
+use calibrig_campaign::plan::quoted;
 use calibrig_campaign::sensitivity::{ElementaryEffects, MorrisSums, SobolIndices, SobolSums};
 use calibrig_campaign::statistics::{Moments, PairedDifference, QuantileError};
 use calibrig_campaign::table::{MemoryTable, Table, TableError};
@@ -27,7 +28,7 @@ use calibrig_estimation::identification::Mode;
 /// Level of the intervals of figures, and of the intervals whose coverage is counted.
 pub(super) const LEVEL: f64 = 0.95;
 /// Level of the bands that NEES and coverage are held against: one in a thousand sound campaigns is outside.
-pub(super) const BAND: f64 = 0.999;
+pub const BAND: f64 = 0.999;
 /// Within which share of itself a mean is told to be known well enough.
 pub(super) const ENOUGH: f64 = 0.01;
 /// Kinds of reasons that are told apart, and trials that are named.
@@ -148,6 +149,18 @@ impl CampaignSummary {
     /// The modes over all trials; of a sweep, those of its first combination.
     pub fn modes(&self) -> &[ModeSummary] {
         self.groups.first().map_or(&[], |group| &group.modes)
+    }
+
+    /// The command that carries out one trial with all that a run leaves, for a POSIX shell.
+    pub fn rerun_command(&self, trial: u64) -> String {
+        let study = &self.study;
+        // Where its layout depends on their number.
+        let trials = match study.design {
+            Design::Plain { .. } => String::new(),
+            _ => format!(" --trials {}", study.design.trials()),
+        };
+        let (scenario, seed, plant) = (quoted(&self.scenario), self.seed, &study.plant);
+        format!("calibrig run {scenario} --seed {seed} --plant {plant} --trial {trial}{trials}")
     }
 }
 

@@ -52,7 +52,9 @@ fn a_parameter_by_hand() {
     let id = ParameterId::Mass { link: 0 };
     let of = |entries: &[(f64, f64, Option<f64>, Option<f64>)]| {
         let mut sums = ParameterSums::default();
-        entries.iter().for_each(|(error, sigma, one, other)| sums.add(*error, *sigma, [*one, *other]));
+        for (error, sigma, one, other) in entries {
+            sums.add(*error, *sigma, [*one, *other]);
+        }
         sums.summary(id)
     };
     let p = of(&[(3.0, 1.0, Some(0.6), None), (-1.0, 1.0, Some(0.8), None)]).expect("two errors");

@@ -2,8 +2,6 @@
 
 use std::fmt::Write;
 
-use calibrig_campaign::design::Design;
-use calibrig_campaign::plan::quoted;
 use calibrig_campaign::statistics::Estimate;
 
 use super::{
@@ -358,19 +356,7 @@ fn worst_text(text: &mut String, summary: &CampaignSummary) {
     let Some(first) = summary.worst.first() else { return };
     let _ = writeln!(text, "\nLargest errors, {}:", first.mode.title());
     for worst in &summary.worst {
-        let command = rerun_command(summary, worst.trial);
+        let command = summary.rerun_command(worst.trial);
         let _ = writeln!(text, "  trial {}, RMS {:.3} mm: {command}", worst.trial, 1e3 * worst.rms_3d);
     }
-}
-
-/// The command that carries out one trial with all that a run leaves.
-pub(in crate::montecarlo) fn rerun_command(summary: &CampaignSummary, trial: u64) -> String {
-    let study = &summary.study;
-    // Where its layout depends on their number.
-    let trials = match study.design {
-        Design::Plain { .. } => String::new(),
-        _ => format!(" --trials {}", study.design.trials()),
-    };
-    let (scenario, seed, plant) = (quoted(&summary.scenario), summary.seed, &study.plant);
-    format!("calibrig run {scenario} --seed {seed} --plant {plant} --trial {trial}{trials}")
 }

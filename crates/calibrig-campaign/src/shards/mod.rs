@@ -107,11 +107,11 @@ pub struct Folder {
 
 impl Folder {
     /// The folder with this campaign: made where it is not there, joined where another process or an earlier run made it.
-    pub fn begin(path: &Path, manifest: Manifest) -> Result<Self, FolderError> {
+    pub fn begin(path: &Path, manifest: &Manifest) -> Result<Self, FolderError> {
         fs::create_dir_all(path).map_err(TableError::io(path))?;
         let file = path.join("manifest.json");
         if !file.exists() {
-            put_manifest(&file, &manifest)?;
+            put_manifest(&file, manifest)?;
         }
         // Of several who put it there at once, one did.
         let there = read_manifest(path)?;

@@ -8,20 +8,21 @@ fn columns() -> Vec<Column> {
     ]
 }
 
-fn row(n: i64) -> Vec<Cell> {
-    let number = (n % 3 != 0).then(|| (n as f64 * 0.37).sin() * 1e-3);
-    let reason = if n % 7 == 0 { Cell::text(format!("no estimate, \"{n}\" µm")) } else { Cell::Absent };
-    vec![Cell::Integer(n), Cell::number(number), reason]
+fn row(n: u32) -> Vec<Cell> {
+    let number = (!n.is_multiple_of(3)).then(|| (f64::from(n) * 0.37).sin() * 1e-3);
+    let reason =
+        if n.is_multiple_of(7) { Cell::text(format!("no estimate, \"{n}\" µm")) } else { Cell::Absent };
+    vec![Cell::Integer(n.into()), Cell::number(number), reason]
 }
 
-fn write(folder: &Path, name: &str, rows: i64) -> (PathBuf, String) {
+fn write(folder: &Path, name: &str, rows: u32) -> (PathBuf, String) {
     let mut writer = TableWriter::create(folder, &columns()).expect("a table");
     writer.say("calibrig.campaign", "{\"seed\":1}".to_owned());
     for n in 0..rows {
         writer.push(&row(n)).expect("a row");
     }
     let staged = writer.finish().expect("room");
-    assert_eq!(staged.rows(), rows as u64);
+    assert_eq!(staged.rows(), u64::from(rows));
     let (path, sum) = (folder.join(name), staged.sum().to_owned());
     staged.name(&path).expect("a name");
     (path, sum)
@@ -30,10 +31,10 @@ fn write(folder: &Path, name: &str, rows: i64) -> (PathBuf, String) {
 #[test]
 fn rows_come_back_to_the_bit_over_several_groups() {
     let folder = tempfile::tempdir().expect("a folder");
-    let count = rows_a_group(3) as i64 + 10;
+    let count = u32::try_from(rows_a_group(3)).expect("some millions") + 10;
     let (path, _) = write(folder.path(), "t.parquet", count);
     let table = TableReader::open(&path).expect("a table");
-    assert_eq!((table.rows(), table.columns()), (count as u64, &columns()[..]));
+    assert_eq!((table.rows(), table.columns()), (u64::from(count), &columns()[..]));
     assert_eq!(table.about("calibrig.campaign"), Some("{\"seed\":1}"));
     assert_eq!((table.place_of("reason"), table.place_of("else")), (Some(2), None));
     let mut n = 0;
@@ -45,15 +46,15 @@ fn rows_come_back_to_the_bit_over_several_groups() {
         })
         .expect("rows");
     assert_eq!(n, count);
-    let middle = count as u64 - 15..count as u64 - 5;
+    let middle = count - 15..count - 5;
     let mut picked = Vec::new();
-    table.visit(&[2, 0], middle.clone(), &mut |cells| picked.push(cells.to_vec())).expect("cells");
-    let expected: Vec<_> =
-        middle.clone().map(|n| [row(n as i64)[2].clone(), row(n as i64)[0].clone()]).collect();
+    let rows = u64::from(middle.start)..u64::from(middle.end);
+    table.visit(&[2, 0], rows.clone(), &mut |cells| picked.push(cells.to_vec())).expect("cells");
+    let expected: Vec<_> = middle.clone().map(|n| [row(n)[2].clone(), row(n)[0].clone()]).collect();
     assert_eq!(picked, expected);
     let memory = MemoryTable::new(columns(), (0..count).map(row).collect());
     let mut same = Vec::new();
-    memory.visit(&[2, 0], middle, &mut |cells| same.push(cells.to_vec())).expect("cells");
+    memory.visit(&[2, 0], rows, &mut |cells| same.push(cells.to_vec())).expect("cells");
     assert_eq!((same, memory.rows()), (expected.iter().map(|row| row.to_vec()).collect(), table.rows()));
 }
 

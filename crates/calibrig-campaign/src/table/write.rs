@@ -96,7 +96,10 @@ impl TableWriter {
         let rows = self.rows;
         let folder = self.folder;
         let Summed { file, sum } = self.writer.into_inner().map_err(TableError::parquet(&folder))?;
-        let file = file.into_inner().map_err(|error| error.into_error()).map_err(TableError::io(&folder))?;
+        let file = file
+            .into_inner()
+            .map_err(std::io::IntoInnerError::into_error)
+            .map_err(TableError::io(&folder))?;
         file.as_file().sync_all().map_err(TableError::io(&folder))?;
         Ok(StagedTable { file, sum: hexadecimal(&sum.finalize()), rows })
     }

@@ -1,0 +1,191 @@
+//! Rows of figures with their intervals, in panels beside each other that have the rows in common.
+
+use std::ops::Range;
+
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+
+use super::words::cut;
+use crate::report::ReportError;
+use crate::report::plots::{
+    Area, Chart, Drawn, GRID, INK, Look, WIDTH, centred, drawable, finite_range, ink, marker, one_two_five,
+    padded, px, svg, text_style, values_below, vertical_ticks,
+};
+
+const ROW: i32 = 22;
+const NAMES: i32 = 216;
+const TITLE: i32 = 24;
+const AXIS: i32 = 26;
+/// Values this far from each other are shown on a logarithmic axis.
+const FAR: f64 = 20.0;
+/// Values below a logarithmic axis.
+const MOST_TICKS: usize = 5;
+/// Characters of a name that have room.
+const NAME: usize = 32;
+
+/// A figure.
+pub(super) struct Dot {
+    pub look: Look,
+    pub value: f64,
+    /// The ends of its interval.
+    pub interval: Option<(f64, f64)>,
+    /// Where it should be.
+    pub band: Option<(f64, f64)>,
+}
+
+impl Dot {
+    fn ends(&self) -> impl Iterator<Item = f64> {
+        let pair = |pair: Option<(f64, f64)>| pair.map(|(low, high)| [low, high]).into_iter().flatten();
+        std::iter::once(self.value).chain(pair(self.interval)).chain(pair(self.band))
+    }
+}
+
+/// One figure of every row.
+pub(super) struct Panel {
+    pub title: String,
+    /// What it is held against; bars begin there.
+    pub zero: f64,
+    pub bars: bool,
+    /// A cell a row.
+    pub rows: Vec<Vec<Dot>>,
+}
+
+/// As many lines of a logarithmic axis as have room for their values: decades, of many each second one.
+fn few(ticks: Vec<f64>) -> Vec<f64> {
+    if ticks.len() <= MOST_TICKS {
+        return ticks;
+    }
+    let is_decade = |tick: &f64| (tick.log10() - tick.log10().round()).abs() < 1e-6;
+    let decades: Vec<f64> = ticks.into_iter().filter(is_decade).collect();
+    let step = decades.len().div_ceil(MOST_TICKS).max(1);
+    decades.into_iter().step_by(step).collect()
+}
+
+/// Draws panels over rows of these names.
+pub(super) fn dots(
+    figure: &'static str,
+    label: &str,
+    names: &[String],
+    panels: &[Panel],
+) -> Result<String, ReportError> {
+    let slots = panels.iter().flat_map(|p| &p.rows).map(Vec::len).max().unwrap_or(1);
+    let row = ROW.max(9 * i32::try_from(slots).unwrap_or(1));
+    let height = row * i32::try_from(names.len()).unwrap_or(1).clamp(1, 1000) + 8;
+    svg(figure, label, (WIDTH, TITLE + height + AXIS + 2), |area| {
+        let (_, body) = area.split_horizontally(px(NAMES));
+        for (place, (panel, cell)) in
+            panels.iter().zip(body.split_evenly((1, panels.len().max(1)))).enumerate()
+        {
+            let (title, rest) = cell.split_vertically(px(TITLE));
+            centred(&title, &panel.title)?;
+            let (plot, _) = rest.split_vertically(px(height + AXIS));
+            panel.draw(&plot, (place == 0).then_some((area, names)))?;
+        }
+        Ok(())
+    })
+}
+
+/// From values to places on the axis.
+struct Scale {
+    is_log: bool,
+    low: f64,
+}
+
+impl Scale {
+    fn at(&self, value: f64) -> f64 {
+        if self.is_log { value.max(self.low).log10() } else { value }
+    }
+}
+
+impl Panel {
+    fn values(&self) -> impl Iterator<Item = f64> {
+        self.rows.iter().flatten().flat_map(Dot::ends).chain([self.zero]).filter(|value| drawable(*value))
+    }
+
+    /// The axis, and the values at which a logarithmic one has lines.
+    fn axis(&self) -> (Scale, Range<f64>, Vec<f64>) {
+        let least =
+            self.rows.iter().flatten().map(|dot| dot.value).chain([self.zero]).fold(f64::INFINITY, f64::min);
+        let most = self.values().fold(0.0, f64::max);
+        if !self.bars && least > 0.0 && most / least > FAR {
+            let ticks = one_two_five(least, most);
+            if let [low, .., high] = ticks[..] {
+                return (Scale { is_log: true, low }, low.log10()..high.log10(), few(ticks));
+            }
+        }
+        (Scale { is_log: false, low: 0.0 }, padded(&finite_range(self.values())), Vec::new())
+    }
+
+    fn draw(&self, body: &Area, names: Option<(&Area, &[String])>) -> Drawn {
+        let (scale, x, ticks) = self.axis();
+        let bottom = self.rows.len().max(1) as f64 - 0.5;
+        let mut chart = ChartBuilder::on(body)
+            .margin_left(px(16))
+            .margin_right(px(20))
+            .x_label_area_size(px(AXIS))
+            .build_cartesian_2d(x.clone(), bottom..-0.5)?;
+        let width = body.dim_in_pixel().0;
+        if scale.is_log {
+            chart
+                .configure_mesh()
+                .disable_mesh()
+                .disable_y_axis()
+                .x_labels(0)
+                .axis_style(INK.mix(0.6).stroke_width(2))
+                .draw()?;
+            vertical_ticks(body, &chart, &ticks, &(bottom..-0.5))?;
+        } else {
+            values_below(&mut chart, width, 2..=7)?;
+        }
+        let plot = chart.plotting_area();
+        for row in 1..self.rows.len() {
+            let y = row as f64 - 0.5;
+            plot.draw(&PathElement::new(vec![(x.start, y), (x.end, y)], GRID.mix(0.5).stroke_width(1)))?;
+        }
+        let zero = scale.at(self.zero);
+        plot.draw(&PathElement::new(vec![(zero, bottom), (zero, -0.5)], ink(2)))?;
+        for (index, row) in self.rows.iter().enumerate() {
+            let y = index as f64;
+            if let Some((area, names)) = names {
+                let (_, at) = plot.map_coordinate(&(x.start, y));
+                let style = text_style().pos(Pos::new(HPos::Right, VPos::Center));
+                let name = names.get(index).map_or_else(String::new, |name| cut(name, NAME));
+                area.draw(&Text::new(name, (px(NAMES - 4), at - area.get_base_pixel().1), style))?;
+            }
+            self.draw_row(&chart, &scale, (row, y))?;
+        }
+        Ok(())
+    }
+
+    fn draw_row(&self, chart: &Chart, scale: &Scale, (row, y): (&[Dot], f64)) -> Drawn {
+        let plot = chart.plotting_area();
+        let slots = row.len().max(1) as f64;
+        for (slot, dot) in row.iter().enumerate().filter(|(_, dot)| dot.ends().all(drawable)) {
+            let y = y + 0.76 / slots * (slot as f64 - 0.5 * (slots - 1.0));
+            let at = scale.at(dot.value);
+            if let Some((low, high)) = dot.band {
+                let corners = [(scale.at(low), y - 0.3 / slots), (scale.at(high), y + 0.3 / slots)];
+                plot.draw(&Rectangle::new(corners, INK.mix(0.3).filled()))?;
+            }
+            if self.bars {
+                let corners = [(scale.at(self.zero), y - 0.28 / slots), (at, y + 0.28 / slots)];
+                plot.draw(&Rectangle::new(corners, dot.look.light.mix(0.35).filled()))?;
+            }
+            if let Some((low, high)) = dot.interval {
+                whisker(chart, &dot.look, [scale.at(low), scale.at(high)], y)?;
+            }
+            plot.draw(&marker(&dot.look, (at, y), 7))?;
+        }
+        Ok(())
+    }
+}
+
+fn whisker(chart: &Chart, look: &Look, ends: [f64; 2], y: f64) -> Drawn {
+    let style = look.light.stroke_width(3);
+    let plot = chart.plotting_area();
+    plot.draw(&PathElement::new(ends.map(|x| (x, y)).to_vec(), style))?;
+    for x in ends {
+        plot.draw(&(EmptyElement::at((x, y)) + PathElement::new(vec![(0, -5), (0, 5)], style)))?;
+    }
+    Ok(())
+}
