@@ -6,14 +6,12 @@
 With --keep, campaigns that are in --out already are not run again. Python 3.9, without packages.
 """
 
-import argparse, csv, json, math, re, subprocess
+import argparse, json, math, re, subprocess
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE, PICTURES = ROOT / "docs/robustness.md", ROOT / "docs/pictures/robustness"
 MODES = {"only_calibration": "only calibration", "with_gravity": "with gravity", "elasto_geometric": "geometry and stiffness", "extended": "extended"}
-# Held-out poses are read by the same bad instrument: what is measured there is not how good the robot is.
-BY_PARAMETERS = {"noise", "outliers", "axis_lost", "instrument_out_of_specification"}
 COLOURS = ["#0b63a5", "#c2571a", "#2d7d46", "#8a3fa0"]
 
 
@@ -21,52 +19,27 @@ def run(arguments, name):
     folder = arguments.out / name
     if not (arguments.keep and (folder / "summary.json").exists()):
         subprocess.run(["rm", "-rf", folder], check=True)
-        command = [arguments.calibrig, "montecarlo", ROOT / f"scenarios/robustness/{name}.toml", "--csv", "--out", folder]
+        command = [arguments.calibrig, "montecarlo", ROOT / f"scenarios/robustness/{name}.toml", "--out", folder]
         # Exit code 3: a trial failed, which the table counts.
         if subprocess.run(command, stdout=subprocess.DEVNULL).returncode not in (0, 3):
             raise SystemExit(f"{name}: the campaign could not be run")
-    rows = list(csv.DictReader(open(folder / "trials.csv", newline="")))
-    return json.loads((folder / "summary.json").read_text()), rows
+    return json.loads((folder / "summary.json").read_text())
 
 
-def parameter_errors(summary, rows, mode):
-    """RMS error of the link parameters over that of the first combination, one a combination: value, low, high of 95 %."""
-    columns = [key for key in rows[0] if re.fullmatch(rf"{mode}\.delta_\w+\.estimate\w*", key)]
-    groups, start = [], 0
-    for group in summary["groups"]:
-        groups.append([row for row in rows[start : start + group["trials"]] if row["status"] != "failed"])
-        start += group["trials"]
-    error = lambda row, column: float(row[column]) - float(row[column.replace(".estimate", ".truth")])
-    known = [c for c in columns if all(row[c] and row[c.replace(".estimate", ".truth")] for group in groups for row in group)]
-    first = {c: sum(error(row, c) ** 2 for row in groups[0]) / len(groups[0]) for c in known}
-    figures = []
-    for group in groups:
-        squares = [sum(error(row, c) ** 2 / first[c] for c in known) / len(known) for row in group]
-        mean = sum(squares) / len(squares)
-        half = 2.0 * math.sqrt(sum((s - mean) ** 2 for s in squares) / (len(squares) - 1) / len(squares))
-        figures.append((math.sqrt(mean), math.sqrt(max(mean - half, 0.0)), math.sqrt(mean + half)))
-    return figures
-
-
-def studied(summary, rows):
-    """Of every mode and combination: levels, error (mm) with its half width, parameters' error, coverage with its interval, doubtful of how many."""
+def studied(summary):
+    """Of every mode and combination: levels, error at true places (mm), coverage, each with its interval; how many trials are called doubtful."""
     found = {}
     for place, mode in enumerate(mode["mode"] for mode in summary["groups"][0]["modes"]):
-        parameters = parameter_errors(summary, rows, mode)
-        for group, own in zip(summary["groups"], parameters):
+        for group in summary["groups"]:
             figures = group["modes"][place]
-            rms, inside = figures["sets"]["verification"]["rms_3d_m"], figures["prediction_coverage"]
+            rms, inside = figures["sets"]["truth"]["rms_3d_m"], figures["prediction_coverage"]
+            mean, half = 1e3 * rms["mean"], 1e3 * rms["half_width_95"]
             interval = [min(max(end, 0.0), 1.0) for end in inside["interval_99_9"]]
             found.setdefault(mode, []).append({
                 "levels": [level.strip('"') for level in group["levels"]], "trials": group["trials"] - group["failed"], "failed": group["failed"],
-                "rms": (1e3 * rms["mean"], 1e3 * rms["half_width_95"]), "parameters": own,
-                "coverage": (inside["fraction"], *interval), "doubtful": figures["doubtful"],
+                "rms": (mean, mean - half, mean + half), "coverage": (inside["fraction"], *interval), "doubtful": figures["doubtful"],
             })
     return found
-
-
-def number(value):
-    return f"{value:.0f}" if value >= 100 else f"{value:.2g}" if value < 10 else f"{value:.1f}"
 
 
 def table(summary, found):
@@ -75,10 +48,11 @@ def table(summary, found):
     for cells in zip(*found.values()):
         shown = []
         for cell in cells:
-            (rms, half), (times, low, high), (share, *_) = cell["rms"], cell["parameters"], cell["coverage"]
+            (rms, low, _), (share, *_) = cell["rms"], cell["coverage"]
+            half = rms - low
             digits = max(0, 1 - math.floor(math.log10(half)))
             failed = f", {cell['failed']} failed" if cell["failed"] else ""
-            shown.append(f"{rms:.{digits}f} ± {half:.{digits}f} mm; x{number(times)}; {100 * share:.0f} %; {cell['doubtful']}/{cell['trials']}{failed}")
+            shown.append(f"{rms:.{digits}f} ± {half:.{digits}f} mm; {100 * share:.0f} %; {cell['doubtful']}/{cell['trials']}{failed}")
         lines.append("| " + " | ".join([level.replace("|", "\\|") for level in cells[0]["levels"]] + shown) + " |")
     return "\n".join(lines)
 
@@ -136,16 +110,13 @@ class Panel:
 WIDTH, HEIGHT, TOP, GAP = 250, 190, 62, 62
 
 
-def picture(name, summary, found):
+def picture(summary, found):
     names = [factor["name"] for factor in summary["factors"]]
     unique = lambda place: list(dict.fromkeys(cell["levels"][place] for cell in next(iter(found.values()))))
     across, second = unique(0), unique(1) if len(names) > 1 else [None]
-    by_parameters = name in BY_PARAMETERS
-    error = lambda cell: cell["parameters"] if by_parameters else (cell["rms"][0], cell["rms"][0] - cell["rms"][1], cell["rms"][0] + cell["rms"][1])
-    title = "error of link parameters, x first" if by_parameters else "RMS error, held-out poses, mm"
-    ends = [end for cells in found.values() for cell in cells for end in error(cell)]
+    ends = [end for cells in found.values() for cell in cells for end in cell["rms"]]
     panels = [
-        (Panel(46, title, across, ends, False), error),
+        (Panel(46, "RMS error at held-out poses, mm", across, ends, False), lambda cell: cell["rms"]),
         (Panel(46 + WIDTH + GAP, "true places in their 95 % intervals", across, [0.0, 1.0], True), lambda cell: cell["coverage"]),
         (Panel(46 + 2 * (WIDTH + GAP), "trials that are called doubtful", across, [0.0, 1.0], True), lambda cell: (cell["doubtful"] / cell["trials"],) * 3),
     ]
@@ -180,9 +151,9 @@ def main():
     text = PAGE.read_text()
     PICTURES.mkdir(parents=True, exist_ok=True)
     for name in arguments.names or sorted(path.stem for path in (ROOT / "scenarios/robustness").glob("*.toml")):
-        summary, rows = run(arguments, name)
-        found = studied(summary, rows)
-        (PICTURES / f"{name}.svg").write_text(picture(name, summary, found))
+        summary = run(arguments, name)
+        found = studied(summary)
+        (PICTURES / f"{name}.svg").write_text(picture(summary, found))
         mark, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
         made = f"{mark}\n{table(summary, found)}\n{end}"
         if mark not in text or end not in text:
