@@ -36,7 +36,7 @@ def studied(summary):
             mean, half = 1e3 * rms["mean"], 1e3 * rms["half_width_95"]
             interval = [min(max(end, 0.0), 1.0) for end in inside["interval_99_9"]]
             found.setdefault(mode, []).append({
-                "levels": [level.strip('"') for level in group["levels"]], "trials": group["trials"] - group["failed"], "failed": group["failed"],
+                "levels": [re.sub(r'[\[\]"]', "", level) for level in group["levels"]], "trials": group["trials"] - group["failed"], "failed": group["failed"],
                 "rms": (mean, mean - half, mean + half), "coverage": (inside["fraction"], *interval), "doubtful": figures["doubtful"],
             })
     return found
@@ -53,7 +53,7 @@ def table(summary, found):
             digits = max(0, 1 - math.floor(math.log10(half)))
             failed = f", {cell['failed']} failed" if cell["failed"] else ""
             shown.append(f"{rms:.{digits}f} ± {half:.{digits}f} mm; {100 * share:.0f} %; {cell['doubtful']}/{cell['trials']}{failed}")
-        lines.append("| " + " | ".join([level.replace("|", "\\|") for level in cells[0]["levels"]] + shown) + " |")
+        lines.append("| " + " | ".join(cells[0]["levels"] + shown) + " |")
     return "\n".join(lines)
 
 
@@ -127,7 +127,7 @@ def picture(summary, found):
         cells = [next(c for c in found[mode] if c["levels"][0] == a and level in (None, *c["levels"][1:])) for a in across]
         for panel, figure in panels:
             panel.curve([figure(cell) for cell in cells], colour, dashes, 0.06 * (order - (len(curves) - 1) / 2))
-        words = MODES[mode] + (f", {names[1]}: {level}".replace('"', "") if level else "")
+        words = MODES[mode] + (f", {names[1]}: {level}" if level else "")
         svg.append(f'<path d="M{legend:.0f} 18h26" stroke="{colour}" stroke-width="2"{dashes}/><text x="{legend + 32:.0f}" y="22">{words}</text>')
         legend += 56 + 6.4 * len(words)
     svg += [line for panel, _ in panels for line in panel.svg]
