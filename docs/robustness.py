@@ -127,7 +127,9 @@ def picture(summary, found):
         cells = [next(c for c in found[mode] if c["levels"][0] == a and level in (None, *c["levels"][1:])) for a in across]
         for panel, figure in panels:
             panel.curve([figure(cell) for cell in cells], colour, dashes, 0.06 * (order - (len(curves) - 1) / 2))
-        words = MODES[mode] + (f", {names[1]}: {level}" if level else "")
+    keys = [(COLOURS[place % 4], "", MODES[mode]) for place, mode in enumerate(found)]
+    keys += [("#1d2329", ' stroke-dasharray="5 4"' if place else "", f"{names[1]}: {level}") for place, level in enumerate(second) if level]
+    for colour, dashes, words in keys:
         svg.append(f'<path d="M{legend:.0f} 18h26" stroke="{colour}" stroke-width="2"{dashes}/><text x="{legend + 32:.0f}" y="22">{words}</text>')
         legend += 56 + 6.4 * len(words)
     svg += [line for panel, _ in panels for line in panel.svg]
