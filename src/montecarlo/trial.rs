@@ -171,7 +171,9 @@ fn true_places(simulation: &Simulation) -> Option<MeasurementSet> {
 }
 
 fn against_truth(robot: &CalibratedRobot, truth: Option<&MeasurementSet>) -> Option<AccuracyRow> {
-    accuracy(&Predictor::new(robot).ok()?.errors(truth?).ok()?)
+    // Of places, and not of what the instrument that was identified with the robot would show of them.
+    let robot = CalibratedRobot { instruments: Vec::new(), ..robot.clone() };
+    accuracy(&Predictor::new(&robot).ok()?.errors(truth?).ok()?)
 }
 
 fn fit(

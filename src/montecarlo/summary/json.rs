@@ -40,7 +40,7 @@ pub fn summary_json(summary: &CampaignSummary) -> Value {
 }
 
 fn group_json(group: &GroupSummary) -> Value {
-    json!({ "levels": group.levels, "trials": group.trials, "failed": group.failed, "modes": modes_json(group) })
+    json!({ "levels": group.levels.iter().map(|level| level.trim_matches('"')).collect::<Vec<_>>(), "trials": group.trials, "failed": group.failed, "modes": modes_json(group) })
 }
 
 fn modes_json(group: &GroupSummary) -> Value {
@@ -83,7 +83,7 @@ fn predictions_json(predictions: &PredictionCoverage) -> Value {
     let fraction = predictions.coverage.fraction();
     json!({
         "fraction": fraction, "intervals": predictions.coverage.trials,
-        "interval_99_9": predictions.half_width.map(|half| [fraction - half, fraction + half]),
+        "interval_99_9": predictions.half_width.map(|half| [(fraction - half).max(0.0), (fraction + half).min(1.0)]),
     })
 }
 
