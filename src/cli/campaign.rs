@@ -1,8 +1,8 @@
 //! What the commands of campaigns have in common: the manifest, and the answers of a table. `calibrig missing` and `calibrig merge`.
 
-use std::io::Write;
+use std::io::{BufRead, Write};
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use calibrig_campaign::shards::{Folder, FolderError, Input, Inventory, Manifest, Software};
 use calibrig_campaign::table::{Cell, Table, TableReader};
@@ -147,12 +147,13 @@ fn join_timings(folder: &Folder) {
         .filter(|path| path.to_string_lossy().ends_with(".timings.csv"))
         .collect();
     files.sort();
-    let mut text = "trial,seconds\n".to_owned();
+    let Ok(mut joined) = std::fs::File::create(folder.path().join("timings.csv")) else { return };
+    let _ = joined.write_all(b"trial,seconds\n");
     for file in files {
-        let own = std::fs::read_to_string(file).unwrap_or_default();
-        text.extend(own.lines().skip(1).map(|line| format!("{line}\n")));
+        let Ok(own) = std::fs::File::open(file) else { continue };
+        let mut own = std::io::BufReader::new(own);
+        let _ = own.skip_until(b'\n').and_then(|_| std::io::copy(&mut own, &mut joined));
     }
-    let _ = write_whole(folder.path(), &folder.path().join("timings.csv"), &text);
 }
 
 /// Work that counts rows, with its progress.
@@ -206,7 +207,10 @@ pub(super) fn manifest(
 fn software() -> Result<Software, CliError> {
     let failed =
         |source| CliError::Output { what: "the manifest: this program's own file".to_owned(), source };
-    let path = std::env::current_exe().map_err(failed)?;
+    // What runs, where the system tells it: the file may have been replaced since it began.
+    let running = Path::new("/proc/self/exe");
+    let path =
+        if running.exists() { running.to_path_buf() } else { std::env::current_exe().map_err(failed)? };
     let mut hash = InputHash::default();
     hash.add_file("program", &path).map_err(failed)?;
     Ok(Software {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use calibrig_campaign::plan::{JobPlan, LOGS, Scheduler};
-use calibrig_campaign::shards::{Folder, FolderError, Manifest};
+use calibrig_campaign::shards::{Folder, FolderError, MOST_SHARDS, Manifest};
 use calibrig_campaign::table::{TableReader, TableWriter};
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -17,7 +17,7 @@ use super::{CliError, Verdict, not_identified, read_scenario, say, write_whole};
 use crate::montecarlo::{Campaign, CampaignError, CaseError, Trial, TrialColumns};
 use crate::pipeline::{PlantKind, check_analytic};
 use crate::report::quoted;
-use crate::scenario::Scenario;
+use crate::scenario::{Layout, Scenario};
 
 /// Repeat a scenario with other draws, and see how accuracy and parameters scatter
 #[derive(Debug, clap::Args)]
@@ -30,7 +30,7 @@ use crate::scenario::Scenario;
 
 The scenario's section [campaign] says what varies and how trials are laid out (docs/formats.md); without it, draws alone differ. A trial is a pure function
 of scenario, seed and its number: the same bits alone, on any number of threads and in any shards. Ctrl-C ends the campaign when the trials at hand are
-done, and keeps them. A trial that fails is a row with its reason. Exit code 3: interrupted, or a trial failed.")]
+done, and keeps them. A trial that fails is a row with its reason. Exit code 3: interrupted, or, but of a shard, a trial failed.")]
 pub(super) struct Args {
     /// The scenario file
     scenario: PathBuf,
@@ -113,7 +113,10 @@ fn shard(text: &str) -> Result<(u32, u32), String> {
     let expected = "expected I/N with I from 0 and below N, such as 0/40";
     let (number, shards) = text.split_once('/').ok_or(expected)?;
     match (number.parse(), shards.parse()) {
-        (Ok(number), Ok(shards)) if number < shards => Ok((number, shards)),
+        (Ok(number), Ok(shards)) if number < shards && shards <= MOST_SHARDS => Ok((number, shards)),
+        (Ok(number), Ok(shards)) if number < shards => {
+            Err(format!("{shards} shards are more than {MOST_SHARDS}"))
+        }
         (Ok(number), Ok(shards)) if shards > 0 => {
             Err(format!("there is no shard {number} of {shards}: the last one is {}", shards - 1_u32))
         }
@@ -164,7 +167,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
     scenario.remarks().iter().for_each(|remark| say(remark));
     let seed = args.seed.unwrap_or(scenario.seed);
     let (campaign, range) = args.campaign(&scenario, seed)?;
-    campaign.check(range.clone()).map_err(|error| refused(&error, &scenario))?;
+    campaign.check().map_err(|error| refused(&error, &scenario))?;
     let columns = TrialColumns::of(&campaign);
     let shards = args.shards.or(args.shard.map(|(_, shards)| shards)).unwrap_or(1);
     let scenario_name = args.scenario.display().to_string();
@@ -195,7 +198,7 @@ impl Args {
             message: message.to_owned(),
             expected: expected.to_owned(),
         };
-        if scenario.campaign.as_ref().is_some_and(|plan| plan.design(None).is_ok_and(|d| d.group() > 1)) {
+        if scenario.campaign.as_ref().is_some_and(|plan| plan.layout != Layout::Plain) {
             return Err(flag(
                 "is of a plain campaign, and the scenario's [campaign] has another design",
                 "no --first; `calibrig run SCENARIO --trial N` carries out one trial",
@@ -243,10 +246,14 @@ impl Work<'_> {
         } else {
             let all = folder.manifest().range();
             let missing = self.carry_out(&folder, &all, path.join("timings.csv"))?;
-            if missing > 0 {
+            if missing > 0 && !folder.is_complete() {
                 return self.interrupted(&folder, missing);
             }
-            campaign::with_rows("putting the table together", &folder, |progress| folder.complete(progress))?;
+            if !folder.is_complete() {
+                campaign::with_rows("putting the table together", &folder, |progress| {
+                    folder.complete(progress)
+                })?;
+            }
         }
         campaign::conclude(&folder, &self.args.answers, "trials.parquet")
     }
@@ -262,6 +269,10 @@ impl Work<'_> {
         }
         let timings = path.join("shards").join(format!("{shard:06}-of-{shards:06}.timings.csv"));
         let missing = self.carry_out(&folder, &range, timings)?;
+        if folder.has_shard(shard)? {
+            say(&format!("another process completed shard {shard} of {shards} meanwhile"));
+            return Ok(Verdict::Done);
+        }
         if missing > 0 {
             say(&format!(
                 "interrupted: {missing} trials of shard {shard} of {shards} are not done; the same command goes on with it"
@@ -441,7 +452,9 @@ impl<'a> Parts<'a> {
     }
 
     fn finish(mut self) -> Result<(), CliError> {
-        let put = self.put();
-        self.failed.map_or(put, Err)
+        if let Some(failed) = self.failed.take() {
+            return Err(failed);
+        }
+        self.put()
     }
 }

@@ -21,15 +21,14 @@ pub use trial::{AccuracySet, Fit, ModeResult, ParameterResult, Trial, TrialOutco
 use std::borrow::Cow;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc;
+use std::sync::{Condvar, Mutex, PoisonError, mpsc};
 
-use calibrig_campaign::design::{Design, Sampling};
+use calibrig_campaign::design::Design;
 use rayon::iter::{ParallelBridge, ParallelIterator};
 use thiserror::Error;
 
 use crate::pipeline::PlantKind;
 use crate::scenario::Scenario;
-use calibrig_files::InputError;
 
 /// What every trial has in common.
 #[derive(Debug, Clone)]
@@ -70,15 +69,15 @@ pub enum CaseError {
         trials: u64,
     },
     /// The values of its factors are refused.
-    #[error("with {}: {source}", values.join(", "))]
+    #[error("with {}: {reason}", values.join(", "))]
     Refused {
         /// Name and value of every factor.
         values: Vec<String>,
-        /// Why.
-        source: Box<InputError>,
+        /// Why, with the line of the scenario.
+        reason: String,
     },
     /// Factors were drawn again and again, and refused each time.
-    #[error("of {draws} draws of the factors none is possible; the last one {source}")]
+    #[error("its factors were drawn {draws} times, and are impossible each time; the last time {source}")]
     Impossible {
         /// How many.
         draws: u32,
@@ -100,7 +99,7 @@ pub enum CampaignError {
         source: CaseError,
     },
     /// Too many draws of the factors are impossible.
-    #[error("{refused} of the first {drawn} draws of the factors are impossible, the first one {source}")]
+    #[error("{refused} of the first {drawn} draws of the factors are impossible, the first of them {source}")]
     TooManyRefused {
         /// So many.
         refused: u64,
@@ -125,6 +124,8 @@ pub enum CampaignError {
 const MOST_DRAWS: u32 = 50;
 /// Trials that are looked at before the first one is carried out.
 const LOOKED_AT: u64 = 200;
+/// The same of a design in which none is drawn again.
+const LOOKED_AT_UNDRAWN: u64 = 2000;
 /// More of them must not be impossible, in tenths.
 const MOST_TENTHS: u64 = 1;
 
@@ -146,30 +147,29 @@ impl<'a> Campaign<'a> {
 
     /// The trials of a scenario in which nothing varies but what is drawn, without end.
     pub fn of_draws(scenario: &'a Scenario, seed: u64, plant: PlantKind) -> Self {
-        let factors = scenario.campaign.as_ref().map_or(0, |plan| plan.factors.len());
-        let design = Design::Plain { trials: u64::from(u32::MAX), factors, sampling: Sampling::Random };
+        let plan = scenario.campaign.clone().unwrap_or_default();
+        let (factors, sampling) = (plan.factors.len(), plan.sampling);
+        let design = Design::Plain { trials: u64::from(u32::MAX), factors, sampling };
         Self { scenario, seed, plant, design }
     }
 
     /// What the trial of that number is.
     pub fn case(&self, trial: u64) -> Result<Case<'a>, CaseError> {
         let no_trial = || CaseError::NoTrial { trial, trials: self.design.trials() };
-        let factors = self.scenario.campaign.as_ref().map_or(&[][..], |plan| &plan.factors);
+        let varies = self.scenario.campaign.as_ref().is_some_and(|plan| !plan.factors.is_empty());
         let redraws = match self.design {
-            Design::Plain { .. } if !factors.is_empty() => MOST_DRAWS,
+            Design::Plain { .. } if varies => MOST_DRAWS,
             _ => 1,
         };
         let mut refused = None;
         for redrawn in 0..redraws {
             // Another key each time: what is drawn again depends on the trial alone.
             let seed = self.seed.wrapping_add(u64::from(redrawn).wrapping_mul(0x9E37_79B9_7F4A_7C15));
-            let point = self.design.point(seed, trial).ok_or_else(no_trial)?;
-            let values: Vec<String> =
-                factors.iter().zip(&point.at).map(|(factor, at)| factor.at(*at)).collect();
+            let (draw, values) = self.values(seed, trial).ok_or_else(no_trial)?;
             match self.varied(&values) {
                 Ok(scenario) => {
-                    let machine = scenario.redraws(self.seed, point.draw);
-                    return Ok(Case { scenario, draw: point.draw, values, redrawn: redrawn + machine });
+                    let machine = scenario.redraws(self.seed, draw);
+                    return Ok(Case { scenario, draw, values, redrawn: redrawn + machine });
                 }
                 Err(error) => refused = Some(error),
             }
@@ -188,28 +188,32 @@ impl<'a> Campaign<'a> {
             return Ok(Cow::Borrowed(self.scenario));
         }
         let factors = self.scenario.campaign.as_ref().map_or(&[][..], |plan| &plan.factors);
-        self.scenario.with_factors(values).map(Cow::Owned).map_err(|source| CaseError::Refused {
-            values: factors.iter().zip(values).map(|(f, value)| format!("{} = {value}", f.name)).collect(),
-            source: Box::new(source),
+        self.scenario.with_factors(values).map(Cow::Owned).map_err(|error| {
+            let text = error.to_string();
+            // Where the file lies differs between machines, and reasons are part of the table.
+            let name = self.scenario.sources.first().map_or("", |(_, source)| source.name.as_str());
+            let reason = text.strip_prefix(name).map_or(text.clone(), |rest| format!("the scenario{rest}"));
+            let values =
+                factors.iter().zip(values).map(|(f, value)| format!("{} = {value}", f.name)).collect();
+            CaseError::Refused { values, reason }
         })
     }
 
-    /// Looks at what the first trials of `range` are, and of a sweep at every combination, before any is carried out.
+    /// Looks at what the first trials are, and of a sweep at every combination, before any is carried out.
     ///
     /// # Errors
     ///
     /// A design that is not drawn has a trial that is refused, or of one that is drawn more than a tenth are.
-    pub fn check(&self, range: Range<u64>) -> Result<(), CampaignError> {
-        if let Design::Sweep { repeats, .. } = self.design {
-            let firsts = range.clone().filter(|trial| trial % repeats.max(1) == 0);
-            for trial in firsts {
-                self.case(trial).map_err(|source| CampaignError::Trial { trial, source })?;
-            }
-            return Ok(());
-        }
-        let drawn = (range.end - range.start).min(LOOKED_AT);
+    pub fn check(&self) -> Result<(), CampaignError> {
+        let trials = self.design.trials();
+        let (drawn, step) = match self.design {
+            Design::Sweep { repeats, .. } => (trials / repeats.max(1), repeats),
+            Design::Plain { .. } => (trials.min(LOOKED_AT), 1),
+            // None is drawn again: as many are looked at as take some seconds.
+            _ => (trials.min(LOOKED_AT_UNDRAWN), 1),
+        };
         let (mut refused, mut machines, mut first) = (0, 0, None);
-        for trial in range.start..range.start + drawn {
+        for trial in (0..drawn).map(|number| number.saturating_mul(step)) {
             match self.case(trial) {
                 Ok(case) => {
                     let again = case.scenario.redraws(self.seed, case.draw);
@@ -224,10 +228,10 @@ impl<'a> Campaign<'a> {
             }
         }
         if 10 * refused > MOST_TENTHS * drawn {
-            let source = first
-                .or_else(|| self.first_refused(range))
-                .unwrap_or(CaseError::NoTrial { trial: 0, trials: 0 });
-            return Err(CampaignError::TooManyRefused { refused, drawn, source });
+            return match first.or_else(|| self.first_refused(drawn)) {
+                Some(source) => Err(CampaignError::TooManyRefused { refused, drawn, source }),
+                None => Ok(()),
+            };
         }
         if 10 * machines > MOST_TENTHS * drawn {
             return Err(CampaignError::TooManyMachines { refused: machines, drawn });
@@ -236,14 +240,15 @@ impl<'a> Campaign<'a> {
     }
 
     /// Why the first draw of the factors that is refused is.
-    fn first_refused(&self, mut range: Range<u64>) -> Option<CaseError> {
+    fn first_refused(&self, drawn: u64) -> Option<CaseError> {
+        (0..drawn).find_map(|trial| self.varied(&self.values(self.seed, trial)?.1).err())
+    }
+
+    /// Draw and values of the factors of a trial; `None` where there is no such trial.
+    fn values(&self, seed: u64, trial: u64) -> Option<(u32, Vec<String>)> {
         let factors = self.scenario.campaign.as_ref().map_or(&[][..], |plan| &plan.factors);
-        range.find_map(|trial| {
-            let point = self.design.point(self.seed, trial)?;
-            let values: Vec<String> =
-                factors.iter().zip(&point.at).map(|(factor, at)| factor.at(*at)).collect();
-            self.varied(&values).err()
-        })
+        let point = self.design.point(seed, trial)?;
+        Some((point.draw, factors.iter().zip(&point.at).map(|(factor, at)| factor.at(*at)).collect()))
     }
 
     /// The trial of that number. A failure is an outcome with its reason.
@@ -254,11 +259,24 @@ impl<'a> Campaign<'a> {
                 Trial { index, draw: case.draw, values: case.values, redrawn: case.redrawn, outcome }
             }
             Err(error) => {
-                let point = self.design.point(self.seed, index);
-                let draw = point.map_or(0, |point| point.draw);
-                Trial { index, draw, values: Vec::new(), redrawn: 0, outcome: Err(error.to_string()) }
+                let redrawn = if let CaseError::Impossible { draws, .. } = error { draws - 1 } else { 0 };
+                self.failed(index, redrawn, error.to_string())
             }
         }
+    }
+
+    fn failed(&self, index: u64, redrawn: u32, reason: String) -> Trial {
+        let (draw, values) = self.values(self.seed, index).unwrap_or_default();
+        Trial { index, draw, values, redrawn, outcome: Err(reason) }
+    }
+
+    /// The same where even a fault of the program is an outcome: one trial must not end a campaign.
+    fn trial_or_fault(&self, index: u64) -> Trial {
+        std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| self.trial(index))).unwrap_or_else(|fault| {
+            let text = fault.downcast_ref::<String>().map(String::as_str);
+            let text = text.or_else(|| fault.downcast_ref::<&str>().copied()).unwrap_or("no reason is told");
+            self.failed(index, 0, format!("a fault of this program, please report it: {text}"))
+        })
     }
 
     /// Carries out trials on `threads` threads (0: one a core) until `stop` is set or `observe` says no.
@@ -274,18 +292,20 @@ impl<'a> Campaign<'a> {
         observe: impl FnMut(Trial, f64) -> bool + Send,
     ) -> Result<(), rayon::ThreadPoolBuildError> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
-        let (done, results) = mpsc::sync_channel(WAITING);
+        let (done, results) = mpsc::channel();
         let refused = AtomicBool::new(false);
+        let told = Told::default();
         let numbered = (0_u64..).zip(trials);
         std::thread::scope(|scope| {
-            let refused = &refused;
-            scope.spawn(move || in_order(&results, refused, observe));
+            let (refused, told) = (&refused, &told);
+            scope.spawn(move || in_order(&results, refused, told, observe));
             pool.install(|| {
                 // A bridge hands the numbers out one by one, so that what is done early is a range without holes.
                 let go_on = || !stop.load(Ordering::Relaxed) && !refused.load(Ordering::Relaxed);
                 numbered.take_while(|_| go_on()).par_bridge().for_each_with(done, |done, (place, index)| {
+                    told.wait_for(place);
                     let begun = clock();
-                    let trial = self.trial(index);
+                    let trial = self.trial_or_fault(index);
                     // The collector outlives every worker.
                     let _ = done.send((place, trial, clock() - begun));
                 });
@@ -305,13 +325,32 @@ impl<'a> Campaign<'a> {
     }
 }
 
-/// Trials that wait to be told of: enough for threads that are ahead of a slow one.
-const WAITING: usize = 256;
+/// Trials that are ahead of the one that is told of next, at most: enough for threads beside a slow one.
+const AHEAD: u64 = 256;
+
+/// How many trials were told of.
+#[derive(Default)]
+struct Told(Mutex<u64>, Condvar);
+
+impl Told {
+    /// Waits until the trial at `place` is not too far ahead, so that few wait in memory behind a slow one.
+    fn wait_for(&self, place: u64) {
+        let told = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        // Who tells goes on until the last one, so that this ends.
+        drop(self.1.wait_while(told, |told| place >= told.saturating_add(AHEAD)));
+    }
+
+    fn set(&self, told: u64) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = told;
+        self.1.notify_all();
+    }
+}
 
 /// Receives trials in any order, and tells of them by their place.
 fn in_order(
     results: &mpsc::Receiver<(u64, Trial, f64)>,
     refused: &AtomicBool,
+    told: &Told,
     mut observe: impl FnMut(Trial, f64) -> bool,
 ) {
     let mut waiting = std::collections::BTreeMap::new();
@@ -324,5 +363,6 @@ fn in_order(
                 refused.store(true, Ordering::Relaxed);
             }
         }
+        told.set(next);
     }
 }

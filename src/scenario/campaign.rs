@@ -188,6 +188,8 @@ impl Scenario {
     /// # Errors
     ///
     /// What the file would be refused for if it said so.
+    ///
+    /// It is read again from its text: what was changed in memory alone is not in it.
     pub fn with_factors(&self, values: &[String]) -> Result<Self, InputError> {
         let Some((_, source)) = self.sources.first() else { return Ok(self.clone()) };
         let factors = self.campaign.as_ref().map_or(&[][..], |plan| &plan.factors);
@@ -361,7 +363,8 @@ fn factor(source: &Source, layout: Layout, entry: &Spanned<FactorFile>) -> Resul
 fn check_key(source: &Source, key: &Spanned<String>, file: &FactorFile) -> Result<(), InputError> {
     let refused = |message: String, help: String| Err(source.error(key.span(), message, Some(help)));
     let name = key.get_ref();
-    if name.starts_with("campaign") || ["schema", "name", "seed", "robot"].contains(&name.as_str()) {
+    const FIXED: [&str; 5] = ["schema", "name", "seed", "robot", "identification.modes"];
+    if name.starts_with("campaign") || FIXED.contains(&name.as_str()) {
         return refused(
             format!("campaign.factor: {name} cannot vary"),
             "expected the key of a value that a session depends on".to_owned(),
@@ -405,7 +408,13 @@ fn literals(
     }
     let mut literals = Vec::new();
     for level in levels.get_ref() {
-        let literal = source.text.get(level.span()).unwrap_or_default().to_owned();
+        let written = source.text.get(level.span()).unwrap_or_default();
+        // As Rust reads numbers, too: 1_000 and 0x10 are some to TOML alone.
+        let literal = match level.get_ref() {
+            toml::Value::Integer(value) => value.to_string(),
+            toml::Value::Float(_) => written.replace('_', ""),
+            _ => written.to_owned(),
+        };
         let is_number = matches!(level.get_ref(), toml::Value::Integer(_) | toml::Value::Float(_));
         let is_finite = !matches!(level.get_ref(), toml::Value::Float(value) if !value.is_finite());
         if (file.scale && !is_number) || !is_finite {

@@ -74,7 +74,7 @@ fn errors_are_as_large_as_the_bound_and_as_stated() {
 
     let nees = mode.nees.expect("every truth is known");
     println!("mean NEES {:.3} of {parameters}, band {:?}", nees.mean, nees.band);
-    assert_eq!((nees.parameters, nees.trials), (parameters, 1000));
+    assert_eq!((nees.parameters, nees.trials), (parameters as f64, 1000));
     assert!((nees.band.0..=nees.band.1).contains(&nees.mean), "{nees:?}");
 
     // 99.9 % from the scatter between trials.

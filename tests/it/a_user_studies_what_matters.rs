@@ -107,6 +107,30 @@ fn a_screening_ranks_factors() {
 }
 
 #[test]
+fn a_trial_of_a_campaign_on_sobol_points_is_opened() {
+    let sandbox = with(
+        "[campaign]\nsampling = \"sobol\"\n[[campaign.factor]]\nkey = \"tracker.random_fraction\"\ndistribution = \"uniform\"\nlow = 0.02\nhigh = 0.5\n",
+    );
+    run(&sandbox, &["--trials", "6", "--csv"]);
+    let table = sandbox.read("out/trials.csv");
+    let column = |name: &str| {
+        let place = table.lines().next().and_then(|header| header.split(',').position(|own| own == name));
+        table.lines().nth(5).and_then(|row| row.split(',').nth(place.expect("the column"))).expect("a cell")
+    };
+    let ended =
+        sandbox.run(["run", SCENARIO, "--plant", "analytic", "--trial", "4", "--out", "one", "--json"]);
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let rms = ended.json()["sets"]["verification"]["rows"]["elasto_geometric"]["rms_3d_m"].as_f64();
+    let cell: f64 = column("elasto_geometric.verification.rms_3d_m").parse().expect("a number");
+    assert_eq!(
+        rms.map(f64::to_bits),
+        Some(cell.to_bits()),
+        "factor {}",
+        column("factor.tracker.random_fraction")
+    );
+}
+
+#[test]
 fn what_is_impossible_is_drawn_again_and_counted_up_to_a_tenth() {
     // Above 0.5 of a fraction of gross errors is refused: 4 % of these draws.
     let factor = |high: f64| {

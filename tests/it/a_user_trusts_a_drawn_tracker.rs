@@ -54,7 +54,7 @@ fn print(name: &str, mode: &ModeSummary) {
         range(&|id| !matches!(id, ParameterId::Instrument { .. } | ParameterId::Frame { .. })),
         1e2 * predictions.coverage.fraction(),
         1e2 * predictions.half_width.expect("trials"),
-        mode.nees.map_or(f64::NAN, |nees| nees.mean / nees.parameters as f64)
+        mode.nees.map_or(f64::NAN, |nees| nees.mean / nees.parameters)
     );
 }
 

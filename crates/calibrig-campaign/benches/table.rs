@@ -1,5 +1,7 @@
 //! What tables and merges take: `cargo bench -p calibrig-campaign --bench table`. With `CALIBRIG_FULL=1` of a million rows, once.
 
+#![allow(clippy::expect_used)]
+
 use std::hint::black_box;
 use std::path::Path;
 use std::time::Instant;
@@ -96,7 +98,7 @@ fn main() {
     let mut criterion = Criterion::default().sample_size(10).configure_from_args();
     let folder = shards(root.path(), 20_000, 8);
     criterion.bench_function("merge 20,000 rows of 200 numbers in 8 shards", |b| {
-        b.iter(|| merge(black_box(&folder)))
+        b.iter(|| merge(black_box(&folder)));
     });
     let table = TableReader::open(&folder.table()).expect("a table");
     criterion

@@ -8,6 +8,8 @@ use thiserror::Error;
 
 /// Factors that a study may have: the dimensions of the Sobol sequence.
 pub const MOST_FACTORS: usize = 256;
+/// Levels of a factor in a screening.
+pub const MOST_LEVELS: usize = 1 << 16;
 /// Draws are numbered with 32 bits.
 const MOST_DRAWS: u64 = 1 << 32;
 /// Points of one Sobol sequence, as a power of two.
@@ -148,8 +150,8 @@ pub enum DesignError {
         /// How many.
         factors: usize,
     },
-    /// A grid without a middle.
-    #[error("a screening has {levels} levels; it must be an even number, such as 4")]
+    /// A grid without a middle, or one that is no grid any more.
+    #[error("a screening has {levels} levels; it must be an even number up to {MOST_LEVELS}, such as 4")]
     OddLevels {
         /// How many.
         levels: usize,
@@ -190,7 +192,7 @@ impl Design {
                 some("factors", *factors as u64)?;
                 at_most(*factors, MOST_FACTORS)?;
                 some("levels", *levels as u64)?;
-                if levels % 2 == 1 {
+                if levels % 2 == 1 || *levels > MOST_LEVELS {
                     return Err(DesignError::OddLevels { levels: *levels });
                 }
                 numbered(*trajectories)

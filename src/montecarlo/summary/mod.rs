@@ -356,7 +356,7 @@ fn compare_with_first(
         for kind in AccuracySet::ALL {
             let column = place(table, &set_column(*mode, kind, "rms_3d_m"))?;
             let mut first: Vec<Option<f64>> = Vec::new();
-            for (number, group) in (0..).zip(groups.iter_mut()) {
+            for (number, group) in (0_u64..).zip(groups.iter_mut()) {
                 let rows = number * repeats..((number + 1) * repeats).min(table.rows());
                 let mut difference = PairedDifference::default();
                 let mut draw = 0;

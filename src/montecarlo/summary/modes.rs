@@ -10,7 +10,7 @@ use calibrig_campaign::table::{Cell, Table};
 use super::{BAND, ENOUGH, LEVEL, SummaryError, moments, place};
 use crate::montecarlo::AccuracySet;
 use crate::montecarlo::columns::{mode_column, parameter_column, set_column};
-use calibrig_estimation::evaluation::{Coverage, mean_nees_band};
+use calibrig_estimation::evaluation::{Coverage, chi2_band};
 use calibrig_estimation::identification::Mode;
 use calibrig_model::ParameterId;
 use calibrig_model::statistics::{NORMAL_95, student_t_quantile};
@@ -158,8 +158,8 @@ pub struct PredictionCoverage {
 pub struct NeesSummary {
     /// Over the trials.
     pub mean: f64,
-    /// Its expectation.
-    pub parameters: usize,
+    /// Its expectation: the mean number of parameters.
+    pub parameters: f64,
     /// Trials that it is known of.
     pub trials: u64,
     /// What 99.9 % of sound campaigns lie in.
@@ -306,21 +306,20 @@ impl Rows<'_> {
     }
 
     fn nees(&self, mode: Mode) -> Result<Option<NeesSummary>, SummaryError> {
-        let mut sum = Moments::default();
-        let mut parameters = None;
+        let (mut nees, mut parameters) = (Moments::default(), Moments::default());
         let names = [mode_column(mode, "nees"), mode_column(mode, "parameter_count")];
         self.visit(&names, |row| {
-            if let (Some(nees), Some(count)) = (row[0].as_number(), row[1].as_number()) {
-                sum.add(nees);
-                parameters.get_or_insert(super::whole(Some(count)));
+            if let (Some(own), Some(count)) = (row[0].as_number(), row[1].as_number()) {
+                nees.add(own);
+                parameters.add(count);
             }
         })?;
-        let (Some(mean), Some(parameters)) = (sum.mean(), parameters) else { return Ok(None) };
-        let (Ok(trials), Ok(parameters)) = (usize::try_from(sum.count()), usize::try_from(parameters)) else {
-            return Ok(None);
-        };
-        let band = mean_nees_band(trials, parameters, BAND);
-        Ok(Some(NeesSummary { mean, parameters, trials: sum.count(), band }))
+        let (Some(mean), Some(parameters)) = (nees.mean(), parameters.mean()) else { return Ok(None) };
+        let trials = nees.count();
+        // Their sum is chi-square with all degrees of freedom, also where trials differ in what they identify.
+        let (low, high) = chi2_band(trials as f64 * parameters, BAND);
+        let band = (low * parameters, high * parameters);
+        Ok(Some(NeesSummary { mean, parameters, trials, band }))
     }
 
     pub fn predictions(&self, mode: Mode) -> Result<Option<PredictionCoverage>, SummaryError> {

@@ -102,7 +102,7 @@ fn accuracy_text(text: &mut String, kind: AccuracySet, summary: &CampaignSummary
     }
     let _ = writeln!(
         text,
-        "\n{:<34} {:>19} {:>19} {:>19} {:>19}  5 % .. 95 % of trials",
+        "\n{:<41} {:>19} {:>19} {:>19} {:>19}  5 % .. 95 % of trials",
         format!("{} (mm)", kind.title()),
         "mean |x|",
         "mean |y|",
@@ -113,7 +113,7 @@ fn accuracy_text(text: &mut String, kind: AccuracySet, summary: &CampaignSummary
         let digits = decimals(1e3 * set.rms_3d.half_width.unwrap_or(1.0));
         let _ = writeln!(
             text,
-            "{:<34} {:>19} {:>19} {:>19} {:>19}  {:.digits$} .. {:.digits$}",
+            "{:<41} {:>19} {:>19} {:>19} {:>19}  {:.digits$} .. {:.digits$}",
             mode.mode.title(),
             mean_mm(&set.mean[0]),
             mean_mm(&set.mean[1]),
@@ -124,12 +124,12 @@ fn accuracy_text(text: &mut String, kind: AccuracySet, summary: &CampaignSummary
         );
     }
     let Some(tolerance) = summary.tolerance else { return };
-    let _ = writeln!(text, "within {} mm", 1e3 * tolerance);
+    let _ = writeln!(text, "within {} mm", in_mm(tolerance));
     for (mode, set) in rows {
         let share = |rate: &Option<Rate>| rate.as_ref().map_or_else(|| "-".to_owned(), percent);
         let _ = writeln!(
             text,
-            "  {:<30} RMS in {} of trials, every pose in {}",
+            "  {:<39} RMS in {} of trials, every pose in {}",
             mode.mode.title(),
             share(&set.rms_within),
             share(&set.max_within)
@@ -171,7 +171,7 @@ fn consistency_text(text: &mut String, group: &GroupSummary) {
             with_half(chi2.mean, chi2.half_width, 1.0)
         );
         if let Some(nees) = mode.nees {
-            let n = nees.parameters as f64;
+            let n = nees.parameters;
             let verdict =
                 if nees.mean < nees.band.0 || nees.mean > nees.band.1 { "outside" } else { "inside" };
             let _ = write!(
@@ -207,7 +207,7 @@ fn consistency_text(text: &mut String, group: &GroupSummary) {
 fn parameters_text(text: &mut String, mode: &ModeSummary) {
     let _ = writeln!(
         text,
-        "\n{}: parameters; consistency is RMSE over stated standard deviation, bound the {}\n{:<24} {:>6} {:>21} {:>21} {:>12} {:>17} {:>12} {:>17} {:>25}",
+        "\n{}: parameters; consistency is RMSE over stated standard deviation, bound the {}\n{:<24} {:>6} {:>21} {:>21} {:>12} {:>23} {:>12} {:>23} {:>25}",
         mode.mode.title(),
         if mode.parameters.iter().any(|p| p.bayesian.is_some()) {
             "Bayesian Cramér-Rao bound"
@@ -233,7 +233,7 @@ fn parameters_text(text: &mut String, mode: &ModeSummary) {
         let (low, high) = p.coverage.interval(super::BAND);
         let _ = writeln!(
             text,
-            "{:<24} {unit:>6} {:>21} {:>21} {:>12.5} {:>17} {:>12} {:>17} {:>25}",
+            "{:<24} {unit:>6} {:>21} {:>21} {:>12.5} {:>23} {:>12} {:>23} {:>25}",
             p.id.to_string(),
             fine(&p.bias, scale),
             fine(&p.rmse, scale),
@@ -253,15 +253,29 @@ fn fine(estimate: &Estimate, scale: f64) -> String {
     }
 }
 
+/// With the ends of its interval, which need not be in the middle.
 fn coarse(estimate: &Estimate) -> String {
-    with_half(estimate.value, estimate.interval.map(|interval| interval.half_width()), 1.0)
+    match estimate.interval {
+        Some(interval) => format!("{:.3} [{:.3}, {:.3}]", estimate.value, interval.low, interval.high),
+        None => format!("{:.3}", estimate.value),
+    }
+}
+
+/// A tolerance as it was written: no more digits than a nanometre.
+fn in_mm(tolerance: f64) -> f64 {
+    (1e9 * tolerance).round() / 1e6
 }
 
 fn sweep_text(text: &mut String, summary: &CampaignSummary, groups: &[GroupSummary]) {
     let names: Vec<_> = summary.study.factors.iter().map(|factor| factor.name.as_str()).collect();
     let modes: Vec<Mode> = summary.modes().iter().map(|mode| mode.mode).collect();
     for (place, mode) in modes.iter().enumerate() {
-        let kind = summary.modes().get(place).and_then(ModeSummary::told).map(|set| set.kind);
+        // One for all, so that a column is of one thing.
+        let is_known = |kind: &&AccuracySet| {
+            let modes = || groups.iter().filter_map(|group| group.modes.get(place));
+            modes().any(|mode| mode.sets.iter().any(|set| set.kind == **kind))
+        };
+        let kind = AccuracySet::ALL.iter().rev().find(is_known).copied();
         let _ = writeln!(
             text,
             "\n{}{}\n{:<30} {:>7} {:>7} {:>18}  {:>18} {:>22}{}",
@@ -276,19 +290,25 @@ fn sweep_text(text: &mut String, summary: &CampaignSummary, groups: &[GroupSumma
             if summary.tolerance.is_some() { "  RMS within the tolerance" } else { "" }
         );
         for group in groups {
-            sweep_row(text, group, place);
+            let set =
+                group.modes.get(place).and_then(|mode| mode.sets.iter().find(|set| Some(set.kind) == kind));
+            let within = summary.tolerance.map(|_| match set.and_then(|set| set.rms_within.as_ref()) {
+                Some(rate) => format!("  {}", percent(rate)),
+                None if group.failed == group.trials => "  0.0 %: all failed".to_owned(),
+                None => "  -".to_owned(),
+            });
+            sweep_row(text, group, set, &within.unwrap_or_default());
         }
     }
     let tolerance =
-        summary.tolerance.map_or_else(String::new, |t| format!("; the tolerance is {} mm", 1e3 * t));
+        summary.tolerance.map_or_else(String::new, |t| format!("; the tolerance is {} mm", in_mm(t)));
     let _ = writeln!(
         text,
         "\nAll combinations have the same draws: \"more than the first\" is the mean of differences of single trials{tolerance}."
     );
 }
 
-fn sweep_row(text: &mut String, group: &GroupSummary, place: usize) {
-    let set = group.modes.get(place).and_then(ModeSummary::told);
+fn sweep_row(text: &mut String, group: &GroupSummary, set: Option<&SetSummary>, within: &str) {
     let cell = |figure: Option<String>| figure.unwrap_or_else(|| "-".to_owned());
     let difference = set.and_then(|set| set.against_first.as_ref()).map(|difference| {
         with_half(difference.value, difference.interval.map(|interval| interval.half_width()), 1e-3)
@@ -306,8 +326,7 @@ fn sweep_row(text: &mut String, group: &GroupSummary, place: usize) {
             1e3 * set.rms_3d.quantiles[2]
         ))),
         cell(difference),
-        set.and_then(|set| set.rms_within.as_ref())
-            .map_or_else(String::new, |rate| format!("  {}", percent(rate)))
+        within
     );
 }
 

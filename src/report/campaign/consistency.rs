@@ -89,7 +89,7 @@ fn overview(summary: &CampaignSummary, is_one: bool) -> Result<String, ReportErr
 
 fn nees_dot(mode: &ModeSummary) -> Option<Dot> {
     let nees = mode.nees?;
-    let n = nees.parameters as f64;
+    let n = nees.parameters;
     Some(Dot {
         look: look(mode.mode),
         value: nees.mean / n,
@@ -152,7 +152,7 @@ fn row(mode: &ModeSummary) -> Markup {
         th scope="row" { (key(&look(mode.mode))) (mode.mode.title()) }
         @match &mode.nees {
             Some(nees) => {
-                @let n = nees.parameters as f64;
+                @let n = nees.parameters;
                 td {
                     span.far[outside] { (number(nees.mean / n, if nees.mean > 100.0 * n { 0 } else { 4 })) } br;
                     span.note { "[" (number(nees.band.0 / n, 4)) ", " (number(nees.band.1 / n, 4)) "]" }

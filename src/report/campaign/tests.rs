@@ -84,7 +84,7 @@ impl Made {
         let mut columns: Vec<Column> = kinds.map(|(name, kind)| Column::new(name, kind)).to_vec();
         let number = |name: String| Column::new(name, Kind::Number);
         for mode in self.modes.iter().map(|mode| mode.key()) {
-            for set in ["identification", "verification"] {
+            for set in ["identification", "verification", "truth"] {
                 columns.extend(FIGURES.map(|figure| number(format!("{mode}.{set}.{figure}"))));
             }
             columns.extend(FIT.map(|name| number(format!("{mode}.{name}"))));
@@ -105,14 +105,14 @@ impl Made {
         let (status, reason) =
             if all.is_some() { ("ok", Cell::Absent) } else { ("failed", Cell::text(self.reason)) };
         let mut cells = vec![Cell::count(trial), Cell::text(status), reason, Cell::count(0_u32)];
-        let wide = 2 * FIGURES.len() + FIT.len() + PARAMETER.len() * self.parameters.len();
+        let wide = 3 * FIGURES.len() + FIT.len() + PARAMETER.len() * self.parameters.len();
         let Some(all) = all else {
             cells.resize(4 + wide * self.modes.len(), Cell::Absent);
             return cells;
         };
         for rms in all {
             let number = |value: f64| if value.is_finite() { Cell::Number(value) } else { Cell::Absent };
-            cells.extend((0..16).map(|place| number(if place % 8 == 7 { 2.0 * rms } else { rms })));
+            cells.extend((0..24).map(|place| number(if place % 8 == 7 { 2.0 * rms } else { rms })));
             // Sound, iterations, chi-square, NEES of four parameters, squared error, coverage of 19 of 20.
             cells.extend(
                 [1.0, 6.0, 1.0 + noise(trial), 4.0 + noise(trial), 4.0, 4.0, 19.0, 20.0].map(Cell::Number),

@@ -13,8 +13,8 @@ use crate::table::{Table, TableReader};
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[non_exhaustive]
 pub enum Fault {
-    /// Its name is not that of a shard.
-    #[error("{}: not the name of a shard", file.display())]
+    /// Its name is not that of a shard of this campaign.
+    #[error("{}: not the name of a shard of this campaign", file.display())]
     Name {
         /// Which.
         file: PathBuf,
@@ -40,6 +40,18 @@ pub enum Fault {
         file: PathBuf,
         /// What is otherwise.
         difference: String,
+    },
+    /// Two sound files of one shard have different rows.
+    #[error(
+        "{} and {}: both are sound, and they differ: machines whose processors round otherwise do not mix; keep those of one kind",
+        file.display(),
+        other.display()
+    )]
+    Contradiction {
+        /// One.
+        file: PathBuf,
+        /// The other.
+        other: PathBuf,
     },
     /// It is of this campaign, shared out otherwise: its trials are in other shards, too.
     #[error("{}: it holds trials {first}..{end}, which overlap shards of this campaign's {shards}", file.display())]
@@ -106,7 +118,10 @@ impl Folder {
         for (count, file) in (1..).zip(files) {
             match self.look_at(&file) {
                 Ok((shard, piece)) => {
-                    sound.insert(shard, piece);
+                    if let Some(other) = sound.insert(shard, piece) {
+                        // The same bytes have the same name.
+                        faults.push(Fault::Contradiction { file, other: other.path });
+                    }
                 }
                 Err(fault) => faults.push(fault),
             }
@@ -128,14 +143,16 @@ impl Folder {
     pub(super) fn look_at(&self, file: &std::path::Path) -> Result<(u32, Piece), Fault> {
         let file = file.to_path_buf();
         let name = file.file_stem().and_then(|name| name.to_str()).unwrap_or_default();
-        let [_, shard, "of", shards, _] = name.split('-').collect::<Vec<_>>()[..] else {
+        let [campaign, shard, "of", shards, _] = name.split('-').collect::<Vec<_>>()[..] else {
             return Err(Fault::Name { file });
         };
         let (Ok(shard), Ok(shards)) = (shard.parse::<u32>(), shards.parse::<u32>()) else {
             return Err(Fault::Name { file });
         };
+        // What is of another campaign or split is not mended by computing, damaged or not.
+        let is_ours = campaign == self.campaign() && shards == self.manifest.shards && shard < shards;
         if !is_whole(&file) {
-            return Err(Fault::Damaged { file });
+            return Err(if is_ours { Fault::Damaged { file } } else { Fault::Name { file } });
         }
         let table = match TableReader::open(&file) {
             Ok(table) => table,

@@ -32,6 +32,8 @@ use crate::table::{
     StagedTable, TEMPORARY, TableError, TableReader, TableWriter, hexadecimal, sync_folder_of,
 };
 
+/// More parts than any scheduler takes.
+pub const MOST_SHARDS: u32 = 1_000_000;
 /// Digits of a sum that stand in a file's name.
 const SUM_DIGITS: usize = 16;
 const CAMPAIGN_DIGITS: usize = 12;
@@ -195,9 +197,11 @@ impl Folder {
 
     /// Removes the parts of a campaign whose table is complete, and what processes that were killed left behind.
     fn clear_all(&self) {
-        // What cannot be removed is in nobody's way.
-        let _ = fs::remove_dir_all(self.parts());
-        for folder in [self.path.clone(), self.shards()] {
+        for part in self.part_files() {
+            // What cannot be removed is in nobody's way.
+            let _ = fs::remove_file(part.path);
+        }
+        for folder in [self.path.clone(), self.shards(), self.parts()] {
             let entries = fs::read_dir(folder).into_iter().flatten().flatten();
             let left = |path: &PathBuf| {
                 path.file_name()
@@ -208,6 +212,8 @@ impl Folder {
                 let _ = fs::remove_file(path);
             }
         }
+        // It stays where something else is in it.
+        let _ = fs::remove_dir(self.parts());
     }
 
     /// Removes the parts of what is complete elsewhere.
@@ -218,8 +224,6 @@ impl Folder {
                 let _ = fs::remove_file(part.path);
             }
         }
-        // While it is empty: others may be at work.
-        let _ = fs::remove_dir(self.parts());
     }
 }
 
@@ -264,6 +268,11 @@ fn read_manifest(folder: &Path) -> Result<Manifest, FolderError> {
     }
     if manifest.trials == 0 || manifest.shards == 0 || manifest.columns.is_empty() {
         return Err(refused("it has no trials, no shards or no columns".to_owned()));
+    }
+    if manifest.shards > MOST_SHARDS || manifest.first.checked_add(manifest.trials).is_none() {
+        return Err(refused(format!(
+            "it has more than {MOST_SHARDS} shards, or more trials than can be counted"
+        )));
     }
     Ok(manifest)
 }

@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use super::{About, Folder, FolderError, about_of, short, sum_of};
-use crate::table::{Cell, StagedTable, TableError, TableReader, TableWriter};
+use crate::table::{Cell, StagedTable, Table, TableError, TableReader, TableWriter};
 
 /// A file that holds the rows of a range.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,7 +40,7 @@ impl Covered {
     /// How many trials are done.
     pub fn done(&self) -> u64 {
         let missing: u64 = self.missing().iter().map(|range| range.end - range.start).sum();
-        self.range.end - self.range.start - missing
+        self.range.end.saturating_sub(self.range.start).saturating_sub(missing)
     }
 }
 
@@ -89,8 +89,10 @@ impl Folder {
     }
 
     fn is_of(&self, piece: &Piece) -> bool {
-        let about = TableReader::open(&piece.path).ok().and_then(|table| about_of(&table));
-        about == Some(self.about(piece.range.clone()))
+        let Ok(table) = TableReader::open(&piece.path) else { return false };
+        let rows = piece.range.end - piece.range.start;
+        let whole = table.rows() == rows && table.columns() == self.manifest.columns;
+        whole && about_of(&table) == Some(self.about(piece.range.clone()))
     }
 
     /// One table of the rows of a range in `folder`, from pieces in the order of their ranges.

@@ -159,7 +159,7 @@ fn every_fault_is_named_and_mended_by_computing_again() {
     };
     assert!(tells(&cut, "cut short") && tells(&altered, "altered"), "{told:?}");
     assert!(tells(&foreign, "seed 2 instead of 1") && tells(&overlap, "overlap"), "{told:?}");
-    assert!(tells(Path::new("notes.txt"), "not the name of a shard"), "{told:?}");
+    assert!(tells(Path::new("notes.txt"), "not the name of a shard of this campaign"), "{told:?}");
     assert_eq!(told.len(), 5);
     assert!(matches!(folder.merge(&inventory, &mut |_| {}), Err(FolderError::Missing { .. })));
 

@@ -106,7 +106,7 @@ impl TableWriter {
 }
 
 /// How the names of files begin that are not complete.
-pub(crate) const TEMPORARY: &str = ".calibrig-";
+pub(crate) const TEMPORARY: &str = ".calibrig-trials-";
 
 /// A complete table that waits for its name. Dropped, it is gone.
 #[derive(Debug)]
