@@ -15,8 +15,8 @@ MODES = {"only_calibration": "only calibration", "with_gravity": "with gravity",
 # Levels that a reader does not understand as they stand in the scenario.
 WORDS = {
     ("poses between rounds of nests", "1000"): "once, before",
-    ("calibrated with", "none"): "empty robot",
-    ("calibrated with", "none, tool"): "empty and loaded",
+    ("calibrated with", "none"): "no load",
+    ("calibrated with", "none, tool"): "load in half",
 }
 COLOURS = ["#0b63a5", "#c2571a", "#2d7d46", "#8a3fa0"]
 
@@ -138,11 +138,11 @@ def picture(summary, found):
     keys += [("#1d2329", ' stroke-dasharray="5 4"' if place else "", f"{names[1]}: {level}") for place, level in enumerate(second) if level]
     for colour, dashes, words in keys:
         svg.append(f'<path d="M{legend:.0f} 18h26" stroke="{colour}" stroke-width="2"{dashes}/><text x="{legend + 32:.0f}" y="22">{words}</text>')
-        legend += 56 + 6.4 * len(words)
+        legend += 52 + 6.4 * len(words)
     svg += [line for panel, _ in panels for line in panel.svg]
     svg.append(f'<path d="M{panels[1][0].left} {panels[1][0].y(0.95):.1f}h{WIDTH}" stroke="#55606b" stroke-dasharray="2 3"/>')
     svg.append(f'<text x="{width / 2}" y="{height - 6}" text-anchor="middle">{names[0]}</text>')
-    width = max(width, legend)
+    width = max(width, legend - 18)
     body = "\n".join(svg)
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height}" font-family="system-ui, sans-serif" font-size="12" fill="#1d2329">\n'
