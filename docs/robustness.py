@@ -12,6 +12,12 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PAGE, PICTURES = ROOT / "docs/robustness.md", ROOT / "docs/pictures/robustness"
 MODES = {"only_calibration": "only calibration", "with_gravity": "with gravity", "elasto_geometric": "geometry and stiffness", "extended": "extended"}
+# Levels that a reader does not understand as they stand in the scenario.
+WORDS = {
+    ("poses between rounds of nests", "1000"): "once, before",
+    ("calibrated with", "none"): "no load",
+    ("calibrated with", "none, tool"): "load in half",
+}
 COLOURS = ["#0b63a5", "#c2571a", "#2d7d46", "#8a3fa0"]
 
 
@@ -28,16 +34,16 @@ def run(arguments, name):
 
 def studied(summary):
     """Of every mode and combination: levels, error at true places (mm), coverage, each with its interval; how many trials are called doubtful."""
-    found = {}
+    found, names = {}, [factor["name"] for factor in summary["factors"]]
     for place, mode in enumerate(mode["mode"] for mode in summary["groups"][0]["modes"]):
         for group in summary["groups"]:
             figures = group["modes"][place]
             rms, inside = figures["sets"]["truth"]["rms_3d_m"], figures["prediction_coverage"]
             mean, half = 1e3 * rms["mean"], 1e3 * rms["half_width_95"]
-            interval = [min(max(end, 0.0), 1.0) for end in inside["interval_99_9"]]
+            levels = [re.sub(r'[\[\]"]', "", level) for level in group["levels"]]
             found.setdefault(mode, []).append({
-                "levels": [re.sub(r'[\[\]"]', "", level) for level in group["levels"]], "trials": group["trials"] - group["failed"], "failed": group["failed"],
-                "rms": (mean, mean - half, mean + half), "coverage": (inside["fraction"], *interval), "doubtful": figures["doubtful"],
+                "levels": [WORDS.get(level, level[1]) for level in zip(names, levels)], "trials": group["trials"] - group["failed"], "failed": group["failed"],
+                "rms": (mean, mean - half, mean + half), "coverage": (inside["fraction"], *inside["interval_99_9"]), "doubtful": figures["doubtful"],
             })
     return found
 
@@ -67,27 +73,27 @@ class Panel:
         if share:
             self.ends = (0.0, 1.0)
         elif self.log:
-            self.ends = (math.log10(low) - 0.08, math.log10(high) + 0.08)
+            # Out to the next lines of the grid, so that the first and the last have a figure.
+            self.ends = (max(t for t in GRID if t <= math.log10(low)), min(t for t in GRID if t >= math.log10(high)))
         else:
-            self.ends = (0.0, 1.1 * high)
+            step = 10.0 ** math.floor(math.log10(high))
+            self.step = next(s for s in (step / 5, step / 2, step, 2 * step) if high / s <= 5)
+            self.ends = (0.0, self.step * math.ceil(high / self.step))
         self.svg = [f'<text x="{left}" y="{TOP - 12}" font-weight="600">{title}</text>']
         for tick in self.ticks():
             y = self.y(tick)
             self.svg.append(f'<path d="M{left} {y:.1f}h{WIDTH}" stroke="#d8dde2"/>')
             self.svg.append(f'<text x="{left - 6}" y="{y + 4:.1f}" text-anchor="end">{f"{100 * tick:.0f} %" if share else f"{tick:g}"}</text>')
+        size = ' font-size="11"' if max(map(len, levels)) > 5 else ""
         for place, level in enumerate(levels):
-            self.svg.append(f'<text x="{self.x(place):.1f}" y="{TOP + HEIGHT + 18}" text-anchor="middle">{level}</text>')
+            self.svg.append(f'<text x="{self.x(place):.1f}" y="{TOP + HEIGHT + 18}" text-anchor="middle"{size}>{level}</text>')
 
     def ticks(self):
         if self.share:
             return [0.0, 0.25, 0.5, 0.75, 1.0]
         if self.log:
-            all_of = [m * 10.0**e for e in range(-4, 9) for m in (1, 2, 5)]
-            inside = [t for t in all_of if self.ends[0] <= math.log10(t) <= self.ends[1]]
-            return inside if len(inside) <= 7 else [t for t in inside if f"{t:e}"[0] == "1"]
-        step = 10.0 ** math.floor(math.log10(self.ends[1]))
-        step = next(s for s in (step / 5, step / 2, step, 2 * step) if self.ends[1] / s <= 6)
-        return [step * k for k in range(int(self.ends[1] / step) + 1)]
+            return [10.0**t for t in GRID if self.ends[0] <= t <= self.ends[1]]
+        return [self.step * k for k in range(round(self.ends[1] / self.step) + 1)]
 
     def x(self, place, shift=0.0):
         return self.left + WIDTH * (place + 0.5 + shift) / len(self.levels)
@@ -107,7 +113,8 @@ class Panel:
             self.svg.append(f'<circle cx="{x:.1f}" cy="{self.y(value):.1f}" r="3" fill="{colour}"/>')
 
 
-WIDTH, HEIGHT, TOP, GAP = 250, 190, 62, 62
+LEFT, WIDTH, HEIGHT, TOP, GAP = 52, 250, 190, 62, 62
+GRID = [math.log10(m) + e for e in range(-9, 9) for m in (1, 2, 5)]
 
 
 def picture(summary, found):
@@ -116,12 +123,12 @@ def picture(summary, found):
     across, second = unique(0), unique(1) if len(names) > 1 else [None]
     ends = [end for cells in found.values() for cell in cells for end in cell["rms"]]
     panels = [
-        (Panel(46, "RMS error at held-out poses, mm", across, ends, False), lambda cell: cell["rms"]),
-        (Panel(46 + WIDTH + GAP, "true places in their 95 % intervals", across, [0.0, 1.0], True), lambda cell: cell["coverage"]),
-        (Panel(46 + 2 * (WIDTH + GAP), "trials that are called doubtful", across, [0.0, 1.0], True), lambda cell: (cell["doubtful"] / cell["trials"],) * 3),
+        (Panel(LEFT, "RMS error at held-out poses, mm", across, ends, False), lambda cell: cell["rms"]),
+        (Panel(LEFT + WIDTH + GAP, "True places in their 95 % intervals", across, [0.0, 1.0], True), lambda cell: cell["coverage"]),
+        (Panel(LEFT + 2 * (WIDTH + GAP), "Trials that are called doubtful", across, [0.0, 1.0], True), lambda cell: (cell["doubtful"] / cell["trials"],) * 3),
     ]
-    width, height = 46 + 3 * WIDTH + 2 * GAP + 10, TOP + HEIGHT + 44
-    svg, legend, curves = [], 46.0, [(mode, level) for mode in found for level in second]
+    width, height = LEFT + 3 * WIDTH + 2 * GAP + 10, TOP + HEIGHT + 44
+    svg, legend, curves = [], float(LEFT), [(mode, level) for mode in found for level in second]
     for order, (mode, level) in enumerate(curves):
         colour, dashes = COLOURS[list(found).index(mode) % 4], ' stroke-dasharray="5 4"' if second.index(level) else ""
         cells = [next(c for c in found[mode] if c["levels"][0] == a and level in (None, *c["levels"][1:])) for a in across]
@@ -131,11 +138,11 @@ def picture(summary, found):
     keys += [("#1d2329", ' stroke-dasharray="5 4"' if place else "", f"{names[1]}: {level}") for place, level in enumerate(second) if level]
     for colour, dashes, words in keys:
         svg.append(f'<path d="M{legend:.0f} 18h26" stroke="{colour}" stroke-width="2"{dashes}/><text x="{legend + 32:.0f}" y="22">{words}</text>')
-        legend += 56 + 6.4 * len(words)
+        legend += 52 + 6.4 * len(words)
     svg += [line for panel, _ in panels for line in panel.svg]
     svg.append(f'<path d="M{panels[1][0].left} {panels[1][0].y(0.95):.1f}h{WIDTH}" stroke="#55606b" stroke-dasharray="2 3"/>')
     svg.append(f'<text x="{width / 2}" y="{height - 6}" text-anchor="middle">{names[0]}</text>')
-    width = max(width, legend)
+    width = max(width, legend - 18)
     body = "\n".join(svg)
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height}" font-family="system-ui, sans-serif" font-size="12" fill="#1d2329">\n'
