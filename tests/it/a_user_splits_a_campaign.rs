@@ -83,7 +83,7 @@ fn threads_shards_and_single_trials_give_the_same_bits() {
 #[test]
 fn a_campaign_that_is_killed_twenty_times_goes_on_to_the_same_bits() {
     let sandbox = sandbox();
-    let one = whole(&sandbox, "400");
+    let one = whole(&sandbox, "3000");
     let mut kept = Vec::new();
     let mut number = 7_u64;
     for _ in 0..20 {
@@ -94,7 +94,7 @@ fn a_campaign_that_is_killed_twenty_times_goes_on_to_the_same_bits() {
             "--plant",
             "analytic",
             "--trials",
-            "400",
+            "3000",
             "--threads",
             "1",
             "--out",
@@ -116,12 +116,12 @@ fn a_campaign_that_is_killed_twenty_times_goes_on_to_the_same_bits() {
     // Most of the kills fall into the work, and what was done before is kept.
     let in_work = kept.iter().filter(|parts| **parts > 0).count();
     assert!(in_work >= 8 && kept.windows(2).all(|pair| pair[1] >= pair[0] || pair[1] == 0), "{kept:?}");
-    let ended = campaign(&sandbox, "out", &["--trials", "400", "--resume"]);
+    let ended = campaign(&sandbox, "out", &["--trials", "3000", "--resume"]);
     assert_eq!(ended.code, Some(0), "{ended:?}");
     assert!(table(&sandbox, "out") == one, "not the same bits");
     assert!(!sandbox.path("out/parts").exists(), "parts are left");
     // Once more: nothing is done twice, and it is summed up again.
-    let again = campaign(&sandbox, "out", &["--trials", "400", "--resume", "--tolerance", "1mm"]);
+    let again = campaign(&sandbox, "out", &["--trials", "3000", "--resume", "--tolerance", "1mm"]);
     assert!(again.code == Some(0) && again.stderr.contains("are there already"), "{again:?}");
     assert!(again.stdout.contains("within 1 mm"), "{}", again.stdout);
 }

@@ -199,7 +199,11 @@ fn impossible_designs_are_refused_and_have_no_points() {
     refused(indices(1 << 32, 2, true), "the study has 8589934592 draws; 4294967296 are the most");
     assert_eq!(indices(1 << 31, 2, true).check(), Ok(()));
     let screening = |trajectories, factors, levels| Design::Screening { trajectories, factors, levels };
-    refused(screening(3, 2, 5), "a screening has 5 levels; it must be an even number, such as 4");
+    refused(
+        screening(3, 2, 1 << 17),
+        "a screening has 131072 levels; it must be an even number up to 65536, such as 4",
+    );
+    refused(screening(3, 2, 5), "a screening has 5 levels; it must be an even number up to 65536, such as 4");
     refused(screening(3, 2, 0), "the number of levels is 0; there must be at least one");
     refused(screening(0, 2, 4), "the number of trajectories is 0; there must be at least one");
     refused(screening(3, 0, 4), "the number of factors is 0; there must be at least one");
