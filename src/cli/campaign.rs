@@ -74,7 +74,7 @@ pub(super) struct MergeArgs {
 }
 
 pub(super) fn missing(args: &MissingArgs) -> Result<Verdict, CliError> {
-    let folder = Folder::open(&args.folder)?;
+    let folder = opened(&args.folder)?;
     let mut inventory = looked_through(&folder);
     let shards = folder.manifest().shards;
     if folder.is_complete() && inventory.sound() == 0 {
@@ -83,6 +83,9 @@ pub(super) fn missing(args: &MissingArgs) -> Result<Verdict, CliError> {
         say("trials.parquet is complete");
     }
     tell_faults(&inventory);
+    if !inventory.missing.is_empty() {
+        tell_unsound(&folder);
+    }
     let array = inventory.array();
     if args.json {
         let faults: Vec<_> = inventory.faults.iter().map(ToString::to_string).collect();
@@ -104,7 +107,7 @@ pub(super) fn missing(args: &MissingArgs) -> Result<Verdict, CliError> {
 }
 
 pub(super) fn merge(args: &MergeArgs) -> Result<Verdict, CliError> {
-    let folder = Folder::open(&args.folder)?;
+    let folder = opened(&args.folder)?;
     let inventory = looked_through(&folder);
     let must_not = inventory.faults.iter().filter(|fault| !fault.is_mended_by_computing()).count();
     if must_not > 0 {
@@ -117,6 +120,13 @@ pub(super) fn merge(args: &MergeArgs) -> Result<Verdict, CliError> {
     tell_faults(&inventory);
     if !inventory.missing.is_empty() {
         let (missing, shards) = (inventory.missing.len(), folder.manifest().shards);
+        tell_unsound(&folder);
+        if shards == 1 && inventory.faults.is_empty() {
+            say(
+                "doubtful: the campaign is not complete, and was not done in shards: `calibrig montecarlo` with the same options and --resume goes on with it",
+            );
+            return Ok(Verdict::Doubtful);
+        }
         say(&format!(
             "doubtful: {missing} of {shards} shards are missing, and no table is made: {}; run these again, then merge",
             inventory.array()
@@ -126,6 +136,23 @@ pub(super) fn merge(args: &MergeArgs) -> Result<Verdict, CliError> {
     with_rows("merging", &folder, |progress| folder.merge(&inventory, progress))?;
     join_timings(&folder);
     conclude(&folder, &args.answers, "trials.parquet")
+}
+
+fn opened(path: &Path) -> Result<Folder, CliError> {
+    if path.is_file() {
+        return Err(FolderError::NoCampaign { path: path.to_path_buf() }.into());
+    }
+    Ok(Folder::open(path)?)
+}
+
+/// Says that the whole table cannot be used.
+pub(super) fn tell_unsound(folder: &Folder) {
+    if folder.has_unsound_table() {
+        say(&format!(
+            "{}: cut short, altered, or not of this campaign: it does not have the sum that trials.parquet.sha256 tells of, and is made again",
+            folder.table().display()
+        ));
+    }
 }
 
 fn looked_through(folder: &Folder) -> Inventory {
@@ -315,7 +342,7 @@ pub(super) fn help(error: &FolderError) -> &'static str {
             "expected another folder (--out), or the scenario, the options and the program that the campaign was begun with; what is there is untouched"
         }
         FolderError::NoCampaign { .. } => {
-            "expected the --out folder of a campaign that was begun: `calibrig montecarlo SCENARIO --out DIR`"
+            "expected the folder of a campaign that was begun: `calibrig montecarlo SCENARIO --out DIR`"
         }
         FolderError::Manifest { .. } => {
             "expected a manifest as `calibrig montecarlo` writes it; begin the campaign anew in another folder"
@@ -323,7 +350,7 @@ pub(super) fn help(error: &FolderError) -> &'static str {
         FolderError::NoShard { .. } => "expected I from 0 and below N in --shard I/N",
         FolderError::Missing { .. } => "run what `calibrig missing` prints again",
         _ => {
-            "expected room and permission to read and write there; what is done is kept, and the same command with --resume (or the same --shard) goes on"
+            "expected room and permission to read and write there; what was written before is kept, and `calibrig montecarlo` with --resume (or the same --shard) goes on"
         }
     }
 }

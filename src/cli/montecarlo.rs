@@ -34,7 +34,7 @@ done, and keeps them. A trial that fails is a row with its reason. Exit code 3: 
 pub(super) struct Args {
     /// The scenario file
     scenario: PathBuf,
-    /// Number of trials [default: what [campaign] lays out, else 100]
+    /// Number of trials [default: as the section campaign says; 100 without it]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=4_000_000_000))]
     trials: Option<u64>,
     /// Number of the first trial, of a plain campaign
@@ -55,7 +55,7 @@ pub(super) struct Args {
     /// Go on with the campaign that is in --out
     #[arg(long, requires = "out", conflicts_with_all = ["shard", "plan"])]
     resume: bool,
-    /// Carry out shard I of N alone (I from 0): what is there of it already is not done again
+    /// Carry out shard I of N alone (I from 0); trials of it that are saved already are kept
     #[arg(long, value_name = "I/N", requires = "out", value_parser = shard)]
     shard: Option<(u32, u32)>,
     /// Write the job file of a scheduler for --shards parts into --out, and say what to type next; nothing is run
@@ -238,12 +238,17 @@ impl Work<'_> {
                 (false, true) => return Err(FolderError::NoCampaign { path: path.to_path_buf() }.into()),
                 _ => {}
             }
+            let table = path.join("trials.parquet");
+            if table.exists() && !Folder::is_begun(path) {
+                return Err(CliError::NamedAlready { path: table });
+            }
         }
         let path = destination.make()?.0;
         let folder = Folder::begin(&path, manifest)?;
         if folder.is_complete() {
             say(&format!("all {} trials are there already", folder.manifest().trials));
         } else {
+            campaign::tell_unsound(&folder);
             let all = folder.manifest().range();
             let missing = self.carry_out(&folder, &all, path.join("timings.csv"))?;
             if missing > 0 && !folder.is_complete() {
@@ -268,11 +273,12 @@ impl Work<'_> {
             return Ok(Verdict::Done);
         }
         let timings = path.join("shards").join(format!("{shard:06}-of-{shards:06}.timings.csv"));
-        let missing = self.carry_out(&folder, &range, timings)?;
+        let missing = self.carry_out(&folder, &range, timings);
         if folder.has_shard(shard)? {
             say(&format!("another process completed shard {shard} of {shards} meanwhile"));
             return Ok(Verdict::Done);
         }
+        let missing = missing?;
         if missing > 0 {
             say(&format!(
                 "interrupted: {missing} trials of shard {shard} of {shards} are not done; the same command goes on with it"
@@ -280,12 +286,11 @@ impl Work<'_> {
             return Ok(Verdict::Doubtful);
         }
         let file = folder.complete_shard(shard)?;
-        say(&format!(
-            "wrote shard {shard} of {shards}, trials {} to {}, to {}",
-            range.start,
-            range.end.saturating_sub(1),
-            file.display()
-        ));
+        let trials = match range.end.checked_sub(1).filter(|last| *last >= range.start) {
+            Some(last) => format!("trials {} to {last}", range.start),
+            None => "which holds no trial: there are more shards than trials".to_owned(),
+        };
+        say(&format!("wrote shard {shard} of {shards}, {trials}, to {}", file.display()));
         Ok(Verdict::Done)
     }
 
@@ -376,7 +381,7 @@ impl Work<'_> {
 }
 
 /// How long rows are held before they are written: little at first, so that a short campaign loses little, and more when there is more.
-const FIRST_PART: Duration = Duration::from_secs(1);
+const FIRST_PART: Duration = Duration::from_millis(500);
 const LONGEST_PART: Duration = Duration::from_secs(32);
 /// Rows that are held at most.
 const LARGEST_PART: u64 = 8192;

@@ -92,7 +92,11 @@ fn run_into(
     (seed, draw): (u64, u32),
     folder: &Path,
 ) -> Result<Verdict, CliError> {
-    let input = pipeline::input_of(scenario, seed, draw, args.plant.into());
+    let mut input = pipeline::input_of(scenario, seed, draw, args.plant.into());
+    if let Some(trial) = args.trial.filter(|trial| *trial > 0) {
+        // Its number in the campaign, which is not that of its draw in every design.
+        input.name = format!("{}, trial {trial}", scenario.name);
+    }
     let preamble = Preamble {
         input: &input,
         sources: &scenario.sources,
@@ -119,8 +123,8 @@ fn run_into(
         }
     };
     if args.trial.is_some() {
-        // Its number in the campaign, and not that of its draw.
         outcome.command = Some(output::command_line());
+        outcome.input.name.clone_from(&input.name);
     }
     let complete: output::Complete<'_> = if args.ablate {
         // Before the runs without a part: an interrupt of them leaves a whole recording.

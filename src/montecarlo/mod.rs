@@ -24,6 +24,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Condvar, Mutex, PoisonError, mpsc};
 
 use calibrig_campaign::design::Design;
+use miette::Diagnostic;
 use rayon::iter::{ParallelBridge, ParallelIterator};
 use thiserror::Error;
 
@@ -192,7 +193,8 @@ impl<'a> Campaign<'a> {
             let text = error.to_string();
             // Where the file lies differs between machines, and reasons are part of the table.
             let name = self.scenario.sources.first().map_or("", |(_, source)| source.name.as_str());
-            let reason = text.strip_prefix(name).map_or(text.clone(), |rest| format!("the scenario{rest}"));
+            let text = text.strip_prefix(name).map_or(text.clone(), |rest| format!("the scenario{rest}"));
+            let reason = error.help().map_or(text.clone(), |help| format!("{text}; {help}"));
             let values =
                 factors.iter().zip(values).map(|(f, value)| format!("{} = {value}", f.name)).collect();
             CaseError::Refused { values, reason }

@@ -371,6 +371,18 @@ fn check_key(source: &Source, key: &Spanned<String>, file: &FactorFile) -> Resul
         );
     }
     let places = source.places_of(name);
+    let is_value = |place: &Range<usize>| {
+        let text = source.text.get(place.clone()).unwrap_or_default();
+        let read = format!("value = {text}").parse::<toml::Table>();
+        read.is_ok_and(|table| table.get("value").is_some_and(|value| !value.is_table()))
+    };
+    if !places.iter().all(is_value) {
+        return refused(
+            format!("campaign.factor: {name} is a table, not a value"),
+            "expected one of its keys; a table of an array is chosen by its number from 1, or by its joint, name or mode, such as tracker.nest[1].x_mm"
+                .to_owned(),
+        );
+    }
     match places.len() {
         0 => refused(
             format!("campaign.factor: this file has no value of {name}"),

@@ -265,6 +265,51 @@ fn two_campaigns_do_not_share_a_folder_and_what_is_there_is_untouched() {
 }
 
 #[test]
+fn a_table_that_was_altered_is_made_again_and_one_of_nobody_is_kept() {
+    let sandbox = sandbox();
+    let one = whole(&sandbox, "6");
+    let path = sandbox.path("whole/trials.parquet");
+    for place in [one.len() / 3, one.len() / 2, one.len() - 9] {
+        let mut altered = one.clone();
+        altered[place] ^= 0x40;
+        fs::write(&path, &altered).expect("room");
+        let missing = sandbox.run(["missing", "whole"]);
+        assert_eq!(missing.code, Some(3), "{missing:?}");
+        assert!(missing.stderr.contains("cut short, altered"), "{}", missing.stderr);
+        let merged = sandbox.run(["merge", "whole"]);
+        assert!(merged.code == Some(3) && merged.stderr.contains("--resume goes on"), "{merged:?}");
+        let again = campaign(&sandbox, "whole", &["--trials", "6", "--resume"]);
+        assert!(again.code == Some(0) && again.stderr.contains("cut short, altered"), "{again:?}");
+        assert!(table(&sandbox, "whole") == one);
+    }
+    // The manifest is gone: whose table it is nobody can tell.
+    fs::remove_file(sandbox.path("whole/manifest.json")).expect("a manifest");
+    let arguments = ["montecarlo", SCENARIO, "--plant", "analytic", "--trials", "6", "--out", "whole"];
+    assert_refused(&sandbox, &arguments, "whole/trials.parquet", "is there already", "another name");
+}
+
+#[test]
+fn several_processes_at_one_shard_end_well() {
+    let sandbox = sandbox();
+    let arguments =
+        ["montecarlo", SCENARIO, "--plant", "analytic", "--trials", "600", "--shard", "0/1", "--out", "out"];
+    let children: Vec<_> = (0..3)
+        .map(|n| {
+            std::thread::sleep(Duration::from_millis(300 * n));
+            let mut command = sandbox.command(arguments);
+            command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the binary starts")
+        })
+        .collect();
+    for child in children {
+        let ended = child.wait_with_output().expect("an end");
+        assert_eq!(ended.status.code(), Some(0), "{}", String::from_utf8_lossy(&ended.stderr));
+    }
+    let merged = sandbox.run(["merge", "out"]);
+    assert_eq!(merged.code, Some(0), "{merged:?}");
+    assert!(table(&sandbox, "out") == whole(&sandbox, "600"));
+}
+
+#[test]
 fn job_files_run_every_shard() {
     let sandbox = sandbox();
     for (scheduler, file) in

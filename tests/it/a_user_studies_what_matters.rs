@@ -218,6 +218,16 @@ fn what_is_wrong_with_a_campaign_is_told_at_its_place() {
             "one factor a value",
         ),
         (format!("[campaign]\n{factor}{noise}levels = []\n"), "levels is empty", "one value or more"),
+        (
+            format!("[campaign]\n{factor}key = \"tracker.nest\"\nlevels = [1]\n"),
+            "tracker.nest is a table",
+            "tracker.nest[1].x_mm",
+        ),
+        (
+            format!("[campaign]\n{factor}key = \"tracker\"\nlevels = [1]\n"),
+            "tracker is a table",
+            "one of its keys",
+        ),
         (format!("[campaign]\n{factor}{noise}levels = [0.1, nan]\n"), "nan", "finite numbers"),
         (
             format!("[campaign]\n{factor}key = \"robot\"\nlevels = [\"x\"]\n"),

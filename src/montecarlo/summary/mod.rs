@@ -146,6 +146,28 @@ pub struct CampaignSummary {
 }
 
 impl CampaignSummary {
+    /// How often the calibrated robot of the last mode is within the tolerance, in a sentence; `None` without a tolerance, and of sweeps.
+    pub fn answer(&self) -> Option<String> {
+        let [group] = &self.groups[..] else { return None };
+        let mode = group.modes.last()?;
+        let set = mode.told()?;
+        let rate = |rate: &Option<Rate>| {
+            let rate = rate.as_ref()?;
+            let interval = rate.share.interval?;
+            let (low, high) = (1e2 * interval.low, 1e2 * interval.high);
+            Some(format!("{} of {} trials (95 % interval {low:.1} to {high:.1} %)", rate.hits, rate.trials))
+        };
+        // No more digits than a nanometre.
+        let tolerance = (1e9 * self.tolerance?).round() / 1e6;
+        Some(format!(
+            "Within {tolerance} mm, {}, {}: the RMS in {}, every pose in {}.",
+            mode.mode.title(),
+            set.kind.title(),
+            rate(&set.rms_within)?,
+            rate(&set.max_within)?
+        ))
+    }
+
     /// The modes over all trials; of a sweep, those of its first combination.
     pub fn modes(&self) -> &[ModeSummary] {
         self.groups.first().map_or(&[], |group| &group.modes)

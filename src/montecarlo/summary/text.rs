@@ -27,6 +27,9 @@ pub fn summary_text(summary: &CampaignSummary) -> String {
     }
     sensitivity_text(&mut text, summary);
     worst_text(&mut text, summary);
+    if let Some(answer) = summary.answer() {
+        let _ = writeln!(text, "\n{answer}");
+    }
     text
 }
 
@@ -153,7 +156,7 @@ fn convergence_text(text: &mut String, group: &GroupSummary) {
     };
     let _ = writeln!(
         text,
-        "\nMean RMS of {}: known within {:.1} % (95 %); some {} further trials bring it to {} %.",
+        "\nThe mean RMS of {} is uncertain by {:.1} % (95 %): some {} further trials bring that to {} %.",
         mode.mode.title(),
         1e2 * most.reached,
         most.more(),
@@ -192,7 +195,8 @@ fn consistency_text(text: &mut String, group: &GroupSummary) {
         if let Some(predictions) = mode.predictions {
             let share = 100.0 * predictions.coverage.fraction();
             let _ = write!(text, "; {share:.2} %");
-            if let Some(half) = predictions.half_width {
+            // Of few trials it says nothing.
+            if let Some(half) = predictions.half_width.filter(|half| *half < 0.5) {
                 let _ = write!(text, " ± {:.2} (99.9 %)", 100.0 * half);
             }
             text.push_str(" of the true coordinates inside their stated 95 % intervals");
@@ -286,7 +290,7 @@ fn sweep_text(text: &mut String, summary: &CampaignSummary, groups: &[GroupSumma
             "failed",
             "RMS 3-D",
             "5 % .. 95 %",
-            "more than the first",
+            "beside the first row",
             if summary.tolerance.is_some() { "  RMS within the tolerance" } else { "" }
         );
         for group in groups {
@@ -304,7 +308,7 @@ fn sweep_text(text: &mut String, summary: &CampaignSummary, groups: &[GroupSumma
         summary.tolerance.map_or_else(String::new, |t| format!("; the tolerance is {} mm", in_mm(t)));
     let _ = writeln!(
         text,
-        "\nAll combinations have the same draws: \"more than the first\" is the mean of differences of single trials{tolerance}."
+        "\nAll combinations have the same draws: \"beside the first row\" is the mean of differences of single trials{tolerance}."
     );
 }
 

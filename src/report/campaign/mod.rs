@@ -163,6 +163,9 @@ fn sentences(summary: &CampaignSummary) -> Vec<String> {
         0 => format!("All {} trials were carried out to the end.", count(summary.trials)),
         failed => format!("{} of {} trials failed.", count(failed), count(summary.trials)),
     }];
+    if let Some(answer) = summary.answer() {
+        lines.insert(0, answer);
+    }
     if summary.doubtful > 0 {
         lines.push(format!("{} trials are doubtful: the estimate of a mode did not converge, lacks rank, is at a bound or contradicts what was stated. They are in the figures.", count(summary.doubtful)));
     }

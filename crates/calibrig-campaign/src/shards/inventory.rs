@@ -137,11 +137,14 @@ impl Folder {
         if shard >= shards {
             return Err(FolderError::NoShard { shard, shards });
         }
-        Ok(self.shard_files(shard).iter().any(|path| self.look_at(path).is_ok()))
+        Ok(self.sound_shard(shard).is_some())
     }
 
     pub(super) fn look_at(&self, file: &std::path::Path) -> Result<(u32, Piece), Fault> {
         let file = file.to_path_buf();
+        if !file.is_file() || file.extension().is_none_or(|extension| extension != "parquet") {
+            return Err(Fault::Name { file });
+        }
         let name = file.file_stem().and_then(|name| name.to_str()).unwrap_or_default();
         let [campaign, shard, "of", shards, _] = name.split('-').collect::<Vec<_>>()[..] else {
             return Err(Fault::Name { file });
@@ -199,9 +202,7 @@ impl Folder {
         }
         let pieces: Vec<Piece> = inventory.sound.values().cloned().collect();
         let staged = self.assemble(&pieces, &self.manifest.range(), &self.path, progress)?;
-        staged.name(&self.table())?;
-        self.clear_all();
-        Ok(())
+        self.name_table(staged)
     }
 }
 

@@ -153,10 +153,36 @@ impl Folder {
         self.path.join("trials.parquet")
     }
 
-    /// Whether the whole table is there and is of this campaign.
+    /// Where the sum of the whole table stands, as `sha256sum -c` reads it.
+    fn table_sum(&self) -> PathBuf {
+        self.path.join("trials.parquet.sha256")
+    }
+
+    /// Gives the whole table its name, and tells its sum before, so that a table without its own sum is none.
+    fn name_table(&self, staged: StagedTable) -> Result<(), FolderError> {
+        let path = self.table_sum();
+        let mut file = File::create(&path).map_err(TableError::io(&path))?;
+        let written = writeln!(file, "{}  trials.parquet", staged.sum()).and_then(|()| file.sync_all());
+        written.map_err(TableError::io(&path))?;
+        staged.name(&self.table())?;
+        self.clear_all();
+        Ok(())
+    }
+
+    /// Whether the whole table is there, is of this campaign, and has the bytes that were written.
     pub fn is_complete(&self) -> bool {
+        let told = fs::read_to_string(self.table_sum()).unwrap_or_default();
+        let told = told.get(..SUM_DIGITS);
+        if told.is_none() || sum_of(&self.table()).ok().as_deref() != told {
+            return false;
+        }
         let about = TableReader::open(&self.table()).ok().and_then(|table| about_of(&table));
         about == Some(self.about(self.manifest.range()))
+    }
+
+    /// Whether there is a whole table that was cut short, altered or put there by another.
+    pub fn has_unsound_table(&self) -> bool {
+        self.table().exists() && !self.is_complete()
     }
 
     fn parts(&self) -> PathBuf {
@@ -217,7 +243,7 @@ impl Folder {
     }
 
     /// Removes the parts of what is complete elsewhere.
-    fn clear_parts(&self, done: &Range<u64>) {
+    pub(crate) fn clear_parts(&self, done: &Range<u64>) {
         for part in self.part_files() {
             if done.start <= part.range.start && part.range.end <= done.end {
                 // What cannot be removed is in nobody's way.
@@ -283,6 +309,10 @@ fn about_of(table: &TableReader) -> Option<About> {
 
 /// The beginning of the SHA-256 of a file, as it stands in names.
 fn sum_of(path: &Path) -> io::Result<String> {
+    // Nothing ever comes from a pipe that has a file's name.
+    if !path.is_file() {
+        return Err(io::ErrorKind::InvalidInput.into());
+    }
     let mut sum = Sha256::new();
     let mut file = File::open(path)?;
     let mut piece = vec![0; 1 << 16];

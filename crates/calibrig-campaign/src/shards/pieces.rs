@@ -132,7 +132,11 @@ impl Folder {
     pub fn complete_shard(&self, shard: u32) -> Result<PathBuf, FolderError> {
         let range = self.manifest.range_of(shard);
         let covered = self.covered(&range);
-        let staged = self.assemble(&covered.pieces, &range, &self.shards(), &mut |_| {})?;
+        let staged = match self.assemble(&covered.pieces, &range, &self.shards(), &mut |_| {}) {
+            Ok(staged) => staged,
+            // Another process completed it meanwhile, and removed its parts.
+            Err(error) => return self.sound_shard(shard).ok_or(error),
+        };
         let path = self.shards().join(self.shard_name(shard, short(&staged)));
         staged.name(&path)?;
         // Those of this number that were cut short or altered are mended; what is not ours stays.
@@ -143,6 +147,13 @@ impl Folder {
         }
         self.clear_parts(&range);
         Ok(path)
+    }
+
+    /// The file of a shard that is there and sound.
+    pub fn sound_shard(&self, shard: u32) -> Option<PathBuf> {
+        let found = self.shard_files(shard).into_iter().find(|path| self.look_at(path).is_ok())?;
+        self.clear_parts(&self.manifest.range_of(shard));
+        Some(found)
     }
 
     pub(super) fn shard_name(&self, shard: u32, sum: &str) -> String {
@@ -164,9 +175,7 @@ impl Folder {
     pub fn complete(&self, progress: &mut dyn FnMut(u64)) -> Result<(), FolderError> {
         let range = self.manifest.range();
         let covered = self.covered(&range);
-        self.assemble(&covered.pieces, &range, &self.path, progress)?.name(&self.table())?;
-        self.clear_all();
-        Ok(())
+        self.name_table(self.assemble(&covered.pieces, &range, &self.path, progress)?)
     }
 
     /// A table of what is done of the campaign so far up to the first hole, which is gone when it is dropped; `None` where nothing is.
