@@ -43,6 +43,7 @@ impl Files {
             Self::Plan => &["plan.csv", "plan.json", "plan.html"],
             Self::Campaign => &[
                 "manifest.json",
+                "trials.parquet.sha256",
                 "trials.parquet",
                 "trials.csv",
                 "summary.json",

@@ -208,7 +208,7 @@ fn a_plain_campaign_tells_accuracy_tolerance_and_how_to_do_it_again() {
     assert!((6..=10).contains(&bars(Mode::OnlyCalibration)), "{}", bars(Mode::OnlyCalibration));
     let reproduce = section(&page, "reproduce");
     assert!(reproduce.contains("calibrig montecarlo scenarios/paper.toml --trials 200 --seed 7 --plant rapier --tolerance 0.1mm --out DIR"));
-    assert!(reproduce.contains("elasto_geometric.verification.rms_3d_m") && reproduce.contains("ab12"));
+    assert!(reproduce.contains("elasto_geometric.truth.rms_3d_m") && reproduce.contains("ab12"));
     let worst = section(&page, "worst");
     assert_eq!(
         worst.matches("<code>calibrig run scenarios/paper.toml --seed 7 --plant rapier --trial ").count(),
