@@ -158,7 +158,7 @@ impl Folder {
         self.path.join("trials.parquet.sha256")
     }
 
-    /// Gives the whole table its name, and tells its sum before, so that a table without its own sum is none.
+    /// Writes the sum of the whole table, then gives the table its name: one whose sum differs is not taken for complete.
     fn name_table(&self, staged: StagedTable) -> Result<(), FolderError> {
         let path = self.table_sum();
         let mut file = File::create(&path).map_err(TableError::io(&path))?;
@@ -243,7 +243,7 @@ impl Folder {
     }
 
     /// Removes the parts of what is complete elsewhere.
-    pub(crate) fn clear_parts(&self, done: &Range<u64>) {
+    fn clear_parts(&self, done: &Range<u64>) {
         for part in self.part_files() {
             if done.start <= part.range.start && part.range.end <= done.end {
                 // What cannot be removed is in nobody's way.

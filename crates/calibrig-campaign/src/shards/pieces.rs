@@ -135,7 +135,11 @@ impl Folder {
         let staged = match self.assemble(&covered.pieces, &range, &self.shards(), &mut |_| {}) {
             Ok(staged) => staged,
             // Another process completed it meanwhile, and removed its parts.
-            Err(error) => return self.sound_shard(shard).ok_or(error),
+            Err(error) => {
+                let found = self.sound_shard(shard).ok_or(error)?;
+                self.clear_parts(&range);
+                return Ok(found);
+            }
         };
         let path = self.shards().join(self.shard_name(shard, short(&staged)));
         staged.name(&path)?;
@@ -150,10 +154,8 @@ impl Folder {
     }
 
     /// The file of a shard that is there and sound.
-    pub fn sound_shard(&self, shard: u32) -> Option<PathBuf> {
-        let found = self.shard_files(shard).into_iter().find(|path| self.look_at(path).is_ok())?;
-        self.clear_parts(&self.manifest.range_of(shard));
-        Some(found)
+    pub(super) fn sound_shard(&self, shard: u32) -> Option<PathBuf> {
+        self.shard_files(shard).into_iter().find(|path| self.look_at(path).is_ok())
     }
 
     pub(super) fn shard_name(&self, shard: u32, sum: &str) -> String {
