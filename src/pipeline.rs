@@ -3,29 +3,28 @@
 mod ablation;
 mod acceptance;
 mod bounds;
-mod choice;
 mod closed_loop;
 mod defaults;
 mod diagnosis;
 mod iso9283;
-mod judgement;
 mod machine;
 mod planned;
 mod plausible;
-mod residuals;
 mod sensors;
 mod simulate;
-mod splits;
 mod steady;
 mod swept;
 mod truth;
-mod worth;
 
 pub use ablation::{AblatedPart, Ablation, AblationRows, Part, ablate};
+pub use calibrig_estimation::calibration::{
+    ALL_TERMS, CalibrateError, ChosenRow, Confidence, DEFAULT_TERMS, FALSE_ALARM, FailedVariant, Judgement, ModelChoice,
+    ObservationResidual, PredictedPosition, SplitMode, SplitPlan, SplitStudy, Worse, calibrate, choose, judge, pose_count,
+    repeat_splits, without_gross_errors,
+};
 pub use acceptance::{AcceptanceOutcome, Finding, Ratios, Test, TestOutcome, TestedKind, test_instruments};
 pub(crate) use bounds::information_at_truth;
 pub use bounds::{TruthBounds, bounds_at_truth};
-pub use choice::{ALL_TERMS, ChosenRow, DEFAULT_TERMS, FailedVariant, ModelChoice, choose};
 pub use closed_loop::{ClosedLoopError, close_loop};
 pub use defaults::{default_modes, default_options, is_default};
 pub use diagnosis::{Names, mm};
@@ -33,18 +32,14 @@ pub use iso9283::{
     AccuracyAgainst, CombinedOrientation, Iso9283Failure, Iso9283Outcome, Iso9283Plan, Iso9283Pose,
     Iso9283Target, ReachError, iso9283_of_scenario, iso9283_of_set,
 };
-pub use judgement::{Confidence, FALSE_ALARM, Judgement, PredictedPosition, judge};
 pub use machine::check_analytic;
 pub use planned::{planned, planned_at};
 pub use plausible::{Implausible, check_plausible, commands_beyond_limits};
-pub use residuals::ObservationResidual;
 pub use sensors::{ARM, Sensor, SensorProspect, SensorResult, SensorStudy, compare_sensors, foresee_sensors};
 pub use simulate::{measure_session, simulate};
-pub use splits::{SplitMode, SplitPlan, SplitStudy, pose_count, repeat_splits, without_gross_errors};
 pub use steady::{SteadySets, without_drift};
 pub use swept::swept_stations;
 pub use truth::KnownTruth;
-pub use worth::Worse;
 
 use std::fmt::Write;
 use std::fs::File;
@@ -238,36 +233,15 @@ pub enum PipelineError {
         /// Why.
         source: CombineError,
     },
-    /// An identified robot cannot take a measured pose.
-    #[error("{}: {source}", mode.title())]
-    Predict {
-        /// The mode.
-        mode: Mode,
-        /// Why.
-        source: PredictionError,
-    },
-    /// A random split cannot be identified.
-    #[error("split {split}: {source}")]
-    Split {
-        /// Its number, from one.
-        split: usize,
-        /// Why.
-        source: Box<PipelineError>,
-    },
     /// The nominal robot does not lie on the points: the fit does not start.
     #[error("{0}")]
     Implausible(Box<Implausible>),
     /// Commands cannot be corrected and driven.
     #[error("[compensation]: {0}")]
     ClosedLoop(#[from] ClosedLoopError),
-    /// A mode cannot be identified.
-    #[error("{}: {source}", mode.title())]
-    Identify {
-        /// Which.
-        mode: Mode,
-        /// Why.
-        source: IdentifyError,
-    },
+    /// The sets cannot be calibrated.
+    #[error(transparent)]
+    Calibrate(#[from] CalibrateError),
 }
 
 impl<E: Into<Self>> From<SessionError<E>> for PipelineError {
@@ -285,73 +259,6 @@ impl<E: Into<Self>> From<SessionError<E>> for PipelineError {
             SessionError::Interrupted { done, total } => Self::Interrupted { done, total },
         }
     }
-}
-
-/// Identifies in every mode and evaluates on every set. The first set is the one that is fitted.
-///
-/// Sees measurements and the nominal model only: simulated, replayed and real data take this same way.
-pub fn calibrate(
-    model: &CalibrationModel,
-    sets: &[SetOutcome],
-    modes: &[Mode],
-    options: &IdentificationOptions,
-) -> Result<(RegistrationSummary, Vec<ModeOutcome>), PipelineError> {
-    let empty = MeasurementSet::default();
-    let fitted = sets.first().map_or(&empty, |set| &set.measurements);
-    let registered = without_calibration(model, fitted, options.solver.loss)
-        .map_err(|source| PipelineError::Identify { mode: Mode::WithoutCalibration, source })?;
-    let rms = accuracy(&errors(&registered, fitted)?).map_or(0.0, |row| row.rms_3d);
-    let registration = RegistrationSummary {
-        how: if fitted.targets.iter().all(|t| t.covariance.is_none()) {
-            "best fit of the nominal robot to the identification set, tracker frame and target offset free"
-        } else if fitted.targets.iter().any(|t| t.covariance.is_none()) {
-            "best fit of the nominal robot to the identification set, tracker frame and offsets of targets that were not measured free"
-        } else {
-            "best fit of the nominal robot to the identification set, tracker frame free"
-        }
-        .to_owned(),
-        poses: fitted.observations.len(),
-        rms,
-    };
-    let outcomes = modes
-        .iter()
-        .map(|&mode| {
-            let estimate = match mode {
-                Mode::WithoutCalibration => None,
-                _ => {
-                    let options = IdentificationOptions { mode, ..options.clone() };
-                    Some(
-                        identify(model, fitted, &options)
-                            .map_err(|source| PipelineError::Identify { mode, source })?,
-                    )
-                }
-            };
-            let robot = estimate.as_ref().map_or_else(|| registered.clone(), |e| e.robot.clone());
-            let errors: Vec<_> = sets
-                .iter()
-                .map(|set| errors(&robot, &set.measurements))
-                .collect::<Result<_, PipelineError>>()?;
-            let rows = errors.iter().map(|e| accuracy(e)).collect();
-            let turns = sets.iter().map(|set| turns(&robot, &set.measurements)).collect::<Result<_, _>>()?;
-            Ok(ModeOutcome { mode, robot, estimate, errors, rows, turns })
-        })
-        .collect::<Result<_, PipelineError>>()?;
-    Ok((registration, outcomes))
-}
-
-fn errors(robot: &CalibratedRobot, set: &MeasurementSet) -> Result<Vec<Vector3<f64>>, PipelineError> {
-    Predictor::new(robot)
-        .and_then(|mut predictor| predictor.errors(set))
-        .map_err(|source| PipelineError::Predict { mode: robot.mode, source })
-}
-
-fn turns(robot: &CalibratedRobot, set: &MeasurementSet) -> Result<Vec<Option<Vector3<f64>>>, PipelineError> {
-    if !set.has_poses() {
-        return Ok(vec![None; set.observations.len()]);
-    }
-    Predictor::new(robot)
-        .and_then(|mut predictor| predictor.turns(set))
-        .map_err(|source| PipelineError::Predict { mode: robot.mode, source })
 }
 
 /// Simulates, identifies and evaluates a scenario: trial 0 of its campaigns. `progress` is told the number of poses done and of all poses.

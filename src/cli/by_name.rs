@@ -7,7 +7,7 @@ use clap::{CommandFactory, ValueEnum};
 use serde::Serialize;
 
 use super::Cli;
-use crate::pipeline::PipelineError;
+use crate::pipeline::CalibrateError;
 use calibrig_estimation::identification::{
     FrameChoice, IdentificationOptions, InstrumentChoice, ListedParameter, Mode, ParameterChoice,
     ParameterState, TargetChoice, check_named, list_parameters,
@@ -201,12 +201,12 @@ pub(super) fn list(
     modes: &[Mode],
     options: &IdentificationOptions,
     json: bool,
-) -> Result<String, PipelineError> {
+) -> Result<String, CalibrateError> {
     let mut lists = Vec::new();
     for &mode in modes.iter().filter(|mode| **mode != Mode::WithoutCalibration) {
         let options = IdentificationOptions { mode, ..options.clone() };
         let listed = list_parameters(&robot.model, set, &options)
-            .map_err(|source| PipelineError::Identify { mode, source })?;
+            .map_err(|source| CalibrateError::Identify { mode, source })?;
         lists.push((mode, listed));
     }
     if json {

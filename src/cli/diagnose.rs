@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use super::identify::{FileArgs, Loaded};
 use super::inspect::with_progress;
 use super::{CliError, Verdict, print, say};
-use crate::pipeline::{Names, PipelineError, SetKind, SetOutcome, commands_beyond_limits, mm};
+use crate::pipeline::{CalibrateError, Names, SetKind, SetOutcome, commands_beyond_limits, mm};
 use calibrig_estimation::diagnosis::{
     Diagnosis, Finding, Hypothesis, OrientationFinding, Orientations, Part, Undetermined, diagnose_with,
     orientations,
@@ -60,7 +60,7 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
         let found = with_progress("diagnosing", |progress| diagnose_with(&robot.model, set, progress))
             .map_err(|source| CliError::Pipeline {
                 file: args.files.first(),
-                source: PipelineError::Identify { mode: Mode::WithoutCalibration, source },
+                source: CalibrateError::Identify { mode: Mode::WithoutCalibration, source }.into(),
             })?;
         diagnosed.push(Diagnosed {
             kind: *kind,

@@ -14,7 +14,7 @@ use serde_json::json;
 use super::identify::family;
 use super::model::ChainArgs;
 use super::{Cli, CliError, Verdict, print, read_scenario, say};
-use crate::pipeline::PipelineError;
+use crate::pipeline::CalibrateError;
 use crate::scenario::Scenario;
 use calibrig_estimation::identification::{
     Explanation, Finding, FrameChoice, IdentifiabilityReport, Mode, TargetChoice, explain,
@@ -151,8 +151,8 @@ pub(super) fn execute(args: &Args) -> Result<Verdict, CliError> {
 fn failed(args: &Args, error: ModelError) -> CliError {
     let file =
         args.model.as_ref().or(args.urdf.as_ref()).or(args.scenario.as_ref()).cloned().unwrap_or_default();
-    let source = PipelineError::Identify { mode: Mode::OnlyCalibration, source: error.into() };
-    CliError::Pipeline { file, source }
+    let source = CalibrateError::Identify { mode: Mode::OnlyCalibration, source: error.into() };
+    CliError::Pipeline { file, source: source.into() }
 }
 
 fn question(args: &Args) -> Result<Question, CliError> {

@@ -213,12 +213,8 @@ fn unwritten_help(written: &[&str]) -> String {
 
 /// What an identification needs that fails for want of poses, in words.
 fn what_is_needed(error: &PipelineError) -> Option<String> {
-    let inner = match error {
-        PipelineError::Split { source, .. } => source.as_ref(),
-        error => error,
-    };
-    let PipelineError::Identify { source: cause, .. } = inner else { return None };
-    match *cause {
+    let PipelineError::Calibrate(error) = error else { return None };
+    match *error.cause()? {
         IdentifyError::TooFewRows { rows, parameters } => {
             let more = (parameters - rows.min(parameters)).div_ceil(3);
             Some(format!("expected at least {more} more poses: each gives three coordinates"))

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::{PipelineError, PlantKind, simulate, without_drift};
+use super::{CalibrateError, PipelineError, PlantKind, simulate, without_drift};
 use crate::scenario::Scenario;
 use calibrig_estimation::identification::{CalibratedRobot, Mode, PredictionError, Predictor};
 use calibrig_model::geometry::Transform;
@@ -58,7 +58,7 @@ pub fn planned_at(
         targets: vec![in_flange],
         orientations: vec![None],
     };
-    let failed = |source| PipelineError::Predict { mode: robot.mode, source };
+    let failed = |source| CalibrateError::Predict { mode: robot.mode, source };
     let mut predictor = Predictor::new(&robot).map_err(failed)?;
     let mut motion: Option<Motion> = None;
     for (pose, joints) in (1..).zip(poses) {

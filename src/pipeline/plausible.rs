@@ -3,7 +3,7 @@
 use std::fmt;
 
 use super::diagnosis::{Names, mm};
-use super::{PipelineError, SetKind, SetOutcome};
+use super::{CalibrateError, PipelineError, SetKind, SetOutcome};
 use calibrig_estimation::diagnosis::{Finding, Hypothesis, Part};
 use calibrig_estimation::identification::{IdentificationOptions, Loss, Mode};
 use calibrig_estimation::plausibility::{BeyondLimits, Plausibility, beyond_limits, plausibility_with};
@@ -32,7 +32,7 @@ pub struct Implausible {
 ///
 /// # Errors
 ///
-/// [`PipelineError::Implausible`]; [`PipelineError::Identify`] where model and set do not belong together.
+/// [`PipelineError::Implausible`]; [`CalibrateError::Identify`] where model and set do not belong together.
 pub fn check_plausible(
     model: &CalibrationModel,
     sets: &[SetOutcome],
@@ -45,7 +45,7 @@ pub fn check_plausible(
             continue;
         }
         let found = plausibility_with(model, set, &mut progress)
-            .map_err(|source| PipelineError::Identify { mode: Mode::WithoutCalibration, source })?;
+            .map_err(|source| CalibrateError::Identify { mode: Mode::WithoutCalibration, source })?;
         // What is held out moves no fit: of it, gross errors are told with the fit.
         let is_fitted = *kind == SetKind::Identification;
         if !found.is_plausible(robust || !is_fitted) {

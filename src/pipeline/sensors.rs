@@ -6,7 +6,8 @@ pub use foreseen::{SensorProspect, SensorStudy, foresee_sensors};
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
-use super::{PipelineError, PlantKind, errors, simulate, turns};
+use super::{CalibrateError, PipelineError, PlantKind, simulate};
+use calibrig_estimation::calibration::{errors, turns};
 use crate::scenario::Scenario;
 use calibrig_estimation::evaluation::{accuracy, orientation_accuracy};
 use calibrig_estimation::identification::{IdentificationOptions, Mode, identify};
@@ -246,7 +247,7 @@ impl Study<'_> {
         let empty = MeasurementSet::default();
         let fitted = sets.first().map_or(&empty, |set| &set.measurements);
         let estimate =
-            identify(model, fitted, options).map_err(|source| PipelineError::Identify { mode, source })?;
+            identify(model, fitted, options).map_err(|source| CalibrateError::Identify { mode, source })?;
         let held_out = sets.get(1).map(|set| &set.measurements);
         let mut first = Vec::new();
         let mut angles = Vec::new();

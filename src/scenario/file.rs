@@ -20,7 +20,7 @@ use super::session::{Around, SessionFile, session};
 use calibrig_estimation::identification::{FrameChoice, IdentificationOptions};
 use calibrig_files::{InputError, PayloadTable, Source, Spanned};
 use calibrig_files::{Robot, StatedTarget, load_robot};
-use calibrig_model::KinematicModel;
+use calibrig_model::{KinematicModel, STANDARD_GRAVITY};
 use calibrig_model::measurement::SetKind;
 use calibrig_plant::AsBuilt;
 use calibrig_plant::session::SessionPlan;
@@ -237,7 +237,7 @@ fn whole(
 }
 
 /// Where neither the robot's file nor the scenario says where down is, m/s².
-pub(crate) const USUAL_GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.80665);
+const USUAL_GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -STANDARD_GRAVITY);
 
 fn gravity(source: &Source, table: &Spanned<GravityFile>) -> Result<Vector3<f64>, InputError> {
     let file = table.get_ref();

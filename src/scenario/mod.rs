@@ -16,7 +16,6 @@ pub use campaign::{CampaignPlan, Factor, FactorValues, Layout};
 pub use compensation::{CompensationPlan, GoalKind, PathPlan};
 pub use identification::with_stated_of;
 
-pub(crate) use file::USUAL_GRAVITY;
 pub use file::{load_scenario, parse_scenario, parse_scenario_with};
 pub use remarks::Passing;
 

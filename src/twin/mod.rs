@@ -15,7 +15,7 @@ use calibrig_estimation::identification::identifiability_of;
 use calibrig_files::{InputError, Robot, Source};
 use calibrig_model::random::{self, stream};
 use calibrig_model::visibility::{Built, Obstacles, Room, TrackerReach, stance_at};
-use calibrig_model::{JointKind, ModelError, StaticProperties};
+use calibrig_model::{JointKind, ModelError, STANDARD_GRAVITY, StaticProperties};
 use calibrig_plant::experiment::{self, Place, Stand, WorkingRegion, usable_ranges};
 pub use calibrig_plant::tracker::Preset;
 
@@ -142,7 +142,6 @@ const STANDOFF: f64 = 0.025;
 const KEEP_OFF: f64 = 0.3;
 /// No drive yields more than this under its own robot, rad; nor a slide more than as many m.
 const MOST_SAG: f64 = 5e-3;
-const GRAVITY: f64 = 9.80665;
 
 /// Makes the twin of `robot`, whose file the scenario will name `named`.
 ///
@@ -283,10 +282,10 @@ fn survey(robot: &Robot, options: &TwinOptions) -> Surveyed {
     let mut told = Vec::new();
     let stated = model.statics.as_ref().map(|statics| statics.gravity);
     let gravity = match options.mounting {
-        None => stated.unwrap_or(Vector3::new(0.0, 0.0, -GRAVITY)),
-        Some(Mounting::Floor) => Vector3::new(0.0, 0.0, -GRAVITY),
-        Some(Mounting::Wall) => Vector3::new(-GRAVITY, 0.0, 0.0),
-        Some(Mounting::Ceiling) => Vector3::new(0.0, 0.0, GRAVITY),
+        None => stated.unwrap_or(Vector3::new(0.0, 0.0, -STANDARD_GRAVITY)),
+        Some(Mounting::Floor) => Vector3::new(0.0, 0.0, -STANDARD_GRAVITY),
+        Some(Mounting::Wall) => Vector3::new(-STANDARD_GRAVITY, 0.0, 0.0),
+        Some(Mounting::Ceiling) => Vector3::new(0.0, 0.0, STANDARD_GRAVITY),
     };
     let up = UnitVector3::try_new(-gravity, 1e-9).unwrap_or(Vector3::z_axis());
     let hangs = up.z < -0.7;

@@ -3,8 +3,8 @@
 //! [`identification::identify`] takes a [`CalibrationModel`](calibrig_model::CalibrationModel), a
 //! [`MeasurementSet`](calibrig_model::measurement::MeasurementSet) and [options](identification::IdentificationOptions), and returns an
 //! [`Estimate`](identification::Estimate): the parameters with their covariance, what the measurements cannot tell, what was taken to be so,
-//! and a robot that predicts. [`kinematics`] and [`elastostatics`] are the models behind it; [`evaluation`] and [`validation`] say how good
-//! a result is without knowing the truth. Units are SI and radians.
+//! and a robot that predicts. [`calibration`] does so in every mode and judges the results. [`kinematics`] and [`elastostatics`] are the models behind
+//! it; [`evaluation`] and [`validation`] say how good a result is without knowing the truth. Units are SI and radians.
 //!
 //! ```
 //! use calibrig_estimation::identification::{IdentificationOptions, identify};
@@ -62,6 +62,7 @@
 /// the number was recorded.
 pub const METHOD: u32 = 4;
 
+pub mod calibration;
 pub mod circle_points;
 pub mod compensation;
 pub mod diagnosis;

@@ -5,6 +5,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::geometry::Transform;
 
+/// Standard acceleration of gravity, m/s² (3rd CGPM, 1901).
+pub const STANDARD_GRAVITY: f64 = 9.80665;
+
 /// The inertial properties of one link, in that link's frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Body {

@@ -54,7 +54,7 @@ pub use actuators::{ActuatorMap, AxisMap, CrankAxis, ElbowDrive, FourBar, Linkag
 pub use beam::BeamError;
 pub use bodies::{
     Beam, BeamRun, BeamSegment, Bearing, BearingSide, Body, BodyUncertainty, LinkageStatics, PointLoad,
-    RIGID, Section, SegmentLength, SixStiffness, StaticProperties, Visual, VisualShape,
+    RIGID, STANDARD_GRAVITY, Section, SegmentLength, SixStiffness, StaticProperties, Visual, VisualShape,
 };
 pub use check::ModelError;
 pub use closure::{LEAST_TRANSMISSION_ANGLE, LinkageFault, linkage_fault};

@@ -8,7 +8,7 @@ use serde_json::json;
 use super::super::identify::{compliances, terms};
 use super::{Args, CliError, MOUNTABLE_TARGET, SPREAD_POSES, Verdict, scenario_poses, spread_poses};
 use crate::cli::print;
-use crate::pipeline::{PipelineError, default_options, planned, planned_at};
+use crate::pipeline::{CalibrateError, PipelineError, default_options, planned, planned_at};
 use crate::scenario::load_scenario;
 use calibrig_estimation::identification::{IdentificationOptions, Mode, Prospect, prospect, reachable_poses};
 use calibrig_model::measurement::MeasurementSet;
@@ -38,7 +38,7 @@ pub(super) fn execute(args: &Args, mode: Mode) -> Result<Verdict, CliError> {
         plan.options.terms = Some(terms(families));
     }
     let prospect = prospect(&plan.model, &plan.set, &plan.options)
-        .map_err(|source| failed(PipelineError::Identify { mode, source }, file))?;
+        .map_err(|source| failed(CalibrateError::Identify { mode, source }.into(), file))?;
     print(&if args.json { as_json(&plan, &prospect) } else { as_text(&plan, &prospect) })?;
     let complete = prospect.spectrum.rank == prospect.parameters.len();
     Ok(if complete { Verdict::Done } else { Verdict::Doubtful })

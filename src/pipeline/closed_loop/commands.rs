@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::{ClosedLoopError, PipelineError, Resolved};
+use super::{CalibrateError, ClosedLoopError, PipelineError, Resolved};
 use crate::pipeline::iso9283::within;
 use crate::scenario::{CompensationPlan, GoalKind, Scenario};
 use calibrig_estimation::compensation::{CompensatedPoint, CompensationError, Compensator, Travel};
@@ -33,7 +33,7 @@ impl<'a> Tooled<'a> {
 
     /// Where the tool is predicted to be at a command.
     pub fn goal(&self, command: &[f64]) -> Result<Goal, PipelineError> {
-        let predicted = |source| PipelineError::Predict { mode: self.robot.mode, source };
+        let predicted = |source| CalibrateError::Predict { mode: self.robot.mode, source };
         let flange: Transform =
             Predictor::new(self.robot).and_then(|mut own| own.flange(command)).map_err(predicted)?;
         let place = flange * self.tool.flange_from_tool();

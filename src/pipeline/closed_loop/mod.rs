@@ -10,7 +10,7 @@ use std::ops::ControlFlow;
 use self::commands::{Corrected, Tooled, droop, nominal_by};
 use super::machine::AnalyticMachine;
 use super::simulate::settle_options;
-use super::{Iso9283Failure, Outcome, PipelineError, PlantKind, ReachError, without_drift};
+use super::{CalibrateError, Iso9283Failure, Outcome, PipelineError, PlantKind, ReachError, without_drift};
 use crate::scenario::{CompensationPlan, Scenario};
 use calibrig_estimation::compensation::CompensationError;
 use calibrig_estimation::evaluation::closed_loop::{
@@ -271,7 +271,7 @@ impl Loop<'_, '_> {
         let robot =
             self.outcome.modes.iter().find(|own| own.mode == mode).map_or(self.nominal, |own| &own.robot);
         let measured = measured_in_base(robot, &set.measurements)
-            .map_err(|source| PipelineError::Predict { mode, source })?;
+            .map_err(|source| CalibrateError::Predict { mode, source })?;
         let points =
             set.measurements.observations.iter().zip(measured).filter_map(|(observation, measured)| {
                 let index = observation.pose as usize;

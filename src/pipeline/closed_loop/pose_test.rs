@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::commands::{Corrected, Tooled, correct};
-use super::{ClosedLoopError, Loop, PipelineError};
+use super::{CalibrateError, ClosedLoopError, Loop, PipelineError};
 use crate::pipeline::iso9283::{cube_of, cycles_failed};
 use crate::pipeline::{Iso9283Failure, Iso9283Plan};
 use calibrig_estimation::evaluation::closed_loop::{DrivenPoseTest, measured_in_base};
@@ -109,7 +109,7 @@ impl Loop<'_, '_> {
         let robot =
             self.outcome.modes.iter().find(|own| own.mode == mode).map_or(self.nominal, |own| &own.robot);
         let places =
-            measured_in_base(robot, &set).map_err(|source| PipelineError::Predict { mode, source })?;
+            measured_in_base(robot, &set).map_err(|source| CalibrateError::Predict { mode, source })?;
         let of_pose = |(number, goal): (u32, &Goal)| {
             let read = set.observations.iter().zip(&places);
             let own = read.filter(|(observation, _)| observation.pose == number && observation.target == 0);

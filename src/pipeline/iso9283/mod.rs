@@ -14,7 +14,7 @@ pub(super) use self::reach::within;
 use super::machine::AnalyticMachine;
 use super::simulate::settle_options;
 use super::{
-    InputSummary, PipelineError, PlantKind, SetKind, SetOutcome, calibrate, input_of, measure_session,
+    CalibrateError, InputSummary, PipelineError, PlantKind, SetKind, SetOutcome, calibrate, input_of, measure_session,
     without_drift,
 };
 use crate::scenario::Scenario;
@@ -389,7 +389,8 @@ pub fn iso9283_of_set(
     cycles: Option<usize>,
 ) -> Result<Iso9283Outcome, Iso9283Failure> {
     set.check(model.kinematics.joint_count())
-        .map_err(|error| PipelineError::Identify { mode: Mode::WithoutCalibration, source: error.into() })?;
+        .map_err(|error| CalibrateError::Identify { mode: Mode::WithoutCalibration, source: error.into() })
+        .map_err(PipelineError::from)?;
     let seen = |index: &usize| set.observations.iter().any(|o| o.target == *index);
     let targets: Vec<usize> = match target {
         None => (0..set.targets.len()).filter(seen).collect(),

@@ -9,7 +9,7 @@ use super::chain::Chain;
 use crate::input::quoted;
 use crate::robot::frames::sphere;
 use calibrig_model::geometry::Transform;
-use calibrig_model::{Body, CraigLink, JointKind, KinematicModel};
+use calibrig_model::{Body, CraigLink, JointKind, KinematicModel, STANDARD_GRAVITY};
 
 /// What is to be written.
 pub(super) struct Text<'a> {
@@ -41,7 +41,6 @@ const SOFTEST: f64 = 0.02;
 /// How well they are known: drives with gears are about as stiff as that, cables and belts ten times softer.
 const COMPLIANCE_PERCENT: f64 = 1000.0;
 
-const GRAVITY: f64 = 9.80665;
 
 /// Travel of a slide whose limits are not stated, m either way.
 const SLIDE: f64 = 1.0;
@@ -79,11 +78,11 @@ fn stiffness(bodies: &[Body], frames: &[Transform], chain: &Chain) -> Option<Vec
             if outer > joint {
                 way += (place(outer) - place(outer - 1)).norm();
             }
-            torque += GRAVITY * body.mass * (way + body.centre_of_mass.norm());
+            torque += STANDARD_GRAVITY * body.mass * (way + body.centre_of_mass.norm());
         }
         match chain.joints[joint].kind {
             JointKind::Revolute => torque / SAG,
-            JointKind::Prismatic => GRAVITY * bodies[joint..].iter().map(|b| b.mass).sum::<f64>() / SAG,
+            JointKind::Prismatic => STANDARD_GRAVITY * bodies[joint..].iter().map(|b| b.mass).sum::<f64>() / SAG,
         }
     };
     let stiffness: Vec<f64> = (0..bodies.len()).map(load).collect();
@@ -271,7 +270,7 @@ impl Text<'_> {
         }
         match &self.bodies {
             Some(_) => {
-                let gravity = self.gravity.unwrap_or(Vector3::new(0.0, 0.0, -GRAVITY));
+                let gravity = self.gravity.unwrap_or(Vector3::new(0.0, 0.0, -STANDARD_GRAVITY));
                 line!(text);
                 match self.gravity {
                     Some(_) => line!(text, "# As asked for (--gravity-m-per-s2), in the frame of {}.", one_line(base)),

@@ -4,14 +4,14 @@ use std::fmt;
 
 use nalgebra::Vector3;
 
-use super::choice::{errors, pose_folds};
-use super::{PipelineError, SetOutcome};
-use calibrig_estimation::evaluation::{Interval, NestedFits, Split, accuracy, paired_by_pose};
-use calibrig_estimation::identification::{
+use super::choice::pose_folds;
+use super::{CalibrateError, errors};
+use crate::evaluation::{Interval, NestedFits, Split, accuracy, paired_by_pose};
+use crate::identification::{
     ComplianceChoice, Estimate, IdentificationOptions, LINKAGE, Linearisation, identify,
 };
-use calibrig_estimation::validation::{held_out_errors, in_order};
-use calibrig_model::measurement::MeasurementSet;
+use crate::validation::{held_out_errors, in_order};
+use calibrig_model::measurement::{MeasurementSet, SetOutcome};
 use calibrig_model::{CalibrationModel, ParameterId};
 
 /// Confidence of all intervals of an estimate together.
@@ -153,9 +153,9 @@ fn fitted_gain(
     let poses: Vec<u32> = set.observations.iter().map(|observation| observation.pose).collect();
     let errors_of = |without: &[ParameterId]| -> Option<Vec<Vector3<f64>>> {
         let options = fitting(options, estimate, without);
-        let failed = |source| PipelineError::Identify { mode: options.mode, source };
+        let failed = |source| CalibrateError::Identify { mode: options.mode, source };
         let held_out = held_out_errors(set, splits, |fitted, held_out| {
-            errors(&identify(model, fitted, &options).map_err(failed)?, held_out)
+            errors(&identify(model, fitted, &options).map_err(failed)?.robot, held_out)
         });
         in_order(splits, &held_out.ok()?, set.observations.len())
     };

@@ -2,11 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{PipelineError, SetKind, SetOutcome, calibrate};
-use calibrig_estimation::evaluation::{Interval, repeated_splits, resampled_difference};
-use calibrig_estimation::identification::{Estimate, IdentificationOptions, Mode, Warning};
+use super::{CalibrateError, calibrate};
+use crate::evaluation::{Interval, repeated_splits, resampled_difference};
+use crate::identification::{Estimate, IdentificationOptions, Mode, Warning};
 use calibrig_model::CalibrationModel;
-use calibrig_model::measurement::MeasurementSet;
+use calibrig_model::measurement::{MeasurementSet, SetKind, SetOutcome};
 use calibrig_model::random::{Source, stream};
 
 /// Confidence of the intervals.
@@ -92,7 +92,7 @@ pub fn repeat_splits(
     options: &IdentificationOptions,
     plan: SplitPlan,
     mut progress: impl FnMut(usize),
-) -> Result<SplitStudy, PipelineError> {
+) -> Result<SplitStudy, CalibrateError> {
     let poses = poses(set);
     let part = |kind: SetKind, indices: &[usize]| {
         let wanted: BTreeSet<u32> = indices.iter().map(|index| poses[*index]).collect();
@@ -116,7 +116,7 @@ pub fn repeat_splits(
         let sets =
             [part(SetKind::Identification, &split.fitted), part(SetKind::Verification, &split.held_out)];
         let (_, outcomes) = calibrate(model, &sets, modes, options)
-            .map_err(|source| PipelineError::Split { split: done + 1, source: Box::new(source) })?;
+            .map_err(|source| CalibrateError::Split { split: done + 1, source: Box::new(source) })?;
         for (mode, outcome) in study.iter_mut().zip(outcomes) {
             mode.rms.extend(outcome.rows[1].map(|row| row.rms_3d));
             let reasons: BTreeSet<_> =

@@ -6,19 +6,18 @@ use nalgebra::{DVector, Vector3};
 
 use super::residuals::{ObservationResidual, residuals};
 use super::worth::{Worse, worse};
-use super::{ModeOutcome, PipelineError, SetKind, SetOutcome};
-use crate::scenario::USUAL_GRAVITY;
-use calibrig_estimation::evaluation::{
-    ChiSquareTest, ConsistencyReport, PoseConditions, ResidualSet, ScatterComparison, check_consistency,
+use super::CalibrateError;
+use crate::evaluation::{
+    ChiSquareTest, ConsistencyReport, ModeOutcome, PoseConditions, ResidualSet, ScatterComparison, check_consistency,
     compare_scatter,
 };
-use calibrig_estimation::identification::{
+use crate::identification::{
     Estimate, IdentificationOptions, Linearisation, Mode, NoiseScale, Outlier, ParameterSupport,
     PoseInfluence, Prediction, Predictor, Uncertainty, Warning, held_out_outliers, linearise,
     predict_readings,
 };
-use calibrig_model::measurement::{MeasurementSet, Observation};
-use calibrig_model::{CalibrationModel, ParameterId, PoseQuery};
+use calibrig_model::measurement::{MeasurementSet, Observation, SetKind, SetOutcome};
+use calibrig_model::{CalibrationModel, ParameterId, PoseQuery, STANDARD_GRAVITY};
 
 /// Probability of a false alarm of a test for size or shape of the residuals.
 pub const FALSE_ALARM: f64 = 0.001;
@@ -174,7 +173,7 @@ pub fn judge(
     sets: &[SetOutcome],
     modes: &[ModeOutcome],
     options: &IdentificationOptions,
-) -> Result<Vec<Judgement>, PipelineError> {
+) -> Result<Vec<Judgement>, CalibrateError> {
     let Some(fitted) = sets.first().map(|set| &set.measurements) else { return Ok(Vec::new()) };
     let region = region(model, sets);
     modes
@@ -183,11 +182,11 @@ pub fn judge(
         .map(|(outcome, estimate)| {
             let mode = outcome.mode;
             let options = IdentificationOptions { mode, ..options.clone() };
-            let failed = |source| PipelineError::Identify { mode, source };
+            let failed = |source| CalibrateError::Identify { mode, source };
             let system = linearise(model, fitted, &options, estimate).map_err(failed)?;
             let sensitivity = sensitivity(estimate, fitted).unwrap_or_default();
             let mut predictor =
-                estimate.predictor().map_err(|source| PipelineError::Predict { mode, source })?;
+                estimate.predictor().map_err(|source| CalibrateError::Predict { mode, source })?;
             let worse = worse(model, &sets[0], &options, estimate, &system);
             let system = system.weighted(estimate);
             let confidence = uncertainty(&system, estimate).map(|uncertainty| {
@@ -342,7 +341,7 @@ fn consistency(
     let mut predictor = Predictor::new(&estimate.robot).ok();
     let stated = model.statics.as_ref().map(|statics| statics.gravity);
     // Of a robot that is not told where down is, upright.
-    let gravity = stated.unwrap_or(USUAL_GRAVITY);
+    let gravity = stated.unwrap_or(Vector3::new(0.0, 0.0, -STANDARD_GRAVITY));
     let poses: Vec<_> = set
         .observations
         .iter()

@@ -2,15 +2,15 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{PipelineError, without_gross_errors};
-use calibrig_estimation::evaluation::{
+use super::{CalibrateError, errors, without_gross_errors};
+use crate::evaluation::{
     Fit, NoiseLevel, Split, Variant, VariantRow, compare_variants, k_fold,
 };
-use calibrig_estimation::identification::{
-    Estimate, IdentificationOptions, LINKAGE, Mode, NoiseScale, Outlier, ParameterChoice, Predictor,
+use crate::identification::{
+    IdentificationOptions, LINKAGE, Mode, NoiseScale, Outlier, ParameterChoice,
     Uncertainty, identify, linearise,
 };
-use calibrig_estimation::validation::{held_out_errors, in_order};
+use crate::validation::{held_out_errors, in_order};
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::random::{Source, stream};
 use calibrig_model::{CalibrationModel, FAMILIES, ParameterId, TermId};
@@ -98,7 +98,7 @@ struct Fitted {
 ///
 /// # Errors
 ///
-/// [`PipelineError`], where not even the simplest model can be fitted. A larger one that cannot is among the failures.
+/// [`CalibrateError`], where not even the simplest model can be fitted. A larger one that cannot is among the failures.
 pub fn choose(
     model: &CalibrationModel,
     set: &MeasurementSet,
@@ -106,12 +106,12 @@ pub fn choose(
     folds: usize,
     seed: u64,
     mut progress: impl FnMut(usize, usize, &str),
-) -> Result<ModelChoice, PipelineError> {
+) -> Result<ModelChoice, CalibrateError> {
     let spans = if model.spans.is_empty() { set.spans() } else { model.spans.clone() };
     let model = &CalibrationModel { spans, ..model.clone() };
     let candidates = candidates(model, options);
     let simplest = identify(model, set, &candidates[0].options)
-        .map_err(|source| PipelineError::Identify { mode: candidates[0].options.mode, source })?;
+        .map_err(|source| CalibrateError::Identify { mode: candidates[0].options.mode, source })?;
     let set = &without_gross_errors(set, &simplest);
     let gross_errors = simplest.outliers;
     let splits = pose_folds(set, folds, seed);
@@ -227,9 +227,9 @@ fn fit(
     candidate: &Candidate,
     against: Option<usize>,
     splits: &[Split],
-) -> Result<Tried, PipelineError> {
+) -> Result<Tried, CalibrateError> {
     let mode = candidate.options.mode;
-    let failed = |source| PipelineError::Identify { mode, source };
+    let failed = |source| CalibrateError::Identify { mode, source };
     let estimate = identify(model, set, &candidate.options).map_err(failed)?;
     let is_family = FAMILIES.iter().any(|family| family.key() == candidate.key);
     let is_own =
@@ -244,7 +244,7 @@ fn fit(
     let held_out = held_out_errors(set, splits, |fitted, held_out| {
         let estimate = identify(model, fitted, &candidate.options).map_err(failed)?;
         not_converged += usize::from(!estimate.termination.converged());
-        errors(&estimate, held_out)
+        errors(&estimate.robot, held_out)
     })?;
     let variant = Variant {
         name: candidate.name.clone(),
@@ -261,18 +261,9 @@ fn fit(
         NoiseScale::Stated => None,
         NoiseScale::Residuals(sigma) => Some(sigma),
     };
-    let squares = errors(&estimate, set)?.iter().map(nalgebra::Vector3::norm_squared).sum();
+    let squares = errors(&estimate.robot, set)?.iter().map(nalgebra::Vector3::norm_squared).sum();
     let is_misfit = estimate.found_machine().is_some();
     Ok(Tried::Fitted(Fitted { variant, sigma, squares, is_misfit, not_converged }))
-}
-
-pub(super) fn errors(
-    estimate: &Estimate,
-    set: &MeasurementSet,
-) -> Result<Vec<nalgebra::Vector3<f64>>, PipelineError> {
-    Predictor::new(&estimate.robot)
-        .and_then(|mut predictor| predictor.errors(set))
-        .map_err(|source| PipelineError::Predict { mode: estimate.robot.mode, source })
 }
 
 /// Splits of the observations that keep those of one pose together: they share its errors.

@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use nalgebra::{Matrix3, Vector3};
 
-use calibrig_estimation::identification::{Estimate, IdentificationOptions, weighed_covariances};
+use crate::identification::{Estimate, IdentificationOptions, weighed_covariances};
 use calibrig_model::CalibrationModel;
 use calibrig_model::measurement::{MeasurementSet, Observation, Reading};
 
