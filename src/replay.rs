@@ -277,8 +277,8 @@ pub fn replay(path: &Path, options: &ReplayOptions) -> Result<Replayed, ReplayEr
         Err(PipelineError::Implausible(why)) => return Err(ReplayError::Implausible(why)),
         checked => checked.map(|()| None)?,
     };
-    let (registration, modes) = calibrate(&model, &sets, &modes, &fit)?;
-    let judgements = judge(&model, &sets, &modes, &fit)?;
+    let (registration, modes) = calibrate(&model, &sets, &modes, &fit).map_err(PipelineError::from)?;
+    let judgements = judge(&model, &sets, &modes, &fit).map_err(PipelineError::from)?;
     let sensors = foresee_sensors(&model, &sets, &modes, &fit);
     let whole = missing.is_empty() && !options.changes_anything();
     let (mut differences, mut parameters, mut compared) = (Vec::new(), Vec::new(), 0);

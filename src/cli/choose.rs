@@ -97,13 +97,15 @@ fn of_scenario(args: &Args, path: &Path) -> Result<(String, ModelChoice, Verdict
     });
     bar.finish_and_clear();
     let source = &scenario.sources[0].1;
-    let refused = |error| not_identified(error, path, source, source.place_of("poses.identification"));
+    let refused = |error: pipeline::PipelineError| {
+        not_identified(error, path, source, source.place_of("poses.identification"))
+    };
     let sets = simulation.and_then(|simulation| without_drift(simulation.sets)).map_err(refused)?.sets;
     let choice = compare(|progress| {
         let measured = &sets[0].measurements;
         choose(&scenario.robot.model, measured, &scenario.options, args.folds as usize, seed, progress)
     });
-    Ok((scenario.name.clone(), choice.map_err(refused)?, Verdict::Done))
+    Ok((scenario.name.clone(), choice.map_err(|error| refused(error.into()))?, Verdict::Done))
 }
 
 fn of_files(args: &Args) -> Result<(String, ModelChoice, Verdict), CliError> {
@@ -132,8 +134,8 @@ fn of_files(args: &Args) -> Result<(String, ModelChoice, Verdict), CliError> {
 }
 
 fn compare(
-    choose: impl FnOnce(&mut dyn FnMut(usize, usize, &str)) -> Result<ModelChoice, pipeline::PipelineError>,
-) -> Result<ModelChoice, pipeline::PipelineError> {
+    choose: impl FnOnce(&mut dyn FnMut(usize, usize, &str)) -> Result<ModelChoice, pipeline::CalibrateError>,
+) -> Result<ModelChoice, pipeline::CalibrateError> {
     let bar = bar("fitting model {pos}/{len}: {msg} {elapsed}");
     let choice = choose(&mut |done, models, name| {
         bar.set_length(models as u64);

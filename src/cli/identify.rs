@@ -648,7 +648,13 @@ fn refuse_without_readings(asked: &[AskedSet], sets: &[SetOutcome]) -> Result<()
 }
 
 /// The failure of an identification from these files, at the rows that it names, or at the last one where more poses are what it needs.
-pub(super) fn failed(error: PipelineError, file: &Path, sets: &[SetOutcome], places: &[Places]) -> CliError {
+pub(super) fn failed(
+    error: impl Into<PipelineError>,
+    file: &Path,
+    sets: &[SetOutcome],
+    places: &[Places],
+) -> CliError {
+    let error = error.into();
     let fitted = (sets.first().map_or(0, |set| set.measurements.observations.len()), places.first());
     let last = fitted.1.and_then(|places| places.of(fitted.0.checked_sub(1)?));
     let last = last.unwrap_or_else(|| file.display().to_string());

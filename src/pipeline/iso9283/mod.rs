@@ -14,8 +14,8 @@ pub(super) use self::reach::within;
 use super::machine::AnalyticMachine;
 use super::simulate::settle_options;
 use super::{
-    CalibrateError, InputSummary, PipelineError, PlantKind, SetKind, SetOutcome, calibrate, input_of, measure_session,
-    without_drift,
+    CalibrateError, InputSummary, PipelineError, PlantKind, SetKind, SetOutcome, calibrate, input_of,
+    measure_session, without_drift,
 };
 use crate::scenario::Scenario;
 use calibrig_estimation::evaluation::iso9283::{
@@ -274,7 +274,8 @@ pub fn iso9283_of_scenario(
     sets.push(cycles);
     let mut steady = without_drift(sets)?.sets;
     let cycles = steady.pop().map(|set| set.measurements).unwrap_or_default();
-    let (registration, modes) = calibrate(model, &steady, &scenario.modes, &scenario.options)?;
+    let (registration, modes) =
+        calibrate(model, &steady, &scenario.modes, &scenario.options).map_err(PipelineError::from)?;
     let set = &cycles;
     let mut remarks = Vec::new();
     let mut against = Vec::new();

@@ -41,7 +41,6 @@ const SOFTEST: f64 = 0.02;
 /// How well they are known: drives with gears are about as stiff as that, cables and belts ten times softer.
 const COMPLIANCE_PERCENT: f64 = 1000.0;
 
-
 /// Travel of a slide whose limits are not stated, m either way.
 const SLIDE: f64 = 1.0;
 
@@ -82,7 +81,9 @@ fn stiffness(bodies: &[Body], frames: &[Transform], chain: &Chain) -> Option<Vec
         }
         match chain.joints[joint].kind {
             JointKind::Revolute => torque / SAG,
-            JointKind::Prismatic => STANDARD_GRAVITY * bodies[joint..].iter().map(|b| b.mass).sum::<f64>() / SAG,
+            JointKind::Prismatic => {
+                STANDARD_GRAVITY * bodies[joint..].iter().map(|b| b.mass).sum::<f64>() / SAG
+            }
         }
     };
     let stiffness: Vec<f64> = (0..bodies.len()).map(load).collect();
