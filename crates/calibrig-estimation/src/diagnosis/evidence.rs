@@ -11,7 +11,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 
 use super::place::Placed;
 use super::session::View;
-use crate::kinematics::PlacedChain;
+use crate::kinematics::KinematicChain;
 use calibrig_model::LinkTerm;
 
 /// Rounds of Gauss and Newton.
@@ -134,7 +134,7 @@ pub(super) fn fit(view: &View, start: &Placed, kept: &[bool]) -> Option<Fit> {
             (0..3).for_each(|k| held[column - layout.places + 3 + k] = turn[k]);
         }
     }
-    let mut chain = PlacedChain::new(&view.chain);
+    let mut chain = KinematicChain::new(&view.chain);
     for round in 0..=ROUNDS {
         let mut changed = view.chain.clone();
         for (index, value) in held.iter().take(TERMS.len() * changed.links.len()).enumerate() {
@@ -185,7 +185,7 @@ pub(super) fn fit(view: &View, start: &Placed, kept: &[bool]) -> Option<Fit> {
 fn system(
     view: &View,
     layout: &Layout,
-    chain: &mut PlacedChain,
+    chain: &mut KinematicChain,
     now: &Placed,
 ) -> (System, Vec<Vector3<f64>>) {
     let n = view.chain.links.len();
@@ -423,7 +423,7 @@ impl Fit {
 #[cfg(test)]
 pub(super) fn dense(view: &View, placed: &Placed) -> (DMatrix<f64>, DVector<f64>, usize) {
     let layout = Layout::new(view);
-    let (system, _) = system(view, &layout, &mut PlacedChain::new(&view.chain), placed);
+    let (system, _) = system(view, &layout, &mut KinematicChain::new(&view.chain), placed);
     let y = DVector::from_iterator(3 * system.left.len(), system.left.iter().flat_map(|v| v.iter().copied()));
     (system.jacobian, y, system.places)
 }

@@ -4,7 +4,7 @@ use nalgebra::{Rotation3, Vector3};
 
 use super::Mode;
 use crate::elastostatics::{Carried, Deflection, ElasticChain, ElasticError};
-use crate::kinematics::{ElbowLinkage, PlacedChain, frames, is_parallelogram, nominal_joints};
+use crate::kinematics::{ElbowLinkage, KinematicChain, frames, is_parallelogram, nominal_joints};
 use calibrig_model::geometry::Transform;
 use calibrig_model::{
     CalibrationModel, CraigLink, FourBar, JointKind, KinematicModel, LinkTerm, ModelError, ParameterId,
@@ -27,9 +27,9 @@ pub(super) struct Machine {
 #[allow(clippy::large_enum_variant, reason = "one a fit: a pointer more would be followed at every pose")]
 enum Kind {
     /// Joints that follow the ideal map of the commands, with the predicted deflection of their drives where there is one.
-    Joints { chain: PlacedChain, predicted: Option<ElasticChain>, joints: Vec<f64> },
+    Joints { chain: KinematicChain, predicted: Option<ElasticChain>, joints: Vec<f64> },
     /// The same with deflections beside the drives: those that are `predicted`, put into the chain with the `ideal` map.
-    Frozen { chain: PlacedChain, ideal: ElasticChain, predicted: ElasticChain },
+    Frozen { chain: KinematicChain, ideal: ElasticChain, predicted: ElasticChain },
     /// The robot's own equilibrium, the linkage closed.
     Elastic { chain: ElasticChain },
 }
@@ -79,10 +79,10 @@ impl Machine {
             match predicted {
                 Some(predicted) if !is_elastic_in_drives_alone(nominal) => {
                     let ideal = ElasticChain::of(&with_ideal_map(nominal));
-                    Kind::Frozen { chain: PlacedChain::new(&nominal.kinematics), ideal, predicted }
+                    Kind::Frozen { chain: KinematicChain::new(&nominal.kinematics), ideal, predicted }
                 }
                 predicted => Kind::Joints {
-                    chain: PlacedChain::new(&nominal.kinematics),
+                    chain: KinematicChain::new(&nominal.kinematics),
                     predicted,
                     joints: vec![0.0; nominal.kinematics.joint_count()],
                 },
@@ -255,13 +255,13 @@ impl Machine {
 
     /// The same of the flange's rotation, made ready by [`differentiate_turn`](Self::differentiate_turn), rad a unit.
     pub fn turn_by_command(&self, pose: &PoseQuery<'_>, tell: impl FnMut(usize, Vector3<f64>)) {
-        self.by_commands(pose, PlacedChain::turn, tell);
+        self.by_commands(pose, KinematicChain::turn, tell);
     }
 
     fn by_commands(
         &self,
         pose: &PoseQuery<'_>,
-        of_chain: impl Fn(&PlacedChain, ParameterId) -> Vector3<f64>,
+        of_chain: impl Fn(&KinematicChain, ParameterId) -> Vector3<f64>,
         mut tell: impl FnMut(usize, Vector3<f64>),
     ) {
         let links = &self.nominal.kinematics.links;

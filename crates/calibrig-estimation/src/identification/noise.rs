@@ -17,7 +17,7 @@ use super::solver::Solution;
 use super::summary::Size;
 use super::variance::{Block, Components, System};
 use super::{IdentificationOptions, IdentifyError, LeastSquares, Redundancy};
-use crate::kinematics::PlacedChain;
+use crate::kinematics::KinematicChain;
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::statistics::chi2_survival;
 use calibrig_model::{CalibrationModel, JointKind, LinkTerm, ParameterId, Payload};
@@ -102,7 +102,7 @@ impl MachineNoise {
 #[derive(Debug, Clone)]
 pub(super) struct ActuatorMotions {
     model: CalibrationModel,
-    chain: PlacedChain,
+    chain: KinematicChain,
     /// Change of the joint variables per unit of every actuator.
     joints: Vec<Vec<f64>>,
 }
@@ -123,7 +123,7 @@ impl ActuatorMotions {
             at(&command).iter().zip(&still).map(|(to, from)| to - from).collect()
         };
         Self {
-            chain: PlacedChain::new(&model.kinematics),
+            chain: KinematicChain::new(&model.kinematics),
             joints: (0..count).map(by).collect(),
             model: model.clone(),
         }
