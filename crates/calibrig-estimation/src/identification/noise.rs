@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::contradiction::Minimum;
 use super::factorised::Factorised;
-use super::problem::{CalibrationProblem, Row};
+use super::problem::{CalibrationProblem, PositionRow};
 use super::shared::with_errors;
 use super::solver::Solution;
 use super::summary::Size;
@@ -602,7 +602,7 @@ impl CalibrationProblem {
     fn unweighed(&self, solution: &Solution) -> (nalgebra::DVector<f64>, DMatrix<f64>) {
         let (mut residuals, mut jacobian) = (solution.residuals.clone(), solution.jacobian.clone());
         // Whitening is the inverse of a factor.
-        let factor = |row: &Row| row.whitening.try_inverse().unwrap_or_else(Matrix3::identity);
+        let factor = |row: &PositionRow| row.whitening.try_inverse().unwrap_or_else(Matrix3::identity);
         let factors: Vec<_> = self.rows.iter().map(factor).collect();
         for (i, factor) in factors.iter().enumerate() {
             let own = factor * residuals.fixed_rows::<3>(3 * i);

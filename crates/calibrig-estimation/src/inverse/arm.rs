@@ -8,7 +8,7 @@ use crate::elastostatics::ElasticError;
 use crate::identification::{CalibratedRobot, Mode, PredictionError, Predictor};
 use crate::kinematics::{ClosureError, KinematicChain};
 use calibrig_model::geometry::Transform;
-use calibrig_model::{JointKind, LinkTerm, ParameterId, Payload, PoseQuery};
+use calibrig_model::{ParameterId, Payload, PoseQuery};
 
 /// A robot that is placed at unknowns of its [`JointSpace`] and tells where its tool is.
 pub(crate) trait Arm {
@@ -62,8 +62,8 @@ pub(super) fn by_joints(
     base_from_tool: &Transform,
     mut tell: impl FnMut(usize, [f64; 6]),
 ) {
-    for (joint, link) in space.kinematics.links.iter().enumerate() {
-        let term = if link.kind == JointKind::Prismatic { LinkTerm::D } else { LinkTerm::Theta };
+    for joint in 0..space.kinematics.joint_count() {
+        let term = chain.joint_term(joint);
         let moved = chain.link_column(joint, term, &base_from_tool.translation.vector);
         let turned = chain.turn(ParameterId::Link { link: joint, term });
         tell(joint, [moved.x, moved.y, moved.z, turned.x, turned.y, turned.z]);

@@ -127,6 +127,14 @@ impl KinematicChain {
         joint_component(self.links[link].kind)
     }
 
+    /// The link parameter that a link's joint changes.
+    pub fn joint_term(&self, link: usize) -> LinkTerm {
+        match self.links[link].kind {
+            JointKind::Prismatic => LinkTerm::D,
+            JointKind::Revolute => LinkTerm::Theta,
+        }
+    }
+
     /// Puts the rigid chain at the joint variables `q`.
     pub fn place(&mut self, q: &[f64]) {
         let mut frame = self.start();

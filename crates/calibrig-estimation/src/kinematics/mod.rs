@@ -5,10 +5,10 @@ mod chain;
 mod four_bar;
 mod screw;
 
+pub(crate) use chain::{KinematicChain, joint_component};
 pub use four_bar::{
     Closure, ClosureError, ElbowClosure, ElbowLinkage, command_from_joints, joints_from_command, swing_to,
 };
-pub(crate) use chain::{KinematicChain, joint_component};
 pub(crate) use four_bar::{is_parallelogram, nominal_joints};
 pub(crate) use screw::{MovingFrame, Screw, stepped};
 

@@ -52,7 +52,8 @@ pub(super) fn segment_group(segment: &BeamSegment, length: f64, root: f64, axes:
     for (axis, (along, about)) in axes.into_iter().zip(along.into_iter().zip(about)) {
         (stiffness[axis], stiffness[axis + 3]) = (along, about);
     }
-    let lump = |at: f64| LumpedMass { mass: 0.5 * section.mass_per_length * length, from_root: root + at * length };
+    let lump =
+        |at: f64| LumpedMass { mass: 0.5 * section.mass_per_length * length, from_root: root + at * length };
     SegmentGroup { centre: root + 0.5 * length, stiffness, lumps: [lump(1.0 / 6.0), lump(5.0 / 6.0)] }
 }
 

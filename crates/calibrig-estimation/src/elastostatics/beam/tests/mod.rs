@@ -6,10 +6,10 @@ use nalgebra::{Matrix6, Matrix6x3, Rotation3, Vector3, Vector6};
 use proptest::prelude::*;
 
 use super::*;
-use ends::{end_compliance, end_stiffness, segment_groups};
-use frame::{Frame, FrameError};
 use calibrig_model::geometry::{Transform, rotation_x, rotation_y, rotation_z, translation};
 use calibrig_model::{Beam, BeamError, BeamRun, Section, SegmentLength};
+use ends::{end_compliance, end_stiffness, segment_groups};
+use frame::{Frame, FrameError};
 
 const TUBE: Section =
     Section { axial: 4e8, shear: [8e7, 9e7], torsion: 5e5, bending: [6e5, 7e5], mass_per_length: 20.0 };
@@ -242,8 +242,7 @@ fn a_portal_sways_as_by_the_force_method_in_any_attitude() {
     for turn in [Rotation3::identity(), Rotation3::new(Vector3::new(0.4, -1.1, 2.0))] {
         let (mut frame, near, far) = portal(&turn, &TUBE, &THICK);
         let push = turn * Vector3::new(load, 0.0, 0.0);
-        frame
-            .add_load(near, &Vector6::new(push.x, push.y, push.z, 0.0, 0.0, 0.0));
+        frame.add_load(near, &Vector6::new(push.x, push.y, push.z, 0.0, 0.0, 0.0));
         let solution = frame.solve().unwrap();
         let expected = portal_sway(load, &TUBE, &THICK);
         for (node, expected) in [near, far].into_iter().zip(expected) {
@@ -272,8 +271,7 @@ fn an_inextensible_portal_sways_as_in_the_books() {
     for corner in [near, far] {
         // Columns that keep their length; with half the load at either corner the girder keeps its own.
         frame.fix(corner, [false, false, true, false, false, false]);
-        frame
-            .add_load(corner, &Vector6::new(0.5 * load, 0.0, 0.0, 0.0, 0.0, 0.0));
+        frame.add_load(corner, &Vector6::new(0.5 * load, 0.0, 0.0, 0.0, 0.0, 0.0));
     }
     let solution = frame.solve().unwrap();
     assert_relative(solution.displacements[far][0], sway);
@@ -423,10 +421,7 @@ fn what_cannot_stand_is_refused() {
     assert_eq!(frame.solve(), Err(FrameError::Mechanism));
     frame.fix(root, [true, true, true, true, true, false]);
     assert_eq!(frame.solve(), Err(FrameError::Mechanism));
-    assert_eq!(
-        frame.add_element(tip, tip, &TUBE, &Vector3::y()),
-        Err(FrameError::Degenerate)
-    );
+    assert_eq!(frame.add_element(tip, tip, &TUBE, &Vector3::y()), Err(FrameError::Degenerate));
     assert!(matches!(frame.add_element(root, tip, &TUBE, &Vector3::x()), Err(FrameError::Degenerate)));
     let soft = Section { bending: [0.0, 1.0], ..TUBE };
     assert!(matches!(frame.add_element(root, tip, &soft, &Vector3::y()), Err(FrameError::NotElastic)));

@@ -1,4 +1,4 @@
-//! What stands behind a prediction: the chain of a mode, placed at one observation after the other.
+//! The forward model behind a prediction: the chain of a mode, placed at one observation after the other.
 
 use nalgebra::{Rotation3, Vector3};
 
@@ -7,17 +7,14 @@ use crate::elastostatics::{Carried, Deflection, ElasticChain, ElasticError};
 use crate::kinematics::{ElbowLinkage, KinematicChain, frames, is_parallelogram, nominal_joints};
 use calibrig_model::geometry::Transform;
 use calibrig_model::{
-    CalibrationModel, CraigLink, FourBar, JointKind, KinematicModel, LinkTerm, ModelError, ParameterId,
-    PoseQuery, TermId, TermPlace,
+    CalibrationModel, CraigLink, FourBar, KinematicModel, ModelError, ParameterId, PoseQuery, TermId,
+    TermPlace,
 };
-
-/// Why a robot cannot take a pose.
-pub type MachineError = ElasticError;
 
 /// The robot of a mode: given a [model](Self::set_model), [placed](Self::place) at what an observation was told, then asked for the
 /// target and, after [`differentiate`](Self::differentiate), for columns of the Jacobian.
 #[derive(Debug, Clone)]
-pub(super) struct Machine {
+pub(super) struct ForwardModel {
     nominal: CalibrationModel,
     kind: Kind,
     terms: Terms,
@@ -34,10 +31,10 @@ enum Kind {
     Elastic { chain: ElasticChain },
 }
 
-/// An observation as the machine needs it.
+/// An observation as the forward model needs it.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Prepared {
-    /// Joint variables, or commands where the machine is elastic.
+    /// Joint variables, or commands where the robot yields by itself.
     command: Vec<f64>,
     /// Motion behind the fixed part of every link, where its deflections do not change with the parameters.
     motions: Vec<Transform>,
@@ -68,8 +65,8 @@ struct Terms {
     columns: Vec<Vector3<f64>>,
 }
 
-impl Machine {
-    /// The machine of `mode`, at the nominal model, which has been checked, and without terms.
+impl ForwardModel {
+    /// The forward model of `mode`, at the nominal model, which has been checked, and without terms.
     pub fn new(mode: Mode, nominal: &CalibrationModel) -> Self {
         let kind = if mode.is_coupled() {
             Kind::Elastic { chain: ElasticChain::of(nominal) }
@@ -131,7 +128,7 @@ impl Machine {
     }
 
     /// What of an observation does not change with the parameters.
-    pub fn prepare(&mut self, pose: &PoseQuery<'_>) -> Result<Prepared, MachineError> {
+    pub fn prepare(&mut self, pose: &PoseQuery<'_>) -> Result<Prepared, ElasticError> {
         let mut told = Prepared { command: pose.command.to_vec(), ..Prepared::default() };
         let payload = Carried::of(pose.payload);
         match &mut self.kind {
@@ -164,7 +161,7 @@ impl Machine {
     }
 
     /// Goes where the observation was told to go.
-    pub fn place(&mut self, told: &Prepared) -> Result<(), MachineError> {
+    pub fn place(&mut self, told: &Prepared) -> Result<(), ElasticError> {
         match &mut self.kind {
             Kind::Joints { chain, .. } => chain.place(&told.command),
             Kind::Frozen { chain, .. } => chain.place_at(&told.motions),
@@ -178,7 +175,7 @@ impl Machine {
     }
 
     /// [`place`](Self::place) at a pose that was not prepared.
-    pub fn place_at(&mut self, pose: &PoseQuery<'_>) -> Result<Prepared, MachineError> {
+    pub fn place_at(&mut self, pose: &PoseQuery<'_>) -> Result<Prepared, ElasticError> {
         let told = self.prepare(pose)?;
         self.place(&told)?;
         Ok(told)
@@ -193,7 +190,7 @@ impl Machine {
     }
 
     /// Makes the columns of that target ready.
-    pub fn differentiate(&mut self, in_flange: &Vector3<f64>, told: &Prepared) -> Result<(), MachineError> {
+    pub fn differentiate(&mut self, in_flange: &Vector3<f64>, told: &Prepared) -> Result<(), ElasticError> {
         match &mut self.kind {
             Kind::Joints { .. } | Kind::Frozen { .. } => {}
             Kind::Elastic { chain } => {
@@ -218,7 +215,7 @@ impl Machine {
     }
 
     /// Makes the columns of the flange's rotation ready, in place of those of a target.
-    pub fn differentiate_turn(&mut self, told: &Prepared) -> Result<(), MachineError> {
+    pub fn differentiate_turn(&mut self, told: &Prepared) -> Result<(), ElasticError> {
         match &mut self.kind {
             Kind::Joints { .. } | Kind::Frozen { .. } => {}
             Kind::Elastic { chain } => {
@@ -268,11 +265,7 @@ impl Machine {
         match &self.kind {
             Kind::Joints { chain, .. } | Kind::Frozen { chain, .. } => {
                 let mut by_joint: Vec<Vector3<f64>> = (0..links.len())
-                    .map(|link| {
-                        let prismatic = links[link].kind == JointKind::Prismatic;
-                        let term = if prismatic { LinkTerm::D } else { LinkTerm::Theta };
-                        of_chain(chain, ParameterId::Link { link, term })
-                    })
+                    .map(|link| of_chain(chain, ParameterId::Link { link, term: chain.joint_term(link) }))
                     .collect();
                 // What an actuator moves: with a parallelogram, the shoulder turns the elbow back.
                 if let Some(drive) = self.nominal.actuators.elbow() {
