@@ -16,7 +16,7 @@ const PART: usize = 12;
 
 /// The robot in parts, each with the masses that it carries.
 pub(super) struct Confirmation {
-    parts: Vec<Part>,
+    parts: Vec<Substructure>,
 }
 
 /// The pose to confirm.
@@ -31,7 +31,7 @@ pub(super) struct AtRest<'a> {
     pub(super) springs: &'a [(f64, f64)],
 }
 
-struct Part {
+struct Substructure {
     tree: Tree,
     chain: Chain,
     /// Its nodes and coordinates as the whole robot counts them.
@@ -45,7 +45,7 @@ impl Confirmation {
     /// `None` of a robot that is no more than a part.
     pub(super) fn new(tree: &Tree, gravity: &Vector3<f64>, dt: f64) -> Option<Self> {
         let parts = split(tree);
-        let part = |nodes| Part::new(tree, nodes, gravity, dt);
+        let part = |nodes| Substructure::new(tree, nodes, gravity, dt);
         (parts.len() > 1).then(|| Self { parts: parts.into_iter().map(part).collect() })
     }
 
@@ -57,7 +57,7 @@ impl Confirmation {
     }
 }
 
-impl Part {
+impl Substructure {
     fn new(whole: &Tree, nodes: Vec<usize>, gravity: &Vector3<f64>, dt: f64) -> Self {
         let own = |node: usize| nodes.iter().position(|own| *own == node);
         let mut carriers: Vec<Option<usize>> = Vec::with_capacity(whole.nodes.len());

@@ -51,9 +51,9 @@ struct LoopEnds {
     passive: Vec<usize>,
 }
 
-/// The loop in the present pose.
+/// The constraint of the loop in the present pose.
 #[derive(Debug, Clone)]
-pub(super) struct Closure {
+pub(super) struct LoopConstraint {
     /// The rod's end, in the base frame.
     pub(super) tip: Vector3<f64>,
     /// The lever's end, in the base frame.
@@ -64,7 +64,7 @@ pub(super) struct Closure {
     pub(super) reaction: Vector3<f64>,
 }
 
-impl Closure {
+impl LoopConstraint {
     /// From the rod's end to the lever's.
     pub(super) fn gap(&self) -> Vector3<f64> {
         self.lever - self.tip
@@ -85,7 +85,7 @@ pub(super) struct Statics {
     carried: Vec<(Vector3<f64>, Matrix3<f64>)>,
     /// Generalised force of weights, constant forces and the loop's reaction.
     load: DVector<f64>,
-    closure: Option<Closure>,
+    closure: Option<LoopConstraint>,
     hoses: Vec<Stretched>,
     /// Constant forces and those of the hoses, in the present pose.
     pulls: Vec<Pull>,
@@ -110,7 +110,7 @@ impl Statics {
             twists: vec![(Vector3::zeros(), Vector3::zeros()); count],
             carried: vec![(Vector3::zeros(), Matrix3::zeros()); tree.nodes.len()],
             load: DVector::zeros(count),
-            closure: tree.closure.as_ref().map(|_| Closure {
+            closure: tree.closure.as_ref().map(|_| LoopConstraint {
                 tip: Vector3::zeros(),
                 lever: Vector3::zeros(),
                 jacobian: Matrix3xX::zeros(count),
@@ -154,7 +154,7 @@ impl Statics {
     }
 
     /// The loop in the pose that was last evaluated.
-    pub(super) fn closure(&self) -> Option<&Closure> {
+    pub(super) fn closure(&self) -> Option<&LoopConstraint> {
         self.closure.as_ref()
     }
 

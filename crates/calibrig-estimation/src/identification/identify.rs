@@ -6,7 +6,6 @@ use thiserror::Error;
 use super::build::{Built, build, reconsider};
 use super::factorised::Factorised;
 use super::limits::limits;
-use super::machine::MachineError;
 use super::noise::{Noise, UNSTATED_SIGMA, Unknown, find, is_without_freedom};
 use super::place::best_fit_stations;
 use super::problem::CalibrationProblem;
@@ -18,6 +17,7 @@ use super::{
     TargetChoice, minimise, minimise_within,
 };
 use crate::circle_points::SweepError;
+use crate::elastostatics::ElasticError;
 use calibrig_model::measurement::{MeasurementError, MeasurementSet, RegistrationError, Target};
 use calibrig_model::{CalibrationModel, ModelError, ParameterId, Unit};
 
@@ -107,7 +107,7 @@ pub enum IdentifyError {
         /// The pose.
         pose: u32,
         /// Why.
-        source: MachineError,
+        source: ElasticError,
     },
     /// A listed parameter that the robot does not have.
     #[error("{name} is not a parameter of this robot")]

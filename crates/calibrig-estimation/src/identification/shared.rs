@@ -7,7 +7,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Dim, Dyn, Matrix, StorageMut, Vector3};
 
 use super::IdentifyError;
-use super::problem::{CalibrationProblem, Row};
+use super::problem::{CalibrationProblem, PositionRow};
 use super::turns::TurnRow;
 use calibrig_model::measurement::MeasurementSet;
 
@@ -106,7 +106,7 @@ impl<'a> Motions<'a> {
 
 /// The errors that readings of a station share, with a unit of each as a displacement of all data rows, m and rad in the trackers' axes. Errors that add little to
 /// what readings have by themselves stay with these.
-pub(super) fn shared_errors(set: &MeasurementSet, rows: &[Row], turns: &[TurnRow]) -> DMatrix<f64> {
+pub(super) fn shared_errors(set: &MeasurementSet, rows: &[PositionRow], turns: &[TurnRow]) -> DMatrix<f64> {
     if set.stations.iter().all(|station| station.motion.is_none()) {
         return DMatrix::zeros(3 * (rows.len() + turns.len()), 0);
     }
@@ -124,7 +124,7 @@ pub(super) fn shared_errors(set: &MeasurementSet, rows: &[Row], turns: &[TurnRow
 }
 
 /// Takes shared errors out of what readings state.
-pub(super) fn take_out(shared: &DMatrix<f64>, rows: &mut [Row], turns: &mut [TurnRow]) {
+pub(super) fn take_out(shared: &DMatrix<f64>, rows: &mut [PositionRow], turns: &mut [TurnRow]) {
     if shared.ncols() == 0 {
         return;
     }

@@ -11,7 +11,7 @@ use super::joint_space::JointSpace;
 use super::task::{Aim, Goal, Tool};
 use crate::elastostatics::{Carried, Deflection, ElasticChain};
 use crate::identification::PredictionError;
-use crate::kinematics::PlacedChain;
+use crate::kinematics::KinematicChain;
 use calibrig_model::geometry::Transform;
 use calibrig_model::{CalibrationModel, Payload};
 
@@ -143,7 +143,7 @@ impl Default for Criterion {
 pub(super) struct Judge {
     in_flange: Vector3<f64>,
     flange_from_tool: Transform,
-    chain: PlacedChain,
+    chain: KinematicChain,
     /// Where masses and stiffnesses are known: at rest, and rigid.
     elastic: Option<[ElasticChain; 2]>,
     joints: Vec<f64>,
@@ -164,7 +164,7 @@ impl Judge {
         Self {
             in_flange: tool.flange_from_tool().translation.vector,
             flange_from_tool: *tool.flange_from_tool(),
-            chain: PlacedChain::new(&space.kinematics),
+            chain: KinematicChain::new(&space.kinematics),
             elastic: model.statics.as_ref().map(|_| [ElasticChain::of(model), ElasticChain::of(model)]),
             joints: vec![0.0; space.kinematics.joint_count()],
         }

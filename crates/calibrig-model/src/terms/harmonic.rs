@@ -6,7 +6,7 @@ use super::{TermFamily, TermPlace, is_linear, joint_variable, parse_joint_variab
 use crate::{CalibrationModel, PoseQuery};
 
 /// Sine and cosine at once and twice per motor turn, of every actuator whose turns are known.
-pub(super) struct Harmonic;
+pub(super) struct HarmonicTerms;
 
 /// By index.
 const WAVES: [(&str, f64, Wave); 4] = [
@@ -18,7 +18,7 @@ const WAVES: [(&str, f64, Wave); 4] = [
 
 type Wave = fn(f64) -> f64;
 
-impl TermFamily for Harmonic {
+impl TermFamily for HarmonicTerms {
     fn key(&self) -> &'static str {
         "harmonic"
     }

@@ -4,9 +4,9 @@ use super::{TermFamily, TermPlace, is_linear, joint_variable, parse_joint_variab
 use crate::{CalibrationModel, PoseQuery};
 
 /// One amplitude an actuator: it stands this far on the side that it came from.
-pub(super) struct Hysteresis;
+pub(super) struct HysteresisTerms;
 
-impl TermFamily for Hysteresis {
+impl TermFamily for HysteresisTerms {
     fn key(&self) -> &'static str {
         "hysteresis"
     }

@@ -19,12 +19,12 @@ use super::{ActuatorMap, CalibrationModel, CraigLink, JointKind, PoseQuery, Unit
 
 /// Every family that can be switched on.
 pub const FAMILIES: &[&dyn TermFamily] = &[
-    &hysteresis::Hysteresis,
-    &harmonic::Harmonic,
-    &ratio::Ratio,
-    &rail::Rail,
-    &presliding::Presliding,
-    &spline::Spline,
+    &hysteresis::HysteresisTerms,
+    &harmonic::HarmonicTerms,
+    &ratio::RatioTerms,
+    &rail::RailTerms,
+    &presliding::PreslidingTerms,
+    &spline::SplineTerms,
 ];
 
 /// What a term displaces.

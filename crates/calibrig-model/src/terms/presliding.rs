@@ -8,12 +8,12 @@ use super::{TermFamily, TermPlace, is_linear, joint_variable};
 use crate::{CalibrationModel, PoseQuery};
 
 /// One amplitude an actuator and length: how far it still stands on the side of the motion right after the reversal.
-pub(super) struct Presliding;
+pub(super) struct PreslidingTerms;
 
 /// By index, mm or degrees.
 const LENGTHS: [f64; 3] = [0.5, 2.0, 8.0];
 
-impl TermFamily for Presliding {
+impl TermFamily for PreslidingTerms {
     fn key(&self) -> &'static str {
         "presliding"
     }

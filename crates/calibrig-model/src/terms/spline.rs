@@ -16,7 +16,7 @@ use super::{TermFamily, TermPlace, half_travel, is_linear, joint_variable, middl
 use crate::{CalibrationModel, JointKind, PoseQuery};
 
 /// Seven amplitudes an actuator, the smoothest first.
-pub(super) struct Spline;
+pub(super) struct SplineTerms;
 
 /// Knots from one end of the span to the other.
 const KNOTS: usize = 9;
@@ -34,7 +34,7 @@ struct Shape {
     bends: Vec<f64>,
 }
 
-impl TermFamily for Spline {
+impl TermFamily for SplineTerms {
     fn key(&self) -> &'static str {
         "spline"
     }

@@ -6,9 +6,9 @@
 
 mod merge;
 mod open;
+mod random_walk;
 #[cfg(test)]
 mod tests;
-mod walk;
 
 pub use open::OpenMotion;
 
@@ -21,7 +21,7 @@ use thiserror::Error;
 use super::registration::RegistrationError;
 use super::{Face, MeasurementSet, NestObservation, Reading, Station};
 use crate::geometry::Transform;
-use walk::{Sighting, Smoothed, Walk};
+use random_walk::{RandomWalk, Sighting, Smoothed};
 
 /// False alarms of "it drifts" among stations that stand still.
 pub const DRIFT_FALSE_ALARM: f64 = 0.01;
@@ -295,7 +295,7 @@ type Motion = (Smoothed, OpenMotion);
 
 /// The rounds of a station as a walk sees them.
 struct Rounds {
-    walk: Walk,
+    walk: RandomWalk,
     /// Which reading of the station each sighting is.
     which: Vec<usize>,
     frame: WalkFrame,
@@ -325,7 +325,7 @@ fn rounds_of(station: &Station, left_out: &[usize]) -> Result<Rounds, Registrati
     sightings.sort_by(|(a, _), (b, _)| a.time.total_cmp(&b.time));
     let (sightings, which) = sightings.into_iter().unzip();
     Ok(Rounds {
-        walk: Walk::new(&places, sightings).ok_or(RegistrationError::OnOneLine)?,
+        walk: RandomWalk::new(&places, sightings).ok_or(RegistrationError::OnOneLine)?,
         which,
         frame: WalkFrame { centre, radius },
         most: seats.iter().map(|seat| seat.readings.len()).max().unwrap_or(0),
@@ -367,7 +367,7 @@ fn drift_of(
         drift.verdict = DriftVerdict::Unknown { missing: MissingForDrift::Readings };
         return Ok((drift, None, left_out));
     };
-    let p_value = walk::p_of_walk(still.deviance, moving.deviance);
+    let p_value = random_walk::p_of_walk(still.deviance, moving.deviance);
     if p_value >= DRIFT_FALSE_ALARM {
         drift.noise_ratio = Some(still.noise_factor.sqrt());
         drift.verdict = DriftVerdict::None { p_value };
@@ -421,7 +421,7 @@ fn size_of(told: &Smoothed, frame: WalkFrame, p_value: f64, station: &str) -> Re
     }
     // Over the ends of all chords through the first and the farthest: the span, within a factor that no reader minds, in linear time.
     let farthest = |from: &Vector6<f64>, turns: bool| {
-        let size = |knot: &walk::Knot| {
+        let size = |knot: &random_walk::Knot| {
             let (motion, turn) = motion_of(knot.mean - from);
             if turns { turn } else { motion }
         };

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
 use super::WalkFrame;
-use super::walk::{Rates, Smoothed};
+use super::random_walk::{Rates, Smoothed};
 
 /// Errors that the readings of a station share, because one motion of its tracker was taken off all of them: joint normal at the sightings of nests
 /// next to readings; in between, readings stand on a line between two of these and a Brownian bridge, before the first and behind the last on a walk.

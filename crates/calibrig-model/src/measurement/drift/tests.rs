@@ -1,7 +1,7 @@
 use nalgebra::{Matrix3, Rotation3, Vector3, Vector6};
 use rand::{Rng, RngExt};
 
-use super::walk::BEFORE;
+use super::random_walk::BEFORE;
 use super::*;
 use crate::geometry::{best_fit_transform, rotation_x, rotation_z, small_displacement, translation};
 use crate::measurement::{MeasurementSet, Observation, SphericalReading, Station, Target, register};

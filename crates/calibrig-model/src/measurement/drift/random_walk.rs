@@ -31,7 +31,7 @@ pub(super) struct Sighting {
 
 /// Points, and how they were seen.
 #[derive(Debug, Clone)]
-pub(super) struct Walk {
+pub(super) struct RandomWalk {
     sightings: Vec<Sighting>,
     /// By the walk, one a seat.
     rigid: Vec<SMatrix<f64, 3, 6>>,
@@ -86,7 +86,7 @@ struct Step {
     covariance: DMatrix<f64>,
 }
 
-impl Walk {
+impl RandomWalk {
     /// `places` are those of the seats about their centroid, over their radius. `None` of points on one line.
     pub(super) fn new(places: &[Vector3<f64>], mut sightings: Vec<Sighting>) -> Option<Self> {
         sightings.sort_by(|a, b| a.time.total_cmp(&b.time));
