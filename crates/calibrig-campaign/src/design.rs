@@ -128,16 +128,16 @@ pub enum DesignError {
         what: &'static str,
     },
     /// More draws than numbers of draws.
-    #[error("the study has {draws} draws; {MOST_DRAWS} are the most")]
+    #[error("the study has {draws} draws; at most {MOST_DRAWS} are possible")]
     TooManyDraws {
         /// How many.
         draws: u64,
     },
     /// More trials than can be counted.
-    #[error("the study has more trials than can be counted")]
+    #[error("the study has more trials than can be counted; use fewer draws or fewer factors")]
     TooManyTrials,
     /// More factors than dimensions.
-    #[error("{factors} factors vary; {most} are the most in this design")]
+    #[error("{factors} factors vary; this design takes at most {most}")]
     TooManyFactors {
         /// How many.
         factors: usize,
@@ -151,7 +151,7 @@ pub enum DesignError {
         factors: usize,
     },
     /// A grid without a middle, or one that is no grid any more.
-    #[error("a screening has {levels} levels; it must be an even number up to {MOST_LEVELS}, such as 4")]
+    #[error("a screening has {levels} levels; it needs an even number of at most {MOST_LEVELS}, such as 4")]
     OddLevels {
         /// How many.
         levels: usize,
@@ -181,7 +181,7 @@ impl Design {
             }
             Self::Sweep { levels, repeats } => check_sweep(levels, *repeats),
             Self::Indices { base, factors, draws, .. } => {
-                some("rows of the base", *base)?;
+                some("rows of the base design", *base)?;
                 some("factors", *factors as u64)?;
                 at_most(*factors, MOST_FACTORS / 2)?;
                 // Also where the draws are no factor: points are numbered as draws are.

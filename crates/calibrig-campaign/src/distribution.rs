@@ -77,7 +77,7 @@ pub enum DistributionError {
         high: f64,
     },
     /// A range that no number can express the width of.
-    #[error("from {low} to {high} is too far for a floating-point number")]
+    #[error("the range from {low} to {high} is too wide for a floating-point number")]
     TooWide {
         /// As it was given.
         low: f64,

@@ -96,7 +96,7 @@ pub struct JobPlan {
 pub enum PlanError {
     /// No scheduler takes an empty array.
     #[error(
-        "a campaign for a scheduler has at least one shard and one thread a shard (here {shards} and {threads})"
+        "a campaign for a scheduler needs at least one shard and one thread per shard (here {shards} and {threads})"
     )]
     Nothing {
         /// Shards that were asked for.
@@ -105,18 +105,18 @@ pub enum PlanError {
         threads: u16,
     },
     /// Job files are text.
-    #[error("'{}' is not UTF-8, and a job file is: give the folder or file another name", .0.display())]
+    #[error("'{}' is not UTF-8, which a job file must be: rename the folder or file", .0.display())]
     NotText(PathBuf),
     /// A line break would end a setting, or a comment.
     #[error(
-        "{0:?} holds a control character, which a job file cannot hold: give the folder or file another name"
+        "{0:?} contains a control character, which a job file cannot hold: rename the folder or file"
     )]
     ControlCharacter(String),
     /// Tasks start in folders of their own.
-    #[error("the path '{0}' is relative, and a job file needs an absolute one")]
+    #[error("the path '{0}' is relative; a job file needs an absolute path")]
     Relative(String),
     /// Kubernetes refuses it.
-    #[error("Kubernetes mounts nothing at a path with a colon, as '{0}' has: give the folder another name")]
+    #[error("Kubernetes cannot mount a path with a colon, such as '{0}': rename the folder")]
     Colon(String),
 }
 
@@ -197,8 +197,9 @@ impl JobPlan {
         if self.shards > SLURM_TASKS {
             let _ = writeln!(
                 script,
-                "# {} tasks are more than Slurm's arrays have where it was not told otherwise ({SLURM_TASKS}). Yours:\n\
-                 #   scontrol show config | grep MaxArraySize\n# Where that is smaller than {0}, plan again with fewer shards.",
+                "# {} tasks are more than Slurm allows in an array by default ({SLURM_TASKS}). To see your cluster's \
+                 limit:\n#   scontrol show config | grep MaxArraySize\n# If it is smaller than {0}, plan again with fewer \
+                 shards.",
                 self.shards
             );
         }
@@ -215,7 +216,8 @@ impl JobPlan {
         );
         // Slurm takes a backslash for a sign that nothing in the path stands for something else, and drops it.
         if words.logs.contains('\\') {
-            script.push_str("# Slurm knows no file with a backslash in its path: what tasks say goes to slurm-*.out where you submit this.\n");
+            script.push_str("# Slurm cannot write to a path with a backslash: the output of the tasks goes to slurm-*.out in \
+                             the folder where you submit this.\n");
         } else {
             let logs = words.logs.replace('"', "\\\"").replace('%', "%%");
             let _ = writeln!(script, "#SBATCH --output=\"{logs}/slurm-%A_%a.log\"");

@@ -140,7 +140,7 @@ impl RasterTable {
         check_numbers(source, "raster.corners_mm", place.clone(), corners.as_flattened().iter())?;
         let &[a, b, c, d] = corners.as_slice() else {
             let message = format!("raster.corners_mm has {} corners", corners.len());
-            let help = "expected four corners in order around the panel, [x, y, z] each in the base frame";
+            let help = "expected four corners [x, y, z] in the base frame, in order around the panel";
             return Err(source.error(place, message, Some(help.to_owned())));
         };
         let length = |key: &str, value: &Spanned<f64>| {
@@ -179,7 +179,7 @@ impl GridTable {
         let held = match (&self.axis, rotation.read(source)?) {
             (Some(axis), Some(_)) => {
                 let help =
-                    "expected one of them: the direction of the tool's axis, or its rotation".to_owned();
+                    "expected only one of them: the direction of the tool's axis, or its full rotation".to_owned();
                 return Err(source.error(axis.span(), "grid has both axis and a rotation", Some(help)));
             }
             (Some(axis), None) => {
@@ -225,8 +225,8 @@ pub fn parse_goal_file(source: Source) -> Result<GoalFile, InputError> {
     let grid = file.grid.map(|table| table.get_ref().read(&source)).transpose()?;
     if raster.is_none() && grid.is_none() {
         let help =
-            "expected [raster], a panel that the tool covers, or [grid], a box that offsets are wanted in";
-        return Err(source.error(0..0, "the file states no goals", Some(help.to_owned())));
+            "expected [raster], a panel that the tool covers, or [grid], a box of points where offsets are wanted";
+        return Err(source.error(0..0, "the file has neither [raster] nor [grid]", Some(help.to_owned())));
     }
     Ok(GoalFile { source, raster, grid })
 }

@@ -31,7 +31,7 @@ pub struct Source {
 pub enum InputError {
     /// It cannot be opened or read.
     #[error("cannot read {}: {reason}", path.display())]
-    #[diagnostic(help("expected a file of UTF-8 text"))]
+    #[diagnostic(help("expected a text file in UTF-8"))]
     Unreadable {
         /// The file.
         path: PathBuf,
@@ -160,7 +160,7 @@ fn unreadable(path: &Path, reason: String) -> InputError {
 /// All of a file.
 fn bytes_of(path: &Path) -> Result<Vec<u8>, InputError> {
     if path.is_dir() {
-        return Err(unreadable(path, "it is a folder, a file was expected".to_owned()));
+        return Err(unreadable(path, "it is a folder; expected a file".to_owned()));
     }
     std::fs::read(path).map_err(|error| unreadable(path, error.to_string()))
 }
@@ -182,7 +182,7 @@ fn not_utf8(error: &std::string::FromUtf8Error) -> String {
     let at = error.utf8_error().valid_up_to();
     let bytes = error.as_bytes();
     let line = bytes[..at].iter().filter(|byte| **byte == b'\n').count() + 1;
-    format!("not UTF-8 text (byte {at}), by 0x{:02X} in line {line}; save it as UTF-8", bytes[at])
+    format!("not UTF-8 text (byte {at}), because of 0x{:02X} in line {line}; save it as UTF-8", bytes[at])
 }
 
 /// A value from a TOML text with its place.

@@ -59,21 +59,21 @@ impl OrientationKeys<'_> {
         } else if let Some(sequence) = self.sequence {
             return refused(
                 sequence.span(),
-                "rotation_sequence is of angles, and there are none",
-                "rotation_euler_rad beside it",
+                "rotation_sequence applies to angles, but there are none",
+                "rotation_euler_rad with it",
             );
         }
         if let Some(rows) = self.matrix {
             add(rows.span(), RotationForm::Matrix(MatrixOrder::ByRows), rows.get_ref().as_flattened());
         }
         if let Some((span, ..)) = stated.get(1) {
-            return refused(span.clone(), "the rotation is stated twice", FORMS);
+            return refused(span.clone(), "the rotation is given twice", FORMS);
         }
         let Some((span, form, numbers)) = stated.pop() else {
             let uncertainty = self.sigma_rad.map(Spanned::span).or(self.covariance_rad2.map(Spanned::span));
             return match uncertainty {
                 Some(span) => {
-                    refused(span, "the uncertainty of a rotation is stated, and no rotation", FORMS)
+                    refused(span, "the uncertainty of a rotation is stated, but no rotation", FORMS)
                 }
                 None => Ok(None),
             };
@@ -100,8 +100,8 @@ impl OrientationKeys<'_> {
                 covariance_of(source, "rotation_covariance_rad2", covariance).map(Some)
             }
             (Some(sigma), Some(_)) => {
-                let message = "both rotation_sigma_rad and rotation_covariance_rad2";
-                Err(source.error(sigma.span(), message, Some("expected one of them".to_owned())))
+                let message = "both rotation_sigma_rad and rotation_covariance_rad2 are given";
+                Err(source.error(sigma.span(), message, Some("expected only one of them".to_owned())))
             }
         }
     }

@@ -55,7 +55,7 @@ pub fn read_payloads(
         let payload = table.get_ref().read(source, table.span())?;
         if payloads.iter().any(|other| other.name == payload.name) {
             let message = format!("a second payload {:?}", payload.name);
-            let help = Some("expected a name of its own".to_owned());
+            let help = Some("expected a different name for each payload".to_owned());
             return Err(source.error(table.get_ref().name.span(), message, help));
         }
         payloads.push(payload);
@@ -83,7 +83,7 @@ pub fn payload_by_name<'a>(
     let nearest = known.clone().min_by_key(|other| edits(name, other));
     let all: Vec<_> = known.map(|name| format!("{name:?}")).collect();
     Err(match (nearest, all.as_slice()) {
-        (None, _) => format!("a [[payload]] of that name, or {NO_PAYLOAD:?}; there is no [[payload]]"),
+        (None, _) => format!("the name of a [[payload]], or {NO_PAYLOAD:?}; this file has no [[payload]]"),
         (Some(nearest), [_]) => format!("the name of a [[payload]], {nearest:?}, or {NO_PAYLOAD:?}"),
         (Some(nearest), _) => format!(
             "the name of a [[payload]], most likely {nearest:?}, or {NO_PAYLOAD:?}; there are {}",
@@ -112,13 +112,13 @@ impl PayloadTable {
     fn check_keys(&self, source: &Source, file: PayloadFile) -> Result<(), InputError> {
         let (message, help, span) = match (&self.mass_factor, &self.set) {
             (Some(factor), _) if file != PayloadFile::Scenario => (
-                "mass_factor is of a simulated payload",
-                "expected it in the [[payload]] of a scenario, whose machine carries more or less than is stated",
+                "mass_factor applies to a simulated payload",
+                "expected it in a [[payload]] of a scenario, whose machine carries more or less than is stated",
                 factor.span(),
             ),
             (_, Some(set)) if file != PayloadFile::Session => (
-                "set is of a payload that a whole set carries",
-                "expected it in the [[payload]] of a session file; here poses name what they carry",
+                "set applies to a payload that a whole set carries",
+                "expected it in a [[payload]] of a session file; here poses name what they carry",
                 set.span(),
             ),
             _ => return Ok(()),
@@ -131,7 +131,7 @@ impl PayloadTable {
         if name.trim().is_empty() || name.trim() != name || name == NO_PAYLOAD {
             let message = format!("payload.name is {name:?}");
             let help =
-                format!("expected a name for people without blanks at its ends, other than {NO_PAYLOAD:?}");
+                format!("expected a name without blanks at its ends, other than {NO_PAYLOAD:?}");
             return Err(source.error(self.name.span(), message, Some(help)));
         }
         let forces = [&self.force_x_n, &self.force_y_n, &self.force_z_n];
@@ -156,13 +156,13 @@ impl PayloadTable {
         if mass == 0.0 && force == Vector3::zeros() {
             return refuse(
                 format!("payload {name:?} weighs nothing"),
-                "expected mass_kg above zero; poses without a payload name \"none\", or nothing",
+                "expected mass_kg above zero; poses without a payload name \"none\", or leave the name empty",
             );
         }
         let (Some(x), Some(y), Some(z)) = (&self.x_mm, &self.y_mm, &self.z_mm) else {
             return refuse(
                 format!("payload {name:?} has no centre"),
-                "expected x_mm, y_mm and z_mm: its centre of mass in the flange frame, where a force pulls as well",
+                "expected x_mm, y_mm and z_mm: its centre of mass in the flange frame, where a force acts as well",
             );
         };
         let centre = Vector3::new(

@@ -26,7 +26,7 @@ pub enum RotationError {
     #[error("the quaternion has length 0")]
     ZeroQuaternion,
     /// A quaternion that rounding does not explain.
-    #[error("the quaternion has length {length:.6}, off 1 by {:.1e}", (length - 1.0).abs())]
+    #[error("the quaternion has length {length:.6}, which differs from 1 by {:.1e}", (length - 1.0).abs())]
     QuaternionLength {
         /// Its length.
         length: f64,
@@ -38,7 +38,7 @@ pub enum RotationError {
         determinant: f64,
     },
     /// A matrix whose columns are not of length one, or not at right angles.
-    #[error("the matrix is no rotation: its columns are off unit vectors at right angles by {off:.1e}")]
+    #[error("the matrix is not a rotation: its columns differ from unit vectors at right angles by {off:.1e}")]
     NotOrthonormal {
         /// Largest element of its product with its transpose, less the identity.
         off: f64,
@@ -49,19 +49,22 @@ impl RotationError {
     /// What was expected instead, and what to do.
     pub fn expected(self) -> &'static str {
         match self {
-            Self::NotFinite { .. } => "finite numbers of a size that turns",
+            Self::NotFinite { .. } => "finite numbers of a size that a rotation can have",
             Self::ZeroQuaternion => {
-                "a quaternion of length 1; where zeros mark a pose that was not seen, a row without a position is a missed shot"
+                "a quaternion of length 1; if zeros mark a pose that was not seen, leave its position empty: it then counts \
+                 as a missed shot"
             }
             Self::QuaternionLength { .. } => {
-                "a quaternion of length 1 up to its digits: check that these are its four columns, w among them, and that none is scaled"
+                "a quaternion of length 1 within its rounding: check that these are its four columns, w among them, and that \
+                 none is scaled"
             }
             Self::LeftHanded { .. } => {
-                "a right-handed rotation, of determinant 1: set the program that wrote it to a right-handed frame, or turn the sign of one axis around, \
-                 of the positions as well"
+                "a right-handed rotation, of determinant 1: set the program that wrote it to a right-handed frame, or reverse \
+                 the sign of one axis, of the positions as well"
             }
             Self::NotOrthonormal { .. } => {
-                "columns of length 1 at right angles, up to their digits: check that these are the nine columns of one matrix, in the stated order, without a scale"
+                "columns of length 1 at right angles within their rounding: check that these are the nine columns of one \
+                 matrix, in the stated order and not scaled"
             }
         }
     }

@@ -203,7 +203,7 @@ impl Reader<'_> {
     ) -> Result<(), InputError> {
         let shared = |other: Option<SetKind>| set.is_none() || other.is_none() || set == other;
         if others.any(|(other, known)| known == name.get_ref() && shared(other)) {
-            let message = format!("{what} {:?} is there twice", name.get_ref());
+            let message = format!("{what} {:?} appears twice", name.get_ref());
             return Err(self.error(name.span(), message, "distinct names in a set"));
         }
         Ok(())
@@ -252,11 +252,11 @@ impl Reader<'_> {
             };
             if let Some(difference) = instrument::difference(&stated, known) {
                 let message = format!(
-                    "instrument {:?} is stated otherwise at station {:?}: {difference}",
+                    "instrument {:?} is stated differently at station {:?}: {difference}",
                     stated.name, station.item.name
                 );
                 let expected =
-                    "the same errors wherever one instrument is named, or another name of another instrument";
+                    "the same errors wherever an instrument is named; or a different name for a different instrument";
                 return Err(self.error(table.name.span(), message, expected));
             }
         }
@@ -274,19 +274,19 @@ impl Reader<'_> {
             let apart = (known.in_base - nest.in_base).norm();
             if apart > 0.0 {
                 let message = format!(
-                    "nest {:?} is there twice, and its certified places are {:.4} mm apart",
+                    "nest {:?} appears twice, with certified places {:.4} mm apart",
                     nest.name,
                     1e3 * apart
                 );
                 return Err(self.error(
                     name.span(),
                     message,
-                    "one certified place of a nest, or another name",
+                    "the same certified place for one nest, or another name",
                 ));
             }
             let differ = matches!((known.time, nest.time), (Some(a), Some(b)) if a != b);
             if !differ && known.reading.face() == nest.reading.face() {
-                let message = format!("nest {:?} is there twice, and not at two times", nest.name);
+                let message = format!("nest {:?} appears twice, but not at two different times", nest.name);
                 let expected = "time_s of each measurement of a nest that is measured again, or another name";
                 return Err(self.error(name.span(), message, expected));
             }
@@ -326,12 +326,13 @@ impl Reader<'_> {
                     continue;
                 };
                 let message = format!(
-                    "payloads {:?} and {:?} are both carried by all poses of the {} set",
+                    "payloads {:?} and {:?} are both said to be carried by all poses of the {} set",
                     other.item.name,
                     described.item.name,
                     kind.key()
                 );
-                let expected = "one of a set; where poses carry different ones, a column of the measurement file that names them";
+                let expected = "one per set; if poses carry different payloads, a column of the measurement file that names \
+                                them";
                 return Err(self.error(table.span(), message, expected));
             }
             payloads.push(described);
@@ -346,7 +347,7 @@ impl Reader<'_> {
                 self.error(
                     key.span(),
                     format!("face is {:?}", key.get_ref()),
-                    "\"front\", \"back\", or \"both\" of the mean of the two",
+                    "\"front\", \"back\", or \"both\" for the mean of the two",
                 )
             },
         )
@@ -375,8 +376,8 @@ impl Reader<'_> {
                 Ok(Some(Matrix3::from_diagonal_element(sigma * sigma)))
             }
             (Some(sigma), Some(_)) => {
-                let message = format!("both {sigma_key} and {key}");
-                Err(self.error(sigma.span(), message, "one of them"))
+                let message = format!("both {sigma_key} and {key} are given");
+                Err(self.error(sigma.span(), message, "only one of them"))
             }
         }
     }
@@ -409,7 +410,7 @@ impl Reader<'_> {
         match (&nest.position_m, spherical) {
             (Some(position), [None, None, None]) => {
                 if let Some(face) = &nest.face {
-                    let message = "face is of range and angles, and this reading is a position";
+                    let message = "face applies to range and angles, but this reading is a position";
                     return Err(self.error(face.span(), message, "range_m, az_rad and el_rad, or no face"));
                 }
                 let covariance = self.spread(
@@ -428,7 +429,7 @@ impl Reader<'_> {
                 }))
             }
             (None, [None, None, None]) => refused("there is no reading"),
-            (None, _) => refused("the reading is not whole"),
+            (None, _) => refused("the reading is incomplete"),
             (Some(_), _) => refused("there are two readings"),
         }
     }
@@ -447,8 +448,8 @@ impl Reader<'_> {
             }
             _ => {
                 let message =
-                    format!("nest {:?}: the uncertainty of its reading is not clear", nest.name.get_ref());
-                let expected = "sigma_range_m, sigma_az_rad and sigma_el_rad, or covariance_m_rad";
+                    format!("nest {:?}: the uncertainty of its reading is missing or given twice", nest.name.get_ref());
+                let expected = "either sigma_range_m, sigma_az_rad and sigma_el_rad, or covariance_m_rad";
                 Err(self.error(span, message, expected))
             }
         }
@@ -476,12 +477,12 @@ impl SessionFile {
             }
             if !is_named && described.len() > 1 {
                 let message = format!(
-                    "the {} set does not name its {what}, and {} are described: {}",
+                    "the {} set does not name its {what}, but {} are described: {}",
                     kind.key(),
                     described.len(),
                     described.join(", ")
                 );
-                let help = format!("expected a column {what} in the measurement file, or one [[{what}]]");
+                let help = format!("expected a column {what} in the measurement file, or only one [[{what}]]");
                 return Err(source.error(self.places(what, kind), message, Some(help)));
             }
             let message = format!("{what} {name:?} of the {} set is not described", kind.key());
@@ -517,14 +518,15 @@ impl SessionFile {
                 set.observations.iter().find_map(|o| Some((o, o.payload.as_ref()?)))
             {
                 let message = format!(
-                    "payload {:?} is carried by all poses of the {} set, and pose {} of its measurement file carries {:?}",
+                    "payload {:?} is said to be carried by all poses of the {} set, but pose {} of its measurement file \
+                     carries {:?}",
                     payload.item.name,
                     kind.key(),
                     observation.pose,
                     other.name
                 );
                 let help =
-                    "expected one of them: this table, or the payloads of the measurement file".to_owned();
+                    "expected only one of them: this table, or the payloads of the measurement file".to_owned();
                 return Err(source.error(payload.place.clone(), message, Some(help)));
             }
             for observation in &mut set.observations {
@@ -578,12 +580,12 @@ impl SessionFile {
                     let at = at.and_then(|at| nests.get(at)).unwrap_or(place);
                     (
                         at,
-                        "the uncertainty of the reading or of the certified place above zero in every direction",
+                        "an uncertainty of the reading and of the certified place above zero in every direction",
                     )
                 }
                 _ => (
                     place,
-                    "three nests or more that are not on one line, or none: then the station's place is identified",
+                    "three nests or more that are not on one line, or no nests: then the station's place is identified",
                 ),
             };
             let message = format!("station {:?}: {error}{}", station.name, on_one_line(station, &error));
@@ -631,7 +633,7 @@ fn on_one_line(station: &Station, error: &RegistrationError) -> String {
         None => 0.0,
     };
     let off = nests.iter().map(off).fold(0.0, f64::max);
-    format!(": {} are on it to {:.3} mm", names.join(", "), 1e3 * off)
+    format!(": {} lie on it within {:.3} mm", names.join(", "), 1e3 * off)
 }
 
 /// Those of one set; `None` where the file describes none at all.

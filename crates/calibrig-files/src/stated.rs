@@ -64,7 +64,7 @@ pub fn state(
         (Some((_, source)), _) => {
             if let Some(robot_source) = robot_source.filter(|_| !robot.targets.is_empty()) {
                 remarks.push(format!(
-                    "targets are those of {}, not those of {}",
+                    "targets are taken from {}, not from {}",
                     source.name, robot_source.name
                 ));
             }
@@ -127,7 +127,7 @@ fn count_identical_once(file: &mut MeasuredFile) -> Option<String> {
     copies.dedup();
     let poses = if copies.len() == 1 { "pose" } else { "poses" };
     let words = format!(
-        "{}: {count} of the readings repeat{s} another to the last digit and count{s} once with it ({poses} {})",
+        "{}: {count} of the readings repeat{s} another to the last digit and count{s} only once with it ({poses} {})",
         file.name,
         listed(&copies)
     );
@@ -201,11 +201,11 @@ fn state_targets(
     }
     if first.name.is_none() && measured.len() > 1 {
         let message =
-            format!("the target has no name, and {} are measured: {}", measured.len(), listed(&measured));
+            format!("the target has no name, but {} are measured: {}", measured.len(), listed(&measured));
         if first.sigma.is_some() {
-            return refused(first, message, "a name = \"...\" of these, and [[target]] for each of several");
+            return refused(first, message, "name = \"...\" with one of these, and [[target]] for each of several");
         }
-        remarks.push(format!("{}: {message}; nothing is taken from it", source.name));
+        remarks.push(format!("{}: {message}; nothing is used from it", source.name));
         return Ok(matched);
     }
     for file in &mut *files {
@@ -213,7 +213,7 @@ fn state_targets(
         if !named && stated.len() > 1 && !file.loaded.set.targets.is_empty() {
             let all: Vec<_> = stated.iter().filter_map(|target| target.name.clone()).collect();
             let message = format!(
-                "{} targets are stated ({}), and {} does not name which one was measured",
+                "{} targets are stated ({}), but {} does not name which one was measured",
                 stated.len(),
                 listed(&all),
                 file.name
@@ -242,7 +242,7 @@ fn state_targets(
         .collect();
     if matched.is_empty() && !measured.is_empty() {
         let message = format!(
-            "no reading names what is stated, {}; measured are {}",
+            "no reading names a stated target, {}; measured are {}",
             listed(&unmeasured),
             listed(&measured)
         );
@@ -340,9 +340,11 @@ fn refuse_named_shots(
         columns.map(|columns| (columns, columns.place_of("columns.target"))).filter(|(_, at)| !at.is_empty());
     let column = key.as_ref().and_then(|(map, place)| map.text.get(place.clone())).unwrap_or("target");
     let message = format!(
-        "{count} targets with one reading each tell nothing of the robot: the column {column} names the shot, not the reflector"
+        "{count} targets with one reading each say nothing about the robot: the column {column} names the shot, not the \
+         reflector"
     );
-    let help = "expected the reflector's name, the same in all rows that it was measured in; or no target column (in a column map: leave `target` out)";
+    let help = "expected the reflector's name, the same in all rows where it was measured; or no target column (in a column \
+                map: leave `target` out)";
     Err(match key {
         Some((map, place)) => map.error(place, message, Some(help.to_owned())),
         None => InputError::Place {
@@ -395,7 +397,7 @@ fn align(
             }
             if fit.stations.get(place).is_some_and(|known| known.nests != station.nests) {
                 remarks.push(format!(
-                    "station {}: the nests of the {} set are others; its place is that of the identification set",
+                    "station {}: the nests of the {} set differ; its place is that of the identification set",
                     station.name,
                     other.kind.key()
                 ));
@@ -407,7 +409,7 @@ fn align(
                 let names =
                     measured_names(&fit.targets, |place| fit.observations.iter().any(|o| o.target == place));
                 let at = other.loaded.place_where(|o| o.target == place);
-                return unknown("target", &target.name, &names, "nothing is stated of it", at);
+                return unknown("target", &target.name, &names, "nothing is stated about it", at);
             }
         }
     }
@@ -451,17 +453,17 @@ fn in_words(set: &MeasurementSet, stated: &BTreeSet<String>, placed_by: &str, by
             format!("placed by {nests} nests of {placed_by}, {} readings", station.nests.len())
         }
         nests if nests >= ENOUGH_NESTS => format!("placed by {nests} nests of {placed_by}"),
-        _ => "identified, no nests are stated".to_owned(),
+        _ => "identified, because no nests are stated".to_owned(),
     });
     grouped(&set.targets, &mut lines, |target| match target.covariance {
         Some(covariance) => {
             let sigma = (covariance.trace() / 3.0).sqrt();
-            format!("stated by {by}, +- {} mm an axis", rounded(1e3 * sigma))
+            format!("stated by {by}, +- {} mm per axis", rounded(1e3 * sigma))
         }
         None if stated.contains(&target.name) => {
-            format!("identified, from the offset that {by} states without an uncertainty")
+            format!("identified, starting from the offset that {by} states without an uncertainty")
         }
-        None => "identified, nothing is stated of it".to_owned(),
+        None => "identified, because nothing is stated about it".to_owned(),
     });
     lines
 }

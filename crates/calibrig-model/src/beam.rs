@@ -29,7 +29,7 @@ pub enum BeamError {
         segment: usize,
     },
     /// A stiffness that is not positive.
-    #[error("beam segment {} has the {property} {value}; it must be positive (infinite where rigid)", segment.saturating_add(1))]
+    #[error("beam segment {} has the {property} {value}; it must be positive (infinite if rigid)", segment.saturating_add(1))]
     Stiffness {
         /// Index of the segment.
         segment: usize,

@@ -16,7 +16,7 @@ pub enum ModelError {
     #[error("the robot has no joints")]
     NoJoints,
     /// A list with an entry a joint that has more or fewer.
-    #[error("{field} has {found} entries: expected {expected}, one a joint")]
+    #[error("{field} has {found} entries: expected {expected}, one per joint")]
     Length {
         /// The list.
         field: &'static str,
@@ -38,7 +38,7 @@ pub enum ModelError {
         expected: &'static str,
     },
     /// Limits that leave no joint variable.
-    #[error("the limits of joint {} cross: {low} to {high}", joint.saturating_add(1))]
+    #[error("the limits of joint {} cross, {low} to {high}: expected the lower one first", joint.saturating_add(1))]
     Limits {
         /// Index of the joint.
         joint: usize,
@@ -48,7 +48,7 @@ pub enum ModelError {
         high: f64,
     },
     /// Something that belongs to a joint which is not there.
-    #[error("{field} is of joint {}: the robot has {joints}", joint.saturating_add(1))]
+    #[error("{field} refers to joint {}, but the robot has {joints} joints", joint.saturating_add(1))]
     Joint {
         /// What it is.
         field: &'static str,
@@ -59,7 +59,7 @@ pub enum ModelError {
     },
     /// An elbow that does not follow its shoulder.
     #[error(
-        "the parallelogram joins joints {} and {}: expected an elbow that follows its shoulder",
+        "the parallelogram joins joints {} and {}: expected an elbow right after its shoulder",
         shoulder.saturating_add(1), elbow.saturating_add(1)
     )]
     Parallelogram {
@@ -70,7 +70,8 @@ pub enum ModelError {
     },
     /// Axes of which what is shown does not tell where the actuators are.
     #[error(
-        "the coupling of the axes cannot be turned round: what is shown does not tell where each actuator is"
+        "the coupling of the axes cannot be inverted: the shown values do not determine where each actuator is; check sign, \
+         ratio and coupling of [joint.shown]"
     )]
     Coupling,
     /// A flexible link that cannot be.
@@ -82,11 +83,12 @@ pub enum ModelError {
         source: BeamError,
     },
     /// Statics of a four-bar that the actuators do not have.
-    #[error("statics.linkage is stated: expected it only where actuators has the lengths of a four-bar")]
+    #[error("statics.linkage is stated: expected it only if actuators has the lengths of a four-bar")]
     Linkage,
     /// Masses and stiffnesses that nothing loads.
     #[error(
-        "statics.gravity is zero and no load has a force: nothing deflects; state gravity (m/s², in the base frame), or leave statics out"
+        "statics.gravity is zero and no load has a force, so nothing deflects: state gravity (m/s², in the base frame), or \
+         leave statics out"
     )]
     NoGravity,
     /// A parameter that the robot does not have.
@@ -96,7 +98,7 @@ pub enum ModelError {
         id: ParameterId,
     },
     /// A model that is not built as the one it is to replace.
-    #[error("{field} is not that of the model that the chain was made of: only values may differ")]
+    #[error("{field} differs from the model that the chain was made from: only values may differ")]
     Structure {
         /// What differs.
         field: &'static str,
@@ -109,7 +111,7 @@ fn of_joint(joint: Option<usize>) -> String {
 
 const FINITE: &str = "a finite number";
 const POSITIVE: &str = "a finite number above zero";
-const STIFF: &str = "a number above zero, infinite where rigid";
+const STIFF: &str = "a number above zero, infinite if rigid";
 const MASS: &str = "a finite number of zero or more";
 
 fn number(

@@ -14,13 +14,13 @@ use crate::table::{Table, TableReader};
 #[non_exhaustive]
 pub enum Fault {
     /// Its name is not that of a shard of this campaign.
-    #[error("{}: not the name of a shard of this campaign", file.display())]
+    #[error("{}: its name is not that of a shard of this campaign", file.display())]
     Name {
         /// Which.
         file: PathBuf,
     },
     /// Its bytes are not the ones that its name tells of.
-    #[error("{}: cut short or altered: its bytes do not have the sum that stands in its name", file.display())]
+    #[error("{}: cut short or altered: its bytes do not match the checksum in its name", file.display())]
     Damaged {
         /// Which.
         file: PathBuf,
@@ -43,7 +43,8 @@ pub enum Fault {
     },
     /// Two sound files of one shard have different rows.
     #[error(
-        "{} and {}: both are sound, and they differ: machines whose processors round otherwise do not mix; keep those of one kind",
+        "{} and {}: both are sound, but they differ: their processors round differently. Keep the shards of one kind of \
+         machine and run the others again on it",
         file.display(),
         other.display()
     )]
@@ -54,7 +55,7 @@ pub enum Fault {
         other: PathBuf,
     },
     /// It is of this campaign, shared out otherwise: its trials are in other shards, too.
-    #[error("{}: it holds trials {first}..{end}, which overlap shards of this campaign's {shards}", file.display())]
+    #[error("{}: its trials {first}..{end} overlap the shards of this campaign, which has {shards}", file.display())]
     Overlap {
         /// Which.
         file: PathBuf,
@@ -164,7 +165,7 @@ impl Folder {
         let Some(about) = about_of(&table) else {
             return Err(Fault::Unreadable {
                 file,
-                reason: "it does not say of which campaign it is".to_owned(),
+                reason: "it does not say which campaign it belongs to".to_owned(),
             });
         };
         let own = self.about(about.range());
@@ -175,7 +176,7 @@ impl Folder {
                     format!("version {} instead of {}", about.version, own.version)
                 }
                 () if about.seed != own.seed => format!("seed {} instead of {}", about.seed, own.seed),
-                () => "its scenario, its trials or the program differ".to_owned(),
+                () => "its scenario, its trials or the program that wrote it differ".to_owned(),
             };
             return Err(Fault::Foreign { file, difference });
         }
@@ -184,7 +185,7 @@ impl Folder {
         if !whole {
             return Err(Fault::Unreadable {
                 file,
-                reason: "it does not hold the rows that it says".to_owned(),
+                reason: "it does not hold the rows that its header states".to_owned(),
             });
         }
         if shards != self.manifest.shards || about.range() != self.manifest.range_of(shard) {

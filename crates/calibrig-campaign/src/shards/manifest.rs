@@ -105,12 +105,12 @@ impl Manifest {
             return differs("machines", &self.software.target, &other.software.target);
         }
         if self.software != other.software {
-            return Some(format!("another build of version {}", other.software.version));
+            return Some(format!("a different build of version {}", other.software.version));
         }
         for input in &self.inputs {
             match other.inputs.iter().find(|theirs| theirs.role == input.role) {
                 Some(theirs) if theirs == input => {}
-                Some(_) => return Some(format!("another text of the {}", input.role)),
+                Some(_) => return Some(format!("a different text of the {}", input.role)),
                 None => return Some(format!("no {}", input.role)),
             }
         }
@@ -124,6 +124,6 @@ impl Manifest {
         if self.shards != other.shards {
             return differs("shards:", &self.shards, &other.shards);
         }
-        Some(if self.study == other.study { "other columns" } else { "another study" }.to_owned())
+        Some(if self.study == other.study { "different columns" } else { "a different study" }.to_owned())
     }
 }

@@ -48,7 +48,7 @@ pub enum FolderError {
     #[error(transparent)]
     Table(#[from] TableError),
     /// There is no campaign.
-    #[error("{}: there is no campaign in it (no manifest.json)", path.display())]
+    #[error("{}: no campaign here (no manifest.json)", path.display())]
     NoCampaign {
         /// The folder.
         path: PathBuf,
@@ -62,7 +62,7 @@ pub enum FolderError {
         reason: String,
     },
     /// There is another campaign.
-    #[error("{}: there is another campaign in it: it has {difference}", path.display())]
+    #[error("{}: this folder holds another campaign: it has {difference}", path.display())]
     AnotherCampaign {
         /// The folder.
         path: PathBuf,
@@ -70,7 +70,7 @@ pub enum FolderError {
         difference: String,
     },
     /// A shard that the campaign does not have.
-    #[error("shard {shard} of {shards}: the last one is {}", shards.saturating_sub(1))]
+    #[error("shard {shard} of {shards}: the last shard is {}", shards.saturating_sub(1))]
     NoShard {
         /// Asked for.
         shard: u32,
@@ -78,7 +78,7 @@ pub enum FolderError {
         shards: u32,
     },
     /// Rows that are not there.
-    #[error("{}: trials {}..{} are not there", path.display(), range.start, range.end)]
+    #[error("{}: trials {}..{} are missing", path.display(), range.start, range.end)]
     Missing {
         /// The folder.
         path: PathBuf,
@@ -297,7 +297,7 @@ fn read_manifest(folder: &Path) -> Result<Manifest, FolderError> {
     }
     if manifest.shards > MOST_SHARDS || manifest.first.checked_add(manifest.trials).is_none() {
         return Err(refused(format!(
-            "it has more than {MOST_SHARDS} shards, or more trials than can be counted"
+            "it has more than {MOST_SHARDS} shards, or too many trials"
         )));
     }
     Ok(manifest)

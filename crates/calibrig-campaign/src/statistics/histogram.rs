@@ -32,7 +32,7 @@ pub enum HistogramError {
         high: f64,
     },
     /// No bins, or too many.
-    #[error("a histogram has {bins} bins; 1 to {MOST_BINS} are possible")]
+    #[error("a histogram has {bins} bins; it needs 1 to {MOST_BINS}")]
     Bins {
         /// As it was given.
         bins: usize,

@@ -40,10 +40,10 @@ pub enum QuantileError<E: Error + 'static> {
     #[error(transparent)]
     Read(E),
     /// The passes did not see the same values.
-    #[error("the values changed while their quantiles were taken")]
+    #[error("the values changed while their quantiles were computed")]
     Changed,
     /// No share of anything.
-    #[error("there is no quantile of the share {share}; it must be between 0 and 1")]
+    #[error("no quantile at the share {share}: it must be between 0 and 1")]
     Share {
         /// As it was given.
         share: f64,

@@ -179,7 +179,7 @@ pub enum TableError {
         reason: String,
     },
     /// A row that is not of this table.
-    #[error("{}: a row of {cells} cells for {columns} columns, or a cell of another kind", path.display())]
+    #[error("{}: a row has {cells} cells for {columns} columns, or a cell of the wrong kind", path.display())]
     Row {
         /// Which file.
         path: PathBuf,

@@ -36,7 +36,7 @@ impl TableReader {
                     Physical::INT64 => Kind::Integer,
                     Physical::DOUBLE => Kind::Number,
                     Physical::BYTE_ARRAY => Kind::Text,
-                    other => return Err(format!("column {} is of type {other}", column.name())),
+                    other => return Err(format!("column {} has the unsupported type {other}", column.name())),
                 };
                 if column.max_def_level() != 1 || column.max_rep_level() != 0 {
                     return Err(format!("column {} is not a plain column of optional values", column.name()));
@@ -104,7 +104,7 @@ impl TableReader {
             ColumnReader::Int64ColumnReader(reader) => all(reader, rows, Values::Integer),
             ColumnReader::DoubleColumnReader(reader) => all(reader, rows, Values::Number),
             ColumnReader::ByteArrayColumnReader(reader) => all(reader, rows, Values::Text),
-            _ => Err(ParquetError::General(format!("column {column} is of another type"))),
+            _ => Err(ParquetError::General(format!("column {column} has the wrong type"))),
         }
         .map_err(&failed)?;
         // A shorter one would shift what stands beside it.

@@ -43,7 +43,7 @@ pub enum RasterError {
     },
     /// Corners that coincide, lie on one line, or cross.
     #[error(
-        "the corners make no panel at corner {}: expected four of them in order around it, no three on one line",
+        "the corners do not form a panel at corner {}: expected four of them in order around it, no three on one line",
         corner + 1
     )]
     NoPanel {
@@ -51,7 +51,7 @@ pub enum RasterError {
         corner: usize,
     },
     /// More points than anybody wants.
-    #[error("the raster has {points:.0} points: at most {most} are made; choose a wider pitch or spacing")]
+    #[error("the raster has {points:.0} points: expected at most {most}; choose a wider pitch or spacing")]
     TooMany {
         /// Their number.
         points: f64,

@@ -30,7 +30,8 @@ pub enum ToleranceError {
     },
     /// Too few errors for a bound.
     #[error(
-        "{found} held-out errors bound no {:.6} % quantile with a confidence of {:.6} %: expected {least} or more; hold out more poses, or ask for less",
+        "{found} held-out errors give no bound on the {:.6} % quantile with a confidence of {:.6} %: expected {least} or \
+         more; hold out more poses, or ask for a smaller share or confidence",
         100.0 * .coverage, 100.0 * .confidence
     )]
     TooFew {

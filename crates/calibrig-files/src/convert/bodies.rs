@@ -35,8 +35,8 @@ impl Finder<'_> {
         }
         match massless.as_slice() {
             [] => {}
-            [link] => faults.push(format!("no mass: link {link} and what is fixed to it")),
-            links => faults.push(format!("no mass: links {} and what is fixed to them", listed(links))),
+            [link] => faults.push(format!("no mass: link {link} and the links fixed to it")),
+            links => faults.push(format!("no mass: links {} and the links fixed to them", listed(links))),
         }
         Ok((bodies, faults))
     }
@@ -97,7 +97,7 @@ impl Finder<'_> {
             None => turn * inertia * turn.transpose(),
             Some(fault) => {
                 faults.push(format!(
-                    "the inertia of link {link} {fault}; that of a solid sphere is assumed, and nothing at rest depends on it"
+                    "the inertia of link {link} {fault}; that of a solid sphere is assumed, which changes nothing at rest"
                 ));
                 sphere(mass)
             }

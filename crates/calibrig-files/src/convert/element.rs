@@ -39,7 +39,7 @@ impl Element {
         if numbers.len() != count || text.split_whitespace().count() != count {
             let expected = match count {
                 1 => "expected a finite number".to_owned(),
-                _ => format!("expected {count} finite numbers with blanks between"),
+                _ => format!("expected {count} finite numbers separated by blanks"),
             };
             return Err(source.error(span, format!("{name} of <{}> is {text:?}", self.name), Some(expected)));
         }
@@ -78,7 +78,7 @@ pub(super) fn origin(source: &Source, element: Option<&Element>) -> Result<Trans
         Some(q) => {
             let quaternion = Quaternion::new(q[3], q[0], q[1], q[2]);
             if element.attribute("rpy").is_some() || !(0.5..2.0).contains(&quaternion.norm()) {
-                let message = "an <origin> with rpy and quat_xyzw, or with a quaternion that is no rotation";
+                let message = "an <origin> with both rpy and quat_xyzw, or with a quaternion that is not a rotation";
                 return Err(source.error(
                     element.span.clone(),
                     message,

@@ -90,7 +90,7 @@ pub fn robot_from_urdf(source: &Source, options: &UrdfOptions) -> Result<Convert
         let index = chain.joints.iter().position(|other| other.name == joint.name);
         if follows.iter().all(|(follower, ..)| Some(*follower) != index) {
             assumed.push(format!(
-                "joint {} follows {}, which is outside of the chain: it is an axis of its own here",
+                "joint {} follows {}, which is outside the chain: here it is treated as an independent axis",
                 joint.name,
                 joint.mimic.as_ref().map_or("", |mimic| mimic.leader.as_str())
             ));
@@ -116,10 +116,11 @@ pub fn robot_from_urdf(source: &Source, options: &UrdfOptions) -> Result<Convert
     // Asked this way round, NaN differs too.
     if !(difference <= AGREEMENT) {
         let message = format!(
-            "the table that was made of this URDF differs from it by {difference:.1e} m at some pose: it is not given out"
+            "the table made from this URDF differs from it by {difference:.1e} m at some pose, so it was not written"
         );
         let expected =
-            format!("expected at most {AGREEMENT:.0e} m; lengths in m, and no joint kilometres away");
+            format!("expected a difference of at most {AGREEMENT:.0e} m; check that lengths are in m and that no joint is \
+                     kilometres away");
         return Err(source.error(tree.span.clone(), message, Some(expected)));
     }
     remarks.extend(faults);
@@ -145,11 +146,11 @@ fn followers(
         let mut leader = None;
         loop {
             if names.contains(&mimic.leader) {
-                let message = format!("joint {} follows joints that follow each other", joint.name);
+                let message = format!("joint {} is in a circle of joints that follow each other", joint.name);
                 return Err(source.error(
                     joint.span.clone(),
                     message,
-                    Some("expected a <mimic> that ends at a joint of its own".to_owned()),
+                    Some("expected a <mimic> that leads to a joint without a <mimic>".to_owned()),
                 ));
             }
             if leader.is_none() {
@@ -220,7 +221,7 @@ fn in_original(source: &Source, error: &InputError) -> InputError {
     // What is wrong has a name in it, mostly.
     let mut named = said.split('"').skip(1).step_by(2).filter(|name| !name.is_empty());
     let span = named.find_map(|name| source.text.find(name).map(|at| at..at + name.len()));
-    source.error(span.unwrap_or(0..0), format!("no robot can be made of it: {said}"), help)
+    source.error(span.unwrap_or(0..0), format!("no robot can be made from it: {said}"), help)
 }
 
 /// Reaches of robots, m: a watchmaker's and a shipyard's.
@@ -230,11 +231,11 @@ const REACHES: [f64; 2] = [0.02, 100.0];
 fn doubtful_reach(reach: f64) -> Option<String> {
     let [least, most] = REACHES;
     let told =
-        |unit: &str| format!("doubtful: the lengths add up to {reach:.4} m, which is no robot's: {unit}");
+        |unit: &str| format!("doubtful: the lengths add up to {reach:.4} m, which fits no robot: {unit}");
     if reach > most {
         Some(told("are they in mm?"))
     } else if reach > 0.0 && reach < least {
-        Some(told("are they in m, and read as mm?"))
+        Some(told("are they in m, but read as mm?"))
     } else {
         None
     }
@@ -247,7 +248,7 @@ fn doubtful_units(chain: &Chain) -> Vec<String> {
     let mut doubtful: Vec<String> = doubtful_reach(reach).into_iter().collect();
     if chain.largest_angle > MOST_TURNS {
         doubtful.push(format!(
-            "doubtful: rpy has {}, and a URDF's angles are rad: is it in deg?",
+            "doubtful: rpy has {}, and angles of a URDF are in rad: is it in deg?",
             chain.largest_angle
         ));
     }
@@ -258,7 +259,7 @@ fn doubtful_units(chain: &Chain) -> Vec<String> {
     let far: Vec<_> = chain.joints.iter().filter(is_far).map(|joint| joint.name.as_str()).collect();
     if !far.is_empty() {
         doubtful.push(format!(
-            "doubtful: the limits of {} are more than three turns away, and a URDF's angles are rad: are they in deg?",
+            "doubtful: the limits of {} are more than three turns from zero, and angles of a URDF are in rad: are they in deg?",
             far.join(", ")
         ));
     }

@@ -102,7 +102,8 @@ pub fn standard_table(chain: &KinematicModel, remarks: &[String]) -> StandardTab
     table.difference = difference(chain, &table);
     let mut said = remarks.to_vec();
     said.push(format!(
-        "The same motions as the chain to {:.1e} m at the flange and at a metre from it; the farthest common normal is {:.3} m out.",
+        "Its motions agree with the chain's within {:.1e} m at the flange and at a metre from it; the farthest common normal \
+         is {:.3} m away.",
         table.difference, table.farthest
     ));
     let mut text = String::new();

@@ -114,7 +114,7 @@ pub(super) fn limits(chain: &Chain) -> (Vec<[f64; 2]>, Vec<String>) {
                 JointKind::Revolute => ([-TAU, TAU], "-360 to 360 deg"),
                 JointKind::Prismatic => ([-SLIDE, SLIDE], "-1000 to 1000 mm"),
             };
-            let why = if joint.continuous { "is continuous" } else { "states no limits" };
+            let why = if joint.continuous { "is continuous, and has no limits" } else { "states no limits" };
             assumed.push(format!("limits of joint {}, which {why}: {words}", joint.name));
             limits
         })
@@ -232,12 +232,13 @@ impl Text<'_> {
         );
         line!(
             text,
-            "# Joint variables, their signs and their zeros are those of the file; theta_deg (d_mm) holds what its zero is off the table's."
+            "# Joint variables, their signs and their zeros are those of the file; theta_deg (d_mm) holds the offset between \
+             its zero and the table's."
         );
         for remark in remarks.iter().chain(self.faults) {
             line!(text, "# {}", one_line(remark));
         }
-        line!(text, "# What is marked \"assumed\" the file does not say: look at it.");
+        line!(text, "# Values marked \"assumed\" are not in the file: check them.");
         line!(text);
         line!(text, "schema = \"calibrig.robot/1\"");
         line!(text, "name = {}", quoted(self.name));
@@ -245,7 +246,8 @@ impl Text<'_> {
         if self.bodies.is_some() {
             line!(
                 text,
-                "# Assumed: the stiffnesses below are guesses, and rather too high than too low; drives may be many times softer."
+                "# Assumed: the stiffnesses below are guesses, more likely too high than too low; drives may be many times \
+                 softer."
             );
             line!(text, "compliance_percent = {COMPLIANCE_PERCENT}");
         }
@@ -264,7 +266,7 @@ impl Text<'_> {
         }
         if let Some(target) = self.target {
             line!(text);
-            line!(text, "# As asked for (--target-mm), in the frame of {}.", one_line(tip));
+            line!(text, "# As given by --target-mm, in the frame of {}.", one_line(tip));
             line!(text, "[target]");
             let [x, y, z] = [target.x, target.y, target.z].map(mm);
             line!(text, "x_mm = {x}\ny_mm = {y}\nz_mm = {z}");
@@ -274,21 +276,23 @@ impl Text<'_> {
                 let gravity = self.gravity.unwrap_or(Vector3::new(0.0, 0.0, -GRAVITY));
                 line!(text);
                 match self.gravity {
-                    Some(_) => line!(text, "# As asked for (--gravity-m-per-s2), in the frame of {}.", one_line(base)),
+                    Some(_) => line!(text, "# As given by --gravity-m-per-s2, in the frame of {}.", one_line(base)),
                     None => {
-                        line!(text, "# Assumed: {} stands upright, its z axis against gravity.", one_line(base));
+                        line!(text, "# Assumed: {} stands upright, its z axis pointing up.", one_line(base));
                         more.push(format!("gravity along -z of {base} (--gravity-m-per-s2)"));
                     }
                 }
                 line!(text, "[gravity]");
                 line!(text, "x_m_per_s2 = {}\ny_m_per_s2 = {}\nz_m_per_s2 = {}", gravity.x, gravity.y, gravity.z);
                 more.push(format!(
-                    "stiffnesses of the drives, of which the file says nothing: {} mrad (mm) of sag under what each carries, and compliance_percent = {COMPLIANCE_PERCENT}",
+                    "stiffnesses of the drives, which the file does not state: {} mrad (mm) of sag under what each carries, \
+                     and compliance_percent = {COMPLIANCE_PERCENT}",
                     1e3 * SAG
                 ));
             }
             None => more.push(
-                "no gravity modes: the file does not give every moving link a mass ([joint.body], stiffnesses and [gravity] may be added)".to_owned(),
+                "no gravity modes: the file does not give every moving link a mass ([joint.body], stiffnesses and [gravity] \
+                 can be added to the robot file)".to_owned(),
             ),
         }
         (text, more)
@@ -309,7 +313,7 @@ impl Text<'_> {
             self.follows.iter().find(|(follower, ..)| *follower == index)
         {
             let leader = &self.chain.joints[*leader];
-            line!(text, "# A <mimic>: it takes no command of its own.");
+            line!(text, "# A <mimic>: it has no command of its own.");
             line!(text, "[joint.follows]");
             line!(text, "joint = {}", quoted(&leader.name));
             let unit = |kind| if kind == JointKind::Revolute { 1_f64.to_radians() } else { 1e-3 };

@@ -58,10 +58,10 @@ pub(super) struct PassedOver(BTreeMap<String, usize>);
 impl fmt::Display for PassedOver {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.0.is_empty() {
-            return f.write_str("passed over: nothing");
+            return f.write_str("ignored: nothing");
         }
         let counts: Vec<_> = self.0.iter().map(|(name, count)| format!("{count} <{name}>")).collect();
-        write!(f, "passed over: {}", counts.join(", "))
+        write!(f, "ignored: {}", counts.join(", "))
     }
 }
 
@@ -162,9 +162,10 @@ fn xacro(source: &Source, at: usize) -> InputError {
     };
     source.error(
         at..at + 1,
-        "this is xacro source, not a URDF: its macros are not expanded here",
+        "this is xacro source, not a URDF: xacro macros are not expanded here",
         Some(format!(
-            "expected a URDF: run `xacro {} > {output}` (ROS 2: `ros2 run xacro xacro ...`) with the arguments of the robot's package, and give {output}",
+            "expected a URDF: run `xacro {} > {output}` (ROS 2: `ros2 run xacro xacro ...`) with the arguments of the robot's \
+             package, and pass {output}",
             source.name
         )),
     )
@@ -182,7 +183,7 @@ fn refusal(source: &Source, lead: usize, error: &XmlError) -> InputError {
     let said = error.to_string();
     // The place is told by the line of this message.
     let said = said.split(" at ").next().unwrap_or_default().replace('\n', "the end of the line");
-    source.error(at..at + 1, format!("not the XML of a URDF: {said}"), Some("expected a URDF".to_owned()))
+    source.error(at..at + 1, format!("not valid XML: {said}"), Some("expected a URDF".to_owned()))
 }
 
 struct Reader<'a> {
@@ -214,8 +215,8 @@ impl Reader<'_> {
             return Err(xacro(self.source, self.place(tag(&node)).start));
         }
         if local(&root) != "robot" {
-            let message = format!("the file is a <{}>", qualified(&root));
-            return self.error(span, message, "a URDF, which is a <robot>");
+            let message = format!("the root element is <{}>", qualified(&root));
+            return self.error(span, message, "a URDF, whose root element is <robot>");
         }
         let mut passed_over = PassedOver::default();
         passed_over.add_unread(&root, &["link", "joint"]);
@@ -230,7 +231,7 @@ impl Reader<'_> {
             let name = self.required(&node, "name")?;
             let span = self.place(tag(&node));
             if by_name.insert(name.clone(), links.len()).is_some() {
-                return self.error(span, format!("a second link named {name}"), "one link of a name");
+                return self.error(span, format!("a second link named {name}"), "a different name for each link");
             }
             self.check_single(&node, &format!("link {name}"), &["inertial"])?;
             let inertial = child(&node, "inertial");
@@ -252,14 +253,14 @@ impl Reader<'_> {
             let joint = self.joint(&node, &by_name)?;
             if !joint_names.insert(joint.name.clone()) {
                 let message = format!("a second joint named {}", joint.name);
-                return self.error(joint.span, message, "one joint of a name");
+                return self.error(joint.span, message, "a different name for each joint");
             }
             if let Some(other) = above[joint.child].replace(joints.len()) {
                 let message = format!(
-                    "joint {} carries link {}, which joint {} carries too",
+                    "joint {} has the child link {}, which is already the child of joint {}",
                     joint.name, links[joint.child].name, joints[other].name
                 );
-                return self.error(joint.span, message, "one joint a link: loops are no URDF");
+                return self.error(joint.span, message, "one parent joint per link: a URDF cannot hold loops");
             }
             joints.push(joint);
         }
@@ -280,7 +281,7 @@ impl Reader<'_> {
             Some(second) => self.error(
                 self.place(tag(&second)),
                 format!("{of} has more than one <{}>", local(&second)),
-                "one of them",
+                "only one",
             ),
             None => Ok(()),
         }
@@ -298,7 +299,7 @@ impl Reader<'_> {
             match links.get(&link) {
                 Some(index) => Ok(*index),
                 None => {
-                    let message = format!("joint {name} names a link {link} that is not there");
+                    let message = format!("joint {name} names a link {link} that does not exist");
                     self.error(self.place(tag(&at)), message, "the name of a link")
                 }
             }

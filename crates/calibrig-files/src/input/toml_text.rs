@@ -26,8 +26,8 @@ pub(super) fn read<T: DeserializeOwned>(source: &Source) -> Result<T, InputError
             units::Converted::Yes => {}
             units::Converted::No => return Err(refusal(source, &error)),
             units::Converted::Twice { span, keys: [a, b] } => {
-                let message = format!("{a} and {b} are the same quantity");
-                return Err(source.error(span, message, Some("expected one of them".to_owned())));
+                let message = format!("{a} and {b} state the same quantity");
+                return Err(source.error(span, message, Some("expected only one of them".to_owned())));
             }
         }
     }
@@ -99,7 +99,7 @@ impl Mistake<'_> {
             return (format!("missing key {name}{table}"), format!("{name} with a value{unit}"));
         }
         if found == "duplicate key" {
-            return (format!("duplicate key `{literal}`"), "every key once".to_owned());
+            return (format!("duplicate key `{literal}`"), "every key only once".to_owned());
         }
         if self.behind_digit && self.rest.starts_with(',') && !key.is_empty() {
             return (format!("{key} has a decimal comma"), "a decimal point".to_owned());
@@ -111,17 +111,17 @@ impl Mistake<'_> {
                 (value(), "a number, true, false, or a text in quotes".to_owned())
             }
             "string values must be quoted" if !key.is_empty() => {
-                (format!("{key} has no value"), "a value behind the `=`".to_owned())
+                (format!("{key} has no value"), "a value after the `=`".to_owned())
             }
             "wanted string or table" if is_literal => (value(), "a text in quotes".to_owned()),
             "invalid type: sequence" if expected == "a table" => {
                 let name = key.rsplit('.').next().unwrap_or_default();
                 let message =
-                    format!("{key} is a list ([[{key}]], or [ ] in brackets), and there is one {name} here");
+                    format!("{key} is a list ([[{key}]], or [ ] in brackets), but only one {name} is possible here");
                 (message, format!("[{key}] in single brackets, once"))
             }
             "invalid type: map" if expected.starts_with("a list") => {
-                (format!("{key} is one table"), format!("[[{key}]] in double brackets, one table for each"))
+                (format!("{key} is a single table"), format!("[[{key}]] in double brackets, one table for each"))
             }
             _ if is_literal && found.ends_with("overflowed") => (value(), "a finite number".to_owned()),
             _ if is_literal && WRONG_VALUE.iter().any(|start| found.starts_with(start)) => {

@@ -177,7 +177,7 @@ impl<'a> Splitter<'a> {
         self.skip_blanks();
         match self.rest().chars().next() {
             Some(c) if !self.is_end(c) && *self.delimiter != Delimiter::Blanks => {
-                return Err(QuoteError { span, message: "text behind a closing quote", is_open: false });
+                return Err(QuoteError { span, message: "text after a closing quote", is_open: false });
             }
             // A line break in a name would be one in every message.
             _ if text.contains(['\n', '\r']) => {
@@ -222,7 +222,7 @@ mod tests {
             split(&mut row, &Delimiter::Character(',')).unwrap_err()
         };
         assert_eq!(broken("1,\"2,3").span, 2..6);
-        assert_eq!(broken("1,\"2\"3,4").message, "text behind a closing quote");
+        assert_eq!(broken("1,\"2\"3,4").message, "text after a closing quote");
     }
 
     /// What the csv crate writes with line breaks in cells has as many cells; breaks are blanks.

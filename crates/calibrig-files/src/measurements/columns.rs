@@ -302,7 +302,7 @@ impl PoseList {
     pub fn add(&mut self, text: &str) -> Result<(), &'static str> {
         let text = text.trim();
         if text.is_empty() {
-            return Err("a number of a pose, a run such as 41..60, or a name");
+            return Err("the number of a pose, a range such as 41..60, or a name");
         }
         if let Ok(number) = text.parse() {
             self.runs.push([number, number]);
@@ -311,7 +311,7 @@ impl PoseList {
         let run = text.split_once("..").or(text.split_once('-'));
         match run.map(|(first, last)| (first.trim().parse(), last.trim().parse())) {
             Some((Ok(first), Ok(last))) if first <= last => self.runs.push([first, last]),
-            Some((Ok(_), Ok(_))) => return Err("a run from the smaller number to the larger one"),
+            Some((Ok(_), Ok(_))) => return Err("a range from the smaller number to the larger one"),
             _ => self.names.push(text.to_owned()),
         }
         Ok(())
@@ -546,8 +546,8 @@ impl ColumnMap {
         let Some(mapping) = &self.mapping else { return Ok(()) };
         let (found, expected) = (mapping.joints.len(), joints.len());
         if found != expected {
-            let message = format!("joints.columns names {found} columns, the robot has {expected} joints");
-            let help = "expected one column a joint".to_owned();
+            let message = format!("joints.columns names {found} columns, but the robot has {expected} joints");
+            let help = "expected one column per joint".to_owned();
             return Err(source.error(source.place_of("joints.columns"), message, Some(help)));
         }
         Ok(())
@@ -646,7 +646,7 @@ fn own_mapping(header: &[&str], joints: &[JointKind]) -> Result<Mapping, String>
     let has = |name: &str| header.contains(&name);
     let surplus = [JointKind::Revolute, JointKind::Prismatic].map(|kind| own::joint(joints.len(), kind));
     if let Some(name) = surplus.iter().find(|name| has(name)) {
-        return Err(format!("there is a column {name}, the robot has {} joints", joints.len()));
+        return Err(format!("there is a column {name}, but the robot has {} joints", joints.len()));
     }
     let cartesian = own::CARTESIAN.iter().any(|name| has(name));
     if cartesian && own::SPHERICAL.iter().any(|name| has(name)) {
@@ -724,7 +724,7 @@ fn own_payload(header: &[&str]) -> Result<Option<PayloadColumns>, String> {
             return Ok(None);
         }
         return Err(format!(
-            "there is a column {}, and none of {} and {}, which say what it is",
+            "there is a column {}, but neither {} nor {}, one of which must say what it is",
             own::PAYLOAD,
             own::PAYLOAD_MASS,
             own::PAYLOAD_CENTRE.join(", ")
@@ -746,7 +746,7 @@ fn own_rotation(header: &[&str], cartesian: bool) -> Result<Option<RotationColum
         return Ok(None);
     }
     if !cartesian {
-        return Err("there are columns of a rotation, r11 to r33, and none of x_m, y_m, z_m".to_owned());
+        return Err("there are columns of a rotation, r11 to r33, but no x_m, y_m, z_m".to_owned());
     }
     // One column of a group calls for the whole group, so that a misspelt one is reported.
     let sigma = own::ROTATION_SIGMA.iter().any(has).then(|| RotationSigma {
@@ -773,7 +773,7 @@ fn own_uncertainty(header: &[&str], cartesian: bool, is_pose: bool) -> Result<Op
     let covariance: Vec<&str> = if is_pose { own::POSE_COVARIANCE.into() } else { covariance.into() };
     let has = |name: &&str| header.contains(name);
     Ok(match (sigma.iter().any(has), covariance.iter().any(has)) {
-        (true, true) => return Err("there are columns of both sigma and cov".to_owned()),
+        (true, true) => return Err("there are columns of both sigma and cov: keep one kind".to_owned()),
         (true, false) => Some(Uncertainty::Sigmas {
             columns: sigma.map(Entry::named),
             units: if cartesian {

@@ -69,7 +69,7 @@ pub fn parse_commands(
         commands.push(reader.commanded(&row, &mut names)?);
     }
     if commands.is_empty() {
-        return Err(file.refuse("there are no poses below the header", "a row of numbers for every pose"));
+        return Err(file.refuse("there are no poses below the header", "one row of numbers per pose"));
     }
     Ok(commands)
 }

@@ -54,17 +54,18 @@ impl Faces {
         if let Some((is_raw, place)) = self.back.as_ref().filter(|_| self.is_found) {
             remarks.push(if *is_raw {
                 format!(
-                    "{file}: angles of the back face are the encoders' own, as {place} shows (a zenith beyond 180°): they are turned to the \
-                     direction of the point"
+                    "{file}: back-face angles are the encoders' own, as {place} shows (a zenith beyond 180°): they are \
+                     converted to the direction of the point"
                 )
             } else {
-                format!("{file}: angles of the back face are those of the point, as {place} shows (a zenith up to 180°)")
+                format!("{file}: back-face angles are those of the point, as {place} shows (a zenith up to 180°)")
             });
         }
         if let Some((count, place)) = &self.beyond {
             remarks.push(format!(
-                "{place}: an elevation beyond 90° (a zenith beyond 180°), as of a tracker's back face, in {count} rows: the points are right, but \
-                 count as read in the front face; [face] of a column map names the faces"
+                "{place}: an elevation beyond 90° (a zenith beyond 180°), as a tracker shows in its back face, in {count} \
+                 rows: the points are right, but are treated as front-face readings; name the faces with [face] of a column \
+                 map"
             ));
         }
         remarks
@@ -85,7 +86,8 @@ pub(super) fn pair(
         if is_averaged {
             loaded
                 .remarks
-                .push("no reading is of the back face: there are no two faces to average".to_owned());
+                .push("no reading is of the back face, so there are no two faces to average: use repeats = \"keep\" or \
+                       measure both faces".to_owned());
         }
         return Ok(());
     }
@@ -106,9 +108,10 @@ pub(super) fn pair(
         if is_averaged {
             return Err(InputError::Place {
                 place: place(&first),
-                message: format!("pose {pose} was read in the back face, and not in the front face"),
+                message: format!("pose {pose} was read in the back face, but not in the front face"),
                 help: Some(
-                    "expected a front-face reading of the same pose, station and target for each of the back face; or faces = \"keep\"".to_owned(),
+                    "expected, for each back-face reading, a front-face reading of the same pose, station and target; or \
+                     faces = \"keep\"".to_owned(),
                 ),
             });
         }
@@ -118,7 +121,8 @@ pub(super) fn pair(
             more => format!(" and {more} more"),
         };
         loaded.remarks.push(format!(
-            "{}{more}: read in the back face, and not in the front face: what both faces would average out of the instrument's errors stays in",
+            "{}{more}: read in the back face, but not in the front face: the instrument errors that both faces would average \
+             out stay in",
             places.join(", ")
         ));
     }
@@ -144,10 +148,11 @@ fn average(loaded: &mut LoadedMeasurements, pairs: &[[usize; 2]]) -> Result<(), 
     let apart = 1e3 * (squares / pairs.len().max(1) as f64).sqrt();
     let alone = match fronts - pairs.len() {
         0 => String::new(),
-        alone => format!("; {alone} readings are of the front face alone"),
+        alone => format!("; {alone} readings are of the front face only"),
     };
     loaded.remarks.push(format!(
-        "{} pairs of both faces are averaged: their readings differ by {apart:.4} mm (RMS in 3-D), twice what one face is off{alone}",
+        "{} pairs of both faces are averaged: their readings differ by {apart:.4} mm (RMS in 3-D), twice the error of one \
+         face{alone}",
         pairs.len()
     ));
     Ok(())

@@ -121,7 +121,7 @@ fn refuse_twice(files: &MeasurementFiles) -> Result<(), InputError> {
             return Err(InputError::Place {
                 place: path.display().to_string(),
                 message: "this file is named twice: its rows would count twice".to_owned(),
-                help: Some("expected every file of measurements once".to_owned()),
+                help: Some("expected every file of measurements only once".to_owned()),
             });
         }
         seen.push(known);
@@ -134,7 +134,7 @@ fn stops(observations: &[Observation], file: &str) -> Option<String> {
     let poses = observations.chunk_by(|a, b| a.pose == b.pose).count();
     (poses < observations.len()).then(|| {
         format!(
-            "{file}: rows behind each other with the same command are one pose: {poses} poses of {} rows",
+            "{file}: consecutive rows with the same command are one pose: {poses} poses from {} rows",
             observations.len()
         )
     })
@@ -209,10 +209,10 @@ impl<'a> Reading<'a> {
         }
         if let (Some(target), Some(column)) = (target, columns.target) {
             let message = format!(
-                "column {} names the target, and the whole file is said to be of {target}",
+                "column {} names the target, but the whole file is said to be of {target}",
                 names[column].header
             );
-            return Err(of_points.refuse(message, "one of them"));
+            return Err(of_points.refuse(message, "only one of them"));
         }
         self.held_out.extend(&columns.sets.poses);
         self.loaded.names_stations |= columns.station.is_some();
@@ -261,7 +261,7 @@ impl<'a> Reading<'a> {
             reader.observe(&row, &mut self.names, &mut self.loaded)?;
         }
         if reader.rows == 0 {
-            let expected = "a row of numbers for every measurement";
+            let expected = "one row of numbers per measurement";
             return Err(of_points.refuse("there are no measurements below the header", expected));
         }
         remarks.extend(reader.time.iter().flat_map(|time| time.remarks(&file)));
@@ -307,7 +307,7 @@ impl<'a> Reading<'a> {
             }
             let whose = if numbers_poses { "its poses" } else { "its rows" };
             remarks.push(format!(
-                "{file}: {whose} have other commands than those of the same number before: they are numbered from {} on",
+                "{file}: {whose} repeat numbers of earlier poses with other commands: they are numbered from {} on",
                 by.saturating_add(1)
             ));
         }
@@ -326,9 +326,10 @@ impl<'a> Reading<'a> {
         let others = if rest > 0 { format!("; and {rest} more rows") } else { String::new() };
         let help = match by {
             JoinBy::Time { .. } => {
-                "expected times of one clock: offset_s in [join] of the column map shifts those of the joints, within_s widens what is taken"
+                "expected times of one clock: in [join] of the column map, offset_s shifts the times of the joints and \
+                 within_s widens the tolerance"
             }
-            JoinBy::Name => "expected the same names in both files, in the same letters",
+            JoinBy::Name => "expected the same names in both files, spelled alike",
             JoinBy::Row => "expected rows with a position",
         };
         Some(InputError::Place {
@@ -355,7 +356,7 @@ impl<'a> Reading<'a> {
         if !absent.is_empty() {
             self.loaded
                 .remarks
-                .push(format!("held out are also poses that no row is of: {}", absent.join(", ")));
+                .push(format!("poses listed as held out that no row has: {}", absent.join(", ")));
         }
         self.loaded.pose_names = poses;
         faces::pair(&mut self.loaded, self.numbers_poses, self.options.average_faces)?;

@@ -81,7 +81,7 @@ fn field(columns: &FileColumns<'_>, column: &Column) -> Result<Field, InputError
         return match unit {
             Some(unit @ HeaderUnit::Length(_)) => Ok(Field::Position(axis, unit)),
             Some(unit) => refused(
-                format!("column {header} is in {}, which is no length", unit.key()),
+                format!("column {header} is in {}, which is not a unit of length", unit.key()),
                 &format!("{name}_mm or {name}_m"),
             ),
             None => refused(
@@ -134,7 +134,7 @@ impl Fields {
             match (found.next(), found.next()) {
                 (_, Some((second, _))) => {
                     let header = &columns.columns[second].header;
-                    Err(columns.refuse(format!("column {header} is there twice"), "one column a quantity"))
+                    Err(columns.refuse(format!("column {header} appears twice"), "one column per quantity"))
                 }
                 (found, None) => Ok(found.map(|(index, field)| (index, *field))),
             }
@@ -146,7 +146,7 @@ impl Fields {
                 _ => {
                     let message = format!("there is no column {name}; there are {}", columns.names());
                     return Err(
-                        columns.refuse(message, &format!("{name}_mm or {name}_m, and of columns: {KNOWN}"))
+                        columns.refuse(message, &format!("{name}_mm or {name}_m; the columns known are {KNOWN}"))
                     );
                 }
             }
@@ -160,7 +160,7 @@ impl Fields {
             if !found.is_empty() {
                 forms.push(names.join(", "));
                 if found.len() < names.len() {
-                    let message = format!("of the columns {} {} are there", names.join(", "), found.len());
+                    let message = format!("only the columns {} {} are there", names.join(", "), found.len());
                     return Err(columns.refuse(message, &format!("all {} of them, or none", names.len())));
                 }
             }
@@ -170,8 +170,8 @@ impl Fields {
         let matrix = all(&MATRIX, &Field::Matrix)?;
         let quaternion = all(&QUATERNION, &Field::Quaternion)?;
         if forms.len() > 1 {
-            let message = format!("the tool is held in two ways: {}", forms.join("; and "));
-            return Err(columns.refuse(message, "one of them"));
+            let message = format!("the tool's orientation is given in two ways: {}", forms.join("; and "));
+            return Err(columns.refuse(message, "only one of them"));
         }
         let held = match (axis.as_slice(), matrix.as_slice(), quaternion.as_slice()) {
             (&[x, y, z], ..) => Held::Axis([x, y, z]),
@@ -301,11 +301,11 @@ fn read(rows: Box<dyn Rows>) -> Result<GoalTable, InputError> {
             has_header: table.has_header,
             columns: &table.columns,
         };
-        return Err(columns.refuse("the file has no points", "a row a point below the names of the columns"));
+        return Err(columns.refuse("the file has no points", "one row per point below the names of the columns"));
     }
     let mut remarks = table.remarks();
     remarks.extend(cut.map(|place| {
-        format!("{place}: the last line has no end: it is taken as it stands, but the file may have been cut short there")
+        format!("{place}: the last line has no line end: it is read as it stands, but the file may have been cut short there")
     }));
     Ok(GoalTable { file: table.name().to_owned(), goals, remarks })
 }
@@ -359,7 +359,7 @@ mod tests {
             (
                 "x_mm,y_mm,z_mm,axis_x,axis_y,axis_z,qw,qx,qy,qz\n1,2,3,0,0,1,1,0,0,0\n",
                 "held in two ways",
-                "one of them",
+                "only one of them",
             ),
             ("x_mm,y_mm,z_mm\n1,2,3\n1,nan,3\n", "goals.csv:3: column y_mm is nan", "finite"),
             ("x_mm,y_mm,z_mm\n1,inf,3\n", "goals.csv:2: column y_mm is inf", "finite"),

@@ -113,7 +113,8 @@ impl Joints {
         let (own, theirs) = (times.kind()?, key.kind()?);
         (own != theirs).then(|| {
             format!(
-                "times of {points} are {}, those of {} {}: without a zone they count as UTC (offset_s in [join] shifts the joints')",
+                "times of {points} are {}, those of {} {}: without a time zone they are taken as UTC (offset_s in [join] \
+                 shifts the joints' times)",
                 theirs.words(),
                 self.name,
                 own.words()
@@ -153,8 +154,9 @@ impl Joints {
                 return Err(row.refuse(&self.name, Some(own), "the name is empty", "a name in every row"));
             }
             if let Some(first) = by_name.insert(name.clone(), rows.len()) {
-                let message = format!("the name {name} is there twice, first in {}", rows[first].place());
-                let expected = "every name once in the file of the joints; or the files joined by row (by = \"row\" in [join])";
+                let message = format!("the name {name} appears twice, first in {}", rows[first].place());
+                let expected = "every name only once in the file of the joints; or join the files by row (by = \"row\" in \
+                                [join])";
                 return Err(row.refuse(&self.name, Some(own), message, expected));
             }
             rows.push(row.clone());
@@ -193,7 +195,7 @@ impl Joints {
                         row.join(&name, &rows[*index]);
                         Ok(())
                     }
-                    None => Err(format!("{name} has no joints of the name {wanted:?}")),
+                    None => Err(format!("{name} has no row of joints named {wanted:?}")),
                 }
             }
             (By::Time { rows, within, times, .. }, Key::Time(key)) => {
@@ -201,7 +203,7 @@ impl Joints {
                 if let (Some(own), Some(theirs)) = (times.kind(), key.kind())
                     && !theirs.is_comparable_with(own)
                 {
-                    let message = format!("the time is {}, in {name} it is {}", theirs.words(), own.words());
+                    let message = format!("the time is {}, but in {name} it is {}", theirs.words(), own.words());
                     let expected = "times of one kind in both files: export them alike, or join by name or by row ([join])";
                     return Err(row.refuse(points, Some(key.first()), message, expected));
                 }
@@ -219,8 +221,8 @@ impl Joints {
             _ => {
                 if !self.next(&mut own)? {
                     let message =
-                        format!("{name} has no row for it: its rows are fewer than those of {points}");
-                    let expected = "as many rows in both files; or the files joined by a name or a time ([join] in the column map)";
+                        format!("{name} has fewer rows than {points}, and none for this one");
+                    let expected = "as many rows in both files; or join the files by name or time ([join] in the column map)";
                     return Err(row.refuse(points, None, message, expected));
                 }
                 row.join(&name, &own);
@@ -236,14 +238,14 @@ impl Joints {
         let mut row = Row::default();
         if matches!(self.by, By::Row) && self.next(&mut row)? {
             let message =
-                format!("{points} has no row for it: its rows are fewer than those of {}", self.name);
-            let expected = "as many rows in both files; or the files joined by a name or a time ([join] in the column map)";
+                format!("{points} has fewer rows than {}, and none for this one", self.name);
+            let expected = "as many rows in both files; or join the files by name or time ([join] in the column map)";
             return Err(row.refuse(&self.name, None, message, expected));
         }
         let By::Name { used, .. } = &self.by else { return Ok(None) };
         let unused = used.iter().filter(|used| !**used).count();
         Ok((unused > 0).then(|| {
-            format!("{}: {unused} of {} rows have no point of their name in {points}", self.name, used.len())
+            format!("{}: {unused} of {} rows match no point by name in {points}", self.name, used.len())
         }))
     }
 }
@@ -259,7 +261,7 @@ fn column(entry: &Entry) -> ColumnRef {
 fn key_in(file: &FileColumns<'_>, key: &ColumnRef) -> Result<usize, InputError> {
     file.find(key)?.ok_or_else(|| {
         let expected =
-            format!("a column {}, by which the files are joined; found {}", words(key), file.names());
+            format!("a column {}, which the files are joined by; found {}", words(key), file.names());
         file.refuse(format!("column {} is missing", words(key)), &expected)
     })
 }

@@ -86,7 +86,7 @@ impl Decimal {
     pub fn words(self) -> &'static str {
         match self {
             Self::Point => "a number, with a decimal point",
-            Self::Comma => "a number, with a decimal comma as the others of this file",
+            Self::Comma => "a number with a decimal comma, as the others of this file",
         }
     }
 
@@ -98,7 +98,7 @@ impl Decimal {
             && without.trim_start_matches('-').len() > 3
             && without.trim_start_matches('-').bytes().all(|byte| byte.is_ascii_digit());
         let what = self.words();
-        if has_thousands { format!("{what}, and without separators of thousands") } else { what.to_owned() }
+        if has_thousands { format!("{what}, without separators of thousands") } else { what.to_owned() }
     }
 }
 
@@ -284,7 +284,7 @@ impl Table {
     fn take_header(&mut self, index: usize) {
         if index > 0 {
             self.found.push(format!(
-                "{}: {} in front of the header ({}) {} passed over",
+                "{}: {} in front of the header ({}) {} skipped",
                 self.name(),
                 if index == 1 { "1 row".to_owned() } else { format!("{index} rows") },
                 self.ahead[index].place(),
@@ -327,7 +327,7 @@ impl Table {
         self.columns = (0..cells).map(Column::numbered).collect();
         if first > 0 {
             self.found.push(format!(
-                "{}: {} in front of {} {} passed over: no row of numbers",
+                "{}: {} in front of {} {} skipped: no row of numbers",
                 self.name(),
                 if first == 1 { "1 row".to_owned() } else { format!("{first} rows") },
                 self.ahead.front().map_or_else(String::new, |row| row.place().to_string()),
@@ -366,7 +366,7 @@ impl Table {
             }
         }
         let Some((place, cell)) = comma else { return Decimal::Point };
-        self.found.push(format!("{}: numbers have a decimal comma, as {cell} has", place.of(self.name())));
+        self.found.push(format!("{}: numbers have a decimal comma, for example {cell}", place.of(self.name())));
         Decimal::Comma
     }
 }

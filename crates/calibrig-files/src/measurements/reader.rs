@@ -98,11 +98,11 @@ pub(super) fn check_length(
     // Sheets do not hold what is empty.
     if found < expected && !matches!(row.place(), Place::Sheet { .. }) {
         let (missing, as_header) = if has_header {
-            (names[found].header.clone(), "as the header has names")
+            (names[found].header.clone(), "as the header has")
         } else {
             (format!("column {}", found + 1), "as the first row has")
         };
-        let message = format!("the row has {found} of {expected} columns, {missing} is missing");
+        let message = format!("the row has {found} of {expected} columns; {missing} is missing");
         return Err(row.refuse(file, None, message, &format!("{expected} values, {as_header}")));
     }
     match (expected..found).find(|column| row.cell(*column).is_some_and(|cell| !cell.is_empty())) {
@@ -112,7 +112,7 @@ pub(super) fn check_length(
             let mut help =
                 format!("{expected} values, as {first} has{}", if has_header { " names" } else { "" });
             if found == 2 * expected || found + 1 == 2 * expected {
-                help += "; decimal commas between commas cannot be told apart: export with another delimiter";
+                help += "; decimal commas cannot be told from the commas between the values: export with another delimiter";
             }
             Err(row.refuse(file, Some(column), message, &help))
         }
@@ -212,14 +212,14 @@ impl RowReader<'_> {
         let off = self.rounded.get();
         if off > 1e-6 {
             remarks.push(format!(
-                "{}: rotations are off their form by up to {off:.1e}, as few digits leave them: the nearest ones are taken, and about as much \
-                 (in rad) is not known of them",
+                "{}: rotations differ from exact ones by up to {off:.1e}, as rounding leaves them: the nearest rotations are \
+                 used, with an uncertainty of about as much (rad)",
                 self.file
             ));
         }
         remarks.extend(self.columns.air.iter().map(|(what, _)| {
             format!(
-                "{}: {} is checked, and not used: ranges are taken as the instrument gives them",
+                "{}: {} is checked, but not used: ranges are taken as the instrument gives them",
                 self.file,
                 what.key()
             )
@@ -278,7 +278,8 @@ impl<'r> Cells<'r> {
             Some(number) if number.is_finite() => Ok(number),
             Some(_) => Err(self.refuse_cell(column, "a finite number")),
             None if decimal == Decimal::Point && Decimal::Comma.parse(cell).is_some() => {
-                let expected = "a number, with a decimal point as others of this file; decimal = \",\" in [text] of a column map reads commas";
+                let expected = "a number with a decimal point, as others of this file; decimal = \",\" in [text] of a column \
+                                map reads decimal commas";
                 Err(self.refuse_cell(column, expected))
             }
             None => Err(self.refuse_cell(column, &decimal.words_for(cell))),
@@ -340,10 +341,10 @@ impl<'r> Cells<'r> {
             return Ok(number as u32);
         }
         let expected = if may_be_name {
-            "a whole number from 0 to 4294967295, the number of the pose, as the rows before have; or names in all rows"
+            "a whole number from 0 to 4294967295, the number of the pose, as in the rows before; or names in all rows"
         } else {
-            "a whole number from 0 to 4294967295, the number of the pose; where the column holds names, no pose column (in a \
-             column map: leave `pose` out): the rows then count from 1"
+            "a whole number from 0 to 4294967295, the number of the pose; if the column holds names, do not use it as the \
+             pose (in a column map: leave `pose` out): the rows are then counted from 1"
         };
         Err(self.refuse_cell(column, expected))
     }
@@ -363,7 +364,7 @@ impl<'r> Cells<'r> {
             _ if sets.verification.is_empty() => Ok(true),
             _ => {
                 let known: Vec<_> = sets.identification.iter().chain(&sets.verification).collect();
-                Err(self.refuse_cell(column, &format!("one of {known:?}, as [sets] of the column map says")))
+                Err(self.refuse_cell(column, &format!("one of {known:?}, as [sets] of the column map states")))
             }
         }
     }
@@ -450,10 +451,10 @@ impl<'r> Cells<'r> {
         }
         let hint = likelier_temperature(value, stated).map_or_else(String::new, |unit| {
             let (sign, key) = (unit.sign(), unit.key());
-            format!("; as {sign} it can be one: then the key in a column map is temperature_{key}")
+            format!("; as {sign} it is possible: then the key in a column map is temperature_{key}")
         });
         let expected = format!(
-            "a temperature from {least} to {most} °C, and the column is read in {}{hint}",
+            "a temperature from {least} to {most} °C, but the column is read in {}{hint}",
             stated.sign()
         );
         Err(self.refuse_cell(quantity.terms[0].column, &expected))
@@ -478,7 +479,7 @@ impl<'r> Cells<'r> {
                     if rest && (name.is_empty() || name == NO_PAYLOAD) {
                         return Ok(None);
                     }
-                    let expected = "the mass of the payload of which the row says more, kg; or nothing of it";
+                    let expected = "the mass in kg of the payload that this row describes; or an empty payload in this row";
                     return Err(self.refuse_cell(weighed, expected));
                 }
                 let kg = self.value(mass)?;
@@ -525,8 +526,8 @@ impl<'r> Cells<'r> {
         let (this, other) =
             if is_pose(reading) { ("a full pose", "a point") } else { ("a point", "a full pose") };
         let place = loaded.places.of(0).unwrap_or_default();
-        let message = format!("this row is {this}, and {place} is {other}");
-        let expected = "either full poses or points in a set: identify from each alone";
+        let message = format!("this row is {this}, but {place} is {other}");
+        let expected = "either full poses or points in one set: write them to two files and identify from each separately";
         Err(self.row.refuse(self.reader.file, None, message, expected))
     }
 

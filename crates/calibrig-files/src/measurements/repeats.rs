@@ -63,7 +63,7 @@ pub(super) fn average(loaded: &mut LoadedMeasurements, numbers_poses: bool) -> R
     let groups = groups(observations, numbers_poses, false);
     let repeated = groups.iter().filter(|group| group.len() > 1).count();
     if repeated == 0 {
-        loaded.remarks.push("no pose is measured more than once: there is nothing to average".to_owned());
+        loaded.remarks.push("no pose is measured more than once, so there is nothing to average: use repeats = \"keep\"".to_owned());
         return Ok(());
     }
     let (mut squares, mut free) = (0.0, 0);
@@ -94,8 +94,8 @@ pub(super) fn average(loaded: &mut LoadedMeasurements, numbers_poses: bool) -> R
         loaded.set.observations.len(),
         match averaged_are_poses {
             _ if stated => "",
-            true => "; full poses that state no uncertainty keep none, since this says nothing of rotations",
-            false => "; too few to state an uncertainty from",
+            true => "; full poses without a stated uncertainty stay without one, because this says nothing about rotations",
+            false => "; too few to estimate an uncertainty from",
         },
     ));
     Ok(())
@@ -116,7 +116,7 @@ pub(super) fn check_commands(loaded: &LoadedMeasurements, group: &[usize]) -> Re
             return Err(InputError::Place {
                 place: at(*index),
                 message: format!(
-                    "pose {} has other commands than in {}, by up to {apart:.4} (m or rad): they are no repeats",
+                    "pose {} has other commands than in {}, by up to {apart:.4} (m or rad): they are not repeats",
                     other.pose,
                     at(group[0])
                 ),

@@ -90,7 +90,7 @@ fn look_as(path: &Path, format: &TextFormat, options: &RowOptions) -> Result<See
             place: table.name().to_owned(),
             message: format!("its rows have {} columns", table.columns.len()),
             help: Some(format!(
-                "expected a table of measurements: a row a reading, of at most {MOST_COLUMNS} columns"
+                "expected a table of measurements: one row per reading, with at most {MOST_COLUMNS} columns"
             )),
         });
     }
@@ -115,8 +115,8 @@ fn look_as(path: &Path, format: &TextFormat, options: &RowOptions) -> Result<See
         let sheets = sheets.map_or_else(String::new, |sheets| format!("; {sheets}"));
         return Err(InputError::Place {
             place: table.name().to_owned(),
-            message: "there is no row of numbers in it".to_owned(),
-            help: Some(format!("expected a row of numbers for every measurement{sheets}")),
+            message: "it has no row of numbers".to_owned(),
+            help: Some(format!("expected one row of numbers per measurement{sheets}")),
         });
     }
     let unit_comments = table

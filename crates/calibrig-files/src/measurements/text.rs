@@ -49,7 +49,7 @@ impl TextRows {
     pub fn open(path: &Path, format: &TextFormat, wanted: &Wanted) -> Result<Self, InputError> {
         let unreadable = |reason: String| InputError::Unreadable { path: path.to_path_buf(), reason };
         if path.is_dir() {
-            return Err(unreadable("it is a folder, a file was expected".to_owned()));
+            return Err(unreadable("it is a folder; expected a file".to_owned()));
         }
         let file = File::open(path).map_err(|error| unreadable(error.to_string()))?;
         let name = path.display().to_string();
@@ -402,7 +402,7 @@ impl Lines {
             place: format!("{name}:{}", self.number),
             message: reason.to_owned(),
             help: Some(
-                "expected a text with a line for every measurement; UTF-16 that does not say so at its begin is saved as UTF-8 first"
+                "expected a text file with one line per measurement; save UTF-16 without a byte order mark as UTF-8 first"
                     .to_owned(),
             ),
         }
@@ -419,7 +419,7 @@ impl Lines {
             }
         }
         if line.contains('\0') {
-            return Err(refused("a byte of 0, which no text has"));
+            return Err(refused("a zero byte, which text cannot contain"));
         }
         Ok(true)
     }

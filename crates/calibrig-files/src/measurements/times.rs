@@ -50,7 +50,7 @@ impl Dates {
             };
             return Self {
                 order: Some(order),
-                why: Some(format!("dates are {words}, as {cell} ({place}) tells")),
+                why: Some(format!("dates are {words}, as {cell} ({place}) shows")),
             };
         }
         let Some((place, cell)) = american else { return Self::default() };
@@ -114,10 +114,10 @@ impl TimeColumns {
                     let (own, unit) = (own.key(), unit.key());
                     let key = stated.map_or("", |(_, key)| key);
                     let message = format!(
-                        "column {header} is in {own} by the header, and in {unit} by the column map ({key})"
+                        "column {header} is in {own} according to the header, but in {unit} according to the column map ({key})"
                     );
                     let expected = format!(
-                        "time_{own} in place of {key}; where the header is wrong, the column by its number: {key} = {}",
+                        "time_{own} in place of {key}; if the header is wrong, name the column by its number: {key} = {}",
                         index + 1
                     );
                     return Err(file.refuse(message, &expected));
@@ -203,7 +203,7 @@ impl TimeReader {
                 (before, _) => {
                     let before = before.map_or("", Kind::words);
                     let what =
-                        format!(", {}, behind {before}: they make no time together", stamp.kind.words());
+                        format!(", {}, after {before}: together they are not a time", stamp.kind.words());
                     return Err(refuse(&what, "a date and a time of the day, or numbers of seconds"));
                 }
             });
@@ -219,7 +219,7 @@ impl TimeReader {
         match self.kind {
             Some(known) if known != kind => {
                 let message = format!(
-                    "the time is {:?}, {}, and in the rows before {}",
+                    "the time is {:?}, {}, but in the rows before {}",
                     cell(),
                     kind.words(),
                     known.words()
@@ -242,7 +242,7 @@ impl TimeReader {
         if let Some((count, place)) = &self.backwards {
             let rows = if *count == 1 { "1 row is".to_owned() } else { format!("{count} rows are") };
             let midnight = if self.kind == Some(Kind::Clock) {
-                "; times of the day without dates begin again at midnight"
+                "; times of day without dates start again at midnight"
             } else {
                 ""
             };

@@ -247,10 +247,10 @@ impl AirQuantity {
                 }
                 let other = PressureUnit::ALL.into_iter().find(|other| can_be(*other));
                 let hint = other.map_or_else(String::new, |other| {
-                    format!(": as {} it can be one, then the key is pressure_{0}", other.key())
+                    format!(": as {} it is possible; then the key is pressure_{0}", other.key())
                 });
                 let [least, most] = PRESSURES;
-                Some(format!("a pressure of the air from {least} to {most} hPa{hint}"))
+                Some(format!("an air pressure from {least} to {most} hPa{hint}"))
             }
             Self::HumidityPercent if (0.0..=100.0).contains(&value) => None,
             Self::HumidityPercent => Some("a relative humidity from 0 to 100 %".to_owned()),

@@ -43,7 +43,7 @@ pub enum CsvError {
     },
     /// A command or an approach that does not have one entry a joint.
     #[error("pose {pose}: {found} {what} for {expected} joints")]
-    #[diagnostic(help("expected one a joint, as the robot's file has them: {expected}"))]
+    #[diagnostic(help("expected one per joint, in the order of the robot's file: {expected}"))]
     JointCount {
         /// Pose.
         pose: u32,
@@ -64,8 +64,8 @@ pub enum CsvError {
         value: i8,
     },
     /// Readings of several kinds in one set.
-    #[error("pose {pose}: a set holds either spherical or Cartesian readings, or full poses")]
-    #[diagnostic(help("expected readings of one kind; write those of each kind as a file of their own"))]
+    #[error("pose {pose}: a set must hold only spherical readings, only Cartesian readings, or only full poses")]
+    #[diagnostic(help("expected readings of one kind; write those of each kind to a separate file"))]
     MixedReadings {
         /// First pose that differs from the poses before it.
         pose: u32,
@@ -109,7 +109,7 @@ pub enum CsvError {
     },
     /// A name that could not be told from another, or not be read back.
     #[error("{what} name {name:?} cannot be written")]
-    #[diagnostic(help("expected distinct names without line breaks or blanks at their ends"))]
+    #[diagnostic(help("expected distinct names without line breaks and without blanks at their ends"))]
     Name {
         /// `station`, `target` or `payload`.
         what: &'static str,
@@ -371,7 +371,7 @@ impl Writer<'_> {
             if !ways.is_empty() && ways.len() != expected {
                 return Err(CsvError::JointCount {
                     pose,
-                    what: "ways since a reversal",
+                    what: "distances since a reversal",
                     found: ways.len(),
                     expected,
                 });

@@ -116,7 +116,7 @@ pub fn load_robot(path: &Path) -> Result<Robot, InputError> {
             robot.error(
                 name.span(),
                 format!("{key}: {error}"),
-                Some("expected the name of a file, relative to this one".to_owned()),
+                Some("expected the name of a file, relative to this file".to_owned()),
             )
         })
     };
@@ -194,7 +194,7 @@ impl Reader<'_> {
             _ => None,
         };
         let span = joint.and_then(|joint| self.file.joint.get(joint)).map_or(0..0, Spanned::span);
-        self.error(span, fault, "numbers that are a robot's together")
+        self.error(span, fault, "numbers that together describe a robot")
     }
 
     /// Rewrites rows whose common normals lie far away, and says so; not where other things are stated in the frames of such rows.
@@ -206,16 +206,19 @@ impl Reader<'_> {
             let names = links.iter().map(|link| link.name.as_str()).collect::<Vec<_>>().join(", ");
             let far = links.iter().map(|link| link.d.abs()).fold(0.0, f64::max);
             let what = format!(
-                "{}: the axes of {names} are nearly parallel, and their rows go out {far:.0} m to the common normals",
+                "{}: the axes of {names} are nearly parallel, so their rows reach {far:.0} m out to the common normals",
                 self.source.name
             );
             if in_frames {
                 format!(
-                    "{what}: these parameters are poorly determined. State the rows with beta_deg and a small d_mm (convention = \"craig\"); they are not rewritten, because masses, loads or a URDF refer to their frames"
+                    "{what}: these parameters are poorly determined. State the rows with beta_deg and a small d_mm \
+                     (convention = \"craig\"); they are not rewritten here, because masses, loads or a URDF refer to their \
+                     frames"
                 )
             } else {
                 format!(
-                    "{what}: they are rewritten with beta and a small d, for the same motions; parameters are of the rewritten rows"
+                    "{what}: they are rewritten with beta and a small d, for the same motions; the parameters are those of \
+                     the rewritten rows"
                 )
             }
         };
@@ -236,7 +239,7 @@ impl Reader<'_> {
             );
         }
         if self.file.name.get_ref().trim().is_empty() {
-            return self.error(self.file.name.span(), "name is empty", "a name for people");
+            return self.error(self.file.name.span(), "name is empty", "a name that is not empty");
         }
         Ok(())
     }
@@ -249,7 +252,7 @@ impl Reader<'_> {
     ) -> Result<(), InputError> {
         match (name, text) {
             (Some(name), None) => {
-                let message = format!("{key} {:?} was not given", name.get_ref());
+                let message = format!("the file {:?} of {key} was not given", name.get_ref());
                 self.error(name.span(), message, "the text of the file that it names")
             }
             (None, Some(text)) => {

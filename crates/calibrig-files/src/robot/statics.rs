@@ -78,7 +78,7 @@ impl Reader<'_> {
             None => Ok(Vec::new()),
             Some(span) if self.file.urdf.is_none() && !self.states_bodies() => self.error(
                 span.clone(),
-                "there is a mass_percent or centre_mm, but no masses",
+                "there is a mass_percent or centre_mm, but there are no masses",
                 "[joint.body] of every joint, or urdf = \"robot.urdf\" with the inertials",
             ),
             Some(_) => Ok(bodies),
@@ -167,7 +167,7 @@ impl Reader<'_> {
                 Some(body) => Ok(body.clone()),
                 None => {
                     let message =
-                        format!("the URDF has no <inertial> of what joint {:?} carries", joint.name);
+                        format!("the URDF has no <inertial> for what joint {:?} carries", joint.name);
                     self.error(
                         table.get_ref().name.span(),
                         message,
@@ -193,11 +193,11 @@ impl Reader<'_> {
             Some(body) if !in_urdf => Ok(body),
             Some(_) => {
                 let span = table.get_ref().body.as_ref().map_or(0..0, Spanned::span);
-                self.error(span, "masses stand here and in the URDF", "one of them")
+                self.error(span, "masses are given here and in the URDF", "only one of them")
             }
             None => {
                 let message =
-                    format!("joint {:?} has no [joint.body], others have", table.get_ref().name.get_ref());
+                    format!("joint {:?} has no [joint.body], but others have", table.get_ref().name.get_ref());
                 self.error(table.span(), message, "mass and centre of what every joint carries, or of none")
             }
         };
@@ -216,7 +216,7 @@ impl Reader<'_> {
             let mass = beam.mass(limits[1]);
             if mass >= body.mass {
                 let message = format!(
-                    "the beam of joint {:?} has {mass:.3} kg, the whole link {} kg in the URDF",
+                    "the beam of joint {:?} weighs {mass:.3} kg, more than the {} kg of its whole link in the URDF",
                     table.get_ref().name.get_ref(),
                     body.mass
                 );

@@ -185,28 +185,28 @@ impl Reader<'_> {
         for (index, link) in self.robot.links.iter().enumerate() {
             if self.link_index(&link.name) != Some(index) {
                 let message = format!("a second link named {}", link.name);
-                return Err(self.error(self.span("link", index), message, "one link of a name"));
+                return Err(self.error(self.span("link", index), message, "a different name for each link"));
             }
         }
         for (index, joint) in self.robot.joints.iter().enumerate() {
             for end in [&joint.parent, &joint.child] {
                 if self.link_index(&end.link).is_none() {
-                    let message = format!("joint {} names a link {} that is not there", joint.name, end.link);
+                    let message = format!("joint {} names a link {} that does not exist", joint.name, end.link);
                     return Err(self.error(self.span("joint", index), message, "the name of a link"));
                 }
             }
             if let Some(child) = self.link_index(&joint.child.link)
                 && std::mem::replace(&mut carried[child], true)
             {
-                let message = format!("joint {} carries a link that another joint carries", joint.name);
-                return Err(self.error(self.span("joint", index), message, "one joint a link"));
+                let message = format!("joint {} has a child link that is already the child of another joint", joint.name);
+                return Err(self.error(self.span("joint", index), message, "one parent joint per link"));
             }
         }
         let mut roots = (0..carried.len()).filter(|index| !carried[*index]);
         match (roots.next(), roots.next()) {
             (Some(root), None) => Ok(root),
             (_, Some(second)) => {
-                let message = format!("link {} hangs on no joint", self.robot.links[second].name);
+                let message = format!("link {} is not connected to any joint", self.robot.links[second].name);
                 Err(self.error(self.span("link", second), message, "one root link"))
             }
             (None, None) => Err(self.error(self.elements[0].span.clone(), "there is no root link", "one")),
@@ -235,7 +235,7 @@ impl Reader<'_> {
             joints.push(joint);
         }
         if seen < self.robot.links.len() {
-            let message = "some links are joined in a loop and do not hang on the root";
+            let message = "some links form a loop that is not connected to the root";
             return Err(self.error(self.elements[0].span.clone(), message, "an open chain"));
         }
         Ok(UrdfRobot { base_visuals, joints, robot_span: self.elements[0].span.clone() })
@@ -332,7 +332,7 @@ impl Reader<'_> {
         match &body {
             Some(all) if !(all.mass.is_finite() && all.inertia.amax().is_finite()) => {
                 let message = "the inertials of links fixed to each other sum to infinity";
-                Err(self.error(self.span("link", group[0].0), message, "SI units"))
+                Err(self.error(self.span("link", group[0].0), message, "values in SI units"))
             }
             _ => Ok(body),
         }
@@ -349,7 +349,7 @@ impl Reader<'_> {
             && body.centre_of_mass.amax().is_finite())
         {
             let message = format!("the inertial of link {link} is too large a number");
-            return Err(self.error(self.elements[inertial].span.clone(), message, "SI units"));
+            return Err(self.error(self.elements[inertial].span.clone(), message, "values in SI units"));
         }
         match inertia_fault(&body.inertia) {
             None => Ok(()),
@@ -358,7 +358,7 @@ impl Reader<'_> {
                 Err(self.error(
                     span("inertia"),
                     message,
-                    "that of a body: moments above zero, none above the sum of the others",
+                    "that of a real body: moments above zero, none above the sum of the others",
                 ))
             }
         }
@@ -372,7 +372,7 @@ impl Reader<'_> {
                     Geometry::Box { size } => VisualShape::Box(*size),
                     Geometry::Cylinder { radius, length } => VisualShape::Cylinder { radius, length },
                     Geometry::Sphere { radius } => VisualShape::Sphere(radius),
-                    _ => return Err(self.shape_error(*index, "neither box, cylinder nor sphere")),
+                    _ => return Err(self.shape_error(*index, "neither a box, a cylinder nor a sphere")),
                 };
                 let sizes = match shape {
                     VisualShape::Box(edges) => edges.to_vec(),
@@ -380,7 +380,7 @@ impl Reader<'_> {
                     VisualShape::Sphere(radius) => vec![radius],
                 };
                 if sizes.iter().any(|size| *size <= 0.0) {
-                    return Err(self.shape_error(*index, "of no size"));
+                    return Err(self.shape_error(*index, "of size zero"));
                 }
                 visuals.push(Visual { link_from_shape: group_from_link * transform(&visual.origin), shape });
             }

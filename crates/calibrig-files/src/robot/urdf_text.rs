@@ -135,7 +135,7 @@ impl<'a> Scanner<'a> {
         let stray = text.trim_matches(|c: char| c.is_whitespace() || c == '\u{feff}');
         if !stray.is_empty() {
             let start = self.at + text.find(stray).unwrap_or(0);
-            return Err(self.error(start..start + stray.len(), "text outside of any tag"));
+            return Err(self.error(start..start + stray.len(), "text outside any tag"));
         }
         self.at += text.len();
         let rest = self.rest();
@@ -145,9 +145,9 @@ impl<'a> Scanner<'a> {
         if rest.starts_with("<!--") {
             self.skip_behind("-->", "the comment is not closed")?;
         } else if rest.starts_with("<?") {
-            self.skip_behind("?>", "the instruction is not closed")?;
+            self.skip_behind("?>", "the processing instruction is not closed")?;
         } else if rest.starts_with("<!") {
-            return Err(self.error(self.at..self.at + 2, "only elements and comments are understood"));
+            return Err(self.error(self.at..self.at + 2, "only elements and comments are supported"));
         } else if rest.starts_with("</") {
             self.end_tag()?;
         } else {
@@ -176,7 +176,7 @@ impl<'a> Scanner<'a> {
                 let message = format!("</{name}> closes <{}>", self.elements[index].name);
                 Err(self.error(start..self.at, message))
             }
-            None => Err(self.error(start..self.at, format!("</{name}> closes nothing"))),
+            None => Err(self.error(start..self.at, format!("</{name}> closes no open element"))),
         }
     }
 
@@ -187,7 +187,7 @@ impl<'a> Scanner<'a> {
         let parent = self.open.last().copied();
         let parent_name = parent.map_or("", |index| self.elements[index].name);
         if parent.is_none() && !self.elements.is_empty() {
-            return Err(self.error(start..self.at, "a second element beside <robot>"));
+            return Err(self.error(start..self.at, "a second element next to <robot>"));
         }
         let rule = RULES.iter().find(|(rule, parents, _)| *rule == name && parents.contains(&parent_name));
         let Some((_, _, allowed)) = rule else {
@@ -226,7 +226,7 @@ impl<'a> Scanner<'a> {
                 && !REPEATED.contains(&name)
                 && self.elements[..index].iter().any(is_same)
             {
-                return refused(&element.span, format!("a second <{name}>"), "one of them".to_owned());
+                return refused(&element.span, format!("a second <{name}>"), "only one".to_owned());
             }
             let Some((_, attributes, children)) = REQUIRED.iter().find(|(required, ..)| *required == name)
             else {
@@ -298,7 +298,7 @@ impl<'a> Scanner<'a> {
         let span = value_start..value_start + length;
         if attributes.iter().any(|(known, _)| *known == name) {
             let message = format!("a second {name} of <{element}>");
-            return Err(self.source.error(start..self.at, message, Some("expected one of them".to_owned())));
+            return Err(self.source.error(start..self.at, message, Some("expected only one of them".to_owned())));
         }
         let Some((_, content)) = allowed.iter().find(|(allowed, _)| *allowed == name) else {
             let names: Vec<_> = allowed.iter().map(|(name, _)| *name).collect();
@@ -315,7 +315,7 @@ impl<'a> Scanner<'a> {
             Numbers(count) if !are_numbers(value, *count) => {
                 let expected = match count {
                     1 => "expected a finite number".to_owned(),
-                    _ => format!("expected {count} finite numbers with blanks between"),
+                    _ => format!("expected {count} finite numbers separated by blanks"),
                 };
                 Err(self.source.error(span, format!("{name} of <{element}> is {value:?}"), Some(expected)))
             }

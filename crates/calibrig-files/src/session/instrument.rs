@@ -104,8 +104,8 @@ impl InstrumentTable {
         }
         if let Some(value) = &self.range_scale_um_per_m {
             if self.range_scale_m_per_m.is_some() {
-                let message = "range_scale_um_per_m and range_scale_m_per_m are the same quantity";
-                return Err(source.error(value.span(), message, Some("expected one of them".to_owned())));
+                let message = "range_scale_um_per_m and range_scale_m_per_m state the same quantity";
+                return Err(source.error(value.span(), message, Some("expected only one of them".to_owned())));
             }
             let scale = sigma("range_scale_um_per_m", value)? * 1e-6;
             terms.push((value.span().start, InstrumentTerm::RangeScale, scale));
@@ -125,6 +125,6 @@ pub(super) fn difference(one: &StatedInstrument, other: &StatedInstrument) -> Op
         let (a, b) = (of(one, term), of(other, term));
         let said =
             |sigma: Option<f64>| sigma.map_or_else(|| "not stated".to_owned(), |sigma| format!("{sigma:e}"));
-        (a != b).then(|| format!("{} is {} here and {} there", key_of(term), said(a), said(b)))
+        (a != b).then(|| format!("{} is {} here but {} there", key_of(term), said(a), said(b)))
     })
 }

@@ -18,7 +18,7 @@ use calibrig_model::measurement::{
 #[non_exhaustive]
 pub enum SessionTextError {
     /// A nest that was read as a full pose.
-    #[error("station {station:?}: nest {nest:?} was read as a full pose, and a nest is a point")]
+    #[error("station {station:?}: nest {nest:?} was read as a full pose, but a nest is a point")]
     #[diagnostic(help("expected a spherical or Cartesian reading of every nest"))]
     NestIsPose {
         /// Name of the station.

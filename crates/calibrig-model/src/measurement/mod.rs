@@ -194,10 +194,10 @@ pub struct SphericalReading {
 #[non_exhaustive]
 pub enum MeasurementError {
     /// No observation.
-    #[error("there is no measurement to identify from")]
+    #[error("there are no measurements to identify from")]
     Empty,
     /// An observation of another robot.
-    #[error("pose {pose}: {found} commands, the robot has {expected} joints")]
+    #[error("pose {pose}: {found} commands, but the robot has {expected} joints")]
     JointCount {
         /// The pose.
         pose: u32,
@@ -208,7 +208,7 @@ pub enum MeasurementError {
     },
     /// Signs of approach that are not one an actuator.
     #[error(
-        "pose {pose}: {found} signs of approach for {expected} commands: expected as many, or none where unknown"
+        "pose {pose}: {found} signs of approach for {expected} commands: expected one per command, or none if unknown"
     )]
     Approach {
         /// The pose.
@@ -220,7 +220,8 @@ pub enum MeasurementError {
     },
     /// Ways since the last reversals that are not one an actuator, or cannot be.
     #[error(
-        "pose {pose}: since_reversal is {found:?} for {expected} commands: expected as many finite ways of zero or more, or none where unknown"
+        "pose {pose}: since_reversal is {found:?} for {expected} commands: expected one finite distance of zero or more per \
+         command, or none if unknown"
     )]
     SinceReversal {
         /// The pose.
@@ -264,7 +265,8 @@ pub enum MeasurementError {
     },
     /// A drift that cannot be as large as stated.
     #[error(
-        "station {station}: the standard deviation of its drift is {sigma} m or rad in an hour: expected a finite number of zero or more"
+        "station {station}: the standard deviation of its drift is {sigma} m or rad per hour: expected a finite number of \
+         zero or more"
     )]
     DriftSigma {
         /// Name of the station.
@@ -288,8 +290,8 @@ pub enum MeasurementError {
     },
     /// Axes that do not stand at right angles, or are not of length one.
     #[error(
-        "{what}: the three columns of the rotation are off right angles and unit length by {off:.1e}: expected a rotation, as a matrix \
-         with orthonormal columns; check which columns of the file hold it, and their convention"
+        "{what}: the three columns of the rotation differ from right angles and unit length by {off:.1e}: expected a \
+         rotation, as a matrix with orthonormal columns; check which columns of the file hold it, and their convention"
     )]
     NoRotation {
         /// Which pose or target.
@@ -307,8 +309,8 @@ pub enum MeasurementError {
     },
     /// The covariance of a full pose cannot be one.
     #[error(
-        "pose {pose}: the 6 x 6 covariance of its position (m) and rotation (rad) is not symmetric and positive definite: expected the \
-         covariance of six errors none of which is exact; give every one of them a standard deviation above zero"
+        "pose {pose}: the 6 x 6 covariance of its position (m) and rotation (rad) is not symmetric and positive definite: \
+         expected six errors, each with a standard deviation above zero"
     )]
     PoseCovariance {
         /// The pose.
@@ -316,8 +318,8 @@ pub enum MeasurementError {
     },
     /// The covariance of how a target is turned on the flange cannot be one.
     #[error(
-        "target {target}: the covariance of its orientation is not symmetric and positive definite: expected standard deviations above \
-         zero (rad), or none where the orientation is unknown"
+        "target {target}: the covariance of its orientation is not symmetric and positive definite: expected standard \
+         deviations above zero (rad), or none if the orientation is unknown"
     )]
     OrientationCovariance {
         /// The target.
@@ -325,8 +327,9 @@ pub enum MeasurementError {
     },
     /// A full pose of what has no axes.
     #[error(
-        "pose {pose} has a rotation, but nothing says how its target is turned on the flange ({target}): state a rotation of [[target]] in a session file, or of [target] in the robot's file; without an \
-         uncertainty it is identified, and need not be near"
+        "pose {pose} has a rotation, but the orientation of its target on the flange ({target}) is not stated: state a \
+         rotation of [[target]] in a session file, or of [target] in the robot's file; without an uncertainty it is \
+         identified, and a rough value will do"
     )]
     PoseOfPoint {
         /// The pose.

@@ -63,11 +63,12 @@ where
 #[non_exhaustive]
 pub enum CombineError {
     /// Too few, or on one line.
-    #[error("three or more points that are not on one line make a pose, and these are fewer, or on one line")]
+    #[error("a pose needs three or more points that are not on one line; these are fewer, or on one line")]
     OnOneLine,
     /// A reading whose noise is not known.
     #[error(
-        "point {index}: its covariance is missing or not positive definite, and the pose's would be unknown: state the noise of every point"
+        "point {index}: its covariance is missing or not positive definite, so that of the pose cannot be computed: state the \
+         noise of every point"
     )]
     Covariance {
         /// Which point, from zero.

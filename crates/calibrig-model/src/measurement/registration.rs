@@ -24,17 +24,20 @@ pub struct Registration {
 pub enum RegistrationError {
     /// Too few.
     #[error(
-        "{found} base nests were measured, at least 3 that are not on one line are needed to place the tracker"
+        "{found} base nests were measured: placing the tracker needs at least 3 that are not on one line"
     )]
     TooFewNests {
         /// Their number.
         found: usize,
     },
     /// On one line.
-    #[error("the base nests lie on one line and do not determine the tracker's place")]
+    #[error("the base nests lie on one line and do not determine the tracker's place: add a nest away from that line")]
     OnOneLine,
     /// A covariance that is missing or not positive definite.
-    #[error("nest {nest}: the covariance is missing or not positive definite")]
+    #[error(
+        "nest {nest}: its covariance is missing or not positive definite: state the noise of its reading and the uncertainty \
+         of its certified place"
+    )]
     Covariance {
         /// Name of the nest.
         nest: String,

@@ -19,7 +19,7 @@ impl TermFamily for Presliding {
     }
 
     fn about(&self) -> &'static str {
-        "hysteresis that is still to come after a reversal, over 0.5, 2 and 8 mm or degrees"
+        "the rest of the hysteresis that builds up after a reversal, over 0.5, 2 and 8 mm or degrees"
     }
 
     fn terms(&self, model: &CalibrationModel) -> Vec<(usize, usize, bool)> {

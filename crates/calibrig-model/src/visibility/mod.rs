@@ -91,7 +91,8 @@ pub enum Hidden {
     },
     /// The reflector looks elsewhere.
     #[error(
-        "the beam meets the target at {:.1} deg from where its opening points, which is more than the {:.1} deg that come back",
+        "the beam meets the target at {:.1} deg from the axis of its opening, more than the {:.1} deg up to which it is \
+         returned",
         incidence.to_degrees(),
         acceptance.to_degrees()
     )]
@@ -136,7 +137,7 @@ pub enum Hidden {
         reach: [f64; 2],
     },
     /// A place that is no number, or frames of another robot.
-    #[error("the pose has {found} link frames of {expected}, or a place that is not a finite number")]
+    #[error("the pose has {found} link frames instead of {expected}, or a place that is not a finite number")]
     NoPose {
         /// Frames given.
         found: usize,

@@ -9,7 +9,7 @@ use super::EffectKind;
 #[non_exhaustive]
 pub enum EffectError {
     /// Not one entry an actuator.
-    #[error("{}: {found} entries for {expected} actuators", effect.key())]
+    #[error("{}: {found} entries for {expected} actuators: expected one per actuator", effect.key())]
     Length {
         /// Which.
         effect: EffectKind,
@@ -19,7 +19,7 @@ pub enum EffectError {
         found: usize,
     },
     /// A number out of its range.
-    #[error("{}: {quantity} of index {index} is {value}, {expected} was expected", effect.key())]
+    #[error("{}: {quantity} of index {index} is {value}: expected {expected}", effect.key())]
     Value {
         /// Which.
         effect: EffectKind,
@@ -42,8 +42,8 @@ pub enum EffectError {
     },
     /// Load ranges that do not belong together.
     #[error(
-        "stiffening: {factors} stiffnesses and {limits} ends of load ranges of index {actuator}, at least 2 stiffnesses and one end less \
-         were expected"
+        "stiffening: {factors} stiffnesses and {limits} ends of load ranges of index {actuator}: expected at least 2 \
+         stiffnesses and one end less"
     )]
     Ranges {
         /// Of which actuator.
@@ -55,8 +55,8 @@ pub enum EffectError {
     },
     /// A gap between flanks that the load never bridges.
     #[error(
-        "lost_motion: the gap of index {actuator} closes under {closes_at} (N or N m), and all that this drive carries loads it with \
-         {greatest:.3} at most"
+        "lost_motion: the gap of index {actuator} closes at a load of {closes_at} (N or N m), but this drive carries at most \
+         {greatest:.3}: expected a closing load below that"
     )]
     NeverCloses {
         /// Of which actuator.
@@ -70,7 +70,7 @@ pub enum EffectError {
     },
     /// A part that its drive would overheat.
     #[error(
-        "thermal: drive {actuator} warms its part by {value:.1} K within {time:.0} s, at most {} K was expected",
+        "thermal: drive {actuator} warms its part by {value:.1} K within {time:.0} s: expected at most {} K",
         super::MOST_RISE
     )]
     Overheated {
@@ -83,7 +83,7 @@ pub enum EffectError {
     },
     /// The air gets out of range during the session.
     #[error(
-        "thermal: the ambient temperature leaves {} to {} degC within {duration} s ({value:.1} degC)",
+        "thermal: the air temperature leaves {} to {} degC within {duration} s ({value:.1} degC): expected it to stay within",
         super::AMBIENT_RANGE[0], super::AMBIENT_RANGE[1]
     )]
     Temperature {

@@ -135,16 +135,16 @@ impl EffectKind {
             Self::Transmission => {
                 "waves of meshing gears, cycloid pins and screws along the output, which grow with the load"
             }
-            Self::LostMotion => "play of gears whose flank the load decides, where it exceeds the friction",
+            Self::LostMotion => "play of gears where the load decides the flank, once it exceeds the friction",
             Self::Stiffening => "drives that get stiffer with their load, range by range",
             Self::Friction => {
                 "hysteresis from friction that grows with the load and builds up over a presliding length"
             }
             Self::Encoder => "quantisation and offset of the encoders",
             Self::Thermal => {
-                "growth of the links as they follow the air's temperature and are heated by their drives"
+                "growth of the links with the temperature of the air and the heat of their drives"
             }
-            Self::Repeatability => "random errors that every approach draws anew",
+            Self::Repeatability => "random errors, drawn anew at every approach",
             Self::Foundation => {
                 "a floor that sinks and tilts under the loads, and a rail that bends between its feet"
             }

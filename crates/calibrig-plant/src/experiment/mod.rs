@@ -25,7 +25,7 @@ pub struct WorkingRegion {
 #[non_exhaustive]
 pub enum RegionError {
     /// More or fewer entries than joints.
-    #[error("{field} has {found} entries: expected {expected}, one a joint")]
+    #[error("{field} has {found} entries: expected {expected}, one per joint")]
     Length {
         /// `centre`, `half_width` or a listed pose.
         field: &'static str,
@@ -35,7 +35,7 @@ pub enum RegionError {
         expected: usize,
     },
     /// A number that cannot be.
-    #[error("{field} of joint {} is {value}: expected a finite number, and no width below zero", joint.saturating_add(1))]
+    #[error("{field} of joint {} is {value}: expected a finite number, and no negative width", joint.saturating_add(1))]
     Number {
         /// `centre` or `half_width`.
         field: &'static str,

@@ -206,7 +206,8 @@ pub enum PlanError {
     },
     /// More than [`MOST_ORDERED_POSES`].
     #[error(
-        "{poses} poses of a set are too many to look for a short way: expected up to {MOST_ORDERED_POSES}, or the order of drawing"
+        "{poses} poses of a set are too many for ordering by the shortest way: expected up to {MOST_ORDERED_POSES}, or the \
+         order of drawing"
     )]
     Order {
         /// Their number.
@@ -214,7 +215,8 @@ pub enum PlanError {
     },
     /// A sweep that does not move its joint, or in too few or too many places.
     #[error(
-        "a sweep of joint {} from {} to {} (m or rad) in {} places: expected two finite values that differ, and {} to {MOST_PLACES} places",
+        "a sweep of joint {} from {} to {} (m or rad) in {} places: expected two different finite values, and {} to \
+         {MOST_PLACES} places",
         sweep.joint.saturating_add(1), sweep.range[0], sweep.range[1], sweep.places, LEAST_PLACES
     )]
     Sweep {
@@ -225,7 +227,7 @@ pub enum PlanError {
     #[error(transparent)]
     Carried(#[from] PayloadError),
     /// A load that the plan does not have.
-    #[error("a pose carries payload index {index} of {payloads}")]
+    #[error("a pose carries payload index {index}, but there are {payloads} payloads")]
     Payload {
         /// Index asked for.
         index: usize,
@@ -233,7 +235,7 @@ pub enum PlanError {
         payloads: usize,
     },
     /// An approach that is no distance.
-    #[error("an approach from {distance} (m or rad) beside: expected a finite number above zero")]
+    #[error("the approach distance is {distance} (m or rad): expected a finite number above zero")]
     Approach {
         /// m or rad
         distance: f64,

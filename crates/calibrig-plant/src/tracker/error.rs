@@ -18,7 +18,7 @@ pub enum TrackerError {
     },
     /// The head or the telescope does not turn as far.
     #[error(
-        "{angle} {:.2} deg is outside the {:.2} to {:.2} deg to which the tracker's range of angles goes",
+        "{angle} {:.2} deg is outside the tracker's range of {:.2} to {:.2} deg",
         value.to_degrees(), least.to_degrees(), most.to_degrees()
     )]
     Angle {
@@ -33,7 +33,7 @@ pub enum TrackerError {
     },
     /// So near to the standing axis that a beam beside it cannot be turned there.
     #[error(
-        "a point {distance:.6} m beside the standing axis is out of range: the beam passes beside it at any azimuth"
+        "a point {distance:.6} m from the standing axis is out of reach: the beam misses it at any azimuth"
     )]
     BesideTheAxis {
         /// Of the point from the axis, m.
@@ -61,7 +61,8 @@ pub enum TrackerError {
     },
     /// An instrument that is permitted less than its own errors.
     #[error(
-        "of {drawn} instruments with these figures none passes its own acceptance test: expected a smaller systematic or random fraction"
+        "none of {drawn} instruments drawn with these figures passes its own acceptance test: expected a smaller systematic \
+         or random fraction"
     )]
     NeverAccepted {
         /// How many were drawn.

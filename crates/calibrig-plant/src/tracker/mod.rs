@@ -188,7 +188,7 @@ impl LaserTracker {
         drift.as_ref().map_or(Ok(()), DriftLaw::check)?;
         smr.as_ref().map_or(Ok(()), SmrLaw::check)?;
         if !(0.0..=1.0).contains(misses) {
-            let quantity = "share of readings that do not come";
+            let quantity = "share of missing readings";
             return Err(TrackerError::Figure { quantity, value: *misses, expected: "0 to 1" });
         }
         Ok(())

@@ -57,13 +57,14 @@ impl Preset {
                 "its limits of range, angles and temperature: 0.1 to 30 m, any angle and temperature"
             }
             Self::At960 => {
-                "its range error, which is taken as large as the transverse one; its limits: 0.1 to 30 m, any angle and temperature"
+                "its range error, taken as large as the transverse one; its limits: 0.1 to 30 m, any angle and temperature"
             }
             Self::Vantage => {
                 "the zero of its range; its limits of angles, of which only a span of 130 deg in elevation is known: any angle"
             }
             Self::Gts3800 => {
-                "its range error apart, which a point's error bounds: taken as large; its limits: 0.1 to 30 m, any angle and temperature"
+                "its range error alone, which the error of a point bounds: taken as large; its limits: 0.1 to 30 m, any angle \
+                 and temperature"
             }
         }
     }

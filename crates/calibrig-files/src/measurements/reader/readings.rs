@@ -37,7 +37,7 @@ impl Cells<'_> {
         if let Reading::Cartesian { covariance: Some(covariance), .. } = &point
             && !is_definite(covariance)
         {
-            let message = "the uncertainties of its coordinates are too far apart to be told from each other";
+            let message = "the uncertainties of its coordinates are too different in size to compute with";
             let expected = "standard deviations of a measured point: are their units right?";
             return Err(self.row.refuse(self.reader.file, None, message.to_owned(), expected));
         }
@@ -64,7 +64,9 @@ impl Cells<'_> {
                     return Ok(None);
                 }
                 if values[0] <= 0.0 {
-                    return Err(self.refuse_cell(range.terms[0].column, "a range above zero; what marks a missed shot is named by `--missed CODE`, or `missed` in [position] of the column map"));
+                    return Err(self.refuse_cell(range.terms[0].column, "a range above zero; name the value that marks a \
+                                                                        missed shot with `--missed CODE`, or `missed` in \
+                                                                        [position] of the column map"));
                 }
                 // The standard deviation of an elevation is that of the zenith angle.
                 Ok(Some(Reading::Spherical(SphericalReading {
@@ -152,15 +154,15 @@ impl Cells<'_> {
 
     fn refuse_apart(&self) -> InputError {
         let message =
-            "the uncertainties of its position and rotation are too far apart to be told from each other";
+            "the uncertainties of its position and rotation are too different in size to compute with";
         let expected = "standard deviations of a measured pose: are their units right?";
         self.row.refuse(self.reader.file, None, message.to_owned(), expected)
     }
 
     fn refuse_half(&self, stated: &str, missing: &str) -> InputError {
         let message =
-            format!("the uncertainty of the {stated} is stated, and that of the {missing} is empty");
-        let expected = "both in a row, or neither; or [noise] in the column map with rotation_urad for rows that state none";
+            format!("the uncertainty of the {stated} is stated, but that of the {missing} is empty");
+        let expected = "both in a row, or neither; or [noise] in the column map with rotation_urad for rows without their own";
         self.row.refuse(self.reader.file, None, message, expected)
     }
 
@@ -222,7 +224,7 @@ impl Cells<'_> {
                 let size = (covariance[(i, i)] * covariance[(j, j)]).sqrt();
                 if (below - covariance[(i, j)]).abs() > 1e-3 * size {
                     let message = format!(
-                        "the covariance is not symmetric: {} is {below:e} and {} is {:e} (SI)",
+                        "the covariance is not symmetric: {} is {below:e}, but {} is {:e} (SI)",
                         self.names_of(&columns[6 * i + j..=6 * i + j]),
                         self.names_of(&columns[6 * j + i..=6 * j + i]),
                         covariance[(i, j)]
@@ -276,7 +278,7 @@ impl Cells<'_> {
         }
         if !is_one_of(back) {
             let expected = format!(
-                "one of {front:?} (front face) or {back:?} (back face), as [face] of a column map says"
+                "one of {front:?} (front face) or {back:?} (back face), as [face] of a column map states"
             );
             return Err(self.refuse_cell(*column, &expected));
         }
@@ -305,7 +307,8 @@ impl Cells<'_> {
         };
         let stated = |here: &str, other: &str| {
             format!(
-                "[face] states angles = {here:?}; if all of the back face are like this one, state angles = {other:?}, or no angles"
+                "[face] states angles = {here:?}; if all back-face readings are like this one, state angles = {other:?}, or \
+                 leave angles out"
             )
         };
         let (expected, why) = match (angles, &faces.back) {
@@ -315,13 +318,13 @@ impl Cells<'_> {
             (BackAngles::Found, None) => return Ok(is_beyond),
             (BackAngles::Found, Some((is_raw, place))) => (
                 *is_raw,
-                format!("they are so in {place}; angles in [face] of the column map says which they are"),
+                format!("they are so in {place}; state with angles in [face] of the column map which they are"),
             ),
         };
         if expected == is_beyond {
             return Ok(is_beyond);
         }
-        let expected = format!("angles of the back face that are {}: {why}", kind(expected));
+        let expected = format!("back-face angles that are {}: {why}", kind(expected));
         Err(self.refuse_cell(polar, &expected))
     }
 
@@ -387,8 +390,8 @@ impl Cells<'_> {
         let message =
             format!("column {} is {:?}: a {what} of 0 was read", self.header(column), self.cell(column));
         let help = format!(
-            "a {what} above zero, since no reading is exact: where the instrument rounds, what it rounds to or more; \
-             or the cells of the row's uncertainty empty, so that it counts as not stated"
+            "a {what} above zero, since no reading is exact: if the instrument rounds, at least its rounding step; or leave \
+             the cells of the row's uncertainty empty, so that it counts as not stated"
         );
         self.refuse(column, message, &help)
     }
@@ -413,7 +416,7 @@ impl Cells<'_> {
         if value.is_finite() {
             Ok(())
         } else {
-            Err(self.refuse_cell(column, "a number of a measurable size"))
+            Err(self.refuse_cell(column, "a number of a plausible size"))
         }
     }
 }

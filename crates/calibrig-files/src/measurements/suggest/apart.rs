@@ -63,7 +63,7 @@ fn take_all_as_joints(file: &mut SeenFile) {
         column.take(
             Role::Joint,
             order,
-            "numbers that can be angles, and the points are in the other files; check it",
+            "the numbers could be angles, and the points are in the other files; check it",
         );
     }
 }

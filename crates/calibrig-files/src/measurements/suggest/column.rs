@@ -407,7 +407,7 @@ fn leave_times_that_fall(columns: &mut [SeenColumn]) {
         let is_t = words(column.said_name()) == ["t"] && column.unit.is_none();
         if is_t && column.is_number() && column.numbers.falls {
             column.role = None;
-            column.reason = String::from("it falls from row to row, so it is no time");
+            column.reason = String::from("it falls from row to row, so it is not a time");
         }
     }
 }
@@ -461,7 +461,7 @@ fn by_contents(columns: &mut [SeenColumn], has_header: bool, rows: u64) {
             && columns[first].numbers.are_rising
             && rows > 1
         {
-            columns[first].take(Role::Pose, 0, "whole numbers that rise");
+            columns[first].take(Role::Pose, 0, "whole numbers that increase");
             rest.remove(0);
         }
         if rest.len() >= 3 {

@@ -12,7 +12,7 @@ pub(super) enum Said {
 
 /// The name of a joint's column.
 #[derive(Debug, Clone, PartialEq, Eq)]
-#[expect(clippy::struct_excessive_bools, reason = "each is said or not, whatever the others are")]
+#[expect(clippy::struct_excessive_bools, reason = "each axis is stated or not, independently of the others")]
 pub(in super::super) struct JointName {
     /// All of the name but its number: of joints that belong together it is the same.
     pub family: String,

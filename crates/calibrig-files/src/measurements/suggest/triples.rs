@@ -98,13 +98,14 @@ pub(super) fn choose(columns: &mut [SeenColumn]) {
     let doubt = if of_best.len() > 1 {
         let all: Vec<_> = of_best.iter().map(|index| numbers(&triples[*index])).collect();
         Some(format!(
-            "columns {} can each be the position: which is it that the tracker saw?",
+            "columns {} could each be the position: which of them did the tracker see?",
             all.join(" and ")
         ))
     } else if best == 0 {
         let why = ranked[chosen].1.clone().unwrap_or_default();
         Some(format!(
-            "{why}, as where a controller computes its own tool to be, which is no measurement: did the tracker see this?"
+            "{why}, as a controller reports its own computed tool position, which is not a measurement: did the tracker see \
+             this?"
         ))
     } else {
         None
@@ -122,7 +123,7 @@ pub(super) fn choose(columns: &mut [SeenColumn]) {
         for (order, column) in columns[turn.from..turn.to].iter_mut().enumerate() {
             (column.is_beside, column.order) = (true, order);
             if is_seen {
-                let called = format!("called {:?}, beside the position", column.header);
+                let called = format!("called {:?}, next to the position", column.header);
                 column.take(Role::Turn, order, called);
             }
         }
@@ -140,7 +141,7 @@ pub(super) fn choose(columns: &mut [SeenColumn]) {
             column.reason = format!("{}{named}", column.reason);
             if column.role == Some(Role::X) && !others.is_empty() {
                 column.reason =
-                    format!("{}; {}, as the controller's own do", column.reason, others.join(", "));
+                    format!("{}; {}, as a controller's own columns do", column.reason, others.join(", "));
             }
         }
         column.doubt.clone_from(&doubt);

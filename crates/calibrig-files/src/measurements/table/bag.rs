@@ -153,7 +153,7 @@ impl Bag<'_> {
         match trouble {
             Trouble::Container(why) => self.refuse(
                 format!("the bag cannot be read: {why}"),
-                "a whole MCAP file; `calibrig recover` saves what is sound of a damaged or unfinished one"
+                "a whole MCAP file; `calibrig recover` saves the sound parts of a damaged or unfinished one"
                     .to_owned(),
             ),
             Trouble::Stopped(why) => self.refuse(why, "messages as their schemas describe them".to_owned()),
@@ -283,7 +283,7 @@ impl Bag<'_> {
             if state.names.len() != state.positions.len() {
                 let (names, positions) = (state.names.len(), state.positions.len());
                 return Err(format!(
-                    "{topic}, message {number}: {names} names of joints, and {positions} positions"
+                    "{topic}, message {number}: {names} names of joints, but {positions} positions"
                 ));
             }
             for (i, name) in state.names.iter().enumerate() {
@@ -314,10 +314,10 @@ impl Bag<'_> {
             .collect();
         if !missing.is_empty() {
             let known = states.order.join(", ");
-            return Err(self.refuse(format!("the bag has no joint called {}", missing.join(", ")),
+            return Err(self.refuse(format!("the bag has no joint named {}", missing.join(", ")),
                 format!(
-                    "the robot's joints by their names in the bag, {known}: call the joints of the robot's file so, or name these in a column map, \
-                     columns of [joints] in the robot's order"
+                    "the robot's joints by their names in the bag, {known}: rename the joints in the robot's file, or list \
+                     these names in a column map, under columns of [joints] in the robot's order"
                 ),
             ));
         }
@@ -413,7 +413,7 @@ impl Bag<'_> {
         );
         self.refuse(
             message,
-            "stamps of one clock, and a tolerance that reaches from point to state (--bag-tolerance-ms)"
+            "stamps of one clock, and a tolerance that covers the time between point and state (--bag-tolerance-ms)"
                 .to_owned(),
         )
     }
@@ -443,7 +443,7 @@ impl Bag<'_> {
             match notes.unstamped.as_slice() {
                 [] => "the stamps of their headers".to_owned(),
                 without => format!(
-                    "the stamps of their headers, where there are none (on {}) by the times of the file",
+                    "the stamps of their headers and, where they have none (on {}), by the times of the file",
                     without.join(", ")
                 ),
             },
@@ -452,25 +452,25 @@ impl Bag<'_> {
         match notes.turns {
             Turns::None => {}
             Turns::Some => remarks.push(format!(
-                "{name}: not all of the points have an orientation: the positions are read, the orientations are not"
+                "{name}: some points have no orientation: the positions are read, the orientations are not"
             )),
             Turns::All => remarks.push(format!(
-                "{name}: orientations are in the columns {}; they are read where [rotation] of a column map names them (form = \"quaternion\", \
-                 order = \"xyzw\", transform = \"target_in_tracker\"), and else the positions alone",
+                "{name}: orientations are in the columns {}; they are read if [rotation] of a column map names them (form = \
+                 \"quaternion\", order = \"xyzw\", transform = \"target_in_tracker\"), otherwise only the positions",
                 TURN.join(", ")
             )),
         }
         if has_targets {
-            remarks.push(format!("{name}: each topic or child frame is a target of its own"));
+            remarks.push(format!("{name}: each topic or child frame is a separate target"));
         }
         if let Some(frames) = frames {
             let names: Vec<&str> = frames.iter().map(|frame| &***frame).collect();
             remarks.push(format!(
-                "{name}: points are given in the frames {}: each is a station of its own",
+                "{name}: points are given in the frames {}: each is a separate station",
                 names.join(", ")
             ));
         }
-        remarks.extend(self.told("dropped, no numbers", "point", &notes.not_finite));
+        remarks.extend(self.told("dropped, coordinates not finite", "point", &notes.not_finite));
         remarks
     }
 }

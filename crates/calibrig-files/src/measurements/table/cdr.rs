@@ -6,13 +6,13 @@ use thiserror::Error;
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub(super) enum CdrError {
     /// Another encoding.
-    #[error("its encoding is {0:#04x}, {name}; plain CDR (0x00 or 0x01) is read", name = encoding_name(*.0))]
+    #[error("its encoding is {0:#04x}, {name}; expected plain CDR (0x00 or 0x01)", name = encoding_name(*.0))]
     Encoding(u8),
     /// It is shorter than what it should hold.
     #[error("it ends after {bytes} bytes, in {what}")]
     Short { what: &'static str, bytes: usize },
     /// Bytes that should be a text and are not UTF-8.
-    #[error("{what} is no text")]
+    #[error("{what} is not text")]
     NoText { what: &'static str },
 }
 
@@ -21,7 +21,7 @@ fn encoding_name(kind: u8) -> &'static str {
         2 | 3 => "a parameter list",
         6 | 7 => "CDR of version 2",
         8..=11 => "CDR of version 2 with lengths",
-        _ => "not known",
+        _ => "unknown",
     }
 }
 

@@ -69,7 +69,8 @@ fn container(error: McapError) -> Trouble {
         McapError::UnexpectedEof => "it breaks off".to_owned(),
         McapError::UnsupportedCompression(name) => {
             format!(
-                "its messages are compressed with {name:?}, which is not read: write it again with zstd, lz4 or no compression"
+                "its messages are compressed with {name:?}, which is not supported: write it again with zstd, lz4 or no \
+                 compression"
             )
         }
         error => format!("it is damaged: {error}"),

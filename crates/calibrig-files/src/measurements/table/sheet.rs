@@ -62,7 +62,7 @@ fn words(error: &XlsxError) -> String {
         XlsxError::Password => "the spreadsheet is protected by a password: save it without".to_owned(),
         XlsxError::Zip(_) | XlsxError::FileNotFound(_) => {
             format!(
-                "it is no XLSX file that can be read, or is damaged ({error}): save it again as XLSX, or its sheet as CSV"
+                "it is not a readable XLSX file, or is damaged ({error}): save it again as XLSX, or its sheet as CSV"
             )
         }
         error => format!("the spreadsheet is damaged ({error}): save it again as XLSX, or its sheet as CSV"),
@@ -75,8 +75,8 @@ fn sheet_of<R: Read + Seek>(mut file: R, name: &str, wanted: Option<&str>) -> Re
     };
     if let Some(TooLarge { part, most }) = too_large(&mut file) {
         return Err(refuse(
-            format!("its part {part} unpacks to more than {} MiB, which no table of measurements does", most >> 20),
-            "expected a spreadsheet with the measurements alone: copy their sheet into a new file, or save it as CSV".to_owned(),
+            format!("its part {part} unpacks to more than {} MiB, too much for a table of measurements", most >> 20),
+            "expected a spreadsheet with only the measurements: copy their sheet into a new file, or save it as CSV".to_owned(),
         ));
     }
     let mut book = Xlsx::new(file)?;
@@ -90,7 +90,7 @@ fn sheet_of<R: Read + Seek>(mut file: R, name: &str, wanted: Option<&str>) -> Re
         None => {
             let shown = sheets.iter().position(|sheet| sheet.visible == SheetVisible::Visible);
             shown.or(if names.is_empty() { None } else { Some(0) }).ok_or_else(|| {
-                refuse("there is no sheet with cells".to_owned(), "expected a sheet with a table".to_owned())
+                refuse("every sheet is empty".to_owned(), "expected a sheet with a table".to_owned())
             })?
         }
     };
@@ -112,20 +112,20 @@ fn sheet_of<R: Read + Seek>(mut file: R, name: &str, wanted: Option<&str>) -> Re
                 u64::from(cell.pos.0) + 1,
                 u64::from(cell.pos.1) + 1
             );
-            let message = "no sheet has so many rows and columns".to_owned();
+            let message = "no sheet can have so many rows and columns".to_owned();
             let help = Some("save it again as XLSX, or the sheet as CSV".to_owned());
             return Err(Trouble::Input(InputError::Place { place, message, help }));
         }
         cells.take(cell.pos, &cell.value, cell.formula.is_some()).map_err(|why| {
             let place = format!("{name}, sheet {sheet}, cell {}", cell_name(cell.pos));
-            let help = Some("expected a sheet with the measurements alone: copy them into a new file, or save the sheet as CSV".to_owned());
+            let help = Some("expected a sheet with only the measurements: copy them into a new file, or save the sheet as CSV".to_owned());
             Trouble::Input(InputError::Place { place, message: why.to_owned(), help })
         })?;
     }
     let too_large = || {
         refuse(
             format!("sheet {sheet} is too large"),
-            format!("expected at most {MOST_CELLS} cells between the first and the last that hold something"),
+            format!("expected at most {MOST_CELLS} cells between the first and the last filled one"),
         )
     };
     cells.fill_down(&merged).ok_or_else(too_large)?;
@@ -156,8 +156,8 @@ enum Odd {
 impl Odd {
     fn words(self) -> &'static str {
         match self {
-            Self::Date => "a date or a time, and no number",
-            Self::Truth => "a truth value, and no number",
+            Self::Date => "a date or a time, not a number",
+            Self::Truth => "a truth value, not a number",
             Self::Error => "an error",
             Self::NoValue => {
                 "a formula without its value: open the file in a spreadsheet program and save it there"
@@ -177,12 +177,12 @@ impl Cells {
         if let DataRef::String(text) = value
             && text.len() > 4 * LONGEST_CELL
         {
-            return Err("a text of more than 32767 characters, which no cell has");
+            return Err("a text of more than 32767 characters, the limit of a cell");
         }
         if let DataRef::SharedString(text) = value
             && text.len() > 4 * LONGEST_CELL
         {
-            return Err("a text of more than 32767 characters, which no cell has");
+            return Err("a text of more than 32767 characters, the limit of a cell");
         }
         let (text, odd) = match value {
             DataRef::Int(number) => (number.to_string(), None),
@@ -255,7 +255,7 @@ impl Cells {
             let range = format!("{}:{}", cell_name(region.start), cell_name(region.end));
             let more = if wide.len() > 1 { format!(" and {} more", wide.len() - 1) } else { String::new() };
             remarks.push(format!(
-                "{name}: {sheet}!{range}{more}: merged cells; what they hold counts for their first column alone"
+                "{name}: {sheet}!{range}{more}: merged cells; their content is taken for their first column only"
             ));
         }
         remarks

@@ -130,8 +130,8 @@ pub struct NestContradiction {
 pub enum DriftError {
     /// Two certified places of one nest.
     #[error(
-        "station {station}: nest {nest} is certified at two places, {:.4} mm apart; a nest that is measured again keeps its certified place, \
-         another one needs a name of its own",
+        "station {station}: nest {nest} is certified at two places, {:.4} mm apart: give a nest that is measured again the \
+         same certified place, and a different nest a different name",
         1e3 * distance
     )]
     TwoPlaces {
@@ -144,8 +144,8 @@ pub enum DriftError {
     },
     /// More than a drift.
     #[error(
-        "station {station}: by its base nests the tracker moved by {:.3} mm and {:.3} mrad between {from:.0} s and {to:.0} s, which is no drift; \
-         give what was measured after it was moved as a station of its own",
+        "station {station}: by its base nests the tracker moved by {:.3} mm and {:.3} mrad between {from:.0} s and {to:.0} s, \
+         too much for drift: make the readings after the move a separate station",
         1e3 * motion,
         1e3 * turn
     )]

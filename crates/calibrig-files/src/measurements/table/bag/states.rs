@@ -104,8 +104,9 @@ impl Moving {
     pub fn words(&self, name: &str, tolerance: f64) -> Option<String> {
         let (most, place) = self.most.as_ref()?;
         Some(format!(
-            "{name}: {} measured while the robot moved: a joint changes by up to {most:.2e} rad or m within {} ms of the stamp ({place}), and the \
-             point is off by as much times its arm; let the robot rest at every point, or make --bag-tolerance-ms smaller",
+            "{name}: {} measured while the robot moved: a joint changes by up to {most:.2e} rad or m within {} ms of the \
+             stamp ({place}), which displaces the point by that times its distance from the axis; let the robot rest at every \
+             point, or make --bag-tolerance-ms smaller",
             counted(self.count, "point"),
             1e3 * tolerance
         ))
