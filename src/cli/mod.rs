@@ -144,7 +144,7 @@ enum CliError {
         "expected a recording whose measurements identify the robot; for an estimate.json, its own mode"
     ))]
     NoEstimate { file: PathBuf, mode: Option<Mode> },
-    #[error("{} exist already", already(paths))]
+    #[error("{} there already", already(paths))]
     #[diagnostic(help("expected other names, or --force to overwrite them"))]
     AlreadyThere { paths: Vec<PathBuf> },
     #[error("{} exists already", path.display())]

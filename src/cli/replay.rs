@@ -286,7 +286,7 @@ mod tests {
             "only calibration: 6 parameters, 1 of them by less than 0.0005",
             "delta_a2                    +2.000\n",
             "delta_a4                    +0.000   standard deviation +50.0 %\n",
-            "delta_d5                 is not identified any more",
+            "delta_d5                 is no longer identified",
             "delta_d6                 was not identified",
             "delta_d7                         -\n",
             "the recording holds no estimate of mode extended",

@@ -281,6 +281,6 @@ mod tests {
             assert!(text.contains(message) && text.contains(help), "{message}: {text}");
         }
         let nothing = parse_goal_file(Source::new("goals.toml", "schema = \"calibrig.goals/1\"\n"));
-        assert!(nothing.expect_err("refused").to_string().contains("states no goals"));
+        assert!(nothing.expect_err("refused").to_string().contains("has neither [raster] nor [grid]"));
     }
 }

@@ -211,7 +211,7 @@ mod tests {
             ("mass_kg = 25\n".to_owned(), "payload \"a\" has no centre", "in the flange frame"),
             (
                 format!("mass_kg = 25\nset = \"verification\"\n{centre}"),
-                "set is of a payload",
+                "set applies to a payload",
                 "session file",
             ),
             (format!("mass = 25\n{centre}"), "unknown key `mass`", "mass_kg"),
@@ -245,7 +245,7 @@ mod tests {
         assert!(find("50kg").expect_err("unknown").contains("most likely \"50 kg\""));
         assert!(find("Griper").expect_err("unknown").contains("most likely \"gripper\""));
         let nothing = payload_by_name("x", std::iter::empty()).expect_err("unknown");
-        assert!(nothing.contains("there is no [[payload]]"), "{nothing}");
+        assert!(nothing.contains("this file has no [[payload]]"), "{nothing}");
         assert_eq!([edits("", "abc"), edits("kitten", "sitting"), edits("a", "A")], [3, 3, 0]);
     }
 }

@@ -194,7 +194,7 @@ mod tests {
         let told = reach.poses(&larger).expect_err("out of the region").to_string();
         assert!(
             told.starts_with('P')
-                && told.contains("is out of the working region: the nearest that was found is"),
+                && told.contains("is outside the working region: the nearest point found is"),
             "{told}"
         );
     }

@@ -393,7 +393,7 @@ mod tests {
         assert_eq!(quantiles(emptied, &[0.5], 0.95), Err(QuantileError::Changed));
         let visit = |_: &mut dyn FnMut(f64)| Ok::<_, Infallible>(());
         let error = quantiles(visit, &[0.5, 95.0], 0.95).expect_err("a share above one").to_string();
-        assert_eq!(error, "there is no quantile of the share 95; it must be between 0 and 1");
+        assert_eq!(error, "no quantile at the share 95: it must be between 0 and 1");
         assert!(quantiles(visit, &[f64::NAN], 0.95).is_err());
         assert_eq!((quantile_of_sorted(&[], 0.5), quantile_of_sorted(&[1.0], 2.0)), (None, None));
     }

@@ -208,7 +208,7 @@ mod tests {
     #[test]
     fn a_quantity_stands_once_and_mistakes_are_called_by_the_key_that_is_there() {
         for (text, message) in [
-            ("a_mm = 1\njoint = []\na_um = 3", "f.toml:3: a_mm and a_um are the same quantity"),
+            ("a_mm = 1\njoint = []\na_um = 3", "f.toml:3: a_mm and a_um state the same quantity"),
             ("a_kg = 1\njoint = []", "f.toml:1: unknown key `a_kg`"),
             ("a_m = 'x'\njoint = []", "f.toml:1: a_m is 'x'"),
         ] {

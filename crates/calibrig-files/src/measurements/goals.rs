@@ -338,7 +338,7 @@ mod tests {
         }
         let cut = parsed("x_m,y_m,z_m\n1,2,3").expect("taken");
         assert!(
-            cut.remarks.iter().any(|remark| remark.contains("goals.csv:2: the last line has no end")),
+            cut.remarks.iter().any(|remark| remark.contains("goals.csv:2: the last line has no line end")),
             "{cut:?}"
         );
     }
@@ -347,18 +347,18 @@ mod tests {
     fn what_cannot_be_is_refused_with_its_line() {
         for (text, message, help) in [
             ("", "the file is empty", "names of the columns"),
-            ("x_mm,y_mm,z_mm\n", "goals.csv:1: the file has no points", "a row a point"),
+            ("x_mm,y_mm,z_mm\n", "goals.csv:1: the file has no points", "one row per point"),
             ("1,2,3\n4,5,6\n", "goals.csv:1: the header is missing", "names of the columns"),
             ("x_mm,y_mm\n1,2\n", "goals.csv:1: there is no column z", "z_mm or z_m"),
             ("x,y_mm,z_mm\n1,2,3\n", "goals.csv:1: column x has no unit", "x_mm or x_m"),
-            ("x_deg,y_mm,z_mm\n1,2,3\n", "column x_deg is in deg, which is no length", "x_mm"),
-            ("x_mm,x_m,y_mm,z_mm\n1,1,2,3\n", "column x_m is there twice", "one column"),
+            ("x_deg,y_mm,z_mm\n1,2,3\n", "column x_deg is in deg, which is not a unit of length", "x_mm"),
+            ("x_mm,x_m,y_mm,z_mm\n1,1,2,3\n", "column x_m appears twice", "one column"),
             ("x_mm,y_mm,z_mm,speed\n1,2,3,4\n", "column speed is not known", "axis_x"),
             ("x_mm,y_mm,z_mm,time\n1,2,3,4\n", "column time has no unit of time", "time_s"),
             ("x_mm,y_mm,z_mm,axis_x,axis_y\n1,2,3,0,0\n", "2 are there", "all 3"),
             (
                 "x_mm,y_mm,z_mm,axis_x,axis_y,axis_z,qw,qx,qy,qz\n1,2,3,0,0,1,1,0,0,0\n",
-                "held in two ways",
+                "given in two ways",
                 "only one of them",
             ),
             ("x_mm,y_mm,z_mm\n1,2,3\n1,nan,3\n", "goals.csv:3: column y_mm is nan", "finite"),

@@ -433,7 +433,7 @@ mod tests {
             table.remarks(),
             [
                 "m.csv: 2 rows in front of the header (line 3) are passed over",
-                "m.csv:5: numbers have a decimal comma, as 1,5 has"
+                "m.csv:5: numbers have a decimal comma, for example 1,5"
             ]
         );
         let mut row = Row::default();

@@ -583,7 +583,7 @@ mod tests {
         let found = refused(&format!("a,b\n1,2\n3,\"4\n{}", "5,6\n".repeat(1000)));
         assert!(found.starts_with("m.csv:3") && found.contains("the quote is not closed"), "{found}");
         let found = refused("a,b\n1,\"2\n3,\"4\"\n");
-        assert!(found.starts_with("m.csv:2") && found.contains("text behind a closing quote"), "{found}");
+        assert!(found.starts_with("m.csv:2") && found.contains("text after a closing quote"), "{found}");
         assert!(refused("a,b\n1,\"2").starts_with("m.csv:2"));
     }
 

@@ -580,12 +580,12 @@ mod tests {
                 14,
                 "revolute, prismatic or fixed",
             ),
-            ("<child link=\"arm\"/>", "<child link=\"leg\"/>", "a link leg that is not there", 14, "link"),
-            ("<child link=\"arm\"/>", "<child link=\"base\"/>", "joined in a loop", 1, "open chain"),
+            ("<child link=\"arm\"/>", "<child link=\"leg\"/>", "a link leg that does not exist", 14, "link"),
+            ("<child link=\"arm\"/>", "<child link=\"base\"/>", "form a loop", 1, "open chain"),
             (
                 "<link name=\"base\"/>",
                 "<link name=\"base\"/><link name=\"b\"/>",
-                "link b hangs on no joint",
+                "link b is not connected to any joint",
                 2,
                 "one root",
             ),
@@ -593,7 +593,7 @@ mod tests {
             ("</robot>", "", "<robot> is not closed", 1, "URDF"),
             ("</inertial>", "</visual>", "</visual> closes <inertial>", 8, "URDF"),
             ("</link>", "</link></link>", "</link> closes <robot>", 13, "URDF"),
-            ("<link name=\"base\"/>", "<link name=\"base\"/>&lt;", "text outside of any tag", 2, "URDF"),
+            ("<link name=\"base\"/>", "<link name=\"base\"/>&lt;", "text outside any tag", 2, "URDF"),
             ("<link name=\"base\"/>", "<!DOCTYPE a>", "only elements and comments", 2, "URDF"),
             ("<link name=\"base\"/>", "<!-- base", "comment is not closed", 2, "URDF"),
             ("<link name=\"base\"/>", "<link name=base/>", "not in quotes", 2, "URDF"),
@@ -647,8 +647,8 @@ mod tests {
         );
         for (joints, message) in [
             (joint("1", "base", "a") + &joint("2", "base", "b"), "branch"),
-            (joint("1", "a", "b") + &joint("2", "b", "a"), "in a loop"),
-            (joint("1", "base", "a") + &joint("2", "b", "a"), "another joint carries"),
+            (joint("1", "a", "b") + &joint("2", "b", "a"), "form a loop"),
+            (joint("1", "base", "a") + &joint("2", "b", "a"), "another joint"),
             (joint("1", "base", "a") + &joint("2", "a", "b") + &joint("3", "b", "base"), "no root"),
         ] {
             let error = robot(&joints).unwrap_err().to_string();
@@ -711,7 +711,7 @@ mod tests {
         assert!(error.contains("joint more is not in robot.toml"), "{error}");
         let massless = urdf.text.replacen("<inertial>", "<!--", 1).replacen("</inertial>", "-->", 1);
         let error = parse_robot(table, Some(Source::new("u", massless)), None).unwrap_err().to_string();
-        assert!(error.contains("no <inertial> of what joint \"rail\" carries"), "{error}");
+        assert!(error.contains("no <inertial> for what joint \"rail\" carries"), "{error}");
     }
 
     /// The joints of the URDF multiplied out against the D-H product.
