@@ -227,7 +227,7 @@ fn a_robot_file_is_never_written_over_unasked() {
     let ended = sandbox.run(made);
     assert_eq!((ended.code, sandbox.read("arm/robot.toml").as_str()), (Some(1), "mine"));
     assert!(
-        ended.stderr.contains("robot.toml exists already") && ended.stderr.contains("--force"),
+        ended.stderr.contains("robot.toml is there already") && ended.stderr.contains("--force"),
         "{ended:?}"
     );
     let ended = sandbox.run(made.iter().copied().chain(["--force"]));

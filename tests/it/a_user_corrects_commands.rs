@@ -502,7 +502,7 @@ fn what_is_not_to_be_trusted_is_marked_and_the_rest_is_kept() {
     assert!(ended.stderr.contains("are less certain than 0.0001 mm (--trust-mm)"), "{}", ended.stderr);
     assert!(
         ended.stdout.contains("extrapolated: ")
-            && ended.stdout.contains("outside the commands that were measured"),
+            && ended.stdout.contains("outside the measured commands"),
         "{}",
         ended.stdout
     );

@@ -253,7 +253,7 @@ fn exported_files_are_all_that_identify_needs() {
 
     // Neither writes over anything unasked.
     assert_refused(&sandbox, &to_csv, "tables/identification.csv, ", "are there already", "--force");
-    assert_refused(&sandbox, &to_mcap, "ur5.mcap exists", "already", "--force");
+    assert_refused(&sandbox, &to_mcap, "ur5.mcap is there", "already", "--force");
     let before = sandbox.content();
     for arguments in [&to_csv[..], &to_mcap[..]] {
         let ended = sandbox.run(arguments.iter().chain(&["--force"]));

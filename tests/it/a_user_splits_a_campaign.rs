@@ -285,7 +285,7 @@ fn a_table_that_was_altered_is_made_again_and_one_of_nobody_is_kept() {
     // The manifest is gone: whose table it is nobody can tell.
     fs::remove_file(sandbox.path("whole/manifest.json")).expect("a manifest");
     let arguments = ["montecarlo", SCENARIO, "--plant", "analytic", "--trials", "6", "--out", "whole"];
-    assert_refused(&sandbox, &arguments, "whole/trials.parquet", "is there already", "another name");
+    assert_refused(&sandbox, &arguments, "whole/trials.parquet", "exists already", "another name");
 }
 
 #[test]
