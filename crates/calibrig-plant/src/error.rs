@@ -11,7 +11,7 @@ pub enum PlantError {
     /// The chain is empty.
     #[error("the robot has no joints")]
     NoJoints,
-    /// There is not one entry a joint.
+    /// Not one entry per joint.
     #[error("{quantity}: {found} entries: expected one for each of {expected} joints")]
     Length {
         /// What is listed.
@@ -21,12 +21,12 @@ pub enum PlantError {
         /// Number of entries.
         found: usize,
     },
-    /// A number is infinite or not a number.
+    /// A number that is not finite.
     #[error("{quantity}{} is {value}: expected a finite number", of_joint(*joint))]
     NotFinite {
         /// What it is.
         quantity: &'static str,
-        /// Of which joint, where it is of one.
+        /// Of which joint, if it belongs to one.
         joint: Option<usize>,
         /// The number.
         value: f64,
@@ -47,7 +47,7 @@ pub enum PlantError {
         /// Largest difference of two mirrored entries, kg m².
         asymmetry: f64,
     },
-    /// Principal moments that no body has: one is not positive, or one exceeds the sum of the other two.
+    /// Principal moments that are not those of a body: one is not positive, or one exceeds the sum of the other two.
     #[error(
         "the principal moments of inertia {principal:?} kg m² (joint index {joint}) are not those of a body: expected each \
          above zero and none above the sum of the others"
@@ -58,7 +58,7 @@ pub enum PlantError {
         /// In ascending order, kg m².
         principal: [f64; 3],
     },
-    /// A drive that does not hold.
+    /// A drive without a positive stiffness.
     #[error("the drive stiffness of joint index {joint} is {stiffness}: expected more than zero")]
     Stiffness {
         /// Index of the joint.
@@ -66,7 +66,7 @@ pub enum PlantError {
         /// N/m or N m/rad
         stiffness: f64,
     },
-    /// A bearing, beam or rod that does not hold, or a negative weight of a beam.
+    /// A bearing, beam or rod without a positive stiffness, or a negative weight of a beam.
     #[error("{field} of joint index {joint} is {value}: expected more than zero")]
     NotPositive {
         /// Index of the joint; the elbow's for the four-bar.
@@ -116,7 +116,7 @@ pub enum PlantError {
         /// Least and greatest distance between the ends of crank and lever, m.
         distances: [f64; 2],
     },
-    /// The four-bar is next to its dead point.
+    /// The four-bar is close to its dead point.
     #[error("the four-bar is close to its singularity: the angle between rod and lever is {:.2} degrees", angle.to_degrees())]
     Singular {
         /// Between rod and lever, rad.
@@ -130,7 +130,7 @@ pub enum PlantError {
     Unstable {
         /// Steps taken.
         steps: u32,
-        /// Smallest eigenvalue of the tangent stiffness, every coordinate scaled by its own spring; not above zero.
+        /// Smallest eigenvalue of the tangent stiffness, every coordinate scaled by its own spring; zero or negative.
         margin: f64,
     },
     /// A transmission between joints that the chain does not have.
@@ -151,7 +151,7 @@ pub enum PlantError {
         /// Its value.
         value: f64,
     },
-    /// A floor, a hose or a drive that stiffens that cannot be.
+    /// An invalid floor, hose or stiffening drive.
     #[error(transparent)]
     Effect(#[from] EffectError),
     /// The pose did not come to rest.
