@@ -14,9 +14,9 @@ const SCHEMA: &str = "calibrig.goals/1";
 /// How a tool is to be held.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum StatedHold {
-    /// Its point counts alone.
+    /// Only its point matters.
     Free,
-    /// The direction of one axis of it in the base frame, of any length but zero.
+    /// The direction of one of its axes in the base frame, of any length but zero.
     Axis(Vector3<f64>),
     /// `base_from_tool`.
     Rotation(Rotation3<f64>),
@@ -29,7 +29,7 @@ pub struct StatedGoal {
     pub name: String,
     /// Of the tool's point in the base frame, m.
     pub position: Vector3<f64>,
-    /// The same of all rows but for the numbers.
+    /// The same, except for the numbers, in all rows.
     pub held: StatedHold,
     /// s
     pub time: Option<f64>,
@@ -44,7 +44,7 @@ pub struct GoalTable {
     pub file: String,
     /// In their order; at least one.
     pub goals: Vec<StatedGoal>,
-    /// What was made of the file, in words.
+    /// Remarks on the file, in words.
     pub remarks: Vec<String>,
 }
 
@@ -61,7 +61,7 @@ impl GoalTable {
     }
 }
 
-/// A raster over a panel, in SI. What a panel is, is checked by whoever covers it.
+/// A raster over a panel, in SI. Whether the corners form a panel is checked where it is covered.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StatedRaster {
     /// In order around the panel, m in the base frame.
@@ -70,9 +70,9 @@ pub struct StatedRaster {
     pub pitch: f64,
     /// Between the points of a row, m.
     pub spacing: f64,
-    /// Of the tool's point in front of the panel, m.
+    /// Distance of the tool's point in front of the panel, m.
     pub standoff: f64,
-    /// Of the tool's point, m/s; `None` where it is not stated.
+    /// Of the tool's point, m/s; `None` if not stated.
     pub speed: Option<f64>,
 }
 
@@ -206,7 +206,7 @@ impl GridTable {
 /// Reads a TOML file of goals.
 ///
 /// # Errors
-/// [`InputError`] with the place: another schema, unknown keys, numbers that cannot be, and a file with neither `[raster]` nor `[grid]`.
+/// [`InputError`] with the place: another schema, unknown keys, invalid numbers, and a file with neither `[raster]` nor `[grid]`.
 pub fn load_goal_file(path: &Path) -> Result<GoalFile, InputError> {
     parse_goal_file(Source::read(path)?)
 }

@@ -8,7 +8,7 @@ use serde::Deserialize;
 use crate::input::{InputError, Source, Spanned};
 use calibrig_model::Payload;
 
-/// What stands for no payload where one is named.
+/// The name that stands for no payload.
 pub const NO_PAYLOAD: &str = "none";
 
 /// A load at the flange, as column maps, session files and scenarios give it.
@@ -40,10 +40,11 @@ pub enum PayloadFile {
     Scenario,
 }
 
-/// The payloads of `tables`, which stand in a `file` of that kind, each with a name of its own.
+/// The payloads of `tables` in a `file` of that kind, each with a different name.
 ///
 /// # Errors
-/// A payload without name, mass or centre, with a number that cannot be, or with a key of another kind of file; two of one name.
+/// Errors for a payload without name, mass or centre, with an invalid number, or with a key of another kind of file; for two of
+/// one name.
 pub fn read_payloads(
     source: &Source,
     tables: &[Spanned<PayloadTable>],
@@ -63,10 +64,10 @@ pub fn read_payloads(
     Ok(payloads)
 }
 
-/// Index of the payload of a name among those that are known; `None` where the name says that nothing is carried: a word for it, or a weight of 0.
+/// Index of the payload of a name among the known ones; `None` if the name means no payload: a word for it, or a weight of 0.
 ///
 /// # Errors
-/// What was expected in place of a name that nobody has.
+/// What was expected instead of an unknown name.
 pub fn payload_by_name<'a>(
     name: &str,
     known: impl Iterator<Item = &'a str> + Clone,
@@ -108,7 +109,7 @@ fn edits(a: &str, b: &str) -> usize {
 }
 
 impl PayloadTable {
-    /// Refuses keys that are of other files.
+    /// Refuses keys that belong to other files.
     fn check_keys(&self, source: &Source, file: PayloadFile) -> Result<(), InputError> {
         let (message, help, span) = match (&self.mass_factor, &self.set) {
             (Some(factor), _) if file != PayloadFile::Scenario => (

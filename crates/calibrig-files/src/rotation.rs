@@ -1,22 +1,22 @@
 //! Rotations as files write them: quaternions, rotation vectors, angles about three axes, and matrices.
 //!
-//! Nothing of a convention can be seen in numbers: a quaternion with w last is another rotation with w first, and so is a transposed matrix.
-//! Whoever reads one therefore states which it is.
+//! Numbers do not show their convention: a quaternion with w last is a different rotation with w first, and so is a transposed matrix. The
+//! caller therefore states it.
 
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use thiserror::Error;
 
-/// Farthest from a rotation that digits leave a quaternion or a matrix: three decimals.
+/// Largest deviation from a rotation that rounding explains: three decimals.
 const ROUNDED: f64 = 2e-3;
 
-/// Nearer to a rotation is one as it is, bit for bit.
+/// Up to this deviation numbers are used as they are, bit for bit.
 const EXACT: f64 = 1e-13;
 
-/// Numbers that are no rotation.
+/// Why numbers are not a rotation.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[non_exhaustive]
 pub enum RotationError {
-    /// A number that is not one.
+    /// A number that is not finite.
     #[error("the rotation holds {value}")]
     NotFinite {
         /// The number.
@@ -25,13 +25,13 @@ pub enum RotationError {
     /// A quaternion of zeros.
     #[error("the quaternion has length 0")]
     ZeroQuaternion,
-    /// A quaternion that rounding does not explain.
+    /// A quaternion whose length rounding does not explain.
     #[error("the quaternion has length {length:.6}, which differs from 1 by {:.1e}", (length - 1.0).abs())]
     QuaternionLength {
         /// Its length.
         length: f64,
     },
-    /// A matrix that turns and mirrors.
+    /// A matrix that mirrors.
     #[error("the matrix is left-handed: its determinant is {determinant:.4}")]
     LeftHanded {
         /// Its determinant.
@@ -46,7 +46,7 @@ pub enum RotationError {
 }
 
 impl RotationError {
-    /// What was expected instead, and what to do.
+    /// What was expected, and what to do.
     pub fn expected(self) -> &'static str {
         match self {
             Self::NotFinite { .. } => "finite numbers of a size that a rotation can have",
@@ -70,7 +70,7 @@ impl RotationError {
     }
 }
 
-/// Which of a quaternion's four numbers is the scalar.
+/// Position of the scalar among a quaternion's four numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum QuaternionOrder {
     ScalarFirst,
@@ -84,7 +84,7 @@ pub(crate) enum MatrixOrder {
     ByColumns,
 }
 
-/// Three turns, one behind the other.
+/// Three consecutive turns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct EulerSequence {
     /// Axes in the order of the angles: 0 is x.
@@ -93,7 +93,7 @@ pub(crate) struct EulerSequence {
     is_intrinsic: bool,
 }
 
-/// What numbers a rotation is written as.
+/// How a rotation is written in numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum RotationForm {
     Quaternion(QuaternionOrder),
@@ -103,7 +103,7 @@ pub(crate) enum RotationForm {
     Matrix(MatrixOrder),
 }
 
-/// A rotation, and how far its numbers were from one.
+/// A rotation, and how far its numbers deviated from one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ReadRotation {
     pub rotation: Rotation3<f64>,
@@ -127,7 +127,7 @@ impl EulerSequence {
             "fixed" => false,
             _ => return None,
         };
-        // Two turns about one axis are one.
+        // Two consecutive turns about one axis are one.
         (axes[0] != axes[1] && axes[1] != axes[2]).then_some(Self { axes, is_intrinsic })
     }
 
@@ -177,7 +177,7 @@ impl RotationForm {
     }
 }
 
-/// Angles beyond all turns leave nothing of a rotation.
+/// Angles of any number of turns are too large for a rotation.
 fn of_angles(rotation: Rotation3<f64>, numbers: &[f64]) -> Result<ReadRotation, RotationError> {
     if rotation.matrix().iter().all(|element| element.is_finite()) {
         return Ok(ReadRotation { rotation, off: 0.0 });
@@ -222,7 +222,8 @@ fn of_matrix(matrix: &Matrix3<f64>) -> Result<ReadRotation, RotationError> {
 /// The rotation of a matrix that may be rounded to a few digits: the nearest one; one that is exact to 1e-13 stays as it is, bit for bit.
 ///
 /// # Errors
-/// A matrix with a number that is not finite, a left-handed one, and one that differs from a rotation by more than 2e-3.
+/// Errors for a matrix with a number that is not finite, a left-handed one, and one that differs from a rotation by more
+/// than 2e-3.
 pub fn rotation_of_matrix(matrix: &Matrix3<f64>) -> Result<Rotation3<f64>, RotationError> {
     if let Some(value) = matrix.iter().copied().find(|number| !number.is_finite()) {
         return Err(RotationError::NotFinite { value });

@@ -1,5 +1,5 @@
-//! `session.toml`: what of a session its measurement files have no columns for. Stations with their base nests, targets with their
-//! uncertainty, what the flange carried throughout, poses that were not measured. Every number reads back to the same bits.
+//! `session.toml`: the parts of a session without columns in its measurement files. Stations with their base nests, targets with
+//! their uncertainty, constant payloads, poses that were not measured. Every number reads back to the same bits.
 
 mod instrument;
 #[cfg(test)]
@@ -27,7 +27,7 @@ use calibrig_model::measurement::{
 
 const SCHEMA: &str = "calibrig.session/1";
 
-/// What a `session.toml` says.
+/// Contents of a `session.toml`.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct SessionFile {
     stations: Vec<Described<Station>>,
@@ -54,7 +54,7 @@ impl<T> Described<T> {
     }
 }
 
-/// A set as a session file tells it: which, what was measured, and the poses that were not.
+/// A set as a session file describes it: which, what was measured, and the poses that were not.
 pub type SessionSet<'a> = (SetKind, &'a MeasurementSet, &'a [(u32, String)]);
 
 #[derive(Deserialize)]
@@ -238,7 +238,7 @@ impl Reader<'_> {
         })
     }
 
-    /// Stations whose instruments have one name share its errors, which therefore are the same.
+    /// Stations whose instruments have one name share its errors, which must therefore be the same.
     fn instrument(
         &self,
         table: &InstrumentTable,
@@ -263,7 +263,7 @@ impl Reader<'_> {
         Ok(stated)
     }
 
-    /// A nest that is measured again has one certified place, and another time or face.
+    /// A nest that is measured again has the same certified place, and another time or face.
     fn distinct_nest(
         &self,
         name: &Spanned<String>,
@@ -362,7 +362,7 @@ impl Reader<'_> {
         covariance_of(self.source, key, value)
     }
 
-    /// A covariance that is stated whole, or as the standard deviation of each axis.
+    /// A covariance that is stated as a whole, or as the standard deviation of each axis.
     fn spread(
         &self,
         (sigma_key, sigma): (&str, Option<&Spanned<f64>>),
@@ -457,13 +457,13 @@ impl Reader<'_> {
 }
 
 impl SessionFile {
-    /// Adds what this file, whose text is `source`, says of the set `kind` to what a measurement file says. Stations and targets then stand
-    /// in the order of this file. One that describes no station (no target) leaves those of the measurement file. Where that does not name
-    /// its one station (target), the one that is described is meant.
+    /// Adds what this file, whose text is `source`, states about the set `kind` to the contents of a measurement file. Stations and targets
+    /// are then in the order of this file. If it describes no station (no target), those of the measurement file stay. If the measurement
+    /// file does not name its only station (target), the described one is meant.
     ///
     /// # Errors
-    /// The measurement file names a station or a target that is not described, or does not name which of several it is; it says itself what
-    /// poses carry.
+    /// Errors if the measurement file names a station or a target that is not described, or does not name one of several; or if it states
+    /// itself what poses carry.
     pub fn complete(
         &self,
         source: &Source,
@@ -539,7 +539,7 @@ impl SessionFile {
         Ok(())
     }
 
-    /// Where the first station (target) of the set is described; the text's begin where none is.
+    /// Where the first station (target) of the set is described; the start of the text if none is.
     fn places(&self, what: &str, kind: SetKind) -> Range<usize> {
         let of_set = |(known, place): (bool, &Range<usize>)| known.then(|| place.clone());
         let first = match what {
@@ -549,26 +549,27 @@ impl SessionFile {
         first.unwrap_or(0..0)
     }
 
-    /// What it says that the flange carried, one a `[[payload]]`, of whichever set.
+    /// The payloads that it describes, one per `[[payload]]`, of whichever set.
     pub fn payloads(&self) -> impl Iterator<Item = &Payload> {
         self.payloads.iter().map(|described| &described.item)
     }
 
-    /// Whether it describes targets, which then are all.
+    /// Whether it describes targets; then it describes all.
     pub fn describes_targets(&self) -> bool {
         !self.targets.is_empty()
     }
 
-    /// Whether it describes stations, which then are all.
+    /// Whether it describes stations; then it describes all.
     pub fn describes_stations(&self) -> bool {
         !self.stations.is_empty()
     }
 
-    /// Refuses what an identification cannot use, whose text is `source`: nests that do not place their station, and an uncertainty of a target
+    /// Refuses what an identification cannot use, in the text `source`: nests that do not place their station, and an uncertainty of a target
     /// that is not positive definite.
     ///
     /// # Errors
-    /// The station has nests, but fewer than three, or all on one line, or one without an uncertainty; the covariance of the target is not positive definite.
+    /// Errors if the station has nests, but fewer than three, or all on one line, or one without an uncertainty; or if the covariance of the target
+    /// is not positive definite.
     pub fn check_usable(&self, source: &Source) -> Result<(), InputError> {
         for Described { item: station, place, nests, .. } in
             self.stations.iter().filter(|known| !known.item.nests.is_empty())
@@ -612,7 +613,7 @@ impl SessionFile {
     }
 }
 
-/// Which nests lie on one line, and how near to it.
+/// Which nests lie on one line, and how close to it.
 fn on_one_line(station: &Station, error: &RegistrationError) -> String {
     let nests = &station.nests;
     let far = |from: &NestObservation| {
@@ -636,7 +637,7 @@ fn on_one_line(station: &Station, error: &RegistrationError) -> String {
     format!(": {} lie on it within {:.3} mm", names.join(", "), 1e3 * off)
 }
 
-/// Those of one set; `None` where the file describes none at all.
+/// Those of one set; `None` if the file describes none at all.
 fn of_set<T: Clone>(described: &[Described<T>], kind: SetKind) -> Option<Vec<T>> {
     let own = described.iter().filter(|known| known.is_of(kind));
     (!described.is_empty()).then(|| own.map(|known| known.item.clone()).collect())

@@ -19,7 +19,7 @@ pub enum Fault {
         /// Which.
         file: PathBuf,
     },
-    /// Its bytes are not the ones that its name tells of.
+    /// Its bytes do not match the checksum in its name.
     #[error("{}: cut short or altered: its bytes do not match the checksum in its name", file.display())]
     Damaged {
         /// Which.
@@ -38,7 +38,7 @@ pub enum Fault {
     Foreign {
         /// Which.
         file: PathBuf,
-        /// What is otherwise.
+        /// The difference.
         difference: String,
     },
     /// Two sound files of one shard have different rows.
@@ -54,22 +54,22 @@ pub enum Fault {
         /// The other.
         other: PathBuf,
     },
-    /// It is of this campaign, shared out otherwise: its trials are in other shards, too.
+    /// It is of this campaign, but divided differently: its trials are in other shards, too.
     #[error("{}: its trials {first}..{end} overlap the shards of this campaign, which has {shards}", file.display())]
     Overlap {
         /// Which.
         file: PathBuf,
         /// Its first trial.
         first: u64,
-        /// The one behind its last.
+        /// One past its last trial.
         end: u64,
-        /// Into how many the campaign is shared out.
+        /// Into how many shards the campaign is divided.
         shards: u32,
     },
 }
 
 impl Fault {
-    /// Whether computing the shard again mends it.
+    /// Whether running the shard again repairs it.
     pub fn is_mended_by_computing(&self) -> bool {
         matches!(self, Self::Damaged { .. } | Self::Unreadable { .. })
     }
@@ -81,7 +81,7 @@ pub struct Inventory {
     pub(super) sound: BTreeMap<u32, Piece>,
     /// What is wrong, by name.
     pub faults: Vec<Fault>,
-    /// Numbers of the shards that are not there, or not sound.
+    /// Numbers of the shards that are missing or damaged.
     pub missing: Vec<u32>,
 }
 
@@ -91,7 +91,7 @@ impl Inventory {
         self.sound.len()
     }
 
-    /// The missing ones in the form in which schedulers take the numbers of an array: `0-2,5`.
+    /// The missing ones, in the form that schedulers take as array numbers: `0-2,5`.
     pub fn array(&self) -> String {
         let mut runs: Vec<(u32, u32)> = Vec::new();
         for &shard in &self.missing {
@@ -108,7 +108,7 @@ impl Inventory {
 }
 
 impl Folder {
-    /// Looks at every file among the shards. `progress` is told how many.
+    /// Checks every file among the shards. `progress` receives their number.
     pub fn inventory(&self, progress: &mut dyn FnMut(u64)) -> Inventory {
         let mut sound = BTreeMap::new();
         let mut faults = Vec::new();
@@ -153,7 +153,7 @@ impl Folder {
         let (Ok(shard), Ok(shards)) = (shard.parse::<u32>(), shards.parse::<u32>()) else {
             return Err(Fault::Name { file });
         };
-        // What is of another campaign or split is not mended by computing, damaged or not.
+        // A shard of another campaign or division cannot be repaired by running it, whether damaged or not.
         let is_ours = campaign == self.campaign() && shards == self.manifest.shards && shard < shards;
         if !is_whole(&file) {
             return Err(if is_ours { Fault::Damaged { file } } else { Fault::Name { file } });
@@ -195,7 +195,7 @@ impl Folder {
         Ok((shard, Piece { path: file, range: about.range() }))
     }
 
-    /// Makes the whole table of sound shards, which must be all: the bytes that one machine alone would have made. `progress` is told the number of rows.
+    /// Makes the whole table from sound shards, which must be complete: the same bytes as from one machine. `progress` receives the number of rows.
     pub fn merge(&self, inventory: &Inventory, progress: &mut dyn FnMut(u64)) -> Result<(), FolderError> {
         if let Some(shard) = inventory.missing.first() {
             let range = self.manifest.range_of(*shard);
@@ -207,7 +207,7 @@ impl Folder {
     }
 }
 
-/// Not a file that is still being written, nor what stands beside the shards.
+/// Not a file that is still being written, nor one next to the shards.
 fn is_shard(path: &std::path::Path) -> bool {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let is_table = path.extension().is_some_and(|extension| extension == "parquet");

@@ -48,7 +48,7 @@ impl TableReader {
         Ok(Self { path: path.to_path_buf(), file, columns })
     }
 
-    /// What is said about it under `key`.
+    /// What is stated about it under `key`.
     pub fn about(&self, key: &str) -> Option<&str> {
         let entries = self.file.metadata().file_metadata().key_value_metadata()?;
         entries.iter().find(|entry| entry.key == key)?.value.as_deref()
@@ -107,7 +107,7 @@ impl TableReader {
             _ => Err(ParquetError::General(format!("column {column} has the wrong type"))),
         }
         .map_err(&failed)?;
-        // A shorter one would shift what stands beside it.
+        // A shorter one would shift its neighbours.
         if read.levels.len() != rows {
             let reason = format!("column {column} has {} rows of {rows}", read.levels.len());
             return Err(TableError::Parquet { path: self.path.clone(), reason });

@@ -12,8 +12,8 @@ use calibrig_model::Body;
 use calibrig_model::geometry::Transform;
 
 impl Finder<'_> {
-    /// What every joint of the chain carries, in the base frame at zero, and what is wrong with what the file says of it. Joints outside of the
-    /// chain are taken at zero.
+    /// What every joint of the chain carries, in the base frame at zero, and what is wrong with the file's values. Joints outside the chain are
+    /// taken at zero.
     pub fn bodies(&self, steps: &[Step]) -> Result<(Vec<Option<Body>>, Vec<String>), InputError> {
         let cut: BTreeSet<usize> =
             steps.iter().map(|(joint, _)| *joint).filter(|joint| self.is_moving(*joint)).collect();
@@ -41,7 +41,7 @@ impl Finder<'_> {
         Ok((bodies, faults))
     }
 
-    /// All that hangs on a link without a joint of the chain between.
+    /// All that is attached to a link without a joint of the chain in between.
     fn body(
         &self,
         start: usize,
@@ -76,7 +76,7 @@ impl Finder<'_> {
         Ok(joined(&bodies))
     }
 
-    /// The body of one link, where it has one.
+    /// The body of one link, if it has one.
     fn stated(
         &self,
         link: &str,
@@ -107,7 +107,7 @@ impl Finder<'_> {
     }
 }
 
-/// Bodies that move as one; `None` of none.
+/// Bodies that move as one; `None` for none.
 fn joined(bodies: &[Body]) -> Option<Body> {
     let mass: f64 = bodies.iter().map(|body| body.mass).sum();
     if mass <= 0.0 {

@@ -16,7 +16,7 @@ use calibrig_model::geometry::Transform;
 pub(super) struct Chain {
     pub base: String,
     pub tip: String,
-    /// How base and tip were found, where nobody named them.
+    /// How base and tip were found, if not named.
     pub chosen: Vec<String>,
     pub joints: Vec<MovingJoint>,
     /// From the last joint's moving side to the tip.
@@ -35,7 +35,7 @@ pub(super) struct MovingJoint {
     pub previous_from_joint: Transform,
     /// Along or about it in that frame, in the sense in which the tip moves.
     pub axis: Unit<Vector3<f64>>,
-    /// rad or m; `None` where the file states none.
+    /// rad or m; `None` if the file states none.
     pub limits: Option<[f64; 2]>,
     /// The joint that it follows, with factor and offset (rad or m).
     pub mimic: Option<Mimic>,
@@ -74,10 +74,10 @@ impl Chain {
     }
 }
 
-/// Limits beyond this say that there are none, rad or m.
+/// Limits beyond this mean that there are none, rad or m.
 const ENDLESS: f64 = 1e5;
 
-/// A step of the way from base to tip: a joint, and whether it is gone through from its child to its parent.
+/// A step of the path from base to tip: a joint, and whether it is traversed from its child to its parent.
 pub(super) type Step = (usize, bool);
 
 pub(super) struct Finder<'a> {
@@ -95,7 +95,7 @@ impl Finder<'_> {
         Err(self.source.error(span, message, Some(format!("expected {expected}"))))
     }
 
-    /// The chain between links of these names; where one is not named, the one that can be meant.
+    /// The chain between links of these names; if one is not named, the only possible one.
     pub fn chain(&self, base: Option<&str>, tip: Option<&str>) -> Result<(Chain, Vec<Step>), InputError> {
         self.check_no_loops()?;
         let mut chosen = Vec::new();
@@ -253,7 +253,8 @@ impl Finder<'_> {
         format!("ends of the tree: {}", listed(&names))
     }
 
-    /// The end that can be meant: the only one, or the tool0 of ROS-Industrial where all others hang on the same link or nearer to the base.
+    /// The end that must be meant: the only one, or the tool0 of ROS-Industrial if all others are attached to the same link or nearer to the
+    /// base.
     fn only_tip(&self, base: usize, chosen: &mut Vec<String>) -> Result<usize, InputError> {
         let tips = self.tips(base);
         let name = |link: usize| self.tree.links[link].name.as_str();
@@ -278,7 +279,7 @@ impl Finder<'_> {
         self.error(self.tree.links[base].span.clone(), message, &expected)
     }
 
-    /// The joints from base to tip: up to where both hang, and down again.
+    /// The joints from base to tip: up to the common link, and down again.
     fn way(&self, base: usize, tip: usize) -> Result<Vec<Step>, InputError> {
         let (mut up, mut down) = (self.up(base), self.up(tip));
         if self.root_of(base) != self.root_of(tip) {
@@ -297,7 +298,7 @@ impl Finder<'_> {
         Ok(up.chain(down.into_iter().rev().map(|joint| (joint, false))).collect())
     }
 
-    /// A joint of the chain; `None` where it is fixed.
+    /// A joint of the chain; `None` if it is fixed.
     fn moving(&self, joint: &Joint) -> Result<Option<MovingJoint>, InputError> {
         let (kind, continuous) = match joint.kind.as_str() {
             "fixed" => return Ok(None),
@@ -326,7 +327,7 @@ impl Finder<'_> {
         }))
     }
 
-    /// x where the file says nothing, as URDF has it.
+    /// x if the file states nothing, as in URDF.
     fn axis(&self, joint: &Joint) -> Result<Unit<Vector3<f64>>, InputError> {
         let Some(element) = &joint.axis else { return Ok(Vector3::x_axis()) };
         let axis = element
@@ -343,7 +344,7 @@ impl Finder<'_> {
 
     fn limits(&self, joint: &Joint, continuous: bool) -> Result<Option<[f64; 2]>, InputError> {
         let Some(element) = joint.limit.as_ref().filter(|_| !continuous) else { return Ok(None) };
-        // Some write infinity, or a number that stands for it.
+        // Some files write infinity, or a number that stands for it.
         let endless = |name| {
             let value = element.attribute(name).and_then(|(text, _)| text.trim().parse::<f64>().ok());
             value.is_some_and(|value| value.abs() > ENDLESS)
@@ -361,7 +362,7 @@ impl Finder<'_> {
                 "lower below upper; for a joint without limits, type=\"continuous\"",
             );
         }
-        // A joint that cannot move is one whose limits were never filled in.
+        // If a joint cannot move, its limits were never filled in.
         Ok((low < high).then_some([low, high]))
     }
 

@@ -13,12 +13,12 @@ use crate::input::{InputError, Source, quoted};
 use crate::robot::parse_robot;
 use calibrig_model::{CraigLink, JointKind};
 
-/// Whose table it is.
+/// Convention of the table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Convention {
-    /// A row's a and alpha stand in front of its joint ("modified").
+    /// A row's a and alpha come before its joint ("modified").
     Craig,
-    /// A row's a and alpha stand behind its joint ("classic", "distal").
+    /// A row's a and alpha come after its joint ("classic", "distal").
     Standard,
 }
 
@@ -31,10 +31,10 @@ impl Convention {
     }
 }
 
-/// Makes a robot file of a table: a header line with units, and a row a joint from the base.
+/// Makes a robot file from a table: a header line with units, and one row per joint from the base.
 ///
-/// Columns are `a`, `alpha`, `d` and `theta` with their units (`a_mm`, `alpha [deg]`, `θ (rad)`), and where there are `name`, `type`, `beta`, `min` and
-/// `max`. A cell may say which of theta and d is the joint variable, with its sign and offset: `q2 - 90`, `-θ3`.
+/// Columns are `a`, `alpha`, `d` and `theta` with their units (`a_mm`, `alpha [deg]`, `θ (rad)`), and optionally `name`, `type`, `beta`, `min` and
+/// `max`. A cell may show which of theta and d is the joint variable, with its sign and offset: `q2 - 90`, `-θ3`.
 ///
 /// # Errors
 ///
@@ -84,7 +84,7 @@ pub fn robot_from_dh(
     Ok(Converted { source: made, robot, remarks, difference: None })
 }
 
-/// A row, and what of it the table does not say.
+/// A row, and what the table does not state about it.
 struct Row {
     link: CraigLink,
     reversed: bool,
@@ -228,14 +228,14 @@ impl<'a> Table<'a> {
         Ok(rows)
     }
 
-    /// Units that can hardly be meant.
+    /// Units that are implausible.
     fn doubtful(&self, rows: &[Row]) -> Vec<String> {
         let twists = || rows.iter().map(|row| row.link.alpha.abs()).filter(|alpha| *alpha != 0.0);
         let unit =
             |what| self.columns.iter().find(|column| column.what == what).and_then(|column| column.unit);
         let is_in_degrees = matches!(unit(What::Alpha), Some(Unit::Angle(size)) if size != 1.0);
         let mut doubtful = Vec::new();
-        // Twists are right angles, mostly.
+        // Most twists are right angles.
         let right = |alpha: f64| {
             (alpha - std::f64::consts::FRAC_PI_2).abs() < 1e-3 || (alpha - std::f64::consts::PI).abs() < 1e-3
         };
@@ -255,7 +255,7 @@ impl<'a> Table<'a> {
         doubtful
     }
 
-    /// Columns that nothing is taken from, but for a count of the rows.
+    /// Unused columns, except a count of the rows.
     fn passed_over(&self) -> Option<String> {
         let others = self.columns.iter().zip(&self.titles).filter(|(column, _)| column.what == What::Other);
         let is_count = |title: &str| {
@@ -357,7 +357,7 @@ impl<'a> Table<'a> {
         let variable = d.variable.or(theta.variable);
         let reversed = variable.is_some_and(|variable| variable.sign == Sign::Minus);
         if reversed {
-            // A manual's limits are those of what is shown.
+            // A manual's limits are those of the displayed values.
             limits = [-limits[1], -limits[0]];
             assumed.reverse();
         }
@@ -392,7 +392,7 @@ impl<'a> Table<'a> {
         };
         let mut assumed = [true; 2];
         for (end, what) in [What::Min, What::Max].into_iter().enumerate() {
-            // A column an unit: the one that fits the joint, with something in its cell.
+            // One column per unit: the one that fits the joint and has something in its cell.
             let columns = self.columns.iter().zip(line).filter(|(column, _)| column.what == what);
             for (column, (text, place)) in columns {
                 let size = match (column.unit, kind) {
@@ -425,7 +425,7 @@ impl<'a> Table<'a> {
         Ok((limits, assumed))
     }
 
-    /// The value of a cell in SI; zero of a column that there is not.
+    /// The value of a cell in SI; zero for a missing column.
     fn value(&self, line: &[Cell<'a>], what: What) -> Result<Value, InputError> {
         let Some(((text, place), column)) = self.cell(line, what) else { return Ok(Value::default()) };
         let size = match column.unit {
@@ -436,8 +436,8 @@ impl<'a> Table<'a> {
         Ok(Value { number: value.number * size, ..value })
     }
 
-    /// A sum of numbers and at most one joint variable, such as `q2 - 90`, `-pi/2` or `θ3*`, in the column's unit, of which there are `size` in
-    /// one of SI.
+    /// A sum of numbers and at most one joint variable, such as `q2 - 90`, `-pi/2` or `θ3*`, in the column's unit, of which `size` make one of
+    /// SI.
     fn expression(&self, text: &str, place: Range<usize>, size: f64) -> Result<Value, InputError> {
         let mut value = Value::default();
         let refused = |what: &str| {

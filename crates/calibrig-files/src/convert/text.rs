@@ -1,4 +1,4 @@
-//! The text of a robot file that is made of a chain, with what was assumed.
+//! The text of a robot file made from a chain, with its assumptions.
 
 use std::f64::consts::TAU;
 use std::fmt::Write;
@@ -32,13 +32,13 @@ pub(super) struct Bodies {
     stiffness: Vec<f64>,
 }
 
-/// How far a drive is taken to yield under what it carries with the arm stretched out, rad or m per m of it.
+/// Assumed deflection of a drive under its load with the arm stretched out, rad or m per m of it.
 const SAG: f64 = 1e-3;
 
-/// The softest drive is taken to be at least this part of the stiffest one of its kind.
+/// The softest drive is assumed to have at least this share of the stiffness of the stiffest one of its kind.
 const SOFTEST: f64 = 0.02;
 
-/// How well they are known: drives with gears are about as stiff as that, cables and belts ten times softer.
+/// How well they are known: geared drives have about this stiffness, cables and belts a tenth of it.
 const COMPLIANCE_PERCENT: f64 = 1000.0;
 
 const GRAVITY: f64 = 9.80665;
@@ -47,7 +47,7 @@ const GRAVITY: f64 = 9.80665;
 const SLIDE: f64 = 1.0;
 
 impl Bodies {
-    /// `None` where a joint carries nothing with a mass: no deflection can be predicted then.
+    /// `None` if a joint carries nothing with a mass: then no deflection can be predicted.
     pub fn of(in_base: &[Option<Body>], frames: &[Transform], chain: &Chain) -> Option<Self> {
         let bodies: Vec<Body> = in_base
             .iter()
@@ -69,7 +69,7 @@ fn in_frame(body: &Body, base_from_link: &Transform) -> Body {
     }
 }
 
-/// Of every drive what yields [`SAG`] under all that it carries, stretched out.
+/// For every drive, the stiffness that deflects by [`SAG`] under its whole load, stretched out.
 fn stiffness(bodies: &[Body], frames: &[Transform], chain: &Chain) -> Option<Vec<f64>> {
     let place = |joint: usize| frames[joint].translation.vector;
     let load = |joint: usize| {
@@ -99,7 +99,7 @@ fn stiffness(bodies: &[Body], frames: &[Transform], chain: &Chain) -> Option<Vec
     floored.collect()
 }
 
-/// A guess has no more.
+/// A guess has no more digits.
 fn two_digits(value: f64) -> f64 {
     let unit = 10_f64.powf(value.log10().floor() - 1.0);
     (value / unit).round() * unit
@@ -123,7 +123,7 @@ pub(super) fn limits(chain: &Chain) -> (Vec<[f64; 2]>, Vec<String>) {
     (limits, assumed)
 }
 
-/// A number as it is read back, without the last digits of its rounding where a rounder one is meant.
+/// A number that reads back to itself, or without the last digits if these are rounding of a rounder one.
 pub(super) fn number(value: f64) -> String {
     for digits in 0..=9 {
         let scale = 10_f64.powi(digits);
@@ -145,12 +145,12 @@ pub(super) fn deg(value: f64) -> String {
     number(value.to_degrees())
 }
 
-/// Roll, pitch and yaw of a rotation, exact also where pitch is a quarter turn.
+/// Roll, pitch and yaw of a rotation, also exact if pitch is a quarter turn.
 pub(crate) fn roll_pitch_yaw(rotation: &Rotation3<f64>) -> [f64; 3] {
     let r = rotation.matrix();
     let across = r.m11.hypot(r.m21);
     let pitch = (-r.m31).atan2(across);
-    // At a quarter turn roll and yaw do the same; the roll below then takes up what the yaw leaves.
+    // At a quarter turn roll and yaw are equivalent; the roll below then takes up the rest.
     let yaw = if across > 1e-14 { r.m21.atan2(r.m11) } else { 0.0 };
     let (sin, cos) = yaw.sin_cos();
     let roll = (sin * r.m13 - cos * r.m23).atan2(cos * r.m22 - sin * r.m12);
@@ -215,7 +215,7 @@ pub(super) fn row(text: &mut String, link: &CraigLink, comments: [&str; 2]) {
 }
 
 impl Text<'_> {
-    /// The text, and what it assumes beyond `assumed`.
+    /// The text, and its assumptions beyond `assumed`.
     pub fn write(&self, remarks: &[String], assumed: &[String]) -> (String, Vec<String>) {
         let mut more = Vec::new();
         let mut text = String::new();
@@ -342,7 +342,7 @@ fn body(text: &mut String, body: &Body) {
     for (key, value) in
         [("ixx", i.m11), ("iyy", i.m22), ("izz", i.m33), ("ixy", i.m12), ("ixz", i.m13), ("iyz", i.m23)]
     {
-        // What the turning of axes leaves of a zero.
+        // The rounding of a zero after turning axes.
         let value = if value.abs() < 1e-12 * i.amax() { 0.0 } else { value };
         line!(text, "{key}_kg_m2 = {value}");
     }

@@ -1,6 +1,6 @@
-//! Any URDF as a tree of links and joints; what is not needed is counted and passed over.
+//! Any URDF as a tree of links and joints; elements that are not needed are counted and ignored.
 //!
-//! Values are read where the chain needs them, so that a mistake in a branch that nobody asked for does no harm.
+//! Values are read when the chain needs them, so that a mistake in an unused branch does no harm.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -11,13 +11,13 @@ use roxmltree::{Document, Error as XmlError, Node, ParsingOptions};
 use super::element::Element;
 use crate::input::{InputError, Source};
 
-/// More elements than any robot has: a larger file is refused before it takes the memory.
+/// More elements than any robot has: a larger file is refused before it uses up the memory.
 const MOST_NODES: u32 = 5_000_000;
 
-/// What of a joint is read.
+/// What is read of a joint.
 const READ_OF_JOINTS: [&str; 6] = ["parent", "child", "origin", "axis", "limit", "mimic"];
 
-/// A link with the elements that say something of its mass.
+/// A link with the elements that describe its mass.
 #[derive(Debug, Clone)]
 pub(super) struct Link {
     pub name: String,
@@ -25,7 +25,7 @@ pub(super) struct Link {
     pub inertial: Option<Element>,
 }
 
-/// A joint with the elements that say how it moves.
+/// A joint with the elements that describe its motion.
 #[derive(Debug, Clone)]
 pub(super) struct Joint {
     pub name: String,
@@ -45,13 +45,13 @@ pub(super) struct Tree {
     pub name: String,
     pub links: Vec<Link>,
     pub joints: Vec<Joint>,
-    /// Of every link, the joint that carries it; none of a root.
+    /// For every link, the joint whose child it is; none for a root.
     pub above: Vec<Option<usize>>,
     pub passed_over: PassedOver,
     pub span: Range<usize>,
 }
 
-/// How many of what was not needed.
+/// Counts of ignored elements.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct PassedOver(BTreeMap<String, usize>);
 
@@ -115,7 +115,7 @@ impl Tree {
     }
 }
 
-/// How the text that is parsed differs from the file's: what was left out in front of it, and what was put into the root's tag.
+/// How the parsed text differs from the file's: what was left out in front of it, and what was added to the root's tag.
 #[derive(Debug, Clone, Copy)]
 struct Changed {
     lead: usize,
@@ -123,8 +123,8 @@ struct Changed {
     inserted: usize,
 }
 
-/// The text without what some editors leave in front, and with a declaration for every prefix that it uses and does not declare, as vendors'
-/// files do with extensions.
+/// The text without what some editors put in front, and with a declaration for every prefix that it uses without one, as vendors' files do
+/// with extensions.
 fn with_namespaces(source: &Source) -> Result<(String, Changed), InputError> {
     let mut text = source.text.trim_start_matches(|c: char| c.is_whitespace() || c == '\u{feff}').to_owned();
     let mut changed = Changed { lead: source.text.len() - text.len(), at: text.len(), inserted: 0 };
@@ -157,7 +157,7 @@ fn root_tag_end(text: &str) -> Option<usize> {
 fn xacro(source: &Source, at: usize) -> InputError {
     let output = match source.name.strip_suffix(".xacro") {
         Some(name) => format!("{}.urdf", name.trim_end_matches(".urdf")),
-        // Not onto the file itself.
+        // Not overwriting the file itself.
         None => format!("{}.expanded.urdf", source.name.trim_end_matches(".urdf")),
     };
     source.error(
@@ -181,7 +181,7 @@ fn refusal(source: &Source, lead: usize, error: &XmlError) -> InputError {
         line.chars().take(position.col.saturating_sub(1) as usize).map(char::len_utf8).sum::<usize>();
     let at = lead + start + column;
     let said = error.to_string();
-    // The place is told by the line of this message.
+    // This message names the line.
     let said = said.split(" at ").next().unwrap_or_default().replace('\n', "the end of the line");
     source.error(at..at + 1, format!("not valid XML: {said}"), Some("expected a URDF".to_owned()))
 }
@@ -192,7 +192,7 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    /// A place in the file of one in the text that was parsed.
+    /// The place in the file of a place in the parsed text.
     fn place(&self, range: Range<usize>) -> Range<usize> {
         let Changed { lead, at, inserted } = self.changed;
         let back = |place: usize| lead + if place > at { place - inserted } else { place };
@@ -273,7 +273,7 @@ impl Reader<'_> {
         Ok(Tree { name, links, joints, above, passed_over, span })
     }
 
-    /// Refuses a second element of a name of which the first would be taken.
+    /// Refuses a second element of a name, of which only the first would be read.
     fn check_single(&self, node: &Node<'_, '_>, of: &str, names: &[&str]) -> Result<(), InputError> {
         let second =
             |name: &&str| node.children().filter(|child| child.is_element() && local(child) == *name).nth(1);

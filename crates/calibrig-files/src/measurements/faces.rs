@@ -1,4 +1,4 @@
-//! Readings of both faces: what their angles are, and which belong together.
+//! Readings of both faces: their angles, and their pairs.
 //!
 //! In the back face a tracker's head is turned by half a turn and its telescope is turned over, so that its encoders show azimuth + 180° and
 //! 360° - zenith of the same point. Most of an instrument's errors turn over with it: half the difference of the two readings is their size,
@@ -13,10 +13,10 @@ use calibrig_model::measurement::{Face, Observation, Reading, SphericalReading};
 /// Places that are named of several.
 const MOST_PLACES: usize = 3;
 
-/// What was seen of the faces in the rows of one file.
+/// What the rows of one file show about the faces.
 #[derive(Debug, Default)]
 pub(super) struct Faces {
-    /// Whether angles of the back face are the encoders' own, and the first row that showed it.
+    /// Whether angles of the back face are the encoders' own, and the first row that shows it.
     pub back: Option<(bool, String)>,
     /// Whether that was found from the values.
     is_found: bool,
@@ -24,7 +24,7 @@ pub(super) struct Faces {
     beyond: Option<(u64, String)>,
 }
 
-/// What one row showed of it.
+/// What one row shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum FaceSeen {
     Nothing,
@@ -72,10 +72,10 @@ impl Faces {
     }
 }
 
-/// Tells of back-face readings without a front face; puts the mean in the place of each pair where that is asked for.
+/// Reports back-face readings without a front face; replaces each pair by its mean if asked for.
 ///
 /// # Errors
-/// A back-face reading without a front face, of which the mean is asked for; rows of one pose whose commands are not the same.
+/// Errors if the mean is asked for: a back-face reading without a front face; rows of one pose whose commands differ.
 pub(super) fn pair(
     loaded: &mut LoadedMeasurements,
     numbers_poses: bool,
@@ -158,7 +158,7 @@ fn average(loaded: &mut LoadedMeasurements, pairs: &[[usize; 2]]) -> Result<(), 
     Ok(())
 }
 
-/// The mean of a reading of each face, angle by angle: errors that turn over with the face are not in it.
+/// The mean of a reading of each face, angle by angle: errors that turn over with the face cancel in it.
 fn mean(front: &Observation, back: &Observation) -> Observation {
     let mut mean = front.clone();
     mean.time = f64::midpoint(front.time, back.time);

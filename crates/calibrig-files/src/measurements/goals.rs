@@ -28,7 +28,7 @@ const LARGEST: f64 = 1e9;
 /// Reads a table of points: text, or a sheet of a spreadsheet.
 ///
 /// # Errors
-/// [`InputError`] with line and column: a file that cannot be read or holds no points, columns that are not known or lack their unit, cells that are no
+/// [`InputError`] with line and column: a file that cannot be read or holds no points, unknown columns or columns without a unit, cells that are not
 /// finite numbers, directions of length zero, and matrices that are not rotations.
 pub fn read_goals(path: &Path) -> Result<GoalTable, InputError> {
     let rows = open(path, &TextFormat::default(), &wanted(), &RowOptions::default())?;
@@ -245,7 +245,7 @@ impl Cells<'_> {
             }
             Held::Matrix(columns) => {
                 let numbers = self.numbers(*columns)?;
-                // As it is, bit for bit, where it is a rotation.
+                // Unchanged, bit for bit, if it is a rotation.
                 if let Ok(rotation) = rotation_of_matrix(&Matrix3::from_row_slice(&numbers)) {
                     return Ok(StatedHold::Rotation(rotation));
                 }

@@ -32,7 +32,7 @@ impl FileColumns<'_> {
         InputError::Place { place: self.name.to_owned(), message: message.to_string(), help }
     }
 
-    /// Names of the columns, as far as a message can hold them.
+    /// Names of the columns, as many as a message can hold.
     pub fn names(&self) -> String {
         const MOST: usize = 40;
         let names = self.columns.iter().take(MOST).map(|column| match column.header.char_indices().nth(60) {
@@ -86,7 +86,7 @@ pub(super) struct Columns {
     pub uncertainty: Option<UncertaintyColumns>,
     pub noise: Option<Noise>,
     pub pose: Option<usize>,
-    /// Whether the pose may have a name in place of a number.
+    /// Whether the pose may be a name instead of a number.
     pub names_poses: bool,
     pub station: Option<usize>,
     pub target: Option<usize>,
@@ -186,7 +186,7 @@ pub(super) struct RotationQuantities {
     pub sigma: Option<(Vec<Quantity>, f64)>,
 }
 
-/// What kind of quantity a column holds, and the unit that the map says, with the key that it would stand at.
+/// What kind of quantity a column holds, and the unit that the map states, with its key.
 #[derive(Clone, Copy)]
 enum Kind {
     Plain,
@@ -201,9 +201,9 @@ pub(super) struct Head<'a> {
     pub joints: Option<FileColumns<'a>>,
     /// The map, for messages.
     pub map: Option<&'a Source>,
-    /// What is taken from the header, in words.
+    /// Units taken from the header, in words.
     pub remarks: Vec<String>,
-    /// Units that come from the header: the unit and its columns.
+    /// Units from the header: the unit and its columns.
     from_header: Vec<(&'static str, Vec<String>)>,
 }
 
@@ -320,7 +320,7 @@ impl<'a> Head<'a> {
     fn quantity(&mut self, entry: &Entry, kind: Kind, is_joint: bool) -> Result<Quantity, InputError> {
         let whole = ColumnRef::Name(entry.written.clone());
         let is_sum = entry.terms.iter().all(|term| term.column != whole);
-        // A header that has the whole text means it so.
+        // If a header has the whole text, it means that column.
         let as_one = if is_sum { self.find(&whole, is_joint).ok() } else { None };
         let terms: Vec<(usize, f64, bool)> = match as_one {
             Some(column) => vec![(column, 1.0, false)],
@@ -350,7 +350,7 @@ impl<'a> Head<'a> {
         }
     }
 
-    /// The unit of a column: what the map says, and what the header says, which do not contradict each other.
+    /// The unit of a column: from the map and the header, which must agree.
     fn scale(&mut self, index: usize, kind: Kind, by_number: bool) -> Result<Scale, InputError> {
         let (file, column) = self.file_of(index);
         let name = &column.header;
@@ -435,7 +435,7 @@ impl<'a> Head<'a> {
             .collect()
     }
 
-    /// Refuses calibrig's own columns of which none is measured, as of a plan that nobody has measured yet.
+    /// Refuses calibrig's own columns without any measured one, such as a plan that has not been measured yet.
     fn refuse_unmeasured(&self, columns: &PositionColumns) -> Result<(), InputError> {
         let PositionColumns::Spherical { range, azimuth, polar, .. } = columns else { return Ok(()) };
         let is_there = |entry: &Entry| self.find(&ColumnRef::Name(entry.written.clone()), false).is_ok();

@@ -20,7 +20,7 @@ pub(super) struct Joints {
 }
 
 enum By {
-    /// Rows of both files in step.
+    /// Corresponding rows of both files.
     Row,
     Name {
         rows: Vec<Row>,
@@ -47,7 +47,7 @@ pub(super) enum Key {
 }
 
 impl Key {
-    /// What is to be said of the times of the points.
+    /// Remarks on the times of the points.
     pub fn remarks(&self, file: &str) -> Vec<String> {
         match self {
             Self::Time(times) => times.remarks(file),
@@ -57,7 +57,7 @@ impl Key {
 }
 
 impl Joints {
-    /// Finds the columns of the file, and reads it where its rows are not in step with those of the points.
+    /// Finds the columns of the file, and reads it unless its rows correspond to those of the points.
     pub fn open(rows: Box<dyn Rows>, map: &ColumnMap, joints: &[JointKind]) -> Result<Self, InputError> {
         let wanted = map.wanted(joints, Part::Joints);
         let table = Table::find(rows, &wanted, map.format().1)?;
@@ -107,7 +107,7 @@ impl Joints {
         remarks
     }
 
-    /// What is to be said where the times of one file have a zone and those of the other none.
+    /// Remark if the times of one file have a zone and those of the other have none.
     pub fn zones_differ(&self, points: &str, key: &Key) -> Option<String> {
         let (By::Time { times, .. }, Key::Time(key)) = (&self.by, key) else { return None };
         let (own, theirs) = (times.kind()?, key.kind()?);
@@ -176,7 +176,7 @@ impl Joints {
         Ok(By::Time { rows, within, key, times })
     }
 
-    /// Adds to a row of points the row of commands that belongs to it; otherwise says why no row does.
+    /// Adds to a row of points the row of commands that belongs to it; otherwise says why there is none.
     pub fn join(
         &mut self,
         points: &str,
@@ -233,7 +233,7 @@ impl Joints {
         Ok(joined)
     }
 
-    /// Looks at what is left when the points have ended.
+    /// Checks what is left when the points have ended.
     pub fn finish(&mut self, points: &str) -> Result<Option<String>, InputError> {
         let mut row = Row::default();
         if matches!(self.by, By::Row) && self.next(&mut row)? {
@@ -278,7 +278,7 @@ fn words(column: &ColumnRef) -> String {
     }
 }
 
-/// The row whose time is nearest, and how far it is away.
+/// The row whose time is nearest, and its difference.
 fn nearest(rows: &[(f64, Row)], time: f64) -> Option<(f64, &Row)> {
     let after = rows.partition_point(|(at, _)| *at < time);
     let near = rows.iter().skip(after.saturating_sub(1)).take(2);

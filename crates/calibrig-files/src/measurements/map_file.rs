@@ -109,10 +109,10 @@ pub fn load_column_map(path: &Path) -> Result<(ColumnMap, Source), InputError> {
     Ok((parse_column_map(&source)?, source))
 }
 
-/// What a suggested map leaves to a person, in front of what stands for it.
+/// Marks what a suggested map leaves to a person, in front of the placeholder.
 pub(super) const UNDECIDED: &str = "# DECIDE: ";
 
-/// Refuses a map in which something is left to decide.
+/// Refuses a map in which something is still to be decided.
 fn undecided(source: &Source) -> Result<(), InputError> {
     let mut start = 0;
     for line in source.text.split_inclusive('\n') {
@@ -209,7 +209,7 @@ pub fn parse_column_map(source: &Source) -> Result<ColumnMap, InputError> {
     Ok(ColumnMap::new(mapping, source.clone()))
 }
 
-/// Says of an unknown key in which table it is known.
+/// Says for an unknown key in which table it is known.
 fn with_the_table_of_a_stray_key(mut error: InputError) -> InputError {
     const TABLES: [(&str, &[&str]); 9] = [
         ("[joints]", &["revolute_unit", "prismatic_unit"]),

@@ -1,4 +1,4 @@
-//! Which reader a file gets: told by its first bytes, not by its name.
+//! Which reader a file gets: decided by its first bytes, not by its name.
 
 use std::fs::File;
 use std::io::Read;
@@ -33,7 +33,7 @@ fn first_bytes(path: &Path) -> std::io::Result<Vec<u8>> {
     Ok(start)
 }
 
-/// Whether a file is a bag, or another MCAP file; false where it cannot be read, which is told by whoever reads it.
+/// Whether a file is a bag, or another MCAP file; false if it cannot be read, which its reader reports.
 pub fn is_bag(path: &Path) -> bool {
     first_bytes(path).is_ok_and(|start| start.starts_with(CUT_BAG))
 }

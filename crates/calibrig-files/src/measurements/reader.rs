@@ -21,7 +21,7 @@ use crate::payloads::{NO_PAYLOAD, payload_by_name};
 use calibrig_model::Payload;
 use calibrig_model::measurement::{MeasurementSet, Motion, Observation, Reading, Station, Target};
 
-/// Least motion of an actuator that is one, m or rad.
+/// Least motion of an actuator that counts as one, m or rad.
 const MOTION: f64 = 1e-6;
 
 /// Makes observations of the rows of one file.
@@ -32,21 +32,21 @@ pub(super) struct RowReader<'a> {
     pub file: &'a str,
     /// All columns of joined rows.
     pub names: &'a [Column],
-    /// Those from here on are of the file of the joints, whose numbers are written in the second way.
+    /// From this column on they belong to the file of the joints, whose numbers use the second format.
     pub joints_from: usize,
     pub decimals: [Decimal; 2],
-    /// The target of the whole file, where it is one for each.
+    /// The target of the whole file, if it is of one.
     pub target: Option<&'a str>,
     pub time: Option<TimeReader>,
-    /// What approaches follow from.
+    /// Source of the approaches.
     pub motion: Motion,
     pub faces: Faces,
-    /// How far the numbers of a rotation were from one, at most.
+    /// Largest deviation of a rotation's numbers from a rotation.
     pub rounded: Cell<f64>,
     pub rows: u32,
 }
 
-/// What was named so far.
+/// Names so far.
 #[derive(Debug, Default)]
 pub(super) struct Names {
     /// Whether poses have names; `None` before the first.
@@ -87,7 +87,7 @@ impl Names {
     }
 }
 
-/// Refuses a row that is shorter than the header, or has more in it.
+/// Refuses a row that is shorter or longer than the header.
 pub(super) fn check_length(
     file: &str,
     row: &Row,
@@ -95,7 +95,7 @@ pub(super) fn check_length(
     has_header: bool,
 ) -> Result<(), InputError> {
     let (found, expected) = (row.len(), names.len());
-    // Sheets do not hold what is empty.
+    // Sheets do not store empty cells.
     if found < expected && !matches!(row.place(), Place::Sheet { .. }) {
         let (missing, as_header) = if has_header {
             (names[found].header.clone(), "as the header has")
@@ -135,7 +135,7 @@ impl RowReader<'_> {
         };
         let held_out = cells.is_held_out(pose, names.of_pose(pose))?;
         let missed = cells.missed();
-        // A shot was missed where the robot had gone to.
+        // A shot was missed where the robot had gone.
         let command = match &missed {
             Some(_) if !self.options.approach_from_order => Vec::new(),
             _ => cells.command()?,
@@ -206,7 +206,7 @@ impl RowReader<'_> {
         Ok((pose, cells.command()?))
     }
 
-    /// What is to be said of the file's readings beside the rows.
+    /// Remarks on the file's readings besides the rows.
     pub fn remarks(&self) -> Vec<String> {
         let mut remarks = self.faces.remarks(self.file);
         let off = self.rounded.get();
@@ -227,8 +227,8 @@ impl RowReader<'_> {
         remarks
     }
 
-    /// Number of the pose where no column has it: that of the row, or of the first one of a stop, at which several shots are taken or several
-    /// targets are measured one behind the other with the same command and payload.
+    /// Number of the pose if no column has it: that of the row, or of the first row of a stop, at which several shots or several targets are
+    /// measured in sequence with the same command and payload.
     fn stop(&self, cells: &Cells<'_>, loaded: &LoadedMeasurements) -> Result<u32, InputError> {
         let last = loaded.set.observations.last().filter(|_| self.rows > 1 && cells.missed().is_none());
         let Some(last) = last else { return Ok(self.rows) };
@@ -291,7 +291,7 @@ impl<'r> Cells<'r> {
         if let [QuantityTerm { column, sign, scale }] = quantity.terms.as_slice() {
             return Ok(scale.in_si(sign * self.number(*column)?));
         }
-        // Minus zero is what leaves the sign of a zero as it is when added to.
+        // Minus zero leaves the sign of a zero unchanged when added to.
         let mut sum = -0.0;
         for QuantityTerm { column, sign, scale } in &quantity.terms {
             let number = self.number(*column)?;
@@ -328,7 +328,7 @@ impl<'r> Cells<'r> {
     }
 
     fn whole_number(&self, column: usize, number: Option<f64>, may_be_name: bool) -> Result<u32, InputError> {
-        // Tables that went through a spreadsheet say 3.0 for 3.
+        // Tables from a spreadsheet write 3.0 for 3.
         if let Some(number) = number
             && number.fract() == 0.0
             && (0.0..=f64::from(u32::MAX)).contains(&number)
@@ -369,7 +369,7 @@ impl<'r> Cells<'r> {
         }
     }
 
-    /// Why the row is of a missed shot, where its cells say so.
+    /// Why the row is a missed shot, if its cells say so.
     fn missed(&self) -> Option<String> {
         let quantities = self.reader.columns.position.quantities();
         let columns = || quantities.iter().flat_map(|quantity| &quantity.terms).map(|term| term.column);
@@ -460,7 +460,7 @@ impl<'r> Cells<'r> {
         Err(self.refuse_cell(quantity.terms[0].column, &expected))
     }
 
-    /// What the flange carries; `None` where the row says nothing, or nothing of it weighs.
+    /// What the flange carries; `None` if the row states nothing, or nothing with a weight.
     fn payload(&self) -> Result<Option<Payload>, InputError> {
         match &self.reader.columns.payload {
             None => Ok(None),
@@ -503,7 +503,7 @@ impl<'r> Cells<'r> {
         }
     }
 
-    /// Refuses a pressure or humidity that cannot be. They are not used: ranges are those of the instrument, which allows for the air.
+    /// Refuses an impossible pressure or humidity. They are not used: ranges are those of the instrument, which corrects for the air.
     fn check_air(&self) -> Result<(), InputError> {
         for (what, quantity) in &self.reader.columns.air {
             if self.is_empty(std::slice::from_ref(quantity)) {

@@ -10,22 +10,22 @@ use super::layout::{Decimal, Wanted};
 use super::rows::{Row, Rows};
 use crate::input::{Excerpt, InputError, latin};
 
-/// What is said of a text's form; what is not is found from its first lines.
+/// The form of a text; unknown parts are found from its first lines.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct TextFormat {
     pub delimiter: Option<Delimiter>,
-    /// Begins of lines that are comments, beside `#` and `//`.
+    /// Starts of comment lines, in addition to `#` and `//`.
     pub comments: Vec<String>,
-    /// Lines at the start that are passed over, whatever they hold.
+    /// Lines at the start that are skipped, whatever they hold.
     pub skipped_lines: u64,
 }
 
-/// Lines that are looked at before the first row is given.
+/// Lines that are read before the first row is given.
 const SAMPLE: usize = 300;
 const SAMPLE_BYTES: usize = 1 << 18;
-/// A line that is longer is none: the file holds no rows.
+/// A longer line means that the file holds no rows.
 const LONGEST_LINE: u64 = 1 << 20;
-/// A quoted cell with more line breaks is a quote that somebody forgot to close.
+/// A quoted cell with more line breaks has a quote that was not closed.
 const MOST_LINES_OF_A_ROW: usize = 100;
 /// Comments that are kept.
 const MOST_COMMENTS: usize = 50;
@@ -153,8 +153,8 @@ impl TextRows {
         rows
     }
 
-    /// The delimiter under which most of what is wanted is found; of equals the one under which most
-    /// rows have as many cells as the header, and of these the first in the list that makes most cells.
+    /// The delimiter under which most wanted columns are found; among equals the one under which most rows have as many
+    /// cells as the header, and among these the first in the list that makes most cells.
     fn sniff(&self, wanted: &Wanted) -> Delimiter {
         if *wanted == Wanted::default() {
             return self.sniff_anything();

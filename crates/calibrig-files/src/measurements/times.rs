@@ -1,4 +1,4 @@
-//! Times of rows: in one column, or a date in one and the time of the day in another.
+//! Times of rows: in one column, or a date in one and the time of day in another.
 
 mod stamp;
 #[cfg(test)]
@@ -18,7 +18,7 @@ const EXPECTED: &str = "seconds, a time such as 12:03:44.12 or 1:03:44 PM, or a 
 /// s
 const DAY: f64 = 86_400.0;
 
-/// In which order the dates of a table are written, and from what that is told.
+/// The order of dates in a table, and what shows it.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Dates {
     pub order: Option<DateOrder>,
@@ -31,7 +31,7 @@ impl Dates {
         Self { order: Some(order), why: None }
     }
 
-    /// Looks through cells for a date of which only one order is possible; without one, AM and PM speak for the month first.
+    /// Looks through cells for a date that is possible in only one order; without one, AM and PM suggest the month first.
     pub fn seen<'r>(cells: impl Iterator<Item = (&'r Place, &'r str)>) -> Self {
         let mut american: Option<(&Place, &str)> = None;
         for (place, cell) in cells.filter(|(_, cell)| cell.len() >= 6 && cell.contains(['/', '-'])) {
@@ -147,7 +147,7 @@ pub(super) struct TimeReader {
     dates: Dates,
     kind: Option<Kind>,
     last: f64,
-    /// How many rows have an earlier time than the row before, and where the first of them is.
+    /// How many rows have an earlier time than the row before, and the first of them.
     backwards: Option<(u64, Place)>,
     used_order: bool,
 }
@@ -235,7 +235,7 @@ impl TimeReader {
         Ok(seconds)
     }
 
-    /// What is to be said of the times that were read.
+    /// Remarks on the times that were read.
     pub fn remarks(&self, file: &str) -> Vec<String> {
         let mut remarks = self.columns.remarks.clone();
         remarks.extend(self.dates.why.iter().filter(|_| self.used_order).map(|why| format!("{file}: {why}")));
@@ -257,7 +257,7 @@ impl TimeReader {
 
 /// What a cell looks like, in whatever order its date may be.
 pub(super) enum Look {
-    /// No time, or a number.
+    /// Not a time, or a number.
     Nothing,
     Day,
     Clock,

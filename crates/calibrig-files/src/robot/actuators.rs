@@ -134,7 +134,7 @@ impl Reader<'_> {
         self.error(span, format!("actuators.linkage: {fault}"), &expected)
     }
 
-    /// Masses and stiffness of the four-bar; `None` where there is no four-bar.
+    /// Masses and stiffness of the four-bar; `None` if there is no four-bar.
     pub(super) fn linkage_statics(
         &self,
         actuators: &ActuatorMap,
@@ -165,7 +165,7 @@ impl Reader<'_> {
         }))
     }
 
-    /// Where the file speaks of what only statics need of the four-bar.
+    /// Where the file states values of the four-bar that only statics need.
     pub(super) fn linkage_statics_key(&self) -> Option<std::ops::Range<usize>> {
         let file = self.file.actuators.get_ref().linkage.as_ref()?.get_ref();
         let keys =
@@ -193,7 +193,7 @@ impl Reader<'_> {
     }
 }
 
-/// A crank with its centre of mass at `centre` along its arm. Its inertia, which counts for nothing at rest, is that of a square bar of the
+/// A crank with its centre of mass at `centre` along its arm. Its inertia, which has no effect at rest, is that of a square bar of the
 /// arm's length and a fifth of it wide.
 fn crank_body(mass: f64, arm: &LinkageArm, centre: f64) -> Body {
     let (sin, cos) = arm.angle.sin_cos();

@@ -23,7 +23,7 @@ pub(super) struct ShownTable {
     coupling: BTreeMap<String, Spanned<f64>>,
 }
 
-/// A joint that goes with another one: `q = ratio · q of that + offset`.
+/// A joint that follows another one: `q = ratio · q of that + offset`.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FollowsTable {
@@ -42,7 +42,7 @@ fn unit(joint: &JointTable) -> f64 {
 }
 
 impl Reader<'_> {
-    /// The map of a robot whose actuators without regard to how they are shown are `mechanism`.
+    /// The map of a robot whose actuators, regardless of how they are shown, are `mechanism`.
     pub(super) fn axes(&self, mechanism: ActuatorMap) -> Result<ActuatorMap, InputError> {
         let joints: Vec<&JointTable> = self.file.joint.iter().map(Spanned::get_ref).collect();
         if joints.iter().all(|joint| joint.shown.is_none() && joint.follows.is_none()) {
@@ -95,7 +95,7 @@ impl Reader<'_> {
         Ok(ActuatorMap::Axes { axes: axes.with_followers(&followers), elbow: mechanism.elbow() })
     }
 
-    /// Fills the row of an axis that is shown otherwise.
+    /// Fills the row of an axis that is shown differently.
     fn shown(
         &self,
         joints: &[&JointTable],

@@ -1,4 +1,4 @@
-//! `[joint.bearing]` and `[joint.beam]`: what yields beside the drives.
+//! `[joint.bearing]` and `[joint.beam]`: what deflects besides the drives.
 
 use serde::Deserialize;
 
@@ -62,7 +62,7 @@ struct SegmentTable {
 }
 
 impl SegmentTable {
-    /// What a section is stated by that is not made of a shape.
+    /// The keys of a section given by its stiffnesses.
     fn stiffnesses(&self) -> [(&'static str, &Option<Spanned<f64>>); 6] {
         [
             ("axial_n", &self.axial_n),
@@ -74,7 +74,7 @@ impl SegmentTable {
         ]
     }
 
-    /// What a section of a shape is stated by.
+    /// The keys of a section given by its shape.
     fn of_shape(&self) -> [(&'static str, &Option<Spanned<f64>>); 7] {
         [
             ("youngs_modulus_gpa", &self.youngs_modulus_gpa),
@@ -89,7 +89,7 @@ impl SegmentTable {
 }
 
 impl Reader<'_> {
-    /// One a joint, rigid where it has none.
+    /// One per joint, rigid without a table.
     pub(super) fn bearings(&self) -> Result<Vec<Bearing>, InputError> {
         let joints = self.file.joint.iter().map(Spanned::get_ref);
         joints
@@ -133,7 +133,7 @@ impl Reader<'_> {
         Ok(bearing)
     }
 
-    /// One a joint, where its link is flexible. `limits` are those of the joints' variables.
+    /// One per joint with a flexible link. `limits` are those of the joints' variables.
     pub(super) fn beams(&self, limits: &[[f64; 2]]) -> Result<Vec<Option<Beam>>, InputError> {
         let joints = self.file.joint.iter().map(Spanned::get_ref).zip(limits);
         joints
@@ -262,7 +262,7 @@ impl Reader<'_> {
         })
     }
 
-    /// A key that a segment must have.
+    /// A required key of a segment.
     fn needed<'v>(
         &self,
         table: &Spanned<SegmentTable>,

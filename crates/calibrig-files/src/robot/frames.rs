@@ -37,11 +37,11 @@ pub(super) struct BodyTable {
     iyz_kg_m2: Option<Spanned<f64>>,
 }
 
-/// What a body without a stated inertia is taken for: a solid sphere of this density, kg/m³. Nothing at rest depends on it.
+/// A body without a stated inertia is taken as a solid sphere of this density, kg/m³. It has no effect at rest.
 const DENSITY: f64 = 2700.0;
 
 impl Reader<'_> {
-    /// The identity where the file has no such table.
+    /// The identity if the file has no such table.
     pub(super) fn frame(
         &self,
         name: &str,
@@ -68,7 +68,7 @@ impl Reader<'_> {
         Ok(Transform::from_parts(place.into(), turn))
     }
 
-    /// What the joint's `[joint.body]` says, in the link's frame; `None` where there is no such table.
+    /// The joint's `[joint.body]`, in the link's frame; `None` if there is no such table.
     pub(super) fn stated_body(&self, table: &Spanned<JointTable>) -> Result<Option<Body>, InputError> {
         let joint = table.get_ref();
         let Some(stated) = &joint.body else { return Ok(None) };
@@ -134,7 +134,7 @@ pub(crate) fn sphere(mass: f64) -> Matrix3<f64> {
     Matrix3::identity() * (0.4 * mass * radius * radius)
 }
 
-/// Why no body has an inertia, kg m².
+/// Why an inertia is impossible, kg m².
 pub(crate) fn inertia_fault(inertia: &Matrix3<f64>) -> Option<String> {
     let scale = inertia.amax();
     if !scale.is_finite() {

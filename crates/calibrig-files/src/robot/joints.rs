@@ -144,7 +144,7 @@ impl Reader<'_> {
         Ok(limits)
     }
 
-    /// N/m or N m/rad, one a joint; `None` where no joint has any.
+    /// N/m or N m/rad, one per joint; `None` if no joint has any.
     pub(super) fn drives(&self) -> Result<Option<Vec<f64>>, InputError> {
         let mut stiffness = Vec::new();
         let mut without = None;
@@ -156,7 +156,7 @@ impl Reader<'_> {
                 ("stiffness_nm_per_rad", &joint.stiffness_nm_per_rad),
             )?;
             match value {
-                // A drive that does not yield.
+                // A rigid drive.
                 Some(value) if *value.get_ref() == f64::INFINITY => stiffness.push(f64::INFINITY),
                 Some(value) => stiffness.push(self.source.positive(&key, value)?),
                 None => without = without.or(Some((table, key))),
@@ -172,7 +172,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Per metre or per radian, one a joint, where known.
+    /// Per metre or per radian, one per joint, if known.
     pub(super) fn motor_turns(&self) -> Result<Vec<Option<f64>>, InputError> {
         let turns = |table: &Spanned<JointTable>| {
             let joint = table.get_ref();

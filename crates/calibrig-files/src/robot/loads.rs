@@ -21,7 +21,8 @@ pub struct LoadTable {
     force_z_n: Option<Spanned<f64>>,
 }
 
-/// The loads of `tables`, behind those of `known`, whose names they may not have; `joints` are the names of the joints.
+/// The loads of `tables`, after those of `known`, whose names they must not repeat; `joints` are the names of the
+/// joints.
 pub fn read_loads(
     source: &Source,
     tables: &[Spanned<LoadTable>],

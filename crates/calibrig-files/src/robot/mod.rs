@@ -49,19 +49,19 @@ pub struct Robot {
     pub name: String,
     /// What identification may know.
     pub model: CalibrationModel,
-    /// Shapes to draw, per link (link 0 of the vector is the base, then one an entry per joint); empty without a URDF.
+    /// Shapes to draw, per link (entry 0 is the base, then one per joint); empty without a URDF.
     pub visuals: Vec<Vec<Visual>>,
-    /// Where targets are on the flange; empty where that is not known.
+    /// The targets' places on the flange; empty if unknown.
     pub targets: Vec<StatedTarget>,
-    /// How well the compliances are known: standard deviation relative to the stated ones, where the file says.
+    /// Uncertainty of the compliances: standard deviation relative to the stated ones, if the file states it.
     pub compliance_sigma: Option<f64>,
-    /// Whether the file says that its stiffnesses are not known at all.
+    /// Whether the file states that its stiffnesses are unknown.
     pub stiffness_unknown: bool,
-    /// How well the bodies' masses and centres are known, one entry a joint; none where the file does not say.
+    /// Uncertainty of the bodies' masses and centres, one entry per joint; none if the file does not state it.
     pub bodies: Vec<BodyUncertainty>,
-    /// What was made of the table, in words.
+    /// Remarks on the table, in words.
     pub remarks: Vec<String>,
-    /// The files read, by role: `robot`, then `urdf` and `columns` where it names them.
+    /// The files read, by role: `robot`, then `urdf` and `columns` if it names them.
     pub sources: Vec<(String, Source)>,
 }
 
@@ -88,7 +88,7 @@ struct RobotFile {
     centre_mm: Option<Spanned<f64>>,
 }
 
-/// Whose D-H table it is.
+/// Convention of the D-H table.
 #[derive(Deserialize, Clone, Copy, PartialEq)]
 #[serde(rename_all = "snake_case")]
 enum Convention {
@@ -99,13 +99,13 @@ enum Convention {
 }
 
 impl Robot {
-    /// Offset of the target in the flange frame, m, of the first one where several are stated; `None` where it is not known.
+    /// Offset of the target in the flange frame, m, of the first one if several are stated; `None` if unknown.
     pub fn target(&self) -> Option<Vector3<f64>> {
         self.targets.first().map(|target| target.in_flange)
     }
 }
 
-/// Reads `robot.toml` and the files it names, which it seeks beside itself.
+/// Reads `robot.toml` and the files it names, relative to its own folder.
 pub fn load_robot(path: &Path) -> Result<Robot, InputError> {
     let robot = Source::read(path)?;
     let file: RobotFile = robot.toml()?;
@@ -184,7 +184,7 @@ impl Reader<'_> {
         Err(self.source.error(span, message, Some(format!("expected {expected}"))))
     }
 
-    /// Each number may be one, and what follows from all of them none: a section whose stiffness is too small for a number.
+    /// Each number may be valid but not what follows from all of them: a section's stiffness may underflow.
     fn check_whole(&self, model: &CalibrationModel) -> Result<(), InputError> {
         let Err(fault) = model.check() else { return Ok(()) };
         let joint = match fault {
@@ -197,7 +197,7 @@ impl Reader<'_> {
         self.error(span, fault, "numbers that together describe a robot")
     }
 
-    /// Rewrites rows whose common normals lie far away, and says so; not where other things are stated in the frames of such rows.
+    /// Rewrites rows whose common normals are far away, with a remark; not if other values are stated in the frames of such rows.
     fn near_normals(&self, kinematics: &mut KinematicModel, in_frames: bool) -> Vec<String> {
         let mut near = kinematics.clone();
         let runs = rewrite_far_normals(&mut near);

@@ -1,4 +1,4 @@
-//! `[target]`, or `[[target]]` for each of several: where the reflector is on the flange, and how well that is known.
+//! `[target]`, or `[[target]]` for each of several: the reflector's place on the flange, and its uncertainty.
 
 use std::fmt;
 use std::ops::Range;
@@ -15,13 +15,13 @@ use calibrig_model::measurement::TargetOrientation;
 /// A target as the robot's file states it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StatedTarget {
-    /// As the measurement files have it; `None` for one alone that needs none.
+    /// As in the measurement files; `None` for a single one without a name.
     pub name: Option<String>,
     /// Offset in the flange frame, m.
     pub in_flange: Vector3<f64>,
     /// Standard deviation of it along every axis, m; `None` for a nominal value of unknown uncertainty.
     pub sigma: Option<f64>,
-    /// How it is turned on the flange, of a target whose readings are full poses.
+    /// Its orientation on the flange, if its readings are full poses.
     pub orientation: Option<TargetOrientation>,
     /// Where the file states it, for messages.
     pub place: Range<usize>,
@@ -67,7 +67,7 @@ impl TargetTable {
     }
 }
 
-/// One table or several. No untagged enum: that would lose where a mistake is.
+/// One table or several. Not an untagged enum, which would lose the place of a mistake.
 #[derive(Default)]
 pub(super) struct TargetTables(Vec<Spanned<TargetTable>>);
 
@@ -95,7 +95,7 @@ impl<'de> Deserialize<'de> for TargetTables {
     }
 }
 
-/// The targets of `tables`, whose names are distinct; all have one where there are several.
+/// The targets of `tables`, with distinct names; each has one if there are several.
 pub(super) fn read_targets(source: &Source, tables: &TargetTables) -> Result<Vec<StatedTarget>, InputError> {
     let mut targets: Vec<StatedTarget> = Vec::new();
     for table in &tables.0 {

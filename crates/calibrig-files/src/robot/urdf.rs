@@ -1,4 +1,4 @@
-//! What a URDF says of a robot: inertias and shapes, and once more its kinematics, which must agree with the table.
+//! The robot as described in a URDF: inertias, shapes, and the kinematics again, which must agree with the table.
 
 use std::ops::Range;
 
@@ -31,14 +31,14 @@ pub(super) struct UrdfJoint {
     /// From the previous moving link, at joint variable zero.
     pub previous_from_joint: Transform,
     pub limits: [f64; 2],
-    /// `None` where the link has no inertial.
+    /// `None` if the link has no inertial.
     pub body: Option<Body>,
     pub visuals: Vec<Visual>,
     span: Range<usize>,
 }
 
-/// How fast every actuator may be by the URDF that a robot's file names, m/s or rad/s; `None` where that does not say it: no URDF, a velocity of zero, or
-/// an actuator that moves more than its own joint.
+/// Speed limit of every actuator in the URDF that a robot's file names, m/s or rad/s; `None` if unknown: no URDF, a velocity of zero, or an actuator
+/// that moves more than its own joint.
 pub fn actuator_speeds(robot: &super::Robot) -> Vec<Option<f64>> {
     let model = &robot.model;
     let urdf = robot.sources.iter().find(|(role, _)| role == "urdf");
@@ -105,7 +105,7 @@ impl UrdfRobot {
             let found = &joint.previous_from_joint;
             let apart = (expected.translation.vector - found.translation.vector).norm();
             let turned = (expected.rotation.matrix() - found.rotation.matrix()).norm() / f64::sqrt(2.0);
-            // Asked this way round, NaN differs too.
+            // Written this way round, NaN also differs.
             let agrees = apart <= TOLERANCE && turned <= TOLERANCE;
             if !agrees {
                 let (roll, pitch, yaw) = expected.rotation.euler_angles();
@@ -179,7 +179,7 @@ impl Reader<'_> {
         self.robot.links.iter().position(|link| link.name == name)
     }
 
-    /// The only link that no joint carries.
+    /// The only link that is not a joint's child.
     fn root(&self) -> Result<usize, InputError> {
         let mut carried = vec![false; self.robot.links.len()];
         for (index, link) in self.robot.links.iter().enumerate() {
@@ -263,7 +263,7 @@ impl Reader<'_> {
         Ok((robot, self.robot.links[start].name.clone()))
     }
 
-    /// The links that are fixed to `start`, and the one moving joint that hangs on them.
+    /// The links that are fixed to `start`, and the one moving joint attached to them.
     fn fixed_group(&self, start: usize) -> Result<(Group, Option<(usize, Transform)>), InputError> {
         let mut group = vec![(start, Transform::identity())];
         let mut moving = None;
@@ -413,7 +413,7 @@ fn body_of(inertial: &urdf_rs::Inertial, group_from_link: &Transform) -> Body {
     }
 }
 
-/// Bodies that move as one; `None` of none.
+/// Bodies that move as one; `None` for none.
 fn joined(bodies: &[Body]) -> Option<Body> {
     if bodies.is_empty() {
         return None;

@@ -1,7 +1,7 @@
-//! A strict first look at the text of a URDF: which elements stand where, and whether each is one that is understood.
+//! A strict first pass over the text of a URDF: which elements are where, and whether each is supported.
 //!
-//! The URDF parser skips what it does not know, drops words from lists of numbers and gives no positions; this pass refuses
-//! the first two and supplies the third.
+//! The URDF parser skips unknown elements, drops words from lists of numbers and gives no positions; this pass refuses the
+//! first two and supplies the third.
 
 use std::ops::Range;
 
@@ -56,7 +56,7 @@ const RULES: &[Rule] = &[
             ("izz", Numbers(1)),
         ],
     ),
-    // Which joint follows another one says the robot's file.
+    // The robot's file states which joint follows another one.
     ("mimic", &["joint"], &[("joint", Text), ("multiplier", Numbers(1)), ("offset", Numbers(1))]),
     ("geometry", &["visual", "collision"], &[]),
     ("box", &["geometry"], &[("size", Numbers(3))]),
@@ -73,7 +73,7 @@ const RULES: &[Rule] = &[
     ("dynamics", &["joint"], &[("damping", Numbers(1)), ("friction", Numbers(1))]),
 ];
 
-/// Element, attributes that it must have, and elements that must stand in it.
+/// Element, its required attributes, and its required elements.
 const REQUIRED: &[(&str, &[&str], &[&str])] = &[
     ("robot", &["name"], &[]),
     ("link", &["name"], &[]),
@@ -94,10 +94,10 @@ const REQUIRED: &[(&str, &[&str], &[&str])] = &[
     ("limit", &["lower", "upper", "velocity"], &[]),
 ];
 
-/// Elements that may stand more than once in the same one.
+/// Elements that may occur more than once in the same one.
 const REPEATED: &[&str] = &["link", "joint", "material", "visual", "collision"];
 
-/// The elements in the order of their start tags; an error for anything that is not understood.
+/// The elements in the order of their start tags; an error for anything unsupported.
 pub(super) fn scan(source: &Source) -> Result<Vec<Element<'_>>, InputError> {
     let mut scanner = Scanner { source, at: 0, elements: Vec::new(), open: Vec::new() };
     while scanner.next_markup()? {}
@@ -128,7 +128,7 @@ impl<'a> Scanner<'a> {
         &self.source.text[self.at..]
     }
 
-    /// Goes behind the next comment, instruction or tag; false at the end of the text.
+    /// Goes past the next comment, instruction or tag; false at the end of the text.
     fn next_markup(&mut self) -> Result<bool, InputError> {
         let rest = self.rest();
         let text = rest.split('<').next().unwrap_or(rest);
@@ -214,7 +214,7 @@ impl<'a> Scanner<'a> {
         Ok(())
     }
 
-    /// What must be there is there, and once. The URDF parser would complain without a place.
+    /// Required items are there exactly once. The URDF parser would complain without a place.
     fn check_complete(&self) -> Result<(), InputError> {
         for (index, element) in self.elements.iter().enumerate() {
             let name = element.name;

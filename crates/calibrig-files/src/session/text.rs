@@ -28,10 +28,10 @@ pub enum SessionTextError {
     },
 }
 
-/// The session file of these sets. What is the same in all of them is written once.
+/// The session file of these sets. What they have in common is written once.
 ///
 /// # Errors
-/// A nest that was read as a full pose, which no key holds.
+/// Errors for a nest that was read as a full pose, which no key holds.
 pub fn session_text(sets: &[SessionSet<'_>]) -> Result<String, SessionTextError> {
     let mut text = format!("schema = {SCHEMA:?}\n");
     let stations: Vec<_> =

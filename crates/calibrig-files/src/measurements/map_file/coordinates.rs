@@ -59,7 +59,7 @@ impl Reader<'_> {
         ])
     }
 
-    /// The position's columns and, of a spherical one, from where its second angle counts.
+    /// The position's columns and, for a spherical one, the reference of its second angle.
     pub fn position(
         &self,
         spanned: &Spanned<CoordinateTable>,

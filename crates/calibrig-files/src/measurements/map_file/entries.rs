@@ -104,7 +104,7 @@ impl Reader<'_> {
         }
     }
 
-    /// The terms of a text: `a`, `-a`, `a + b - c`. Blanks stand around a sign between columns, since names may have signs in them.
+    /// The terms of a text: `a`, `-a`, `a + b - c`. A sign between columns has blanks around it, because names may contain signs.
     fn terms(&self, span: &Range<usize>, text: &str, terms: &mut Vec<Term>) -> Result<(), InputError> {
         let text = text.trim();
         if text.is_empty() {

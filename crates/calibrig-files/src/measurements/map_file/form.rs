@@ -1,4 +1,4 @@
-//! What a column map says of rows and of the form of files: sets, joins and text.
+//! Rows and the form of files in a column map: sets, joins and text.
 
 use super::Reader;
 use super::tables::{By, ColumnsTable, JoinTable, SetsTable, TextTable};
@@ -59,7 +59,7 @@ impl Reader<'_> {
         let table = ("join", &span);
         let key = |name, entry| {
             let entry = self.needed(table, name, entry)?;
-            // A date may stand in one column and the time of the day in another.
+            // A date may be in one column and the time of day in another.
             if t.by == By::Time { self.sum(entry) } else { self.single(entry) }
         };
         let keys = [key("joints", t.joints.as_ref())?, key("points", t.points.as_ref())?];
@@ -148,7 +148,7 @@ impl Reader<'_> {
         Ok((Some(self.sum(entry)?), unit))
     }
 
-    /// What is said of the air beside its temperature.
+    /// The air, apart from its temperature.
     pub fn air(&self, t: &ColumnsTable) -> Result<Vec<(AirQuantity, Entry)>, InputError> {
         let pressure = AirQuantity::Pressure;
         let keys = [

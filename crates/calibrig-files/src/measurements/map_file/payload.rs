@@ -1,4 +1,4 @@
-//! What a column map says of loads on the flange.
+//! Loads on the flange in a column map.
 
 use super::Reader;
 use super::entries::RawEntry;

@@ -1,4 +1,4 @@
-//! Full poses and faces in a column map. Nothing of their conventions can be seen in numbers, so each is stated.
+//! Full poses and faces in a column map. Numbers do not show their conventions, so each is stated.
 
 use super::Reader;
 use super::entries::{Codes, RawEntry};
@@ -76,7 +76,7 @@ impl Reader<'_> {
         Ok(OfPose { rotation: Some(rotation), uncertainty, noise })
     }
 
-    /// Refuses an uncertainty of positions without one of rotations, and the other way around.
+    /// Refuses an uncertainty of positions without one of rotations, and the reverse.
     fn whole_or_none(
         &self,
         table: &Spanned<RotationTable>,
@@ -276,7 +276,7 @@ impl Reader<'_> {
             return Err(self.error(spanned.span(), message, expected));
         };
         let columns = if let RawEntry::List(items) = t.columns.get_ref() {
-            // Of a whole matrix one column may stand at both places of an element.
+            // In a whole matrix one column may be at both places of an element.
             items.iter().map(|item| self.sum(item)).collect::<Result<Vec<_>, _>>()?
         } else {
             vec![self.sum(&t.columns)?]

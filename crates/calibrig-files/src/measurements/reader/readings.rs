@@ -1,4 +1,4 @@
-//! What a row's cells say of where the target is: a point, or a full pose.
+//! What a row's cells state about the target: a point, or a full pose.
 
 use nalgebra::{Cholesky, DMatrix, Matrix3, Matrix6, Rotation3, SMatrix, Vector3};
 
@@ -44,7 +44,7 @@ impl Cells<'_> {
         Ok(Some(point))
     }
 
-    /// The place with the uncertainty that its row states; `None` for a missed shot.
+    /// The place with the uncertainty stated in its row; `None` for a missed shot.
     fn point(&self) -> Result<Option<Reading>, InputError> {
         match &self.reader.columns.position {
             Position::Cartesian(axes) => {
@@ -107,7 +107,7 @@ impl Cells<'_> {
         pose.position.iter().try_for_each(|coordinate| self.check_size(place, *coordinate))?;
         let covariance = self.pose_covariance(rotation, &point, &pose, jacobian.as_ref())?;
         covariance.iter().flatten().try_for_each(|element| self.check_size(place, *element))?;
-        // Turned around, a rotation that is hardly known drowns the position's own digits.
+        // After inversion, a hardly known rotation swamps the position's own digits.
         if covariance.as_ref().is_some_and(|covariance| !is_definite(covariance)) {
             return Err(self.refuse_apart());
         }
@@ -118,8 +118,8 @@ impl Cells<'_> {
         }))))
     }
 
-    /// Of place and rotation in the tracker's axes; `None` where nothing is stated of either. `jacobian` takes the numbers of the file to the
-    /// pose where they are those of the tracker in the target's frame.
+    /// Of place and rotation in the tracker's axes; `None` if neither is stated. `jacobian` converts the file's numbers to the pose if they
+    /// are those of the tracker in the target's frame.
     fn pose_covariance(
         &self,
         rotation: &RotationQuantities,
@@ -181,7 +181,7 @@ impl Cells<'_> {
         Ok(Some(Matrix3::from_diagonal(&variances)))
     }
 
-    /// The 6 x 6 covariance that the row states.
+    /// The 6 x 6 covariance stated in the row.
     fn whole_covariance(&self) -> Result<Option<Matrix6<f64>>, InputError> {
         let Some(UncertaintyColumns::Pose { columns, scales }) = &self.reader.columns.uncertainty else {
             return Ok(None);
@@ -238,7 +238,7 @@ impl Cells<'_> {
         Ok(())
     }
 
-    /// Gives a spherical reading its face, and the direction of the point in place of what the encoders show in the back face.
+    /// Gives a spherical reading its face, and the direction of the point instead of the encoders' angles in the back face.
     pub(super) fn turn_to_point(&self, reading: &mut Reading, faces: &Faces) -> Result<FaceSeen, InputError> {
         let Reading::Spherical(spherical) = reading else {
             return match &self.reader.columns.face {
@@ -338,7 +338,7 @@ impl Cells<'_> {
         names.join(", ")
     }
 
-    /// `None` where the file has no columns for it, or the row nothing in them.
+    /// `None` if the file has no columns for it, or the row has nothing in them.
     fn covariance(&self) -> Result<Option<Matrix3<f64>>, InputError> {
         match &self.reader.columns.uncertainty {
             // That of a full pose is read as a whole.
@@ -428,7 +428,7 @@ struct Stated {
 }
 
 impl Stated {
-    /// The pose the other way around, and how it moves with errors of the stated numbers: e of the position and φ of `exp(φ) · rotation`.
+    /// The inverse of the pose, and its derivative by errors of the stated numbers: e of the position and φ of `exp(φ) · rotation`.
     fn turned_around(&self) -> (Self, Option<Matrix6<f64>>) {
         let rotation = self.rotation.inverse();
         let position = -(rotation * self.position);
@@ -467,7 +467,7 @@ fn turn_over(reading: &mut SphericalReading) {
 /// Place of a symmetric matrix's element in its upper triangle by rows.
 const TRIANGLE: [[usize; 3]; 3] = [[0, 1, 2], [1, 3, 4], [2, 4, 5]];
 
-/// Share of a variance that the other coordinates must leave open: less is lost in the rounding of what is then done with it.
+/// Share of a variance that the other coordinates must leave open: less is lost in later rounding.
 const OPEN: f64 = 1e-12;
 
 /// Whether it is positive definite by more than rounding, whatever the units of its rows.

@@ -1,4 +1,4 @@
-//! Loads on the flange, as names of columns and what stands in them tell.
+//! Loads on the flange, from names of columns and their content.
 
 use super::SeenFile;
 use super::column::{Role, SeenColumn};
@@ -23,9 +23,9 @@ const AXES: [(&str, Role); 6] = [
     ("cy", Role::PayloadY),
     ("cz", Role::PayloadZ),
 ];
-/// Names that people give to a flange without a load.
+/// Names for a flange without a load.
 const NOTHING: [&str; 8] = ["empty", "leer", "ohne", "no load", "unloaded", "without", "-", "nothing"];
-/// Nobody weighs more for one session.
+/// Heavier than any load of one session.
 const MOST_PAYLOADS: usize = 12;
 
 /// What a column is of a payload, by its name.
@@ -43,7 +43,7 @@ pub(super) fn role_of(column: &SeenColumn) -> Option<Role> {
         return if is_number { Some(Role::PayloadMass) } else { is_load.then_some(Role::Payload) };
     }
     if is_load && rest.iter().all(|word| NAMES.contains(word)) {
-        // The load of a motor is called so as well.
+        // A motor's load has the same name.
         let is_motors = words == ["load"] && column.is_number();
         return (!is_motors).then_some(Role::Payload);
     }
@@ -112,7 +112,7 @@ fn numbers(
                 let why = format!("in {} by its name, but the key reads mm: convert the column", other.key());
                 open(name, column, why)
             }
-            // Three metres off the flange nothing is carried, and within 3 mm of it neither.
+            // No load is carried three metres from the flange, nor within 3 mm of it.
             None if largest > 3.0 => key(name, column, "; taken for mm, by their size".to_owned()),
             None => {
                 let why = format!(
@@ -126,7 +126,7 @@ fn numbers(
     said
 }
 
-/// Payloads that rows name, or tell by their mass.
+/// Payloads that rows name, or identify by their mass.
 fn by_name(file: &SeenFile, column: &SeenColumn) -> Carried {
     let entry = column.entry(file.has_header);
     let is_none = |text: &str| text == NO_PAYLOAD || text.parse() == Ok(0.0);
@@ -152,7 +152,7 @@ fn by_name(file: &SeenFile, column: &SeenColumn) -> Carried {
     Carried { keys: vec![Said::Key("payload".to_owned(), entry, why)], tables }
 }
 
-/// What is known of a payload of this name, and what a person must say.
+/// What is known about a payload of this name, and what a person must add.
 fn table(name: &str, is_mass: bool, unit: Option<(&'static str, f64)>) -> Vec<Said> {
     let open =
         |key: &str, value: &str, why: &str| Said::Open(key.to_owned(), value.to_owned(), why.to_owned());

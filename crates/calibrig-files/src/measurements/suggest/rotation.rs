@@ -1,4 +1,4 @@
-//! What the names of an orientation's columns tell of its convention, and what they do not.
+//! What the names of an orientation's columns show about its convention, and what they do not.
 
 use super::column::SeenColumn;
 use super::names::words;
@@ -11,7 +11,7 @@ pub(super) struct Turned {
     pub open: Vec<(&'static str, &'static str, String)>,
 }
 
-/// What can be said of these columns; `None` where they are of no orientation that a map can name.
+/// What can be said about these columns; `None` if they are not an orientation that a map can name.
 pub(super) fn turned(columns: &[&SeenColumn]) -> Option<Turned> {
     let name = |column: &&SeenColumn| words(column.said_name()).last().cloned().unwrap_or_default();
     let names: Vec<String> = columns.iter().map(name).collect();

@@ -1,4 +1,4 @@
-//! The air and the faces, as names, units and values tell them.
+//! The air and the faces, from names, units and values.
 
 use super::SeenFile;
 use super::column::{Role, SeenColumn};
@@ -50,7 +50,7 @@ fn pressure(column: &SeenColumn, entry: String) -> Said {
     let stated = in_header.into_iter().find(|(word, _)| header.contains(word)).map(|(_, unit)| unit);
     let (least, most) = (column.numbers.least, column.numbers.most);
     let within = |from: f64, to: f64| least >= from && most <= to;
-    // 760 can be mm of mercury at the sea, and hPa in the mountains.
+    // 760 can be mm of mercury at sea level, or hPa in the mountains.
     let by_size = [("hpa", 800.0, 1100.0), ("inhg", 25.0, 32.0), ("kpa", 80.0, 110.0), ("pa", 8e4, 1.1e5)];
     let by_size = by_size.into_iter().find(|(_, from, to)| within(*from, *to)).map(|(unit, ..)| unit);
     match (stated, by_size) {

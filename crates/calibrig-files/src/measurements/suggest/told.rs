@@ -1,16 +1,16 @@
-//! Units and times that are told from headers, names and sizes.
+//! Units and times from headers, names and sizes.
 
 use super::SeenFile;
 use super::column::{Role, SeenColumn};
 use crate::measurements::units::{AngleUnit, HeaderUnit, LengthUnit, TimeUnit, unit_of_name};
 
-/// What a unit was told from.
+/// What shows a unit.
 pub(super) enum Told<U> {
-    /// The header says so to the reader as well, column by column.
+    /// The header states it to the reader as well, column by column.
     Header(String),
     /// With the reason.
     Seen(U, String),
-    /// With what speaks for what.
+    /// With the evidence for each.
     Open(String),
 }
 
@@ -61,7 +61,7 @@ pub(super) fn time_of(file: &SeenFile) -> Option<(String, String, String)> {
     Some((format!("time_{}", unit.key()), entry(column), format!("{}; {why}", column.reason)))
 }
 
-/// Whether a joint's column holds lengths: by its unit, its name, or numbers that no axis turns to while the others are angles.
+/// Whether a joint's column holds lengths: by its unit, its name, or numbers beyond any angle while the others are angles.
 pub(super) fn is_prismatic(column: &SeenColumn, all: &[&SeenColumn]) -> bool {
     match unit(column) {
         Some(HeaderUnit::Length(_)) => return true,

@@ -66,7 +66,7 @@ pub(super) fn map_of(files: &[SeenFile]) -> SuggestedMap {
 
 impl Writer<'_> {
     fn line(&mut self, line: &str) {
-        // Names of columns stand in comments as they are, and TOML has no other characters there.
+        // Names of columns appear in comments as they are, and TOML forbids other characters there.
         self.text.extend(line.chars().map(|c| if c.is_control() { char::REPLACEMENT_CHARACTER } else { c }));
         self.text.push('\n');
     }
@@ -186,7 +186,7 @@ impl Writer<'_> {
         }
     }
 
-    /// What is to be said of the order of the joints' columns.
+    /// Remark on the order of the joints' columns.
     fn order_of(&mut self, columns: &[&SeenColumn]) {
         let names = || columns.iter().filter_map(|column| column.joint.as_ref());
         if names().any(|joint| joint.has_own_name && joint.order.is_none() && !joint.is_external) {
@@ -248,7 +248,7 @@ impl Writer<'_> {
         self.undecided("x", "\"X\"", "no three columns look like a position: name x, y and z");
     }
 
-    /// The unit of lengths; units in comments of the file speak too.
+    /// The unit of lengths; units in comments of the file count as well.
     fn length(&mut self, key: &str, columns: &[&SeenColumn]) {
         if self.points.is_bag {
             self.key(key, "\"m\"", BAG);
@@ -290,7 +290,8 @@ impl Writer<'_> {
         }
     }
 
-    /// The rotation beside the position. Its conventions cannot be seen; where it is not wanted, its lines can go.
+    /// The rotation next to the position. Its conventions cannot be seen; if it is not wanted, its lines can be
+    /// deleted.
     fn rotation(&mut self) {
         let columns = self.points.turn();
         let Some(turned) = turned(&columns) else { return };

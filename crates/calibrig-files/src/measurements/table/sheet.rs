@@ -15,7 +15,7 @@ use super::{Table, TableRow, counted, number_text};
 use crate::input::InputError;
 use crate::measurements::rows::Place;
 
-/// Cells that a table may take, empty ones between others counted: fewer than memory holds, more than any session has.
+/// Most cells of a table, including empty ones between others: within memory, and more than any session has.
 const MOST_CELLS: usize = 20_000_000;
 /// Bytes that the texts of all cells may take together: one text may stand in a million cells.
 const MOST_TEXT: usize = 1 << 29;
@@ -24,14 +24,14 @@ const LONGEST_CELL: usize = 32_767;
 const LAST_ROW: u32 = 1_048_576;
 const LAST_COLUMN: u32 = 16_384;
 
-/// Reads a sheet of the XLSX file at `path`: the one called `sheet`, else the first that is shown, which is told where there are others.
+/// Reads a sheet of the XLSX file at `path`: the one named `sheet`, else the first visible one, with a remark if there are others.
 ///
-/// Numbers are those of the file, to the bit. Dates, truth values and errors are texts, so that a column that must hold numbers refuses them at their cell;
-/// they are told. A formula counts with the value that the file holds of it. Of merged cells the first has the text, and so have those below it in the same
-/// column.
+/// Numbers are those of the file, to the bit. Dates, truth values and errors become texts, so that a column of numbers refuses them at their cell;
+/// they are reported. A formula has the value that the file stores for it. In merged cells the first has the text, and so do those below it in the
+/// same column.
 ///
 /// # Errors
-/// The file cannot be read, is no XLSX file, or has no such sheet.
+/// Errors if the file cannot be read, is not an XLSX file, or has no such sheet.
 pub fn read_sheet(path: &Path, sheet: Option<&str>) -> Result<Table, InputError> {
     let file = File::open(path).map_err(|error| unreadable(path, error.to_string()))?;
     let name = path.display().to_string();
@@ -144,7 +144,7 @@ struct Cells {
     bytes: usize,
 }
 
-/// What is no number and no text.
+/// Cells that are neither numbers nor text.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Odd {
     Date,
@@ -218,14 +218,15 @@ impl Cells {
         Ok(())
     }
 
-    /// What is merged down a column holds for every row of it; `None` where that is too much, as only regions that overlap can be.
+    /// The content of a downward merged region applies to every row of it; `None` if that is too much, as only overlapping regions
+    /// can be.
     fn fill_down(&mut self, merged: &[Dimensions]) -> Option<()> {
         let mut left = MOST_CELLS;
         for Dimensions { start, end } in merged {
             let Some(text) = self.rows.get(&start.0).and_then(|row| row.get(&start.1)).cloned() else {
                 continue;
             };
-            // Rows that hold nothing else are none.
+            // Rows that hold nothing else are left out.
             let below = (std::ops::Bound::Excluded(start.0), std::ops::Bound::Included(end.0.max(start.0)));
             for (_, row) in self.rows.range_mut(below) {
                 left = left.checked_sub(1)?;
@@ -261,7 +262,7 @@ impl Cells {
         remarks
     }
 
-    /// Rows from the first column that holds something on; `None` where they are too many cells.
+    /// Rows from the first used column on; `None` if they have too many cells.
     fn rows(self, sheet: &Arc<str>) -> Option<Vec<TableRow>> {
         let first = self.rows.values().filter_map(|row| row.keys().next()).min().copied().unwrap_or(0);
         let width = |row: &BTreeMap<u32, String>| {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::Measured;
 use crate::measurements::table::counted;
 
-/// A robot whose joints change by more than this within the tolerance moves, rad or m.
+/// A change of a joint within the tolerance, rad or m, above which the robot counts as moving.
 const MOVES: f64 = 1e-4;
 
 /// A state of a joint.
@@ -35,7 +35,7 @@ impl States {
         self.order.is_empty() || self.span == Some((stamp, stamp))
     }
 
-    /// Takes note of the joint, and of its state where that is near a point.
+    /// Records the joint, and its state if that is near a point.
     pub fn push(&mut self, name: &str, sample: Sample, is_near: bool) {
         if !self.samples.contains_key(name) {
             self.order.push(name.to_owned());

@@ -8,7 +8,7 @@ use crate::input::InputError;
 use crate::measurements::table::counted;
 use crate::measurements::table::mcap_records::{Channel, messages};
 
-/// What can be of use on a topic.
+/// Usable content of a topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     Joints,
@@ -89,7 +89,7 @@ impl Bag<'_> {
         Ok(topics)
     }
 
-    /// Topics of the right kinds, with the numbers of their messages.
+    /// Topics of the right types, with the numbers of their messages.
     fn listed(topics: &BTreeMap<String, Topic>, joints: bool) -> Vec<String> {
         let right = topics.iter().filter(|(_, topic)| (topic.kind == Kind::Joints) == joints);
         right
