@@ -190,8 +190,9 @@ pub enum PipelineError {
     },
     /// A station that the sweeps shall place does not see enough of them.
     #[error(
-        "{station} reads {} of the {} places of the sweeps that shall place it (place {}: {why}); two sweeps need {LEAST_PLACES} places each: move the station, \
-         turn the target, sweep another range (from_mm, to_mm or from_deg, to_deg), or place it by nests",
+        "{station} reads {} of the {} places of the sweeps that are to place it (place {}: {why}); each of two sweeps needs \
+         {LEAST_PLACES} places: move the station, turn the target, sweep another range (from_mm, to_mm or from_deg, to_deg), \
+         or place it by nests",
         counts[0],
         counts[1],
         counts[2]

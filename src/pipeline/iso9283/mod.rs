@@ -414,7 +414,8 @@ pub fn iso9283_of_set(
         }
     } else {
         facts.remarks.push(format!(
-            "no accuracy by nests: nothing is stated of the offset of target {} on the flange ([target] of the robot's file, or --session)",
+            "no accuracy by nests: the offset of target {} on the flange is not stated ([target] of the robot's file, or \
+             --session)",
             unknown.join(", ")
         ));
     }
@@ -435,7 +436,7 @@ fn by_nests(model: &CalibrationModel, set: &MeasurementSet) -> Result<Against, S
     let stations: Result<Vec<_>, RegistrationError> = set.stations.iter().map(register).collect();
     let stations = stations.map_err(|why| match why {
         RegistrationError::TooFewNests { found: 0 } => {
-            "no accuracy by nests: no base nests were measured, so that nothing ties the tracker to the base (--session)".to_owned()
+            "no accuracy by nests: no base nests were measured, so nothing ties the tracker to the base (--session)".to_owned()
         }
         why => format!("no accuracy by nests: {why}"),
     })?;
@@ -470,7 +471,8 @@ fn by_best_fit(model: &CalibrationModel, set: &MeasurementSet) -> Result<Against
     let coordinates = 3 * set.same_commands().len();
     if coordinates < COORDINATES_PER_NUMBER * fitted {
         return Err(format!(
-            "no accuracy by a best fit: it would fit {fitted} numbers to the {coordinates} coordinates of these poses, and take most of the errors into itself"
+            "no accuracy by a best fit: it would fit {fitted} numbers to the {coordinates} coordinates of these poses, and \
+             absorb most of the errors"
         ));
     }
     let robot = without_calibration(model, set, Loss::Squared)
@@ -564,18 +566,19 @@ fn remarks_on(target: &str, poses: &[TestPose], once: usize) -> Vec<String> {
     let mut remarks = Vec::new();
     if poses.len() != ISO_POSES {
         remarks.push(format!(
-            "target {target}: {} poses, the standard asks for {ISO_POSES} in a plane of the cube",
+            "target {target}: {} poses, but the standard asks for {ISO_POSES} in a plane of the cube",
             poses.len()
         ));
     }
     if once > 0 {
-        remarks.push(format!("target {target}: {once} poses that were measured once are left out"));
+        remarks.push(format!("target {target}: {once} poses that were measured only once are left out"));
     }
     let mixed: Vec<_> =
         poses.iter().filter(|pose| pose.mixed_approach).map(|pose| pose.pose.to_string()).collect();
     if !mixed.is_empty() {
         remarks.push(format!(
-            "target {target}: poses {} are approached from different sides, the standard's from one: play of the drives is in their scatter",
+            "target {target}: poses {} are approached from different sides, but the standard asks for one: play of the drives \
+             adds to their scatter",
             mixed.join(", ")
         ));
     }

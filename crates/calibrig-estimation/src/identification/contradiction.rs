@@ -161,7 +161,7 @@ impl fmt::Display for Contradiction {
         }
         match self.or.as_slice() {
             [] => f.write_str(")"),
-            others => write!(f, "; or what was stated of {} is off in its place)", others.join(" or ")),
+            others => write!(f, "; or the value stated for {} is wrong instead)", others.join(" or ")),
         }
     }
 }

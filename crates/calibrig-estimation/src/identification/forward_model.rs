@@ -21,7 +21,7 @@ pub(super) struct ForwardModel {
 }
 
 #[derive(Debug, Clone)]
-#[allow(clippy::large_enum_variant, reason = "one a fit: a pointer more would be followed at every pose")]
+#[allow(clippy::large_enum_variant, reason = "one per fit: another pointer would be followed at every pose")]
 enum Kind {
     /// Joints that follow the ideal map of the commands, with the predicted deflection of their drives where there is one.
     Joints { chain: KinematicChain, predicted: Option<ElasticChain>, joints: Vec<f64> },

@@ -70,13 +70,13 @@ pub enum IdentifyError {
         expected: &'static str,
     },
     /// A mode that needs what the model does not have.
-    #[error("\"{}\" needs masses, stiffnesses and gravity, and the robot's files give none", .mode.title())]
+    #[error("\"{}\" needs masses, stiffnesses and gravity, but the robot's files do not give them", .mode.title())]
     NoStatics {
         /// The mode.
         mode: Mode,
     },
     /// A listed compliance that the robot does not have.
-    #[error("{name}: the robot's files give no finite stiffness there, so that there is none to identify")]
+    #[error("{name}: the robot's files give no finite stiffness there, so it cannot be identified")]
     RigidOrUnknown {
         /// Its name.
         name: String,
@@ -102,7 +102,7 @@ pub enum IdentifyError {
         key: String,
     },
     /// The nominal robot cannot take a pose: its linkage does not close, or it finds no rest.
-    #[error("pose {pose}: the nominal robot cannot take it: {source}")]
+    #[error("pose {pose}: the nominal robot cannot reach it: {source}")]
     Machine {
         /// The pose.
         pose: u32,

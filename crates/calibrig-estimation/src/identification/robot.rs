@@ -132,7 +132,7 @@ pub enum PredictionError {
     #[error(transparent)]
     Model(#[from] ModelError),
     /// A target that the robot does not carry.
-    #[error("target index {target}: the robot carries {targets}")]
+    #[error("target index {target}: the robot has {targets} targets")]
     Target {
         /// Index asked for.
         target: usize,
@@ -140,7 +140,7 @@ pub enum PredictionError {
         targets: usize,
     },
     /// A station that the robot was not identified from.
-    #[error("station index {station}: the robot was identified from {stations}")]
+    #[error("station index {station}: the robot was identified from {stations} stations")]
     Station {
         /// Index asked for.
         station: usize,

@@ -102,8 +102,8 @@ impl fmt::Display for Criterion {
 /// A text that states no criterion.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error(
-    "{found:?} does not state a criterion: expected deflection, limits, manipulability or motion, several of them joined by commas and with weights \
-     (deflection,limits=0.1), or none"
+    "{found:?} is not a criterion: expected deflection, limits, manipulability or motion, several of them joined by commas \
+     and with weights (deflection,limits=0.1), or none"
 )]
 pub struct CriterionError {
     /// The part that was not understood.

@@ -68,7 +68,8 @@ pub enum InverseError {
     },
     /// A deflection of a robot of which nothing is known that bends it.
     #[error(
-        "the criterion asks for the least deflection: the robot has no masses and stiffnesses; state them in its file, or choose another criterion"
+        "the criterion asks for the least deflection, but the robot has no masses and stiffnesses: state them in its file, or \
+         choose another criterion"
     )]
     NoStatics,
 }

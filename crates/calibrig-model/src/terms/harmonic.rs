@@ -1,11 +1,11 @@
-//! What repeats with every turn of a motor: eccentric pulleys and gears, the two lobes of a strain wave gear.
+//! Errors that repeat with every turn of a motor: eccentric pulleys and gears, the two lobes of a strain wave gear.
 
 use std::f64::consts::TAU;
 
 use super::{TermFamily, TermPlace, is_linear, joint_variable, parse_joint_variable};
 use crate::{CalibrationModel, PoseQuery};
 
-/// Sine and cosine at once and twice per motor turn, of every actuator whose turns are known.
+/// Sine and cosine once and twice per motor turn, for every actuator whose turns are known.
 pub(super) struct HarmonicTerms;
 
 /// By index.

@@ -3,7 +3,7 @@
 use super::{TermFamily, TermPlace, is_linear, joint_variable, parse_joint_variable};
 use crate::{CalibrationModel, PoseQuery};
 
-/// One amplitude an actuator: it stands this far on the side that it came from.
+/// One amplitude per actuator: it stops this far on the side that it came from.
 pub(super) struct HysteresisTerms;
 
 impl TermFamily for HysteresisTerms {

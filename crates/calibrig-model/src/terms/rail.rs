@@ -3,9 +3,9 @@
 use super::{TermFamily, TermPlace, half_travel, joint_variable, middle_of_travel, parse_joint_variable};
 use crate::{CalibrationModel, JointKind, PoseQuery};
 
-/// The rails that the whole robot travels on: the prismatic joints in front of all others. A displacement along a rail is its actuator's.
+/// The rails that carry the whole robot: the prismatic joints in front of all others. A displacement along a rail is its actuator's.
 ///
-/// A constant part is a link parameter, and so is a sideways displacement in proportion to the position: it turns the rail.
+/// A constant part is a link parameter, and so is a sideways displacement proportional to the position: it turns the rail.
 pub(super) struct RailTerms;
 
 /// By index: name of the component, the component, order of the polynomial.

@@ -81,7 +81,7 @@ pub enum ElasticError {
     #[error(transparent)]
     Payload(#[from] PayloadError),
     /// Deflections of another chain.
-    #[error("deflections has {found} entries: expected {expected}, one a spring of the chain")]
+    #[error("deflections has {found} entries: expected {expected}, one per spring of the chain")]
     Deflections {
         /// Their number.
         found: usize,
