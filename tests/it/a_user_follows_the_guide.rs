@@ -1,7 +1,7 @@
 //! The README and the pages of docs/guide: their commands are run, their output is what they show, and every file and heading that a page links to is there.
 //!
 //! A block fenced as `console` is run line by line behind `$ `, in one folder a page; the lines below a command are what it prints, as a whole or in part. `...`
-//! stands for any text within a line, and alone for any lines. A block fenced as `toml NAME` or `csv NAME` is a file of that name. All others are not run.
+//! stands for any text within a line, and alone for any lines. A block fenced as `toml NAME`, `csv NAME` or `awk NAME` is a file of that name. All others are not run.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -38,7 +38,7 @@ fn steps(text: &str) -> Vec<Step> {
         let block: Vec<_> = lines.by_ref().take_while(|(_, line)| !line.starts_with("```")).collect();
         match info.split_once(' ').unwrap_or((info, "")) {
             ("console", _) => steps.extend(commands(&block)),
-            ("toml" | "csv", name) if !name.is_empty() => {
+            ("toml" | "csv" | "awk", name) if !name.is_empty() => {
                 let text = block.iter().map(|(_, line)| format!("{line}\n")).collect();
                 steps.push(Step::File { name: name.to_owned(), text });
             }
