@@ -65,7 +65,7 @@ def rows_of_experiment(summary):
     published = {"without_calibration": ((5.7, 14.4, 6.3), (5.9, 13.9, 6.7)), "only_calibration": ((0.9, 0.6, 0.8), (1.0, 0.6, 1.1)), "with_gravity": ((0.7, 0.4, 0.7), (0.8, 0.5, 1.1))}
     titles = {"without_calibration": "without calibration", "only_calibration": "only calibration", "with_gravity": "calibration considering gravity", "elasto_geometric": "geometry and stiffness", "extended": "extended"}
     lines = ["| row | identification x | y | z | verification x | y | z |", "| --- | --- | --- | --- | --- | --- | --- |"]
-    for mode in summary["groups"][0]["modes"]:
+    for mode in summary["modes"]:
         cells = []
         for place, kind in enumerate(("identification", "verification")):
             for axis, mean in enumerate(mode["sets"][kind]["mean_m"]):
@@ -85,8 +85,7 @@ def main():
     unknown = [name for name in arguments.names if name not in known]
     if unknown:
         raise SystemExit(f"no rows {', '.join(unknown)}: expected {', '.join(known)}")
-    lines = PAGE.read_text().split("\n")
-    for place, line in enumerate(lines):
+    for line in PAGE.read_text().split("\n"):
         name = re.search(r"<!-- (\w+) -->$", line)
         pattern, text, slow = ROWS.get(name[1], (None, "", True)) if name else (None, "", True)
         if pattern is None or (name[1] not in arguments.names if arguments.names else slow and not arguments.slow):
@@ -101,8 +100,8 @@ def main():
         if not found:
             raise SystemExit(f"{name[1]}: the output of {words} has not what is expected")
         measured = text.format(*found.groups())
-        lines[place] = f"| {claim} | {measured} | {command} | {when()} | {name[0]}"
-        PAGE.write_text("\n".join(lines))
+        made = f"| {claim} | {measured} | {command} | {when()} | {name[0]}"
+        PAGE.write_text(PAGE.read_text().replace(line, made))
         print(f"{name[1]}: {measured} ({time.monotonic() - began:.0f} s)")
     if "rows" in arguments.names or not arguments.names:
         run(f"calibrig montecarlo scenarios/paper.toml --trials 20 --out {OUT}/rows", arguments.calibrig)
