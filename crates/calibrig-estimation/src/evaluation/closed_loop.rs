@@ -132,9 +132,9 @@ pub struct DrivenPath {
 /// Measured positions of the targets in the base frame of a robot, m, one entry per observation; readings are corrected for the identified errors
 /// of the instrument.
 ///
-/// [`PredictionError`], for measurements that do not belong to this robot.
+/// # Errors
 ///
-/// [`PredictionError`], for measurements that are not of this robot.
+/// [`PredictionError`], for measurements that do not belong to this robot.
 pub fn measured_in_base(
     robot: &CalibratedRobot,
     set: &MeasurementSet,
