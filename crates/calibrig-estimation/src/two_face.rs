@@ -190,7 +190,7 @@ pub fn unexplained_face_differences(set: &MeasurementSet) -> Vec<FaceDifference>
         if station.instrument.is_some() {
             return None;
         }
-        // Name of a nest, or pose and target; numbers identify readings of the front and of the back face.
+        // Name of a nest, or pose and target; the values are readings of the front and of the back face.
         type Point<'a> = (Option<&'a str>, u32, usize);
         let mut faces: BTreeMap<Point, [Vec<&SphericalReading>; 2]> = BTreeMap::new();
         let points = set.observations.iter().filter(|observation| observation.station == index);

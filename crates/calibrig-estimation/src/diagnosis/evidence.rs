@@ -29,7 +29,7 @@ const WIDTHS: [f64; 2] = [1.2, 4.0];
 const LEAST_OFFSET: f64 = 1e-4;
 /// Least standard deviations of a robot's base in the frame of the nests, m and rad.
 const LEAST_PLACE: [f64; 2] = [2e-3, 3e-3];
-/// An offset that a step moves beyond this is discarded, m.
+/// A fit ends where a step would move an offset farther than this, m.
 const FARTHEST_OFFSET: f64 = 100.0;
 /// Undetermined places stay about where they are, as if they were known to a third of a metre or of a radian where a coordinate is known to a
 /// tenth of a millimetre.
@@ -142,7 +142,7 @@ pub(super) fn fit(view: &View, start: &Placed, kept: &[bool]) -> Option<Fit> {
         chain.set_model(&changed);
         let (system, in_base) = system(view, &layout, &mut chain, &now);
         let solution = system.solve(kept, &held)?;
-        // Where nothing fits, steps can lead anywhere: then the last placement is kept.
+        // Where nothing fits, steps can lead anywhere: the placement so far is the result.
         let is_far = (0..view.offsets.len()).any(|t| {
             let column = layout.targets[t].0;
             (0..3).any(|k| solution.step[column + k].abs() > FARTHEST_OFFSET)

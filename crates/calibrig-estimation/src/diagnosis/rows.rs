@@ -107,7 +107,7 @@ pub(super) fn named(view: &View, left_out: &LeftOut, raw: &[Vector3<f64>]) -> Ve
         let own = left_out.fit.distance(view, row, &view.seen[row]).1;
         (squared < THERE || length < NEARER * own, length)
     };
-    // The row whose place each point matches.
+    // The row whose point belongs to this row.
     let partner = |row: usize| {
         let others = out.iter().copied().filter(|other| *other != row);
         let nearest =

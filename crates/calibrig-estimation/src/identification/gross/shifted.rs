@@ -147,7 +147,7 @@ impl LinearFit<'_> {
         let against: Vector3<f64> = against.fixed_rows::<3>(0).into_owned();
         // A reading that alone determines a direction cannot be tested in that direction.
         let covariance = (three(&left) + three(&alone) * 1e-9).try_inverse()?;
-        // The sign: predicted minus measured.
+        // The sign is that of predicted minus measured.
         let shift = covariance * against;
         let square = against.dot(&shift);
         let cautious = cautious(&shift, &covariance, &three(&alone))?;

@@ -78,7 +78,7 @@ pub fn explain(
     poses: &[Vec<f64>],
     target: &Vector3<f64>,
 ) -> Result<Vec<Explanation>, ModelError> {
-    // Checks the same as the trials do, so that they need no check.
+    // Checks what the trials rely on, so that they need no checks of their own.
     stacked_jacobian(model, poses, target, &report.selected)?;
     let trials = Trials::new(report, model, poses, target);
     let structure = report.dependent.iter().map(explain_structure);

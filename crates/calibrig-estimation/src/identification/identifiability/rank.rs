@@ -399,7 +399,7 @@ mod tests {
             assert_eq!(spectrum.rank, 0);
             assert!(spectrum.condition.is_infinite());
             assert!(spectrum.singular_values.iter().all(|s| s.is_nan()));
-            // The system must not contain NaN, but the call must return for it, too.
+            // Only finite columns can be kept, and the call must return.
             let (kept, _) = select_independent(&jacobian, &ids(3));
             assert!(kept.len() < 3);
         }

@@ -28,7 +28,7 @@ fn mean_over_chi(f: impl Fn(f64) -> f64, kink: f64) -> f64 {
         let n = 4000;
         let h = (to - from) / f64::from(n);
         let at = |i: i32| {
-            // The ends of the interval count as part of this piece.
+            // The end points are moved into this piece.
             let u = (from + h * f64::from(i)).clamp(from + 1e-12, to - 1e-12);
             density(u) * f(u)
         };
