@@ -6,8 +6,7 @@
 //! waist of a robot on a rail.
 //!
 //! The points of a sweep are fitted as functions of the joint variable q, which makes the fit linear: `c + a cos q + b sin q` for a revolute joint,
-//! whose
-//! axis is `a x b` through c, and `c + t q` for a prismatic one.
+//! whose axis is `a x b` through c, and `c + t q` for a prismatic one.
 
 use std::collections::BTreeSet;
 
@@ -133,9 +132,8 @@ pub struct SweptPlace {
     pub covariance: Matrix6<f64>,
     /// Index of the last joint on which the place of the two axes in the base depends.
     pub last_joint: usize,
-    /// Readings of all sweeps without gross errors, as indices into [`Station::sweeps`], with the covariance of each: the stated one, or the
-    /// scatter of its
-    /// sweep where that is larger, m².
+    /// Readings of all sweeps without gross errors, as indices into [`Station::sweeps`], with the covariance of each: the stated one, or the scatter
+    /// of its sweep where that is larger, m².
     pub readings: Vec<(usize, Matrix3<f64>)>,
 }
 
@@ -414,8 +412,7 @@ fn distance_between(first: &Axis, second: &Axis, parallel: bool) -> f64 {
 }
 
 /// Position of the tracker in the base with its standard deviation, m, and the standard deviation of its rotation, rad. `covariance` is that of the
-/// base
-/// as the tracker sees it.
+/// base as the tracker sees it.
 fn stand_of(tracker_from_base: &Transform, covariance: &Matrix6<f64>) -> ([Vector3<f64>; 2], Vector3<f64>) {
     let stand = tracker_from_base.inverse().translation.vector;
     let mut change = Matrix3x6::identity();

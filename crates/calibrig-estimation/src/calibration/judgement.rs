@@ -43,8 +43,7 @@ pub struct Judgement {
     /// Uncertainty of the estimate; `None` for a singular system.
     pub confidence: Option<Confidence>,
     /// Whether the residuals are those of one robot and its noise: no gross error carries weight in the fit, and the robot fits the points. If not,
-    /// the
-    /// residuals' size and shape are not tested, since they would say nothing of what the model lacks.
+    /// the residuals' size and shape are not tested, since they would say nothing of what the model lacks.
     pub makes_sense: bool,
     /// Gross errors in the held-out sets.
     pub held_out: Vec<(SetKind, Vec<Outlier>)>,

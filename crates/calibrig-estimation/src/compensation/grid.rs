@@ -162,9 +162,8 @@ impl CorrectionGrid {
 impl Compensator<'_> {
     /// Computes offsets over a box.
     ///
-    /// The controller is assumed to resolve its redundancy at every place as [`point`](Self::point) does with the same options, so they should
-    /// state a
-    /// reference. The side from which actuators come is that of the circumstances; if it is not stated, offsets are for the middle of both sides.
+    /// The controller is assumed to resolve its redundancy at every place as [`point`](Self::point) does with the same options, so they should state
+    /// a reference. The side from which actuators come is that of the circumstances; if it is not stated, offsets are for the middle of both sides.
     ///
     /// # Errors
     ///

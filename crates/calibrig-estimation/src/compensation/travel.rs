@@ -49,8 +49,7 @@ fn moved(motion: Option<&Motion>, command: &[f64]) -> Option<Motion> {
 
 impl Compensator<'_> {
     /// The corrected command for the next goal of a sequence, which a nominal command meets, and whether an actuator then comes from another side
-    /// than the
-    /// correction assumes. For the first goal of a sequence without a previous command, the approach is that of the circumstances.
+    /// than the correction assumes. For the first goal of a sequence without a previous command, the approach is that of the circumstances.
     ///
     /// # Errors
     ///

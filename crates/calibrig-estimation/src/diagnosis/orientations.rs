@@ -1,9 +1,9 @@
 //! Checks whether orientations turn as the robot turns its flange, inversely, or otherwise.
 //!
 //! From one pose to the next a target turns by `R' Rᵀ`, as the tracker sees it. With `R = T F M` (T the tracker's, F the flange's rotation in the
-//! base,
-//! M the target's on the flange) this is `T (F' Fᵀ) Tᵀ`: its axis, times the sine of its angle, is that of the flange rotated by T, whatever M is.
-//! For inverted readings `R = (T F M)ᵀ` it is that of `F'ᵀ F` rotated by `Mᵀ`. So a single rotation maps all of them to the robot's, in closed form.
+//! base, M the target's on the flange) this is `T (F' Fᵀ) Tᵀ`: its axis, times the sine of its angle, is that of the flange rotated by T, whatever M
+//! is. For inverted readings `R = (T F M)ᵀ` it is that of `F'ᵀ F` rotated by `Mᵀ`. So a single rotation maps all of them to the robot's, in closed
+//! form.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 

@@ -445,8 +445,7 @@ impl Cloud {
     }
 
     /// The placement with approximately the least sum of distances, by weights that decrease with the distance, and these weights: a few far-off
-    /// points
-    /// hardly move it. From there, the loss of Geman and `McClure`, which far-off points do not move at all.
+    /// points hardly move it. From there, the loss of Geman and `McClure`, which far-off points do not move at all.
     pub fn robust(&self, rounds: usize) -> (Placed, Vec<f64>) {
         let mut weights = vec![1.0; self.len()];
         let mut placed = self.best(None);

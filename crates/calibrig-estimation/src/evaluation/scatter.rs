@@ -173,8 +173,7 @@ mod tests {
     const SIGMAS: [f64; 3] = [2e-6, 3e-6, 1.5e-6];
 
     /// `poses` at different places, each read `times` times; the machine scatters by `machine` along each axis of the tracker. Errors are those of
-    /// the
-    /// readings.
+    /// the readings.
     fn measured(poses: u32, times: u32, machine: f64, seed: u64) -> (MeasurementSet, Vec<Vector3<f64>>) {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut draw = move || -> f64 { StandardNormal.sample(&mut rng) };

@@ -74,8 +74,7 @@ pub struct Acceptance {
     /// Number of errors that would give such a bound.
     pub needed: usize,
     /// Like `distribution_free`, for errors that are [normal, the same along three axes and without bias](isotropic_bound), m. It is sharper, and
-    /// exists for
-    /// few errors, but is wrong where the errors are larger along one axis, or in a part of the region.
+    /// exists for few errors, but is wrong where the errors are larger along one axis, or in a part of the region.
     pub isotropic: f64,
     /// What the largest error shows.
     pub largest: LargestError,

@@ -116,8 +116,7 @@ impl Instruments {
     }
 
     /// The prior that the nests of a station give for its place, whose columns begin at `frame`, and for its instrument's errors; `None` for a
-    /// station
-    /// without nests.
+    /// station without nests.
     ///
     /// `place` is where the nests put the station if the instrument has no errors. From there on the system is linear to rounding: an instrument's
     /// errors move it by some hundredths of a millimetre.

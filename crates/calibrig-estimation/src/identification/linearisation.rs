@@ -18,7 +18,8 @@ use calibrig_model::{CalibrationModel, ParameterId};
 /// Residuals and Jacobian of a fit at its estimate. A residual of 1 is one standard deviation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Linearisation {
-    /// m x n, in the order of the estimate's parameters; rows of the observations and their orientations, then of nests and target, then of the other priors.
+    /// m x n, in the order of the estimate's parameters; rows of the observations and their orientations, then of nests and target, then of the other
+    /// priors.
     pub jacobian: DMatrix<f64>,
     /// Predicted minus measured, and the priors, in standard deviations; m rows.
     pub residuals: DVector<f64>,

@@ -228,9 +228,9 @@ pub const UNKNOWN_STIFFNESS: f64 = 4.605_170_185_988_092;
 /// How well a robot's links are assumed to be made where nothing is stated: 10 mm and 20 mrad, far more than a workshop leaves.
 pub const DEFAULT_TOLERANCE: Tolerance = Tolerance { length: 10e-3, angle: 20e-3 };
 
-/// Defaults for any robot and any set: a complete independent set of link parameters with the manufacturing tolerance
-/// [`DEFAULT_TOLERANCE`] as a prior; tracker and target as far as the set states them.
-/// [`Estimate::assumptions`](super::Estimate::assumptions) lists what was assumed as a result.
+/// Defaults for any robot and any set: a complete independent set of link parameters with the manufacturing tolerance [`DEFAULT_TOLERANCE`] as a
+/// prior; tracker and target as far as the set states them. [`Estimate::assumptions`](super::Estimate::assumptions) lists what was assumed as a
+/// result.
 impl Default for IdentificationOptions {
     fn default() -> Self {
         Self {

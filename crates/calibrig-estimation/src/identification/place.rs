@@ -24,8 +24,7 @@ pub(super) struct Ends {
 
 impl Ends {
     /// `redundant` is the structural redundancy of the chain, for station and target 0. A shift that the frame can do as well is left out of one
-    /// target
-    /// in each group that shares stations; the others are relative to it.
+    /// target in each group that shares stations; the others are relative to it.
     pub fn new(set: &MeasurementSet, options: &IdentificationOptions, redundant: &[DependentGroup]) -> Self {
         let mut ends = Self {
             frame_components: [true; 6],

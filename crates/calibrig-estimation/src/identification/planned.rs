@@ -98,8 +98,7 @@ impl PlannedSystem {
     }
 
     /// Parameters of a robot as it could have been made: deviations drawn from the parameters' own priors, and from `tolerance` for links without
-    /// one.
-    /// Tracker and targets stay where they are.
+    /// one. Tracker and targets stay where they are.
     pub fn drawn(&self, tolerance: Tolerance, rng: &mut impl RngExt) -> Vec<f64> {
         let mut x = self.x.clone();
         for ((value, id), sigma) in x.iter_mut().zip(&self.problem.parameters).zip(&self.sigmas) {

@@ -1,10 +1,9 @@
 //! The size of a family's terms, where it is not stated and machines differ too much for a single figure.
 //!
-//! With the amplitudes integrated out, the data determine their common size by its likelihood, once everything else is fitted. Let the amplitudes
-//! z have the prior N(0, s² D²), and let the data alone give A⁻¹ b with the information A; then the likelihood is the density of A⁻¹ b under
-//! N(0, s² D² + A⁻¹). The smoothness of a spline is chosen in the same way (G. Wahba, "A comparison of GCV and GML for choosing the smoothing
-//! parameter in the generalized spline smoothing
-//! problem", Ann. Statist. 13 (1985) 1378: generalized maximum likelihood).
+//! With the amplitudes integrated out, the data determine their common size by its likelihood, once everything else is fitted. Let the amplitudes z
+//! have the prior `N(0, s² D²)`, and let the data alone give `A⁻¹ b` with the information A; then the likelihood is the density of `A⁻¹ b` under
+//! `N(0, s² D² + A⁻¹)`. The smoothness of a spline is chosen in the same way (G. Wahba, "A comparison of GCV and GML for choosing the smoothing
+//! parameter in the generalized spline smoothing problem", Ann. Statist. 13 (1985) 1378: generalized maximum likelihood).
 
 use nalgebra::{Cholesky, DMatrix, DVector, SymmetricEigen};
 

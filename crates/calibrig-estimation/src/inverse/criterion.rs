@@ -32,13 +32,11 @@ pub struct Criterion {
     /// Square of the tool's predicted deflection under all loads, over 1 mm: the criterion of Wang et al., Machines 11 (2023)
     /// 20. It needs a robot whose masses and stiffnesses are known.
     pub deflection: f64,
-    /// Mean over the commanded joints of `((q - middle) / half of the range)²` (A. Liégeois, IEEE Trans. SMC 7 (1977) 868). A joint without limits
-    /// is given
-    /// the range of a turn, or of 2 m to either side of zero.
+    /// Mean over the commanded joints of `((q - middle) / half of the range)²` (A. Liégeois, IEEE Trans. SMC 7 (1977) 868). A joint without limits is
+    /// given the range of a turn, or of 2 m to either side of zero.
     pub limits: f64,
     /// `-ln sqrt(det J Jᵀ)` for the goal's rows by the joints of the rigid nominal robot (T. Yoshikawa, Int. J. Robotics Research 4 (1985) 3), with
-    /// angles
-    /// multiplied by the [lever](super::InverseOptions::lever).
+    /// angles multiplied by the [lever](super::InverseOptions::lever).
     pub manipulability: f64,
     /// Mean over the commanded joints of `((q - reference) / half of the range)²`.
     pub motion: f64,

@@ -32,8 +32,7 @@ impl InverseKinematics<'_> {
     }
 
     /// The nominal robot's unknowns for the next goal of a path: those nearest to the last ones by least squares, and from there to the minimum of
-    /// the
-    /// criterion, with no unknown farther than `longest` from the last ones. `None` where the goal cannot be met within that.
+    /// the criterion, with no unknown farther than `longest` from the last ones. `None` where the goal cannot be met within that.
     pub(crate) fn follow(
         &mut self,
         goal: &Goal,

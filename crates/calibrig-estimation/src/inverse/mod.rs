@@ -161,8 +161,7 @@ impl<'a> InverseKinematics<'a> {
     /// The command that meets a goal and locally minimises the criterion.
     ///
     /// It is sought from the reference command, if one is stated, and from those of some thousand poses, spread over the range of the joints, that
-    /// are
-    /// nearest to the goal. These poses are the same for every call.
+    /// are nearest to the goal. These poses are the same for every call.
     ///
     /// # Errors
     ///

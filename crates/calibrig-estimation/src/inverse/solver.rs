@@ -122,9 +122,8 @@ impl<'a, A: Arm> Search<'a, A> {
         cost <= self.tolerance * self.tolerance
     }
 
-    /// Moves from `y` to where nothing reduces the miss, in at most `most` steps; an `impatient` search ends where progress is slow. The arm is
-    /// left at
-    /// `y`. `None` where the robot cannot even take the first pose.
+    /// Moves from `y` to where nothing reduces the miss, in at most `most` steps; an `impatient` search ends where progress is slow. The arm is left
+    /// at `y`. `None` where the robot cannot even take the first pose.
     pub fn descend(&mut self, y: &mut [f64], most: usize, impatient: bool) -> Option<(Ended, f64)> {
         let mut cost = self.go_to(y).ok()?;
         let mut damping = DAMPING;

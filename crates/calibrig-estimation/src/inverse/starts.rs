@@ -16,8 +16,7 @@ pub(super) struct Starts {
 
 impl Starts {
     /// Points of the additive recurrence with the smallest known discrepancy in this number of dimensions (M. Roberts, "The unreasonable
-    /// effectiveness
-    /// of quasirandom sequences", 2018), without those that the robot cannot take.
+    /// effectiveness of quasirandom sequences", 2018), without those that the robot cannot take.
     pub fn new(space: &JointSpace, arm: &mut RigidArm) -> Self {
         let ratio = (0..64).fold(1.5_f64, |x, _| (1.0 + x).powf(1.0 / (1.0 + space.len() as f64)));
         let steps: Vec<f64> = (1..).take(space.len()).map(|power| ratio.powi(-power)).collect();

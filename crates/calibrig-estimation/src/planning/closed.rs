@@ -1,9 +1,8 @@
 //! Criteria with a closed form for their change by an exchange: the determinant, and those linear in the covariance.
 //!
-//! With the covariance C and rows U = (entering; leaving) with the signs J = (1; -1), `M + Uᵀ J U` has the determinant `det M det(1 + J U C Uᵀ)`
-//! and the
-//! inverse `C - C Uᵀ (J + U C Uᵀ)⁻¹ U C` (V. V. Fedorov, Theory of Optimal Experiments (1972), section 3.2, for single rows; A. C. Atkinson et al.
-//! 2007, 12.5). Only the blocks `A = 1 + C_ee`, `B = C_el` and `S = 1 - C_ll + Bᵀ A⁻¹ B`, with as many rows as the poses have, are factorised.
+//! With the covariance C and rows U = (entering; leaving) with the signs J = (1; -1), `M + Uᵀ J U` has the determinant `det M det(1 + J U C Uᵀ)` and
+//! the inverse `C - C Uᵀ (J + U C Uᵀ)⁻¹ U C` (V. V. Fedorov, Theory of Optimal Experiments (1972), section 3.2, for single rows; A. C. Atkinson et
+//! al. 2007, 12.5). Only the blocks `A = 1 + C_ee`, `B = C_el` and `S = 1 - C_ll + Bᵀ A⁻¹ B`, with as many rows as the poses have, are factorised.
 
 use nalgebra::DMatrix;
 
@@ -140,8 +139,7 @@ impl<'s> Closed<'s> {
     /// Lower bounds of the cost with each candidate in place of one of the design.
     ///
     /// With λ at least the largest eigenvalue of `C_ee`, `Bᵀ A⁻¹ B` is at most `λ/(1+λ) C_ll`: so `ln det S` is at most `-tr C_ll / (1+λ)`. For a
-    /// linear
-    /// criterion, the leaving candidate increases the cost by at least `|G C'Rᵀ|²`, with C' after the other has entered; its root is at most
+    /// linear criterion, the leaving candidate increases the cost by at least `|G C'Rᵀ|²`, with C' after the other has entered; its root is at most
     /// `√(g λ/(1+λ) |C_ll|)` less than `|G C Rᵀ|`, with g the gain of the entering candidate.
     pub fn bounds_of_exchange(&self, leaving: usize, bounds: &mut [f64]) {
         let rows = self.space.of(leaving).len();

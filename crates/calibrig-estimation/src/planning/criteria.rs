@@ -10,8 +10,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Criterion {
     /// `-ln det(M) / p`: the volume of the parameters' confidence region. It does not depend on their scaling: `exp` of the difference between two
-    /// designs
-    /// is the D-efficiency of one relative to the other.
+    /// designs is the D-efficiency of one relative to the other.
     D,
     /// `tr C`: the sum of the variances of the scaled parameters.
     A,

@@ -10,10 +10,8 @@ const EDGE: f64 = 1.0 / 6.0;
 
 /// Commands of this many candidates, spread evenly over a box of joint variables (lowest and highest of each, m or rad): a Kronecker sequence of the
 /// generalised golden ratio, without randomness. For every second candidate the box is stretched about its middle, and values beyond an end are set
-/// to
-/// the end (from a sixth of the range at either end): good designs are mostly at the edges of what is allowed, where a sequence has few points.
-/// Joints
-/// that follow others go where these take them.
+/// to the end (from a sixth of the range at either end): good designs are mostly at the edges of what is allowed, where a sequence has few points.
+/// Joints that follow others go where these take them.
 ///
 /// # Errors
 ///

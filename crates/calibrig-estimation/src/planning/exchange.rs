@@ -182,8 +182,7 @@ impl<'s> Search<'s> {
     }
 
     /// The least cost with one of the `allowed` candidates in place of `leaving`, or added if there is none; the first of equal ones. An exchange
-    /// with a
-    /// cost above `limit` need not be found.
+    /// with a cost above `limit` need not be found.
     fn best(
         &mut self,
         leaving: Option<usize>,

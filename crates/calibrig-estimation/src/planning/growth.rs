@@ -12,11 +12,10 @@ pub struct Growth {
     pub points: Vec<GrowthPoint>,
     /// Limit for any number of poses of these candidates.
     pub floor: Accuracy,
-    /// Number of poses beyond which more help less than before: where the mean standard deviation (with the machine's noise) lies furthest below
-    /// the straight
-    /// line from the first to the last point, with numbers and standard deviations each divided by their range (V. Satopää et al., "Finding a
-    /// Kneedle in a
-    /// haystack", ICDCS Workshops 2011, 166). It depends on the range that was examined. `None` for fewer than three points, or if none lies below.
+    /// Number of poses beyond which more help less than before: where the mean standard deviation (with the machine's noise) lies furthest below the
+    /// straight line from the first to the last point, with numbers and standard deviations each divided by their range (V. Satopää et al., "Finding
+    /// a Kneedle in a haystack", ICDCS Workshops 2011, 166). It depends on the range that was examined. `None` for fewer than three points, or if
+    /// none lies below.
     pub knee: Option<usize>,
 }
 
@@ -63,9 +62,8 @@ pub enum Needed {
     },
 }
 
-/// Designs for the numbers of poses in `counts`. Each begins with the one before it, adds further poses one by one, and is improved by exchanges,
-/// so that
-/// none is worse than the one before. The count and the random starts of `choice` are not used.
+/// Designs for the numbers of poses in `counts`. Each begins with the one before it, adds further poses one by one, and is improved by exchanges, so
+/// that none is worse than the one before. The count and the random starts of `choice` are not used.
 ///
 /// # Errors
 ///
@@ -112,9 +110,8 @@ fn knee(curve: &[(usize, f64)]) -> Option<usize> {
 }
 
 impl Growth {
-    /// Number of poses that predict within `tolerance`, m, by a figure of the standard deviations with the machine's noise, such as their mean or
-    /// 95 %
-    /// quantile over the region.
+    /// Number of poses that predict within `tolerance`, m, by a figure of the standard deviations with the machine's noise, such as their mean or 95
+    /// % quantile over the region.
     ///
     /// # Errors
     ///

@@ -49,8 +49,7 @@ pub struct OrderCost {
     /// move keeps its last side.
     pub imbalance: f64,
     /// Share of a drift (a displacement of the base along each axis that grows with time, measured at equal intervals) that the parameters of a fit
-    /// would
-    /// absorb, 0 to 1: how strongly time is correlated with them. Zero where no coupling is given.
+    /// would absorb, 0 to 1: how strongly time is correlated with them. Zero where no coupling is given.
     pub drift: f64,
     /// `travel + balance · imbalance + drift weight · drift`, s.
     pub total: f64,

@@ -1,6 +1,5 @@
 //! Criteria of eigenvalues and of the worst pose, whose change by an exchange has no closed form. Candidates are ranked by their first-order effect
-//! on
-//! the criterion and on a smooth one similar to it, and the first of both rankings are computed exactly.
+//! on the criterion and on a smooth one similar to it, and the first of both rankings are computed exactly.
 
 use nalgebra::{Cholesky, DMatrix, DVector, SymmetricEigen};
 

@@ -34,14 +34,12 @@ pub struct PlannedSession<'a> {
 
 impl<'a> PlannedSession<'a> {
     /// The session of `set`: candidates with the readings that a fit would get, and poses that are already `measured` (by number), which count
-    /// whatever
-    /// is chosen. Of a candidate's readings only the covariance is used, and at most their place, to place a free tracker. Terms of hysteresis
-    /// depend on
-    /// the signs of approach that the candidates state. The target is predicted at the poses of the `region`, which may be empty.
+    /// whatever is chosen. Of a candidate's readings only the covariance is used, and at most their place, to place a free tracker. Terms of
+    /// hysteresis depend on the signs of approach that the candidates state. The target is predicted at the poses of the `region`, which may be
+    /// empty.
     ///
     /// Without an `estimate`, the nominal robot is examined. With the `estimate` of a previous fit of some poses, it is the robot that this fit
-    /// found, in the
-    /// noise that it found, with the compliances and terms that it fitted.
+    /// found, in the noise that it found, with the compliances and terms that it fitted.
     ///
     /// The parameters are those that a fit of all candidates would have; a fit of the chosen ones may leave out a compliance that gravity hardly
     /// loads there. Errors that readings share through the correction of a drift are treated as each reading's own.
@@ -49,8 +47,7 @@ impl<'a> PlannedSession<'a> {
     /// # Errors
     ///
     /// [`PlanError`]: as in [`identify`](crate::identification::identify) for a set that does not fit this robot; without candidates; for a planned
-    /// reading
-    /// without a covariance; for poses beyond the robot's limits, or that it cannot take.
+    /// reading without a covariance; for poses beyond the robot's limits, or that it cannot take.
     pub fn new(
         model: &CalibrationModel,
         set: &MeasurementSet,
@@ -113,9 +110,8 @@ impl<'a> PlannedSession<'a> {
     }
 
     /// First the space of the nominal robot, then those of `robots` robots as they could have been made, with the same scale: every parameter
-    /// deviates as in
-    /// its own prior, link parameters without one by `tolerance`; tracker and targets do not deviate. A plan over these does not rely on the
-    /// nominal robot.
+    /// deviates as in its own prior, link parameters without one by `tolerance`; tracker and targets do not deviate. A plan over these does not rely
+    /// on the nominal robot.
     ///
     /// # Errors
     ///
@@ -171,8 +167,7 @@ impl<'a> PlannedSession<'a> {
     }
 
     /// How strongly a drift of the tracker (or of the base) along each axis, proportional to time, would be absorbed by parameters, for chosen
-    /// candidates of
-    /// a nominal `space`.
+    /// candidates of a nominal `space`.
     ///
     /// # Errors
     ///

@@ -17,8 +17,7 @@ const SVD_ITERATIONS: usize = 10_000;
 #[derive(Debug, Clone, PartialEq, Default)]
 pub enum ParameterScale {
     /// The change that displaces the readings of the mean candidate by one standard deviation (root of the sum of their squares); for a parameter
-    /// that no
-    /// candidate shows, the standard deviation of its prior alone. For robots whose parameters are metres, radians and fractions.
+    /// that no candidate shows, the standard deviation of its prior alone. For robots whose parameters are metres, radians and fractions.
     #[default]
     Effect,
     /// Given units, SI, above zero, such as the standard deviations that matter.

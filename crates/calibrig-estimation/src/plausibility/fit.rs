@@ -152,8 +152,7 @@ impl Points {
     }
 
     /// Normal matrix and right-hand side: for each station a rotation about the tracker's axes at the base's origin and a translation, for each
-    /// target
-    /// its offset.
+    /// target its offset.
     fn normal(&self, now: &Placement, weights: &[f64]) -> (DMatrix<f64>, DVector<f64>) {
         let n = 6 * self.stations + 3 * self.offsets.len();
         let (mut matrix, mut right) = (DMatrix::zeros(n, n), DVector::zeros(n));

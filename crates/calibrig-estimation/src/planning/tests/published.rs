@@ -72,8 +72,7 @@ fn factors_are_measured_at_the_corners_of_their_cube() {
 }
 
 /// Weights of the approximate D-optimum by the multiplicative algorithm (S. D. Silvey, D. M. Titterington, B. Torsney, Comm. Statist. A 7 (1978)
-/// 1379),
-/// and an upper bound of the missing determinant (Kiefer and Wolfowitz): an independent algorithm.
+/// 1379), and an upper bound of the missing determinant (Kiefer and Wolfowitz): an independent algorithm.
 fn approximate(candidates: &[DMatrix<f64>], p: usize) -> (Vec<f64>, f64, f64) {
     let mut weights = vec![1.0 / candidates.len() as f64; candidates.len()];
     let mut gap = f64::INFINITY;
@@ -100,8 +99,8 @@ fn approximate(candidates: &[DMatrix<f64>], p: usize) -> (Vec<f64>, f64, f64) {
     (weights, log_determinant, gap)
 }
 
-/// The full quadratic model of two factors on the 3 x 3 grid: the best nine points are the grid itself, with a D-efficiency of 97.4 % (G. E. P. Box, N. R. Draper,
-/// Technometrics 13 (1971) 731; Atkinson, Donev and Tobias 2007, section 12.2).
+/// The full quadratic model of two factors on the 3 x 3 grid: the best nine points are the grid itself, with a D-efficiency of 97.4 % (G. E. P. Box,
+/// N. R. Draper, Technometrics 13 (1971) 731; Atkinson, Donev and Tobias 2007, section 12.2).
 #[test]
 fn the_second_order_design_of_nine_points_is_the_grid() {
     let levels = [-1.0, 0.0, 1.0];
