@@ -1,11 +1,12 @@
-//! Where sweeps of single axes put the tracker: circle point analysis.
+//! Places the tracker from sweeps of single axes: circle point analysis.
 //!
-//! While one joint moves alone, a target runs along a line or round a circle whose direction and centre are those of the joint's axis. Two axes of the robot, seen so,
-//! place the tracker without any nest, as well as it is known where they are in the base. How far the angle between them and their distance are off the nominal
-//! ones has no part in it. What they leave open is taken from the nominal target, and stated to be as uncertain as that: the height along the waist of a robot on a rail.
+//! While one joint moves alone, a target runs along a line or around a circle that gives direction and centre of the joint's axis. Two such axes
+//! of the robot place the tracker without nests, as accurately as their place in the base is known. Deviations of their angle and distance from
+//! the nominal values do not enter. What the axes leave open is taken from the nominal target, with its uncertainty, such as the height along the
+//! waist of a robot on a rail.
 //!
-//! The points of a sweep are fitted with the joint's variable q, which makes the fit linear: `c + a cos q + b sin q` of a turning joint, whose axis is `a x b` through c, and
-//! `c + t q` of a sliding one.
+//! The points of a sweep are fitted as functions of the joint variable q, which makes the fit linear: `c + a cos q + b sin q` for a revolute joint,
+//! whose axis is `a x b` through c, and `c + t q` for a prismatic one.
 
 use std::collections::BTreeSet;
 
@@ -19,49 +20,50 @@ use calibrig_model::geometry::{Transform, rotation_vector};
 use calibrig_model::measurement::{MeasurementSet, Observation, Station, Target};
 use calibrig_model::{CalibrationModel, JointKind, KinematicModel};
 
-/// What a station saw of two axes.
+/// Two axes as a station saw them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SweptStation {
     /// Name of the station.
     pub station: String,
-    /// The axis that the base is turned after, and the one that is next.
+    /// The axis that orients the base, and the second one.
     pub axes: [SweptAxis; 2],
     /// Angle between the two, its standard deviation, and that of the nominal robot, rad.
     pub angle: [f64; 3],
     /// Distance between the two where both turn, its standard deviation, and that of the nominal robot, m.
     pub distance: Option<[f64; 3]>,
-    /// Where the tracker stands in the base if the axes are where the nominal robot has them, and its standard deviation by the scatter of the sweeps, m.
+    /// Position of the tracker in the base if the axes are where the nominal robot has them, and its standard deviation from the scatter of the
+    /// sweeps, m.
     pub stand: [Vector3<f64>; 2],
-    /// Standard deviation of its turn about the axes of the base, by the same, rad.
+    /// Standard deviation of the tracker's rotation about the axes of the base, from the scatter of the sweeps, rad.
     pub turn: Vector3<f64>,
-    /// Whether a direction of the place, or all, rest on the nominal target.
+    /// Number of directions of the place that rest on the nominal target: one or all.
     pub open: usize,
 }
 
-/// What the sweep of an axis shows.
+/// One axis as its sweep shows it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SweptAxis {
     /// Index of the joint.
     pub joint: usize,
-    /// Its name.
+    /// Name of the joint.
     pub name: String,
     /// Whether it turns or slides.
     pub kind: JointKind,
-    /// Readings that the axis was fitted to.
+    /// Number of readings to which the axis was fitted.
     pub readings: usize,
     /// Poses of readings that were left out as gross errors.
     pub gross: Vec<u32>,
-    /// From the least to the greatest value of the joint, rad or m.
+    /// Range from the least to the greatest value of the joint, rad or m.
     pub span: f64,
-    /// Radius of the circle, m; `None` of a line.
+    /// Radius of the circle, m; `None` for a line.
     pub radius: Option<f64>,
-    /// Root mean square distance of the points from line or circle, per coordinate, m.
+    /// Root mean square distance of the points from the line or circle, per coordinate, m.
     pub rms: f64,
-    /// Weighted sum of squares per degree of freedom, where the readings state their noise.
+    /// Weighted sum of squares per degree of freedom, if the readings state their noise.
     pub chi2_per_dof: Option<f64>,
 }
 
-/// Sweeps that do not place a station.
+/// Why sweeps do not place a station.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum SweepError {
@@ -73,10 +75,10 @@ pub enum SweepError {
     TooFew {
         /// Name of the station.
         station: String,
-        /// Names of the axes.
+        /// Names of the axes that were.
         found: String,
     },
-    /// Two axes that tell no direction.
+    /// The swept axes are parallel.
     #[error(
         "station {station}: the swept axes ({axes}) do not place it, because they are parallel: sweep one that is not, or add \
          a turning axis"
@@ -87,7 +89,7 @@ pub enum SweepError {
         /// Names of the axes.
         axes: String,
     },
-    /// Readings with more or fewer commands than the robot has joints.
+    /// A reading does not have one command per joint.
     #[error(
         "station {station}: a reading of its sweeps does not have {joints} commands, one per joint: check that it is of this \
          robot"
@@ -95,10 +97,10 @@ pub enum SweepError {
     AnotherRobot {
         /// Name of the station.
         station: String,
-        /// Joints of the robot.
+        /// Number of joints of the robot.
         joints: usize,
     },
-    /// A sweep that shows no axis.
+    /// A sweep does not determine an axis.
     #[error(
         "station {station}: the sweep of {axis} does not determine the axis: {why}; sweep it farther, or with the target \
          farther from it"
@@ -113,37 +115,38 @@ pub enum SweepError {
     },
 }
 
-/// Readings of a sweep at different values of its joint from which on it shows an axis.
+/// Fewest readings at different joint values from which a sweep determines an axis.
 pub const MIN_READINGS: usize = 5;
-/// A joint that moves by less in a sweep rests, rad or m.
+/// A joint that moves by less than this in a sweep counts as at rest, rad or m.
 const RESTS: f64 = 2e-5;
-/// Sine of the angle between axes below which they are parallel.
+/// Sine of the angle between axes below which they count as parallel.
 const PARALLEL: f64 = 1e-2;
-/// Standard deviation of what is taken from the nominal target, m: more than robots are off by, and than they sag.
+/// Standard deviation of what is taken from the nominal target, m: larger than robots' errors and their sag.
 const NOMINAL: f64 = 0.1;
-/// A reading that is farther from line or circle than so many root mean squares of the others is a gross error.
+/// Multiple of the others' root mean square distance from which on a reading is a gross error.
 const GROSS: f64 = 6.0;
 
-/// Where sweeps of two axes put a station.
+/// Place of a station from sweeps of two axes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SweptPlace {
     /// `tracker_from_base`, if the axes are where the nominal robot has them.
     pub tracker_from_base: Transform,
     /// Covariance of the displacement `xi` in `tracker_from_base · exp(xi)`, from the scatter of the sweeps: m², m rad, rad².
     pub covariance: Matrix6<f64>,
-    /// Index of the last joint that the place of the two axes in the base depends on.
+    /// Index of the last joint on which the place of the two axes in the base depends.
     pub last_joint: usize,
-    /// Readings of all sweeps but gross errors, as indices into [`Station::sweeps`], and the covariance of each: the stated one, or the scatter of its sweep where that is larger, m².
+    /// Readings of all sweeps without gross errors, as indices into [`Station::sweeps`], with the covariance of each: the stated one, or the scatter
+    /// of its sweep where that is larger, m².
     pub readings: Vec<(usize, Matrix3<f64>)>,
 }
 
-/// An axis of the robot in its sweep.
+/// An axis of the robot in the pose of its sweep.
 #[derive(Debug, Clone, PartialEq)]
 struct AxisOfRobot {
     joint: usize,
-    /// Joint variables of the sweep, with the mean of its own.
+    /// Joint variables of the sweep; the swept joint has its mean.
     joints: Vec<f64>,
-    /// Of the target, m.
+    /// Offset of the target, m.
     in_flange: Vector3<f64>,
 }
 
@@ -161,7 +164,7 @@ impl AxisOfRobot {
     }
 }
 
-/// Places a station of a set by its [sweeps](Station::sweeps): by the first two axes of the robot that do.
+/// Places a station of a set by its [sweeps](Station::sweeps), with the first two axes of the robot that determine it.
 ///
 /// # Errors
 ///
@@ -179,7 +182,7 @@ pub fn place_by_sweeps(
         return Err(SweepError::AnotherRobot { station: station.name.clone(), joints: joints.len() });
     }
     let of_command = |reading: &Observation| {
-        // A four-bar that does not close is told where the pose is fitted.
+        // A four-bar that does not close is reported where the pose is fitted.
         let _ = nominal_joints(model, &reading.command, &mut joints);
         joints.clone()
     };
@@ -200,20 +203,20 @@ pub fn place_by_sweeps(
     Ok((place, swept))
 }
 
-/// All pairs of `n`, the first ones first.
+/// All pairs out of `n`, in ascending order.
 fn pairs(n: usize) -> impl Iterator<Item = (usize, usize)> {
     (1..n).flat_map(|b| (0..b).map(move |a| (a, b)))
 }
 
-/// Readings of one station and target behind each other between which one joint moves.
+/// Consecutive readings of one station and target between which one joint moves.
 #[derive(Debug, Clone)]
 struct Run {
     joint: usize,
-    /// Indices of its readings.
+    /// Indices of the readings.
     readings: Vec<usize>,
 }
 
-/// The longest sweep of every joint, in their order.
+/// The longest sweep of every joint, in the order of the joints.
 fn runs_of(sweeps: &[Observation], seen: &[Vec<f64>]) -> Vec<Run> {
     let mut longest: Vec<Run> = Vec::new();
     let targets: BTreeSet<usize> = sweeps.iter().map(|reading| reading.target).collect();
@@ -256,7 +259,7 @@ fn runs_of(sweeps: &[Observation], seen: &[Vec<f64>]) -> Vec<Run> {
 }
 
 impl Run {
-    /// Number of values that its joint had.
+    /// Number of different values of its joint.
     fn places(&self, seen: &[Vec<f64>]) -> usize {
         let mut values: Vec<f64> = self.readings.iter().map(|row| seen[*row][self.joint]).collect();
         values.sort_by(f64::total_cmp);
@@ -264,7 +267,7 @@ impl Run {
     }
 }
 
-/// A point of a sweep: the joint's variable, where the target was seen (m), and what is stated of its noise.
+/// A point of a sweep: the joint variable, the measured position (m), and the stated covariance.
 type Point = (f64, Vector3<f64>, Option<Matrix3<f64>>);
 
 /// A line or circle in the order of [`Fitted::values`]: c, then a and b, or t.
@@ -273,16 +276,16 @@ struct Fitted {
     kind: JointKind,
     values: DVector<f64>,
     covariance: DMatrix<f64>,
-    /// Of every point, in standard deviations, and in m.
+    /// Residuals of every point, in standard deviations, and in m.
     whitened: Vec<f64>,
     rms: f64,
     chi2_per_dof: Option<f64>,
-    /// What the stated covariance, or one of 1 m² a coordinate, is to be multiplied with.
+    /// Factor on the stated covariance, or on 1 m² per coordinate.
     scale: f64,
 }
 
 impl Fitted {
-    /// `None` where the points do not determine it.
+    /// `None` where the points do not determine the line or circle.
     fn new(kind: JointKind, points: &[Point]) -> Option<Self> {
         let n = points.len();
         let unknowns = if kind == JointKind::Revolute { 9 } else { 6 };
@@ -317,7 +320,7 @@ impl Fitted {
         Some(Self { kind, covariance: normal.inverse() * scale, values, whitened, rms, chi2_per_dof, scale })
     }
 
-    /// The point that is much farther off than the others.
+    /// The point that is much farther off than the others, if there is one.
     fn gross(&self) -> Option<usize> {
         let (worst, size) =
             self.whitened.iter().copied().enumerate().max_by(|(_, a), (_, b)| a.total_cmp(b))?;
@@ -347,9 +350,9 @@ fn at(kind: JointKind, values: &DVector<f64>, q: f64) -> Vector3<f64> {
 #[derive(Debug, Clone)]
 struct Axis {
     turns: bool,
-    /// In which a positive motion goes, or about which it turns.
+    /// Direction of a positive motion, or axis of a positive rotation.
     direction: UnitVector3<f64>,
-    /// Centre of the circle, on the axis; of a line a point on it, which is not where its joint is.
+    /// Centre of the circle, on the axis; for a line a point on it, which is not where the joint is.
     centre: Vector3<f64>,
     radius: f64,
 }
@@ -365,7 +368,7 @@ impl Axis {
     }
 }
 
-/// The frame that two axes span: its z is the first, its x at right angles to both. `None` where they do not determine it.
+/// The frame of two axes: its z is the first, its x is perpendicular to both. `None` where they do not determine it.
 fn frame_of(first: &Axis, second: &Axis, parallel: bool) -> Option<Transform> {
     let z = first.direction;
     let beside = second.centre - first.centre;
@@ -391,7 +394,7 @@ fn frame_of(first: &Axis, second: &Axis, parallel: bool) -> Option<Transform> {
     Some(Transform::from_parts(origin.into(), rotation))
 }
 
-/// Directions in which the origin of the frame is where the nominal target has it.
+/// Directions in which the origin of the frame is taken from the nominal target.
 fn open_directions(first: &Axis, second: &Axis, parallel: bool) -> Vec<Vector3<f64>> {
     match (first.turns, second.turns) {
         (true, true) if !parallel => Vec::new(),
@@ -411,7 +414,8 @@ fn distance_between(first: &Axis, second: &Axis, parallel: bool) -> f64 {
     if parallel { first.direction.cross(&beside).norm() } else { (beside.dot(&across) / across.norm()).abs() }
 }
 
-/// Where the tracker stands in the base with its standard deviation, m, and that of its turn, rad. `covariance` is of the base as the tracker sees it.
+/// Position of the tracker in the base with its standard deviation, m, and the standard deviation of its rotation, rad. `covariance` is that of the
+/// base as the tracker sees it.
 fn stand_of(tracker_from_base: &Transform, covariance: &Matrix6<f64>) -> ([Vector3<f64>; 2], Vector3<f64>) {
     let stand = tracker_from_base.inverse().translation.vector;
     let mut change = Matrix3x6::identity();
@@ -422,7 +426,7 @@ fn stand_of(tracker_from_base: &Transform, covariance: &Matrix6<f64>) -> ([Vecto
     ([stand, of_stand.diagonal().map(sigma)], turn)
 }
 
-/// A station with its readings.
+/// A station and its readings.
 struct View<'a> {
     model: &'a CalibrationModel,
     targets: &'a [Target],
@@ -443,7 +447,7 @@ impl View<'_> {
         let Some(from_base) = frame_of(&n1, &n2, parallel).map(|frame| frame.inverse()) else {
             return Ok(None);
         };
-        // What values of both, one behind the other, make of place, angle and distance.
+        // Place, angle and distance as a function of both axes' values, stacked.
         let split = fitted[0].seen.values.len();
         let kinds = fitted.each_ref().map(|sweep| sweep.seen.kind);
         let axes = |values: &DVector<f64>| {
@@ -514,7 +518,7 @@ impl View<'_> {
         (self.seen[row][run.joint], observation.reading.position(), noise)
     }
 
-    /// The sweep as it was seen, without its gross errors, and as the nominal robot makes it.
+    /// The sweep as measured, without its gross errors, and as the nominal robot makes it.
     fn fitted(&self, run: &Run) -> Result<Sweep, SweepError> {
         let link = &self.model.kinematics.links[run.joint];
         let fails =
@@ -535,7 +539,7 @@ impl View<'_> {
         Ok(Sweep { rows, gross, seen, run: run.clone() })
     }
 
-    /// The swept axis of the robot, with its joint in the mean of its readings.
+    /// The swept axis of the robot, with its joint at the mean of its readings.
     fn of_robot(&self, sweep: &Sweep) -> AxisOfRobot {
         let joint = sweep.run.joint;
         let of_first = sweep.rows.first().map_or(&[][..], |row| &self.seen[*row]);
@@ -561,20 +565,20 @@ impl View<'_> {
     }
 }
 
-/// Of central differences, m or rad.
+/// Step of central differences, m or rad.
 const STEP: f64 = 1e-6;
 
 /// A sweep with its fits.
 struct Sweep {
     run: Run,
-    /// Indices of the observations that it was fitted to.
+    /// Indices of the observations that were fitted.
     rows: Vec<usize>,
-    /// Of those that were left out.
+    /// Indices of the gross errors.
     gross: Vec<usize>,
     seen: Fitted,
 }
 
-/// The xi of a displacement `exp(xi)`.
+/// The `xi` of a displacement `exp(xi)`.
 fn xi(displacement: &Transform) -> Vector6<f64> {
     let (along, about) = (displacement.translation.vector, rotation_vector(&displacement.rotation));
     Vector6::new(along.x, along.y, along.z, about.x, about.y, about.z)
@@ -596,7 +600,7 @@ fn block_diagonal(parts: &[&DMatrix<f64>; 2]) -> DMatrix<f64> {
     whole
 }
 
-/// Central differences.
+/// Jacobian by central differences.
 fn derivative(at: &DVector<f64>, of: impl Fn(&DVector<f64>) -> Option<DVector<f64>>) -> Option<DMatrix<f64>> {
     let mut change = DMatrix::zeros(of(at)?.len(), at.len());
     for column in 0..at.len() {

@@ -2,9 +2,9 @@
 //!
 //! [`identification::identify`] takes a [`CalibrationModel`](calibrig_model::CalibrationModel), a
 //! [`MeasurementSet`](calibrig_model::measurement::MeasurementSet) and [options](identification::IdentificationOptions), and returns an
-//! [`Estimate`](identification::Estimate): the parameters with their covariance, what the measurements cannot tell, what was taken to be so,
-//! and a robot that predicts. [`calibration`] does so in every mode and judges the results. [`kinematics`] and [`elastostatics`] are the models behind
-//! it; [`evaluation`] and [`validation`] say how good a result is without knowing the truth. Units are SI and radians.
+//! [`Estimate`](identification::Estimate): the parameters with their covariance, what the measurements cannot determine, what was assumed,
+//! and a robot that predicts. [`calibration`] does this in every mode and judges the results. [`kinematics`] and [`elastostatics`] are the
+//! models behind it; [`evaluation`] and [`validation`] show how good a result is without knowing the truth. Units are SI and radians.
 //!
 //! ```
 //! use calibrig_estimation::identification::{IdentificationOptions, identify};
@@ -51,15 +51,15 @@
 //!
 //! # What this crate cannot see
 //!
-//! The machine as built, and all that simulates and measures it: no estimate can look at the truth. This does not compile:
+//! The machine as built, and everything that simulates and measures it: no estimate can look at the truth. This does not compile:
 //!
 //! ```compile_fail,E0432
 //! use calibrig_plant::AsBuilt;
 //! ```
 
-/// Number of the method by which measurements become estimates. It is raised whenever the same measurements, model and options give other
-/// estimates than before, be it in the last bits, so that a recording tells whether its estimates can be expected again. 1 is what was before
-/// the number was recorded.
+/// Number of the method by which measurements become estimates. It is raised whenever the same measurements, model and options give
+/// different estimates than before, even in the last bits, so that a recording shows whether its estimates can be reproduced. 1 stands for
+/// everything before the number was recorded.
 pub const METHOD: u32 = 4;
 
 pub mod calibration;

@@ -1,8 +1,8 @@
-//! What points measured in both faces tell of an instrument.
+//! Errors of an instrument from points measured in both faces.
 //!
-//! Between the faces everything turns over that belongs to the head or the telescope; the point, the tracker's place and what does not turn over
-//! drop out of the difference. What is left is linear in the errors, with the signatures of [`InstrumentTerm`]: weighted least squares, with what
-//! was stated of the instrument as priors about zero.
+//! Between the faces, errors of the head or the telescope change their sign; the point, the tracker's place and errors that keep their sign cancel in
+//! the difference. The rest is linear in the errors, with the signatures of [`InstrumentTerm`]: weighted least squares, with what was stated of the
+//! instrument as zero-mean priors.
 
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
@@ -19,39 +19,39 @@ use calibrig_model::statistics::student_t_quantile;
 /// One point in both faces.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TwoFacePair<'a> {
-    /// As the front face reads it.
+    /// Reading in the front face.
     pub front: &'a SphericalReading,
-    /// As the back face does.
+    /// Reading in the back face.
     pub back: &'a SphericalReading,
 }
 
-/// An error of the instrument that turns over with the face.
+/// An error of the instrument that changes its sign with the face.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TwoFaceTerm {
-    /// Which.
+    /// Which error.
     pub term: InstrumentTerm,
-    /// Its amplitude, m or rad.
+    /// Amplitude, m or rad.
     pub value: f64,
-    /// Standard deviation of it, m or rad.
+    /// Standard deviation of the amplitude, m or rad.
     pub sigma: f64,
-    /// Standard deviation about zero that was stated of it, where one was.
+    /// Standard deviation of the stated zero-mean prior, if one was stated.
     pub prior_sigma: Option<f64>,
 }
 
-/// The errors that two faces show.
+/// The errors found from two faces.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TwoFaceEstimate {
-    /// In the order of [`InstrumentTerm::ALL`].
+    /// The errors in the order of [`InstrumentTerm::ALL`].
     pub terms: Vec<TwoFaceTerm>,
-    /// Their covariance, m² or rad² and mixed.
+    /// Their covariance: m², rad², m rad.
     pub covariance: DMatrix<f64>,
-    /// Sum of squares of the weighted residuals, those of the priors among them.
+    /// Sum of squares of the weighted residuals, including those of the priors.
     pub chi2: f64,
-    /// What it is to be compared with.
+    /// Degrees of freedom of `chi2`.
     pub degrees_of_freedom: usize,
 }
 
-/// Points in two faces that tell nothing.
+/// Why points in two faces cannot be evaluated.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum TwoFaceError {
@@ -61,61 +61,61 @@ pub enum TwoFaceError {
          the pose in the front face as well, or leave the reading out"
     )]
     BackAlone {
-        /// Its number.
+        /// Number of the pose.
         pose: u32,
         /// Name of the station.
         station: String,
         /// Name of the target.
         target: String,
     },
-    /// Two readings in one face where one of each was expected.
+    /// A pose does not have one reading in each face.
     #[error(
         "pose {pose}, station \"{station}\", target \"{target}\": {front} front-face and {back} back-face readings: expected \
          one back face per front face"
     )]
     Unpaired {
-        /// Its number.
+        /// Number of the pose.
         pose: u32,
         /// Name of the station.
         station: String,
         /// Name of the target.
         target: String,
-        /// Readings in the front face.
+        /// Number of readings in the front face.
         front: usize,
-        /// In the back face.
+        /// Number of readings in the back face.
         back: usize,
     },
-    /// An observation names what the set does not hold.
+    /// An observation refers to a station or target that the set does not contain.
     #[error("pose {pose} names a station or a target that the measurements do not describe")]
     UnknownStationOrTarget {
-        /// Its number.
+        /// Number of the pose.
         pose: u32,
     },
-    /// The readings of a pair are not in the faces that they should be.
+    /// The readings of a pair are not in the front and the back face.
     #[error("pair {pair}: its readings are in the faces {} and {}: expected front and back", faces[0].key(), faces[1].key())]
     Faces {
-        /// Its number, from one.
+        /// Number of the pair, from one.
         pair: usize,
-        /// Of the reading that should be in the front face, and of the other.
+        /// Faces of the reading that should be in the front face, and of the other.
         faces: [Face; 2],
     },
-    /// A reading that is not a finite number, or whose covariance is missing or not positive definite.
+    /// A reading is not finite, or its covariance is missing or not positive definite.
     #[error(
         "pair {pair}: a reading is not a finite number or has no positive definite covariance, so it cannot be weighed"
     )]
     Covariance {
-        /// Its number, from one.
+        /// Number of the pair, from one.
         pair: usize,
     },
-    /// A standard deviation that cannot be.
+    /// A stated standard deviation is not a finite number above zero.
     #[error("the stated standard deviation of {term} is {sigma}: expected a finite number above zero")]
     Prior {
-        /// Of which error.
+        /// Error for which it was stated.
         term: InstrumentTerm,
-        /// m, rad
+        /// Standard deviation, m or rad.
         sigma: f64,
     },
-    /// Too few points, or in too few directions.
+    /// There are too few points, or they lie in too few directions.
     #[error(
         "{pairs} points in two faces do not determine {terms} errors separately: measure more, at other ranges and \
          elevations, or state a standard deviation of each"
@@ -128,7 +128,7 @@ pub enum TwoFaceError {
     },
 }
 
-/// The pairs of a set: readings of one pose, station and target in both faces. Front faces without a back face are passed over.
+/// The pairs of a set: readings of one pose, station and target in both faces. Front-face readings without a back face are ignored.
 pub fn two_face_pairs(set: &MeasurementSet) -> Result<Vec<TwoFacePair<'_>>, TwoFaceError> {
     type Key = (u32, usize, usize);
     type Faces<'a> = [Vec<&'a SphericalReading>; 2];
@@ -168,32 +168,32 @@ pub fn two_face_pairs(set: &MeasurementSet) -> Result<Vec<TwoFacePair<'_>>, TwoF
     Ok(pairs)
 }
 
-/// By how much the two faces of a station differ on the whole, back less front.
+/// Mean difference between the two faces of a station, back less front.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FaceDifference {
     /// Name of the station.
     pub station: String,
-    /// Points in both faces.
+    /// Number of points in both faces.
     pub points: usize,
-    /// Across the beam in azimuth (that of the angle times the cosine of the elevation), and in elevation, rad.
+    /// Mean difference across the beam in azimuth (angle times the cosine of the elevation), and in elevation, rad.
     pub mean: [f64; 2],
-    /// Standard deviations of both, from how they differ from point to point, rad.
+    /// Standard deviations of both means, from the scatter of the points, rad.
     pub sigma: [f64; 2],
 }
 
-/// A difference this improbable by chance, two-sided, is one.
+/// Two-sided probability by chance below which a difference counts.
 const DIFFERS: f64 = 0.001;
-/// Fewer points do not tell a constant difference from what differs from point to point.
+/// Fewest points that separate a constant difference from one that varies from point to point.
 const LEAST_POINTS: usize = 4;
 
-/// Stations whose two faces differ by what chance does not explain, although nothing is stated of their instrument, so that no parameter of the fit stands
-/// for it. Points and nests count alike.
+/// Stations whose two faces differ by more than chance explains although nothing is stated of their instrument, so that no parameter of the fit
+/// represents it. Points and nests count the same.
 pub fn unexplained_face_differences(set: &MeasurementSet) -> Vec<FaceDifference> {
     let of_station = |(index, station): (usize, &Station)| {
         if station.instrument.is_some() {
             return None;
         }
-        // Name of a nest, or pose and target; readings of the front and of the back face.
+        // Name of a nest, or pose and target; the values are readings of the front and of the back face.
         type Point<'a> = (Option<&'a str>, u32, usize);
         let mut faces: BTreeMap<Point, [Vec<&SphericalReading>; 2]> = BTreeMap::new();
         let points = set.observations.iter().filter(|observation| observation.station == index);
@@ -246,8 +246,8 @@ impl fmt::Display for FaceDifference {
 
 /// The errors of an instrument from points in both faces.
 ///
-/// Of `stated`, those that turn over are estimated, with the stated standard deviations as priors; where it lists none, all that turn over are,
-/// without priors.
+/// Of the `stated` errors, those that change their sign are estimated, with the stated standard deviations as priors; if none is listed, all that
+/// change their sign are estimated, without priors.
 pub fn two_face(
     pairs: &[TwoFacePair<'_>],
     stated: &StatedInstrument,
@@ -275,7 +275,7 @@ pub fn two_face(
         right += row.signature.transpose() * (row.weight * row.apart);
         square += row.apart.dot(&(row.weight * row.apart));
     }
-    // Amplitudes in their own scale: lengths and angles are of different sizes.
+    // Amplitudes are scaled: lengths and angles differ in size.
     let scale = DVector::from_fn(count, |i, _| information[(i, i)].sqrt().recip());
     let undetermined = TwoFaceError::Undetermined { pairs: pairs.len(), terms: count };
     if count == 0 || scale.iter().any(|s| !s.is_finite()) {
@@ -306,12 +306,12 @@ pub fn two_face(
     })
 }
 
-/// Whether no combination of what is asked for is left open by the readings and priors, up to what rounding leaves of it.
+/// Whether readings and priors determine every combination of the errors, up to rounding.
 fn is_determined(scaled: &DMatrix<f64>) -> bool {
     scaled.symmetric_eigenvalues().min() > 1e-10
 }
 
-/// Whether it has the other sign in the back face.
+/// Whether the error has the opposite sign in the back face.
 fn turns_over(term: InstrumentTerm) -> bool {
     let at = |face| term.displacement(3.0, 0.7, 0.4, face);
     at(Face::Front) != at(Face::Back)
@@ -319,11 +319,11 @@ fn turns_over(term: InstrumentTerm) -> bool {
 
 /// Front less back as a length along the beam, along growing azimuth and along growing elevation.
 struct Difference {
-    /// m
+    /// Front less back, m.
     apart: Vector3<f64>,
-    /// 1/m²
+    /// Inverse covariance, 1/m².
     weight: Matrix3<f64>,
-    /// By the amplitudes.
+    /// Derivative by the amplitudes.
     signature: DMatrix<f64>,
 }
 
@@ -408,7 +408,7 @@ mod tests {
             let truth = if term.term == InstrumentTerm::Collimation { 20e-6 } else { 0.0 };
             assert!((term.value - truth).abs() < 1e-9, "{term:?}");
         }
-        // A prior of a micrometre's size pulls towards zero, by its weight.
+        // A prior of a micrometre pulls towards zero according to its weight.
         let stated = StatedInstrument {
             drift: None,
             name: String::new(),
@@ -421,7 +421,8 @@ mod tests {
         assert!((held.terms[0].value / 20e-6 - weight).abs() < 1e-6, "{held:?}");
     }
 
-    /// A constant vertical index and collimation, twice of which is between the faces; noise alone is none, nor is an instrument that is stated.
+    /// A constant vertical index and collimation: the faces differ by twice their size. Noise alone is not reported, nor is an instrument that is
+    /// stated.
     #[test]
     fn a_constant_difference_is_told_unless_the_instrument_is_stated() {
         let set = |collimation: f64, index: f64| {

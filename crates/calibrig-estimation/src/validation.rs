@@ -1,11 +1,11 @@
-//! Poses that a fit has not seen: k-fold, leave-one-out and repeated splits of one measured set.
+//! Validation with poses that a fit has not seen: k-fold, leave-one-out and repeated splits of one measured set.
 
 use nalgebra::Vector3;
 
 use crate::evaluation::Split;
 use calibrig_model::measurement::MeasurementSet;
 
-/// The observations of `set` with these indices, and all of its stations and targets. Indices beyond its end are left out.
+/// The observations of `set` with these indices, with all of its stations and targets. Indices beyond the end are ignored.
 pub fn subset(set: &MeasurementSet, indices: &[usize]) -> MeasurementSet {
     MeasurementSet {
         stations: set.stations.clone(),
@@ -14,10 +14,10 @@ pub fn subset(set: &MeasurementSet, indices: &[usize]) -> MeasurementSet {
     }
 }
 
-/// The errors of the held-out observations of every split, m: one vector a split, in the order of [`Split::held_out`].
+/// The errors of the held-out observations of every split, m: one list per split, in the order of [`Split::held_out`].
 ///
-/// `errors` is given the fitted and the held-out part, identifies from the first, and returns measured minus predicted for the second.
-/// The first error ends it.
+/// `errors` is given the fitted and the held-out part, identifies from the first, and returns measured minus predicted for the second. The first
+/// failure ends the loop.
 pub fn held_out_errors<E>(
     set: &MeasurementSet,
     splits: &[Split],
@@ -26,7 +26,7 @@ pub fn held_out_errors<E>(
     splits.iter().map(|split| errors(&subset(set, &split.fitted), &subset(set, &split.held_out))).collect()
 }
 
-/// The errors of splits that hold every observation out once, in the order of the `count` observations; `None` where they do not.
+/// The errors of splits that hold out every observation once, in the order of the `count` observations; `None` where the splits do not do so.
 pub fn in_order(splits: &[Split], errors: &[Vec<Vector3<f64>>], count: usize) -> Option<Vec<Vector3<f64>>> {
     let mut ordered = vec![None; count];
     if splits.len() != errors.len() {
@@ -82,7 +82,7 @@ mod tests {
         }
     }
 
-    /// A robot that is always at the mean of the places where it was seen.
+    /// A robot that is always predicted at the mean of its observed positions.
     #[allow(clippy::unnecessary_wraps, reason = "stands for a fit that can fail")]
     fn errors_of_the_mean(
         fitted: &MeasurementSet,
@@ -93,7 +93,7 @@ mod tests {
         Ok(held_out.observations.iter().map(|o| o.reading.position() - mean).collect())
     }
 
-    /// Leaving one of n out makes its distance from the mean n/(n-1) times as large.
+    /// Leaving out one of n points makes its distance from the mean n/(n-1) times as large.
     #[test]
     fn leaving_one_out_of_a_mean_has_a_closed_form() {
         let set = set(12);

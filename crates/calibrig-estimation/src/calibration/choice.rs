@@ -1,4 +1,4 @@
-//! Does gravity, the linkage, hysteresis pay? Nested models, each fitted to all poses and to all but a held-out part.
+//! Whether gravity, the linkage or hysteresis improve the model, by nested models, each fitted to all poses and to all but a held-out part.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -19,15 +19,15 @@ const LEVEL: f64 = 0.95;
 /// Nested models on the same poses.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModelChoice {
-    /// Distinct poses.
+    /// Number of distinct poses.
     pub poses: usize,
-    /// Parts that are held out in turn.
+    /// Number of parts that are held out in turn.
     pub folds: usize,
-    /// One a model, the simplest first.
+    /// One row per model, the simplest first.
     pub rows: Vec<ChosenRow>,
     /// Models that could not be fitted.
     pub failures: Vec<FailedVariant>,
-    /// Families of terms of which nothing acts on these measurements, such as hysteresis without approaches.
+    /// Families of terms that have no effect on these measurements, such as hysteresis without approaches.
     pub without_basis: Vec<String>,
     /// Gross errors against the simplest model. With a robust loss they are left out of the fits and of the held-out errors.
     pub gross_errors: Vec<Outlier>,
@@ -38,16 +38,16 @@ pub struct ModelChoice {
 pub struct ChosenRow {
     /// `geometry`, `gravity`, `stiffness`, `linkage`, `complete_geometry`, the key of a family of terms, [`DEFAULT_TERMS`], or [`ALL_TERMS`].
     pub key: &'static str,
-    /// What it says.
+    /// Results of the model.
     pub row: VariantRow,
-    /// Fits, of all poses and of the folds, that did not converge.
+    /// Number of fits, of all poses and of the folds, that did not converge.
     pub not_converged: usize,
 }
 
 /// A model that could not be fitted.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FailedVariant {
-    /// What is new in it.
+    /// What the model adds, in words.
     pub name: String,
     /// Why.
     pub why: String,
@@ -62,41 +62,41 @@ struct Candidate {
     options: IdentificationOptions,
 }
 
-/// The key of all that the mode `extended` fits where no terms are asked for, on a complete geometry.
+/// Key of all that the mode `extended` fits where no terms are asked for, on a complete geometry.
 pub const DEFAULT_TERMS: &str = "default_terms";
-/// The key of the same with the terms that are fitted on request.
+/// Key of all that the mode `extended` fits, including the terms that are fitted on request.
 pub const ALL_TERMS: &str = "all_terms";
 
-/// What came of a candidate.
+/// Outcome of a candidate.
 enum Tried {
     Fitted(Fitted),
-    /// No measurement has what its terms act on: it would be the model that it is compared with.
+    /// No measurement contains what its terms act on: it would equal the model with which it is compared.
     WithoutBasis,
 }
 
 /// A model that was fitted.
 struct Fitted {
     variant: Variant,
-    /// m, where the noise comes from the residuals.
+    /// Standard deviation of a coordinate, m, if the noise comes from the residuals.
     sigma: Option<f64>,
-    /// Of the errors, m².
+    /// Sum of squares of the errors, m².
     squares: f64,
-    /// Whether it was weighed with what the machine does beside this very model.
+    /// Whether it was weighed with the machine's noise beside this model.
     is_misfit: bool,
     not_converged: usize,
 }
 
-/// Compares the models that `model` allows on `set`: geometry; with the deflection that gravity is predicted to cause; with stiffness
-/// identified; and on top of that the linkage, a complete geometric set, and each family of terms by itself (or beside the family that it
-/// [extends](calibrig_model::TermFamily::extends)), all of it together without the terms that are fitted on request, and with them. Mode and
-/// terms of `options` are not looked at. Smooth terms are spread over the commands of all poses, those that are held out among them.
+/// Compares the models that `model` allows on `set`: geometry; with the predicted deflection under gravity; with identified stiffness; and on top
+/// of that the linkage, a complete geometric set, and each family of terms alone (or beside the family that it
+/// [extends](calibrig_model::TermFamily::extends)), all of these together without the terms that are fitted on request, and with them. Mode and
+/// terms of `options` are ignored. Smooth terms are spread over the commands of all poses, held-out ones included.
 ///
-/// Poses are held out in `folds` parts drawn with `seed`. The noise is taken as known up to one common scale: what no model explains
-/// does not speak for the larger one.
+/// Poses are held out in `folds` parts drawn with `seed`. The noise is taken as known up to one common scale: what no model explains does not
+/// favour the larger model.
 ///
 /// # Errors
 ///
-/// [`CalibrateError`], where not even the simplest model can be fitted. A larger one that cannot is among the failures.
+/// [`CalibrateError`], where not even the simplest model can be fitted. A larger model that fails is among the failures.
 pub fn choose(
     model: &CalibrationModel,
     set: &MeasurementSet,
@@ -115,7 +115,7 @@ pub fn choose(
     let splits = pose_folds(set, folds, seed);
     let (mut keys, mut fitted, mut failures) = (Vec::new(), Vec::<Fitted>::new(), Vec::new());
     let mut without_basis = Vec::new();
-    // Where a candidate went; of one that failed, where the one went that it would have been compared with.
+    // Row of each candidate; for one that failed, the row of the model with which it would have been compared.
     let mut places: Vec<Option<usize>> = Vec::new();
     for (index, candidate) in candidates.iter().enumerate() {
         progress(index, candidates.len(), &candidate.name);
@@ -138,14 +138,14 @@ pub fn choose(
         }
     }
     if fitted.iter().any(|fit| fit.is_misfit) {
-        // Weighed each with its own misfit, every model would look as good; lengths are the same for all.
+        // Weighed with its own misfit, every model would look equally good; with lengths, all are weighed the same.
         for fit in &mut fitted {
             (fit.variant.fit.chi2, fit.sigma) = (fit.squares, None);
         }
     }
     let reference = fitted.first().and_then(|first| first.sigma);
     for fit in &mut fitted {
-        // Whitened by its own residuals, every model would look as good.
+        // Whitened by its own residuals, every model would look equally good.
         if let (Some(sigma), Some(reference)) = (fit.sigma, reference) {
             fit.variant.fit.chi2 *= (sigma / reference).powi(2);
         }
@@ -165,7 +165,7 @@ pub fn choose(
     })
 }
 
-/// The models in order; each names one before it.
+/// The models in order; each names an earlier one for the comparison.
 fn candidates(model: &CalibrationModel, options: &IdentificationOptions) -> Vec<Candidate> {
     let mut candidates = vec![Candidate {
         key: "geometry",
@@ -210,7 +210,7 @@ fn candidates(model: &CalibrationModel, options: &IdentificationOptions) -> Vec<
             places.insert(key, push(key, against, extended(&options.parameters, &keys)));
         }
     }
-    // What is small hides behind what is large until both are in.
+    // Small effects hide behind large ones until both are in the model.
     let by_default = IdentificationOptions { terms: None, ..extended(&ParameterChoice::Complete, &[]) };
     let place = push(DEFAULT_TERMS, base, by_default.clone());
     let all = std::iter::once(LINKAGE).chain(FAMILIES.iter().map(|family| family.key()));

@@ -1,4 +1,4 @@
-//! How far an estimate can be trusted: what its residuals still contain, what every parameter rests on, and how well it predicts.
+//! How far an estimate can be trusted: what its residuals still contain, what each parameter rests on, and how well it predicts.
 
 use std::fmt;
 
@@ -19,39 +19,39 @@ use crate::identification::{
 use calibrig_model::measurement::{MeasurementSet, Observation, SetKind, SetOutcome};
 use calibrig_model::{CalibrationModel, ParameterId, PoseQuery, STANDARD_GRAVITY};
 
-/// Probability of a false alarm of a test for size or shape of the residuals.
+/// Probability of a false alarm of each test of the residuals' size or shape.
 pub const FALSE_ALARM: f64 = 0.001;
-/// Correlations from this size on are named.
+/// Correlations from this size on are listed.
 const STRONG: f64 = 0.9;
-/// Poses of the map.
+/// Number of poses of the map.
 const MAP_POSES: u32 = 400;
-/// Step of an actuator for the derivative of its target's place, m or rad.
+/// Step of an actuator for the derivative of its target's position, m or rad.
 const STEP: f64 = 1e-4;
 
 /// What speaks for and against an estimate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Judgement {
-    /// Of which mode.
+    /// Mode of the estimate.
     pub mode: Mode,
     /// Size and shape of the residuals.
     pub consistency: ConsistencyReport,
-    /// Change of the target's place in the base frame with every actuator, one vector an observation of the identification set, m/m or
-    /// m/rad; empty where the robot cannot take the poses beside.
+    /// Change of the target's position in the base frame with every actuator, one vector per observation of the identification set, m/m or m/rad;
+    /// empty where the robot cannot take the neighbouring poses.
     pub sensitivity: Vec<Vec<Vector3<f64>>>,
-    /// Compliances and terms whose identification makes poses that were not fitted worse.
+    /// Compliances and terms whose identification makes held-out poses worse.
     pub worse: Vec<Worse>,
-    /// How sure; `None` from a singular system.
+    /// Uncertainty of the estimate; `None` for a singular system.
     pub confidence: Option<Confidence>,
-    /// Whether the residuals are of one robot and its noise: no gross error counts in the fit, and the robot lies on the points. Else their
-    /// size and shape are not tested, since they say nothing of what the model lacks.
+    /// Whether the residuals are those of one robot and its noise: no gross error carries weight in the fit, and the robot fits the points. If not,
+    /// the residuals' size and shape are not tested, since they would say nothing of what the model lacks.
     pub makes_sense: bool,
-    /// Gross errors in what was held out.
+    /// Gross errors in the held-out sets.
     pub held_out: Vec<(SetKind, Vec<Outlier>)>,
-    /// Sets that were held out and do not lie in the stated intervals.
+    /// Held-out sets that are outside the stated intervals.
     pub outside: Vec<Outside>,
-    /// Of every reading, one list a set.
+    /// Residual of every reading, one list per set.
     pub residuals: Vec<Vec<ObservationResidual>>,
-    /// What is stated of the readings' scatter against what is seen of it, one entry a set.
+    /// Stated against observed scatter of the readings, one entry per set.
     pub scatter: Vec<Option<ScatterComparison>>,
 }
 
@@ -61,7 +61,7 @@ impl Judgement {
         self.makes_sense && self.outside.is_empty() && self.consistency.is_consistent()
     }
 
-    /// What a person must look at beside the [reasons](Estimate::reasons) of the estimate itself: key and words.
+    /// What a person must look at beside the estimate's own [reasons](Estimate::reasons): key and words.
     pub fn reasons(&self) -> impl Iterator<Item = (&'static str, String)> {
         let worse = self.worse.iter().filter(|worse| worse.is_doubtful);
         let outside = self.outside.iter().map(|outside| ("held_out", outside.to_string()));
@@ -69,14 +69,14 @@ impl Judgement {
     }
 }
 
-/// A held-out set that the stated intervals do not hold.
+/// A held-out set that is outside the stated intervals.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Outside {
     /// Which set.
     pub kind: SetKind,
-    /// Readings inside their 95 % ellipsoids.
+    /// Number of readings inside their 95 % ellipsoids.
     pub inside: usize,
-    /// Of so many.
+    /// Number of all readings of the set.
     pub of: usize,
 }
 
@@ -93,15 +93,15 @@ impl fmt::Display for Outside {
     }
 }
 
-/// A set of which less than this share is inside contradicts the intervals. Its readings depend on each other through the parameters, so that
-/// a good estimate can have far less inside than 95 %.
+/// A set contradicts the intervals if less than this share is inside. Its readings depend on each other through the parameters, so that even a
+/// good estimate can have far fewer than 95 % inside.
 const FEW_INSIDE: f64 = 0.5;
-/// Fewer readings say nothing.
+/// Fewest readings from which a set is judged.
 const LEAST_READINGS: usize = 4;
-/// 95 % of the squares of three normal coordinates are less, and of one.
+/// 95 % points of chi-square for three normal coordinates and for one.
 const SQUARES_95: [f64; 2] = [7.815, 3.841];
 
-/// Whether a held-out set lies outside of what the estimate states of new readings.
+/// Whether a held-out set is outside what the estimate states for new readings.
 fn outside(
     model: &CalibrationModel,
     set: &SetOutcome,
@@ -109,7 +109,7 @@ fn outside(
     estimate: &Estimate,
 ) -> Option<Outside> {
     let predicted = predict_readings(model, &set.measurements, options, estimate).ok()??;
-    // Student's distribution reaches as much farther along three coordinates as along one.
+    // Student's distribution widens three coordinates by the same factor as one.
     let square = SQUARES_95[0] * estimate.interval_factor(0.95).powi(2) / SQUARES_95[1];
     let (mut inside, of) = (0, predicted.len());
     for (observation, predicted) in set.measurements.observations.iter().zip(&predicted) {
@@ -122,52 +122,52 @@ fn outside(
     contradicts.then_some(Outside { kind: set.kind, inside, of })
 }
 
-/// How sure an estimate is, if the stated noise is right.
+/// Uncertainty of an estimate, if the stated noise is right.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Confidence {
-    /// What every parameter rests on, in their order.
+    /// What each parameter rests on, in the order of the parameters.
     pub support: Vec<ParameterSupport>,
-    /// The pairs whose correlation is 0.9 or more in size, strongest first.
+    /// Pairs of parameters whose correlation is 0.9 or more in size, strongest first.
     pub correlations: Vec<(ParameterId, ParameterId, f64)>,
-    /// How many parameters the data determine.
+    /// Number of parameters that the data determine.
     pub effective_parameters: f64,
-    /// One an observation of the identification set.
+    /// Influence of every observation of the identification set.
     pub influences: Vec<PoseInfluence>,
-    /// Its error if it had been left out of the fit, measured minus predicted in the base frame, m (to first order).
+    /// Error of every observation if it had been left out of the fit, measured minus predicted in the base frame, m (to first order).
     pub left_out: Vec<Option<Vector3<f64>>>,
-    /// How well the target's place is predicted: one vector a set, one entry an observation; `None` where a pose cannot be taken.
+    /// Uncertainty of the target's predicted position: one list per set, one entry per observation; `None` where the robot cannot take a pose.
     pub at_poses: Vec<Vec<Option<PredictedPosition>>>,
-    /// The same over the box of joint variables that the measured poses span.
+    /// Uncertainty over the box of joint variables that the measured poses span.
     pub map: Vec<PredictedPosition>,
-    /// Poses of that box that the robot cannot take.
+    /// Number of poses of that box that the robot cannot take.
     pub out_of_reach: usize,
 }
 
 /// A predicted position in the base frame with its uncertainty.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PredictedPosition {
-    /// m
+    /// Predicted position, m.
     pub position: Vector3<f64>,
     /// Standard deviations along the base's axes, m.
     pub sigma: Vector3<f64>,
 }
 
 impl PredictedPosition {
-    /// Root of the mean squared length of the error, m.
+    /// Root mean square length of the error, m.
     pub fn length(&self) -> f64 {
         self.sigma.norm()
     }
 }
 
 impl Confidence {
-    /// RMS of the 3-D errors of observations that are left out one by one, m; `None` where one of them alone determines a direction.
+    /// RMS of the 3-D errors of observations that are left out one at a time, m; `None` where one of them alone determines a direction.
     pub fn left_out_rms(&self) -> Option<f64> {
         let squares: Option<Vec<_>> = self.left_out.iter().map(|e| e.map(|e| e.norm_squared())).collect();
         squares.filter(|s| !s.is_empty()).map(|s| (s.iter().sum::<f64>() / s.len() as f64).sqrt())
     }
 }
 
-/// Judges every estimate of `modes`, which [`calibrate`](super::calibrate) made of the same model, sets and options.
+/// Judges every estimate of `modes`, which [`calibrate`](super::calibrate) made from the same model, sets and options.
 pub fn judge(
     model: &CalibrationModel,
     sets: &[SetOutcome],
@@ -213,7 +213,7 @@ pub fn judge(
                 .skip(1)
                 .map(|(set, errors)| (set.kind, held_out_outliers(&set.measurements, errors)));
             let held_out = held_out.filter(|(_, outliers)| !outliers.is_empty()).collect();
-            // Intervals of an estimate that is doubted for another reason are not expected to hold.
+            // The intervals of an estimate that is doubted for another reason are not expected to hold.
             let held_out_sets = sets.iter().skip(1).filter(|_| estimate.is_sound());
             let outside = held_out_sets.filter_map(|set| outside(model, set, &options, estimate)).collect();
             let of_set = |(index, (set, errors)): (usize, (&SetOutcome, &Vec<Vector3<f64>>))| {
@@ -237,7 +237,7 @@ pub fn judge(
         .collect()
 }
 
-/// Stated and seen scatter of every set; the first is the one that was fitted.
+/// Stated and observed scatter of every set; the first is the one that was fitted.
 fn scatter(
     sets: &[SetOutcome],
     outcome: &ModeOutcome,
@@ -258,7 +258,7 @@ fn scatter(
                 .iter()
                 .map(|influence| (1.0 - influence.leverage / 3.0).max(0.0))
                 .collect(),
-            // Of a singular system no leverage is known: the same for all.
+            // For a singular system no leverage is known: it is taken as the same for all.
             None => {
                 let rows = 3.0 * observations.len() as f64;
                 vec![(estimate.degrees_of_freedom / rows).clamp(0.0, 1.0); observations.len()]
@@ -270,7 +270,7 @@ fn scatter(
 }
 
 fn uncertainty(system: &Linearisation, estimate: &Estimate) -> Option<Uncertainty> {
-    // What the estimate does not state, for want of rank without the tolerance, is not stated here either.
+    // Without the tolerance the system has too low a rank to state a covariance; then none is stated here either.
     estimate.covariance.as_ref()?;
     let ids: Vec<_> = estimate.parameters.iter().map(|p| p.id).collect();
     Uncertainty::of(system, &ids)
@@ -305,7 +305,7 @@ fn confidence(
     }
 }
 
-/// Of every observation; an orientation takes part of its observation's leverage, and is left out with it.
+/// Influence of every observation; an orientation takes part of its observation's leverage, and is left out together with it.
 fn influences(system: &Linearisation, uncertainty: &Uncertainty, residuals: &[f64]) -> Vec<PoseInfluence> {
     let mut all = uncertainty.influences(&system.jacobian, residuals, system.data_rows, &system.poses);
     let observations = system.whitening.observations();
@@ -318,7 +318,7 @@ fn influences(system: &Linearisation, uncertainty: &Uncertainty, residuals: &[f6
     all
 }
 
-/// Errors of observations that were left out of the fit, m; `None` where a pose alone determines a direction.
+/// Errors of observations that were left out of the fit, m; `None` where one pose alone determines a direction.
 fn left_out(system: &Linearisation, influences: &[PoseInfluence]) -> Vec<Option<Vector3<f64>>> {
     let mut rows = DVector::zeros(system.data_rows);
     for (i, influence) in influences.iter().enumerate() {
@@ -340,7 +340,7 @@ fn consistency(
     }
     let mut predictor = Predictor::new(&estimate.robot).ok();
     let stated = model.statics.as_ref().map(|statics| statics.gravity);
-    // Of a robot that is not told where down is, upright.
+    // A robot without a stated direction of gravity is assumed to stand upright.
     let gravity = stated.unwrap_or(Vector3::new(0.0, 0.0, -STANDARD_GRAVITY));
     let poses: Vec<_> = set
         .observations
@@ -376,7 +376,7 @@ fn consistency(
     check_consistency(&residuals, size, FALSE_ALARM)
 }
 
-/// Change of every observation's target with every actuator, by central differences; `None` where the robot cannot take one of the poses.
+/// Derivative of every observation's target by every actuator, by central differences; `None` where the robot cannot take one of the poses.
 fn sensitivity(estimate: &Estimate, set: &MeasurementSet) -> Option<Vec<Vec<Vector3<f64>>>> {
     let mut predictor = Predictor::new(&estimate.robot).ok()?;
     set.observations
@@ -407,8 +407,8 @@ impl RegionPose {
     }
 }
 
-/// Poses that fill the box of joint variables which the measured poses of all sets span, evenly and the same for the same sets; the
-/// approaches alternate.
+/// Poses that evenly fill the box of joint variables that the measured poses of all sets span, the same for the same sets; the approaches
+/// alternate.
 fn region(model: &CalibrationModel, sets: &[SetOutcome]) -> Vec<RegionPose> {
     let mut range = vec![(f64::INFINITY, f64::NEG_INFINITY); model.kinematics.joint_count()];
     let mut joints = vec![0.0; range.len()];
@@ -437,7 +437,7 @@ fn region(model: &CalibrationModel, sets: &[SetOutcome]) -> Vec<RegionPose> {
     if any { (0..MAP_POSES).map(pose).collect() } else { Vec::new() }
 }
 
-/// Point `index` of an additive recurrence that fills the unit cube of `dimensions` evenly: steps of powers of 1/g with
+/// Point `index` of an additive recurrence that evenly fills the unit cube of `dimensions`: its steps are powers of 1/g with
 /// `g^(dimensions + 1) = g + 1`, the golden ratio for one dimension.
 ///
 /// Source: M. Roberts, "The unreasonable effectiveness of quasirandom sequences" (2018).

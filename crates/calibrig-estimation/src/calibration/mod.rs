@@ -1,4 +1,4 @@
-//! Measured sets calibrated in every mode, and what speaks for and against each result. Nothing here knows the truth.
+//! Calibrates measured sets in every mode, and judges each result. Nothing here knows the truth.
 
 mod choice;
 mod judgement;
@@ -23,14 +23,14 @@ use crate::identification::{
 use calibrig_model::CalibrationModel;
 use calibrig_model::measurement::{MeasurementSet, SetOutcome};
 
-/// Sets that cannot be calibrated.
+/// Why sets cannot be calibrated.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum CalibrateError {
     /// A mode cannot be identified.
     #[error("{}: {source}", mode.title())]
     Identify {
-        /// Which.
+        /// Which mode.
         mode: Mode,
         /// Why.
         source: IdentifyError,
@@ -38,7 +38,7 @@ pub enum CalibrateError {
     /// An identified robot cannot take a measured pose.
     #[error("{}: {source}", mode.title())]
     Predict {
-        /// The mode.
+        /// Which mode.
         mode: Mode,
         /// Why.
         source: PredictionError,
@@ -46,7 +46,7 @@ pub enum CalibrateError {
     /// A random split cannot be calibrated.
     #[error("split {split}: {source}")]
     Split {
-        /// Its number, from one.
+        /// Number of the split, from one.
         split: usize,
         /// Why.
         source: Box<CalibrateError>,
@@ -54,7 +54,7 @@ pub enum CalibrateError {
 }
 
 impl CalibrateError {
-    /// Why a mode could not be identified, also that of a split; `None` where a prediction failed.
+    /// Why a mode could not be identified, also in a split; `None` where a prediction failed.
     pub fn cause(&self) -> Option<&IdentifyError> {
         match self {
             Self::Identify { source, .. } => Some(source),
@@ -64,9 +64,9 @@ impl CalibrateError {
     }
 }
 
-/// Identifies in every mode and evaluates on every set. The first set is the one that is fitted.
+/// Identifies the robot in every mode and evaluates it on every set. The first set is the one that is fitted.
 ///
-/// Sees measurements and the nominal model only: simulated, replayed and real data take this same way.
+/// It sees only measurements and the nominal model: simulated, replayed and real data are treated the same.
 pub fn calibrate(
     model: &CalibrationModel,
     sets: &[SetOutcome],
@@ -116,14 +116,14 @@ pub fn calibrate(
     Ok((registration, outcomes))
 }
 
-/// Measured minus predicted positions in the base frame, m, one an observation.
+/// Measured minus predicted positions in the base frame, m, one per observation.
 pub fn errors(robot: &CalibratedRobot, set: &MeasurementSet) -> Result<Vec<Vector3<f64>>, CalibrateError> {
     Predictor::new(robot)
         .and_then(|mut predictor| predictor.errors(set))
         .map_err(|source| CalibrateError::Predict { mode: robot.mode, source })
 }
 
-/// Measured against predicted orientations, rotation vectors in base axes, rad, one an observation; `None` where a reading has none.
+/// Measured against predicted orientations, rotation vectors in base axes, rad, one per observation; `None` where a reading has no orientation.
 pub fn turns(
     robot: &CalibratedRobot,
     set: &MeasurementSet,

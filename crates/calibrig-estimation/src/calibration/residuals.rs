@@ -1,4 +1,4 @@
-//! What every single reading is off from what an estimate predicts of it.
+//! Residuals of single readings against an estimate's predictions.
 
 use std::f64::consts::PI;
 
@@ -8,19 +8,19 @@ use crate::identification::{Estimate, IdentificationOptions, weighed_covariances
 use calibrig_model::CalibrationModel;
 use calibrig_model::measurement::{MeasurementSet, Observation, Reading};
 
-/// A reading, measured minus predicted.
+/// Residual of a reading, measured minus predicted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ObservationResidual {
-    /// In range (m), azimuth and elevation (rad), where the instrument read these.
+    /// In range (m), azimuth and elevation (rad), if the instrument read these.
     pub spherical: Option<Vector3<f64>>,
-    /// Root mean square of its three coordinates in standard deviations, with the covariance by which the fit weighs readings; `None` where that
-    /// has none.
+    /// Root mean square of the three coordinates in standard deviations, with the covariance by which the fit weighs readings; `None` where there is
+    /// no such covariance.
     pub standardised: Option<f64>,
-    /// What the reading counts for in the fit, from 1 down to 0; `None` where it was not fitted.
+    /// Weight of the reading in the fit, from 1 down to 0; `None` where it was not fitted.
     pub weight: Option<f64>,
 }
 
-/// Those of a set whose errors in the base frame (measured minus predicted, m) are known. `fitted`: of the set that was identified from.
+/// Residuals of a set whose errors in the base frame (measured minus predicted, m) are known. `fitted`: the estimate was identified from this set.
 pub(super) fn residuals(
     model: &CalibrationModel,
     (set, errors): (&MeasurementSet, &[Vector3<f64>]),
@@ -46,7 +46,7 @@ fn standardised(covariance: &Matrix3<f64>, error: &Vector3<f64>) -> Option<f64> 
     Some((squares / 3.0).sqrt()).filter(|size| size.is_finite())
 }
 
-/// Differences of range, azimuth and elevation from those of the predicted point.
+/// Range, azimuth and elevation less those of the predicted point.
 fn spherical(reading: &Reading, error: &Vector3<f64>) -> Option<Vector3<f64>> {
     let Reading::Spherical(read) = reading else { return None };
     let predicted = reading.position() - error;

@@ -1,4 +1,4 @@
-//! Is a mode better than the one before it on poses that neither has seen? Random splits of one measured set, again and again.
+//! Whether a mode is better than the one before it on held-out poses, by repeated random splits of one measured set.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,56 +12,56 @@ use calibrig_model::random::{Source, stream};
 /// Confidence of the intervals.
 const LEVEL: f64 = 0.95;
 
-/// Which splits are made.
+/// The splits to make.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SplitPlan {
-    /// How many.
+    /// Number of splits.
     pub splits: usize,
-    /// Poses fitted in each; the others are held out.
+    /// Number of poses fitted in each; the others are held out.
     pub fitted: usize,
-    /// Seed of the draws.
+    /// Seed of the random draws.
     pub seed: u64,
 }
 
-/// Every mode on the same splits.
+/// All modes on the same splits.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SplitStudy {
-    /// Which splits they were.
+    /// The splits that were made.
     pub plan: SplitPlan,
-    /// Poses held out in each.
+    /// Number of poses held out in each.
     pub held_out: usize,
-    /// In table order.
+    /// Results in the order of the tables.
     pub modes: Vec<SplitMode>,
 }
 
 /// One mode on all splits.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SplitMode {
-    /// Which.
+    /// Which mode.
     pub mode: Mode,
-    /// RMS of the 3-D error of the held-out poses, m, one a split.
+    /// RMS of the 3-D error of the held-out poses, m, one per split.
     pub rms: Vec<f64>,
-    /// Splits whose estimate is not sound.
+    /// Number of splits whose estimate is not sound.
     pub doubtful: usize,
-    /// Why, by the keys of the reasons; a split can have several.
+    /// How often each reason occurs, by its key; a split can have several.
     pub reasons: BTreeMap<&'static str, usize>,
-    /// By how much its RMS is smaller than that of the mode before it, m, on the same splits; 95 % interval.
+    /// How much smaller the RMS is than that of the mode before it on the same splits, m; 95 % interval.
     pub gain: Option<Interval>,
 }
 
 impl SplitMode {
-    /// Mean over the splits, m.
+    /// Mean RMS over the splits, m.
     pub fn mean_rms(&self) -> f64 {
         self.rms.iter().sum::<f64>() / self.rms.len() as f64
     }
 
-    /// Smallest and largest, m.
+    /// Smallest and largest RMS, m.
     pub fn range(&self) -> (f64, f64) {
         self.rms.iter().fold((f64::INFINITY, 0.0), |(low, high), rms| (rms.min(low), rms.max(high)))
     }
 }
 
-/// Number of different poses of a set: what is split.
+/// Number of different poses of a set; poses are what is split.
 pub fn pose_count(set: &MeasurementSet) -> usize {
     poses(set).len()
 }
@@ -71,7 +71,7 @@ fn poses(set: &MeasurementSet) -> Vec<u32> {
     numbers.into_iter().collect()
 }
 
-/// The set without the gross errors that carry no weight in `estimate`, which is fitted to it: held out, they would count in full.
+/// The set without the gross errors that carry no weight in `estimate`, which was fitted to it: held out, they would count in full.
 pub fn without_gross_errors(set: &MeasurementSet, estimate: &Estimate) -> MeasurementSet {
     let mut set = set.clone();
     let mut place = 0;
@@ -83,8 +83,8 @@ pub fn without_gross_errors(set: &MeasurementSet, estimate: &Estimate) -> Measur
     set
 }
 
-/// Fits every mode to random parts of `set` and verifies it on the rest. All observations of a pose go the same way, so that nothing of a
-/// held-out pose is fitted. `progress` is told how many splits are done.
+/// Fits every mode to random parts of `set` and verifies it on the rest. All observations of a pose stay together, so that no part of a held-out
+/// pose is fitted. `progress` is given the number of splits done.
 pub fn repeat_splits(
     model: &CalibrationModel,
     set: &MeasurementSet,

@@ -1,4 +1,4 @@
-//! Offsets over a box of the workspace, for controllers that take nothing else.
+//! Offsets over a box of the workspace, for controllers that accept nothing else.
 
 use std::ops::ControlFlow;
 
@@ -9,16 +9,16 @@ use super::{CompensationError, Compensator};
 use crate::inverse::{Goal, InverseError, InverseOptions};
 use calibrig_model::geometry::Transform;
 
-/// Where offsets are wanted.
+/// The grid for which offsets are computed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GridPlan {
-    /// Corners of the box along the base's axes, m.
+    /// Lowest corner of the box along the base's axes, m.
     pub low: Vector3<f64>,
-    /// m
+    /// Highest corner of the box, m.
     pub high: Vector3<f64>,
-    /// Points along x, y and z.
+    /// Numbers of points along x, y and z.
     pub counts: [usize; 3],
-    /// How the tool is held: as this goal has it, whose position does not matter.
+    /// How the tool is held: as in this goal, whose position does not matter.
     pub held: Goal,
 }
 
@@ -26,73 +26,73 @@ pub struct GridPlan {
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[non_exhaustive]
 pub enum GridError {
-    /// A box without an inside.
+    /// The box has no volume.
     #[error(
         "the box of the grid goes from {low} to {high} m along {axis}: expected finite numbers, the second above the first"
     )]
     Box {
         /// `x`, `y` or `z`.
         axis: char,
-        /// m
+        /// Lower end, m.
         low: f64,
-        /// m
+        /// Upper end, m.
         high: f64,
     },
-    /// Too few points to lay offsets between them, or too many.
+    /// There are too few points for interpolation, or too many.
     #[error("the grid has {found} points along {axis}: expected 2 to {most}")]
     Count {
         /// `x`, `y` or `z`.
         axis: char,
-        /// As stated.
+        /// Number as stated.
         found: usize,
-        /// What is allowed.
+        /// Largest number that is allowed.
         most: usize,
     },
-    /// Nothing of it can be reached.
+    /// No point of the grid can be reached.
     #[error("no point of the grid can be reached")]
     OutOfReach,
-    /// It was told to stop.
+    /// The caller stopped the computation.
     #[error("the grid was interrupted after {done} of {total} points")]
     Interrupted {
-        /// Points and middles that were done.
+        /// Number of points and cell middles that were done.
         done: usize,
-        /// All of them.
+        /// Number of all points and cell middles.
         total: usize,
     },
 }
 
-/// Points along an axis.
+/// Most points along an axis.
 const MOST: usize = 200;
 
-/// How far places are from where they should be.
+/// Errors of places.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct GridSpread {
-    /// How many were looked at.
+    /// Number of places that were evaluated.
     pub points: usize,
-    /// Lengths of the errors, m.
+    /// Mean length of the errors, m.
     pub mean: f64,
-    /// m
+    /// Root mean square length, m.
     pub rms: f64,
-    /// m
+    /// Largest length, m.
     pub max: f64,
 }
 
-/// Offsets at the points of a grid: a controller that is told to go to p + offset puts the identified robot's tool at p, on the model.
+/// Offsets at the points of a grid: a controller that is told to go to p + offset puts the identified robot's tool at p, according to the model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CorrectionGrid {
-    /// As asked.
+    /// The plan as it was given.
     pub plan: GridPlan,
-    /// m in base axes, x fastest, then y, then z; `None` where the robot does not reach.
+    /// Offsets, m in base axes, x fastest, then y, then z; `None` where the robot does not reach the point.
     pub offsets: Vec<Option<Vector3<f64>>>,
-    /// At the middles of the cells, which no offset was made for: what is left with offsets laid between the corners, trilinearly.
+    /// Errors at the middles of the cells, for which no offset was computed, with the offsets of the corners interpolated trilinearly.
     pub interpolated: GridSpread,
-    /// The same without offsets.
+    /// Errors at the middles of the cells without offsets.
     pub uncorrected: GridSpread,
-    /// The largest angle by which the tool is turned beside what the goal holds, at the middles, rad: offsets do not correct it.
+    /// Largest angle between the tool and the goal's orientation at the middles, rad: offsets do not correct it.
     pub turned: f64,
 }
 
-/// Rounds until the offset of a point is found, and what may be left, m.
+/// Most iterations until the offset of a point is found, and the error that may be left, m.
 const ROUNDS: usize = 12;
 const LEFT: f64 = 1e-8;
 
@@ -110,7 +110,7 @@ impl GridPlan {
         Ok(())
     }
 
-    /// The place of a point by its numbers along x, y and z, which may be between points, m.
+    /// The place of a point by its indices along x, y and z, which may be fractional, m.
     fn place(&self, at: [f64; 3]) -> Vector3<f64> {
         let share = |axis: usize| at[axis] / (self.counts[axis].max(2) - 1) as f64;
         Vector3::from_fn(|axis, _| self.low[axis] + share(axis) * (self.high[axis] - self.low[axis]))
@@ -132,7 +132,8 @@ impl CorrectionGrid {
         GridPlan::numbers(self.plan.counts).map(|numbers| self.plan.place(numbers.map(|n| n as f64)))
     }
 
-    /// The offset at a place of the box, m, laid between the eight points around it; `None` outside, and where one of them is out of reach.
+    /// The offset at a place of the box, m, interpolated between the eight points around it; `None` outside, and where one of the points is out of
+    /// reach.
     pub fn offset(&self, place: &Vector3<f64>) -> Option<Vector3<f64>> {
         let plan = &self.plan;
         let (mut first, mut share) = ([0; 3], [0.0; 3]);
@@ -159,14 +160,14 @@ impl CorrectionGrid {
 }
 
 impl Compensator<'_> {
-    /// Offsets over a box.
+    /// Computes offsets over a box.
     ///
-    /// The controller is taken to resolve its redundancy at every place as [`point`](Self::point) does with the same options, so they should state a
-    /// reference. The side from which actuators come is as their circumstances state it: without one, the middle between both.
+    /// The controller is assumed to resolve its redundancy at every place as [`point`](Self::point) does with the same options, so they should state
+    /// a reference. The side from which actuators come is that of the circumstances; if it is not stated, offsets are for the middle of both sides.
     ///
     /// # Errors
     ///
-    /// [`CompensationError::Grid`], also where no point can be reached; others for what cannot be asked.
+    /// [`CompensationError::Grid`], also where no point can be reached; other variants for invalid input.
     pub fn grid(
         &mut self,
         plan: &GridPlan,
@@ -175,7 +176,8 @@ impl Compensator<'_> {
         self.grid_told(plan, options, &mut |_, _| ControlFlow::Continue(()))
     }
 
-    /// The same, telling how many of all points and middles are done; where the answer is to break, it ends with [`GridError::Interrupted`].
+    /// Like [`grid`](Self::grid), with a callback for the number of points and middles done; if it returns a break, the result is
+    /// [`GridError::Interrupted`].
     ///
     /// # Errors
     ///
@@ -230,7 +232,7 @@ impl Compensator<'_> {
         Ok(grid)
     }
 
-    /// Where the identified robot's tool is when its controller is told to go to a place; `None` where that is out of reach.
+    /// Place of the identified robot's tool when its controller is told to go to a place; `None` where that is out of reach.
     fn told(
         &mut self,
         plan: &GridPlan,

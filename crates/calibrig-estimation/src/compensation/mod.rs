@@ -1,9 +1,10 @@
 //! Commands with which an identified robot puts its tool where it should be.
 //!
-//! A controller computes its commands for the rigid nominal robot. [`Compensator`] takes these, with the redundancy resolved by a
-//! [`Criterion`](crate::inverse::Criterion) as for the nominal robot, and changes them by as little as brings the *identified* robot's tool there: with its
-//! deflection as its mode predicts it, and its terms. So corrected commands are as smooth as the nominal ones. A [path](Compensator::path) knows from
-//! which side every actuator comes; a [grid](Compensator::grid) is for controllers that take only offsets.
+//! A controller computes its commands for the rigid nominal robot. [`Compensator`] starts from these, with the redundancy resolved by a
+//! [`Criterion`](crate::inverse::Criterion) as for the nominal robot, and makes the smallest change that brings the *identified* robot's tool to the
+//! goal: with its deflection as its mode predicts it, and its terms. So corrected commands are as smooth as the nominal ones. A
+//! [path](Compensator::path) accounts for the side from which every actuator comes; a [grid](Compensator::grid) is for controllers that accept only
+//! offsets.
 
 mod grid;
 mod path;
@@ -27,14 +28,14 @@ use crate::inverse::{
 };
 use calibrig_model::geometry::Transform;
 
-/// Why nothing can be compensated.
+/// Why commands cannot be corrected.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum CompensationError {
     /// The goal cannot be met, or goal or options are refused.
     #[error(transparent)]
     Inverse(#[from] InverseError),
-    /// The rigid nominal robot meets the goal; the identified one does not, within the limits.
+    /// The rigid nominal robot meets the goal, but the identified one does not, within the limits.
     #[error("the nominal robot reaches the goal, but the identified one does not: {0}")]
     OutOfCorrection(Box<Unreachable>),
     /// The robot is refused, or has no equilibrium.
@@ -56,7 +57,7 @@ pub struct Compensator<'a> {
 }
 
 impl<'a> Compensator<'a> {
-    /// Of a robot alone: without the uncertainty of its corrected points.
+    /// A compensator for a robot only: without the uncertainty of its corrected points.
     ///
     /// # Errors
     ///
@@ -65,16 +66,16 @@ impl<'a> Compensator<'a> {
         Ok(Self { inverse: InverseKinematics::of_robot(robot, tool)?, certainty: None })
     }
 
-    /// Of an estimate, whose covariance says how far every corrected point is to be trusted.
+    /// A compensator for an estimate, whose covariance gives the uncertainty of every corrected point.
     ///
     /// # Errors
     ///
-    /// As [`new`](Self::new); and [`CompensationError::Prediction`], where the estimate is not of its robot.
+    /// As [`new`](Self::new); and [`CompensationError::Prediction`], where the estimate does not belong to its robot.
     pub fn of_estimate(estimate: &'a Estimate, tool: Tool) -> Result<Self, CompensationError> {
         Ok(Self { certainty: Some(estimate.predictor()?), ..Self::new(&estimate.robot, tool)? })
     }
 
-    /// Of the robot that is corrected for.
+    /// Mode of the robot for which commands are corrected.
     pub fn mode(&self) -> Mode {
         self.inverse.mode()
     }
@@ -93,7 +94,8 @@ impl<'a> Compensator<'a> {
         self.correct(goal, nominal, options)
     }
 
-    /// The corrected command for a goal that a nominal command meets: the nearest to it, by least squares, at which the identified robot meets the goal.
+    /// The corrected command for a goal that a nominal command meets: the one nearest to it, by least squares, at which the identified robot meets
+    /// the goal.
     ///
     /// # Errors
     ///
@@ -120,7 +122,7 @@ impl<'a> Compensator<'a> {
         let corrected = self.inverse.correct(goal, &nominal, options)?;
         let corrected = match corrected {
             Ok(corrected) => corrected,
-            // Where the way that is shortest ends at a limit, another one may not.
+            // Where the shortest correction ends at a limit, another one may not.
             Err(told) => match self
                 .inverse
                 .solve(goal, &InverseOptions { reference: Some(nominal.clone()), ..options.clone() })
@@ -150,7 +152,7 @@ impl<'a> Compensator<'a> {
         })
     }
 
-    /// Where the identified robot's tool is at a command.
+    /// Place of the identified robot's tool at a command.
     fn place(
         &mut self,
         command: &[f64],

@@ -15,24 +15,24 @@ use calibrig_model::ModelError;
 pub struct PathPoint {
     /// Where the tool should be.
     pub goal: Goal,
-    /// When, s.
+    /// Time, s.
     pub time: f64,
 }
 
-/// Goals in their order, with their times: no two at the same place one after the other.
+/// Goals in their order, with their times; no two consecutive ones are at the same place.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ToolPath {
     points: Vec<PathPoint>,
 }
 
-/// Why a path is refused. Points count from zero here and from one in print.
+/// Why a path is refused. Points count from zero here and from one in messages.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum PathError {
-    /// Nothing to follow.
+    /// The path is empty.
     #[error("the path has no points")]
     NoPoints,
-    /// A point that is nowhere.
+    /// A goal is refused.
     #[error("point {} of the path: {source}", point + 1)]
     Goal {
         /// Index of the point.
@@ -40,51 +40,51 @@ pub enum PathError {
         /// Why.
         source: GoalError,
     },
-    /// The same place twice, one after the other.
+    /// Two consecutive points are at the same place.
     #[error("point {} of the path is at the same place as point {}: leave one of them out", point + 1, point)]
     Duplicate {
-        /// Index of the second.
+        /// Index of the second point.
         point: usize,
     },
-    /// A point of another kind than the first, such as a pose among positions.
+    /// A point is of another kind than the first, such as a pose among positions.
     #[error("point {} of the path has {found} constrained coordinates: expected {expected}, as the first point", point + 1)]
     Kind {
         /// Index of the point.
         point: usize,
-        /// Rows of its goal.
+        /// Number of coordinates of its goal.
         found: usize,
-        /// Rows of the first.
+        /// Number of coordinates of the first point's goal.
         expected: usize,
     },
-    /// Times that are not finite, or do not grow.
+    /// A time is not finite, or not after the one before.
     #[error("point {} of the path is at {time} s: expected a finite time after that of the point before", point + 1)]
     Time {
         /// Index of the point.
         point: usize,
-        /// s
+        /// Time of the point, s.
         time: f64,
     },
-    /// A speed that is not a finite number above zero.
+    /// The speed is not a finite number above zero.
     #[error("the speed of the path is {speed} m/s: expected a finite number above zero")]
     Speed {
-        /// As stated.
+        /// Speed as stated, m/s.
         speed: f64,
     },
-    /// A speed limit of an actuator that is not above zero.
+    /// A speed limit of an actuator is not above zero.
     #[error("the speed limit of actuator {} is {limit}: expected a number above zero, infinite for no limit", actuator + 1)]
     Limit {
         /// Index of the actuator.
         actuator: usize,
-        /// As stated, m/s or rad/s.
+        /// Limit as stated, m/s or rad/s.
         limit: f64,
     },
 }
 
-/// Points nearer than this are the same, m or rad.
+/// Points closer than this count as the same, m or rad.
 const SAME: f64 = 1e-9;
 
 impl ToolPath {
-    /// Of goals with their times, s.
+    /// A path of goals with their times, s.
     ///
     /// # Errors
     ///
@@ -108,11 +108,11 @@ impl ToolPath {
         Ok(Self { points })
     }
 
-    /// Of goals that the tool's point passes at one speed, m/s, from time zero on.
+    /// A path of goals that the tool's point passes at constant speed, m/s, from time zero on.
     ///
     /// # Errors
     ///
-    /// [`PathError`]; goals that only turn the tool take no time at a speed and are refused as duplicates.
+    /// [`PathError`]; goals that only rotate the tool take no time at constant speed and are refused as duplicates.
     pub fn at_speed(goals: &[Goal], speed: f64) -> Result<Self, PathError> {
         if !(speed > 0.0 && speed.is_finite()) {
             return Err(PathError::Speed { speed });
@@ -133,27 +133,28 @@ impl ToolPath {
         Self::timed(points)
     }
 
-    /// Its points.
+    /// The points of the path.
     pub fn points(&self) -> &[PathPoint] {
         &self.points
     }
 
-    /// Of the way of the tool's point, m.
+    /// Length of the path of the tool's point, m.
     pub fn length(&self) -> f64 {
         let way = |pair: &[PathPoint]| (pair[1].goal.position() - pair[0].goal.position()).norm();
         self.points.windows(2).map(way).sum()
     }
 }
 
-/// How a path is followed.
+/// Options for following a path.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PathOptions {
-    /// Criterion, circumstances and tolerance. The reference command is where the robot comes from: the first point is sought from there. Motion counts
-    /// from the point before. The circumstances' time is that of the path's time zero.
+    /// Criterion, circumstances and tolerance. The robot comes from the reference command: the first point is sought from there. Motion counts
+    /// from the point before. The time of the circumstances is that of the path's time zero.
     pub inverse: InverseOptions,
-    /// Of every actuator, m/s or rad/s, infinite where there is none; empty where none are known.
+    /// Speed limit of every actuator, m/s or rad/s, infinite for one without a limit; empty if no limits are known.
     pub speed_limits: Vec<f64>,
-    /// The farthest that a joint may move from one point to the next, m or rad: keeps the nominal robot on its branch where the criterion would have it jump.
+    /// The farthest that a joint may move from one point to the next, m or rad: keeps the nominal robot on its branch where the criterion would
+    /// make it jump.
     pub longest_step: f64,
 }
 
@@ -163,33 +164,33 @@ impl Default for PathOptions {
     }
 }
 
-/// What became of a point.
+/// Result at a point.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum PointStatus {
-    /// Met, from the point before.
+    /// Reached from the point before.
     Met(Box<CompensatedPoint>),
-    /// Met, but not from the point before without a joint's moving farther than the longest step: another branch, or points too far apart.
+    /// Reached, but only with a joint moving farther than the longest step: on another branch, or because the points are too far apart.
     Jumped(Box<CompensatedPoint>),
-    /// Not met.
+    /// Not reached.
     Unreachable(Box<Unreachable>),
-    /// The identified robot cannot be predicted there, with the reason: such as that it does not come to rest.
+    /// The identified robot cannot be predicted there, with the reason, such as that it has no stable equilibrium.
     Failed(String),
 }
 
 /// One point of a followed path.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PathReport {
-    /// As asked.
+    /// The point as it was given.
     pub asked: PathPoint,
-    /// What became of it.
+    /// Result at the point.
     pub status: PointStatus,
-    /// Whether an actuator comes from another side with the corrected commands than the correction counts on.
+    /// Whether an actuator comes from another side with the corrected commands than the correction assumes.
     pub wavers: bool,
 }
 
 impl PathReport {
-    /// The corrected command, where there is one.
+    /// The corrected command, if there is one.
     pub fn point(&self) -> Option<&CompensatedPoint> {
         match &self.status {
             PointStatus::Met(point) | PointStatus::Jumped(point) => Some(point),
@@ -198,33 +199,33 @@ impl PathReport {
     }
 }
 
-/// A followed path. What could not be followed is marked; the rest is there all the same.
+/// A followed path. Points that could not be followed are marked; the others are complete.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CompensatedPath {
-    /// In their order.
+    /// Results at the points, in their order.
     pub points: Vec<PathReport>,
-    /// Steps that ask more of an actuator than it can, between points that were met.
+    /// Steps between met points that exceed an actuator's speed limit.
     pub exceeded: Vec<SpeedExcess>,
 }
 
 impl CompensatedPath {
-    /// Whether every point was met from the one before, and no actuator is too slow.
+    /// Whether every point was reached from the one before, and no actuator is too slow.
     pub fn is_whole(&self) -> bool {
         let met = |report: &PathReport| matches!(report.status, PointStatus::Met(_));
         self.points.iter().all(met) && self.exceeded.is_empty()
     }
 }
 
-/// What meets a goal; or the nearest that was found to it.
+/// The result for a goal, or the nearest one that was found.
 type OrNearest<T> = Result<T, Box<Unreachable>>;
 
 impl Compensator<'_> {
-    /// Corrected commands along a path: each point from the one before, so that joints do not jump between branches, and corrected for the side from which
-    /// every actuator comes.
+    /// Computes corrected commands along a path: each point from the one before, so that joints do not jump between branches, and corrected for the
+    /// side from which every actuator comes.
     ///
     /// # Errors
     ///
-    /// For what cannot be asked. Points that cannot be met, and steps that are too fast, are part of the result.
+    /// [`CompensationError`], for invalid input. Points that cannot be met, and steps that are too fast, are part of the result.
     pub fn path(
         &mut self,
         path: &ToolPath,
@@ -233,7 +234,7 @@ impl Compensator<'_> {
         self.path_told(path, options, &mut |_| ControlFlow::Continue(()))
     }
 
-    /// The same, telling how many points are done; where the answer is to break, what is done so far is the result.
+    /// Like [`path`](Self::path), with a callback for the number of points done; if it returns a break, the points done so far are the result.
     ///
     /// # Errors
     ///

@@ -1,61 +1,61 @@
-//! A spray gun's way over a panel: to and fro, row after row.
+//! Path of a spray gun over a panel: to and fro, row after row.
 
 use nalgebra::Vector3;
 use thiserror::Error;
 
 use crate::inverse::Goal;
 
-/// A panel with four corners, and how it is to be covered.
+/// A panel with four corners, and how to cover it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Raster {
-    /// In order around the panel, m in the base frame. Rows run from the first to the second; the last row is the edge from the fourth to the third. The
-    /// panel's front is where the corners run counterclockwise.
+    /// Corners in order around the panel, m in the base frame. Rows run from the first to the second; the last row is the edge from the fourth to the
+    /// third. On the panel's front, the corners run counterclockwise.
     pub corners: [Vector3<f64>; 4],
-    /// Between rows, m; at most, so that the last row is the edge.
+    /// Largest distance between rows, m; it is reduced so that the last row is the edge.
     pub pitch: f64,
-    /// Between the points of a row, m; at most.
+    /// Largest distance between the points of a row, m.
     pub spacing: f64,
-    /// Of the tool's point in front of the panel, m.
+    /// Distance of the tool's point in front of the panel, m.
     pub standoff: f64,
 }
 
-/// A panel that cannot be covered.
+/// Why a panel cannot be covered.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[non_exhaustive]
 pub enum RasterError {
-    /// A distance that is not a finite number above zero.
+    /// A distance is not a finite number above zero.
     #[error("{field} is {value} m: expected {expected}")]
     Length {
-        /// Which.
+        /// Name of the distance.
         field: &'static str,
-        /// As stated, m.
+        /// Value as stated, m.
         value: f64,
         /// What it has to be.
         expected: &'static str,
     },
-    /// A corner at no finite place.
+    /// A corner is not at a finite place.
     #[error("corner {} is at ({}, {}, {}): expected finite numbers", corner + 1, at[0], at[1], at[2])]
     Corner {
-        /// Its index.
+        /// Index of the corner.
         corner: usize,
-        /// As stated, m.
+        /// Place as stated, m.
         at: [f64; 3],
     },
-    /// Corners that coincide, lie on one line, or cross.
+    /// Corners coincide, lie on one line, or cross.
     #[error(
         "the corners do not form a panel at corner {}: expected four of them in order around it, no three on one line",
         corner + 1
     )]
     NoPanel {
-        /// Index of the corner where the panel has no front, or another one than elsewhere.
+        /// Index of the corner at which the panel has no front, or another one than elsewhere.
         corner: usize,
     },
-    /// More points than anybody wants.
+    /// There are more points than allowed.
     #[error("the raster has {points:.0} points: expected at most {most}; choose a wider pitch or spacing")]
     TooMany {
-        /// Their number.
+        /// Number of points.
         points: f64,
-        /// What is allowed.
+        /// Largest number that is allowed.
         most: usize,
     },
 }
@@ -64,7 +64,7 @@ pub enum RasterError {
 const MOST_POINTS: usize = 1_000_000;
 
 impl Raster {
-    /// Where the tool goes: its axis against the panel's front, at every point.
+    /// Goals of the tool at every point, with its axis pointing at the panel's front.
     ///
     /// # Errors
     ///
@@ -118,7 +118,7 @@ impl Raster {
         {
             return Err(RasterError::Corner { corner, at: [at.x, at.y, at.z] });
         }
-        // Of the whole panel; every corner has to turn the same way, and by more than rounding shows.
+        // Normal of the whole panel; every corner has to turn the same way, and by more than rounding.
         let [a, b, c, d] = self.corners;
         let front = (c - a).cross(&(d - b));
         for corner in 0..4 {
@@ -132,7 +132,7 @@ impl Raster {
         Ok(())
     }
 
-    /// At shares of the way along the rows and across them, by the bilinear surface through the corners.
+    /// The goal at fractions along the rows and across them, on the bilinear surface through the corners.
     fn goal(&self, along: f64, across: f64) -> Goal {
         let [a, b, c, d] = self.corners;
         let (first, last) = (a + (b - a) * along, d + (c - d) * along);
@@ -183,7 +183,7 @@ mod tests {
         assert!(told(&|r| r.spacing = f64::NAN).starts_with("the spacing is NaN m"));
         assert!(told(&|r| r.standoff = -0.1).starts_with("the standoff is -0.1 m"));
         assert!(told(&|r| r.corners[2].x = f64::NAN).starts_with("corner 3 is at (NaN, 0.5, 1)"));
-        // Crossed, on one line, and the same twice.
+        // Crossed, on one line, and with a corner twice.
         assert!(told(&|r| r.corners.swap(2, 3)).contains("do not form a panel"));
         assert!(told(&|r| r.corners[2] = Vector3::new(1.0, 0.5, 0.5)).contains("do not form a panel at corner 3"));
         assert!(told(&|r| r.corners[1] = r.corners[0]).contains("do not form a panel"));

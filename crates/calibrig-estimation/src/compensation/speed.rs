@@ -1,23 +1,23 @@
-//! Actuators that would have to be faster than they are.
+//! Finds actuators that would have to be faster than they can.
 
 use std::fmt;
 
 use calibrig_model::{JointKind, KinematicModel};
 
-/// A step of a path that asks too much of an actuator.
+/// A step of a path that exceeds an actuator's speed limit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SpeedExcess {
-    /// Index of the point that the step leads to.
+    /// Index of the point at the end of the step.
     pub point: usize,
     /// Index of the actuator.
     pub actuator: usize,
-    /// The name of its joint.
+    /// Name of the actuator's joint.
     pub name: String,
-    /// Of the joint.
+    /// Kind of the joint.
     pub kind: JointKind,
-    /// What the step asks for, m/s or rad/s.
+    /// Speed that the step needs, m/s or rad/s.
     pub speed: f64,
-    /// The limit.
+    /// Speed limit, m/s or rad/s.
     pub limit: f64,
 }
 
@@ -37,10 +37,10 @@ impl fmt::Display for SpeedExcess {
     }
 }
 
-/// A limit counts as kept to so much of itself.
+/// Relative tolerance within which a limit counts as kept.
 const KEPT: f64 = 1e-9;
 
-/// What a step of so many seconds asks for beyond the limits, one an actuator; none where there are no limits.
+/// Excess of a step of this many seconds over the limits, one per actuator; empty without limits.
 pub(super) fn exceeded(
     kinematics: &KinematicModel,
     limits: &[f64],

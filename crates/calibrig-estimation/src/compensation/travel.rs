@@ -1,41 +1,41 @@
-//! From which side the actuators come, from one corrected command to the next.
+//! Determines from which side the actuators come, from one corrected command to the next.
 
 use super::{CompensatedPoint, CompensationError, Compensator};
 use crate::inverse::{Goal, InverseOptions};
 use calibrig_model::measurement::Motion;
 
-/// A motion of an actuator is one beyond this, m or rad.
+/// Smallest motion of an actuator that counts, m or rad.
 const LEAST_MOTION: f64 = 1e-7;
 
-/// Where a sequence of corrected commands has come to.
+/// State after a sequence of corrected commands.
 ///
-/// What hangs on the side from which an actuator comes (play of its gears) can be larger than its step to the next point of a path. Commands that are corrected for
-/// the side from which the command before them came would then go back and forth. So the side is told by commands that are corrected for all else: these are as smooth as the nominal
-/// ones, and where they turn, the corrected command goes on in the new direction by the play.
+/// What depends on the side from which an actuator comes (play of its gears) can be larger than its step to the next point of a path. Commands that
+/// are corrected for the side of the command before them would then go back and forth. So the side is taken from commands that are corrected for
+/// everything else: these are as smooth as the nominal ones, and where they turn, the corrected command continues in the new direction by the play.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Travel {
-    /// Of commands corrected for all but the side.
+    /// Motion of the commands corrected for everything but the side.
     smooth: Option<Motion>,
-    /// Of the corrected commands.
+    /// Motion of the corrected commands.
     corrected: Option<Motion>,
     /// Whether the next command continues them.
     broken: bool,
 }
 
 impl Travel {
-    /// From rest at a command, m or rad.
+    /// A travel that begins at rest at a command, m or rad.
     pub fn from(command: &[f64]) -> Self {
         let motion = Some(Motion::at(command));
         Self { smooth: motion.clone(), corrected: motion, broken: false }
     }
 
-    /// The last corrected command; `None` before the first, and where nothing was met since.
+    /// The last corrected command; `None` before the first one, and if no goal was met since an interruption.
     pub(super) fn command(&self) -> Option<&[f64]> {
         let motion = self.corrected.as_ref().filter(|_| !self.broken)?;
         Some(&motion.command)
     }
 
-    /// A goal was not met: what comes next is not one step from the last command.
+    /// Records that a goal was not met: the next one is not one step from the last command.
     pub(super) fn interrupt(&mut self) {
         self.broken = true;
     }
@@ -48,12 +48,12 @@ fn moved(motion: Option<&Motion>, command: &[f64]) -> Option<Motion> {
 }
 
 impl Compensator<'_> {
-    /// The corrected command for the next goal of a sequence, which a nominal command meets, and whether an actuator comes from another side with it than the correction counts
-    /// on. Of the first goal of a sequence that comes from nowhere the approach is as the circumstances state it.
+    /// The corrected command for the next goal of a sequence, which a nominal command meets, and whether an actuator then comes from another side
+    /// than the correction assumes. For the first goal of a sequence without a previous command, the approach is that of the circumstances.
     ///
     /// # Errors
     ///
-    /// As [`point`](Self::point); the travel stays where it was.
+    /// As [`point`](Self::point); the travel is left unchanged.
     pub fn next(
         &mut self,
         travel: &mut Travel,

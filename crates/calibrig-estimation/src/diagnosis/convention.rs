@@ -3,7 +3,7 @@
 use calibrig_model::KinematicModel;
 use calibrig_model::geometry::{Transform, rotation_vector, rotation_x, translation};
 
-/// The chain of the same table in the standard convention, or of one that was read as standard in Craig's.
+/// The chain of the same table in the standard convention, or, for a table that was read as standard, in Craig's.
 pub(super) fn other_convention(chain: &KinematicModel, standard: bool) -> Option<KinematicModel> {
     let links = &chain.links;
     if links.iter().any(|link| link.beta != 0.0) {

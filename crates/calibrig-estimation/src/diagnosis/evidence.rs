@@ -1,9 +1,9 @@
-//! How well a robot whose links are off as real ones are explains the points: the marginal likelihood of a hypothesis.
+//! Marginal likelihood of a hypothesis: how well a robot with realistic errors of its links explains the points.
 //!
-//! Links are off by `tau` times a millimetre and a milliradian, readings by `sigma`; the tracker's place and targets that are not known are
-//! free. Both sizes are found with the fit, links and places are integrated out: what explains the points by links that no maker would
-//! deliver, or by a large scatter, counts less than what lays the robot on them. D. J. C. `MacKay`, "Bayesian interpolation", Neural
-//! Computation 4 (1992) 415; the flat priors of places as in restricted maximum likelihood (D. A. Harville, JASA 72 (1977) 320).
+//! Links are off by `tau` times a millimetre and a milliradian, readings by `sigma`; the tracker's place and unknown targets are free. Both
+//! sizes are found with the fit, links and places are integrated out: an explanation by links that no manufacturer would deliver, or by a large
+//! scatter, counts less than one with which the robot fits the points. D. J. C. `MacKay`, "Bayesian interpolation", Neural Computation 4 (1992) 415;
+//! the flat priors of places as in restricted maximum likelihood (D. A. Harville, JASA 72 (1977) 320).
 
 use std::f64::consts::TAU;
 
@@ -14,52 +14,51 @@ use super::session::View;
 use crate::kinematics::KinematicChain;
 use calibrig_model::LinkTerm;
 
-/// Rounds of Gauss and Newton.
+/// Gauss-Newton iterations.
 const ROUNDS: usize = 3;
-/// By how much links are off, m and rad, at `tau` = 1.
+/// Errors of links at `tau` = 1, m and rad.
 const USUAL: f64 = 1e-3;
 const TERMS: [LinkTerm; 5] = [LinkTerm::A, LinkTerm::Alpha, LinkTerm::Beta, LinkTerm::D, LinkTerm::Theta];
-/// Smallest scatter, m: exact points are not explained better than this.
+/// Smallest scatter, m, so that exact points have a finite likelihood.
 const LEAST_SIGMA: f64 = 2e-6;
-/// Range of `tau`: links off by more are no links of this robot.
+/// Range of `tau`: links that are off by more do not belong to this robot.
 const TAUS: [f64; 2] = [0.02, 20.0];
-/// Width of what is usual of `tau`, in ln, above 1 and below.
+/// Widths of the prior of `tau`, in ln, above 1 and below.
 const WIDTHS: [f64; 2] = [1.2, 4.0];
-/// An offset is not known better than this, m.
+/// Least standard deviation of an offset, m.
 const LEAST_OFFSET: f64 = 1e-4;
-/// Nor a robot's base in the frame of the nests, m and rad.
+/// Least standard deviations of a robot's base in the frame of the nests, m and rad.
 const LEAST_PLACE: [f64; 2] = [2e-3, 3e-3];
-/// Nor does a step move it as far as this, m.
+/// A fit ends where a step would move an offset farther than this, m.
 const FARTHEST_OFFSET: f64 = 100.0;
-/// Places that nothing determines stay about where they are: as if they were known to a third of a metre or of a radian where a coordinate
-/// is to a tenth of a millimetre.
+/// Undetermined places stay about where they are, as if they were known to a third of a metre or of a radian where a coordinate is known to a
+/// tenth of a millimetre.
 const OPEN: f64 = 1e-7;
 
-/// The fit of a hypothesis, and what it says of every row.
+/// The fit of a hypothesis, with results for every row.
 pub(super) struct HypothesisFit {
-    /// `tracker_from_base` and offsets.
+    /// `tracker_from_base` of the stations, and offsets of the targets.
     pub placed: Placed,
     /// Twice the negative logarithm of the marginal likelihood of the rows that were fitted.
     pub score: f64,
     /// Standard deviation of a coordinate, m.
     pub sigma: f64,
-    /// RMS distance that is left, links fitted, m.
+    /// RMS residual with links fitted, m.
     pub rms: f64,
-    /// Of every row: squared distance from what the others say, in standard deviations.
+    /// Squared distance of every row from what the others predict, in standard deviations.
     pub far: Vec<f64>,
-    /// Where every row's target is by the fit, in the base frame, m.
+    /// Fitted position of every row's target in the base frame, m.
     pub in_base: Vec<Vector3<f64>>,
-    /// Covariance of that, m².
+    /// Covariance of this position, m².
     covariance: Vec<Matrix3<f64>>,
 }
 
-/// Which column of the Jacobian is what: places first, which are free, then what a prior holds (links, offsets that are stated, and stations
-/// that nests place).
+/// Meaning of the Jacobian's columns: first free places, then parameters with a prior (links, stated offsets, and stations that nests place).
 struct Layout {
     places: usize,
-    /// First column of every station: three shifts, three turns.
+    /// First column of every station: three translations, three rotations.
     stations: Vec<usize>,
-    /// First column of every target, and how well its offset is known, m.
+    /// First column of every target, and the standard deviation of its offset, m.
     targets: Vec<(usize, Option<f64>)>,
     columns: usize,
 }
@@ -94,16 +93,16 @@ impl Layout {
     }
 }
 
-/// What is to be solved at one placement.
+/// The linear system at one placement.
 struct System {
-    /// Residuals, measured minus predicted in the base frame, one a row of the view.
+    /// Residuals, measured minus predicted in the base frame, one per row of the view.
     left: Vec<Vector3<f64>>,
-    /// Columns as the layout has them, in the base frame; three rows a row of the view.
+    /// Jacobian with the columns of the layout, in the base frame; three rows per row of the view.
     jacobian: DMatrix<f64>,
     places: usize,
 }
 
-/// The system, and how it is solved for the sizes that explain it best.
+/// The system, with its solution for the sizes that explain it best.
 struct Solution {
     step: DVector<f64>,
     covariance: DMatrix<f64>,
@@ -112,10 +111,10 @@ struct Solution {
     freedom: f64,
 }
 
-/// Fits the rows of `view` that `kept` marks, from `start`.
+/// Fits the rows of `view` that are marked in `kept`, from `start`.
 pub(super) fn fit(view: &View, start: &Placed, kept: &[bool]) -> Option<HypothesisFit> {
     let layout = Layout::new(view);
-    // What the prior holds: deviations in units of its standard deviation.
+    // Parameters with a prior: deviations in units of the prior's standard deviation.
     let mut held = DVector::<f64>::zeros(layout.columns - layout.places);
     let mut now = start.clone();
     for (target, (column, sigma)) in layout.targets.iter().enumerate() {
@@ -143,14 +142,14 @@ pub(super) fn fit(view: &View, start: &Placed, kept: &[bool]) -> Option<Hypothes
         chain.set_model(&changed);
         let (system, in_base) = system(view, &layout, &mut chain, &now);
         let solution = system.solve(kept, &held)?;
-        // Where nothing fits, steps lead anywhere: what was reached before is told.
+        // Where nothing fits, steps can lead anywhere: the placement so far is the result.
         let is_far = (0..view.offsets.len()).any(|t| {
             let column = layout.targets[t].0;
             (0..3).any(|k| solution.step[column + k].abs() > FARTHEST_OFFSET)
         });
         if round == ROUNDS || is_far {
             let mut fit = told(now, &system, in_base, &solution, kept);
-            // The likelihood is that of a linear system: where its solution is elsewhere, what is really left is worse than it says.
+            // The likelihood is that of a linear system: where the nonlinear solution is elsewhere, the actual residual is worse than it says.
             let freedom = solution.freedom;
             let rows = kept.iter().filter(|is_kept| **is_kept).count() as f64;
             let left = (rows * fit.rms * fit.rms / freedom).max(LEAST_SIGMA * LEAST_SIGMA);
@@ -231,7 +230,7 @@ impl System {
         for (to, row) in rows.iter().enumerate() {
             let block = self.jacobian.rows(3 * row, 3);
             all.view_mut((3 * to, 0), (3, columns)).copy_from(&block);
-            // The deviations so far are part of what their prior weighs.
+            // The prior applies to the complete deviations, including those so far.
             let y = self.left[*row] + block.columns(places, of_links) * held;
             (0..3).for_each(|k| all[(3 * to + k, columns)] = y[k]);
         }
@@ -277,9 +276,9 @@ impl System {
     }
 }
 
-/// Inverse of the places' information, its logarithm, and how many directions are determined.
+/// Inverse of the places' information, the logarithm of its determinant, and the number of directions that are determined.
 fn inverse_of_places(information: DMatrix<f64>) -> (DMatrix<f64>, f64, usize) {
-    // Where nests and targets state everything.
+    // Nests and targets state all places.
     if information.is_empty() {
         return (information, 0.0, 0);
     }
@@ -292,11 +291,11 @@ fn inverse_of_places(information: DMatrix<f64>) -> (DMatrix<f64>, f64, usize) {
     (inverse, eased.iter().map(|value| value.ln()).sum(), told)
 }
 
-/// The likelihood by the two sizes: of the coordinates along the links' principal directions, and of what no link explains.
+/// The likelihood as a function of the two sizes, from the coordinates along the links' principal directions and the part that no link explains.
 struct Sizes {
-    /// Square of what one unit of a direction does, and of the coordinate along it.
+    /// Squared effect of one unit of a direction, and squared coordinate along it.
     directions: Vec<(f64, f64)>,
-    /// What is left beside them, m².
+    /// Sum of squares that no link explains, m².
     squares: f64,
     freedom: f64,
 }
@@ -384,7 +383,7 @@ fn told(
         let spread = Matrix3::from_fn(|i, j| spread[(i, j)]);
         let left = system.left[row];
         let of_left = if *is_kept {
-            // Distance from what the others say, by leverage.
+            // Distance from what the others predict, by leverage.
             squares += left.norm_squared();
             count += 1;
             Matrix3::identity() * variance - spread
@@ -409,7 +408,7 @@ fn told(
 }
 
 impl HypothesisFit {
-    /// Squared distance of a point, m in the tracker's frame, from where `row`'s target is, in standard deviations; and the distance, m.
+    /// Squared distance, in standard deviations, of a point (m, in the tracker's frame) from where `row`'s target is; and the distance, m.
     pub fn distance(&self, view: &View, row: usize, seen: &Vector3<f64>) -> (f64, f64) {
         let (rotation, shift) = &self.placed.stations[view.station[row]];
         let left = rotation.tr_mul(&(seen - shift)) - self.in_base[row];
@@ -419,7 +418,7 @@ impl HypothesisFit {
     }
 }
 
-/// The system at a placement with the links as drawn: Jacobian, residuals, and how many of its columns are places.
+/// The system at a placement with nominal links: Jacobian, residuals, and the number of columns that are places.
 #[cfg(test)]
 pub(super) fn dense(view: &View, placed: &Placed) -> (DMatrix<f64>, DVector<f64>, usize) {
     let layout = Layout::new(view);

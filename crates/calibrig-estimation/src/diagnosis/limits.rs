@@ -1,45 +1,45 @@
-//! What a session cannot tell, whatever is tried: joints that never moved, poses that are all one, points on a line, in a plane, on a sphere.
+//! What a session cannot determine, whatever is tried: joints that never moved, poses that are all equal, points on a line, in a plane, on a sphere.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use calibrig_model::measurement::{MeasurementSet, Observation};
 use calibrig_model::{CalibrationModel, Payload};
 
-/// A joint that moves less never moved, rad or m.
+/// A joint that moves by less counts as not moved, rad or m.
 const NO_MOTION: f64 = 1e-6;
-/// Points are on a line, in a plane or on a sphere within this share of their spread.
+/// Share of their spread within which points count as on a line, in a plane or on a sphere.
 const WITHIN: f64 = 5e-3;
 
-/// Something that a session does not tell.
+/// Something that a session does not determine.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Undetermined {
-    /// Joints never moved: nothing is told of their sign, unit, order, zero and links.
+    /// Joints never moved: their sign, unit, order, zero and links are not determined.
     NeverMoved {
-        /// Which.
+        /// Which joints.
         joints: Vec<usize>,
     },
-    /// There are fewer poses than observations need.
+    /// There are fewer different poses than needed.
     FewPoses {
-        /// Poses that differ.
+        /// Number of different poses.
         distinct: usize,
-        /// As many are needed before anything can be told from the tracker's place and the target's offset.
+        /// Number that is needed to separate anything from the tracker's place and the target's offset.
         needed: usize,
     },
-    /// Several observations of one target are of one pose: they tell of its repeatability alone.
+    /// Several observations of one target are at the same pose: they only show its repeatability.
     EqualPoses {
-        /// Poses that were measured more than once.
+        /// Number of poses that were measured more than once.
         poses: usize,
-        /// Observations of them.
+        /// Number of observations at these poses.
         observations: usize,
     },
     /// All points are on one line.
     Line,
-    /// All points are in one plane: a mirror image is not told from none.
+    /// All points are in one plane: a mirror image cannot be detected.
     Plane,
-    /// All points are on one sphere: what is in front of its centre is not told.
+    /// All points are on one sphere: what is in front of its centre is not determined.
     Sphere {
-        /// m
+        /// Radius of the sphere, m.
         radius: f64,
     },
 }

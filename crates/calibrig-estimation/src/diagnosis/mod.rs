@@ -1,8 +1,8 @@
-//! What would make a session fit that does not: conventions that are broken, tried one by one and in pairs.
+//! Finds what would make a session fit that does not: broken conventions, tried one by one and in pairs.
 //!
-//! Every way in which a session could be meant other than it was read ([`Part`]) and every pair of them is laid over the points in closed
-//! form (`place`); those that come near are weighed by how well a robot whose links are off as real ones are explains the points
-//! (`evidence`). Rows to blame are looked for beside each single one (`rows`). What explains the same points just as well is of one class.
+//! Every way in which a session could have been misread ([`Part`]), and every pair of them, is fitted to the points in closed
+//! form (`place`). Those that fit approximately are weighed by how well a robot with realistic errors of its links explains the points
+//! (`evidence`). Bad rows are looked for together with each single part (`rows`). Hypotheses that explain the same points equally well form a class.
 
 mod convention;
 mod evidence;
@@ -27,73 +27,73 @@ use crate::plausibility::{BeyondLimits, LARGEST_SHARE, beyond_limits};
 use calibrig_model::CalibrationModel;
 use calibrig_model::measurement::MeasurementSet;
 
-/// What was found of a session.
+/// Result of a diagnosis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Diagnosis {
-    /// Observations that were looked at.
+    /// Number of observations that were examined.
     pub observations: usize,
     /// RMS distance of the points from their mean, m.
     pub spread: f64,
-    /// Best first.
+    /// Hypotheses, the best first.
     pub hypotheses: Vec<Hypothesis>,
-    /// What the session does not tell.
+    /// What the session does not determine.
     pub undetermined: Vec<Undetermined>,
     /// Commands beyond the joints' limits, as they were read.
     pub beyond_limits: Vec<BeyondLimits>,
 }
 
-/// A way in which a session can be meant.
+/// A way in which a session may be meant.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Hypothesis {
-    /// What is otherwise than it was read; nothing where the session is sound.
+    /// Differences from how the session was read; empty if the session is sound.
     pub parts: Vec<Part>,
     /// RMS distance of the points from the nominal robot, with tracker and target fitted, m.
     pub rms: f64,
-    /// The same with links fitted that are off as those of real robots are, m.
+    /// RMS distance with links fitted that have realistic errors, m.
     pub rms_links: f64,
-    /// Twice the negative logarithm of its likelihood, with what it costs, less that of the first.
+    /// Twice the negative logarithm of its likelihood, including its cost, less that of the first hypothesis.
     pub above_first: f64,
-    /// Its share of the likelihood of all that were tried.
+    /// Its share of the likelihood of all hypotheses that were tried.
     pub probability: f64,
-    /// Hypotheses of one number explain any points of this session equally well.
+    /// Class: hypotheses with the same number explain any points of this session equally well.
     pub class: usize,
 }
 
-/// How a diagnosis ends.
+/// Conclusion of a diagnosis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Finding {
-    /// The robot lies on the points as they were read.
+    /// The robot fits the points as they were read.
     Sound,
-    /// Something explains them better.
+    /// Another reading explains the points better.
     Explained,
-    /// It does not lie on them, and nothing that was tried explains why.
+    /// The robot does not fit the points, and nothing that was tried explains why.
     Unexplained,
 }
 
 impl Hypothesis {
-    /// Kinds of its parts, as keys.
+    /// Kinds of the parts, as keys.
     pub fn kinds(&self) -> Vec<&'static str> {
         if self.parts.is_empty() { vec!["sound"] } else { self.parts.iter().map(Part::kind).collect() }
     }
 }
 
 impl Diagnosis {
-    /// Whether the poses are so few that points scatter, and say nothing of the robot.
+    /// Whether there are so few poses that the points only scatter, and say nothing of the robot.
     pub(crate) fn is_of_no_motion(&self) -> bool {
         self.undetermined
             .iter()
             .any(|what| matches!(what, Undetermined::FewPoses { distinct, .. } if *distinct < 3))
     }
 
-    /// What was found.
+    /// The conclusion.
     pub fn finding(&self) -> Finding {
         let Some(first) = self.hypotheses.first() else { return Finding::Sound };
-        // Of points in another unit, the spread is in that one.
+        // For points in another unit, the spread is in that unit.
         let unit = |part: &Part| if let Part::PointUnit { factor } = part { *factor } else { 1.0 };
         let spread = self.spread * first.parts.iter().map(unit).product::<f64>();
         let is_off = first.rms > LARGEST_SHARE * spread && spread > 0.0 && !self.is_of_no_motion();
         match first.parts.as_slice() {
-            // Better, and still what no robot's links are off by.
+            // It is better, but still off by more than any robot's links.
             _ if is_off => Finding::Unexplained,
             [] => Finding::Sound,
             _ => Finding::Explained,
@@ -101,7 +101,7 @@ impl Diagnosis {
     }
 }
 
-/// Looks for what would make the robot lie on the points of `set`.
+/// Looks for what would make the robot fit the points of `set`.
 ///
 /// # Errors
 ///
@@ -110,7 +110,7 @@ pub fn diagnose(model: &CalibrationModel, set: &MeasurementSet) -> Result<Diagno
     diagnose_with(model, set, |_, _| {})
 }
 
-/// The same; `progress` is told how much of how much is done.
+/// Like [`diagnose`]; `progress` is given the steps done and their total.
 ///
 /// # Errors
 ///

@@ -1,8 +1,9 @@
-//! Whether orientations turn as the robot turns its flange, the other way around, or otherwise.
+//! Checks whether orientations turn as the robot turns its flange, inversely, or otherwise.
 //!
-//! From one pose to the next a target turns by `R' Rᵀ`, as the tracker sees it. With `R = T F M` (T the tracker's, F the flange's rotation in the base, M
-//! the target's on the flange) that is `T (F' Fᵀ) Tᵀ`: its axis, times the sine of its angle, is that of the flange turned by T, whatever M is. Of inverted
-//! readings `R = (T F M)ᵀ` it is that of `F'ᵀ F` turned by `Mᵀ`. So one rotation lays all of them over the robot's, in closed form.
+//! From one pose to the next a target turns by `R' Rᵀ`, as the tracker sees it. With `R = T F M` (T the tracker's, F the flange's rotation in the
+//! base, M the target's on the flange) this is `T (F' Fᵀ) Tᵀ`: its axis, times the sine of its angle, is that of the flange rotated by T, whatever M
+//! is. For inverted readings `R = (T F M)ᵀ` it is that of `F'ᵀ F` rotated by `Mᵀ`. So a single rotation maps all of them to the robot's, in closed
+//! form.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
@@ -11,33 +12,33 @@ use calibrig_model::geometry::best_fit_transform;
 use calibrig_model::measurement::{MeasurementSet, Reading};
 use calibrig_model::visibility::stance_at;
 
-/// Axes that are nearer to the robot's turn as it does: no robot's links are off by as much.
+/// Axes within this distance turn as the robot does: no robot's links are off by as much.
 const NEAR: f64 = 0.05;
 
-/// What the orientations of a set are like.
+/// How the orientations of a set fit the robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Orientations {
-    /// Readings that have one.
+    /// Number of readings with an orientation.
     pub readings: usize,
-    /// RMS of what the turns between poses differ by from the robot's (as sines of angles, rad where small), as they were read.
+    /// RMS difference between the rotations from pose to pose and those of the robot (as sines of angles, rad where small), as they were read.
     pub as_read: f64,
-    /// The same if every rotation is taken the other way around.
+    /// RMS difference if every rotation is inverted.
     pub inverted: f64,
 }
 
-/// What that says.
+/// Conclusion about the orientations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum OrientationFinding {
     /// They turn as the robot does.
     AsTheRobot,
-    /// They do, the other way around.
+    /// They turn inversely.
     Inverted,
-    /// They do neither.
+    /// They turn in neither way.
     Otherwise,
 }
 
 impl Orientations {
-    /// What they say.
+    /// The conclusion.
     pub fn finding(&self) -> OrientationFinding {
         if self.as_read < NEAR && self.as_read <= self.inverted {
             OrientationFinding::AsTheRobot
@@ -49,12 +50,13 @@ impl Orientations {
     }
 }
 
-/// Axis times the sine of the angle.
+/// Axis of a rotation times the sine of its angle.
 fn axis(turn: &Matrix3<f64>) -> Vector3<f64> {
     0.5 * Vector3::new(turn[(2, 1)] - turn[(1, 2)], turn[(0, 2)] - turn[(2, 0)], turn[(1, 0)] - turn[(0, 1)])
 }
 
-/// Looks at the orientations of a set; `None` where fewer than three readings of a target from a station have one, or all turns are about one axis.
+/// Examines the orientations of a set; `None` where fewer than three readings of a target from a station have one, or all rotations are about one
+/// axis.
 pub fn orientations(model: &CalibrationModel, set: &MeasurementSet) -> Option<Orientations> {
     let mut joints = vec![0.0; model.kinematics.joint_count()];
     let (mut readings, mut squares, mut terms) = (0, [0.0; 2], 0.0);
@@ -71,11 +73,11 @@ pub fn orientations(model: &CalibrationModel, set: &MeasurementSet) -> Option<Or
                 }
             }
             readings += seen.len();
-            // As the tracker sees a pose, and as the robot has it.
+            // A pose's orientation as the tracker sees it, and as the robot has it.
             type Pair = [Rotation3<f64>; 2];
             let turns = |of: fn(&Pair, &Pair) -> Rotation3<f64>| {
                 let own = seen.windows(2).map(|pair| axis(of(&pair[0], &pair[1]).matrix()));
-                // With their opposites the middle is zero, and the best fit is a rotation alone.
+                // With their opposites the mean is zero, and the best fit is a pure rotation.
                 own.flat_map(|axis| [axis, -axis]).collect::<Vec<_>>()
             };
             let of_tracker = turns(|[before, _], [after, _]| after * before.inverse());
@@ -144,7 +146,7 @@ mod tests {
             let inverted = found(|rotation| rotation.inverse());
             assert!(inverted.inverted < 1e-12 && inverted.as_read > 0.1, "{inverted:?}");
             assert_eq!(inverted.finding(), OrientationFinding::Inverted);
-            // As of angles in another unit: no rotation makes turns of half the size of the robot's.
+            // As for angles in another unit: no rotation maps rotations of half the size to the robot's.
             let other = found(|rotation| Rotation3::new(0.5 * rotation.scaled_axis()));
             assert_eq!(other.finding(), OrientationFinding::Otherwise, "{other:?}");
         }

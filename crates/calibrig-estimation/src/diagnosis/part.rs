@@ -1,73 +1,73 @@
-//! One convention that a session may break.
+//! A convention that a session may break.
 
 use std::f64::consts::FRAC_PI_2;
 
 use super::FarOff;
 use calibrig_model::ActuatorMap;
 
-/// A way in which a session can be meant other than it was read. Joints and observations are counted from zero.
+/// One way in which a session may have been misread. Joints and observations are counted from zero.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Part {
     /// Commands of revolute joints are in another unit.
     AngleUnit {
-        /// Which.
+        /// Which joints.
         joints: Vec<usize>,
-        /// What they have to be multiplied by.
+        /// Factor by which the commands have to be multiplied.
         factor: f64,
     },
     /// Commands of prismatic joints are in another unit.
     TravelUnit {
-        /// Which.
+        /// Which joints.
         joints: Vec<usize>,
-        /// What they have to be multiplied by.
+        /// Factor by which the commands have to be multiplied.
         factor: f64,
     },
     /// The points are in another unit.
     PointUnit {
-        /// What they have to be multiplied by.
+        /// Factor by which the points have to be multiplied.
         factor: f64,
     },
     /// The tracker's angles are in another unit.
     TrackerAngleUnit {
-        /// What they have to be multiplied by.
+        /// Factor by which the angles have to be multiplied.
         factor: f64,
-        /// Whether the second one is counted from the zenith.
+        /// Whether the second angle is measured from the zenith.
         zenith: bool,
     },
     /// A joint moves the other way.
     Sign {
-        /// Which.
+        /// Which joint.
         joint: usize,
     },
     /// A joint's zero is elsewhere, by multiples of a quarter turn.
     Offset {
-        /// Which.
+        /// Which joint.
         joint: usize,
-        /// What its command has to be greater by, in quarters of a turn: -1, 1 or 2.
+        /// Correction of the command, in quarters of a turn: -1, 1 or 2.
         quarters: i8,
     },
     /// The columns of the commands are in another order.
     Order {
-        /// The column that each joint has to take.
+        /// The column that belongs to each joint.
         from: Vec<usize>,
-        /// What the joint's column has to be multiplied by where it was read as one of another kind of joint; else 1.
+        /// Factor for the joint's column where it was read as one of another kind of joint; otherwise 1.
         factors: Vec<f64>,
     },
     /// A joint is driven with another one.
     Coupling {
-        /// Which.
+        /// Which joint.
         joint: usize,
-        /// The other.
+        /// The other joint.
         with: usize,
         /// The share of the other's command that has to be added: 1 or -1.
         share: f64,
-        /// Of what the table has of the other, which is coupled itself, in place of its command.
+        /// Whether the other joint, which is coupled itself, counts with its joint variable instead of its command.
         of_joint: bool,
     },
-    /// The table is of the other convention.
+    /// The table is in the other convention.
     Convention {
-        /// Which one it is.
+        /// Whether that is the standard convention.
         standard: bool,
     },
     /// The target is on another link than the last.
@@ -75,43 +75,43 @@ pub enum Part {
         /// The joint that moves this link.
         joint: usize,
     },
-    /// Points stand beside the commands of other rows.
+    /// Points are next to the commands of other rows.
     ShiftedRows {
-        /// A command belongs to the point so many rows below.
+        /// Each command belongs to the point this many rows below.
         by: i64,
     },
-    /// An angle from the zenith was read as an elevation, or the other way round.
+    /// An angle from the zenith was read as an elevation, or vice versa.
     ZenithElevation {
-        /// Of the two points that coordinates leave open, the one on the side where fewer are.
+        /// Whether, of the two points that coordinates leave open, the one on the side with fewer points is meant.
         turned: bool,
     },
     /// Azimuth and elevation are exchanged.
     AnglesExchanged {
-        /// Whether what was read as an elevation is the complement of an angle from the zenith.
+        /// Whether what was read as an elevation is the complement of a zenith angle.
         zenith: bool,
     },
-    /// The points are a mirror image: axes exchanged, or one of them, or the azimuth, counted the other way.
+    /// The points are mirrored: axes are exchanged, or one of them, or the azimuth, has the opposite sense.
     Mirrored,
-    /// Observations that have each other's points.
+    /// Observations have each other's points.
     ExchangedRows {
-        /// Each has the point of the next one, the last that of the first.
+        /// In each cycle, every observation has the point of the next one, and the last has that of the first.
         cycles: Vec<Vec<usize>>,
     },
     /// Points that are off.
     GrossErrors {
-        /// Which, farthest first.
+        /// Which observations, farthest first.
         rows: Vec<FarOff>,
     },
-    /// Codes of missed shots in the place of points.
+    /// Codes of missed shots in place of points.
     MissedShots {
-        /// Which, with the distance from the middle of the others.
+        /// Which observations, with the distance from the middle of the others.
         rows: Vec<FarOff>,
     },
-    /// Targets at offsets of their own under one name.
+    /// Several targets with different offsets have the same name.
     SeveralTargets {
         /// Index of the target.
         target: usize,
-        /// The observations of each but the most frequent one.
+        /// The observations of each target except the most frequent one.
         others: Vec<Vec<usize>>,
     },
 }
@@ -139,7 +139,7 @@ impl Part {
         }
     }
 
-    /// Joints that it is about.
+    /// Joints that the part concerns.
     pub fn joints(&self) -> Vec<usize> {
         match self {
             Self::AngleUnit { joints, .. } | Self::TravelUnit { joints, .. } => joints.clone(),
@@ -150,7 +150,7 @@ impl Part {
         }
     }
 
-    /// Observations that it is about.
+    /// Observations that the part concerns.
     pub fn rows(&self) -> Vec<usize> {
         match self {
             Self::ExchangedRows { cycles } => cycles.iter().flatten().copied().collect(),
@@ -162,7 +162,7 @@ impl Part {
         }
     }
 
-    /// Whether it is about single rows.
+    /// Whether the part concerns single rows.
     pub fn is_of_rows(&self) -> bool {
         matches!(
             self,
@@ -173,7 +173,7 @@ impl Part {
         )
     }
 
-    /// Of two that explain the same, the one of the lower rank is the more usual mistake.
+    /// Rank: of two parts that explain the same, the one of lower rank is the more common mistake.
     pub(super) fn rank(&self) -> u8 {
         match self {
             Self::AngleUnit { joints, .. } if joints.len() > 1 => 0,
@@ -192,7 +192,7 @@ impl Part {
         }
     }
 
-    /// Whether it is usual enough to be looked for beside another one.
+    /// Whether the part is common enough to be tried together with another one.
     pub(super) fn is_usual(&self) -> bool {
         match self {
             Self::Order { from, .. } => moved(from) == 2 || is_all_moved(from),
@@ -202,7 +202,7 @@ impl Part {
         }
     }
 
-    /// Two orders, one after the other, are one.
+    /// Merges two consecutive orders into one.
     pub(super) fn merged(parts: Vec<Self>) -> Vec<Self> {
         let [Self::Order { from: a, factors: f }, Self::Order { from: b, factors: g }] = parts.as_slice()
         else {
@@ -213,7 +213,7 @@ impl Part {
         vec![Self::Order { from, factors }]
     }
 
-    /// Parts in the order in which they change what was commanded.
+    /// Parts in the order in which they change the commands.
     pub fn in_order<'p>(parts: &[&'p Self]) -> Vec<&'p Self> {
         let mut ordered = parts.to_vec();
         if !(parts.len() == 2 && parts[0].is_twofold_with(parts[1])) {
@@ -222,7 +222,7 @@ impl Part {
         ordered
     }
 
-    /// Where in the reading of a session it comes.
+    /// Step of reading a session in which the part applies.
     fn layer(&self) -> u8 {
         match self {
             Self::Order { .. } => 0,
@@ -233,7 +233,7 @@ impl Part {
         }
     }
 
-    /// Whether it matters which of the two comes first, beyond what the usual order says.
+    /// Whether the order of the two matters beyond the usual order.
     pub(super) fn is_twofold_with(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Coupling { joint, with, .. }, Self::Coupling { joint: j, with: w, .. }) => {
@@ -248,7 +248,7 @@ impl Part {
         }
     }
 
-    /// Changes the commands of one observation. `before` is room for as many.
+    /// Changes the command of one observation. `before` is memory for a copy.
     pub(super) fn command(&self, actuators: &ActuatorMap, command: &mut [f64], before: &mut Vec<f64>) {
         match self {
             Self::AngleUnit { joints, factor } | Self::TravelUnit { joints, factor } => {
@@ -277,7 +277,7 @@ impl Part {
     }
 }
 
-/// Whether columns are in the reverse order, or the first of them stands last, or the last one first.
+/// Whether the columns are in reverse order, or the first stands last, or the last first.
 fn is_all_moved(from: &[usize]) -> bool {
     let n = from.len();
     let is =
@@ -285,7 +285,7 @@ fn is_all_moved(from: &[usize]) -> bool {
     is(&|joint| n - 1 - joint) || is(&|joint| (joint + 1) % n) || is(&|joint| (joint + n - 1) % n)
 }
 
-/// How many joints take another column.
+/// Number of joints that take another column.
 pub(super) fn moved(from: &[usize]) -> usize {
     from.iter().enumerate().filter(|(joint, column)| joint != *column).count()
 }

@@ -1,8 +1,8 @@
-//! The robot as it is read, laid over the points by the tracker's place and the target's offset, in closed form.
+//! Fits the robot, as it is read, to the points by the tracker's place and the target's offset, in closed form.
 //!
-//! With any affine map in the place of the tracker's rotation the problem is linear: what the points leave of the flange's place and axes
-//! is projected out, and the offsets follow from a system of three unknowns a target. From there the rigid transform for given offsets
-//! (K. S. Arun and others, PAMI 9 (1987) 698) and the offsets for a given rotation are taken in turn.
+//! With any affine map in place of the tracker's rotation the problem is linear: the part of the points that the flange's position and axes explain
+//! is projected out, and the offsets follow from a system of three unknowns per target. From there the rigid transform for given offsets
+//! (K. S. Arun and others, PAMI 9 (1987) 698) and the offsets for a given rotation are computed alternately.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 
@@ -11,22 +11,22 @@ use super::tried::LENGTHS;
 use crate::kinematics::KinematicChain;
 use calibrig_model::geometry::cross_matrix;
 
-/// Rounds of rotation and offsets in turn.
+/// Iterations that alternate between rotation and offsets.
 const ROUNDS: usize = 5;
-/// Steps of Gauss and Newton behind them, where it matters.
+/// Gauss-Newton steps after them, where it matters.
 const REFINED: usize = 12;
-/// A column that is less than this share of its length outside of those before it says nothing of its own.
+/// A column adds nothing new if less than this share of its length is outside the span of those before it.
 const DEPENDENT: f64 = 1e-7;
-/// A unit is looked for where the points are so many times too large or too small.
+/// Another unit is considered where the points are too large or too small by at least this factor.
 const OTHER_UNIT: f64 = 3.0;
-/// And is taken where it agrees within this factor.
+/// A unit is accepted where it agrees within this factor.
 const UNIT_WITHIN: f64 = 1.6;
 
-/// The flange by the robot, and the points that were seen.
+/// The flange according to the robot, and the measured points.
 pub(super) struct Cloud {
     /// Flange's origin in the base frame, m.
     x: Vec<Vector3<f64>>,
-    /// Its axes.
+    /// The flange's axes in the base frame.
     axes: Vec<Matrix3<f64>>,
     seen: Vec<Vector3<f64>>,
     station: Vec<usize>,
@@ -35,21 +35,21 @@ pub(super) struct Cloud {
     offsets: Vec<Vector3<f64>>,
 }
 
-/// Where tracker and targets are.
+/// Places of the tracker and the targets.
 #[derive(Debug, Clone)]
 pub(super) struct Placed {
-    /// `tracker_from_base` of every station, of points in the robot's unit that are no mirror image.
+    /// `tracker_from_base` of every station, for points in the robot's unit that are not mirrored.
     pub stations: Vec<(Matrix3<f64>, Vector3<f64>)>,
-    /// m
+    /// Offset of each target, m.
     pub offsets: Vec<Vector3<f64>>,
     /// RMS distance, m.
     pub rms: f64,
-    /// The same as a share of the points' spread.
+    /// RMS distance as a share of the points' spread.
     pub share: f64,
 }
 
 impl Placed {
-    /// The same with the offsets of two targets exchanged.
+    /// The same placement with the offsets of two targets exchanged.
     pub fn with_exchanged(mut self, a: usize, b: usize) -> Self {
         self.offsets.swap(a, b);
         self
@@ -82,7 +82,7 @@ impl Cloud {
         self.seen.len()
     }
 
-    /// The same with the points as they are in another unit, and mirrored.
+    /// The cloud with its points converted from another unit, and mirrored.
     pub fn read(&self, factor: f64, mirrored: bool) -> Self {
         let hand = Vector3::new(factor, factor, if mirrored { -factor } else { factor });
         Self {
@@ -96,12 +96,12 @@ impl Cloud {
         }
     }
 
-    /// The same with every observation's target as given, and as many targets more.
+    /// The cloud with the given target for each observation, and these offsets of the targets.
     fn with_targets(&self, target: &[usize], offsets: Vec<Vector3<f64>>) -> Self {
         Self { target: target.to_vec(), offsets, ..self.read(1.0, false) }
     }
 
-    /// RMS distance of the points from their mean (a station's own), m.
+    /// RMS distance of the points from their mean (each station's own), m.
     pub fn spread(&self) -> f64 {
         let mut squares = 0.0;
         for station in 0..self.stations {
@@ -112,7 +112,7 @@ impl Cloud {
         (squares / self.len().max(1) as f64).sqrt()
     }
 
-    /// The unit of the points by their size against the robot's, where it is another one.
+    /// The unit of the points from their size relative to the robot's, if it is another one.
     pub fn unit(&self, offsets: &[Vector3<f64>]) -> Option<f64> {
         let mut squares = 0.0;
         for station in 0..self.stations {
@@ -128,12 +128,12 @@ impl Cloud {
         nearest.filter(|unit| is_other && away(*unit) < UNIT_WITHIN.ln())
     }
 
-    /// Offsets of the targets with an affine map in the place of every station's rotation, m; `None` where nothing tells them.
+    /// Offsets of the targets with an affine map in place of every station's rotation, m; `None` where nothing determines them.
     pub fn relaxed(&self, weights: Option<&[f64]>) -> Option<Vec<Vector3<f64>>> {
         self.affine(weights).map(|(offsets, _)| offsets)
     }
 
-    /// What no rigid placement can be below: the RMS distance with an affine map in its place, m.
+    /// Lower bound for all rigid placements: the RMS distance with an affine map in place of the rotation, m.
     pub fn bound(&self) -> Option<f64> {
         self.affine(None).map(|(_, squares)| (squares / self.len().max(1) as f64).sqrt())
     }
@@ -190,7 +190,7 @@ impl Cloud {
                 }
             }
         }
-        // Where nothing tells, the offset stays as it is stated.
+        // An undetermined offset stays as stated.
         let stated = DVector::from_iterator(columns, self.offsets.iter().flat_map(|o| o.iter().copied()));
         let whole = right.clone();
         let right = right - &normal * &stated;
@@ -205,7 +205,7 @@ impl Cloud {
         is_finite.then(|| (offsets(), (squares - whole.dot(&found)).max(0.0)))
     }
 
-    /// An orthonormal basis of one and the points' coordinates over the observations `own`.
+    /// An orthonormal basis of the constant one and the points' coordinates over the observations `own`.
     fn basis(&self, own: &[usize], weight: &impl Fn(usize) -> f64) -> Vec<Vec<f64>> {
         let mean = own.iter().map(|i| self.seen[*i]).sum::<Vector3<f64>>() / own.len() as f64;
         let mut basis: Vec<Vec<f64>> = Vec::with_capacity(4);
@@ -231,7 +231,7 @@ impl Cloud {
         basis
     }
 
-    /// Rotation and offsets in turn, from `offsets`.
+    /// Rotation and offsets, alternately, starting from `offsets`.
     pub fn placed(&self, mut offsets: Vec<Vector3<f64>>, weights: Option<&[f64]>) -> Placed {
         let mut stations = self.rigid(&offsets, weights);
         for _ in 0..ROUNDS {
@@ -255,12 +255,12 @@ impl Cloud {
         placed
     }
 
-    /// The placement of least squares next to `placed`, by Gauss and Newton.
+    /// The least squares placement next to `placed`, by Gauss and Newton.
     pub fn refined(&self, placed: Placed) -> Placed {
         self.moved(placed, None)
     }
 
-    /// The placement of least squares where offsets and stations that are stated are held.
+    /// The least squares placement with stated offsets and stations held.
     pub fn held(&self, view: &View) -> Placed {
         let mut placed = self.best(None);
         for (offset, (stated, sigma)) in
@@ -293,7 +293,7 @@ impl Cloud {
         placed
     }
 
-    /// One step; what is stated in `held` stays.
+    /// One step; offsets and stations that are stated in `held` stay.
     fn stepped(&self, placed: &Placed, held: Option<&View>) -> Option<Placed> {
         let size = 6 * self.stations + 3 * placed.offsets.len();
         let mut normal = DMatrix::<f64>::zeros(size, size);
@@ -303,7 +303,7 @@ impl Cloud {
             let at = self.x[i] + self.axes[i] * placed.offsets[self.target[i]];
             let left = rotation.tr_mul(&self.residual(placed, i));
             let (s, t) = (6 * self.station[i], 6 * self.stations + 3 * self.target[i]);
-            // In the base frame: the base shifted and turned, and the target's offset.
+            // In the base frame: shift and rotation of the base, and the target's offset.
             let blocks = [(s, Matrix3::identity()), (s + 3, -cross_matrix(&at)), (t, self.axes[i])];
             for (a, block) in &blocks {
                 let mut part = right.fixed_rows_mut::<3>(*a);
@@ -342,14 +342,14 @@ impl Cloud {
         next.rms.is_finite().then_some(next)
     }
 
-    /// Sets what a placement leaves.
+    /// Sets the residual figures of a placement.
     fn told(&self, placed: &mut Placed) {
         let squares = self.lengths(placed).iter().map(|v| v * v).sum::<f64>();
         placed.rms = (squares / self.len().max(1) as f64).sqrt();
         placed.share = placed.rms / self.spread().max(f64::MIN_POSITIVE);
     }
 
-    /// The better of what is found from the stated offsets and from those of the relaxed problem.
+    /// The better of the placements from the stated offsets and from those of the relaxed problem.
     pub fn best(&self, weights: Option<&[f64]>) -> Placed {
         let stated = self.placed(self.offsets.clone(), weights);
         match self.relaxed(weights).map(|offsets| self.placed(offsets, weights)) {
@@ -358,7 +358,7 @@ impl Cloud {
         }
     }
 
-    /// Which of some targets an observation is nearest to.
+    /// The target out of `among` to which an observation is nearest.
     pub fn nearest(&self, placed: &Placed, i: usize, among: &[usize]) -> usize {
         let (rotation, shift) = &placed.stations[self.station[i]];
         let length = |target: usize| {
@@ -401,7 +401,7 @@ impl Cloud {
         (0..self.stations).map(place).collect()
     }
 
-    /// Offsets for given rotations, the stations' shifts free.
+    /// Offsets for given rotations; the stations' shifts are free.
     fn offsets_for(
         &self,
         stations: &[(Matrix3<f64>, Vector3<f64>)],
@@ -415,7 +415,7 @@ impl Cloud {
         for i in 0..self.len() {
             let weight = weights.map_or(1.0, |w| w[i]);
             let (rotation, shift) = &stations[self.station[i]];
-            // In the base frame: seen - shift - x = axes offset + (what the shift is off).
+            // In the base frame: seen - shift - x = axes offset + (error of the shift).
             let left =
                 rotation.tr_mul(&(self.seen[i] - shift)) - self.x[i] - self.axes[i] * stated[self.target[i]];
             let (t, s) = (3 * self.target[i], 3 * (targets + self.station[i]));
@@ -444,8 +444,8 @@ impl Cloud {
         })
     }
 
-    /// The placement whose distances have the least sum, nearly, by weights that fall with the distance, and these weights: what few points
-    /// that are far off hardly move. From there the loss of Geman and `McClure`, which they do not move at all.
+    /// The placement with approximately the least sum of distances, by weights that decrease with the distance, and these weights: a few far-off
+    /// points hardly move it. From there, the loss of Geman and `McClure`, which far-off points do not move at all.
     pub fn robust(&self, rounds: usize) -> (Placed, Vec<f64>) {
         let mut weights = vec![1.0; self.len()];
         let mut placed = self.best(None);
@@ -462,8 +462,8 @@ impl Cloud {
         (placed, weights)
     }
 
-    /// The observations of `target` told apart as those of two targets, by clusters of what the residuals are in the flange's frame: the
-    /// placement, and which are the second's. From a split across the direction in which they differ most.
+    /// Divides the observations of `target` into those of two targets, by clusters of the residuals in the flange's frame; returns the
+    /// placement, and which observations belong to the second target. It starts with a split along the direction in which they differ most.
     pub fn split(&self, target: usize, from: &Placed) -> Option<(Placed, Vec<bool>)> {
         let own: Vec<usize> = (0..self.len()).filter(|i| self.target[*i] == target).collect();
         let in_flange = |placed: &Placed, i: usize| {
@@ -535,7 +535,7 @@ pub(super) fn median(mut values: Vec<f64>) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// The rotation that fits a correlation best.
+/// The rotation that fits a correlation matrix best.
 fn nearest_rotation(correlation: &Matrix3<f64>) -> Matrix3<f64> {
     let Some(svd) = correlation.try_svd(true, true, f64::EPSILON, 100) else { return Matrix3::identity() };
     let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { return Matrix3::identity() };

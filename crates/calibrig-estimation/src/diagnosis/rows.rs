@@ -1,4 +1,4 @@
-//! Rows that are to blame: exchanged, off, or codes of missed shots.
+//! Bad rows: exchanged, off, or codes of missed shots.
 
 use nalgebra::Vector3;
 
@@ -8,36 +8,36 @@ use super::part::Part;
 use super::place::{Placed, median};
 use super::session::View;
 
-/// So many times the median distance in a robust placement, a row is left out at first.
+/// Multiple of the median distance in a robust placement beyond which a row is left out at first.
 const FAR: f64 = 8.0;
-/// So many rows of ten can be to blame at most.
+/// Most bad rows out of ten.
 const FEW_OF_TEN: usize = 3;
-/// Rows that are left out one after the other beyond where that explains something.
+/// Number of further rows that are left out one at a time after this stops explaining anything.
 const BEYOND: usize = 3;
-/// Files of more rows have several left out at once, where they are so far off, squared, in standard deviations.
+/// In files of more rows than this, several are left out at once if their squared distance, in standard deviations, is beyond [`SURELY_FAR`].
 const MANY: usize = 100;
 const SURELY_FAR: f64 = 200.0;
-/// A point is where another row's joints put it within so many standard deviations, squared.
+/// Squared distance, in standard deviations, within which a point is where another row's joints put it.
 const THERE: f64 = 50.0;
-/// Or within this share of how far it is from its own.
+/// Or within this share of its distance from its own row's place.
 const NEARER: f64 = 0.05;
-/// Exchanges that are tried with rows that are not off.
+/// Longest cycle of exchanged rows that is recognised.
 const LARGEST_CYCLE: usize = 8;
 
-/// A view with some of its rows left out.
+/// A view without some of its rows.
 pub(super) struct LeftOut {
     pub kept: Vec<bool>,
     pub fit: HypothesisFit,
-    /// With what the rows that are left out cost.
+    /// Score including the cost of the rows that are left out.
     pub score: f64,
 }
 
-/// What a row costs that is left out of the fit: a point anywhere in the room around the robot, and which one it is.
+/// Cost of a row that is left out of the fit: a point anywhere in the space around the robot, and the choice of the row.
 pub(super) fn cost_of_row(spread: f64, rows: usize) -> f64 {
     6.0 * (2.0 * spread.max(1e-3)).ln() + 2.0 * (rows as f64).ln()
 }
 
-/// Leaves out the rows that explain the others best: those far off a robust placement, then one after the other.
+/// Leaves out the rows without which the others are explained best: those far off a robust placement, then one at a time.
 pub(super) fn without_few(view: &View, robust: &Placed, lengths: &[f64], spread: f64) -> Option<LeftOut> {
     let n = view.rows.len();
     let most = FEW_OF_TEN * n / 10;
@@ -51,7 +51,7 @@ pub(super) fn without_few(view: &View, robust: &Placed, lengths: &[f64], spread:
         kept[*i] = false;
     }
     let mut now = fit(view, robust, &kept)?;
-    // What the robust placement left out without need comes back.
+    // Rows that the robust placement left out needlessly are taken back.
     for _ in 0..order.len() {
         let back = (0..n).filter(|i| !kept[*i]).min_by(|a, b| now.far[*a].total_cmp(&now.far[*b]));
         let Some(back) = back else { break };
@@ -75,7 +75,7 @@ pub(super) fn without_few(view: &View, robust: &Placed, lengths: &[f64], spread:
     while kept.iter().filter(|is_kept| !**is_kept).count() < most && without < BEYOND {
         let worst = (0..n).filter(|i| kept[*i]).max_by(|a, b| far[*a].total_cmp(&far[*b]));
         let Some(worst) = worst else { break };
-        // Of many rows, all that are about as bad at once.
+        // In long files, all rows that are about as bad are left out at once.
         let limit = if n > MANY { (0.3 * far[worst]).max(SURELY_FAR) } else { f64::INFINITY };
         let left = kept.iter().filter(|is_kept| **is_kept).count().saturating_sub(n - most);
         let alike: Vec<usize> = (0..n)
@@ -99,8 +99,8 @@ pub(super) fn without_few(view: &View, robust: &Placed, lengths: &[f64], spread:
     Some(best)
 }
 
-/// The rows that were left out as parts: exchanged among each other, codes, and what is only off. `raw` are the points as they are in the
-/// file, `seen` what they are when they are read as in the view.
+/// The rows that were left out, as parts: exchanged with each other, codes, and the rest, which is off. `raw` are the points as they are in the
+/// file, `seen` as they are read in the view.
 pub(super) fn named(view: &View, left_out: &LeftOut, raw: &[Vector3<f64>]) -> Vec<Part> {
     let out: Vec<usize> = (0..view.rows.len()).filter(|row| !left_out.kept[*row]).collect();
     let distance = |row: usize, point: usize| {
@@ -108,7 +108,7 @@ pub(super) fn named(view: &View, left_out: &LeftOut, raw: &[Vector3<f64>]) -> Ve
         let own = left_out.fit.distance(view, row, &view.seen[row]).1;
         (squared < THERE || length < NEARER * own, length)
     };
-    // The point that belongs to each.
+    // The row whose point belongs to this row.
     let partner = |row: usize| {
         let others = out.iter().copied().filter(|other| *other != row);
         let nearest =
@@ -161,8 +161,8 @@ pub(super) fn named(view: &View, left_out: &LeftOut, raw: &[Vector3<f64>]) -> Ve
     parts
 }
 
-/// Whether a point of `raw` is one that programs write where there is none: all coordinates the same, a number of nines, or just the same as
-/// that of another one `among` those that are off.
+/// Whether a point of `raw` is a code that programs write for a missing point: equal coordinates, a number of nines, or a point equal to
+/// another one `among` those that are off.
 pub(super) fn is_code(raw: &[Vector3<f64>], own: usize, among: &[usize]) -> bool {
     let point = &raw[own];
     let alike = |a: f64, b: f64| (a - b).abs() <= 1e-9 * a.abs().max(b.abs());
@@ -174,7 +174,7 @@ pub(super) fn is_code(raw: &[Vector3<f64>], own: usize, among: &[usize]) -> bool
     is_same || is_nines || among.iter().any(|other| is_at(*other))
 }
 
-/// Whether the digits are nines alone, three or more.
+/// Whether the digits are three or more nines only.
 fn nines(value: f64) -> bool {
     let size = value.abs();
     if !(size > 0.0 && size.is_finite()) {

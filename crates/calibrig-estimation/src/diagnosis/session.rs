@@ -1,4 +1,4 @@
-//! What a session holds, and what it is where it is read by some parts.
+//! A session, and how it looks if it is read with some parts.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -10,60 +10,60 @@ use calibrig_model::geometry::{Transform, best_fit_transform};
 use calibrig_model::measurement::{MeasurementSet, NestObservation, Reading, Station};
 use calibrig_model::{CalibrationModel, KinematicModel};
 
-/// Nests that lie farther from where the others have them place nothing, m.
+/// Nests that lie farther from where the others have them do not place a station, m.
 const NEST_OFF: f64 = 0.01;
 
-/// What a session holds, apart from how it is read.
+/// The contents of a session, independent of how it is read.
 pub(super) struct Session<'a> {
     pub model: &'a CalibrationModel,
     pub commands: Vec<&'a [f64]>,
     pub seen: Vec<Vector3<f64>>,
-    /// Range, azimuth and elevation; whether as they were read, or made of coordinates.
+    /// Range, azimuth and elevation. `raw` is true if they are as read, false if they are computed from coordinates.
     spherical: Vec<[f64; 3]>,
     raw: bool,
     pub station: Vec<usize>,
     pub target: Vec<usize>,
     pub stations: usize,
-    /// The nests of every station; none where there are too few to place it.
+    /// The nests of every station; empty where there are too few to place it.
     pub nests: Vec<Vec<Nest>>,
     pub offsets: Vec<Vector3<f64>>,
     /// Standard deviation of a target's offset, where stated, m.
     pub offset_sigma: Vec<Option<f64>>,
-    /// Places of the observations in the file, which rows that were left out leave free.
+    /// Positions of the observations in the file, with gaps for rows that were dropped.
     pub place: Vec<i64>,
-    /// Observations that are of the robot, in order.
+    /// Observations that belong to the robot, in order.
     pub sound: Vec<usize>,
-    /// Those of them that are looked at.
+    /// The `sound` observations that are examined.
     pub kept: Vec<usize>,
 }
 
-/// A base nest: where it is in the base, and what was read of it, as of an observation.
+/// A base nest: its place in the base, and its reading, as for an observation.
 pub(super) struct Nest {
     in_base: Vector3<f64>,
     seen: Vector3<f64>,
     spherical: [f64; 3],
 }
 
-/// A session as it is read by some parts: what the identification of a robot starts from.
+/// A session as it is read with some parts: the input of the robot's identification.
 #[derive(Clone)]
 pub(super) struct View {
     pub chain: KinematicModel,
-    /// Joint variables, one row an entry of `rows`.
+    /// Joint variables, one row per entry of `rows`.
     pub joints: Vec<f64>,
-    /// Observation whose command, and observation whose point.
+    /// Index of the observation with the command, and of the one with the point.
     pub rows: Vec<(usize, usize)>,
     pub seen: Vec<Vector3<f64>>,
     pub station: Vec<usize>,
     pub target: Vec<usize>,
     pub stations: usize,
-    /// `tracker_from_base` of every station by its nests, where they tell it.
+    /// `tracker_from_base` of every station from its nests, where they determine it.
     pub registered: Vec<Option<(Matrix3<f64>, Vector3<f64>)>>,
     pub offsets: Vec<Vector3<f64>>,
     pub offset_sigma: Vec<Option<f64>>,
 }
 
 impl View {
-    /// Whether anything is known of targets and stations.
+    /// Whether anything is stated of targets and stations.
     pub fn is_stated(&self) -> bool {
         self.offset_sigma.iter().any(Option::is_some) || self.registered.iter().any(Option::is_some)
     }
@@ -75,7 +75,7 @@ impl<'a> Session<'a> {
         let spherical = Reading::spherical;
         let poses: Vec<i64> = observations.iter().map(|o| i64::from(o.pose)).collect();
         let count = |count: usize| i64::try_from(count).unwrap_or(i64::MAX);
-        // Numbers that run through, but for rows that were dropped, tell where these were.
+        // Consecutive numbers with gaps show where rows were dropped.
         let runs = poses.windows(2).all(|pair| pair[0] < pair[1])
             && poses
                 .last()
@@ -107,7 +107,7 @@ impl<'a> Session<'a> {
         self.raw
     }
 
-    /// The session as it is read by `parts`, in that order where it matters; `None` where they cannot be.
+    /// The session as it is read with `parts`, in that order where it matters; `None` where this is not possible.
     pub fn view(&self, parts: &[&Part]) -> Option<View> {
         let n = self.model.kinematics.joint_count();
         let mut view = View {
@@ -131,7 +131,7 @@ impl<'a> Session<'a> {
                 Part::ToolLink { joint } => {
                     view.chain.links.truncate(joint + 1);
                     view.chain.last_from_flange = Transform::identity();
-                    // Nothing is known of where it is on that link.
+                    // The offset on that link is unknown.
                     view.offset_sigma.fill(None);
                 }
                 Part::ExchangedRows { cycles } => {
@@ -179,7 +179,7 @@ impl<'a> Session<'a> {
         Some(view)
     }
 
-    /// Commands with the points so many rows below.
+    /// Commands combined with the points that are this many rows below.
     fn shifted(&self, by: i64) -> Vec<(usize, usize)> {
         let partner = |i: &usize| {
             let wanted = self.place[*i] + by;
@@ -189,7 +189,7 @@ impl<'a> Session<'a> {
         self.kept.iter().filter_map(partner).collect()
     }
 
-    /// Where a station is by its nests, which are read as the points are, or as they stand, whichever places them better.
+    /// Place of a station from its nests, which are read like the points or as they are in the file, whichever fits better.
     fn registered(
         &self,
         nests: &[Nest],
@@ -212,7 +212,7 @@ impl<'a> Session<'a> {
         (nearest.0 < NEST_OFF).then(|| (*nearest.1.rotation.matrix(), nearest.1.translation.vector))
     }
 
-    /// A point, and the angles to it, as it is read by `parts`; the second of two readings where `turned` says so.
+    /// A point and its angles, read with `parts`; `turned` selects the second of two possible points.
     fn reading(
         &self,
         parts: &[&Part],
@@ -233,14 +233,14 @@ impl<'a> Session<'a> {
                 Part::ZenithElevation { .. } => {
                     angles[2] = FRAC_PI_2 - angles[2];
                     point = position(angles);
-                    // Of a point of coordinates the angle is known but for the side that it is on.
+                    // For a point given by coordinates, the angle is known up to its side.
                     if turned.is_some_and(|axis| axis.dot(&point) < 0.0) {
                         point = -point;
                     }
                 }
                 Part::AnglesExchanged { zenith } => {
                     let [range, azimuth, elevation] = angles;
-                    // An elevation is within a quarter turn, an angle from the zenith above zero.
+                    // An elevation is within a quarter turn, a zenith angle is above zero.
                     let over = if *zenith { azimuth < 0.0 } else { azimuth.abs() > FRAC_PI_2 };
                     let (azimuth, elevation) =
                         if !self.raw && over { (azimuth - PI, PI - elevation) } else { (azimuth, elevation) };
@@ -264,7 +264,7 @@ impl<'a> Session<'a> {
         point
     }
 
-    /// The direction in which all points lie, where a reading of coordinates leaves their side open.
+    /// The common direction of all points, where a reading of coordinates leaves their side open.
     fn turned(&self, parts: &[&Part]) -> Option<Vector3<f64>> {
         if self.raw {
             return None;
@@ -286,7 +286,7 @@ impl<'a> Session<'a> {
     }
 }
 
-/// The nests of a station, where they are enough.
+/// The nests of a station, if there are enough.
 fn nests(station: &Station, spherical: impl Fn(&Reading) -> [f64; 3]) -> Vec<Nest> {
     if station.distinct_nests().len() < 3 {
         return Vec::new();

@@ -45,7 +45,7 @@ fn robot(rows: &[(f64, f64, f64, f64)], prismatic: Option<usize>) -> Calibration
     CalibrationModel::new(rows.iter().enumerate().map(link).collect()).expect("a robot")
 }
 
-/// Points of a machine whose links are off by `size` (m, rad), seen by a tracker beside it.
+/// Points of a machine whose links are off by `size` (m, rad), seen by a tracker next to it.
 fn measure(model: &CalibrationModel, poses: usize, size: f64) -> MeasurementSet {
     let mut machine = model.kinematics.clone();
     for (i, link) in machine.links.iter_mut().enumerate() {
@@ -78,7 +78,7 @@ fn points(set: &mut MeasurementSet, change: impl Fn(Vector3<f64>) -> Vector3<f64
     }
 }
 
-/// The likelihood by its definition: a normal distribution of all coordinates with the links' covariance, places integrated out.
+/// The likelihood by its definition: a normal distribution of all coordinates with the links' covariance, with places integrated out.
 #[test]
 fn the_evidence_is_the_marginal_likelihood() {
     let model = industrial();
@@ -89,7 +89,7 @@ fn the_evidence_is_the_marginal_likelihood() {
     let placed: Placed = cloud.refined(cloud.best(None));
     let kept = vec![true; view.rows.len()];
     let fit = evidence::fit(&view, &placed, &kept).expect("a fit");
-    // The same system at the fit, dense, over a grid of both sizes.
+    // The same system at the fit, with full matrices, over a grid of both sizes.
     let (jacobian, y, places) = evidence::dense(&view, &fit.placed);
     let freedom = y.len() - places;
     let x = jacobian.columns(0, places).into_owned();
@@ -119,7 +119,7 @@ fn the_evidence_is_the_marginal_likelihood() {
 fn the_other_convention_is_that_of_the_same_table() {
     let chain = industrial().kinematics;
     let standard = other_convention(&chain, true).expect("a table");
-    // Rz(theta) Tz(d) Tx(a) Rx(alpha), row by row, from the table as it stands.
+    // Rz(theta) Tz(d) Tx(a) Rx(alpha), row by row, from the table as given.
     let q = [0.3, -0.8, 1.1, 0.4, -1.3, 2.0];
     let rows = chain.links.iter().zip(q).map(|(link, q)| {
         rotation_z(link.theta + q)
@@ -136,8 +136,8 @@ fn the_other_convention_is_that_of_the_same_table() {
     }
 }
 
-/// What no measurement can tell apart is of one class: the rest of the wrist turns half a turn and its bend the other way; a mirror image of a
-/// robot whose axes are upright has its slide the other way.
+/// Hypotheses that no measurement separates are in one class: the rest of the wrist turned by half a turn with its bend the other way; a mirror
+/// image of a robot with upright axes, with its slide the other way.
 #[test]
 fn what_is_the_same_by_symmetry_is_of_one_class() {
     let model = industrial();
@@ -156,7 +156,7 @@ fn what_is_the_same_by_symmetry_is_of_one_class() {
     assert_eq!(class(&Part::Sign { joint: 2 }), Some(0), "{found:?}");
 }
 
-/// Coordinates that another program made of a zenith angle, or of angles that were exchanged, can still be taken back.
+/// Coordinates that another program computed from a zenith angle, or from exchanged angles, can still be converted back.
 #[test]
 fn angles_are_found_in_coordinates_as_well() {
     let model = industrial();
@@ -215,7 +215,7 @@ fn what_cannot_be_told_is_named() {
     assert!(told(&set).iter().any(|what| matches!(what, Undetermined::FewPoses { distinct: 3, .. })));
 }
 
-/// Whatever is degenerate has an answer, and no panic.
+/// Every degenerate session has an answer, without a panic.
 #[test]
 fn degenerate_sessions_have_an_answer() {
     for model in [industrial(), scara()] {
@@ -235,7 +235,7 @@ fn degenerate_sessions_have_an_answer() {
     assert!(diagnose(&one, &measure(&one, 20, 1e-3)).is_ok());
 }
 
-/// Readings by angles, with both angles in another unit, whichever way the second one is counted.
+/// Readings with angles, both in another unit, with either reference of the second angle.
 #[test]
 fn the_unit_of_angles_is_found_whichever_way_they_are_counted() {
     let model = industrial();
@@ -264,7 +264,7 @@ fn the_unit_of_angles_is_found_whichever_way_they_are_counted() {
     }
 }
 
-/// The fifth axis turns back what the fourth turns, the sixth what the fifth does: a table that lacks the latter is told as one coupling.
+/// The fifth axis turns back what the fourth turns, the sixth what the fifth does: if the table lacks the latter, a single coupling is reported.
 #[test]
 fn a_coupling_with_an_axis_that_is_coupled_itself_is_one() {
     let coupled = |shares: &[(usize, usize, f64)]| {
@@ -291,7 +291,7 @@ fn a_coupling_with_an_axis_that_is_coupled_itself_is_one() {
     );
 }
 
-/// All columns the other way round, or the first one at the end, is a usual mistake: also beside another one.
+/// All columns in reverse order, or the first one at the end, is a common mistake: it is found also next to another one.
 #[test]
 fn all_columns_in_another_order_are_found_beside_another_part() {
     let model = industrial();

@@ -1,4 +1,4 @@
-//! Which parts a session is tried with.
+//! The parts with which a session is tried.
 
 use std::f64::consts::PI;
 
@@ -7,12 +7,12 @@ use super::part::{Part, moved};
 use super::session::Session;
 use calibrig_model::{ActuatorMap, JointKind};
 
-/// Units of a length, seen from another one.
+/// Ratios of units of length.
 pub(super) const LENGTHS: [f64; 10] = [1e3, 1e-3, 1e6, 1e-6, 10.0, 0.1, 100.0, 0.01, 25.4, 1.0 / 25.4];
-/// Rows that a shift is looked for over.
+/// Largest shift of rows that is considered.
 const SHIFTS: i64 = 5;
 
-/// Every part that changes how all rows are read, but for those that a placement tells by itself (mirror image and unit of the points).
+/// Every part that changes how all rows are read, except those that a placement determines itself (mirror image and unit of the points).
 pub(super) fn structural(session: &Session<'_>) -> Vec<Part> {
     let links = &session.model.kinematics.links;
     // Joints that follow others have no column.
@@ -31,7 +31,7 @@ pub(super) fn structural(session: &Session<'_>) -> Vec<Part> {
         parts.extend(LENGTHS.map(unit));
     }
     parts.extend(commanded.iter().map(|joint| Part::Sign { joint: *joint }));
-    // What turns about the first axis is taken up by the tracker's place where no nests tell it, about the last by a target that is not known.
+    // A rotation about the first axis is absorbed by the tracker's place if no nests determine it, one about the last by an unknown target.
     let known = session.offset_sigma.iter().all(Option::is_some);
     let placed = session.nests.iter().all(|nests| !nests.is_empty());
     for &joint in revolute.iter().filter(|joint| (**joint > 0 || placed) && (**joint + 1 < n || known)) {
@@ -69,7 +69,7 @@ pub(super) fn structural(session: &Session<'_>) -> Vec<Part> {
 
 fn angle_units(revolute: &[usize], largest: impl Fn(usize) -> f64, parts: &mut Vec<Part>) {
     let (degree, radian) = (1.0_f64.to_degrees(), 1.0_f64.to_radians());
-    // Two whole turns of radians taken for degrees, or the smallest travel of degrees taken for radians.
+    // Two whole turns in radians taken for degrees, or the smallest travel in degrees taken for radians.
     let is_small = |joint: usize| largest(joint) < (4.0 * PI).to_radians();
     let is_large = |joint: usize| largest(joint) > 2.0;
     let all = |factor| Part::AngleUnit { joints: revolute.to_vec(), factor };
@@ -89,7 +89,7 @@ fn angle_units(revolute: &[usize], largest: impl Fn(usize) -> f64, parts: &mut V
     }
 }
 
-/// Two columns exchanged, one column at another place, and all the other way round; of the joints that have one.
+/// Two columns exchanged, one column moved elsewhere, and all reversed, for the joints that have a column.
 fn orders(commanded: &[usize], kind: impl Fn(usize) -> JointKind, parts: &mut Vec<Part>) {
     let n = commanded.len();
     let all = commanded.last().map_or(0, |last| last + 1);
@@ -121,7 +121,7 @@ fn orders(commanded: &[usize], kind: impl Fn(usize) -> JointKind, parts: &mut Ve
     add(&(0..n).rev().collect::<Vec<_>>());
     for from in orders {
         let is_mixed = (0..all).any(|joint| kind(joint) != kind(from[joint]));
-        // Columns in SI, or an angle in degrees that was read as millimetres and the other way round.
+        // Columns in SI, or an angle in degrees that was read as millimetres, and vice versa.
         let of_columns: &[f64] = if is_mixed { &[1.0, 1e3_f64.to_radians()] } else { &[1.0] };
         for &size in of_columns {
             let factor = |joint: usize| match (kind(joint), kind(from[joint])) {
@@ -135,7 +135,7 @@ fn orders(commanded: &[usize], kind: impl Fn(usize) -> JointKind, parts: &mut Ve
     }
 }
 
-/// Whether what is commanded of other joints moves this one as well.
+/// Whether commands of other joints move this one as well.
 fn is_coupled(actuators: &ActuatorMap, joint: usize, joints: usize) -> bool {
     (0..joints).any(|other| other != joint && actuators.rate(joint, other) != 0.0)
 }

@@ -1,4 +1,4 @@
-//! A robot that was sent to goals with corrected commands: where its tool came, against where it was to be.
+//! Results of a robot that was sent to goals with corrected commands: where its tool arrived, against where it should be.
 
 use nalgebra::Vector3;
 
@@ -8,131 +8,133 @@ use crate::identification::{CalibratedRobot, Mode, PredictionError, Predictor};
 use crate::inverse::Criterion;
 use calibrig_model::measurement::{MeasurementSet, SetOutcome};
 
-/// What came of the commands of every mode at the same goals. The mode [`WithoutCalibration`](Mode::WithoutCalibration) stands for the nominal commands.
+/// Results of the commands of every mode at the same goals. The mode [`WithoutCalibration`](Mode::WithoutCalibration) stands for the nominal
+/// commands.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ClosedLoop {
-    /// Coordinates of a goal that are met: 3 of a position, 5 with the direction of one axis, 6 of a pose.
+    /// Number of coordinates of a goal: 3 for a position, 5 with the direction of one axis, 6 for a pose.
     pub rows_of_goal: usize,
-    /// What decides between the commands that meet a goal; `None` where the planned command of a pose does.
+    /// Criterion that chooses among the commands that meet a goal; `None` where the planned command of a pose decides.
     pub redundancy: Option<Criterion>,
-    /// At the poses of the verification set, nominal commands first.
+    /// Results at the poses of the verification set, nominal commands first.
     pub modes: Vec<DrivenMode>,
-    /// The same poses with the redundancy resolved otherwise, with the commands of one mode.
+    /// Results at the same poses with the redundancy resolved in other ways, with the commands of one mode.
     pub criteria: Vec<DrivenCriterion>,
-    /// Cycles over the poses of ISO 9283, where these were asked for.
+    /// Results of cycles over the poses of ISO 9283, if these were asked for.
     pub pose_test: Option<DrivenPoseTest>,
-    /// A path, where one was asked for.
+    /// Results on a path, if one was asked for.
     pub path: Option<DrivenPath>,
-    /// What of it could not be driven, and why.
+    /// What could not be driven, and why.
     pub failures: Vec<DriveFailure>,
 }
 
 /// Something that could not be driven.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DriveFailure {
-    /// What, in words.
+    /// What could not be driven, in words.
     pub what: String,
     /// Why.
     pub why: String,
 }
 
-/// Commands of one mode, and what was measured with them.
+/// The commands of one mode, and what was measured with them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DrivenMode {
-    /// Which.
+    /// Which mode.
     pub mode: Mode,
-    /// What was measured, as in the session: of every target.
+    /// Measurements of every target, as in the session.
     pub set: SetOutcome,
-    /// The tool at its goals, one entry a reading of it.
+    /// The tool at its goals, one entry per reading of it.
     pub points: Vec<DrivenPoint>,
-    /// Poses whose goal the mode cannot meet, with the reason: they were driven with their nominal command and count nowhere.
+    /// Poses whose goal the mode cannot meet, with the reason: they were driven with their nominal command and are not counted.
     pub uncorrected: Vec<(u32, String)>,
-    /// Poses whose position alone is corrected, with the reason: all of the goal would have asked for another pose of the arm.
+    /// Poses of which only the position is corrected, with the reason: the complete goal would have needed another pose of the arm.
     pub position_alone: Vec<(u32, String)>,
 }
 
 /// A reading of the tool at a goal.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DrivenPoint {
-    /// Number of the pose, or place of the point in its path, from 0.
+    /// Number of the pose, or index of the point in its path, from 0.
     pub pose: u32,
-    /// Where the tool was to be, in the base frame, m.
+    /// Where the tool should be, in the base frame, m.
     pub goal: Vector3<f64>,
-    /// Where it was measured, in the base frame as the mode has it, m.
+    /// Where the tool was measured, in the base frame that the mode identified, m.
     pub measured: Vector3<f64>,
-    /// What was commanded, m or rad.
+    /// Command, m or rad.
     pub command: Vec<f64>,
-    /// Standard deviations of the tool's place that the estimate states beforehand, along the base's axes, m; `None` where it states none.
+    /// Standard deviations of the tool's position that the estimate predicts, along the base's axes, m; `None` without a prediction.
     pub sigma: Option<Vector3<f64>>,
 }
 
 impl DrivenPoint {
-    /// Measured minus wanted, m.
+    /// Measured minus goal, m.
     pub fn error(&self) -> Vector3<f64> {
         self.measured - self.goal
     }
 }
 
 impl DrivenMode {
-    /// The row of the table: measured minus wanted; `None` where nothing was measured.
+    /// The row of the table, measured minus goal; `None` where nothing was measured.
     pub fn row(&self) -> Option<AccuracyRow> {
         row(&self.points)
     }
 }
 
-/// The row of a table: measured minus wanted; `None` without a point.
+/// The row of a table, measured minus goal; `None` without points.
 pub fn row(points: &[DrivenPoint]) -> Option<AccuracyRow> {
     accuracy(&points.iter().map(DrivenPoint::error).collect::<Vec<_>>())
 }
 
-/// What another way to resolve the redundancy does.
+/// Results of another way to resolve the redundancy.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DrivenCriterion {
-    /// What is least; `None` of the commands as planned.
+    /// Criterion that is minimised; `None` for the commands as planned.
     pub criterion: Option<Criterion>,
-    /// Whose commands.
+    /// Mode of the corrected commands.
     pub mode: Mode,
-    /// How far the tool is predicted to be deflected at the commands: mean and largest, m. `None` of a robot without known masses and stiffnesses.
+    /// Predicted deflection of the tool at the commands: mean and largest, m. `None` for a robot without known masses and stiffnesses.
     pub droop: Option<[f64; 2]>,
-    /// Nominal commands: measured minus wanted.
+    /// Nominal commands: measured minus goal.
     pub nominal: Option<AccuracyRow>,
-    /// Corrected commands.
+    /// Corrected commands: measured minus goal.
     pub corrected: Option<AccuracyRow>,
-    /// Goals that could not be met.
+    /// Number of goals that could not be met.
     pub missed: usize,
-    /// Goals whose position alone was corrected.
+    /// Number of goals whose position alone was corrected.
     pub position_alone: usize,
 }
 
-/// Cycles over the poses of a test cube (ISO 9283), against where they were commanded to be.
+/// Cycles over the poses of a test cube (ISO 9283), against the commanded positions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DrivenPoseTest {
     /// The cube.
     pub cube: TestCube,
-    /// Cycles.
+    /// Number of cycles.
     pub cycles: usize,
-    /// Nominal commands first.
+    /// Accuracy and repeatability at each pose, nominal commands first.
     pub modes: Vec<(Mode, Vec<(PositionAccuracy, PositionRepeatability)>)>,
 }
 
 /// A path that was driven with the commands of every mode.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DrivenPath {
-    /// Of the way of the tool, m.
+    /// Length of the tool's path, m.
     pub length: f64,
-    /// m/s
+    /// Speed of the tool, m/s.
     pub speed: f64,
     /// Points that the nominal robot cannot reach, with the reason.
     pub unreachable: Vec<(u32, String)>,
-    /// Nominal commands first.
+    /// Results of every mode, nominal commands first.
     pub modes: Vec<DrivenMode>,
 }
 
-/// Where a target was measured in the base frame of a robot, m, an entry an observation: its readings freed from what was identified of the instrument.
+/// Measured positions of the targets in the base frame of a robot, m, one entry per observation; readings are corrected for the identified errors
+/// of the instrument.
 ///
 /// # Errors
 ///
-/// [`PredictionError`], for measurements that are not of this robot.
+/// [`PredictionError`], for measurements that do not belong to this robot.
 pub fn measured_in_base(
     robot: &CalibratedRobot,
     set: &MeasurementSet,

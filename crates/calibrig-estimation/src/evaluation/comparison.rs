@@ -1,4 +1,4 @@
-//! Two models on the same poses: how much better is one, and is the difference more than chance.
+//! Compares two models on the same poses: how much better one is, and whether the difference is more than chance.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -28,10 +28,10 @@ impl Interval {
     }
 }
 
-/// RMS of the 3-D errors `a` minus that of `b`, m, pose by pose on the same poses; `None` for fewer than two or unlike many.
+/// RMS of the 3-D errors `a` minus that of `b`, m, paired by pose; `None` for fewer than two errors, or lists of different lengths.
 ///
-/// The interval is that of the mean influence of a pose on the difference (delta method) with Student's t: poses that are hard for both
-/// models cancel. Where the errors are held-out ones, the fits that made them are taken as given.
+/// The interval is that of the mean influence of a pose on the difference (delta method) with Student's t: poses that are hard for both models
+/// cancel. Where the errors are held-out errors, the fits behind them are taken as given.
 pub fn paired_rms_difference(a: &[Vector3<f64>], b: &[Vector3<f64>], level: f64) -> Option<Interval> {
     if a.len() != b.len() || a.len() < 2 {
         return None;
@@ -47,9 +47,9 @@ pub fn paired_rms_difference(a: &[Vector3<f64>], b: &[Vector3<f64>], level: f64)
     Some(Interval::around(rms_a - rms_b, (variance / n).sqrt(), n - 1.0, level))
 }
 
-/// Mean of `differences`, one a random split of the same data, with `held_out_per_fitted` the size of the held-out part over that of the
-/// fitted one. Splits share data, so that their spread alone would be too narrow an interval: it is widened by Nadeau and Bengio's factor.
-/// `None` for fewer than two.
+/// Mean of `differences`, one per random split of the same data; `held_out_per_fitted` is the size of the held-out part over that of the fitted
+/// part. Splits share data, so that an interval from their spread alone would be too narrow: it is widened by Nadeau and Bengio's factor.
+/// `None` for fewer than two splits.
 ///
 /// Source: C. Nadeau, Y. Bengio, "Inference for the generalization error", Machine Learning 52 (2003), 239-281.
 pub fn resampled_difference(differences: &[f64], held_out_per_fitted: f64, level: f64) -> Option<Interval> {
@@ -74,7 +74,7 @@ mod tests {
         Vector3::from_fn(|_, _| StandardNormal.sample(rng))
     }
 
-    /// Errors that share most of what they are: the interval of the difference holds the true one as often as stated.
+    /// For errors that are mostly common to both models, the interval holds the true difference as often as stated.
     #[test]
     fn paired_intervals_hold_the_true_difference() {
         let mut rng = ChaCha8Rng::seed_from_u64(11);
@@ -92,7 +92,7 @@ mod tests {
             held += u64::from(interval.low <= truth && truth <= interval.high);
             found += u64::from(interval.excludes_zero());
         }
-        // 95 % to first order: between 94 % and 96 %, with the exact binomial's 0.05 % tails.
+        // 95 % to first order: between 94 % and 96 %, with the exact binomial tails of 0.05 %.
         let (few, many) = (binomial_cdf(held, trials, 0.94), binomial_cdf(held - 1, trials, 0.96));
         assert!(few > 0.000_5 && many < 0.999_5, "{held}");
         // The difference is 1.5 % of errors that scatter by 40 % from pose to pose.

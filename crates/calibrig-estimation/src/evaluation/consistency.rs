@@ -1,4 +1,4 @@
-//! Whether errors and residuals are as large as stated: chi-square, NEES, coverage.
+//! Tests whether errors and residuals are as large as stated: chi-square, NEES, coverage.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -8,10 +8,10 @@ use nalgebra::{Cholesky, DMatrix, DVector};
 use super::{PatternReport, ResidualSet, find_patterns};
 use calibrig_model::statistics::{binomial_cdf, chi2_cdf, chi2_quantile, chi2_survival, clopper_pearson};
 
-/// A chi-square with the probability of a larger one.
+/// A chi-square value with the probability of a larger one.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ChiSquareTest {
-    /// Sum of squares of independent standard normal variables, if the statement holds.
+    /// Sum of squares, of independent standard normal variables if the statement holds.
     pub chi2: f64,
     /// Degrees of freedom.
     pub dof: f64,
@@ -20,7 +20,7 @@ pub struct ChiSquareTest {
 }
 
 impl ChiSquareTest {
-    /// The test of `chi2` with `dof` degrees of freedom; `None` without any.
+    /// The test of `chi2` with `dof` degrees of freedom; `None` without a degree of freedom.
     pub fn new(chi2: f64, dof: f64) -> Option<Self> {
         (dof > 0.0).then(|| Self { chi2, dof, p_value: chi2_survival(chi2, dof) })
     }
@@ -36,19 +36,19 @@ impl ChiSquareTest {
     }
 }
 
-/// Whether residuals are what the stated noise leaves, in size and in shape.
+/// Whether residuals have the size and shape that the stated noise leaves.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ConsistencyReport {
-    /// Their size in the noise that was stated; `None` where it was taken from the residuals themselves, or without a degree of freedom.
+    /// Test of their size in the stated noise; `None` where the noise was taken from the residuals themselves, or without a degree of freedom.
     pub size: Option<ChiSquareTest>,
-    /// Their shape; `None` without a degree of freedom.
+    /// Test of their shape; `None` without a degree of freedom.
     pub shape: Option<PatternReport>,
-    /// Probability of a false alarm, in either; that of the size is shared by both of its tails.
+    /// Probability of a false alarm of each of the two tests; the test of the size divides it between its two tails.
     pub level: f64,
 }
 
-/// Tests size and shape of the residuals of a fit at the false-alarm rate `level` (such as 0.001) each. `size` is theirs in the noise that
-/// was stated, where any was.
+/// Tests size and shape of the residuals of a fit at the false-alarm rate `level` (such as 0.001) each. `size` is the chi-square test in the stated
+/// noise, if any was stated.
 pub fn check_consistency(
     set: &ResidualSet<'_>,
     size: Option<ChiSquareTest>,
@@ -77,7 +77,7 @@ impl ConsistencyReport {
 }
 
 impl fmt::Display for ConsistencyReport {
-    /// A sentence a line.
+    /// One sentence per line.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(size) = self.size.filter(|_| self.too_large()) {
             write!(f, "the residuals are {:.1} times what the stated noise explains", size.ratio())?;
@@ -103,21 +103,21 @@ impl fmt::Display for ConsistencyReport {
     }
 }
 
-/// The two-sided band that holds chi-square with `dof` degrees of freedom with probability `level`, per degree of freedom.
+/// The two-sided band that holds chi-square per degree of freedom, with `dof` degrees of freedom, with probability `level`.
 pub fn chi2_band(dof: f64, level: f64) -> (f64, f64) {
     let tail = 0.5 * (1.0 - level);
     (chi2_quantile(tail, dof) / dof, chi2_quantile(1.0 - tail, dof) / dof)
 }
 
-/// The normalised estimation error squared `eᵀ C⁻¹ e`: chi-square with n degrees of freedom if the n x n covariance C of the error e is
-/// the true one. `None` if C is not n x n and positive definite.
+/// The normalised estimation error squared `eᵀ C⁻¹ e`: chi-square with n degrees of freedom if C is the true n x n covariance of the error e.
+/// `None` if C is not n x n and positive definite.
 ///
 /// Source: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation" (2001), section 5.4.2.
 pub fn nees(error: &DVector<f64>, covariance: &DMatrix<f64>) -> Option<f64> {
     if covariance.shape() != (error.len(), error.len()) {
         return None;
     }
-    // Parameters have different units: scaled, the factorisation cannot lose the small ones.
+    // Parameters have different units: scaled, the factorisation keeps the small ones.
     let scale = covariance.diagonal().map(|v| 1.0 / v.sqrt());
     let scaled = DMatrix::from_fn(error.len(), error.len(), |i, j| covariance[(i, j)] * scale[i] * scale[j]);
     let whitened = Cholesky::new(scaled)?.l().solve_lower_triangular(&error.component_mul(&scale))?;
@@ -125,18 +125,18 @@ pub fn nees(error: &DVector<f64>, covariance: &DMatrix<f64>) -> Option<f64> {
     nees.is_finite().then_some(nees)
 }
 
-/// The band that holds the mean NEES of `trials` estimates of `parameters` numbers each with probability `level`.
+/// The band that holds the mean NEES of `trials` estimates of `parameters` parameters each with probability `level`.
 pub fn mean_nees_band(trials: usize, parameters: usize, level: f64) -> (f64, f64) {
     let (low, high) = chi2_band(trials as f64 * parameters as f64, level);
     (low * parameters as f64, high * parameters as f64)
 }
 
-/// How often a stated interval held the truth.
+/// How often stated intervals held the truth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Coverage {
-    /// Intervals that held it.
+    /// Number of intervals that held the truth.
     pub hits: u64,
-    /// Intervals.
+    /// Number of intervals.
     pub trials: u64,
 }
 
@@ -147,17 +147,17 @@ impl Coverage {
         self.trials += 1;
     }
 
-    /// Share of the intervals that held the truth; not a number without any.
+    /// Share of the intervals that held the truth; NaN without intervals.
     pub fn fraction(&self) -> f64 {
         self.hits as f64 / self.trials as f64
     }
 
-    /// Exact confidence interval of the probability behind it (Clopper-Pearson).
+    /// Exact confidence interval of the underlying probability (Clopper-Pearson).
     pub fn interval(&self, level: f64) -> (f64, f64) {
         clopper_pearson(self.hits, self.trials, level)
     }
 
-    /// Two-sided p-value of the statement that the probability is `nominal`: twice the smaller exact binomial tail.
+    /// Two-sided p-value of the hypothesis that the probability is `nominal`: twice the smaller exact binomial tail.
     pub fn p_value(&self, nominal: f64) -> f64 {
         let at_most = binomial_cdf(self.hits, self.trials, nominal);
         let at_least =
@@ -184,7 +184,7 @@ mod tests {
         assert_eq!(nees(&error, &DMatrix::from_element(4, 4, 1.0)), None);
     }
 
-    /// The factor of 1.96 holds 95 % of a normal variable, and the bands hold what is drawn from the stated distribution.
+    /// The factor 1.96 holds 95 % of a normal variable, and the bands hold draws from the stated distribution.
     #[test]
     fn the_band_of_a_mean_is_narrower_than_that_of_one() {
         // chi-square 10 at 2.5 % and 97.5 %: 3.247 and 20.483 (NIST table).
@@ -209,7 +209,7 @@ mod tests {
         coverage.count(false);
         assert_eq!(coverage, Coverage { hits: 1, trials: 2 });
         assert_eq!(coverage.fraction(), 0.5);
-        // Of two coins, none: one quarter, in either direction.
+        // Neither of two coins: one quarter, in either direction.
         assert!((Coverage { hits: 0, trials: 2 }.p_value(0.5) - 0.5).abs() < 1e-15);
     }
 }

@@ -1,4 +1,4 @@
-//! Information criteria: how much fit a parameter must buy.
+//! Information criteria: how much a parameter must improve the fit.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,10 +6,10 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NoiseLevel {
-    /// Residuals are whitened by the true noise.
+    /// The residuals are whitened with the true noise.
     Known,
-    /// Residuals are known up to one common scale, which is estimated with the parameters: what a machine leaves that no model explains
-    /// is then noise, and a model is not praised for explaining it.
+    /// The noise is known up to one common scale, which is estimated with the parameters. What a machine leaves that no model explains is then
+    /// noise, and a model gains nothing by explaining it.
     Estimated,
 }
 
@@ -20,24 +20,24 @@ pub struct Fit {
     pub chi2: f64,
     /// Number of measured coordinates.
     pub rows: usize,
-    /// Effective number of parameters: with priors, the trace of the data's share of the information (see
-    /// `identification::Uncertainty::effective_parameters`); without, their number.
+    /// Effective number of parameters. With priors, it is the trace of the data's share of the information (see
+    /// `identification::Uncertainty::effective_parameters`); without priors, their number.
     pub parameters: f64,
 }
 
-/// Criteria of a fit; only differences between models of the same data have a meaning. The smallest is the best.
+/// Criteria of a fit; only differences between models of the same data have a meaning. The smallest value is the best.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Criteria {
-    /// Akaike's.
+    /// Akaike's criterion.
     pub aic: f64,
-    /// Akaike's, corrected for few data; infinite where there are not enough of them.
+    /// Akaike's criterion, corrected for few data; infinite where there are too few.
     pub aicc: f64,
-    /// Schwarz's.
+    /// Schwarz's criterion.
     pub bic: f64,
 }
 
 impl Fit {
-    /// Its criteria.
+    /// The criteria of this fit.
     ///
     /// Source: K. P. Burnham, D. R. Anderson, "Model Selection and Multimodel Inference", 2nd ed. (2002), sections 2.2 to 2.4 and 6.4.1.
     pub fn criteria(&self, noise: NoiseLevel) -> Criteria {
@@ -69,7 +69,7 @@ mod tests {
         assert_eq!(Fit { rows: 10, ..fit }.criteria(NoiseLevel::Known).aicc, f64::INFINITY);
     }
 
-    /// With an estimated scale, criteria of two models do not change their difference when the noise was stated too small.
+    /// With an estimated scale, the difference between the criteria of two models does not change if the noise was stated too small.
     #[test]
     fn an_estimated_scale_forgives_a_wrong_statement() {
         let difference = |factor: f64, noise| {

@@ -49,7 +49,7 @@ pub struct AccuracyRow {
     pub count: usize,
 }
 
-/// The row of `errors` (measured minus predicted, m); `None` without any.
+/// The row of `errors` (measured minus predicted, m); `None` without errors.
 pub fn accuracy(errors: &[Vector3<f64>]) -> Option<AccuracyRow> {
     if errors.is_empty() {
         return None;

@@ -1,4 +1,4 @@
-//! Does a model that explains more predict better? Nested models side by side.
+//! Whether a model that explains more predicts better: nested models side by side.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -10,19 +10,19 @@ use super::{Criteria, Fit, Interval, NoiseLevel, accuracy, paired_rms_difference
 /// A model that was fitted to all observations, and to parts of them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Variant {
-    /// What is new in it.
+    /// What the model adds, in words.
     pub name: String,
-    /// Index of the one that it is compared with; `None` for the first.
+    /// Index of the model with which it is compared; `None` for the first.
     pub against: Option<usize>,
     /// Number of parameters.
     pub parameters: usize,
     /// The fit to all observations.
     pub fit: Fit,
-    /// Error of every observation (measured minus predicted, m) from a fit that did not see it, in the same order for all variants.
+    /// Error of every observation (measured minus predicted, m) from a fit without it, in the same order for all variants.
     pub held_out: Vec<Vector3<f64>>,
 }
 
-/// What a step from one model to the next is worth.
+/// Value of a step from one model to the next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
@@ -30,9 +30,9 @@ pub enum Verdict {
     Reference,
     /// It predicts held-out poses better, beyond chance.
     Pays,
-    /// It fits better than chance explains (`AICc`), but held-out poses do not show it yet: more poses may.
+    /// It fits better than chance explains (`AICc`), but held-out poses do not show it yet; more poses may.
     Undecided,
-    /// Neither held-out poses nor `AICc` speak for it.
+    /// Neither held-out poses nor `AICc` favour it.
     DoesNotPay,
     /// It predicts held-out poses worse, beyond chance.
     Hurts,
@@ -41,23 +41,23 @@ pub enum Verdict {
 /// One row of the table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct VariantRow {
-    /// What is new in it.
+    /// What the model adds, in words.
     pub name: String,
-    /// Name of the row that it is compared with.
+    /// Name of the row with which it is compared.
     pub against: Option<String>,
     /// Number of parameters.
     pub parameters: usize,
-    /// How many of them the data determine.
+    /// Number of parameters that the data determine.
     pub effective_parameters: f64,
-    /// Chi-square of the data over rows minus effective parameters; `None` without any degree of freedom.
+    /// Chi-square of the data over rows minus effective parameters; `None` without a degree of freedom.
     pub chi2_per_dof: Option<f64>,
-    /// Information criteria, less those of the best row: zero is the best.
+    /// Information criteria, less those of the best row: zero for the best.
     pub above_best: Criteria,
     /// RMS of the 3-D held-out errors, m.
     pub held_out_rms: Option<f64>,
-    /// By how much that is smaller than in the row that it is compared with, m.
+    /// How much smaller the held-out RMS is than in the row with which it is compared, m.
     pub gain: Option<Interval>,
-    /// What the step is worth.
+    /// Value of the step.
     pub verdict: Verdict,
 }
 
@@ -156,7 +156,7 @@ mod tests {
         Variant { name: name.to_owned(), against: None, parameters: columns, fit, held_out }
     }
 
-    /// Three functions that act, a fourth that acts little, forty that do not.
+    /// Three functions with an effect, a fourth with a small one, forty with none.
     #[test]
     fn what_acts_pays_and_what_does_not_act_does_not() {
         let mut rng = ChaCha8Rng::seed_from_u64(7);

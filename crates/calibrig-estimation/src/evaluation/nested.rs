@@ -1,4 +1,4 @@
-//! Does identifying a parameter make poses that were not fitted better or worse? Nested fits of a linearised system.
+//! Whether identifying a parameter makes held-out poses better or worse, by nested fits of a linearised system.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
@@ -6,18 +6,18 @@ use super::{Interval, Split, paired_rms_difference};
 use crate::identification::Linearisation;
 use crate::identification::triangular_factor_of_all;
 
-/// A fit, linearised where it ended, whose observations are held out in parts.
+/// A fit, linearised at its end, whose observations are held out in parts.
 #[derive(Debug, Clone)]
 pub struct NestedFits<'a> {
     system: &'a Linearisation,
-    /// Of the parameters where the fit ended: what each is from its prior mean.
+    /// Differences of the parameters from their prior means at the end of the fit.
     values: &'a [f64],
-    /// Columns that are free: those at a bound stay there.
+    /// Columns that are free; parameters at a bound stay there.
     free: Vec<usize>,
     splits: &'a [Split],
-    /// One an observation.
+    /// Pose number of every observation.
     poses: &'a [u32],
-    /// Root of what every observation counts for.
+    /// Square root of every observation's weight.
     weights: Vec<f64>,
     /// Triangular factor of each part's rows, the residuals in the last column.
     parts: Vec<DMatrix<f64>>,
@@ -25,9 +25,9 @@ pub struct NestedFits<'a> {
 }
 
 impl<'a> NestedFits<'a> {
-    /// Of `system` at `values`, with the columns `bounded` held, the observations' robust `weights` (none where all count alike) and the
-    /// number of every observation's pose. Every split holds out other observations, and all together hold out all. `None` where the sizes
-    /// do not fit, or where all but one part do not determine the parameters.
+    /// Nested fits of `system` at `values`, with the columns `bounded` held, the observations' robust `weights` (empty where all count the same) and
+    /// the number of every observation's pose. Each observation is held out in one split. `None` where the sizes do not fit together, or where all
+    /// but one part do not determine the parameters.
     pub fn new(
         system: &'a Linearisation,
         values: &'a [f64],
@@ -50,7 +50,7 @@ impl<'a> NestedFits<'a> {
         let weights: Vec<_> =
             (0..observations).map(|i| weights.get(i).map_or(1.0, |w| w.max(0.0).sqrt())).collect();
         let part = |split: &Split| {
-            // An orientation is held out with its observation.
+            // An orientation is held out together with its observation.
             let turned = system.orientations.iter().enumerate().filter(|(_, i)| split.held_out.contains(i));
             let blocks = split.held_out.iter().map(|i| (*i, *i));
             let blocks: Vec<_> = blocks.chain(turned.map(|(turn, i)| (observations + turn, *i))).collect();
@@ -77,19 +77,19 @@ impl<'a> NestedFits<'a> {
         Some(nested)
     }
 
-    /// By how much the RMS of held-out poses, m, is smaller with the parameters in the columns `group` identified than with them at their
-    /// prior means, with its interval of confidence `level`; poses, not observations, are what is paired. `None` where the rest does not
-    /// determine what is left.
+    /// By how much the RMS of held-out poses, m, is smaller with the parameters in the columns `group` identified than with them at their prior
+    /// means, with its interval of confidence `level`; pairs are formed by pose, not by observation. `None` where the other parameters are not
+    /// determined.
     pub fn gain(&self, group: &[usize], level: f64) -> Option<Interval> {
         paired_by_pose(&self.held_out(group)?, &self.with, self.poses, level)
     }
 
-    /// The errors of all observations, m, each from a fit that did not see it, with `group` at its prior means.
+    /// The errors of all observations, m, each from a fit without this observation, with `group` at its prior means.
     fn held_out(&self, group: &[usize]) -> Option<Vec<Vector3<f64>>> {
         let Linearisation { jacobian, residuals, data_rows, whitening, .. } = self.system;
         let n = jacobian.ncols();
         let columns: Vec<usize> = self.free.iter().copied().filter(|c| !group.contains(c)).collect();
-        // What is not fitted is where its prior has it.
+        // Parameters that are not fitted stay at their prior means.
         let mut held = DVector::zeros(n);
         for column in group {
             held[*column] = -self.values[*column];
@@ -132,7 +132,7 @@ impl<'a> NestedFits<'a> {
     }
 }
 
-/// RMS by pose of the errors `a` less that of `b`, as [`paired_rms_difference`].
+/// RMS by pose of the errors `a` less that of `b`, as in [`paired_rms_difference`].
 pub fn paired_by_pose(a: &[Vector3<f64>], b: &[Vector3<f64>], poses: &[u32], level: f64) -> Option<Interval> {
     let lengths = |errors: &[Vector3<f64>]| {
         let mut of_poses: Vec<(u32, f64, f64)> = Vec::new();
@@ -150,7 +150,7 @@ pub fn paired_by_pose(a: &[Vector3<f64>], b: &[Vector3<f64>], poses: &[u32], lev
     paired_rms_difference(&lengths(a), &lengths(b), level)
 }
 
-/// `x` with the least `|A x + b|`, where b is the last column of the system.
+/// The `x` that minimises `|A x + b|`, where b is the last column of the system.
 fn minimum(system: &DMatrix<f64>) -> Option<Vec<f64>> {
     let n = system.ncols() - 1;
     let r = triangular_factor_of_all(system.as_view());
@@ -202,7 +202,7 @@ mod tests {
         (system, x.iter().copied().collect())
     }
 
-    /// Held-out errors of fits that are really made again, with and without the last column.
+    /// Held-out errors of fits that are actually repeated, with and without the last column.
     #[test]
     fn nested_fits_are_those_that_are_made_again() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
@@ -234,7 +234,7 @@ mod tests {
         }
     }
 
-    /// Columns that act make held-out poses better; many that do not, with a prior that is far too wide, worse; both beyond chance.
+    /// Columns with an effect make held-out poses better; many without one, with a prior that is far too wide, make them worse; both beyond chance.
     #[test]
     fn what_acts_is_better_and_what_does_not_is_worse() {
         let mut rng = ChaCha8Rng::seed_from_u64(5);
@@ -250,12 +250,12 @@ mod tests {
         let worse = nested.gain(&useless, 0.95).expect("an interval");
         assert!(worse.high < 0.0, "{worse:?}");
         assert!(NestedFits::new(&system, &values[1..], &[], &[], &poses, &splits).is_none());
-        // Held where it is, a column is not fitted in either.
+        // A column that is held is not fitted in either of the two fits.
         let nested = NestedFits::new(&system, &values, &[3], &[], &poses, &splits).expect("a system");
         assert!(nested.gain(&useless, 0.95).is_some());
     }
 
-    /// Three observations of a pose share its error: as single ones they would be three times as many as there are.
+    /// Three observations of a pose share its error: counted singly, there would seem to be three times as many as there are.
     #[test]
     fn poses_are_paired_not_observations() {
         let a: Vec<_> = (0..30).map(|i| Vector3::x() * f64::from(1 + i / 3 % 5)).collect();

@@ -1,4 +1,4 @@
-//! What readings are stated to scatter by, against what repeats and residuals show, in the instrument's own directions.
+//! Compares the stated scatter of readings with that of repeats and of residuals, in the instrument's own directions.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -6,53 +6,53 @@ use serde::{Deserialize, Serialize};
 use super::{ChiSquareTest, chi2_band};
 use calibrig_model::measurement::{MeasurementSet, Reading, beam_axes};
 
-/// Probability with which the band of repeats holds their chi-square, if the readings scatter as stated.
+/// Probability with which the band of repeats holds their chi-square if the readings scatter as stated.
 pub const REPEATS_LEVEL: f64 = 0.999;
 
-/// Scatter of a set. Vectors are along the beam, and across it along growing azimuth and elevation, as lengths at the target, m.
+/// Scatter of a set. Vectors are along the beam, and across it in the directions of growing azimuth and elevation, as lengths at the target, m.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ScatterComparison {
-    /// Readings.
+    /// Number of readings.
     pub readings: usize,
-    /// RMS of the standard deviations that they state by themselves; `None` where one states none.
+    /// RMS of the standard deviations that the readings state for themselves; `None` where a reading states none.
     pub stated: Option<Vector3<f64>>,
-    /// RMS of what the errors that are stated of their instruments, and that all its readings share, can displace them by before a fit takes part of it up;
-    /// `None` where nothing is stated of an instrument.
+    /// RMS of how far the stated shared errors of the instruments can displace the readings, before a fit absorbs part of them; `None` where nothing
+    /// is stated of an instrument.
     pub shared: Option<Vector3<f64>>,
-    /// What repeats show; `None` without any.
+    /// Scatter of repeats; `None` without repeats.
     pub repeats: Option<RepeatScatter>,
     /// RMS of the residuals.
     pub residuals: Vector3<f64>,
-    /// Part of the residuals' sum of squares that the stated noise is expected to leave. About 1 where there is nothing else; more where it is stated
+    /// Part of the residuals' sum of squares that the stated noise is expected to leave: about 1 where there is nothing else, more where it is stated
     /// too large.
     pub noise_share: Option<f64>,
-    /// The same of the shared errors, at most: a fit takes part of them up in what it identifies.
+    /// Part of the residuals' sum of squares that the shared errors leave at most: a fit absorbs part of them in what it identifies.
     pub shared_share: Option<f64>,
 }
 
-/// What readings of the same pose show.
+/// Scatter of readings of the same pose.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RepeatScatter {
-    /// Poses (of a station and a target) with more than one reading.
+    /// Number of poses (of a station and a target) with more than one reading.
     pub poses: usize,
-    /// Readings of them beyond the first.
+    /// Number of readings of these poses beyond the first.
     pub repeats: usize,
-    /// Standard deviations, pooled over the poses. The machine's own scatter is in them.
+    /// Standard deviations, pooled over the poses; they include the machine's own scatter.
     pub sigma: Vector3<f64>,
-    /// Against the stated noise; `None` where none is stated.
+    /// Test against the stated noise; `None` where none is stated.
     pub test: Option<ChiSquareTest>,
-    /// Where chi-square per degree of freedom lies in 99.9 % if the readings scatter as stated and the machine not at all.
+    /// Band that holds chi-square per degree of freedom with 99.9 % if the readings scatter as stated and the machine does not.
     pub band: (f64, f64),
 }
 
-/// Directions along the beam to a point, and across it there, in the tracker's frame: columns.
+/// Directions along the beam to a point, and across it there, in the tracker's frame, as columns.
 fn directions(point: &Vector3<f64>) -> Matrix3<f64> {
     beam_axes(point.y.atan2(point.x), point.z.atan2(point.x.hypot(point.y)))
 }
 
-/// Compares what the readings of a set state with its `errors` (measured minus predicted in the frame of their station's tracker, m, one an observation). `left`
-/// is the part of an observation's variance that the fit leaves, 1 - leverage / 3; empty for a set that was not fitted. `None` for a set without readings or of
-/// another length, and for numbers that are not finite.
+/// Compares what the readings of a set state with their `errors` (measured minus predicted in the frame of their station's tracker, m, one per
+/// observation). `left` is the part of each observation's variance that the fit leaves, 1 - leverage / 3; empty for a set that was not fitted.
+/// `None` for a set without readings, for lists of another length, and for numbers that are not finite.
 pub fn compare_scatter(
     set: &MeasurementSet,
     errors: &[Vector3<f64>],
@@ -122,7 +122,7 @@ fn repeat_scatter(set: &MeasurementSet) -> Option<RepeatScatter> {
             let along = axes.transpose() * (reading.position() - mean);
             squares += along.component_mul(&along);
         }
-        // About the mean that weighs every reading with what it states: chi-square with three degrees of freedom less than coordinates.
+        // About the mean that weighs every reading by its stated covariance: chi-square with three fewer degrees of freedom than coordinates.
         let weights: Option<Vec<Matrix3<f64>>> =
             readings().map(|r| Some(r.position_covariance()?.cholesky()?.inverse())).collect();
         chi2 = chi2.zip(weights).and_then(|(sum, weights)| {
@@ -147,7 +147,7 @@ fn repeat_scatter(set: &MeasurementSet) -> Option<RepeatScatter> {
 }
 
 impl RepeatScatter {
-    /// Whether the readings scatter by more than stated (`Some(true)`), or by less (`Some(false)`), beyond what chance does.
+    /// Whether the readings scatter by more than stated (`Some(true)`) or by less (`Some(false)`); `None` where chance can explain it.
     pub fn differs(&self) -> Option<bool> {
         let per_dof = self.test.map(|test| test.chi2 / test.dof)?;
         let (low, high) = self.band;
@@ -169,10 +169,11 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, StandardNormal};
 
-    /// Metres along the beam and radians across it.
+    /// Standard deviations in metres along the beam and in radians across it.
     const SIGMAS: [f64; 3] = [2e-6, 3e-6, 1.5e-6];
 
-    /// Poses at different places, each read so often; the machine scatters by `machine` along each axis of the tracker. Errors are those of the readings.
+    /// `poses` at different places, each read `times` times; the machine scatters by `machine` along each axis of the tracker. Errors are those of
+    /// the readings.
     fn measured(poses: u32, times: u32, machine: f64, seed: u64) -> (MeasurementSet, Vec<Vector3<f64>>) {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut draw = move || -> f64 { StandardNormal.sample(&mut rng) };
@@ -247,7 +248,7 @@ mod tests {
         assert!(compare_scatter(&set, &errors[1..], &[]).is_none());
         assert!(compare_scatter(&MeasurementSet::of_points([]), &[], &[]).is_none());
         assert!(compare_scatter(&set, &[Vector3::repeat(f64::NAN); 3], &[]).is_none());
-        // Without a stated covariance there is nothing to compare, and the residuals stay.
+        // Without a stated covariance there is nothing to compare with; the residuals remain.
         let points = MeasurementSet::of_points([(vec![0.0], Vector3::x()), (vec![0.0], 1.1 * Vector3::x())]);
         let found = compare_scatter(&points, &[Vector3::x(), Vector3::x()], &[]).expect("two readings");
         assert_eq!((found.stated, found.noise_share), (None, None));
@@ -256,8 +257,8 @@ mod tests {
         assert_eq!(repeats.differs(), None);
     }
 
-    /// Readings that scatter as stated: the chi-square of 50 such sets is outside of its 99.9 % band in 2 at most (p = 2e-5), shares of 1 lie within
-    /// four standard deviations sqrt(2/600), and those of a machine that scatters too are told.
+    /// Readings that scatter as stated: the chi-square of 50 such sets is outside its 99.9 % band in 2 at most (p = 2e-5), shares of 1 lie within
+    /// four standard deviations sqrt(2/600), and the scatter of a machine is found.
     #[test]
     fn repeats_tell_a_machine_that_scatters() {
         let mut outside = 0;
@@ -275,7 +276,7 @@ mod tests {
             }
         }
         assert!(outside <= 2, "{outside}");
-        // 20 um of the machine beside at most 10 um of the reading: 4 % and less.
+        // 20 um of the machine against at most 10 um of the reading: 4 % and less.
         let (set, errors) = measured(20, 11, 2e-5, 99);
         let found = compare_scatter(&set, &errors, &[]).expect("readings");
         assert_eq!(found.repeats.expect("repeats").differs(), Some(true));

@@ -1,4 +1,4 @@
-//! Which poses are fitted and which are held out.
+//! Splits of poses into fitted and held-out ones.
 
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
@@ -6,9 +6,9 @@ use serde::{Deserialize, Serialize};
 /// Indices of observations, in ascending order.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Split {
-    /// Fitted.
+    /// Observations that are fitted.
     pub fitted: Vec<usize>,
-    /// Held out.
+    /// Observations that are held out.
     pub held_out: Vec<usize>,
 }
 
@@ -20,8 +20,8 @@ impl Split {
     }
 }
 
-/// `folds` splits of `count` observations: every one is held out once, the folds differ in size by one at most. At least two folds and at
-/// most `count` are made; none of fewer than two observations.
+/// `folds` splits of `count` observations: every observation is held out once, and the folds differ in size by one at most. At least two folds and
+/// at most `count` are made; none for fewer than two observations.
 pub fn k_fold(count: usize, folds: usize, rng: &mut impl Rng) -> Vec<Split> {
     if count < 2 {
         return Vec::new();
@@ -33,7 +33,7 @@ pub fn k_fold(count: usize, folds: usize, rng: &mut impl Rng) -> Vec<Split> {
         .collect()
 }
 
-/// One split an observation: it alone is held out.
+/// One split per observation: it alone is held out.
 pub fn leave_one_out(count: usize) -> Vec<Split> {
     if count < 2 { Vec::new() } else { (0..count).map(|i| Split::new(count, vec![i])).collect() }
 }
@@ -44,7 +44,7 @@ pub fn repeated_splits(count: usize, fitted: usize, repeats: usize, rng: &mut im
     (0..repeats).map(|_| Split::new(count, shuffled(count, rng).split_off(count - held_out))).collect()
 }
 
-/// Fisher-Yates.
+/// Shuffles by Fisher and Yates.
 fn shuffled(count: usize, rng: &mut impl Rng) -> Vec<usize> {
     let mut order: Vec<_> = (0..count).collect();
     for last in (1..count).rev() {
@@ -93,7 +93,7 @@ mod tests {
         assert!(repeated_splits(5, 9, 1, &mut rng(3))[0].held_out.is_empty());
     }
 
-    /// Each of the six orders of three comes up as often: chi-square with five degrees of freedom, 99.9 % point 20.515.
+    /// Each of the six orders of three is equally frequent: chi-square with five degrees of freedom, 99.9 % point 20.515.
     #[test]
     fn orders_are_equally_likely() {
         let mut rng = rng(4);

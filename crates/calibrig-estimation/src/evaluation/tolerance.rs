@@ -1,8 +1,8 @@
-//! What errors at poses that were held out say of all the others: bounds with a confidence, not only what was seen.
+//! What errors at held-out poses say about all other poses: bounds with a stated confidence, not only what was seen.
 //!
-//! All of it takes the held-out poses as drawn at random from the region that is spoken of, independently of the fit. Then a bound of a quantile needs no other
-//! assumption (S. S. Wilks, Ann. Math. Statist. 12 (1941) 91). The largest error of a region is another thing: whatever was seen, an error beyond it may hide in a
-//! part of the region that is smaller than one in so many poses. What can be said without assuming how errors change from pose to pose is which part that is at
+//! The held-out poses must be drawn at random from the region in question, independently of the fit. Then a bound of a quantile needs no other
+//! assumption (S. S. Wilks, Ann. Math. Statist. 12 (1941) 91). The largest error of a region is different: whatever was seen, a larger error may
+//! hide in a small part of the region. Without assuming how errors change from pose to pose, one can only state how large that part is at
 //! most, and how likely the next poses stay below.
 
 use serde::{Deserialize, Serialize};
@@ -10,104 +10,105 @@ use thiserror::Error;
 
 use calibrig_model::statistics::{binomial_cdf, chi2_quantile, ln_gamma, normal_quantile, normal_survival};
 
-/// More errors than these are not counted.
+/// Largest number of errors or poses that is supported.
 const MOST: usize = 1_000_000;
 
-/// Nodes of the integral over the distribution of a standard deviation.
+/// Number of nodes of the integral over the distribution of a standard deviation.
 const NODES: i32 = 1000;
 
-/// What cannot be bounded.
+/// Why a bound cannot be given.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum ToleranceError {
-    /// A share that is not between zero and one.
+    /// A share is not between zero and one.
     #[error("{field} is {value}: expected a share above zero and below one, such as 0.95")]
     Share {
-        /// Coverage or confidence.
+        /// Name of the share: coverage or confidence.
         field: &'static str,
         /// Its value.
         value: f64,
     },
-    /// Too few errors for a bound.
+    /// There are too few errors for a bound.
     #[error(
         "{found} held-out errors give no bound on the {:.6} % quantile with a confidence of {:.6} %: expected {least} or \
          more; hold out more poses, or ask for a smaller share or confidence",
         100.0 * .coverage, 100.0 * .confidence
     )]
     TooFew {
-        /// How many there are.
+        /// Number of errors.
         found: usize,
-        /// How many would do.
+        /// Number of errors that would be enough.
         least: usize,
-        /// Of the quantile.
+        /// Coverage of the quantile.
         coverage: f64,
-        /// Of the bound.
+        /// Confidence of the bound.
         confidence: f64,
     },
-    /// Errors that are no lengths.
+    /// An error is not a finite length.
     #[error("held-out error {} is {value}: expected a finite length of zero or more, m", .index.saturating_add(1))]
     Length {
-        /// Its place in the list.
+        /// Index in the list.
         index: usize,
         /// Its value.
         value: f64,
     },
-    /// Numbers of poses that are not counted.
+    /// A number of poses is out of range.
     #[error("{value} poses are asked about: expected 1 to {MOST}")]
     Count {
-        /// Their number.
+        /// Number of poses.
         value: usize,
     },
 }
 
-/// Bounds from the lengths of held-out errors, with the `confidence` that each holds by itself.
+/// Bounds from the lengths of held-out errors; each of them alone holds with the `confidence`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Acceptance {
     /// Number of errors.
     pub count: usize,
-    /// The share of a region's poses that the bounds are of.
+    /// Share of the region's poses that the bounds hold for.
     pub coverage: f64,
-    /// How often such bounds hold.
+    /// Probability that such a bound holds.
     pub confidence: f64,
-    /// What `coverage` of the region's poses stay below, with no assumption on how errors are distributed: an order statistic. `None` of too few errors.
+    /// Length below which `coverage` of the region's poses stay, without an assumption on the distribution of the errors: an order statistic. `None`
+    /// for too few errors.
     pub distribution_free: Option<OrderBound>,
-    /// How many errors would have such a bound.
+    /// Number of errors that would give such a bound.
     pub needed: usize,
-    /// The same where errors are [normal, alike along three axes and without bias](isotropic_bound), m: sharper, and there for few errors, but wrong where that is:
-    /// where they are larger along one axis, or in a part of the region.
+    /// Like `distribution_free`, for errors that are [normal, the same along three axes and without bias](isotropic_bound), m. It is sharper, and
+    /// exists for few errors, but is wrong where the errors are larger along one axis, or in a part of the region.
     pub isotropic: f64,
-    /// Of the largest error.
+    /// What the largest error shows.
     pub largest: LargestError,
 }
 
 /// An order statistic that bounds a quantile.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct OrderBound {
-    /// m
+    /// The bound, m.
     pub bound: f64,
-    /// Which of the errors, counted from the largest, 1.
+    /// Rank of the error that is the bound, from the largest, 1.
     pub from_largest: usize,
-    /// The confidence that it has: no less than asked for.
+    /// Confidence of the bound: no less than asked for.
     pub confidence: f64,
 }
 
-/// What the largest of some errors says.
+/// What the largest of a number of errors shows.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LargestError {
-    /// m
+    /// The largest error, m.
     pub seen: f64,
-    /// The share of the region's poses that stays below it at least, with the confidence: (1 - confidence)^(1/n).
+    /// Share of the region's poses that stays below it at least, with the confidence: (1 - confidence)^(1/n).
     pub share_below: f64,
-    /// Probability that as many further poses all stay below it: one half.
+    /// Probability that the same number of further poses all stay below it: one half.
     pub as_many_more: f64,
 }
 
-/// Bounds of the 95 % quantile (or another `coverage`) and of what lies beyond, from the lengths of errors (m) at poses that were held out and drawn at random
-/// from the region.
+/// Bounds of the 95 % quantile (or another `coverage`) and of what lies beyond, from the lengths of errors (m) at held-out poses that were drawn
+/// at random from the region.
 ///
 /// # Errors
 ///
-/// [`ToleranceError`], without an error, for one that is not a finite length, and for shares that are not between zero and one.
+/// [`ToleranceError`], without errors, for an error that is not a finite length, and for shares that are not between zero and one.
 pub fn accept(errors: &[f64], coverage: f64, confidence: f64) -> Result<Acceptance, ToleranceError> {
     let sorted = sorted(errors)?;
     let needed = least_sample(coverage, confidence, 1)?;
@@ -158,19 +159,19 @@ fn shares(coverage: f64, confidence: f64) -> Result<(), ToleranceError> {
     Ok(())
 }
 
-/// With what confidence the error that is `from_largest` (1: the largest) of `errors` bounds a quantile: the probability that fewer than that many of them
-/// lie beyond it on the far side.
+/// Confidence with which the error of rank `from_largest` (1: the largest) out of `errors` bounds a quantile: the probability that at least that
+/// many errors lie above the quantile.
 fn confidence_of(errors: usize, coverage: f64, from_largest: usize) -> f64 {
-    // At least `from_largest` of all lie above the quantile.
+    // At least `from_largest` of all errors lie above the quantile.
     1.0 - binomial_cdf(from_largest as u64 - 1, errors as u64, 1.0 - coverage)
 }
 
-/// The least order statistic of `errors` that a share `coverage` of the population lies below, with the `confidence`: no assumption but that they are drawn
-/// independently from it.
+/// The least order statistic of `errors` below which a share `coverage` of the population lies with the `confidence`. The only assumption is
+/// that the errors are drawn independently from the population.
 ///
 /// # Errors
 ///
-/// [`ToleranceError::TooFew`] where even the largest has less confidence; and as [`accept`].
+/// [`ToleranceError::TooFew`] where even the largest error has less confidence; otherwise as [`accept`].
 pub fn quantile_bound(errors: &[f64], coverage: f64, confidence: f64) -> Result<OrderBound, ToleranceError> {
     shares(coverage, confidence)?;
     let sorted = sorted(errors)?;
@@ -180,7 +181,7 @@ pub fn quantile_bound(errors: &[f64], coverage: f64, confidence: f64) -> Result<
         let least = least_sample(coverage, confidence, 1)?;
         return Err(ToleranceError::TooFew { found: n, least, coverage, confidence });
     }
-    // The confidence falls with the rank.
+    // The confidence decreases with the rank.
     let (mut good, mut bad) = (1, n + 1);
     while bad - good > 1 {
         let middle = usize::midpoint(good, bad);
@@ -193,11 +194,12 @@ pub fn quantile_bound(errors: &[f64], coverage: f64, confidence: f64) -> Result<
     })
 }
 
-/// How many errors are needed for the one that is `from_largest` (1: the largest) to bound a quantile: 59 for 95 % with 95 %, 93 for the second largest.
+/// Number of errors needed for the one of rank `from_largest` (1: the largest) to bound a quantile: 59 for 95 % with a confidence of 95 %, 93 for the
+/// second largest.
 ///
 /// # Errors
 ///
-/// [`ToleranceError`], for shares that are not between zero and one, a rank of zero, and where a million are not enough.
+/// [`ToleranceError`], for shares that are not between zero and one, a rank of zero, or where a million errors are not enough.
 pub fn least_sample(coverage: f64, confidence: f64, from_largest: usize) -> Result<usize, ToleranceError> {
     shares(coverage, confidence)?;
     count(from_largest)?;
@@ -214,33 +216,33 @@ pub fn least_sample(coverage: f64, confidence: f64, from_largest: usize) -> Resu
     Ok(good)
 }
 
-/// The share of a population that stays below the largest of `errors` at least, with the `confidence`.
+/// Share of a population that stays below the largest of `errors` errors at least, with the `confidence`.
 ///
 /// # Errors
 ///
-/// [`ToleranceError`], for no error, and a confidence that is not between zero and one.
+/// [`ToleranceError`], for no errors, or a confidence that is not between zero and one.
 pub fn share_below_largest(errors: usize, confidence: f64) -> Result<f64, ToleranceError> {
     shares(0.5, confidence)?;
     count(errors)?;
     Ok((1.0 - confidence).powf(1.0 / errors as f64))
 }
 
-/// Probability that `further` errors all stay below the largest of `errors`: of all of them, each is as likely to be the largest.
+/// Probability that `further` errors all stay below the largest of `errors`: each of all these errors is equally likely to be the largest.
 ///
 /// # Errors
 ///
-/// [`ToleranceError`], for no error.
+/// [`ToleranceError`], for no errors.
 pub fn stays_largest(errors: usize, further: usize) -> Result<f64, ToleranceError> {
     count(errors)?;
     Ok(errors as f64 / (errors as f64 + further as f64))
 }
 
-/// k such that `mean + k s` of a normal sample is above the share `coverage` of its population, with the `confidence`: a quantile of the noncentral t
-/// distribution over √n (G. J. Lieberman, Industrial Quality Control 14 (1958) 7; ISO 16269-6).
+/// The factor k with which `mean + k s` of a normal sample is above the share `coverage` of its population with the `confidence`: a quantile of the
+/// noncentral t distribution over √n (G. J. Lieberman, Industrial Quality Control 14 (1958) 7; ISO 16269-6).
 ///
 /// # Errors
 ///
-/// [`ToleranceError`], for fewer than two errors, and shares that are not between zero and one.
+/// [`ToleranceError`], for fewer than two errors, or shares that are not between zero and one.
 pub fn normal_tolerance_factor(errors: usize, coverage: f64, confidence: f64) -> Result<f64, ToleranceError> {
     shares(coverage, confidence)?;
     count(errors)?;
@@ -264,7 +266,8 @@ pub fn normal_tolerance_factor(errors: usize, coverage: f64, confidence: f64) ->
     Ok(0.5 * (low + high))
 }
 
-/// Probability that a noncentral t lies below `t`: E Φ(t S - δ), with S² chi-square over its degrees of freedom; by Simpson's rule over where S is.
+/// Probability that a noncentral t lies below `t`: E Φ(t S - δ), with S² chi-square over its degrees of freedom; by Simpson's rule over the range
+/// of S.
 fn below_noncentral(t: f64, freedom: f64, shift: f64) -> f64 {
     let half_width = 12.0 / (2.0 * freedom).sqrt();
     let (low, high) = ((1.0 - half_width).max(0.0), 1.0 + half_width);
@@ -290,13 +293,13 @@ fn below_noncentral(t: f64, freedom: f64, shift: f64) -> f64 {
     sum / mass
 }
 
-/// An interval that holds a share `coverage` of a normal population, with the `confidence` at least, from signed errors (along one axis, m): lowest and highest. On
-/// either side at most half of the rest lies beyond (equal tails, each a one-sided bound with half of what may go wrong). The assumption is that errors are normal
-/// and independent; of their mean and variance nothing is assumed.
+/// Lowest and highest value of an interval that holds a share `coverage` of a normal population with at least the `confidence`, from signed
+/// errors (along one axis, m). On either side at most half of the rest lies beyond (equal tails, each a one-sided bound with half of the allowed
+/// failure probability). Errors are assumed to be normal and independent; nothing is assumed of their mean and variance.
 ///
 /// # Errors
 ///
-/// [`ToleranceError`], for fewer than two errors, one that is not finite, and shares that are not between zero and one.
+/// [`ToleranceError`], for fewer than two errors, an error that is not finite, or shares that are not between zero and one.
 pub fn normal_interval(errors: &[f64], coverage: f64, confidence: f64) -> Result<[f64; 2], ToleranceError> {
     shares(coverage, confidence)?;
     if let Some((index, value)) = errors.iter().copied().enumerate().find(|(_, error)| !error.is_finite()) {
@@ -309,8 +312,8 @@ pub fn normal_interval(errors: &[f64], coverage: f64, confidence: f64) -> Result
     Ok([mean - factor * spread, mean + factor * spread])
 }
 
-/// A bound of a quantile of the lengths of errors that are normal along three axes, with mean zero and the same variance along each: σ is at most √(Σ l² / χ²) with
-/// the lower quantile of 3 n degrees of freedom. The sharpest, and the strongest assumption.
+/// A bound of a quantile of the lengths of errors that are normal along three axes, with mean zero and the same variance along each: σ is at most
+/// √(Σ l² / χ²) with the lower quantile for 3 n degrees of freedom. It is the sharpest bound, with the strongest assumption.
 ///
 /// # Errors
 ///
@@ -385,7 +388,7 @@ mod tests {
         squares.iter().sum::<f64>().sqrt()
     }
 
-    /// How often of 4000 samples a bound is above the quantile of a population, which a million others show.
+    /// Number of 4000 samples in which a bound is above the quantile of a population, which a million other draws give.
     fn held(sigmas: [f64; 3], mean: f64, n: usize, bound: impl Fn(&[f64]) -> f64) -> u64 {
         let mut rng = stream(11, 0, Source::Splits);
         let mut all: Vec<f64> = (0..1_000_000).map(|_| length(&mut rng, sigmas, mean)).collect();
@@ -399,7 +402,7 @@ mod tests {
         (0..4000).filter(holds).count() as u64
     }
 
-    /// A number of 4000 that is as likely as `p` says, within what chance leaves in 999 of 1000 cases.
+    /// Checks that a count out of 4000 fits the probability `p`, within what chance leaves in 999 of 1000 cases.
     #[track_caller]
     fn as_often(hits: u64, p: f64, name: &str) {
         let (below, above) =
@@ -426,7 +429,8 @@ mod tests {
         }
     }
 
-    /// Normal errors with a bias: either end bounds its tail as often as its half says, and both together at least as often as they say.
+    /// Normal errors with a bias: either end bounds its tail as often as its half of the confidence says, and both together at least as often as
+    /// stated.
     #[test]
     fn normal_intervals_hold_as_often_as_they_say() {
         let mut rng = stream(14, 0, Source::Splits);
@@ -455,13 +459,13 @@ mod tests {
         );
     }
 
-    /// The interval of twelve errors, whose factor is looked for once.
+    /// The interval of twelve errors; its factor is computed once.
     fn factor_of_twelve(errors: &[f64]) -> [f64; 2] {
         use std::sync::OnceLock;
         static FACTOR: OnceLock<f64> = OnceLock::new();
         let factor = *FACTOR.get_or_init(|| {
             let [low, high] = normal_interval(&[-1.0, 1.0], 0.95, 0.95).expect("an interval");
-            // Of two errors, apart by two, the deviation is the root of two.
+            // Two errors that differ by two have a standard deviation of sqrt(2).
             let two = normal_tolerance_factor(2, 0.975, 0.975).expect("a factor");
             assert!((high - two * 2.0_f64.sqrt()).abs() < 1e-9 && low == -high);
             normal_tolerance_factor(12, 0.975, 0.975).expect("a factor")
@@ -477,7 +481,7 @@ mod tests {
         assert!(share_below_largest(59, 0.95).expect("a share") >= 0.95);
         assert!(share_below_largest(58, 0.95).expect("a share") < 0.95);
         assert_eq!(stays_largest(40, 40), Ok(0.5));
-        // Forty errors, then ten: how often the ten stay below.
+        // Forty errors, then ten: counts how often the ten stay below.
         let mut rng = stream(13, 0, Source::Splits);
         let stays = |_: &usize| {
             let mut largest = |n: usize| (0..n).map(|_| length(&mut rng, [1.0; 3], 0.0)).fold(0.0, f64::max);

@@ -1,4 +1,4 @@
-//! From a model, measurements and options to the problem that the solver is given.
+//! Builds the problem that the solver is given from a model, measurements and options.
 
 use std::borrow::Cow;
 
@@ -23,43 +23,43 @@ use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{MeasurementSet, Observation, Reading, Registration, register};
 use calibrig_model::{CalibrationModel, ParameterId};
 
-/// A compliance whose prior's standard deviation moves the whitened measurements by less than this in all, beside what the geometry can
-/// do as well, is not told by them: its own standard deviation stays above 0.89 of its prior's.
+/// A compliance whose prior's standard deviation moves the whitened measurements by less than this in total, beyond what the geometry can do
+/// as well, is not determined by them: its standard deviation stays above 0.89 of its prior's.
 const UNEXCITED: f64 = 0.5;
-/// Where the model lacks something, what it lacks is alike in neighbouring poses, so that these tell less than as many independent ones: what
-/// they say of a compliance counts with so many times its standard deviation.
+/// What a model lacks is similar in neighbouring poses, so that these determine less than the same number of independent ones: the standard
+/// deviation of a compliance from them counts this many times.
 const ALIKE: f64 = 2.0;
 
-/// The same of a term that no measurement moves, and of a mass or a centre that none feels.
+/// Like [`UNEXCITED`], for a term that no measurement shows, and for a mass or a centre without effect on any.
 const NEGLIGIBLE: f64 = 1e-3;
 
-/// The least noise that measurements without a stated one can have, relative to [`UNSTATED_SIGMA`]: 1 um.
+/// The least noise of measurements that state none, relative to [`UNSTATED_SIGMA`]: 1 um.
 const LEAST_NOISE: f64 = 1e-2;
 
-/// A compliance that its prior holds is fitted all the same where the residuals ask for it by more than this chi-square of one: 0.1 %.
+/// A compliance that is held by its prior is fitted nevertheless where the residuals ask for it by more than this chi-square of one: 0.1 %.
 const ASKED: f64 = 10.83;
 
-/// A problem, and what was decided on the way to it.
+/// A problem, and what was decided while it was built.
 #[derive(Debug, Clone)]
 pub(super) struct Built {
     pub problem: CalibrationProblem,
-    /// Standard deviation of every parameter's own prior.
+    /// Standard deviation of each parameter's own prior.
     pub sigmas: Vec<Option<f64>>,
     /// Compliances that the user named.
     pub named: Vec<ParameterId>,
-    /// Those of them that gravity does not load at the nominal robot.
+    /// Named compliances that gravity does not load at the nominal robot.
     pub unexcited: Vec<ParameterId>,
     /// Parameters that were left out as redundant.
     pub fixed: Vec<DependentGroup>,
-    /// All parameters that were left out: those, and what the measurements do not excite.
+    /// All parameters that were left out: the redundant ones, and those that the measurements do not excite.
     pub left_out: Vec<LeftOut>,
-    /// Where the search starts: zero, but for targets whose nominal place tells nothing of the tracker's.
+    /// Start of the search: zero, except for targets whose nominal place does not help to place the tracker.
     pub x: Vec<f64>,
-    /// Whether it is weighed with the machine's noise that a fit of other compliances found.
+    /// Whether the machine's noise from a fit with other compliances is used in the weights.
     pub goes_on: bool,
 }
 
-/// The problem of `options`, with what gravity does not excite left out, and what is redundant where it shall be fixed.
+/// The problem of `options`, without parameters that gravity does not excite, and without redundant ones if these are to be fixed.
 pub(super) fn build(
     model: &CalibrationModel,
     set: &MeasurementSet,
@@ -74,7 +74,7 @@ pub(super) fn build(
     let (residuals, mut jacobian) = start(&mut built.problem, &built.x)?;
     let measured = Measured::new(&built.problem, &jacobian, &residuals);
     let effects = measured.effects_beyond_geometry();
-    // What noise is unknown is looked at again when the residuals tell it.
+    // The unknown noise is determined again when the residuals are known.
     let noise = if has_stated_noise(set) { 1.0 } else { LEAST_NOISE };
     let rows = built.problem.data_rows();
     let is_open = options.freedom_in(set).target;
@@ -87,7 +87,7 @@ pub(super) fn build(
             let size = jacobian.view((0, place), (rows, 1)).norm();
             let is_term = |column: &&Column| matches!(column.id, ParameterId::Term(_));
             let term = columns[..place].iter().filter(is_term).count();
-            // A target of which nothing is known may start on an axis that it does not lie on.
+            // The start of an unknown target may lie on an axis on which the target does not lie.
             let is_told = || is_open && built.problem.rows.iter().any(|row| row.told.tells(term));
             (size * column.reach() < f64::EPSILON && !is_told()).then_some(LeftOutReason::NoBasis)
         }
@@ -123,10 +123,10 @@ pub(super) fn build(
         columns.retain(|_| place.next().is_none_or(|place| !dropped.contains(&place)));
         let known = std::mem::take(&mut built.problem.shared);
         built = assemble(model, set, options, &columns, (&ends, Some(known)))?;
-        // The robot's own parameters are the first.
+        // The robot's own parameters come first.
         jacobian = jacobian.remove_columns_at(&dropped);
     }
-    // What is left of a group are the robot's own parameters: frame and target stay in the fit.
+    // Only the robot's own parameters of a group are left out: frame and target stay in the fit.
     fixed.retain(|group| !columns.iter().any(|column| column.id == group.redundant));
     built.problem.start_from(&built.x, residuals, jacobian);
     built.fixed.extend(fixed);
@@ -134,8 +134,8 @@ pub(super) fn build(
     Ok(Built { unexcited, ..built })
 }
 
-/// The problem with the compliances that the measurements excite after all, now that the fit of `built` tells how they are and what the noise
-/// is, and where to start it; `None` where they are those that were fitted. Only the first time (`may_drop`) some are left out.
+/// The problem with the compliances that the measurements do excite, now that the fit of `built` has given their values and the noise, and
+/// where to start it; `None` where they are those that were fitted. Compliances are left out only the first time (`may_drop`).
 pub(super) fn reconsider(
     model: &CalibrationModel,
     set: &MeasurementSet,
@@ -203,7 +203,7 @@ pub(super) fn reconsider(
         next.problem.weigh(noise)?;
         let place = |id: &ParameterId| whole.parameters.iter().position(|own| own == id);
         let places: Vec<usize> = next.problem.parameters.iter().filter_map(place).collect();
-        // Where nothing was fitted that is left out now, the robot is the same.
+        // If the parameters that are now left out are zero, the robot is the same.
         if (0..x.len()).all(|place| x[place] == 0.0 || places.contains(&place)) {
             next.problem.start_from(&values, residuals, jacobian.select_columns(&places));
         }
@@ -211,7 +211,7 @@ pub(super) fn reconsider(
     Ok(Some((Built { left_out, ..next }, values)))
 }
 
-/// Residuals and Jacobian at `x`, weighted as a robust loss has it.
+/// Residuals and Jacobian at `x`, with the weights of a robust loss.
 fn evaluated(problem: &mut CalibrationProblem, x: &[f64], weights: &[f64]) -> (DVector<f64>, DMatrix<f64>) {
     let (m, n) = (problem.rows(), problem.parameters());
     let (mut residuals, mut jacobian) = (DVector::zeros(m), DMatrix::zeros(m, n));
@@ -227,14 +227,14 @@ fn has_stated_noise(set: &MeasurementSet) -> bool {
     set.observations.iter().all(|o| o.reading.position_covariance().is_some())
 }
 
-/// The triangular factor of observations and of what was stated, with the columns of links, frame, target and stated bodies first, and the
-/// residuals last.
+/// The triangular factor of the observations and of what was stated: first the columns of links, frame, target and stated bodies, then the
+/// others, and the residuals last.
 struct Measured {
     r: DMatrix<f64>,
-    /// Of the columns of `r`, in their order; the first `geometric` are of links, frame, target and stated bodies.
+    /// Parameters of the columns of `r`, in their order; the first `geometric` belong to links, frame, target and stated bodies.
     parameters: Vec<ParameterId>,
     geometric: usize,
-    /// Of every column of `r` but the last, its place in the problem.
+    /// Index in the problem of every column of `r` except the last.
     places: Vec<usize>,
     rows: usize,
 }
@@ -270,14 +270,14 @@ impl Measured {
         }
     }
 
-    /// Without the residuals.
+    /// The factor without the residuals.
     fn factor(&self) -> DMatrix<f64> {
         let n = self.places.len();
         self.r.view((0, 0), (n.min(self.r.nrows()), n)).into_owned()
     }
 
-    /// What a unit of every parameter of the problem does to the whitened measurements that links, frame and target cannot do as well; zero
-    /// for those.
+    /// Change of the whitened measurements per unit of every parameter of the problem, beyond what links, frame and target can do as well; zero for
+    /// those.
     fn effects_beyond_geometry(&self) -> Vec<f64> {
         let first = self.geometric.min(self.r.nrows());
         let mut effects = vec![0.0; self.places.len()];
@@ -287,8 +287,8 @@ impl Measured {
         effects
     }
 
-    /// The value that the measurements ask for of every parameter that geometry cannot stand in for, the others held at `x` and without its
-    /// own prior, in the standard deviations of that value; the noise is at least what the residuals show.
+    /// The value that the measurements ask for, in its own standard deviations, of every parameter that geometry cannot replace, with the others
+    /// held at `x` and without its own prior. The noise is at least what the residuals show.
     fn asked_beyond_geometry(&self, x: &[f64]) -> Vec<f64> {
         let first = self.geometric.min(self.r.nrows());
         let left = self.r.column(self.places.len());
@@ -308,7 +308,7 @@ impl Measured {
     }
 }
 
-/// The problem with those of the robot's parameters that are among `kept`: what [`build`] made of the same options before.
+/// The problem with those parameters of the robot that are in `kept`, as [`build`] made it from the same options.
 pub(super) fn rebuild(
     model: &CalibrationModel,
     set: &MeasurementSet,
@@ -321,8 +321,8 @@ pub(super) fn rebuild(
     Ok(assemble(model, set, options, &columns, (&ends, None))?.problem)
 }
 
-/// The robot's parameters that the observations, nests and targets alone cannot tell from the others; of two that do the same, the one
-/// further from the geometry of the links. `measured` is the triangular factor of those rows, with a column for each of `parameters`.
+/// The robot's parameters that the observations, nests and targets alone cannot separate from the others; of two with the same effect, the
+/// one further from the geometry of the links. `measured` is the triangular factor of those rows, with a column for each of `parameters`.
 pub(super) fn redundant(measured: &DMatrix<f64>, parameters: &[ParameterId]) -> Vec<DependentGroup> {
     let rank = |id: &ParameterId| match id {
         ParameterId::Frame { .. } => 0,
@@ -356,7 +356,7 @@ pub(super) fn start(
     }
 }
 
-/// `known` are the errors that readings of the set share, where they were looked for before.
+/// Assembles the problem; `known` are the errors that readings of the set share, if they were computed before.
 fn assemble(
     model: &CalibrationModel,
     set: &MeasurementSet,
@@ -406,7 +406,7 @@ fn assemble(
     let (mut turns, orientations) = (turns(set), stated_orientations(set));
     let mut rows = rows(set, options.unmodelled_sigma, &mut forward)?;
     instruments.add_to(&mut rows, set.observations.iter(), set, &stations);
-    // A loss weighs every reading by its own rows: what readings share is then taken for each reading's own.
+    // A loss weighs every reading by its own rows, so that shared errors are then treated as each reading's own.
     let shared = match options.solver.loss {
         Loss::Squared => known.unwrap_or_else(|| shared_errors(set, &rows, &turns)),
         _ => DMatrix::zeros(0, 0),
@@ -460,7 +460,7 @@ fn assemble(
     Ok(Built { problem, sigmas, named, unexcited: Vec::new(), fixed, left_out, x, goes_on: false })
 }
 
-/// The model with the spans of the commands, where terms are spread over them and nobody stated any.
+/// The model with the spans of the commands, where terms are spread over them and no spans are stated.
 fn spread<'m>(
     model: &'m CalibrationModel,
     set: &MeasurementSet,
@@ -474,25 +474,25 @@ fn spread<'m>(
     Cow::Owned(CalibrationModel { spans: set.spans(), ..model.clone() })
 }
 
-/// What puts a station where it is before the fit.
+/// How a station is placed before the fit.
 enum PlacedBy {
     /// Covariance of the displacement of the frame.
     Nests(DMatrix<f64>),
     Sweeps(Box<SweptPlace>),
 }
 
-/// Where the stations are before the fit.
+/// Places of the stations before the fit.
 struct Stations {
-    /// `tracker_from_base`, what the frame parameters displace.
+    /// `tracker_from_base` of each station, which the frame parameters displace.
     places: Vec<Transform>,
-    /// Stations whose nests or sweeps are a prior: index, first column of the frame, and what these say.
+    /// Stations with a prior from nests or sweeps: index, first column of the frame, and the prior.
     placed: Vec<(usize, usize, PlacedBy)>,
 }
 
-/// Columns with one over the standard deviation of their own prior.
+/// Columns with the reciprocal of the standard deviation of their own prior.
 type Weights = Vec<(usize, f64)>;
 
-/// Appends the priors of stations that nests or sweeps place; of the latter the index of the prior, and the readings that it is made of.
+/// Appends the priors of stations that nests or sweeps place; for sweeps, also returns the index of the prior and its readings.
 fn placing(
     set: &MeasurementSet,
     placed: Vec<(usize, usize, PlacedBy)>,
@@ -506,7 +506,7 @@ fn placing(
         let station = &set.stations[index];
         let own = match placed_by {
             PlacedBy::Sweeps(place) => {
-                // Where its axes are in the base is what places this station: their tolerance is a part of that.
+                // This station is placed by where its axes are in the base: the tolerance of the links up to them is part of that.
                 let carries = |id: ParameterId| matches!(id, ParameterId::Link { link, .. } if link <= place.last_joint);
                 own_priors.extend(tolerances.extract_if(.., |(column, _)| carries(parameters[*column])));
                 swept.push((priors.len(), swept_rows(set, index, &place, forward, (instruments, stations))?));
@@ -578,7 +578,7 @@ fn targets(
         match (options.target.of(target), target.covariance) {
             (TargetChoice::Fixed, _) => axes.retain(freed),
             (TargetChoice::Measured, Some(covariance)) => {
-                // Those with a prior first, so that they are columns beside each other.
+                // Axes with a prior come first, so that their columns are contiguous.
                 axes.sort_by_key(freed);
                 let held: Vec<usize> = axes.iter().copied().filter(|axis| !freed(axis)).collect();
                 if !held.is_empty() {
@@ -593,7 +593,7 @@ fn targets(
                     what: format!("target {} has no measured uncertainty", target.name),
                 });
             }
-            // The fitted observations say nothing of a target that only others saw: it stays where it was stated to be.
+            // The fitted observations do not contain a target that only others saw: it stays where it was stated to be.
             _ if !set.observations.iter().any(|observation| observation.target == index) => continue,
             (TargetChoice::Identified | TargetChoice::AsStated, _) => {}
         }
@@ -602,7 +602,7 @@ fn targets(
     Ok(())
 }
 
-/// The parameters of how targets are turned on the flange, of those whose orientation the set shows.
+/// The orientation parameters of targets whose orientation the set shows.
 fn orientations(
     set: &MeasurementSet,
     options: &IdentificationOptions,
@@ -638,7 +638,7 @@ fn orientations(
     Ok(())
 }
 
-/// Where the search starts: at zero, but for targets that are far from where they are stated to be.
+/// Start of the search: zero, except for targets that are far from where they are stated to be.
 fn starting_values(
     model: &CalibrationModel,
     set: &MeasurementSet,
@@ -673,7 +673,7 @@ fn turn_of(observations: usize, turns: &[TurnRow]) -> Vec<Option<usize>> {
     of
 }
 
-/// Of a target's coordinates `axes`, with the others exactly where they were stated to be, the covariance of the first `held`.
+/// Covariance of the first `held` of a target's coordinates `axes`, with its other coordinates exactly as stated.
 fn of_axes(covariance: &Matrix3<f64>, axes: &[usize], held: usize) -> Option<DMatrix<f64>> {
     if axes == [0, 1, 2] {
         return Some(DMatrix::from_fn(held, held, |i, j| covariance[(i, j)]));
@@ -683,7 +683,7 @@ fn of_axes(covariance: &Matrix3<f64>, axes: &[usize], held: usize) -> Option<DMa
     Some(of_axes.try_inverse()?.view((0, 0), (held, held)).into_owned())
 }
 
-/// What the options state of the actuators' errors.
+/// The actuators' errors that the options state.
 fn stated_actuators(options: &IdentificationOptions) -> Option<MachineNoise> {
     let MachineNoiseChoice::Stated(sigmas) = &options.machine_noise else { return None };
     let stated = MachineNoise { position: 0.0, actuators: sigmas.clone(), freedom: None };

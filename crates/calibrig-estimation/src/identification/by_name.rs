@@ -10,32 +10,32 @@ use super::{IdentificationOptions, IdentifyError, LeftOutReason, Mode};
 use calibrig_model::measurement::{MeasurementSet, Station, Target};
 use calibrig_model::{CalibrationModel, FAMILIES, ParameterId, TermId};
 
-/// A parameter that cannot be fixed or freed by its name.
+/// Why a parameter cannot be fixed or freed by its name.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum ByNameError {
-    /// A station's place is one thing.
+    /// It is part of a station's place, which is fixed or free as a whole.
     #[error("{id} is a part of the tracker's place, which is fixed or free as a whole")]
     Frame {
-        /// Which.
+        /// Which parameter.
         id: ParameterId,
     },
-    /// It is in both lists.
+    /// The parameter is in both lists.
     #[error("{id} is listed both as fixed and as free")]
     Both {
-        /// Which.
+        /// Which parameter.
         id: ParameterId,
     },
-    /// The robot, or the measurements, have no such parameter.
+    /// Neither the robot nor the measurements have this parameter.
     #[error("{id} is not a parameter of this robot and its targets")]
     Unknown {
-        /// Which.
+        /// Which parameter.
         id: ParameterId,
     },
-    /// No mode can have it.
+    /// None of the modes can fit the parameter.
     #[error("{id} cannot be fitted in any of the modes ({})", .modes.iter().map(|mode| mode.key()).collect::<Vec<_>>().join(", "))]
     NotFitted {
-        /// Which.
+        /// Which parameter.
         id: ParameterId,
         /// The modes that are run.
         modes: Vec<Mode>,
@@ -69,11 +69,11 @@ impl ByNameError {
     }
 }
 
-/// Whether every parameter that `options` fix or free by name can be.
+/// Checks that every parameter that `options` fix or free by name can be fixed or freed.
 ///
 /// # Errors
 ///
-/// The first that cannot.
+/// [`ByNameError`] of the first parameter that cannot.
 pub fn check_named(
     model: &CalibrationModel,
     modes: &[Mode],
@@ -95,7 +95,7 @@ pub fn check_named(
     for &id in &options.free {
         let has = |mode: &Mode| {
             let of_mode = IdentificationOptions { mode: *mode, ..options.clone() };
-            // A mode that this robot cannot have is refused by the fit, with its reason.
+            // A mode that this robot does not support is refused by the fit, with its reason.
             let known = candidate_parameters(model, &of_mode, stations, targets).unwrap_or_default();
             known.contains(&id)
         };
@@ -110,29 +110,29 @@ pub fn check_named(
 /// A parameter that a mode can have.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ListedParameter {
-    /// Which.
+    /// Which parameter.
     pub id: ParameterId,
-    /// What becomes of it.
+    /// How the parameter is treated.
     pub state: ParameterState,
 }
 
-/// What becomes of a parameter.
+/// How a parameter is treated.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum ParameterState {
     /// It is fitted.
     Fitted {
-        /// Standard deviation of its own zero-mean prior, SI; a frame shares its own with what saw its nests.
+        /// Standard deviation of its own zero-mean prior, SI; `None` for a frame, whose prior comes from its nests.
         prior: Option<f64>,
-        /// Whether it has a prior at all.
+        /// Whether it has any prior.
         has_prior: bool,
     },
-    /// It could be fitted, and is not.
+    /// It could be fitted, but is not.
     LeftOut(LeftOutReason),
-    /// Nothing asks for it.
+    /// The options do not choose it.
     NotChosen,
 }
 
-/// Every parameter of the robot that the mode of `options` can have, and what becomes of it where the fit to `set` starts.
+/// Every parameter of the robot that the mode of `options` can have, and how it is treated when the fit to `set` starts.
 ///
 /// # Errors
 ///
@@ -162,7 +162,7 @@ pub fn list_parameters(
     Ok(ids.into_iter().map(|id| ListedParameter { id, state: state(id) }).collect())
 }
 
-/// Every parameter that a mode can have of a robot, its stations and targets.
+/// Every parameter that a mode can have for a robot, its stations and targets.
 fn all_of(
     model: &CalibrationModel,
     mode: Mode,
@@ -186,7 +186,7 @@ fn all_of(
     ids
 }
 
-/// Whether the robot, one of its targets or an instrument has such a parameter in some mode.
+/// Whether the robot, one of its targets or an instrument has this parameter in some mode.
 fn is_of(model: &CalibrationModel, stations: &[Station], targets: &[Target], id: ParameterId) -> bool {
     all_of(model, Mode::Extended, stations, targets).contains(&id)
 }

@@ -1,4 +1,4 @@
-//! Where any tool of an identified robot is predicted to be, and how it moves with the commands.
+//! Predicted place of any tool of an identified robot, and how it moves with the commands.
 
 use nalgebra::{Matrix3, Matrix6xX, Vector3};
 
@@ -8,7 +8,7 @@ use super::{MachineNoise, PositionJacobian};
 use calibrig_model::PoseQuery;
 use calibrig_model::geometry::Transform;
 
-/// No target of the robot: a tool is not displaced by what was identified of targets.
+/// Not a target of the robot: a tool is not displaced by what was identified for targets.
 const OF_NO_TARGET: usize = usize::MAX;
 
 impl Predictor<'_> {
@@ -16,15 +16,16 @@ impl Predictor<'_> {
     ///
     /// # Errors
     ///
-    /// [`PredictionError`], for a command that is not one of this robot, or a pose that it cannot take.
+    /// [`PredictionError`], for a command that does not fit this robot, or a pose that it cannot take.
     pub fn flange<'q>(&mut self, pose: impl Into<PoseQuery<'q>>) -> Result<Transform, PredictionError> {
         self.place_robot(&pose.into())?;
         Ok(*self.forward.base_from_flange())
     }
 
     /// `base_from_flange` at a pose, and how a point of the flange frame (m) moves with every command: 6 x n, its motion in the base's axes (m)
-    /// and the flange's rotation vector (rad), per m or rad of command. Exact derivatives of what the coupled modes and the geometric ones predict;
-    /// the mode [`WithGravity`](super::Mode::WithGravity) takes its deflection from the nominal robot, which is held: a hundredth of the whole, three of a robot that is driven by cables.
+    /// and the flange's rotation vector (rad), per m or rad of command. The derivatives are exact for the coupled modes and the geometric ones.
+    /// The mode [`WithGravity`](super::Mode::WithGravity) takes its deflection from the nominal robot and holds it, which omits a hundredth of the
+    /// whole, or three hundredths for a robot that is driven by cables.
     ///
     /// # Errors
     ///
@@ -41,7 +42,7 @@ impl Predictor<'_> {
         Ok((*self.forward.base_from_flange(), motions))
     }
 
-    /// How a point of the flange moves with every command where the robot was placed; `turned` asks for its rotation, too.
+    /// How a point of the flange moves with every command where the robot was placed; with `turned`, also how the flange rotates.
     pub(crate) fn motions_by_command(
         &mut self,
         pose: &PoseQuery<'_>,
@@ -66,8 +67,8 @@ impl Predictor<'_> {
 }
 
 impl EstimatePredictor<'_> {
-    /// Covariance of where a point of the flange frame (m) is predicted to be, in the base frame, m²: of the parameters and of what the machine does
-    /// beside its model. The point itself is taken as exact. `None` where the estimate has no covariance.
+    /// Covariance of the predicted position of a point of the flange frame (m), in the base frame, m², from the parameters and the machine's
+    /// noise beside its model. The point itself is taken as exact. `None` where the estimate has no covariance.
     ///
     /// # Errors
     ///

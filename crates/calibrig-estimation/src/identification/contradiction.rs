@@ -1,9 +1,9 @@
-//! What was stated beforehand, against what the measurements say: priors and nests that do not fit the rest of the system.
+//! Tests what was stated beforehand against the measurements: priors and nests that do not fit the rest of the system.
 //!
 //! A prior is a row (nests and target: a block of rows) of the least-squares problem. Its residual at the minimum has the covariance
-//! `Q = 1 - H`, H its block of the hat matrix, so that `rᵀ Q⁻¹ r` is chi-square if all that was stated is right; of a single row it is the
-//! square of the normalised residual `w = r / sqrt(1 - h)`. The worst is taken out of the system and the others are tested without it,
-//! so that one wrong prior does not accuse those that it pulls.
+//! `Q = 1 - H`, H its block of the hat matrix, so that `rᵀ Q⁻¹ r` is chi-square if everything stated is right; for a single row it is the
+//! square of the normalised residual `w = r / sqrt(1 - h)`. The worst is removed from the system and the others are tested without it,
+//! so that one wrong prior does not put the blame on those that it pulls.
 //!
 //! Source: W. Baarda, "A testing procedure for use in geodetic networks", Netherlands Geodetic Commission, New Series 2 (5), 1968 (the
 //! test of one row); one row after the other at Bonferroni's level.
@@ -25,29 +25,29 @@ use calibrig_model::measurement::{
 use calibrig_model::statistics::{chi2_survival, f_ln_survival};
 use calibrig_model::{ParameterId, Unit};
 
-/// Probability of naming any prior or nest of an estimate although all that was stated is right.
+/// Probability of naming any prior or nest of an estimate although everything stated is right.
 pub const CONTRADICTION_LEVEL: f64 = 1e-3;
 
-/// A direction of a prior of which the rest tells less than this share cannot be contradicted by it.
+/// A direction of a prior cannot be contradicted where the rest of the system determines less than this share of it.
 const CHECKED: f64 = 1e-3;
 
-/// The same of a prior on one parameter, which is as easily told by what it would have to be without it: a stiffness can be stated a thousand
-/// times too high.
+/// Like [`CHECKED`], for a prior on one parameter. The parameter can be far larger than its prior, such as a stiffness that is stated a thousand
+/// times too high, and is then determined although this share is small.
 const CHECKED_ALONE: f64 = 1e-6;
 
-/// Two priors that share more than this of what speaks against them cannot be told apart.
+/// Two priors cannot be separated if they share more than this of what contradicts them.
 const SHARED: f64 = 0.9;
 
-/// Something stated beforehand that does not fit the rest.
+/// A statement made beforehand that does not fit the rest of the system.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Contradiction {
     /// What was stated.
     pub stated: Stated,
     /// Square of the discrepancy in its own standard deviations.
     pub chi2: f64,
-    /// Its number of coordinates: the mean of `chi2` if nothing is wrong.
+    /// Number of its coordinates: the mean of `chi2` if nothing is wrong.
     pub freedom: usize,
-    /// What else may be wrong in its place, because the rest cannot tell the two apart.
+    /// Names of what may be wrong instead, because the rest of the system cannot separate the two.
     pub or: Vec<String>,
 }
 
@@ -57,11 +57,11 @@ pub struct Contradiction {
 pub enum Stated {
     /// The prior of a parameter, SI.
     Parameter {
-        /// Whose.
+        /// Parameter of the prior.
         id: ParameterId,
         /// Where the measurements and the other priors put it.
         found: f64,
-        /// Standard deviation of that.
+        /// Standard deviation of `found`.
         sigma: f64,
         /// Standard deviation of its prior about zero.
         prior_sigma: f64,
@@ -70,47 +70,47 @@ pub enum Stated {
     Nests {
         /// Name of the station.
         station: String,
-        /// How far from there the measurements of the robot put it, m.
+        /// Distance between this place and where the measurements of the robot put the station, m.
         length: f64,
-        /// And how far turned, rad.
+        /// Angle between the two orientations, rad.
         angle: f64,
     },
     /// The place of a station by sweeps of two axes.
     Sweeps {
         /// Name of the station.
         station: String,
-        /// How far from there the measurements of the robot put it, m.
+        /// Distance between this place and where the measurements of the robot put the station, m.
         length: f64,
-        /// And how far turned, rad.
+        /// Angle between the two orientations, rad.
         angle: f64,
     },
     /// The measured offset of a target.
     Target {
-        /// Its name.
+        /// Name of the target.
         target: String,
-        /// How far from there the measurements of the robot put it, m.
+        /// Distance between the offset and where the measurements of the robot put the target, m.
         length: f64,
     },
-    /// How a target was measured to be turned on the flange.
+    /// The measured orientation of a target on the flange.
     Orientation {
-        /// Its name.
+        /// Name of the target.
         target: String,
-        /// How far turned from there the measurements of the robot put it, rad.
+        /// Angle between this orientation and that from the measurements of the robot, rad.
         angle: f64,
     },
     /// The certified place of a nest.
     Nest {
-        /// Its name.
+        /// Name of the nest.
         nest: String,
         /// Name of the station that measured it.
         station: String,
-        /// How far from there the other nests put it, m.
+        /// Distance between this place and where the other nests put it, m.
         length: f64,
     },
 }
 
 impl Stated {
-    /// The parameter, or nests, target or nest by name.
+    /// Name of the parameter, or of the nests, target or nest.
     pub fn name(&self) -> String {
         match self {
             Self::Parameter { id, .. } => id.to_string(),
@@ -124,7 +124,7 @@ impl Stated {
 }
 
 impl Contradiction {
-    /// Said where the rest tells of some of the `coordinates` alone.
+    /// Words for a lower bound, where the rest of the system determines only some of the `coordinates`.
     fn at_least(&self, coordinates: usize) -> &'static str {
         if self.freedom < coordinates { "at least " } else { "" }
     }
@@ -166,12 +166,12 @@ impl fmt::Display for Contradiction {
     }
 }
 
-/// To three digits.
+/// Rounds to three digits.
 fn rounded(value: f64) -> f64 {
     format!("{value:.2e}").parse().unwrap_or(value)
 }
 
-/// Rows that belong together, with what they are.
+/// Rows that belong together, and their source.
 #[derive(Clone)]
 struct RowGroup {
     rows: Range<usize>,
@@ -180,11 +180,11 @@ struct RowGroup {
 
 #[derive(Clone)]
 enum Kind {
-    /// Index in the problem's priors.
+    /// Index of a prior of the problem.
     Block(usize),
-    /// Column and standard deviation.
+    /// Column of a parameter and standard deviation of its own prior.
     Own(usize, f64),
-    /// Index of the station, and of the nest in it.
+    /// Indices of the station and of the nest in it.
     Nest(usize, usize),
 }
 
@@ -195,21 +195,21 @@ struct Family {
     groups: Vec<RowGroup>,
 }
 
-/// A group that does not fit.
+/// A group that does not fit the others.
 struct Outcast {
-    /// Its place in the family.
+    /// Index in the family.
     group: usize,
     chi2: f64,
     freedom: usize,
-    /// Residuals that it has where it is left out of the fit.
+    /// Its residuals if it is left out of the fit.
     left_out: DVector<f64>,
-    /// Their covariance.
+    /// Covariance of these residuals.
     spread: DMatrix<f64>,
-    /// Groups that cannot be told from it.
+    /// Groups that cannot be separated from it.
     rivals: Vec<usize>,
 }
 
-/// A group that is too far off, as the system stands.
+/// A group that is too far off in the current system.
 struct Suspect {
     group: usize,
     block: GroupBlock,
@@ -217,7 +217,7 @@ struct Suspect {
     chi2: f64,
 }
 
-/// A group's block of the family, inverted where the rest tells of it.
+/// A group's block of the family, inverted where the rest of the system determines it.
 struct GroupBlock {
     inverse: DMatrix<f64>,
     freedom: usize,
@@ -228,7 +228,7 @@ impl GroupBlock {
         let n = rows.len();
         let own = covariance.view((rows.start, rows.start), (n, n)).into_owned();
         let mut block = Self { inverse: DMatrix::zeros(n, n), freedom: 0 };
-        // The iteration for eigenvalues need not end on what is no number.
+        // The iteration for eigenvalues may not end for numbers that are not finite.
         if own.iter().any(|v| !v.is_finite()) {
             return block;
         }
@@ -244,12 +244,12 @@ impl GroupBlock {
 }
 
 impl Family {
-    /// Groups that the rest can contradict.
+    /// Number of groups that the rest of the system can contradict.
     fn tests(&self) -> usize {
         self.groups.iter().filter(|group| GroupBlock::of(&self.covariance, &group.rows).freedom > 0).count()
     }
 
-    /// The groups whose residuals are too large at `level` each; the worst first, each without those before it.
+    /// The groups whose residuals are too large at `level` each, the worst first, each tested without those before it.
     fn outcasts(&self, level: f64) -> Vec<Outcast> {
         let (mut residuals, mut covariance) = (self.residuals.clone(), self.covariance.clone());
         let mut left: Vec<usize> = (0..self.groups.len()).collect();
@@ -270,7 +270,7 @@ impl Family {
                     })
                     .collect::<Vec<_>>()
             };
-            // Of those that cannot be told apart, the one that needs the least change.
+            // Of groups that cannot be separated, the one that needs the least change.
             let change = |suspect: &Suspect| suspect.left_out.norm_squared() / suspect.block.freedom as f64;
             let mut suspects = alike(worst);
             suspects.insert(0, worst);
@@ -294,7 +294,7 @@ impl Family {
         }
     }
 
-    /// Whether what speaks against a group is, but for a little, what speaks against the `other`.
+    /// Whether nearly everything that contradicts a group also contradicts the `other`.
     fn is_shared(&self, covariance: &DMatrix<f64>, suspect: &Suspect, other: usize) -> bool {
         let rows = self.groups[other].rows.clone();
         let across = covariance.view(
@@ -305,7 +305,7 @@ impl Family {
         shared.trace() > SHARED * rows.map(|row| covariance[(row, row)]).sum::<f64>()
     }
 
-    /// Of the groups in `left`, those that are too far off.
+    /// The groups in `left` that are too far off.
     fn unlikely(
         &self,
         left: &[usize],
@@ -326,22 +326,22 @@ impl Family {
     }
 }
 
-/// All that was stated beforehand of an estimate.
+/// Tests of everything that was stated beforehand for an estimate.
 pub(super) struct Checks<'a> {
     problem: &'a CalibrationProblem,
     set: &'a MeasurementSet,
     solution: &'a Solution,
     bounded: &'a [usize],
     priors: Family,
-    /// Variance of the measurements' noise relative to the one that they were weighted with: less where that was taken from residuals that a
-    /// prior on compliances made larger.
+    /// Variance of the measurements' noise relative to the one with which they were weighted: less than one where the latter was taken from
+    /// residuals that a prior on compliances enlarged.
     noise: f64,
-    /// A family a station.
+    /// One family per station.
     nests: Vec<(NestSystem, Family)>,
     level: f64,
 }
 
-/// Priors that do not fit, and what they add to chi-square.
+/// Priors that do not fit, and their contribution to chi-square.
 #[derive(Default)]
 pub(super) struct Found {
     pub contradictions: Vec<Contradiction>,
@@ -350,7 +350,7 @@ pub(super) struct Found {
 }
 
 impl<'a> Checks<'a> {
-    /// Of `solution` with the `covariance` of its parameters, where those that are `bounded` are held; `frame`: what places the stations.
+    /// Tests of `solution` with the `covariance` of its parameters, with the parameters in `bounded` held; `frame` is how stations are placed.
     pub fn new(
         problem: &'a CalibrationProblem,
         set: &'a MeasurementSet,
@@ -365,7 +365,7 @@ impl<'a> Checks<'a> {
             NoiseScale::Residuals(_) => noise_without_priors(problem, solution, bounded).unwrap_or(1.0),
             NoiseScale::Stated => 1.0,
         };
-        // Where nests cannot place a station, the fit has not come so far.
+        // If the nests do not place a station, the fit has failed before.
         let nests: Vec<_> = set
             .stations
             .iter()
@@ -383,7 +383,7 @@ impl<'a> Checks<'a> {
         Self { problem, set, solution, bounded, priors, noise, nests, level }
     }
 
-    /// The priors of parameters, nests and target, as stated, against the measurements, whose noise has `variance` times the stated variance.
+    /// Tests the priors of parameters, nests and target as stated against the measurements, whose noise has `variance` times the stated variance.
     pub fn of_priors(&self, variance: f64) -> Found {
         let variance = variance * self.noise;
         let again = (variance != 1.0).then(|| self.with_noise(variance)).flatten();
@@ -396,11 +396,11 @@ impl<'a> Checks<'a> {
         }
     }
 
-    /// The priors where the measurements have `variance` times the noise that they were weighted with, and what was stated has the noise that
-    /// was stated: the minimum moves. To first order; `None` where that has no full rank.
+    /// The priors if the measurements have `variance` times the noise with which they were weighted while the noise of what was stated is as
+    /// stated: the minimum moves. To first order; `None` without full rank.
     fn with_noise(&self, variance: f64) -> Option<Family> {
         if !self.solution.weights.is_empty() {
-            // A loss has no minimum of squares to move: all that was weighed has that noise.
+            // With a loss there is no least squares minimum to move: the whole system is scaled to this noise.
             let Family { residuals, covariance, groups } = &self.priors;
             let (residuals, groups) = (residuals / variance.sqrt(), groups.clone());
             return Some(Family { residuals, covariance: covariance.clone(), groups });
@@ -416,7 +416,7 @@ impl<'a> Checks<'a> {
         Some(priors(self.problem, &minimum.residuals, &jacobian, &covariance, self.bounded))
     }
 
-    /// The nests of each station against each other.
+    /// Tests the nests of each station against each other.
     pub fn of_nests(&self) -> Vec<Contradiction> {
         let of_station = |(_, family): &(NestSystem, Family)| {
             let outcasts = family.outcasts(self.level);
@@ -426,7 +426,7 @@ impl<'a> Checks<'a> {
     }
 
     fn describe(&self, family: &Family, outcast: &Outcast) -> Contradiction {
-        // A rival has a size of its own; its name is all that is told of it.
+        // A rival has its own size; only its name is reported.
         let name = |rival: &usize| {
             let RowGroup { rows, kind } = &family.groups[*rival];
             let n = rows.len();
@@ -445,13 +445,13 @@ impl<'a> Checks<'a> {
             Kind::Own(column, prior_sigma) => Stated::Parameter {
                 id: self.problem.parameters[column],
                 found: prior_sigma * left_out[0],
-                // What is left of the variance of the discrepancy without the prior's own, which is one.
+                // The variance of the discrepancy less the prior's own, which is one.
                 sigma: prior_sigma * (spread[(0, 0)] - 1.0).max(0.0).sqrt(),
                 prior_sigma,
             },
             Kind::Block(index) => {
                 let prior = &self.problem.priors[index];
-                // Of nests that tell the instrument's errors as well, the least change that does it.
+                // For nests that determine the instrument's errors as well, the smallest change that explains the discrepancy.
                 let shift = prior.whitening.clone().pseudo_inverse(f64::EPSILON);
                 let shift = shift.map_or_else(|_| left_out.clone(), |inverse| inverse * left_out);
                 let length = |rows: Range<usize>| {
@@ -468,7 +468,7 @@ impl<'a> Checks<'a> {
                     ParameterId::Frame { station, .. }
                         if self.problem.swept.iter().any(|(swept, _)| *swept == index) =>
                     {
-                        // The first six columns are the frame's; the others are tied to them.
+                        // The first six columns are the frame's; the others depend on them.
                         let of_frame = prior.whitening.columns(0, 6).into_owned().try_inverse();
                         let moved = of_frame.map_or_else(|| left_out.clone(), |inverse| inverse * left_out);
                         Stated::Sweeps {
@@ -497,7 +497,7 @@ impl<'a> Checks<'a> {
                 let own = system.and_then(|system| system.nests.get(nest));
                 let shift = own.and_then(|own| own.whitening.solve_lower_triangular(left_out));
                 let shift = shift.unwrap_or_else(|| left_out.clone());
-                // Of several readings, what they have in common.
+                // The mean of several readings.
                 let readings = (shift.len() / 3).max(1) as f64;
                 let mean = shift.as_slice().chunks_exact(3).map(Vector3::from_column_slice);
                 let shift = mean.sum::<Vector3<f64>>() / readings;
@@ -513,11 +513,11 @@ impl<'a> Checks<'a> {
     }
 }
 
-/// A system solved anew, to first order, in some of its columns.
+/// A linearised system, solved again in some of its columns.
 pub(super) struct Minimum {
-    /// Triangular factor of these columns.
+    /// Triangular factor of the free columns.
     r: DMatrix<f64>,
-    /// Change of these columns' parameters.
+    /// Change of the free columns' parameters.
     pub step: DVector<f64>,
     pub residuals: DVector<f64>,
 }
@@ -540,7 +540,7 @@ impl Minimum {
 }
 
 impl Minimum {
-    /// S with `S Sᵀ` the covariance of all `columns`, of which those are `free` that the system was solved in.
+    /// S with `S Sᵀ` the covariance of all `columns`; `free` are those in which the system was solved.
     pub fn spread(&self, columns: usize, free: &[usize]) -> Option<DMatrix<f64>> {
         let inverse = self.r.solve_upper_triangular(&DMatrix::identity(free.len(), free.len()))?;
         let mut spread = DMatrix::zeros(columns, free.len());
@@ -555,16 +555,16 @@ pub(super) fn free_columns(jacobian: &DMatrix<f64>, bounded: &[usize]) -> Vec<us
     (0..jacobian.ncols()).filter(|column| !bounded.contains(column)).collect()
 }
 
-/// What priors keep of their weight where the noise is looked at without them.
+/// Share of their weight that priors keep when the noise is determined without them.
 const LOOSE: f64 = 1e-3;
 
-/// What was stated of targets and nests makes the residuals where they have less than this share of their variance without it: what a model
-/// lacks is taken up by a shift of the target as well, but not that much.
+/// Statements on targets and nests cause the residuals if these have less than this share of their variance without the statements. A shift
+/// of the target also absorbs what a model lacks, but not as much.
 const MADE_BY_STATEMENT: f64 = 0.25;
 
-/// The variance that the residuals have where priors of compliances, and what was stated of targets and nests, do not hold them, relative to
-/// the one that they were weighted with: a prior that keeps a drive from yielding as it does leaves its sag in the residuals, an offset that
-/// is not the target's turns with the flange. `None` where neither is significant.
+/// Variance of the residuals when the priors of compliances, and what was stated of targets and nests, do not hold them, relative to the
+/// variance with which they were weighted. A prior that keeps a drive too stiff leaves its sag in the residuals; a wrong offset of the target
+/// turns with the flange. `None` where neither is significant.
 fn noise_without_priors(problem: &CalibrationProblem, solution: &Solution, bounded: &[usize]) -> Option<f64> {
     if !solution.weights.is_empty() {
         return None;
@@ -582,7 +582,7 @@ fn noise_without_priors(problem: &CalibrationProblem, solution: &Solution, bound
     noise_without(&all, solution, bounded).filter(share).or(without_compliances)
 }
 
-/// The same without the priors in `rows`, where that is significant (F test).
+/// Like [`noise_without_priors`], without the priors in `rows`, where that is significant (F test).
 fn noise_without(rows: &[usize], solution: &Solution, bounded: &[usize]) -> Option<f64> {
     let (mut residuals, mut jacobian) = (solution.residuals.clone(), solution.jacobian.clone());
     for row in rows {
@@ -610,7 +610,7 @@ fn priors(
     let mut rows = Vec::new();
     let mut groups = Vec::new();
     let mut first = problem.data_rows();
-    // What a bound holds has told so already, and its prior pulls at nothing.
+    // A parameter at a bound is reported by the bound, and its prior has no effect.
     let mut take = |first: usize, count: usize, columns: &[usize], kind: Kind| {
         if columns.iter().any(|column| bounded.contains(column)) {
             return;
@@ -635,7 +635,7 @@ fn priors(
     }
 }
 
-/// The nests of a station at the place, and with the errors of its instrument, that fit them best.
+/// The nests of a station at the place, and with the instrument's errors, that fit them best.
 fn of_nests(system: &NestSystem, station: &Station, index: usize) -> Option<Family> {
     let rows = system.residuals.len();
     let errors = system.instrument.ncols();

@@ -1,10 +1,10 @@
-//! Sessions that are several in one: readings of several targets under one name, and a station that was moved between its readings.
+//! Detects sessions that consist of several: readings of several targets under one name, and a station that was moved between its readings.
 //!
-//! Either leaves residuals in a few compact groups, which nothing that a robot lacks in its model does. So an offset of the target (a
-//! displacement of the station) is fitted for each group beside all parameters, to first order, and every reading goes to the group that
-//! leaves less of it, by turns (S. P. Lloyd, "Least squares quantization in PCM", IEEE Trans. Inf. Theory 28 (1982) 129). It is told where
-//! the residuals fall by more than those of one cloud can: a Gaussian one by a factor of 1.7 along one axis, the sines of a turning joint by
-//! 2.3.
+//! Both leave residuals in a few compact groups, which no deficiency of a robot's model does. So an offset of the target (a displacement of the
+//! station) is fitted for each group beside all parameters, to first order, and every reading is assigned to the group in which its residual
+//! is smaller, alternately (S. P. Lloyd, "Least squares quantization in PCM", IEEE Trans. Inf. Theory 28 (1982) 129). It is reported where the
+//! residuals decrease by more than those of a single cloud can: a Gaussian cloud by a factor of 1.7 along one axis, the sines of a revolute
+//! joint by 2.3.
 
 use std::ops::Range;
 
@@ -18,21 +18,21 @@ use calibrig_model::ParameterId;
 use calibrig_model::geometry::cross_matrix;
 use calibrig_model::measurement::MeasurementSet;
 
-/// Standard deviations that fall to this share are those of several sessions.
+/// Standard deviations that decrease to this share indicate several sessions.
 const SHARE: f64 = 0.15;
-/// Groups that leave more than this share of the squares in them are not looked at any further.
+/// Groups that leave more than this share of the sum of squares within them are not examined further.
 const COMPACT: f64 = 0.65;
-/// Nor is what leaves more than this share of the residuals at the second turn.
+/// Neither is a division that leaves more than this share of the residuals after two iterations.
 const HARDLY: f64 = 0.8;
-/// The fewest readings of a group.
+/// Fewest readings of a group.
 const LEAST: usize = 4;
-/// The fewest degrees of freedom beside parameters and the choice of the groups.
+/// Fewest degrees of freedom that remain beside parameters and the choice of the groups.
 const LEAST_FREEDOM: f64 = 6.0;
 const MOST_TURNS: usize = 12;
 
-/// A reading at the solution.
+/// A reading, evaluated at the solution.
 struct Seen {
-    /// `tracker_from_flange`, the axes alone.
+    /// Rotation of `tracker_from_flange`.
     axes: Matrix3<f64>,
     /// Predicted position in the tracker's frame, m.
     predicted: Vector3<f64>,
@@ -40,20 +40,20 @@ struct Seen {
     off: Vector3<f64>,
 }
 
-/// Readings of several targets.
+/// A division of readings into several targets.
 struct Targets {
     groups: Vec<usize>,
-    /// Largest distance of two of them, m.
+    /// Largest distance between two targets, m.
     apart: f64,
     share: f64,
-    /// m
+    /// RMS of the 3-D residual, m.
     rms: f64,
-    /// What is left of every reading, in the flange's axes, m.
+    /// Residual of every reading, in the flange's axes, m.
     left: Vec<Vector3<f64>>,
 }
 
 impl Seen {
-    /// Change of the predicted position with a displacement of the station's frame.
+    /// Change of the predicted position per displacement of the station's frame.
     fn displaced(&self) -> Matrix3x6<f64> {
         let mut columns = Matrix3x6::zeros();
         columns.fixed_columns_mut::<3>(0).copy_from(&Matrix3::identity());
@@ -62,21 +62,21 @@ impl Seen {
     }
 }
 
-/// The linear system at the solution, with all rows in standard deviations and no weights of a loss in them.
+/// The linear system at the solution, with all rows in standard deviations and without the weights of a loss.
 struct System<'a> {
     problem: &'a CalibrationProblem,
     jacobian: &'a DMatrix<f64>,
     residuals: &'a DVector<f64>,
     free: Vec<usize>,
     seen: Vec<Seen>,
-    /// Sum of squares of the observations that the parameters leave, and its degrees of freedom.
+    /// Sum of squares of the observations' residuals, and its degrees of freedom.
     squares: f64,
     freedom: f64,
     /// RMS of the 3-D residual, m.
     rms: f64,
 }
 
-/// Warnings of what makes several sessions of one; `jacobian` is the solution's without the weights of a loss.
+/// Warnings about a set that consists of several; `jacobian` is the solution's without the weights of a loss.
 pub(super) fn divided(
     problem: &mut CalibrationProblem,
     solution: &Solution,
@@ -141,7 +141,7 @@ impl<'a> System<'a> {
         let squares = if solution.weights.is_empty() {
             solution.residuals.rows(0, data).norm_squared()
         } else {
-            // A loss has its minimum elsewhere.
+            // With a loss, the least squares minimum is elsewhere.
             Minimum::of(&solution.residuals, jacobian, &free)?.residuals.rows(0, data).norm_squared()
         };
         let rms = (seen.iter().map(|seen| seen.off.norm_squared()).sum::<f64>() / seen.len() as f64).sqrt();
@@ -159,8 +159,8 @@ impl<'a> System<'a> {
         })
     }
 
-    /// What parameters and further `columns` leave (rows in standard deviations), and the values of those columns. The columns are given in
-    /// metres in the trackers' axes, three rows an observation.
+    /// Residuals with the parameters and further `columns` fitted (rows in standard deviations), and the values of those columns. The columns are
+    /// given in metres in the trackers' axes, three rows per observation.
     fn with(&self, columns: &DMatrix<f64>) -> Option<(DVector<f64>, DVector<f64>)> {
         let (rows, n) = self.jacobian.shape();
         let mut columns = columns.clone().resize_vertically(rows, 0.0);
@@ -173,17 +173,17 @@ impl<'a> System<'a> {
         Some((minimum.residuals, values))
     }
 
-    /// RMS of the 3-D residual where it falls as these residuals do, m.
+    /// RMS of the 3-D residual if it decreases as these residuals do, m.
     fn rms_of(&self, residuals: &DVector<f64>) -> f64 {
         self.rms * (residuals.rows(0, 3 * self.seen.len()).norm_squared() / self.squares).sqrt()
     }
 
-    /// Whether it is worth to go on.
+    /// Whether the residuals decrease enough to continue.
     fn falls(&self, residuals: &DVector<f64>) -> bool {
         self.rms_of(residuals) < HARDLY * self.rms
     }
 
-    /// To which share standard deviations fall that have these residuals, with so many parameters more and so many choices.
+    /// Share to which standard deviations decrease with these residuals, for this many additional parameters and choices.
     fn share(&self, residuals: &DVector<f64>, parameters: usize, choices: usize) -> Option<f64> {
         let freedom = self.freedom - (parameters + choices) as f64;
         let squares = residuals.rows(0, 3 * self.seen.len()).norm_squared();
@@ -191,9 +191,9 @@ impl<'a> System<'a> {
         (freedom >= LEAST_FREEDOM && share.is_finite()).then_some(share)
     }
 
-    /// How many targets the readings `own` are of, how far these are apart (m), and what RMS is left (m).
+    /// Number of targets among the readings `own`, the distance between them (m), and the remaining RMS (m).
     fn several_targets(&self, own: &[usize]) -> Option<(usize, f64, f64)> {
-        // In the flange's axes, where an offset is the same in all poses.
+        // In the flange's axes, in which an offset is the same in all poses.
         let offs: Vec<_> = own.iter().map(|i| self.seen[*i].axes.tr_mul(&self.seen[*i].off)).collect();
         let mut groups = vec![0; own.len()];
         part(&offs, &mut groups, 1);
@@ -209,7 +209,7 @@ impl<'a> System<'a> {
         (found.share < SHARE).then_some((3, found.apart, found.rms))
     }
 
-    /// The readings `own` as those of `count` targets, from the `groups` on; `None` where that explains little.
+    /// The readings `own` divided into `count` targets, starting from `groups`; `None` where that explains little.
     fn as_targets(&self, own: &[usize], mut groups: Vec<usize>, count: usize) -> Option<Targets> {
         for turn in 0..MOST_TURNS {
             if (0..count).any(|group| groups.iter().filter(|own| **own == group).count() < LEAST) {
@@ -251,8 +251,8 @@ impl<'a> System<'a> {
         None
     }
 
-    /// The place among `own` where two displacements, one before and one behind it, explain most of the residuals by themselves; `None` where they
-    /// leave most of them.
+    /// The position among `own` where two displacements, one before and one after it, explain most of the residuals on their own; `None` where
+    /// they leave most of them.
     fn step(&self, own: &[usize]) -> Option<usize> {
         let mut sums = vec![(Matrix6::zeros(), Vector6::zeros())];
         for i in own {
@@ -273,7 +273,7 @@ impl<'a> System<'a> {
         (most > (1.0 - COMPACT) * squares).then_some(place)
     }
 
-    /// The place among `own` from where on their station stood elsewhere, by how much that moved the points (m), and what RMS is left (m).
+    /// The position among `own` from which on their station stood elsewhere, how far that moved the points (m), and the remaining RMS (m).
     fn moved_station(&self, own: &[usize]) -> Option<(usize, f64, f64)> {
         let mut first = self.step(own)?;
         let displaced = |i: usize| self.seen[i].displaced();
@@ -293,7 +293,7 @@ impl<'a> System<'a> {
                 let shift = self.problem.rows[*i].whitening * displaced(*i) * by;
                 let now: Vector3<f64> = left.fixed_rows::<3>(3 * i).into_owned();
                 let [before, behind] = if place < first { [now, now - shift] } else { [now + shift, now] };
-                // Squares that are saved where the station moves behind this reading.
+                // Decrease of the sum of squares if the station moves after this reading.
                 gains.push(gains[place] + behind.norm_squared() - before.norm_squared());
             }
             let next = within(own.len()).max_by(|a, b| gains[*a].total_cmp(&gains[*b]))?;
@@ -308,7 +308,7 @@ impl<'a> System<'a> {
     }
 }
 
-/// Where a step may be: enough readings on both sides.
+/// Possible positions of a step: with enough readings on both sides.
 fn within(count: usize) -> Range<usize> {
     LEAST..(count + 1).saturating_sub(LEAST)
 }
@@ -322,14 +322,14 @@ fn members(points: &[Vector3<f64>], groups: &[usize], group: usize) -> Vec<Vecto
     points.iter().zip(groups).filter(|(_, own)| **own == group).map(|(point, _)| *point).collect()
 }
 
-/// Parts the one of `count` groups that has the largest sum of squares, along the axis along which it is longest.
+/// Divides the group with the largest sum of squares, out of `count`, along the axis along which it is longest.
 fn part(points: &[Vector3<f64>], groups: &mut [usize], count: usize) {
     let squares = |group: usize| squares_about_mean(&members(points, groups, group));
     let Some(largest) = (0..count).max_by(|a, b| squares(*a).total_cmp(&squares(*b))) else { return };
     let own = members(points, groups, largest);
     let mean = own.iter().sum::<Vector3<f64>>() / own.len().max(1) as f64;
     let spread: Matrix3<f64> = own.iter().map(|point| (point - mean) * (point - mean).transpose()).sum();
-    // The iteration for eigenvalues need not end on what is no number.
+    // The iteration for eigenvalues may not end for numbers that are not finite.
     if spread.iter().any(|entry| !entry.is_finite()) {
         return;
     }
@@ -342,7 +342,7 @@ fn part(points: &[Vector3<f64>], groups: &mut [usize], count: usize) {
     }
 }
 
-/// Whether two groups leave little of the squares.
+/// Whether two groups leave little of the sum of squares.
 fn is_compact(points: &[Vector3<f64>], groups: &[usize]) -> bool {
     let left: f64 = (0..2).map(|group| squares_about_mean(&members(points, groups, group))).sum();
     left < COMPACT * squares_about_mean(points)

@@ -1,4 +1,4 @@
-//! What an identification returns.
+//! The result of an identification.
 
 use std::fmt;
 
@@ -17,15 +17,16 @@ use calibrig_model::{ParameterId, Unit};
 /// One identified parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ParameterEstimate {
-    /// Which.
+    /// Which parameter.
     pub id: ParameterId,
     /// Deviation from the nominal (links), prior (frame), stated (target) or predicted (compliances) value, SI.
     pub value: f64,
-    /// Standard deviation, SI, from the noise that the fit was weighed with; `None` where the system is singular.
+    /// Standard deviation, SI, for the noise with which the fit was weighed; `None` where the system is singular.
     pub sigma: Option<f64>,
-    /// The one that the readings' stated noise leaves by itself, SI, where the fit was weighed with more.
+    /// Standard deviation from the stated noise of the readings alone, SI, where the fit was weighed with more noise.
     pub stated_sigma: Option<f64>,
-    /// Standard deviation of its own zero-mean prior, SI; `None` where it has none, as a frame, which nests are measured for.
+    /// Standard deviation of the parameter's own zero-mean prior, SI; `None` where it has no prior of its own, such as a frame that was measured
+    /// by nests.
     pub prior_sigma: Option<f64>,
 }
 
@@ -54,7 +55,7 @@ impl TerminationReason {
         matches!(self, Self::SmallGradient | Self::SmallStep | Self::SmallDecrease)
     }
 
-    /// What happened, for people.
+    /// What happened, as text for people.
     pub fn words(self) -> &'static str {
         match self {
             Self::SmallGradient => "the gradient vanished",
@@ -66,7 +67,7 @@ impl TerminationReason {
         }
     }
 
-    /// What to do where the minimum was not reached; nothing where it was.
+    /// What to do where the minimum was not reached; empty where it was.
     pub fn advice(self) -> &'static str {
         match self {
             Self::SmallGradient | Self::SmallStep | Self::SmallDecrease => "",
@@ -106,39 +107,39 @@ pub struct IterationRecord {
     /// Norm of the scaled step.
     #[serde(with = "calibrig_model::float::scalar")]
     pub step: f64,
-    /// Actual over predicted decrease; 1 for a last, negligible step that was taken without another look at the cost.
+    /// Actual over predicted decrease; 1 for a last, negligible step that was taken without evaluating the cost again.
     #[serde(with = "calibrig_model::float::scalar")]
     pub gain: f64,
     /// Whether the step was taken.
     pub accepted: bool,
-    /// The parameters after the iteration, in the estimate's order, SI; those before it where the step was not taken.
+    /// The parameters after the iteration, in the estimate's order, SI; those before it if the step was not taken.
     #[serde(with = "calibrig_model::float::list")]
     pub parameters: Vec<f64>,
 }
 
-/// Where the standard deviations get their scale from.
+/// Where the scale of the standard deviations comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NoiseScale {
     /// From the covariances stated with the readings.
     Stated,
-    /// From the residuals: the readings state none. Standard deviation of one coordinate, m.
+    /// From the residuals, as the readings state no covariance: standard deviation of one coordinate, m.
     Residuals(#[serde(with = "calibrig_model::float::scalar")] f64),
 }
 
-/// What an identification took to be so, because the options left it to the measurements, or nobody said otherwise.
+/// An assumption of an identification, made because the options left it to the measurements or nothing else was stated.
 #[derive(Debug, Clone, PartialEq, Error, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Assumption {
-    /// The measurements of the robot alone place the tracker.
+    /// Only the measurements of the robot place the tracker.
     #[error(
         "station {station}: not placed beforehand ({nests} base nests, three are needed); its place is identified"
     )]
     StationFree {
-        /// Its name.
+        /// Name of the station.
         station: String,
-        /// Nests measured.
+        /// Number of nests that were measured.
         nests: usize,
     },
     /// Sweeps of two axes place the tracker.
@@ -147,93 +148,93 @@ pub enum Assumption {
         axes[0], axes[1]
     )]
     StationBySweeps {
-        /// Its name.
+        /// Name of the station.
         station: String,
         /// Names of the axes.
         axes: [String; 2],
     },
-    /// Its nests place the tracker.
+    /// Base nests place the tracker.
     #[error("station {station}: placed by {nests} base nests, whose uncertainty is a prior")]
     StationByNests {
-        /// Its name.
+        /// Name of the station.
         station: String,
-        /// Nests measured.
+        /// Number of nests that were measured.
         nests: usize,
     },
-    /// Nothing is known of a target's offset.
+    /// Nothing is known of a target's offset; it is identified.
     #[error("target {target}: no uncertainty of its offset is stated, so it is identified")]
     TargetFree {
-        /// Its name.
+        /// Name of the target.
         target: String,
     },
-    /// A target's offset was measured.
+    /// A target's offset was measured; it has a prior.
     #[error("target {target}: the stated offset is a prior, +- {:.3} mm", 1e3 * sigma)]
     TargetStated {
-        /// Its name.
+        /// Name of the target.
         target: String,
         /// Root mean square of its coordinates' standard deviations, m.
         sigma: f64,
     },
-    /// An instrument's readings share errors that were stated.
+    /// Errors that an instrument's readings share were stated, and are identified.
     #[error(
         "tracker {name}: {errors} errors shared by its readings are identified, with the stated values as a prior"
     )]
     InstrumentStated {
-        /// Its name.
+        /// Name of the instrument.
         name: String,
-        /// Their number.
+        /// Number of these errors.
         errors: usize,
     },
-    /// They are taken to share none, although some were stated.
+    /// Stated errors that an instrument's readings share are ignored.
     #[error(
         "tracker {name}: the stated errors shared by its readings are ignored; the intervals do not include them"
     )]
     InstrumentIgnored {
-        /// Its name.
+        /// Name of the instrument.
         name: String,
     },
-    /// Links are about as drawn.
+    /// The links are close to their nominal values, within a tolerance.
     #[error("links: within +- {:.1} mm and +- {:.1} mrad of their nominal values (standard deviations of a prior)", 1e3 * .0.length, 1e3 * .0.angle)]
     LinksWithin(Tolerance),
-    /// The machine does more than its model.
+    /// The machine has errors of single poses beside its model.
     #[error("machine: random errors from pose to pose that the model does not hold, {}", noise_in_words(.0))]
     NoiseOfMachine(MachineNoise),
-    /// Readings scatter by themselves by more than they state.
+    /// Readings scatter by more than they state.
     #[error("noise: the readings' own noise is {scale:.2} times what they state, found with the fit")]
     NoiseOfReadings {
-        /// Found over stated standard deviation.
+        /// Found over stated standard deviation of a reading.
         #[serde(with = "calibrig_model::float::scalar")]
         scale: f64,
     },
-    /// Compliances are fitted, and nobody said how well the masses that load them are known.
+    /// Compliances are fitted, and no uncertainty of the masses that load them is stated.
     #[error(
         "masses and centres of gravity: taken as exact, because no uncertainty of them is stated; the standard deviations of \
          the compliances do not include theirs (mass_percent and centre_mm in the robot's file, or --mass-percent and \
          --centre-mm)"
     )]
     BodiesExact,
-    /// Nothing is known of how a target is turned on the flange.
+    /// Nothing is known of how a target is turned on the flange; it is identified.
     #[error("target {target}: no uncertainty of its orientation is stated, so it is identified")]
     OrientationFree {
-        /// Its name.
+        /// Name of the target.
         target: String,
     },
-    /// It was measured how a target is turned on the flange.
+    /// How a target is turned on the flange was measured; it has a prior.
     #[error("target {target}: its stated orientation is a prior, +- {:.3} mrad", 1e3 * sigma)]
     OrientationStated {
-        /// Its name.
+        /// Name of the target.
         target: String,
-        /// Root mean square of the standard deviations about its axes, rad.
+        /// Root mean square of the standard deviations about the target's axes, rad.
         sigma: f64,
     },
-    /// Orientations scatter by more than their readings state, or these state nothing.
+    /// Orientations scatter by more than their readings state, or the readings state nothing.
     #[error("orientations: in addition to what readings state, {:.3} mrad about each axis, found with the fit", 1e3 * sigma)]
     NoiseOfOrientations {
-        /// Standard deviation, rad.
+        /// Additional standard deviation about each axis, rad.
         #[serde(with = "calibrig_model::float::scalar")]
         sigma: f64,
     },
-    /// How well masses and centres are known was stated.
+    /// The uncertainty of masses and centres was stated, and is a prior.
     #[error(
         "masses and centres of gravity: their stated uncertainty is a prior, and is included in the standard deviations of \
          the compliances"
@@ -251,10 +252,10 @@ pub enum Assumption {
     },
 }
 
-/// A parameter that could have been fitted and was not.
+/// A parameter that could have been fitted but was not.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LeftOut {
-    /// Which.
+    /// Which parameter.
     pub id: ParameterId,
     /// Why.
     pub reason: LeftOutReason,
@@ -265,18 +266,18 @@ pub struct LeftOut {
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum LeftOutReason {
-    /// Gravity hardly loads a compliance, or always alike.
+    /// Gravity hardly loads a compliance, or loads it the same in every pose.
     Unloaded {
-        /// By how many standard deviations of their noise its prior's standard deviation moves all measurements together, beside what the
-        /// geometry can do as well.
+        /// How far the prior's standard deviation of the compliance moves all measurements together, in standard deviations of their noise, apart
+        /// from what geometric parameters can do as well.
         #[serde(with = "calibrig_model::float::scalar")]
         effect: f64,
     },
-    /// No measurement has what it acts on, such as an approach.
+    /// No measurement contains what the parameter acts on, such as an approach.
     NoBasis,
-    /// It cannot be told from others.
+    /// It cannot be separated from other parameters.
     Redundant,
-    /// It was to stay where it is.
+    /// The options fix it by name.
     ByName,
 }
 
@@ -291,7 +292,7 @@ impl LeftOutReason {
         }
     }
 
-    /// In words, without figures.
+    /// The reason in words, without figures.
     pub fn words(self) -> &'static str {
         match self {
             Self::Unloaded { .. } => "gravity hardly loads it in these poses, or always loads it alike",
@@ -305,7 +306,7 @@ impl LeftOutReason {
     }
 }
 
-/// Without the name of the parameter.
+/// The reason without the name of the parameter.
 impl fmt::Display for LeftOutReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.words())?;
@@ -321,7 +322,7 @@ impl fmt::Display for LeftOutReason {
     }
 }
 
-/// What a user must know of an estimate before trusting it.
+/// Something that a user must know of an estimate before trusting it.
 #[derive(Debug, Clone, PartialEq, Error, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
@@ -329,39 +330,39 @@ pub enum Warning {
     /// The solver stopped before the minimum.
     #[error("not converged: {} ({}). {}", .0.key(), .0.words(), .0.advice())]
     NotConverged(TerminationReason),
-    /// The parameters cannot all be determined.
+    /// Not all parameters can be determined.
     #[error("rank {rank} of {parameters} parameters: {} cannot be distinguished", .groups.join("; "))]
     RankDeficient {
         /// Numerical rank.
         rank: usize,
         /// Number of parameters.
         parameters: usize,
-        /// Dependent groups by name.
+        /// Groups of parameters that depend on each other, by name.
         groups: Vec<String>,
     },
-    /// A combination that the data hardly excite.
+    /// A combination of parameters is hardly excited by the data.
     #[error("weak direction ({singular_value:.1e} of the largest): {direction}")]
     Weak {
-        /// Scaled singular value over the largest.
+        /// Scaled singular value over the largest one.
         singular_value: f64,
         /// The combination in words.
         direction: String,
     },
-    /// Parameters that are left to their priors.
+    /// Parameters rest on their priors.
     #[error(
         "the measurements alone cannot distinguish {} from others: the values printed are those of their priors", .groups.join("; ")
     )]
     HeldByPrior {
-        /// Dependent groups by name.
+        /// Groups of parameters that depend on each other, by name.
         groups: Vec<String>,
     },
-    /// Parameters that are left out.
+    /// Parameters are left out of the fit.
     #[error("left at the nominal value, because the measurements cannot distinguish them from others: {}", .groups.join("; "))]
     Fixed {
-        /// Dependent groups by name.
+        /// Groups of parameters that depend on each other, by name.
         groups: Vec<String>,
     },
-    /// A compliance that was asked for.
+    /// A compliance that was asked for is hardly loaded.
     #[error(
         "gravity hardly loads {name} in these poses, or always loads it alike: its value is that of its prior. Leave it out, \
          or measure poses, or payloads at the flange (payload_mass_kg or [[payload]] of a column map, [[payload]] of a \
@@ -371,16 +372,16 @@ pub enum Warning {
         /// Name of the parameter.
         name: String,
     },
-    /// Loads at the flange of a robot that does not yield.
+    /// The flange carries loads, but the robot's model does not yield.
     #[error(
         "poses carry payloads ({}), but the model has nothing that deflects, so they are not used. If the robot's stiffnesses \
          are known, or are to be identified, state them in its file", .payloads.join(", ")
     )]
     IdlePayloads {
-        /// Their names.
+        /// Names of the payloads.
         payloads: Vec<String>,
     },
-    /// A parameter that is as far as it may go.
+    /// A parameter ended at its bound.
     #[error(
         "{name} ended at its bound {}: the measurements ask for a value beyond it, so the bound or the nominal value is \
          wrong, or the model lacks something", shown(*.unit, *.bound)
@@ -393,28 +394,28 @@ pub enum Warning {
         /// The unit.
         unit: Unit,
     },
-    /// A bound of a parameter that is not fitted.
+    /// A bound was stated for a parameter that is not fitted.
     #[error(
         "the bound of {bound} has no effect: the measurements do not determine that parameter, so it was left out of the fit"
     )]
     UnusedBound {
-        /// The bound.
+        /// The bound without effect.
         bound: ParameterBound,
     },
-    /// Priors that do not fit the measurements, and nests that do not fit each other.
+    /// Priors do not fit the measurements, or nests do not fit each other.
     #[error(
         "the measurements contradict what was stated about {}. Check these values and their standard deviations; if they are \
          certain, the model lacks something (tested at a level of {} % for all stated values){}",
         in_words(.0), 1e2 * CONTRADICTION_LEVEL, softer(.0)
     )]
     Contradicted(Vec<Contradiction>),
-    /// A station that the measurements of the robot put elsewhere than its nests.
+    /// The measurements of the robot put a station elsewhere than its nests do.
     #[error(
         "the measurements contradict {0}: the tracker moved against the base after they were measured, or the model lacks \
          something that a shift of the base makes up for"
     )]
     Moved(Contradiction),
-    /// A compliance that ended at none at all.
+    /// A compliance ended at zero.
     #[error(
         "{name} ended at its bound -1: a rigid one fits best, so no compliance is visible there, or an error of the model \
          hides it"
@@ -423,10 +424,10 @@ pub enum Warning {
         /// Name of the parameter.
         name: String,
     },
-    /// Observations far off the others.
+    /// Some observations are far off the others.
     #[error("far from what the others say: {}{}", in_poses(.0), if Outlier::are_a_reason(.0) { COUNTED } else { "" })]
     Outliers(Vec<Outlier>),
-    /// The identified robot does not lie on the points.
+    /// The identified robot does not fit the points.
     #[error(
         "the identified robot leaves an RMS of {:.3} mm, {:.0} % of the spread of the points ({:.0} mm): it does not fit \
          them, and the standard deviations mean nothing. Check the joints' columns, the targets' names and the order of the \
@@ -441,7 +442,7 @@ pub enum Warning {
         #[serde(with = "calibrig_model::float::scalar")]
         spread: f64,
     },
-    /// The identified robot is not turned as its full poses say.
+    /// The identified orientations are far off the measured ones.
     #[error(
         "orientations are off by {:.0} mrad about each axis, more than those of any robot: the stated convention of the \
          rotations is probably wrong. Check the form, the order or sequence, and the direction of the transform ([rotation] \
@@ -453,7 +454,7 @@ pub enum Warning {
         #[serde(with = "calibrig_model::float::scalar")]
         sigma: f64,
     },
-    /// Readings of several targets under one name.
+    /// The readings of several targets have the same name.
     #[error(
         "the readings of {} are of {targets} targets {:.3} mm apart, or the last joint has that much play: with a separate \
          offset for each, the residuals fall from {:.3} to {:.3} mm RMS. Name the target of every row (in a column of the \
@@ -463,14 +464,14 @@ pub enum Warning {
     SeveralTargets {
         /// Name of the target.
         target: String,
-        /// How many there are.
+        /// Number of targets.
         targets: usize,
-        /// How far they are apart at most, m.
+        /// Largest distance between two of them, m.
         apart: f64,
-        /// RMS of the 3-D residual with one offset and with several, m.
+        /// RMS of the 3-D residual with one offset and with one per target, m.
         rms: [f64; 2],
     },
-    /// A station that was moved between its readings.
+    /// A station was moved between its readings.
     #[error(
         "{}, the robot's base or the zero of its first joint was moved between poses {} and {}, which moved the points by \
          {:.3} mm: with two places of the station the residuals fall from {:.3} to {:.3} mm RMS. Give the measurements after \
@@ -480,26 +481,26 @@ pub enum Warning {
     StationMoved {
         /// Name of the station.
         station: String,
-        /// The last pose before and the first behind.
+        /// The last pose before the move and the first one after it.
         poses: [u32; 2],
-        /// Mean displacement of the points behind, m.
+        /// Mean displacement of the points after the move, m.
         by: f64,
         /// RMS of the 3-D residual with one place and with two, m.
         rms: [f64; 2],
     },
-    /// Too few readings to test the noise that they state.
+    /// Too few readings to test their stated noise.
     #[error(
         "less than one degree of freedom remains ({freedom:.2}): the parameters absorb all measurements, so the stated noise \
          cannot be checked. Measure more poses"
     )]
     Untested {
-        /// Effective degrees of freedom.
+        /// Effective degrees of freedom of the residuals.
         freedom: f64,
     },
-    /// The starts led to several minima.
+    /// Different starts led to different minima.
     #[error("{minima} minima were found, and the lowest is given: another start could find a lower one")]
     SeveralMinima {
-        /// Their number.
+        /// Number of minima.
         minima: u32,
     },
     /// The residuals are larger than the stated noise explains.
@@ -510,10 +511,10 @@ pub enum Warning {
     Inconsistent {
         /// Square root of chi-square per degree of freedom.
         ratio: f64,
-        /// Whether the fit was weighed with an estimate of it.
+        /// Whether the fit was weighed with an estimate of what the model lacks.
         accounted: bool,
     },
-    /// Readings scatter among themselves by more than they state.
+    /// Readings of the same pose scatter by more than they state.
     #[error(
         "the readings of one pose scatter among themselves {ratio:.1} times as much as they state: state their real noise; \
          the standard deviations include it"
@@ -522,7 +523,7 @@ pub enum Warning {
         /// Found over stated standard deviation, gross errors aside.
         ratio: f64,
     },
-    /// Too few readings to tell their noise.
+    /// Too few readings to estimate their noise.
     #[error(
         "no degrees of freedom remain: the parameters absorb all measurements, so the residuals say nothing about the noise. \
          It is assumed to be {:.3} mm per coordinate, all that the nominal robot leaves and the most that it can be: measure \
@@ -532,7 +533,7 @@ pub enum Warning {
         /// Standard deviation of one coordinate, m.
         sigma: f64,
     },
-    /// The residuals are smaller than the stated noise leaves.
+    /// The residuals are smaller than the stated noise predicts.
     #[error(
         "the residuals are {ratio:.2} times what the stated noise leaves: the noise is stated too large, and the standard \
          deviations are wider than necessary"
@@ -543,7 +544,7 @@ pub enum Warning {
     },
 }
 
-/// A target or station in a sentence; one that nobody named has no name.
+/// Names a target or station in a sentence; one without a name is called by what it is.
 fn called(what: &str, name: &str) -> String {
     match name {
         "" => format!("the {what}"),
@@ -570,7 +571,7 @@ fn in_words(contradictions: &[Contradiction]) -> String {
     contradictions.iter().map(ToString::to_string).collect::<Vec<_>>().join(", and of ")
 }
 
-/// What to do where it is the stiffness of drives that is off by far.
+/// Advice where the stiffness of drives is far off.
 fn softer(contradictions: &[Contradiction]) -> String {
     let softer = |contradiction: &Contradiction| match contradiction.stated {
         Stated::Parameter { id: id @ ParameterId::Compliance(_), found, prior_sigma, .. } if found > 0.0 => {
@@ -591,14 +592,14 @@ fn softer(contradictions: &[Contradiction]) -> String {
     )
 }
 
-/// What is to be done where they count in the fit.
+/// Advice where they count in the fit.
 const COUNTED: &str = ". They have full weight in the fit: check these readings and leave out what is wrong, or use a robust \
                        loss (`--loss tukey`)";
-/// Standard deviations from which on it is no tail of what a machine does.
+/// Number of standard deviations beyond which an observation is no longer a tail of what a machine does.
 const CERTAIN: f64 = 10.0;
-/// So many smaller ones are no reason.
+/// Up to this many smaller gross errors are not a reason.
 const NOW_AND_THEN: usize = 5;
-/// More are counted, not listed.
+/// Gross errors beyond this number are counted, not listed.
 const LISTED: usize = 12;
 
 fn in_poses(outliers: &[Outlier]) -> String {
@@ -609,7 +610,7 @@ fn in_poses(outliers: &[Outlier]) -> String {
     words.join(", ")
 }
 
-/// A gross error: an observation far off what the others say of it.
+/// A gross error: an observation far off what the others predict for it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Outlier {
     /// Number of its pose.
@@ -620,34 +621,34 @@ pub struct Outlier {
     pub target: Option<String>,
     /// Name of its station, where there are several.
     pub station: Option<String>,
-    /// How far it is from where a fit without it predicts it, m; zero where its orientation alone is off.
+    /// Distance from where a fit without this observation predicts it, m; zero where only its orientation is off.
     #[serde(with = "calibrig_model::float::scalar")]
     pub distance: f64,
-    /// How far it is turned from there, rad, where its orientation is one.
+    /// Angle between its orientation and the predicted one, rad, if its orientation is a gross error.
     #[serde(default)]
     pub turn: Option<f64>,
-    /// The larger of the two in standard deviations of a coordinate, those of noise and prediction.
+    /// The larger of distance and angle in standard deviations of a coordinate, with the noise and the prediction's uncertainty.
     #[serde(with = "calibrig_model::float::scalar")]
     pub size: f64,
-    /// What it still counts for in the fit, from 1 down to 0.
+    /// Weight of the observation in the fit, from 1 down to 0.
     pub weight: f64,
-    /// The pose whose point it has, where that one has its point.
+    /// The pose with which it was exchanged: each of the two has the other's point.
     pub exchanged_with: Option<u32>,
 }
 
 impl Outlier {
-    /// Whether it carries weight in the fit. A robust loss leaves one of this size less than half.
+    /// Whether it carries weight in the fit. A robust loss gives an observation of this size less than half.
     pub fn carries_weight(&self) -> bool {
         self.weight > 0.5
     }
 
-    /// Whether it carries weight and is a gross error for certain: up to ten standard deviations, what a machine does now and then (a
-    /// backlash that was taken up or not) looks alike.
+    /// Whether it carries weight and is certainly a gross error. Up to ten standard deviations it can be what a machine does now and then, such
+    /// as backlash that was taken up or not.
     pub fn counts(&self) -> bool {
         self.carries_weight() && self.size >= CERTAIN
     }
 
-    /// Whether a person must look at them: one of them [counts](Self::counts), or more carry weight than a machine has now and then.
+    /// Whether a person must look at these: one of them [counts](Self::counts), or more carry weight than a machine produces now and then.
     pub fn are_a_reason(outliers: &[Self]) -> bool {
         outliers.iter().any(Self::counts)
             || outliers.iter().filter(|outlier| outlier.carries_weight()).count() > NOW_AND_THEN
@@ -681,7 +682,7 @@ impl fmt::Display for Outlier {
     }
 }
 
-/// The result of an identification. Non-convergence and rank deficiency are in here as data, not errors.
+/// The result of an identification. Non-convergence and rank deficiency are reported as data, not as errors.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
     /// The robot as identified.
@@ -690,57 +691,60 @@ pub struct Estimate {
     pub parameters: Vec<ParameterEstimate>,
     /// Covariance of the parameters (m², m rad, rad²), zero for those at a bound; `None` from a singular system.
     pub covariance: Option<DMatrix<f64>>,
-    /// `S` with covariance `S Sᵀ`, n x (n less those at a bound): what the covariance of a prediction is made of. `None` as the covariance.
+    /// The matrix `S` with covariance `S Sᵀ`, n x (n less the number at a bound); the covariance of a prediction is made from it. `None` where
+    /// the covariance is.
     pub factor: Option<DMatrix<f64>>,
-    /// What every observation counts for, 1 down to 0; empty where no robust loss was asked for and all count alike.
+    /// Weight of every observation in the fit, from 1 down to 0; empty without a robust loss, where all have the same weight.
     pub weights: Vec<f64>,
-    /// What these are divided by in the covariance, for what the loss costs; 1 without a loss.
+    /// Number by which the weights are divided in the covariance, to account for what the loss costs; 1 without a loss.
     #[serde(with = "calibrig_model::float::scalar")]
     pub weight_unit: f64,
-    /// The noise of the readings.
+    /// Where the noise of the readings comes from.
     pub noise: NoiseScale,
-    /// Noise of the readings by themselves over what they state, with which the fit is weighed: found where several of a pose tell it from what
-    /// the machine does; gross errors are in it. `None` where it was not looked for.
+    /// Noise of the readings alone over what they state, with which the fit is weighed. It is found where several readings per pose separate it
+    /// from the machine's errors, and includes gross errors. `None` where it was not looked for.
     #[serde(default)]
     pub reading_scale: Option<f64>,
-    /// What the machine does beside the model, in independent parts, as stated and (with its degrees of freedom) as estimated: it is in the
-    /// weights of the fit, in the covariance, and in the covariance of what is predicted.
+    /// Noise of the machine beside its model, in independent parts, as stated and (with its degrees of freedom) as estimated. The weights of the
+    /// fit, the covariance and the covariance of predictions contain it.
     pub machine_noise: Vec<MachineNoise>,
-    /// Standard deviation that was found of every orientation about each axis beside what its reading states, rad; `None` where none was looked for.
+    /// Standard deviation of every orientation about each axis that was found beside what its reading states, rad; `None` where it was not looked
+    /// for.
     #[serde(default)]
     pub turn_noise: Option<f64>,
-    /// Degrees of freedom of Student's distribution for intervals; `None` where nothing of the noise was estimated and intervals are normal.
+    /// Degrees of freedom of Student's distribution for intervals; `None` where no part of the noise was estimated, so that intervals are normal.
     pub interval_freedom: Option<f64>,
-    /// Sum of squares of the residuals of observations, nests and targets, in the noise that was stated (where none was: in that of the residuals).
+    /// Sum of squares of the residuals of observations, nests and targets, in units of the stated noise (of the noise from the residuals where
+    /// none was stated).
     #[serde(with = "calibrig_model::float::scalar")]
     pub chi2: f64,
-    /// Their effective degrees of freedom: rows less the trace of their part of the hat matrix.
+    /// Effective degrees of freedom of these residuals: rows less the trace of their part of the hat matrix.
     #[serde(with = "calibrig_model::float::scalar")]
     pub degrees_of_freedom: f64,
     /// Why the solver stopped.
     pub termination: TerminationReason,
-    /// Its history.
+    /// History of the solver.
     pub iterations: Vec<IterationRecord>,
-    /// Rank, condition and weak directions of the scaled system, without the links' making tolerance.
+    /// Rank, condition and weak directions of the scaled system, without the links' manufacturing tolerance.
     pub spectrum: Spectrum,
-    /// Parameters that the measurements alone, with nests and target, cannot tell from others, and that rest on their priors.
+    /// Parameters that the measurements alone, with nests and targets, cannot separate from others, and that rest on their priors.
     pub held: Vec<DependentGroup>,
-    /// Parameters that were left out of the fit for the same reason.
+    /// Parameters that were left out of the fit because the measurements cannot separate them from others.
     pub fixed: Vec<DependentGroup>,
-    /// All parameters that could have been fitted and were left out, with the reason; those that are `fixed` among them.
+    /// All parameters that could have been fitted and were left out, with the reason; includes those in `fixed`.
     #[serde(default)]
     pub left_out: Vec<LeftOut>,
     /// Stated bounds of the parameters that were fitted.
     pub bounds: Vec<ParameterBound>,
     /// Parameters that ended at a bound.
     pub at_bound: Vec<ParameterId>,
-    /// What was stated beforehand and does not fit the measurements, although these fit the model.
+    /// Statements made beforehand that contradict the measurements although the measurements fit the model.
     pub contradicted: Vec<Contradiction>,
-    /// Observations far off what the others say of them, in their order.
+    /// Observations far off what the others predict for them, in their order.
     pub outliers: Vec<Outlier>,
-    /// What was taken to be so.
+    /// What was assumed.
     pub assumptions: Vec<Assumption>,
-    /// What a user must know.
+    /// What a user must know before trusting the estimate.
     pub warnings: Vec<Warning>,
 }
 
@@ -751,7 +755,7 @@ impl Estimate {
     }
 
     /// Half the width of an interval that holds a value with probability `level`, in standard deviations: Student's where the noise was
-    /// estimated. Not finite where no degree of freedom is left to estimate it.
+    /// estimated. Not finite without a degree of freedom to estimate it from.
     pub fn interval_factor(&self, level: f64) -> f64 {
         let tail = 0.5 + 0.5 * level;
         match self.interval_freedom {
@@ -761,8 +765,8 @@ impl Estimate {
         }
     }
 
-    /// The parameters that the last step moved most, in their standard deviations, at most `most`; the farthest first. A parameter without a
-    /// standard deviation counts in that of its prior, and is left out where it has none, either.
+    /// At most `most` parameters that the last step moved farthest, in standard deviations; the farthest first. A parameter without a standard
+    /// deviation counts in that of its prior, and is left out if it has no prior either.
     pub fn last_moved(&self, most: usize) -> Vec<(ParameterId, f64)> {
         let mut before = self.iterations.iter().rev().skip_while(|record| !record.accepted);
         let Some(last) = before.next() else { return Vec::new() };

@@ -1,11 +1,11 @@
-//! The triangular factor of a tall system, block by block: its time per row and its memory do not grow with the number of rows.
+//! The triangular factor of a tall system, block by block: time per row and memory do not grow with the number of rows.
 
 use nalgebra::{DMatrix, DMatrixView};
 
-/// Rows that are factorised at a time; with some dozen columns they stay in the processor's cache.
+/// Number of rows factorised at a time; with some dozen columns they fit into the processor's cache.
 const BLOCK: usize = 1024;
 
-/// R with `Rᵀ R = Aᵀ A`, where A has the given `columns` of `matrix` (rows x any) in that order: upper triangular, or trapezoidal where A
+/// R with `Rᵀ R = Aᵀ A`, where A has the given `columns` of `matrix` (rows x any) in that order. R is upper triangular, or trapezoidal where A
 /// has fewer rows than columns.
 pub(super) fn triangular_factor(matrix: DMatrixView<'_, f64>, columns: &[usize]) -> DMatrix<f64> {
     let (rows, n) = (matrix.nrows(), columns.len());
@@ -28,7 +28,7 @@ pub(crate) fn triangular_factor_of_all(matrix: DMatrixView<'_, f64>) -> DMatrix<
     triangular_factor(matrix, &all)
 }
 
-/// The factor of a system whose factor is `r`, with `rows` below it.
+/// The factor of a system with the factor `r`, with `rows` appended.
 pub(super) fn extended(r: DMatrix<f64>, rows: DMatrixView<'_, f64>) -> DMatrix<f64> {
     if rows.nrows() == 0 {
         return r;

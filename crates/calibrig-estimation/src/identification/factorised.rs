@@ -1,4 +1,4 @@
-//! The rows of a solution, factorised once: rank, covariance and degrees of freedom are all read from the same small triangles.
+//! The rows of a solution, factorised once: rank, covariance and degrees of freedom all come from the same small triangles.
 
 use nalgebra::DMatrix;
 
@@ -10,11 +10,11 @@ use super::{DependentGroup, Redundancy, Spectrum, analyse_r};
 
 /// Triangular factors of the rows of a Jacobian.
 pub(super) struct Factors {
-    /// Observations, nests and targets.
+    /// Rows of observations, nests and targets.
     measured: DMatrix<f64>,
-    /// The same with the parameters' own priors.
+    /// These rows and the parameters' own priors.
     with_priors: DMatrix<f64>,
-    /// All rows, the making's tolerances too.
+    /// All rows, including the manufacturing tolerances.
     all: DMatrix<f64>,
 }
 
@@ -29,7 +29,7 @@ impl Factors {
         Self { measured, with_priors, all }
     }
 
-    /// Spectrum of the rows that a fit is judged by.
+    /// Spectrum of the rows by which a fit is judged.
     pub fn spectrum(&self, problem: &CalibrationProblem, redundant: Redundancy) -> Spectrum {
         let judged = match redundant {
             Redundancy::Keep => &self.measured,
@@ -38,7 +38,7 @@ impl Factors {
         analyse_r(judged, &problem.parameters)
     }
 
-    /// What the measurements leave to its prior.
+    /// Parameters that the measurements leave to their priors.
     pub fn held(&self, problem: &CalibrationProblem, choice: Redundancy) -> Vec<DependentGroup> {
         if problem.own_priors.is_empty() || choice != Redundancy::Prior {
             return Vec::new();
@@ -50,8 +50,8 @@ impl Factors {
     }
 }
 
-/// How many parameters some rows determine, of those that are free; the others are held by the rest. `above` is the triangular factor of those
-/// rows, `spread` S with `S Sᵀ` the covariance from all rows (n x free); without, of a singular system, none too many.
+/// How many of the free parameters some rows determine; the others are held by the other rows. `above` is the triangular factor of those
+/// rows, `spread` S with `S Sᵀ` the covariance from all rows (n x free). Without `spread`, for a singular system, as many as rows allow.
 fn determined(above: &DMatrix<f64>, spread: Option<&DMatrix<f64>>, rows: usize, free: usize) -> f64 {
     match spread.map(|spread| (above * spread).norm_squared()) {
         Some(determined) if determined.is_finite() => determined,
@@ -59,7 +59,7 @@ fn determined(above: &DMatrix<f64>, spread: Option<&DMatrix<f64>>, rows: usize, 
     }
 }
 
-/// How many parameters the first `rows` of a whitened `jacobian` determine, of those that are `free`; the others are held by what is below them.
+/// How many of the `free` parameters the first `rows` of a whitened `jacobian` determine; the others are held by the rows below.
 pub(super) fn determined_by(jacobian: &DMatrix<f64>, rows: usize, free: &[usize]) -> f64 {
     let above = triangular_factor(jacobian.rows(0, rows), free);
     let below = jacobian.rows(rows, jacobian.nrows() - rows).select_columns(free);
@@ -73,14 +73,14 @@ fn inverse(r: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     r.is_square().then(|| r.solve_upper_triangular(&DMatrix::identity(n, n))).flatten()
 }
 
-/// A solution's rows, factorised.
+/// The rows of a solution, factorised.
 pub(super) struct Factorised {
     pub factors: Factors,
     pub spectrum: Spectrum,
-    /// Columns that a bound holds.
+    /// Columns held at a bound.
     pub bounded: Vec<usize>,
-    /// S with `S Sᵀ` the covariance: n rows, a column for every parameter that no bound holds. Those that one holds have no spread, and none of
-    /// it is in the others'.
+    /// S with `S Sᵀ` the covariance: n rows, one column for every parameter that is not at a bound. Parameters at a bound have no spread, and add
+    /// none to the others.
     spread: Option<DMatrix<f64>>,
 }
 
@@ -93,7 +93,7 @@ impl Factorised {
         Self { factors, spectrum, bounded, spread }
     }
 
-    /// S with `S Sᵀ` the covariance; only from a system of full rank.
+    /// S with `S Sᵀ` the covariance; `None` unless the system has full rank.
     pub fn spread(&self) -> Option<&DMatrix<f64>> {
         self.spread.as_ref().filter(|spread| self.spectrum.rank == spread.nrows())
     }
@@ -102,12 +102,12 @@ impl Factorised {
         self.spread().map(|spread| spread * spread.transpose())
     }
 
-    /// The parameters' standard deviations; `None` from a singular system.
+    /// The parameters' standard deviations; `None` for a singular system.
     pub fn sigmas(&self) -> Option<Vec<f64>> {
         self.spread().map(|spread| spread.row_iter().map(|row| row.norm()).collect())
     }
 
-    /// How many parameters the observations, nests and targets determine, `with_priors` also what was stated of the parameters.
+    /// How many parameters the observations, nests and targets determine; `with_priors`, together with what was stated of the parameters.
     pub fn determined(&self, problem: &CalibrationProblem, with_priors: bool) -> f64 {
         let (above, rows) = if with_priors {
             (&self.factors.with_priors, problem.measured_rows() + problem.own_priors.len())
@@ -118,7 +118,7 @@ impl Factorised {
     }
 }
 
-/// S where columns are `bounded`.
+/// S with the columns `bounded` held.
 fn held(r: &DMatrix<f64>, bounded: &[usize]) -> Option<DMatrix<f64>> {
     let free: Vec<usize> = (0..r.ncols()).filter(|place| !bounded.contains(place)).collect();
     let inverse = inverse(&triangular_factor(r.as_view(), &free))?;

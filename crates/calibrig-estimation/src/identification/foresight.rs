@@ -1,4 +1,4 @@
-//! What other measurements of an identified robot would tell: fewer targets, more of them, or full poses.
+//! What other measurements of an identified robot would determine: fewer targets, more of them, or full poses.
 
 use nalgebra::{DVector, Rotation3};
 
@@ -15,26 +15,27 @@ use super::{
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, ParameterId, PoseQuery};
 
-/// What an estimate from other measurements would know of its parameters, if the robot is as an estimate says.
+/// What an estimate from other measurements would know of its parameters, if the robot is as a given estimate has it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Foresight {
-    /// Its robot has one more target: a point of the flange where the first is, whose axes are the flange's and which no parameter of a target moves.
+    /// Its robot has one more target: a point of the flange at the first target's place, with the flange's axes, that no parameter of a target moves.
     estimate: Estimate,
     measured_rank: usize,
 }
 
-/// How well a foreseen estimate predicts, as RMS over poses of the root of the summed variances of three axes.
+/// How well a foreseen estimate predicts: RMS over poses of the root of the summed variances along three axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ForeseenSpread {
-    /// Of the first target's place in the base frame, m.
+    /// Spread of the first target's position in the base frame, m.
     pub place: f64,
-    /// Of how the flange is turned there, rad.
+    /// Spread of the flange's orientation, rad.
     pub turn: f64,
 }
 
-/// Solves no system: looks at the one that [`identify`](super::identify()) would solve for `set`, with the compliances and terms that `estimate` has,
-/// where `estimate` ended and in the noise that it was given or found. All readings count alike. Readings of `set` place nothing and may be
-/// predicted ones; its stations are those of the estimate, in their order, and so are the targets that both have.
+/// Analyses, without solving it, the system that [`identify`](super::identify()) would solve for `set`, with the compliances and terms that
+/// `estimate` has, at the parameters of `estimate` and in the noise that it was given or found. All readings have the same weight. Readings of
+/// `set` do not place stations and may be predicted ones; its stations are those of the estimate, in their order, as are the targets that both
+/// have.
 ///
 /// # Errors
 ///
@@ -54,7 +55,7 @@ pub fn foresee(
         x,
         cost: 0.0,
         beside: 0.0,
-        // Whether the readings fit is not asked: they are taken to lie where the robot is.
+        // The residuals do not matter: the readings are assumed to lie where the robot is.
         residuals: DVector::zeros(residuals.len()),
         jacobian,
         termination: TerminationReason::SmallGradient,
@@ -78,7 +79,7 @@ pub fn foresee(
     Ok(Foresight { estimate: foreseen, measured_rank })
 }
 
-/// The problem of `set` with the compliances and terms that `estimate` has, weighed in the noise that it found; and where it ended.
+/// The problem of `set` with the compliances and terms of `estimate`, weighed in the noise that it found, and the parameters of the estimate.
 pub(super) fn at_estimate(
     model: &CalibrationModel,
     set: &MeasurementSet,
@@ -91,7 +92,7 @@ pub(super) fn at_estimate(
     let model = &*as_spread(model, estimate);
     let mut built = build(model, set, options)?;
     let place = |id: &ParameterId| match id {
-        // The stations stand where they were found to be.
+        // The stations are where the estimate found them.
         ParameterId::Frame { .. } => 0.0,
         _ => estimate.value(*id).unwrap_or(0.0),
     };
@@ -130,29 +131,29 @@ fn as_fitted(options: &IdentificationOptions, estimate: &Estimate) -> Identifica
 }
 
 impl Foresight {
-    /// The parameters that would be fitted, each with its standard deviation, SI; `None` from a singular system, or at a bound.
+    /// The parameters that would be fitted, each with its standard deviation, SI; `None` for a singular system, or at a bound.
     pub fn parameters(&self) -> impl Iterator<Item = (ParameterId, Option<f64>)> + '_ {
         self.estimate.parameters.iter().map(|parameter| (parameter.id, parameter.sigma))
     }
 
-    /// Rank, condition, dependent groups and weak directions, with the priors that the estimate's spectrum has.
+    /// Rank, condition, dependent groups and weak directions, with the same priors as in the estimate's spectrum.
     pub fn spectrum(&self) -> &Spectrum {
         &self.estimate.spectrum
     }
 
-    /// Rank by the observations, nests and targets alone.
+    /// Rank from the observations, nests and targets alone.
     pub fn measured_rank(&self) -> usize {
         self.measured_rank
     }
 
-    /// Parameters that these cannot tell from others: those that a prior would hold, that would be left out, and that nothing determines.
+    /// Parameters that the measurements alone cannot separate from others: those held by a prior, left out, or determined by nothing.
     pub fn open(&self) -> impl Iterator<Item = &DependentGroup> {
         let Estimate { held, fixed, spectrum, .. } = &self.estimate;
         held.iter().chain(fixed).chain(&spectrum.dependent)
     }
 
-    /// How well the robot would be predicted at the poses of `set`, each of which counts once: what the parameters leave open, without what the machine
-    /// does beside its model. `None` from a singular system, or without a pose.
+    /// How well the robot would be predicted at the poses of `set`, each of which counts once: the spread due to the parameters, without the
+    /// machine's noise beside its model. `None` for a singular system, or without poses.
     ///
     /// # Errors
     ///

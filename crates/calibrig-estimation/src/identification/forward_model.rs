@@ -1,4 +1,4 @@
-//! The forward model behind a prediction: the chain of a mode, placed at one observation after the other.
+//! The machine behind a prediction: the chain of a mode, placed at one observation after the other.
 
 use nalgebra::{Rotation3, Vector3};
 
@@ -11,7 +11,7 @@ use calibrig_model::{
     TermPlace,
 };
 
-/// The robot of a mode: given a [model](Self::set_model), [placed](Self::place) at what an observation was told, then asked for the
+/// The robot of a mode: it is given a [model](Self::set_model), [placed](Self::place) at the command of an observation, then asked for the
 /// target and, after [`differentiate`](Self::differentiate), for columns of the Jacobian.
 #[derive(Debug, Clone)]
 pub(super) struct ForwardModel {
@@ -23,29 +23,29 @@ pub(super) struct ForwardModel {
 #[derive(Debug, Clone)]
 #[allow(clippy::large_enum_variant, reason = "one per fit: another pointer would be followed at every pose")]
 enum Kind {
-    /// Joints that follow the ideal map of the commands, with the predicted deflection of their drives where there is one.
+    /// Joints that follow the ideal map of the commands, with the predicted deflection of their drives if there is one.
     Joints { chain: KinematicChain, predicted: Option<ElasticChain>, joints: Vec<f64> },
-    /// The same with deflections beside the drives: those that are `predicted`, put into the chain with the `ideal` map.
+    /// Joints that follow the `ideal` map, with the `predicted` deflections, which are not in the drives alone.
     Frozen { chain: KinematicChain, ideal: ElasticChain, predicted: ElasticChain },
-    /// The robot's own equilibrium, the linkage closed.
+    /// The robot's own equilibrium, with the linkage closed.
     Elastic { chain: ElasticChain },
 }
 
-/// An observation as the forward model needs it.
+/// An observation in the form that the machine needs.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Prepared {
     /// Joint variables, or commands where the robot yields by itself.
     command: Vec<f64>,
-    /// Motion behind the fixed part of every link, where its deflections do not change with the parameters.
+    /// Motion behind the fixed part of every link, where the deflections do not depend on the parameters.
     motions: Vec<Transform>,
     /// What the flange carries.
     payload: Carried,
-    /// Displacement per unit of every term's amplitude.
+    /// Displacement per unit of each term's amplitude.
     basis: Vec<f64>,
 }
 
 impl Prepared {
-    /// Whether the observation has what a term acts on, by its place in the order of the terms.
+    /// Whether the observation contains what a term acts on; `term` is its position in the order of the terms.
     pub fn tells(&self, term: usize) -> bool {
         self.basis.get(term).is_some_and(|basis| *basis != 0.0)
     }
@@ -56,7 +56,7 @@ impl Prepared {
 struct Terms {
     ids: Vec<TermId>,
     amplitudes: Vec<f64>,
-    /// Of every term, the index of its place.
+    /// Index of the place of every term.
     place: Vec<usize>,
     /// Displacement of every place.
     corrections: Vec<(TermPlace, f64)>,
@@ -66,7 +66,7 @@ struct Terms {
 }
 
 impl ForwardModel {
-    /// The forward model of `mode`, at the nominal model, which has been checked, and without terms.
+    /// The machine of `mode` at the nominal model, which must be valid, without terms.
     pub fn new(mode: Mode, nominal: &CalibrationModel) -> Self {
         let kind = if mode.is_coupled() {
             Kind::Elastic { chain: ElasticChain::of(nominal) }
@@ -88,7 +88,7 @@ impl ForwardModel {
         Self { nominal: nominal.clone(), kind, terms: Terms::default() }
     }
 
-    /// Takes terms, in the order in which amplitudes and basis functions are given from now on. Only the coupled modes have any.
+    /// Sets the terms; amplitudes and basis functions are given in their order from now on. Only the coupled modes have terms.
     pub fn set_terms(&mut self, ids: impl Iterator<Item = TermId>) {
         let mut terms = Terms { ids: ids.collect(), ..Terms::default() };
         for id in &terms.ids {
@@ -104,7 +104,7 @@ impl ForwardModel {
         self.terms = terms;
     }
 
-    /// Whether a model can take the place of the nominal one.
+    /// Checks that a model can replace the nominal one.
     pub fn fits(&self, model: &CalibrationModel) -> Result<(), ModelError> {
         model.check()?;
         if model.kinematics.joint_count() != self.nominal.kinematics.joint_count() {
@@ -116,7 +116,7 @@ impl ForwardModel {
         }
     }
 
-    /// Takes the values of a model that [fits](Self::fits), and the terms' amplitudes.
+    /// Takes over the values of a model that [fits](Self::fits), and the terms' amplitudes.
     pub fn set_model(&mut self, model: &CalibrationModel, amplitudes: impl Iterator<Item = f64>) {
         match &mut self.kind {
             Kind::Joints { chain, .. } | Kind::Frozen { chain, .. } => chain.set_model(&model.kinematics),
@@ -127,7 +127,7 @@ impl ForwardModel {
         }
     }
 
-    /// What of an observation does not change with the parameters.
+    /// Computes what does not change with the parameters for an observation.
     pub fn prepare(&mut self, pose: &PoseQuery<'_>) -> Result<Prepared, ElasticError> {
         let mut told = Prepared { command: pose.command.to_vec(), ..Prepared::default() };
         let payload = Carried::of(pose.payload);
@@ -160,7 +160,7 @@ impl ForwardModel {
         Ok(told)
     }
 
-    /// Goes where the observation was told to go.
+    /// Moves to the command of the observation.
     pub fn place(&mut self, told: &Prepared) -> Result<(), ElasticError> {
         match &mut self.kind {
             Kind::Joints { chain, .. } => chain.place(&told.command),
@@ -174,14 +174,14 @@ impl ForwardModel {
         Ok(())
     }
 
-    /// [`place`](Self::place) at a pose that was not prepared.
+    /// [`place`](Self::place) for a pose that was not prepared.
     pub fn place_at(&mut self, pose: &PoseQuery<'_>) -> Result<Prepared, ElasticError> {
         let told = self.prepare(pose)?;
         self.place(&told)?;
         Ok(told)
     }
 
-    /// Position in the base frame of a target at `in_flange`, m.
+    /// Position of a target at `in_flange` in the base frame, m.
     pub fn target(&self, in_flange: &Vector3<f64>) -> Vector3<f64> {
         match &self.kind {
             Kind::Joints { chain, .. } | Kind::Frozen { chain, .. } => chain.target(in_flange),
@@ -189,7 +189,7 @@ impl ForwardModel {
         }
     }
 
-    /// Makes the columns of that target ready.
+    /// Prepares the Jacobian's columns for that target.
     pub fn differentiate(&mut self, in_flange: &Vector3<f64>, told: &Prepared) -> Result<(), ElasticError> {
         match &mut self.kind {
             Kind::Joints { .. } | Kind::Frozen { .. } => {}
@@ -209,12 +209,12 @@ impl ForwardModel {
         }
     }
 
-    /// `base_from_flange`, the axes alone.
+    /// The rotation of `base_from_flange`.
     pub fn rotation(&self) -> Rotation3<f64> {
         self.base_from_flange().rotation
     }
 
-    /// Makes the columns of the flange's rotation ready, in place of those of a target.
+    /// Prepares the columns of the flange's rotation, in place of those of a target.
     pub fn differentiate_turn(&mut self, told: &Prepared) -> Result<(), ElasticError> {
         match &mut self.kind {
             Kind::Joints { .. } | Kind::Frozen { .. } => {}
@@ -226,7 +226,7 @@ impl ForwardModel {
         Ok(())
     }
 
-    /// How the flange turns per unit of a parameter of links, compliances, masses or linkage: a rotation vector in the base's axes, rad per unit.
+    /// Rotation of the flange per unit of a parameter of links, compliances, masses or linkage: a rotation vector in the base's axes, rad per unit.
     pub fn turn(&self, id: ParameterId) -> Vector3<f64> {
         match &self.kind {
             Kind::Joints { chain, .. } | Kind::Frozen { chain, .. } => chain.turn(id),
@@ -234,13 +234,13 @@ impl ForwardModel {
         }
     }
 
-    /// Change of what was made ready per unit of a term's amplitude, by its place in the order of the terms.
+    /// Change of what was prepared per unit of a term's amplitude; `term` is its position in the order of the terms.
     pub fn term_column(&self, term: usize) -> Vector3<f64> {
         self.terms.columns[term]
     }
 
-    /// Change of the target at `in_base`, made ready by [`differentiate`](Self::differentiate), per unit of every command. A deflection that is predicted
-    /// of the nominal robot alone is held.
+    /// Change of the target at `in_base`, prepared by [`differentiate`](Self::differentiate), per unit of every command. A deflection that is
+    /// predicted from the nominal robot alone is held constant.
     pub fn by_command(
         &self,
         pose: &PoseQuery<'_>,
@@ -250,7 +250,7 @@ impl ForwardModel {
         self.by_commands(pose, |chain, id| chain.column(id, in_base), tell);
     }
 
-    /// The same of the flange's rotation, made ready by [`differentiate_turn`](Self::differentiate_turn), rad a unit.
+    /// Like [`by_command`](Self::by_command), for the flange's rotation, prepared by [`differentiate_turn`](Self::differentiate_turn), rad per unit.
     pub fn turn_by_command(&self, pose: &PoseQuery<'_>, tell: impl FnMut(usize, Vector3<f64>)) {
         self.by_commands(pose, KinematicChain::turn, tell);
     }
@@ -267,7 +267,7 @@ impl ForwardModel {
                 let mut by_joint: Vec<Vector3<f64>> = (0..links.len())
                     .map(|link| of_chain(chain, ParameterId::Link { link, term: chain.joint_term(link) }))
                     .collect();
-                // What an actuator moves: with a parallelogram, the shoulder turns the elbow back.
+                // With a parallelogram, the shoulder's actuator turns the elbow back.
                 if let Some(drive) = self.nominal.actuators.elbow() {
                     let elbow = by_joint[drive.elbow];
                     let (by_psi, by_shoulder) = self.closure_rates(pose.command);
@@ -290,7 +290,7 @@ impl ForwardModel {
         }
     }
 
-    /// How the elbow turns with psi and with the shoulder: as in [`prepare`](Self::prepare), of the ideal map where deflections are predicted.
+    /// Rates of the elbow with psi and with the shoulder, as in [`prepare`](Self::prepare): those of the ideal map where deflections are predicted.
     fn closure_rates(&self, command: &[f64]) -> (f64, f64) {
         let rigid = matches!(self.kind, Kind::Joints { predicted: None, .. });
         let mut positions = command.to_vec();
@@ -314,7 +314,7 @@ impl ForwardModel {
         }
     }
 
-    /// `base_from_link` of every link at the observation that was placed last; `kinematics` is the model's.
+    /// `base_from_link` of every link at the observation that was placed last; `kinematics` belongs to the current model.
     pub fn links(&self, told: &Prepared, kinematics: &KinematicModel) -> Vec<Transform> {
         match &self.kind {
             Kind::Joints { .. } => frames(kinematics, &told.command),
@@ -324,7 +324,8 @@ impl ForwardModel {
     }
 }
 
-/// To either side of a command, m or rad, for the slope of a basis function: smooth over far more, and above what rounding shows.
+/// Step to either side of a command for the slope of a basis function, m or rad: the functions are smooth over far more, and it is above
+/// rounding.
 const BESIDE: f64 = 1e-6;
 
 impl Terms {
@@ -337,7 +338,7 @@ impl Terms {
         }
     }
 
-    /// What terms add to the change by a command: their basis functions change with that of their own joint.
+    /// What terms add to the change by a command: their basis functions change with the command of their own joint.
     fn change(&self, model: &CalibrationModel, pose: &PoseQuery<'_>, command: usize) -> Vector3<f64> {
         let own = self.ids.iter().enumerate().filter(|(_, id)| id.joint() == command);
         let change = |(term, id): (usize, &TermId)| {
@@ -362,7 +363,7 @@ impl Terms {
     }
 }
 
-/// What is behind the fixed part of every link of a chain with these `frames` (`base_from_link`).
+/// The part behind the fixed part of every link of a chain with these `frames` (`base_from_link`).
 fn motions(kinematics: &KinematicModel, frames: &[Transform]) -> Vec<Transform> {
     let mut previous = kinematics.base_from_first;
     let links = kinematics.links.iter().zip(frames);
@@ -385,7 +386,7 @@ fn frames_behind(kinematics: &KinematicModel, motions: &[Transform]) -> Vec<Tran
     links.map(frame).collect()
 }
 
-/// Whether the drives, and the four-bar's rod behind the elbow's, are all that yields.
+/// Whether only the drives, and the four-bar's rod behind the elbow's drive, are elastic.
 fn is_elastic_in_drives_alone(model: &CalibrationModel) -> bool {
     use calibrig_model::Compliance;
     let of_drives = |c: &Compliance| matches!(c, Compliance::Drive { .. } | Compliance::Rod);

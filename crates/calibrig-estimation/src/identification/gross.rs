@@ -1,7 +1,7 @@
-//! Gross errors: readings far off what the others say of them.
+//! Gross errors: readings far off what the others predict for them.
 //!
-//! A fit of squares is drawn to its gross errors, which then hide behind their own leverage and behind each other. So the system, taken
-//! as linear about the fit, is fitted again with weights that gross errors do not move; what looks far off is left out, and each is
+//! A least squares fit is pulled towards its gross errors, which then hide behind their own leverage and behind each other. So the system,
+//! linearised about the fit, is fitted again with weights that gross errors do not move; what looks far off is left out, and each candidate is
 //! tested against a fit without it (P. J. Rousseeuw, A. M. Leroy, "Robust Regression and Outlier Detection", 1987, chapter 6; the tests
 //! go inwards from all candidates: A. S. Hadi, J. S. Simonoff, JASA 88 (1993) 1264).
 
@@ -16,72 +16,72 @@ use super::{Loss, Outlier};
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::statistics::{chi2_survival, f_ln_survival};
 
-/// Probability that any of a set's readings is called a gross error where the noise is normal. The candidates are chosen by what is tested,
-/// which multiplies it by up to about two.
+/// Probability that any reading of a set with normal noise is called a gross error. The candidates are chosen by the quantity that is tested,
+/// which increases it by a factor of up to about two.
 const FALSE_ALARM: f64 = 2e-4;
-/// No reading nearer than this many standard deviations of a coordinate is called so, however many there are.
+/// A reading within this many standard deviations of a coordinate is never called a gross error, however many readings there are.
 const LEAST: f64 = 5.0;
-/// Readings beyond so many are candidates.
+/// Readings beyond this many standard deviations are candidates.
 const CANDIDATE: f64 = 3.5;
-/// A model that lacks something predicts worse than it says where it extrapolates: there its variance counts so many times.
+/// A model that lacks something predicts worse than it states where it extrapolates: there its variance counts this many times.
 const EXTRAPOLATED: f64 = 4.0;
-/// Readings beyond so many look large, and so many of them are looked at without each other.
+/// Readings beyond this many standard deviations look large; at most [`MOST_LARGE`] of them are tested without each other.
 const LARGE: f64 = 2.5;
 const MOST_LARGE: usize = 20;
-/// Where no crowd of gross errors can hide any, a largest reading that one set of twenty has by chance is none ...
+/// Where no crowd of gross errors can hide one, a largest reading that occurs by chance in one of twenty sets is not suspicious ...
 const SUSPICIOUS: f64 = 0.05;
-/// ... which is where the readings scatter by less than this over what was stated.
+/// ... that is where the readings scatter by less than this over what was stated.
 const UNCROWDED: f64 = 1.25;
-/// Weights that change less are at rest.
+/// Weights that change by less than this have converged.
 const AT_REST: f64 = 1e-2;
-/// Largest share of readings that can be candidates: beyond it, it is not for a scale from the others to say.
+/// Largest share of readings that can be candidates: beyond it, the others give no reliable scale.
 const MOST: (usize, usize) = (2, 5);
-/// Passes with Huber's weights, from which Tukey's start, and with those.
+/// Number of passes with Huber's weights, from which Tukey's start, and of passes with Tukey's.
 const PASSES: [usize; 2] = [8, 12];
-/// Ridge, relative to a column's norm: columns that depend on each other must not end the test.
+/// Ridge relative to a column's norm, so that dependent columns do not end the test.
 const RIDGE: f64 = 1e-7;
-/// Rows that are factorised at a time.
+/// Number of rows factorised at a time.
 const PART: usize = 1023;
 
-/// A reading that is one.
+/// A gross error.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct GrossError {
-    /// Its block: an observation, or behind all of them an orientation.
+    /// Its block: an observation, or, behind all observations, an orientation.
     pub observation: usize,
-    /// Distance from what the others say of it, in standard deviations of a coordinate.
+    /// Distance from what the others predict, in standard deviations of a coordinate.
     pub size: f64,
-    /// Residual against a fit without it, in stated standard deviations.
+    /// Residual against a fit without this reading, in stated standard deviations.
     pub left_out: Vector3<f64>,
 }
 
-/// A fit, as linear: blocks of three rows an observation, the same of orientations, then priors. Of readings that correlate the two, an error of
-/// the place is told of the orientation as well.
+/// A linearised fit: blocks of three rows per observation, then per orientation, then priors. If a reading's position and orientation are
+/// correlated, an error of the position is reported for the orientation as well.
 pub(super) struct LinearFit<'a> {
     pub jacobian: &'a DMatrix<f64>,
     pub residuals: &'a DVector<f64>,
     pub blocks: usize,
-    /// What every block counts for in the fit; empty where all count alike.
+    /// Weight of every block in the fit; empty where all have the same.
     pub weights: &'a [f64],
-    /// Poses whose observations depend on each other: the inverse Cholesky factor of their covariance, once each is whitened by itself.
+    /// Poses whose observations depend on each other: the inverse Cholesky factor of their covariance after each is whitened on its own.
     pub joined: &'a [(Vec<usize>, DMatrix<f64>)],
-    /// Whether a residual of 1 is what was stated of a reading. Else the scale is the fit's own, and with it what the priors weigh against.
+    /// Whether a residual of 1 is one stated standard deviation. Otherwise the scale comes from the fit itself, also for the weight of priors.
     pub is_stated: bool,
 }
 
-/// A block against a fit without it.
+/// A block compared with a fit without it.
 #[derive(Debug, Clone, Copy)]
 struct LeftOut {
-    /// Its residual.
+    /// Residual of the block.
     error: Vector3<f64>,
-    /// The square of its size, in standard deviations of reading and prediction.
+    /// Square of the residual's size, in standard deviations of reading and prediction.
     square: f64,
-    /// The same where the model may lack something.
+    /// Square of the size if the model may lack something.
     cautious: f64,
 }
 
-/// Residuals against one set of weights.
+/// Residuals for one set of weights.
 struct Fitted {
-    /// Of every block.
+    /// One entry per block.
     left_out: Vec<LeftOut>,
     /// Variance of a coordinate in the blocks of weight one, and its degrees of freedom.
     variance: f64,
@@ -91,7 +91,7 @@ struct Fitted {
 impl LinearFit<'_> {
     /// The gross errors, in the order of the observations.
     ///
-    /// `spread` is S with `S Sᵀ` the covariance of the fit where all blocks count alike, if it is known.
+    /// `spread` is S with `S Sᵀ` the covariance of the fit in which all blocks have the same weight, if known.
     pub fn gross_errors(&self, spread: Option<&DMatrix<f64>>) -> Vec<GrossError> {
         let n = self.jacobian.ncols();
         if self.blocks < 4 || 3 * self.blocks < n + 6 || self.residuals.iter().any(|v| !v.is_finite()) {
@@ -108,7 +108,7 @@ impl LinearFit<'_> {
             None => self.fitted(weights, 1.0, false),
         };
         let Some(now) = now else { return Vec::new() };
-        // Few poses leave no scale from the others, and one reading is still worth a test.
+        // With few poses, the others give no scale, but a single reading can still be tested.
         let one = spread.filter(|_| self.has_one(&now));
         let candidates = if self.is_suspicious(&now, spread) { self.candidates(now) } else { None };
         let found = candidates.map_or_else(Vec::new, |candidates| self.tested(candidates));
@@ -118,21 +118,21 @@ impl LinearFit<'_> {
         }
     }
 
-    /// Whether the fit that gross errors draw shows anything of them. `spread` is as in [`gross_errors`](Self::gross_errors).
+    /// Whether the fit that gross errors pull shows any sign of them. `spread` is as in [`gross_errors`](Self::gross_errors).
     fn is_suspicious(&self, now: &Fitted, spread: Option<&DMatrix<f64>>) -> bool {
         let scale = now.scale();
         if !(now.largest() > CANDIDATE * scale) {
             return false;
         }
-        // Residuals no larger than stated hold no crowd of gross errors, and a few show without each other.
+        // Residuals no larger than stated cannot contain a crowd of gross errors, and a few show when tested without each other.
         let is_crowded = !self.is_stated || scale > UNCROWDED;
         let Some(spread) = spread.filter(|_| !is_crowded) else { return true };
         self.largest_without_each_other(now, scale, spread)
             .is_none_or(|size| self.blocks as f64 * chi2_survival((size / scale).powi(2), 3.0) < SUSPICIOUS)
     }
 
-    /// The largest size that those of the readings which look largest have against a fit without all of them; `None` where they determine
-    /// something by themselves.
+    /// The largest size among the readings that look largest, against a fit without all of them; `None` where they determine something that
+    /// the others do not.
     fn largest_without_each_other(&self, now: &Fitted, scale: f64, spread: &DMatrix<f64>) -> Option<f64> {
         let mut large: Vec<(usize, f64)> = now.left_out.iter().map(|out| out.square).enumerate().collect();
         large.retain(|(_, square)| *square > (LARGE * scale).powi(2));
@@ -178,7 +178,7 @@ impl LinearFit<'_> {
         Some(far)
     }
 
-    /// Those of the candidates that are too far off a fit without them for the noise of the others.
+    /// The candidates that are too far off a fit without them for the noise of the others.
     fn tested(&self, mut candidates: Vec<usize>) -> Vec<GrossError> {
         let mut scale = 1.0;
         while !candidates.is_empty() {
@@ -209,11 +209,11 @@ impl LinearFit<'_> {
         Vec::new()
     }
 
-    /// The fit with these weights of the blocks, one step from where the residuals were taken if it `moves`. `scale` is the standard
+    /// The fit with these weights of the blocks; if it `moves`, one step from where the residuals were taken. `scale` is the standard
     /// deviation of a coordinate.
     fn fitted(&self, weights: &[f64], scale: f64, moves: bool) -> Option<Fitted> {
         let (rows, n) = self.jacobian.shape();
-        // Residuals whose scale is their own weigh no more against a prior than they should.
+        // Residuals that set their own scale must not outweigh a prior.
         let of_priors = if self.is_stated { 1.0 } else { scale.min(1.0) };
         let norms: Vec<f64> = self.jacobian.column_iter().map(|c| c.norm().max(f64::MIN_POSITIVE)).collect();
         // In parts, so that a long session needs no second matrix.
@@ -242,7 +242,7 @@ impl LinearFit<'_> {
         Some(self.seen(weights, &spread, moves.then_some(&step)))
     }
 
-    /// The blocks against the fit whose covariance is `S Sᵀ`, S the `spread`; a `step` from where the residuals were taken.
+    /// The blocks against the fit with the covariance `S Sᵀ`, S the `spread`, after a `step` from where the residuals were taken.
     fn seen(&self, weights: &[f64], spread: &DMatrix<f64>, step: Option<&DVector<f64>>) -> Fitted {
         let (mut sum, mut leverage, mut count) = (0.0, 0.0, 0.0);
         let mut left_out = Vec::with_capacity(self.blocks);
@@ -271,7 +271,7 @@ impl LinearFit<'_> {
     }
 }
 
-/// Three rows of a matrix by themselves, from `first`.
+/// The hat matrix of three rows, beginning at `first`.
 fn hat(spread: &DMatrix<f64>, first: usize) -> Matrix3<f64> {
     let mut hat = Matrix3::zeros();
     for column in spread.column_iter() {
@@ -281,9 +281,9 @@ fn hat(spread: &DMatrix<f64>, first: usize) -> Matrix3<f64> {
     hat
 }
 
-/// The block of these weights and hat matrix: `e = (1 - wH)⁻¹ r`, whose covariance is `1 + S` with `S = (1 - wH)⁻¹ H` that of its prediction.
+/// The block with this weight and hat matrix: `e = (1 - wH)⁻¹ r`, with covariance `1 + S`, where `S = (1 - wH)⁻¹ H` is that of its prediction.
 fn without(hat: &Matrix3<f64>, weight: f64, residual: &Vector3<f64>) -> LeftOut {
-    // A block that determines a direction by itself says nothing against itself there.
+    // A block that alone determines a direction cannot be tested in that direction.
     let rest = (Matrix3::identity() * (1.0 + 1e-9) - hat * weight).lu();
     let found = rest.solve(residual).zip(rest.solve(hat)).and_then(|(error, spread)| {
         let square = |times: f64| {
@@ -299,7 +299,7 @@ fn without(hat: &Matrix3<f64>, weight: f64, residual: &Vector3<f64>) -> LeftOut 
 impl Fitted {
     /// Standard deviation of a coordinate, from the median.
     fn scale(&self) -> f64 {
-        // The sizes are those of single readings: no parameter has made them smaller.
+        // Each size belongs to a single reading and has not been reduced by fitted parameters.
         scale_of(&mut self.left_out.iter().map(|out| out.square.sqrt()).collect::<Vec<_>>(), 0.0)
     }
 
@@ -308,8 +308,8 @@ impl Fitted {
     }
 }
 
-/// Gross errors among held-out `errors` (measured minus predicted in the base frame, m, one an observation of the set), by a scale of their
-/// own: what a model lacks is in all of them. They carry no weight in any fit.
+/// Gross errors among held-out `errors` (measured minus predicted in the base frame, m, one per observation of the set), in a scale of
+/// their own: all of them contain what the model lacks. They carry no weight in any fit.
 pub fn held_out_outliers(set: &MeasurementSet, errors: &[Vector3<f64>]) -> Vec<Outlier> {
     let count = errors.len();
     if count != set.observations.len() {

@@ -1,4 +1,4 @@
-//! The one way from measurements to parameters, for simulated, replayed and real data alike.
+//! The one way from measurements to parameters, shared by simulated, replayed and real data.
 
 use nalgebra::Vector3;
 use thiserror::Error;
@@ -21,25 +21,25 @@ use crate::elastostatics::ElasticError;
 use calibrig_model::measurement::{MeasurementError, MeasurementSet, RegistrationError, Target};
 use calibrig_model::{CalibrationModel, ModelError, ParameterId, Unit};
 
-/// Measurements that cannot be used with these options.
+/// Why measurements cannot be used with the given model and options.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum IdentifyError {
-    /// The robot cannot be one.
+    /// The robot's model is not valid.
     #[error("the robot: {0}")]
     Model(#[from] ModelError),
-    /// The measurements cannot be of this robot.
+    /// The measurements do not belong to this robot.
     #[error(transparent)]
     Measurements(#[from] MeasurementError),
-    /// Too little data.
+    /// There are fewer measured coordinates and priors than parameters.
     #[error("{rows} measured coordinates and priors for {parameters} parameters: more poses are needed")]
     TooFewRows {
-        /// Rows of the system.
+        /// Rows of the system: measured coordinates and priors.
         rows: usize,
-        /// Its columns.
+        /// Columns of the system: parameters.
         parameters: usize,
     },
-    /// The station cannot be placed.
+    /// The nests do not place a station.
     #[error("station {station}: {source}")]
     Registration {
         /// Name of the station.
@@ -47,69 +47,69 @@ pub enum IdentifyError {
         /// Why.
         source: RegistrationError,
     },
-    /// Sweeps do not place a station.
+    /// The sweeps do not place a station.
     #[error(transparent)]
     Sweeps(#[from] SweepError),
-    /// The nominal robot cannot be laid over the measurements.
+    /// The measured points do not determine the tracker's place.
     #[error("the measured points do not determine the tracker's place: fewer than three, or all on one line")]
     BestFit,
-    /// A covariance that is not positive definite.
+    /// A covariance is not positive definite.
     #[error("{what}: the covariance is not positive definite")]
     Covariance {
-        /// Whose.
+        /// What the covariance belongs to.
         what: String,
     },
-    /// An option, or a value of an estimate, that cannot be.
+    /// An option, or a number of an estimate, is outside its range.
     #[error("{field} is {value}: expected {expected}")]
     Number {
-        /// Which.
+        /// Name of the option or number.
         field: &'static str,
         /// Its value, SI.
         value: f64,
         /// What it has to be.
         expected: &'static str,
     },
-    /// A mode that needs what the model does not have.
+    /// The mode needs masses, stiffnesses and gravity, and the model has none.
     #[error("\"{}\" needs masses, stiffnesses and gravity, but the robot's files do not give them", .mode.title())]
     NoStatics {
         /// The mode.
         mode: Mode,
     },
-    /// A listed compliance that the robot does not have.
+    /// A listed compliance is not in the robot's model, or is rigid there.
     #[error("{name}: the robot's files give no finite stiffness there, so it cannot be identified")]
     RigidOrUnknown {
         /// Its name.
         name: String,
     },
-    /// A stated bound that cannot be kept.
+    /// A stated bound cannot be applied.
     #[error("{source}: {}", .source.help())]
     Bound {
         /// Why.
         #[from]
         source: ParameterBoundError,
     },
-    /// Limits that leave no start.
+    /// The bounds leave the solver no point to start from.
     #[error(transparent)]
     Bounds {
         /// Why.
         #[from]
         source: BoundsError,
     },
-    /// A family of terms that there is not.
+    /// There is no family of terms with this key.
     #[error("there are no terms \"{key}\"")]
     UnknownTerms {
         /// Its key.
         key: String,
     },
-    /// The nominal robot cannot take a pose: its linkage does not close, or it finds no rest.
+    /// The nominal robot cannot take a pose: its linkage does not close, or it has no stable equilibrium.
     #[error("pose {pose}: the nominal robot cannot reach it: {source}")]
     Machine {
-        /// The pose.
+        /// Number of the pose.
         pose: u32,
         /// Why.
         source: ElasticError,
     },
-    /// A listed parameter that the robot does not have.
+    /// A listed parameter is not a parameter of the robot.
     #[error("{name} is not a parameter of this robot")]
     UnknownParameter {
         /// Its name.
@@ -155,12 +155,12 @@ pub fn identify(
     Ok(summarise(built, fitted, set, options))
 }
 
-/// Fits after which the compliances that they left out, or should have, are looked at again.
+/// Most fits after which the choice of compliances is revised: some that were fitted are left out, some that were left out are fitted.
 const MOST_ROUNDS: usize = 4;
-/// Fits after which the sizes of terms are looked at again.
+/// Most fits after which the sizes of terms are revised.
 const MOST_SIZES: usize = 6;
 
-/// The minimum from `x`, and the noise: as the readings state it, else as the residuals tell it.
+/// Minimises from `x` and determines the noise: as stated by the readings, otherwise from the residuals.
 fn fit(
     built: &mut Built,
     x: Vec<f64>,
@@ -170,7 +170,7 @@ fn fit(
 ) -> Result<Fitted, IdentifyError> {
     let rows = built.problem.rows();
     let parameters = built.problem.parameters();
-    // A tolerance holds weak directions; it does not stand for poses that are not there.
+    // A tolerance holds weak directions; it cannot replace missing poses.
     let measured = rows - built.problem.tolerances.len();
     if measured < parameters {
         return Err(IdentifyError::TooFewRows { rows: measured, parameters });
@@ -183,7 +183,7 @@ fn fit(
     }
     let mut solution = solve(built, x, options)?;
     if built.problem.stated_actuators.is_some() {
-        // Where a target was not known beforehand, its place decides how actuators move it.
+        // Where a target was not known beforehand, its fitted place decides how actuators move it.
         built.problem.prepare_motions_at(set, &solution.x);
         built.problem.weigh(&Noise::default())?;
         solution = solve(built, solution.x, options)?;
@@ -194,9 +194,9 @@ fn fit(
     let as_needed = options.machine_noise == MachineNoiseChoice::AsNeeded;
     let is_misfit = || is_misfit(&built.problem, set, (&solution, &factorised), options.frame);
     unknown.machine |= as_needed && !unknown.readings && is_misfit();
-    // Short of the minimum, residuals say more of the way there than of the noise.
+    // Before the minimum is reached, residuals show the remaining way to it rather than the noise.
     unknown.machine &= solution.termination.converged() || unknown.readings;
-    // What is stated of the machine says nothing of how it turns its flange.
+    // The stated machine noise does not include how the machine turns its flange.
     unknown.turn |=
         !as_needed && !built.problem.turns.is_empty() && solution.termination.converged() && is_misfit();
     if unknown.machine {
@@ -210,7 +210,7 @@ fn fit(
     }
     let stated_sigmas = unknown.machine.then(|| factorised.sigmas()).flatten();
     let solution = find_noise(built, solution, unknown, options)?;
-    // The nominal robot alone has nothing below it that could tell more.
+    // The nominal robot has no simpler model below it from which the noise could be taken.
     let is_nominal = options.mode == Mode::WithoutCalibration;
     let solution = if !is_nominal && is_without_freedom(&built.problem, &solution, unknown, options.redundant)
     {
@@ -221,13 +221,13 @@ fn fit(
         solution
     };
     let factorised = Factorised::new(&built.problem, &solution, options.redundant);
-    // Where nothing is stated, the size says nothing of what was stated.
+    // Where no noise is stated, the size of the residuals in stated noise means nothing.
     let size = if unknown.readings { Size::of(&built.problem, &solution, &factorised) } else { stated };
     Ok(Fitted { solution, factorised, size, stated_sigmas })
 }
 
-/// The fit of other compliances than were fitted before, weighed from the start with the machine's noise that was found then. `None` where
-/// that cannot be, or where with these compliances the readings' own noise explains the residuals.
+/// Refits with another choice of compliances, weighed from the start with the machine noise of the fit before. `None` where this is not
+/// possible, or where with these compliances the readings' own noise explains the residuals.
 fn fit_on(
     built: &mut Built,
     x: Vec<f64>,
@@ -291,10 +291,11 @@ fn solve_problem(
     Ok(minimise_within(problem, x, &options.solver, &bounds, &spread)?)
 }
 
-/// The lowest value of a compliance whose logarithm has a prior: a millionth of the stated one.
+/// The lowest value of a compliance whose logarithm has a prior: a millionth of the stated compliance.
 pub(super) const LEAST_OF_UNKNOWN: f64 = 1e-6 - 1.0;
 
-/// How far about the start other starts are drawn: two standard deviations of the parameter's own prior, else what a machine can be off.
+/// How far about the start further starts are drawn: two standard deviations of the parameter's own prior, otherwise as far as a machine can
+/// be off.
 fn spread((id, sigma): (&ParameterId, &Option<f64>)) -> f64 {
     match (sigma, id.unit()) {
         (Some(sigma), _) => 2.0 * sigma,
@@ -303,7 +304,7 @@ fn spread((id, sigma): (&ParameterId, &Option<f64>)) -> f64 {
     }
 }
 
-/// Standard deviation of a coordinate that the nominal robot leaves where it lies best on the measurements, m: the noise is no larger.
+/// Standard deviation of a coordinate that the nominal robot leaves in its best fit to the measurements, m: an upper bound of the noise.
 fn most_noise(model: &CalibrationModel, set: &MeasurementSet) -> Result<f64, IdentifyError> {
     let robot = without_calibration(model, set, Loss::Squared)?;
     let errors = Predictor::new(&robot).and_then(|mut predictor| predictor.errors(set)).unwrap_or_default();
@@ -313,10 +314,10 @@ fn most_noise(model: &CalibrationModel, set: &MeasurementSet) -> Result<f64, Ide
     Ok(if sigma > 0.0 && sigma.is_finite() { sigma } else { UNSTATED_SIGMA })
 }
 
-/// The nominal robot, laid over the measurements.
+/// Fits the nominal robot to the measurements by its placement alone.
 ///
-/// Where the target's offset was measured, by the rigid transform that fits best (one a station, equal weights); where it is unknown,
-/// the offset is fitted together with the tracker's place, and those that were measured are a prior. A robust `loss` is that of both.
+/// Where the target's offset was measured, this is the rigid transform that fits best (one per station, equal weights). Where it is unknown,
+/// the offset is fitted together with the tracker's place, and measured offsets of other targets are a prior. A robust `loss` applies to both.
 pub fn without_calibration(
     model: &CalibrationModel,
     set: &MeasurementSet,

@@ -1,4 +1,4 @@
-//! What measurements tell of the parameters where these have given values, such as the true ones, and what no estimator can do better.
+//! Information that measurements contain on parameters at given values, such as the true ones, and the resulting bounds for any estimator.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -16,13 +16,13 @@ pub struct Information {
     prior: DMatrix<f64>,
 }
 
-/// The information about the parameters of `estimate` if they have the `values` (in their order, SI): of all that was measured, with its stated
-/// noise, and of the priors that are not measurements.
+/// Information on the parameters of `estimate` at `values` (in their order, SI), from all measurements with their stated noise, and from the
+/// priors that are not measurements.
 ///
 /// # Errors
 ///
-/// [`IdentifyError`], where the estimate does not belong to model, set and options, there is not one finite value a parameter, or the robot
-/// with these values cannot take a pose.
+/// [`IdentifyError`], where the estimate does not belong to model, set and options, `values` does not have one finite value per parameter, or
+/// the robot with these values cannot take a pose.
 pub fn information_at(
     model: &CalibrationModel,
     set: &MeasurementSet,
@@ -50,20 +50,20 @@ impl Information {
         &self.parameters
     }
 
-    /// Whether a parameter has a prior that is no measurement: a tolerance, or one of its own.
+    /// Whether a parameter has a prior that is not a measurement: a tolerance, or a prior of its own.
     pub fn has_prior(&self) -> bool {
         self.prior.iter().any(|value| *value != 0.0)
     }
 
-    /// The least standard deviations, SI, that any unbiased estimator has which knows the measurements alone (observations, nests, targets):
-    /// the Cramér-Rao bound. `None` where they do not determine all parameters.
+    /// The least standard deviations, SI, of any unbiased estimator that uses the measurements alone (observations, nests, targets): the
+    /// Cramér-Rao bound. `None` where they do not determine all parameters.
     pub fn cramer_rao_sigmas(&self) -> Option<Vec<f64>> {
         sigmas(&cramer_rao_bound(&self.measured, &self.parameters)?)
     }
 
-    /// The least root mean squared errors, SI, of any estimator, over parameters that are drawn from the priors: the Bayesian Cramér-Rao bound,
-    /// with the information at these values for its mean over the priors, from which it differs in second order. `None` where no parameter has a
-    /// prior, or where measurements and priors together do not determine all parameters.
+    /// The least root mean squared errors, SI, of any estimator, for parameters that are drawn from the priors: the Bayesian Cramér-Rao bound. The
+    /// information at these values takes the place of its mean over the priors, from which it differs in second order. `None` where no parameter
+    /// has a prior, or where measurements and priors together do not determine all parameters.
     pub fn bayesian_cramer_rao_sigmas(&self) -> Option<Vec<f64>> {
         if !self.has_prior() {
             return None;
@@ -72,8 +72,8 @@ impl Information {
         sigmas(&bayesian_cramer_rao_bound(measured, &self.prior, &self.parameters)?)
     }
 
-    /// `eᵀ I e` of an `error` of the parameters (SI, in their order), with the information of measurements and priors: in the mean at least
-    /// their number, if they are drawn from the priors, and equal to it for the best estimator. `None` where the error has another length.
+    /// `eᵀ I e` of an `error` of the parameters (SI, in their order), with the information of measurements and priors. If the parameters are drawn
+    /// from the priors, its mean is at least their number, and equal to it for the best estimator. `None` where the error has another length.
     pub fn squared(&self, error: &[f64]) -> Option<f64> {
         if error.len() != self.parameters.len() {
             return None;
@@ -95,7 +95,7 @@ mod tests {
     use calibrig_model::CraigLink;
     use calibrig_model::nalgebra::Vector3;
 
-    /// Two turning links about parallel axes, and a third.
+    /// Two revolute links about parallel axes, and a third.
     fn robot() -> CalibrationModel {
         let link = |name, a| CraigLink::revolute(name).row(a, 0.0, 0.0, 0.0).limits(-3.0, 3.0);
         let tilted = CraigLink::revolute("c").row(0.3, 1.2, 0.1, 0.0).limits(-3.0, 3.0);
@@ -113,7 +113,7 @@ mod tests {
         MeasurementSet::of_points(points).with_sigma(sigma)
     }
 
-    /// Against the normal matrix of residuals that are differentiated numerically at the same values.
+    /// Compared with the normal matrix of residuals that are differentiated numerically at the same values.
     #[test]
     fn the_information_is_that_of_the_residuals_at_the_values_and_not_at_the_estimate() {
         let (model, set) = (robot(), set(2e-5));

@@ -1,7 +1,7 @@
 //! Errors that all readings of an instrument share, as parameters of the fit.
 //!
-//! What is stated of an instrument is a zero-mean prior on each of its errors. Readings of the robot and of the nests have a column for each, so that
-//! nests no longer place a station better than the instrument that saw them: they, the robot and the data sheet are solved together.
+//! What is stated of an instrument is a zero-mean prior on each of its errors. Readings of the robot and of the nests have a column for each error,
+//! so that nests do not place a station better than the instrument allows: nests, robot and data sheet are solved together.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
@@ -43,7 +43,7 @@ pub(super) fn parameters_of(stations: &[Station]) -> Vec<ParameterId> {
 #[derive(Debug, Default)]
 pub(super) struct Instruments {
     columns: Vec<(ParameterId, usize)>,
-    /// Of every station, the index of its instrument.
+    /// Index of the instrument of every station.
     own: Vec<Option<usize>>,
 }
 
@@ -55,7 +55,7 @@ impl Instruments {
         parameters: &mut Vec<ParameterId>,
         priors: &mut Vec<Prior>,
     ) -> Self {
-        // What the nominal robot is off by would be taken for the instrument's.
+        // Errors of the nominal robot would be attributed to the instrument.
         if options.instrument == InstrumentChoice::Ignored || options.mode == Mode::WithoutCalibration {
             return Self { columns: Vec::new(), own: vec![None; set.stations.len()] };
         }
@@ -86,7 +86,7 @@ impl Instruments {
         self.columns.iter().filter(is_own).copied().collect()
     }
 
-    /// Gives the rows of observations their columns.
+    /// Adds the instruments' columns to the rows of observations.
     pub fn add_to<'a>(
         &self,
         rows: &mut [PositionRow],
@@ -115,10 +115,11 @@ impl Instruments {
         }
     }
 
-    /// What the nests of a station say of its place, whose columns begin at `frame`, and of its instrument's errors; `None` of a station without.
+    /// The prior that the nests of a station give for its place, whose columns begin at `frame`, and for its instrument's errors; `None` for a
+    /// station without nests.
     ///
-    /// `place` is where the nests put the station if the instrument has none. From there on the system is linear to rounding: what an instrument's errors
-    /// move it is some hundredths of a millimetre.
+    /// `place` is where the nests put the station if the instrument has no errors. From there on the system is linear to rounding: an instrument's
+    /// errors move it by some hundredths of a millimetre.
     pub fn nests(
         &self,
         (index, station): (usize, &Station),
@@ -148,7 +149,7 @@ impl Instruments {
             }
         }
         system.column_mut(n).copy_from(&nests.residuals);
-        // What is left below are the residuals that neither place nor errors can take up: no parameter changes them.
+        // The rows below are residuals that neither place nor errors can absorb: no parameter changes them.
         let r = triangular_factor_of_all(system.as_view());
         let rows = r.nrows().min(n);
         let columns = (frame..frame + 6).chain(own.iter().map(|(_, column)| *column)).collect();
@@ -157,7 +158,7 @@ impl Instruments {
         Ok(Some(Prior { columns, whitening, offset }))
     }
 
-    /// The errors of every station's instrument where the parameters are `x`; empty where none is a parameter.
+    /// Errors of every station's instrument at the parameters `x`; empty where none is a parameter.
     pub fn at(set: &MeasurementSet, parameters: &[ParameterId], x: &[f64]) -> Vec<InstrumentErrors> {
         let is_one =
             |id: &ParameterId| matches!(id, ParameterId::Instrument { .. } | ParameterId::Drift { .. });

@@ -1,4 +1,4 @@
-//! Bounds on single parameters, as a user states them.
+//! User-defined bounds on single parameters.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -10,79 +10,79 @@ use super::{FrameChoice, IdentificationOptions, Mode};
 use calibrig_model::measurement::{Station, Target};
 use calibrig_model::{CalibrationModel, ParameterId, Unit};
 
-/// Limits of a parameter, SI: of its deviation from the nominal, stated or predicted value, as the parameter itself.
+/// Bounds of a parameter, SI: of its deviation from the nominal, stated or predicted value, like the parameter itself.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ParameterBound {
-    /// Which.
+    /// Which parameter.
     pub id: ParameterId,
-    /// Lowest value; minus infinity where that end is open.
+    /// Lowest value; minus infinity if there is no lower limit.
     #[serde(with = "calibrig_model::float::scalar")]
     pub lower: f64,
-    /// Highest value; infinite where that end is open.
+    /// Highest value; infinity if there is no upper limit.
     #[serde(with = "calibrig_model::float::scalar")]
     pub upper: f64,
 }
 
-/// A bound that cannot be kept.
+/// Why a bound cannot be applied.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum ParameterBoundError {
-    /// A limit that is NaN.
+    /// A limit is NaN.
     #[error("a limit of {id} is not a number")]
     NotANumber {
-        /// Whose.
+        /// Parameter of the bound.
         id: ParameterId,
     },
     /// Neither limit is stated.
     #[error("the bound of {id} has no limit")]
     Open {
-        /// Whose.
+        /// Parameter of the bound.
         id: ParameterId,
     },
-    /// No value, or a single one, lies between the limits.
+    /// The interval between the limits is empty or a single value.
     #[error("the bound of {id} ends at {}, which is not above its start at {}", shown(.id.unit(), *.upper), shown(.id.unit(), *.lower))]
     Empty {
-        /// Whose.
+        /// Parameter of the bound.
         id: ParameterId,
         /// Lower limit, SI.
         lower: f64,
         /// Upper limit, SI.
         upper: f64,
     },
-    /// A compliance or mass below none at all.
+    /// The lower limit of a compliance or mass is below the value at which it vanishes.
     #[error("the bound of {id} begins at {lower}")]
     BelowNone {
-        /// Whose.
+        /// Parameter of the bound.
         id: ParameterId,
         /// Lower limit.
         lower: f64,
     },
-    /// The search would begin outside.
+    /// The start of the search is outside the bound.
     #[error("the bound of {bound} excludes 0, the {} value, from which the search starts", origin(.bound.id))]
     ExcludesStart {
         /// The bound.
         bound: ParameterBound,
     },
-    /// There is one already.
+    /// The parameter already has a bound.
     #[error("{id} has a second bound")]
     Twice {
-        /// Whose.
+        /// Parameter of the bound.
         id: ParameterId,
     },
-    /// The tracker's place counts from one that is found by the fit itself.
+    /// The reference of the tracker's place is only found by the fit.
     #[error("{id} is relative to the best fit of the nominal robot to the measurements")]
     NoReference {
-        /// Whose.
+        /// Parameter of the bound.
         id: ParameterId,
     },
-    /// No mode has such a parameter.
+    /// None of the modes fits the parameter.
     #[error("{id} is not fitted in any of the modes ({})", keys(.modes))]
     NotFitted {
-        /// Whose.
+        /// Parameter of the bound.
         id: ParameterId,
         /// The modes that are run.
         modes: Vec<Mode>,
-        /// Their parameters.
+        /// Parameters that the modes fit.
         known: Vec<ParameterId>,
     },
 }
@@ -140,11 +140,11 @@ fn origin(id: ParameterId) -> &'static str {
 }
 
 impl ParameterBound {
-    /// Whether the limits, and the start between them, can be kept.
+    /// Checks the limits, and that the start lies between them.
     ///
     /// # Errors
     ///
-    /// [`ParameterBoundError`], of those that one bound alone can have.
+    /// [`ParameterBoundError`], with the variants that concern a single bound.
     pub fn check(&self) -> Result<(), ParameterBoundError> {
         let &Self { id, lower, upper } = self;
         if lower.is_nan() || upper.is_nan() {
@@ -166,7 +166,7 @@ impl ParameterBound {
     }
 }
 
-/// The lowest value that a parameter can have by its nature: no compliance and no mass is below zero.
+/// The lowest physically possible value of a parameter: compliances and masses are not below zero.
 pub(super) fn lowest(id: ParameterId) -> f64 {
     match id {
         ParameterId::Compliance(_) | ParameterId::Mass { .. } => -1.0,
@@ -188,7 +188,7 @@ impl fmt::Display for ParameterBound {
     }
 }
 
-/// A value with its unit, as people read it: mm, mrad, or a bare number.
+/// A value with its unit for people: mm, mrad, or a bare number.
 pub(super) fn shown(unit: Unit, value: f64) -> String {
     let number = in_unit(unit, value);
     match unit {
@@ -198,7 +198,7 @@ pub(super) fn shown(unit: Unit, value: f64) -> String {
     }
 }
 
-/// In mm, mrad or 1, to six digits: what conversion adds to a stated number is not shown.
+/// In mm, mrad or 1, to six digits, which hides the rounding of the conversion.
 fn in_unit(unit: Unit, value: f64) -> f64 {
     let scaled = match unit {
         Unit::Metre | Unit::Radian => 1e3 * value,
@@ -207,21 +207,21 @@ fn in_unit(unit: Unit, value: f64) -> f64 {
     format!("{scaled:.5e}").parse().unwrap_or(scaled)
 }
 
-/// A bound of a list that is refused.
+/// A bound that is refused, with its index in the list.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[error("{error}")]
 pub struct RefusedBound {
-    /// Its place in the list.
+    /// Index in the list.
     pub index: usize,
     /// Why.
     pub error: ParameterBoundError,
 }
 
-/// Whether every bound of `options` can be kept and is on a parameter of one of the `modes`.
+/// Checks that every bound of `options` can be applied, and belongs to a parameter of one of the `modes`.
 ///
 /// # Errors
 ///
-/// The first bound that is not.
+/// [`RefusedBound`], the first bound that cannot.
 pub fn check_bounds(
     model: &CalibrationModel,
     modes: &[Mode],
@@ -237,7 +237,7 @@ pub fn check_bounds(
     let mut known = Vec::new();
     for &mode in &modes {
         let of_mode = IdentificationOptions { mode, ..options.clone() };
-        // A mode that this robot cannot have is refused by the fit, with its reason.
+        // A mode that this robot does not support is refused by the fit, with its reason.
         for id in candidate_parameters(model, &of_mode, stations, targets).unwrap_or_default() {
             if !known.contains(&id) {
                 known.push(id);
@@ -266,7 +266,7 @@ pub fn check_bounds(
     Ok(())
 }
 
-/// Lowest and highest value of every parameter: by its nature, and as stated.
+/// Lowest and highest value of every parameter, from physics and from the stated bounds.
 pub(super) fn limits(parameters: &[ParameterId], stated: &[ParameterBound]) -> (Vec<f64>, Vec<f64>) {
     let of = |id: &ParameterId| {
         let bounds = stated.iter().filter(|bound| bound.id == *id);

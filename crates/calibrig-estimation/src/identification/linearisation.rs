@@ -1,4 +1,4 @@
-//! The whitened system at an estimate, for what is read from it: uncertainty, leverage, residual patterns.
+//! The whitened system at an estimate, from which uncertainty, leverage and residual patterns are computed.
 
 use std::borrow::Cow;
 
@@ -18,40 +18,41 @@ use calibrig_model::{CalibrationModel, ParameterId};
 /// Residuals and Jacobian of a fit at its estimate. A residual of 1 is one standard deviation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Linearisation {
-    /// m x n, in the order of the estimate's parameters; rows of the observations and their orientations, then of nests and target, then of the other priors.
+    /// m x n, in the order of the estimate's parameters; rows of the observations and their orientations, then of nests and target, then of the other
+    /// priors.
     pub jacobian: DMatrix<f64>,
-    /// Predicted minus measured, and the priors; m.
+    /// Predicted minus measured, and the priors, in standard deviations; m rows.
     pub residuals: DVector<f64>,
-    /// The first rows, in blocks of three: one an observation, and behind those one for every orientation.
+    /// Number of the first rows, in blocks of three: one per observation, then one per orientation.
     pub data_rows: usize,
-    /// Of every orientation, its observation.
+    /// Observation of every orientation, by index.
     pub orientations: Vec<usize>,
-    /// Those, and the rows of nests and targets behind them.
+    /// Number of these rows and the rows of nests and targets behind them.
     pub measured_rows: usize,
-    /// The blocks of every pose: its observations, and their orientations.
+    /// Blocks of every pose: its observations and their orientations.
     pub poses: Vec<Vec<usize>>,
-    /// Takes displacements of the observations' targets to standard deviations.
+    /// Maps displacements of the observations' targets to standard deviations.
     pub whitening: Whitening,
-    /// Columns that a bound holds: they have no spread.
+    /// Columns held at a bound: they have no spread.
     pub bounded: Vec<usize>,
 }
 
 const LEAST_WEIGHT: f64 = 1e-12;
 
-/// Takes displacements of targets in the base frame, m, to the standard deviations that the data rows count in. The observations of a pose
-/// share its errors, and are taken to rows that do not depend on each other.
+/// Maps displacements of targets in the base frame, m, to the standard deviations of the data rows. The observations of a pose share its errors,
+/// and are mapped to independent rows.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Whitening {
-    /// One an observation.
+    /// One matrix per observation.
     pub(super) single: Vec<Matrix3<f64>>,
-    /// Poses whose observations depend on each other: which, and what takes their rows further.
+    /// Poses whose observations depend on each other: their indices, and the further map that makes their rows independent.
     pub(super) joined: Vec<(Vec<usize>, DMatrix<f64>)>,
-    /// What takes them further where many readings share errors.
+    /// The further map where many readings share errors.
     pub(super) shared: Option<SharedWhitening>,
 }
 
 impl Whitening {
-    /// Of observations that do not depend on each other: one matrix each.
+    /// The whitening of independent observations: one matrix each.
     pub fn apart(single: Vec<Matrix3<f64>>) -> Self {
         Self { single, ..Self::default() }
     }
@@ -61,7 +62,7 @@ impl Whitening {
         self.single.len()
     }
 
-    /// The data rows of displacements, one an observation, m; those that are missing are zero.
+    /// The data rows of displacements, one per observation, m; missing displacements are zero.
     pub fn rows(&self, displacements: impl Iterator<Item = Vector3<f64>>) -> DVector<f64> {
         let mut rows = DVector::zeros(3 * self.single.len());
         for (i, (whitening, displacement)) in self.single.iter().zip(displacements).enumerate() {
@@ -80,7 +81,7 @@ impl Whitening {
         rows
     }
 
-    /// The displacements of data rows, m: the inverse of [`rows`](Self::rows). Rows beyond the observations are left aside.
+    /// The displacements of data rows, m: the inverse of [`rows`](Self::rows). Rows beyond the observations are ignored.
     pub fn displacements(&self, rows: &DVector<f64>) -> Vec<Vector3<f64>> {
         let mut rows = rows.clone();
         if let Some(shared) = &self.shared {
@@ -104,7 +105,7 @@ impl Whitening {
         self.single.iter().enumerate().take(rows.len() / 3).map(of).collect()
     }
 
-    /// Root of the mean squared length of what is taken for noise of a reading by itself, m.
+    /// Root mean square length of what is taken as noise of a single reading, m.
     pub fn noise(&self) -> f64 {
         let inverses = self.single.iter().filter_map(|whitening| whitening.try_inverse());
         let squares: f64 = inverses.map(|inverse| inverse.norm_squared()).sum();
@@ -118,12 +119,12 @@ impl Linearisation {
         (0..self.jacobian.ncols()).filter(|column| !self.bounded.contains(column)).collect()
     }
 
-    /// The system as it was solved, with the weights of the estimate's robust loss: its covariance is the estimate's.
+    /// The system as it was solved, with the weights of the estimate's robust loss; its covariance is the estimate's.
     #[must_use]
     pub fn weighted(mut self, estimate: &Estimate) -> Self {
         let observations = (self.data_rows / 3).saturating_sub(self.orientations.len());
         for (i, weight) in estimate.weights.iter().enumerate().take(observations) {
-            // What counts for nothing still has an error by itself.
+            // An observation without weight still has an error of its own.
             let factor = (weight.max(LEAST_WEIGHT) / estimate.weight_unit).sqrt();
             let factor = if factor.is_finite() { factor } else { LEAST_WEIGHT };
             self.residuals.rows_mut(3 * i, 3).scale_mut(factor);
@@ -147,8 +148,8 @@ impl Linearisation {
     }
 }
 
-/// The system that `estimate` solves, evaluated where it ended: with the noise that it was given or found, and without the weights of a
-/// robust loss.
+/// The system that `estimate` solves, evaluated at the estimate, with the noise that it was given or found, and without the weights of a robust
+/// loss.
 ///
 /// # Errors
 ///
@@ -163,7 +164,7 @@ pub fn linearise(
     linearise_at(model, set, options, estimate, &x)
 }
 
-/// The same system at `x`, values of the estimate's parameters in their order, SI.
+/// The system evaluated at `x`, values of the estimate's parameters in their order, SI.
 pub(super) fn linearise_at(
     model: &CalibrationModel,
     set: &MeasurementSet,
@@ -195,19 +196,19 @@ pub(super) fn linearise_at(
     Ok(linearisation)
 }
 
-/// A reading beside what an estimate predicts of it.
+/// A reading compared with the prediction of an estimate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PredictedReading {
     /// Predicted minus measured position in the tracker's frame, m.
     pub error: Vector3<f64>,
-    /// Covariance of the prediction that the estimate's parameters make, the tracker's place among them, m².
+    /// Covariance of the prediction due to the estimate's parameters, including the tracker's place, m².
     pub of_parameters: Matrix3<f64>,
-    /// Covariance that the machine makes beside its model, m².
+    /// Covariance due to the machine's noise beside its model, m².
     pub of_machine: Matrix3<f64>,
 }
 
-/// What `estimate` predicts of the readings of any `set` of the same robot, stations and targets, and how sure it is of the robot's place there;
-/// the readings' own noise is in none of it. `None` from an estimate without a covariance.
+/// Predictions of `estimate` for the readings of any `set` of the same robot, stations and targets, with the uncertainty of the robot's place;
+/// the noise of the readings is not included. `None` for an estimate without a covariance.
 ///
 /// # Errors
 ///
@@ -221,8 +222,8 @@ pub fn predict_readings(
     predict(model, set, options, estimate, Seen::ByTheInstrument)
 }
 
-/// The same of true places of the targets in the trackers' frames, which no error of an instrument displaces and no drift: readings of a perfect
-/// instrument. What the errors of the real one leave unknown of the robot and of the tracker's place still counts.
+/// Like [`predict_readings`], for true places of the targets in the trackers' frames, without instrument errors and drift: readings of a perfect
+/// instrument. The uncertainty of the robot and the tracker's place that the real instrument's errors cause is still included.
 ///
 /// # Errors
 ///
@@ -282,7 +283,7 @@ fn predict(
     if seen == Seen::Truly {
         problem.rows.iter_mut().for_each(|row| row.instrument.clear());
     }
-    // Where nothing places a station, its frame was displaced from where the fitted set had it.
+    // Where nothing places a station, its frame is displaced from its place in the fitted set.
     problem.stations = estimate.frame_origins();
     let x: Vec<f64> = estimate.parameters.iter().map(|parameter| parameter.value).collect();
     let (residuals, jacobian) = start(&mut problem, &x)?;
@@ -305,7 +306,7 @@ fn predict(
 }
 
 impl Estimate {
-    /// What the frame parameters displace, one a station.
+    /// `tracker_from_base` of each station, which the frame parameters displace.
     fn frame_origins(&self) -> Vec<Transform> {
         let origin = |(station, place): (usize, &Transform)| {
             let value = |component| self.value(ParameterId::Frame { station, component }).unwrap_or(0.0);
@@ -314,8 +315,8 @@ impl Estimate {
         self.robot.stations.iter().enumerate().map(origin).collect()
     }
 
-    /// Independent parts of what the machine is taken to do beside the model. Where the readings state no noise, all that the residuals have
-    /// counts, since nothing tells the two apart.
+    /// Independent parts of the assumed machine noise beside the model. Where the readings state no noise, the whole residual counts, since nothing
+    /// separates the two.
     pub(super) fn beside(&self) -> Vec<MachineNoise> {
         let mut parts = self.machine_noise.clone();
         if let NoiseScale::Residuals(sigma) = self.noise
@@ -330,7 +331,7 @@ impl Estimate {
         parts
     }
 
-    /// Covariance of a reading by itself as the fit weighs it, m², where `stated` is what it states.
+    /// Covariance of a single reading as the fit weighs it, m²; `stated` is its stated covariance.
     pub fn reading_covariance(&self, stated: Option<Matrix3<f64>>) -> Matrix3<f64> {
         let scale = self.reading_scale.unwrap_or(1.0);
         match (stated, self.noise) {
@@ -359,13 +360,13 @@ fn solved(
         let names = problem.parameters.iter().chain(&kept);
         let foreign: Vec<_> =
             names.filter(|id| !(problem.parameters.contains(id) && kept.contains(id))).collect();
-        // The same ones in another order, or one of them twice, are not this estimate's, either.
+        // The right parameters in another order, or one of them twice, do not belong to this estimate either.
         let named = if foreign.is_empty() { kept.iter().collect() } else { foreign };
         let name = named.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
         return Err(IdentifyError::UnknownParameter { name });
     }
     for (column, weight) in &mut problem.own_priors {
-        // Found with the fit, where nobody stated it.
+        // The size was found with the fit because none was stated.
         if let (ParameterId::Term(_), Some(sigma)) = (
             problem.parameters[*column],
             estimate.parameters[*column].prior_sigma.filter(|sigma| *sigma > 0.0),
@@ -377,7 +378,7 @@ fn solved(
     Ok(problem)
 }
 
-/// The model with what the terms of an estimate are spread over, whatever set they are looked at with.
+/// The model with the spans over which the terms of an estimate are spread, whatever set is examined.
 pub(super) fn as_spread<'m>(model: &'m CalibrationModel, estimate: &Estimate) -> Cow<'m, CalibrationModel> {
     let spans = &estimate.robot.nominal.spans;
     if *spans == model.spans {

@@ -1,6 +1,6 @@
-//! From measurements to parameters: weighted nonlinear least squares with priors, and what the data can and cannot tell.
+//! From measurements to parameters: weighted nonlinear least squares with priors, and what the data can and cannot determine.
 //!
-//! Nothing here can see the plant, the tracker's inside or the truth: this crate does not depend on theirs.
+//! Nothing here can see the plant, the inside of the tracker or the truth: this crate does not depend on the crates that hold them.
 
 mod build;
 mod by_name;

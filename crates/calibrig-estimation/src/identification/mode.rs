@@ -1,4 +1,4 @@
-//! Which model is fitted.
+//! The models that can be fitted.
 
 use calibrig_model::ParameterId;
 use serde::{Deserialize, Serialize};
@@ -11,11 +11,11 @@ pub enum Mode {
     WithoutCalibration,
     /// Geometric parameters.
     OnlyCalibration,
-    /// Geometric parameters on top of the deflection that gravity is predicted to cause.
+    /// Geometric parameters on top of the predicted deflection under gravity.
     WithGravity,
     /// Geometric parameters and compliances, at the equilibrium of the identified robot itself.
     ElastoGeometric,
-    /// A complete geometric set, compliances, the linkage and the terms that are switched on.
+    /// A complete set of geometric parameters, compliances, the linkage and the terms that are switched on.
     Extended,
 }
 
@@ -40,7 +40,7 @@ impl Mode {
         }
     }
 
-    /// The row's title, as published where it was.
+    /// The title of the mode's row, as published if it was.
     pub fn title(self) -> &'static str {
         match self {
             Self::WithoutCalibration => "without calibration",
@@ -56,7 +56,7 @@ impl Mode {
         Self::ALL.into_iter().find(|mode| mode.key() == key)
     }
 
-    /// Whether a parameter of this kind can be one of its own.
+    /// Whether the mode can fit a parameter of this kind.
     pub fn can_fit(self, id: ParameterId) -> bool {
         match id {
             _ if self == Self::WithoutCalibration => false,
@@ -73,12 +73,12 @@ impl Mode {
         }
     }
 
-    /// Whether it needs masses and stiffnesses.
+    /// Whether the mode needs masses and stiffnesses.
     pub fn needs_statics(self) -> bool {
         matches!(self, Self::WithGravity | Self::ElastoGeometric)
     }
 
-    /// Whether the robot is predicted at its own equilibrium, with its linkage closed, and not by an ideal map of the commands.
+    /// Whether the robot is predicted at its own equilibrium with its linkage closed, rather than by an ideal map of the commands.
     pub fn is_coupled(self) -> bool {
         matches!(self, Self::ElastoGeometric | Self::Extended)
     }

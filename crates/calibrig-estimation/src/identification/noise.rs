@@ -1,7 +1,7 @@
-//! The noise that measurements are weighed with: of the readings as stated, or from the residuals; and of the machine, where its model
-//! does not bring it.
+//! The noise with which measurements are weighed: that of the readings, as stated or from the residuals, and that of the machine, which its
+//! model does not contain.
 //!
-//! What a machine does beside its model is common to all targets of a pose: a displacement of the whole flange, and errors of the
+//! The machine's noise beside its model is common to all targets of a pose: a displacement of the whole flange, and errors of the
 //! actuators, `J Σ_q Jᵀ` with J the target's derivative by the commands. Errors of single poses are taken as independent of each other.
 
 use std::ops::Range;
@@ -22,45 +22,45 @@ use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::statistics::chi2_survival;
 use calibrig_model::{CalibrationModel, JointKind, LinkTerm, ParameterId, Payload};
 
-/// Standard deviation that readings without a stated one are given before the residuals tell, m: only ratios matter then.
+/// Standard deviation that readings without a stated one are given before the residuals are known, m: only ratios matter then.
 pub(super) const UNSTATED_SIGMA: f64 = 1e-4;
 
-/// Stated noise is taken as it is unless residuals as large as they are have a probability below this.
+/// Stated noise is kept unless residuals as large as these have a probability below this.
 const DOUBTED: f64 = 0.01;
 
-/// Variances that change less than this in all have come to rest.
+/// Variances whose total change is below this have converged.
 const SETTLED: f64 = 0.05;
 const MOST_ROUNDS: usize = 6;
-/// With less than one degree of freedom residuals say nothing of the noise.
+/// With fewer degrees of freedom, residuals do not determine the noise.
 pub(super) const LEAST_FREEDOM: f64 = 1.0;
 
-/// What a machine does beside its model, as standard deviations of independent errors of single poses.
+/// Noise of the machine beside its model, as standard deviations of independent errors of single poses.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MachineNoise {
-    /// Displacement of the flange, along each axis, m.
+    /// Standard deviation of the flange's displacement along each axis, m.
     pub position: f64,
-    /// Of every actuator, m or rad; empty where it is not looked at by actuators.
+    /// Standard deviation of every actuator, m or rad; empty where actuators are not considered separately.
     pub actuators: Vec<f64>,
-    /// Degrees of freedom that an estimate of them has; `None` where they were stated.
+    /// Degrees of freedom of the estimated standard deviations; `None` where they were stated.
     pub freedom: Option<f64>,
 }
 
-/// What is known of the machine's error beside its model.
+/// What is known of the machine's noise beside its model.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub enum MachineNoiseChoice {
-    /// Estimated with the parameters where the residuals are larger than the readings' stated noise explains, or where a pose's readings
+    /// It is estimated with the parameters where the residuals are larger than the readings' stated noise explains, or where a pose's readings
     /// depend on each other.
     #[default]
     AsNeeded,
-    /// Estimated.
+    /// It is always estimated.
     Estimated,
-    /// Known: standard deviations of the actuators, m or rad, one each; none for an error that is the same in all directions
+    /// It is known: one standard deviation per actuator, m or rad; empty for an error that is the same in all directions
     /// ([`IdentificationOptions::unmodelled_sigma`]).
     Stated(Vec<f64>),
 }
 
 impl MachineNoiseChoice {
-    /// Whether the numbers can be; there are as many actuators as `joints`.
+    /// Checks the numbers; there are as many actuators as `joints`.
     pub(super) fn check(&self, joints: usize) -> Result<(), IdentifyError> {
         let Self::Stated(sigmas) = self else { return Ok(()) };
         let field = "machine_noise";
@@ -84,7 +84,7 @@ impl MachineNoiseChoice {
 }
 
 impl MachineNoise {
-    /// Covariance of a target's place, m², whose derivative by every actuator is `motions`, in the axes of those.
+    /// Covariance of the position of a target, m², in the axes of `motions`, its derivatives by every actuator.
     pub fn covariance(&self, motions: &[Vector3<f64>]) -> Matrix3<f64> {
         let isotropic = Matrix3::identity() * self.position * self.position;
         motions.iter().zip(&self.actuators).fold(isotropic, |sum, (motion, sigma)| {
@@ -98,7 +98,7 @@ impl MachineNoise {
     }
 }
 
-/// How an actuator moves a target: the nominal robot, ideal and rigid, which is near enough for the size of an error.
+/// How actuators move a target, for the ideal and rigid nominal robot, which is accurate enough for the size of an error.
 #[derive(Debug, Clone)]
 pub(super) struct ActuatorMotions {
     model: CalibrationModel,
@@ -116,7 +116,7 @@ impl ActuatorMotions {
             joints
         };
         let still = at(&vec![0.0; count]);
-        // Ideal maps are linear: a step of one is the derivative.
+        // Ideal maps are linear: a step of one gives the derivative.
         let by = |actuator: usize| {
             let mut command = vec![0.0; count];
             command[actuator] = 1.0;
@@ -129,7 +129,7 @@ impl ActuatorMotions {
         }
     }
 
-    /// How every actuator turns the flange, rotation vectors in the base frame, rad/m or rad/rad.
+    /// How every actuator turns the flange: rotation vectors in the base frame, rad/m or rad/rad.
     pub fn turns(&mut self, command: &[f64]) -> Vec<Vector3<f64>> {
         let mut joints = vec![0.0; self.joints.len()];
         self.model.actuators.joints_from_command(command, &mut joints);
@@ -167,19 +167,20 @@ impl ActuatorMotions {
 /// The noise of a fit.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Noise {
-    /// Of readings that state none, m.
+    /// Noise of readings that state none, m.
     pub unstated: Option<f64>,
-    /// Of readings that state theirs, over what they state; `None` where it was not looked for.
+    /// Noise of the other readings over what they state; `None` where it was not looked for.
     pub scale: Option<f64>,
     pub machine: Option<MachineNoise>,
-    /// Of every orientation about each axis beside what its reading states, rad.
+    /// Noise of every orientation about each axis beside what its reading states, rad.
     pub turn: Option<f64>,
-    /// Of Student's distribution; `None` where nothing was estimated.
+    /// Degrees of freedom of Student's distribution; `None` where nothing was estimated.
     pub freedom: Option<f64>,
 }
 
 impl Noise {
-    /// What [`find`] found, in its order; `None` where it found nothing of what is `unknown`. Readings state noise of the size `stated`, m.
+    /// The variances that [`find`] found, in its order; `None` where it found nothing of what is `unknown`. Readings state noise of the size
+    /// `stated`, m.
     fn variances(&self, unknown: Unknown, stated: f64) -> Option<Vec<f64>> {
         let mut variances = Vec::new();
         if unknown.readings {
@@ -200,7 +201,7 @@ impl Noise {
     }
 }
 
-/// The observations of every pose, in the order of the poses' first. With another payload the machine has moved in between.
+/// The observations of every pose, in the order of each pose's first one. With another payload the machine has moved in between.
 pub(super) fn poses(set: &MeasurementSet) -> Vec<Vec<usize>> {
     let mut places = std::collections::HashMap::new();
     let mut poses: Vec<Vec<usize>> = Vec::new();
@@ -215,21 +216,21 @@ pub(super) fn poses(set: &MeasurementSet) -> Vec<Vec<usize>> {
     poses
 }
 
-/// What of the noise is to be found with the fit.
+/// The parts of the noise that are to be found with the fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(clippy::struct_excessive_bools, reason = "any of the four can be unknown")]
 pub(super) struct Unknown {
-    /// Of readings that state none.
+    /// Noise of readings that state none.
     pub readings: bool,
-    /// Of readings beside what they state: where several of a pose tell it from the machine's.
+    /// Noise of readings beside what they state, where several per pose separate it from the machine's noise.
     pub scale: bool,
     pub machine: bool,
-    /// Of orientations, beside what their readings state.
+    /// Noise of orientations beside what their readings state.
     pub turn: bool,
 }
 
 impl Unknown {
-    /// Of a set under some options, before anything is fitted.
+    /// The unknown parts for a set under some options, before anything is fitted.
     pub fn of(problem: &CalibrationProblem, options: &IdentificationOptions) -> Self {
         let unstated = problem.rows.iter().filter(|row| row.reading.is_none()).count();
         let several = problem.poses.iter().any(|pose| pose.len() > 1);
@@ -247,8 +248,8 @@ impl Unknown {
         if unknown.machine { unknown.with_machine(problem) } else { unknown }
     }
 
-    /// The same with the machine's: what it does beside its model turns the flange as well, and what readings of one pose are off beside each
-    /// other it did not do.
+    /// Adds the machine's noise, and with it the noise of orientations, since the machine also turns the flange, and of readings, since what readings
+    /// of one pose differ by is not the machine's.
     pub fn with_machine(self, problem: &CalibrationProblem) -> Self {
         let states = |i: &&usize| problem.rows[**i].reading.is_some();
         let scale = problem.poses.iter().any(|pose| pose.iter().filter(states).count() > 1);
@@ -259,23 +260,23 @@ impl Unknown {
         self.readings || self.machine || self.turn
     }
 
-    /// How many variances: of the readings, of the flange's place, of every actuator, and of orientations.
+    /// Number of variances: of the readings, of the flange's position, of every actuator, and of orientations.
     fn components(self, problem: &CalibrationProblem) -> usize {
         let actuators = problem.motions.first().map_or(0, Vec::len);
         self.of_machine() + if self.machine { 1 + actuators } else { 0 } + usize::from(self.turn)
     }
 
-    /// The first variance of the machine: those of the readings come before.
+    /// Index of the machine's first variance: those of the readings come before.
     fn of_machine(self) -> usize {
         usize::from(self.readings) + usize::from(self.scale)
     }
 
-    /// Places of the machine's variances.
+    /// Indices of the machine's variances.
     pub fn machine_components(self, problem: &CalibrationProblem) -> Range<usize> {
         self.of_machine()..self.components(problem) - usize::from(self.turn)
     }
 
-    /// What of a noise was found.
+    /// The parts of a noise that were found.
     pub fn found(noise: &Noise) -> Self {
         Self {
             readings: noise.unstated.is_some(),
@@ -291,8 +292,8 @@ pub(super) fn is_doubted(chi2: f64, freedom: f64) -> bool {
     freedom >= LEAST_FREEDOM && chi2_survival(chi2, freedom) < DOUBTED
 }
 
-/// Finds what is `unknown` of the noise with the fit, by turns: the variances that explain the residuals of a fit, and the fit that they
-/// weigh.
+/// Finds what is `unknown` of the noise with the fit, alternating between the variances that explain the residuals of a fit and the fit that is
+/// weighed with them.
 pub(super) fn find(
     problem: &mut CalibrationProblem,
     mut solution: Solution,
@@ -322,7 +323,7 @@ pub(super) fn find(
     Ok(solution)
 }
 
-/// Whether a fit leaves no degree of freedom to tell the noise of the readings from.
+/// Whether a fit leaves no degree of freedom from which to determine the noise of the readings.
 pub(super) fn is_without_freedom(
     problem: &CalibrationProblem,
     solution: &Solution,
@@ -333,7 +334,7 @@ pub(super) fn is_without_freedom(
     unknown.readings && !unknown.machine && freedom() < LEAST_FREEDOM
 }
 
-/// Whether the variance that blocks have on the whole stands still.
+/// Whether the total variance of the blocks has converged.
 fn is_settled(before: &[f64], now: &[f64], system: &System) -> bool {
     let units = system.mean_squares();
     let total: f64 = now.iter().zip(&units).map(|(v, u)| v * u).sum();
@@ -355,10 +356,10 @@ fn named(found: &Components, unknown: Unknown, stated: f64) -> Noise {
     Noise { unstated, scale, machine, turn, freedom: Some(found.freedom) }
 }
 
-/// Observations with a smaller weight are no sign of the noise.
+/// Observations with a smaller weight are not used to determine the noise.
 const REJECTED: f64 = 0.5;
 
-/// The system at a solution, in metres, with the shapes of what is unknown; rotations are multiplied by the length that comes with it.
+/// The system at a solution, in metres, with the shapes of the unknown parts; rotations are multiplied by the length that is returned.
 pub(super) fn system(
     problem: &mut CalibrationProblem,
     solution: &Solution,
@@ -366,7 +367,7 @@ pub(super) fn system(
 ) -> (System, f64) {
     let (mut residuals, mut jacobian) = problem.metres(solution);
     if problem.shared.ncols() > 0 {
-        // Integrated out with the parameters, they are part of what is known of the noise.
+        // They are integrated out with the parameters, and belong to the known part of the noise.
         with_errors(&problem.shared, &mut residuals, &mut jacobian);
     }
     let lever = problem.lever(&residuals);
@@ -471,7 +472,7 @@ impl CalibrationProblem {
         self.weigh_shared()
     }
 
-    /// Weighs the observations as if none stated its noise: alike in all directions, and each by itself; orientations so that they count as much
+    /// Weighs the observations as if none stated its noise: the same in all directions, and independently; orientations are weighed to count as much
     /// as positions in the `residuals` (m and rad).
     pub(super) fn weigh_alike(&mut self, residuals: &nalgebra::DVector<f64>) {
         self.weigh_turns_alike(UNSTATED_SIGMA / self.lever(residuals));
@@ -518,7 +519,7 @@ impl CalibrationProblem {
             .sqrt()
     }
 
-    /// What an observation does not share with the others of its pose, m².
+    /// The part of an observation's covariance that it does not share with the others of its pose, m².
     fn own_covariance(&self, index: usize) -> Matrix3<f64> {
         let sigma = self.noise.unstated.filter(|sigma| *sigma > 0.0).unwrap_or(UNSTATED_SIGMA);
         let unstated = || Matrix3::identity() * (sigma * sigma + self.unmodelled * self.unmodelled);
@@ -526,21 +527,21 @@ impl CalibrationProblem {
         self.rows[index].reading.map_or_else(unstated, |stated| stated * scale * scale)
     }
 
-    /// What the options state of the machine.
+    /// The machine's noise that the options state.
     pub(super) fn stated_machine(&self) -> Vec<MachineNoise> {
         let position = self.unmodelled;
         let isotropic = MachineNoise { position, actuators: Vec::new(), freedom: None };
         (position > 0.0).then_some(isotropic).into_iter().chain(self.stated_actuators.clone()).collect()
     }
 
-    /// What blocks of one pose share, m² (of orientations rad²); `None` where they share nothing.
+    /// The covariance that blocks of one pose share, m² (rad² for orientations); `None` where they share none.
     pub(super) fn common_covariance(&self, blocks: &[usize]) -> Option<DMatrix<f64>> {
         let found = self.noise.machine.iter().filter(|machine| !machine.is_none());
         let parts = self.stated_actuators.iter().chain(found).map(|machine| self.common(blocks, machine));
         parts.reduce(|sum, part| sum + part)
     }
 
-    /// What some noise of the machine gives blocks of one pose, in the trackers' axes, m² (of orientations rad²).
+    /// The covariance that some machine noise gives to blocks of one pose, in the trackers' axes, m² (rad² for orientations).
     fn common(&self, blocks: &[usize], machine: &MachineNoise) -> DMatrix<f64> {
         let size = 3 * blocks.len();
         let mut spread = DMatrix::zeros(size, 3 + machine.actuators.len());
@@ -552,8 +553,8 @@ impl CalibrationProblem {
         &spread * spread.transpose()
     }
 
-    /// How blocks of one pose move, in the trackers' axes, with the flange along each axis, and then by as many actuators as there are columns
-    /// left. Orientations turn with the actuators alone.
+    /// How blocks of one pose move, in the trackers' axes: with the flange along each axis, and then with as many actuators as there are columns
+    /// left. Orientations turn with the actuators only.
     fn fill_motions(&self, blocks: &[usize], mut shapes: DMatrixViewMut<'_, f64>) {
         for (k, block) in blocks.iter().enumerate() {
             let (observation, turn) = self.owner(*block);
@@ -582,8 +583,8 @@ impl CalibrationProblem {
         }
     }
 
-    /// Where a solution of least squares would be in the noise that is stated, to first order from where it is; the problem is weighed with that
-    /// noise from now on. `None` where the system is singular.
+    /// The solution of least squares in the stated noise, to first order from the given solution; the problem is weighed with that noise from now
+    /// on. `None` where the system is singular.
     pub(super) fn in_stated_noise(&mut self, solution: &Solution) -> Result<Option<Solution>, IdentifyError> {
         let (mut residuals, mut jacobian) = self.metres(solution);
         self.weigh(&Noise::default())?;

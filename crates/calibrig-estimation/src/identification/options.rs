@@ -1,49 +1,49 @@
-//! What to fit, and how.
+//! Options of an identification: what to fit, and how.
 
 use super::{IdentifyError, Loss, LossScale, MachineNoiseChoice, Mode, ParameterBound, SolverOptions};
 use calibrig_model::measurement::{MeasurementSet, Station, Target, TargetOrientation};
 use calibrig_model::{BodyUncertainty, Compliance, FAMILIES, ParameterId, Unit};
 use serde::{Deserialize, Serialize};
 
-/// What is known of the tracker's place.
+/// How the tracker's place is determined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum FrameChoice {
-    /// What the set says of each station: [`Nests`](Self::Nests) where at least three were measured, else [`Sweeps`](Self::Sweeps) where it
-    /// has some, else [`Free`](Self::Free).
+    /// As the set has it for each station: [`Nests`](Self::Nests) where at least three were measured, else [`Sweeps`](Self::Sweeps) where
+    /// there are some, else [`Free`](Self::Free).
     #[default]
     AsStated,
     /// The base nests place the tracker: their readings tie it to the first links.
     Nests,
     /// [Sweeps](crate::circle_points) of two of the robot's axes place the tracker; their uncertainty is a prior in the fit.
     Sweeps,
-    /// Nothing: six free parameters a station.
+    /// Nothing is known beforehand: six free parameters per station.
     Free,
-    /// The nests' result is taken as exact.
+    /// The place that the nests give is taken as exact.
     Fixed,
 }
 
-/// Whether a station has nests enough to be placed by them.
+/// Whether a station has enough nests to be placed by them.
 pub(super) fn is_placed(station: &Station) -> bool {
     station.distinct_nests().len() >= 3
 }
 
-/// What is known of the target's offset. How a target with axes is turned on the flange is a prior where an uncertainty of it is stated, else
-/// identified; with [`Identified`](Self::Identified) and [`Fixed`](Self::Fixed) as they say.
+/// What is known of the target's offset. How a target with axes is turned on the flange has a prior where its uncertainty is stated, and is
+/// identified otherwise; [`Identified`](Self::Identified) and [`Fixed`](Self::Fixed) apply to it as to the offset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum TargetChoice {
-    /// What the set says of each target: [`Measured`](Self::Measured) where it states an uncertainty, else [`Identified`](Self::Identified).
+    /// As the set has it for each target: [`Measured`](Self::Measured) where an uncertainty is stated, else [`Identified`](Self::Identified).
     #[default]
     AsStated,
-    /// It was measured; its uncertainty is a prior in the fit.
+    /// The offset was measured; its uncertainty is a prior in the fit.
     Measured,
-    /// Nothing: three free parameters a target.
+    /// Nothing is known: three free parameters per target.
     Identified,
     /// The stated value is taken as exact.
     Fixed,
 }
 
 impl FrameChoice {
-    /// The choice for one station.
+    /// The choice that applies to one station.
     pub(super) fn of(self, station: &Station) -> Self {
         match self {
             Self::AsStated if is_placed(station) => Self::Nests,
@@ -55,7 +55,7 @@ impl FrameChoice {
 }
 
 impl TargetChoice {
-    /// The choice for one target.
+    /// The choice that applies to one target.
     pub(super) fn of(self, target: &Target) -> Self {
         match self {
             Self::AsStated if target.covariance.is_some() => Self::Measured,
@@ -64,7 +64,7 @@ impl TargetChoice {
         }
     }
 
-    /// The choice for how one target is turned on the flange: an offset can have been measured without it.
+    /// The choice that applies to how one target is turned on the flange, which can be unknown where the offset was measured.
     pub(super) fn of_orientation(self, orientation: &TargetOrientation) -> Self {
         match self {
             Self::AsStated | Self::Measured if orientation.covariance.is_some() => Self::Measured,
@@ -74,58 +74,58 @@ impl TargetChoice {
     }
 }
 
-/// What of a set ties the robot's ends: without it, only what does not depend on them can be told.
+/// Whether anything in a set ties the ends of the robot's chain. If not, only what does not depend on them can be determined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Freedom {
-    /// No station is placed by anything but the measurements of the robot.
+    /// No station is placed by anything other than the measurements of the robot.
     pub frame: bool,
     /// No target's offset is known.
     pub target: bool,
-    /// Of targets that are seen with their orientation, that of none is known how it is turned on the flange; `None` where all are points.
+    /// Whether it is unknown of every target that is seen with its orientation how it is turned on the flange; `None` where all targets are points.
     pub orientation: Option<bool>,
 }
 
-/// What becomes of the errors that an instrument's readings share.
+/// How errors that an instrument's readings share are handled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum InstrumentChoice {
-    /// Those that the set states of a station's instrument are identified, with what is stated as a prior.
+    /// The errors that the set states for a station's instrument are identified, with the stated values as a prior.
     #[default]
     AsStated,
-    /// There are none: every reading errs by itself.
+    /// There are no shared errors: the errors of all readings are independent.
     Ignored,
 }
 
 /// Which link parameters are identified.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ParameterChoice {
-    /// What the published rules on neighbouring axes leave (24 for the spray-painting robot).
+    /// Those that the published rules on neighbouring axes keep (24 for the spray-painting robot).
     NeighbourAxisRules,
-    /// A complete independent set of all five parameters a link, found by rank.
+    /// A complete independent set out of all five parameters per link, found by rank.
     Complete,
-    /// These.
+    /// Exactly these.
     Listed(Vec<ParameterId>),
 }
 
 /// Which compliances are identified in the coupled modes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ComplianceChoice {
-    /// Of the drives and the four-bar's rod, as far as they yield and gravity loads them.
+    /// Those of the drives and the four-bar's rod, where they yield and gravity loads them.
     Drives,
-    /// Of drives, bearings, beams and rod, as far as they yield and gravity loads them.
+    /// Those of drives, bearings, beams and rod, where they yield and gravity loads them.
     All,
-    /// These, also where gravity does not load them.
+    /// Exactly these, also where gravity does not load them.
     Listed(Vec<Compliance>),
 }
 
-/// What becomes of a parameter that the measurements cannot tell from others.
+/// What is done with a parameter that the measurements cannot separate from others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Redundancy {
     /// It stays at its nominal value and is no parameter of the fit.
     Fix,
-    /// Where it has a prior, that holds it; otherwise the system has no full rank, as with [`Keep`](Self::Keep).
+    /// It is fitted and held by its prior, if it has one; otherwise the system is rank-deficient, as with [`Keep`](Self::Keep).
     #[default]
     Prior,
-    /// It stays, and the system is judged by what the measurements alone tell of it.
+    /// It is fitted, and the system is judged by what the measurements alone determine.
     Keep,
 }
 
@@ -143,11 +143,10 @@ impl Redundancy {
     }
 }
 
-/// The key that adds the lengths of the four-bar to the extended mode; the other families are
-/// [`FAMILIES`](calibrig_model::FAMILIES).
+/// The key that adds the lengths of the four-bar to the extended mode; the other families are in [`FAMILIES`](calibrig_model::FAMILIES).
 pub const LINKAGE: &str = "linkage";
 
-/// Another prior than a family's own.
+/// A prior in place of a family's own.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TermPrior {
     /// Key of the family.
@@ -158,78 +157,80 @@ pub struct TermPrior {
     pub angle: Option<f64>,
 }
 
-/// Standard deviation of a zero-mean normal prior on the link parameters' deviations: how well the robot was made. It holds directions
+/// Standard deviation of a zero-mean normal prior on the link parameters' deviations: how well the robot was made. It keeps directions
 /// that the measurements hardly show at values that a machine can have; rank and weak directions are those of the data without it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Tolerance {
-    /// Of lengths, m.
+    /// Standard deviation of lengths, m.
     pub length: f64,
-    /// Of angles, rad.
+    /// Standard deviation of angles, rad.
     pub angle: f64,
 }
 
-/// What to fit, and how.
+/// Options of an identification: what to fit, and how.
 #[derive(Debug, Clone, PartialEq)]
 pub struct IdentificationOptions {
-    /// Which model.
+    /// Which model is fitted.
     pub mode: Mode,
-    /// Link parameters.
+    /// Link parameters that are identified.
     pub parameters: ParameterChoice,
-    /// Link parameters of the extended mode.
+    /// Link parameters that are identified in the extended mode.
     pub extended_parameters: ParameterChoice,
-    /// Parameters that stay at their nominal, stated or predicted values, whatever else asks for them. None of the tracker's place.
+    /// Parameters that stay at their nominal, stated or predicted values, whatever other options ask for. Those of the tracker's place cannot be
+    /// listed.
     pub fix: Vec<ParameterId>,
-    /// Parameters that are fitted whatever else leaves them out: of link parameters that cannot be told from each other these are taken, a
-    /// compliance also where gravity does not load it, a coordinate of a target without the prior of what was measured of it.
+    /// Parameters that are fitted even where other options leave them out: among link parameters that cannot be separated, these are chosen;
+    /// a compliance is fitted also where gravity does not load it; a coordinate of a target is fitted without the prior of its measurement.
     pub free: Vec<ParameterId>,
-    /// Compliances of the coupled modes.
+    /// Compliances that are identified in the coupled modes.
     pub compliances: ComplianceChoice,
     /// Standard deviation of the prior on the relative deviation of a compliance from its predicted value.
     pub compliance_sigma: f64,
-    /// Whether nothing is known of the stiffnesses: in place of `compliance_sigma`, a prior on the logarithm of every compliance over its
-    /// predicted one, with [`UNKNOWN_STIFFNESS`] as its standard deviation.
+    /// Whether nothing is known of the stiffnesses. Then a prior on the logarithm of every compliance over its predicted value, with the
+    /// standard deviation [`UNKNOWN_STIFFNESS`], takes the place of `compliance_sigma`.
     pub stiffness_unknown: bool,
-    /// How well the bodies' masses and centres are known, one entry a link; none where they are taken as exact. In the coupled modes those
-    /// that the measurements feel are parameters of the fit, with these priors, so that what is told of the compliances contains them.
+    /// How well the bodies' masses and centres are known, one entry per link; empty where they are taken as exact. In the coupled modes, those
+    /// to which the measurements are sensitive are fitted with these priors, so that the standard deviations of the compliances contain them.
     pub bodies: Vec<BodyUncertainty>,
     /// Links whose mass is identified in the coupled modes, by index.
     pub masses: Vec<usize>,
     /// Standard deviation of the prior on the relative deviation of a mass.
     pub mass_sigma: f64,
-    /// Families of terms of the extended mode by their keys, [`LINKAGE`] among them; `None` for all that the robot can have but those that
-    /// are fitted [on request](calibrig_model::TermFamily::is_on_request).
+    /// Keys of the families of terms in the extended mode, which may include [`LINKAGE`]; `None` for all that the robot can have except those
+    /// that are fitted [on request](calibrig_model::TermFamily::is_on_request).
     pub terms: Option<Vec<String>>,
-    /// Where the families' own priors do not hold.
+    /// Priors that replace the families' own.
     pub term_priors: Vec<TermPrior>,
-    /// What becomes of redundant parameters.
+    /// What is done with redundant parameters.
     pub redundant: Redundancy,
-    /// The tracker's place.
+    /// How the tracker's place is determined.
     pub frame: FrameChoice,
-    /// The target's offset.
+    /// What is known of the targets' offsets.
     pub target: TargetChoice,
-    /// Errors that the readings of an instrument share.
+    /// How errors that an instrument's readings share are handled.
     pub instrument: InstrumentChoice,
-    /// Standard deviation of what the model leaves out, per axis, m; added to the readings' covariance. A stated choice, of places: what
-    /// orientations scatter by beside their readings is found where the residuals ask for it.
+    /// Standard deviation of what the model leaves out, per axis, m; added to the readings' covariance. It is chosen by the user and applies to
+    /// positions; the additional scatter of orientations is found where the residuals ask for it.
     pub unmodelled_sigma: f64,
-    /// What the machine does beside its model, pose by pose.
+    /// Treatment of the machine's errors of single poses, which the model does not contain.
     pub machine_noise: MachineNoiseChoice,
-    /// A prior on every link parameter, where stated.
+    /// Prior on every link parameter, if stated.
     pub tolerance: Option<Tolerance>,
-    /// Limits of single parameters; each holds in the modes that have the parameter.
+    /// Bounds of single parameters; each applies in the modes that have the parameter.
     pub bounds: Vec<ParameterBound>,
     /// What the solver minimises, and when it stops.
     pub solver: SolverOptions,
 }
 
-/// Standard deviation of the logarithm of a compliance over its predicted one where nothing is known of it: a factor of 100.
+/// Standard deviation of the logarithm of a compliance over its predicted value where nothing is known of it: a factor of 100.
 pub const UNKNOWN_STIFFNESS: f64 = 4.605_170_185_988_092;
 
-/// How well a robot's links are taken to be made where nobody says: 10 mm and 20 mrad, far more than a workshop leaves.
+/// How well a robot's links are assumed to be made where nothing is stated: 10 mm and 20 mrad, far more than a workshop leaves.
 pub const DEFAULT_TOLERANCE: Tolerance = Tolerance { length: 10e-3, angle: 20e-3 };
 
-/// What holds for any robot and any set: a complete independent set of link parameters with a prior of the making's [tolerance](DEFAULT_TOLERANCE),
-/// tracker and target as far as the set states them. [`Estimate::assumptions`](super::Estimate::assumptions) tells what came of it.
+/// Defaults for any robot and any set: a complete independent set of link parameters with the manufacturing tolerance [`DEFAULT_TOLERANCE`] as a
+/// prior; tracker and target as far as the set states them. [`Estimate::assumptions`](super::Estimate::assumptions) lists what was assumed as a
+/// result.
 impl Default for IdentificationOptions {
     fn default() -> Self {
         Self {
@@ -244,8 +245,8 @@ impl Default for IdentificationOptions {
 }
 
 impl IdentificationOptions {
-    /// As the publication identifies (Y. Wang et al., Machines 11 (2023) 20): what the rules on neighbouring axes keep, without a prior; the
-    /// tracker placed by its nests, the target measured.
+    /// The options of the publication (Y. Wang et al., Machines 11 (2023) 20): the parameters that the rules on neighbouring axes keep, without a
+    /// prior; the tracker placed by its nests, the target measured.
     pub fn published() -> Self {
         Self {
             mode: Mode::OnlyCalibration,
@@ -259,7 +260,7 @@ impl IdentificationOptions {
             stiffness_unknown: false,
             bodies: Vec::new(),
             masses: Vec::new(),
-            // A weighed or computed mass.
+            // Masses are weighed or computed.
             mass_sigma: 0.02,
             terms: None,
             term_priors: Vec::new(),
@@ -275,7 +276,7 @@ impl IdentificationOptions {
         }
     }
 
-    /// Whether the numbers that hold in every mode can be; those of priors are looked at where a mode has them.
+    /// Checks the numbers that apply in every mode; those of priors are checked where a mode uses them.
     pub(super) fn check(&self) -> Result<(), IdentifyError> {
         let SolverOptions { loss, loss_scale, relative_decrease, absolute_decrease, gradient, .. } =
             self.solver;
@@ -310,7 +311,7 @@ impl IdentificationOptions {
         Ok(())
     }
 
-    /// What of these stations and targets ties the robot's ends under these options.
+    /// Which of the robot's ends these stations and targets leave free under these options.
     pub(super) fn freedom(&self, stations: &[Station], targets: &[Target]) -> Freedom {
         let free = |station: &Station| self.frame.of(station) == FrameChoice::Free;
         let identified = |target: &Target| self.target.of(target) == TargetChoice::Identified;
@@ -323,13 +324,13 @@ impl IdentificationOptions {
         }
     }
 
-    /// The same of a set, of whose targets only readings tell whether their orientation is seen.
+    /// Like [`freedom`](Self::freedom), for a set: only its readings show whether the orientation of a target is seen.
     pub(super) fn freedom_in(&self, set: &MeasurementSet) -> Freedom {
         let free = self.freedom(&set.stations, &set.targets);
         Freedom { orientation: free.orientation.filter(|_| set.has_poses()), ..free }
     }
 
-    /// Coordinates that are fixed by name in target 0, and so in all that have no target of their own by name.
+    /// Coordinates that are fixed by name for target 0, and so for every target that is not named itself.
     pub(super) fn fixed_of_all_targets(&self) -> Vec<ParameterId> {
         let axes = ParameterId::all_of_target(0).into_iter().chain(ParameterId::all_of_orientation(0));
         axes.filter(|id| self.fix.contains(id)).collect()
@@ -340,13 +341,13 @@ impl IdentificationOptions {
         !self.fix.contains(&id) && (self.target != TargetChoice::Fixed || self.free.contains(&id))
     }
 
-    /// Whether a family of terms is switched on.
+    /// Whether a family of terms is fitted.
     pub(super) fn has_terms(&self, family: &str) -> bool {
         let is_on_request = || FAMILIES.iter().any(|known| known.key() == family && known.is_on_request());
         self.terms.as_ref().map_or_else(|| !is_on_request(), |keys| keys.iter().any(|key| key == family))
     }
 
-    /// Standard deviation of a family's amplitudes, m or rad, where it is not the family's own.
+    /// Standard deviation of a family's amplitudes, m or rad, where it replaces the family's own.
     pub(super) fn term_sigma(&self, family: &str, unit: Unit) -> Option<f64> {
         self.term_priors.iter().filter(|prior| prior.family == family).find_map(|prior| match unit {
             Unit::Metre => prior.length,

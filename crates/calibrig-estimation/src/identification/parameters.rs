@@ -1,4 +1,4 @@
-//! The parameters of a mode, and what is known of each beforehand.
+//! The parameters of a mode, and the prior knowledge of each.
 
 use super::instrument::parameters_of;
 use super::options::{Freedom, InstrumentChoice};
@@ -16,22 +16,22 @@ use calibrig_model::{
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Column {
     pub id: ParameterId,
-    /// Standard deviation of its zero-mean prior, SI.
+    /// Standard deviation of the parameter's zero-mean prior, SI.
     pub sigma: Option<f64>,
-    /// Whether the user named it, so that it stays where the measurements do not show it.
+    /// Whether the user named it, so that it is kept where the measurements do not show it.
     pub named: bool,
-    /// What the prior is on.
+    /// Quantity to which the prior applies.
     pub prior: PriorKind,
 }
 
-/// What a parameter's own prior is on.
+/// Quantity to which a parameter's own prior applies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum PriorKind {
     /// The parameter.
     Own,
-    /// The logarithm of one and the parameter.
+    /// The logarithm of one plus the parameter.
     Logarithm,
-    /// The parameter, as it was stated of the robot: it counts with nests and targets.
+    /// The parameter, where it was stated for the robot: the prior counts with nests and targets.
     Stated,
 }
 
@@ -40,7 +40,7 @@ impl Column {
         Self { id, sigma, named, prior: PriorKind::Own }
     }
 
-    /// How far its prior lets the parameter go: one standard deviation.
+    /// How far the prior lets the parameter go: one standard deviation.
     pub fn reach(&self) -> f64 {
         match (self.sigma, self.prior) {
             (Some(sigma), PriorKind::Logarithm) => sigma.exp_m1(),
@@ -49,16 +49,16 @@ impl Column {
     }
 }
 
-/// The robot's parameters, and what of frame and target cannot be told beside each other.
+/// The robot's parameters, and the parts of frame and target that cannot be determined beside each other.
 #[derive(Debug, Clone)]
 pub(super) struct Columns {
-    /// In their order.
+    /// The robot's parameters in the order of their columns.
     pub robot: Vec<Column>,
     /// Components of a free station's frame (of station 0) and of an unknown target (0) that the structure of the chain makes redundant.
     pub redundant_ends: Vec<DependentGroup>,
 }
 
-/// How far the four-bar's lengths and the crank's axis are from their drawing, where the options do not say, m and rad.
+/// Standard deviation of the four-bar's lengths and of the crank's axis from their drawing, where the options state none, m and rad.
 const LINKAGE_SIGMA: f64 = 1e-3;
 
 /// The robot's parameters in the order of their columns: links, compliances, masses, linkage, terms.
@@ -81,7 +81,7 @@ pub(super) fn columns(
     Ok(Columns { robot: columns, redundant_ends })
 }
 
-/// All parameters that a fit with these options can have, before the measurements tell which of them gravity excites.
+/// All parameters that a fit with these options can have, before the measurements show which of them gravity excites.
 pub(super) fn candidate_parameters(
     model: &CalibrationModel,
     options: &IdentificationOptions,
@@ -221,7 +221,7 @@ fn masses(model: &CalibrationModel, options: &IdentificationOptions) -> Result<V
         .collect()
 }
 
-/// Masses and centres that are stated with an uncertainty, of the links whose mass is not [identified](masses).
+/// Masses and centres whose uncertainty is stated, for the links whose mass is not [identified](masses).
 fn bodies(model: &CalibrationModel, options: &IdentificationOptions) -> Result<Vec<Column>, IdentifyError> {
     let known = model.statics.as_ref().map_or(0, |statics| statics.bodies.len());
     if !options.bodies.is_empty() && options.bodies.len() != known {

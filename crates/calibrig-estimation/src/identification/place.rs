@@ -1,4 +1,4 @@
-//! Where stations and targets are before the fit, and what of both cannot be told.
+//! Places of stations and targets before the fit, and the parts of both that cannot be determined.
 
 use nalgebra::Vector3;
 
@@ -12,19 +12,19 @@ use calibrig_model::{CalibrationModel, ParameterId};
 /// Which components of free stations and unknown targets are parameters of the fit.
 #[derive(Debug, Clone)]
 pub(super) struct Ends {
-    /// Of every free station.
+    /// Components of every free station's frame that are parameters.
     pub frame_components: [bool; 6],
-    /// Of every target.
+    /// Coordinates of every target that are parameters.
     pub target_axes: Vec<[bool; 3]>,
-    /// Of how every target is turned on the flange.
+    /// Axes of every target's orientation that are parameters.
     pub orientation_axes: Vec<[bool; 3]>,
-    /// The others.
+    /// The components that are not parameters.
     pub fixed: Vec<DependentGroup>,
 }
 
 impl Ends {
-    /// `redundant` by the structure of the chain, of station and target 0. What a shift of the frame can do as well is left out of one target
-    /// of those that share stations; the others are relative to it.
+    /// `redundant` is the structural redundancy of the chain, for station and target 0. A shift that the frame can do as well is left out of one
+    /// target in each group that shares stations; the others are relative to it.
     pub fn new(set: &MeasurementSet, options: &IdentificationOptions, redundant: &[DependentGroup]) -> Self {
         let mut ends = Self {
             frame_components: [true; 6],
@@ -87,7 +87,7 @@ impl Ends {
     }
 }
 
-/// The same of another station and target.
+/// The same group for another station and target.
 fn of(group: &DependentGroup, station: usize, target: usize) -> DependentGroup {
     let id = |id: ParameterId| match id {
         ParameterId::Frame { component, .. } => ParameterId::Frame { station, component },
@@ -102,7 +102,7 @@ fn of(group: &DependentGroup, station: usize, target: usize) -> DependentGroup {
     }
 }
 
-/// Of all targets that the `looked` at observations are of and that stations tie to each other, the first, with a station that saw it.
+/// The first target of each group that stations tie together, among the observations that are `looked` at, with a station that saw it.
 fn firsts(set: &MeasurementSet, looked: impl Fn(&Observation) -> bool) -> Vec<(usize, usize)> {
     let observations: Vec<&Observation> = set.observations.iter().filter(|o| looked(o)).collect();
     let mut first: Vec<usize> = (0..set.targets.len()).collect();
@@ -110,7 +110,7 @@ fn firsts(set: &MeasurementSet, looked: impl Fn(&Observation) -> bool) -> Vec<(u
     for observation in &observations {
         seen_by[observation.target].get_or_insert(observation.station);
     }
-    // As many rounds as there are links in the longest row of targets.
+    // As many rounds as the longest chain of targets has links.
     for _ in 0..set.targets.len() {
         for station in 0..set.stations.len() {
             let targets = || observations.iter().filter(|o| o.station == station).map(|o| o.target);
@@ -124,7 +124,7 @@ fn firsts(set: &MeasurementSet, looked: impl Fn(&Observation) -> bool) -> Vec<(u
     seen_by.into_iter().enumerate().filter_map(of_first).collect()
 }
 
-/// `tracker_from_base` of every station that lays the nominal robot, ideal and rigid, with its targets at `offsets`, over the measurements.
+/// `tracker_from_base` of every station that fits the nominal robot, ideal and rigid, with its targets at `offsets`, to the measurements.
 pub(super) fn best_fit_stations(
     model: &CalibrationModel,
     set: &MeasurementSet,
@@ -142,14 +142,14 @@ pub(super) fn best_fit_station(
     let mut joints = vec![0.0; model.kinematics.joint_count()];
     let (mut seen, mut nominal) = (Vec::new(), Vec::new());
     for observation in set.observations.iter().filter(|o| o.station == station) {
-        // A four-bar that does not close is told where the pose is fitted.
+        // A four-bar that does not close is reported where the pose is fitted.
         let _ = nominal_joints(model, &observation.command, &mut joints);
         seen.push(observation.reading.position());
         nominal.push(target(&model.kinematics, &joints, &offsets[observation.target]));
     }
     let station = &set.stations[station];
     if seen.is_empty() && is_placed(station) {
-        // Nothing was measured from there but the nests.
+        // From this station only the nests were measured.
         return register(station)
             .map(|registration| registration.tracker_from_base)
             .map_err(|source| IdentifyError::Registration { station: station.name.clone(), source });
@@ -157,13 +157,13 @@ pub(super) fn best_fit_station(
     best_fit_transform(&seen, &nominal).ok_or(IdentifyError::BestFit)
 }
 
-/// A nominal target that moves by less than this share of what was seen tells nothing of the tracker's place: its offset is missing.
+/// A nominal target that moves by less than this share of the measured motion does not help to place the tracker: its offset is missing.
 const HARDLY_MOVES: f64 = 0.3;
 /// Rounds of placing stations and targets in turn.
 const ROUNDS: usize = 30;
 
-/// Offsets of the targets to start from, m: as stated, but where unknown ones (with any of the axes `told`) leave the nominal target nearly at
-/// rest while the measured one moves, as of a positioner with crossing axes. Then several trial offsets are improved, stations and targets in turn, and
+/// Initial offsets of the targets, m: as stated, unless unknown ones (with any of the axes `told`) leave the nominal target nearly at rest while
+/// the measured one moves, as on a positioner with intersecting axes. Then several trial offsets are improved, stations and targets in turn, and
 /// the one that fits best is taken.
 pub(super) fn starting_offsets(
     model: &CalibrationModel,
@@ -205,14 +205,14 @@ pub(super) fn flanges(model: &CalibrationModel, set: &MeasurementSet) -> Vec<Tra
     let mut joints = vec![0.0; model.kinematics.joint_count()];
     let flange = |command: &[f64]| {
         let _ = nominal_joints(model, command, &mut joints);
-        // Commands have been checked.
+        // Commands have been checked before.
         forward_kinematics(&model.kinematics, &joints).unwrap_or_else(|_| Transform::identity())
     };
     set.observations.iter().map(|o| o.command.as_slice()).map(flange).collect()
 }
 
 impl Flanges {
-    /// Root mean square distances of seen and nominal points from their middle, the widest of the stations.
+    /// Root mean square distances of measured and of nominal points from their mean, for the station where they are largest.
     fn spreads(&self, set: &MeasurementSet, offsets: &[Vector3<f64>]) -> (f64, f64) {
         let of = |station: usize| {
             let of_station =
@@ -228,7 +228,7 @@ impl Flanges {
         )
     }
 
-    /// Offsets from which stations and targets were placed in turn, and the sum of squares that they leave, m².
+    /// Offsets after stations and targets were placed in turn, and the remaining sum of squares, m².
     fn improved(
         &self,
         set: &MeasurementSet,

@@ -1,4 +1,4 @@
-//! The system that a fit would solve for measurements that are only planned, pose by pose, at the nominal robot or at another.
+//! The system that a fit would solve for planned measurements, pose by pose, at the nominal robot or another one.
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
 use rand::RngExt;
@@ -14,17 +14,17 @@ use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::statistics::normal_quantile;
 use calibrig_model::{CalibrationModel, ParameterId, PoseQuery, Unit};
 
-/// A relative deviation of a compliance or mass is drawn no lower: below -1 there is no robot.
+/// Least value of a drawn relative deviation of a compliance or mass; below -1 there is no physical robot.
 const LEAST_RELATIVE: f64 = -0.9;
 
 /// A planned system.
 #[derive(Debug, Clone)]
 pub(crate) struct PlannedSystem {
     problem: CalibrationProblem,
-    /// Where it is looked at.
+    /// Parameters at which the system is evaluated.
     x: Vec<f64>,
     sigmas: Vec<Option<f64>>,
-    /// Of every pose its number and its blocks of three data rows.
+    /// Number of every pose, and its blocks of three data rows.
     poses: Vec<(u32, Vec<usize>)>,
     beside: Vec<MachineNoise>,
     motions: ActuatorMotions,
@@ -33,25 +33,25 @@ pub(crate) struct PlannedSystem {
 /// The whitened rows of a planned system.
 #[derive(Debug, Clone)]
 pub(crate) struct PlannedRows {
-    /// Of every pose; they do not depend on each other.
+    /// Rows of every pose; those of different poses are independent.
     pub poses: Vec<DMatrix<f64>>,
-    /// What a displacement of the base along each of its axes does to these rows, 1/m; rows x 3.
+    /// Change of these rows per displacement of the base along each of its axes, 1/m; rows x 3.
     pub shifts: Vec<DMatrix<f64>>,
-    /// Of nests, targets and priors.
+    /// Rows of nests, targets and priors.
     pub priors: DMatrix<f64>,
 }
 
-/// Where a target is.
+/// Predicted position of a target.
 #[derive(Debug, Clone)]
 pub(crate) struct PlannedPlace {
-    /// Derivative of its place in the base frame by the parameters, 3 x n.
+    /// Derivative of the position in the base frame by the parameters, 3 x n.
     pub jacobian: DMatrix<f64>,
-    /// Covariance that the machine makes beside its model, m².
+    /// Covariance due to the machine's noise beside its model, m².
     pub of_machine: Matrix3<f64>,
 }
 
 impl PlannedSystem {
-    /// The system of `set` at the nominal robot; where `estimate` ended, and in the noise that it found, if there is one.
+    /// The system of `set` at the nominal robot; with an `estimate`, at its parameters and in the noise that it found.
     pub fn new(
         model: &CalibrationModel,
         set: &MeasurementSet,
@@ -98,8 +98,8 @@ impl PlannedSystem {
         self.poses.iter().map(|(number, _)| *number)
     }
 
-    /// A robot as it could have been made: deviations drawn from the parameters' own priors, of links without one from `tolerance`. Tracker and targets
-    /// are where they are.
+    /// Parameters of a robot as it could have been made: deviations drawn from the parameters' own priors, and from `tolerance` for links without
+    /// one. Tracker and targets stay where they are.
     pub fn drawn(&self, tolerance: Tolerance, rng: &mut impl RngExt) -> Vec<f64> {
         let mut x = self.x.clone();
         for ((value, id), sigma) in x.iter_mut().zip(&self.problem.parameters).zip(&self.sigmas) {
@@ -123,7 +123,7 @@ impl PlannedSystem {
         x
     }
 
-    /// The rows at the robot `x`; without one, where the system is looked at.
+    /// The rows at the parameters `x`; with `None`, at those of the system.
     pub fn rows(&mut self, x: Option<&[f64]>) -> Result<PlannedRows, IdentifyError> {
         let own = self.x.clone();
         let (_, jacobian) = start(&mut self.problem, x.unwrap_or(&own))?;
@@ -146,12 +146,12 @@ impl PlannedSystem {
         })
     }
 
-    /// Number of targets that it knows.
+    /// Number of targets of the system.
     pub fn targets(&self) -> usize {
         self.problem.targets.len()
     }
 
-    /// Where the robot `x` would have a target. The pose has as many numbers as the robot has joints, and its target is one of these.
+    /// Position of a target for the parameters `x`. The pose must have one number per joint of the robot, and its target must be one of the system's.
     pub fn place(&mut self, x: Option<&[f64]>, pose: &PoseQuery<'_>) -> Result<PlannedPlace, ElasticError> {
         let own = self.x.clone();
         self.problem.set(x.unwrap_or(&own));

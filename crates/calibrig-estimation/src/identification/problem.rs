@@ -14,7 +14,7 @@ use calibrig_model::geometry::{Transform, cross_matrix, small_displacement};
 use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, ParameterId};
 
-/// Readings whose own scatter says too little of their noise.
+/// Up to this many readings, their own scatter determines their noise too poorly.
 const FEW: usize = 6;
 
 /// One observation, ready for the fit.
@@ -22,17 +22,17 @@ const FEW: usize = 6;
 pub(super) struct PositionRow {
     /// Number of the pose.
     pub pose: u32,
-    /// What the robot was told.
+    /// What the robot was told to do.
     pub told: Prepared,
     /// Measured position in the tracker's frame, m.
     pub seen: Vector3<f64>,
     /// Covariance of the reading as stated, with what the options add to it, m².
     pub reading: Option<Matrix3<f64>>,
-    /// Inverse Cholesky factor of its covariance: turns a difference in metres into standard deviations.
+    /// Inverse Cholesky factor of the reading's covariance: turns a difference in metres into standard deviations.
     pub whitening: Matrix3<f64>,
-    /// Of every error of its instrument that is a parameter, and of its drift, the column and what a unit of it displaces, m in the tracker's axes.
+    /// Column of every error of its instrument, and of its drift, that is a parameter, with the displacement per unit, m in the tracker's axes.
     pub instrument: Vec<(usize, Vector3<f64>)>,
-    /// Since its station was placed by nests, h.
+    /// Time since its station was placed by nests, h.
     pub hours: f64,
     pub station: usize,
     pub target: usize,
@@ -43,67 +43,67 @@ pub(super) struct PositionRow {
 pub(super) struct Prior {
     /// Columns of its parameters.
     pub columns: Vec<usize>,
-    /// Triangular: the inverse Cholesky factor of their covariance, or the factor of the measurements that told it.
+    /// Triangular: the inverse Cholesky factor of the parameters' covariance, or the factor of the measurements that determine them.
     pub whitening: DMatrix<f64>,
-    /// One a row: zero, unless the prior's mean is not.
+    /// One number per row: zero, unless the prior has a mean other than zero.
     pub offset: DVector<f64>,
 }
 
-/// Observations, priors and the model that joins them. All memory is taken when it is made; [`evaluate`](LeastSquares::evaluate)
-/// takes none. Where the robot cannot take a pose, its residual is not a number.
+/// Observations, priors and the model that joins them. All memory is allocated when it is made; [`evaluate`](LeastSquares::evaluate)
+/// allocates none. Where the robot cannot take a pose, its residual is NaN.
 #[derive(Debug, Clone)]
 pub(super) struct CalibrationProblem {
     pub nominal: CalibrationModel,
     pub parameters: Vec<ParameterId>,
-    /// In blocks of three coordinates, the first rows of the system.
+    /// Positions, in blocks of three coordinates: the first rows of the system.
     pub rows: Vec<PositionRow>,
-    /// The next blocks of three rows: orientations, and of every observation which of them is its own.
+    /// Orientations: the next blocks of three rows. `turn_of` has the index of each observation's own.
     pub turns: Vec<TurnRow>,
     pub turn_of: Vec<Option<usize>>,
-    /// Behind the observations: nests and targets.
+    /// Priors of nests and targets: the rows after those of the observations.
     pub priors: Vec<Prior>,
-    /// Of the priors those that sweeps make, by their index, and the readings of these.
+    /// Indices of the priors that come from sweeps, with the readings of the sweeps.
     pub swept: Vec<(usize, Vec<PositionRow>)>,
-    /// Squares of what these readings are off by and no parameter changes, at the current parameters.
+    /// Sum of squares of the residuals of these readings that no parameter changes, at the current parameters.
     pub left_of_swept: f64,
-    /// The next rows: (column, one over the standard deviation) of parameters with a prior of their own that is not the links' tolerance.
+    /// The next rows: (column, one over the standard deviation) of parameters with a prior of their own, except the links' tolerance.
     pub own_priors: Vec<(usize, f64)>,
-    /// Columns whose own prior is on the logarithm of one and the parameter.
+    /// Columns whose own prior is on the logarithm of one plus the parameter.
     pub logarithmic: Vec<usize>,
-    /// The last rows: the same of the links' making tolerance.
+    /// The last rows: (column, one over the standard deviation) of the links' manufacturing tolerance.
     pub tolerances: Vec<(usize, f64)>,
-    /// `tracker_from_base` that the frame parameters displace.
+    /// `tracker_from_base` of each station, which the frame parameters displace.
     pub stations: Vec<Transform>,
-    /// Offsets that the target parameters change.
+    /// Offsets of the targets, which the target parameters change.
     pub targets: Vec<Vector3<f64>>,
-    /// `flange_from_target` that the orientation parameters change.
+    /// `flange_from_target`, which the orientation parameters change.
     pub orientations: Vec<Rotation3<f64>>,
-    /// The observations of every pose.
+    /// Observations of every pose, by index.
     pub poses: Vec<Vec<usize>>,
-    /// Of every observation, its target's derivatives by the actuators in the base frame; empty where no noise of actuators is looked at.
+    /// Derivatives of every observation's target by the actuators, in the base frame; empty where actuator noise is not considered.
     pub motions: Vec<Vec<Vector3<f64>>>,
-    /// The same of every orientation: how the actuators turn it.
+    /// Like [`motions`](Self::motions), for orientations: how the actuators turn each.
     pub turn_motions: Vec<Vec<Vector3<f64>>>,
-    /// Standard deviation of what the model leaves out, stated for every reading, m.
+    /// Stated standard deviation of what the model leaves out, for every reading, m.
     pub unmodelled: f64,
-    /// What the options state of the actuators.
+    /// Stated noise of the actuators.
     pub stated_actuators: Option<MachineNoise>,
-    /// What was found.
+    /// The noise that was found.
     pub noise: Noise,
-    /// Poses whose observations depend on each other, with the inverse Cholesky factor of their covariance, once each is whitened by itself.
+    /// Poses whose observations depend on each other, with the inverse Cholesky factor of their covariance after each is whitened on its own.
     pub joined: Vec<(Vec<usize>, DMatrix<f64>)>,
-    /// What takes orientations to standard deviations, pose by pose.
+    /// Whitening of the orientations, pose by pose.
     pub turn_whitening: Vec<TurnWhitening>,
-    /// Of errors that many readings share, what a unit of each displaces the data rows by, m and rad in the trackers' axes; data rows x errors.
+    /// Displacement of the data rows per unit of each error that many readings share, m and rad in the trackers' axes; data rows x errors.
     pub shared: DMatrix<f64>,
-    /// What makes rows independent that are whitened pose by pose; `None` where no errors are shared.
+    /// Whitening of the shared errors, applied to rows that are whitened pose by pose; `None` where no errors are shared.
     pub shared_whitening: Option<SharedWhitening>,
     pub current: Current,
-    /// What is known already, until it is asked for.
+    /// A known evaluation, kept until it is asked for.
     pub start: Option<Start>,
 }
 
-/// Residuals and Jacobian at some parameters.
+/// Residuals and Jacobian at given parameters.
 #[derive(Debug, Clone)]
 pub(super) struct Start {
     x: Vec<f64>,
@@ -117,12 +117,12 @@ pub(super) struct Current {
     pub model: CalibrationModel,
     pub stations: Vec<Transform>,
     pub targets: Vec<Vector3<f64>>,
-    /// `flange_from_target`, and how far each is displaced.
+    /// `flange_from_target`, and the displacement of each.
     pub orientations: Vec<Rotation3<f64>>,
     pub(super) turned: Vec<Vector3<f64>>,
     pub(super) displacements: Vec<Displacement>,
     amplitudes: Vec<f64>,
-    /// Errors of the instruments by the parameters' columns; empty where none is one.
+    /// Errors of the instruments by the parameters' columns; empty where none is a parameter.
     pub(super) errors: Vec<f64>,
     pub forward: ForwardModel,
 }
@@ -143,7 +143,7 @@ impl Displacement {
 }
 
 impl Current {
-    /// `forward` knows the terms, in the order of their parameters.
+    /// Makes the problem; `machine` knows the terms, in the order of their parameters.
     pub fn new(
         nominal: &CalibrationModel,
         forward: ForwardModel,
@@ -166,7 +166,7 @@ impl Current {
 }
 
 impl CalibrationProblem {
-    /// Puts the current model at `x`.
+    /// Sets the current model to the parameters `x`.
     pub fn set(&mut self, x: &[f64]) {
         let now = &mut self.current;
         now.targets.copy_from_slice(&self.targets);
@@ -207,7 +207,7 @@ impl CalibrationProblem {
         self.linearise_sweeps(x);
     }
 
-    /// Gives the priors that sweeps make what these say at `x`.
+    /// Linearises the sweeps at `x` and updates the priors that come from them.
     fn linearise_sweeps(&mut self, x: &[f64]) {
         self.left_of_swept = 0.0;
         for (prior, rows) in &self.swept {
@@ -221,7 +221,7 @@ impl CalibrationProblem {
                 };
                 at.fill(row, index, &mut residuals, Some(&mut jacobian));
             }
-            // A robot that cannot take a place of its sweeps says nothing new.
+            // Where the robot cannot take a pose of its sweeps, the prior stays as it is.
             if residuals.iter().all(|v| v.is_finite()) {
                 let (now, left) = condensed(&residuals, &jacobian, x);
                 self.priors[*prior] = now;
@@ -230,8 +230,8 @@ impl CalibrationProblem {
         }
     }
 
-    /// Keeps what an evaluation at `x` gave, for the next one there: the first rows of both are those of the observations, and the columns
-    /// those of the parameters.
+    /// Keeps an evaluation at `x` for the next one there. In both, the first rows are those of the observations, and the columns those of the
+    /// parameters.
     pub fn start_from(&mut self, x: &[f64], residuals: DVector<f64>, jacobian: DMatrix<f64>) {
         let m = self.rows();
         let mut residuals = residuals.resize_vertically(m, 0.0);
@@ -240,13 +240,13 @@ impl CalibrationProblem {
         self.start = Some(Start { x: x.to_vec(), residuals, jacobian });
     }
 
-    /// Takes rows of observations in metres and rad, in the trackers' axes, to the rows that the fit has.
+    /// Turns rows of observations in m and rad, in the trackers' axes, into the whitened rows of the fit.
     pub fn whiten(&self, residuals: &mut DVector<f64>, jacobian: &mut DMatrix<f64>) {
         self.whiten_apart(residuals, jacobian);
         self.whiten_shared(residuals, Some(jacobian));
     }
 
-    /// The same pose by pose, whatever poses share.
+    /// Like [`whiten`](Self::whiten), but pose by pose, without the errors that poses share.
     pub(super) fn whiten_apart(&self, residuals: &mut DVector<f64>, jacobian: &mut DMatrix<f64>) {
         for (i, row) in self.rows.iter().enumerate() {
             let own = row.whitening * residuals.fixed_rows::<3>(3 * i);
@@ -285,7 +285,7 @@ impl CalibrationProblem {
         ready.err().map(|error| (row.pose, error))
     }
 
-    /// Takes displacements of the observations' targets in the base frame, m, to standard deviations.
+    /// The map from displacements of the observations' targets in the base frame, m, to standard deviations.
     pub fn whitening(&self) -> Whitening {
         let of = |row: &PositionRow| row.whitening * self.current.stations[row.station].rotation.matrix();
         Whitening {
@@ -295,7 +295,7 @@ impl CalibrationProblem {
         }
     }
 
-    /// Makes the derivatives by the actuators ready, of the nominal robot with the given `targets`.
+    /// Prepares the derivatives by the actuators, for the nominal robot with the given `targets`.
     pub fn prepare_motions(&mut self, set: &MeasurementSet, targets: &[Vector3<f64>]) {
         let mut motions = ActuatorMotions::new(&self.nominal);
         let at = |index: usize| targets.get(index).copied().unwrap_or_default();
@@ -304,21 +304,21 @@ impl CalibrationProblem {
         self.turn_motions = turned.collect();
     }
 
-    /// The same with the targets of the parameters `x`.
+    /// Like [`prepare_motions`](Self::prepare_motions), with the targets that the parameters `x` give.
     pub fn prepare_motions_at(&mut self, set: &MeasurementSet, x: &[f64]) {
         self.set(x);
         let targets = self.current.targets.clone();
         self.prepare_motions(set, &targets);
     }
 
-    /// Rows of observations, nests and targets.
+    /// Number of rows of observations, nests and targets.
     pub fn measured_rows(&self) -> usize {
         let priors: usize = self.priors.iter().map(|p| p.whitening.nrows()).sum();
         self.data_rows() + priors
     }
 
-    /// Standard deviation of a parameter's prior by what was stated of it: of an instrument's error, a drift, a target or a body. What nests say of a
-    /// station is measured, and none of it.
+    /// Standard deviation of a parameter's prior from what was stated for it: an instrument's error, a drift, a target or a body. What nests show
+    /// of a station is a measurement and not included.
     pub fn stated_sigma(&self, column: usize) -> Option<f64> {
         let is_place = |own: &usize| matches!(self.parameters[*own], ParameterId::Frame { .. });
         let stated = self.priors.iter().filter(|prior| !prior.columns.iter().any(is_place));
@@ -339,8 +339,8 @@ impl CalibrationProblem {
         at.fill(&self.rows[index], index, residuals, jacobian);
     }
 
-    /// Readings that state no noise, among others that do, where they are too few to tell a gross error of theirs from noise: with the factor
-    /// that takes their rows from the noise that they were given to what the others have in the middle.
+    /// Readings that state no noise among others that do, where they are too few to separate a gross error from noise. Each comes with the factor
+    /// that converts its rows from the noise it was given to the median of the others.
     pub fn few_unstated(&self) -> Vec<(usize, f64)> {
         let unstated: Vec<usize> = (0..self.rows.len()).filter(|i| self.rows[*i].reading.is_none()).collect();
         let mut stated: Vec<f64> =
@@ -391,12 +391,12 @@ impl CalibrationProblem {
 struct Evaluation<'a> {
     now: &'a mut Current,
     parameters: &'a [ParameterId],
-    /// `tracker_from_base` that the frame parameters displace.
+    /// `tracker_from_base` of each station, which the frame parameters displace.
     stations: &'a [Transform],
 }
 
 impl Evaluation<'_> {
-    /// Fills the block `index` of three rows.
+    /// Fills block `index`, three rows.
     fn fill(
         self,
         row: &PositionRow,
@@ -489,8 +489,7 @@ impl LeastSquares for CalibrationProblem {
     }
 }
 
-/// Takes the rows of a pose's observations, which are whitened each by itself, to rows that do not depend on each other; in every column of
-/// `rows` numbers.
+/// Turns the rows of a pose's observations, each whitened on its own, into independent rows, in every column of `rows` numbers.
 pub(super) fn whiten_together(pose: &[usize], whitening: &DMatrix<f64>, columns: &mut [f64], rows: usize) {
     let places: Vec<usize> = pose.iter().flat_map(|i| 3 * i..3 * i + 3).collect();
     let mut own = DVector::zeros(places.len());
@@ -504,8 +503,8 @@ pub(super) fn whiten_together(pose: &[usize], whitening: &DMatrix<f64>, columns:
     }
 }
 
-/// Change of `target` at `in_base` per unit of a parameter, in the base frame; zero for the tracker's place and errors, and for other targets. `term`
-/// counts the terms that were asked for.
+/// Change of `target` at `in_base` per unit of a parameter, in the base frame; zero for the tracker's place and errors, and for other targets.
+/// `term` counts the terms so far.
 pub(super) fn in_base_column(
     forward: &ForwardModel,
     id: ParameterId,

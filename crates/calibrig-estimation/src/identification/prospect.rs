@@ -1,4 +1,4 @@
-//! What measurements could tell, before they are made.
+//! What planned measurements can determine, before they are made.
 
 use super::build::{Built, build, start};
 use super::factorised::Factors;
@@ -11,31 +11,31 @@ use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::{CalibrationModel, ParameterId};
 use serde::{Deserialize, Serialize};
 
-/// What an estimate from planned measurements would say of its parameters, at the nominal robot.
+/// What an estimate from planned measurements would determine, at the nominal robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Prospect {
     /// The parameters that would be fitted.
     pub parameters: Vec<ParameterId>,
-    /// Rank, condition, dependent groups and weak directions, with the priors that the estimate's spectrum has.
+    /// Rank, condition, dependent groups and weak directions, with the same priors as in the estimate's spectrum.
     pub spectrum: Spectrum,
-    /// Rank by the observations, nests and target alone.
+    /// Rank from the observations, nests and targets alone.
     pub measured_rank: usize,
-    /// Parameters that these cannot tell from others, and that their priors would hold.
+    /// Parameters that the measurements alone cannot separate from others, and that their priors would hold.
     pub held: Vec<DependentGroup>,
-    /// Parameters that would be left out of the fit for the same reason.
+    /// Parameters that would be left out because the measurements cannot separate them from others.
     pub fixed: Vec<DependentGroup>,
     /// Compliances that would be left out because gravity hardly loads them.
     pub unloaded: Vec<ParameterId>,
-    /// What the estimate would warn of.
+    /// Warnings that the estimate would have.
     pub warnings: Vec<Warning>,
 }
 
-/// Analyses the system that [`identify`](super::identify()) would solve for `set`, whose readings lie where the nominal robot is; what
-/// they say beside their covariance places the tracker at most.
+/// Analyses the system that [`identify`](super::identify()) would solve for `set`, at readings where the nominal robot is. Of the actual
+/// readings only the covariance is used; at most they place the tracker.
 ///
 /// # Errors
 ///
-/// [`IdentifyError`], as the identification itself; too few poses are no error, but a lack of rank.
+/// [`IdentifyError`], as in the identification itself; too few poses are not an error, but reduce the rank.
 pub fn prospect(
     model: &CalibrationModel,
     set: &MeasurementSet,
@@ -63,7 +63,7 @@ pub fn prospect(
     })
 }
 
-/// The problem of `set` at the nominal robot, if set and options can be.
+/// The problem of `set` at the nominal robot, if set and options are valid.
 pub(super) fn at_nominal(
     model: &CalibrationModel,
     set: &MeasurementSet,

@@ -1,4 +1,4 @@
-//! A robot as it was identified, and what it predicts.
+//! An identified robot, and its predictions.
 
 use nalgebra::{Matrix3, Rotation3, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
@@ -14,41 +14,41 @@ use calibrig_model::geometry::{Transform, rotation_vector};
 use calibrig_model::measurement::{DRIFT_UNIT, InstrumentTerm, MeasurementSet, Observation, Reading};
 use calibrig_model::{CalibrationModel, Compliance, ModelError, ParameterId, PoseQuery, TermId};
 
-/// A robot as a mode believes it to be: all that is needed to predict where a target is seen.
+/// A robot as a mode identified it: everything that is needed to predict where a target is seen.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CalibratedRobot {
-    /// Which mode it comes from; decides what bends it.
+    /// Mode by which it was identified; decides what bends the robot.
     pub mode: Mode,
-    /// What was known before calibration: the mode "with gravity" takes the deflection from it, terms the middle of the joints' travel.
+    /// What was known before calibration. The mode "with gravity" takes the deflection from it, terms take the middle of the joints' travel.
     pub nominal: CalibrationModel,
     /// The identified (or nominal) robot.
     pub model: CalibrationModel,
     /// Amplitudes of the terms, m or rad.
     pub terms: Vec<(TermId, f64)>,
-    /// `tracker_from_base`, one a station.
+    /// `tracker_from_base`, one per station.
     pub stations: Vec<Transform>,
-    /// Offsets in the flange frame, m, one a target.
+    /// Offsets in the flange frame, m, one per target.
     pub targets: Vec<Vector3<f64>>,
-    /// Errors of the instrument at every station: what its readings are corrected by. Empty where none was identified.
+    /// Errors of the instrument at every station, by which its readings are corrected. Empty where none was identified.
     pub instruments: Vec<InstrumentErrors>,
-    /// `flange_from_target`, one a target; `None` of a point.
+    /// `flange_from_target`, one per target; `None` for a point.
     #[serde(default)]
     pub orientations: Vec<Option<Rotation3<f64>>>,
 }
 
-/// What the readings of a station are off by.
+/// Systematic errors of a station's readings.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct InstrumentErrors {
-    /// Errors that they share, m, rad or 1.
+    /// Errors that all readings share, m, rad or 1.
     pub shared: Vec<(InstrumentTerm, f64)>,
-    /// Motion of the station in an hour, as a displacement of the base that it sees, m and rad.
+    /// Motion of the station per hour, as a displacement of the base as the station sees it, m and rad.
     pub drift: Vector6<f64>,
-    /// When it stands where it was placed, s.
+    /// Time at which the station stood where it was placed, s.
     pub placed_at: f64,
 }
 
 impl InstrumentErrors {
-    /// What is displaced of a reading at a time (s) from a station at its place, m in the tracker's axes.
+    /// Displacement of a reading taken at a time (s) from a station at its place, m in the tracker's axes.
     pub fn displacement(&self, reading: &Reading, time: f64, tracker_from_base: &Transform) -> Vector3<f64> {
         let shared = self.shared.iter().map(|(term, amplitude)| reading.displaced_by(*term) * *amplitude);
         let hours = (time - self.placed_at) / DRIFT_UNIT;
@@ -59,7 +59,7 @@ impl InstrumentErrors {
     }
 }
 
-/// What a unit of a component of the base's displacement does to a point that the tracker sees at `seen`, m in the tracker's axes.
+/// Displacement of a point that the tracker sees at `seen` per unit of a component of the base's displacement, m in the tracker's axes.
 pub(super) fn drift_displacement(
     component: usize,
     seen: &Vector3<f64>,
@@ -75,7 +75,7 @@ pub(super) fn drift_displacement(
 }
 
 impl CalibratedRobot {
-    /// What it has beside its models.
+    /// Numbers of the robot outside its two models, each with a name for error messages.
     fn numbers(&self) -> impl Iterator<Item = (&'static str, f64)> + '_ {
         let terms = self.terms.iter().map(|(_, amplitude)| ("an amplitude of terms", *amplitude));
         let targets =
@@ -95,7 +95,7 @@ impl CalibratedRobot {
         terms.chain(targets).chain(stations).chain(turned).chain(errors)
     }
 
-    /// Whether a parameter is one that an estimate of this robot can have; `terms` counts the terms before it.
+    /// Whether an estimate of this robot can have this parameter; `terms` counts the terms before it.
     fn has(&self, id: ParameterId, terms: &mut usize) -> bool {
         let joints = self.nominal.kinematics.joint_count();
         match id {
@@ -124,43 +124,43 @@ impl CalibratedRobot {
     }
 }
 
-/// Where a robot cannot be predicted to be.
+/// Why a robot's position cannot be predicted.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum PredictionError {
-    /// The robot cannot be one, or the command is not one of it.
+    /// The robot's model is not valid, or the command does not fit the robot.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// A target that the robot does not carry.
+    /// The robot does not carry this target.
     #[error("target index {target}: the robot has {targets} targets")]
     Target {
-        /// Index asked for.
+        /// Index that was asked for.
         target: usize,
         /// Number of targets.
         targets: usize,
     },
-    /// A station that the robot was not identified from.
+    /// The robot was not identified from this station.
     #[error("station index {station}: the robot was identified from {stations} stations")]
     Station {
-        /// Index asked for.
+        /// Index that was asked for.
         station: usize,
         /// Number of stations.
         stations: usize,
     },
-    /// The linkage does not close, or the robot finds no rest.
+    /// The linkage does not close, or the robot has no stable equilibrium.
     #[error(transparent)]
     Machine(#[from] ElasticError),
-    /// The same of a measured pose.
+    /// A measured pose cannot be predicted.
     #[error("pose {pose}: {source}")]
     Pose {
-        /// The pose.
+        /// Number of the pose.
         pose: u32,
         /// Why.
         source: Box<PredictionError>,
     },
 }
 
-/// Where a [`CalibratedRobot`] is predicted to be. It is made once for many poses.
+/// Predicts where the targets of a [`CalibratedRobot`] are. It is made once for many poses.
 #[derive(Debug, Clone)]
 pub struct Predictor<'a> {
     pub(crate) robot: &'a CalibratedRobot,
@@ -172,7 +172,7 @@ impl<'a> Predictor<'a> {
     ///
     /// # Errors
     ///
-    /// [`PredictionError::Model`], where the robot or what was known of it cannot be one, or the two are not of the same structure.
+    /// [`PredictionError::Model`], where the identified or the nominal robot is not valid, or the two have different structures.
     pub fn new(robot: &'a CalibratedRobot) -> Result<Self, PredictionError> {
         robot.nominal.check()?;
         for (field, value) in robot.numbers() {
@@ -193,13 +193,13 @@ impl<'a> Predictor<'a> {
         Ok(Self { robot, forward })
     }
 
-    /// Where the target is predicted to be, in the base frame, m.
+    /// Predicted position of the target in the base frame, m.
     pub fn in_base<'q>(&mut self, pose: impl Into<PoseQuery<'q>>) -> Result<Vector3<f64>, PredictionError> {
         let (target, _) = self.place(&pose.into())?;
         Ok(self.forward.target(&target))
     }
 
-    /// Measured minus predicted position, in the base frame, m: the error that the tables are made of.
+    /// Measured minus predicted position in the base frame, m: the error of the tables.
     pub fn error_in_base(&mut self, observation: &Observation) -> Result<Vector3<f64>, PredictionError> {
         let of_pose = |source| PredictionError::Pose { pose: observation.pose, source: Box::new(source) };
         let (station, stations) = (observation.station, self.robot.stations.len());
@@ -214,7 +214,7 @@ impl<'a> Predictor<'a> {
         Ok(tracker_from_base.rotation.inverse() * seen - self.in_base(observation).map_err(of_pose)?)
     }
 
-    /// `base_from_target` at a pose, the axes alone; `None` for a target that is a point.
+    /// `base_from_target` at a pose, rotation only; `None` for a target that is a point.
     pub fn orientation_in_base<'q>(
         &mut self,
         pose: impl Into<PoseQuery<'q>>,
@@ -226,7 +226,7 @@ impl<'a> Predictor<'a> {
     }
 
     /// Measured against predicted orientation: φ with `exp(φ) · predicted = measured`, in the axes of the base frame, rad. `None` for a reading
-    /// without one, or a target that is a point.
+    /// without an orientation, or a target that is a point.
     pub fn turn_in_base(
         &mut self,
         observation: &Observation,
@@ -242,12 +242,12 @@ impl<'a> Predictor<'a> {
         Ok(predicted.map(|predicted| rotation_vector(&(seen * predicted.inverse()))))
     }
 
-    /// [`turn_in_base`](Self::turn_in_base) of every observation.
+    /// [`turn_in_base`](Self::turn_in_base) for every observation.
     pub fn turns(&mut self, set: &MeasurementSet) -> Result<Vec<Option<Vector3<f64>>>, PredictionError> {
         set.observations.iter().map(|observation| self.turn_in_base(observation)).collect()
     }
 
-    /// [`error_in_base`](Self::error_in_base) of every observation.
+    /// [`error_in_base`](Self::error_in_base) for every observation.
     pub fn errors(&mut self, set: &MeasurementSet) -> Result<Vec<Vector3<f64>>, PredictionError> {
         set.observations.iter().map(|observation| self.error_in_base(observation)).collect()
     }
@@ -258,7 +258,7 @@ impl<'a> Predictor<'a> {
         Ok(self.forward.links(&told, &self.robot.model.kinematics))
     }
 
-    /// Goes to a pose; gives the offset of its target.
+    /// Moves the robot to a pose; returns the offset of its target.
     fn place(&mut self, pose: &PoseQuery<'_>) -> Result<(Vector3<f64>, Prepared), PredictionError> {
         let (target, targets) = (pose.target, self.robot.targets.len());
         let Some(in_flange) = self.robot.targets.get(target) else {
@@ -267,7 +267,7 @@ impl<'a> Predictor<'a> {
         Ok((*in_flange, self.place_robot(pose)?))
     }
 
-    /// Goes to a pose.
+    /// Moves the robot to a pose.
     pub(super) fn place_robot(&mut self, pose: &PoseQuery<'_>) -> Result<Prepared, PredictionError> {
         let chain = &self.robot.model.kinematics;
         chain.check_joints("command", pose.command)?;
@@ -279,29 +279,29 @@ impl<'a> Predictor<'a> {
     }
 }
 
-/// Where a target is predicted to be, in the robot's own base frame: the tracker's place and its uncertainty are not in it.
+/// Predicted place of a target in the robot's own base frame; the tracker's place and its uncertainty do not enter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Prediction {
-    /// m
+    /// Predicted position, m.
     pub position: Vector3<f64>,
-    /// Covariance of the robot's mean position, m²: of the parameters and of what the machine does beside its model. The noise of a reading
-    /// there comes on top. `None` where the estimate has none.
+    /// Covariance of the robot's mean position, m², from the parameters and the machine's noise beside its model. The noise of a reading
+    /// there comes on top. `None` where the estimate has no covariance.
     pub covariance: Option<Matrix3<f64>>,
-    /// The part of it that the machine makes beside its model, m².
+    /// The part of the covariance that comes from the machine's noise beside its model, m².
     pub of_machine: Matrix3<f64>,
     /// Derivative of the position with respect to the estimate's parameters, 3 x n.
     pub jacobian: PositionJacobian,
-    /// How the target is turned; `None` of a point.
+    /// Predicted orientation; `None` for a point.
     pub orientation: Option<PredictedOrientation>,
 }
 
-/// How a target is predicted to be turned in the robot's base frame.
+/// Predicted orientation of a target in the robot's base frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PredictedOrientation {
     /// `base_from_target`.
     pub rotation: Rotation3<f64>,
-    /// Covariance of the rotation vector φ in `exp(φ) · rotation`, base axes, rad²: of the parameters and of what the machine does beside its
-    /// model. `None` where the estimate has none.
+    /// Covariance of the rotation vector φ in `exp(φ) · rotation`, base axes, rad², from the parameters and the machine's noise beside its
+    /// model. `None` where the estimate has no covariance.
     pub covariance: Option<Matrix3<f64>>,
     /// Derivative of φ with respect to the estimate's parameters, 3 x n.
     pub jacobian: PositionJacobian,
@@ -320,13 +320,13 @@ impl Prediction {
         self.covariance.map(|covariance| covariance.diagonal().map(f64::sqrt))
     }
 
-    /// Covariance of a new reading about the position, m², where `noise` is that of the reading by itself in the base frame, m².
+    /// Covariance of a new reading about the position, m²; `noise` is the covariance of the reading alone in the base frame, m².
     pub fn reading_covariance(&self, noise: &Matrix3<f64>) -> Option<Matrix3<f64>> {
         self.covariance.map(|covariance| covariance + noise)
     }
 }
 
-/// What an [`Estimate`] predicts, and how sure that is. It is made once for many poses.
+/// Predictions of an [`Estimate`] with their uncertainty. It is made once for many poses.
 #[derive(Debug, Clone)]
 pub struct EstimatePredictor<'a> {
     pub(super) estimate: &'a Estimate,
@@ -336,20 +336,20 @@ pub struct EstimatePredictor<'a> {
 }
 
 impl Estimate {
-    /// Where the target is predicted to be at a pose, such as a command (m or rad, one number an actuator).
+    /// Predicted place of the target at a pose, such as a command (m or rad, one number per actuator).
     ///
     /// # Errors
     ///
-    /// [`PredictionError`], for a command that is not one of this robot, a target that it does not carry, or a pose that it cannot take.
+    /// [`PredictionError`], for a command that does not fit this robot, a target that it does not carry, or a pose that it cannot take.
     pub fn predict<'q>(&self, pose: impl Into<PoseQuery<'q>>) -> Result<Prediction, PredictionError> {
         self.predictor()?.predict(pose)
     }
 
-    /// The same for many poses.
+    /// A predictor for many poses.
     ///
     /// # Errors
     ///
-    /// As [`Predictor::new`]; and [`PredictionError::Model`] where a parameter is none of the robot's.
+    /// As [`Predictor::new`]; and [`PredictionError::Model`] where a parameter does not belong to the robot.
     pub fn predictor(&self) -> Result<EstimatePredictor<'_>, PredictionError> {
         let predictor = Predictor::new(&self.robot)?;
         let mut terms = 0;
@@ -362,7 +362,7 @@ impl Estimate {
 }
 
 impl EstimatePredictor<'_> {
-    /// Where the target is predicted to be at a pose.
+    /// Predicted place of the target at a pose.
     ///
     /// # Errors
     ///
@@ -371,7 +371,7 @@ impl EstimatePredictor<'_> {
         self.predict_at(&pose.into())
     }
 
-    /// Not generic: what a generic function computes is compiled where it is called, as fast as the caller is.
+    /// Not generic: a generic function is compiled in the caller's crate, with the caller's optimisation.
     fn predict_at(&mut self, pose: &PoseQuery<'_>) -> Result<Prediction, PredictionError> {
         let (target, told) = self.predictor.place(pose)?;
         let forward = &mut self.predictor.forward;
@@ -394,7 +394,7 @@ impl EstimatePredictor<'_> {
         Ok(Prediction { position, covariance, of_machine, jacobian, orientation })
     }
 
-    /// How the target of a pose is turned at which the robot was placed.
+    /// Predicted orientation of a pose's target; the robot has been moved to the pose.
     fn orientation(
         &mut self,
         pose: &PoseQuery<'_>,
@@ -411,7 +411,7 @@ impl EstimatePredictor<'_> {
         };
         let turned = Vector3::from_fn(|axis, _| turned(axis));
         let rotation = forward.rotation() * flange_from_target;
-        // The parameters displace what was stated, and what they give is what is known now.
+        // The parameters displace the stated orientation, and `flange_from_target` is already displaced: it is turned back first.
         let by_target =
             rotation.matrix() * Rotation3::new(turned).inverse().matrix() * left_jacobian(&turned);
         let mut jacobian = PositionJacobian::zeros(parameters.len());

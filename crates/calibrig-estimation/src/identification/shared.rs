@@ -1,8 +1,9 @@
-//! Errors that many readings share: what makes their rows independent, and the same errors as parameters where every row has to be its reading's own.
+//! Errors that many readings share: a whitening that makes their rows independent, or the same errors as parameters where every row has to belong
+//! to one reading.
 //!
-//! Beside what is known pose by pose, the data have the covariance `1 + U Uᵀ`, with a column of U for each shared error. With `C Cᵀ = 1 + Uᵀ U` (Cholesky),
-//! `W = 1 - U (C + 1)⁻ᵀ C⁻¹ Uᵀ` has `W (1 + U Uᵀ) Wᵀ = 1` (A. Andrews, "A square root formulation of the Kalman covariance equations", AIAA J. 6
-//! (1968) 1165): the fit is the one in which all these errors are parameters with their priors, without their columns.
+//! Beside the covariance of single poses, the data have the covariance `1 + U Uᵀ`, with one column of U per shared error. With `C Cᵀ = 1 + Uᵀ U`
+//! (Cholesky), `W = 1 - U (C + 1)⁻ᵀ C⁻¹ Uᵀ` has `W (1 + U Uᵀ) Wᵀ = 1` (A. Andrews, "A square root formulation of the Kalman covariance
+//! equations", AIAA J. 6 (1968) 1165). The fit is the same as with all these errors as parameters with priors, but without their columns.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dim, Dyn, Matrix, StorageMut, Vector3};
 
@@ -11,21 +12,21 @@ use super::problem::{CalibrationProblem, PositionRow};
 use super::turns::TurnRow;
 use calibrig_model::measurement::MeasurementSet;
 
-/// Share of a row's variance that errors which are not taken for shared may have.
+/// Largest share of a row's variance that shared errors which are not treated as such may have.
 const LITTLE: f64 = 0.005;
-/// Rows times the square of the number of shared errors, which a fit's time grows with: up to 250 for 100 poses, 80 for 1000. Those beyond it, the least,
-/// stay each reading's own.
+/// Largest product of the number of rows and the square of the number of shared errors, with which a fit's time grows: up to 250 errors for 100
+/// poses, 80 for 1000. The smallest errors beyond it are treated as each reading's own.
 const MOST: f64 = 2e7;
-/// The least noise of rows that state none, m and rad.
+/// Least noise of rows that state none, m and rad.
 const LEAST_NOISE: f64 = 1e-6;
 const LEAST_TURN: f64 = 1e-5;
 
-/// What makes rows with shared errors independent.
+/// The map that makes rows with shared errors independent.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct SharedWhitening {
     /// U: data rows x errors, in standard deviations.
     errors: DMatrix<f64>,
-    /// Lower triangular: C.
+    /// C, lower triangular.
     factor: DMatrix<f64>,
 }
 
@@ -42,7 +43,7 @@ impl SharedWhitening {
         self.errors.nrows()
     }
 
-    /// Acts on the first rows of `columns`.
+    /// Applies W to the first rows of `columns`.
     pub fn apply<C: Dim, S: StorageMut<f64, Dyn, C>>(&self, columns: &mut Matrix<f64, Dyn, C, S>) {
         let mut own = columns.rows_mut(0, self.errors.nrows());
         let mut inner = self.errors.tr_mul(&own);
@@ -51,7 +52,7 @@ impl SharedWhitening {
         own.gemm(-1.0, &self.errors, &inner, 1.0);
     }
 
-    /// The inverse, `(1 + U Uᵀ) Wᵀ = 1 + U (C + 1)⁻¹ Uᵀ`.
+    /// Applies the inverse, `(1 + U Uᵀ) Wᵀ = 1 + U (C + 1)⁻¹ Uᵀ`.
     pub fn undo<C: Dim, S: StorageMut<f64, Dyn, C>>(&self, columns: &mut Matrix<f64, Dyn, C, S>) {
         let mut own = columns.rows_mut(0, self.errors.nrows());
         let mut inner = self.errors.tr_mul(&own);
@@ -64,7 +65,7 @@ impl SharedWhitening {
     }
 }
 
-/// What all data rows share with one of them, m² (of orientations rad², m rad): by the corrections of the stations' drifts.
+/// Covariance of all data rows with one of them due to the corrections of the stations' drifts, m² (rad² or m rad with orientations).
 struct Motions<'a> {
     set: &'a MeasurementSet,
     /// The observation of every block, and whether it is an orientation.
@@ -77,7 +78,7 @@ impl<'a> Motions<'a> {
         Self { set, blocks: places.chain(turns.iter().map(|turn| (turn.observation, true))).collect() }
     }
 
-    /// The rows of a block with coordinate `axis` of another.
+    /// Covariance of the rows of a block with coordinate `axis` of another.
     fn between(&self, block: usize, other: usize, axis: usize) -> Vector3<f64> {
         let [(i, turn), (j, of_turn)] = [block, other].map(|block| self.blocks[block]);
         let [a, b] = [i, j].map(|i| &self.set.observations[i]);
@@ -104,8 +105,8 @@ impl<'a> Motions<'a> {
     }
 }
 
-/// The errors that readings of a station share, with a unit of each as a displacement of all data rows, m and rad in the trackers' axes. Errors that add little to
-/// what readings have by themselves stay with these.
+/// The errors that readings of a station share, as displacements of all data rows per unit, m and rad in the trackers' axes. Errors that add little
+/// to the readings' own noise are treated as part of that.
 pub(super) fn shared_errors(set: &MeasurementSet, rows: &[PositionRow], turns: &[TurnRow]) -> DMatrix<f64> {
     if set.stations.iter().all(|station| station.motion.is_none()) {
         return DMatrix::zeros(3 * (rows.len() + turns.len()), 0);
@@ -123,7 +124,7 @@ pub(super) fn shared_errors(set: &MeasurementSet, rows: &[PositionRow], turns: &
     most_of(&variances, |row| motions.column(row), &sigmas)
 }
 
-/// Takes shared errors out of what readings state.
+/// Removes shared errors from the stated covariances of readings.
 pub(super) fn take_out(shared: &DMatrix<f64>, rows: &mut [PositionRow], turns: &mut [TurnRow]) {
     if shared.ncols() == 0 {
         return;
@@ -144,8 +145,9 @@ pub(super) fn take_out(shared: &DMatrix<f64>, rows: &mut [PositionRow], turns: &
     }
 }
 
-/// Columns whose product with their transpose is a covariance, given by its `variances` and a `column` of it at a time, but for a small share of every
-/// row's `sigmas²`: Cholesky's, the largest of what is left first (H. Harbrecht, M. Peters, R. Schneider, Appl. Numer. Math. 62 (2012) 428).
+/// Columns whose product with their transpose is a covariance, up to a small share of every row's `sigmas²`. The covariance is given by its
+/// `variances` and one `column` at a time. Cholesky's method, with the largest remaining variance first (H. Harbrecht, M. Peters, R. Schneider,
+/// Appl. Numer. Math. 62 (2012) 428).
 fn most_of(
     variances: &DVector<f64>,
     column: impl Fn(usize) -> DVector<f64>,
@@ -175,7 +177,7 @@ fn most_of(
 }
 
 impl CalibrationProblem {
-    /// Makes ready what takes rows that are whitened pose by pose to independent ones.
+    /// Prepares the map that makes rows independent that are whitened pose by pose.
     pub(super) fn weigh_shared(&mut self) -> Result<(), IdentifyError> {
         self.shared_whitening = None;
         if self.shared.ncols() > 0 {
@@ -188,9 +190,9 @@ impl CalibrationProblem {
         Ok(())
     }
 
-    /// Takes rows that are whitened pose by pose to independent ones.
+    /// Makes rows independent that are whitened pose by pose.
     pub(super) fn whiten_shared(&self, residuals: &mut DVector<f64>, jacobian: Option<&mut DMatrix<f64>>) {
-        // A pose that cannot be taken is to be found by its own rows.
+        // The rows of a pose that the robot cannot take must stay recognisable.
         let Some(shared) = &self.shared_whitening else { return };
         if residuals.iter().all(|v| v.is_finite()) {
             shared.apply(residuals);
@@ -201,8 +203,8 @@ impl CalibrationProblem {
     }
 }
 
-/// A whitened system with the shared errors as parameters behind the others, each with a row for its prior below all: its rows are whitened pose by
-/// pose, so that what a reading is off by is in its own.
+/// A whitened system with the shared errors as parameters behind the others, each with a row for its prior below all. The rows are whitened pose
+/// by pose, so that the error of a reading stays in its own rows.
 pub(super) fn as_parameters(
     shared: &SharedWhitening,
     residuals: &DVector<f64>,
@@ -241,7 +243,7 @@ mod tests {
         let covariance = DMatrix::identity(12, 12) + &errors * errors.transpose();
         let independent = &whitening * covariance * whitening.transpose();
         assert!((independent - DMatrix::identity(12, 12)).amax() < 1e-12);
-        // Rows below are priors, and as they were.
+        // The rows below are priors and stay unchanged.
         let rows = matrix(15, 3);
         let mut there = rows.clone();
         shared.apply(&mut there);

@@ -1,9 +1,9 @@
-//! How large the terms of a family are, where nobody states it and machines differ too much for one figure.
+//! The size of a family's terms, where it is not stated and machines differ too much for a single figure.
 //!
-//! With the amplitudes integrated out, data of which all else is fitted tell their common size by its likelihood: of the amplitudes z with the
-//! prior N(0, s² D²), that the data alone would give A⁻¹ b with the information A, it is the density of A⁻¹ b under N(0, s² D² + A⁻¹). That is how
-//! much a smoothing spline is to smooth (G. Wahba, "A comparison of GCV and GML for choosing the smoothing parameter in the generalized spline smoothing
-//! problem", Ann. Statist. 13 (1985) 1378: generalized maximum likelihood).
+//! With the amplitudes integrated out, the data determine their common size by its likelihood, once everything else is fitted. Let the amplitudes z
+//! have the prior `N(0, s² D²)`, and let the data alone give `A⁻¹ b` with the information A; then the likelihood is the density of `A⁻¹ b` under
+//! `N(0, s² D² + A⁻¹)`. The smoothness of a spline is chosen in the same way (G. Wahba, "A comparison of GCV and GML for choosing the smoothing
+//! parameter in the generalized spline smoothing problem", Ann. Statist. 13 (1985) 1378: generalized maximum likelihood).
 
 use nalgebra::{Cholesky, DMatrix, DVector, SymmetricEigen};
 
@@ -12,16 +12,16 @@ use super::build::Built;
 use super::solver::Solution;
 use calibrig_model::{FAMILIES, ParameterId, TermFamily};
 
-/// Sizes that change by less than this share have come to rest.
+/// Sizes that change by less than this share have converged.
 const SETTLED: f64 = 0.1;
-/// Sizes are looked for from a thousandth to a thousand times what such machines have; at a thousandth the family adds nothing. The logarithm of a thousand.
+/// Sizes are sought from a thousandth to a thousand times the typical one; at a thousandth the family adds nothing. The logarithm of a thousand.
 const MOST: f64 = 6.907_755_278_982_137;
 const STEPS: u32 = 140;
-/// The size that is taken is above the likeliest by about its own standard deviation, where twice the logarithm of the likelihood has fallen by so much:
-/// one that is too small makes all intervals too narrow, one that is too large hardly any too wide.
+/// The chosen size is above the likeliest by about its own standard deviation, where twice the logarithm of the likelihood has fallen by this
+/// much: too small a size makes all intervals too narrow, too large a one hardly makes any too wide.
 const FALL: f64 = 1.0;
 
-/// Gives the terms of every family whose size nobody states that which the fit tells. Whether that changes what was fitted.
+/// Sets the terms of every family without a stated size to the size that the fit shows. Returns whether that changes what was fitted.
 pub(super) fn resize(built: &mut Built, solution: &Solution, options: &IdentificationOptions) -> bool {
     let of_unknown_size = FAMILIES.iter().filter(|family| {
         family.is_of_unknown_size() && options.term_priors.iter().all(|prior| prior.family != family.key())
@@ -43,7 +43,7 @@ pub(super) fn resize(built: &mut Built, solution: &Solution, options: &Identific
     resized
 }
 
-/// Columns of the family's amplitudes, and what such machines have of each, m or rad.
+/// Columns of the family's amplitudes, and the typical size of each on such machines, m or rad.
 fn own_columns(built: &Built, family: &dyn TermFamily) -> Vec<(usize, f64)> {
     let own = |(column, id): (usize, &ParameterId)| match id {
         ParameterId::Term(term) if term.family().key() == family.key() => Some((column, term.prior_sigma())),
@@ -52,8 +52,8 @@ fn own_columns(built: &Built, family: &dyn TermFamily) -> Vec<(usize, f64)> {
     built.problem.parameters.iter().enumerate().filter_map(own).collect()
 }
 
-/// The size of the family's prior in the fit, and the one that the data tell, over what such machines have; `None` where none is fitted, or where
-/// all else is not determined.
+/// The size of the family's prior in the fit, and the one that the data show, relative to the typical size; `None` where none is fitted, or where
+/// the other parameters are not determined.
 fn found_size(built: &Built, solution: &Solution, family: &dyn TermFamily) -> Option<(f64, f64)> {
     let own = own_columns(built, family);
     let (first, unit) = own.first()?;
@@ -64,7 +64,7 @@ fn found_size(built: &Built, solution: &Solution, family: &dyn TermFamily) -> Op
     let others: Vec<usize> = (0..solution.x.len()).filter(is_free).collect();
     let amplitudes: Vec<usize> = own.iter().map(|(column, _)| *column).collect();
     let units = DVector::from_iterator(own.len(), own.iter().map(|(_, unit)| *unit));
-    // In units of what such machines have, and for the others of what one standard deviation is beside nothing else.
+    // In units of the typical size, and for the other parameters in units of their standard deviation with all others known.
     let mut z = solution.jacobian.select_columns(&amplitudes);
     z.column_iter_mut().zip(&units).for_each(|(mut column, unit)| column *= *unit);
     let mut o = solution.jacobian.select_columns(&others);
@@ -80,11 +80,11 @@ fn found_size(built: &Built, solution: &Solution, family: &dyn TermFamily) -> Op
         - DMatrix::identity(own.len(), own.len()) * precision;
     let value = DVector::from_iterator(own.len(), amplitudes.iter().map(|column| solution.x[*column]))
         .component_div(&units);
-    // At the minimum the data pull as much one way as the prior the other.
+    // At the minimum the pulls of data and prior are equal and opposite.
     let score = &information * &value + precision * &value;
     let SymmetricEigen { eigenvalues, eigenvectors } = SymmetricEigen::new(information);
     let scores = eigenvectors.tr_mul(&score);
-    // Twice its logarithm.
+    // Twice the logarithm of the likelihood.
     let likelihood = |logarithm: f64| -> f64 {
         let variance = (2.0 * logarithm).exp();
         let of_one = |(told, score): (&f64, &f64)| {

@@ -1,4 +1,4 @@
-//! What a solution tells: parameters, covariance, what is determined and what is not.
+//! Results of a solution: parameters, covariance, what is determined and what is not.
 
 use nalgebra::{DMatrix, DVector, Rotation3, Vector3};
 
@@ -24,15 +24,15 @@ use calibrig_model::measurement::{MeasurementSet, StatedInstrument};
 use calibrig_model::statistics::chi2_survival;
 use calibrig_model::{BodyUncertainty, ParameterId};
 
-/// Probability, in both tails together, of residuals as large or as small as these, below which they are not what the stated noise leaves.
+/// Two-sided probability of residuals as large or as small as these, below which they contradict the stated noise.
 const INCONSISTENT: f64 = 1e-3;
 
-/// How large the residuals of observations, nests and targets are, in the standard deviations that they were weighed with.
+/// Size of the residuals of observations, nests and targets, in the standard deviations with which they were weighed.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Size {
-    /// Sum of squares; with a loss, what its scale makes of it.
+    /// Sum of squares; with a loss, computed from its scale.
     pub chi2: f64,
-    /// Rows less what the fit takes of them: the trace of their part of the hat matrix. What priors hold takes nothing, nor what a bound does.
+    /// Rows less the trace of their part of the hat matrix. Parameters held by priors or bounds cost no degree of freedom.
     pub freedom: f64,
 }
 
@@ -41,7 +41,7 @@ impl Size {
         Self::of_rows(problem, solution, factorised, false)
     }
 
-    /// Of observations, nests and targets, and `with_priors` of what was stated of the parameters.
+    /// Size over the rows of observations, nests and targets, and `with_priors` of what was stated of the parameters.
     fn of_rows(
         problem: &CalibrationProblem,
         solution: &Solution,
@@ -53,7 +53,7 @@ impl Size {
         let chi2 = if solution.weights.is_empty() {
             solution.residuals.rows(0, rows).norm_squared()
         } else {
-            // A loss tells the noise of the good observations by its scale.
+            // With a loss, its scale gives the noise of the good observations.
             solution.scale * solution.scale * freedom
         };
         Self { chi2, freedom }
@@ -63,7 +63,7 @@ impl Size {
         (self.chi2 / self.freedom.max(1.0)).sqrt()
     }
 
-    /// Whether there is no more of it than chance leaves in one of a thousand.
+    /// Whether it is larger than chance makes it in one of a thousand cases.
     fn is_too_large(self) -> bool {
         self.freedom >= LEAST_FREEDOM && chi2_survival(self.chi2, self.freedom) < 0.5 * INCONSISTENT
     }
@@ -73,8 +73,8 @@ impl Size {
     }
 }
 
-/// Whether the residuals are larger than the readings' stated noise explains, and it is not what was stated of parameters, nests and targets
-/// that makes them so.
+/// Whether the residuals are larger than the readings' stated noise explains, and not because of what was stated of parameters, nests and
+/// targets.
 pub(super) fn is_misfit(
     problem: &CalibrationProblem,
     set: &MeasurementSet,
@@ -93,13 +93,13 @@ pub(super) fn is_misfit(
     is_doubted(stated.chi2 - found.chi2, (stated.freedom - found.freedom as f64).max(0.0))
 }
 
-/// A solution at its final weights.
+/// A solution with its final weights.
 pub(super) struct Fitted {
     pub solution: Solution,
     pub factorised: Factorised,
-    /// Of the residuals in the noise that was stated.
+    /// Size of the residuals in the stated noise.
     pub size: Size,
-    /// The standard deviations that this leaves, where the fit was weighed with more.
+    /// Standard deviations from the stated noise, where the fit was weighed with more.
     pub stated_sigmas: Option<Vec<f64>>,
 }
 
@@ -189,7 +189,7 @@ pub(super) fn summarise(
         factor: factorised.spread().cloned(),
         covariance,
         weight_unit: weight_unit(&solution),
-        // An orientation weighs as its observation does.
+        // An orientation has the weight of its observation.
         weights: solution.weights.iter().copied().take(observations).collect(),
         noise,
         reading_scale: problem.noise.scale,
@@ -212,13 +212,13 @@ pub(super) fn summarise(
     }
 }
 
-/// How the targets that have axes are turned on the flange.
+/// Orientations on the flange of the targets that have axes.
 fn orientations(problem: &CalibrationProblem, set: &MeasurementSet) -> Vec<Option<Rotation3<f64>>> {
     let turned = set.targets.iter().zip(&problem.current.orientations);
     turned.map(|(target, now)| target.orientation.as_ref().map(|_| *now)).collect()
 }
 
-/// What weights are divided by in the covariance: the rows that it is made of are those of the Jacobian times the root of the quotient.
+/// Number by which weights are divided in the covariance, which is made from the Jacobian's rows times the root of the quotient.
 fn weight_unit(solution: &Solution) -> f64 {
     let mean = solution.weights.iter().sum::<f64>() / solution.weights.len().max(1) as f64;
     if solution.weights.is_empty() { 1.0 } else { mean * solution.variance_factor }
@@ -232,7 +232,7 @@ fn noise_scale(problem: &CalibrationProblem) -> NoiseScale {
     }
 }
 
-/// What is told where no degree of freedom is left.
+/// Warning where no degree of freedom is left.
 fn freedom_warning(
     problem: &CalibrationProblem,
     noise: NoiseScale,
@@ -240,7 +240,7 @@ fn freedom_warning(
     mode: Mode,
 ) -> Option<Warning> {
     match noise {
-        // The size that residuals have in an upper bound of their noise says nothing of it.
+        // The residuals' size relative to an upper bound of their noise says nothing.
         NoiseScale::Residuals(sigma) => {
             (sigma > 0.0 && problem.noise.freedom.is_none()).then_some(Warning::NoFreedom { sigma })
         }
@@ -258,17 +258,17 @@ fn unweighted(problem: &mut CalibrationProblem, solution: &Solution) -> DMatrix<
     jacobian
 }
 
-/// The rows of a solution, without the weights of a loss.
+/// The rows of a solution without the weights of a loss.
 struct Rows<'a> {
     residuals: &'a DVector<f64>,
     jacobian: &'a DMatrix<f64>,
-    /// What every observation counts for; empty where all count alike.
+    /// Weight of every observation; empty where all have the same.
     weights: &'a [f64],
-    /// Observations whose rows are in another noise than the others', with the factor between.
+    /// Observations whose rows are in a different noise from the others', with the ratio.
     few: &'a [(usize, f64)],
 }
 
-/// Readings far off what the others say of them, and what the noise is made of without them.
+/// Readings far off what the others predict for them, and the parts of the noise without them.
 fn far_off_and_noise(
     problem: &mut CalibrationProblem,
     solution: &Solution,
@@ -281,7 +281,7 @@ fn far_off_and_noise(
     (outliers, found)
 }
 
-/// Readings far off what the others say of them; `jacobian` is the solution's without the weights of a loss.
+/// Readings far off what the others predict for them; `jacobian` is the solution's without the weights of a loss.
 fn outliers_of(
     problem: &mut CalibrationProblem,
     solution: &Solution,
@@ -290,7 +290,7 @@ fn outliers_of(
     set: &MeasurementSet,
 ) -> Vec<Outlier> {
     let bounded = &factorised.bounded;
-    // Behind a common covariance, what one reading is off by is in the rows of others of its pose.
+    // With a common covariance, the error of one reading is spread over the rows of others of its pose.
     if problem.noise.machine.is_some() && (solution.weights.is_empty() || !problem.joined.is_empty()) {
         return gross_errors_beside_the_machine(problem, solution, bounded, set);
     }
@@ -311,9 +311,9 @@ fn outliers_of(
     gross_errors(problem, &rows, factorised.spread(), bounded, is_stated, set)
 }
 
-/// Gross errors where the noise was found with the fit: it was found with them in it. So they are looked for among readings that all
-/// count alike in all directions, as those that state no noise, against the scatter of the others; behind a robust loss from the weights that it
-/// left. The problem is weighed as it was before.
+/// Gross errors where the noise was found with the fit, and with them in it. They are sought among readings that all have the same weight in all
+/// directions, like those that state no noise, against the scatter of the others; after a robust loss from the weights that it left. The problem
+/// keeps its weights.
 fn gross_errors_beside_the_machine(
     problem: &mut CalibrationProblem,
     solution: &Solution,
@@ -336,12 +336,12 @@ fn gross_errors_beside_the_machine(
         let seen = Rows { residuals: &minimum.residuals, jacobian: &jacobian, weights: &[], few: &[] };
         outliers = gross_errors(problem, &seen, Some(&spread), bounded, false, set);
     }
-    // It was weighed so before.
+    // It was weighed in this way before, so this cannot fail.
     let _ = problem.weigh(&found);
     outliers
 }
 
-/// Readings far off what the others say of them, whatever the loss.
+/// Readings far off what the others predict for them, with any loss.
 fn gross_errors(
     problem: &CalibrationProblem,
     rows: &Rows<'_>,
@@ -380,29 +380,29 @@ fn gross_errors(
         let off = whitening.lu().solve(&-error.left_out).unwrap_or_default() / scaled;
         FarOff { observation, size: error.size, off: Off::Place(off), weight }
     };
-    // The spread is that of the rows as they were weighed.
+    // The spread belongs to the rows as they were weighed.
     let spread = spread.filter(|_| few.is_empty());
     outliers(set, &fit.gross_errors(spread).iter().map(place).collect::<Vec<_>>())
 }
 
-/// A reading that is a gross error: in which way, and what it counts for.
+/// A reading that is a gross error: in which way, and its weight.
 pub(super) struct FarOff {
     pub observation: usize,
-    /// In standard deviations.
+    /// Size in standard deviations.
     pub size: f64,
     pub off: Off,
     pub weight: f64,
 }
 
-/// Measured less predicted, in the tracker's frame.
+/// Measured minus predicted, in the tracker's frame.
 pub(super) enum Off {
-    /// m
+    /// Of the position, m.
     Place(Vector3<f64>),
-    /// rad
+    /// Of the orientation, rad.
     Turn(Vector3<f64>),
 }
 
-/// Gross errors in words that a person finds in the file; a reading of which both place and orientation are is one.
+/// Gross errors in terms that a person finds in the file; a reading whose position and orientation are both off is listed once.
 pub(super) fn outliers(set: &MeasurementSet, found: &[FarOff]) -> Vec<Outlier> {
     let seen = |far: &FarOff| set.observations[far.observation].reading.position();
     let displaced = |far: &FarOff| match far.off {
@@ -412,7 +412,7 @@ pub(super) fn outliers(set: &MeasurementSet, found: &[FarOff]) -> Vec<Outlier> {
     let exchanged = |far: &FarOff| {
         let off = displaced(far)?;
         let observation = &set.observations[far.observation];
-        // The point lies where the other's should be, and the other's where this one should be.
+        // Each of the two points lies where the other should be.
         let others = found.iter().filter(|other| other.observation != far.observation);
         let partner = others.filter_map(|other| Some((other, displaced(other)?)));
         let mut partner = partner.filter(|(other, other_off)| {
@@ -445,7 +445,7 @@ pub(super) fn outliers(set: &MeasurementSet, found: &[FarOff]) -> Vec<Outlier> {
     };
     let mut told: Vec<Outlier> = Vec::new();
     for other in found.iter().map(outlier) {
-        // Orientations come behind all places.
+        // Orientations come after all positions.
         match told.iter_mut().find(|known| known.observation == other.observation) {
             Some(known) => {
                 known.turn = known.turn.or(other.turn);
@@ -458,23 +458,23 @@ pub(super) fn outliers(set: &MeasurementSet, found: &[FarOff]) -> Vec<Outlier> {
     told
 }
 
-/// How near to each other's place two readings are that were exchanged, as a share of what they are off by.
+/// How close exchanged readings are to each other's place, as a share of their error.
 const NEAR_PARTNER: f64 = 0.1;
 
-/// Scatter of orientations about the identified robot's that none has whose rotations are read as they were written, rad: a robot that repeats
-/// to a millimetre at the end of a tool of 50 mm is within half of it.
+/// Scatter of orientations about the identified robot, rad, that is impossible where rotations are read as they were written: a robot that
+/// repeats to a millimetre at the end of a tool of 50 mm is within half of it.
 const MOST_TURNED: f64 = 0.04;
 
 fn orientations_off(noise: &Noise) -> Option<Warning> {
     noise.turn.filter(|sigma| *sigma > MOST_TURNED).map(|sigma| Warning::OrientationsOff { sigma })
 }
 
-/// Share of the robot's reach, and of the points' spread, that no nominal robot leaves which was measured as it was commanded ...
+/// Share of the robot's reach, and of the points' spread, that a correctly measured nominal robot never leaves ...
 const NOMINAL_OFF: (f64, f64) = (0.02, 0.03);
-/// ... and none whose links were identified: calibrated robots are within a tenth of it.
+/// ... and a robot with identified links never leaves: calibrated robots are within a tenth of it.
 const IDENTIFIED_OFF: (f64, f64) = (0.005, 0.0075);
 
-/// That the identified robot does not lie on the points either, gross errors aside.
+/// Warns where the identified robot does not fit the points either, gross errors aside.
 fn off_the_points(
     problem: &CalibrationProblem,
     solution: &Solution,
@@ -500,7 +500,7 @@ fn off_the_points(
     is_off.then_some(Warning::OffThePoints { rms, spread })
 }
 
-/// What the options left to the set, and what came of it.
+/// Assumptions that the options left to the set.
 fn assumptions(
     problem: &CalibrationProblem,
     set: &MeasurementSet,
@@ -565,10 +565,10 @@ fn assumptions(
     made
 }
 
-/// A named compliance of which the measurements tell less than this share of what is known is told to be its prior's.
+/// A named compliance is reported to rest on its prior if the measurements contribute less than this share to what is known.
 const LITTLE: f64 = 0.2;
 
-/// Those of the `named` compliances that the fit leaves to their priors.
+/// The `named` compliances that the fit leaves to their priors.
 fn unexcited(
     problem: &CalibrationProblem,
     named: &[ParameterId],
@@ -592,7 +592,7 @@ fn at_bound_warning(id: ParameterId, bound: f64) -> Warning {
     }
 }
 
-/// Payloads of poses where no spring yields to them.
+/// Payloads of poses where no spring yields.
 fn idle_payloads(problem: &CalibrationProblem, set: &MeasurementSet) -> Option<Warning> {
     let carried = set.payloads();
     let payloads: Vec<String> =
@@ -617,7 +617,7 @@ pub(super) fn rank_warnings(spectrum: &Spectrum, parameters: usize) -> Vec<Warni
     warnings
 }
 
-/// What is told of parameters that the measurements say nothing of.
+/// Warnings about parameters that the measurements do not determine.
 pub(super) fn left_open_warnings(
     held: &[DependentGroup],
     fixed: &[DependentGroup],
@@ -635,11 +635,11 @@ pub(super) fn left_open_warnings(
     warnings
 }
 
-/// What the measurements contradict of what was stated, and the warnings of that and of the residuals' size.
+/// What the measurements contradict, and the warnings of that and of the residuals' size.
 ///
-/// Priors are tested in the noise that the fit was weighed with. Under a misfit the place of a station is not held against an estimate: its
-/// nests confirm each other, and a shift of the base stands in for much that a model can lack. Where the fit was not weighed with the misfit that there
-/// is, nothing of the parameters is held against it, either.
+/// Priors are tested in the noise with which the fit was weighed. With a misfit, the place of a station is not held against an estimate: its nests
+/// confirm each other, and a shift of the base can replace much that a model lacks. Where the fit was not weighed with an existing misfit, the
+/// parameters are not held against it either.
 fn doubts(
     size: Size,
     is_stated: bool,
@@ -647,7 +647,7 @@ fn doubts(
     found_parts: Option<Parts>,
     checks: Option<&Checks>,
 ) -> (Vec<Contradiction>, Vec<Warning>) {
-    // Where the readings' own noise explains the residuals, there is nothing for a shift of the base to stand in for.
+    // Where the readings' own noise explains the residuals, a shift of the base does not replace anything.
     let explained = is_stated && !accounted && !is_misfit;
     let found = checks.map_or_else(Found::default, |checks| checks.of_priors(1.0));
     let is_place =
@@ -656,12 +656,12 @@ fn doubts(
     let mut warnings = Vec::new();
     let is_too_large = is_stated && size.is_too_large();
     if is_too_large && !accounted && is_misfit {
-        // What a model lacks pulls at all that was stated, and nothing says how strongly.
+        // What a model lacks pulls at everything that was stated, with unknown strength.
         contradicted.clear();
     }
     contradicted.extend(checks.map_or_else(Vec::new, Checks::of_nests));
     if is_too_large && (accounted || contradicted.is_empty()) {
-        // Where neither shows, gross errors are all that there is.
+        // Where neither is found, gross errors are the only explanation.
         if found_parts.is_none_or(|parts| parts.machine) {
             warnings.push(Warning::Inconsistent { ratio: size.ratio(), accounted });
         }

@@ -1,5 +1,5 @@
-//! Readings of sweeps that place a station. They are rows as those of poses are, but stand in the fit as the triangle of what they say of its parameters, so that
-//! nobody takes them for poses.
+//! Readings of sweeps that place a station. Their rows are like those of poses, but enter the fit as the triangular factor of their information on
+//! the parameters, so that they are not taken for poses.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3};
 
@@ -12,7 +12,7 @@ use crate::circle_points::SweptPlace;
 use calibrig_model::geometry::Transform;
 use calibrig_model::measurement::{MeasurementSet, Observation};
 
-/// The readings of a station's sweeps, each with the covariance that it has beside the others of its sweep.
+/// The readings of a station's sweeps, each with its covariance.
 pub(super) fn swept_rows(
     set: &MeasurementSet,
     index: usize,
@@ -48,7 +48,7 @@ pub(super) fn swept_rows(
     Ok(rows)
 }
 
-/// The prior that has the information of rows with these residuals and this Jacobian at `x`, and the squares of what no parameter changes there.
+/// The prior with the information of rows with these residuals and this Jacobian at `x`, and the sum of squares that no parameter changes there.
 pub(super) fn condensed(residuals: &DVector<f64>, jacobian: &DMatrix<f64>, x: &[f64]) -> (Prior, f64) {
     let n = jacobian.ncols();
     let at_zero = residuals - jacobian * DVector::from_column_slice(x);

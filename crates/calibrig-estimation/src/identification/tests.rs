@@ -1,4 +1,4 @@
-//! The coupled modes on data that the model itself makes: what is put in comes out, and what cannot be told is said.
+//! The coupled modes on data from the model itself: the true values are found, and what cannot be determined is reported.
 
 use std::path::Path;
 
@@ -15,7 +15,7 @@ use calibrig_model::random::{Source, stream};
 use calibrig_model::{CalibrationModel, Compliance, LinkageTerm, ParameterId, PointLoad, TermId};
 
 const SIGMA: f64 = 1e-5;
-/// Shoulder, elbow (which turns the crank) and waist by index.
+/// Indices of shoulder, elbow (which turns the crank) and waist.
 pub(super) const SHOULDER: Compliance = Compliance::Drive { joint: 2 };
 pub(super) const ELBOW: Compliance = Compliance::Drive { joint: 3 };
 pub(super) const WAIST: Compliance = Compliance::Drive { joint: 1 };
@@ -107,7 +107,7 @@ pub(super) fn measure(robot: &CalibratedRobot, poses: usize, noise: f64) -> Meas
     set
 }
 
-/// Some millimetres and milliradians in all that the rules keep.
+/// Some millimetres and milliradians in all parameters that the rules keep.
 pub(super) fn geometric_errors(nominal: &CalibrationModel) -> Vec<(ParameterId, f64)> {
     let kept = neighbour_axis_rules(&nominal.kinematics).0.into_iter().enumerate();
     kept.map(|(i, id)| (id, 4e-3 * (2.3 * i as f64 + 0.4).sin())).collect()
@@ -138,7 +138,7 @@ fn exact_data_give_geometry_and_stiffness_through_the_closed_four_bar() {
     let set = measure(&truth(&nominal, &deviations, Vec::new()), 80, 0.0);
     let options = IdentificationOptions {
         compliances: ComplianceChoice::Listed(vec![SHOULDER, ELBOW]),
-        // So that the prior takes nothing away.
+        // So wide that the prior has no effect.
         compliance_sigma: 1e3,
         ..options(Mode::ElastoGeometric)
     };
@@ -185,13 +185,13 @@ fn the_compliances_are_those_that_gravity_loads() {
     let estimate = identify(&nominal, &set, &options(Mode::ElastoGeometric)).expect("an estimate");
     let has = |compliance| estimate.value(ParameterId::Compliance(compliance)).is_some();
     assert!(has(SHOULDER) && has(ELBOW) && has(Compliance::Rod));
-    // Its axis is vertical.
+    // The axis is vertical.
     assert!(!has(WAIST));
     let shoulder = estimate.parameters.iter().find(|p| p.id == ParameterId::Compliance(SHOULDER));
     assert_eq!(shoulder.and_then(|p| p.prior_sigma), Some(0.1));
 }
 
-/// Whatever columns were left out on the way.
+/// Whichever columns were left out before.
 #[test]
 fn the_first_system_of_the_solver_is_that_of_the_start() {
     let nominal = painter();
@@ -245,7 +245,7 @@ fn a_compliance_that_was_asked_for_and_is_not_loaded_is_handled_as_chosen() {
 #[test]
 fn what_the_measurements_leave_open_is_fixed_held_or_counted_as_lacking() {
     let mut nominal = painter();
-    // Without weight, and with a force on the rail alone, the shoulder does not bend: its compliance has no effect at all.
+    // Without weight, and with a force along the rail only, the shoulder does not bend: its compliance has no effect at all.
     let statics = nominal.statics.as_mut().expect("statics");
     statics.gravity = Vector3::zeros();
     let (at, force) = (Vector3::zeros(), Vector3::x());
@@ -273,18 +273,18 @@ fn what_the_measurements_leave_open_is_fixed_held_or_counted_as_lacking() {
 fn a_compliance_stops_at_rigid_and_says_so() {
     let nominal = painter();
     let mut machine = truth(&nominal, &[], Vec::new());
-    // A machine that rises under its weight would take a negative compliance.
+    // A machine that rises under its weight would need a negative compliance.
     machine.model.statics.as_mut().expect("statics").gravity *= -0.5;
     let set = measure(&machine, 40, 1.0);
     let options = IdentificationOptions {
         compliances: ComplianceChoice::Listed(vec![SHOULDER, ELBOW]),
         compliance_sigma: 10.0,
-        // The bounds alone are looked at, not the misfit that they leave.
+        // The test is about the bounds, not about the misfit that they leave.
         machine_noise: MachineNoiseChoice::Stated(Vec::new()),
         ..options(Mode::ElastoGeometric)
     };
     let estimate = identify(&nominal, &set, &options).expect("an estimate");
-    // No visible compliance is a warning, and no reason to doubt the rest.
+    // A drive without visible compliance is a warning, but no reason to doubt the rest.
     assert!(!estimate.at_bound.is_empty() && estimate.is_sound());
     for id in &estimate.at_bound {
         assert_eq!(estimate.value(*id), Some(-1.0));
@@ -292,7 +292,7 @@ fn a_compliance_stops_at_rigid_and_says_so() {
     let stiffness = estimate.robot.model.statics.as_ref().expect("statics").drive_stiffness[3];
     assert!(estimate.value(ParameterId::Compliance(ELBOW)) > Some(-1.0) || stiffness.is_infinite());
     assert!(estimate.warnings.iter().any(|w| matches!(w, Warning::Rigid { .. })));
-    // The others are as sure as they are where the rigid drives are no parameters.
+    // The others are as certain as where the rigid drives are not parameters.
     let covariance = estimate.covariance.as_ref().expect("full rank");
     let free = ComplianceChoice::Listed(
         [SHOULDER, ELBOW]
@@ -387,7 +387,7 @@ fn a_robot_without_statics_has_terms_but_no_stiffness() {
     let options =
         IdentificationOptions { terms: Some(vec!["hysteresis".to_owned()]), ..options(Mode::Extended) };
     let estimate = identify(&nominal, &set, &options).expect("an estimate");
-    // Its prior takes a little.
+    // The prior has a small effect.
     assert_found(&estimate, &[(ParameterId::Term(id), 3e-4)], 1e-7);
     assert_eq!(estimate.robot.terms.len(), 7);
 }
@@ -420,7 +420,7 @@ fn what_cannot_be_is_refused_in_words() {
     assert!(matches!(error, IdentifyError::TooFewRows { .. }), "{error}");
 }
 
-/// Frozen deflections of the nominal robot, bearings and beams included: an exact nominal machine has no error left.
+/// Constant deflections of the nominal robot, including bearings and beams: an exact nominal machine has no error left.
 #[test]
 fn with_gravity_an_exact_machine_is_predicted_exactly() {
     let nominal = painter();
@@ -437,7 +437,7 @@ mod ends;
 mod tables;
 mod valleys;
 
-/// What is judged is the system that was solved: under a robust loss, and with a parameter at its bound.
+/// The system that is judged is the one that was solved: also with a robust loss, and with a parameter at its bound.
 #[test]
 fn the_solved_system_has_the_covariance_of_its_estimate() {
     let nominal = painter();
@@ -469,7 +469,7 @@ fn the_solved_system_has_the_covariance_of_its_estimate() {
     }
 }
 
-/// A drive is fitted at first and left out once the misfit is known: what was fitted of it must not stay in the system that goes on.
+/// A drive is fitted at first and left out once the misfit is known: its fitted value must not stay in the system of the next fit.
 #[test]
 fn a_fit_that_goes_on_with_other_parameters_ends_at_its_own_minimum() {
     let nominal = painter();
@@ -492,7 +492,7 @@ fn a_fit_that_goes_on_with_other_parameters_ends_at_its_own_minimum() {
             let cosine = column.dot(&system.residuals) / (column.norm() * system.residuals.norm());
             assert!(cosine.abs() < 1e-3, "{compliance_sigma} {}: {cosine}", parameter.id);
         }
-        // In the stated noise, the residuals have the size of a fit that knows nothing of the others.
+        // In the stated noise, the residuals have the size of a fit without the others.
         let left = estimate.parameters.iter().filter_map(|p| match p.id {
             ParameterId::Compliance(compliance) => Some(compliance),
             _ => None,

@@ -1,8 +1,8 @@
-//! The orientations of full poses: three rows each behind those of all positions.
+//! The orientations of full poses: three rows each, after those of all positions.
 //!
-//! A residual is the rotation vector φ of predicted · measured⁻¹ in the tracker's axes, rad. Positions are weighed by themselves, as those of
-//! points; an orientation is weighed beside the positions of its pose, with the rest of the lower-triangular Cholesky factor of their common
-//! covariance. So the rows of all observations stay where they are, and all rows together are independent.
+//! A residual is the rotation vector φ of predicted · measured⁻¹ in the tracker's axes, rad. Positions are weighed on their own, like those of
+//! points; an orientation is weighed together with the positions of its pose, by the remaining rows of the lower-triangular Cholesky factor of
+//! their common covariance. So the rows of all observations stay where they are, and all rows together are independent.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Rotation3, UnitQuaternion, Vector3};
 
@@ -13,35 +13,35 @@ use calibrig_model::ParameterId;
 use calibrig_model::geometry::{Transform, rotation_vector};
 use calibrig_model::measurement::{MeasurementSet, Reading};
 
-/// Standard deviation that rotations without a stated one are given before the residuals tell, rad.
+/// Standard deviation that rotations without a stated one are given before the residuals are known, rad.
 pub(super) const UNSTATED_TURN: f64 = 1e-4;
 
-/// The orientation that an observation has beside its position.
+/// The orientation of an observation.
 #[derive(Debug, Clone)]
 pub(super) struct TurnRow {
-    /// Of which observation.
+    /// Index of the observation.
     pub observation: usize,
     /// Measured `tracker_from_target`.
     pub seen: Rotation3<f64>,
-    /// Stated covariance of its error, rad², and of that with the position's, m rad: a row for each component of the rotation.
+    /// Stated covariance of the orientation's error, rad², and of that with the position's error, m rad: one row per component of the rotation.
     pub reading: Option<[Matrix3<f64>; 2]>,
 }
 
-/// What makes the orientations of a pose independent of its positions and of each other.
+/// The map that makes the orientations of a pose independent of its positions and of each other.
 #[derive(Debug, Clone)]
 pub(super) struct TurnWhitening {
     /// Observations of the pose.
     observations: Vec<usize>,
     /// Blocks of its orientations.
     blocks: Vec<usize>,
-    /// Acts on the orientations, rad.
+    /// Applies to the orientations, rad.
     own: DMatrix<f64>,
-    /// Acts on the whitened rows of the positions, and is taken off.
+    /// Applies to the whitened rows of the positions; the result is subtracted.
     coupling: DMatrix<f64>,
 }
 
 impl TurnWhitening {
-    /// In every column of `rows` numbers, whose positions are whitened already.
+    /// Applies the map to every column of `rows` numbers, whose positions are whitened already.
     pub fn apply(&self, columns: &mut [f64], rows: usize) {
         let places = |blocks: &[usize]| blocks.iter().flat_map(|b| 3 * b..3 * b + 3).collect::<Vec<_>>();
         let (positions, turns) = (places(&self.observations), places(&self.blocks));
@@ -68,7 +68,7 @@ pub(super) fn turns(set: &MeasurementSet) -> Vec<TurnRow> {
     set.observations.iter().enumerate().filter_map(turn).collect()
 }
 
-/// How the targets are turned on the flange as stated; as the flange, where nothing is.
+/// Stated orientations of the targets on the flange; the flange's own where none is stated.
 pub(super) fn stated_orientations(set: &MeasurementSet) -> Vec<Rotation3<f64>> {
     let of = |target: &calibrig_model::measurement::Target| {
         target.orientation.as_ref().map_or_else(Rotation3::identity, |o| o.flange_from_target)
@@ -76,9 +76,9 @@ pub(super) fn stated_orientations(set: &MeasurementSet) -> Vec<Rotation3<f64>> {
     set.targets.iter().map(of).collect()
 }
 
-/// The deviation ξ of a target's orientation from its stated one that the readings ask for, rad, where the robot is nominal (`flanges` are
-/// `base_from_flange`, one an observation) and the `stations` are where they are; `None` for a target without a reading of its orientation. It is
-/// the mean of what single readings say, as rotation matrices (M. Moakher, "Means and averaging in the group of rotations", SIAM J. Matrix
+/// Initial deviation ξ of a target's orientation from its stated one, rad, from the readings, with the nominal robot (`flanges` are
+/// `base_from_flange`, one per observation) and the `stations` at their places; `None` for a target without a reading of its orientation. It is
+/// the mean of the single readings as rotation matrices (M. Moakher, "Means and averaging in the group of rotations", SIAM J. Matrix
 /// Anal. Appl. 24 (2002) 1, section 3.1).
 pub(super) fn starting_turn(
     set: &MeasurementSet,
@@ -101,29 +101,29 @@ pub(super) fn starting_turn(
     let smallest = svd.singular_values.imin();
     handedness[(smallest, smallest)] = (u * v_t).determinant().signum();
     let found = Rotation3::from_matrix_unchecked(u * handedness * v_t);
-    // By a quaternion, whose logarithm is exact for half a turn, too.
+    // By a quaternion, whose logarithm is exact also for half a turn.
     let turn = UnitQuaternion::from_rotation_matrix(&(stated.inverse() * found)).scaled_axis();
     (svd.singular_values[0] > 0.0 && turn.iter().all(|v| v.is_finite())).then_some(turn)
 }
 
 impl CalibrationProblem {
-    /// Rows of the observations: three for every position, and behind them three for every orientation.
+    /// Number of rows of the observations: three for every position, then three for every orientation.
     pub fn data_rows(&self) -> usize {
         3 * self.blocks()
     }
 
-    /// The block of an orientation.
+    /// Index of the block of an orientation.
     pub fn turn_block(&self, turn: usize) -> usize {
         self.rows.len() + turn
     }
 
-    /// The blocks of observations of one pose: of their positions, then of the orientations that some have.
+    /// Blocks of observations of one pose: first their positions, then the orientations.
     pub fn blocks_of(&self, observations: &[usize]) -> Vec<usize> {
         let turns = observations.iter().filter_map(|i| self.turn_of[*i]).map(|turn| self.turn_block(turn));
         observations.iter().copied().chain(turns).collect()
     }
 
-    /// The observation that a block is of, and its orientation where it is one of those.
+    /// The observation of a block, and its orientation if the block is one.
     pub fn owner(&self, block: usize) -> (usize, Option<usize>) {
         match block.checked_sub(self.rows.len()) {
             Some(turn) => (self.turns[turn].observation, Some(turn)),
@@ -131,7 +131,7 @@ impl CalibrationProblem {
         }
     }
 
-    /// Fills the orientation of an observation whose position was filled before, in rad.
+    /// Fills the rows of an observation's orientation, in rad; its position must have been filled before.
     pub(super) fn fill_turn(
         &mut self,
         index: usize,
@@ -150,7 +150,7 @@ impl CalibrationProblem {
         }
         let station = &now.stations[row.station];
         let flange = now.forward.rotation();
-        // A drift turns the base as the tracker sees it; the instrument's own errors are those of positions.
+        // A drift rotates the base as the tracker sees it; the instrument's other errors concern positions only.
         let drift = |(column, _): &(usize, Vector3<f64>)| match self.parameters[*column] {
             ParameterId::Drift { component, .. } if component >= 3 => {
                 Vector3::ith(component - 3, row.hours * now.errors[*column])
@@ -162,7 +162,7 @@ impl CalibrationProblem {
         let off = rotation_vector(&(predicted * self.turns[turn].seen.inverse()));
         residuals.fixed_rows_mut::<3>(first).copy_from(&off);
         let Some(jacobian) = jacobian else { return };
-        // From a small turn of what is predicted to the rotation vector of the difference.
+        // From a small rotation of the prediction to the change of the difference's rotation vector.
         let inverse = left_jacobian(&off).try_inverse().unwrap_or_else(Matrix3::identity);
         let from_base = inverse * station.rotation.matrix();
         let Displacement { left, .. } = &now.displacements[row.station];
@@ -189,7 +189,7 @@ impl CalibrationProblem {
         }
     }
 
-    /// What is known of an orientation's own error, rad².
+    /// The known covariance of an orientation's own error, rad².
     fn own_turn_covariance(&self, turn: usize) -> Matrix3<f64> {
         let stated = self.turns[turn].reading.map(|[own, _]| own);
         let found = self.noise.turn.filter(|sigma| *sigma > 0.0);
@@ -197,7 +197,7 @@ impl CalibrationProblem {
         stated.unwrap_or_default() + Matrix3::identity() * beside * beside
     }
 
-    /// Adds to the covariance of these `blocks` what is stated of their orientations by themselves and with the positions of their readings.
+    /// Adds the stated covariances of orientations, and of these with the positions of their readings, to the covariance of these `blocks`.
     pub(super) fn add_stated_turns(&self, blocks: &[usize], covariance: &mut DMatrix<f64>) {
         for (k, block) in blocks.iter().enumerate() {
             let (observation, Some(turn)) = self.owner(*block) else { continue };
@@ -213,7 +213,7 @@ impl CalibrationProblem {
         }
     }
 
-    /// Weighs the orientations of a pose whose positions, of `known` covariance each by itself, are weighed already.
+    /// Weighs the orientations of a pose whose positions, each with covariance `known`, are weighed already.
     pub(super) fn weigh_turns(&mut self, pose: &[usize], known: &[Matrix3<f64>]) -> Option<()> {
         let blocks = self.blocks_of(pose);
         let positions = 3 * pose.len();
@@ -248,7 +248,7 @@ impl CalibrationProblem {
         })
     }
 
-    /// Weighs all orientations alike, with this standard deviation, rad.
+    /// Weighs all orientations the same, with this standard deviation, rad.
     pub(super) fn weigh_turns_alike(&mut self, sigma: f64) {
         let alike = |turn: usize| TurnWhitening {
             observations: Vec::new(),
@@ -259,7 +259,7 @@ impl CalibrationProblem {
         self.turn_whitening = (0..self.turns.len()).map(alike).collect();
     }
 
-    /// Takes the rows of orientations, rad, to standard deviations, in columns whose positions are whitened.
+    /// Whitens the rows of orientations, rad, in columns whose positions are whitened.
     pub(super) fn whiten_turns(&self, residuals: &mut DVector<f64>, mut jacobian: Option<&mut DMatrix<f64>>) {
         let rows = residuals.len();
         for whitening in &self.turn_whitening {
@@ -270,7 +270,7 @@ impl CalibrationProblem {
         }
     }
 
-    /// An orientation's difference from a whitened one by itself, rad.
+    /// Turns a singly whitened orientation residual back into a difference, rad.
     pub(super) fn turned_back(&self, turn: usize, whitened: &Vector3<f64>) -> Option<Vector3<f64>> {
         let block = self.turn_block(turn);
         let whitening = self.turn_whitening.iter().find(|w| w.blocks.contains(&block))?;
@@ -278,8 +278,8 @@ impl CalibrationProblem {
         whitening.own.fixed_view::<3, 3>(3 * place, 3 * place).into_owned().lu().solve(whitened)
     }
 
-    /// The length that makes rotations (rad) as large as positions (m) in the residuals of both, by their medians, which gross errors do not
-    /// move; 1 where there is nothing to compare.
+    /// The length that makes rotations (rad) as large as positions (m) in the residuals, from the medians of both, which gross errors do not move;
+    /// 1 where there is nothing to compare.
     pub(super) fn lever(&self, residuals: &DVector<f64>) -> f64 {
         let (positions, turns) = (self.rows.len(), self.turns.len());
         let median = |first: usize, count: usize| {
@@ -294,7 +294,7 @@ impl CalibrationProblem {
         if lever > 0.0 && lever.is_finite() { lever } else { 1.0 }
     }
 
-    /// Multiplies the rows of orientations.
+    /// Multiplies the rows of orientations by a factor.
     pub(super) fn scale_turns(&self, by: f64, residuals: &mut DVector<f64>, jacobian: &mut DMatrix<f64>) {
         let (first, count) = (3 * self.rows.len(), 3 * self.turns.len());
         residuals.rows_mut(first, count).scale_mut(by);
@@ -302,8 +302,8 @@ impl CalibrationProblem {
     }
 }
 
-/// How the flange turns per unit of a parameter, in base axes, rad per unit; zero for the tracker's place and for how a target is turned on it.
-/// `term` counts the terms that were asked for.
+/// Rotation of the flange per unit of a parameter, in base axes, rad per unit; zero for the tracker's place and for a target's orientation on the
+/// flange. `term` counts the terms so far.
 pub(super) fn turn_column(forward: &ForwardModel, id: ParameterId, term: &mut usize) -> Vector3<f64> {
     match id {
         ParameterId::Frame { .. }

@@ -1,6 +1,6 @@
-//! How sure an estimate is, what that rests on, and what each pose has to do with it.
+//! The uncertainty of an estimate, what it rests on, and the influence of each pose.
 //!
-//! Everything is read from the whitened Jacobian at the minimum: rows of the data (three an observation), then rows of the priors.
+//! Everything is computed from the whitened Jacobian at the minimum: rows of the data (three per observation), then rows of the priors.
 
 use nalgebra::{DMatrix, DVector, Dyn, Matrix3, OMatrix, SymmetricEigen, U3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -12,14 +12,14 @@ use calibrig_model::ParameterId;
 /// A position's derivative with respect to the parameters, 3 x n.
 pub type PositionJacobian = OMatrix<f64, U3, Dyn>;
 
-/// Directions of the priors with less than this of the largest scaled eigenvalue are not held by them.
+/// Directions with less than this share of the largest scaled eigenvalue of the priors do not count as held by them.
 const NEGLIGIBLE_PRIOR: f64 = 1e-12;
 
 /// The uncertainty of parameters that data and priors determine together.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Uncertainty {
     parameters: Vec<ParameterId>,
-    /// `S` with covariance `S Sᵀ`: upper triangular.
+    /// `S` with covariance `S Sᵀ`, upper triangular.
     factor: DMatrix<f64>,
     covariance: DMatrix<f64>,
     data_covariance: Option<DMatrix<f64>>,
@@ -28,45 +28,44 @@ pub struct Uncertainty {
     effective_parameters: f64,
 }
 
-/// What one parameter's standard deviation rests on.
+/// The sources of one parameter's standard deviation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ParameterSupport {
-    /// Which.
+    /// Which parameter.
     pub id: ParameterId,
     /// Standard deviation from data and priors together, SI.
     pub sigma: f64,
-    /// From the priors alone; `None` where they say nothing of it.
+    /// Standard deviation from the priors alone; `None` where they do not determine it.
     pub prior_sigma: Option<f64>,
-    /// From the data alone; `None` where they do not determine all parameters.
+    /// Standard deviation from the data alone; `None` where they do not determine all parameters.
     pub data_sigma: Option<f64>,
-    /// Share of what is known of it that came with the data, `1 - sigma² / prior_sigma²`: 0 where the data say nothing, 1 without a
-    /// prior.
+    /// Share of the knowledge that came with the data, `1 - sigma² / prior_sigma²`: 0 where the data show nothing, 1 without a prior.
     pub data_share: f64,
-    /// Part of `sigma` that the readings' noise makes, SI: `sigma² = noise_part² + prior_part²`.
+    /// Part of `sigma` due to the readings' noise, SI: `sigma² = noise_part² + prior_part²`.
     pub noise_part: f64,
-    /// Part of `sigma` that the priors' uncertainty makes, SI. More readings of the same poses do not reduce it by their number.
+    /// Part of `sigma` due to the priors' uncertainty, SI. More readings of the same poses do not reduce it in proportion.
     pub prior_part: f64,
 }
 
-/// What an observation has to do with the estimate.
+/// Influence of an observation on the estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PoseInfluence {
-    /// Trace of its 3 x 3 block of the hat matrix, 0 to 3: how many parameters it determines by itself.
+    /// Trace of its 3 x 3 block of the hat matrix, 0 to 3: how many parameters it determines on its own.
     pub leverage: f64,
-    /// Residuals over their own standard deviations, which the fit has made smaller than the readings'.
+    /// Residuals over their own standard deviations, which are smaller than the readings' because of the fit.
     pub standardised: Vector3<f64>,
     /// `eᵀ (1 - H)⁻¹ e`: chi-square with three degrees of freedom if the stated noise is right. `None` where the observation alone
     /// determines a direction.
     pub chi2: Option<f64>,
-    /// Whitened residual that it would have, had its pose been left out of the fit (to first order).
+    /// Whitened residual if its pose had been left out of the fit (to first order).
     pub left_out: Option<Vector3<f64>>,
-    /// Cook's distance: by how much, in the estimate's own uncertainty and per parameter, leaving its pose out would move the estimate.
+    /// Cook's distance: how far the estimate would move without its pose, in the estimate's own uncertainty and per parameter.
     pub cook: Option<f64>,
 }
 
 impl Uncertainty {
-    /// From the whitened `jacobian` (rows x n) whose first `data_rows` rows are data and whose other rows are priors. `None` where the
-    /// two together do not determine all `parameters`.
+    /// The uncertainty from the whitened `jacobian` (rows x n), whose first `data_rows` rows are data and whose other rows are priors. `None` where
+    /// both together do not determine all `parameters`.
     pub fn new(jacobian: &DMatrix<f64>, data_rows: usize, parameters: &[ParameterId]) -> Option<Self> {
         let n = parameters.len();
         if jacobian.ncols() != n || n == 0 || data_rows > jacobian.nrows() {
@@ -88,7 +87,7 @@ impl Uncertainty {
         })
     }
 
-    /// That of a solved system: what a bound holds has no spread, and none of it is in the others'.
+    /// The uncertainty of a solved system. Parameters at a bound have no spread, and add none to the others.
     pub fn of(system: &Linearisation, parameters: &[ParameterId]) -> Option<Self> {
         if system.bounded.is_empty() {
             return Self::new(&system.jacobian, system.data_rows, parameters);
@@ -126,7 +125,7 @@ impl Uncertainty {
         self.data_covariance.as_ref()
     }
 
-    /// The part of the covariance that the priors' uncertainty makes, `C P C` with P the priors' information; the rest is the readings'.
+    /// Part of the covariance due to the priors' uncertainty, `C P C` with P the priors' information; the rest is due to the readings.
     pub fn prior_part(&self) -> &DMatrix<f64> {
         &self.prior_part
     }
@@ -138,7 +137,7 @@ impl Uncertainty {
         self.effective_parameters
     }
 
-    /// What every parameter rests on.
+    /// The sources of every parameter's standard deviation.
     pub fn support(&self) -> Vec<ParameterSupport> {
         self.parameters
             .iter()
@@ -182,7 +181,7 @@ impl Uncertainty {
         pairs
     }
 
-    /// Covariance of a predicted position with derivative `jacobian` (3 x n), m²; `None` where that has another number of columns.
+    /// Covariance of a predicted position with derivative `jacobian` (3 x n), m²; `None` where `jacobian` has another number of columns.
     pub fn position_covariance(&self, jacobian: &PositionJacobian) -> Option<Matrix3<f64>> {
         if jacobian.ncols() != self.parameters.len() {
             return None;
@@ -191,9 +190,9 @@ impl Uncertainty {
         Some(&spread * spread.transpose())
     }
 
-    /// The influence of every observation on the estimate, from the same `jacobian` and the whitened `residuals` at the minimum; whole
-    /// blocks of the data rows only (observations, and behind them orientations); none where the Jacobian is of other parameters. Those of one of
-    /// the `poses` share its errors and are left out together; what is in none of them is a pose of its own.
+    /// The influence of every observation on the estimate, from the same `jacobian` and the whitened `residuals` at the minimum, for whole blocks of
+    /// the data rows (observations, then orientations); empty where the Jacobian has other parameters. Observations of one of the `poses` share its
+    /// errors and are left out together; an observation in none of them is a pose of its own.
     pub fn influences(
         &self,
         jacobian: &DMatrix<f64>,
@@ -217,7 +216,7 @@ impl Uncertainty {
         influences
     }
 
-    /// What comes of leaving out the observations of a pose together.
+    /// The effect of leaving out the observations of a pose together.
     fn leave_out(
         &self,
         pose: &[usize],
@@ -258,9 +257,9 @@ pub fn cramer_rao_bound(jacobian: &DMatrix<f64>, parameters: &[ParameterId]) -> 
     inverse_factor(&triangular_factor_of_all(jacobian.as_view()), parameters).map(|s| &s * s.transpose())
 }
 
-/// The Bayesian Cramér-Rao bound on the mean squared error of any estimator, the truth being drawn from the normal prior whose whitening
-/// is `prior` (rows x n): `(E[Jᵀ J] + Lᵀ L)⁻¹`, with the mean over the data's Jacobians J at truths that were drawn from it. `None` where the
-/// two together do not determine all parameters, or a matrix has another number of columns.
+/// The Bayesian Cramér-Rao bound on the mean squared error of any estimator, where the truth is drawn from the normal prior with the whitening
+/// `prior` (rows x n): `(E[Jᵀ J] + Lᵀ L)⁻¹`, with the mean over the data's Jacobians J at truths drawn from it. `None` where data and prior
+/// together do not determine all parameters, or a matrix has another number of columns.
 ///
 /// Source: H. L. Van Trees, "Detection, Estimation, and Modulation Theory, Part I" (1968), section 2.4.3.
 pub fn bayesian_cramer_rao_bound<'a>(
@@ -272,7 +271,7 @@ pub fn bayesian_cramer_rao_bound<'a>(
     if prior.ncols() != parameters.len() || parameters.is_empty() {
         return None;
     }
-    // Triangular factors instead of normal matrices: those would halve the digits of weak directions.
+    // Triangular factors instead of normal matrices, which would halve the digits of weak directions.
     let mut stacked = prior.clone();
     for jacobian in jacobians {
         if jacobian.ncols() != stacked.ncols() {
@@ -287,7 +286,7 @@ pub fn bayesian_cramer_rao_bound<'a>(
     inverse_factor(&stacked, parameters).map(|s| &s * s.transpose())
 }
 
-/// `S` with `S Sᵀ = (Jᵀ J)⁻¹`; `None` where that is singular.
+/// `S` with `S Sᵀ = (Jᵀ J)⁻¹`; `None` where `Jᵀ J` is singular.
 fn inverse_factor(jacobian: &DMatrix<f64>, parameters: &[ParameterId]) -> Option<DMatrix<f64>> {
     let n = jacobian.ncols();
     if n != parameters.len() || n == 0 || jacobian.nrows() < n || jacobian.iter().any(|v| !v.is_finite()) {
@@ -354,7 +353,7 @@ mod tests {
         ParameterId::all_of_links(n.div_ceil(5)).into_iter().take(n).collect()
     }
 
-    /// Eight poses, seven parameters of different size; the last three with a prior, two of them with a common one.
+    /// Eight poses, seven parameters of different size; the last three have a prior, two of them a common one.
     fn system(rng: &mut ChaCha8Rng) -> (DMatrix<f64>, Vec<ParameterId>) {
         let mut jacobian = normal(3 * POSES + 3, 7, rng);
         for (column, size) in [1e4, 1.0, 30.0, 1e-3, 5.0, 1e3, 2.0].into_iter().enumerate() {
@@ -424,7 +423,7 @@ mod tests {
             assert!(support.data_share > 0.0 && support.data_share < 1.0);
         }
 
-        // A parameter that the data do not show stands at its prior; without that, there is no covariance.
+        // A parameter that the data do not show stays at its prior; without a prior, there is no covariance.
         let mut blind = jacobian.clone();
         blind.view_mut((0, 4), (3 * POSES, 1)).fill(0.0);
         let uncertainty = Uncertainty::new(&blind, 3 * POSES, &ids).expect("the prior holds it");
@@ -447,7 +446,7 @@ mod tests {
         assert_eq!(marginal_sigmas(&DMatrix::zeros(2, 2)), [None, None]);
     }
 
-    /// Against fits that really leave the pose out.
+    /// Compared with fits that actually leave out the pose.
     #[test]
     fn influence_is_what_leaving_the_pose_out_does() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
@@ -474,7 +473,7 @@ mod tests {
         assert!((leverage - uncertainty.effective_parameters()).abs() < 1e-9);
     }
 
-    /// Drawn sessions: the truth from the prior, the readings from their noise. Estimates, predicted positions and standardised residuals
+    /// Random sessions: the truth is drawn from the prior, the readings from their noise. Estimates, predicted positions and standardised residuals
     /// scatter as stated, and as the bound allows.
     #[test]
     fn drawn_estimates_scatter_as_stated() {
@@ -533,7 +532,7 @@ mod tests {
         same(&bayesian, uncertainty.covariance());
         assert!(cramer_rao_bound(&prior, &ids).is_none());
 
-        // y = x² + noise with x drawn from the standard normal distribution: the mean of (2x)² is 4, so the bound is 1/5. The points of
+        // y = x² + noise with x drawn from the standard normal distribution: the mean of (2x)² is 4, so the bound is 1/5. The points are those of
         // three-point Gauss-Hermite quadrature, exact here, with weights 1/6, 4/6, 1/6.
         let at = |x: f64| DMatrix::from_element(1, 1, 2.0 * x);
         let root = 3.0_f64.sqrt();

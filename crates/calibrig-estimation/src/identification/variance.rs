@@ -1,9 +1,9 @@
-//! Variance components of a linearised system: how large errors of stated shapes are, by restricted maximum likelihood.
+//! Variance components of a linearised system: sizes of errors of given shapes, by restricted maximum likelihood.
 //!
-//! The data have the covariance `V = Σ_known + Σ_k v_k Z_k Z_kᵀ`, block by block, and the parameters a normal prior (flat where there is none).
-//! With both parameters and priors integrated out, what is left is the likelihood of the variances `v_k` alone, so that fitted parameters cost
-//! the degrees of freedom that they take. It is climbed by steps with the average information, and where such a step would go down by a step
-//! that never does.
+//! The data have the covariance `V = Σ_known + Σ_k v_k Z_k Z_kᵀ`, block by block, and the parameters have a normal prior (flat where there is
+//! none). With the parameters integrated out, the likelihood depends on the variances `v_k` alone, so that fitted parameters cost the degrees
+//! of freedom that they take. It is maximised by steps with the average information, or, where such a step would decrease it, by a step that
+//! never does.
 //!
 //! Source: H. D. Patterson, R. Thompson, "Recovery of inter-block information when block sizes are unequal", Biometrika 58 (1971), 545-554
 //! (the likelihood); A. R. Gilmour, R. Thompson, B. R. Cullis, "Average information REML", Biometrics 51 (1995), 1440-1450 (the step);
@@ -11,29 +11,29 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-/// Observations whose errors depend on each other, and on those of no other block.
+/// Observations whose errors depend on each other, and not on those of any other block.
 #[derive(Debug, Clone)]
 pub(super) struct Block {
-    /// The places of their blocks in the system, three rows each.
+    /// Indices of their blocks in the system, three rows each.
     pub blocks: Vec<usize>,
-    /// What of their covariance is known, m².
+    /// The known part of their covariance, m².
     pub known: DMatrix<f64>,
-    /// The columns of all `Z_k` beside each other, one row a coordinate.
+    /// The columns of all `Z_k` next to each other, one row per coordinate.
     pub shapes: DMatrix<f64>,
-    /// Of every column, its component.
+    /// Component of every column.
     pub components: Vec<usize>,
 }
 
-/// A system at one place: rows of data in metres, and whitened rows of priors.
+/// A linearised system: rows of data in metres, and whitened rows of priors.
 #[derive(Debug, Clone)]
 pub(super) struct System {
     pub residuals: DVector<f64>,
     pub jacobian: DMatrix<f64>,
-    /// Columns that no bound holds: the others are no parameters here.
+    /// Columns that are not held at a bound: the others are not parameters here.
     pub free: Vec<usize>,
     pub prior_residuals: DVector<f64>,
     pub prior_jacobian: DMatrix<f64>,
-    /// Observations that are in none are not looked at.
+    /// Blocks of observations; an observation in none of them is ignored.
     pub blocks: Vec<Block>,
     /// Number of components.
     pub count: usize,
@@ -42,21 +42,21 @@ pub(super) struct System {
 /// The variances that explain the residuals best.
 #[derive(Debug, Clone)]
 pub(super) struct Components {
-    /// In the order of the shapes, in the square of their units; zero where the data show none.
+    /// In the order of the shapes, in squared units of each; zero where the data show none.
     pub variances: Vec<f64>,
     /// Degrees of freedom of their sum, as a mean square over the coordinates: twice its square over its own variance (F. E. Satterthwaite, "An
     /// approximate distribution of estimates of variance components", Biometrics Bulletin 2 (1946), 110-114).
     pub freedom: f64,
-    /// Logarithm of their likelihood, but for a constant.
+    /// Logarithm of their likelihood, up to a constant.
     pub likelihood: f64,
 }
 
-/// An error that moves targets by less than this mean square, m² per unit, is not seen: an actuator whose axis they lie on.
+/// An error that moves targets by a smaller mean square than this, m² per unit, is ignored: that of an actuator on whose axis they lie.
 const UNSEEN: f64 = 1e-9;
-/// The likelihood need not be known better than this: a variance is then off by a seventh of its own standard deviation.
+/// Accuracy of the likelihood's logarithm: with it, a variance is off by a seventh of its own standard deviation.
 const NEGLIGIBLE: f64 = 1e-2;
 const MOST_STEPS: usize = 50;
-/// What a normal matrix with a unit diagonal cannot tell from zero is added to it: no direction is free.
+/// Added to the unit diagonal of a normal matrix, which cannot distinguish it from zero, so that no direction is left free.
 const LEAST: f64 = 1e-12;
 
 impl System {
@@ -64,14 +64,14 @@ impl System {
         self.blocks.iter().map(|block| 3 * block.blocks.len()).sum()
     }
 
-    /// Mean square of the residuals of those coordinates, m².
+    /// Mean square of the residuals of the coordinates in the blocks, m².
     fn mean_square(&self) -> f64 {
         let rows = self.blocks.iter().flat_map(|block| &block.blocks);
         let sum: f64 = rows.map(|i| self.residuals.fixed_rows::<3>(3 * i).norm_squared()).sum();
         sum / self.coordinates() as f64
     }
 
-    /// Mean square that a unit of every component makes.
+    /// Mean square that a unit of each component makes.
     pub fn mean_squares(&self) -> Vec<f64> {
         let mut sums = vec![0.0; self.count];
         for block in &self.blocks {
@@ -83,14 +83,14 @@ impl System {
         sums.iter().map(|sum| sum / coordinates).collect()
     }
 
-    /// The system without the shapes that hardly move anything.
+    /// The system without shapes that hardly move anything.
     pub fn without_unseen(self) -> Self {
         let units = self.mean_squares();
         let is_seen = |component: usize| units[component] >= UNSEEN;
         if (0..units.len()).all(is_seen) { self } else { self.with_components(is_seen) }
     }
 
-    /// The system with the shapes of those components that are `kept`.
+    /// The system with the shapes of the components that are `kept`.
     pub fn with_components(mut self, kept: impl Fn(usize) -> bool) -> Self {
         for block in &mut self.blocks {
             let columns: Vec<usize> =
@@ -101,15 +101,15 @@ impl System {
         self
     }
 
-    /// Equal shares of the residuals' mean square.
+    /// Variances with equal shares of the residuals' mean square.
     fn shares(&self) -> Vec<f64> {
         let units = self.mean_squares();
         let share = self.mean_square() / units.iter().filter(|unit| **unit > 0.0).count().max(1) as f64;
         units.iter().map(|unit| if *unit > 0.0 { share / unit } else { 0.0 }).collect()
     }
 
-    /// The variances of largest likelihood; `start` where they were before, if that is known. `None` where residuals and shapes do not
-    /// determine any, or rounding is all that is left.
+    /// The variances of largest likelihood; `start` are earlier values, if known. `None` where residuals and shapes determine none, or only
+    /// rounding is left.
     pub fn components(&self, start: Option<&[f64]>) -> Option<Components> {
         let units = self.mean_squares();
         if !(self.mean_square() > 0.0 && self.mean_square().is_finite()) || units.iter().all(|u| !(*u > 0.0))
@@ -161,7 +161,7 @@ impl System {
         }
     }
 
-    /// Likelihood and its derivatives at some variances; `None` where these leave a block without noise, or are no numbers.
+    /// Likelihood and its derivatives at some variances; `None` where these leave a block without noise, or are not finite.
     fn state(&self, stacked: &Stacked, variances: &[f64]) -> Option<State> {
         let n = self.free.len();
         let (whitened, determinant) = stacked.whitened(variances)?;
@@ -170,7 +170,7 @@ impl System {
         let fit = GlsSolution::new(&jacobian, &mut residuals, &stacked.priors, &self.prior_residuals)?;
         let likelihood = -0.5 * (determinant + fit.determinant + residuals.norm_squared() + fit.priors);
         likelihood.is_finite().then_some(())?;
-        // Qᵀ with Q Qᵀ the part of the hat matrix between the data; a product is several times as fast as a solution with as many columns.
+        // Qᵀ with Q Qᵀ the part of the hat matrix between the data; a product is several times as fast as solving for as many columns.
         let hat = fit.root.solve_lower_triangular(&DMatrix::identity(n, n))? * jacobian;
         let (explained, expected, working) = stacked.scores(&whitened, &residuals, &hat, variances.len());
         let fitted = hat * &working;
@@ -179,11 +179,11 @@ impl System {
     }
 }
 
-/// `Jᵀ`, `rᵀ` and the `Zᵀ` of every block above each other, the blocks beside each other: what belongs to a coordinate lies together.
+/// `Jᵀ`, `rᵀ` and the `Zᵀ` of every block on top of each other, with the blocks next to each other: the numbers of a coordinate are contiguous.
 struct Stacked<'a> {
-    /// Columns are coordinates.
+    /// The stacked rows; columns are coordinates.
     rows: DMatrix<f64>,
-    /// Row of the residuals; those of the shapes are behind it.
+    /// Row of the residuals; the rows of the shapes follow.
     residuals: usize,
     /// The priors' rows in the free columns.
     priors: DMatrix<f64>,
@@ -194,7 +194,7 @@ struct Stacked<'a> {
 struct Slice<'a> {
     first: usize,
     known: &'a DMatrix<f64>,
-    /// Of every row of its `Zᵀ`, the component.
+    /// Component of every row of its `Zᵀ`.
     components: &'a [usize],
 }
 
@@ -220,11 +220,11 @@ impl<'a> Stacked<'a> {
         Self { rows, residuals: n, priors: system.prior_jacobian.select_columns(&system.free), blocks }
     }
 
-    /// All rows in standard deviations, and the logarithm of the covariance's determinant; `None` where a block is left without noise.
+    /// All rows in standard deviations, and the logarithm of the covariance's determinant; `None` where a block has no noise.
     fn whitened(&self, variances: &[f64]) -> Option<(DMatrix<f64>, f64)> {
         let mut rows = self.rows.clone();
         let mut determinant = 0.0;
-        // Blocks share their memory, where they are of one size.
+        // Blocks of one size share their memory.
         let mut memory = DMatrix::zeros(0, 0);
         for block in &self.blocks {
             self.covariance(block, variances, &mut memory);
@@ -261,8 +261,8 @@ impl<'a> Stacked<'a> {
         }
     }
 
-    /// From whitened rows, the `residuals` that the fit leaves and the hat matrix's root: `uᵀ Z Zᵀ u` of each component, its expectation, and the
-    /// working variates of the average information.
+    /// From whitened rows, the `residuals` of the fit and the hat matrix's root: `uᵀ Z Zᵀ u` of each component, its expectation, and the working
+    /// variates of the average information.
     fn scores(
         &self,
         whitened: &DMatrix<f64>,
@@ -276,7 +276,7 @@ impl<'a> Stacked<'a> {
         for block in &self.blocks {
             let (first, size) = (block.first, block.known.nrows());
             let own = hat.columns(first, size);
-            // What the fit leaves of a unit of noise of each coordinate: the lower triangle.
+            // What the fit leaves of unit noise of each coordinate: the lower triangle.
             left.clear();
             for j in 0..size {
                 for i in 0..size {
@@ -304,14 +304,14 @@ impl<'a> Stacked<'a> {
 struct GlsSolution {
     /// Lower factor of the scaled normal matrix, in the parameters' own units.
     root: DMatrix<f64>,
-    /// Logarithm of its determinant, but for a constant.
+    /// Logarithm of the determinant of the normal matrix, up to a constant.
     determinant: f64,
     /// Sum of squares of the priors at the solution.
     priors: f64,
 }
 
 impl GlsSolution {
-    /// Leaves in `residuals` what the solution leaves; `whitened` is the transposed Jacobian.
+    /// Replaces `residuals` by those of the solution; `whitened` is the transposed Jacobian.
     fn new(
         whitened: &DMatrix<f64>,
         residuals: &mut DVector<f64>,
@@ -352,9 +352,9 @@ impl GlsSolution {
 struct State {
     variances: Vec<f64>,
     likelihood: f64,
-    /// `uᵀ Z Zᵀ u` with `u = V⁻¹ r`, a component each ...
+    /// `uᵀ Z Zᵀ u` with `u = V⁻¹ r`, per component ...
     explained: Vec<f64>,
-    /// ... and its expectation, were the variances right.
+    /// ... and its expectation if the variances are right.
     expected: Vec<f64>,
     /// Average information.
     information: DMatrix<f64>,
@@ -365,8 +365,8 @@ impl State {
         0.5 * (self.explained[k] - self.expected[k])
     }
 
-    /// The step with the average information, and the gain that it promises: a component that would become negative goes to zero, and stays
-    /// there while the likelihood falls behind it.
+    /// The step with the average information, and its predicted gain. A component that would become negative goes to zero, and stays there while the
+    /// likelihood falls towards positive values.
     fn newton(&self) -> Option<(Vec<f64>, f64)> {
         let count = self.variances.len();
         let mut free: Vec<usize> = (0..count)
@@ -386,7 +386,7 @@ impl State {
                 let ridge = if i == j { 1e-9 } else { 0.0 };
                 self.information[(free[i], free[j])] / (size[i] * size[j]) + ridge
             });
-            // Those that go to zero take their part of the slope along.
+            // Components that go to zero change the slope of the others.
             let right = DVector::from_iterator(
                 free.len(),
                 free.iter().zip(&size).map(|(k, s)| {
@@ -400,7 +400,7 @@ impl State {
             }
             let negative = |k: &usize| self.variances[*k] + step[*k] < 0.0;
             let Some(place) = free.iter().position(negative) else { break };
-            // All that would be negative at once would hold too many: the worst first.
+            // To hold all negative components at once would hold too many: the worst goes first.
             let depth = |k: usize| {
                 (self.variances[k] + step[k]) / (self.variances[k] - step[k]).abs().max(f64::MIN_POSITIVE)
             };
@@ -439,7 +439,7 @@ mod tests {
         DMatrix::from_fn(rows, columns, |_, _| StandardNormal.sample(rng))
     }
 
-    /// Observations by twos, with a common shape of each pair, a common direction and noise of their own; three parameters, one with a prior.
+    /// Observations in pairs, with a common shape of each pair, a common direction and independent noise; three parameters, one with a prior.
     fn system(pairs: usize, sigmas: [f64; 3], rng: &mut ChaCha8Rng) -> System {
         let rows = 6 * pairs;
         let jacobian = normal(rows, 3, rng);
@@ -468,7 +468,7 @@ mod tests {
         System { residuals, jacobian, free: vec![0, 1, 2], prior_residuals, prior_jacobian, blocks, count: 3 }
     }
 
-    /// From whole matrices: minus half of `ln |V| + ln |A| + rᵀ P r`, with the priors as rows of data of known variance.
+    /// From full matrices: minus half of `ln |V| + ln |A| + rᵀ P r`, with the priors as data rows of known variance.
     fn dense(system: &System, variances: &[f64]) -> f64 {
         let rows = system.residuals.len();
         let mut v = DMatrix::identity(rows + 1, rows + 1);
@@ -523,7 +523,7 @@ mod tests {
         }
     }
 
-    /// A parameter that a bound holds takes no degree of freedom, and none of the residuals.
+    /// A parameter at a bound costs no degree of freedom, and absorbs none of the residuals.
     #[test]
     fn what_a_bound_holds_explains_nothing() {
         let mut rng = ChaCha8Rng::seed_from_u64(6);
@@ -557,8 +557,8 @@ mod tests {
         assert!((found.freedom / 45.0 - 1.0).abs() < 1e-2, "{found:?}");
     }
 
-    /// The maximum is one: no step along any component leads higher, and one that would be negative is zero. Over many draws the mean
-    /// is what was put in, and the scatter what the average information says.
+    /// It is a maximum: no step along any component leads higher, and a component that would be negative is zero. Over many draws the mean is the
+    /// true value, and the scatter is as the average information says.
     #[test]
     fn variances_are_those_that_were_put_in() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
@@ -583,7 +583,7 @@ mod tests {
         for k in 0..3 {
             let mean = sums[k] / f64::from(trials);
             let deviation = (squares[k] / f64::from(trials) - mean * mean).sqrt();
-            // Four standard deviations of the mean; cut at zero, the smallest is a little larger on average.
+            // Four standard deviations of the mean; as variances are cut off at zero, the smallest is a little larger on average.
             let bound = 4.0 * deviation / f64::from(trials).sqrt() + if k == 2 { 0.01 } else { 0.0 };
             assert!((mean - truth[k]).abs() < bound, "{k}: {mean} {bound}");
         }

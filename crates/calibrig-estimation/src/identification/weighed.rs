@@ -1,4 +1,4 @@
-//! What a fit takes a reading to be uncertain by.
+//! The uncertainty that a fit assigns to a reading.
 
 use nalgebra::Matrix3;
 
@@ -7,8 +7,8 @@ use super::{Estimate, IdentificationOptions};
 use calibrig_model::CalibrationModel;
 use calibrig_model::measurement::{MeasurementSet, Observation};
 
-/// Covariance of every reading of a `set`, fitted or not, as the fit of `estimate` weighs readings, in the tracker's frame, m²: what is stated of
-/// it, else what the residuals tell; and what the machine does beside its model. A robust loss is in none of it.
+/// Covariance of every reading of a `set`, fitted or not, as the fit of `estimate` weighs readings, in the tracker's frame, m²: as stated,
+/// otherwise from the residuals, plus the machine's noise beside its model. The weights of a robust loss are not included.
 pub fn weighed_covariances(
     model: &CalibrationModel,
     set: &MeasurementSet,

@@ -1,26 +1,27 @@
-//! What readings of one pose say beside each other: how far they scatter by themselves, and whether the machine does more than its model.
+//! What several readings per pose show: how far readings scatter on their own, and whether the machine has errors beside its model.
 //!
-//! Of the likelihood that the noise was found with ([`variance`](super::variance)), twice the fall without a part of it is chi-square, a mixture of
-//! as many degrees of freedom as the part has variances, none of which is negative (S. G. Self, K.-Y. Liang, JASA 82 (1987) 605, case 9).
+//! The noise maximises a likelihood ([`variance`](super::variance)). Twice its decrease without one part of the noise is distributed as a
+//! mixture of chi-squares with up to as many degrees of freedom as the part has variances, none of which is negative (S. G. Self, K.-Y.
+//! Liang, JASA 82 (1987) 605, case 9).
 
 use super::noise::{Unknown, system};
 use super::problem::CalibrationProblem;
 use super::solver::Solution;
 use calibrig_model::statistics::chi2_survival;
 
-/// A part of the noise is told where the data would have so much of it by chance in less than one of so many sets.
+/// A part of the noise is reported where data without it would show as much in fewer than one of a thousand sets.
 const BY_CHANCE: f64 = 1e-3;
 
-/// What the noise is made of, gross errors aside.
+/// The parts of the noise, gross errors aside.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Parts {
-    /// Noise of a reading over what it states, where the data show that it is more.
+    /// Noise of a reading over what it states, if the data show that it is larger.
     pub readings: Option<f64>,
-    /// Whether they show that the machine does something beside its model.
+    /// Whether the data show that the machine has errors beside its model.
     pub machine: bool,
 }
 
-/// The parts of the noise that was found with a solution; `None` where nothing tells them apart. The blocks `aside` are not looked at.
+/// The parts of the noise that was found with a solution; `None` where nothing separates them. The blocks `aside` are left out.
 pub(super) fn parts(
     problem: &mut CalibrationProblem,
     solution: &Solution,
@@ -51,7 +52,7 @@ pub(super) fn parts(
     Some(Parts { readings, machine: is_there(of_machine) })
 }
 
-/// Probability of a fall as large where none of so many variances is there.
+/// Probability of a decrease at least this large where none of these variances is there.
 fn by_chance(fall: f64, variances: usize) -> f64 {
     let mut share = 0.5_f64.powi(i32::try_from(variances).unwrap_or(i32::MAX));
     let mut sum = 0.0;

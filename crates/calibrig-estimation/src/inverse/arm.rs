@@ -1,4 +1,4 @@
-//! A robot as the search sees it.
+//! A robot as the search uses it.
 
 use nalgebra::{DMatrix, Matrix6xX};
 
@@ -10,16 +10,16 @@ use crate::kinematics::{ClosureError, KinematicChain};
 use calibrig_model::geometry::Transform;
 use calibrig_model::{ParameterId, Payload, PoseQuery};
 
-/// A robot that is placed at unknowns of its [`JointSpace`] and tells where its tool is.
+/// A robot that can be placed at unknowns of its [`JointSpace`] and gives the place of its tool.
 pub(crate) trait Arm {
-    /// Goes there.
+    /// Moves the robot to `y`.
     fn place(&mut self, space: &JointSpace, y: &[f64]) -> Result<(), PredictionError>;
 
-    /// Where the tool is, m.
+    /// Place of the tool, m.
     fn base_from_tool(&self) -> Transform;
 
-    /// How the tool moves with every unknown where the robot is: three rows of its point's motion in the base's axes, three of its rotation
-    /// vector, m or rad a unit.
+    /// Motion of the tool per unit of every unknown at the current pose: three rows of its point's motion in the base's axes, three of its rotation
+    /// vector, m or rad per unit.
     fn differentiate(
         &mut self,
         space: &JointSpace,
@@ -34,7 +34,7 @@ pub(crate) struct RigidArm {
     flange_from_tool: Transform,
     base_from_tool: Transform,
     joints: Vec<f64>,
-    /// Where it is.
+    /// Current unknowns.
     y: Vec<f64>,
 }
 
@@ -50,12 +50,12 @@ impl RigidArm {
     }
 }
 
-/// A four-bar that does not close, as any pose that cannot be taken.
+/// The error for a four-bar that does not close, as for any pose that cannot be taken.
 pub(super) fn no_pose(error: ClosureError) -> PredictionError {
     PredictionError::Machine(ElasticError::Linkage(error))
 }
 
-/// How the tool moves with every joint of a rigid chain.
+/// Motion of the tool with every joint of a rigid chain.
 pub(super) fn by_joints(
     chain: &KinematicChain,
     space: &JointSpace,
@@ -107,23 +107,23 @@ impl Arm for RigidArm {
     }
 }
 
-/// What a robot is asked for beside a place, and what it carries there.
+/// Conditions of a command beside the place: loads, air, time and approach.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Circumstances {
-    /// On the flange beside what it always carries.
+    /// Payload on the flange beside the robot's own loads.
     pub payload: Option<Payload>,
-    /// Of the air at the robot, °C, where known.
+    /// Temperature of the air at the robot, °C, where known.
     pub temperature: Option<f64>,
-    /// Since the session began, s.
+    /// Time since the session began, s.
     pub time: f64,
-    /// Sign of each actuator's last motion, 0 where unknown; may be empty where all are.
+    /// Sign of each actuator's last motion, 0 where unknown; empty if all are unknown.
     pub approach: Vec<i8>,
-    /// How far each actuator has moved since it last reversed, m or rad; empty where not known, which counts as far.
+    /// How far each actuator has moved since it last reversed, m or rad; empty if unknown, which counts as far.
     pub since_reversal: Vec<f64>,
 }
 
 impl Circumstances {
-    /// A command under these.
+    /// A command under these circumstances.
     pub fn at<'a>(&'a self, command: &'a [f64]) -> PoseQuery<'a> {
         PoseQuery {
             command,
@@ -144,7 +144,7 @@ pub(crate) struct CalibratedArm<'a> {
     flange_from_tool: Transform,
     base_from_tool: Transform,
     pub circumstances: Circumstances,
-    /// Whether rotations are asked for.
+    /// Whether rotations are needed.
     pub turned: bool,
     command: Vec<f64>,
     motions: Matrix6xX<f64>,
@@ -168,7 +168,7 @@ impl<'a> CalibratedArm<'a> {
         self.predictor.robot.mode
     }
 
-    /// Where the tool is predicted to be at a command.
+    /// Predicted place of the tool at a command.
     pub fn tool_at(&mut self, command: &[f64]) -> Result<Transform, PredictionError> {
         let flange = self.predictor.flange(self.circumstances.at(command))?;
         Ok(flange * self.flange_from_tool)

@@ -1,4 +1,4 @@
-//! What decides between the poses in which the tool is where it should be.
+//! Criteria that choose among the poses in which the tool is where it should be.
 
 use std::fmt;
 use std::str::FromStr;
@@ -15,46 +15,46 @@ use crate::kinematics::KinematicChain;
 use calibrig_model::geometry::Transform;
 use calibrig_model::{CalibrationModel, Payload};
 
-/// A deflection that counts one, m.
+/// Deflection for which the criterion's part is one, m.
 const DEFLECTED: f64 = 1e-3;
 
-/// What of all commands for a goal is to be least: the sum of four parts, each times its weight of zero or more.
+/// Quantity that is minimised over all commands for a goal: the sum of four parts, each with a weight of zero or more.
 ///
 /// ```
 /// use calibrig_estimation::inverse::Criterion;
 ///
-/// // The least deflection, and of poses with nearly the same the one farther from the limits.
+/// // The least deflection, and, among poses with nearly the same deflection, the one farther from the limits.
 /// let criterion = Criterion { limits: 0.1, ..Criterion::LEAST_DEFLECTION };
 /// assert_eq!((criterion.deflection, criterion.motion), (1.0, 0.0));
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Criterion {
-    /// The square of the deflection that is predicted for the tool under all loads, over 1 mm: the criterion of Wang et al., Machines 11 (2023)
+    /// Square of the tool's predicted deflection under all loads, over 1 mm: the criterion of Wang et al., Machines 11 (2023)
     /// 20. It needs a robot whose masses and stiffnesses are known.
     pub deflection: f64,
-    /// Mean over the commanded joints of `((q - middle) / half of the way)²` (A. Liégeois, IEEE Trans. SMC 7 (1977) 868). A joint without limits has a
-    /// turn, or 2 m to either side of zero.
+    /// Mean over the commanded joints of `((q - middle) / half of the range)²` (A. Liégeois, IEEE Trans. SMC 7 (1977) 868). A joint without limits is
+    /// given the range of a turn, or of 2 m to either side of zero.
     pub limits: f64,
-    /// `-ln sqrt(det J Jᵀ)` of the goal's rows by the joints of the rigid nominal robot (T. Yoshikawa, Int. J. Robotics Research 4 (1985) 3), angles
-    /// times the [lever](super::InverseOptions::lever).
+    /// `-ln sqrt(det J Jᵀ)` for the goal's rows by the joints of the rigid nominal robot (T. Yoshikawa, Int. J. Robotics Research 4 (1985) 3), with
+    /// angles multiplied by the [lever](super::InverseOptions::lever).
     pub manipulability: f64,
-    /// Mean over the commanded joints of `((q - reference) / half of the way)²`.
+    /// Mean over the commanded joints of `((q - reference) / half of the range)²`.
     pub motion: f64,
 }
 
 impl Criterion {
-    /// Nothing: whatever is found first.
+    /// No criterion: the first solution found is taken.
     pub const NONE: Self = Self { deflection: 0.0, limits: 0.0, manipulability: 0.0, motion: 0.0 };
     /// The least predicted deflection.
     pub const LEAST_DEFLECTION: Self = Self { deflection: 1.0, ..Self::NONE };
-    /// Far from the joints' limits.
+    /// Farthest from the joints' limits.
     pub const FAR_FROM_LIMITS: Self = Self { limits: 1.0, ..Self::NONE };
-    /// Easy to move from.
+    /// Greatest manipulability.
     pub const MANIPULABILITY: Self = Self { manipulability: 1.0, ..Self::NONE };
-    /// Near the reference command.
+    /// Nearest to the reference command.
     pub const LEAST_MOTION: Self = Self { motion: 1.0, ..Self::NONE };
 
-    /// Names and weights.
+    /// Names and weights of the parts.
     pub fn parts(&self) -> [(&'static str, f64); 4] {
         [
             ("deflection", self.deflection),
@@ -64,7 +64,7 @@ impl Criterion {
         ]
     }
 
-    /// Whether nothing is asked for.
+    /// Whether no part is asked for.
     pub fn is_none(&self) -> bool {
         self.parts().iter().all(|(_, weight)| *weight == 0.0)
     }
@@ -80,7 +80,8 @@ impl Criterion {
     }
 }
 
-/// Parts joined by commas, each with a weight or of weight one: `deflection`, `deflection,limits=0.1`; `none`. What is printed is read back the same.
+/// Parts joined by commas, each with a weight or of weight one: `deflection`, `deflection,limits=0.1`; `none`. The printed text is read back the
+/// same.
 impl fmt::Display for Criterion {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.is_none() {
@@ -99,14 +100,14 @@ impl fmt::Display for Criterion {
     }
 }
 
-/// A text that states no criterion.
+/// A text does not state a criterion.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error(
     "{found:?} is not a criterion: expected deflection, limits, manipulability or motion, several of them joined by commas \
      and with weights (deflection,limits=0.1), or none"
 )]
 pub struct CriterionError {
-    /// The part that was not understood.
+    /// The part of the text that was not understood.
     pub found: String,
 }
 
@@ -138,18 +139,18 @@ impl Default for Criterion {
     }
 }
 
-/// A criterion at work on a robot.
+/// Evaluates a criterion on a robot.
 #[derive(Debug, Clone)]
 pub(super) struct Judge {
     in_flange: Vector3<f64>,
     flange_from_tool: Transform,
     chain: KinematicChain,
-    /// Where masses and stiffnesses are known: at rest, and rigid.
+    /// The elastic and the rigid chain, where masses and stiffnesses are known.
     elastic: Option<[ElasticChain; 2]>,
     joints: Vec<f64>,
 }
 
-/// What the criterion is asked at one goal.
+/// What the criterion is evaluated for at one goal.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Question<'a> {
     pub criterion: Criterion,
@@ -159,7 +160,7 @@ pub(super) struct Question<'a> {
 }
 
 impl Judge {
-    /// Of a robot whose deflection is predicted with `model`.
+    /// A judge for a robot whose deflection is predicted with `model`.
     pub fn new(space: &JointSpace, model: &CalibrationModel, tool: &Tool) -> Self {
         Self {
             in_flange: tool.flange_from_tool().translation.vector,
@@ -175,13 +176,13 @@ impl Judge {
         self.elastic.is_some()
     }
 
-    /// Hangs a load on the flange.
+    /// Attaches a load to the flange.
     pub fn carry(&mut self, payload: Option<&Payload>) {
         let carried = Carried::of(payload);
         self.elastic.iter_mut().flatten().for_each(|chain| chain.carry(carried));
     }
 
-    /// The criterion's value at `y`, and its gradient by the unknowns where that is asked for.
+    /// The criterion's value at `y`, and, if asked for, its gradient by the unknowns.
     pub fn value(
         &mut self,
         space: &JointSpace,
@@ -210,7 +211,7 @@ impl Judge {
         Ok(value)
     }
 
-    /// `|deflection|²` over that of a millimetre.
+    /// `|deflection|²` over the square of a millimetre.
     fn deflection(
         &mut self,
         space: &JointSpace,
@@ -236,7 +237,7 @@ impl Judge {
         Ok(off.norm_squared())
     }
 
-    /// `-ln sqrt(det J Jᵀ)`, of the smaller of the two products.
+    /// `-ln sqrt(det J Jᵀ)`, with the smaller of the two products.
     fn clumsiness(
         &mut self,
         space: &JointSpace,
@@ -282,7 +283,7 @@ impl Judge {
     }
 }
 
-/// Mean square of the way from a centre, in halves of the joints' ways.
+/// Mean square distance from a centre, in halves of the joints' ranges.
 fn away(
     space: &JointSpace,
     centre: &[f64],
@@ -302,9 +303,9 @@ fn away(
     sum
 }
 
-/// How the motions of the tool by every joint change while one of them moves: an axis is turned by the joints in front of it, and the tool's point
-/// is moved by those behind. Turns are told in axes that go with the tool, which the determinant does not see; so it is exact also of a tool
-/// whose axis is not where the goal has it.
+/// Derivative of the tool's motions by every joint while one joint moves: the joints in front of an axis turn it, and those behind it
+/// move the tool's point. Rotations are given in axes that move with the tool, which the determinant does not depend on; so it is exact also for a
+/// tool whose axis is not where the goal has it.
 fn change_of_motions(
     motions: &nalgebra::Matrix6xX<f64>,
     moving: usize,
@@ -327,7 +328,7 @@ fn change_of_motions(
 }
 
 impl Question<'_> {
-    /// Whether there can be anything to decide.
+    /// Whether the robot leaves anything for the criterion to choose.
     pub fn decides(&self, space: &JointSpace) -> bool {
         !self.criterion.is_none() && space.len() > Goal::rows(self.aim.goal())
     }

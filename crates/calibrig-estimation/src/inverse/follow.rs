@@ -1,4 +1,4 @@
-//! From one pose to the next, and from a nominal pose to the identified robot's.
+//! Follows from one pose to the next, and from a nominal pose to that of the identified robot.
 
 use super::arm::{Arm, no_pose};
 use super::criterion::Question;
@@ -19,7 +19,7 @@ impl InverseKinematics<'_> {
         Ok(Aim::new(goal, &self.tool, lever)?)
     }
 
-    /// [`solve`](Self::solve) of the rigid nominal robot; the criterion's deflection is the identified one's.
+    /// [`solve`](Self::solve) for the rigid nominal robot; the deflection in the criterion is that of the identified robot.
     pub(crate) fn solve_nominal(
         &mut self,
         goal: &Goal,
@@ -31,8 +31,8 @@ impl InverseKinematics<'_> {
         solved
     }
 
-    /// The nominal robot's unknowns for the next goal of a path: nearest to those of the last one by least squares, and from there to where the criterion is
-    /// least, no unknown farther than `longest` from the last. `None` where the goal is not met within that.
+    /// The nominal robot's unknowns for the next goal of a path: those nearest to the last ones by least squares, and from there to the minimum of
+    /// the criterion, with no unknown farther than `longest` from the last ones. `None` where the goal cannot be met within that.
     pub(crate) fn follow(
         &mut self,
         goal: &Goal,
@@ -59,7 +59,7 @@ impl InverseKinematics<'_> {
         Ok(Some(y))
     }
 
-    /// The command nearest to a nominal one, by least squares, at which the identified robot meets the goal; or what keeps it from it.
+    /// The command nearest to a nominal one, by least squares, at which the identified robot meets the goal; otherwise what prevents it.
     pub(crate) fn correct(
         &mut self,
         goal: &Goal,
@@ -79,7 +79,7 @@ impl InverseKinematics<'_> {
         }
     }
 
-    /// Where the identified robot's tool is at a command.
+    /// Predicted place of the identified robot's tool at a command.
     pub(crate) fn predicted(
         &mut self,
         command: &[f64],
@@ -95,7 +95,7 @@ impl InverseKinematics<'_> {
     }
 }
 
-/// From `y` to where the aim is met, by least squares.
+/// Moves from `y` to where the aim is met, by least squares.
 fn nearest<A: Arm>(
     search: &mut Search<'_, A>,
     y: &mut [f64],

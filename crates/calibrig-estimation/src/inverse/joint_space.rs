@@ -1,16 +1,16 @@
-//! What the controller can move: the joint variables of the commanded joints, between their limits.
+//! The joint variables that the controller can move: those of the commanded joints, within their limits.
 //!
-//! Unknowns are the joint variables y that the ideal map of the actuators gives to the commanded joints. Commands are linear in them, and
-//! limits are bounds of single unknowns; but for joints that follow others, and for the elbow of a four-bar that is no parallelogram.
+//! The unknowns y are the joint variables that the ideal map of the actuators gives to the commanded joints. Commands are linear in them, and
+//! limits are bounds of single unknowns, except for joints that follow others, and for the elbow of a four-bar that is not a parallelogram.
 
 use nalgebra::{DMatrix, DVector};
 
 use crate::kinematics::{ClosureError, ElbowClosure, ElbowLinkage, is_parallelogram};
 use calibrig_model::{ActuatorMap, CalibrationModel, JointKind, KinematicModel, ModelError};
 
-/// Half the way of a joint that cannot move counts as this, m or rad.
+/// Half the range of a joint that cannot move, m or rad.
 const LEAST_WAY: f64 = 1e-6;
-/// What is sampled of a joint without limits: a turn, or so many metres to either side.
+/// Sampled range of a joint without limits: a turn, or this many metres to either side.
 const UNLIMITED_WAY: f64 = 2.0;
 
 /// The commanded joints of a robot.
@@ -20,27 +20,27 @@ pub(crate) struct JointSpace {
     pub actuators: ActuatorMap,
     /// Indices of the commanded joints, in order.
     pub free: Vec<usize>,
-    /// Of every unknown, m or rad.
+    /// Lower bound of every unknown, m or rad.
     pub low: Vec<f64>,
     pub high: Vec<f64>,
-    /// Of every unknown: half of its way, and the middle of it.
+    /// Half of the range of every unknown, and its middle.
     pub half: Vec<f64>,
     pub middle: Vec<f64>,
-    /// Joint variables of the ideal map by unknowns, and where these are zero.
+    /// Derivative of the ideal map's joint variables by the unknowns, and their values where the unknowns are zero.
     pub joints_by_free: DMatrix<f64>,
     joints_at_zero: DVector<f64>,
-    /// Whether the two are the same.
+    /// Whether unknowns and joint variables are the same.
     pub is_plain: bool,
-    /// Commands by unknowns.
+    /// Derivative of the commands by the unknowns.
     pub command_by_free: DMatrix<f64>,
-    /// A four-bar that is no parallelogram.
+    /// The four-bar, if it is not a parallelogram.
     linkage: Option<(ElbowLinkage, usize, usize)>,
-    /// Joints whose limits are not those of an unknown.
+    /// Joints whose limits are not bounds of an unknown.
     pub sides: Vec<usize>,
 }
 
 impl JointSpace {
-    /// Of a model that has been checked.
+    /// The joint space of a valid model.
     pub fn new(model: &CalibrationModel) -> Result<Self, ClosureError> {
         let (kinematics, actuators) = (&model.kinematics, &model.actuators);
         let count = kinematics.joint_count();
@@ -112,12 +112,12 @@ impl JointSpace {
         self.free.len()
     }
 
-    /// Half of the way of an unknown; one where it has none, to divide by.
+    /// Half of the range of an unknown to divide by; one where it has no range.
     pub fn scale(&self, unknown: usize) -> f64 {
         if self.half[unknown] > 0.0 { self.half[unknown] } else { 1.0 }
     }
 
-    /// Joint variables of the ideal map.
+    /// Joint variables by the ideal map.
     pub fn ideal_joints(&self, y: &[f64], joints: &mut [f64]) {
         if self.is_plain {
             joints.copy_from_slice(y);
@@ -138,7 +138,7 @@ impl JointSpace {
         Ok(())
     }
 
-    /// How the joint variables of the rigid nominal machine move with the unknowns.
+    /// Derivatives of the rigid nominal machine's joint variables by the unknowns.
     pub fn joint_rates(&self, y: &[f64]) -> Result<DMatrix<f64>, ClosureError> {
         let mut rates = self.joints_by_free.clone();
         if let Some((linkage, shoulder, elbow)) = &self.linkage {
@@ -175,7 +175,7 @@ impl JointSpace {
         Ok(self.free.iter().map(|joint| joints[*joint]).collect())
     }
 
-    /// How far an unknown may move where its own actuator may go so far and no other command depends on it; as far as it likes elsewhere.
+    /// How far an unknown may move if its own actuator may move by `way` and no other command depends on it; unlimited otherwise.
     pub fn way_of_actuator(&self, unknown: usize, way: f64) -> f64 {
         let column = self.command_by_free.column(unknown);
         let mut moved = column.iter().enumerate().filter(|(_, share)| **share != 0.0);
@@ -191,14 +191,14 @@ impl JointSpace {
         }
     }
 
-    /// Puts unknowns between their limits.
+    /// Clamps unknowns to their limits.
     pub fn clamp(&self, y: &mut [f64]) {
         for (y, (low, high)) in y.iter_mut().zip(self.low.iter().zip(&self.high)) {
             *y = y.clamp(*low, *high);
         }
     }
 
-    /// The same robot whose joints turn and slide as far as they like.
+    /// The same robot without limits of its joints.
     pub fn without_limits(&self) -> Self {
         let mut free = self.clone();
         free.low.fill(f64::NEG_INFINITY);

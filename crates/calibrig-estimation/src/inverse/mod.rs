@@ -1,8 +1,8 @@
-//! Inverse kinematics: the command that brings the tool to its goal, of the rigid nominal robot or of an identified one.
+//! Inverse kinematics: the command that brings the tool to its goal, for the rigid nominal robot or an identified one.
 //!
-//! A [`Goal`] is a position, a position with the direction of one axis of the tool, or a whole pose. Of all commands that meet it, that one is sought for
-//! which a stated [`Criterion`] is least: a local minimum on the self-motion, between the joints' limits. Commands are those of the actuators, so
-//! that parallelograms, couplings and joints that follow others are in them. A goal that cannot be met is an error that says
+//! A [`Goal`] is a position, a position with the direction of one axis of the tool, or a complete pose. Of all commands that meet it, the one that
+//! minimises a stated [`Criterion`] is sought: a local minimum on the self-motion, within the joints' limits. Commands are those of the actuators,
+//! so that they account for parallelograms, couplings and joints that follow others. A goal that cannot be met is an error that states
 //! [how far it is missed, and why](Unreachable).
 //!
 //! ```
@@ -58,31 +58,31 @@ use crate::identification::{CalibratedRobot, Mode, PredictionError};
 use calibrig_model::CalibrationModel;
 use calibrig_model::geometry::Transform;
 
-/// Steps of a search, of one from the nearest pose that was found, and of one of an identified robot from where the rigid one meets the goal.
+/// Most steps of a search, of one from the nearest pose found, and of one of an identified robot from where the rigid one meets the goal.
 const STEPS: usize = 60;
 const LAST_STEPS: usize = 300;
 const ELASTIC_STEPS: usize = 30;
-/// The rigid robot meets its goal so well, m: far below what its numbers carry, which costs nothing where steps converge quadratically.
+/// Tolerance of the rigid robot, m: far below the accuracy of its numbers, but at no cost, since steps converge quadratically.
 const RIGID: f64 = 1e-11;
-/// Deflections and errors move no robot farther than this, m: a goal that the rigid one misses by less may be met by an identified one.
+/// Deflections and errors move no robot farther than this, m: a goal that the rigid robot misses by less may be met by an identified one.
 const FARTHEST_OFF: f64 = 0.1;
 
 /// A command that meets a goal.
 #[derive(Debug, Clone, PartialEq)]
 pub struct InverseSolution {
-    /// One number an actuator, m or rad.
+    /// One number per actuator, m or rad.
     pub command: Vec<f64>,
-    /// Joint variables of the rigid nominal robot there, m or rad.
+    /// Joint variables of the rigid nominal robot at this command, m or rad.
     pub joints: Vec<f64>,
-    /// Where the tool is then.
+    /// Place of the tool at this command.
     pub base_from_tool: Transform,
-    /// The criterion's value; zero where nothing is asked for.
+    /// Value of the criterion; zero without a criterion.
     pub criterion: f64,
-    /// Whether the criterion is least there among the poses around that meet the goal; false where its search ended before.
+    /// Whether the criterion has a local minimum there among the poses that meet the goal; false if its search ended before.
     pub is_least: bool,
     /// Joints at their limits.
     pub limits: Vec<JointAtLimit>,
-    /// Starts that the search took.
+    /// Number of starts that the search needed.
     pub starts: usize,
 }
 
@@ -94,12 +94,12 @@ pub struct InverseKinematics<'a> {
     rigid: RigidArm,
     starts: Starts,
     judge: Judge,
-    /// The identified robot, where it is one.
+    /// The identified robot, if there is one.
     calibrated: Option<CalibratedArm<'a>>,
 }
 
 impl InverseKinematics<'static> {
-    /// Of the rigid nominal robot.
+    /// The inverse kinematics of the rigid nominal robot.
     ///
     /// # Errors
     ///
@@ -110,8 +110,8 @@ impl InverseKinematics<'static> {
 }
 
 impl<'a> InverseKinematics<'a> {
-    /// Of an identified robot, as its mode predicts it: with its deflection, and with its terms. Joints have the limits that the nominal robot's controller
-    /// knows.
+    /// The inverse kinematics of an identified robot as its mode predicts it, with its deflection and terms. Joints have the limits that the nominal
+    /// robot's controller knows.
     ///
     /// # Errors
     ///
@@ -140,16 +140,16 @@ impl<'a> InverseKinematics<'a> {
         &self.tool
     }
 
-    /// Of the robot: that without calibration of a rigid nominal one.
+    /// Mode of the robot; "without calibration" for a rigid nominal robot.
     pub fn mode(&self) -> Mode {
         self.calibrated.as_ref().map_or(Mode::WithoutCalibration, CalibratedArm::mode)
     }
 
-    /// Where the tool is at a command, without what the circumstances tell.
+    /// Place of the tool at a command, with unknown circumstances.
     ///
     /// # Errors
     ///
-    /// [`InverseError::Prediction`], for a command that is not one of this robot, or that it cannot take.
+    /// [`InverseError::Prediction`], for a command that does not fit this robot, or a pose that it cannot take.
     pub fn tool_at(&mut self, command: &[f64]) -> Result<Transform, InverseError> {
         Ok(self.predicted(command, &Circumstances::default())?)
     }
@@ -158,14 +158,14 @@ impl<'a> InverseKinematics<'a> {
         &self.space
     }
 
-    /// The command that meets a goal, with the criterion least around it.
+    /// The command that meets a goal and locally minimises the criterion.
     ///
-    /// It is sought from the reference command, where one is stated, and from the poses nearest to the goal out of some thousand that are spread over
-    /// what the joints can do: the same for every call.
+    /// It is sought from the reference command, if one is stated, and from those of some thousand poses, spread over the range of the joints, that
+    /// are nearest to the goal. These poses are the same for every call.
     ///
     /// # Errors
     ///
-    /// [`InverseError::Unreachable`] for a goal that no search met; others for what cannot be asked.
+    /// [`InverseError::Unreachable`] for a goal that no search met; other variants for invalid input.
     pub fn solve(&mut self, goal: &Goal, options: &InverseOptions) -> Result<InverseSolution, InverseError> {
         options.check(self.judge.bends())?;
         options.circumstances.payload.as_ref().map_or(Ok(()), calibrig_model::Payload::check)?;
@@ -208,7 +208,7 @@ impl<'a> InverseKinematics<'a> {
         self.explain(aim, &asked, options, nearest)
     }
 
-    /// One search: the rigid robot, the criterion, and where it is an identified one, that from there.
+    /// One search: the rigid robot meets the goal, the criterion is minimised, and an identified robot is corrected from there.
     fn search_from(
         &mut self,
         y: &mut [f64],
@@ -273,7 +273,7 @@ impl<'a> InverseKinematics<'a> {
         })
     }
 
-    /// The error of a goal that no search met; or a solution after all, found without limits and within them.
+    /// The error for a goal that no search met; or a solution after all that is found without limits but lies within them.
     fn explain(
         &mut self,
         aim: Aim,

@@ -1,4 +1,4 @@
-//! What is asked of a solution, and why a goal has no solution.
+//! Options of a solution, and why a goal has no solution.
 
 use thiserror::Error;
 
@@ -12,18 +12,20 @@ use calibrig_model::PayloadError;
 /// How a command is sought.
 #[derive(Debug, Clone, PartialEq)]
 pub struct InverseOptions {
-    /// What decides between the commands that meet the goal.
+    /// Chooses among the commands that meet the goal.
     pub criterion: Criterion,
-    /// The command where the search begins, and from which the criterion counts motion. Without one, motion counts from the middle of the joints' ways.
+    /// Command at which the search begins, and from which the criterion counts motion. If `None`, motion counts from the middle of the joints'
+    /// ranges.
     pub reference: Option<Vec<f64>>,
-    /// What the identified robot is predicted for. Of a rigid nominal robot the payload alone counts, and for the predicted deflection.
+    /// Circumstances for which the identified robot is predicted. For a rigid nominal robot, only the payload counts, and only for the predicted
+    /// deflection.
     pub circumstances: Circumstances,
-    /// How many further starts are taken where the first search fails.
+    /// Number of further starts if the first search fails.
     pub starts: usize,
-    /// What an identified robot may miss, m, angles by the lever.
+    /// Largest miss of an identified robot, m, with angles multiplied by the lever.
     pub tolerance: f64,
-    /// What a radian counts as where angles and lengths are compared, m: in what is nearest, and for manipulability. A quarter of the robot's
-    /// [characteristic length](calibrig_model::KinematicModel::characteristic_length) where it is not stated.
+    /// Length that a radian counts as where angles and lengths are compared, m: for distances and for manipulability. A quarter of the robot's
+    /// [characteristic length](calibrig_model::KinematicModel::characteristic_length) if not stated.
     pub lever: Option<f64>,
 }
 
@@ -50,23 +52,23 @@ pub enum InverseError {
     /// No search met the goal.
     #[error("the goal is out of reach: {0}")]
     Unreachable(Box<Unreachable>),
-    /// The robot is refused, the reference is not a command of it, or it has no equilibrium.
+    /// The robot is refused, the reference is not a command of the robot, or the robot has no equilibrium.
     #[error(transparent)]
     Prediction(#[from] PredictionError),
     /// The payload is refused.
     #[error(transparent)]
     Payload(#[from] PayloadError),
-    /// A number out of its range.
+    /// A number is out of its range.
     #[error("{field} is {value}: expected {expected}")]
     Number {
-        /// What it is.
+        /// Name of the number.
         field: &'static str,
         /// As stated.
         value: f64,
         /// What it has to be.
         expected: &'static str,
     },
-    /// A deflection of a robot of which nothing is known that bends it.
+    /// The criterion asks for a deflection, but the robot's masses and stiffnesses are unknown.
     #[error(
         "the criterion asks for the least deflection, but the robot has no masses and stiffnesses: state them in its file, or \
          choose another criterion"

@@ -1,4 +1,4 @@
-//! Why a place cannot be reached.
+//! Explains why a place cannot be reached.
 
 use std::fmt;
 
@@ -12,7 +12,7 @@ use super::task::Aim;
 use calibrig_model::geometry::Transform;
 use calibrig_model::{JointKind, KinematicModel};
 
-/// Which end of a joint's way.
+/// One end of a joint's range.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LimitEnd {
     /// The lowest joint variable.
@@ -26,13 +26,13 @@ pub enum LimitEnd {
 pub struct JointAtLimit {
     /// Index of the joint.
     pub joint: usize,
-    /// Its name.
+    /// Name of the joint.
     pub name: String,
-    /// Which end.
+    /// Which end of the range.
     pub end: LimitEnd,
     /// The limit, m or rad.
     pub limit: f64,
-    /// How far beyond it, m or rad; zero of a joint that stands on it.
+    /// How far beyond the limit, m or rad; zero for a joint on it.
     pub beyond: f64,
     /// Revolute or prismatic.
     pub kind: JointKind,
@@ -54,21 +54,21 @@ impl fmt::Display for JointAtLimit {
     }
 }
 
-/// The best that was found for a goal that cannot be met.
+/// The best result for a goal that cannot be met.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Unreachable {
-    /// The command that brings the tool nearest of those that were found, with angles as lengths by the lever.
+    /// The command that brings the tool nearest among those found, with angles multiplied by the lever.
     pub command: Vec<f64>,
     /// `base_from_tool` there.
     pub base_from_tool: Transform,
-    /// What is missed of the position, m, base axes.
+    /// Missing part of the position, m, base axes.
     pub missed: Vector3<f64>,
-    /// What is missed of the rotation, rad; zero where none is asked for.
+    /// Missing part of the rotation, rad; zero if the goal asks for none.
     pub missed_angle: f64,
-    /// Limits that hold the tool back there.
+    /// Limits that hold the tool back at this command.
     pub limits: Vec<JointAtLimit>,
-    /// Where the goal could be met without limits: which ones that would pass, by how much, for the smallest way beyond that was found. `None` where
-    /// no solution was found even so: the place is beyond what the links can reach.
+    /// Limits that would be passed if the goal could be met without limits, and by how much, for the smallest excess found. `None` where
+    /// no solution was found even then: the place is beyond the reach of the links.
     pub without_limits: Option<Vec<JointAtLimit>>,
 }
 
@@ -94,9 +94,9 @@ fn list(f: &mut fmt::Formatter<'_>, before: &str, limits: &[JointAtLimit]) -> fm
     Ok(())
 }
 
-/// A joint this near to a limit is at it, m or rad.
+/// Distance within which a joint counts as at its limit, m or rad.
 const AT_LIMIT: f64 = 1e-9;
-/// Solutions without limits that are compared, and starts that they are sought from.
+/// Number of solutions without limits that are compared, and of starts from which they are sought.
 const COMPARED: usize = 8;
 const SOUGHT: usize = 40;
 
@@ -123,7 +123,7 @@ pub(super) fn at_limits(kinematics: &KinematicModel, joints: &[f64]) -> Vec<Join
     links.filter_map(at).collect()
 }
 
-/// What turns a joint by whole turns, so that it comes as near to the middle of its way as it can.
+/// Turns joints by whole turns to bring them as near to the middle of their ranges as possible.
 pub(super) fn unwind(space: &JointSpace, y: &mut [f64]) {
     // Joints that follow others do not turn by whole turns with them.
     if !space.is_plain {
@@ -137,7 +137,7 @@ pub(super) fn unwind(space: &JointSpace, y: &mut [f64]) {
     }
 }
 
-/// Unknowns that meet the aim with joints that have no limits, those that pass them by least; and by how much.
+/// Unknowns that meet the aim without limits, with the smallest excess over the limits; and that excess.
 pub(super) fn without_limits(
     space: &JointSpace,
     arm: &mut RigidArm,
@@ -163,7 +163,7 @@ pub(super) fn without_limits(
         }
         let beyond = at_limits(&space.kinematics, &joints);
         let passed: Vec<JointAtLimit> = beyond.into_iter().filter(|limit| limit.beyond > 0.0).collect();
-        // As shares of the joints' ways.
+        // As shares of the joints' ranges.
         let share = |limit: &JointAtLimit| {
             let [low, high] = space.kinematics.links[limit.joint].limits;
             let way = high - low;
@@ -181,7 +181,7 @@ pub(super) fn without_limits(
     best.map(|(_, y, passed)| (y, passed))
 }
 
-/// What is told of the nearest pose.
+/// Describes the nearest pose.
 pub(super) fn told<A: Arm>(
     search: &mut Search<'_, A>,
     y: &[f64],

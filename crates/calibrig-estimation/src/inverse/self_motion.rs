@@ -1,8 +1,8 @@
-//! Along the poses in which the tool stays where it is, to where a criterion is least.
+//! Minimises a criterion over the poses in which the tool stays where it is.
 //!
 //! Sequential quadratic programming on the self-motion: a quasi-Newton step (damped BFGS, M. J. D. Powell 1978) in the null space of the goal's rows
-//! and of the limits that are touched, as far as the next limit, back onto the goal by least squares, and shorter until the criterion falls
-//! (L. Armijo 1966). Limits are let go where the criterion pulls away from them.
+//! and of the limits that are touched, as far as the next limit, back onto the goal by least squares, and shortened until the criterion decreases
+//! (L. Armijo 1966). Limits are released where the criterion pulls away from them.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -12,36 +12,36 @@ use super::joint_space::JointSpace;
 use super::solver::{Ended, Search};
 use crate::identification::PredictionError;
 
-/// Steps before giving up.
+/// Most steps.
 const MOST: usize = 100;
-/// The criterion is least where a step promises no more than this share of it and of one.
+/// The criterion counts as minimal where a step promises no more than this share of it, plus one.
 const LEAST: f64 = 1e-13;
-/// A step that is shortened to less leads nowhere.
+/// A step that is shortened below this leads nowhere.
 const SHORTEST: f64 = 1e-6;
-/// Share of the promised fall that a step has to bring, and what a value is uncertain by: equilibria are found to 1e-13 m.
+/// Share of the promised decrease that a step has to achieve; [`NOISE`] is the uncertainty of a value: equilibria are found to 1e-13 m.
 const ARMIJO: f64 = 1e-4;
 const NOISE: f64 = 1e-10;
-/// Where no step lets the criterion fall, it is least if no more than this share was promised.
+/// Where no step decreases the criterion, it counts as minimal if no more than this share was promised.
 const ROUNDED: f64 = 1e-7;
-/// An unknown this near to a bound is at it, in halves of its way.
+/// Distance within which an unknown counts as at its bound, in halves of its range.
 const AT_BOUND: f64 = 1e-12;
-/// A bound is let go where the criterion pulls more than this.
+/// A bound is released where the criterion pulls by more than this.
 const PULLS: f64 = 1e-12;
-/// Steps back onto the goal.
+/// Most steps back onto the goal.
 const BACK: usize = 12;
-/// The longest step, in halves of the joints' ways.
+/// The longest step, in halves of the joints' ranges.
 const LONGEST: f64 = 0.25;
 
-/// What was found.
+/// Result of the minimisation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Least {
     pub value: f64,
     pub steps: usize,
-    /// Whether a local minimum was found, to the accuracy of numbers.
+    /// Whether a local minimum was found, to the accuracy of the arithmetic.
     pub converged: bool,
 }
 
-/// Goes from `y`, where the goal is met, along the self-motion; leaves `y` and the arm where the criterion is least.
+/// Moves from `y`, where the goal is met, along the self-motion; leaves `y` and the arm where the criterion is least.
 pub(super) fn minimise<A: Arm>(
     search: &mut Search<'_, A>,
     judge: &mut Judge,
@@ -62,7 +62,7 @@ pub(super) fn minimise<A: Arm>(
         else {
             break;
         };
-        // What the gradient says of it is less exact, since rows are kept to rounding only.
+        // The gradient's own prediction is less exact, since rows are kept only to rounding.
         let promised = direction.dot(&(&hessian * &direction));
         if !(promised > LEAST * (1.0 + value.abs())) {
             return Ok(Least { value, steps, converged: true });
@@ -86,7 +86,7 @@ pub(super) fn minimise<A: Arm>(
     Ok(Least { value, steps, converged: false })
 }
 
-/// As far along a direction as the criterion falls, back on the goal; the arm is left there. `None` where it does not fall.
+/// Moves along a direction as far as the criterion decreases, and back onto the goal; the arm is left there. `None` where it does not decrease.
 fn step<A: Arm>(
     search: &mut Search<'_, A>,
     judge: &mut Judge,
@@ -111,19 +111,19 @@ fn step<A: Arm>(
     None
 }
 
-/// Second derivatives of the quadratic parts; of the others a share of them, which is learnt.
+/// Initial second derivatives: exact for the quadratic parts, a rough scale for the others, which is improved by the updates.
 fn first_hessian(space: &JointSpace, asked: &Question<'_>, value: f64) -> DMatrix<f64> {
     let criterion = &asked.criterion;
     let n = space.len() as f64;
     let known = criterion.limits + criterion.motion;
-    // A deflection's square curves as it is large.
+    // The curvature of a squared deflection is of the order of its value.
     let bent = if criterion.deflection > 0.0 { value.abs() } else { 0.0 };
     let weight = known + 0.3 * criterion.manipulability + criterion.deflection + bent;
     let entry = |unknown: usize| 2.0 * weight / (n * space.scale(unknown).powi(2));
     DMatrix::from_diagonal(&DVector::from_fn(space.len(), |unknown, _| entry(unknown)))
 }
 
-/// Rows that a self-motion keeps where the arm is: the goal's, and those of joints that are at a limit which is no bound of an unknown.
+/// Rows that a self-motion keeps at the current pose: those of the goal, and those of joints at a limit that is not a bound of an unknown.
 fn rows_at<A: Arm>(search: &mut Search<'_, A>, y: &[f64]) -> Result<DMatrix<f64>, PredictionError> {
     search.linearise(y)?;
     let goal = search.aim.rows();
@@ -147,7 +147,7 @@ fn rows_at<A: Arm>(search: &mut Search<'_, A>, y: &[f64]) -> Result<DMatrix<f64>
     Ok(all)
 }
 
-/// The step, the rows' multipliers, and which bounds hold: all that are touched, without those that the criterion pulls away from.
+/// The step, the rows' multipliers, and the bounds that hold: all that are touched, except those that the criterion pulls away from.
 fn direction<A: Arm>(
     search: &Search<'_, A>,
     gradient: &DVector<f64>,
@@ -163,7 +163,7 @@ fn direction<A: Arm>(
     let mut found = step_within(hessian, gradient, rows, held)?;
     for _ in 0..y.len() {
         let force = gradient + hessian * &found.0 - rows.tr_mul(&found.1);
-        // What the criterion would fall by if the bound were let go.
+        // Decrease of the criterion if the bound were released.
         let pull = |unknown: usize| {
             let inwards = if y[unknown] <= low[unknown] { -force[unknown] } else { force[unknown] };
             if held[unknown] && low[unknown] < high[unknown] { inwards } else { 0.0 }
@@ -173,7 +173,7 @@ fn direction<A: Arm>(
         held[unknown] = false;
         found = step_within(hessian, gradient, rows, held)?;
     }
-    // A step that would leave a bound it stands on keeps to it.
+    // A step that would leave the bound it is on is kept on it.
     for _ in 0..y.len() {
         let leaves = |unknown: &usize| {
             let step = found.0[*unknown];
@@ -188,14 +188,14 @@ fn direction<A: Arm>(
     Some(found)
 }
 
-/// The step to where the quadratic model is least with rows and bounds kept, and the multipliers of the rows.
+/// The step to the minimum of the quadratic model with rows and bounds kept, and the multipliers of the rows.
 fn step_within(
     hessian: &DMatrix<f64>,
     gradient: &DVector<f64>,
     rows: &DMatrix<f64>,
     held: &[bool],
 ) -> Option<(DVector<f64>, DVector<f64>)> {
-    // Unknowns that are held have an equation of their own: they do not move.
+    // Held unknowns have their own equation: they do not move.
     let mut curvature = hessian.clone();
     let mut right = -gradient;
     let mut free = rows.clone();
@@ -212,7 +212,7 @@ fn step_within(
     let across = factor.solve(&free.transpose());
     let mut product = &free * &across;
     let trace = product.trace();
-    // Enough for rows that nothing free moves along.
+    // Enough for rows along which nothing free moves.
     for row in 0..product.nrows() {
         product[(row, row)] += (1e-13 * trace).max(f64::MIN_POSITIVE);
     }
@@ -221,7 +221,7 @@ fn step_within(
     step.iter().all(|v| v.is_finite()).then_some((step, multipliers))
 }
 
-/// How much of a step leads to the first bound, and is not too long.
+/// Share of a step that leads to the first bound and is not too long.
 fn longest_share<A: Arm>(search: &Search<'_, A>, direction: &DVector<f64>, y: &[f64]) -> f64 {
     let mut share = 1.0_f64;
     for (unknown, d) in direction.iter().enumerate().filter(|(_, d)| **d != 0.0) {
@@ -235,7 +235,7 @@ fn longest_share<A: Arm>(search: &Search<'_, A>, direction: &DVector<f64>, y: &[
     share
 }
 
-/// Puts unknowns between their bounds. Those that come to a bound stay there on the way back onto the goal: a bound is reached at last.
+/// Clamps unknowns to their bounds. Those that reach a bound stay there on the way back onto the goal, so that the bound is finally reached.
 fn pin_to_bounds<A: Arm>(search: &mut Search<'_, A>, y: &mut [f64]) {
     for (unknown, y) in y.iter_mut().enumerate() {
         let (low, high) = (search.low[unknown], search.high[unknown]);
@@ -251,7 +251,7 @@ fn pin_to_bounds<A: Arm>(search: &mut Search<'_, A>, y: &mut [f64]) {
     }
 }
 
-/// Powell's damped BFGS update: the matrix stays positive.
+/// Powell's damped BFGS update: the matrix stays positive definite.
 fn update(hessian: &mut DMatrix<f64>, moved: &DVector<f64>, change: &DVector<f64>) {
     let by_model = &*hessian * moved;
     let curved = moved.dot(&by_model);

@@ -1,8 +1,8 @@
-//! Damped least squares between bounds.
+//! Damped least squares within bounds.
 //!
-//! Levenberg's method on the squared miss, damped by a multiple of the miss itself, with which it converges quadratically also where the
+//! Levenberg's method on the squared miss, damped by a multiple of the miss itself, which makes it converge quadratically also where the
 //! Jacobian loses rank (N. Yamashita and M. Fukushima, Computing Suppl. 15 (2001) 239; T. Sugihara, IEEE Trans. Robotics 27 (2011) 984). A step
-//! that would leave the limits puts the joint on its limit, and the others make up for it.
+//! that would leave the limits puts the joint on its limit, and the other joints make up for it.
 
 use nalgebra::{DMatrix, Matrix6xX};
 
@@ -11,28 +11,28 @@ use super::joint_space::JointSpace;
 use super::task::{Aim, Miss};
 use crate::identification::PredictionError;
 
-/// Damping by the squared miss, at first, and the least of it.
+/// Initial and least damping, relative to the squared miss.
 const DAMPING: f64 = 1e-2;
 const LEAST_DAMPING: f64 = 1e-4;
-/// By what it grows where a step does not lead nearer, and how often.
+/// Factor by which the damping grows where a step does not reduce the miss, and how often.
 const HARDER: f64 = 8.0;
 const TRIES: usize = 12;
 /// The longest step of an unknown, m or rad.
 const LONGEST: f64 = 1.0;
-/// A search that comes nearer by less than a tenth in so many steps is given up, where there are other starts.
+/// Where there are other starts, a search is given up if the miss decreases by less than a tenth in this many steps.
 const PATIENCE: usize = 5;
 const SLOW: f64 = 0.81;
-/// Gradient over miss and Jacobian at which nothing leads nearer.
+/// Ratio of the gradient to miss and Jacobian at which nothing reduces the miss.
 const FLAT: f64 = 1e-9;
-/// How many metres a metre or radian beyond a limit counts as that is not the bound of an unknown.
+/// Metres that a metre or radian beyond a limit counts, for limits that are not bounds of an unknown.
 const SIDE: f64 = 10.0;
 
 /// How a search ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Ended {
-    /// Nothing is missed by more than the tolerance.
+    /// The miss is within the tolerance.
     Reached,
-    /// Nothing leads nearer, or not fast enough.
+    /// Nothing reduces the miss, or not fast enough.
     Stuck,
 }
 
@@ -41,17 +41,17 @@ pub(super) struct Search<'a, A: Arm> {
     pub arm: &'a mut A,
     pub space: &'a JointSpace,
     pub aim: Aim,
-    /// Bounds of the unknowns: limits, or narrower.
+    /// Bounds of the unknowns: the limits, or narrower ones.
     pub low: &'a [f64],
     pub high: &'a [f64],
-    /// A miss no longer than this meets the goal, m.
+    /// The goal counts as met if the miss is no longer than this, m.
     pub tolerance: f64,
-    /// Unknowns that do not move.
+    /// Unknowns that must not move.
     pub pinned: Vec<bool>,
     miss: Miss,
-    /// What is missed, row by row: the aim's, then of every joint whose limits are no bounds, m.
+    /// The miss, row by row: rows of the aim, then one per joint whose limits are not bounds, m.
     errors: Vec<f64>,
-    /// Rows by unknowns.
+    /// Jacobian, rows by unknowns.
     pub rows: DMatrix<f64>,
     motions: Matrix6xX<f64>,
     joints: Vec<f64>,
@@ -85,7 +85,7 @@ impl<'a, A: Arm> Search<'a, A> {
         }
     }
 
-    /// Goes to `y`; gives the squared miss, m².
+    /// Moves to `y`; returns the squared miss, m².
     pub fn go_to(&mut self, y: &[f64]) -> Result<f64, PredictionError> {
         self.arm.place(self.space, y)?;
         self.miss = self.aim.miss(&self.arm.base_from_tool());
@@ -102,7 +102,7 @@ impl<'a, A: Arm> Search<'a, A> {
         Ok(self.errors.iter().map(|e| e * e).sum())
     }
 
-    /// How the rows change with the unknowns where the arm is; of joints whose limits are no bounds, those alone that are beyond one.
+    /// Derivatives of the rows by the unknowns at the arm's current pose; joints whose limits are not bounds count only beyond a limit.
     pub fn linearise(&mut self, y: &[f64]) -> Result<(), PredictionError> {
         self.arm.differentiate(self.space, &mut self.motions)?;
         self.aim.project(&self.miss, &self.motions, &mut self.rows);
@@ -117,13 +117,13 @@ impl<'a, A: Arm> Search<'a, A> {
         Ok(())
     }
 
-    /// Where what is missed is small enough.
+    /// Whether the miss is small enough.
     pub fn is_reached(&self, cost: f64) -> bool {
         cost <= self.tolerance * self.tolerance
     }
 
-    /// Goes from `y` to where nothing leads nearer, in at most `most` steps; an `impatient` search ends where it gets slow. The arm is left where
-    /// `y` is. `None` where the robot cannot even take the first pose.
+    /// Moves from `y` to where nothing reduces the miss, in at most `most` steps; an `impatient` search ends where progress is slow. The arm is left
+    /// at `y`. `None` where the robot cannot even take the first pose.
     pub fn descend(&mut self, y: &mut [f64], most: usize, impatient: bool) -> Option<(Ended, f64)> {
         let mut cost = self.go_to(y).ok()?;
         let mut damping = DAMPING;
@@ -155,7 +155,7 @@ impl<'a, A: Arm> Search<'a, A> {
                 }
             }
             if cost == before {
-                // As near as rounding lets it.
+                // As close as rounding allows.
                 self.go_to(y).ok()?;
                 return Some((if self.is_reached(cost) { Ended::Reached } else { Ended::Stuck }, cost));
             }
@@ -176,12 +176,12 @@ impl<'a, A: Arm> Search<'a, A> {
         }
     }
 
-    /// What a unit of an unknown takes off half of the squared miss.
+    /// Decrease of half the squared miss per unit of an unknown.
     fn gain(&self, unknown: usize) -> f64 {
         self.rows.column(unknown).iter().zip(&self.errors).map(|(row, error)| row * error).sum()
     }
 
-    /// Whether an unknown that would move by this sign is pinned, or held back by a limit.
+    /// Whether an unknown that would move in this direction is pinned, or held by a limit.
     fn is_held(&self, unknown: usize, y: f64, towards: f64) -> bool {
         self.pinned[unknown]
             || (y <= self.low[unknown] && towards <= 0.0)
@@ -197,7 +197,7 @@ impl<'a, A: Arm> Search<'a, A> {
         steepest <= FLAT * cost.sqrt() * self.rows.amax()
     }
 
-    /// The damped step between the bounds.
+    /// Sets the damped step within the bounds.
     fn set_step(&mut self, y: &[f64], damping: f64) {
         for (unknown, at) in y.iter().enumerate() {
             let held = self.is_held(unknown, *at, self.gain(unknown));
@@ -221,7 +221,7 @@ impl<'a, A: Arm> Search<'a, A> {
         }
     }
 
-    /// `Jᵀ (J Jᵀ + damping)⁻¹ e` over the unknowns that are not fixed.
+    /// `Jᵀ (J Jᵀ + damping)⁻¹ e` over the unknowns that are free.
     fn solve(&mut self, damping: f64) {
         let count = self.errors.len();
         self.right.copy_from_slice(&self.errors);
@@ -256,7 +256,7 @@ impl<'a, A: Arm> Search<'a, A> {
     }
 }
 
-/// Solves in place with the lower triangle of a positive matrix, row by row (Cholesky).
+/// Solves in place with the lower triangle of a positive definite matrix, row by row (Cholesky).
 fn solve_positive(matrix: &mut [f64], right: &mut [f64]) {
     let n = right.len();
     for i in 0..n {

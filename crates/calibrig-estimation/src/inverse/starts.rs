@@ -1,22 +1,22 @@
-//! Where a search begins: poses spread evenly over what the joints can do, the nearest ones first.
+//! Starts of a search: poses spread evenly over the range of the joints, the nearest ones first.
 
 use super::arm::{Arm, RigidArm};
 use super::joint_space::JointSpace;
 use super::task::Aim;
 use calibrig_model::geometry::Transform;
 
-/// How many poses are kept.
+/// Number of poses.
 const POSES: u32 = 1500;
 
-/// Poses of the rigid robot over all that its joints can do.
+/// Poses of the rigid robot over the range of its joints.
 #[derive(Debug, Clone)]
 pub(super) struct Starts {
     poses: Vec<(Vec<f64>, Transform)>,
 }
 
 impl Starts {
-    /// Points of the additive recurrence with the smallest discrepancy known in that many dimensions (M. Roberts, "The unreasonable effectiveness
-    /// of quasirandom sequences", 2018), without those that the robot cannot take.
+    /// Points of the additive recurrence with the smallest known discrepancy in this number of dimensions (M. Roberts, "The unreasonable
+    /// effectiveness of quasirandom sequences", 2018), without those that the robot cannot take.
     pub fn new(space: &JointSpace, arm: &mut RigidArm) -> Self {
         let ratio = (0..64).fold(1.5_f64, |x, _| (1.0 + x).powf(1.0 / (1.0 + space.len() as f64)));
         let steps: Vec<f64> = (1..).take(space.len()).map(|power| ratio.powi(-power)).collect();

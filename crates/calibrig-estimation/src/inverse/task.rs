@@ -1,20 +1,20 @@
-//! What the tool is to do, and by how much it is missed.
+//! What the tool should do, and how far it misses it.
 
 use nalgebra::{Matrix6xX, Rotation3, Vector3};
 use thiserror::Error;
 
 use calibrig_model::geometry::{Transform, rotation_vector};
 
-/// Where the tool is to be in the base frame, m.
+/// Where the tool should be in the base frame, m.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Goal {
-    /// The tool's point alone: three rows.
+    /// The tool's point only: three rows.
     Position(Vector3<f64>),
-    /// The point and the direction of one axis of the tool, as of a spray gun that may turn about its jet: five rows.
+    /// The point and the direction of one axis of the tool, as for a spray gun that may turn about its jet: five rows.
     Axis {
-        /// m
+        /// Position of the tool's point, m.
         position: Vector3<f64>,
-        /// Of any length but zero.
+        /// Direction of the axis, of any length but zero.
         direction: Vector3<f64>,
     },
     /// `base_from_tool`: six rows.
@@ -25,26 +25,26 @@ pub enum Goal {
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[non_exhaustive]
 pub enum GoalError {
-    /// A coordinate that is no number.
+    /// A coordinate is not finite.
     #[error("the {field} of the goal is ({}, {}, {}): expected finite numbers", value[0], value[1], value[2])]
     NotFinite {
-        /// What of it.
+        /// The part of the goal that is not finite.
         field: &'static str,
-        /// As stated.
+        /// Value as stated.
         value: [f64; 3],
     },
-    /// A direction of length zero.
+    /// A direction has length zero.
     #[error("the direction of the {of} has length {length}: expected a length above zero")]
     NoDirection {
-        /// Of what.
+        /// What the direction belongs to.
         of: &'static str,
-        /// As stated.
+        /// Length as stated.
         length: f64,
     },
 }
 
 impl Goal {
-    /// Of the tool's point, m.
+    /// Position of the tool's point, m.
     pub fn position(&self) -> Vector3<f64> {
         match self {
             Self::Position(position) | Self::Axis { position, .. } => *position,
@@ -52,7 +52,7 @@ impl Goal {
         }
     }
 
-    /// The same with the tool's point elsewhere, m.
+    /// The same goal with the tool's point elsewhere, m.
     #[must_use]
     pub fn moved_to(self, position: Vector3<f64>) -> Self {
         match self {
@@ -62,7 +62,7 @@ impl Goal {
         }
     }
 
-    /// Whether another goal is the same, to so many m and rad.
+    /// Whether another goal is the same within `near`, m and rad.
     pub(crate) fn is_at(&self, other: &Self, near: f64) -> bool {
         let place = (self.position() - other.position()).norm() <= near;
         place
@@ -76,7 +76,7 @@ impl Goal {
             }
     }
 
-    /// How many equations it is.
+    /// Number of the goal's equations.
     pub fn rows(&self) -> usize {
         match self {
             Self::Position(_) => 3,
@@ -85,7 +85,7 @@ impl Goal {
         }
     }
 
-    /// Whether its numbers can be.
+    /// Checks the goal's numbers.
     ///
     /// # Errors
     ///
@@ -117,17 +117,17 @@ fn unit(of: &'static str, v: &Vector3<f64>) -> Result<Vector3<f64>, GoalError> {
     }
 }
 
-/// What the flange carries.
+/// The tool on the flange.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tool {
     /// `flange_from_tool`; its origin is the tool's point.
     flange_from_tool: Transform,
-    /// Unit vector in the tool's axes.
+    /// The tool's axis, a unit vector in the tool's axes.
     axis: Vector3<f64>,
 }
 
 impl Tool {
-    /// A tool whose own z axis is the one that [`Goal::Axis`] directs.
+    /// A tool whose z axis is the one that [`Goal::Axis`] directs.
     ///
     /// # Errors
     ///
@@ -138,7 +138,7 @@ impl Tool {
         Ok(Self { flange_from_tool, axis: Vector3::z() })
     }
 
-    /// A point of the flange frame, m, with the flange's axes.
+    /// A tool at a point of the flange frame, m, with the flange's axes.
     ///
     /// # Errors
     ///
@@ -147,7 +147,7 @@ impl Tool {
         Self::new(Transform::from_parts(in_flange.into(), Rotation3::identity()))
     }
 
-    /// The same with another axis of its own to direct, of any length but zero.
+    /// The same tool with another of its axes for [`Goal::Axis`], of any length but zero.
     ///
     /// # Errors
     ///
@@ -167,23 +167,23 @@ impl Tool {
     }
 }
 
-/// A goal that has been checked, with the axis of the tool that it directs.
+/// A valid goal, with the axis of the tool that it directs.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Aim {
     goal: Goal,
     tool_axis: Vector3<f64>,
-    /// What a radian counts as, m.
+    /// Length that a radian counts as, m.
     pub lever: f64,
 }
 
-/// How a goal is missed where the tool is now.
+/// Miss of a goal at the current place of the tool.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Miss {
-    /// Along the base's axes, m.
+    /// Missing position along the base's axes, m.
     pub position: Vector3<f64>,
-    /// The rotation that is missing, in the base's axes, rad.
+    /// Missing rotation in the base's axes, rad.
     pub turn: Vector3<f64>,
-    /// Two unit vectors across the tool's axis.
+    /// Two unit vectors perpendicular to the tool's axis.
     across: [Vector3<f64>; 2],
 }
 
@@ -207,7 +207,7 @@ impl Aim {
         &self.goal
     }
 
-    /// The squared distance to a tool's place, with angles by the lever, m²; cheap, and right for small angles.
+    /// The squared distance to a place of the tool, with angles multiplied by the lever, m²; cheap, and accurate for small angles.
     pub fn distance_squared(&self, base_from_tool: &Transform) -> f64 {
         let off = (self.goal.position() - base_from_tool.translation.vector).norm_squared();
         let turned = match &self.goal {
@@ -231,7 +231,7 @@ impl Aim {
                 let (sine, cosine) = (axis.cross(direction), axis.dot(direction));
                 let size = sine.norm();
                 let angle = size.atan2(cosine);
-                // Where the axis points the other way, every turn across it is as short.
+                // Where the axis points the opposite way, all rotations across it are equally short.
                 let turn = if size > 1e-12 {
                     sine * (angle / size)
                 } else if cosine < 0.0 {
@@ -248,7 +248,7 @@ impl Aim {
         }
     }
 
-    /// What is missed, row by row, m.
+    /// The miss, row by row, m.
     pub fn errors(&self, miss: &Miss, rows: &mut [f64]) {
         rows[..3].copy_from_slice(miss.position.as_slice());
         match self.goal {
@@ -265,9 +265,9 @@ impl Aim {
         }
     }
 
-    /// How a motion of the tool (m and rad a unit, one a column) changes the rows, written to the first ones of `into`.
+    /// Change of the rows by motions of the tool (m and rad per unit, one per column), written to the first rows of `into`.
     ///
-    /// The gradient of the squared miss is exact with them; the rows themselves are where nothing is missed.
+    /// With it, the gradient of the squared miss is exact; the change of the rows themselves is exact only where nothing is missed.
     pub fn project(&self, miss: &Miss, motions: &Matrix6xX<f64>, into: &mut nalgebra::DMatrix<f64>) {
         for (column, motion) in motions.column_iter().enumerate() {
             for row in 0..3 {
@@ -290,7 +290,7 @@ impl Aim {
     }
 }
 
-/// The rotation vector, rad, also of half a turn, whose axis is told by no sine.
+/// The rotation vector, rad, also for half a turn, where the sine does not determine its axis.
 fn shortest_turn(rotation: &Rotation3<f64>) -> Vector3<f64> {
     let turn = rotation_vector(rotation);
     if turn.norm() > 0.0 || rotation.matrix().trace() > 0.0 {
@@ -303,7 +303,7 @@ fn shortest_turn(rotation: &Rotation3<f64>) -> Vector3<f64> {
     std::f64::consts::PI * longest.normalize()
 }
 
-/// Two unit vectors at right angles to each other and to a unit vector.
+/// Two unit vectors perpendicular to each other and to a unit vector.
 fn across(axis: &Vector3<f64>) -> [Vector3<f64>; 2] {
     let first = axis.cross(&Vector3::ith(axis.iamin(), 1.0)).normalize();
     [first, axis.cross(&first)]
@@ -319,7 +319,7 @@ mod tests {
         Aim::new(&goal, &tool, 1.0).expect("a goal").miss(from)
     }
 
-    /// Half a turn is missed by half a turn, though its sine is zero.
+    /// A miss of half a turn is reported as half a turn, although its sine is zero.
     #[test]
     fn half_a_turn_is_not_nothing() {
         for axis in [Vector3::x(), Vector3::y(), Vector3::z()] {
@@ -334,7 +334,7 @@ mod tests {
         assert!((turn.norm() - PI).abs() < 1e-12 && turn.z == 0.0, "{turn}");
     }
 
-    /// The gradient of half the squared miss is minus the rows times the errors, however much is missed.
+    /// The gradient of half the squared miss is minus the rows times the errors, however large the miss is.
     #[test]
     fn the_gradient_of_the_miss_is_the_central_difference() {
         let place = |v: [f64; 3], turn: [f64; 3]| {

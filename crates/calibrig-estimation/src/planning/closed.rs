@@ -1,44 +1,44 @@
-//! Criteria whose change by an exchange has a closed form: the determinant, and what is linear in the covariance.
+//! Criteria with a closed form for their change by an exchange: the determinant, and those linear in the covariance.
 //!
-//! With the covariance C and rows U = (entering; leaving) with the signs J = (1; -1), `M + Uᵀ J U` has the determinant `det M det(1 + J U C Uᵀ)` and the inverse
-//! `C - C Uᵀ (J + U C Uᵀ)⁻¹ U C` (V. V. Fedorov, Theory of Optimal Experiments (1972), section 3.2, for single rows; A. C. Atkinson et al. 2007, 12.5).
-//! Blocks `A = 1 + C_ee`, `B = C_el` and `S = 1 - C_ll + Bᵀ A⁻¹ B`, of as many rows as the poses have, are all that is factorised.
+//! With the covariance C and rows U = (entering; leaving) with the signs J = (1; -1), `M + Uᵀ J U` has the determinant `det M det(1 + J U C Uᵀ)` and
+//! the inverse `C - C Uᵀ (J + U C Uᵀ)⁻¹ U C` (V. V. Fedorov, Theory of Optimal Experiments (1972), section 3.2, for single rows; A. C. Atkinson et
+//! al. 2007, 12.5). Only the blocks `A = 1 + C_ee`, `B = C_el` and `S = 1 - C_ll + Bᵀ A⁻¹ B`, with as many rows as the poses have, are factorised.
 
 use nalgebra::DMatrix;
 
 use super::small::{factorise, solve_lower, solve_upper, trace_of_quotient};
 use super::space::DesignSpace;
 
-/// A design that is searched, with what every candidate would do to it.
+/// A design during the search, with the effect that every candidate would have.
 #[derive(Debug, Clone)]
 pub(super) struct Closed<'s> {
     space: &'s DesignSpace,
-    /// G of a criterion `tr(C GᵀG)`, and `GᵀG`; without, the criterion is the determinant.
+    /// G of a criterion `tr(C GᵀG)`, and `GᵀG`; `None` if the criterion is the determinant.
     linear: Option<(DMatrix<f64>, DMatrix<f64>)>,
-    /// C.
+    /// The covariance C.
     covariance: DMatrix<f64>,
-    /// `C GᵀG C`, where the criterion is linear.
+    /// `C GᵀG C`, if the criterion is linear.
     weighted: DMatrix<f64>,
-    /// Blocks of every candidate's rows with C, by columns, one behind the other; and where each begins.
+    /// Blocks of every candidate's rows with C, by columns, one after the other; and where each begins.
     own: Vec<f64>,
     own_weighted: Vec<f64>,
     squares: Vec<usize>,
-    /// Of every candidate.
+    /// Figures of every candidate.
     alone: Vec<Alone>,
     pub cost: f64,
     scratch: Scratch,
 }
 
-/// What a candidate is by itself.
+/// Figures of a candidate on its own.
 #[derive(Debug, Clone, Copy, Default)]
 struct Alone {
-    /// How much smaller the cost becomes with it.
+    /// Decrease of the cost if it is added.
     gain: f64,
-    /// At least the largest eigenvalue of its block: the norm of its entries.
+    /// Upper bound of the largest eigenvalue of its block: the norm of its entries.
     size: f64,
 }
 
-/// Memory for blocks of as many rows as a pose has at most.
+/// Memory for blocks with the most rows of any pose.
 #[derive(Debug, Clone, Default)]
 struct Scratch {
     a: Vec<f64>,
@@ -51,7 +51,7 @@ struct Scratch {
 }
 
 impl<'s> Closed<'s> {
-    /// The search of a space by the determinant, or by `tr(C GᵀG)`; [`refresh`](Self::refresh) gives it a design.
+    /// The search of a space by the determinant, or by `tr(C GᵀG)`; [`refresh`](Self::refresh) sets its design.
     pub fn new(space: &'s DesignSpace, linear: Option<DMatrix<f64>>) -> Self {
         let p = space.parameters().len();
         let mut squares = vec![0];
@@ -88,7 +88,7 @@ impl<'s> Closed<'s> {
         }
     }
 
-    /// Takes a design, computed anew; `false` where it is singular.
+    /// Sets a design and computes everything anew; `false` where it is singular.
     pub fn refresh(&mut self, design: &[usize]) -> bool {
         let p = self.space.parameters().len();
         let factor = self.space.factor(design.iter().copied(), true);
@@ -112,7 +112,7 @@ impl<'s> Closed<'s> {
         self.cost.is_finite()
     }
 
-    /// What every candidate is by itself.
+    /// Computes the figures of every candidate on its own.
     fn look_alone(&mut self) {
         for candidate in 0..self.space.candidates() {
             let rows = self.space.of(candidate).len();
@@ -131,16 +131,16 @@ impl<'s> Closed<'s> {
         }
     }
 
-    /// What the cost would be with each candidate on top.
+    /// The cost with each candidate added.
     pub fn costs_of_entering(&self, costs: &mut [f64]) {
         costs.iter_mut().zip(&self.alone).for_each(|(cost, alone)| *cost = self.cost - alone.gain);
     }
 
-    /// What the cost is not below with each candidate in the place of one of the design.
+    /// Lower bounds of the cost with each candidate in place of one of the design.
     ///
-    /// With λ at least the largest eigenvalue of `C_ee`, `Bᵀ A⁻¹ B` is at most `λ/(1+λ) C_ll`: so `ln det S` is at most `-tr C_ll / (1+λ)`. Of a linear criterion, what
-    /// leaves takes at least `|G C'Rᵀ|²` with it, C' after the other has entered, and of `|G C Rᵀ|` that is less by `√(g λ/(1+λ) |C_ll|)` at most, with g the gain of
-    /// what enters.
+    /// With λ at least the largest eigenvalue of `C_ee`, `Bᵀ A⁻¹ B` is at most `λ/(1+λ) C_ll`: so `ln det S` is at most `-tr C_ll / (1+λ)`. For a
+    /// linear criterion, the leaving candidate increases the cost by at least `|G C'Rᵀ|²`, with C' after the other has entered; its root is at most
+    /// `√(g λ/(1+λ) |C_ll|)` less than `|G C Rᵀ|`, with g the gain of the entering candidate.
     pub fn bounds_of_exchange(&self, leaving: usize, bounds: &mut [f64]) {
         let rows = self.space.of(leaving).len();
         let first = self.squares[leaving];
@@ -158,13 +158,13 @@ impl<'s> Closed<'s> {
         }
     }
 
-    /// The products that [`cost_of_exchange`](Self::cost_of_exchange) takes of what leaves: `C Rᵀ`, and `C GᵀG C Rᵀ`.
+    /// Products for the leaving candidate that [`cost_of_exchange`](Self::cost_of_exchange) needs: `C Rᵀ`, and `C GᵀG C Rᵀ`.
     pub fn leaver(&self, leaving: usize) -> (DMatrix<f64>, Option<DMatrix<f64>>) {
         let block = self.space.block(leaving);
         (&self.covariance * block, self.linear.is_some().then(|| &self.weighted * block))
     }
 
-    /// What the cost would be with a candidate in the place of one of the design, whose `leaver` is given.
+    /// The cost with a candidate in place of one of the design, for which `leaver` was computed.
     pub fn cost_of_exchange(
         &mut self,
         leaving: usize,
@@ -178,7 +178,7 @@ impl<'s> Closed<'s> {
         self.cost - self.gain(leaving, entering)
     }
 
-    /// How much smaller the cost becomes by an exchange whose `cross` products are known; minus infinity where nothing regular is left.
+    /// Decrease of the cost by an exchange whose `cross` products are known; minus infinity where the result is singular.
     fn gain(&mut self, leaving: usize, entering: usize) -> f64 {
         let (e, l) = (self.space.of(entering).len(), self.space.of(leaving).len());
         let of_entering = self.squares[entering]..self.squares[entering + 1];
@@ -224,14 +224,14 @@ impl<'s> Closed<'s> {
         gained - trace_of_quotient(s, l, f, column)
     }
 
-    /// Takes a candidate into the design.
+    /// Adds a candidate to the design.
     pub fn enter(&mut self, candidate: usize) -> bool {
         let Some(change) = self.change(candidate, 1.0) else { return false };
         self.follow(&[change]);
         true
     }
 
-    /// Takes a candidate into the design and another out of it; `false` where the rest is singular.
+    /// Adds a candidate to the design and removes another; `false` where the rest is singular.
     pub fn exchange(&mut self, entering: usize, leaving: usize) -> bool {
         let Some(entered) = self.change(entering, 1.0) else { return false };
         let Some(left) = self.change(leaving, -1.0) else { return false };
@@ -239,7 +239,7 @@ impl<'s> Closed<'s> {
         true
     }
 
-    /// `C := C - sign Z Zᵀ`, Z = C Uᵀ L⁻ᵀ with `L Lᵀ = 1 + sign U C Uᵀ` for the rows U of a candidate; and the cost.
+    /// `C := C - sign Z Zᵀ`, Z = C Uᵀ L⁻ᵀ with `L Lᵀ = 1 + sign U C Uᵀ` for the rows U of a candidate; also updates the cost.
     fn change(&mut self, candidate: usize, sign: f64) -> Option<Change> {
         let block = self.space.block(candidate);
         let left = &self.covariance * block;
@@ -269,7 +269,7 @@ impl<'s> Closed<'s> {
         Some(Change { z, half, sign })
     }
 
-    /// Lets the blocks of all candidates follow.
+    /// Updates the blocks of all candidates.
     fn follow(&mut self, changes: &[Change]) {
         let most = self.scratch.column.len();
         for Change { z, half, sign } in changes {
@@ -306,15 +306,15 @@ impl<'s> Closed<'s> {
     }
 }
 
-/// How the covariance changed.
+/// A change of the covariance.
 struct Change {
     z: DMatrix<f64>,
-    /// Of a linear criterion.
+    /// H, for a linear criterion.
     half: Option<DMatrix<f64>>,
     sign: f64,
 }
 
-/// Inner products of some columns of `rows` with those of `left`, by columns of the latter.
+/// Inner products of some columns of `rows` with those of `left`, ordered by columns of the latter.
 fn products(rows: &DMatrix<f64>, columns: std::ops::Range<usize>, left: &DMatrix<f64>, out: &mut [f64]) {
     let p = rows.nrows();
     let own = &rows.as_slice()[columns.start * p..columns.end * p];
@@ -326,7 +326,7 @@ fn products(rows: &DMatrix<f64>, columns: std::ops::Range<usize>, left: &DMatrix
     }
 }
 
-/// Four sums at a time, so that none waits for the one before.
+/// Four sums at a time, so that none waits for another.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let (mut sums, mut rest) = ([0.0; 4], 0.0);
     let (fours_a, fours_b) = (a.chunks_exact(4), b.chunks_exact(4));
@@ -341,7 +341,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     (sums[0] + sums[1]) + (sums[2] + sums[3]) + rest
 }
 
-/// Of every candidate the products of its columns of `spread` with each other.
+/// For every candidate, the products of its columns of `spread` with each other.
 fn fill(own: &mut [f64], spread: &DMatrix<f64>, space: &DesignSpace, squares: &[usize]) {
     for (candidate, first) in squares.iter().enumerate().take(space.candidates()) {
         let columns = space.of(candidate);

@@ -1,30 +1,31 @@
-//! What makes a set of poses good, in one number that is to be small.
+//! Criteria for a set of poses, each a number to be minimised.
 
 use serde::{Deserialize, Serialize};
 
-/// What a choice of poses minimises. M is the information of priors and poses about the scaled parameters, C = M⁻¹ their covariance, σ₁ to `σ_p`
-/// the singular values of the whitened rows, largest first (the roots of the eigenvalues of M).
+/// Criterion that a choice of poses minimises. M is the information of priors and poses about the scaled parameters, C = M⁻¹ their covariance, σ₁ to
+/// `σ_p` the singular values of the whitened rows, largest first (the roots of the eigenvalues of M).
 ///
 /// D, A, E, G and I: A. C. Atkinson, A. N. Donev, R. D. Tobias, Optimum Experimental Designs, with SAS (2007), chapter 10. The
 /// observability indices are numbered as in Y. Sun, J. M. Hollerbach, "Observability index selection for robot calibration", ICRA 2008, 831.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Criterion {
-    /// `-ln det(M) / p`: the volume of the parameters' confidence region. It does not depend on their scaling: of two designs the difference, with
-    /// `exp`, is the D-efficiency of one by the other.
+    /// `-ln det(M) / p`: the volume of the parameters' confidence region. It does not depend on their scaling: `exp` of the difference between two
+    /// designs is the D-efficiency of one relative to the other.
     D,
     /// `tr C`: the sum of the variances of the scaled parameters.
     A,
     /// `1 / λ_min(M)`: the largest variance of a combination of scaled parameters of length one.
     E,
-    /// Largest over the region of the predicted variance of the target's place (summed over three axes), m².
+    /// Largest predicted variance of the target's position over the region (summed over three axes), m².
     G,
-    /// Mean over the region of that, m². It does not depend on the scaling.
+    /// Mean of this variance over the region, m². It does not depend on the scaling.
     I,
-    /// `1 / O1`, `O1 = (σ₁ … σ_p)^(1/p) / √n`, with n poses (J. H. Borm, C. H. Menq, Int. J. Robotics Research 10 (1991) 51). The same poses as by D.
+    /// `1 / O1`, `O1 = (σ₁ … σ_p)^(1/p) / √n`, with n poses (J. H. Borm, C. H. Menq, Int. J. Robotics Research 10 (1991) 51). It chooses the same
+    /// poses as D.
     O1,
     /// `1 / O2`, `O2 = σ_p / σ₁`: the condition number (M. R. Driels, U. S. Pathre, J. Robotic Systems 7 (1990) 197).
     O2,
-    /// `1 / O3`, `O3 = σ_p` (A. Nahvi, J. M. Hollerbach, V. Hayward, ICRA 1994, 407). The same poses as by E.
+    /// `1 / O3`, `O3 = σ_p` (A. Nahvi, J. M. Hollerbach, V. Hayward, ICRA 1994, 407). It chooses the same poses as E.
     O3,
     /// `1 / O4`, `O4 = σ_p² / σ₁`: the noise amplification index (A. Nahvi, J. M. Hollerbach, ICRA 1996, 647).
     O4,
@@ -33,7 +34,7 @@ pub enum Criterion {
 }
 
 impl Criterion {
-    /// All of them.
+    /// All criteria.
     pub const ALL: [Self; 10] =
         [Self::D, Self::A, Self::E, Self::G, Self::I, Self::O1, Self::O2, Self::O3, Self::O4, Self::O5];
 
@@ -53,22 +54,22 @@ impl Criterion {
         }
     }
 
-    /// The criterion of a [`key`](Self::key), in capitals or not.
+    /// The criterion of a [`key`](Self::key), in upper or lower case.
     pub fn parse(key: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|criterion| criterion.key().eq_ignore_ascii_case(key))
     }
 
-    /// Whether it looks at the poses where the robot will work.
+    /// Whether it depends on the poses where the robot will work.
     pub fn is_of_region(self) -> bool {
         matches!(self, Self::G | Self::I)
     }
 
-    /// Whether its value, and which poses it takes, depend on how the parameters are scaled.
+    /// Whether its value, and the chosen poses, depend on the scaling of the parameters.
     pub fn depends_on_scale(self) -> bool {
         !matches!(self, Self::D | Self::G | Self::I | Self::O1)
     }
 
-    /// Criteria with a closed form that take much the same poses; none of those that have one themselves.
+    /// Criteria with a closed form that choose similar poses; empty for those that have a closed form themselves.
     pub(super) fn like(self) -> &'static [Self] {
         match self {
             Self::D | Self::A | Self::I | Self::O1 => &[],
@@ -77,7 +78,7 @@ impl Criterion {
         }
     }
 
-    /// Its value from the eigenvalues of M (ascending or not), for those that are functions of these; infinite of a singular M.
+    /// Its value from the eigenvalues of M (in any order), for criteria that are functions of these; infinite for a singular M.
     pub(super) fn of_eigenvalues(self, eigenvalues: &[f64], poses: usize) -> f64 {
         let (least, most) =
             eigenvalues.iter().fold((f64::INFINITY, 0.0_f64), |(a, b), v| (a.min(*v), b.max(*v)));
@@ -100,7 +101,7 @@ impl Criterion {
     }
 }
 
-/// The observability indices of some poses, each the larger the better; of the scaled rows, priors among them.
+/// The observability indices of some poses, each the larger the better, for the scaled rows including priors.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Observability {
     /// Borm and Menq 1991.
@@ -116,7 +117,7 @@ pub struct Observability {
 }
 
 impl Observability {
-    /// Of the `singular_values` of the rows of so many `poses`; all zero where one of them is.
+    /// The indices from the `singular_values` of the rows of this many `poses`; all zero if a singular value is.
     pub fn of(singular_values: &[f64], poses: usize) -> Self {
         let eigenvalues: Vec<f64> = singular_values.iter().map(|s| s * s).collect();
         let index = |criterion: Criterion| criterion.of_eigenvalues(&eigenvalues, poses).recip();
@@ -134,7 +135,7 @@ impl Observability {
 mod tests {
     use super::*;
 
-    /// By hand from the publications' formulas.
+    /// By hand, from the formulas of the publications.
     #[test]
     fn the_indices_of_three_singular_values() {
         let o = Observability::of(&[4.0, 2.0, 1.0], 9);

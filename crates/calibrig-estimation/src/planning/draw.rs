@@ -5,17 +5,17 @@ use super::session::within_limits;
 use crate::identification::reachable_poses;
 use calibrig_model::CalibrationModel;
 
-/// Share of a joint's width at either end from which every second candidate goes to the end.
+/// Share of a joint's range at either end from which every second candidate is moved to the end.
 const EDGE: f64 = 1.0 / 6.0;
 
-/// Commands of so many candidates, spread evenly over a box of joint variables (lowest and highest of each, m or rad): a Kronecker sequence of the
-/// generalised golden ratio, without chance. Of every second candidate the box is stretched about its middle, and what goes beyond an end is put there (a sixth of
-/// the width at either end): good designs are mostly at the edges of what is allowed, and few points of a sequence are. Joints that follow others go where these
-/// take them.
+/// Commands of this many candidates, spread evenly over a box of joint variables (lowest and highest of each, m or rad): a Kronecker sequence of the
+/// generalised golden ratio, without randomness. For every second candidate the box is stretched about its middle, and values beyond an end are set
+/// to the end (from a sixth of the range at either end): good designs are mostly at the edges of what is allowed, where a sequence has few points.
+/// Joints that follow others go where these take them.
 ///
 /// # Errors
 ///
-/// [`PlanError`], for a box of another number of joints, with an end that is not finite or beyond the robot's limits, or whose ends cross.
+/// [`PlanError`], for a box with another number of joints, with an end that is not finite or beyond the robot's limits, or with crossed ends.
 pub fn candidate_commands(
     model: &CalibrationModel,
     region: &[[f64; 2]],

@@ -1,53 +1,53 @@
-//! What cannot be planned, and why.
+//! Why poses cannot be planned.
 
 use thiserror::Error;
 
 use super::Criterion;
 use crate::identification::{DependentGroup, IdentifyError, PredictionError};
 
-/// Poses that cannot be planned.
+/// Why poses cannot be planned.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum PlanError {
     /// The robot, the candidates' set or the options cannot be used.
     #[error(transparent)]
     Identify(#[from] IdentifyError),
-    /// Nothing to choose from.
+    /// There is no candidate to choose from.
     #[error(
         "there is no candidate pose: expected some that are not yet measured; loosen the filters, or draw more"
     )]
     NoCandidates,
-    /// Fewer candidates than poses.
+    /// There are fewer candidates than poses to choose.
     #[error(
         "{candidates} candidate poses for {wanted} to choose: expected at least as many; draw more, choose fewer, or allow repeats"
     )]
     TooFewCandidates {
-        /// Candidates.
+        /// Number of candidates.
         candidates: usize,
-        /// Poses to choose.
+        /// Number of poses to choose.
         wanted: usize,
     },
-    /// A design of nothing.
+    /// The number of poses to choose is zero.
     #[error("no pose is to be chosen: expected a number of one or more")]
     NoPoses,
-    /// Poses that cannot determine the parameters.
+    /// The poses cannot determine the parameters.
     #[error(
         "{count} poses have at most {rows} coordinates, which together with the priors determine {determined} of {parameters} \
          parameters: expected at least {least} poses, or a prior (tolerance) on the parameters"
     )]
     TooFewPoses {
-        /// Poses to choose.
+        /// Number of poses to choose.
         count: usize,
-        /// Coordinates that so many poses have at most.
+        /// Most coordinates that this number of poses has.
         rows: usize,
-        /// Parameters that these, priors, nests, targets and earlier poses determine at most.
+        /// Most parameters that these, priors, nests, targets and earlier poses determine.
         determined: usize,
-        /// Parameters.
+        /// Number of parameters.
         parameters: usize,
-        /// Poses that could do.
+        /// Number of poses that could be enough.
         least: usize,
     },
-    /// What no choice of these candidates determines, and no prior holds.
+    /// Some parameters are determined neither by any choice of these candidates nor by a prior.
     #[error(
         "{what} cannot determine all parameters: {}; give these a prior (tolerance), fix one of each group, or look for other \
          poses",
@@ -56,83 +56,83 @@ pub enum PlanError {
     Singular {
         /// The candidates, or the chosen poses.
         what: &'static str,
-        /// What depends on what.
+        /// Groups of dependent parameters.
         groups: Vec<DependentGroup>,
     },
-    /// A criterion of a region without one.
+    /// A criterion of a region is used without a region.
     #[error("{}-optimality needs a region, but none is given: expected poses where the robot will work", .criterion.key())]
     NoRegion {
-        /// Which.
+        /// Which criterion.
         criterion: Criterion,
     },
-    /// A reading whose noise nobody states.
+    /// A planned reading states no noise.
     #[error(
         "pose {pose}: the planned reading states no covariance: expected one, because it is weighed against the priors"
     )]
     NoNoise {
-        /// The pose.
+        /// Number of the pose.
         pose: u32,
     },
-    /// A number that is not one.
+    /// A number is not finite.
     #[error("{what} is not a finite number")]
     NotFinite {
-        /// Which.
+        /// What the number is.
         what: String,
     },
-    /// A list of another length.
+    /// A list has the wrong length.
     #[error("{what}: {found} entries, expected {expected}")]
     Length {
-        /// Which.
+        /// Which list.
         what: String,
         /// Its length.
         found: usize,
-        /// What it has to be.
+        /// Expected length.
         expected: usize,
     },
-    /// A number out of its range.
+    /// A number is out of its range.
     #[error("{field} is {value}: expected {expected}")]
     Number {
-        /// Which.
+        /// Name of the number.
         field: &'static str,
         /// Its value.
         value: f64,
         /// What it has to be.
         expected: &'static str,
     },
-    /// A pose that the robot's limits exclude.
+    /// A pose is beyond the robot's limits.
     #[error(
         "{what}: joint {} is at {value:.6}, beyond its limits {} to {} by {:.6} (m or rad)",
         .joint.saturating_add(1), .limits[0], .limits[1], (.limits[0] - .value).max(.value - .limits[1])
     )]
     OutsideLimits {
-        /// Which pose, or which end of a region.
+        /// The pose, or the end of a region.
         what: String,
         /// Index of the joint.
         joint: usize,
-        /// Its variable, m or rad.
+        /// Joint variable, m or rad.
         value: f64,
-        /// The limits.
+        /// Limits of the joint, m or rad.
         limits: [f64; 2],
     },
-    /// A pose of the region that the robot cannot take.
+    /// The robot cannot take a pose of the region.
     #[error("pose {} of the region: {source}", .index.saturating_add(1))]
     Region {
-        /// Its place in the list.
+        /// Index in the list.
         index: usize,
         /// Why.
         source: PredictionError,
     },
-    /// A pose that is said to be measured and is not in the set.
+    /// A pose that is listed as measured is not in the set.
     #[error("pose {pose} is listed as measured, but the set has no pose of that number")]
     UnknownMeasured {
-        /// Its number.
+        /// Number of the pose.
         pose: u32,
     },
-    /// A drawn robot that cannot take a pose.
+    /// A drawn robot cannot take a pose.
     #[error("robot {} of those drawn from the priors: {source}; expected a smaller tolerance, or candidates farther from the \
              limits of the linkage", .robot.saturating_add(1))]
     Drawn {
-        /// Which.
+        /// Index of the robot.
         robot: usize,
         /// Why.
         source: IdentifyError,

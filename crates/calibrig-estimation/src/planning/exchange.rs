@@ -1,4 +1,4 @@
-//! Which poses: a greedy start, random ones, and exchanges one by one until none helps.
+//! Chooses poses: a greedy start, random starts, and exchanges of single poses until none helps.
 
 use rand::RngExt;
 use rand::seq::index::sample;
@@ -10,41 +10,41 @@ use super::space::DesignSpace;
 use super::{Criterion, DesignFigures, PlanError};
 use calibrig_model::random::{Source, stream};
 
-/// An exchange counts from this change on: of the criterion's value, of the logarithm of a determinant.
+/// Least change that counts as an improvement: of the criterion's value, or of the logarithm of a determinant.
 const LEAST_GAIN: f64 = 1e-9;
 
-/// Passes over all poses of a design; some five are needed.
+/// Most passes over all poses of a design; about five are needed.
 const MOST_PASSES: usize = 100;
 
-/// How the values of a criterion for several robots become one.
+/// How the values of a criterion for several robots are combined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub enum Over {
-    /// Their mean (by D of the logarithms; "Bayesian" or "ELD" optimality: K. Chaloner, I. Verdinelli, Statist. Sci. 10 (1995) 273).
+    /// Their mean (for D, the mean of the logarithms; "Bayesian" or "ELD" optimality: K. Chaloner, I. Verdinelli, Statist. Sci. 10 (1995) 273).
     #[default]
     Mean,
-    /// The worst of them.
+    /// The worst value.
     Worst,
 }
 
-/// How many poses, and by what.
+/// Number of poses to choose, and the criterion.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Choice {
-    /// Poses to choose.
+    /// Number of poses to choose.
     pub count: usize,
-    /// What is minimised.
+    /// Criterion that is minimised.
     pub criterion: Criterion,
     /// Whether a pose may be measured more than once.
     pub repeats: bool,
-    /// Random starts beside the greedy one.
+    /// Number of random starts beside the greedy one.
     pub starts: u32,
-    /// Of these.
+    /// Seed of the random starts.
     pub seed: u64,
-    /// Where there are several robots.
+    /// How the values for several robots are combined.
     pub over: Over,
 }
 
 impl Choice {
-    /// So many poses by I, none twice, from the greedy start and two others.
+    /// A choice of this many poses by I, none twice, from the greedy start and two others.
     pub fn of(count: usize) -> Self {
         Self { count, criterion: Criterion::I, repeats: false, starts: 2, seed: 1, over: Over::Mean }
     }
@@ -53,29 +53,29 @@ impl Choice {
 /// Chosen poses.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Design {
-    /// Indices of the candidates, ascending; with repeats one may be there more than once.
+    /// Indices of the candidates, ascending; with repeats, an index may occur more than once.
     pub chosen: Vec<usize>,
     /// Value of the criterion.
     pub value: f64,
-    /// What came of every start: the greedy one first, then designs by criteria that are alike and quicker, then those by chance.
+    /// Value reached from every start: the greedy one first, then designs by similar but faster criteria, then the random ones.
     pub starts: Vec<f64>,
-    /// Whether no exchange of one pose betters it by the search's measure.
+    /// Whether no exchange of one pose improves it by the measure of the search.
     pub settled: bool,
-    /// What the poses tell, at the first (nominal) space.
+    /// Figures of the chosen poses, for the first (nominal) space.
     pub figures: DesignFigures,
 }
 
-/// Chooses poses of candidates: an exact design, a local optimum under exchanges of single poses and the best of several starts. Of several `spaces`, each is of
-/// another robot with the same candidates and parameters.
+/// Chooses poses among candidates: an exact design that is a local optimum under exchanges of single poses, and the best of several starts. Each of
+/// several `spaces` belongs to another robot with the same candidates and parameters.
 ///
-/// From every start the poses are taken in turn, and each is exchanged for the candidate that betters the criterion most, until a turn changes none
-/// (V. V. Fedorov 1972; in this order R. D. Cook, C. J. Nachtsheim, Technometrics 22 (1980) 315). Criteria without a closed form of that (E, G, O2 to O5) begin with
-/// designs by D and by A (G: I) as well, and look at the most promising candidates of each turn alone.
+/// From every start the poses are considered in turn, and each is exchanged for the candidate that improves the criterion most, until a pass changes
+/// none (V. V. Fedorov 1972; in this order R. D. Cook, C. J. Nachtsheim, Technometrics 22 (1980) 315). Criteria without a closed form for this (E, G,
+/// O2 to O5) also start from designs by D and by A (G: I), and consider only the most promising candidates for each exchange.
 ///
 /// # Errors
 ///
-/// [`PlanError`], where the candidates are too few, do not determine the parameters, or are too few coordinates to do so; and without a region for a
-/// criterion of one.
+/// [`PlanError`], where there are too few candidates, or they do not determine the parameters, or too few poses are chosen to do so; and for a
+/// criterion of a region without a region.
 pub fn choose(spaces: &[DesignSpace], choice: &Choice) -> Result<Design, PlanError> {
     let mut search = Search::new(spaces, choice)?;
     let mut begun = vec![search.grown(Vec::new(), choice.count)];
@@ -101,7 +101,7 @@ pub fn choose(spaces: &[DesignSpace], choice: &Choice) -> Result<Design, PlanErr
     Ok(Design { chosen, value, starts, settled, figures })
 }
 
-/// What a search goes by.
+/// Implementation of the criterion in a search.
 enum Engine<'s> {
     Closed(Vec<Closed<'s>>),
     Screened(Vec<Screened<'s>>),
@@ -154,12 +154,12 @@ impl<'s> Search<'s> {
         Ok(Self { spaces, engine, criterion: choice.criterion, over: choice.over, repeats: choice.repeats })
     }
 
-    /// The space that figures are stated of.
+    /// The space for which figures are stated.
     pub fn nominal(&self) -> &'s DesignSpace {
         &self.spaces[0]
     }
 
-    /// Value of the criterion over all spaces, without what holds a search.
+    /// Value of the criterion over all spaces, without the ridge of the search.
     pub fn value(&self, design: &[usize]) -> Result<f64, PlanError> {
         let no_region = || PlanError::NoRegion { criterion: self.criterion };
         let of = |space: &DesignSpace| space.figures(design)?.value(self.criterion).ok_or_else(no_region);
@@ -181,8 +181,8 @@ impl<'s> Search<'s> {
         }
     }
 
-    /// The least cost with one of the `allowed` candidates in the place of `leaving`, or on top; the first of those that are alike. An exchange that does not
-    /// come below `limit` need not be found.
+    /// The least cost with one of the `allowed` candidates in place of `leaving`, or added if there is none; the first of equal ones. An exchange
+    /// with a cost above `limit` need not be found.
     fn best(
         &mut self,
         leaving: Option<usize>,
@@ -217,7 +217,7 @@ impl<'s> Search<'s> {
         allowed.min_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)))
     }
 
-    /// The best exchange below a limit; costs are computed where their `bounds` are below the best so far.
+    /// The best exchange below a limit; costs are computed only where their `bounds` are below the best so far.
     fn best_within(
         &mut self,
         leaving: usize,
@@ -239,14 +239,14 @@ impl<'s> Search<'s> {
                 best = Some((candidate, cost));
             }
         };
-        // The most promising one first: it spares most of the others.
+        // The most promising candidate comes first: it makes most others unnecessary.
         let first = (0..bounds.len()).min_by(|a, b| bounds[*a].total_cmp(&bounds[*b]))?;
         look(first, &mut limit);
         (0..bounds.len()).for_each(|candidate| look(candidate, &mut limit));
         best
     }
 
-    /// A design with the candidates on top, one by one, that better the criterion most.
+    /// A design extended, one by one, by the candidates that improve the criterion most.
     pub fn grown(&mut self, mut design: Vec<usize>, count: usize) -> Vec<usize> {
         self.refresh(&design);
         while design.len() < count {
@@ -277,10 +277,10 @@ impl<'s> Search<'s> {
         sample(&mut rng, candidates, choice.count).into_vec()
     }
 
-    /// The design after exchanges, and whether none is left that betters it.
+    /// The design after exchanges, and whether no improving exchange is left.
     pub fn improved(&mut self, mut design: Vec<usize>) -> (Vec<usize>, bool) {
         for _ in 0..MOST_PASSES {
-            // What was updated step by step is computed anew, so that rounding does not add up.
+            // Recomputes what was updated step by step, so that rounding does not accumulate.
             self.refresh(&design);
             let mut changed = false;
             for place in 0..design.len() {
@@ -293,7 +293,7 @@ impl<'s> Search<'s> {
         (design, false)
     }
 
-    /// Exchanges a pose of the design for the best candidate, where that is better.
+    /// Exchanges a pose of the design for the best candidate, if that is better.
     fn exchange(&mut self, design: &mut [usize], place: usize) -> bool {
         let (leaving, repeats, cost) = (design[place], self.repeats, self.cost());
         let tolerance = match self.criterion {
@@ -326,7 +326,7 @@ fn over(over: Over, values: impl ExactSizeIterator<Item = f64>) -> f64 {
     }
 }
 
-/// What every search says of all candidates, as one.
+/// Combines the values of all searches for every candidate.
 fn joined<T>(total: &mut [f64], by: Over, all: &[T], of: impl Fn(&T, &mut [f64])) {
     let mut costs = vec![0.0; total.len()];
     let share = 1.0 / all.len() as f64;

@@ -1,27 +1,27 @@
-//! How good chosen poses are.
+//! Figures of merit of chosen poses.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Criterion, Observability};
 
-/// Share of the poses of a region that a quantile is of.
+/// Share of a region's poses of the quantile.
 const MOST: f64 = 0.95;
 
-/// Standard deviations of predicted places over a region, each the root of the variances of three axes in sum, m.
+/// Standard deviations of predicted positions over a region, each the root of the variances summed over three axes, m.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
     /// Mean.
     pub mean: f64,
     /// Root of the mean variance.
     pub rms: f64,
-    /// What 95 % of the region's poses stay below (or at).
+    /// Value that 95 % of the region's poses do not exceed.
     pub quantile_95: f64,
     /// Largest.
     pub largest: f64,
 }
 
 impl Spread {
-    /// Of the variances; `None` without any.
+    /// The spread from variances; `None` without any.
     pub(super) fn of(variances: impl Iterator<Item = f64>) -> Option<Self> {
         let mut sorted: Vec<f64> = variances.collect();
         sorted.sort_by(f64::total_cmp);
@@ -37,36 +37,36 @@ impl Spread {
     }
 }
 
-/// How well the target's place is predicted over a region.
+/// Accuracy of the target's predicted position over a region.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Accuracy {
-    /// What the parameters leave open: the robot's mean place.
+    /// Due to the parameters: the robot's mean position.
     pub of_parameters: Spread,
-    /// With what the machine does beside its model, pose by pose.
+    /// Including the machine's noise beside its model, pose by pose.
     pub with_machine: Spread,
-    /// That alone, which no calibration takes away.
+    /// Due to the machine's noise alone, which no calibration removes.
     pub of_machine: Spread,
 }
 
-/// What chosen poses tell.
+/// Figures of chosen poses.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DesignFigures {
-    /// How many, those that were measured before aside.
+    /// Number of poses, without those that were measured before.
     pub poses: usize,
     /// `ln det(M)` in scaled parameters.
     pub log_determinant: f64,
-    /// Of the rows in scaled parameters, priors among them; largest first.
+    /// Singular values of the rows in scaled parameters, including priors; largest first.
     pub singular_values: Vec<f64>,
-    /// The indices of these.
+    /// Observability indices of these singular values.
     pub observability: Observability,
     /// Standard deviation of every parameter, SI.
     pub sigmas: Vec<f64>,
-    /// Over the region; `None` without one.
+    /// Accuracy over the region; `None` without a region.
     pub accuracy: Option<Accuracy>,
 }
 
 impl DesignFigures {
-    /// The value of a criterion, the smaller the better; `None` for one of a region without one.
+    /// The value of a criterion, the smaller the better; `None` for a criterion of a region without a region.
     pub fn value(&self, criterion: Criterion) -> Option<f64> {
         let spread = self.accuracy.map(|accuracy| accuracy.of_parameters);
         match criterion {
@@ -90,7 +90,7 @@ mod tests {
         let spread = Spread::of([4.0, 1.0, 9.0, 0.0].into_iter()).expect("some");
         assert_eq!((spread.mean, spread.largest, spread.quantile_95), (1.5, 3.0, 3.0));
         assert!((spread.rms - 3.5_f64.sqrt()).abs() < 1e-15);
-        // Of twenty values 95 % are nineteen.
+        // 95 % of twenty values are nineteen.
         let spread = Spread::of((1..=20).map(|i| f64::from(i * i))).expect("some");
         assert_eq!(spread.quantile_95, 19.0);
         assert!(Spread::of(std::iter::empty()).is_none());

@@ -1,72 +1,73 @@
-//! How many poses are enough.
+//! Shows how many poses are enough.
 
 use serde::{Deserialize, Serialize};
 
 use super::exchange::Search;
 use super::{Accuracy, Choice, DesignSpace, PlanError, Spread};
 
-/// Best known designs of ever more poses.
+/// Best known designs for increasing numbers of poses.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Growth {
-    /// In the order of their numbers of poses.
+    /// Designs in the order of their numbers of poses.
     pub points: Vec<GrowthPoint>,
-    /// What no number of these candidates betters.
+    /// Limit for any number of poses of these candidates.
     pub floor: Accuracy,
-    /// Number of poses beyond which more help less than before: where the mean standard deviation (with the machine's noise) lies furthest below the straight
-    /// line from the first to the last point, numbers and standard deviations each over their range (V. Satopää et al., "Finding a Kneedle in a haystack", ICDCS
-    /// Workshops 2011, 166). It depends on the range that was looked at. `None` of fewer than three points, or where none lies below.
+    /// Number of poses beyond which more help less than before: where the mean standard deviation (with the machine's noise) lies furthest below the
+    /// straight line from the first to the last point, with numbers and standard deviations each divided by their range (V. Satopää et al., "Finding
+    /// a Kneedle in a haystack", ICDCS Workshops 2011, 166). It depends on the range that was examined. `None` for fewer than three points, or if
+    /// none lies below.
     pub knee: Option<usize>,
 }
 
-/// The best known design of so many poses.
+/// The best known design for one number of poses.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GrowthPoint {
-    /// How many.
+    /// Number of poses.
     pub count: usize,
     /// Indices of the candidates, ascending.
     pub chosen: Vec<usize>,
-    /// Value of the criterion that it was chosen by.
+    /// Value of the criterion by which it was chosen.
     pub value: f64,
-    /// How well it predicts.
+    /// Accuracy of its predictions.
     pub accuracy: Accuracy,
 }
 
-/// How many poses reach a tolerance.
+/// Number of poses needed to reach a tolerance.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Needed {
-    /// So many, the least of those that were looked at.
+    /// This number, the smallest of those that were examined.
     Poses {
-        /// How many.
+        /// Number of poses.
         count: usize,
-        /// What they reach, m.
+        /// Value that they reach, m.
         reached: f64,
     },
-    /// None: what the machine does beside its model is more by itself, m.
+    /// No number: the machine's noise beside its model alone is larger.
     BelowMachine {
-        /// m
+        /// Value of the machine's noise alone, m.
         floor: f64,
     },
-    /// None of these candidates: they leave combinations of parameters to what is known beforehand, and these alone with the machine's noise amount to more, m.
+    /// No number of these candidates: combinations of parameters rest on their priors, and these with the machine's noise exceed the tolerance.
     BelowCandidates {
-        /// m
+        /// Value with any number of poses, m.
         floor: f64,
     },
-    /// More than were looked at.
+    /// More than the largest number that was examined.
     MoreThan {
-        /// The most that were looked at.
+        /// Largest number that was examined.
         count: usize,
-        /// What they reach, m.
+        /// Value that it reaches, m.
         reached: f64,
     },
 }
 
-/// Designs of the numbers of poses in `counts`. Each begins with the one before it, takes further poses one by one, and is bettered by exchanges, so that none is
-/// worse than the one before. The count of `choice` is not used, nor its random starts.
+/// Designs for the numbers of poses in `counts`. Each begins with the one before it, adds further poses one by one, and is improved by exchanges, so
+/// that none is worse than the one before. The count and the random starts of `choice` are not used.
 ///
 /// # Errors
 ///
-/// [`PlanError`], as [`choose`](super::choose) for the least of the numbers, and without a region.
+/// [`PlanError`], as [`choose`](super::choose) for the smallest number, and without a region.
 pub fn grow(spaces: &[DesignSpace], choice: &Choice, counts: &[usize]) -> Result<Growth, PlanError> {
     let mut counts = counts.to_vec();
     counts.sort_unstable();
@@ -109,8 +110,8 @@ fn knee(curve: &[(usize, f64)]) -> Option<usize> {
 }
 
 impl Growth {
-    /// How many poses predict within `tolerance`, m, by a figure of the standard deviations with the machine's noise, such as their mean or 95 % quantile over
-    /// the region.
+    /// Number of poses that predict within `tolerance`, m, by a figure of the standard deviations with the machine's noise, such as their mean or 95
+    /// % quantile over the region.
     ///
     /// # Errors
     ///
@@ -147,7 +148,7 @@ mod tests {
 
     #[test]
     fn the_knee_of_a_hyperbola_is_where_its_slope_is_that_of_the_chord() {
-        // Of 1/n from 1 to 100 the tangent is parallel to the chord at sqrt(100).
+        // For 1/n from 1 to 100, the tangent is parallel to the chord at sqrt(100).
         let curve: Vec<_> = (1..=100).map(|n| (n, 1.0 / n as f64)).collect();
         assert_eq!(knee(&curve), Some(10));
         let line: Vec<_> = (1..=10_usize).map(|n| (n, 20.0 - n as f64)).collect();

@@ -1,9 +1,9 @@
-//! Which poses to measure: those that tell most of the parameters, or of what is to be predicted with them.
+//! Chooses the poses to measure: those with the most information on the parameters, or on what will be predicted with them.
 //!
-//! A [`PlannedSession`] makes rows of candidate poses: those of the system that [`identify`](crate::identification::identify) would solve, with its
-//! noise, nests, targets and priors, at the nominal robot (or where an estimate ended, for the next poses). [`choose`] takes the best of them by a
-//! [`Criterion`], [`ordered`] puts them in an order, [`grow`] tells how many are enough. What is visible, reachable and free of collisions is up to
-//! whoever makes the candidates.
+//! A [`PlannedSession`] computes the rows of candidate poses: those of the system that [`identify`](crate::identification::identify) would solve,
+//! with its noise, nests, targets and priors, at the nominal robot (or at an estimate, for further poses). [`choose`] selects the best of them by a
+//! [`Criterion`], [`ordered`] puts them in an order, [`grow`] shows how many are enough. The candidates have to be visible, reachable and free of
+//! collisions; this is not checked here.
 
 mod closed;
 mod criteria;

@@ -1,4 +1,4 @@
-//! In which order: little driving, both directions of every joint, and no parameter that looks like the passing of time.
+//! Orders poses: little driving, both directions of approach for every joint, and no parameter correlated with time.
 
 use nalgebra::DMatrix;
 use rand::seq::SliceRandom;
@@ -7,79 +7,79 @@ use serde::{Deserialize, Serialize};
 use super::{DesignSpace, PlanError};
 use calibrig_model::random::{Source, stream};
 
-/// Longest piece that is moved elsewhere as a whole (I. Or, 1976).
+/// Longest piece that is moved as a whole (I. Or, 1976).
 const LONGEST_PIECE: usize = 3;
-/// Poses that orders are begun from by going to the nearest next one, and shuffled beginnings.
+/// Numbers of poses from which nearest-neighbour orders are begun, and of shuffled orders.
 const NEAREST_STARTS: usize = 8;
 const SHUFFLED_STARTS: u32 = 4;
 const MOST_PASSES: usize = 200;
-/// An order is better by at least this share of the cost.
+/// Least improvement, as a share of the cost.
 const LEAST_GAIN: f64 = 1e-12;
 
-/// What an order is judged by beside the time of driving, s.
+/// Weights of an order's criteria beside the time of driving, s.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct OrderWeights {
-    /// What the [imbalance](OrderCost::imbalance) of one joint that is always approached from the same side is worth.
+    /// Cost of the [imbalance](OrderCost::imbalance) of one joint that is always approached from the same side, s.
     pub balance: f64,
-    /// What a drift is worth of which the parameters would take up [all](OrderCost::drift).
+    /// Cost of a drift that the parameters would absorb [completely](OrderCost::drift), s.
     pub drift: f64,
 }
 
-/// Poses to put in order, and how the robot goes from one to another: all joints at once, each at its speed.
+/// Poses to put in order, and how the robot moves between them: all joints at once, each at its speed.
 #[derive(Debug, Clone, Copy)]
 pub struct Way<'a> {
     /// Commands of the poses, m or rad.
     pub commands: &'a [Vec<f64>],
-    /// Where the robot comes from; without, it begins at the first pose.
+    /// Command from which the robot comes; if `None`, it begins at the first pose.
     pub home: Option<&'a [f64]>,
-    /// Speed of every joint, m/s or rad/s: the slower a rail, the more it counts.
+    /// Speed of every joint, m/s or rad/s: the slower a joint, such as a rail, the more it counts.
     pub speeds: &'a [f64],
-    /// Of the poses in their order here.
+    /// Coupling of the poses, in their order here, with drift.
     pub drift: Option<&'a DriftCoupling>,
-    /// Beside driving.
+    /// Weights of the criteria beside driving.
     pub weights: OrderWeights,
 }
 
-/// What an order costs.
+/// Cost of an order.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct OrderCost {
-    /// Time of driving, s: the sum over the ways of the time that the joint needs that takes longest.
+    /// Time of driving, s: the sum over all moves of the time that the slowest joint needs.
     pub travel: f64,
-    /// Sum over the joints of ((n₊ - n₋) / (n₊ + n₋))², with the numbers of poses that each approaches from either side. A joint that does not move comes from
-    /// where it came from before.
+    /// Sum over the joints of ((n₊ - n₋) / (n₊ + n₋))², with the numbers of poses that each joint approaches from either side. A joint that does not
+    /// move keeps its last side.
     pub imbalance: f64,
-    /// Share of a drift (a displacement of the base along each axis that grows with time, measured at equal intervals) that the parameters of a fit would take
-    /// up, 0 to 1: how far time is correlated with them. Zero where no coupling is given.
+    /// Share of a drift (a displacement of the base along each axis that grows with time, measured at equal intervals) that the parameters of a fit
+    /// would absorb, 0 to 1: how strongly time is correlated with them. Zero where no coupling is given.
     pub drift: f64,
     /// `travel + balance · imbalance + drift weight · drift`, s.
     pub total: f64,
 }
 
-/// Poses in order.
+/// Poses in an order.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Ordered {
-    /// Indices of the given poses.
+    /// Indices of the given poses, in their order.
     pub order: Vec<usize>,
-    /// What it costs.
+    /// Cost of the order.
     pub cost: OrderCost,
     /// Signs of the last motion of every joint at the poses in this order; 0 where it has not moved.
     pub approaches: Vec<Vec<i8>>,
 }
 
-/// How drift in time and parameters are coupled.
+/// Coupling between drift in time and the parameters.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DriftCoupling {
-    /// `Σ_c a_icᵀ H_ik a_kc`, with the block of the hat matrix of two poses and what a shift along axis c does to their rows.
+    /// `Σ_c a_icᵀ H_ik a_kc`, with the block of the hat matrix for two poses and the effect of a shift along axis c on their rows.
     taken_up: DMatrix<f64>,
     /// `Σ_c a_icᵀ a_ic`.
     own: Vec<f64>,
 }
 
 impl DriftCoupling {
-    /// Of chosen poses, with what a shift does to the rows of each, r x 3.
+    /// The coupling of chosen poses; `shifts` is the effect of a shift on the rows of each, r x 3.
     pub(super) fn new(space: &DesignSpace, chosen: &[usize], shifts: &[&DMatrix<f64>]) -> Self {
         let factor = space.factor(chosen.iter().copied(), false);
-        // R⁻ᵀ of the rows times the shifts: the inner products of these are the coupling.
+        // R⁻ᵀ of the rows times the shifts; the inner products of these are the coupling.
         let spread = |(candidate, shift): (&usize, &&DMatrix<f64>)| {
             let rows = space.block(*candidate) * *shift;
             let solved = factor.tr_solve_upper_triangular(&rows).unwrap_or(rows);
@@ -90,7 +90,7 @@ impl DriftCoupling {
         Self { taken_up, own: shifts.iter().map(|shift| shift.norm_squared()).collect() }
     }
 
-    /// Of poses in an order.
+    /// Share of the drift for poses in an order.
     fn share(&self, order: &[usize]) -> f64 {
         let n = order.len();
         let time = |place: usize| 2.0 * place as f64 - (n as f64 - 1.0);
@@ -105,12 +105,12 @@ impl DriftCoupling {
     }
 }
 
-/// Puts poses in an order of little cost: from several beginnings, pieces are turned round (2-opt: G. A. Croes, Operations Research 6 (1958) 791) and moved
+/// Puts poses in an order of low cost: from several beginnings, pieces are reversed (2-opt: G. A. Croes, Operations Research 6 (1958) 791) and moved
 /// elsewhere (Or-opt) as long as that helps. The same poses always get the same order; a better one may exist.
 ///
 /// # Errors
 ///
-/// [`PlanError`], without a pose, for lists that are not one number a joint, and for numbers out of their range.
+/// [`PlanError`], without poses, for lists that do not have one number per joint, and for numbers out of their range.
 pub fn ordered(way: &Way<'_>) -> Result<Ordered, PlanError> {
     check(way)?;
     let search = OrderSearch::new(way);
@@ -125,11 +125,11 @@ pub fn ordered(way: &Way<'_>) -> Result<Ordered, PlanError> {
     Ok(Ordered { cost: search.cost(&order), approaches: search.approaches(&order), order })
 }
 
-/// What poses cost in a given `order` (indices, each once).
+/// The cost of poses in a given `order` (indices, each once).
 ///
 /// # Errors
 ///
-/// As [`ordered`], and for what is no order of the poses.
+/// As [`ordered`], and for a list that is not an order of the poses.
 pub fn order_cost(way: &Way<'_>, order: &[usize]) -> Result<OrderCost, PlanError> {
     check(way)?;
     let mut sorted = order.to_vec();
@@ -174,12 +174,12 @@ fn check(way: &Way<'_>) -> Result<(), PlanError> {
     Ok(())
 }
 
-/// Poses with the ways between them.
+/// Poses and the moves between them.
 struct OrderSearch<'a> {
     way: &'a Way<'a>,
     poses: usize,
     joints: usize,
-    /// From any pose, or home (the last row), to any: seconds, and the sign of every joint's motion.
+    /// Moves from any pose, or home (the last row), to any pose: seconds, and the sign of every joint's motion.
     times: DMatrix<f64>,
     signs: Vec<i8>,
 }
@@ -204,7 +204,7 @@ impl<'a> OrderSearch<'a> {
         Self { way, poses, joints, times, signs }
     }
 
-    /// The steps of an order: from where, to where.
+    /// The moves of an order: from where, to where.
     fn steps<'o>(&self, order: &'o [usize]) -> impl Iterator<Item = (usize, usize)> + use<'o> {
         let home = self.poses;
         order
@@ -253,7 +253,7 @@ impl<'a> OrderSearch<'a> {
         OrderCost { travel, imbalance, drift, total: travel + balance * imbalance + of_drift * drift }
     }
 
-    /// The cost where it is below a limit. What drift adds is computed last: it is zero or more, and takes longest.
+    /// The cost if it is below a limit. The part of drift is computed last: it is not negative, and takes longest.
     fn total_below(&self, order: &[usize], limit: f64) -> Option<f64> {
         let OrderWeights { balance, drift: of_drift } = self.way.weights;
         let mut total = self.travel(order);
@@ -296,7 +296,7 @@ impl<'a> OrderSearch<'a> {
         order
     }
 
-    /// Betters an order as long as a turned or moved piece does; gives its cost.
+    /// Improves an order as long as a reversed or moved piece does; returns its cost.
     fn improve(&self, order: &mut Vec<usize>) -> f64 {
         let n = order.len();
         let mut cost = self.cost(order).total;

@@ -1,21 +1,21 @@
-//! Criteria of eigenvalues and of the worst pose, whose change by an exchange has no closed form: candidates are put in order by what they do to the
-//! criterion to first order and to a smooth one like it, and the first of both orders are computed exactly.
+//! Criteria of eigenvalues and of the worst pose, whose change by an exchange has no closed form. Candidates are ranked by their first-order effect
+//! on the criterion and on a smooth one similar to it, and the first of both rankings are computed exactly.
 
 use nalgebra::{Cholesky, DMatrix, DVector, SymmetricEigen};
 
 use super::Criterion;
 use super::space::DesignSpace;
 
-/// Candidates of either order that are computed.
+/// Number of candidates of each ranking that are computed.
 const COMPUTED: usize = 16;
 
-/// Power of a variance over the largest one with which a pose of the region counts in the order: a smooth maximum.
+/// Power of a variance, relative to the largest one, with which a pose of the region counts in the ranking: a smooth maximum.
 const SHARPNESS: i32 = 8;
 
-/// Eigenvalues below this share of the largest count as so large in the order.
+/// Least eigenvalue in the ranking, as a share of the largest.
 const LEAST: f64 = 1e-12;
 
-/// A design that is searched.
+/// A design during the search.
 #[derive(Debug, Clone)]
 pub(super) struct Screened<'s> {
     space: &'s DesignSpace,
@@ -30,7 +30,7 @@ impl<'s> Screened<'s> {
         Self { space, criterion, poses, information: DMatrix::zeros(0, 0), cost: f64::INFINITY }
     }
 
-    /// Takes a design, computed anew.
+    /// Sets a design and computes everything anew.
     pub fn refresh(&mut self, design: &[usize]) -> bool {
         self.information = self.space.information(design);
         self.cost = self.cost_of(self.information.clone());
@@ -47,7 +47,7 @@ impl<'s> Screened<'s> {
         self.criterion.of_eigenvalues(eigenvalues.as_slice(), self.poses)
     }
 
-    /// The information without a pose of the design.
+    /// The information without one pose of the design.
     fn without(&self, leaving: Option<usize>) -> DMatrix<f64> {
         let mut rest = self.information.clone();
         if let Some(candidate) = leaving {
@@ -57,7 +57,7 @@ impl<'s> Screened<'s> {
         rest
     }
 
-    /// What every candidate does to first order, the larger the better: to the criterion, and to one like it. Each over the largest.
+    /// First-order effect of every candidate, the larger the better: on the criterion, and on one similar to it. Each is relative to the largest.
     pub fn orders(&self, leaving: Option<usize>) -> [Vec<f64>; 2] {
         let SymmetricEigen { eigenvalues, eigenvectors } = SymmetricEigen::new(self.without(leaving));
         let largest = eigenvalues.max().max(f64::MIN_POSITIVE);
@@ -88,7 +88,7 @@ impl<'s> Screened<'s> {
         [sharp, smooth].map(|score| self.scores(&score))
     }
 
-    /// `C W C` with W the region's poses, each weighed with a power of its variance.
+    /// `C W C` with W from the region's poses, each weighted by a power of its variance.
     fn of_region(&self, covariance: &DMatrix<f64>, power: i32) -> DMatrix<f64> {
         let mut region = covariance * &self.space.region;
         let of = |pose: usize| self.space.first_of_region[pose]..self.space.first_of_region[pose + 1];
@@ -103,7 +103,7 @@ impl<'s> Screened<'s> {
         &region * region.transpose()
     }
 
-    /// Trace of a symmetric matrix with every candidate's information.
+    /// Trace of the product of a symmetric matrix and every candidate's information.
     fn scores(&self, matrix: &DMatrix<f64>) -> Vec<f64> {
         let products = matrix * &self.space.rows;
         let of = |candidate: usize| {
@@ -115,7 +115,7 @@ impl<'s> Screened<'s> {
         scores.into_iter().map(|score| score / largest).collect()
     }
 
-    /// What the cost would be with a candidate, in the place of one of the design or on top.
+    /// The cost with a candidate, in place of one of the design or added to it.
     pub fn cost_with(&self, leaving: Option<usize>, entering: usize) -> f64 {
         let mut information = self.without(leaving);
         let block = self.space.block(entering);
@@ -124,7 +124,7 @@ impl<'s> Screened<'s> {
     }
 }
 
-/// The candidates to compute, of those `allowed`: the first of each order, which are the sums over all spaces.
+/// The `allowed` candidates to compute: the first of each ranking, which are the sums over all spaces.
 pub(super) fn first_of(orders: &[Vec<f64>], allowed: impl Fn(usize) -> bool) -> Vec<usize> {
     let mut first = Vec::new();
     for order in orders {

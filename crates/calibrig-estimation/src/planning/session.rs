@@ -1,4 +1,4 @@
-//! From a robot, candidate poses and a region to rows: the system that a fit of them would solve.
+//! From a robot, candidate poses and a region to rows: the system that a fit of these poses would solve.
 
 use nalgebra::{DMatrix, SymmetricEigen};
 
@@ -11,42 +11,43 @@ use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::random::{Source, stream};
 use calibrig_model::{CalibrationModel, ModelError, ParameterId, PoseQuery};
 
-/// Rows of a point that is seen once.
+/// Number of rows of a point that is seen once.
 const ROWS_OF_A_READING: usize = 3;
-/// Share of the largest eigenvalue below which a combination of rows is rounding.
+/// Share of the largest eigenvalue below which a combination of rows counts as rounding.
 const SAME_ROW: f64 = 1e-13;
-/// Bound on the iterations of an eigenvalue decomposition.
+/// Most iterations of an eigenvalue decomposition.
 const MOST_TURNS: usize = 1000;
-/// How far a joint may be beyond its limits by rounding, m or rad.
+/// How far a joint may be beyond its limits because of rounding, m or rad.
 const ROUNDING: f64 = 1e-9;
 
-/// Candidate poses of a robot, what is measured already, and where the robot will work. All observations of one number are one pose: several targets
-/// or stations, with and without a payload.
+/// Candidate poses of a robot, poses that are already measured, and the region where the robot will work. All observations with the same pose number
+/// are one pose: several targets or stations, with and without a payload.
 #[derive(Debug, Clone)]
 pub struct PlannedSession<'a> {
     system: PlannedSystem,
     rows: PlannedRows,
-    /// Places of the candidates among the poses of the system, and their numbers.
+    /// Indices of the candidates among the poses of the system, and their numbers.
     places: Vec<usize>,
     candidates: Vec<u32>,
     region: Vec<PoseQuery<'a>>,
 }
 
 impl<'a> PlannedSession<'a> {
-    /// The session of `set`: candidates with the readings that a fit would get, and poses that are `measured` already (by number), which count whatever
-    /// is chosen. Of candidates the readings' covariance says how noisy they are, and their place at most where a free tracker stands; terms of
-    /// hysteresis are told by the signs of approach that they state. The target is predicted at the poses of the `region`, which may be empty.
+    /// The session of `set`: candidates with the readings that a fit would get, and poses that are already `measured` (by number), which count
+    /// whatever is chosen. Of a candidate's readings only the covariance is used, and at most their place, to place a free tracker. Terms of
+    /// hysteresis depend on the signs of approach that the candidates state. The target is predicted at the poses of the `region`, which may be
+    /// empty.
     ///
-    /// The nominal robot is all that it looks at. With the `estimate` of a fit of some poses before it looks at the robot that this found, in the noise
-    /// that it found, and at the compliances and terms that it fitted.
+    /// Without an `estimate`, the nominal robot is examined. With the `estimate` of a previous fit of some poses, it is the robot that this fit
+    /// found, in the noise that it found, with the compliances and terms that it fitted.
     ///
-    /// The parameters are those that a fit of all candidates would have, so that a fit of the chosen ones may leave out a compliance that gravity hardly
-    /// loads there. What readings share of a drift's correction is taken for each reading's own.
+    /// The parameters are those that a fit of all candidates would have; a fit of the chosen ones may leave out a compliance that gravity hardly
+    /// loads there. Errors that readings share through the correction of a drift are treated as each reading's own.
     ///
     /// # Errors
     ///
-    /// [`PlanError`]: as [`identify`](crate::identification::identify) for what cannot be a set of this robot; without a candidate; for a planned reading without
-    /// a covariance; for poses beyond the robot's limits, or that it cannot take.
+    /// [`PlanError`]: as in [`identify`](crate::identification::identify) for a set that does not fit this robot; without candidates; for a planned
+    /// reading without a covariance; for poses beyond the robot's limits, or that it cannot take.
     pub fn new(
         model: &CalibrationModel,
         set: &MeasurementSet,
@@ -93,7 +94,7 @@ impl<'a> PlannedSession<'a> {
         self.system.parameters()
     }
 
-    /// Number of every candidate pose, in the order of a space's candidates.
+    /// Number of every candidate pose, in the order of the space's candidates.
     pub fn candidates(&self) -> &[u32] {
         &self.candidates
     }
@@ -108,8 +109,9 @@ impl<'a> PlannedSession<'a> {
         self.space_of(None, &rows, scale)
     }
 
-    /// The space of the nominal robot first, then of so many `robots` as it could have been made, in the same scale: every parameter deviates as its own prior
-    /// has it, link parameters without one by `tolerance`; tracker and targets do not. A plan over these does not rest on how the robot is drawn.
+    /// First the space of the nominal robot, then those of `robots` robots as they could have been made, with the same scale: every parameter
+    /// deviates as in its own prior, link parameters without one by `tolerance`; tracker and targets do not deviate. A plan over these does not rely
+    /// on the nominal robot.
     ///
     /// # Errors
     ///
@@ -164,8 +166,8 @@ impl<'a> PlannedSession<'a> {
         DesignSpace::new(self.system.parameters().to_vec(), &design, scale)
     }
 
-    /// How a drift of the tracker (or of the base) along each axis, in proportion to time, would be taken for parameters, of chosen candidates of a nominal
-    /// `space`.
+    /// How strongly a drift of the tracker (or of the base) along each axis, proportional to time, would be absorbed by parameters, for chosen
+    /// candidates of a nominal `space`.
     ///
     /// # Errors
     ///
@@ -178,8 +180,8 @@ impl<'a> PlannedSession<'a> {
     }
 }
 
-/// Rows of poses that are read more than once, as few as tell the same: visits of a pose repeat their rows, and the search takes the square of their number.
-/// They are turned against each other, which changes neither the information nor its coupling with drift.
+/// Reduces rows of poses that are read more than once to as few as have the same information: repeated visits repeat rows, and the time of the search
+/// grows with the square of their number. An orthogonal transformation changes neither the information nor its coupling with drift.
 fn merged(mut rows: PlannedRows) -> PlannedRows {
     for (pose, shift) in rows.poses.iter_mut().zip(&mut rows.shifts) {
         if pose.nrows() <= ROWS_OF_A_READING {
@@ -233,7 +235,7 @@ fn check_pose(model: &CalibrationModel, pose: &PoseQuery<'_>, targets: usize) ->
     Ok(())
 }
 
-/// Whether a command takes every joint to where its limits let it go.
+/// Whether a command keeps every joint within its limits.
 pub(super) fn within_limits(
     model: &CalibrationModel,
     command: &[f64],

@@ -1,6 +1,6 @@
-//! Cholesky factors of blocks of a few rows, in place: there are a million of them in a search.
+//! Cholesky factors of small blocks, in place: a search needs a million of them.
 
-/// Replaces the lower triangle of a symmetric matrix (n x n, by columns) by its Cholesky factor; gives the logarithm of its determinant, or `None`
+/// Replaces the lower triangle of a symmetric matrix (n x n, by columns) by its Cholesky factor; returns the logarithm of its determinant, or `None`
 /// where it is not positive definite.
 pub(super) fn factorise(a: &mut [f64], n: usize) -> Option<f64> {
     let mut log_determinant = 0.0;

@@ -1,4 +1,4 @@
-//! What candidate poses would tell of parameters, as linear algebra alone.
+//! Information of candidate poses about parameters, as pure linear algebra.
 
 use nalgebra::DMatrix;
 
@@ -7,48 +7,48 @@ use super::{Criterion, Observability, PlanError};
 use crate::identification::{analyse_r, triangular_factor_of_all};
 use calibrig_model::ParameterId;
 
-/// Information that holds a singular start, over the mean candidate's: far below what a candidate tells of anything that it tells.
+/// Information, relative to the mean candidate's, that is added to a singular start: far below what a candidate contributes to anything it shows.
 const RIDGE: f64 = 1e-9;
 
-/// Bound on the iterations of a singular value decomposition.
+/// Most iterations of a singular value decomposition.
 const SVD_ITERATIONS: usize = 10_000;
 
-/// The unit of every parameter in which criteria are stated that depend on it.
+/// Unit of every parameter for criteria that depend on the scaling.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub enum ParameterScale {
-    /// What displaces the readings of the mean candidate by one standard deviation (root of the sum of their squares); where no candidate shows a
-    /// parameter, the standard deviation that its prior has by itself. For robots whose parameters are metres, radians and fractions.
+    /// The change that displaces the readings of the mean candidate by one standard deviation (root of the sum of their squares); for a parameter
+    /// that no candidate shows, the standard deviation of its prior alone. For robots whose parameters are metres, radians and fractions.
     #[default]
     Effect,
-    /// These, SI, above zero: such as the standard deviations that matter.
+    /// Given units, SI, above zero, such as the standard deviations that matter.
     Given(Vec<f64>),
 }
 
-/// Rows of a linear(ised) problem. A row of a candidate is of a reading with unit noise, and does not depend on other rows.
+/// Rows of a linear(ised) problem. A candidate's row belongs to a reading with unit noise, and is independent of other rows.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct DesignRows {
-    /// Of every candidate, r x p with any number of rows.
+    /// Rows of every candidate, r x p with any number of rows.
     pub candidates: Vec<DMatrix<f64>>,
-    /// What is known whatever is chosen: priors, nests, poses that are measured; m x p.
+    /// Rows that count whatever is chosen: priors, nests, poses that are already measured; m x p.
     pub fixed: DMatrix<f64>,
-    /// Derivatives of the places (or of anything) to predict, one matrix a pose of the region, r x p.
+    /// Derivatives of the positions (or anything else) to predict, one matrix per pose of the region, r x p.
     pub region: Vec<DMatrix<f64>>,
-    /// Variance there that no parameter makes, summed over the rows; one a pose of the region, or none at all.
+    /// Variance there that does not depend on parameters, summed over the rows: one per pose of the region, or empty.
     pub beside: Vec<f64>,
 }
 
-/// The candidates, what is known without them, and what shall be predicted.
+/// The candidates, what is known without them, and what will be predicted.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DesignSpace {
     parameters: Vec<ParameterId>,
     scale: Vec<f64>,
-    /// Columns are the candidates' rows in scaled parameters, one candidate behind the other.
+    /// The candidates' rows in scaled parameters, as columns, one candidate after the other.
     pub(super) rows: DMatrix<f64>,
-    /// The first column of every candidate, and the number of columns.
+    /// The first column of every candidate, and at the end the number of columns.
     pub(super) first: Vec<usize>,
-    /// Triangular (or fewer rows).
+    /// Triangular factor of the fixed rows (or fewer rows).
     fixed: DMatrix<f64>,
-    /// Rows that hold what nothing fixed does; none where `fixed` has full rank.
+    /// Rows that hold what no fixed row holds; empty if `fixed` has full rank.
     ridge: DMatrix<f64>,
     pub(super) region: DMatrix<f64>,
     pub(super) first_of_region: Vec<usize>,
@@ -62,7 +62,7 @@ fn finite(what: impl Fn() -> String, matrix: &DMatrix<f64>, columns: usize) -> R
     if matrix.iter().all(|v| v.is_finite()) { Ok(()) } else { Err(PlanError::NotFinite { what: what() }) }
 }
 
-/// The rows of all matrices as columns, times the scale; and where each begins.
+/// The rows of all matrices as columns, multiplied by the scale; and where each matrix begins.
 fn joined(matrices: &[DMatrix<f64>], scale: &[f64]) -> (DMatrix<f64>, Vec<usize>) {
     let mut first = vec![0];
     for matrix in matrices {
@@ -80,11 +80,11 @@ fn joined(matrices: &[DMatrix<f64>], scale: &[f64]) -> (DMatrix<f64>, Vec<usize>
 }
 
 impl DesignSpace {
-    /// The space of `rows` about `parameters`, one a column.
+    /// The space of `rows` about `parameters`, one per column.
     ///
     /// # Errors
     ///
-    /// [`PlanError`], without a candidate or a parameter, for matrices of another width, and for what is no finite number.
+    /// [`PlanError`], without candidates or parameters, for matrices of another width, and for numbers that are not finite.
     pub fn new(
         parameters: Vec<ParameterId>,
         rows: &DesignRows,
@@ -137,7 +137,7 @@ impl DesignSpace {
         self.first.len() - 1
     }
 
-    /// Rows of the candidate that has most.
+    /// Number of rows of the candidate that has the most.
     pub fn most_rows(&self) -> usize {
         (0..self.candidates()).map(|candidate| self.of(candidate).len()).max().unwrap_or(0)
     }
@@ -157,17 +157,17 @@ impl DesignSpace {
         &self.scale
     }
 
-    /// Columns of a candidate.
+    /// Range of a candidate's columns.
     pub(super) fn of(&self, candidate: usize) -> std::ops::Range<usize> {
         self.first[candidate]..self.first[candidate + 1]
     }
 
-    /// Its rows as columns, p x r.
+    /// Rows of a candidate as columns, p x r.
     pub(super) fn block(&self, candidate: usize) -> nalgebra::DMatrixView<'_, f64> {
         self.rows.columns_range(self.of(candidate))
     }
 
-    /// The information matrix of what is fixed (and of what holds a singular start) and a design.
+    /// The information matrix of the fixed rows (with the ridge for a singular start) and a design.
     pub(super) fn information(&self, design: &[usize]) -> DMatrix<f64> {
         let mut m = self.fixed.tr_mul(&self.fixed) + self.ridge.tr_mul(&self.ridge);
         for candidate in design {
@@ -177,7 +177,7 @@ impl DesignSpace {
         m
     }
 
-    /// The triangular factor R of a design, p x p: `RᵀR = M`. The `hold` is what keeps a search from a singular one.
+    /// The triangular factor R of a design, p x p: `RᵀR = M`. With `hold`, it includes the ridge that keeps a search regular.
     pub(super) fn factor(&self, design: impl Iterator<Item = usize>, hold: bool) -> DMatrix<f64> {
         let p = self.parameters.len();
         let columns: Vec<usize> = design.flat_map(|candidate| self.of(candidate)).collect();
@@ -192,7 +192,7 @@ impl DesignSpace {
         triangular_factor_of_all(stacked.as_view())
     }
 
-    /// Whether all candidates together, with what is known, determine all parameters.
+    /// Checks that all candidates together, with what is known, determine all parameters.
     pub(super) fn check(&self) -> Result<(), PlanError> {
         self.regular(&self.factor(0..self.candidates(), false), "the candidate poses")
     }
@@ -205,7 +205,7 @@ impl DesignSpace {
         Err(PlanError::Singular { what, groups: spectrum.dependent })
     }
 
-    /// Whether some `count` poses could have rows enough.
+    /// Checks that `count` poses can have enough rows.
     pub(super) fn check_count(&self, count: usize) -> Result<(), PlanError> {
         let most = self.most_rows();
         let parameters = self.parameters.len();
@@ -218,11 +218,11 @@ impl DesignSpace {
         Err(PlanError::TooFewPoses { count, rows: count * most, determined, parameters, least })
     }
 
-    /// What a design (indices of candidates, in any order, some perhaps more than once) tells of the parameters and of the region.
+    /// Figures of a design (indices of candidates, in any order, possibly repeated), for the parameters and the region.
     ///
     /// # Errors
     ///
-    /// [`PlanError::Singular`] with the parameters that it does not determine, and [`PlanError::Number`] for a candidate that is not there.
+    /// [`PlanError::Singular`] with the parameters that it does not determine, and [`PlanError::Number`] for a candidate that does not exist.
     pub fn figures(&self, design: &[usize]) -> Result<DesignFigures, PlanError> {
         if let Some(index) = design.iter().find(|index| **index >= self.candidates()) {
             let field = "the index of a chosen candidate";
@@ -237,7 +237,7 @@ impl DesignSpace {
         self.of_factor(&factor, design.len())
     }
 
-    /// What no number of poses betters: as if every candidate had been measured a million times.
+    /// The limit for any number of poses: as if every candidate had been measured a million times.
     pub(super) fn floor(&self) -> Result<Option<Accuracy>, PlanError> {
         const OFTEN: f64 = 1e3;
         let mut often = self.clone();
@@ -266,7 +266,7 @@ impl DesignSpace {
         })
     }
 
-    /// Over the region; `None` without one.
+    /// Accuracy over the region; `None` without a region.
     fn accuracy(&self, factor: &DMatrix<f64>) -> Option<Accuracy> {
         let variances = self.predicted(factor)?;
         let with = variances.iter().zip(&self.beside).map(|(own, beside)| own + beside);
@@ -285,7 +285,7 @@ impl DesignSpace {
         Some(self.first_of_region.windows(2).map(of).collect())
     }
 
-    /// G with `tr(C GᵀG)` the criterion, for those that are linear in the covariance.
+    /// G for which `tr(C GᵀG)` is the criterion, for those that are linear in the covariance.
     pub(super) fn linear(&self, criterion: Criterion) -> Option<DMatrix<f64>> {
         let p = self.parameters.len();
         match criterion {

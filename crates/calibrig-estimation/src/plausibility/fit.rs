@@ -1,19 +1,19 @@
-//! The nominal robot laid over measured points: the tracker's place and the target's offset fitted, nothing of the robot.
+//! Fits the nominal robot to measured points by the tracker's place and the target's offset, without changing the robot.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 
 use calibrig_model::geometry::{Transform, best_fit_transform, cross_matrix};
 
-/// Iterations of one fit; few are enough where it fits at all.
+/// Most iterations of one fit; few are enough where the robot fits at all.
 const ITERATIONS: usize = 40;
-/// Observations that starts are tried on.
+/// Number of observations on which starts are tried.
 const SOUGHT_ON: usize = 300;
 /// Relative decrease of the sum of squares that ends a fit.
 const DECREASE: f64 = 1e-6;
-/// Damping that keeps directions without any effect in place, relative to the largest diagonal entry.
+/// Damping that holds directions without any effect, relative to the largest diagonal entry.
 const RIDGE: f64 = 1e-12;
 
-/// Where the flange is by the nominal robot, and where the tracker saw its target.
+/// Flange of the nominal robot, and where the tracker saw its target.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Points {
     /// `base_from_flange` of every observation.
@@ -22,17 +22,17 @@ pub(super) struct Points {
     pub seen: Vec<Vector3<f64>>,
     pub station: Vec<usize>,
     pub target: Vec<usize>,
-    /// Where the search for every target's offset starts, m.
+    /// Start of the search for every target's offset, m.
     pub offsets: Vec<Vector3<f64>>,
     pub stations: usize,
 }
 
-/// Where the tracker and the targets are.
+/// Places of the tracker and the targets.
 #[derive(Debug, Clone)]
 pub(super) struct Placement {
-    /// `tracker_from_base`
+    /// `tracker_from_base` of each station.
     stations: Vec<Transform>,
-    /// m
+    /// Offset of each target, m.
     offsets: Vec<Vector3<f64>>,
 }
 
@@ -41,7 +41,7 @@ impl Points {
         self.seen.len()
     }
 
-    /// Those of these indices.
+    /// The observations with these indices.
     pub fn part(&self, indices: &[usize]) -> Self {
         Self {
             flange: indices.iter().map(|i| self.flange[*i]).collect(),
@@ -53,14 +53,14 @@ impl Points {
         }
     }
 
-    /// Degrees of freedom that fitting tracker and targets leaves; zero where it explains whatever was measured.
+    /// Degrees of freedom that remain after fitting tracker and targets; zero where these explain any measurement.
     pub fn freedom(&self) -> usize {
         let stations = (0..self.stations).filter(|s| self.station.contains(s)).count();
         let targets = (0..self.offsets.len()).filter(|t| self.target.contains(t)).count();
         (3 * self.len()).saturating_sub(6 * stations + 3 * targets)
     }
 
-    /// RMS distance of the points from their mean (a station's own), m.
+    /// RMS distance of the points from their mean (each station's own), m.
     pub fn spread(&self) -> f64 {
         let mut squares = 0.0;
         for station in 0..self.stations {
@@ -71,7 +71,7 @@ impl Points {
         (squares / self.len().max(1) as f64).sqrt()
     }
 
-    /// Where observation `i` is predicted to be seen.
+    /// Predicted position of observation `i` in the tracker's frame.
     pub fn predicted(&self, placement: &Placement, i: usize) -> Vector3<f64> {
         let in_base = self.flange[i] * nalgebra::Point3::from(placement.offsets[self.target[i]]);
         (placement.stations[self.station[i]] * in_base).coords
@@ -86,26 +86,26 @@ impl Points {
         (0..self.len()).map(|i| self.residual(placement, i).norm()).collect()
     }
 
-    /// RMS length of what is left, m; `None` where tracker and targets explain whatever was measured.
+    /// RMS length of the residuals, m; `None` where tracker and targets explain any measurement.
     pub fn rms(&self, placement: &Placement) -> Option<f64> {
         let squares: f64 = self.lengths(placement).iter().map(|v| v * v).sum();
         let rms = (squares / self.len() as f64).sqrt();
         (self.freedom() > 0 && rms.is_finite()).then_some(rms)
     }
 
-    /// This RMS length over the points' spread, for as many degrees of freedom as are left.
+    /// This RMS length over the points' spread, corrected for the remaining degrees of freedom.
     pub fn share(&self, rms: f64) -> f64 {
         let factor = (3.0 * self.len() as f64 / self.freedom().max(1) as f64).sqrt();
         factor * rms / self.spread().max(f64::MIN_POSITIVE)
     }
 
-    /// The least squares placement from the first start: nearly always the best one where the robot lies on the points.
+    /// The least squares placement from the first start, nearly always the best where the robot fits the points.
     pub fn nearest(&self) -> Option<Placement> {
         let stations = (0..self.stations).map(|s| self.rigid(s)).collect::<Option<_>>()?;
         Some(self.fit(Placement { stations, offsets: self.offsets.clone() }, &vec![1.0; self.len()]))
     }
 
-    /// The best placement that is found from several starts; from a turn of every kind, too, if `every_turn` is asked for.
+    /// The best placement found from several starts, with `every_turn` also from each of the cube's rotations.
     pub fn best(&self, every_turn: bool) -> Placement {
         let step = self.len().div_ceil(SOUGHT_ON).max(1);
         let part = self.part(&(0..self.len()).step_by(step).collect::<Vec<_>>());
@@ -151,7 +151,8 @@ impl Points {
         terms.map(|(i, w)| w * self.residual(placement, i).norm_squared()).sum()
     }
 
-    /// Normal matrix and right side: per station a rotation about the tracker's axes at the base's origin and a translation, per target its offset.
+    /// Normal matrix and right-hand side: for each station a rotation about the tracker's axes at the base's origin and a translation, for each
+    /// target its offset.
     fn normal(&self, now: &Placement, weights: &[f64]) -> (DMatrix<f64>, DVector<f64>) {
         let n = 6 * self.stations + 3 * self.offsets.len();
         let (mut matrix, mut right) = (DMatrix::zeros(n, n), DVector::zeros(n));
@@ -175,9 +176,9 @@ impl Points {
         (matrix, right)
     }
 
-    /// Places to start from: the rigid transform that fits best with the offsets as they start; the one of a linear system with any
-    /// matrix in the place of the rotation; and where there is a single station, a turn of every kind: where an axis or two say little, the
-    /// other two can both lead to a wrong place.
+    /// Places to start from: the rigid transform that fits best with the initial offsets; that of a linear system with any matrix in place of the
+    /// rotation; and, for a single station, each rotation of a cube: where one or two axes are poorly determined, both other starts can lead to a
+    /// wrong place.
     fn starts(&self, every_turn: bool) -> Vec<Placement> {
         let with = |stations: Vec<Transform>, offsets| Placement { stations, offsets };
         let mut starts = Vec::new();
@@ -211,7 +212,7 @@ impl Points {
         best_fit_transform(&seen, &nominal.collect::<Vec<_>>())
     }
 
-    /// `base_from_tracker · seen = flange · offset`, linear with any matrix for the rotation, which is then made one.
+    /// Solves `base_from_tracker · seen = flange · offset`, which is linear with any matrix for the rotation, then makes the matrix a rotation.
     fn relaxed(&self) -> Option<(Vec<Transform>, Vec<Vector3<f64>>)> {
         const OF_STATION: usize = 12;
         let columns = OF_STATION * self.stations + 3 * self.offsets.len();
@@ -256,7 +257,7 @@ impl Points {
     }
 }
 
-/// The 24 turns of a cube.
+/// The 24 rotations of a cube.
 fn turns() -> Vec<Rotation3<f64>> {
     let quarter = std::f64::consts::FRAC_PI_2;
     let mut turns = Vec::with_capacity(24);

@@ -1,8 +1,8 @@
-//! Whether measurements can be of this robot at all, before anything of it is fitted.
+//! Checks whether measurements can belong to this robot at all, before anything is identified.
 //!
-//! The nominal robot is laid over the points by the tracker's place and the target's offset alone. What that leaves is compared with the
-//! points' spread about their mean: a robot that explains nothing leaves all of it, one that is a centimetre off a hundredth. Where that is
-//! much, or a point stands out, [`diagnosis`](crate::diagnosis) looks for what explains it.
+//! The nominal robot is fitted to the points by the tracker's place and the target's offset alone. The residual is compared with the points'
+//! spread about their mean: a robot that explains nothing leaves all of it, one that is off by a centimetre leaves a hundredth. Where it is
+//! large, or a point stands out, [`diagnosis`](crate::diagnosis) looks for an explanation.
 
 mod fit;
 #[cfg(test)]
@@ -17,33 +17,33 @@ use calibrig_model::measurement::{MeasurementSet, Reading};
 use calibrig_model::{CalibrationModel, JointKind};
 use fit::Points;
 
-/// Share of the points' spread that the nominal robot may leave. Robots off by several per cent of their size are badly drawn and can be
-/// fitted; exchanged rows, wrong units, signs and offsets leave a third to all.
+/// Largest share of the points' spread that the nominal robot may leave. Robots that are off by several per cent of their size are badly drawn but
+/// can be fitted; exchanged rows, wrong units, signs and offsets leave a third to all.
 pub const LARGEST_SHARE: f64 = 0.25;
-/// Share from which on a reason is looked for.
+/// Share from which on an explanation is sought.
 const SUSPICIOUS: f64 = 0.02;
-/// So many times the median distance, a point is looked at.
+/// Multiple of the median distance from which on a point is examined.
 const STANDS_OUT: f64 = 6.0;
-/// Share of the robot's length that points which are all one may be apart.
+/// Share of the robot's length within which points count as a single one.
 const NO_MOTION: f64 = 1e-5;
-/// How far beyond its limits a command draws a remark, as a share of the travel.
+/// How far beyond its limits a command must be to be reported, as a share of the travel.
 const BEYOND: f64 = 0.02;
 
-/// How the nominal robot lies on measured points.
+/// How the nominal robot fits measured points.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plausibility {
-    /// Observations that were looked at.
+    /// Number of observations that were examined.
     pub observations: usize,
-    /// RMS distance of the points from the nominal robot, with the tracker's place and the targets' offsets fitted, m; `None` where these
-    /// explain whatever was measured.
+    /// RMS distance of the points from the nominal robot, with the tracker's place and the targets' offsets fitted, m; `None` where these explain any
+    /// measurement.
     pub rms: Option<f64>,
-    /// The same as a share of the points' spread, for as many degrees of freedom as are left: one where the robot explains nothing.
+    /// This RMS as a share of the points' spread, corrected for the remaining degrees of freedom: one where the robot explains nothing.
     pub share: Option<f64>,
     /// RMS distance of the points from their mean, m.
     pub spread: f64,
-    /// Points that no pose of the robot reaches; the other figures are without them.
+    /// Points that no pose of the robot reaches; they are not included in the other figures.
     pub unreachable: Vec<FarOff>,
-    /// What explains what the robot leaves, where that is much or a point stands out.
+    /// Explanation of the residual, where it is large or a point stands out.
     pub diagnosis: Option<Diagnosis>,
     /// Commands beyond the joints' limits.
     pub beyond_limits: Vec<BeyondLimits>,
@@ -54,23 +54,23 @@ pub struct Plausibility {
 pub struct FarOff {
     /// Index of the observation in its set.
     pub observation: usize,
-    /// From where the robot is, or, of a point out of its reach, from the middle of the others, m.
+    /// Distance from where the robot is, or, for a point out of its reach, from the middle of the others, m.
     pub distance: f64,
 }
 
 /// Commands of a joint beyond its limits.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BeyondLimits {
-    /// Which, from zero.
+    /// Which joint, from zero.
     pub joint: usize,
-    /// Smallest and largest, m or rad.
+    /// Smallest and largest command, m or rad.
     pub reached: [f64; 2],
-    /// m or rad
+    /// Limits of the joint, m or rad.
     pub limits: [f64; 2],
 }
 
 impl Plausibility {
-    /// Whether there is any use in fitting. With a `robust` loss, a few rows do not count.
+    /// Whether it makes sense to fit. With a `robust` loss, a few bad rows do not matter.
     pub fn is_plausible(&self, robust: bool) -> bool {
         let explained = self.explanation().map_or(&[][..], |parts| parts);
         let is_few = |part: &Part| match part {
@@ -80,14 +80,14 @@ impl Plausibility {
         };
         let without = self.first_rms().filter(|_| robust && !explained.is_empty());
         let share = without.map(|rms| rms / self.spread.max(f64::MIN_POSITIVE)).or(self.share);
-        // Readings of one pose scatter, and that is all of their spread.
+        // All readings are of one pose, whose scatter is the whole spread.
         let still = self.diagnosis.as_ref().is_some_and(Diagnosis::is_of_no_motion);
         self.unreachable.is_empty()
             && explained.iter().all(is_few)
             && (share.is_none_or(|share| share <= LARGEST_SHARE) || still)
     }
 
-    /// What is otherwise than it was read, where something explains the points.
+    /// What was read wrongly, if something explains the points.
     pub fn explanation(&self) -> Option<&[Part]> {
         let diagnosis = self.diagnosis.as_ref()?;
         let first = diagnosis.hypotheses.first()?;
@@ -99,7 +99,7 @@ impl Plausibility {
     }
 }
 
-/// Lays the nominal robot over `set`, and looks for reasons where it does not lie on the points.
+/// Fits the nominal robot to `set`, and looks for an explanation where it does not fit.
 ///
 /// # Errors
 ///
@@ -108,7 +108,7 @@ pub fn plausibility(model: &CalibrationModel, set: &MeasurementSet) -> Result<Pl
     plausibility_with(model, set, |_, _| {})
 }
 
-/// The same; where reasons are looked for, `progress` is told how much of how much is done.
+/// Like [`plausibility`]; where an explanation is sought, `progress` is given the steps done and their total.
 ///
 /// # Errors
 ///
@@ -133,7 +133,7 @@ pub fn plausibility_with(
         diagnosis: None,
         beyond_limits: beyond_limits(model, set),
     };
-    // Points that are all one say nothing of the robot.
+    // Points that coincide say nothing of the robot.
     if found.spread <= NO_MOTION * model.kinematics.characteristic_length() {
         return Ok(found);
     }
@@ -151,14 +151,14 @@ pub fn plausibility_with(
     Ok(found)
 }
 
-/// Whether one is far longer than most, and not small against the points' spread.
+/// Whether a length is far larger than most, and not small against the points' spread.
 fn stands_out(mut lengths: Vec<f64>, spread: f64) -> bool {
     let largest = lengths.iter().copied().fold(0.0, f64::max);
     lengths.retain(|length| length.is_finite());
     largest > (STANDS_OUT * median(lengths)).max(0.5 * SUSPICIOUS * spread)
 }
 
-/// Where the nominal robot's flange is, and where the tracker saw its target.
+/// Flange of the nominal robot, and where the tracker saw its target.
 fn points_of(model: &CalibrationModel, set: &MeasurementSet) -> Points {
     let mut joints = vec![0.0; model.kinematics.joint_count()];
     let mut points = Points {
@@ -167,7 +167,7 @@ fn points_of(model: &CalibrationModel, set: &MeasurementSet) -> Points {
         ..Points::default()
     };
     for observation in &set.observations {
-        // A four-bar that does not close is told where the pose is fitted.
+        // A four-bar that does not close is reported where the pose is fitted.
         let _ = nominal_joints(model, &observation.command, &mut joints);
         points.flange.push(flange(&model.kinematics, &joints));
         points.seen.push(observation.reading.position());
@@ -177,8 +177,8 @@ fn points_of(model: &CalibrationModel, set: &MeasurementSet) -> Points {
     points
 }
 
-/// Points farther from the middle of the others than twice the robot's reach, and the tracker's own place: codes of missed shots. As the
-/// offset of a target may be unknown, what the other points span is added.
+/// Points that are farther from the middle of the others than twice the robot's reach, and points at the tracker's own place: codes of missed
+/// shots. As the offset of a target may be unknown, the span of the other points is added.
 pub(crate) fn unreachable(model: &CalibrationModel, set: &MeasurementSet) -> Vec<FarOff> {
     let reach = reach(model) + set.targets.iter().map(|t| t.in_flange.norm()).fold(0.0, f64::max);
     let mut far = Vec::new();
@@ -204,11 +204,11 @@ fn median(mut values: Vec<f64>) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// Longest distance of the flange from the first moving axis, at most, m.
+/// Upper bound of the distance of the flange from the first moving axis, m.
 fn reach(model: &CalibrationModel) -> f64 {
     let length = |(index, link): (usize, &calibrig_model::CraigLink)| match link.kind {
         JointKind::Prismatic => link.a.hypot(link.d.abs() + link.limits[0].abs().max(link.limits[1].abs())),
-        // What lies in front of the first axis moves nothing.
+        // Lengths in front of the first axis are not moved.
         JointKind::Revolute if index == 0 => 0.0,
         JointKind::Revolute => link.a.hypot(link.d),
     };
@@ -216,7 +216,7 @@ fn reach(model: &CalibrationModel) -> f64 {
     links + model.kinematics.last_from_flange.translation.vector.norm()
 }
 
-/// Commands of a set that is one of the robot's, beyond the limits of its joints by more than a little.
+/// Commands of a set, which must belong to the robot, that are clearly beyond the limits of its joints.
 pub fn beyond_limits(model: &CalibrationModel, set: &MeasurementSet) -> Vec<BeyondLimits> {
     let mut joints = vec![0.0; model.kinematics.joint_count()];
     let mut reached = vec![[f64::INFINITY, f64::NEG_INFINITY]; joints.len()];

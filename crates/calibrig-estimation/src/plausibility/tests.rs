@@ -7,7 +7,7 @@ use crate::kinematics::target_in_base;
 use calibrig_model::geometry::{Transform, rotation_x, rotation_z, translation};
 use calibrig_model::{CraigLink, KinematicModel};
 
-/// Two axes, and the offset of its target larger than its links.
+/// Two axes; the offset of the target is larger than the links.
 fn two_axes() -> CalibrationModel {
     let links = vec![
         CraigLink::revolute("J1").row(0.0, 0.0, 0.7, 0.0).limits(-3.0, 3.0),
@@ -43,7 +43,7 @@ fn on_a_rail() -> CalibrationModel {
 
 const OFFSET: Vector3<f64> = Vector3::new(0.1, -0.25, 0.3);
 
-/// The links of a machine that is a millimetre and a milliradian off, in turn.
+/// Links of a machine that is off by millimetres and milliradians in turn, in proportion to `size`.
 fn as_built(model: &CalibrationModel, size: f64) -> KinematicModel {
     let mut machine = model.kinematics.clone();
     for (i, link) in machine.links.iter_mut().enumerate() {
@@ -55,7 +55,7 @@ fn as_built(model: &CalibrationModel, size: f64) -> KinematicModel {
     machine
 }
 
-/// Points of a machine that is `size` (m, rad) off, seen by a tracker elsewhere.
+/// Points of a machine that is off by `size` (m, rad), seen by a tracker at another place.
 fn measure(model: &CalibrationModel, poses: usize, size: f64) -> MeasurementSet {
     let machine = as_built(model, size);
     let place: Transform = translation(2.0, -3.0, 0.5) * rotation_z(2.0) * rotation_x(0.3);
@@ -95,12 +95,12 @@ fn robots_that_are_off_by_millimetres_and_by_centimetres_are_fitted() {
             assert!(found.is_plausible(false) && found.is_plausible(true), "{size}, {poses}: {found:?}");
             assert!(found.explanation().is_none() && found.unreachable.is_empty());
         }
-        // Tracker and target explain what three poses show.
+        // Tracker and target can explain whatever three poses show.
         assert_eq!(look(&model, &measure(&model, 3, 30e-3)).rms, None);
     }
 }
 
-/// Against the rigid fit with the true offset, and an error of the one that is known.
+/// Against the rigid fit with the true offset and the known error of the machine.
 #[test]
 fn what_is_left_is_the_error_of_the_robot() {
     let model = six_axes();
@@ -140,7 +140,7 @@ fn a_row_far_off_is_named_with_its_size_and_leaves_the_rest_plausible() {
     let [row] = rows[..] else { panic!("{rows:?}") };
     assert!(row.observation == 7 && (row.distance - 0.15).abs() < 0.02, "{row:?}");
     assert!(found.is_plausible(false));
-    // Of a size that spoils the whole fit of squares.
+    // Large enough to spoil the whole least squares fit.
     move_point(&mut set, 7, |p| p + Vector3::new(2.0, 0.0, 0.0));
     let found = look(&model, &set);
     assert!(!found.is_plausible(false) && found.is_plausible(true), "{found:?}");

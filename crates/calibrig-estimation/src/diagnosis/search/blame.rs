@@ -1,4 +1,4 @@
-//! Rows to blame, and observations of several targets, beside the best single parts.
+//! Finds bad rows, and observations of several targets, together with the best single parts.
 
 use super::super::evidence::fit;
 use super::super::part::Part;
@@ -7,17 +7,17 @@ use super::super::rows::{named, without_few};
 use super::weigh::Weighed;
 use super::{NOWHERE, Near, Search, excess};
 
-/// Single parts beside which rows are looked for, and several targets.
+/// Number of single parts with which bad rows and several targets are looked for.
 const WITH_ROWS: usize = 8;
 const WITH_TARGETS: usize = 8;
-/// Rounds of the weights of a robust placement.
+/// Iterations of the weights of a robust placement.
 const ROUNDS: usize = 6;
-/// A target needs as many observations before it is taken for several, and each of these as many.
+/// Fewest observations of a target that is divided into several, and of each of these.
 const LEAST_OF_TARGET: usize = 8;
 const LEAST_OF_GROUP: usize = 3;
 
 impl Search<'_> {
-    /// The best single parts by a placement that few rows do not move, with the rows that are off beside them.
+    /// The best single parts by a placement that few rows do not move, with the rows that are off.
     pub(super) fn with_rows(&mut self, singles: &[Near]) -> Vec<Weighed> {
         let most = self.most();
         let mut found: Vec<(f64, &Near, Placed, Vec<f64>)> = Vec::new();
@@ -75,7 +75,7 @@ impl Search<'_> {
         Some(self.weighed(&parts, &view, placed, &fit))
     }
 
-    /// The best single parts with the observations of one target told apart as those of several.
+    /// The best single parts with the observations of one target divided into those of several.
     pub(super) fn with_targets(&mut self, singles: &[Near]) -> Vec<Weighed> {
         let most = self.most();
         let mut found: Vec<(f64, Vec<Part>, Placed)> = Vec::new();
@@ -84,14 +84,14 @@ impl Search<'_> {
             found.extend(self.split(&near.parts, true));
         }
         found.sort_by(|a, b| a.0.total_cmp(&b.0));
-        // Targets alone stay, whatever explains as much beside them.
+        // A hypothesis of several targets only is kept, whatever explains as much together with them.
         if let Some(at) = found.iter().position(|(_, parts, _)| parts.len() == 1)
             && at >= WITH_TARGETS
         {
             found.swap(at, WITH_TARGETS - 1);
         }
         found.truncate(WITH_TARGETS);
-        // Of the best ones a third target.
+        // For the best ones, a third target is tried.
         let again: Vec<_> = found.iter().take(3).flat_map(|(_, parts, _)| self.split(parts, false)).collect();
         found.extend(again);
         found.retain(|(share, ..)| *share < NOWHERE);
@@ -115,7 +115,7 @@ impl Search<'_> {
         self.rows_beside(parts, &placed, &lengths)
     }
 
-    /// A target's observations told apart; where `parts` already tell them apart, those of one of its groups.
+    /// Divides a target's observations; where `parts` already divide them, those of one of its groups.
     pub(super) fn split(&mut self, parts: &[Part], is_first: bool) -> Vec<(f64, Vec<Part>, Placed)> {
         let Some(view) = self.all.view(&parts.iter().collect::<Vec<_>>()) else { return Vec::new() };
         let cloud = Cloud::new(&view, &mut self.chain);
@@ -136,7 +136,7 @@ impl Search<'_> {
                     own.filter(|row| second[*row] == is_second).map(|row| view.rows[row].1).collect()
                 };
                 let [rest, group] = [false, true].map(of);
-                // The fewer ones are the other target's.
+                // The smaller group belongs to the other target.
                 let (rest, group, placed) = if group.len() > rest.len() {
                     (group, rest, placed.with_exchanged(target, view.offsets.len()))
                 } else {

@@ -1,4 +1,4 @@
-//! Hypotheses in their order, in classes of what no measurement tells apart, and the rows that were not weighed.
+//! Orders hypotheses, groups them into classes that no measurement separates, and examines the rows that were not weighed.
 
 use nalgebra::Vector3;
 
@@ -11,45 +11,45 @@ use super::super::{FarOff, Hypothesis};
 use super::Search;
 use super::weigh::Weighed;
 
-/// All rows are looked at by the first hypothesis in files of at most so many.
+/// Largest number of rows of a file for which all rows are examined with the first hypothesis.
 const LOOKED_AT: usize = 50_000;
-/// What is otherwise than it was read must explain so much more than that nothing is, in twice the logarithm of the likelihood.
+/// Least gain of an explanation over a sound session, in twice the logarithm of the likelihood.
 const MARGIN: f64 = 12.0;
-/// And leave less than this share of what is left without.
+/// An explanation must also leave less than this share of the residual without it.
 const BETTER: f64 = 0.8;
 const MUCH_BETTER: f64 = 0.5;
-/// What only a stated offset or nests tell must be clearer.
+/// Least gain of what only a stated offset or nests show.
 const STATED: f64 = 40.0;
-/// A row that was not weighed is off where it is so much farther than one that would be left out.
+/// Multiple of the limit for leaving out rows from which on a row that was not weighed counts as off.
 const ROW_OFF: f64 = 1.5;
-/// Partners are looked for among so many rows that are off at most.
+/// Most bad rows among which partners of an exchange are looked for.
 const NAMED: usize = 500;
-/// Hypotheses that are listed.
+/// Most hypotheses that are listed.
 const LISTED: usize = 12;
-/// Two are of one class where each fits the other's points within this share of their spread.
+/// Two hypotheses are in one class if each fits the other's points within this share of their spread.
 const SAME: f64 = 1e-6;
 
 impl Search<'_> {
-    /// The hypotheses in their order, with what they are worth.
+    /// The hypotheses in their order, with their figures.
     pub(super) fn listed(&mut self, mut weighed: Vec<Weighed>) -> Vec<Hypothesis> {
         let given = self.given.clone();
         weighed.sort_by(|a, b| a.score.total_cmp(&b.score));
         weighed.dedup_by(|a, b| a.parts == b.parts);
         let Some(sound) = weighed.iter().position(|w| w.parts.is_empty()) else {
-            // Places alone explain whatever was measured: all that is told is what is out of reach.
+            // The places alone explain any measurement: only points out of reach are reported.
             let rms = self.rms_of_all();
             let first = Hypothesis::certain(given.clone(), if given.is_empty() { rms } else { 0.0 }, 0);
             let sound = (!given.is_empty())
                 .then(|| Hypothesis { probability: 0.0, ..Hypothesis::certain(Vec::new(), rms, 1) });
             return std::iter::once(first).chain(sound).collect();
         };
-        // Nothing is told that the session does not show clearly.
+        // Nothing is reported that the session does not show clearly.
         if sound > 0 && given.is_empty() {
             let (first, without) = (&weighed[0], &weighed[sound]);
-            // Links can be off far enough to explain much: what remains with them, or without, must be less.
+            // Errors of the links can explain much: the residual must be smaller with links fitted, or without.
             let is_less =
                 first.rms_links < BETTER * without.rms_links || first.rms < MUCH_BETTER * without.rms;
-            // An offset that is stated, and nests, tell what points alone do not.
+            // A stated offset and nests show what points alone do not.
             let is_stated = self.all.offset_sigma.iter().any(Option::is_some)
                 || self.all.nests.iter().any(|nests| !nests.is_empty());
             let is_told = is_stated && first.score + STATED < without.score;
@@ -69,7 +69,7 @@ impl Search<'_> {
         weighed.truncate(LISTED);
         let classes = self.classes(&weighed);
         let mut order: Vec<usize> = (0..weighed.len()).collect();
-        // Of one class, the simplest comes first.
+        // Within a class, the simplest hypothesis comes first.
         let simple = |i: usize| {
             (weighed[i].parts.len(), weighed[i].parts.iter().map(|p| u32::from(p.rank())).sum::<u32>())
         };
@@ -101,7 +101,7 @@ impl Search<'_> {
         listed
     }
 
-    /// Rows that were not among those that were weighed: to which of several targets they belong, and which are off by the first hypothesis.
+    /// Examines the rows that were not weighed: to which of several targets they belong, and which are off with the first hypothesis.
     pub(super) fn look_at_all(&mut self, first: &mut Hypothesis, observations: usize) {
         let sample = self.all.kept.clone();
         if sample.len() == self.all.sound.len() || observations > LOOKED_AT {
@@ -115,7 +115,7 @@ impl Search<'_> {
         self.all.kept = sample;
     }
 
-    /// Adds every row to the target that it is nearest to.
+    /// Assigns every row to the nearest target.
     fn told_targets(&mut self, first: &mut Hypothesis, sample: &[usize]) {
         let known = self.all.offsets.len();
         let Some(view) = self.all.view(&first.parts.iter().collect::<Vec<_>>()) else { return };
@@ -140,7 +140,7 @@ impl Search<'_> {
         }
     }
 
-    /// The parts of the first hypothesis, with those of rows from all of them; `None` where it stays as it is.
+    /// The parts of the first hypothesis, with bad rows taken from all rows; `None` where nothing changes.
     fn rows_of_all(&mut self, first: &Hypothesis, sample: &[usize]) -> Option<Vec<Part>> {
         let is_found = |part: &&Part| matches!(part, Part::GrossErrors { .. } | Part::ExchangedRows { .. });
         let before: Vec<usize> = first.parts.iter().filter(is_found).flat_map(Part::rows).collect();
@@ -152,7 +152,7 @@ impl Search<'_> {
         let placed = Cloud::new(&view, &mut self.chain).best(Some(&weights));
         let fit = fit(&view, &placed, &kept)?;
         let cost = ROW_OFF * cost_of_row(self.spread, view.rows.len());
-        // Twice what a row costs in the likelihood, where that is in units of the scatter.
+        // Twice the cost of a row in the likelihood, in units of the scatter.
         let limit = cost - 6.0 * fit.sigma.ln() * ROW_OFF;
         let mut is_more = false;
         for ((is_kept, far), (_, point)) in kept.iter_mut().zip(&fit.far).zip(&view.rows) {
@@ -180,7 +180,7 @@ impl Search<'_> {
         Some(parts)
     }
 
-    /// What the robot leaves of all rows, also those out of its reach, m.
+    /// The robot's RMS residual over all rows, including those out of its reach, m.
     pub(super) fn rms_of_all(&mut self) -> f64 {
         let n = self.all.seen.len();
         let kept = std::mem::replace(&mut self.all.kept, (0..n).collect());
@@ -189,7 +189,7 @@ impl Search<'_> {
         view.map_or(0.0, |view| Cloud::new(&view, &mut self.chain).best(None).rms)
     }
 
-    /// Numbers of classes, in the order of their best.
+    /// Numbers of the classes, in the order of their best hypothesis.
     pub(super) fn classes(&mut self, weighed: &[Weighed]) -> Vec<usize> {
         let mut classes: Vec<usize> = Vec::new();
         let mut firsts: Vec<usize> = Vec::new();
@@ -207,7 +207,7 @@ impl Search<'_> {
         classes
     }
 
-    /// Whether the robot as `other` reads the session lies on all points of the nominal robot as `one` reads it.
+    /// Whether the robot, read as in `other`, fits all points that the nominal robot makes if read as in `one`.
     pub(super) fn explains(&mut self, one: &Weighed, other: &Weighed) -> bool {
         let is_reading = |part: &&Part| {
             matches!(
@@ -235,7 +235,7 @@ impl Search<'_> {
             return false;
         }
         let cloud = Cloud::new(&view, &mut self.chain);
-        // What is stated of targets and stations belongs to the points.
+        // The stated targets and stations belong to the points.
         let placed = if view.is_stated() {
             cloud.held(&view)
         } else {
@@ -255,13 +255,13 @@ impl Search<'_> {
 }
 
 impl Hypothesis {
-    /// The only one that there is.
+    /// The only possible hypothesis.
     pub(super) fn certain(parts: Vec<Part>, rms: f64, class: usize) -> Self {
         Self { parts, rms, rms_links: rms, above_first: 0.0, probability: 1.0, class }
     }
 }
 
-/// One for the rows of a view that are taken, nothing for the others.
+/// Weight one for the rows of a view that are taken, zero for the others.
 fn weights(view: &View, is_taken: impl Fn(usize) -> bool) -> Vec<f64> {
     view.rows.iter().map(|(_, point)| f64::from(u8::from(is_taken(*point)))).collect()
 }

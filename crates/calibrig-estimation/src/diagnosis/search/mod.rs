@@ -1,4 +1,4 @@
-//! Every part and every pair of parts, tried on a session.
+//! Tries every part and every pair of parts on a session.
 
 mod blame;
 mod listed;
@@ -15,24 +15,24 @@ use crate::plausibility::unreachable;
 use calibrig_model::CalibrationModel;
 use calibrig_model::measurement::MeasurementSet;
 
-/// Observations that everything is tried on, and that what comes near is weighed on.
+/// Numbers of observations on which everything is tried, and on which approximate fits are weighed.
 const TRIED: usize = 60;
 const WEIGHED: usize = 300;
-/// Where the stages of a search end, of [`Progress::WHOLE`]: about what they take.
+/// Ends of the search's stages out of [`Progress::WHOLE`], about in proportion to their time.
 const STAGES: [u64; 6] = [50, 120, 400, 520, 700, 1000];
-/// Single parts and pairs that are weighed.
+/// Numbers of single parts and of pairs that are weighed.
 const NEAREST: [usize; 2] = [40, 60];
-/// Pairs that are placed, of those that could be.
+/// Number of pairs that are placed, out of all possible ones.
 const PLACED: usize = 1500;
-/// Those that leave so many times what the nearest one leaves are not weighed, beyond the first few.
+/// Beyond the first few, hypotheses that leave more than this multiple of the best one's residual are not weighed.
 const NEAR: f64 = 8.0;
 const FIRST: usize = 12;
-/// A share of the spread that what is placed in a few rounds may be off.
+/// Error of a placement after a few iterations, as a share of the spread.
 const FLOOR: f64 = 1e-3;
-/// Nor are those that leave more than this share of the spread.
+/// Hypotheses that leave more than this share of the spread are not weighed either.
 const NOWHERE: f64 = 0.4;
 
-/// A hypothesis, placed.
+/// A hypothesis with its placement.
 struct Near {
     parts: Vec<Part>,
     placed: Placed,
@@ -40,36 +40,36 @@ struct Near {
 }
 
 struct Search<'a> {
-    /// A part of the session, for everything that is tried.
+    /// The part of the session on which everything is tried.
     few: Session<'a>,
-    /// All of it, or a larger part.
+    /// The complete session, or a larger part of it.
     all: Session<'a>,
     chain: KinematicChain,
     spread: f64,
-    /// What a part of all rows costs: how many there are.
+    /// Cost of a part that concerns all rows: it depends on the number of such parts.
     cost: f64,
-    /// Parts that were found before anything was placed.
+    /// Parts that were found before any placement.
     given: Vec<Part>,
     progress: Progress<'a>,
 }
 
-/// How far a search is: of each stage its share of what is done in all, and how much of it.
+/// Progress of a search: the share of each stage in the whole, and how much of it is done.
 struct Progress<'a> {
     tell: &'a mut dyn FnMut(u64, u64),
-    /// Shares of what is done, before this stage and behind it, of [`Progress::WHOLE`].
+    /// Shares of the whole, out of [`Progress::WHOLE`], before and after this stage.
     stage: [u64; 2],
 }
 
 impl Progress<'_> {
     const WHOLE: u64 = 1000;
 
-    /// The next stage begins, which goes up to this share.
+    /// Begins the next stage, which ends at this share.
     fn next(&mut self, to: u64) {
         self.stage = [self.stage[1], to];
         (self.tell)(self.stage[0], Self::WHOLE);
     }
 
-    /// So much of so much of the stage is done.
+    /// Reports the steps of the stage that are done.
     fn tell(&mut self, done: usize, of: usize) {
         let [from, to] = self.stage;
         let within = (to - from) * done as u64 / of.max(1) as u64;
@@ -155,7 +155,7 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Parts that a hypothesis may have beside those that are given.
+    /// Most parts of a hypothesis beside the given ones.
     fn most(&self) -> usize {
         2_usize.saturating_sub(self.given.len())
     }
@@ -174,7 +174,7 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Nothing, every part alone, and mirrored or in another unit.
+    /// No part, every part alone, and each of these mirrored or in another unit.
     fn singles(&mut self, parts: &[Part]) -> Vec<Near> {
         let mut found = Vec::new();
         let nothing: Option<&Part> = None;
@@ -208,12 +208,12 @@ impl<'a> Search<'a> {
         Some(Part::PointUnit { factor })
     }
 
-    /// Pairs of parts, those first that no placement is known to be worse for.
+    /// Pairs of parts, beginning with those whose placements have the smallest known lower bound.
     fn pairs(&mut self, parts: &[Part]) -> Vec<Near> {
         let parts: Vec<&Part> = parts.iter().filter(|part| part.is_usual()).collect();
         let mut bounds: Vec<(f64, [&Part; 2])> = Vec::new();
         for (i, a) in parts.iter().enumerate() {
-            // Of all pairs; those that are placed take as long again.
+            // Progress over all pairs; placing them takes as long again.
             self.progress.tell(i * (2 * parts.len() - i), 2 * parts.len() * parts.len());
             for b in &parts[i + 1..] {
                 if !go_together(a, b) {
@@ -250,14 +250,14 @@ impl<'a> Search<'a> {
     }
 }
 
-/// By how much more is expected where places are fitted to few rows.
+/// Expected increase of the residual because places are fitted to few rows.
 fn excess(view: &View) -> f64 {
     let rows = 3.0 * view.rows.len() as f64;
     let places = 6.0 * view.stations as f64 + 3.0 * view.offsets.len() as f64;
     (rows / (rows - places).max(1.0)).sqrt()
 }
 
-/// Whether two parts can both be meant.
+/// Whether two parts can apply together.
 fn go_together(a: &Part, b: &Part) -> bool {
     match (a, b) {
         (Part::ShiftedRows { .. }, Part::ShiftedRows { .. })
@@ -274,15 +274,15 @@ fn go_together(a: &Part, b: &Part) -> bool {
         (Part::AngleUnit { joints: i, .. }, Part::AngleUnit { joints: j, .. }) => {
             i.len() == 1 && j.len() == 1 && i != j
         }
-        // Two that undo each other leave the columns as they were read.
+        // Two orders that undo each other leave the columns as they were read.
         (Part::Order { from: i, .. }, Part::Order { from: j, .. }) => {
             j.iter().enumerate().any(|(joint, column)| i[*column] != joint)
         }
-        // Also of one that is meant in both ways.
+        // Also for a coupling that applies in both ways.
         (Part::Coupling { joint: i, with: k, .. }, Part::Coupling { joint: j, with: l, .. }) => {
             (i, k) != (j, l)
         }
-        // What is behind the link that the target is on moves nothing.
+        // Joints behind the link with the target do not move it.
         (Part::ToolLink { joint }, other) | (other, Part::ToolLink { joint }) => {
             let joints = other.joints();
             joints.is_empty() || joints.iter().any(|j| j <= joint)

@@ -1,4 +1,4 @@
-//! What hypotheses are worth: those that come near, weighed on more rows.
+//! Weighs hypotheses that fit approximately, on more rows.
 
 use super::super::evidence::{HypothesisFit, fit};
 use super::super::part::Part;
@@ -7,10 +7,10 @@ use super::super::rows::cost_of_row;
 use super::super::session::View;
 use super::{FIRST, FLOOR, NEAR, NOWHERE, Near, Search};
 
-/// So many times the robot's length, an offset is no target's.
+/// Longest plausible offset of a target, as a multiple of the robot's length.
 const LONGEST_OFFSET: f64 = 3.0;
 
-/// A hypothesis, weighed.
+/// A hypothesis with its weight.
 pub(super) struct Weighed {
     pub parts: Vec<Part>,
     pub rms: f64,
@@ -57,7 +57,7 @@ impl Search<'_> {
         Some(self.weighed(parts, &view, placed, &fit))
     }
 
-    /// Whether a placement leaves more than there is, or has a target farther from its flange than the robot is long.
+    /// Whether a placement leaves more than the points' spread, or has a target implausibly far from the flange.
     pub(super) fn is_absurd(&self, placed: &Placed) -> bool {
         let longest = LONGEST_OFFSET * self.all.model.kinematics.characteristic_length();
         !(placed.share < 1.0) || placed.offsets.iter().any(|offset| offset.norm() > longest)
@@ -78,7 +78,7 @@ impl Search<'_> {
         Weighed { parts: parts.to_vec(), rms: placed.rms, rms_links: fit.rms, score, placed }
     }
 
-    /// What a part costs by itself: how many of its kind could have been found.
+    /// Cost of a part itself: how many of its kind could have been found.
     pub(super) fn price(&self, part: &Part) -> f64 {
         let n = self.all.kept.len() as f64;
         let usual = 0.3 * f64::from(part.rank());
@@ -86,15 +86,15 @@ impl Search<'_> {
             Part::ExchangedRows { cycles } => {
                 usual + cycles.iter().map(|cycle| 2.0 * cycle.len() as f64 * n.ln()).sum::<f64>()
             }
-            // Which of the rows: the others are counted as rows that were lost.
+            // The choice of the rows; the rows themselves are counted as lost.
             Part::GrossErrors { rows } | Part::MissedShots { rows } => {
                 usual + 2.0 * rows.len() as f64 * n.ln()
             }
-            // Each row can be of either target.
+            // Each row can belong to either target.
             Part::SeveralTargets { others, .. } => {
                 usual + 2.0 * n * (1.0 + others.len() as f64).ln() + self.cost
             }
-            // What is likely are the points as they stand in the file.
+            // The likelihood is that of the points as they are in the file.
             Part::PointUnit { factor } => usual + self.cost - 6.0 * n * factor.ln(),
             _ => usual + self.cost,
         }

@@ -1,4 +1,4 @@
-//! Rows to blame, among those that are weighed and among all others.
+//! Bad rows among those that are weighed and among all others.
 
 use super::*;
 
@@ -8,7 +8,7 @@ fn exchange(set: &mut MeasurementSet, a: usize, b: usize) {
     set.observations[b].reading = first;
 }
 
-/// Moves the points of some rows by what another target on the flange would be seen at.
+/// Moves the points of some rows to where another target on the flange would be seen.
 fn of_another_target(
     model: &CalibrationModel,
     set: &mut MeasurementSet,
@@ -42,13 +42,13 @@ fn three_targets_under_one_name_are_told_apart() {
     assert_eq!(others, groups);
 }
 
-/// What a joint that never moved explains as well does not stand in front of targets alone.
+/// An explanation by a joint that never moved does not come before several targets alone.
 #[test]
 fn targets_are_told_alone_where_a_joint_never_moved() {
     let model = industrial();
     let mut set = measure(&model, 60, 0.0);
     for observation in &mut set.observations {
-        // The first axis is the tracker's place.
+        // The first axis is equivalent to the tracker's place.
         let turn = rotation_z(-observation.command[0]);
         let place: Transform = translation(3.0, -1.0, 0.5) * rotation_z(0.7) * rotation_x(0.02);
         let in_base = place.inverse() * Point3::from(observation.reading.position());
@@ -62,13 +62,13 @@ fn targets_are_told_alone_where_a_joint_never_moved() {
     assert_eq!(found.hypotheses[0].parts, [Part::SeveralTargets { target: 0, others: vec![second] }]);
 }
 
-/// Of long files a part is weighed; the rows between are looked at all the same.
+/// For long files only a part of the rows is weighed; the rows between are examined nevertheless.
 #[test]
 fn rows_between_those_that_are_weighed_are_looked_at() {
     let model = industrial();
     let sound = measure(&model, 1000, 1e-3);
     let told = |set: &MeasurementSet| first(&model, set).0.hypotheses[0].parts.clone();
-    // Two that were exchanged and two that are off, of which one each is weighed.
+    // Two exchanged rows and two that are off; one of each is weighed.
     let mut set = sound.clone();
     exchange(&mut set, 400, 511);
     for row in [600, 701] {
@@ -85,7 +85,7 @@ fn rows_between_those_that_are_weighed_are_looked_at() {
     let mut off: Vec<usize> = rows.iter().map(|far| far.observation).collect();
     off.sort_unstable();
     assert_eq!(off, [600, 701]);
-    // Every row finds its target.
+    // Every row is assigned to its target.
     let mut set = sound.clone();
     let second: Vec<usize> = (0..1000).filter(|i| i % 7 < 3).collect();
     of_another_target(&model, &mut set, &second, Vector3::new(-0.1, 0.02, 0.15));

@@ -1,4 +1,4 @@
-//! What nests and measured targets tell beside the points.
+//! What nests and measured targets show in addition to the points.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -10,7 +10,7 @@ fn stated(set: &mut MeasurementSet) {
     set.targets[0].covariance = Some(Matrix3::identity() * 1e-8);
 }
 
-/// Nests around the base, seen from where [`measure`] has the tracker.
+/// Nests around the base, seen from where [`measure`] puts the tracker.
 fn with_nests(set: &mut MeasurementSet) {
     let place: Transform = translation(3.0, -1.0, 0.5) * rotation_z(0.7) * rotation_x(0.02);
     let places = [(1.5, 0.2, 0.0), (-1.1, 0.9, 0.1), (0.2, -1.4, 0.3), (0.4, 1.2, 1.0)];
@@ -33,7 +33,7 @@ fn turned(set: &mut MeasurementSet, joint: usize, by: f64) {
     set.observations.iter_mut().for_each(|o| o.command[joint] += by);
 }
 
-/// A wrong zero of the last joint turns the target about its axis: told where the target is stated, and nothing at all where it is free.
+/// A wrong zero of the last joint turns the target about its axis: found where the target is stated, and invisible where it is free.
 #[test]
 fn the_zero_of_the_last_joint_is_told_where_the_target_is_stated() {
     let model = industrial();
@@ -45,14 +45,14 @@ fn the_zero_of_the_last_joint_is_told_where_the_target_is_stated() {
         let (found, _) = first(&model, &set);
         assert_eq!(found.hypotheses[0].parts, [Part::Offset { joint: 5, quarters }], "{found:?}");
     }
-    // A sound one stays sound, also where the statement is some tenths of a millimetre off.
+    // A sound session stays sound, also if the statement is off by some tenths of a millimetre.
     let mut set = measure(&model, 30, 1e-3);
     stated(&mut set);
     set.targets[0].in_flange += Vector3::new(3e-4, -2e-4, 1e-4);
     assert_eq!(first(&model, &set).1, ["sound"]);
 }
 
-/// A wrong zero of the first joint turns the base: told where nests say where it is.
+/// A wrong zero of the first joint turns the base: found where nests determine the base.
 #[test]
 fn the_zero_of_the_first_joint_is_told_where_nests_place_the_base() {
     let model = industrial();
@@ -71,7 +71,7 @@ fn the_zero_of_the_first_joint_is_told_where_nests_place_the_base() {
     assert_eq!(first(&model, &set).1, ["sound"]);
     set.targets[0].covariance = None;
     assert_eq!(first(&model, &set).1, ["sound"]);
-    // The nests are read as the points are.
+    // The nests are read in the same way as the points.
     for nest in &mut set.stations[0].nests {
         let p = nest.reading.position();
         nest.reading = Reading::Cartesian { position: Vector3::new(p.y, p.x, p.z), covariance: None };

@@ -3,8 +3,8 @@
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-/// One of the four inclined planes of the cube. Corners 1 to 4 run about its upper face, 5 to 8 about the lower one, 5 below 1; with `u` upward and `v`, `w` the two
-/// horizontal axes (`v` x `w` = `u`) corner 1 is where v and w are least, and corner 2 where v is greatest and w least.
+/// One of the four inclined planes of the cube. Corners 1 to 4 run around its upper face, 5 to 8 around the lower one, 5 below 1. With `u` upward
+/// and `v`, `w` the two horizontal axes (`v` x `w` = `u`), corner 1 has the least v and w, corner 2 the greatest v and the least w.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum CubePlane {
     /// Corners 1, 2, 7, 8: falls with w.
@@ -18,7 +18,7 @@ pub enum CubePlane {
 }
 
 impl CubePlane {
-    /// All of them.
+    /// All planes.
     pub const ALL: [Self; 4] = [Self::C1C2C7C8, Self::C2C3C8C5, Self::C3C4C5C6, Self::C4C1C6C7];
 
     /// The key on the command line and in JSON.
@@ -31,7 +31,7 @@ impl CubePlane {
         }
     }
 
-    /// Signs of its corners along v, w and u, in the order of its name.
+    /// Signs of the plane's corners along v, w and u, in the order of its name.
     fn corners(self) -> [[f64; 3]; 4] {
         let corner = |number: usize| -> [f64; 3] {
             let u = if number <= 4 { 1.0 } else { -1.0 };
@@ -55,7 +55,7 @@ impl CubePlane {
 /// A cube with edges along the axes of the base frame.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TestCube {
-    /// Its middle in the base frame, m.
+    /// Centre in the base frame, m.
     pub centre: Vector3<f64>,
     /// Length of an edge, m.
     pub edge: f64,
@@ -65,11 +65,11 @@ pub struct TestCube {
     pub plane: CubePlane,
 }
 
-/// How far the poses P2 to P5 are from the ends of the plane's diagonals, as a share of the diagonal: the standard allows 10 % +- 2 %.
+/// Distance of the poses P2 to P5 from the ends of the plane's diagonals, as a share of the diagonal: the standard allows 10 % +- 2 %.
 const INSET: f64 = 0.10;
 
 impl TestCube {
-    /// The base axis that is nearest to upright, against this direction of gravity; z for none.
+    /// The base axis closest to upright, opposite to this direction of gravity; z without gravity.
     pub fn upright(gravity: &Vector3<f64>) -> (usize, f64) {
         if !(gravity.norm() > 0.0) {
             return (2, 1.0);
@@ -78,7 +78,7 @@ impl TestCube {
         (axis, if gravity[axis] > 0.0 { -1.0 } else { 1.0 })
     }
 
-    /// P1 to P5 in the base frame, m: the middle, then a tenth of the diagonal inside each corner of the plane.
+    /// P1 to P5 in the base frame, m: the centre, then a tenth of the diagonal inside each corner of the plane.
     pub fn poses(&self) -> [Vector3<f64>; 5] {
         let (up, sign) = self.up;
         let up = up.min(2);

@@ -1,32 +1,32 @@
-//! Which readings of a set are cycles of one pose.
+//! Finds the readings of a set that are cycles of one pose.
 
 use thiserror::Error;
 
 use super::LEAST_CYCLES;
 use calibrig_model::measurement::MeasurementSet;
 
-/// A pose that was measured in every cycle, of one station and target.
+/// A pose that was measured in every cycle, for one station and target.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TestPose {
-    /// Its number, that of its first reading.
+    /// Number of the pose: that of its first reading.
     pub pose: u32,
-    /// Indices of its observations, in the order taken.
+    /// Indices of its observations, in the order in which they were taken.
     pub observations: Vec<usize>,
-    /// Whether it was approached from different sides: the standard's cycles have one path.
+    /// Whether it was approached from different sides; the standard's cycles have one path.
     pub mixed_approach: bool,
 }
 
-/// Measurements from which no repeatability can be told.
+/// Why measurements do not give a repeatability.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum Iso9283Error {
-    /// No observation of the target.
+    /// The target was not observed.
     #[error("target {target} was not measured")]
     NoReading {
-        /// Its name.
+        /// Name of the target.
         target: String,
     },
-    /// Every pose was measured once.
+    /// Every pose was measured only once.
     #[error(
         "none of the {poses} poses of target {target} was measured more than once: repeatability needs the same command in three cycles or more (the standard: 30)"
     )]
@@ -36,17 +36,17 @@ pub enum Iso9283Error {
         /// Number of poses.
         poses: usize,
     },
-    /// There is one pose only.
+    /// Only one pose was measured more than once.
     #[error(
         "only pose {pose} of target {target} was measured more than once: expected the cycles of two poses or more (the standard: five)"
     )]
     OnePose {
         /// Name of the target.
         target: String,
-        /// The pose.
+        /// Number of the pose.
         pose: u32,
     },
-    /// Poses do not have one number of cycles.
+    /// The poses do not all have the same number of cycles.
     #[error(
         "target {target}: pose {fewer} was measured in {fewest} cycles, but pose {more} in {most}: expected the same number \
          at every pose"
@@ -56,14 +56,14 @@ pub enum Iso9283Error {
         target: String,
         /// The pose with the fewest.
         fewer: u32,
-        /// Its cycles.
+        /// Number of cycles of that pose.
         fewest: usize,
         /// The first pose with the most.
         more: u32,
-        /// Its cycles.
+        /// Number of cycles of that pose.
         most: usize,
     },
-    /// Every pose was measured twice.
+    /// Every pose was measured only twice.
     #[error(
         "target {target}: pose {pose} was measured in only two cycles, which always lie equally far from their barycentre: \
          expected three cycles or more (the standard: 30)"
@@ -74,16 +74,16 @@ pub enum Iso9283Error {
         /// The first pose.
         pose: u32,
     },
-    /// Fewer than were asked for.
+    /// A pose has fewer cycles than were asked for.
     #[error("target {target}: pose {pose} was measured in {found} cycles, but {asked} were asked for")]
     TooFew {
         /// Name of the target.
         target: String,
-        /// The pose.
+        /// Number of the pose.
         pose: u32,
-        /// Its cycles.
+        /// Number of its cycles.
         found: usize,
-        /// Asked for.
+        /// Number of cycles asked for.
         asked: usize,
     },
     /// A pose was measured from several stations.
@@ -94,15 +94,15 @@ pub enum Iso9283Error {
     Stations {
         /// Name of the target.
         target: String,
-        /// The pose.
+        /// Number of the pose.
         pose: u32,
-        /// Their names.
+        /// Names of the stations.
         stations: String,
     },
 }
 
-/// The poses of one target that were measured more than once, in the order of their numbers, with as many cycles each; `asked`: no more than the first so
-/// many. Poses that were measured once are left out, and counted beside.
+/// The poses of one target that were measured more than once, in the order of their numbers, each with the same number of cycles; with
+/// `asked`, only the first `asked` cycles of each. Poses that were measured once are left out, and counted separately.
 ///
 /// # Errors
 ///

@@ -1,18 +1,18 @@
-//! Pose accuracy (AP) and pose repeatability (RP) as ISO 9283 has them, and how sure they are from so many cycles.
+//! Pose accuracy (AP) and pose repeatability (RP) of ISO 9283, with their uncertainty for the number of cycles.
 //!
-//! Formulas are those of ISO 9283:1998, 7.2.1 and 7.2.2, with n cycles at a commanded pose c and attained poses p(1) .. p(n):
+//! The formulas are those of ISO 9283:1998, 7.2.1 and 7.2.2, with n cycles at a commanded pose c and attained poses p(1) .. p(n):
 //!
 //! - barycentre m = mean of p; `AP_P = |m - c|`, `AP_x = m_x - c_x` and so on;
 //! - l(j) = |p(j) - m|; `RP_l = mean(l) + 3 S_l`, with `S_l` the standard deviation of l (n - 1);
-//! - of the orientation's angles a, b, c: `AP_a = mean(a) - a_c`, `RP_a = 3 S_a`.
+//! - for the orientation's angles a, b, c: `AP_a = mean(a) - a_c`, `RP_a = 3 S_a`.
 //!
-//! The standard's text was not at hand: formulas, the [cube](TestCube) and the order of a cycle are written down as they are commonly quoted. Payload, speed
-//! and warm-up, which the standard prescribes as well, are up to whoever measures. Two things are ours:
+//! The text of the standard was not available: formulas, the [cube](TestCube) and the order of a cycle are as commonly quoted. Payload, speed
+//! and warm-up, which the standard prescribes as well, are up to whoever measures. Two things are our own:
 //!
-//! - a, b and c are here the components of the small rotation between two orientations along the axes x, y and z of the frame that the
-//!   measurements are given in. They differ from differences of roll, pitch and yaw by products of small angles, and have no singular pose;
-//! - the intervals, which the standard does not ask for: those of RP are of normal scatter of any shape, drawn from what was observed; of few cycles they
-//!   are wider than need be, since the shape is uncertain, too.
+//! - a, b and c are here the components of the small rotation between two orientations along the axes x, y and z of the frame in which the
+//!   measurements are given. They differ from differences of roll, pitch and yaw by products of small angles, and have no singular pose;
+//! - the intervals, which the standard does not ask for: those of RP are for normal scatter of any shape, drawn from what was observed; for
+//!   few cycles they are wider than necessary, since the shape is uncertain, too.
 
 mod cube;
 mod cycles;
@@ -32,37 +32,37 @@ use super::chi2_band;
 use calibrig_model::random::{Source, stream};
 use calibrig_model::statistics::{chi2_quantile, f_ln_survival, student_t_quantile};
 
-/// Cycles that the standard asks for.
+/// Number of cycles that the standard asks for.
 pub const ISO_CYCLES: usize = 30;
-/// With fewer, RP says nothing: two points lie as far from their barycentre as each other, so that `S_l` is zero however much the machine scatters.
+/// Fewest cycles for RP. Two points are equally far from their barycentre, so that `S_l` is zero however much the machine scatters.
 pub const LEAST_CYCLES: usize = 3;
-/// Poses that the standard asks for.
+/// Number of poses that the standard asks for.
 pub const ISO_POSES: usize = 5;
 /// Confidence of all intervals here.
 pub const ISO_LEVEL: f64 = 0.95;
-/// Draws behind an interval of RP: its ends move by some per cent of its width with others.
+/// Number of draws for an interval of RP: with other draws its ends move by some per cent of its width.
 const DRAWS: usize = 1000;
 
-/// How far the barycentre of the attained positions is from the commanded one, m.
+/// Distance of the barycentre of the attained positions from the commanded position, m.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PositionAccuracy {
-    /// Cycles.
+    /// Number of cycles.
     pub cycles: usize,
     /// `AP_x`, `AP_y`, `AP_z`: attained minus commanded.
     pub error: Vector3<f64>,
-    /// Half the 95 % interval of each (Student's t).
+    /// Half the width of the 95 % interval of each (Student's t).
     pub half_width: Vector3<f64>,
-    /// `AP_P`, its length.
+    /// `AP_P`, the length of `error`.
     pub distance: f64,
-    /// Radius about the barycentre that holds the barycentre of endless cycles in 95 %. `distance` is off by no more, and mostly by less. What is common to
-    /// all cycles, such as the tracker's place, is not in it.
+    /// Radius about the barycentre that holds the barycentre of infinitely many cycles with 95 %. `distance` is off by no more, and mostly by less.
+    /// What all cycles have in common, such as the tracker's place, is not included.
     pub radius: f64,
 }
 
-/// How far attained positions scatter about their barycentre, m.
+/// Scatter of attained positions about their barycentre, m.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PositionRepeatability {
-    /// Cycles.
+    /// Number of cycles.
     pub cycles: usize,
     /// Mean distance from the barycentre.
     pub mean_distance: f64,
@@ -70,44 +70,44 @@ pub struct PositionRepeatability {
     pub distance_sigma: f64,
     /// `RP_l`.
     pub repeatability: f64,
-    /// Its 95 % interval about the value of endless cycles, for normal scatter of the observed shape.
+    /// 95 % interval of `RP_l` for infinitely many cycles, for normal scatter of the observed shape.
     pub interval: [f64; 2],
     /// Standard deviation along each axis.
     pub axis_sigma: Vector3<f64>,
-    /// In how many directions it scatters: 1 along a line, 3 alike in all; 0 without scatter.
+    /// Effective number of directions of the scatter: 1 along a line, 3 for the same in all directions; 0 without scatter.
     pub directions: f64,
 }
 
-/// Scatter of all poses of a target against what its readings state by themselves.
+/// Scatter of all poses of a target against what its readings alone are stated to scatter by.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ScatterOverStated {
-    /// Sum of the poses' observed variances over that of the stated ones.
+    /// Sum of the poses' observed variances over the sum of the stated ones.
     pub ratio: f64,
-    /// Where it lies in 99.9 % if the readings scatter as stated and the machine not at all.
+    /// Band that holds the ratio with 99.9 % if the readings scatter as stated and the machine does not.
     pub band: (f64, f64),
 }
 
-/// How far the mean orientation is from the commanded one, rad.
+/// Angle of the mean orientation from the commanded one, rad.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct OrientationAccuracy {
-    /// Cycles.
+    /// Number of cycles.
     pub cycles: usize,
     /// `AP_a`, `AP_b`, `AP_c`: about x, y and z.
     pub error: Vector3<f64>,
-    /// Half the 95 % interval of each (Student's t).
+    /// Half the width of the 95 % interval of each (Student's t).
     pub half_width: Vector3<f64>,
 }
 
-/// How far orientations scatter about their mean, rad.
+/// Scatter of orientations about their mean, rad.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct OrientationRepeatability {
-    /// Cycles.
+    /// Number of cycles.
     pub cycles: usize,
-    /// `RP_a`, `RP_b`, `RP_c`: the standard writes them with a sign ±.
+    /// `RP_a`, `RP_b`, `RP_c`, which the standard writes with a sign ±.
     pub repeatability: Vector3<f64>,
-    /// Lower ends of their 95 % intervals (chi-square).
+    /// Lower ends of the 95 % intervals (chi-square).
     pub low: Vector3<f64>,
-    /// Upper ends.
+    /// Upper ends of the 95 % intervals.
     pub high: Vector3<f64>,
 }
 
@@ -127,11 +127,11 @@ fn half_widths(covariance: &Matrix3<f64>, n: f64) -> Vector3<f64> {
     covariance.diagonal().map(|variance| t * (variance / n).sqrt())
 }
 
-/// AP of the position from attained minus commanded positions of every cycle at a pose, m; `None` for fewer than two cycles, and for numbers that are
-/// not finite.
+/// AP of the position from attained minus commanded positions of every cycle at a pose, m; `None` for fewer than two cycles, or if a
+/// number is not finite.
 ///
-/// The radius: the squared distance of two barycentres is a sum of squares of normal variables, taken for a chi-square with the mean and variance that it has
-/// (Satterthwaite), and its scale is estimated from the same cycles: an F distribution.
+/// The radius: the squared distance of two barycentres is a sum of squares of normal variables. It is approximated by a chi-square with the
+/// same mean and variance (Satterthwaite), and its scale is estimated from the same cycles, which gives an F distribution.
 pub fn position_accuracy(errors: &[Vector3<f64>]) -> Option<PositionAccuracy> {
     let (error, covariance) = moments(errors)?;
     let n = errors.len() as f64;
@@ -151,8 +151,8 @@ pub fn position_accuracy(errors: &[Vector3<f64>]) -> Option<PositionAccuracy> {
     })
 }
 
-/// RP of the position from attained positions of every cycle at a pose, in one frame, m; `None` for fewer than [`LEAST_CYCLES`], and for numbers that are
-/// not finite.
+/// RP of the position from attained positions of every cycle at a pose, in one frame, m; `None` for fewer than [`LEAST_CYCLES`], or if a
+/// number is not finite.
 pub fn position_repeatability(attained: &[Vector3<f64>]) -> Option<PositionRepeatability> {
     let (mean, covariance) = moments(attained).filter(|_| attained.len() >= LEAST_CYCLES)?;
     let distances: Vec<f64> = attained.iter().map(|p| (p - mean).norm()).collect();
@@ -170,16 +170,17 @@ pub fn position_repeatability(attained: &[Vector3<f64>]) -> Option<PositionRepea
     })
 }
 
-/// Of a positive semidefinite matrix, the number of directions of a scatter alike in each whose squared length varies as much (Satterthwaite); 0 of zero.
+/// Number of equal directions of a scatter whose squared length has the same relative variance as with this positive semidefinite covariance
+/// (Satterthwaite); 0 for a zero covariance.
 fn directions(covariance: &Matrix3<f64>) -> f64 {
     let trace = covariance.trace();
-    // Of the shape alone: squares of what is very small or large are no numbers.
+    // Of the normalised shape: squares of very small or large numbers are not finite or vanish.
     let shape = covariance / trace;
     if trace > 0.0 { 1.0 / (shape * shape).trace() } else { 0.0 }
 }
 
-/// Whether poses scatter by more than their readings state, from RP and the stated standard deviation (root of the mean squared length of a reading's error, m) of
-/// each pose. `None` without any, and where nothing scatters or is stated.
+/// Whether poses scatter by more than their readings state, from RP and the stated standard deviation (root of the mean squared length of a
+/// reading's error, m) of each pose. `None` without poses, and where nothing scatters or nothing is stated.
 pub fn scatter_over_stated(poses: &[(PositionRepeatability, f64)]) -> Option<ScatterOverStated> {
     let (mut seen, mut stated, mut square) = (0.0, 0.0, 0.0);
     for (rp, sigma) in poses.iter().filter(|(rp, _)| rp.directions > 0.0) {
@@ -193,7 +194,7 @@ pub fn scatter_over_stated(poses: &[(PositionRepeatability, f64)]) -> Option<Sca
     is_told.then(|| ScatterOverStated { ratio, band: chi2_band(dof, 0.999) })
 }
 
-/// AP of the orientation from the turns between the commanded and the attained orientation of every cycle (rotation vectors, rad); `None` as
+/// AP of the orientation from the rotation between commanded and attained orientation of every cycle (rotation vectors, rad); `None` as in
 /// [`position_accuracy`].
 pub fn orientation_accuracy(turns: &[Vector3<f64>]) -> Option<OrientationAccuracy> {
     let (error, covariance) = moments(turns)?;
@@ -201,7 +202,7 @@ pub fn orientation_accuracy(turns: &[Vector3<f64>]) -> Option<OrientationAccurac
     Some(OrientationAccuracy { cycles: turns.len(), error, half_width: half_widths(&covariance, n) })
 }
 
-/// RP of the orientation from turns about any common orientation (rotation vectors, rad), such as their [mean](mean_rotation); `None` as
+/// RP of the orientation from rotations about any common orientation (rotation vectors, rad), such as their [mean](mean_rotation); `None` as in
 /// [`position_accuracy`].
 pub fn orientation_repeatability(turns: &[Vector3<f64>]) -> Option<OrientationRepeatability> {
     let (_, covariance) = moments(turns)?;
@@ -223,14 +224,15 @@ fn mean_and_sigma(values: &[f64]) -> (f64, f64) {
     (mean, (squares / (n - 1.0)).sqrt())
 }
 
-/// Between which multiples of RP of endless cycles RP of `cycles` lies in 95 %, for normal scatter with a covariance of this shape. Their ratio does not depend
-/// on the size of the scatter, so that it turns into an interval. Drawn from a stream of its own: the same for the same cycles, whatever else is drawn.
+/// Factors on RP of infinitely many cycles between which RP of `cycles` lies with 95 %, for normal scatter with a covariance of this shape.
+/// The ratio does not depend on the size of the scatter, so that it can be turned into an interval. It is drawn from its own random stream: the
+/// same for the same cycles, whatever else is drawn.
 fn ratio_band(covariance: &Matrix3<f64>, cycles: usize) -> [f64; 2] {
     let scale = covariance.trace();
     if !(scale > 0.0) {
         return [1.0, 1.0];
     }
-    // Of cycles on one line or plane the covariance is singular: a Cholesky factor may fail there.
+    // For cycles on one line or plane the covariance is singular, and a Cholesky factorisation may fail.
     let eigen = SymmetricEigen::new(covariance / scale);
     let sigmas = eigen.eigenvalues.map(|value| value.max(0.0).sqrt());
     let mut rng = stream(0, 0, Source::Iso9283Intervals);
@@ -269,7 +271,7 @@ fn normal(rng: &mut impl Rng) -> Vector3<f64> {
     })
 }
 
-/// The point below which F with (`d1`, `d2`) degrees of freedom lies with probability `p` of 1/2 or more.
+/// Quantile of the F distribution with (`d1`, `d2`) degrees of freedom for a probability `p` of 1/2 or more.
 fn f_quantile(p: f64, d1: f64, d2: f64) -> f64 {
     let target = (1.0 - p).ln();
     let (mut low, mut high) = (0.0, 1.0);

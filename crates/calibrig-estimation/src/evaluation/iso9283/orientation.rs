@@ -1,13 +1,13 @@
-//! Orientations as turns about a common one.
+//! Orientations as rotations about a common one.
 
 use nalgebra::{Rotation3, Vector3};
 
 use calibrig_model::geometry::{best_fit_transform, rotation_vector};
 
-/// Steps to the mean of rotations; each leaves the square of what the one before left.
+/// Most steps to the mean of rotations; the error after each is the square of the one before.
 const STEPS: usize = 20;
 
-/// The rotation about which the turns of all sum up to zero; `None` of none. They lie within a quarter turn of each other.
+/// The rotation about which all rotation vectors sum to zero; `None` without rotations. They must lie within a quarter turn of each other.
 pub fn mean_rotation(rotations: &[Rotation3<f64>]) -> Option<Rotation3<f64>> {
     let mut mean = *rotations.first()?;
     for _ in 0..STEPS {
@@ -20,13 +20,13 @@ pub fn mean_rotation(rotations: &[Rotation3<f64>]) -> Option<Rotation3<f64>> {
     Some(mean)
 }
 
-/// Rotation vectors that turn `reference` into each, along the axes of the outer frame, rad.
+/// Rotation vectors that turn `reference` into each rotation, along the axes of the outer frame, rad.
 pub fn turns_about(rotations: &[Rotation3<f64>], reference: &Rotation3<f64>) -> Vec<Vector3<f64>> {
     rotations.iter().map(|rotation| rotation_vector(&(rotation * reference.inverse()))).collect()
 }
 
-/// The rotation vector (rad) that turns points of a rigid body as they should be into the points as measured, along the axes of their frame: the best fit of
-/// three or more targets. `None` where they lie on one line, and for lists of unlike length.
+/// The rotation vector (rad) that turns the nominal points of a rigid body into the measured points, along the axes of their frame: the best
+/// fit for three or more targets. `None` where they lie on one line, or the lists have different lengths.
 pub fn turn_of_points(measured: &[Vector3<f64>], should_be: &[Vector3<f64>]) -> Option<Vector3<f64>> {
     if measured.len() != should_be.len() || measured.len() < 3 {
         return None;

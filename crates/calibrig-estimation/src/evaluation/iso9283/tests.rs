@@ -62,15 +62,15 @@ fn fewer_than_two_cycles_and_numbers_that_are_none_give_nothing() {
         assert!(position_repeatability(values).is_none() && position_accuracy(values).is_none());
         assert!(orientation_repeatability(values).is_none() && orientation_accuracy(values).is_none());
     }
-    // A machine without any scatter: no width either.
+    // A machine without any scatter: the interval has no width either.
     let same = [Vector3::new(1.0, 2.0, 3.0); 5];
     let (rp, ap) = (position_repeatability(&same).expect("five"), position_accuracy(&same).expect("five"));
     assert_eq!((rp.repeatability, rp.interval, ap.radius), (0.0, [0.0, 0.0], 0.0));
 }
 
-/// Of a normal scatter alike in every direction, RP is sigma (sqrt(8/pi) + 3 sqrt(3 - 8/pi)): mean and variance of Maxwell's distribution. Its estimate from 30
-/// cycles has a relative standard deviation of 9.1 % (from the distribution's first four moments), so that the mean of 400 lies within 4 x 9.1 % / 20; distances
-/// from the barycentre of 30 are smaller by sqrt(29/30).
+/// For normal scatter that is the same in every direction, RP is sigma (sqrt(8/pi) + 3 sqrt(3 - 8/pi)): mean and variance of Maxwell's
+/// distribution. Its estimate from 30 cycles has a relative standard deviation of 9.1 % (from the distribution's first four moments), so that the
+/// mean of 400 lies within 4 x 9.1 % / 20; distances from the barycentre of 30 are smaller by sqrt(29/30).
 #[test]
 fn repeatability_of_maxwells_distribution() {
     let pi = std::f64::consts::PI;
@@ -87,7 +87,7 @@ fn repeatability_of_maxwells_distribution() {
     assert!((ratio - 1.0).abs() < 4.0 * 0.091 / 20.0, "{ratio}");
 }
 
-/// The value of endless cycles, from 500,000 draws.
+/// The value for infinitely many cycles, from 500,000 draws.
 fn endless(sigmas: &Vector3<f64>) -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let distances: Vec<f64> = (0..500_000).map(|_| draw(&mut rng, sigmas).norm()).collect();
@@ -95,8 +95,9 @@ fn endless(sigmas: &Vector3<f64>) -> f64 {
     mean + 3.0 * sigma
 }
 
-/// Intervals hold what they say in 95 % of all tests: of scatter along a line, in a plane and in space, from few cycles and many. 120 tests each, judged by the
-/// exact binomial 99.9 % interval. The shape of the scatter is estimated, too: of five cycles it is more drawn out than the truth, and the interval wide.
+/// Intervals hold the true value in 95 % of all tests, for scatter along a line, in a plane and in space, from few cycles and many. 120 tests
+/// each, judged by the exact binomial 99.9 % interval. The shape of the scatter is estimated, too: for five cycles it looks more elongated than it
+/// is, and the interval is wide.
 #[test]
 fn intervals_hold_the_value_of_endless_cycles() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
@@ -119,7 +120,8 @@ fn intervals_hold_the_value_of_endless_cycles() {
     }
 }
 
-/// The radius holds the barycentre of endless cycles, and the distance with it also where the machine is right: in 95 % of the tests or more.
+/// The radius holds the barycentre of infinitely many cycles, and the distance with it also where the machine has no error, in 95 % of the tests or
+/// more.
 #[test]
 fn the_radius_holds_the_true_barycentre() {
     let mut rng = ChaCha8Rng::seed_from_u64(9);
@@ -132,7 +134,7 @@ fn the_radius_holds_the_true_barycentre() {
                 of_centre.count(ap.distance <= ap.radius);
             }
             assert!(of_centre.interval(0.999).1 > 0.95, "{sigmas:?} {cycles}: {of_centre:?}");
-            // Of 30 cycles it is not wider than it need be.
+            // For 30 cycles it is no wider than necessary.
             assert!(cycles == 3 || of_centre.interval(0.999).0 < 0.96, "{sigmas:?}: {of_centre:?}");
         }
     }
@@ -181,7 +183,7 @@ fn poses_lie_in_an_inclined_plane_of_the_cube() {
             for corner in &corners {
                 assert!((corner - p1).iter().all(|v| (v.abs() - 0.2).abs() < 1e-15), "{corner}");
             }
-            // Neighbours share an edge; the plane holds one horizontal axis and rises by 45 degrees along the other.
+            // Neighbouring corners share an edge; the plane holds one horizontal axis and rises by 45 degrees along the other.
             let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[1])).normalize();
             assert!(corners.iter().all(|p| (p - p1).dot(&normal).abs() < 1e-15));
             assert!((normal[up.0].abs() - 0.5_f64.sqrt()).abs() < 1e-15, "{normal}");
@@ -236,8 +238,8 @@ fn what_is_no_test_is_refused_with_its_poses() {
     assert!(refused(&moved, 0, None).contains("pose 1 was measured from stations"));
 }
 
-/// Scatter that is singular in a direction, and cycles that are as few as can be: the interval is wide, and holds its own value. Two cycles have `S_l` = 0
-/// whatever they scatter by, and give none.
+/// For scatter that is singular in a direction, and for the fewest possible cycles, the interval is wide and holds its own value. Two cycles
+/// have `S_l` = 0 whatever their scatter, and give no interval.
 #[test]
 fn few_cycles_give_a_wide_interval_and_two_cycles_none() {
     let far = [Vector3::zeros(), 2e-4 * Vector3::x(), 7e-4 * Vector3::x()];
@@ -256,8 +258,9 @@ fn few_cycles_give_a_wide_interval_and_two_cycles_none() {
     assert_eq!(band, ratio_band(&(4.0 * Matrix3::identity()), 30));
 }
 
-/// Scatter as stated is told from scatter of a machine beside it: of 300 tests of five poses no more than 3 (p = 3e-5 at a rate of 0.1 %) are outside of the
-/// band of 99.9 %, and twice the variance is in every one of 20. What is stated is exact, so that sums over poses are compared.
+/// Stated scatter is distinguished from additional scatter of a machine: of 300 tests of five poses, at most 3 (p = 3e-5 at a rate of
+/// 0.1 %) are outside the 99.9 % band, and twice the variance is found in each of 20 tests. The stated scatter is exact, so that sums over poses
+/// are compared.
 #[test]
 fn scatter_beyond_what_is_stated_is_found() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);

@@ -1,4 +1,4 @@
-//! The regressors that stand for a cause.
+//! The regressors that represent a cause.
 
 use std::f64::consts::TAU;
 
@@ -6,9 +6,9 @@ use nalgebra::{DVector, Vector3};
 
 use super::{Cause, PoseConditions, ResidualSet};
 
-/// Degree up to which a dependence on a command is followed: gravity's and a joint's once-a-turn errors are below it.
+/// Degree of the polynomials of a command: gravity's effects and a joint's once-per-turn errors are below it.
 const COMMAND_DEGREE: usize = 4;
-/// The same for time and temperature, whose effects are slower.
+/// Degree of the polynomials of time and temperature, whose effects are slower.
 const DRIFT_DEGREE: usize = 3;
 /// Harmonics of a motor's turn.
 const HARMONICS: usize = 2;
@@ -41,7 +41,7 @@ fn joints(set: &ResidualSet<'_>) -> usize {
     set.poses.iter().map(|pose| pose.command.len()).min().unwrap_or(0)
 }
 
-/// The cause's columns, whitened; zero in the rows of the priors.
+/// The regressors of a cause, whitened; zero in the rows of the priors.
 pub(super) fn regressors(set: &ResidualSet<'_>, cause: Cause) -> Vec<DVector<f64>> {
     let mut columns = Columns { set, columns: Vec::new() };
     match cause {
@@ -92,14 +92,14 @@ impl Columns<'_> {
         self.columns.push(rows.resize_vertically(self.set.residuals.len(), 0.0));
     }
 
-    /// A displacement of the target along each axis of the base.
+    /// Adds a displacement of the target along each axis of the base.
     fn along_axes(&mut self, values: &[f64]) {
         for axis in 0..3 {
             self.push(|i, _| Vector3::ith(axis, values[i]));
         }
     }
 
-    /// A displacement of an actuator; false where its effect on the target is unknown.
+    /// Adds a displacement of an actuator; false where its effect on the target is unknown.
     fn along_joint(&mut self, joint: usize, values: &[f64]) -> bool {
         let known = self.set.poses.iter().all(|pose| pose.sensitivity.len() > joint);
         if known {
@@ -108,8 +108,8 @@ impl Columns<'_> {
         known
     }
 
-    /// Drives that yield as they are loaded, by the work that the load does at the target; and what is in proportion to its size, such as a mount
-    /// that gives way.
+    /// Adds drives that yield under load, by the work that the load does at the target, and displacements in proportion to the load, such as
+    /// those of a mount that gives way.
     fn payload(&mut self, joints: usize) {
         let sizes: Vec<_> = self.set.poses.iter().map(|pose| pose.load.norm()).collect();
         self.along_axes(&sizes);
@@ -121,7 +121,7 @@ impl Columns<'_> {
         }
     }
 
-    /// A slow change of place, and growth about the base.
+    /// Adds a slow change of place, and growth about the base.
     fn drift(&mut self, variable: impl Fn(&PoseConditions<'_>) -> f64) {
         for (degree, values) in legendre(self.set, DRIFT_DEGREE, variable).iter().enumerate() {
             self.along_axes(values);
@@ -132,7 +132,7 @@ impl Columns<'_> {
     }
 }
 
-/// Legendre polynomials of degree 1 to `degree` of a variable, scaled to -1..1 over the set; none where it does not vary.
+/// Legendre polynomials of degree 1 to `degree` of a variable that is scaled to -1..1 over the set; empty where it does not vary.
 fn legendre(
     set: &ResidualSet<'_>,
     degree: usize,

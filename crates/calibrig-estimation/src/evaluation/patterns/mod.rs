@@ -1,10 +1,9 @@
-//! What shape the residuals have: against every command, the motors' turns, the approach, the payload, the time, the temperature, and from pose to
-//! pose.
+//! Tests the shape of the residuals: against every command, the motors' turns, the approach, the payload, the time, the temperature, and from
+//! pose to pose.
 //!
-//! A model that lacks nothing leaves residuals that depend on none of these. Each cause is a group of regressors; its test is the F test of
-//! the fitted model against the same model with the group added (to first order), and so knows what the parameters have already absorbed.
-//! The strongest cause is taken into the model before the next is looked for, so that it is not found again under the names of its
-//! neighbours.
+//! A complete model leaves residuals that depend on none of these. Each cause is a group of regressors; its test is the F test of the fitted
+//! model against the same model with the group added (to first order), and so accounts for what the parameters have already absorbed.
+//! The strongest cause is added to the model before the next is sought, so that it is not found again under the names of related causes.
 
 mod basis;
 mod regression;
@@ -22,44 +21,44 @@ use self::regression::ProjectedResidual;
 use self::serial::serial_correlation;
 use crate::identification::Whitening;
 
-/// What was set and known at one observation.
+/// The conditions of one observation, set or known.
 #[derive(Debug, Clone, Copy)]
 pub struct PoseConditions<'a> {
     /// Actuator commands, m or rad.
     pub command: &'a [f64],
     /// Sign of each actuator's last motion, 0 where unknown.
     pub approach: &'a [i8],
-    /// Since the session began, s.
+    /// Time since the session began, s.
     pub time: f64,
-    /// °C, where known.
+    /// Temperature, °C, where known.
     pub temperature: Option<f64>,
     /// The target in the base frame, m.
     pub position: Vector3<f64>,
-    /// Derivative of that place with respect to every actuator, m/m or m/rad; empty where unknown. It makes the tests sharp for errors of
-    /// a transmission, whose direction changes with the pose.
+    /// Derivative of the target's position with respect to every actuator, m/m or m/rad; empty where unknown. With it, the tests are sharp
+    /// for errors of a transmission, whose direction changes with the pose.
     pub sensitivity: &'a [Vector3<f64>],
-    /// What the payload pulls with, in the base frame, N; zero where the flange carries none.
+    /// Force of the payload in the base frame, N; zero where the flange carries none.
     pub load: Vector3<f64>,
     /// Number of the pose: its observations share its errors.
     pub pose: u32,
-    /// What was seen, and from where: target and station.
+    /// Indices of the target and of the station.
     pub seen: (usize, usize),
 }
 
-/// Residuals at the minimum and all that they may depend on.
+/// Residuals at the minimum, and everything that they may depend on.
 #[derive(Debug, Clone, Copy)]
 pub struct ResidualSet<'a> {
-    /// Whitened residuals: three an observation in the order of `poses`, then those of the priors, if any.
+    /// Whitened residuals: three per observation in the order of `poses`, then those of the priors, if any.
     pub residuals: &'a DVector<f64>,
-    /// Their derivatives with respect to the fitted parameters (as many rows); no columns for a set that was not fitted.
+    /// Derivatives of the residuals with respect to the fitted parameters (as many rows); without columns for a set that was not fitted.
     pub jacobian: &'a DMatrix<f64>,
-    /// Rows, the first ones, whose size tells the noise: observations, nests and targets, but not the other priors.
+    /// Number of rows, the first ones, whose size determines the noise: observations, nests and targets, but not the other priors.
     pub measured_rows: usize,
-    /// What the fit leaves of them: rows less the trace of their part of the hat matrix.
+    /// Degrees of freedom of these rows: their number less the trace of their part of the hat matrix.
     pub freedom: f64,
-    /// Takes displacements to the rows of the observations.
+    /// Maps displacements to the rows of the observations.
     pub whitening: &'a Whitening,
-    /// One an observation.
+    /// One entry per observation.
     pub poses: &'a [PoseConditions<'a>],
     /// Names of the actuators.
     pub joint_names: &'a [String],
@@ -74,24 +73,24 @@ pub struct ResidualSet<'a> {
 pub enum Cause {
     /// The same displacement at every pose.
     Constant,
-    /// The command of an actuator, slowly: polynomials of low degree.
+    /// Slow dependence on the command of an actuator: polynomials of low degree.
     Joint(usize),
-    /// The angle of a motor: once and twice a turn.
+    /// Angle of a motor: once and twice a turn.
     MotorTurn(usize),
-    /// The direction from which an actuator came.
+    /// Direction from which an actuator came.
     Approach(usize),
-    /// What the flange carries.
+    /// Load of the flange.
     Payload,
-    /// The time since the session began.
+    /// Time since the session began.
     Time,
-    /// The temperature.
+    /// Temperature.
     Temperature,
     /// The observation before.
     Sequence,
 }
 
 impl Cause {
-    /// In words, behind "the residual".
+    /// The cause in words, to follow "the residual".
     pub fn describe(self, joint_names: &[String]) -> String {
         let name = |joint: usize| joint_names.get(joint).map_or("an unnamed joint", String::as_str);
         match self {
@@ -121,29 +120,29 @@ impl Cause {
     }
 }
 
-/// A dependence that chance does not explain.
+/// A dependence of the residuals that chance does not explain.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ResidualPattern {
-    /// On what.
+    /// What the residuals depend on.
     pub cause: Cause,
-    /// In words, behind "the residual".
+    /// The dependence in words, to follow "the residual".
     pub description: String,
-    /// Natural logarithm of the p-value, corrected for the number of causes looked at.
+    /// Natural logarithm of the p-value, corrected for the number of causes that were tested.
     pub ln_p: f64,
-    /// Largest displacement that the pattern shows in the residuals, m; what the parameters have absorbed of it is not in here.
+    /// Largest displacement that the pattern shows in the residuals, m, without the part that the parameters have absorbed.
     pub peak: f64,
-    /// Share of the residuals' weighted sum of squares.
+    /// Share of the residuals' weighted sum of squares that the pattern explains.
     pub share: f64,
 }
 
-/// All dependences that were looked for, and those found.
+/// The dependences that were tested, and those that were found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PatternReport {
-    /// In the order of their strength.
+    /// Patterns found, in the order of their strength.
     pub patterns: Vec<ResidualPattern>,
-    /// Every cause that could be tested, with the natural logarithm of its own p-value, not corrected, before any pattern was taken out.
+    /// Every cause that could be tested, with the natural logarithm of its own uncorrected p-value before any pattern was removed.
     pub tested: Vec<(Cause, f64)>,
-    /// Correlation of the whitened residuals of one observation and the next, after the patterns were taken out.
+    /// Correlation of the whitened residuals of one observation and the next, after the patterns were removed.
     pub serial_correlation: Option<f64>,
 }
 
@@ -163,9 +162,9 @@ impl fmt::Display for ResidualPattern {
     }
 }
 
-/// Looks for patterns at the family-wise error rate `level` (such as 0.001): the probability to find any in residuals that have none.
+/// Looks for patterns at the family-wise error rate `level` (such as 0.001): the probability of finding any in residuals that have none.
 ///
-/// `None` where the residuals leave no degree of freedom or do not belong together.
+/// `None` where the residuals leave no degree of freedom, or the parts of `set` do not fit together.
 pub fn find_patterns(set: &ResidualSet<'_>, level: f64) -> Option<PatternReport> {
     let rows = set.residuals.len();
     let observations = set.poses.len();
@@ -190,7 +189,7 @@ pub fn find_patterns(set: &ResidualSet<'_>, level: f64) -> Option<PatternReport>
             }
         }
         let Some((place, test)) = best else { break };
-        // Holm's correction: as many as are still open, the sequence included.
+        // Holm's correction, by the number of causes that are still open, the sequence included.
         let ln_p = (test.ln_p + (open.len() as f64 + 1.0).ln()).min(0.0);
         if !(ln_p < level.ln()) {
             break;

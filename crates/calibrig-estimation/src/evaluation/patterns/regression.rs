@@ -1,36 +1,36 @@
-//! The F test of a group of columns that is added to a fitted model.
+//! The F test of a group of columns added to a fitted model.
 
 use nalgebra::DVector;
 
 use super::ResidualSet;
 use calibrig_model::statistics::f_ln_survival;
 
-/// A column of which less than this fraction is outside of the span of the others says nothing new.
+/// A column adds nothing new if less than this fraction of it is outside the span of the others.
 const NEGLIGIBLE: f64 = 1e-6;
 
 /// The part of a residual vector that is orthogonal to the model's columns.
 #[derive(Debug, Clone)]
 pub(super) struct ProjectedResidual {
-    /// Orthonormal columns of the model.
+    /// Orthonormal basis of the model's columns.
     basis: Vec<DVector<f64>>,
     residual: DVector<f64>,
-    /// Rows whose size tells the noise, and their degrees of freedom.
+    /// Number of rows whose size determines the noise, and their degrees of freedom.
     measured_rows: usize,
     freedom: f64,
 }
 
-/// What a group explains.
+/// The test of a group of columns.
 #[derive(Debug, Clone)]
 pub(super) struct GroupTest {
     /// Natural logarithm of the p-value.
     pub ln_p: f64,
-    /// Its part of the residuals, whitened.
+    /// The part of the whitened residuals that the group explains.
     pub fitted: DVector<f64>,
     columns: Vec<DVector<f64>>,
 }
 
 impl ProjectedResidual {
-    /// `None` where the model leaves no degree of freedom or something is not a finite number.
+    /// `None` where the model leaves no degree of freedom or a number is not finite.
     pub fn new(set: &ResidualSet<'_>) -> Option<Self> {
         let (measured_rows, freedom) = (set.measured_rows, set.freedom);
         let mut this = Self { basis: Vec::new(), residual: set.residuals.clone(), measured_rows, freedom };
@@ -47,7 +47,7 @@ impl ProjectedResidual {
         self.residual.rows(0, self.measured_rows).norm_squared()
     }
 
-    /// Priors that hold what the data do not tell cost none.
+    /// Parameters that rest on their priors cost no degree of freedom.
     pub fn degrees_of_freedom(&self) -> f64 {
         self.freedom
     }
@@ -77,7 +77,7 @@ impl ProjectedResidual {
             fitted.axpy(column.dot(&self.residual), column, 1.0);
         }
         let explained = fitted.norm_squared();
-        // By difference of vectors: the sums of squares cancel where the group explains all.
+        // By the difference of vectors: the difference of sums of squares cancels where the group explains all.
         let rest = (&self.residual - &fitted).rows(0, self.measured_rows).norm_squared();
         let (d1, d2) = (added.len() as f64, left);
         let ln_p = f_ln_survival(explained / d1 / (rest / d2), d1, d2);
@@ -98,14 +98,14 @@ impl ProjectedResidual {
     }
 }
 
-/// The unit vector of what `column` has outside of the orthonormal `bases`.
+/// The unit vector of the part of `column` outside the orthonormal `bases`.
 fn orthonormal(bases: &[&[DVector<f64>]], column: &DVector<f64>) -> Option<DVector<f64>> {
     let norm = column.norm();
     if !(norm > 0.0 && norm.is_finite()) {
         return None;
     }
     let mut rest = column / norm;
-    // Twice: once leaves rounding errors as large as what was taken out.
+    // Twice, since a single pass leaves rounding errors as large as what it removed.
     for _ in 0..2 {
         for direction in bases.iter().copied().flatten() {
             rest.axpy(-direction.dot(&rest), direction, 1.0);

@@ -14,8 +14,8 @@ pub(super) struct SerialCorrelation {
     pub ln_p: f64,
 }
 
-/// In the order of time. Mean and variance under independence are exact for the residuals of a fit, which are correlated by the fit
-/// itself; the tail is taken as normal.
+/// Tests pairs in the order of time. Mean and variance under independence are exact for the residuals of a fit, which the fit itself
+/// correlates; the tail is taken as normal.
 ///
 /// Source: J. Durbin, G. S. Watson, "Testing for serial correlation in least squares regression I", Biometrika 37 (1950), 409-428.
 pub(super) fn serial_correlation(
@@ -26,7 +26,7 @@ pub(super) fn serial_correlation(
     if pairs.len() < 2 {
         return None;
     }
-    // L couples every coordinate with that of the pose before and behind: half of each product.
+    // L couples every coordinate with those of the poses before and after: half of each product.
     let neighbours = |v: &DVector<f64>| {
         let mut sum = DVector::zeros(v.len());
         for (one, other) in &pairs {
@@ -60,8 +60,8 @@ pub(super) fn serial_correlation(
     Some(SerialCorrelation { correlation: ratio - mean, ln_p })
 }
 
-/// Pairs of observations of the same target from the same station at one pose and the next, in the order of time. Observations of one pose
-/// share its errors, and are no neighbours of each other.
+/// Pairs of observations of the same target from the same station at one pose and the next, in the order of time. Observations of one
+/// pose share its errors, and are not counted as neighbours of each other.
 fn neighbours(observations: &[PoseConditions<'_>]) -> Vec<(usize, usize)> {
     let mut order: Vec<usize> = (0..observations.len()).collect();
     order.sort_by(|a, b| observations[*a].time.total_cmp(&observations[*b].time));

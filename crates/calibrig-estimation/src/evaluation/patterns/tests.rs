@@ -13,7 +13,7 @@ use calibrig_model::statistics::binomial_cdf;
 const JOINTS: usize = 4;
 const SIGMA: f64 = 20e-6;
 
-/// A pan, two arms and a rail: enough of a robot for residuals.
+/// A pan, two arms and a rail: enough of a robot to have residuals.
 fn position(rail: f64, pan: f64, shoulder: f64, elbow: f64) -> Vector3<f64> {
     let reach = 1.3 * shoulder.cos() + 0.9 * (shoulder + elbow).cos();
     Vector3::new(
@@ -28,7 +28,7 @@ struct Session {
     approaches: Vec<[i8; JOINTS]>,
     sensitivities: Vec<[Vector3<f64>; JOINTS]>,
     whitening: Whitening,
-    /// Three rows a pose, then one a parameter for its prior.
+    /// Three rows per pose, then one per parameter for its prior.
     jacobian: DMatrix<f64>,
     names: Vec<String>,
 }
@@ -92,7 +92,7 @@ fn session(poses: usize, rng: &mut ChaCha8Rng) -> Session {
 }
 
 impl Session {
-    /// What the fit leaves of unit noise and of `effect`, a displacement of every pose, m.
+    /// Residuals of the fit from unit noise and `effect`, a displacement of every pose, m.
     fn residuals(&self, rng: &mut ChaCha8Rng, effect: impl Fn(usize) -> Vector3<f64>) -> DVector<f64> {
         let mut errors =
             DVector::from_fn(self.jacobian.nrows(), |_, _| -> f64 { StandardNormal.sample(rng) });
@@ -103,7 +103,7 @@ impl Session {
         errors - &self.jacobian * x
     }
 
-    /// Nothing, 25 and 50 kg in turn, N.
+    /// No load, 25 kg and 50 kg in turn, N.
     fn load(i: usize) -> Vector3<f64> {
         Vector3::new(0.0, 0.0, -245.0) * [0.0, 1.0, 2.0][i % 3]
     }
@@ -153,7 +153,7 @@ impl Session {
     }
 }
 
-/// Against two complete least squares fits by another route (normal equations of the stacked system).
+/// Against two complete least squares fits computed in another way (normal equations of the stacked system).
 #[test]
 fn the_test_is_the_f_test_of_two_fits() {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
@@ -183,7 +183,7 @@ fn the_test_is_the_f_test_of_two_fits() {
     assert!((found.fitted.norm_squared() - (without - with)).abs() < 1e-8);
 }
 
-/// Noise alone: every cause has the stated p-values, and the family finds something as seldom as promised.
+/// From noise alone, every cause has the stated p-values, and the family of tests finds something no more often than promised.
 #[test]
 fn noise_has_no_pattern() {
     let mut rng = ChaCha8Rng::seed_from_u64(2);
@@ -211,14 +211,14 @@ fn noise_has_no_pattern() {
     }
     assert_eq!(small.len(), 1 + 4 + 3 + 4 + 1 + 1, "{small:?}");
     for (cause, count) in small {
-        // Binomial(600, 0.1), two tails of 0.01 % a cause.
+        // Binomial(600, 0.1), two tails of 0.01 % per cause.
         let (few, many) = (binomial_cdf(count, trials, 0.1), binomial_cdf(count - 1, trials, 0.1));
         assert!(few > 1e-4 && many < 1.0 - 1e-4, "{cause:?}: {count} of {trials}");
     }
     assert!(binomial_cdf(found - 1, trials, 0.05) < 0.999, "{found} of {trials}");
 }
 
-/// One effect of three sigma at its peak, or less, at a time: found, named, and sized.
+/// One effect at a time, of three sigma at its peak or less: it is found, named, and sized.
 #[test]
 fn one_effect_is_named() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
@@ -242,7 +242,7 @@ fn one_effect_is_named() {
         (
             Cause::Payload,
             "varies with the payload",
-            // A drive that yields, of which the model knows nothing.
+            // A drive that yields and is not in the model.
             Box::new(|i| {
                 let shoulder = session.sensitivities[i][2];
                 15e-6 / 490.0 * shoulder.dot(&Session::load(i)) * shoulder
@@ -283,7 +283,7 @@ fn one_effect_is_named() {
         assert_eq!(report.patterns.len(), 1, "{:#?}", report.patterns);
         let poses = session.poses();
         let check = check_consistency(&session.set(&residuals, &poses), session.size(&residuals), 0.001);
-        // Also where the size of the residuals alone does not tell yet.
+        // Also where the size of the residuals alone does not show it yet.
         assert!(!check.is_consistent(), "{check}");
         assert!(check.to_string().contains(&format!("\nthe residual {words} (p = ")), "{check}");
     }
@@ -307,7 +307,7 @@ fn memory_of_the_pose_before_is_found_where_nothing_else_explains_it() {
     assert!(last.to_string().starts_with("the residual resembles that of the pose before (p = "), "{last}");
 }
 
-/// The moments of the serial correlation, by drawing: the exact mean and variance hold for the residuals of a fit.
+/// The moments of the serial correlation from random draws: the exact mean and variance hold for the residuals of a fit.
 #[test]
 fn serial_correlation_of_noise_is_standard() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);

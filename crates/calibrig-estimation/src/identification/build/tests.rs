@@ -1,4 +1,4 @@
-//! Which compliances are fitted, from a stiffness that is stated well, badly, or not at all; and masses that are known so well.
+//! Which compliances are fitted for a stiffness that is stated well, badly, or not at all; and masses that are known with an uncertainty.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -20,7 +20,7 @@ use calibrig_model::{
     Body, BodyUncertainty, CalibrationModel, Compliance, CraigLink, ParameterId, StaticProperties, TermId,
 };
 
-/// m
+/// Standard deviation of a coordinate, m.
 const NOISE: f64 = 20e-6;
 
 fn drive(joint: usize) -> ParameterId {
@@ -31,7 +31,7 @@ fn body(mass: f64, centre: [f64; 3]) -> Body {
     Body { mass, centre_of_mass: Vector3::from(centre), inertia: Matrix3::identity() * 0.1 }
 }
 
-/// A waist and two parallel axes with drives of `stiffness`, N m/rad: they sag by half a millimetre at 2e4.
+/// A waist and two parallel axes with drives of `stiffness`, N m/rad: with 2e4 they sag by half a millimetre.
 fn three_axes(stiffness: f64) -> CalibrationModel {
     let link = |name, a, alpha, d| CraigLink::revolute(name).row(a, alpha, d, 0.0).limits(-PI, PI);
     let mut robot = CalibrationModel::new(vec![
@@ -75,7 +75,7 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
     StandardNormal.sample(rng)
 }
 
-/// Readings of a machine from a tracker of unknown place, with [`NOISE`], whose covariance is `stated` or not.
+/// Readings of a machine from a tracker at an unknown place, with [`NOISE`], whose covariance is `stated` or not.
 fn measured(
     machine: &CalibrationModel,
     poses: u32,
@@ -128,7 +128,7 @@ fn measured(
     }
 }
 
-/// The three axes with drives that yield `softer` times as much as those of 2e4 N m/rad over what is stated.
+/// The three axes with drives whose stiffness is 2e4 N m/rad, where `stated` is known of it.
 fn sagging(stated: Option<f64>) -> MeasurementSet {
     measured(&three_axes(2e4), 60, 1.2, stated, &mut stream(3, 0, Source::IdentificationNoise))
 }
@@ -156,7 +156,7 @@ fn words(estimate: &Estimate) -> String {
     estimate.warnings.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n")
 }
 
-/// Drives ten times softer than stated, whether the noise is stated or has to be told from residuals that the sag is in.
+/// Drives ten times softer than stated, whether the noise is stated or has to be found from residuals that contain the sag.
 #[test]
 fn drives_that_are_much_softer_than_stated_are_fitted_all_of_them() {
     for stated in [None, Some(NOISE)] {
@@ -166,19 +166,19 @@ fn drives_that_are_much_softer_than_stated_are_fitted_all_of_them() {
             let (value, sigma) = found(&estimate, drive(joint));
             assert!((value - 9.0).abs() < 4.0 * sigma && sigma < 1.0, "{joint}: {value} +- {sigma}");
         }
-        // Three coordinates of the noise, less what 17 parameters take.
+        // Three coordinates of the noise, less the share that 17 parameters take.
         let expected = NOISE * (3.0_f64 - 17.0 / 60.0).sqrt();
         let ratio = rms(&estimate, &set) / expected;
         assert!((ratio - 1.0).abs() < 0.2, "{ratio}");
         assert!(estimate.is_sound(), "{}", words(&estimate));
-        // The waist turns about the vertical.
+        // The waist turns about the vertical axis.
         let [left] = estimate.left_out.as_slice() else { panic!("{:?}", estimate.left_out) };
         assert!(left.id == drive(0) && matches!(left.reason, LeftOutReason::Unloaded { .. }));
         assert!(left.reason.to_string().contains("hardly loads it"), "{}", left.reason);
     }
 }
 
-/// What was named stays, and is said to be its prior's only where it is: by what the fit tells, not by the drive that was assumed.
+/// Named compliances are kept, and are reported to rest on their priors only if they do: judged by the fit, not by the assumed drive.
 #[test]
 fn advice_to_leave_a_drive_out_goes_by_what_the_fit_tells_of_it() {
     let listed = |joints: &[usize]| {
@@ -212,14 +212,14 @@ fn an_unknown_stiffness_is_found_from_far_off_on_either_side() {
             let (ratio, truth) = ((1.0 + value) / factor, 1.0);
             assert!((ratio - truth).abs() < 4.0 * sigma / factor, "{factor}, {joint}: {ratio}");
             let (same, _) = found(&reference, drive(joint));
-            // The prior alone differs, and says little.
+            // Only the prior differs, and it is weak.
             assert!((ratio - 1.0 - same).abs() < 0.02, "{factor}, {joint}: {ratio} {same}");
         }
         assert!(estimate.assumptions.contains(&Assumption::StiffnessUnknown));
     }
 }
 
-/// The prior keeps the drives stiff, so that their sag looks like noise: it must not hide that the prior is wrong.
+/// The prior keeps the drives stiff, so that their sag looks like noise: this must not hide that the prior is wrong.
 #[test]
 fn a_stiffness_stated_a_hundred_times_too_high_is_told_with_what_to_do() {
     for stated in [None, Some(NOISE)] {
@@ -235,13 +235,13 @@ fn a_stiffness_stated_a_hundred_times_too_high_is_told_with_what_to_do() {
         }
         for contradiction in &estimate.contradicted {
             let Stated::Parameter { id, found, prior_sigma, .. } = contradiction.stated else { continue };
-            // To first order from where the prior left it.
+            // To first order from where the prior kept it.
             assert!((found / 99.0 - 1.0).abs() < 0.15 && prior_sigma == 1.0, "{id}: {found}");
         }
     }
 }
 
-/// As above with a prior that is not loose, by eleven of its standard deviations, while the noise is stated six times too well.
+/// As above with a tight prior, violated by eleven of its standard deviations, while the noise is stated six times too small.
 #[test]
 fn a_prior_that_is_violated_by_far_is_told_although_the_model_is_doubted() {
     let set = sagging(Some(NOISE / 6.0));
@@ -275,7 +275,7 @@ fn terms_that_nothing_measured_acts_on_are_left_out() {
     assert_eq!(with.robot.terms.len(), 3);
 }
 
-/// Machines drawn as stated: links, compliances, and masses and centres of which the estimator knows the drawing.
+/// Machines drawn as stated: links, compliances, and masses and centres of which the estimator knows the nominal values.
 #[test]
 fn intervals_of_compliances_hold_where_masses_and_centres_are_uncertain() {
     let trials: u32 = if std::env::var_os("CALIBRIG_FULL").is_some() { 500 } else { 60 };
@@ -319,7 +319,7 @@ fn intervals_of_compliances_hold_where_masses_and_centres_are_uncertain() {
         "{trials} trials, inside 95 %: with the uncertainty stated {:?}, taken as exact {:?}",
         held[0], held[1]
     );
-    // Each within the band of 99.9 % for all four.
+    // Each within the 99.9 % band for all four together.
     let tail = 0.5e-3 / 4.0;
     let n = u64::from(trials);
     let is_inside = |hits: &u64| {

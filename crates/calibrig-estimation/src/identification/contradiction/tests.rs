@@ -1,4 +1,4 @@
-//! The test against leaving out and refitting, its level, and what an estimate says of it.
+//! Compares the test with leaving out and refitting, and checks its level, and what an estimate reports.
 
 use nalgebra::Vector3;
 use rand::SeedableRng;
@@ -19,7 +19,7 @@ fn normal(rows: usize, columns: usize, rng: &mut ChaCha8Rng) -> DMatrix<f64> {
     DMatrix::from_fn(rows, columns, |_, _| StandardNormal.sample(rng))
 }
 
-/// Whitened data above a prior a parameter; the data tell little, so that priors count.
+/// Whitened data above one prior per parameter; the data are weak, so that the priors count.
 fn system(rng: &mut ChaCha8Rng) -> DMatrix<f64> {
     let mut jacobian = normal(DATA + PARAMETERS, PARAMETERS, rng);
     jacobian *= 0.3;
@@ -53,7 +53,7 @@ fn a_wrong_prior_is_told_with_what_a_fit_without_it_finds() {
         let outcasts = family(&jacobian, &errors).outcasts(1e-3 / 4.0);
         let [outcast] = outcasts.as_slice() else { panic!("{} of one", outcasts.len()) };
         assert_eq!((outcast.group, outcast.freedom), (group, rows.len()));
-        // The same from the system without these rows.
+        // The result from the system without these rows.
         let kept: Vec<_> =
             (0..DATA + PARAMETERS).filter(|row| !(*row >= DATA && rows.contains(&(row - DATA)))).collect();
         let (rest, right) = (jacobian.select_rows(&kept), errors.select_rows(&kept));
@@ -77,7 +77,7 @@ fn a_wrong_prior_is_told_with_what_a_fit_without_it_finds() {
     }
 }
 
-/// The tests of the groups depend on each other, so that Bonferroni's level is kept and not used up; that of a single group is exact.
+/// The tests of the groups depend on each other, so that Bonferroni's level is kept but not reached; that of a single group is exact.
 #[test]
 fn sound_priors_are_named_as_seldom_as_the_level_says() {
     const LEVEL: f64 = 0.05;
@@ -97,13 +97,13 @@ fn sound_priors_are_named_as_seldom_as_the_level_says() {
     let cdf = |hits: u32| binomial_cdf(u64::from(hits), u64::from(DRAWS), LEVEL);
     assert!(cdf(any) < 0.9995, "{any}");
     assert!((5e-4..1.0 - 5e-4).contains(&cdf(first)), "{first}");
-    // Far from never, too: four tests at a quarter of the level, positively correlated but not one.
+    // Nor too rarely: four tests at a quarter of the level, positively correlated but not identical.
     assert!(f64::from(any) > 0.5 * LEVEL * f64::from(DRAWS), "{any}");
 }
 
 #[test]
 fn what_the_rest_cannot_tell_apart_is_named_together_and_what_it_tells_nothing_of_is_not() {
-    // The data tell the sum of the first two, and nothing of the third.
+    // The data determine the sum of the first two, and nothing of the third.
     let mut jacobian = DMatrix::zeros(DATA + PARAMETERS, PARAMETERS);
     for row in 0..DATA {
         jacobian[(row, 0)] = 10.0;
@@ -195,12 +195,12 @@ fn an_estimate_names_a_nest_and_a_target_that_are_not_where_they_were_stated() {
     let [told] = estimate.contradicted.as_slice() else { panic!("{:?}", estimate.warnings) };
     let Stated::Target { target, length } = &told.stated else { panic!("{told}") };
     assert_eq!(target, "S1");
-    // Errors of the last links do what some of its directions do, so that the rest tells but a part of the millimetre.
+    // Errors of the last links can replace it in some directions, so that only part of the millimetre is found.
     assert!((3e-4..1.2e-3).contains(length) && told.freedom < 3, "{told}");
     assert!(told.to_string().contains("at least"), "{told}");
 }
 
-/// The base as the nests have it is turned by 1 mrad about each axis.
+/// The base as the nests give it is turned by 1 mrad about each axis.
 #[test]
 fn a_tracker_that_moved_after_its_nests_were_measured_is_told() {
     let nominal = painter();
@@ -211,28 +211,28 @@ fn a_tracker_that_moved_after_its_nests_were_measured_is_told() {
         ));
         nest.in_base = turned.transform_point(&nest.in_base.into()).coords;
     }
-    // Few link parameters, so that these cannot stand in for it.
+    // Few link parameters, so that they cannot replace it.
     let options = IdentificationOptions {
         parameters: crate::identification::ParameterChoice::Listed(Vec::new()),
         ..elastic(0.1)
     };
     let estimate = identify(&nominal, &set, &options).expect("an estimate");
     let told: Vec<_> = estimate.warnings.iter().map(ToString::to_string).collect();
-    // Nothing else is wrong: the readings' own noise explains the residuals but for the nests.
+    // Nothing else is wrong: apart from the nests, the readings' own noise explains the residuals.
     assert!(!estimate.is_sound() && estimate.contradicted.len() == 1, "{told:?}");
     let words = estimate.contradicted[0].to_string();
     assert!(
         words.contains("the nests of station T1 (they put the base ") && words.contains("1.73 mrad"),
         "{words}"
     );
-    // What the model lacks is taken up by a shift of the base as well: then that is not held against the estimate.
+    // A shift of the base also absorbs what the model lacks: then it is not held against the estimate.
     let lacking = IdentificationOptions { mode: Mode::OnlyCalibration, ..options };
     let estimate = identify(&nominal, &set, &lacking).expect("an estimate");
     let told: Vec<_> = estimate.warnings.iter().map(ToString::to_string).collect();
     assert!(estimate.contradicted.iter().all(|c| !matches!(c.stated, Stated::Nests { .. })), "{told:?}");
 }
 
-/// Gravity is in the data and not in the model, and links are off by four times their stated tolerance: both are told.
+/// The data contain gravity, the model does not, and links are off by four times their stated tolerance: both are reported.
 #[test]
 fn where_the_model_itself_does_not_fit_priors_are_tested_in_the_noise_that_it_leaves() {
     let nominal = painter();

@@ -1,8 +1,8 @@
-//! Gross errors one after the other: the reading that a displacement of its own explains best, as long as that is more than chance.
+//! Finds gross errors one at a time: the reading that is best explained by its own displacement, as long as that is more than chance.
 //!
-//! A displacement of a reading is three more columns of the system, which is the same as leaving the reading out, and holds as well where
-//! readings of one pose depend on each other: there what one of them is off by is in the rows of the others (R. D. Cook, S. Weisberg, "Residuals
-//! and Influence in Regression", 1982, section 2.2.2, the mean-shift model; its F test is exact where the noise is normal, from few poses on).
+//! A displacement of a reading adds three columns to the system, which is the same as leaving the reading out. It also works where readings of
+//! one pose depend on each other, so that the error of one is in the rows of the others (R. D. Cook, S. Weisberg, "Residuals
+//! and Influence in Regression", 1982, section 2.2.2, the mean-shift model; its F test is exact for normal noise, even with few poses).
 
 use std::ops::Range;
 
@@ -12,7 +12,7 @@ use super::super::factor::triangular_factor_of_all;
 use super::{EXTRAPOLATED, FALSE_ALARM, Fitted, GrossError, LEAST, LinearFit, MOST};
 use calibrig_model::statistics::f_ln_survival;
 
-/// Degrees of freedom that a scale needs.
+/// Fewest degrees of freedom that determine a scale.
 const LEAST_FREEDOM: f64 = 6.0;
 const MOST_NAMED: usize = 20;
 
@@ -22,21 +22,21 @@ struct Shifted {
     /// S with `S Sᵀ` the covariance of parameters and displacements.
     spread: DMatrix<f64>,
     jacobian: DMatrix<f64>,
-    /// Sum of squares of the readings' rows, and its degrees of freedom.
+    /// Sum of squares of the residuals in the readings' rows, and its degrees of freedom.
     squares: f64,
     freedom: f64,
 }
 
-/// What a displacement of a reading explains.
+/// Effect of a displacement of a reading.
 struct Explained {
-    /// By how much the sum of squares falls.
+    /// Decrease of the sum of squares.
     square: f64,
-    /// The same where the model may lack something.
+    /// The decrease if the model may lack something.
     cautious: f64,
 }
 
 impl LinearFit<'_> {
-    /// The gross errors, in the order of the observations. `spread` is that of the fit.
+    /// The gross errors, in the order of the observations. `spread` belongs to the fit.
     pub(super) fn shifted(&self, spread: &DMatrix<f64>) -> Vec<GrossError> {
         if !self.weights.is_empty() {
             return Vec::new();
@@ -62,7 +62,7 @@ impl LinearFit<'_> {
         self.confirmed(named, &now)
     }
 
-    /// Whether the reading that explains most by itself is one, in a fit where all weigh alike and none depends on another.
+    /// Whether the reading that explains most on its own is a gross error, in a fit where all readings are independent and have the same weight.
     pub(super) fn has_one(&self, fit: &Fitted) -> bool {
         let Some(worst) = fit.left_out.iter().max_by(|a, b| a.square.total_cmp(&b.square)) else {
             return false;
@@ -74,7 +74,7 @@ impl LinearFit<'_> {
         }
     }
 
-    /// Those that are still gross errors beside the others.
+    /// The readings that are still gross errors beside the others.
     fn confirmed(&self, named: Vec<usize>, now: &Shifted) -> Vec<GrossError> {
         let n = self.jacobian.ncols();
         if named.is_empty() || now.spread.nrows() != n + 3 * named.len() {
@@ -112,7 +112,7 @@ impl LinearFit<'_> {
         (squares / freedom).max(least)
     }
 
-    /// The rows of a reading's pose, and what a displacement of the reading does to them.
+    /// The rows of a reading's pose, and the effect of a displacement of the reading on them.
     fn pose_of(&self, observation: usize) -> (Vec<usize>, Option<(&DMatrix<f64>, usize)>) {
         let joined = self.joined.iter().find_map(|(pose, whitening)| {
             let place = pose.iter().position(|other| *other == observation)?;
@@ -127,7 +127,7 @@ impl LinearFit<'_> {
         }
     }
 
-    /// What a displacement of a reading does to the rows of its pose.
+    /// The effect of a displacement of a reading on the rows of its pose.
     fn columns(&self, observation: usize) -> DMatrix<f64> {
         match self.pose_of(observation).1 {
             Some((whitening, place)) => whitening.columns(3 * place, 3).into_owned(),
@@ -145,9 +145,9 @@ impl LinearFit<'_> {
         let left = &alone - fitted.tr_mul(&fitted);
         let three = |matrix: &DMatrix<f64>| -> Matrix3<f64> { matrix.fixed_view::<3, 3>(0, 0).into_owned() };
         let against: Vector3<f64> = against.fixed_rows::<3>(0).into_owned();
-        // What determines a direction by itself says nothing against itself there.
+        // A reading that alone determines a direction cannot be tested in that direction.
         let covariance = (three(&left) + three(&alone) * 1e-9).try_inverse()?;
-        // Less is predicted than was measured.
+        // The sign is that of predicted minus measured.
         let shift = covariance * against;
         let square = against.dot(&shift);
         let cautious = cautious(&shift, &covariance, &three(&alone))?;
@@ -169,7 +169,7 @@ impl LinearFit<'_> {
         for (place, observation) in named.iter().enumerate() {
             let columns = self.columns(*observation);
             for (row, own) in self.pose_of(*observation).0.into_iter().zip(columns.row_iter()) {
-                // Less is left where the displacement is taken off.
+                // The displacement reduces the residual, hence the sign.
                 system.view_mut((row, n + 3 * place), (1, 3)).copy_from(&-own);
             }
         }
@@ -186,10 +186,10 @@ impl LinearFit<'_> {
         is_finite.then(|| self.judged(residuals, spread, jacobian))
     }
 
-    /// The displacement of the reading named at `place`, in standard deviations of the reading by itself: its residual without it.
+    /// The displacement of the reading named at `place`, in the reading's own standard deviations: its residual in a fit without it.
     fn shift(&self, now: &Shifted, place: usize) -> Option<Vector3<f64>> {
         let n = self.jacobian.ncols();
-        // The step is what takes the residuals of the fit to those of now.
+        // The step is what changes the residuals of the fit into the current ones.
         let change = &now.residuals - self.residuals;
         let step = now.spread.clone() * now.spread.tr_mul(&now.jacobian.tr_mul(&change));
         let shift: Vector3<f64> = step.fixed_rows::<3>(n + 3 * place).into_owned();
@@ -197,8 +197,8 @@ impl LinearFit<'_> {
     }
 }
 
-/// The square of a displacement where the variance of its prediction counts more often; `alone` is the information that the reading has of it
-/// by itself.
+/// The squared size of a displacement with a larger variance of the prediction; `alone` is the information on the displacement from the reading
+/// itself.
 fn cautious(shift: &Vector3<f64>, covariance: &Matrix3<f64>, alone: &Matrix3<f64>) -> Option<f64> {
     let own = alone.try_inverse()?;
     Some(shift.dot(&(own + (covariance - own) * EXTRAPOLATED).lu().solve(shift)?))

@@ -8,7 +8,7 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
     StandardNormal.sample(rng)
 }
 
-/// What is left of `readings` (in standard deviations) by the least squares fit of `jacobian`.
+/// Residuals of `readings` (in standard deviations) after the least squares fit of `jacobian`.
 fn fitted(jacobian: &DMatrix<f64>, readings: &DVector<f64>) -> DVector<f64> {
     let x = jacobian.clone().svd(true, true).solve(readings, 1e-14).expect("a solution");
     readings - jacobian * x
@@ -22,7 +22,7 @@ fn gross(jacobian: &DMatrix<f64>, residuals: &DVector<f64>, is_stated: bool) -> 
         .gross_errors(spread.as_ref())
 }
 
-/// Sessions of any size, columns of any unit, a few poses of high leverage.
+/// Sessions of any size, with columns in any unit, and a few poses of high leverage.
 fn system(blocks: usize, n: usize, rng: &mut ChaCha8Rng) -> DMatrix<f64> {
     let units = [1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3];
     let mut jacobian = DMatrix::from_fn(3 * blocks, n, |_, j| normal(rng) * units[j % 7]);
@@ -43,12 +43,12 @@ fn normal_noise_raises_a_false_alarm_in_less_than_one_set_of_a_thousand() {
             sets += 1;
         }
     }
-    // Not refuted at 99.9 %.
+    // The rate is not refuted at 99.9 %.
     assert!(binomial_cdf(alarms, sets, 1e-3) < 0.999, "{alarms} of {sets}");
 }
 
-/// Two readings of the same place with the same error hide each other: in the fit with both, neither looks like one. Where they are found by
-/// the whole search, the short look before it does not end it.
+/// Two readings of the same place with the same error hide each other: in the fit with both, neither looks like a gross error. If the complete
+/// search finds them, the short test before it must not stop it.
 #[test]
 fn two_gross_errors_at_one_place_do_not_hide_each_other() {
     let mut rng = ChaCha8Rng::seed_from_u64(17);
@@ -74,7 +74,7 @@ fn two_gross_errors_at_one_place_do_not_hide_each_other() {
     assert!(hidden <= 10 && looked_over == 0, "{hidden} of 100 pairs hidden, {looked_over} looked over");
 }
 
-/// Gross errors hide behind their leverage and behind each other: three in forty readings, one of them in the pose of the highest leverage.
+/// Gross errors hide behind their leverage and behind each other: three among forty readings, one of them in the pose of the highest leverage.
 #[test]
 fn gross_errors_are_named_with_their_size_and_nothing_else_is() {
     let mut rng = ChaCha8Rng::seed_from_u64(12);
@@ -99,7 +99,7 @@ fn gross_errors_are_named_with_their_size_and_nothing_else_is() {
     assert!(others <= 2, "{others} others");
 }
 
-/// A model that lacks something leaves residuals that are no noise: largest where the robot reaches farthest, and alike in neighbours.
+/// A model that lacks something leaves residuals that are not noise: largest where the robot reaches farthest, and similar in neighbouring poses.
 #[test]
 fn what_a_model_lacks_is_no_gross_error() {
     let mut rng = ChaCha8Rng::seed_from_u64(13);
@@ -117,7 +117,7 @@ fn what_a_model_lacks_is_no_gross_error() {
     assert!(alarms <= 3, "{alarms} of 300");
 }
 
-/// A stated noise that is larger than what the readings have explains what is within it.
+/// A stated noise that is larger than the readings' actual noise explains errors within it.
 #[test]
 fn what_the_stated_noise_explains_is_no_gross_error() {
     let mut rng = ChaCha8Rng::seed_from_u64(14);
@@ -129,7 +129,7 @@ fn what_the_stated_noise_explains_is_no_gross_error() {
     assert_eq!(gross(&jacobian, &residuals, false)[0].observation, 10);
 }
 
-/// Held-out errors have no columns.
+/// Held-out errors have no columns of a Jacobian.
 #[test]
 fn too_few_readings_or_none_name_nothing() {
     let none = DMatrix::zeros(9, 0);

@@ -10,19 +10,19 @@ use calibrig_model::{
     CalibrationModel, CraigLink, JointKind, KinematicModel, LinkTerm, ModelError, ParameterId,
 };
 
-/// Parameters that stand out less than this from those before them wait until all others had their chance: axes that are parallel
-/// to within some 10 mrad are to be described by Hayati's beta, not by a pair of d that all but replace each other.
+/// Parameters whose independent part is smaller than this are considered only after all others: axes that are parallel to within
+/// some 10 mrad should be described by Hayati's beta, not by a pair of d that nearly replace each other.
 const CLEARLY_INDEPENDENT: f64 = 1e-2;
 
 /// Selects a complete independent set by the structure of the nominal chain: at [`structural_poses`], with a target in general
 /// position.
 ///
-/// Order of preference: the frame and the target where they are free; of a, alpha, d and theta those that [`neighbour_axis_rules`]
-/// keeps, link by link, then the others; beta last, those of parallel axes first. So beta is taken only where the others are not enough.
+/// Order of preference: the frame and the target where they are free; those of a, alpha, d and theta that [`neighbour_axis_rules`]
+/// keeps, link by link, then the others; beta last, with those of parallel axes first. So beta is chosen only where the others are not enough.
 ///
 /// # Errors
 ///
-/// [`ModelError`], where the chain cannot be one.
+/// [`ModelError`], where the chain is not valid.
 pub fn complete_set(
     model: &KinematicModel,
     frame_free: bool,
@@ -35,11 +35,11 @@ pub fn complete_set(
     Ok(selected(model, candidates, &poses, free))
 }
 
-/// [`complete_set`] of a robot whose joints do not all move by themselves: what follows others is looked at where it can go.
+/// [`complete_set`] of a robot in which some joints follow others: these are considered only where they can go.
 ///
 /// # Errors
 ///
-/// [`ModelError`], where the robot cannot be one.
+/// [`ModelError`], where the robot is not valid.
 pub fn complete_set_of(
     robot: &CalibrationModel,
     frame_free: bool,
@@ -48,7 +48,7 @@ pub fn complete_set_of(
     complete_set_by_name(robot, Freedom::of_points(frame_free, target_free), &[], &[])
 }
 
-/// The same without the parameters to `fix`; of link parameters, those to `free` come first. Of targets, number 0 stands for all.
+/// Like [`complete_set_of`], without the parameters to `fix`, and with the link parameters to `free` first. Target number 0 stands for all targets.
 pub(in crate::identification) fn complete_set_by_name(
     robot: &CalibrationModel,
     freedom: Freedom,
@@ -59,7 +59,7 @@ pub(in crate::identification) fn complete_set_by_name(
     let mut candidates = candidates(&robot.kinematics, freedom);
     candidates.retain(|id| !fix.contains(id));
     let is_end = |id: &ParameterId| !matches!(id, ParameterId::Link { .. });
-    // A stable sort: among those alike the order of preference holds.
+    // The sort is stable: among equals the order of preference is kept.
     candidates.sort_by_key(|id| (!is_end(id), !free.contains(id)));
     let poses = reachable_poses(robot, candidates.len());
     Ok(selected(&robot.kinematics, candidates, &poses, freedom))
@@ -79,8 +79,8 @@ fn selected(
     IdentifiabilityReport { candidates, selected, spectrum, dependent }
 }
 
-/// What of a free frame and an unknown target cannot be told beside each other, whichever link parameters are fitted: what
-/// [`complete_set`] leaves out of them.
+/// The parts of a free frame and an unknown target that cannot be determined beside each other, whichever link parameters are fitted: those
+/// that [`complete_set`] leaves out.
 pub(in crate::identification) fn dependent_ends(
     robot: &CalibrationModel,
     free: Freedom,
@@ -97,8 +97,8 @@ pub(in crate::identification) fn dependent_ends(
     Ok(select_independent(&structural(model, &poses, free, &ends), &ends).1)
 }
 
-/// [`complete_set`], with the spectrum that it has at `poses` (joint variables, one vector a pose) and for a target at `target` (flange
-/// frame, m): what the structure allows and these measurements would miss is in `spectrum`.
+/// [`complete_set`] with its spectrum at `poses` (joint variables, one vector per pose) for a target at `target` (flange frame, m). The
+/// `spectrum` contains what the structure allows but these measurements would miss.
 pub fn identifiability(
     model: &KinematicModel,
     poses: &[Vec<f64>],
@@ -111,11 +111,11 @@ pub fn identifiability(
     Ok(report)
 }
 
-/// [`identifiability`] of a robot whose joints do not all move by themselves.
+/// [`identifiability`] of a robot in which some joints follow others.
 ///
 /// # Errors
 ///
-/// [`ModelError`], where the robot cannot be one, or a pose is not one finite number a joint.
+/// [`ModelError`], where the robot is not valid, or a pose does not have one finite number per joint.
 pub fn identifiability_of(
     robot: &CalibrationModel,
     poses: &[Vec<f64>],
@@ -128,11 +128,11 @@ pub fn identifiability_of(
     Ok(report)
 }
 
-/// What `poses` (joint variables, one vector a pose) tell of `parameters`, by a target at `target` (flange frame, m).
+/// Spectrum of `parameters` at `poses` (joint variables, one vector per pose), for a target at `target` (flange frame, m).
 ///
 /// # Errors
 ///
-/// [`ModelError`], where a pose is not one finite number a joint, or a parameter is none of the chain.
+/// [`ModelError`], where a pose does not have one finite number per joint, or a parameter does not belong to the chain.
 pub fn spectrum(
     model: &KinematicModel,
     poses: &[Vec<f64>],
@@ -142,10 +142,10 @@ pub fn spectrum(
     Ok(analyse_columns(&stacked_jacobian(model, poses, target, parameters)?, parameters))
 }
 
-/// Poses inside the joint limits that fill them evenly: the same for every call, and in no special place.
+/// Poses that fill the joint limits evenly: the same for every call, and without special configurations.
 ///
-/// The additive recurrence of M. Roberts, "The unreasonable effectiveness of quasirandom sequences" (2018), with the generalised golden
-/// ratio of as many dimensions as joints. A joint without finite limits takes a full turn or two metres about zero.
+/// Uses the additive recurrence of M. Roberts, "The unreasonable effectiveness of quasirandom sequences" (2018), with the generalised golden
+/// ratio for as many dimensions as joints. A joint without finite limits gets a full turn or two metres about zero.
 pub fn structural_poses(model: &KinematicModel, count: usize) -> Vec<Vec<f64>> {
     let ratio = generalised_golden_ratio(model.joint_count());
     (1..=count)
@@ -161,7 +161,7 @@ pub fn structural_poses(model: &KinematicModel, count: usize) -> Vec<Vec<f64>> {
         .collect()
 }
 
-/// [`structural_poses`] of a robot, with the joints that follow others where these take them.
+/// [`structural_poses`] of a robot; joints that follow others are where these take them.
 pub fn reachable_poses(robot: &CalibrationModel, count: usize) -> Vec<Vec<f64>> {
     let mut poses = structural_poses(&robot.kinematics, count);
     for joints in &mut poses {
@@ -170,7 +170,7 @@ pub fn reachable_poses(robot: &CalibrationModel, count: usize) -> Vec<Vec<f64>> 
     poses
 }
 
-/// A target off every axis, at a distance that its turning about them shows well.
+/// A target off every axis, at a distance at which rotations about the axes show well.
 pub(super) fn generic_target(model: &KinematicModel) -> Vector3<f64> {
     0.2 * model.characteristic_length() * Vector3::new(0.53, -0.37, 0.61)
 }
@@ -190,13 +190,13 @@ fn generalised_golden_ratio(dimensions: usize) -> f64 {
 }
 
 impl Freedom {
-    /// Where points are seen.
+    /// The case in which only points are measured.
     fn of_points(frame: bool, target: bool) -> Self {
         Self { frame, target, orientation: None }
     }
 }
 
-/// What `poses` would tell of a target in general position, and turned so, by its place and where poses are seen by its orientation.
+/// System of `poses` for a target with a general offset, and with a general orientation where orientations are measured.
 fn structural(
     model: &KinematicModel,
     poses: &[Vec<f64>],

@@ -1,4 +1,4 @@
-//! What a rank deficiency or a weak direction means to the person at the robot, and what helps.
+//! Explains what a rank deficiency or a weak direction means to the person at the robot, and what helps.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -11,50 +11,50 @@ use super::{DependentGroup, IdentifiabilityReport, WeakDirection, structural_pos
 use crate::kinematics::{stack, stacked_jacobian};
 use calibrig_model::{KinematicModel, ModelError, ParameterId};
 
-/// Where a difficulty comes from.
+/// Cause of a difficulty.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Finding {
-    /// The parameters do the same in every pose and for every target: the left-out one has been decided.
+    /// The parameters have the same effect in every pose and for every target: it is already decided which one is left out.
     Structure,
-    /// The structure allows them to be told apart, these poses and this target do not.
+    /// The structure separates the parameters, but these poses and this target do not.
     Measurements,
-    /// They are determined, but poorly.
+    /// The parameters are determined, but poorly.
     Weak,
 }
 
-/// What makes a group or direction identifiable.
+/// A measure that makes a group or direction identifiable.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Remedy {
-    /// The tracker's place becomes known.
+    /// Measure the tracker's place.
     MeasureFrame,
-    /// The target's offset becomes known.
+    /// Measure the target's offset.
     MeasureTarget,
-    /// There are fewer coordinates than parameters.
+    /// Measure more poses, as there are fewer coordinates than parameters.
     MeasureMorePoses,
-    /// The same number of poses, or more, all over the joints' limits.
+    /// Spread the poses, the same number or more, over the whole joint limits.
     SpreadPoses,
-    /// The target sits where the last joints do not move it.
+    /// Offset the target, which is where the last joints do not move it.
     OffsetTarget,
-    /// Three targets on the flange instead of one.
+    /// Mount three targets on the flange instead of one.
     MeasureFullPose,
-    /// Nothing else helps, or nothing else is needed.
+    /// Fix one parameter: nothing else helps, or nothing else is needed.
     FixOne,
 }
 
 /// A dependent group or weak direction in words.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Explanation {
-    /// Where it comes from.
+    /// Cause of the difficulty.
     pub finding: Finding,
-    /// Its members with the weights of the combination that is not determined: in SI units for a dependent group, scaled for a weak one.
+    /// Its members with their weights in the undetermined combination: in SI units for a dependent group, scaled for a weak direction.
     pub members: Vec<(ParameterId, f64)>,
-    /// As `delta_d3 with delta_d4`.
+    /// Names of the members, such as `delta_d3 with delta_d4`.
     pub names: String,
-    /// Scaled singular value: of the group by itself, or over the largest for a weak direction.
+    /// Scaled singular value: that of the group itself, or, for a weak direction, relative to the largest.
     pub singular_value: f64,
-    /// What helps; for the measurements, the most effective first.
+    /// What helps; for causes in the measurements, the most effective first.
     pub remedies: Vec<Remedy>,
     /// The remedies in words.
     pub advice: String,
@@ -66,11 +66,11 @@ impl fmt::Display for Explanation {
     }
 }
 
-/// Explains every dependent group and weak direction of a report that [`identifiability`](super::identifiability) made with the same
-/// `poses` (joint variables) and `target` (flange frame, m), or [`complete_set`](super::complete_set) without any: then `poses` is empty.
+/// Explains every dependent group and weak direction of a report. The report was made by [`identifiability`](super::identifiability) with the same
+/// `poses` (joint variables) and `target` (flange frame, m), or by [`complete_set`](super::complete_set) without poses: then `poses` is empty.
 ///
-/// For what the measurements fail to tell, a remedy is named only if the nominal model shows that it works: the direction is then
-/// determined to better than [`WEAK_TOLERANCE`]. For what the structure hides, the remedies are those that make the left-out parameter
+/// For causes in the measurements, a remedy is named only if the nominal model shows that it works: the direction is then
+/// determined to better than [`WEAK_TOLERANCE`]. For structural causes, the remedies are those that make the left-out parameter
 /// identifiable, or to fix it, which loses nothing.
 pub fn explain(
     report: &IdentifiabilityReport,
@@ -78,7 +78,7 @@ pub fn explain(
     poses: &[Vec<f64>],
     target: &Vector3<f64>,
 ) -> Result<Vec<Explanation>, ModelError> {
-    // The same question as the trials', which then need not ask.
+    // Checks what the trials rely on, so that they need no checks of their own.
     stacked_jacobian(model, poses, target, &report.selected)?;
     let trials = Trials::new(report, model, poses, target);
     let structure = report.dependent.iter().map(explain_structure);
@@ -142,13 +142,13 @@ fn fix_one(undetermined: &[(ParameterId, f64)]) -> String {
     }
 }
 
-/// The systems that the remedies would give, for the report's selected parameters.
+/// The systems that result from the remedies, for the report's selected parameters.
 struct Trials {
     selected: Vec<ParameterId>,
     /// Column norms of the system as measured.
     norms: Vec<f64>,
     remedied: Vec<(Remedy, DMatrix<f64>)>,
-    /// Fewer coordinates than parameters.
+    /// Whether there are fewer coordinates than parameters.
     too_few: bool,
 }
 
@@ -234,7 +234,7 @@ impl Trials {
     }
 }
 
-/// The Jacobian of three targets on the flange. Where the target's offset is free, so are those of the other two, in columns of their own
+/// The Jacobian of three targets on the flange. Where the target's offset is free, so are the offsets of the other two, in their own columns
 /// at the end.
 fn three_targets(
     model: &KinematicModel,

@@ -1,7 +1,7 @@
-//! Rank, dependent groups and weak directions: what measurements of a target can and cannot tell of a chain.
+//! Rank, dependent groups and weak directions: what measurements of a target can and cannot determine of a chain.
 //!
-//! Two ways lead to the same answer: [`neighbour_axis_rules`] reads it off the table of the robot, [`complete_set`]
-//! finds it from the rank of the Jacobian.
+//! There are two ways to the same answer: [`neighbour_axis_rules`] reads it from the robot's table, [`complete_set`] finds it from the rank of
+//! the Jacobian.
 
 mod complete;
 mod explain;
@@ -28,8 +28,8 @@ use std::fmt;
 
 use calibrig_model::ParameterId;
 
-/// Singular values of the column-scaled system and what they mean. Every column is divided by its norm first, so that metres and
-/// radians compare.
+/// Singular values of the column-scaled system and what they mean. Every column is first divided by its norm, so that metres and radians are
+/// comparable.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Spectrum {
     /// Numerical rank: singular values above [`RANK_TOLERANCE`] of the largest.
@@ -37,12 +37,12 @@ pub struct Spectrum {
     /// Largest over smallest scaled singular value (infinite where the rank is deficient).
     #[serde(with = "calibrig_model::float::scalar")]
     pub condition: f64,
-    /// Scaled singular values, largest first; NaN where the system holds a number that is not finite.
+    /// Scaled singular values, largest first; NaN where the system contains a number that is not finite.
     #[serde(with = "calibrig_model::float::list")]
     pub singular_values: Vec<f64>,
-    /// Directions that the data determine, but poorly, best first.
+    /// Directions that the data determine poorly, the best first.
     pub weak: Vec<WeakDirection>,
-    /// Groups of which only combinations are determined.
+    /// Groups of parameters of which only combinations are determined.
     pub dependent: Vec<DependentGroup>,
 }
 
@@ -55,32 +55,32 @@ pub struct WeakDirection {
     pub members: Vec<(ParameterId, f64)>,
 }
 
-/// Parameters whose effects on the measurements are linearly dependent: `redundant` does what a combination of `with` does.
+/// Parameters whose effects on the measurements are linearly dependent: `redundant` has the effect of a combination of `with`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DependentGroup {
     /// The parameter that adds nothing to the others.
     pub redundant: ParameterId,
-    /// The ones that can stand in for it, with the coefficients (SI) of the combination; empty where it has no effect at all.
+    /// The parameters that can replace it, with the coefficients (SI) of the combination; empty where it has no effect at all.
     pub with: Vec<(ParameterId, f64)>,
-    /// What the combination still moves: norm of the scaled system times its unit vector; zero from the rules.
+    /// Remaining effect of the combination: norm of the scaled system times its unit vector; zero for groups from the rules.
     pub singular_value: f64,
 }
 
-/// What can be identified of a chain.
+/// The parameters of a chain that can be identified.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct IdentifiabilityReport {
-    /// Candidates that the analysis started from, the preferred ones first.
+    /// Candidates of the analysis, the preferred ones first.
     pub candidates: Vec<ParameterId>,
     /// A complete independent set: link parameters in table order, then frame, then target.
     pub selected: Vec<ParameterId>,
-    /// Spectrum of the selected set. Its dependent groups are what the poses or the target fail to tell, not the structure.
+    /// Spectrum of the selected set. Its dependent groups are caused by the poses or the target, not by the structure.
     pub spectrum: Spectrum,
-    /// The candidates that were left out, with what they depend on in every pose and for every target.
+    /// Candidates that were left out, with what they depend on in every pose and for every target.
     pub dependent: Vec<DependentGroup>,
 }
 
 impl IdentifiabilityReport {
-    /// The selected parameters less those that the poses or the target leave undetermined.
+    /// The selected parameters without those that the poses or the target leave undetermined.
     pub fn determined(&self) -> Vec<ParameterId> {
         let lost = |id: &ParameterId| self.spectrum.dependent.iter().any(|group| group.redundant == *id);
         self.selected.iter().copied().filter(|id| !lost(id)).collect()

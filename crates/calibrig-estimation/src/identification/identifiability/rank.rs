@@ -6,14 +6,14 @@ use super::{DependentGroup, Spectrum, WeakDirection};
 use crate::identification::factor::triangular_factor_of_all;
 use calibrig_model::ParameterId;
 
-/// A scaled singular value below this fraction of the largest counts as zero. Exact dependence leaves some 1e-15, the weakest direction
-/// that data have been seen to determine 1e-6.
+/// A scaled singular value below this fraction of the largest counts as zero. Exact dependence leaves some 1e-15; the weakest direction that data
+/// are known to determine has 1e-6.
 pub const RANK_TOLERANCE: f64 = 1e-8;
 
-/// A scaled singular value below this fraction of the largest makes its direction weak: such a direction is kept, and named.
+/// A scaled singular value below this fraction of the largest makes its direction weak: such a direction is kept and reported.
 pub const WEAK_TOLERANCE: f64 = 1e-3;
 
-/// A column below this fraction of the largest one is rounding error, which scaling would blow up.
+/// A column below this fraction of the largest one is rounding error, which scaling would amplify.
 const NEGLIGIBLE_COLUMN: f64 = 1e-12;
 
 /// A member of a dependent group has a scaled coefficient above this.
@@ -22,18 +22,18 @@ const NEGLIGIBLE_COEFFICIENT: f64 = 1e-6;
 /// A member of a weak direction has a weight above this fraction of the largest.
 const LEADING_WEIGHT: f64 = 0.15;
 
-/// No direction is described by more members than this.
+/// Most members by which a direction is described.
 const MOST_MEMBERS: usize = 6;
 
-/// Bound on the iterations of a singular value decomposition, which needs some two a column.
+/// Most iterations of a singular value decomposition, which needs about two per column.
 const SVD_ITERATIONS: usize = 10_000;
 
-/// Spectrum of the columns of `jacobian` (rows x n, weighted, priors included), one a parameter.
+/// Spectrum of the columns of `jacobian` (rows x n, weighted, priors included), one per parameter.
 pub(crate) fn analyse_columns(jacobian: &DMatrix<f64>, parameters: &[ParameterId]) -> Spectrum {
     analyse_r(&triangular_factor(jacobian), parameters)
 }
 
-/// The same from the triangular factor `r` of the system (n x n, or any matrix with the same `rᵀ r`), one column a parameter.
+/// Spectrum from the triangular factor `r` of the system (n x n, or any matrix with the same `rᵀ r`), one column per parameter.
 pub(crate) fn analyse_r(r: &DMatrix<f64>, parameters: &[ParameterId]) -> Spectrum {
     let n = r.ncols();
     if n == 0 {
@@ -51,7 +51,7 @@ pub(crate) fn analyse_r(r: &DMatrix<f64>, parameters: &[ParameterId]) -> Spectru
     let rank = singular_values.iter().filter(|s| **s > RANK_TOLERANCE * largest).count();
     let smallest = singular_values[n - 1];
     let condition = if rank == n { largest / smallest } else { f64::INFINITY };
-    // Singular vectors are needed, and paid for, only where there is something to name.
+    // Singular vectors are expensive and computed only where there is something to report.
     let weak = if rank > 0 && singular_values[rank - 1] < WEAK_TOLERANCE * largest {
         weak_directions(&scaled, rank, parameters)
     } else {
@@ -61,9 +61,9 @@ pub(crate) fn analyse_r(r: &DMatrix<f64>, parameters: &[ParameterId]) -> Spectru
     Spectrum { rank, condition, singular_values, weak, dependent }
 }
 
-/// The largest set of independent columns of `jacobian` (rows x n) that prefers earlier ones, and what each left-out column depends on.
+/// The largest set of independent columns of `jacobian` (rows x n) that prefers earlier ones, and the dependence of each left-out column.
 ///
-/// A column is left out where less than [`RANK_TOLERANCE`] of it, scaled to unit norm, is orthogonal to those kept before it.
+/// A column is left out if less than [`RANK_TOLERANCE`] of it, scaled to unit norm, is orthogonal to the columns kept before it.
 pub(crate) fn select_independent(
     jacobian: &DMatrix<f64>,
     parameters: &[ParameterId],
@@ -72,7 +72,8 @@ pub(crate) fn select_independent(
     select(&scaled, &[RANK_TOLERANCE], parameters)
 }
 
-/// Selects in one round a tolerance: first the columns that stand out by `tolerances[0]`, then, of the rest, those that do by the next.
+/// Selects in one round per tolerance: first the columns whose independent part exceeds `tolerances[0]`, then, of the rest, those that exceed the
+/// next.
 pub(super) fn select_in_rounds(
     jacobian: &DMatrix<f64>,
     tolerances: &[f64],
@@ -100,7 +101,7 @@ pub(super) fn determination(jacobian: &DMatrix<f64>, direction: &[f64]) -> f64 {
     variance.sqrt().recip()
 }
 
-/// The triangular factor: it has the column norms and singular values of the whole, and is small.
+/// The triangular factor: it has the column norms and singular values of the whole matrix, but is small.
 fn triangular_factor(jacobian: &DMatrix<f64>) -> DMatrix<f64> {
     if jacobian.nrows() > jacobian.ncols() && jacobian.ncols() > 0 {
         triangular_factor_of_all(jacobian.as_view())
@@ -109,10 +110,10 @@ fn triangular_factor(jacobian: &DMatrix<f64>) -> DMatrix<f64> {
     }
 }
 
-/// A system with its columns divided by their norms; at least as many rows as columns.
+/// A system whose columns are divided by their norms, with at least as many rows as columns.
 struct ScaledColumns {
     matrix: DMatrix<f64>,
-    /// Zero where the column is negligible; then it is zero in the matrix, too.
+    /// Column norms; zero where the column is negligible, and then also zero in the matrix.
     norms: Vec<f64>,
 }
 
@@ -140,7 +141,7 @@ impl ScaledColumns {
         self.matrix.iter().all(|v| v.is_finite())
     }
 
-    /// Largest first.
+    /// Singular values, largest first.
     fn singular_values(&self) -> Option<Vec<f64>> {
         if !self.is_finite() {
             return None;
@@ -186,7 +187,7 @@ fn leading_members(
     members
 }
 
-/// As many groups as the rank lacks: a singular value close to the threshold may need a coarser orthogonalisation to show.
+/// As many groups as the rank lacks: for a singular value close to the threshold, a coarser orthogonalisation may be needed to find its group.
 fn dependent_groups(scaled: &ScaledColumns, rank: usize, parameters: &[ParameterId]) -> Vec<DependentGroup> {
     let mut tolerance = RANK_TOLERANCE;
     loop {
@@ -217,10 +218,10 @@ fn select(
 /// The columns kept so far, orthogonalised.
 struct Basis<'a> {
     scaled: &'a ScaledColumns,
-    /// In the order taken.
+    /// Columns in the order in which they were taken.
     kept: Vec<usize>,
     orthonormal: Vec<DVector<f64>>,
-    /// Of every kept column, its coordinates in the orthonormal vectors up to its own.
+    /// Coordinates of every kept column in the orthonormal vectors up to its own.
     coordinates: Vec<Vec<f64>>,
 }
 
@@ -229,7 +230,7 @@ impl<'a> Basis<'a> {
         Self { scaled, kept: Vec::new(), orthonormal: Vec::new(), coordinates: Vec::new() }
     }
 
-    /// Coordinates of a column in the basis, and what is left of it.
+    /// Coordinates of a column in the basis, and the remainder.
     fn split(&self, column: usize) -> (Vec<f64>, DVector<f64>) {
         let mut rest = self.scaled.matrix.column(column).into_owned();
         let mut coordinates = vec![0.0; self.orthonormal.len()];
@@ -398,7 +399,7 @@ mod tests {
             assert_eq!(spectrum.rank, 0);
             assert!(spectrum.condition.is_infinite());
             assert!(spectrum.singular_values.iter().all(|s| s.is_nan()));
-            // What is kept must be numbers; the call must return.
+            // Only finite columns can be kept, and the call must return.
             let (kept, _) = select_independent(&jacobian, &ids(3));
             assert!(kept.len() < 3);
         }

@@ -1,9 +1,9 @@
-//! Redundancy read off the robot's table, without a Jacobian.
+//! Redundancy from the robot's table, without a Jacobian.
 
 use super::DependentGroup;
 use calibrig_model::{CraigLink, JointKind, KinematicModel, LinkTerm, ParameterId};
 
-/// Below this a nominal length (m) or angle (rad) is meant to be zero: what unit conversion and URDF leave of a zero.
+/// A nominal length (m) or angle (rad) below this counts as zero: unit conversion and URDF leave as much of a zero.
 const ZERO: f64 = 1e-9;
 
 /// The rules on neighbouring axes: the parameters kept (in table order) and the eliminated groups.
@@ -60,7 +60,7 @@ fn parallel(link: &CraigLink) -> Option<f64> {
     aligned(link.alpha).filter(|_| link.beta.abs() < ZERO)
 }
 
-/// The sign with which `term` of `this` row does what the same term of the `previous` row does.
+/// The sign with which `term` of `this` row has the effect of the same term of the `previous` row.
 fn tie(previous: &CraigLink, this: &CraigLink, term: LinkTerm) -> Option<f64> {
     match term {
         LinkTerm::D => parallel(this),

@@ -1,4 +1,4 @@
-//! The published facts on redundancy, and both ways to them against each other.
+//! The published facts on redundancy, and the two ways to find it compared with each other.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -11,7 +11,7 @@ use calibrig_model::geometry::{Transform, rotation_x, rotation_y, rotation_z, tr
 use calibrig_model::random::{Source, stream};
 use calibrig_model::{CraigLink, JointKind, KinematicModel, LinkTerm};
 
-/// The questions of this module, of chains that can be.
+/// The functions of this module, for valid chains.
 fn complete_set(model: &KinematicModel, frame_free: bool, target_free: bool) -> IdentifiabilityReport {
     super::complete_set(model, frame_free, target_free).expect("a chain")
 }
@@ -89,7 +89,7 @@ fn ur5() -> KinematicModel {
     }
 }
 
-/// The published table of identified parameters: which terms of each row, beta aside, are there.
+/// The published table of identified parameters: the terms of each row, without beta.
 fn published() -> Vec<ParameterId> {
     use LinkTerm::{A, Alpha, Beta, D, Theta};
     let rows: [&[LinkTerm]; 7] = [
@@ -153,7 +153,7 @@ fn spectrum(
     analyse_columns(&stacked_jacobian(model, poses, target, ids), ids)
 }
 
-/// Any chain: angles and lengths in general position.
+/// A generic chain: angles and lengths in general position.
 fn random_robot(kinds: &[JointKind], trial: u32) -> KinematicModel {
     let mut rng = rng(trial);
     let links = kinds.iter().map(|kind| {
@@ -179,7 +179,7 @@ fn random_robot(kinds: &[JointKind], trial: u32) -> KinematicModel {
     }
 }
 
-/// Chains with all the special cases that the rules speak of, half turns and locked joints among them.
+/// Chains with all the special cases of the rules, including half turns and locked joints.
 fn special_robot(joints: usize, trial: u32) -> KinematicModel {
     let mut rng = rng(trial);
     let links = (0..joints).map(|_| {
@@ -230,7 +230,7 @@ fn the_rules_keep_one_offset_of_three_parallel_axes() {
     assert!(kept.contains(&beta(3)) && kept.contains(&beta(4)));
 }
 
-/// The rules never look at a Jacobian; here every one of their groups is tried on one.
+/// The rules do not use a Jacobian; here each of their groups is tested on one.
 #[test]
 fn every_group_of_the_rules_is_an_exact_dependence_of_columns() {
     let mut tried = 0;
@@ -271,7 +271,7 @@ fn the_rank_method_finds_the_groups_of_the_rules() {
             assert!((rank.with[0].1 - rule.with[0].1).abs() < 1e-9);
             assert!(rank.singular_value < 1e-13);
         }
-        // Whatever comes first is kept: the groups are the same the other way round.
+        // The first one is kept: in reverse order the groups are the same.
         let backwards: Vec<_> = ids.iter().rev().copied().collect();
         let jacobian = stacked_jacobian(&model, &poses, &TARGET, &backwards);
         let mut turned: Vec<_> =
@@ -319,8 +319,8 @@ fn the_published_ranks_are_reproduced() {
     }
 }
 
-/// Measured over these draws: 27 to 31 over full turns, 37 to 44 over half turns (known: about 41), 364 to 533 in the working region
-/// (known: about 470).
+/// Values of these draws: 27 to 31 over full turns, 37 to 44 over half turns (published: about 41), 364 to 533 in the working region
+/// (published: about 470).
 #[test]
 fn the_condition_of_the_published_set_is_as_known() {
     let model = spray_robot();
@@ -420,7 +420,7 @@ fn a_chain_without_special_geometry_has_four_parameters_a_revolute_joint_and_two
         assert_eq!(report.candidates.len(), report.selected.len() + report.dependent.len());
         let own = spectrum(&model, &poses, &TARGET, &report.selected);
         assert_eq!(own.rank, expected, "{kinds:?}");
-        // Frame and target are taken before any link parameter, and beta is not needed where no axes are parallel.
+        // Frame and target are chosen before any link parameter, and beta is not needed where no axes are parallel.
         if revolute >= 2 {
             assert!(with_frame_and_target(Vec::new()).iter().all(|id| report.selected.contains(id)));
             assert!((1..=kinds.len()).all(|n| !report.selected.contains(&beta(n))), "{kinds:?}");
@@ -473,7 +473,7 @@ fn parallel_axes_of_a_ur5_are_given_betas() {
     assert_eq!(report.selected.iter().filter(|id| matches!(id, ParameterId::Link { .. })).count(), 18);
     let betas: Vec<_> = (1..=6).map(beta).filter(|id| report.selected.contains(id)).collect();
     assert_eq!(betas, [beta(3), beta(4)]);
-    // Nominal axes that miss being parallel by a milliradian are described in the same way: one d for three axes.
+    // Nominal axes that deviate from parallel by a milliradian are described in the same way: one d for three axes.
     let mut nearly = model.clone();
     nearly.links[2].alpha += 1e-3;
     nearly.links[3].alpha -= 7e-4;
@@ -486,7 +486,7 @@ fn parallel_axes_of_a_ur5_are_given_betas() {
     assert!(report.spectrum.weak.is_empty());
 }
 
-/// The joint ranges of a published UR5 data set (P. Jacobi, 2025), whose target sits 0.7 mm off the last axis.
+/// The joint ranges of a published UR5 data set (P. Jacobi, 2025), whose target is 0.7 mm off the last axis.
 #[test]
 fn a_target_close_to_the_last_axis_leaves_weak_directions_that_are_named() {
     let mut model = ur5();
@@ -515,11 +515,11 @@ fn a_target_close_to_the_last_axis_leaves_weak_directions_that_are_named() {
         assert!(direction.advice.contains("offset the target from the last axis"), "{direction}");
         assert!(!direction.remedies.contains(&Remedy::FixOne), "{direction}");
     }
-    // The advice holds.
+    // Following the advice helps.
     let offset = close + Vector3::new(0.1, 0.1, 0.0);
     let report = identifiability(&ur5(), &poses, &offset, true, true);
     assert!(report.spectrum.weak.is_empty() && report.spectrum.rank == 27);
-    // And exactly on the axis the same four parameters are two dependent pairs.
+    // Exactly on the axis, the same four parameters are two dependent pairs.
     let on_axis = identifiability(&ur5(), &poses, &Vector3::zeros(), true, true);
     let groups: Vec<_> = on_axis.spectrum.dependent.iter().map(ToString::to_string).collect();
     assert_eq!(groups, ["delta_a6 with delta_theta5", "delta_alpha6 with delta_d5"]);
@@ -549,7 +549,7 @@ fn a_target_at_the_wrist_centre_is_to_be_offset_or_joined_by_others() {
             _ => assert_eq!(explanation.remedies, [Remedy::FixOne], "{explanation}"),
         }
     }
-    // As known: with the full pose measured, here by three targets, the published set has full rank.
+    // As published: with the full pose measured, here by three targets, the published set has full rank.
     let targets = [centre, Vector3::x() * 0.2, Vector3::y() * 0.2];
     let blocks = targets.map(|target| stacked_jacobian(&model, &poses, &target, &published()));
     let mut rows = DMatrix::zeros(3 * blocks[0].nrows(), 24);
@@ -618,7 +618,7 @@ fn structural_poses_fill_the_limits_and_pass_locked_and_endless_joints() {
     for (joint, [lowest, highest]) in [(0, [0.0, 4.0]), (1, [0.3, 0.3]), (2, [-PI, PI]), (4, [1.7, 2.3])] {
         let of_joint = || poses.iter().map(|q| q[joint]);
         assert!(of_joint().all(|q| (lowest..=highest).contains(&q)), "joint {joint}");
-        // An even filling leaves no eighth of the range empty.
+        // An even distribution leaves no eighth of the range empty.
         let eighth = (highest - lowest) / 8.0;
         for part in 0..8 {
             let from = lowest + f64::from(part) * eighth;

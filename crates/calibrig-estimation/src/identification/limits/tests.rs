@@ -1,4 +1,4 @@
-//! Bounds as stated: kept, told, and refused in words.
+//! Stated bounds are kept, reported, or refused in words.
 
 use super::*;
 use crate::identification::tests::{SHOULDER, WAIST, geometric_errors, measure, options, painter, truth};
@@ -13,7 +13,7 @@ fn bound(id: ParameterId, lower: f64, upper: f64) -> ParameterBound {
 }
 
 fn with(bounds: &[ParameterBound], mode: Mode) -> IdentificationOptions {
-    // What a bound leaves is not to be taken for noise of the machine.
+    // The misfit that a bound leaves must not be taken for noise of the machine.
     let machine_noise = MachineNoiseChoice::Stated(Vec::new());
     IdentificationOptions { bounds: bounds.to_vec(), machine_noise, ..options(mode) }
 }
@@ -29,8 +29,8 @@ fn bounds_are_told_in_the_units_of_people() {
     }
 }
 
-/// In every mode: the solver's way without bounds and the one with them lead to the same place where none is reached, and to the bound where
-/// it is; then the others are what they are with that parameter known to be there.
+/// In every mode: the solver with and without bounds ends at the same place if no bound is reached, and at the bound if one is. Then the other
+/// parameters are as if that one were known to be there.
 #[test]
 fn a_bound_is_kept_and_told_and_one_that_is_not_reached_changes_nothing() {
     let nominal = painter();
@@ -48,7 +48,7 @@ fn a_bound_is_kept_and_told_and_one_that_is_not_reached_changes_nothing() {
             let sigma = a.sigma.expect("full rank");
             assert!((a.value - b.value).abs() < 1e-3 * sigma, "{}: {} {}", a.id, a.value, b.value);
         }
-        // A little short of it: far from it, compliances would go to their own bounds.
+        // A little short of it: far from it, compliances would reach their own bounds.
         let sigma = free.parameters.iter().find(|p| p.id == A4).and_then(|p| p.sigma).expect("full rank");
         let short = value - 5.0 * sigma * value.signum();
         let narrow = [bound(A4, short.min(0.0), short.max(0.0))];
@@ -62,7 +62,7 @@ fn a_bound_is_kept_and_told_and_one_that_is_not_reached_changes_nothing() {
         if let (Mode::OnlyCalibration, ActuatorMap::Parallelogram { linkage, .. }) =
             (mode, &mut known.actuators)
         {
-            // In this mode the parameter does not move the linkage; stated in the robot itself, it would make the parallelogram inexact.
+            // In this mode the parameter does not move the linkage; in the robot itself, it would make the parallelogram inexact.
             *linkage = None;
             known.statics = None;
         }
@@ -99,11 +99,11 @@ fn a_compliance_at_a_stated_bound_is_not_told_to_be_rigid() {
 fn a_bound_without_effect_is_told() {
     let nominal = painter();
     let set = measure(&truth(&nominal, &[], Vec::new()), 40, 1.0);
-    // Its axis is vertical, so that gravity does not load it.
+    // The axis is vertical, so that gravity does not load the drive.
     let of = bound(ParameterId::Compliance(WAIST), 0.0, 1.0);
     let estimate = identify(&nominal, &set, &with(&[of], Mode::ElastoGeometric)).expect("an estimate");
     assert!(estimate.warnings.contains(&Warning::UnusedBound { bound: of }), "{:?}", estimate.warnings);
-    // In a mode that has no compliances there is nothing to tell.
+    // In a mode without compliances there is nothing to report.
     let rigid = identify(&nominal, &set, &with(&[of], Mode::OnlyCalibration)).expect("an estimate");
     assert!(!rigid.warnings.iter().any(|w| matches!(w, Warning::UnusedBound { .. })));
 }

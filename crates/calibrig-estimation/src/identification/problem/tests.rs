@@ -7,7 +7,7 @@ use calibrig_model::geometry::{rotation_x, rotation_y, translation};
 use calibrig_model::measurement::{InstrumentTerm, Reading};
 use calibrig_model::{CraigLink, FAMILIES, JointKind, PoseQuery, TermId, Unit};
 
-/// Signs of approach to a command.
+/// Signs of the approach to a command.
 fn signs(command: &[f64]) -> Vec<i8> {
     command.iter().map(|c| if *c < 0.0 { -1 } else { 1 }).collect()
 }
@@ -63,7 +63,7 @@ fn problem() -> CalibrationProblem {
     CalibrationProblem {
         swept: Vec::new(),
         left_of_swept: 0.0,
-        // A frame by itself, and one that nests tell together with an error of the instrument, from fewer rows than both have.
+        // A frame on its own, and one that nests determine together with an error of the instrument, from fewer rows than unknowns.
         priors: vec![
             Prior {
                 columns: (15..21).collect(),
@@ -108,7 +108,7 @@ fn problem() -> CalibrationProblem {
     }
 }
 
-/// The same with an orientation at every position, of a target that is turned on the flange, and their parameters.
+/// The problem with an orientation at every position, for a target that is turned on the flange, and its parameters.
 fn with_turns(mut problem: CalibrationProblem) -> CalibrationProblem {
     problem.parameters.extend(ParameterId::all_of_orientation(0));
     problem.orientations = vec![Rotation3::new(Vector3::new(0.7, -0.4, 1.3))];
@@ -125,7 +125,7 @@ fn with_turns(mut problem: CalibrationProblem) -> CalibrationProblem {
     problem
 }
 
-/// At displaced frames too, where a rotation vector's components do not act one after the other.
+/// Also at displaced frames, where the components of a rotation vector do not act one after the other.
 #[test]
 fn the_jacobian_is_the_central_difference_far_from_zero() {
     check_jacobian(problem());
@@ -166,7 +166,7 @@ fn evaluation_takes_no_memory() {
     assert_eq!(info.count_total, 0);
 }
 
-/// The spray painter with all that yields, its four-bar and every term.
+/// The spray painter with all springs, its four-bar and every term.
 fn coupled() -> CalibrationProblem {
     let robot = load_robot(Path::new("../../models/spray_painter/robot.toml")).expect("the shipped robot");
     let target = robot.target().expect("a target");
@@ -244,7 +244,7 @@ fn coupled() -> CalibrationProblem {
     }
 }
 
-/// A column smaller than this, m per unit, is the rounding of the difference.
+/// A column smaller than this, m per unit, is rounding of the difference.
 const LEAST_COLUMN: f64 = 2e-6;
 
 #[test]
@@ -269,7 +269,7 @@ fn check_coupled(mut problem: CalibrationProblem) {
     let mut worst = 0.0_f64;
     for column in 0..n {
         let id = problem.parameters[column];
-        // A compliance and a mass move the target by little and nearly in proportion.
+        // Compliances and masses move the target little and nearly in proportion.
         let step = if id.unit() == Unit::One { 5e-2 } else { 1e-4 };
         let mut at = |steps: f64| {
             let mut moved = x.clone();
@@ -278,7 +278,7 @@ fn check_coupled(mut problem: CalibrationProblem) {
             problem.evaluate(&moved, &mut r, None);
             r
         };
-        // Fourth order.
+        // Fourth-order difference.
         let difference = (8.0 * (at(1.0) - at(-1.0)) - (at(2.0) - at(-2.0))) / (12.0 * step);
         let largest = jacobian.column(column).amax();
         let error = (jacobian.column(column) - difference).amax();

@@ -1,20 +1,20 @@
-//! Limits of parameters, and the step of a damped quadratic model inside them.
+//! Bounds of parameters, and the step of a damped quadratic model within them.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 use thiserror::Error;
 
-/// Lowest and highest value of every parameter; infinite where there is no limit.
+/// Lowest and highest value of every parameter; infinite where there is no bound.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bounds {
     lower: Vec<f64>,
     upper: Vec<f64>,
 }
 
-/// Limits that cannot be kept, or starting points that cannot be drawn.
+/// Why bounds cannot be applied, or starting points cannot be drawn.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum BoundsError {
-    /// One limit, or one width of the starts, a parameter.
+    /// A list does not have one value per parameter.
     #[error("{what}: {found} values for {expected} parameters")]
     Length {
         /// Which list.
@@ -24,32 +24,32 @@ pub enum BoundsError {
         /// Number of parameters.
         expected: usize,
     },
-    /// No value lies between the limits.
+    /// No value lies between two bounds.
     #[error("parameter {parameter}: no value lies between the bounds {lower} and {upper}")]
     Empty {
-        /// Its index.
+        /// Index of the parameter.
         parameter: usize,
         /// Lower limit.
         lower: f64,
         /// Upper limit.
         upper: f64,
     },
-    /// The start is outside.
+    /// The start is outside the bounds.
     #[error("parameter {parameter}: the bounds {lower} to {upper} exclude its start {start}")]
     ExcludesStart {
-        /// Its index.
+        /// Index of the parameter.
         parameter: usize,
-        /// Where the search would begin.
+        /// Start of the search.
         start: f64,
         /// Lower limit.
         lower: f64,
         /// Upper limit.
         upper: f64,
     },
-    /// A width that starting points cannot be drawn from.
+    /// Starting points cannot be drawn with this width.
     #[error("parameter {parameter}: starting points cannot be spread by {spread}")]
     Spread {
-        /// Its index.
+        /// Index of the parameter.
         parameter: usize,
         /// The width.
         spread: f64,
@@ -57,13 +57,13 @@ pub enum BoundsError {
 }
 
 impl Bounds {
-    /// No limits on n parameters.
+    /// No bounds on n parameters.
     #[cfg(test)]
     pub fn none(n: usize) -> Self {
         Self { lower: vec![f64::NEG_INFINITY; n], upper: vec![f64::INFINITY; n] }
     }
 
-    /// These limits, both allowed values themselves; equal ones hold a parameter.
+    /// Bounds from these limits, which are allowed values themselves; equal limits hold a parameter.
     pub fn new(lower: Vec<f64>, upper: Vec<f64>) -> Result<Self, BoundsError> {
         if lower.len() != upper.len() {
             return Err(BoundsError::Length {
@@ -80,7 +80,7 @@ impl Bounds {
         Ok(Self { lower, upper })
     }
 
-    /// Whether `x` fits and lies inside.
+    /// Whether `x` has the right length and lies inside.
     pub fn check(&self, x: &[f64]) -> Result<(), BoundsError> {
         if self.lower.len() != x.len() {
             return Err(BoundsError::Length { what: "bounds", found: self.lower.len(), expected: x.len() });
@@ -94,12 +94,12 @@ impl Bounds {
         Ok(())
     }
 
-    /// The nearest value inside.
+    /// The nearest allowed value.
     pub(super) fn nearest(&self, parameter: usize, value: f64) -> f64 {
         value.max(self.lower[parameter]).min(self.upper[parameter])
     }
 
-    /// The side at which a parameter is, if any. Where both are the same, `gradient` tells against which it is held.
+    /// The bound at which a parameter is, if any. Where both bounds are equal, the sign of `gradient` decides.
     pub(super) fn side(&self, parameter: usize, x: f64, gradient: f64) -> Option<Side> {
         let (at_lower, at_upper) = (x <= self.lower[parameter], x >= self.upper[parameter]);
         match (at_lower, at_upper) {
@@ -110,7 +110,7 @@ impl Bounds {
         }
     }
 
-    /// Limits of a step from `x`, every component multiplied by its `scale`.
+    /// Bounds of a step from `x`, with each component multiplied by its `scale`.
     pub(super) fn of_step(&self, x: &[f64], scale: &DVector<f64>) -> StepBox {
         let from = |limits: &[f64]| {
             DVector::from_iterator(x.len(), (0..x.len()).map(|j| (limits[j] - x[j]) * scale[j]))
@@ -118,7 +118,7 @@ impl Bounds {
         StepBox { lower: from(&self.lower), upper: from(&self.upper) }
     }
 
-    /// The value at a side.
+    /// The value of a bound.
     pub(super) fn at(&self, parameter: usize, side: Side) -> f64 {
         match side {
             Side::Lower => self.lower[parameter],
@@ -137,7 +137,7 @@ pub enum Side {
 }
 
 impl Side {
-    /// Whether a cost with this derivative falls beyond the bound.
+    /// Whether a cost with this derivative decreases beyond the bound.
     pub(super) fn holds(self, gradient: f64) -> bool {
         match self {
             Self::Lower => gradient >= 0.0,
@@ -149,22 +149,22 @@ impl Side {
 /// A parameter that ended at a bound.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AtBound {
-    /// Its index.
+    /// Index of the parameter.
     pub parameter: usize,
-    /// Which bound.
+    /// Which bound it is at.
     pub side: Side,
-    /// Derivative of half the cost by the parameter: how hard the data push against the bound. Not negative at a lower, not positive at an
-    /// upper bound of a minimum.
+    /// Derivative of half the cost by the parameter: how hard the data push against the bound. At a minimum it is not negative at a lower
+    /// bound, and not positive at an upper one.
     pub gradient: f64,
 }
 
-/// Limits of a scaled step; zero lies inside.
+/// Bounds of a scaled step; zero lies inside.
 pub(super) struct StepBox {
     lower: DVector<f64>,
     upper: DVector<f64>,
 }
 
-/// A step, and the parameters that it takes to a bound or leaves there.
+/// A step, and the parameters that it takes to a bound or keeps there.
 pub(super) struct BoundedStep {
     pub step: DVector<f64>,
     pub held: Vec<Option<Side>>,
@@ -190,8 +190,8 @@ impl StepBox {
                     .find(|&side| self.at(j, side) == 0.0 && side.holds(gradient[j]))
             })
             .collect();
-        // Each round adds or releases one bound and lowers the model; the limit guards against rounding alone. Every p on the way is inside
-        // the box and no worse than none.
+        // Each round adds or releases one bound and decreases the model; the limit only guards against rounding. Every p on the way is inside
+        // the box and no worse than zero.
         for _ in 0..10 * n + 10 {
             let wanted = self.free_minimum(hessian, gradient, &held)?;
             if let Some((fraction, j, side)) = self.first_crossing(&step, &wanted, &held) {
@@ -214,7 +214,7 @@ impl StepBox {
         step.iter().all(|v| v.is_finite()).then_some(BoundedStep { step, held })
     }
 
-    /// The minimum with some components held at their bounds and no regard to the others'.
+    /// The minimum with some components held at their bounds, ignoring the bounds of the others.
     fn free_minimum(
         &self,
         hessian: &DMatrix<f64>,

@@ -1,8 +1,8 @@
-//! The iteration: damping by the gain ratio, inside bounds, on the true cost of a loss at a fixed scale.
+//! The iteration: damping by the gain ratio, within bounds, on the true cost of a loss at a fixed scale.
 //!
 //! A step that is refused is bent along the valley before it is shortened: geodesic acceleration, M. K. Transtrum, J. P. Sethna, "Improvements
-//! to the Levenberg-Marquardt algorithm for nonlinear least-squares minimization" (2012), arXiv:1201.5885, sections 2.3 and 3.1. Where no step
-//! is refused, that costs nothing.
+//! to the Levenberg-Marquardt algorithm for nonlinear least-squares minimization" (2012), arXiv:1201.5885, sections 2.3 and 3.1. It costs
+//! nothing where no step is refused.
 
 use nalgebra::DVector;
 
@@ -11,23 +11,23 @@ use super::point::{NormalEquations, Point, Robust};
 use super::{IterationRecord, LeastSquares, SolverOptions, TerminationReason};
 
 const FIRST_DAMPING: f64 = 1e-6;
-/// Below this the damping is lost in the rounding of the scaled normal matrix, whose diagonal is one.
+/// Damping below this vanishes in the rounding of the scaled normal matrix, whose diagonal is one.
 const LEAST_DAMPING: f64 = 1e-15;
 const MOST_DAMPING: f64 = 1e12;
-/// Above this a step may be short for its damping alone, which says nothing about the minimum.
+/// With damping above this, a step may be short only because of it, which says nothing about the minimum.
 const SHORTENING_DAMPING: f64 = 1e-3;
-/// A step whose gain differs from one by less showed the problem to be linear for what remains.
+/// If the gain of a step differs from one by less, the remaining problem is linear.
 const EXACT_GAIN: f64 = 1e-2;
-/// Least share of the predicted decrease that a step is taken for: Moré (1978), algorithm 7.1, p0001 of MINPACK's lmder.
+/// Least share of the predicted decrease for which a step is accepted: Moré (1978), algorithm 7.1, p0001 of MINPACK's lmder.
 const SUFFICIENT_GAIN: f64 = 1e-4;
-/// A predicted decrease below this share of the cost is lost in the rounding of its sum, and so is the gain.
+/// A predicted decrease below this share of the cost vanishes in the rounding of its sum, and so does the gain.
 const ROUNDING: f64 = 64.0 * f64::EPSILON;
-/// The share of a refused step at which its second derivative is taken, as the source has it.
+/// The share of a refused step at which its second derivative is taken, as in the source.
 const BEND_AT: f64 = 0.1;
-/// Twice the bend over the step: beyond, the step is too long for its second order to mean anything (the source's alpha).
+/// Largest ratio of twice the bend to the step: beyond it, the step is too long for a second-order correction (the source's alpha).
 const MOST_BEND: f64 = 0.75;
 
-/// A search from one start. One object serves all passes of a robust fit, so that they share their memory.
+/// A search from one start. A single object serves all passes of a robust fit, so that they share their memory.
 pub(super) struct Descent<'a, P> {
     problem: &'a mut P,
     options: &'a SolverOptions,
@@ -39,14 +39,14 @@ pub(super) struct Descent<'a, P> {
     pub iterations: Vec<IterationRecord>,
 }
 
-/// A scaled step, and what it holds at bounds.
+/// A scaled step, and the parameters that it holds at bounds.
 struct Step {
     scaled: DVector<f64>,
     held: Vec<Option<Side>>,
 }
 
 impl<'a, P: LeastSquares> Descent<'a, P> {
-    /// Evaluates the problem at `x`, which lies inside the bounds.
+    /// Evaluates the problem at `x`, which must lie within the bounds.
     pub fn new(
         problem: &'a mut P,
         x: Vec<f64>,
@@ -68,7 +68,7 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
         }
     }
 
-    /// Goes on to the minimum of one cost.
+    /// Continues to the minimum of one cost.
     pub fn run(&mut self, robust: Option<Robust>) -> TerminationReason {
         self.now.weigh(robust);
         self.scale.fill(0.0);
@@ -124,7 +124,7 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
                 }
                 damping = next_damping(damping, gain, easy);
             } else if negligible {
-                // The cost is at the floor of its rounding errors.
+                // The cost cannot decrease further because of rounding.
                 return TerminationReason::SmallStep;
             } else {
                 damping *= 10.0;
@@ -140,13 +140,13 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
         if predicted > 0.0 { (self.now.cost - self.trial.cost) / predicted } else { 0.0 }
     }
 
-    /// Whether the cost falls enough at the trial. One that is not a number compares as no decrease.
+    /// Whether the cost decreases enough at the trial point. A NaN cost counts as no decrease.
     fn suffices(&self, gain: f64, predicted: f64) -> bool {
         self.trial.cost <= self.now.cost && (gain >= SUFFICIENT_GAIN || predicted <= ROUNDING * self.now.cost)
     }
 
-    /// Where a step leads that follows the curvature of the residuals along it; `None` where it is no small addition to the step. The
-    /// trial's residuals are lost.
+    /// End of a step that follows the curvature of the residuals; `None` where the bend is not small against the step. The
+    /// trial's residuals are overwritten.
     fn bent(
         &mut self,
         normal: &NormalEquations,
@@ -189,8 +189,8 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
         });
     }
 
-    /// Takes a negligible step in a problem that was linear over the one before: residuals follow from the Jacobian, which stays. No, and
-    /// nothing changes, where the cost would rise by rounding.
+    /// Takes a negligible step after a step that showed the problem to be linear: residuals follow from the Jacobian, which stays. Returns false,
+    /// and changes nothing, where rounding would increase the cost.
     fn follow(&mut self, moved: &[f64], robust: Option<Robust>) -> bool {
         let change =
             DVector::from_iterator(moved.len(), moved.iter().zip(&self.x).map(|(to, from)| to - from));
@@ -206,8 +206,8 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
         falls
     }
 
-    /// Makes the trial the present point. Where its derivatives are not finite nothing changes, and the answer is no. The last point needs
-    /// no equations.
+    /// Makes the trial point the current one. Returns false, and changes nothing, where its derivatives are not finite. The last point needs
+    /// no normal equations.
     fn go_on(&mut self, normal: &mut NormalEquations, last: bool) -> bool {
         std::mem::swap(&mut self.now, &mut self.trial);
         let finite = if last {
@@ -242,7 +242,7 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
         Some(normal)
     }
 
-    /// Largest derivative that is not held by a bound, as cosine of the angle between residuals and column times the residuals' norm.
+    /// Largest derivative that is not held by a bound: the cosine of the angle between residuals and column times the norm of the residuals.
     fn steepest(&self, normal: &NormalEquations) -> f64 {
         let gradient = normal.gradient();
         let held = |j: usize| {
@@ -270,7 +270,7 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
             .map(|(x, (step, scale))| x + step / scale)
             .collect();
         if let Some(bounds) = self.bounds {
-            // To the bit, so that a parameter is at its bound or is not.
+            // Exactly, so that a parameter either is at its bound or is not.
             for (j, value) in moved.iter_mut().enumerate() {
                 *value = match step.held[j] {
                     Some(side) => bounds.at(j, side),
@@ -281,7 +281,7 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
         moved
     }
 
-    /// Whether the step, or the one with little damping in its place where it was shortened, changes nothing worth having.
+    /// Whether the step, or, if damping shortened it, the step with little damping, is too small to matter.
     fn is_negligible(&self, normal: &NormalEquations, curvature: f64, damping: f64) -> bool {
         let curvature = if damping <= SHORTENING_DAMPING {
             Some(curvature)
@@ -289,13 +289,13 @@ impl<'a, P: LeastSquares> Descent<'a, P> {
             self.step(normal, FIRST_DAMPING).map(|step| normal.curvature(&step.scaled))
         };
         let Some(square) = curvature else { return false };
-        // Where the cost cannot tell the step from rounding, trying on would follow its last digit.
+        // Where the cost cannot distinguish the step from rounding, further steps would only follow the last digit.
         let floor = (4.0 * f64::EPSILON).max(self.options.relative_decrease.powi(2));
         square <= self.options.absolute_decrease.powi(2) || square <= floor * self.now.cost
     }
 }
 
-/// `easy`: no step was refused so far.
+/// `easy`: no step has been refused so far.
 fn next_damping(damping: f64, gain: f64, easy: bool) -> f64 {
     if gain > 0.75 {
         (damping * if easy { 1e-3 } else { 0.1 }).max(LEAST_DAMPING)

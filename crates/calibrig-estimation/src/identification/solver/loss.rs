@@ -1,15 +1,15 @@
-//! Losses that keep a gross error in one observation from moving the estimate.
+//! Losses that limit the influence of a gross error in one observation on the estimate.
 //!
-//! They act on blocks of three whitened coordinates by the block's norm, so that the estimate does not depend on the axes in which a position
-//! is written. Source: R. A. Maronna, "Robust M-estimators of multivariate location and scatter" (1976), section 2, and R. A. Maronna,
+//! They apply to blocks of three whitened coordinates by the block's norm, so that the estimate does not depend on the axes of a position.
+//! Source: R. A. Maronna, "Robust M-estimators of multivariate location and scatter" (1976), section 2, and R. A. Maronna,
 //! R. D. Martin, V. J. Yohai, M. Salibián-Barrera, "Robust Statistics" (2nd ed. 2019), sections 2.3 and 4.4.
 
-/// What a block of norm v costs: `s² ρ(u²)` with u = v / s and s the scale. All are `v²` for small u; rows below the blocks always cost
+/// Cost of a block of norm v: `s² ρ(u²)` with u = v / s and s the scale. Every loss is `v²` for small u; rows below the blocks always cost
 /// their square.
 ///
-/// A tuning constant k is in scales. The constants of [`huber`](Self::huber), [`cauchy`](Self::cauchy) and [`tukey`](Self::tukey) leave
-/// 95 % efficiency where the noise is normal: `a² / b = 0.95` with `a = E[w + (2/3) u² ρ''(u²)]`, `b = E[w² u²] / 3`, `w = ρ'(u²)` and u
-/// distributed as chi with three degrees of freedom. (With one degree the same equation has the usual 1.345, 2.385 and 4.685.)
+/// Tuning constants k are in units of the scale. The constants of [`huber`](Self::huber), [`cauchy`](Self::cauchy) and [`tukey`](Self::tukey) give
+/// 95 % efficiency for normal noise: `a² / b = 0.95` with `a = E[w + (2/3) u² ρ''(u²)]`, `b = E[w² u²] / 3`, `w = ρ'(u²)` and u
+/// distributed as chi with three degrees of freedom. (With one degree the same equation gives the usual 1.345, 2.385 and 4.685.)
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Loss {
     /// `u²`: least squares.
@@ -17,17 +17,17 @@ pub enum Loss {
     Squared,
     /// `u²` up to k, linear beyond: convex, bounded influence.
     Huber {
-        /// Where it leaves the square.
+        /// Value of u beyond which the loss is linear.
         k: f64,
     },
-    /// `k² ln(1 + u²/k²)`: the influence falls beyond k.
+    /// `k² ln(1 + u²/k²)`: the influence decreases beyond k.
     Cauchy {
-        /// Where the weight is one half.
+        /// Value of u at which the weight is one half.
         k: f64,
     },
-    /// `k²/3 (1 - (1 - u²/k²)³)`, constant beyond k: what lies there has no influence at all.
+    /// `k²/3 (1 - (1 - u²/k²)³)`, constant beyond k: a block there has no influence at all.
     Tukey {
-        /// Where the weight becomes zero.
+        /// Value of u from which on the weight is zero.
         k: f64,
     },
 }
@@ -48,7 +48,7 @@ impl Loss {
         Self::Tukey { k: 5.490_249_208_4 }
     }
 
-    /// ρ(z) at z = u²; not a number where k is not positive.
+    /// ρ(z) at z = u²; NaN where k is not positive.
     pub fn rho(self, z: f64) -> f64 {
         match self {
             Self::Squared => z,
@@ -60,7 +60,7 @@ impl Loss {
         }
     }
 
-    /// The weight ρ'(z), from one down to zero.
+    /// The weight ρ'(z), decreasing from one to zero.
     pub fn weight(self, z: f64) -> f64 {
         match self {
             Self::Huber { k } if z > k * k => k / z.sqrt(),
@@ -70,7 +70,7 @@ impl Loss {
         }
     }
 
-    /// ρ''(z), nowhere positive.
+    /// ρ''(z), which is never positive.
     fn weight_slope(self, z: f64) -> f64 {
         match self {
             Self::Huber { k } if z > k * k => -0.5 * k / (z * z.sqrt()),
@@ -86,21 +86,21 @@ impl Loss {
     }
 }
 
-/// The scale s that a [`Loss`] measures residuals with.
+/// The scale s with which a [`Loss`] measures residuals.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum LossScale {
-    /// From the residuals: their median norm over that of a normal block, anew until it agrees with the residuals of its own minimum.
+    /// From the residuals: their median norm over that of a normal block, repeated until it agrees with the residuals at its own minimum.
     #[default]
     Estimated,
-    /// This many of the stated standard deviations.
+    /// This multiple of the stated standard deviations.
     Fixed(f64),
 }
 
 /// Median of chi with three degrees of freedom.
 const MEDIAN_NORM: f64 = 1.538_172_254_455_052_2;
 
-/// Standard deviation of one coordinate from the norms of blocks of three: consistent where the noise is normal, and finite until half of
-/// the blocks are in error. `fitted` parameters have made the residuals smaller than the noise.
+/// Standard deviation of one coordinate from the norms of blocks of three: consistent for normal noise, and finite as long as fewer than half of
+/// the blocks are in error. It accounts for `fitted` parameters, which make the residuals smaller than the noise.
 pub(crate) fn scale_of(norms: &mut [f64], fitted: f64) -> f64 {
     let count = norms.len();
     if count == 0 {
@@ -115,7 +115,7 @@ pub(crate) fn scale_of(norms: &mut [f64], fitted: f64) -> f64 {
     median / MEDIAN_NORM * freedom_factor(count, fitted).sqrt()
 }
 
-/// Coordinates over degrees of freedom; 1 where none are left.
+/// Number of coordinates over degrees of freedom; 1 where none are left.
 pub(super) fn freedom_factor(blocks: usize, fitted: f64) -> f64 {
     let coordinates = 3.0 * blocks as f64;
     if coordinates > fitted { coordinates / (coordinates - fitted) } else { 1.0 }

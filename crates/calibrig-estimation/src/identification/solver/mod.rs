@@ -1,9 +1,10 @@
-//! Levenberg-Marquardt on a weighted problem, with column scaling and the gain ratio taken on the true cost; bounds, robust losses and
-//! several starts where they are asked for.
+//! Levenberg-Marquardt for a weighted problem, with column scaling and with the gain ratio of the true cost; with bounds, robust losses and
+//! several starts on request.
 //!
 //! Source of the method: J. J. Moré, "The Levenberg-Marquardt algorithm: implementation and theory" (1978), for the scaling and the decrease
-//! that a step is taken for; the damping follows the gain ratio; refused steps are bent (geodesic acceleration). In bounds, a step is the minimum of the damped quadratic model inside them, so that where no step is left the
-//! first-order conditions hold. Priors (MAP, Tikhonov) are rows of the problem like any other.
+//! for which a step is accepted. The damping follows the gain ratio; refused steps are bent (geodesic acceleration). Within bounds, a step is the
+//! minimum of the damped quadratic model inside them, so that the first-order conditions hold where no step is left. Priors (MAP, Tikhonov) are
+//! rows of the problem like any other.
 
 mod bounds;
 mod descent;
@@ -31,24 +32,25 @@ pub trait LeastSquares {
     /// Number of rows m: data and priors.
     fn rows(&self) -> usize;
 
-    /// Number of leading blocks of three rows that a robust loss acts on, at most m / 3. The rows below them, priors above all, stay
-    /// quadratic. None unless stated: then a loss changes nothing.
+    /// Number of leading blocks of three rows to which a robust loss applies, at most m / 3. The rows below them, priors above all, stay
+    /// quadratic. Zero by default: then a loss changes nothing.
     fn blocks(&self) -> usize {
         0
     }
 
-    /// The block that counts with this one, and this one with it: a reading of six coordinates is two blocks. Itself unless stated. Both have the
-    /// weight that the mean of their squares has.
+    /// The block that is weighted together with this one: a reading of six coordinates is two blocks. The block itself by default. Both blocks get
+    /// the weight for the mean of their squares.
     fn partner(&self, block: usize) -> usize {
         block
     }
 
-    /// Squares, at the place that was evaluated last, of what no row holds and no step changes to first order: it counts where costs are compared.
+    /// Sum of squares, at the parameters evaluated last, that is in no row and that no step changes to first order: it counts where costs are
+    /// compared.
     fn beside(&self) -> f64 {
         0.0
     }
 
-    /// Fills the m residuals at the n parameters `x` and, where asked, the m x n Jacobian of the residuals.
+    /// Fills the m residuals at the n parameters `x` and, if asked for, the m x n Jacobian of the residuals.
     fn evaluate(&mut self, x: &[f64], residuals: &mut DVector<f64>, jacobian: Option<&mut DMatrix<f64>>);
 }
 
@@ -63,13 +65,13 @@ pub struct SolverOptions {
     pub absolute_decrease: f64,
     /// ... or when no column of the Jacobian that a bound does not hold has a larger cosine with the residuals.
     pub gradient: f64,
-    /// What a block of rows costs.
+    /// Cost of a block of rows.
     pub loss: Loss,
-    /// What the loss calls large.
+    /// Scale relative to which the loss measures residuals.
     pub loss_scale: LossScale,
-    /// Number of starting points: the one given, and others drawn about it.
+    /// Number of starting points: the given one, and others drawn about it.
     pub starts: u32,
-    /// Seed of the drawn starts.
+    /// Seed of the drawn starting points.
     pub seed: u64,
 }
 
@@ -88,42 +90,42 @@ impl Default for SolverOptions {
     }
 }
 
-/// Where the solver ended.
+/// Result of the solver.
 #[derive(Debug, Clone)]
 pub struct Solution {
     /// The n parameters.
     pub x: Vec<f64>,
-    /// The cost at `x`: the sum of squares, or with a loss `Σ s² ρ(v²/s²)` over the blocks of norm v plus the squares of the other rows; with
-    /// what stands beside the rows.
+    /// The cost at `x`: the sum of squares, or with a loss `Σ s² ρ(v²/s²)` over the blocks of norm v plus the squares of the other rows; both
+    /// including `beside`.
     pub cost: f64,
-    /// Of the cost what no row holds ([`LeastSquares::beside`]).
+    /// The part of the cost that is in no row ([`LeastSquares::beside`]).
     pub beside: f64,
     /// The m residuals at `x`, without the weights of a loss.
     pub residuals: DVector<f64>,
-    /// The m x n matrix J whose `(JᵀJ)⁻¹` is the covariance of `x` (what bounds hold left aside). In least squares it is the Jacobian. With
+    /// The m x n matrix J whose `(JᵀJ)⁻¹` is the covariance of `x` (without parameters at a bound). In least squares it is the Jacobian. With
     /// a loss, the rows of block i are those of the Jacobian times `sqrt(weights[i] / (mean weight · variance_factor))`.
     pub jacobian: DMatrix<f64>,
     /// Why the solver stopped.
     pub termination: TerminationReason,
-    /// Its history. With a loss: of all its passes, each of which has another cost.
+    /// History of the solver. With a loss, it covers all passes, each of which has another cost.
     pub iterations: Vec<IterationRecord>,
-    /// Parameters at a bound, ascending.
+    /// Parameters at a bound, in ascending order.
     pub at_bound: Vec<AtBound>,
-    /// Final weight of every block, 1 down to 0; empty without a loss.
+    /// Final weight of every block, from 1 down to 0; empty without a loss.
     pub weights: Vec<f64>,
     /// The scale of the loss: standard deviation of one coordinate over the stated one. 1 without a loss.
     pub scale: f64,
-    /// Variance that the loss leaves over the least that the stated noise allows: `b / a²` with `a` and `b` as in [`Loss`] but taken from
+    /// Variance with the loss over the least that the stated noise allows: `b / a²` with `a` and `b` as in [`Loss`] but taken from
     /// the residuals, b in units of the stated variance and per degree of freedom. Never below 1; 1 without a loss; infinite where the loss
     /// rejects so much that the rest determines nothing.
     pub variance_factor: f64,
-    /// Number of distinct minima that the starts led to, this one included; 0 where none converged.
+    /// Number of distinct minima that the starts reached, including this one; 0 if none converged.
     pub minima: u32,
 }
 
 impl Solution {
-    /// Blocks whose residual is longer than `limit` times the scale. Where the noise is normal, a share of chi's upper tail (three degrees
-    /// of freedom) is: 1.5e-5 above 5.
+    /// Blocks whose residual is longer than `limit` times the scale. For normal noise, their share is chi's upper tail (three degrees of
+    /// freedom): 1.5e-5 above 5.
     #[cfg(test)]
     pub fn outliers(&self, limit: f64) -> Vec<usize> {
         (0..self.weights.len())
@@ -132,15 +134,15 @@ impl Solution {
     }
 }
 
-/// Minimises from `x`, without bounds and from this start alone.
+/// Minimises without bounds, from the single start `x`.
 pub fn minimise(problem: &mut impl LeastSquares, x: Vec<f64>, options: &SolverOptions) -> Solution {
     robust::solve(problem, x, options, None)
 }
 
-/// Minimises inside `bounds`, from `x` and from the other starts that `options` ask for.
+/// Minimises within `bounds`, from `x` and from the other starts that `options` ask for.
 ///
-/// `spread` has one width a parameter: starts are drawn evenly from `x ± spread` and moved to the nearest place inside the bounds. It may be
-/// empty with a single start. The lowest minimum is returned; start k is the same for any number of starts.
+/// `spread` has one width per parameter: starts are drawn evenly from `x ± spread` and moved to the nearest point within the bounds. It may be
+/// empty for a single start. The lowest minimum is returned; start k is the same for any number of starts.
 pub fn minimise_within(
     problem: &mut impl LeastSquares,
     x: Vec<f64>,

@@ -1,4 +1,4 @@
-//! The problem evaluated at one place, and its scaled normal equations.
+//! The problem evaluated at one point, and its scaled normal equations.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
@@ -6,7 +6,7 @@ use super::LeastSquares;
 use super::bounds::Side;
 use super::loss::Loss;
 
-/// A loss with the scale that it is used at.
+/// A loss with its scale.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Robust {
     pub loss: Loss,
@@ -15,16 +15,16 @@ pub(super) struct Robust {
     pub blocks: usize,
 }
 
-/// Residuals, derivatives and cost at one place.
+/// Residuals, derivatives and cost at one point.
 pub(super) struct Point {
     pub residuals: DVector<f64>,
     pub jacobian: DMatrix<f64>,
     pub cost: f64,
-    /// Of the cost what no row holds.
+    /// The part of the cost that is in no row.
     pub beside: f64,
-    /// One a block; empty in plain least squares.
+    /// Weight of every block; empty in plain least squares.
     pub weights: Vec<f64>,
-    /// Of every block the one that counts with it; empty where each counts by itself.
+    /// For every block, the block that is weighted together with it; empty where each is weighted on its own.
     partners: Vec<usize>,
 }
 
@@ -40,7 +40,7 @@ impl Point {
         }
     }
 
-    /// Of a problem, with the blocks that count together.
+    /// The point of a problem, with the blocks that are weighted together.
     pub fn of(problem: &impl LeastSquares) -> Self {
         let partners: Vec<usize> = (0..problem.blocks()).map(|block| problem.partner(block)).collect();
         let is_single = partners.iter().enumerate().all(|(block, partner)| block == *partner);
@@ -54,12 +54,12 @@ impl Point {
         self.weigh(robust);
     }
 
-    /// Has beside its rows what another point has.
+    /// Takes over `beside` from another point.
     pub fn stay_beside(&mut self, other: &Self) {
         self.beside = other.beside;
     }
 
-    /// Cost and weights of the residuals that are there.
+    /// Computes the cost and weights of the current residuals.
     pub fn weigh(&mut self, robust: Option<Robust>) {
         let Some(robust @ Robust { loss, scale, blocks }) = robust else {
             self.cost = self.beside + self.residuals.norm_squared();
@@ -76,7 +76,7 @@ impl Point {
         self.cost.is_finite() && are_finite(self.jacobian.as_slice())
     }
 
-    /// The square of a block's length, or the mean of those that count together.
+    /// The squared norm of a block, or the mean of those that are weighted together.
     pub fn square(&self, i: usize) -> f64 {
         square(&self.residuals, &self.partners, i)
     }
@@ -86,21 +86,21 @@ impl Point {
         self.against(parameter, &self.residuals)
     }
 
-    /// The weighted product of one parameter's column with `rows`, one number a residual.
+    /// The weighted product of one parameter's column with `rows`, one number per residual.
     pub fn against(&self, parameter: usize, rows: &DVector<f64>) -> f64 {
         let weight = |row: usize| self.weights.get(row / 3).copied().unwrap_or(1.0);
         let column = self.jacobian.column(parameter);
         column.iter().zip(rows).enumerate().map(|(row, (j, r))| weight(row) * j * r).sum()
     }
 
-    /// Number of parameters that the blocks determine: the trace of their part of the hat matrix. What priors determine does not count, nor
-    /// what nothing determines.
+    /// Number of parameters that the blocks determine: the trace of their part of the hat matrix. Parameters that priors determine do not count,
+    /// nor do undetermined ones.
     pub fn fitted(&self, blocks: usize) -> f64 {
         let n = self.jacobian.ncols();
         let mut scale = DVector::zeros(n);
         let Some(mut normal) = NormalEquations::new(self) else { return n as f64 };
         normal.rescale(&mut scale);
-        // What a squared matrix of unit diagonal cannot tell from zero.
+        // Smallest value that is distinguishable from zero in a squared matrix of unit diagonal.
         const LEAST: f64 = 1e-12;
         for j in 0..n {
             normal.matrix[(j, j)] += LEAST;
@@ -124,27 +124,27 @@ fn square(residuals: &DVector<f64>, partners: &[usize], i: usize) -> f64 {
     }
 }
 
-/// What rows cost: blocks by the loss, the rows below them by their squares.
+/// Cost of rows: by the loss for blocks, by their squares for the rows below.
 pub(super) fn robust_cost(residuals: &DVector<f64>, partners: &[usize], robust: Robust) -> f64 {
     let Robust { loss, scale, blocks } = robust;
     let cost: f64 = (0..blocks).map(|i| loss.rho(square(residuals, partners, i) / (scale * scale))).sum();
     scale * scale * cost + residuals.rows_range(3 * blocks..).norm_squared()
 }
 
-/// `Jᵀ W J` and `Jᵀ W r`, with W the weights of the blocks, and the columns divided by their scale.
+/// `Jᵀ W J` and `Jᵀ W r`, with W the weights of the blocks, and with the columns divided by their scale.
 ///
-/// They cost half of a QR factorisation. Their squared condition costs digits of a step, not of the minimum: the next step starts from
-/// residuals that are computed anew. Rank and covariance are taken from the Jacobian itself.
+/// They cost half as much as a QR factorisation. Their squared condition loses digits of a step, not of the minimum: the next step starts from
+/// newly computed residuals. Rank and covariance are taken from the Jacobian itself.
 pub(super) struct NormalEquations {
     matrix: DMatrix<f64>,
     gradient: DVector<f64>,
 }
 
-/// Rows that are multiplied at a time, a whole number of blocks: with some dozen columns they stay in the processor's cache.
+/// Number of rows that are multiplied at a time, a whole number of blocks: with some dozen columns they fit into the processor's cache.
 const ROWS: usize = 768;
 
 impl NormalEquations {
-    /// Of columns as they are; `None` where an entry is not finite.
+    /// The unscaled normal equations; `None` where an entry is not finite.
     pub fn new(point: &Point) -> Option<Self> {
         let (m, n) = point.jacobian.shape();
         let (mut matrix, mut gradient) = (DMatrix::zeros(n, n), DVector::zeros(n));
@@ -166,7 +166,7 @@ impl NormalEquations {
             .then_some(Self { matrix, gradient })
     }
 
-    /// Lets `scale` grow to the column norms, never shrink (Moré), and divides by it; a column of zeros keeps a scale of one.
+    /// Lets `scale` grow to the column norms, never shrink (Moré), and divides by it; the scale of a zero column stays one.
     pub fn rescale(&mut self, scale: &mut DVector<f64>) {
         for (j, s) in scale.iter_mut().enumerate() {
             *s = s.max(self.matrix[(j, j)].sqrt());
@@ -200,7 +200,7 @@ impl NormalEquations {
         step.iter().all(|v| v.is_finite()).then_some(step)
     }
 
-    /// The scaled p of `(JᵀWJ + damping) p = right`, zero where a side is `held` (none where that is empty); `None` as in
+    /// The scaled p of `(JᵀWJ + damping) p = right`, zero where a bound is `held` (nowhere if `held` is empty); `None` as in
     /// [`damped_step`](Self::damped_step).
     pub fn solve(&self, damping: f64, right: &DVector<f64>, held: &[Option<Side>]) -> Option<DVector<f64>> {
         let (mut matrix, mut right) = (self.damped(damping), right.clone());
@@ -214,18 +214,18 @@ impl NormalEquations {
         solution.iter().all(|v| v.is_finite()).then_some(solution)
     }
 
-    /// Decrease of the cost if the problem were linear and the weights stayed: `curvature` is that of [`curvature`](Self::curvature).
+    /// Decrease of the cost for a linear problem with constant weights; `curvature` is that of [`curvature`](Self::curvature).
     pub fn predicted_decrease(&self, step: &DVector<f64>, curvature: f64) -> f64 {
         -2.0 * self.gradient.dot(step) - curvature
     }
 
-    /// Square of the change of the weighted residuals if the problem were linear.
+    /// Squared change of the weighted residuals for a linear problem.
     pub fn curvature(&self, step: &DVector<f64>) -> f64 {
         step.dot(&(&self.matrix * step))
     }
 }
 
-/// Without an early end, so that it is done several numbers at a time.
+/// Without an early exit, so that several numbers are checked at a time.
 fn are_finite(values: &[f64]) -> bool {
     values.iter().fold(true, |all, v| all & v.is_finite())
 }

@@ -1,4 +1,4 @@
-//! Minimisation with a loss: passes of the iteration at fixed scales, and what the weights do to the covariance.
+//! Minimisation with a loss: passes of the iteration at fixed scales, and the effect of the weights on the covariance.
 //!
 //! Weights are iterated (P. W. Holland, R. E. Welsch, "Robust regression using iteratively reweighted least-squares", 1977) rather than
 //! the normal matrix corrected by the loss's second derivative (B. Triggs et al., "Bundle adjustment", 2000, section 4.3): every ρ here is
@@ -12,7 +12,7 @@ use super::loss::{Loss, LossScale, freedom_factor, scale_of};
 use super::point::{Point, Robust};
 use super::{LeastSquares, Solution, SolverOptions, TerminationReason};
 
-/// Most passes that look for the scale. The median jumps from block to block and need not come to rest.
+/// Most passes that determine the scale. The median jumps from block to block and may not converge.
 const SCALE_PASSES: usize = 30;
 
 /// Minimises from one start.
@@ -32,7 +32,7 @@ pub(super) fn solve(
     finish(descent, termination, Some(robust))
 }
 
-/// Runs the loss to its end. Cauchy's and Tukey's have many minima: they start from Huber's, which in a linear problem has one.
+/// Runs the loss to its end. Cauchy's and Tukey's losses have many minima: they start from Huber's, which has a single one in a linear problem.
 fn passes<P: LeastSquares>(
     descent: &mut Descent<'_, P>,
     options: &SolverOptions,
@@ -75,7 +75,7 @@ fn passes<P: LeastSquares>(
     (termination, robust)
 }
 
-/// The scale of the residuals; data without noise still leave one that residuals can be divided by.
+/// The scale of the residuals; for data without noise it is still large enough to divide by.
 fn estimate(now: &Point, blocks: usize, fitted: f64, options: &SolverOptions) -> f64 {
     let mut norms: Vec<f64> = (0..blocks).map(|i| now.square(i).sqrt()).collect();
     scale_of(&mut norms, fitted).max(options.absolute_decrease).max(f64::EPSILON)
@@ -89,7 +89,7 @@ fn finish<P: LeastSquares>(
     let at_bound = descent.at_bound();
     let mut variance_factor = 1.0;
     if let Some(robust) = robust {
-        // A pass that failed may have had another loss.
+        // A pass that failed may have used another loss.
         descent.now.weigh(Some(robust));
         variance_factor = variance_of(&descent.now, robust);
         let mean = mean(descent.now.weights.iter().copied());

@@ -1,4 +1,4 @@
-//! Several starts: for problems that may have more than one minimum.
+//! Several starts, for problems that may have more than one minimum.
 
 use nalgebra::DVector;
 use rand::RngExt;
@@ -9,7 +9,7 @@ use super::robust::solve;
 use super::{LeastSquares, Solution, SolverOptions};
 use calibrig_model::random::{Source, stream};
 
-/// Two ends are one minimum where the residuals between them change, to first order, by less than this many times what the solver stops at.
+/// Two results are the same minimum if the residuals between them change, to first order, by less than this many times the solver's tolerance.
 const SAME: f64 = 100.0;
 
 pub(super) fn check(spread: &[f64], n: usize) -> Result<(), BoundsError> {
@@ -22,7 +22,7 @@ pub(super) fn check(spread: &[f64], n: usize) -> Result<(), BoundsError> {
     }
 }
 
-/// The lowest of the minima that all starts lead to; where none converged, the lowest cost that was reached.
+/// The lowest of the minima that all starts lead to; if none converged, the result with the lowest cost.
 pub(super) fn best_of_many(
     problem: &mut impl LeastSquares,
     x: &[f64],
@@ -36,7 +36,7 @@ pub(super) fn best_of_many(
     let others = (1..options.starts).map(|k| draw(x, spread, bounds, options.seed, k));
     let mut keep = |found: Solution| {
         if !found.termination.converged() {
-            // A cost that is not a number is the worst.
+            // A NaN cost counts as the worst.
             if unfinished.as_ref().is_none_or(|best| found.cost < best.cost || !best.cost.is_finite()) {
                 unfinished = Some(found);
             }
@@ -53,7 +53,7 @@ pub(super) fn best_of_many(
         keep(solve(problem, start, options, Some(bounds)));
     }
     let count = u32::try_from(minima.len()).unwrap_or(u32::MAX);
-    // Costs at different scales of a loss cannot be compared: all are taken at the smallest.
+    // Costs at different scales of a loss cannot be compared: all are evaluated at the smallest scale.
     let scale = minima.iter().map(|s| s.scale).fold(f64::INFINITY, f64::min);
     let partners: Vec<usize> = (0..problem.blocks()).map(|block| problem.partner(block)).collect();
     let lowest = minima
@@ -69,7 +69,7 @@ pub(super) fn best_of_many(
     }
 }
 
-/// Start number k, the same for any number of starts: its number takes the place of a trial's.
+/// Start number k, the same for any number of starts: k takes the place of a trial's number.
 fn draw(x: &[f64], spread: &[f64], bounds: &Bounds, seed: u64, k: u32) -> Vec<f64> {
     let mut random = stream(seed, k, Source::SolverStarts);
     x.iter()

@@ -11,7 +11,7 @@ fn id(name: &str) -> ParameterId {
     ParameterId::parse(name).unwrap_or_else(|| panic!("{name}"))
 }
 
-/// Neighbouring axes 2 and 3 are parallel: of their d only the sum can be told.
+/// Neighbouring axes 2 and 3 are parallel: only the sum of their d can be determined.
 fn parallel() -> CalibrationModel {
     CalibrationModel::new(vec![
         CraigLink::revolute("j1").row(0.0, 0.0, 0.4, 0.0).limits(-2.9, 2.9),
@@ -47,7 +47,7 @@ fn of_parameters_that_do_the_same_the_freed_one_is_taken_and_nothing_else_change
     assert!(has(&default, taken) && !has(&default, left));
     assert!(has(&other, left) && !has(&other, taken));
     assert!((default.chi2 - other.chi2).abs() < 1e-4 * default.chi2, "{} {}", default.chi2, other.chi2);
-    // Fixing the one leaves the sum to the other: the robot is the same.
+    // If one is fixed, the other takes the sum: the robot is the same.
     let fixed = fitted(&nominal, &set, &[taken], &[]);
     assert!(has(&fixed, left) && !has(&fixed, taken));
     assert_eq!(fixed.chi2, other.chi2);
@@ -69,7 +69,7 @@ fn what_is_fixed_stays_and_is_listed() {
     assert!((estimate.value(deviations[0].0).expect("fitted") - 1e-3).abs() < 1e-9);
 }
 
-/// A coordinate that is fixed is one that was measured without error; one that is freed, one of which nothing was measured.
+/// A fixed coordinate is the limit of one that was measured without error; a freed one is the limit of one that was not measured.
 #[test]
 fn coordinates_of_a_target_are_limits_of_what_was_measured_of_it() {
     let nominal = parallel();
@@ -79,7 +79,7 @@ fn coordinates_of_a_target_are_limits_of_what_was_measured_of_it() {
     let with = |scale: Vector3<f64>| {
         let mut set = set.clone();
         let scale = Matrix3::from_diagonal(&scale);
-        // Of what is widened nothing is known beside the others, either.
+        // Widening must not leave correlations with the other coordinates.
         set.targets[0].covariance = Some(scale * mixed * scale);
         fitted(&nominal, &set, &[], &[])
     };
@@ -94,7 +94,7 @@ fn coordinates_of_a_target_are_limits_of_what_was_measured_of_it() {
     near(&free, &with(Vector3::new(1.0, 1e5, 1.0)), None);
     let fixed = fitted(&nominal, &set, &["target_x"], &[]);
     assert_eq!(fixed.value(id("target_x")), None);
-    // Conditioned on x: the covariance of y and z less what x tells of them.
+    // Conditioned on x: the covariance of y and z less the part that x determines.
     let mut conditioned = set.clone();
     let information =
         mixed.try_inverse().expect("regular") + Matrix3::from_diagonal(&Vector3::new(1e18, 0.0, 0.0));
@@ -120,7 +120,7 @@ fn compliances_and_terms_are_fixed_and_freed() {
     let waist = id("compliance_drive2");
     let estimate =
         identify(&nominal, &set, &with(Mode::ElastoGeometric, &[], &[waist])).expect("an estimate");
-    // Gravity does not load it: it is fitted all the same, and that is told.
+    // Gravity does not load it: it is fitted nevertheless, and this is reported.
     assert!(estimate.value(waist).is_some());
     assert!(
         estimate

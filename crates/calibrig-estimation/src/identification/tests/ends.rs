@@ -1,4 +1,4 @@
-//! Robots that leave something of the tracker's place or of the target open, whatever is measured, and those whose nominal target does not move.
+//! Robots that leave part of the tracker's place or of the target undetermined, whatever is measured, and robots whose nominal target does not move.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -22,7 +22,7 @@ fn scara() -> CalibrationModel {
     ])
 }
 
-/// Three slides along x, y and z.
+/// Three prismatic joints along x, y and z.
 fn slides() -> Vec<CraigLink> {
     vec![
         CraigLink::prismatic("x").row(0.0, FRAC_PI_2, 0.0, FRAC_PI_2).limits(0.0, 2.0),
@@ -39,7 +39,7 @@ fn gantry(wrist: usize) -> CalibrationModel {
     chain(links)
 }
 
-/// Two axes that meet in the flange's origin.
+/// Two axes that intersect in the flange's origin.
 fn positioner() -> CalibrationModel {
     chain(vec![
         CraigLink::revolute("tilt").row(0.0, 0.0, 0.7, 0.0).limits(-1.7, 1.7),
@@ -51,7 +51,7 @@ fn chain(links: Vec<CraigLink>) -> CalibrationModel {
     CalibrationModel::new(links).expect("a chain")
 }
 
-/// The robot with errors of 0.5 mm and 1 mrad in its links, and one target at every offset, seen in every pose from one of the stations.
+/// The robot with errors of 0.5 mm and 1 mrad in its links, and one target at each offset, seen in every pose from one of the stations.
 fn measured(
     nominal: &CalibrationModel,
     offsets: &[Vector3<f64>],
@@ -122,7 +122,7 @@ fn what_identifiability_selects_is_what_is_fitted() {
         let (estimate, rms) = fit(&nominal, &measured(&nominal, &[OFFSET], 1, NOISE));
         let selected = complete_set(&nominal.kinematics, true, true).expect("a chain").selected;
         assert_eq!(ids(&estimate), selected);
-        // Three coordinates a point, less what the fit takes.
+        // Three coordinates per point, less what the fit takes.
         let expected = NOISE * (3.0 - selected.len() as f64 / POSES as f64).sqrt();
         assert!((rms / expected - 1.0).abs() < 0.3, "{rms} {expected}");
         assert_eq!(estimate.fixed.len(), open, "{:?}", estimate.fixed);
@@ -131,7 +131,7 @@ fn what_identifiability_selects_is_what_is_fitted() {
     }
 }
 
-/// Only what a station's shift can do is left out: of the second target nothing.
+/// Only what a shift of the station can do is left out: nothing of the second target.
 #[test]
 fn of_several_targets_one_is_left_at_its_place() {
     for stations in [1, 2] {
@@ -144,7 +144,7 @@ fn of_several_targets_one_is_left_at_its_place() {
     }
 }
 
-/// Neither the listed nor the published parameters change what the ends leave open.
+/// Neither the listed nor the published parameters change which components of the ends are undetermined.
 #[test]
 fn a_target_along_an_axis_is_open_with_any_link_parameters() {
     let set = measured(&scara(), &[OFFSET], 1, NOISE);

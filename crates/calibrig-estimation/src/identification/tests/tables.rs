@@ -1,4 +1,4 @@
-//! A factory's table, whose nearly parallel axes have their common normals hundreds of metres away.
+//! A factory's table, with nearly parallel axes whose common normals are hundreds of metres away.
 
 use std::fmt::Write as _;
 
@@ -14,7 +14,7 @@ use calibrig_model::measurement::MeasurementSet;
 use calibrig_model::random::{Source, stream};
 use calibrig_model::{CraigLink, KinematicModel, LinkTerm};
 
-/// a mm, alpha deg, d mm, theta deg of a 6R like a UR, calculated from axes that are parallel to within 1 mrad.
+/// a mm, alpha deg, d mm, theta deg of a 6R robot like a UR, calculated from axes that are parallel to within 1 mrad.
 const TABLE: &str = "
 0 0 130 0
 0 90 -412162.1168985784 -35.53768226336827
@@ -85,6 +85,6 @@ fn a_table_with_far_normals_is_identified_as_any_other() {
     assert!(estimate.is_sound(), "{:?}", estimate.warnings);
     assert_eq!((estimate.spectrum.rank, estimate.spectrum.weak.len()), (27, 0));
     let NoiseScale::Residuals(found) = estimate.noise else { panic!("{:?}", estimate.noise) };
-    // Of 333 degrees of freedom: one standard deviation is 4 %.
+    // With 333 degrees of freedom, one standard deviation is 4 %.
     assert!((found / noise - 1.0).abs() < 0.15, "{found}");
 }

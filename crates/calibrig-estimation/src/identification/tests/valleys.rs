@@ -1,4 +1,4 @@
-//! Robots whose tool lies near their last axis: the direction of that axis hardly shows, and only beside where the tool is.
+//! Robots whose tool is near their last axis: the direction of that axis hardly shows, and only together with the place of the tool.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -19,7 +19,7 @@ fn normal(random: &mut impl Rng) -> f64 {
     StandardNormal.sample(random)
 }
 
-/// A 6R of right and zero twists, or of any, as the number is even or odd.
+/// A 6R robot, with right-angle and zero twists for even numbers and with arbitrary ones for odd numbers.
 fn robot(number: u32, random: &mut impl Rng) -> CalibrationModel {
     let twists = [0.0, FRAC_PI_2, 0.0, FRAC_PI_2, -FRAC_PI_2, FRAC_PI_2];
     let row = |(i, twist): (usize, f64)| {
@@ -31,7 +31,7 @@ fn robot(number: u32, random: &mut impl Rng) -> CalibrationModel {
     CalibrationModel::new(links).expect("a robot")
 }
 
-/// What a tracker sees of the robot with errors in its links and its tool `off` the last axis.
+/// Measurements of the robot by a tracker, with errors in its links, and its tool `off` the last axis.
 fn measured(nominal: &CalibrationModel, off: f64, random: &mut impl Rng) -> MeasurementSet {
     let mut real = nominal.clone();
     for link in &mut real.kinematics.links {

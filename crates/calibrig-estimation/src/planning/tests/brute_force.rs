@@ -1,4 +1,4 @@
-//! Against all designs there are.
+//! Compares with all possible designs.
 
 use nalgebra::DMatrix;
 
@@ -6,7 +6,7 @@ use super::{random_rows, space, subsets};
 use crate::planning::closed::Closed;
 use crate::planning::{Choice, Criterion, DesignRows, DesignSpace, Over, PlanError, choose, grow};
 
-/// Value of a criterion, from its definition and normal matrices alone.
+/// Value of a criterion by its definition, from normal matrices alone.
 fn value(criterion: Criterion, rows: &DesignRows, scale: &[f64], design: &[usize]) -> f64 {
     let p = scale.len();
     let scaled = |matrix: &DMatrix<f64>| matrix * DMatrix::from_diagonal(&scale.to_vec().into());
@@ -80,7 +80,7 @@ fn the_best_over_several_robots_is_that_of_all_subsets() {
                     Over::Worst => values.into_iter().fold(f64::NEG_INFINITY, f64::max),
                 }
             };
-            // By O1 the mean is that of logarithms, as by D: it is searched for the same poses.
+            // For O1 the mean is that of logarithms, as for D: the search is for the same poses.
             if criterion == Criterion::O1 && over == Over::Mean {
                 continue;
             }
@@ -94,7 +94,7 @@ fn the_best_over_several_robots_is_that_of_all_subsets() {
     }
 }
 
-/// What was measured already counts as if it had been chosen beforehand.
+/// Poses that are already measured count as if they had been chosen before.
 #[test]
 fn further_poses_are_the_best_beside_those_that_are_fixed() {
     let all = random_rows(21, 12, 5, false);
@@ -113,7 +113,7 @@ fn further_poses_are_the_best_beside_those_that_are_fixed() {
     }
 }
 
-/// Costs of all exchanges, and what updates leave after many of them, against the same computed anew.
+/// Costs of all exchanges, and the results of many updates, compared with newly computed ones.
 #[test]
 fn exchanges_cost_what_they_cost_when_computed_anew() {
     for criterion in [Criterion::D, Criterion::A, Criterion::I] {
@@ -137,7 +137,7 @@ fn exchanges_cost_what_they_cost_when_computed_anew() {
                 assert!(anew.refresh(&other));
                 let off = (cost - anew.cost) / anew.cost.abs();
                 assert!(off.abs() < 1e-9, "{criterion:?}: {cost} for {}", anew.cost);
-                // What is passed over for its bound is no better.
+                // A candidate that is skipped because of its bound is not better.
                 let below = (cost - bounds[entering]) / anew.cost.abs();
                 assert!(below > -1e-9, "{criterion:?}: {cost} is below {}", bounds[entering]);
                 passed += usize::from(bounds[entering] > closed.cost);
@@ -155,7 +155,7 @@ fn exchanges_cost_what_they_cost_when_computed_anew() {
     }
 }
 
-/// The criteria that name the same designs.
+/// The criteria that give the same designs.
 #[test]
 fn the_same_poses_by_d_and_o1_and_by_e_and_o3() {
     let space = space(&random_rows(41, 40, 6, true));
@@ -191,7 +191,7 @@ fn designs_grow_and_never_get_worse() {
         assert!(point.value <= 1.05 * alone.value, "{}: {} for {}", point.count, point.value, alone.value);
     }
     assert!(growth.knee.is_some_and(|knee| knee > 4 && knee < 40));
-    // All that is left with any number of poses is the machine's: without a prior the parameters are told.
+    // For any number of poses only the machine's noise is left: the parameters are determined without a prior.
     assert!((growth.floor.with_machine.mean - 0.2).abs() < 1e-5);
     use crate::planning::Needed;
     let mean = |spread: &crate::planning::Spread| spread.mean;
@@ -204,7 +204,7 @@ fn designs_grow_and_never_get_worse() {
     assert!(matches!(growth.needed(f64::NAN, mean), Err(PlanError::Number { .. })));
 }
 
-/// A direction that no candidate shows stays where its prior has it.
+/// A direction that no candidate shows keeps the uncertainty of its prior.
 #[test]
 fn what_no_candidate_shows_is_a_floor() {
     let mut rows = random_rows(61, 20, 4, true);

@@ -21,7 +21,7 @@ fn drawn(rng: &mut ChaCha8Rng, rows: usize, columns: usize) -> DMatrix<f64> {
     DMatrix::from_fn(rows, columns, |_, _| rng.random_range(-1.0..1.0))
 }
 
-/// Rows at random: candidates of one to three rows about `p` parameters, with a weak prior or none, and four poses to predict.
+/// Random rows: candidates of one to three rows about `p` parameters, with a weak prior or none, and four poses to predict.
 fn random_rows(seed: u64, candidates: usize, p: usize, prior: bool) -> DesignRows {
     let mut rng = stream(seed, 0, Source::Splits);
     let rng = &mut rng;
@@ -38,7 +38,7 @@ fn space(rows: &DesignRows) -> DesignSpace {
     DesignSpace::new(names(p), rows, &ParameterScale::Effect).expect("a space")
 }
 
-/// All ways to take `count` of `from..candidates`, in ascending order.
+/// All ways to choose `count` of `from..candidates`, in ascending order.
 fn subsets(from: usize, candidates: usize, count: usize, repeats: bool) -> Vec<Vec<usize>> {
     if count == 0 {
         return vec![Vec::new()];

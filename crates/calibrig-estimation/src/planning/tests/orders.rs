@@ -1,4 +1,4 @@
-//! Orders of poses against all there are.
+//! Compares orders of poses with all possible ones.
 
 use nalgebra::DMatrix;
 use rand::RngExt;
@@ -23,7 +23,7 @@ fn orders(count: usize) -> Vec<Vec<usize>> {
     all
 }
 
-/// Commands, how they are coupled with drift, all rows as one matrix, and what a shift does to those of every pose.
+/// Commands, their coupling with drift, all rows as one matrix, and the effect of a shift on the rows of every pose.
 type Eight = (Vec<Vec<f64>>, DriftCoupling, DMatrix<f64>, Vec<DMatrix<f64>>);
 
 /// Eight poses whose rows are about four parameters and a shift.
@@ -42,7 +42,7 @@ fn eight(seed: u64) -> Eight {
     (commands, coupling, DMatrix::from_rows(&whole), shifts)
 }
 
-/// The terms of the cost by themselves, from what they are defined as.
+/// The terms of the cost by their definitions.
 #[test]
 fn the_cost_of_an_order_is_what_it_is_said_to_be() {
     let (commands, coupling, whole, shifts) = eight(5);
@@ -63,7 +63,7 @@ fn the_cost_of_an_order_is_what_it_is_said_to_be() {
     assert!((cost.travel - travel).abs() < 1e-12);
     let imbalance: f64 = signs.iter().map(|sum| (sum / 8.0_f64).powi(2)).sum();
     assert!((cost.imbalance - imbalance).abs() < 1e-12);
-    // A least-squares fit to drifting readings takes up H d of them.
+    // A least-squares fit to drifting readings absorbs H d of them.
     let hat = &whole * whole.tr_mul(&whole).try_inverse().expect("regular") * whole.transpose();
     let (mut taken, mut own) = (0.0, 0.0);
     for axis in 0..3 {
@@ -113,11 +113,11 @@ fn approaches_are_signs_of_the_last_motion() {
     assert_eq!(ordered.order, [0, 1, 2]);
     assert_eq!(ordered.approaches, [[1, 0], [1, 0], [-1, -1]]);
     assert_eq!(ordered.cost.travel, 1.0 + 1.0 + 1.0);
-    // (2 - 1)² / 9 of the first, one of the second, whose side is known once.
+    // (2 - 1)² / 9 for the first joint, one for the second, whose side is known once.
     assert!((ordered.cost.imbalance - 1.0 / 9.0 - 1.0).abs() < 1e-15);
 }
 
-/// Sixty poses: a better order than as drawn in everything that counts.
+/// Sixty poses: the order is better than the drawn one in every criterion.
 #[test]
 fn an_order_of_sixty_poses_is_shorter_and_balanced() {
     let mut rng = stream(9, 0, Source::Splits);

@@ -1,11 +1,11 @@
-//! Against designs that are known, and against the approximate optimum.
+//! Compares with known designs, and with the approximate optimum.
 
 use nalgebra::{DMatrix, DVector};
 
 use super::{names, random_rows};
 use crate::planning::{Choice, Criterion, Design, DesignRows, DesignSpace, ParameterScale, choose};
 
-/// A space of single rows in their own units, none fixed.
+/// A space of single rows in their own units, with nothing fixed.
 fn of_rows(rows: &[Vec<f64>]) -> DesignSpace {
     let p = rows[0].len();
     let candidates: Vec<_> = rows.iter().map(|row| DMatrix::from_row_slice(1, p, row)).collect();
@@ -27,7 +27,8 @@ fn grid(steps: i32) -> Vec<f64> {
     (-steps..=steps).map(|i| f64::from(i) / f64::from(steps)).collect()
 }
 
-/// D-optimal weights of a polynomial are alike at the roots of (1 - x²) P'(x) (P. G. Hoel, Ann. Math. Statist. 29 (1958) 1134; P. G. Guest, ibid. 294).
+/// D-optimal weights of a polynomial are equal at the roots of (1 - x²) P'(x) (P. G. Hoel, Ann. Math. Statist. 29 (1958) 1134; P. G. Guest, ibid.
+/// 294).
 #[test]
 fn polynomials_are_measured_at_the_roots_of_legendres_derivative() {
     let points = grid(20);
@@ -38,7 +39,7 @@ fn polynomials_are_measured_at_the_roots_of_legendres_derivative() {
     // det = 4 n1 n2 n3: 32 for six, and 8 for four.
     assert!((design.figures.log_determinant - 32.0_f64.ln()).abs() < 1e-10);
     assert!((chosen(&quadratic, Criterion::D, 4).figures.log_determinant - 8.0_f64.ln()).abs() < 1e-10);
-    // G over the candidates is D's (J. Kiefer, J. Wolfowitz, Canad. J. Math. 12 (1960) 363): the largest variance is p / n.
+    // G over the candidates gives the design of D (J. Kiefer, J. Wolfowitz, Canad. J. Math. 12 (1960) 363): the largest variance is p / n.
     let design = chosen(&quadratic, Criterion::G, 6);
     assert!((design.value - 0.5).abs() < 1e-10, "{}", design.value);
 
@@ -70,8 +71,8 @@ fn factors_are_measured_at_the_corners_of_their_cube() {
     }
 }
 
-/// Weights of the approximate D-optimum by the multiplicative algorithm (S. D. Silvey, D. M. Titterington, B. Torsney, Comm. Statist. A 7 (1978) 1379), and by how much its
-/// determinant could be more (Kiefer and Wolfowitz): an algorithm of its own.
+/// Weights of the approximate D-optimum by the multiplicative algorithm (S. D. Silvey, D. M. Titterington, B. Torsney, Comm. Statist. A 7 (1978)
+/// 1379), and an upper bound of the missing determinant (Kiefer and Wolfowitz): an independent algorithm.
 fn approximate(candidates: &[DMatrix<f64>], p: usize) -> (Vec<f64>, f64, f64) {
     let mut weights = vec![1.0 / candidates.len() as f64; candidates.len()];
     let mut gap = f64::INFINITY;
@@ -98,8 +99,8 @@ fn approximate(candidates: &[DMatrix<f64>], p: usize) -> (Vec<f64>, f64, f64) {
     (weights, log_determinant, gap)
 }
 
-/// The full quadratic model of two factors on the 3 x 3 grid: the best nine points are the grid itself, with a D-efficiency of 97.4 % (G. E. P. Box, N. R. Draper,
-/// Technometrics 13 (1971) 731; Atkinson, Donev and Tobias 2007, section 12.2).
+/// The full quadratic model of two factors on the 3 x 3 grid: the best nine points are the grid itself, with a D-efficiency of 97.4 % (G. E. P. Box,
+/// N. R. Draper, Technometrics 13 (1971) 731; Atkinson, Donev and Tobias 2007, section 12.2).
 #[test]
 fn the_second_order_design_of_nine_points_is_the_grid() {
     let levels = [-1.0, 0.0, 1.0];
@@ -119,7 +120,7 @@ fn the_second_order_design_of_nine_points_is_the_grid() {
     assert!((efficiency - 0.974).abs() < 5e-4, "{efficiency}");
 }
 
-/// Blocks of several rows: no exact design is better than the approximate optimum, and one of many poses is nearly as good.
+/// Blocks of several rows: no exact design is better than the approximate optimum, and one with many poses is nearly as good.
 #[test]
 fn blocks_reach_the_approximate_optimum() {
     let rows = random_rows(71, 60, 6, false);

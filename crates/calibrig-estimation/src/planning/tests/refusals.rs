@@ -1,4 +1,4 @@
-//! What cannot be planned: which, why, and what to do.
+//! Refused plans: which, why, and what to do.
 
 use nalgebra::{DMatrix, Matrix3};
 
@@ -19,7 +19,7 @@ fn designs_that_cannot_be() {
     let of = |choice: Choice| choose(&own, &choice).expect_err("refused");
     assert_eq!(of(Choice::of(0)), PlanError::NoPoses);
     assert_eq!(of(Choice::of(10)), PlanError::TooFewCandidates { candidates: 9, wanted: 10 });
-    // Of three rows at most, one pose determines three of five.
+    // One pose has at most three rows, and determines three of five parameters.
     let few = of(Choice::of(1));
     assert_eq!(few, PlanError::TooFewPoses { count: 1, rows: 3, determined: 3, parameters: 5, least: 2 });
     assert!(few.to_string().contains("3 of 5 parameters: expected at least 2 poses, or a prior"), "{few}");
@@ -43,7 +43,7 @@ fn designs_that_cannot_be() {
     assert!(choose(&nowhere, &Choice { criterion: Criterion::A, ..Choice::of(4) }).is_ok());
 }
 
-/// Without a prior the error names what depends on what; a prior heals it.
+/// Without a prior the error names the dependent parameters; a prior solves it.
 #[test]
 fn parameters_that_no_candidate_tells_apart_are_named() {
     let mut rows = random_rows(2, 9, 5, false);
@@ -128,7 +128,7 @@ fn sessions_that_cannot_be() {
         text.contains("candidate pose 1: joint 2 is at 1.750000, beyond its limits -1.5 to 1.5 by 0.250000"),
         "{text}"
     );
-    // A pose that was measured there was measured there.
+    // The limits do not apply to a pose that was already measured.
     assert!(PlannedSession::new(&model, &far, &options, None, &[1], &[]).is_ok());
     let singular = changed(&|set| {
         if let Reading::Cartesian { covariance, .. } = &mut set.observations[4].reading {
@@ -165,7 +165,7 @@ fn boxes_that_cannot_be() {
     region[2] = [0.5, 0.5];
     let fixed = candidate_commands(&model, &region, 50).expect("candidates");
     assert!(fixed.iter().all(|command| command[2] == 0.5));
-    // A box is filled, both halves of every joint alike; a sixth of the candidates is at either end of each.
+    // The box is filled, both halves of every joint equally; a sixth of the candidates is at either end of each.
     let full = candidate_commands(&model, &LIMITS, 600).expect("candidates");
     for (joint, [low, high]) in LIMITS.iter().enumerate() {
         let of = |is: &dyn Fn(f64) -> bool| full.iter().filter(|command| is(command[joint])).count();

@@ -1,4 +1,4 @@
-//! The planned system against the one that is fitted.
+//! Compares the planned system with the one that is fitted.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -37,7 +37,7 @@ pub(super) fn arm() -> CalibrationModel {
 
 pub(super) const LIMITS: [[f64; 2]; 4] = [[0.0, 3.0], [-1.2, 1.2], [-1.8, 1.8], [-2.5, 2.5]];
 
-/// Readings of the nominal robot, two targets at every pose, with noise of 20 um.
+/// Readings of the nominal robot, with two targets at every pose, and noise of 20 um.
 pub(super) fn set(model: &CalibrationModel, commands: &[Vec<f64>]) -> MeasurementSet {
     set_of(Mode::ElastoGeometric, model, commands)
 }
@@ -115,13 +115,13 @@ fn of_poses(set: &MeasurementSet, poses: &[u32]) -> MeasurementSet {
     MeasurementSet { observations, ..set.clone() }
 }
 
-/// The fit of readings of the nominal robot ends there: its covariance is the planned one, and so is that of what it predicts.
+/// The fit of the nominal robot's readings ends at the nominal robot: its covariance is the planned one, and so is that of its predictions.
 fn compare(estimate: &Estimate, session: &mut PlannedSession<'_>, chosen: &[u32], region: &[Vec<f64>]) {
     let space = session.space(&ParameterScale::Effect).expect("a space");
     let place = |pose: &u32| session.candidates().iter().position(|own| own == pose).expect("a candidate");
     let chosen: Vec<usize> = chosen.iter().map(place).collect();
     let figures = space.figures(&chosen).expect("determined");
-    // A free frame is counted from where the rigid robot fits best, which is not where the sagging one is.
+    // A free frame counts from where the rigid robot fits best, which is not where the sagging robot is.
     let own = estimate.parameters.iter().filter(|p| !matches!(p.id, ParameterId::Frame { .. }));
     for p in own {
         assert!(p.value.abs() < 0.01 * p.sigma.expect("determined"), "{}: {} {:?}", p.id, p.value, p.sigma);
@@ -170,7 +170,7 @@ fn what_is_planned_is_what_a_fit_of_the_chosen_poses_knows() {
     }
 }
 
-/// Ten poses measured, more to come: the fit of all is what was planned, at the nominal robot and where a first fit ended.
+/// Ten poses are measured, more follow: the fit of all is as planned, both at the nominal robot and at the result of a first fit.
 #[test]
 fn further_poses_count_beside_those_that_are_measured() {
     let model = arm();
@@ -193,7 +193,7 @@ fn further_poses_count_beside_those_that_are_measured() {
     }
 }
 
-/// The rows of a drawn robot are those of a fit whose nominal robot it is.
+/// The rows of a drawn robot are those of a fit for which it is the nominal robot.
 #[test]
 fn drawn_robots_are_robots_of_their_own() {
     let model = arm();
@@ -208,7 +208,7 @@ fn drawn_robots_are_robots_of_their_own() {
     assert_eq!(spaces[0], session.space(&ParameterScale::Effect).expect("a space"));
     assert_eq!(spaces, session.spaces_of_robots(3, tolerance, 7, &ParameterScale::Effect).expect("spaces"));
     assert!(spaces.windows(2).all(|pair| pair[0] != pair[1] && pair[0].scale() == pair[1].scale()));
-    // They are much alike: robots are made within some millimetres.
+    // They are similar: robots are made within some millimetres.
     let all: Vec<usize> = (0..40).collect();
     let rms = |i: usize| spaces[i].figures(&all).expect("told").accuracy.expect("a region").of_parameters.rms;
     for robot in 1..4 {
@@ -231,7 +231,7 @@ fn drawn_robots_are_robots_of_their_own() {
         assert!((value(&robust.chosen) / robust.value - 1.0).abs() < 1e-9);
         assert!(value(&robust.chosen) <= value(&nominal.chosen) * 1.01);
     }
-    // Without tolerances every robot is the nominal one but for its compliances' own priors.
+    // Without tolerances every robot is the nominal one except for the compliances' own priors.
     let none = Tolerance { length: -1.0, angle: 0.0 };
     assert!(matches!(
         session.spaces_of_robots(1, none, 7, &ParameterScale::Effect),
@@ -239,7 +239,7 @@ fn drawn_robots_are_robots_of_their_own() {
     ));
 }
 
-/// A pose with and without a payload is one candidate, and its rows are all that is read there.
+/// A pose with and without a payload is one candidate, and its rows are all its readings.
 #[test]
 fn all_readings_of_a_pose_are_one_candidate() {
     let model = arm();
@@ -264,7 +264,7 @@ fn all_readings_of_a_pose_are_one_candidate() {
     assert!(with.iter().zip(&without).all(|(with, without)| with < without));
 }
 
-/// Time that passes while parameters change is told apart best by an order that is not sorted by a joint.
+/// Drift is best separated from parameters by an order that is not sorted by a joint.
 #[test]
 fn drift_is_spread_over_the_poses() {
     let model = arm();
@@ -294,7 +294,7 @@ fn drift_is_spread_over_the_poses() {
     assert!((0.0..1.0).contains(&spread.cost.drift));
 }
 
-/// Poses that are visited twice take no more rows than those that are visited once, and tell what a fit of all visits knows.
+/// Poses that are visited twice need no more rows than those visited once, and give the information of a fit of all visits.
 #[test]
 fn visits_of_a_pose_are_merged() {
     let model = arm();

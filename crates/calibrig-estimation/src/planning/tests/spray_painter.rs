@@ -1,4 +1,4 @@
-//! The spray painter in the region of `scenarios/paper.toml`: what thirty planned poses tell, and what sixty drawn ones do.
+//! The spray painter in the region of `scenarios/paper.toml`: thirty planned poses compared with sixty drawn ones.
 
 use std::path::Path;
 
@@ -34,7 +34,7 @@ const NESTS: [[f64; 3]; 7] = [
     [0.6, 1.5, 4.3],
 ];
 
-/// As a tracker sees a point: 2 um and 0.75 um/m along the beam and across, about an eighth of what data sheets permit.
+/// A point as a tracker sees it: 2 um and 0.75 um/m along the beam and across, about an eighth of what data sheets allow.
 fn seen(in_tracker: Vector3<f64>) -> Reading {
     let range = in_tracker.norm();
     let sigma = 2e-6 + 0.75e-6 * range;
@@ -48,7 +48,7 @@ fn seen(in_tracker: Vector3<f64>) -> Reading {
     })
 }
 
-/// The nominal robot at commands, from a tracker beside the middle of its rail.
+/// The nominal robot at commands, seen by a tracker next to the middle of its rail.
 fn set(model: &CalibrationModel, in_flange: Vector3<f64>, commands: &[Vec<f64>]) -> MeasurementSet {
     let robot = CalibratedRobot {
         mode: Mode::ElastoGeometric,
@@ -92,7 +92,8 @@ fn set(model: &CalibrationModel, in_flange: Vector3<f64>, commands: &[Vec<f64>])
     MeasurementSet { stations: vec![station], targets: vec![target], observations }
 }
 
-/// As the scenario identifies: the published parameters and the drives' compliances, nests and target measured; and the scatter of the machine as it states it.
+/// Options as in the scenario: the published parameters and the drives' compliances, nests and target measured, and the scatter of the machine as
+/// stated.
 fn options() -> IdentificationOptions {
     let second = std::f64::consts::PI / 180.0 / 3600.0;
     let repeatability =
@@ -133,7 +134,7 @@ fn thirty_planned_poses_tell_more_than_sixty_drawn_ones() {
             PlannedSession::new(model, &set, &options(), None, &[], &queries).expect("a session");
         session.space(&ParameterScale::Effect).expect("a space")
     };
-    // Sixty poses of the region by chance, twenty times.
+    // Sixty random poses of the region, twenty times.
     let of_chance = space(&commands_at_random(1200, &region));
     let mut drawn: Vec<f64> =
         (0..20).map(|k| rms(&of_chance, &(60 * k..60 * (k + 1)).collect::<Vec<_>>())).collect();
@@ -150,7 +151,7 @@ fn thirty_planned_poses_tell_more_than_sixty_drawn_ones() {
             let planned = rms(&space, &design.chosen);
             eprintln!("{count} planned in the {name}: {}, {:?}", of_region(planned), design.starts);
             assert!((planned.powi(2) / design.value - 1.0).abs() < 1e-9 && design.settled);
-            // Within the region itself thirty are about as good as sixty.
+            // Within the region itself, thirty planned poses are about as good as sixty.
             let least = if (name, count) == ("region", 30) { middle } else { drawn[0] };
             assert!(planned < least, "{count} in the {name}: {planned} for {drawn:?}");
         }

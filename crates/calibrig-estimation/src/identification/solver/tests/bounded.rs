@@ -3,7 +3,7 @@ use super::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// A random positive definite system of four unknowns, and a box about zero that holds some of them.
+/// A random positive definite system with four unknowns, and a box about zero that holds some of them.
 fn random_box(rng: &mut ChaCha8Rng) -> (DMatrix<f64>, DVector<f64>, Vec<f64>, Vec<f64>) {
     let root = DMatrix::from_fn(6, 4, |_, _| rng.random_range(-1.0..1.0));
     let gradient = DVector::from_fn(4, |_, _| rng.random_range(-1.0..1.0));
@@ -20,7 +20,7 @@ fn random_box(rng: &mut ChaCha8Rng) -> (DMatrix<f64>, DVector<f64>, Vec<f64>, Ve
     (root.transpose() * &root, gradient, lower, limits(rng))
 }
 
-/// The least value over all 81 choices of what is free, at its lower and at its upper limit.
+/// The least value over all 81 choices of components that are free, at their lower or at their upper bound.
 fn by_enumeration(h: &DMatrix<f64>, g: &DVector<f64>, lower: &[f64], upper: &[f64]) -> f64 {
     let value = |p: &DVector<f64>| 0.5 * p.dot(&(h * p)) + g.dot(p);
     let mut least = f64::INFINITY;
@@ -64,7 +64,7 @@ fn a_step_in_a_box_is_the_best_of_all_active_sets() {
     }
 }
 
-/// A random problem with curvature, every parameter held to be not negative. First-order conditions: derivatives vanish inside and push
+/// A random nonlinear problem, with every parameter bounded below by zero. First-order conditions: derivatives vanish inside and push
 /// outward at a bound.
 #[test]
 fn what_comes_out_satisfies_the_first_order_conditions() {

@@ -1,4 +1,4 @@
-//! Tests of the solver: against `SciPy`'s solutions, and against what a minimum has to be.
+//! Tests of the solver against `SciPy`'s solutions, and against the conditions of a minimum.
 
 mod bounded;
 mod reference;
@@ -54,7 +54,7 @@ pub(super) fn rosenbrock() -> Formula<impl FnMut(&[f64]) -> Rows> {
     }
 }
 
-/// Stops only where doubles end.
+/// Stops only at the limit of double precision.
 pub(super) fn tight() -> SolverOptions {
     SolverOptions {
         max_iterations: 5000,

@@ -1,4 +1,4 @@
-//! Against `SciPy` (MINPACK, TRF, BFGS) and NIST's certified values: tests/fixtures/solver.
+//! Compared with `SciPy` (MINPACK, TRF, BFGS) and NIST's certified values: tests/fixtures/solver.
 
 use serde::Deserialize;
 
@@ -188,7 +188,7 @@ fn minima_are_those_of_minpack_and_nist() {
     }
 }
 
-/// As they are used: a minimum to four digits of the residuals.
+/// With the default options: a minimum to four digits of the residuals.
 #[test]
 fn the_default_options_end_at_the_same_minima() {
     for case in &reference().plain {

@@ -28,7 +28,7 @@ fn mean_over_chi(f: impl Fn(f64) -> f64, kink: f64) -> f64 {
         let n = 4000;
         let h = (to - from) / f64::from(n);
         let at = |i: i32| {
-            // The ends belong to the piece.
+            // The end points are moved into this piece.
             let u = (from + h * f64::from(i)).clamp(from + 1e-12, to - 1e-12);
             density(u) * f(u)
         };
@@ -67,7 +67,7 @@ fn the_scale_is_the_standard_deviation_and_outlives_outliers() {
     assert_eq!(scale_of(&mut [3.0, 1.0, 2.0], 0.0), 2.0 / scale_unit());
 }
 
-/// The norm that a scale of one has at its median: where chi's distribution is one half.
+/// The norm at the median for a scale of one: where chi's distribution function is one half.
 fn scale_unit() -> f64 {
     let unit = 1.0 / scale_of(&mut [1.0], 0.0);
     let below = mean_over_chi(|u| if u < unit { 1.0 } else { 0.0 }, unit);
@@ -75,7 +75,7 @@ fn scale_unit() -> f64 {
     unit
 }
 
-/// Blocks along three lines in t, with noise, gross errors and a prior on the last slope, drawn about its truth of zero.
+/// Blocks along three lines in t, with noise, gross errors and a prior on the last slope, whose error is drawn about zero.
 struct Session {
     t: Vec<f64>,
     y: Vec<[f64; 3]>,
@@ -125,7 +125,7 @@ const TRIALS: usize = 400;
 struct Figures {
     /// Mean of `xᵀ C⁻¹ x` for the stated covariance C; the truth is zero.
     nees: f64,
-    /// Sum of squares of what the data alone determine.
+    /// Sum of squares of the parameters that the data alone determine.
     squares: f64,
 }
 
@@ -157,7 +157,7 @@ fn the_covariance_is_that_of_the_estimates() {
         let clean = figures(&options, 0);
         println!("{loss:?} clean: NEES {}, squares {}", clean.nees, clean.squares / plain.squares);
         assert!((clean.nees - 6.0).abs() < 0.57, "{loss:?}: {}", clean.nees);
-        // 1 / 0.95 in the limit of many blocks. Both fits see the same noise, so that the ratio varies far less than each.
+        // 1 / 0.95 in the limit of many blocks. Both fits have the same noise, so that the ratio varies far less than each of them.
         let loss_of_efficiency = clean.squares / plain.squares;
         assert!((1.0..1.12).contains(&loss_of_efficiency), "{loss:?}: {loss_of_efficiency}");
         let dirty = figures(&options, 3);
@@ -186,7 +186,7 @@ fn without_blocks_or_with_a_loss_that_never_acts_it_is_least_squares() {
     assert!(wide.x.iter().zip(&plain.x).all(|(a, b)| (a - b).abs() < 1e-10));
 }
 
-/// Noise three times the stated: the scale says so, and the covariance includes it.
+/// With three times the stated noise, the scale is three, and the covariance includes it.
 #[test]
 fn noise_above_the_stated_is_in_scale_and_variance() {
     let mut session = session(&mut ChaCha8Rng::seed_from_u64(3), 2000, 0);
@@ -217,7 +217,7 @@ fn data_without_noise_are_fitted_and_their_outliers_named() {
     }
 }
 
-/// A scale far too small rejects every block: nothing is determined, and the Jacobian shows it.
+/// A scale that is far too small rejects every block: nothing is determined, and the Jacobian shows it.
 #[test]
 fn rejecting_everything_leaves_no_information() {
     let session = session(&mut ChaCha8Rng::seed_from_u64(5), 30, 0);

@@ -1,6 +1,6 @@
 use super::*;
 
-/// Four ends: (x² - 1)² + (y² - 4)².
+/// Four minima: (x² - 1)² + (y² - 4)².
 fn wells() -> Formula<impl FnMut(&[f64]) -> Rows> {
     let f = |x: &[f64]| {
         vec![(x[0] * x[0] - 1.0, vec![2.0 * x[0], 0.0]), (x[1] * x[1] - 4.0, vec![0.0, 2.0 * x[1]])]
@@ -8,7 +8,7 @@ fn wells() -> Formula<impl FnMut(&[f64]) -> Rows> {
     Formula { n: 2, m: 2, blocks: 0, f }
 }
 
-/// A sine of unknown frequency, whose cost has a minimum about every fitting number of periods.
+/// A sine of unknown frequency, whose cost has a minimum near every number of periods that fits.
 fn sine() -> Formula<impl FnMut(&[f64]) -> Rows> {
     let f = |x: &[f64]| {
         (0..60)
@@ -36,7 +36,7 @@ fn distinct_minima_are_counted() {
     assert_eq!(find(50, &half), 2);
 }
 
-/// A parameter that nothing determines makes no new minima.
+/// A parameter that nothing determines does not create new minima.
 #[test]
 fn a_flat_valley_is_one_minimum() {
     let mut sum = Formula {
@@ -65,7 +65,7 @@ fn several_starts_find_the_lowest_and_repeat_to_the_bit() {
     assert!((other.x[0].abs() - 5.0).abs() < 1e-6);
 }
 
-/// More starts never end higher: the first ones are the same.
+/// More starts never end at a higher cost: the first ones are the same.
 #[test]
 fn a_start_does_not_depend_on_how_many_there_are() {
     let mut last = f64::INFINITY;
@@ -86,7 +86,7 @@ fn where_no_start_converges_the_lowest_cost_is_returned_as_it_is() {
     assert!(found.cost < alone.cost);
 }
 
-/// Starts where the function has no value are passed over.
+/// Starts where the function has no value are skipped.
 #[test]
 fn starts_without_a_cost_do_no_harm() {
     let mut logarithm = Formula { n: 1, m: 1, blocks: 0, f: |x: &[f64]| vec![(x[0].ln(), vec![1.0 / x[0]])] };
@@ -95,7 +95,7 @@ fn starts_without_a_cost_do_no_harm() {
     assert_eq!(found.minima, 1);
 }
 
-/// Two ends, of which that with the smaller rows has more beside them.
+/// Two minima; the one with the smaller rows has the larger part beside them.
 struct Beside {
     now: f64,
 }
@@ -122,7 +122,7 @@ impl LeastSquares for Beside {
     }
 }
 
-/// What the rows of one end and of another leave is not all that they cost.
+/// The cost of two minima includes the part that is in no row.
 #[test]
 fn minima_are_compared_with_what_no_row_holds() {
     for start in [0.9, -0.9] {
@@ -150,7 +150,7 @@ fn starts_need_a_width_for_every_parameter() {
     assert_eq!(spread(&[0.0, 1.0]), Ok(()));
 }
 
-/// Start k is what the counted stream of (seed, k) gives, whatever else is drawn.
+/// Start k is drawn from the counted stream of (seed, k), whatever else is drawn.
 #[test]
 fn starts_are_drawn_from_their_counted_streams() {
     use calibrig_model::random::{Source, stream};

@@ -19,7 +19,7 @@ fn rosenbrock_is_solved_and_the_cost_never_rises() {
     assert_eq!((solution.minima, solution.scale, solution.variance_factor), (1, 1.0, 1.0));
 }
 
-/// Whatever became of the step: the cost of a record is that of its parameters, and the last ones are the solution.
+/// Whether or not a step was taken, the cost of a record belongs to its parameters, and the last ones are the solution.
 #[test]
 fn the_record_of_an_iteration_holds_where_it_left_the_parameters() {
     let cost = |x: &[f64]| 100.0 * (x[1] - x[0] * x[0]).powi(2) + (1.0 - x[0]).powi(2);
@@ -41,7 +41,7 @@ fn the_record_of_an_iteration_holds_where_it_left_the_parameters() {
     }
 }
 
-/// A negligible step after one that showed the model to hold is taken without an evaluation, after another one with it.
+/// A negligible step is taken without an evaluation after a step that confirmed the model, and with one otherwise.
 #[test]
 fn the_last_step_is_looked_at_only_where_the_model_did_not_hold() {
     for (slope, looked_at) in [(1.0, false), (1.3, true)] {
@@ -103,7 +103,7 @@ fn the_iteration_limit_is_kept() {
     assert_eq!((solution.iterations.len(), solution.minima), (3, 0));
 }
 
-/// Derivatives of the wrong sign: every step goes up, however short. Near the minimum the same is only the limit of the accuracy.
+/// Derivatives with the wrong sign: every step increases the cost, however short. Near the minimum this is only the limit of the accuracy.
 #[test]
 fn wrong_derivatives_are_no_convergence_unless_the_whole_step_is_small() {
     let mut uphill = scalar(|x| vec![(1.0, 0.0), (x, -1.0)], 2);
@@ -115,7 +115,7 @@ fn wrong_derivatives_are_no_convergence_unless_the_whole_step_is_small() {
     assert_eq!(near.x[0], 1e-5);
 }
 
-/// Derivatives a million times too large: every step falls, by next to nothing of what it promised.
+/// Derivatives that are a million times too large: every step decreases the cost, but by next to nothing of the prediction.
 #[test]
 fn a_step_that_hardly_keeps_its_promise_is_not_taken() {
     let mut creeping = scalar(|x| vec![(1.0 - 1e-6 * x, -1.0), (1.0, 0.0)], 2);
@@ -125,7 +125,7 @@ fn a_step_that_hardly_keeps_its_promise_is_not_taken() {
     assert_eq!(solution.x, [0.0]);
 }
 
-/// At the floor of rounding, where neither the decrease nor its prediction is more than noise, a fit still ends converged.
+/// At the level of rounding, where both the decrease and its prediction are noise, a fit still ends converged.
 #[test]
 fn rounding_is_no_failure() {
     for offset in [1.0, 1e3] {
@@ -162,7 +162,7 @@ fn numbers_that_are_not_end_the_search_with_their_reason() {
     }
 }
 
-/// The first full step of a logarithm from 10 lands where it has no value, of the second function where it has no derivative.
+/// The first full step of a logarithm from 10 leads to where it has no value; that of the second function to where it has no derivative.
 #[test]
 fn a_step_into_what_is_not_a_number_is_rejected() {
     let mut logarithm = scalar(|x| vec![(x.ln(), 1.0 / x)], 1);
