@@ -33,7 +33,7 @@ pub(super) struct Form {
     pub stations: Vec<Station>,
     pub targets: Vec<Target>,
     pub instruments: Vec<InstrumentErrors>,
-    pub fit: Fit,
+    pub fit: FitRecord,
     pub nominal: CalibrationModel,
     pub calibrated: CalibrationModel,
 }
@@ -100,7 +100,7 @@ pub(super) struct Target {
 
 /// What is told of the fit; no prediction needs it.
 #[derive(Serialize, Deserialize)]
-pub(super) struct Fit {
+pub(super) struct FitRecord {
     #[serde(with = "float::scalar")]
     chi2: f64,
     #[serde(with = "float::scalar")]
@@ -224,7 +224,7 @@ impl Form {
                 })
                 .collect(),
             instruments: robot.instruments.clone(),
-            fit: Fit {
+            fit: FitRecord {
                 chi2: estimate.chi2,
                 degrees_of_freedom: estimate.degrees_of_freedom,
                 termination: estimate.termination,

@@ -3,7 +3,7 @@
 use calibrig_campaign::design::{Coordinate, Design};
 use calibrig_campaign::table::{Cell, Column, Kind};
 
-use super::trial::Fit;
+use super::trial::FitResult;
 use super::{AccuracySet, Campaign, ModeResult, ParameterResult, Trial, TrialOutcome};
 use crate::pipeline::planned;
 use crate::scenario::{Factor, Scenario};
@@ -225,7 +225,7 @@ fn add_sets(cells: &mut Vec<Cell>, found: Option<&ModeResult>) {
     }
 }
 
-fn add_fit(cells: &mut Vec<Cell>, fit: Option<&Fit>, parameters: &[ParameterId]) {
+fn add_fit(cells: &mut Vec<Cell>, fit: Option<&FitResult>, parameters: &[ParameterId]) {
     let Some(fit) = fit else {
         cells.extend(std::iter::repeat_n(Cell::Absent, FIT.len() + PARAMETER.len() * parameters.len() + 1));
         return;

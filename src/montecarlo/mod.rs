@@ -16,7 +16,7 @@ pub use summary::{
     ParameterSummary, PredictionCoverage, Rate, Reason, Sensitivity, SetSummary, Subject, SummaryError,
     Worst, summarise, summarise_trials, summary_json, summary_text,
 };
-pub use trial::{AccuracySet, Fit, ModeResult, ParameterResult, Trial, TrialOutcome};
+pub use trial::{AccuracySet, FitResult, ModeResult, ParameterResult, Trial, TrialOutcome};
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -110,9 +110,7 @@ pub enum CampaignError {
         source: CaseError,
     },
     /// Too many machines are impossible.
-    #[error(
-        "{refused} of the first {drawn} drawn machines are impossible: their loops do not close"
-    )]
+    #[error("{refused} of the first {drawn} drawn machines are impossible: their loops do not close")]
     TooManyMachines {
         /// So many.
         refused: u64,

@@ -47,7 +47,7 @@ pub struct ModeResult {
     /// The accuracy on every set, and against the truth.
     pub rows: Vec<(AccuracySet, AccuracyRow)>,
     /// How the identification went; `None` for "without calibration".
-    pub fit: Option<Fit>,
+    pub fit: Option<FitResult>,
 }
 
 /// What predicted positions are held against.
@@ -93,7 +93,7 @@ impl AccuracySet {
 
 /// How an identification went.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Fit {
+pub struct FitResult {
     /// Why the solver stopped.
     pub termination: TerminationReason,
     /// Converged and of full rank.
@@ -181,7 +181,7 @@ fn fit(
     simulation: &Simulation,
     estimate: &Estimate,
     truth: Option<&MeasurementSet>,
-) -> Fit {
+) -> FitResult {
     let known = KnownTruth {
         as_built: &simulation.truth.as_built,
         nominal: &scenario.robot.model,
@@ -211,7 +211,7 @@ fn fit(
         })
         .collect();
     let errors: Option<Vec<f64>> = parameters.iter().map(|p| Some(p.value - p.truth?)).collect();
-    Fit {
+    FitResult {
         termination: estimate.termination,
         sound: estimate.is_sound(),
         iterations: estimate.iterations.len(),

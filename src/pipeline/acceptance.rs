@@ -100,15 +100,15 @@ pub fn test_instruments(
 ) -> Result<AcceptanceOutcome, PipelineError> {
     let test = |trial| draw_and_test(&kind.instrument, seed, trial, 0).map(|(_, acceptance)| acceptance);
     let first = test(0)?;
-    let all: Vec<Row> = (0..instruments.max(1))
+    let all: Vec<LargestRatios> = (0..instruments.max(1))
         .into_par_iter()
         .map(|trial| {
-            let row = test(trial).map(|a| Row::of(&a));
+            let row = test(trial).map(|a| LargestRatios::of(&a));
             done();
             row
         })
         .collect::<Result<_, _>>()?;
-    let over = |of: fn(&Row) -> f64| ratios(all.iter().map(of).collect());
+    let over = |of: fn(&LargestRatios) -> f64| ratios(all.iter().map(of).collect());
     let tests = Test::ALL.iter().enumerate().map(|(index, test)| {
         let worst: Vec<f64> = all.iter().map(|row| row.tests[index]).collect();
         TestOutcome {
@@ -133,7 +133,7 @@ pub fn test_instruments(
 }
 
 /// The largest ratios of one instrument.
-struct Row {
+struct LargestRatios {
     tests: [f64; Test::ALL.len()],
     lengths: f64,
     two_faces: f64,
@@ -141,7 +141,7 @@ struct Row {
     passes: bool,
 }
 
-impl Row {
+impl LargestRatios {
     fn of(acceptance: &Acceptance) -> Self {
         Self {
             tests: Test::ALL.map(|test| acceptance.worst(test).map_or(0.0, Finding::ratio)),
